@@ -1,0 +1,42 @@
+"""What motion is: skeletons, joint rotations, trajectories, canonical joints.
+
+Loaded name by name when first used: the types cost nothing, the kernels load numba.
+"""
+
+from __future__ import annotations
+
+import importlib
+from typing import Any
+
+_HOME = {
+    "CANONICAL_JOINTS": "joints",
+    "CANONICAL_PARENTS": "joints",
+    "JOINT_INDEX": "joints",
+    "MIRRORED_JOINTS": "joints",
+    "CanonicalMotion": "canonical",
+    "JointMapping": "canonical",
+    "Motion": "_types",
+    "Provenance": "_types",
+    "ReferenceFrame": "reference_frame",
+    "Skeleton": "_types",
+    "Trajectories": "_types",
+    "canonicalise": "canonical",
+    "compute_rest_positions": "kinematics",
+    "compute_trajectories": "kinematics",
+    "fill_gaps": "resampling",
+    "fit_motion": "fitting",
+    "forward_kinematics": "kinematics",
+    "read_joint_map": "joint_map",
+    "resample": "resampling",
+    "thin": "resampling",
+}
+
+__all__ = sorted(_HOME)  # noqa: PLE0605
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _HOME:
+        raise AttributeError(f"module 'dousa.motion' has no attribute '{name}'")
+    value = getattr(importlib.import_module(f"dousa.motion.{_HOME[name]}"), name)
+    globals()[name] = value
+    return value

@@ -1,0 +1,103 @@
+"""Forward kinematics: from joint rotations to positions in the world."""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+from numpy.typing import ArrayLike
+
+from dousa.motion._types import FloatArray, Motion, Skeleton, Trajectories
+
+__all__ = ["compute_rest_positions", "compute_trajectories", "forward_kinematics"]
+
+
+@njit(cache=True, nogil=True)
+def _forward_kinematics(parents, rotations, translations, world, positions):  # type: ignore[no-untyped-def]
+    """World rotations (T, J, 4) and positions (T, J, 3) from local ones; parents stand before children."""
+    frames, joints = translations.shape[:2]
+    for t in range(frames):
+        for j in range(joints):
+            p = parents[j]
+            w, x, y, z = rotations[t, j, 0], rotations[t, j, 1], rotations[t, j, 2], rotations[t, j, 3]
+            vx, vy, vz = translations[t, j, 0], translations[t, j, 1], translations[t, j, 2]
+            if p < 0:
+                world[t, j, 0], world[t, j, 1], world[t, j, 2], world[t, j, 3] = w, x, y, z
+                positions[t, j, 0], positions[t, j, 1], positions[t, j, 2] = vx, vy, vz
+                continue
+            a, b, c, d = world[t, p, 0], world[t, p, 1], world[t, p, 2], world[t, p, 3]
+            world[t, j, 0] = a * w - b * x - c * y - d * z
+            world[t, j, 1] = a * x + b * w + c * z - d * y
+            world[t, j, 2] = a * y - b * z + c * w + d * x
+            world[t, j, 3] = a * z + b * y - c * x + d * w
+            # v + 2 a (u x v) + 2 u x (u x v) with u the vector part of the parent's quaternion
+            tx = 2.0 * (c * vz - d * vy)
+            ty = 2.0 * (d * vx - b * vz)
+            tz = 2.0 * (b * vy - c * vx)
+            positions[t, j, 0] = positions[t, p, 0] + vx + a * tx + c * tz - d * ty
+            positions[t, j, 1] = positions[t, p, 1] + vy + a * ty + d * tx - b * tz
+            positions[t, j, 2] = positions[t, p, 2] + vz + a * tz + b * ty - c * tx
+
+
+def forward_kinematics(
+    parents: ArrayLike, rotations: ArrayLike, translations: ArrayLike
+) -> tuple[FloatArray, FloatArray]:
+    """Positions and rotations in the world of a tree of joints.
+
+    Parameters
+    ----------
+    parents : (J,) parent before child, -1 for a root.
+    rotations : (..., J, 4) local unit quaternions, w x y z.
+    translations : (..., J, 3) local positions, any unit.
+
+    Returns
+    -------
+    positions : (..., J, 3) in the unit of the translations.
+    world_from_joint : (..., J, 4) unit quaternions.
+    """
+    q = np.asarray(rotations, np.float64)
+    v = np.asarray(translations, np.float64)
+    joints = q.shape[-2]
+    batch = np.broadcast_shapes(q.shape[:-2], v.shape[:-2])
+    q = np.ascontiguousarray(np.broadcast_to(q, (*batch, joints, 4))).reshape(-1, joints, 4)
+    v = np.ascontiguousarray(np.broadcast_to(v, (*batch, joints, 3))).reshape(-1, joints, 3)
+    world, positions = np.empty(q.shape), np.empty(v.shape)
+    _forward_kinematics(
+        _read_only(np.asarray(parents, np.intp)), _read_only(q), _read_only(v), world, positions
+    )
+    return positions.reshape(*batch, joints, 3), world.reshape(*batch, joints, 4)
+
+
+def _read_only(array: np.ndarray) -> np.ndarray:
+    """The array as a read-only view: numba compiles one version for read-only arrays, not two."""
+    view = np.ascontiguousarray(array).view()
+    view.flags.writeable = False
+    return view
+
+
+def compute_rest_positions(skeleton: Skeleton) -> FloatArray:
+    """Positions (J, 3) m of the joints with no rotation: the rest pose, in the skeleton's own axes."""
+    rest = np.array(skeleton.offsets)
+    for joint, parent in enumerate(skeleton.parents):
+        if parent >= 0:
+            rest[joint] += rest[parent]
+    return rest
+
+
+def compute_trajectories(motion: Motion) -> Trajectories:
+    """Positions in the world of all joints and end sites of a motion (forward kinematics).
+
+    Returns
+    -------
+    Trajectories with the joints' names, parents and rest pose; NaN below a joint whose rotation is missing.
+    """
+    skeleton = motion.skeleton
+    positions, _ = forward_kinematics(skeleton.parents, motion.rotations, motion.translations)
+    positions.flags.writeable = False
+    return Trajectories(
+        names=skeleton.names,
+        positions=positions,
+        frame_rate=motion.frame_rate,
+        parents=skeleton.parents,
+        rest_positions=compute_rest_positions(skeleton),
+        provenance=motion.provenance,
+    )

@@ -1,0 +1,279 @@
+"""Rotations over plain arrays, batch dimensions leading.
+
+Quaternions are (..., 4), w x y z, of unit length; matrices (..., 3, 3) act on column vectors; rotation
+vectors (..., 3) are axis times angle; angles are radians. Euler angles are intrinsic, as in BVH: order
+``"ZXY"`` means R = R_z(first) R_x(second) R_y(third). NaN in gives NaN out.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from dousa.errors import InvalidMotionError
+
+__all__ = [
+    "between",
+    "conjugate",
+    "from_axis_angle",
+    "from_euler",
+    "from_matrix",
+    "identity",
+    "multiply",
+    "normalise",
+    "rotate",
+    "slerp",
+    "to_axis_angle",
+    "to_euler",
+    "to_matrix",
+    "unwrap_euler",
+]
+
+FloatArray = NDArray[np.float64]
+
+_AXES = {"X": 0, "Y": 1, "Z": 2}
+_GIMBAL_COSINE = 1e-7  # below this the first and third axes are parallel to double precision
+_SMALL_ANGLE = 1e-8
+
+
+def identity(shape: tuple[int, ...] = ()) -> FloatArray:
+    """Quaternions (*shape, 4) of no rotation."""
+    quaternions = np.zeros((*shape, 4))
+    quaternions[..., 0] = 1.0
+    return quaternions
+
+
+def normalise(quaternions: ArrayLike) -> FloatArray:
+    """Quaternions (..., 4) of any length but zero -> unit length; a zero quaternion becomes NaN."""
+    q = np.asarray(quaternions, np.float64)
+    length = np.linalg.norm(q, axis=-1, keepdims=True)
+    return q / np.where(length > 0, length, np.nan)
+
+
+def multiply(first: ArrayLike, second: ArrayLike) -> FloatArray:
+    """Hamilton product (..., 4): the rotation that does ``second``, then ``first``."""
+    a, b = np.asarray(first, np.float64), np.asarray(second, np.float64)
+    aw, ax, ay, az = np.moveaxis(a, -1, 0)
+    bw, bx, by, bz = np.moveaxis(b, -1, 0)
+    return np.stack(
+        (
+            aw * bw - ax * bx - ay * by - az * bz,
+            aw * bx + ax * bw + ay * bz - az * by,
+            aw * by - ax * bz + ay * bw + az * bx,
+            aw * bz + ax * by - ay * bx + az * bw,
+        ),
+        axis=-1,
+    )
+
+
+def conjugate(quaternions: ArrayLike) -> FloatArray:
+    """The inverse rotation (..., 4) of unit quaternions (..., 4)."""
+    return np.asarray(quaternions, np.float64) * np.array([1.0, -1.0, -1.0, -1.0])
+
+
+def rotate(quaternions: ArrayLike, vectors: ArrayLike) -> FloatArray:
+    """Vectors (..., 3) turned by unit quaternions (..., 4)."""
+    q, v = np.asarray(quaternions, np.float64), np.asarray(vectors, np.float64)
+    axis = q[..., 1:]
+    twice = 2.0 * np.cross(axis, v)
+    return v + q[..., :1] * twice + np.cross(axis, twice)
+
+
+def from_axis_angle(vectors: ArrayLike) -> FloatArray:
+    """Unit quaternions (..., 4) of rotation vectors (..., 3), axis times angle in rad."""
+    v = np.asarray(vectors, np.float64)
+    angle = np.linalg.norm(v, axis=-1, keepdims=True)
+    half = 0.5 * angle
+    small = angle < _SMALL_ANGLE
+    # sin(a/2)/a -> 1/2 as the angle goes to zero
+    scale = np.where(small, 0.5, np.sin(half) / np.where(small, 1.0, angle))
+    return np.concatenate((np.cos(half), v * scale), axis=-1)
+
+
+def to_axis_angle(quaternions: ArrayLike) -> FloatArray:
+    """Rotation vectors (..., 3), angle in [0, pi], of unit quaternions (..., 4)."""
+    q = np.asarray(quaternions, np.float64)
+    q = np.where(q[..., :1] < 0, -q, q)
+    sine = np.linalg.norm(q[..., 1:], axis=-1, keepdims=True)
+    angle = 2.0 * np.arctan2(sine, q[..., :1])
+    small = sine < _SMALL_ANGLE
+    return q[..., 1:] * np.where(small, 2.0, angle / np.where(small, 1.0, sine))
+
+
+def to_matrix(quaternions: ArrayLike) -> FloatArray:
+    """Rotation matrices (..., 3, 3) of unit quaternions (..., 4)."""
+    w, x, y, z = np.moveaxis(np.asarray(quaternions, np.float64), -1, 0)
+    rows = (
+        (1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)),
+        (2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)),
+        (2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)),
+    )
+    return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
+
+
+def from_matrix(matrices: ArrayLike) -> FloatArray:
+    """Unit quaternions (..., 4), w >= 0, of rotation matrices (..., 3, 3).
+
+    Takes the largest of the four squared components first, so that no angle loses digits (Shepperd 1978).
+    """
+    m = np.asarray(matrices, np.float64)
+    d0, d1, d2 = m[..., 0, 0], m[..., 1, 1], m[..., 2, 2]
+    # Row c holds 4 q_c q: whichever q_c is largest gives the best-conditioned row.
+    rows = np.stack(
+        [
+            _row(
+                1 + d0 + d1 + d2,
+                m[..., 2, 1] - m[..., 1, 2],
+                m[..., 0, 2] - m[..., 2, 0],
+                m[..., 1, 0] - m[..., 0, 1],
+            ),
+            _row(
+                m[..., 2, 1] - m[..., 1, 2],
+                1 + d0 - d1 - d2,
+                m[..., 1, 0] + m[..., 0, 1],
+                m[..., 0, 2] + m[..., 2, 0],
+            ),
+            _row(
+                m[..., 0, 2] - m[..., 2, 0],
+                m[..., 1, 0] + m[..., 0, 1],
+                1 - d0 + d1 - d2,
+                m[..., 2, 1] + m[..., 1, 2],
+            ),
+            _row(
+                m[..., 1, 0] - m[..., 0, 1],
+                m[..., 0, 2] + m[..., 2, 0],
+                m[..., 2, 1] + m[..., 1, 2],
+                1 - d0 - d1 + d2,
+            ),
+        ],
+        axis=-2,
+    )
+    squares = np.diagonal(rows, axis1=-2, axis2=-1)
+    best = np.argmax(np.nan_to_num(squares), axis=-1)[..., None, None]
+    q = normalise(np.take_along_axis(rows, best, axis=-2)[..., 0, :])
+    return np.where(q[..., :1] < 0, -q, q)
+
+
+def _row(*components: FloatArray) -> FloatArray:
+    return np.stack(components, axis=-1)
+
+
+def _axis_numbers(order: str) -> list[int]:
+    letters = order.upper()
+    if not 1 <= len(letters) <= 3 or len(set(letters)) != len(letters) or set(letters) - set(_AXES):
+        raise InvalidMotionError(
+            f"rotation order: expected one to three different letters of XYZ, got '{order}'"
+        )
+    return [_AXES[letter] for letter in letters]
+
+
+def from_euler(angles: ArrayLike, order: str) -> FloatArray:
+    """Unit quaternions (..., 4) of intrinsic Euler angles.
+
+    Parameters
+    ----------
+    angles : (..., k) rad, in the order of the letters.
+    order : k different letters of XYZ, such as ``"ZXY"``; R = R_first R_second R_third.
+
+    Raises
+    ------
+    InvalidMotionError : the order is not one to three different letters, or does not fit the angles.
+    """
+    axes = _axis_numbers(order)
+    half = 0.5 * np.asarray(angles, np.float64)
+    if half.shape[-1] != len(axes):
+        raise InvalidMotionError(
+            f"euler angles: expected {len(axes)} for order '{order}', got {half.shape[-1]}"
+        )
+    result = None
+    for number, axis in enumerate(axes):
+        turn = np.zeros((*half.shape[:-1], 4))
+        turn[..., 0] = np.cos(half[..., number])
+        turn[..., 1 + axis] = np.sin(half[..., number])
+        result = turn if result is None else multiply(result, turn)
+    assert result is not None
+    return result
+
+
+def to_euler(quaternions: ArrayLike, order: str) -> FloatArray:
+    """Intrinsic Euler angles (..., k) rad of unit quaternions (..., 4).
+
+    With three letters the rotation is reproduced exactly, also where the first and third axes fall together
+    (gimbal lock; the third angle is then 0). With fewer letters the angles are those of the three-letter
+    solution whose missing angles are dropped.
+
+    Raises
+    ------
+    InvalidMotionError : the order is not one to three different letters of XYZ.
+    """
+    given = _axis_numbers(order)
+    rest = [axis for axis in (0, 1, 2) if axis not in given]
+    i, j, k = given + rest
+    sign = 1.0 if (j - i) % 3 == 1 else -1.0
+    m = to_matrix(quaternions)
+    cosine = np.hypot(m[..., i, i], m[..., i, j])
+    locked = cosine < _GIMBAL_COSINE
+    first = np.where(
+        locked,
+        np.arctan2(sign * m[..., k, j], m[..., j, j]),
+        np.arctan2(-sign * m[..., j, k], m[..., k, k]),
+    )
+    second = np.arctan2(sign * m[..., i, k], cosine)
+    third = np.where(locked, 0.0 * cosine, np.arctan2(-sign * m[..., i, j], m[..., i, i]))
+    return np.stack((first, second, third), axis=-1)[..., : len(given)]
+
+
+def unwrap_euler(angles: ArrayLike) -> FloatArray:
+    """Euler angles (T, ..., 3) of three different axes made continuous along time.
+
+    Of the two triples that mean the same rotation, (a, b, c) and (a + pi, pi - b, c + pi), each frame takes
+    the one nearer to the frame before, whole turns included. Rotations do not change.
+    """
+    a = np.array(angles, np.float64)
+    turn = 2 * np.pi
+    for t in range(1, len(a)):
+        before = np.where(np.isnan(a[t - 1]), a[t], a[t - 1])
+        other = np.stack((a[t, ..., 0] + np.pi, np.pi - a[t, ..., 1], a[t, ..., 2] + np.pi), axis=-1)
+        near = a[t] - turn * np.round((a[t] - before) / turn)
+        far = other - turn * np.round((other - before) / turn)
+        swap = np.abs(far - before).sum(-1) < np.abs(near - before).sum(-1) - 1e-9
+        a[t] = np.where(swap[..., None], far, near)
+    return a
+
+
+def between(start: ArrayLike, end: ArrayLike) -> FloatArray:
+    """Shortest rotations (..., 4) that turn the directions (..., 3) ``start`` into ``end``.
+
+    Opposite directions turn by pi about an axis across them; a zero vector gives no rotation.
+    """
+    u, v = (np.asarray(x, np.float64) for x in (start, end))
+    u, v = np.broadcast_arrays(u, v)
+    lengths = np.linalg.norm(u, axis=-1) * np.linalg.norm(v, axis=-1)
+    scalar = lengths + (u * v).sum(-1)
+    q = np.concatenate((scalar[..., None], np.cross(u, v)), axis=-1)
+    opposite = (scalar < 1e-12 * lengths) & (lengths > 0)
+    helper = np.eye(3)[np.argmin(np.abs(np.nan_to_num(u)), axis=-1)]
+    across = np.concatenate((np.zeros((*u.shape[:-1], 1)), np.cross(u, helper)), axis=-1)
+    q = np.where(opposite[..., None], across, q)
+    q = np.where((lengths == 0)[..., None], identity(), q)
+    return normalise(q)
+
+
+def slerp(start: ArrayLike, end: ArrayLike, fraction: ArrayLike) -> FloatArray:
+    """Quaternions (..., 4) on the shorter arc from ``start`` (fraction 0) to ``end`` (fraction 1).
+
+    Parameters
+    ----------
+    start, end : (..., 4) unit quaternions.
+    fraction : (...) position on the arc.
+    """
+    a, b = np.asarray(start, np.float64), np.asarray(end, np.float64)
+    s = np.asarray(fraction, np.float64)[..., None]
+    b = np.where((a * b).sum(-1, keepdims=True) < 0, -b, b)
+    # The chord's half angle keeps its digits where the arc is short; arccos of the dot product would not.
+    angle = 2.0 * np.arctan2(np.linalg.norm(b - a, axis=-1), np.linalg.norm(b + a, axis=-1))[..., None]
+    small = angle < _SMALL_ANGLE
+    sine = np.sin(np.where(small, 1.0, angle))
+    weight_a = np.where(small, 1 - s, np.sin((1 - s) * angle) / sine)
+    weight_b = np.where(small, s, np.sin(s * angle) / sine)
+    return normalise(weight_a * a + weight_b * b)
