@@ -170,14 +170,11 @@ class Motion:
         translations = _frozen_array(
             self.translations, np.float64, (frames, joints, 3), "motion translations"
         )
-        squares = np.einsum("tjk,tjk->tj", rotations, rotations)
-        off = np.abs(squares - 1.0) > _UNIT_TOLERANCE  # false for NaN: missing values are allowed
-        if (
-            off.any()
-            or np.isinf(squares).any()
-            or np.isinf(translations.sum())
-            and np.isinf(translations).any()
-        ):
+        with np.errstate(over="ignore", invalid="ignore"):  # a damaged file may hold 1e300 and infinities
+            squares = np.einsum("tjk,tjk->tj", rotations, rotations)
+            off = np.abs(squares - 1.0) > _UNIT_TOLERANCE  # false for NaN: missing values are allowed
+            whole = np.isfinite(translations.sum())  # spares the look at every value
+        if off.any() or np.isinf(squares).any() or (not whole and np.isinf(translations).any()):
             raise InvalidMotionError("motion: expected unit quaternions and finite translations")
         set_field = object.__setattr__
         set_field(self, "rotations", rotations)
