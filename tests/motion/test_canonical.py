@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from oracles.bodies import walking_body
+from oracles.name_lists import NAME_LISTS
 
 from dousa.errors import JointMappingError
 from dousa.formats import read_motion
 from dousa.motion import CANONICAL_JOINTS, JOINT_INDEX, Trajectories, canonicalise
 from dousa.motion.geometry import hips_from_markers
-from oracles.bodies import walking_body
-from oracles.name_lists import NAME_LISTS
 
 
 def _canonical_points(n_frames: int = 20) -> np.ndarray:

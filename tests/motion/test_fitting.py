@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from oracles.bodies import walking_body
 
 from dousa.formats import read_motion
 from dousa.motion import CANONICAL_JOINTS, canonicalise, compute_trajectories, fit_motion
-from oracles.bodies import walking_body
 
 
 def _error(canonical) -> float:

@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from oracles.bodies import walking_body
 
 from dousa.formats import read_motion
 from dousa.motion import CANONICAL_JOINTS, JOINT_INDEX, MIRRORED_JOINTS, canonicalise, compute_trajectories
 from dousa.motion._recipe import named_recipe
 from dousa.motion.geometry import chain_height, hips_from_markers, measure_rest
 from dousa.motion.sides import compare_sides, compute_forward, score_sides
-from oracles.bodies import walking_body
 
 
 def _points() -> np.ndarray:

@@ -6,11 +6,11 @@ import json
 
 import numpy as np
 import pytest
+from oracles.bodies import walking_body
 
 from dousa.errors import JointMappingError, OptionError
 from dousa.motion import Trajectories, canonicalise, read_joint_map
 from dousa.motion.naming import REQUIRED_JOINTS
-from oracles.bodies import walking_body
 
 
 @pytest.mark.parametrize(

@@ -11,7 +11,13 @@ from dousa.motion.naming import REQUIRED_JOINTS, match_names, normalise_names
 
 # label -> some canonical joints and the names they must come from
 EXPECTED = {
-    "HDM05 ASF": {"head": "head_end", "left_toe": "ltoes", "left_hand": "lfingers", "neck": "lowerneck"},
+    "HDM05 ASF": {
+        "head": "head_end",
+        "left_toe": "ltoes",
+        "left_hand": "lfingers",
+        "left_wrist": "lhand",
+        "neck": "upperneck",
+    },
     "Bandai": {
         "pelvis": "Hips",
         "left_wrist": "Hand_L",

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from oracles.bodies import walking_body
 
 from dousa.errors import OptionError
 from dousa.formats import read_motion
@@ -19,7 +20,6 @@ from dousa.motion.reference_frame import (
     parse_up,
     to_reference_frame,
 )
-from oracles.bodies import walking_body
 
 AXES = ["x", "y", "z", "-x", "-y", "-z"]
 

@@ -85,6 +85,12 @@ def test_between_turns_one_direction_into_the_other(u, v):
         assert np.allclose(turned, v / np.linalg.norm(v), atol=1e-6)
 
 
+@pytest.mark.parametrize("size", [1e-310, 1e-200, 1e-82, 1e150])
+def test_between_does_not_care_for_length(size):
+    q = r.between(np.array([size, 0, 0]), np.array([0, size, 0]))
+    assert np.allclose(r.rotate(q, [1, 0, 0]), [0, 1, 0])
+
+
 def test_between_opposite_and_zero():
     for u in np.vstack((np.eye(3), [[1, 2, 3]])):
         assert np.allclose(r.rotate(r.between(u, -u), u), -u)

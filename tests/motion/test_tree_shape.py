@@ -6,12 +6,12 @@ import dataclasses
 
 import numpy as np
 import pytest
+from oracles.bodies import walking_body
 
 from dousa.errors import JointMappingError
 from dousa.formats import read_motion
-from dousa.motion import Trajectories, canonicalise, compute_trajectories
+from dousa.motion import CANONICAL_JOINTS, Trajectories, canonicalise, compute_trajectories
 from dousa.motion.tree_shape import shape_sources
-from oracles.bodies import walking_body
 
 
 def _nameless(moving: Trajectories) -> Trajectories:
@@ -25,8 +25,12 @@ def test_renamed_recordings_map_alike(path: str, shared_data) -> None:
         moving = compute_trajectories(read_motion(file))
         by_name, by_shape = canonicalise(moving), canonicalise(_nameless(moving))
         assert by_shape.mapping.table == "tree shape"
-        # Bandai's neck and all derived joints follow from the same points.
-        np.testing.assert_allclose(by_shape.positions, by_name.positions, atol=1e-6, err_msg=str(file))
+        # An ASF has a neck joint just below and one just above the shoulders, and a forearm of two bones: the shape
+        # cannot tell which joint is meant.
+        apart = np.linalg.norm(by_shape.positions - by_name.positions, axis=-1).max(axis=0)
+        doubtful = ("neck", "wrist", "hand") if path == "hdm05" else ()
+        limits = np.array([0.12 if joint.endswith(doubtful) else 1e-6 for joint in CANONICAL_JOINTS])
+        assert (apart <= limits).all(), (file, dict(zip(CANONICAL_JOINTS, apart, strict=True)))
         assert any("shape of the tree" in warning for warning in by_shape.warnings)
 
 

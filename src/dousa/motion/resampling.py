@@ -138,7 +138,7 @@ def fill_gaps(positions: ArrayLike) -> FloatArray:
     filled = np.array(positions, np.float64)
     if filled.ndim != 3:
         raise InvalidMotionError(f"positions: expected shape (any, any, 3), got {filled.shape}")
-    missing: NDArray[np.bool_] = np.isnan(filled).any(axis=2)
+    missing = cast(NDArray[np.bool_], np.isnan(filled).any(axis=2))
     frames = np.arange(len(filled))
     for point in np.flatnonzero(missing.any(axis=0)):
         seen = frames[~missing[:, point]]

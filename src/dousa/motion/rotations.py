@@ -34,6 +34,7 @@ FloatArray = NDArray[np.float64]
 _AXES = {"X": 0, "Y": 1, "Z": 2}
 _GIMBAL_COSINE = 1e-7  # below this the first and third axes are parallel to double precision
 _SMALL_ANGLE = 1e-8
+_OPPOSITE = 1e-14  # 1 + cosine of two directions with no telling which way round
 
 
 def identity(shape: tuple[int, ...] = ()) -> FloatArray:
@@ -246,17 +247,23 @@ def between(start: ArrayLike, end: ArrayLike) -> FloatArray:
 
     Opposite directions turn by pi about an axis across them; a zero vector gives no rotation.
     """
-    u, v = (np.asarray(x, np.float64) for x in (start, end))
-    u, v = np.broadcast_arrays(u, v)
-    lengths = np.linalg.norm(u, axis=-1) * np.linalg.norm(v, axis=-1)
-    scalar = lengths + (u * v).sum(-1)
+    u, v = np.broadcast_arrays(*(_directions(x) for x in (start, end)))
+    scalar = 1.0 + (u * v).sum(-1)
     q = np.concatenate((scalar[..., None], np.cross(u, v)), axis=-1)
-    opposite = (scalar < 1e-12 * lengths) & (lengths > 0)
     helper = np.eye(3)[np.argmin(np.abs(np.nan_to_num(u)), axis=-1)]
     across = np.concatenate((np.zeros((*u.shape[:-1], 1)), np.cross(u, helper)), axis=-1)
-    q = np.where(opposite[..., None], across, q)
-    q = np.where((lengths == 0)[..., None], identity(), q)
-    return normalise(q)
+    q = np.where((scalar < _OPPOSITE)[..., None], across, q)
+    directed = (u != 0).any(-1) & (v != 0).any(-1)
+    return normalise(np.where(directed[..., None], q, identity()))
+
+
+def _directions(vectors: ArrayLike) -> FloatArray:
+    """Vectors (..., 3) at length one, however short or long they were; zero stays zero."""
+    v = np.asarray(vectors, np.float64)
+    largest = np.abs(v).max(-1, keepdims=True)
+    scaled = v / np.where(largest > 0, largest, 1.0)
+    length = np.linalg.norm(scaled, axis=-1, keepdims=True)
+    return scaled / np.where(length > 0, length, 1.0)
 
 
 def slerp(start: ArrayLike, end: ArrayLike, fraction: ArrayLike) -> FloatArray:

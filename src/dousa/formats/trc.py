@@ -1,0 +1,242 @@
+"""TRC: marker positions as a table of text (Motion Analysis Cortex, OpenSim, Pose2Sim).
+
+Three lines of header, a line of marker names over every third column, a line X1 Y1 Z1 X2 ..., and then one row
+per frame: frame number, time, coordinates, separated by tabs. A blank or ``nan`` cell is a missing value.
+Reference: OpenSim documentation, "Marker (.trc) Files". The format does not say which axis points up.
+
+The rows count, not NumFrames and NumMarkers, which published files (those of Pose2Sim) have wrong. A file counts
+as cut off where a row is short, or where frames are missing and the last line does not end.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+
+import numpy as np
+
+from dousa.errors import MotionFileError, MotionWriteError
+from dousa.formats._files import atomic_write, read_bytes
+from dousa.formats._markers import declared_unit, settle_trajectories
+from dousa.motion import Trajectories
+from dousa.motion._types import FloatArray
+
+__all__ = ["read_trc", "write_trc"]
+
+_HEADER_LINES = 20  # where the header must have appeared
+_CHUNK_CELLS = 200_000  # cells held as text at a time
+_NUMBER = re.compile(
+    r"\s*[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?\s*|\s*[+-]?(nan|inf|infinity)\s*", re.IGNORECASE
+)
+
+
+def read_trc(
+    path: str | os.PathLike[str], *, unit: float | str | None = None, up: str | None = None
+) -> Trajectories:
+    """Read the markers of a TRC file.
+
+    Parameters
+    ----------
+    path : the file.
+    unit : metres per unit, or its name; by default what the header says.
+    up : axis that points up; by default Y unless the body stands along another.
+
+    Returns
+    -------
+    Trajectories in metres, Y up, NaN where missing; ``provenance.values`` (T, K, 3) are the file's own numbers.
+
+    Raises
+    ------
+    MotionFileError : missing, empty, cut off, text where numbers belong, rows of another width.
+    """
+    # splitlines would also break at exotic separators inside a name
+    text = read_bytes(path).decode("utf-8-sig", errors="replace")
+    lines = text.replace("\r\n", "\n").replace("\r", "\n").split("\n")
+    fields, fields_line = _read_fields(path, lines)
+    rate = _field_number(path, fields, "datarate", fields_line)
+    if not 0 < rate <= 1e6:
+        raise MotionFileError(path, f"expected a DataRate in Hz above 0, got {rate:g}", fields_line)
+    names, body = _read_names(path, lines)
+    positions = _read_rows(path, lines, body, names)
+    declared = _field_number(path, fields, "numframes", fields_line) if "numframes" in fields else 0.0
+    if declared > len(positions) and lines[-1].strip():
+        raise MotionFileError(
+            path,
+            f"the header declares {declared:.0f} frames, the file breaks off in frame {len(positions)}; "
+            "is it truncated? If the last line is whole, end it with a line break",
+            len(lines),
+        )
+    return settle_trajectories(
+        path,
+        "trc",
+        names,
+        positions,
+        rate,
+        unit=unit,
+        up=up,
+        unit_in_file=declared_unit(fields.get("units", "")),
+        up_in_file=None,
+        default_up="y",
+        keep_values=True,
+    )
+
+
+def _cells(line: str) -> list[str]:
+    parts = line.split("\t") if "\t" in line else line.split()
+    return [part.strip() for part in parts]
+
+
+def _read_fields(path: str | os.PathLike[str], lines: list[str]) -> tuple[dict[str, str], int]:
+    """Header fields by lower-case name, and the 1-based line of their values."""
+    for number, line in enumerate(lines[:_HEADER_LINES]):
+        if line.lstrip().lower().startswith("datarate"):
+            if number + 1 >= len(lines):
+                break
+            keys, values = _cells(line), _cells(lines[number + 1])
+            return {key.lower(): value for key, value in zip(keys, values, strict=False)}, number + 2
+    raise MotionFileError(path, "expected a header line starting with DataRate; is this a TRC file?")
+
+
+def _field_number(path: str | os.PathLike[str], fields: dict[str, str], key: str, line: int) -> float:
+    text = fields.get(key, "")
+    if not _NUMBER.fullmatch(text):
+        raise MotionFileError(path, f"expected a number for {key} in the header, got '{text}'", line)
+    return float(text)
+
+
+def _read_names(path: str | os.PathLike[str], lines: list[str]) -> tuple[tuple[str, ...], int]:
+    """Marker names, and the index of the first line after the header."""
+    for number, line in enumerate(lines[:_HEADER_LINES]):
+        cells = line.split("\t")
+        if not cells[0].strip().lower().startswith("frame"):
+            continue
+        cells = [cell.strip() for cell in cells[2:]]
+        while cells and not cells[-1]:
+            cells.pop()
+        # Some programs write the names one after the other instead of over every third column.
+        spaced = all(not cell for index, cell in enumerate(cells) if index % 3)
+        columns = cells[::3] if spaced else [cell for cell in cells if cell]
+        if not columns:
+            raise MotionFileError(path, "expected marker names after Frame# and Time, got none", number + 1)
+        names = tuple(name or f"point{index + 1}" for index, name in enumerate(columns))
+        body = number + 1
+        while body < len(lines) and lines[body].strip()[:1] in ("", "X", "x"):
+            body += 1
+        return names, body
+    raise MotionFileError(path, "expected a line of marker names starting with Frame#; is this a TRC file?")
+
+
+def _read_rows(
+    path: str | os.PathLike[str], lines: list[str], body: int, names: tuple[str, ...]
+) -> FloatArray:
+    """Positions (T, K, 3) in file units."""
+    width = 2 + 3 * len(names)
+    numbered = [
+        (number, line) for number, line in enumerate(lines[body:], body + 1) if line and not line.isspace()
+    ]
+    if not numbered:
+        raise MotionFileError(path, "expected at least one frame after the header, got none", body)
+    step = max(1, _CHUNK_CELLS // width)
+    chunks = []
+    for start in range(0, len(numbered), step):
+        part = numbered[start : start + step]
+        rows = [_row_cells(path, line, number, names) for number, line in part]
+        chunks.append(_parse_rows(path, rows, part, names))
+    positions = np.concatenate(chunks)
+    if np.isinf(positions).any():
+        row, point, _ = np.argwhere(np.isinf(positions))[0]
+        raise MotionFileError(path, f"infinite position of marker '{names[point]}'", numbered[row][0])
+    return positions
+
+
+def _row_cells(path: str | os.PathLike[str], line: str, number: int, names: tuple[str, ...]) -> list[str]:
+    """The coordinates of one row as text."""
+    width = 2 + 3 * len(names)
+    cells = line.split("\t")
+    if len(cells) != width:
+        if any(cell.strip() for cell in cells[width:]) or len(cells) < width:
+            raise MotionFileError(
+                path,
+                f"expected {width} values ({len(names)} markers), got {len(cells)}; "
+                "is the file truncated or a marker name missing?",
+                number,
+            )
+        cells = cells[:width]
+    return cells[2:]
+
+
+def _parse_rows(
+    path: str | os.PathLike[str],
+    rows: list[list[str]],
+    numbered: list[tuple[int, str]],
+    names: tuple[str, ...],
+) -> FloatArray:
+    try:
+        values = np.array([[float(cell or "nan") for cell in row] for row in rows])
+    except ValueError:
+        values = np.array(
+            [
+                [_parse_cell(path, cell, number, names[column // 3]) for column, cell in enumerate(row)]
+                for row, (number, _) in zip(rows, numbered, strict=True)
+            ]
+        )
+    return values.reshape(len(rows), len(names), 3)
+
+
+def _parse_cell(path: str | os.PathLike[str], cell: str, number: int, name: str) -> float:
+    if not cell.strip():
+        return float("nan")
+    if not _NUMBER.fullmatch(cell):
+        raise MotionFileError(
+            path, f"expected a number for marker '{name}', got '{cell.strip()[:40]}'", number
+        )
+    return float(cell)
+
+
+def write_trc(motion: Trajectories, path: str | os.PathLike[str]) -> None:
+    """Write trajectories as a TRC file.
+
+    Positions that were read from a TRC file and not changed are written in its unit and axes, digit for digit;
+    others in metres with Y up. Missing values are written as ``nan``.
+
+    Parameters
+    ----------
+    motion : trajectories.
+    path : the file to write.
+
+    Raises
+    ------
+    MotionWriteError : a blank name or one with a tab or line break, a disk that refuses.
+    """
+    for name in motion.names:
+        if not name.strip() or re.search(r"[\t\r\n]", name):
+            raise MotionWriteError(
+                path, f"marker name {name!r}: TRC has no place for blank names, tabs and line breaks"
+            )
+    source = motion.provenance
+    values, unit = motion.positions, "m"
+    if source is not None and source.format == "trc" and source.values is not None:
+        known = {1.0: "m", 0.01: "cm", 0.001: "mm", 0.0254: "inches", 0.3048: "ft"}
+        if source.unit in known:
+            values, unit = source.values, known[source.unit]
+    with atomic_write(path) as file:
+        file.write(_header(motion, os.path.basename(os.fspath(path)), unit).encode())
+        for frame, row in enumerate(values.reshape(motion.n_frames, -1).tolist()):
+            cells = "\t".join(map(repr, row))
+            file.write(f"{frame + 1}\t{frame / motion.frame_rate!r}\t{cells}\n".encode())
+
+
+def _header(motion: Trajectories, file_name: str, unit: str) -> str:
+    count, rate = len(motion.names), repr(float(motion.frame_rate)).removesuffix(".0")
+    keys = "DataRate CameraRate NumFrames NumMarkers Units OrigDataRate OrigDataStartFrame OrigNumFrames"
+    values = (rate, rate, motion.n_frames, count, unit, rate, 1, motion.n_frames)
+    axes = "\t".join(f"X{k}\tY{k}\tZ{k}" for k in range(1, count + 1))
+    lines = (
+        f"PathFileType\t4\t(X/Y/Z)\t{file_name}",
+        "\t".join(keys.split()),
+        "\t".join(map(str, values)),
+        "Frame#\tTime\t" + "\t\t\t".join(motion.names) + "\t\t",
+        f"\t\t{axes}",
+        "",
+    )
+    return "\n".join(lines) + "\n"

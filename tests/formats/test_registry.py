@@ -1,0 +1,155 @@
+"""The table of formats: choice by suffix, errors that name the file."""
+
+from __future__ import annotations
+
+import importlib
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+from dousa.errors import (
+    InvalidMotionError,
+    MotionFileError,
+    MotionWriteError,
+    OptionError,
+    UnknownFormatError,
+)
+from dousa.formats import FORMATS, SUFFIXES, WRITERS, read_motion, write_motion
+from dousa.motion import Motion, Skeleton, Trajectories, compute_trajectories
+
+POINTS = Trajectories(("a", "b"), np.random.default_rng(0).normal(size=(4, 2, 3)), 25.0)
+
+
+def make_motion():
+    skeleton = Skeleton(("hips", "knee"), [-1, 0], [[0, 1, 0], [0, -0.5, 0]])
+    rotations = np.tile([1.0, 0, 0, 0], (3, 2, 1))
+    return Motion(skeleton, rotations, np.tile(skeleton.offsets, (3, 1, 1)), 25.0)
+
+
+def test_every_line_of_the_table_works():
+    for line in FORMATS:
+        module = importlib.import_module(line.module)
+        for name in (line.reader, line.writer):
+            assert name is None or callable(getattr(module, name))
+        assert all(suffix == suffix.lower() and suffix.startswith(".") for suffix in line.suffixes)
+        assert line.holds in ("motion", "trajectories", "both")
+
+
+def test_the_table_is_the_one_promised():
+    assert SUFFIXES == (".bvh", ".amc", ".c3d", ".trc", ".npz")
+    assert tuple(WRITERS) == (".bvh", ".c3d", ".trc", ".npz")
+
+
+def test_looking_at_the_table_imports_no_reader():
+    code = (
+        "import sys, dousa.formats; "
+        "print([m for m in sys.modules if m.startswith(('dousa.formats.', 'numba', 'ezc3d'))])"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "['dousa.formats._registry']"
+
+
+@pytest.mark.parametrize("suffix", [".trc", ".TRC", ".c3d", ".C3d", ".npz", ".NPZ"])
+def test_the_suffix_chooses_in_any_case(tmp_path, suffix):
+    write_motion(POINTS, tmp_path / f"x{suffix}")
+    got = read_motion(tmp_path / f"x{suffix}", up=None if suffix.lower() == ".npz" else "y")
+    np.testing.assert_allclose(got.positions, POINTS.positions, rtol=1e-6)
+
+
+def test_unknown_suffixes_name_the_known_ones(tmp_path):
+    for name in ("x.fbx", "x", "x.bvh.zip"):
+        with pytest.raises(UnknownFormatError, match=r"\.bvh, \.amc, \.c3d, \.trc, \.npz"):
+            read_motion(tmp_path / name)
+        with pytest.raises(UnknownFormatError, match=r"written end in \.bvh, \.c3d, \.trc, \.npz"):
+            write_motion(POINTS, tmp_path / name)
+    with pytest.raises(UnknownFormatError, match="written"):
+        write_motion(POINTS, tmp_path / "x.amc")
+    with pytest.raises(UnknownFormatError, match=r"give the \.amc"):
+        read_motion(tmp_path / "x.ASF")
+
+
+@pytest.mark.parametrize("suffix", SUFFIXES)
+def test_missing_empty_and_folder(tmp_path, suffix):
+    path = tmp_path / f"x{suffix}"
+    with pytest.raises(MotionFileError, match="no such file"):
+        read_motion(path)
+    path.touch()
+    with pytest.raises(MotionFileError, match="empty"):
+        read_motion(path)
+    path.unlink()
+    path.mkdir()
+    with pytest.raises(MotionFileError, match="folder"):
+        read_motion(path)
+
+
+def test_a_file_under_a_wrong_suffix(tmp_path):
+    contents = {}
+    for suffix in (".bvh", ".c3d", ".trc", ".npz"):
+        write_motion(make_motion(), tmp_path / f"x{suffix}")
+        contents[suffix] = (tmp_path / f"x{suffix}").read_bytes()
+    for suffix in SUFFIXES:
+        for other, content in contents.items():
+            if other != suffix:
+                (tmp_path / f"wrong{suffix}").write_bytes(content)
+                with pytest.raises(MotionFileError, match="wrong"):
+                    read_motion(tmp_path / f"wrong{suffix}")
+
+
+def test_options(tmp_path):
+    write_motion(POINTS, tmp_path / "x.trc")
+    got = read_motion(tmp_path / "x.trc", unit="cm", up="-Z")
+    assert (got.provenance.unit, got.provenance.up) == (0.01, "-z")
+    assert read_motion(tmp_path / "x.trc", unit=0.5, up="y").provenance.unit == 0.5
+    for options in ({"unit": "ells"}, {"unit": -1}, {"up": "w"}):
+        with pytest.raises(OptionError):
+            read_motion(tmp_path / "x.trc", **options)
+    with pytest.raises(OptionError, match=r"\.amc files only"):
+        read_motion(tmp_path / "x.trc", skeleton="x.asf")
+
+
+def test_a_motion_becomes_positions_where_the_format_wants_them(tmp_path):
+    motion = make_motion()
+    expected = compute_trajectories(motion)
+    write_motion(motion, tmp_path / "x.trc")
+    got = read_motion(tmp_path / "x.trc", up="y")
+    assert got.names == ("hips", "knee")
+    np.testing.assert_array_equal(got.positions, expected.positions)
+    write_motion(motion, tmp_path / "x.npz")
+    assert isinstance(read_motion(tmp_path / "x.npz"), Motion)
+
+
+def test_positions_of_a_body_become_a_bvh(tmp_path, shared_data):
+    points = read_motion(sorted(shared_data("utd_mhad/skeleton").glob("*/*.c3d"))[0])
+    write_motion(points, tmp_path / "x.bvh")
+    got = read_motion(tmp_path / "x.bvh")
+    assert isinstance(got, Motion)
+    assert (got.n_frames, got.frame_rate) == (points.n_frames, pytest.approx(30))
+
+
+def test_positions_of_no_body_do_not(tmp_path):
+    with pytest.raises(MotionWriteError, match="no body can be fitted"):
+        write_motion(POINTS, tmp_path / "x.bvh")
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize(
+    "problem",
+    [
+        ValueError("bad"),
+        IndexError("bad"),
+        KeyError("bad"),
+        ZeroDivisionError("bad"),
+        MemoryError(),
+        InvalidMotionError("bad"),
+    ],
+)
+def test_whatever_a_reader_meets_the_file_is_named(tmp_path, monkeypatch, problem):
+    def fail(*_, **__):
+        raise problem
+
+    monkeypatch.setattr("dousa.formats.trc.read_trc", fail)
+    with pytest.raises(MotionFileError, match=r"damaged\.trc: ") as caught:
+        read_motion(tmp_path / "damaged.trc")
+    assert type(caught.value) is MotionFileError

@@ -1,0 +1,180 @@
+"""TRC: header variants, missing cells, damaged files, round trips, real files."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from dousa.errors import MotionFileError, MotionWriteError
+from dousa.formats.trc import read_trc, write_trc
+from dousa.motion import Trajectories
+
+HEADER = (
+    "PathFileType\t4\t(X/Y/Z)\tmade.trc\n"
+    "DataRate\tCameraRate\tNumFrames\tNumMarkers\tUnits\tOrigDataRate\tOrigDataStartFrame\tOrigNumFrames\n"
+    "100.00\t100.00\t2\t2\tmm\t100.00\t1\t2\n"
+    "Frame#\tTime\tLASI\t\t\tRASI\t\t\n"
+    "\t\tX1\tY1\tZ1\tX2\tY2\tZ2\n"
+)
+ROWS = "1\t0.000\t1000\t2000\t3000\t-1\t-2\t-3\n2\t0.010\t1001\t2001\t3001\t4\t5\t6e0\n"
+EXPECTED = np.array([[[1000, 2000, 3000], [-1, -2, -3]], [[1001, 2001, 3001], [4, 5, 6]]])
+
+
+@pytest.fixture
+def saved(tmp_path):
+    def save(text, encoding="utf-8"):
+        path = tmp_path / "made.trc"
+        path.write_bytes(text.encode(encoding))
+        return path
+
+    return save
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        HEADER + ROWS,
+        HEADER + "\n" + ROWS,
+        HEADER + ROWS.removesuffix("\n"),
+        (HEADER + "\n" + ROWS).replace("\n", "\r\n"),
+        (HEADER + ROWS).replace("\n", "\r"),
+        (HEADER + ROWS).replace("\n", "\t\n"),
+        HEADER + ROWS.replace("\n", "\t\t\t\n") + "\n\n",
+        "\ufeff" + HEADER + ROWS,
+        HEADER.replace("\t2\t2\tmm", "\t900\t7\tmm") + ROWS,
+        HEADER.replace("\t2\t2\tmm", "\t1\t1\tmm") + ROWS,
+        HEADER.replace("LASI\t\t\tRASI\t\t", "LASI\tRASI") + ROWS,
+        HEADER.replace("LASI\t\t\tRASI\t\t", "LASI\t\t\tRASI\t\t\t") + ROWS,
+        HEADER.replace("\t\tX1", "X1") + ROWS,
+        HEADER + ROWS.replace("2000", " 2000 ").replace("-3", "-3. "),
+    ],
+)
+def test_every_variant_gives_the_same(saved, text):
+    got = read_trc(saved(text), up="y")
+    assert got.names == ("LASI", "RASI")
+    assert got.frame_rate == 100
+    np.testing.assert_allclose(got.positions, EXPECTED * 0.001)
+    np.testing.assert_array_equal(got.provenance.values, EXPECTED)
+
+
+@pytest.mark.parametrize(
+    ("unit", "metres"), [("m", 1), ("cm", 0.01), ("mm", 0.001), ("inches", 0.0254), ("Meters", None)]
+)
+def test_units(saved, unit, metres):
+    got = read_trc(saved(HEADER.replace("mm", unit) + ROWS), up="y")
+    if metres is None:
+        assert got.provenance.unit_source in ("inferred", "assumed")
+    else:
+        assert (got.provenance.unit, got.provenance.unit_source) == (metres, "declared")
+        np.testing.assert_allclose(got.positions, EXPECTED * metres)
+
+
+def test_given_unit_and_axis_win(saved):
+    got = read_trc(saved(HEADER + ROWS), unit="cm", up="z")
+    np.testing.assert_allclose(got.positions[0, 0], [10, 30, -20])
+    assert (got.provenance.unit_source, got.provenance.up_source) == ("given", "given")
+
+
+@pytest.mark.parametrize("gap", ["\t\t\t", " \t \t ", "nan\tNaN\tNAN", "\t2\t3"])
+def test_missing_cells(saved, gap):
+    got = read_trc(saved(HEADER + ROWS.replace("1000\t2000\t3000", gap.removesuffix("\t"))), up="y")
+    assert np.isnan(got.positions[0, 0, 0])
+    np.testing.assert_allclose(got.positions[:, 1], EXPECTED[:, 1] * 0.001)
+
+
+def test_a_nameless_marker_gets_a_number(saved):
+    got = read_trc(saved(HEADER.replace("\tLASI\t", "\t\t") + ROWS))
+    assert got.names == ("point1", "RASI")
+
+
+@pytest.mark.parametrize(
+    ("text", "message", "line"),
+    [
+        ("nothing here\n", "DataRate", None),
+        (HEADER.replace("100.00\t100", "fast\t100") + ROWS, "number for datarate", 3),
+        (HEADER.replace("100.00\t100", "0\t100") + ROWS, "above 0", 3),
+        (HEADER.replace("100.00\t100", "nan\t100") + ROWS, "above 0", 3),
+        (HEADER.replace("\t2\t2\t", "\tmany\t2\t") + ROWS, "number for numframes", 3),
+        (HEADER.replace("Frame#", "Bild") + ROWS, "Frame#", None),
+        (HEADER.replace("LASI\t\t\tRASI", "") + ROWS, "marker names", 4),
+        (HEADER, "at least one frame", None),
+        (HEADER + ROWS.replace("\t6e0", ""), "expected 8 values", 7),
+        (HEADER + ROWS.replace("6e0", "6\t7"), "expected 8 values", 7),
+        (HEADER + ROWS.replace("6e0", "six"), "'six'", 7),
+        (HEADER + "\n" + ROWS.replace("2000", "2,5"), "marker 'LASI', got '2,5'", 7),
+        (HEADER + ROWS.replace("6e0", "inf"), "infinite position of marker 'RASI'", 7),
+        (HEADER + ROWS.replace("6e0", "1e999"), "infinite position", 7),
+        (HEADER.replace("\t2\t2\tmm", "\t1000000000\t2\tmm") + ROWS.removesuffix("\n"), "truncated", 7),
+        (HEADER + ROWS[:56], "truncated", 7),
+    ],
+)
+def test_damaged_files_say_what_and_where(saved, text, message, line):
+    with pytest.raises(MotionFileError, match=message) as caught:
+        read_trc(saved(text))
+    if line is not None:
+        assert caught.value.line == line
+
+
+def test_latin_bytes_in_a_name(saved):
+    assert len(read_trc(saved(HEADER.replace("LASI", "Hüfte") + ROWS, "latin-1")).names) == 2
+
+
+finite = st.floats(-1e6, 1e6) | st.just(float("nan"))
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    values=st.integers(1, 4).flatmap(
+        lambda k: st.lists(st.lists(finite, min_size=3 * k, max_size=3 * k), min_size=1, max_size=5)
+    ),
+    rate=st.floats(0.1, 1000),
+)
+def test_round_trip_is_exact(tmp_path_factory, values, rate):
+    positions = np.array(values).reshape(len(values), -1, 3)
+    names = tuple(f"m{number}" for number in range(positions.shape[1]))
+    path = tmp_path_factory.mktemp("trc") / "x.trc"
+    write_trc(Trajectories(names, positions, rate), path)
+    got = read_trc(path, up="y")
+    np.testing.assert_array_equal(got.positions, positions)
+    assert (got.names, got.frame_rate) == (names, rate)
+
+
+def test_an_unchanged_file_keeps_its_unit_and_digits(saved, tmp_path):
+    source = read_trc(saved(HEADER + ROWS), up="z")
+    write_trc(source, tmp_path / "again.trc")
+    again = read_trc(tmp_path / "again.trc", up="z")
+    np.testing.assert_array_equal(again.provenance.values, EXPECTED)
+    np.testing.assert_array_equal(again.positions, source.positions)
+    assert again.provenance.unit == 0.001
+
+
+def test_a_changed_one_is_written_in_metres(saved, tmp_path):
+    source = read_trc(saved(HEADER + ROWS), up="y")
+    write_trc(source.replace(positions=source.positions * 2), tmp_path / "twice.trc")
+    again = read_trc(tmp_path / "twice.trc", up="y")
+    np.testing.assert_array_equal(again.positions, source.positions * 2)
+    assert again.provenance.unit == 1.0
+
+
+@pytest.mark.parametrize("name", ["", " ", "a\tb", "a\nb"])
+def test_names_that_do_not_fit(tmp_path, name):
+    with pytest.raises(MotionWriteError, match="marker name"):
+        write_trc(Trajectories((name,), np.zeros((1, 1, 3)), 1.0), tmp_path / "x.trc")
+
+
+def test_real_files(shared_data, tmp_path):
+    for name, frames in (("Balancing_for_IK.trc", 100), ("Standing_for_Scaling.trc", 25)):
+        got = read_trc(shared_data(f"pose2sim/{name}"))
+        assert (got.n_frames, len(got.names), got.frame_rate) == (frames, 21, 60)
+        assert (got.provenance.unit, got.provenance.up) == (1.0, "y")
+        write_trc(got, tmp_path / name)
+        np.testing.assert_array_equal(read_trc(tmp_path / name).positions, got.positions)
+
+
+def test_values_are_those_of_python(shared_data):
+    path = shared_data("pose2sim/Balancing_for_IK.trc")
+    rows = [line.split("\t")[2:] for line in path.read_text().splitlines()[5:] if line.strip()]
+    expected = np.array([[float(cell) for cell in row] for row in rows]).reshape(100, 21, 3)
+    np.testing.assert_array_equal(read_trc(path).provenance.values, expected)
