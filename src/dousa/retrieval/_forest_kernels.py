@@ -1,0 +1,332 @@
+"""Compiled loops of the motion forest: growing one tree (steps 1-8) and running clips down all trees.
+
+Arrays that the loops share
+---------------------------
+``integrals`` (F, T + 1, N): eq. 4 with the clips last, so that one test of all clips reads two rows.
+``nodes`` (M, 6) int32 and ``cuts`` (M, 3) float64 are two views of the same memory, 24 bytes a node, so that
+a node costs one cache line: columns 0 and 1 say which two integrals are subtracted (``i * (T + 1) + t1`` and
+``i * (T + 1) + t0``), column 2 is the left child (the right child stands next to it) or ``-1 - leaf``, column
+3 is unused, and ``cuts[:, 2]`` is the threshold of the difference: that of the mean times the length of the
+interval.
+
+Entropies are compared as integers: ``n log2 n`` is tabulated in fixed point, so sums do not depend on their
+order and two splits of equal gain are equal to the last bit, however clips are ordered and categories are
+numbered.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+__all__ = ["FIXED_POINT", "Workspace", "count_leaves", "find_leaves", "grow_tree"]
+
+FIXED_POINT = 2**32
+"""One bit of entropy of one clip, in the units of the ``n log2 n`` table."""
+
+_NO_SCORE = -(2**62)
+_SAME_SCORE = 256  # units of the table: 6 log2 6 = 2 * 3 log2 3 + 6, but for the rounding of the entries
+_KEY_RANGE = 2.0**31 - 1.0  # a key is 31 bits of value above 32 bits of place: positive as int64
+_PLACE = 0xFFFFFFFF
+_MANY = 64  # from here on, counting digits is faster than insertion sort
+
+_NODE_STEP = np.uint64(0xD1342543DE82EF95)
+_GOLDEN = np.uint64(0x9E3779B97F4A7C15)
+_MIX_1 = np.uint64(0xBF58476D1CE4E5B9)
+_MIX_2 = np.uint64(0x94D049BB133111EB)
+_SHIFT_27, _SHIFT_30, _SHIFT_31, _SHIFT_32 = np.uint64(27), np.uint64(30), np.uint64(31), np.uint64(32)
+
+
+class Workspace(NamedTuple):
+    """Memory that a tree needs while it grows; made by NumPy, as compiling an allocation takes long."""
+
+    values: NDArray[np.float64]
+    labels: NDArray[np.int32]
+    keys: NDArray[np.int64]
+    spare: NDArray[np.int64]
+    counts: NDArray[np.int64]
+    left: NDArray[np.int64]
+    present: NDArray[np.int64]
+    number: NDArray[np.int64]
+    order: NDArray[np.int64]
+    swaps: NDArray[np.int64]
+    stack: NDArray[np.int64]
+    digits: NDArray[np.int64]
+    state: NDArray[np.uint64]
+
+    @classmethod
+    def create(cls, n_clips: int, n_classes: int, n_tests: int) -> Workspace:
+        """For trees of so many clips, categories and tests."""
+        return cls(
+            np.empty(n_clips),
+            np.empty(n_clips, np.int32),
+            *np.empty((2, n_clips), np.int64),
+            *np.empty((4, n_classes), np.int64),
+            np.arange(n_tests),
+            np.empty(n_tests, np.int64),
+            np.empty((n_clips + 1, 3), np.int64),
+            np.empty((4, 256), np.int64),
+            np.empty(1, np.uint64),
+        )
+
+
+@njit(cache=True, nogil=True)
+def _draw_below(state, bound):
+    """The next number of splitmix64, scaled to 0 <= number < bound (bound < 2**31)."""
+    state[0] += _GOLDEN
+    z = state[0]
+    z = (z ^ (z >> _SHIFT_30)) * _MIX_1
+    z = (z ^ (z >> _SHIFT_27)) * _MIX_2
+    z ^= z >> _SHIFT_31
+    return np.int64(((z >> _SHIFT_32) * np.uint64(bound)) >> _SHIFT_32)
+
+
+@njit(cache=True, nogil=True)
+def _sort_digits(keys, spare, counts, n):
+    """Ascending in place: four counted digits of the value (an even number, so the result is in ``keys``)."""
+    for digit in range(4):
+        for bucket in range(256):
+            counts[digit, bucket] = 0
+    for k in range(n):
+        value = keys[k] >> 32
+        counts[0, value & 255] += 1
+        counts[1, (value >> 8) & 255] += 1
+        counts[2, (value >> 16) & 255] += 1
+        counts[3, value >> 24] += 1
+    for digit in range(4):
+        place = 0
+        for bucket in range(256):
+            place += counts[digit, bucket]
+            counts[digit, bucket] = place - counts[digit, bucket]
+        shift = 32 + 8 * digit
+        for k in range(n):
+            bucket = (keys[k] >> shift) & 255
+            spare[counts[digit, bucket]] = keys[k]
+            counts[digit, bucket] += 1
+        keys, spare = spare, keys
+
+
+@njit(cache=True, nogil=True)
+def _order_clips(integrals, i, t0, t1, samples, tolerance, values, keys, spare, digits):
+    """The node's clips in ascending order of one test: keys whose low half is the clip's place in the node.
+
+    Returns False, and no order, if the test does not tell any two clips apart.
+    """
+    n = len(samples)
+    low, high = np.inf, -np.inf
+    for k in range(n):
+        value = integrals[i, t1, samples[k]] - integrals[i, t0, samples[k]]  # eq. 5, times t1 - t0
+        values[k] = value
+        low = min(low, value)
+        high = max(high, value)
+    if high - low <= tolerance:
+        return False
+    scale = _KEY_RANGE / (high - low)
+    if n >= _MANY:
+        for k in range(n):
+            keys[k] = (np.int64((values[k] - low) * scale) << 32) | k
+        _sort_digits(keys, spare, digits, n)
+        return True
+    for k in range(n):
+        key = (np.int64((values[k] - low) * scale) << 32) | k
+        j = k - 1
+        while j >= 0 and keys[j] > key:
+            keys[j + 1] = keys[j]
+            j -= 1
+        keys[j + 1] = key
+    return True
+
+
+@njit(cache=True, nogil=True)
+def _find_split(
+    integrals, tolerances, tests, order, swaps, state, samples, labels, counts, total, log_table, n_trials,
+    values, keys, spare, left, digits,
+):  # fmt: skip
+    """Steps 1-4 for one node: the test and threshold of largest gain (eq. 7) among ``n_trials`` drawn tests.
+
+    Gains are compared by their score, which leaves out what all splits of the node share; ``total`` is the
+    sum of the table over ``counts``. Returns the test's place in ``tests``, or -1 if none tells the clips
+    apart, and the threshold of the difference. Leaves ``order`` as it was, so that no node depends on
+    how many tests another has drawn.
+    """
+    n, n_tests = len(samples), len(tests)
+    best, best_test, best_threshold = _NO_SCORE, -1, 0.0
+    # No split gains more than all the entropy there is, nor more than the one bit a clip of an even split.
+    # Once that is reached, drawing on cannot change the answer: the first of equals is kept.
+    perfect = min(np.int64(0), total - log_table[n // 2] - log_table[n - n // 2])
+    drawn = 0
+    # If no drawn test tells two clips apart, drawing goes on, as in scikit-learn.
+    while drawn < n_tests and (drawn < n_trials or best_test < 0) and best < perfect - _SAME_SCORE:
+        if n_trials < n_tests:
+            swaps[drawn] = drawn + _draw_below(state, n_tests - drawn)
+            order[drawn], order[swaps[drawn]] = order[swaps[drawn]], order[drawn]
+        test = order[drawn]
+        drawn += 1
+        i, t0, t1 = tests[test, 0], tests[test, 1], tests[test, 2]
+        tolerance = tolerances[i]
+        if not _order_clips(integrals, i, t0, t1, samples, tolerance, values, keys, spare, digits):
+            continue
+        for c in range(len(counts)):
+            left[c] = 0
+        running = total
+        place = keys[0] & _PLACE
+        for k in range(n - 1):
+            c = labels[place]
+            inside = left[c]
+            outside = counts[c] - inside
+            left[c] = inside + 1
+            running += log_table[inside + 1] - log_table[inside] + log_table[outside - 1] - log_table[outside]
+            following = keys[k + 1] & _PLACE
+            score = running - log_table[k + 1] - log_table[n - k - 1]
+            if score > best + _SAME_SCORE and values[following] - values[place] > tolerance:
+                best, best_test = score, test
+                best_threshold = 0.5 * (values[place] + values[following])
+            place = following
+    if n_trials < n_tests:
+        for k in range(drawn - 1, -1, -1):
+            order[k], order[swaps[k]] = order[swaps[k]], order[k]
+    return best_test, best_threshold
+
+
+@njit(cache=True, nogil=True)
+def _partition(later, sooner, threshold, samples, spare):
+    """Step 5: clips at or below the threshold to the front, order kept; returns how many."""
+    n_left = 0
+    n_right = 0
+    for k in range(len(samples)):
+        sample = samples[k]
+        if later[sample] - sooner[sample] <= threshold:
+            samples[n_left] = sample
+            n_left += 1
+        else:
+            spare[n_right] = sample
+            n_right += 1
+    for k in range(n_right):
+        samples[n_left + k] = spare[k]
+    return n_left
+
+
+@njit(cache=True, nogil=True)
+def _count_labels(categories, samples, labels, counts, present, number, log_table):
+    """Numbers the categories of a node from 0, so that a small node costs little however many there are.
+
+    Fills each clip's new number, how many clips each has, and which category it stands for. Returns how
+    many categories there are and the sum of the table over their counts.
+    """
+    for c in range(len(number)):
+        number[c] = 0
+    for k in range(len(samples)):
+        number[categories[samples[k]]] += 1
+    n_present = 0
+    total = np.int64(0)
+    for c in range(len(number)):
+        if number[c] > 0:
+            counts[n_present], present[n_present] = number[c], c
+            total += log_table[number[c]]
+            number[c] = n_present
+            n_present += 1
+    for k in range(len(samples)):
+        labels[k] = number[categories[samples[k]]]
+    return n_present, total
+
+
+@njit(cache=True, nogil=True)
+def grow_tree(
+    integrals, tolerances, categories, tests, log_table, samples, n_trials, max_entropy, seed,
+    work, nodes, cuts, leaf_starts, leaf_classes, leaf_counts,
+):  # fmt: skip
+    """Steps 1-8 for one tree: fills ``nodes``, ``cuts`` and the leaves' histograms, and counts both.
+
+    ``tests`` (R, 3) holds the triples (i, t0, t1); ``samples`` the clips, permuted in place; ``max_entropy``
+    is in fixed point. Nodes are worked off depth first, left before right; each draws its tests with its own
+    random numbers, from the seed and the node's number. All tests at once are taken in order.
+    """
+    values, labels, keys, spare, counts, left, present, number, order, swaps, stack, digits, state = work
+    stack[0, 0], stack[0, 1], stack[0, 2] = 0, 0, len(samples)
+    depth, n_nodes, n_leaves, n_entries = 1, 1, 0, 0
+    leaf_starts[0] = 0
+    while depth > 0:
+        depth -= 1
+        node, start, stop = stack[depth, 0], stack[depth, 1], stack[depth, 2]
+        n = stop - start
+        inside = samples[start:stop]
+        n_present, total = _count_labels(categories, inside, labels, counts, present, number, log_table)
+        impurity = log_table[n] - total  # n times eq. 6
+        test, threshold = -1, 0.0
+        if impurity > max_entropy * n + _SAME_SCORE:
+            state[0] = seed ^ (np.uint64(node) * _NODE_STEP)
+            test, threshold = _find_split(
+                integrals, tolerances, tests, order, swaps, state, inside, labels, counts[:n_present], total,
+                log_table, n_trials, values, keys, spare, left, digits,
+            )  # fmt: skip
+        if test < 0:
+            nodes[node, 0], nodes[node, 1], nodes[node, 2] = 0, 0, -1 - n_leaves
+            cuts[node, 2] = 0.0
+            for c in range(n_present):
+                leaf_classes[n_entries + c] = present[c]
+                leaf_counts[n_entries + c] = counts[c]
+            n_entries += n_present
+            n_leaves += 1
+            leaf_starts[n_leaves] = n_entries
+            continue
+        i, t0, t1 = tests[test, 0], tests[test, 1], tests[test, 2]
+        n_left = _partition(integrals[i, t1], integrals[i, t0], threshold, inside, keys)
+        row = i * integrals.shape[1]
+        nodes[node, 0], nodes[node, 1], nodes[node, 2] = row + t1, row + t0, n_nodes
+        cuts[node, 2] = threshold
+        stack[depth, 0], stack[depth, 1], stack[depth, 2] = n_nodes + 1, start + n_left, stop
+        stack[depth + 1, 0], stack[depth + 1, 1], stack[depth + 1, 2] = n_nodes, start, start + n_left
+        depth += 2
+        n_nodes += 2
+    return n_nodes, n_leaves
+
+
+@njit(cache=True, nogil=True)
+def find_leaves(features, nodes, cuts, roots, leaves):
+    """Section 3.4: the leaf that each clip reaches in each tree, into ``leaves`` (N, n_trees).
+
+    ``features`` is (N, T, F). Returns the first clip with a value that is not finite, or -1.
+    """
+    n_clips, n_frames, n_features = features.shape
+    integral = np.zeros(n_features * (n_frames + 1))
+    places, trees = np.empty(len(roots), np.int64), np.empty(len(roots), np.int64)
+    for clip in range(n_clips):
+        finite = 0.0
+        for i in range(n_features):
+            running = 0.0
+            row = i * (n_frames + 1) + 1
+            for t in range(n_frames):
+                running += features[clip, t, i]  # eq. 4
+                integral[row + t] = running
+            finite += running - running  # NaN as soon as one value is NaN or infinite
+        if finite != 0.0:
+            return clip
+        # One step down all trees at a time: the steps do not wait for each other's memory.
+        n_active = len(roots)
+        for tree in range(n_active):
+            places[tree], trees[tree] = roots[tree], tree
+        while n_active > 0:
+            n_kept = 0
+            for k in range(n_active):
+                node, tree = places[k], trees[k]
+                child = np.int64(nodes[node, 2])
+                # eq. 5, without the division: the threshold is kept times the length of the interval.
+                above = integral[nodes[node, 0]] - integral[nodes[node, 1]] > cuts[node, 2]
+                leaves[clip, tree] = -1 - child  # the last one written is the leaf
+                places[n_kept], trees[n_kept] = child + above, tree
+                n_kept += child >= 0
+            n_active = n_kept
+    return -1
+
+
+@njit(cache=True, nogil=True)
+def count_leaves(leaves, starts, classes, weights, out):
+    """Adds, for each clip, the entries (class, weight) of every leaf that it reached to ``out`` (N, C)."""
+    for clip in range(leaves.shape[0]):
+        for tree in range(leaves.shape[1]):
+            leaf = leaves[clip, tree]
+            for entry in range(starts[leaf], starts[leaf + 1]):
+                out[clip, classes[entry]] += weights[entry]
