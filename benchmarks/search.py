@@ -1,0 +1,150 @@
+"""Searching 10,000 clips, warm in Python and as a cold command.
+
+    python benchmarks/search.py [--clips N] [--categories N]
+
+The clips are made: one synthetic motion of each of a number of categories is moved at random 10,000 times in
+feature space. Prints ours (with the check whether the library changed), the peer (scikit-learn's
+NearestNeighbors on the same histograms, which knows no files, labels or changes), and the ratio.
+Goal: 0.1 s warm, 1.5 s cold.
+"""
+
+from __future__ import annotations
+
+import argparse
+import shutil
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable
+from datetime import UTC, datetime
+from pathlib import Path
+
+import numpy as np
+import sqlalchemy as sa
+
+from dousa.formats import write_motion
+from dousa.library import Library, schema
+from dousa.library._arrays import pack
+from dousa.library._engine import writing
+from dousa.library._revision import next_revision, take_clip_ids
+from dousa.library.search import load_index
+from dousa.motion import canonicalise, compute_trajectories
+from dousa.motion.synthetic import CATEGORIES, draw_performer, make_motion
+from dousa.retrieval import compute_clip_features
+
+
+def make_library(path: Path, n_clips: int, n_categories: int) -> None:
+    """A library of clips that differ at random from one prototype per category, trained."""
+    rng = np.random.default_rng(0)
+    prototypes = []
+    for number in range(n_categories):
+        motion = make_motion(CATEGORIES[number % len(CATEGORIES)], draw_performer(number))
+        prototypes.append(compute_clip_features(canonicalise(compute_trajectories(motion))))
+    spread = np.std(prototypes, axis=0) * 0.4 + 1e-3
+    now = datetime.now(UTC).isoformat(timespec="seconds")
+    with Library.open(path, create=True) as library:
+        with writing(library._engine, str(path)) as connection:
+            next_revision(connection)
+            rows, features, positions = [], [], []
+            for number, clip_id in enumerate(take_clip_ids(connection, n_clips)):
+                category = number % n_categories
+                values = prototypes[category] + spread * rng.normal(size=spread.shape)
+                rows.append(
+                    {
+                        "id": clip_id,
+                        "path": f"/synthetic/{category:02}/{number:05}.bvh",
+                        "content_hash": f"{number:064}",
+                    }
+                    | {"fingerprint": "", "size": 0, "read_options": "", "category": f"kind {category:02}"}
+                    | {
+                        "performer": None,
+                        "format": "bvh",
+                        "n_frames": 60,
+                        "frame_rate": 30.0,
+                        "duration": 2.0,
+                    }
+                    | {"height": 1.7, "joint_table": "synthetic", "warnings": [], "added_at": now}
+                )
+                features.append({"clip_id": clip_id, "pose_features": pack(values, "<f8")})
+                positions.append({"clip_id": clip_id, "positions": bytes(60 * 20 * 3 * 4)})
+            connection.execute(sa.insert(schema.clips), rows)
+            connection.execute(sa.insert(schema.clip_features), features)
+            connection.execute(sa.insert(schema.clip_trajectories), positions)
+        report = library.train()
+        print(
+            f"made: {report.n_clips} clips of {len(report.categories)} categories, trained in {report.seconds:.1f} s"
+        )
+
+
+def best_of(call: Callable[[], object], repeats: int) -> float:
+    """Shortest time of a call, s."""
+    times = []
+    for _ in range(repeats):
+        start = time.perf_counter()
+        call()
+        times.append(time.perf_counter() - start)
+    return min(times)
+
+
+def time_warm(path: Path, query: Path) -> tuple[float, np.ndarray]:
+    with Library.open(path) as library:
+        start = time.perf_counter()
+        library.search(1)
+        print(f"ours, first search of an open library: {1e3 * (time.perf_counter() - start):.1f} ms")
+        library.search(query)
+        stored = best_of(lambda: library.search(1), 20)
+        read = best_of(lambda: library.search(query), 20)
+        print(f"ours, warm, a stored clip: {1e3 * stored:.2f} ms")
+        print(f"ours, warm, a file (read, features, forest, ranking): {1e3 * read:.2f} ms")
+        with library._engine.begin() as connection:
+            categories = tuple(library.categories())
+            votes = load_index(connection, 0, categories).histograms.votes
+    return stored, votes
+
+
+def time_peer(votes: np.ndarray) -> float | None:
+    try:
+        from sklearn.neighbors import NearestNeighbors
+    except ImportError:
+        print("peer: scikit-learn is not installed; run: pip install 'dousa[bench]'")
+        return None
+    best = np.inf
+    for algorithm in ("brute", "kd_tree"):
+        peer = NearestNeighbors(n_neighbors=10, algorithm=algorithm).fit(votes)
+        seconds = best_of(lambda peer=peer: peer.kneighbors(votes[:1]), 20)
+        print(f"peer, warm, scikit-learn NearestNeighbors ({algorithm}): {1e3 * seconds:.2f} ms")
+        best = min(best, seconds)
+    return best
+
+
+def time_cold(path: Path, query: str) -> float:
+    command = shutil.which("dousa", path=str(Path(sys.executable).parent))
+    if command is not None:
+        words = [command, "search", str(path), query, "--json"]
+    else:
+        program = f"from dousa.library import Library; print(Library.open({str(path)!r}).search({query!r}).to_json())"
+        words = [sys.executable, "-c", program]
+    return best_of(lambda: subprocess.run(words, check=True, capture_output=True), 5)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--clips", type=int, default=10_000)
+    parser.add_argument("--categories", type=int, default=70)
+    options = parser.parse_args()
+    with tempfile.TemporaryDirectory() as folder:
+        path, query = Path(folder, "m.dousa"), Path(folder, "query.bvh")
+        make_library(path, options.clips, options.categories)
+        write_motion(make_motion(CATEGORIES[3], draw_performer(999)), query)
+        ours, votes = time_warm(path, query)
+        peer = time_peer(votes)
+        if peer is not None:
+            print(f"ratio, warm, peer / ours: {peer / ours:.2f}")
+        print(f"ours, cold command, a file: {time_cold(path, str(query)):.2f} s")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,107 @@
+"""Listing, removing and relabelling clips."""
+
+from __future__ import annotations
+
+import pytest
+
+from dousa.errors import LibraryError, OptionError
+from dousa.library import Library
+
+
+def test_clips_are_chosen_by_label_number_file_and_folder(library, moves):
+    everything = library.clips()
+    assert len(everything) == 15
+    assert len(library.clips(category="bow")) == 5
+    assert len(library.clips(performer="p3")) == 3
+    assert [clip.category for clip in library.clips(category="bow", performer="p3")] == ["bow"]
+    assert library.clips(everything[4].id) == [everything[4]]
+    assert library.clips(moves / "squat") == library.clips(category="squat")
+    both = [everything[0].id, moves / "wave"]
+    assert library.clips(both) == [everything[0], *library.clips(category="wave")]
+
+
+@pytest.mark.parametrize("selection", [999, "/no/such/file.bvh", [1, 999]])
+def test_what_is_not_there_is_an_error_and_nothing_changes(library, selection):
+    with pytest.raises(LibraryError, match="see: dousa list"):
+        library.remove(selection)
+    with pytest.raises(LibraryError, match="see: dousa list"):
+        library.relabel(selection, category="x")
+    assert len(library.clips()) == 15
+
+
+def test_a_folder_whose_name_begins_another_is_not_meant(library, moves):
+    with pytest.raises(LibraryError):
+        library.clips(str(moves / "squa"))
+
+
+def test_an_empty_choice_of_a_label_is_an_error(library):
+    with pytest.raises(LibraryError, match="no clip of category 'dance' and performer 'p0'"):
+        library.clips(category="dance", performer="p0")
+
+
+def test_remove_takes_clips_and_everything_of_them(library, moves):
+    removed = library.remove(category="wave")
+    assert sorted(removed) == sorted(str(path) for path in (moves / "wave").iterdir())
+    assert library.categories() == {"bow": 5, "squat": 5}
+    assert len(library.search(moves / "bow" / "bow_p0.bvh", 100).results) == 10
+    assert library.stats().forest_is_current is False
+    assert all(path.exists() for path in (moves / "wave").iterdir())
+
+
+def test_removed_clips_can_be_added_again_under_new_numbers(library, moves):
+    numbers = {clip.id for clip in library.clips()}
+    library.remove(category="wave")
+    assert len(library.add(moves).added) == 5
+    assert {clip.id for clip in library.clips(category="wave")}.isdisjoint(numbers)
+
+
+@pytest.mark.parametrize("call", ["remove", "relabel"])
+def test_choosing_nothing_is_an_error(library, call):
+    with pytest.raises(OptionError, match="expected clips"):
+        library.remove() if call == "remove" else library.relabel(category="x")
+
+
+def test_an_empty_list_of_clips_chooses_nothing(library):
+    with pytest.raises(OptionError):
+        library.remove([])
+
+
+def test_relabel(library, moves):
+    library.relabel(where_category="wave", category="greet")
+    assert library.categories() == {"bow": 5, "greet": 5, "squat": 5}
+    library.relabel(moves / "bow", performer=None)
+    assert {clip.performer for clip in library.clips(category="bow")} == {None}
+    assert library.stats().forest_is_current is False
+    library.train(n_trees=5)
+    assert library.search(moves / "wave" / "wave_p0.bvh").category == "greet"
+
+
+@pytest.mark.parametrize("labels", [{}, {"category": " "}, {"performer": ""}])
+def test_relabel_needs_a_label(library, labels):
+    with pytest.raises(OptionError, match="expected"):
+        library.relabel(1, **labels)
+
+
+def test_stats(library):
+    stats = library.stats()
+    assert (stats.n_clips, stats.n_frames, stats.n_unlabelled) == (15, 15 * 24, 0)
+    assert stats.seconds == pytest.approx(15 * 24 * 0.033333, rel=1e-4)
+    assert stats.performers == {f"p{number}": 3 for number in range(5)}
+    assert stats.forest_is_current and stats.trained_at
+
+
+def test_stats_of_an_empty_library(empty_library):
+    stats = empty_library.stats()
+    assert (stats.n_clips, stats.n_frames, stats.seconds, stats.trained_at) == (0, 0, 0.0, None)
+
+
+def test_odd_names_are_kept(library_file, write_move, tmp_path):
+    odd = "wa've %_ \N{SNOWMAN} -- 動作"
+    path = write_move(tmp_path / odd / "a b%.bvh", "wave", 321)
+    with Library.open(library_file) as library:
+        library.add(tmp_path / odd, category_from="path:(.*)")
+        (clip,) = library.clips(tmp_path / odd)
+        assert (clip.path, clip.category) == (str(path), "a b%.bvh")
+        library.relabel(tmp_path / odd, category=odd)
+        library.train(n_trees=5)
+        assert odd in library.search(path).histogram

@@ -1,0 +1,64 @@
+"""kill -9 at any moment leaves a library that opens and is consistent."""
+
+from __future__ import annotations
+
+import random
+import signal
+import subprocess
+import sys
+from contextlib import suppress
+from pathlib import Path
+
+import pytest
+
+from dousa.library import Library
+
+_PROGRAM = """
+import sys
+from dousa.library import Library
+library = Library.open(sys.argv[1], create=True)
+print("open", flush=True)
+while True:
+    library.add(sys.argv[2], n_jobs=1, progress=lambda done, total, path: print(done, flush=True))
+    library.train(n_trees=5, n_jobs=1)
+    library.remove(category="bow")
+    library.relabel(where_category="wave", performer="somebody")
+"""
+
+
+def check(path: Path) -> None:
+    """Every clip has its arrays; a trained library has every histogram, all of its own forest."""
+    with Library.open(path, create=True) as library:
+        clips = library.clips()
+        for clip in clips:
+            assert library.trajectories(clip.id).n_frames == clip.n_frames
+        stats = library.stats()
+        assert all((clip.predicted_category is not None) == (stats.trained_at is not None) for clip in clips)
+        if stats.trained_at and clips:
+            assert len(library.search(clips[0].id, 100).results) == len(clips)
+        with library._engine.connect() as connection:
+            assert connection.exec_driver_sql("PRAGMA integrity_check").scalar_one() == "ok"
+            assert connection.exec_driver_sql("PRAGMA foreign_key_check").all() == []
+
+
+@pytest.mark.skipif(not hasattr(signal, "SIGKILL"), reason="this system cannot kill programs outright")
+def test_a_killed_program_leaves_a_whole_library(tmp_path, moves):
+    path = tmp_path / "m.dousa"
+    chance = random.Random(0)
+    for _ in range(6):
+        program = subprocess.Popen(
+            [sys.executable, "-c", _PROGRAM, path, moves], stdout=subprocess.PIPE, text=True
+        )
+        assert program.stdout is not None
+        with program.stdout as output:
+            # Let it do a number of things, and strike between two of them.
+            for _ in range(chance.randrange(1, 40)):
+                output.readline()
+            with suppress(subprocess.TimeoutExpired):
+                program.wait(timeout=chance.uniform(0, 0.02))
+            program.kill()
+        assert program.wait() == -signal.SIGKILL
+        check(path)
+    with Library.open(path, create=True) as library:
+        library.add(moves)
+        assert len(library.clips()) == 15

@@ -1,0 +1,126 @@
+"""Rules for categories and performers."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from dousa.errors import OptionError
+from dousa.library.labels import parse_label_rule
+
+ROOT = Path("/data")
+
+
+def label(rule: str | None, file: str, kind: str = "category", root: Path = ROOT) -> str | None:
+    return parse_label_rule(rule, kind)(root, root / file)
+
+
+@pytest.mark.parametrize(
+    ("file", "expected"),
+    [("squat1Reps/a.bvh", "squat1Reps"), ("walk/active/a.bvh", "walk/active"), ("a.bvh", None)],
+)
+def test_folder_is_the_path_below_the_given_one(file, expected):
+    assert label("folder", file) == expected
+
+
+def test_folder_of_a_file_given_itself_is_none():
+    assert parse_label_rule("folder", "category")(ROOT / "walk" / "a.bvh", ROOT / "walk" / "a.bvh") is None
+
+
+@pytest.mark.parametrize("rule", [None, "none"])
+def test_none_gives_no_label(rule):
+    assert label(rule, "walk/a.bvh") is None
+
+
+@pytest.mark.parametrize(
+    ("rule", "kind", "expected"),
+    [
+        (r"name:HDM_(\w\w)_", "performer", "bd"),
+        (r"name:(?P<performer>bd)_(?P<category>[a-z]+)", "category", "walk"),
+        (r"name:(?P<performer>bd)_(?P<category>[a-z]+)", "performer", "bd"),
+        (r"path:^([^/]+)/", "category", "level"),
+        (r"path:active", "category", OptionError),
+        (r"name:(zzz)", "category", None),
+        (r"name:(z*)HDM", "category", None),
+    ],
+)
+def test_expressions(rule, kind, expected):
+    if expected is OptionError:
+        with pytest.raises(OptionError, match="needs a group"):
+            label(rule, "x.bvh", kind)
+    else:
+        assert label(rule, "level/active/HDM_bd_walk.bvh", kind) == expected
+
+
+@pytest.mark.parametrize("rule", ["name:(", "name:", "wrong", "csv:", "folder:x", "", "nam:(a)"])
+def test_bad_rules_are_option_errors(rule):
+    if rule == "":
+        assert label(rule, "a.bvh") is None  # an empty text is no rule
+    else:
+        with pytest.raises(OptionError, match="--category-from"):
+            parse_label_rule(rule, "category")
+
+
+@given(st.text(max_size=20))
+def test_any_text_is_a_rule_or_an_option_error(text):
+    try:
+        rule = parse_label_rule(f"name:{text}", "category")
+    except OptionError:
+        return
+    assert rule(ROOT, ROOT / "walk" / "a.bvh") is None or text
+
+
+def write_table(tmp_path: Path, text: str, encoding: str = "utf-8") -> str:
+    path = tmp_path / "labels.csv"
+    path.write_bytes(text.encode(encoding))
+    return f"csv:{path}"
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "path,category,performer\nwalk/a.bvh,walking,anna\n",
+        "\ufeffpath;category;performer\r\nwalk/a.bvh;walking;anna\r\n",
+        "Performer\tCategory\tFile\nanna\twalking\ta.bvh\n",
+        "file,category,performer\n\n./walk/a.bvh, walking ,anna\n",
+    ],
+)
+def test_tables(tmp_path, text):
+    rule = write_table(tmp_path, text)
+    assert label(rule, "walk/a.bvh") == "walking"
+    assert label(rule, "walk/a.bvh", "performer") == "anna"
+    assert label(rule, "walk/b.bvh") is None
+
+
+def test_paths_may_be_relative_to_the_table(tmp_path):
+    rule = write_table(tmp_path, "path,category\nsub/walk/a.bvh,walking\n")
+    assert label(rule, "a.bvh", root=tmp_path / "sub" / "walk") == "walking"
+
+
+def test_an_empty_cell_is_no_label(tmp_path):
+    assert label(write_table(tmp_path, "path,category\na.bvh,\n"), "a.bvh") is None
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("", "expected a column 'path' or 'file' and a column 'category', got nothing"),
+        ("name,category\n", "got name, category"),
+        ("path,performer\n", "column 'category'"),
+        ("path,category\na.bvh\n", "labels.csv:2: expected at least 2 columns, got 1"),
+        ("path,category\na.bvh,walk\na.bvh,run\n", "labels.csv:3: 'a.bvh' has a second category 'run'"),
+    ],
+)
+def test_bad_tables_say_what_is_wrong(tmp_path, text, message):
+    with pytest.raises(OptionError, match=message):
+        parse_label_rule(write_table(tmp_path, text), "category")
+
+
+def test_a_missing_table_and_one_of_another_encoding(tmp_path):
+    with pytest.raises(OptionError, match=r"none\.csv cannot be read"):
+        parse_label_rule(f"csv:{tmp_path / 'none.csv'}", "category")
+    with pytest.raises(OptionError, match="cannot be read"):
+        parse_label_rule(write_table(tmp_path, "path,category\nä.bvh,x\n", "latin-1"), "category")
