@@ -1,0 +1,48 @@
+"""Options that several commands share, spelled once."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+Json = Annotated[bool, typer.Option("--json", help="Answer as JSON on standard output.")]
+Unit = Annotated[
+    str | None,
+    typer.Option(
+        "--unit",
+        help="Unit of the file: mm, cm, m, inch, ft or metres per unit. Default: declared, else inferred.",
+    ),
+]
+Up = Annotated[
+    str | None,
+    typer.Option("--up", help="Axis of the file that points up: y, z, x, -y ... Default: inferred."),
+]
+SkeletonFile = Annotated[
+    Path | None,
+    typer.Option("--skeleton", help="The .asf of an .amc. Default: looked for beside and above it."),
+]
+JointMap = Annotated[
+    Path | None,
+    typer.Option(
+        "--joint-map", help="File that names the canonical joints: lines 'left_knee = L_Kn', TOML or JSON."
+    ),
+]
+Jobs = Annotated[int | None, typer.Option("--jobs", "-j", min=-1, help="Workers; default: all cores.")]
+CategoryFrom = Annotated[
+    str,
+    typer.Option(
+        "--category-from",
+        help="Where categories come from: folder, name:REGEX, path:REGEX, csv:FILE or none.",
+    ),
+]
+PerformerFrom = Annotated[
+    str | None,
+    typer.Option(
+        "--performer-from", help="Where performers come from: folder, name:REGEX, path:REGEX or csv:FILE."
+    ),
+]
+LibraryPath = Annotated[
+    str, typer.Argument(metavar="LIB", help="The library: a file such as moves.dousa, or a database URL.")
+]

@@ -1,0 +1,68 @@
+"""The command line: ``dousa --help`` lists the commands, ``dousa COMMAND --help`` shows an example of each.
+
+Commands live in one module per group and import what they need when they run, so that help is there at once.
+Errors that a person can put right are one line on standard error and exit code 2.
+"""
+
+from __future__ import annotations
+
+import sys
+from typing import Annotated
+
+import typer
+
+import dousa
+from dousa.app import cli_files, cli_library, cli_trials
+from dousa.app._output import fail
+from dousa.errors import DousaError
+
+__all__ = ["app", "main"]
+
+INTERRUPTED = 130
+
+app = typer.Typer(
+    name="dousa",
+    help="Capture, find and judge human motion (動作).",
+    no_args_is_help=True,
+    add_completion=True,
+    pretty_exceptions_enable=False,
+    rich_markup_mode="rich",
+    context_settings={"help_option_names": ["-h", "--help"]},
+)
+for group in (cli_files, cli_library, cli_trials):
+    group.register(app)
+
+
+def _print_version(wanted: bool) -> None:
+    if wanted:
+        print(f"dousa {dousa.__version__}")
+        raise typer.Exit
+
+
+@app.callback()
+def _root(
+    version: Annotated[
+        bool,
+        typer.Option("--version", callback=_print_version, is_eager=True, help="Print the version and stop."),
+    ] = False,
+) -> None:
+    pass
+
+
+def main() -> None:
+    """Run the command line; the exit code is 0, 2 after an error that can be put right, 130 after Ctrl-C."""
+    try:
+        app()
+    except DousaError as error:
+        fail(str(error))
+        sys.exit(2)
+    except (KeyboardInterrupt, SystemExit) as stop:
+        # Typer turns Ctrl-C into this exit code and says nothing.
+        if isinstance(stop, SystemExit) and stop.code != INTERRUPTED:
+            raise
+        fail("interrupted; what was finished is kept, run the same command again to go on")
+        sys.exit(INTERRUPTED)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,228 @@
+"""Commands about single files: info, convert, plot."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from dousa.app import _options as o
+from dousa.app._output import console, fail, print_json, warn
+from dousa.errors import DousaError
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from dousa.motion import Motion, Trajectories
+
+__all__ = ["register"]
+
+
+def register(app: typer.Typer) -> None:
+    """Hang this module's commands on the application."""
+    app.command(rich_help_panel="Files")(info)
+    app.command(rich_help_panel="Files")(convert)
+    app.command(rich_help_panel="Files")(plot)
+
+
+def info(
+    files: Annotated[
+        list[Path], typer.Argument(metavar="FILE...", help="Motion files: BVH, AMC, C3D, TRC, NPZ.")
+    ],
+    unit: o.Unit = None,
+    up: o.Up = None,
+    skeleton: o.SkeletonFile = None,
+    joint_map: o.JointMap = None,
+    json: o.Json = False,
+) -> None:
+    """What is in a motion file: length, rate, unit, up axis, joints and how they were understood.
+
+    Example: dousa info walk.bvh take01.amc
+    """
+    mapping = _read_joint_map(joint_map)
+    answers, failed = [], 0
+    for path in files:
+        try:
+            answers.append(_describe(path, unit, up, skeleton, mapping))
+        except DousaError as error:
+            failed += 1
+            fail(str(error))
+    if json:
+        print_json(answers)
+    else:
+        for answer in answers:
+            _print_info(answer)
+    if failed:
+        raise typer.Exit(2)
+
+
+def _read_joint_map(path: Path | None) -> Mapping[str, Any] | None:
+    if path is None:
+        return None
+    from dousa.motion import read_joint_map
+
+    return read_joint_map(path)
+
+
+def _read(path: Path, unit: str | None, up: str | None, skeleton: Path | None) -> Motion | Trajectories:
+    from dousa.formats import read_motion
+
+    return read_motion(path, unit=unit, up=up, skeleton=skeleton)
+
+
+def _describe(
+    path: Path, unit: str | None, up: str | None, skeleton: Path | None, joint_map: Mapping[str, Any] | None
+) -> dict[str, Any]:
+    from dousa.errors import JointMappingError
+    from dousa.motion import Motion, canonicalise
+
+    motion = _read(path, unit, up, skeleton)
+    origin = motion.provenance
+    is_motion = isinstance(motion, Motion)
+    names = motion.skeleton.names if is_motion else motion.names
+    ends = motion.skeleton.end_sites if is_motion else [False] * len(names)
+    answer: dict[str, Any] = {
+        "path": str(path),
+        "format": origin.format if origin else None,
+        "holds": "rotations" if is_motion else "positions",
+        "n_frames": motion.n_frames,
+        "frame_rate": motion.frame_rate,
+        "duration_s": motion.duration,
+        "n_joints": sum(not end for end in ends),
+        "unit_m": origin.unit if origin else 1.0,
+        "unit_source": origin.unit_source if origin else None,
+        "up": origin.up if origin else "y",
+        "up_source": origin.up_source if origin else None,
+        "joints": [name for name, end in zip(names, ends, strict=True) if not end],
+    }
+    try:
+        canonical = canonicalise(motion, joint_map)
+    except JointMappingError as error:
+        return {**answer, "mapping": None, "height_m": None, "warnings": [error.problem]}
+    found = canonical.mapping
+    answer["mapping"] = {
+        "table": found.table,
+        "sides": found.sides,
+        "derived": list(found.derived),
+        "sources": {joint: list(sources) for joint, sources in found.sources.items()},
+    }
+    answer["height_m"] = canonical.height
+    answer["height_source"] = canonical.height_source
+    answer["warnings"] = list(canonical.warnings)
+    return answer
+
+
+def _print_info(answer: dict[str, Any]) -> None:
+    from rich.markup import escape
+    from rich.table import Table
+
+    table = Table(
+        title=escape(answer["path"]), title_justify="left", show_header=False, box=None, padding=(0, 2)
+    )
+    table.add_row("format", f"{answer['format']}, holds {answer['holds']}")
+    table.add_row(
+        "length",
+        f"{answer['n_frames']} frames at {answer['frame_rate']:g} Hz, {answer['duration_s']:.2f} s",
+    )
+    table.add_row("unit", f"{answer['unit_m']:g} m ({answer['unit_source']})")
+    table.add_row("up", f"{answer['up']} ({answer['up_source']})")
+    mapping = answer["mapping"]
+    if mapping is None:
+        table.add_row("mapping", "[bold red]not understood[/]")
+    else:
+        derived = f"; derived: {', '.join(mapping['derived'])}" if mapping["derived"] else ""
+        table.add_row("mapping", escape(f"{mapping['table']}{derived}"))
+        table.add_row("left/right", f"names and geometry {mapping['sides']}")
+        table.add_row("height", f"{answer['height_m']:.2f} m (from the {answer['height_source']})")
+    table.add_row("joints", escape(f"{answer['n_joints']}: {', '.join(answer['joints'])}"))
+    for warning in answer["warnings"]:
+        table.add_row("[yellow]note[/]", escape(warning))
+    console().print(table)
+
+
+def convert(
+    source: Annotated[Path, typer.Argument(metavar="IN", help="Motion file to read.")],
+    target: Annotated[Path, typer.Argument(metavar="OUT", help="File to write: .bvh, .trc, .c3d or .npz.")],
+    frame_rate: Annotated[
+        float | None, typer.Option("--frame-rate", help="Resample to this rate in Hz.")
+    ] = None,
+    unit: o.Unit = None,
+    up: o.Up = None,
+    skeleton: o.SkeletonFile = None,
+    json: o.Json = False,
+) -> None:
+    """Read one kind of motion file and write another; nothing the target can hold is lost.
+
+    Positions alone (C3D, TRC) become BVH by fitting a skeleton of rigid bones; the mean error is said.
+
+    Example: dousa convert take.amc take.bvh --frame-rate 30
+    """
+    from dousa.formats import write_motion
+    from dousa.motion import Motion, resample
+
+    motion = _read(source, unit, up, skeleton)
+    if frame_rate is not None:
+        motion = resample(motion, frame_rate)
+    fit_error = None
+    if target.suffix.lower() == ".bvh" and not isinstance(motion, Motion):
+        motion, fit_error = _fit(motion)
+        warn(
+            f"{source} holds positions only: a skeleton was fitted, mean joint error {1000 * fit_error:.0f} mm"
+        )
+    write_motion(motion, target)
+    if json:
+        print_json(
+            {
+                "in": str(source),
+                "out": str(target),
+                "n_frames": motion.n_frames,
+                "frame_rate": motion.frame_rate,
+                "fit_error_m": fit_error,
+            }
+        )
+    else:
+        console().print(f"{target}: {motion.n_frames} frames at {motion.frame_rate:g} Hz", markup=False)
+
+
+def _fit(positions: Trajectories) -> tuple[Motion, float]:
+    """A motion with rigid bones near the positions, and its mean joint error in m."""
+    import numpy as np
+
+    from dousa.motion import CANONICAL_JOINTS, canonicalise, compute_trajectories, fit_motion
+
+    canonical = canonicalise(positions)
+    fitted = fit_motion(canonical)
+    reached = compute_trajectories(fitted).select(CANONICAL_JOINTS)
+    return fitted, float(np.linalg.norm(reached - canonical.positions, axis=-1).mean())
+
+
+def plot(
+    file: Annotated[Path, typer.Argument(metavar="FILE", help="Motion file.")],
+    output: Annotated[Path, typer.Option("--output", "-o", help="Picture to write: .png, .svg or .pdf.")],
+    poses: Annotated[int, typer.Option("--poses", min=1, max=60, help="How many poses to draw.")] = 10,
+    unit: o.Unit = None,
+    up: o.Up = None,
+    skeleton: o.SkeletonFile = None,
+    joint_map: o.JointMap = None,
+    json: o.Json = False,
+) -> None:
+    """Draw a contact sheet: the poses of a motion from the front and from the side.
+
+    Example: dousa plot walk.bvh -o walk.png
+    """
+    from dousa.app.pictures import draw_contact_sheet
+    from dousa.errors import JointMappingError
+    from dousa.motion import canonicalise
+
+    motion = _read(file, unit, up, skeleton)
+    try:
+        drawn = canonicalise(motion, _read_joint_map(joint_map))
+    except JointMappingError as error:
+        warn(f"{file}: {error.problem}; the points are drawn as they are")
+        drawn = motion
+    draw_contact_sheet(drawn, output, n_poses=poses, title=file.name)
+    if json:
+        print_json({"path": str(file), "picture": str(output), "poses": min(poses, motion.n_frames)})
+    else:
+        console().print(f"{output}: {file.name}", markup=False)

@@ -1,0 +1,391 @@
+"""Commands about a motion library: add, train, search, classify, list, remove, relabel."""
+
+from __future__ import annotations
+
+from collections import Counter
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from dousa.app import _options as o
+from dousa.app._output import console, print_json, progress_bar, warn
+from dousa.errors import OptionError
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from dousa.library import AddReport, Library, SearchResult
+
+__all__ = ["register"]
+
+_SHOWN = 10
+
+Query = Annotated[
+    str, typer.Argument(metavar="QUERY", help="A motion file, or the number of a clip (see dousa list).")
+]
+Clips = Annotated[
+    list[str] | None,
+    typer.Argument(metavar="[CLIP...]", help="Files, folders or numbers of clips (see dousa list)."),
+]
+
+
+def register(app: typer.Typer) -> None:
+    """Hang this module's commands on the application."""
+    for command in (add, train, search, classify, remove, relabel):
+        app.command(rich_help_panel="Library")(command)
+    app.command("list", rich_help_panel="Library")(list_clips)
+
+
+def _open(library: str, **options: bool) -> Library:
+    from dousa.library import Library
+
+    return Library.open(library, **options)
+
+
+def _joint_map(path: Path | None) -> Mapping[str, Any] | None:
+    if path is None:
+        return None
+    from dousa.motion import read_joint_map
+
+    return read_joint_map(path)
+
+
+def add(
+    library: o.LibraryPath,
+    paths: Annotated[list[Path], typer.Argument(metavar="PATH...", help="Motion files, or folders of them.")],
+    category_from: o.CategoryFrom = "folder",
+    performer_from: o.PerformerFrom = None,
+    unit: o.Unit = None,
+    up: o.Up = None,
+    skeleton: o.SkeletonFile = None,
+    joint_map: o.JointMap = None,
+    jobs: o.Jobs = None,
+    json: o.Json = False,
+) -> None:
+    """Add motion files to a library; it is made if there is none. Files already there are left as they are.
+
+    The category of a file is its folder below PATH, such as 'squat' or 'walk/active', or what --category-from says.
+    Can be interrupted and run again.
+
+    Example: dousa add moves.dousa recordings/ --performer-from 'name:HDM_(..)_'
+    """
+    with _open(library, create=True) as opened, progress_bar() as progress:
+        report = opened.add(
+            paths,
+            category_from=category_from,
+            performer_from=performer_from,
+            joint_map=_joint_map(joint_map),
+            unit=unit,
+            up=up,
+            skeleton=skeleton,
+            n_jobs=jobs,
+            progress=lambda done, total, path: progress(done, total, "adding"),
+        )
+    if json:
+        print_json(report.to_json())
+    else:
+        _print_add(report)
+    used = (report.added, report.replaced, report.moved, report.unchanged, report.duplicates)
+    if report.skipped and not any(used):
+        raise typer.Exit(2)
+
+
+def _print_add(report: AddReport) -> None:
+    out = console()
+    rate = report.bytes / 1e6 / report.seconds if report.seconds > 0 else 0.0
+    out.print(
+        f"{len(report.added)} added, {report.bytes / 1e6:.1f} MB in {report.seconds:.1f} s ({rate:.0f} MB/s)"
+    )
+    for what, files in (
+        ("replaced, as their file had changed", report.replaced),
+        ("followed to their new place", report.moved),
+        ("already there", report.unchanged),
+    ):
+        if files:
+            out.print(f"{len(files)} {what}")
+    if report.duplicates:
+        pairs = [f"{item.path} = {item.same_as}" for item in report.duplicates]
+        _print_some(f"{len(pairs)} with the content of another file", pairs)
+    if report.skipped:
+        _print_some(
+            f"{len(report.skipped)} skipped", [f"{item.path}: {item.reason}" for item in report.skipped]
+        )
+    for text, count in Counter(text for _, text in report.warnings).most_common(_SHOWN):
+        warn(f"{text} ({count} {'file' if count == 1 else 'files'})")
+    if report.other_labels:
+        warn(f"{len(report.other_labels)} files keep the labels they had; change them with: dousa relabel")
+
+
+def _print_some(heading: str, lines: list[str]) -> None:
+    out = console()
+    out.print(heading)
+    for line in lines[:_SHOWN]:
+        out.print(f"  {line}", markup=False, soft_wrap=True)
+    if len(lines) > _SHOWN:
+        out.print(f"  and {len(lines) - _SHOWN} more (all with --json)")
+
+
+def train(
+    library: o.LibraryPath,
+    trees: Annotated[int, typer.Option("--trees", min=1, help="Number of trees.")] = 100,
+    trials: Annotated[
+        int | None,
+        typer.Option(
+            "--trials", min=1, help="Tests drawn at a node; default: 12, the logarithm of all 3,080."
+        ),
+    ] = None,
+    max_entropy: Annotated[
+        float, typer.Option("--max-entropy", min=0, help="Bits; nodes at or below are leaves.")
+    ] = 0.0,
+    bootstrap: Annotated[
+        bool, typer.Option("--bootstrap", help="Each tree draws its clips with replacement.")
+    ] = False,
+    seed: Annotated[int, typer.Option("--seed", min=0, help="The same seed gives the same forest.")] = 0,
+    jobs: o.Jobs = None,
+    json: o.Json = False,
+) -> None:
+    """Learn the categories of a library; every clip gets its histogram.
+
+    Example: dousa train moves.dousa
+    """
+    with _open(library) as opened, progress_bar() as progress:
+        report = opened.train(
+            n_trees=trees,
+            n_trials=trials,
+            max_entropy=max_entropy,
+            bootstrap=bootstrap,
+            random_state=seed,
+            n_jobs=jobs or -1,
+            progress=progress,
+        )
+    if json:
+        print_json(report.to_json())
+        return
+    console().print(
+        f"{report.n_trees} trees learned {len(report.categories)} categories from {report.n_clips} clips "
+        f"in {report.seconds:.1f} s"
+    )
+    if report.n_unlabelled:
+        warn(f"{report.n_unlabelled} clips without a category taught nothing; they can be found all the same")
+    if report.single:
+        warn(f"categories with one clip only are hardly learned: {', '.join(report.single)}")
+
+
+def search(
+    library: o.LibraryPath,
+    query: Query,
+    k: Annotated[int, typer.Option("-k", min=1, help="How many results.")] = 10,
+    same_category: Annotated[
+        bool, typer.Option("--same-category", help="Only clips of the category that the query is taken for.")
+    ] = False,
+    picture: Annotated[
+        Path | None, typer.Option("--picture", help="Draw query and results: .png, .svg or .pdf.")
+    ] = None,
+    unit: o.Unit = None,
+    up: o.Up = None,
+    skeleton: o.SkeletonFile = None,
+    joint_map: o.JointMap = None,
+    json: o.Json = False,
+) -> None:
+    """Find the motions most like a motion.
+
+    The distance is that of the forest's votes. Among equals the share of trees decides that lead query and clip to
+    the same leaf, then the likeness of the poses.
+
+    Example: dousa search moves.dousa kick.bvh -k 5
+    """
+    with _open(library, read_only=True) as opened:
+        wanted = int(query) if query.isdigit() and not Path(query).exists() else query
+        reading = {"joint_map": _joint_map(joint_map), "unit": unit, "up": up, "skeleton": skeleton}
+        result = opened.search(wanted, k, same_category=same_category, **reading)
+        if picture:
+            from dousa.app.pictures import draw_search_result
+
+            draw_search_result(opened, wanted, result, picture, reading)
+    if json:
+        print_json(result.to_json())
+    else:
+        _print_search(result)
+
+
+def _print_search(answer: SearchResult) -> None:
+    from rich.markup import escape
+    from rich.table import Table
+
+    out = console()
+    out.print(f"{escape(str(answer.query))}: [bold]{escape(answer.category)}[/] ({_votes(answer.histogram)})")
+    table = Table(box=None)
+    table.add_column("rank", justify="right")
+    table.add_column("distance", justify="right")
+    table.add_column("same leaf", justify="right")
+    table.add_column("category")
+    table.add_column("file", overflow="fold")
+    for hit in answer.results:
+        numbers = (str(hit.rank), f"{hit.distance:.3f}", f"{hit.leaf_share:.0%}")
+        table.add_row(*numbers, escape(hit.category or "-"), escape(hit.path))
+    out.print(table)
+
+
+def _votes(histogram: dict[str, float], shown: int = 3) -> str:
+    best = sorted(histogram.items(), key=lambda item: -item[1])[:shown]
+    return ", ".join(f"{name} {share:.0%}" for name, share in best if share > 0)
+
+
+def classify(
+    library: o.LibraryPath,
+    files: Annotated[list[Path], typer.Argument(metavar="FILE...", help="Motion files, or folders of them.")],
+    unit: o.Unit = None,
+    up: o.Up = None,
+    skeleton: o.SkeletonFile = None,
+    joint_map: o.JointMap = None,
+    jobs: o.Jobs = None,
+    json: o.Json = False,
+) -> None:
+    """Say which category each file belongs to, without adding it.
+
+    Example: dousa classify moves.dousa new/*.bvh
+    """
+    with _open(library, read_only=True) as opened:
+        reading = {"joint_map": _joint_map(joint_map), "unit": unit, "up": up, "skeleton": skeleton}
+        answers = opened.classify(files, **reading, n_jobs=jobs)
+    if json:
+        print_json([answer.to_json() for answer in answers])
+    else:
+        out = console()
+        for answer in answers:
+            if answer.problem is None:
+                line = f"{answer.path}: {answer.category} ({_votes(answer.histogram)})"
+                out.print(line, markup=False, soft_wrap=True)
+    problems = [answer for answer in answers if answer.problem is not None]
+    for answer in problems:
+        warn(f"{answer.path}: {answer.problem}")
+    if problems:
+        raise typer.Exit(2)
+
+
+def list_clips(
+    library: o.LibraryPath,
+    category: Annotated[str | None, typer.Option("--category", help="Only clips of this category.")] = None,
+    performer: Annotated[
+        str | None, typer.Option("--performer", help="Only clips of this performer.")
+    ] = None,
+    clips: Annotated[bool, typer.Option("--clips", help="List every clip, not only the categories.")] = False,
+    json: o.Json = False,
+) -> None:
+    """What is in a library: its categories, or with --clips (or a category or performer) every clip.
+
+    Example: dousa list moves.dousa --category walk
+    """
+    with _open(library, read_only=True) as opened:
+        stats = opened.stats()
+        chosen = category is not None or performer is not None
+        rows = opened.clips(category=category, performer=performer) if chosen or clips or json else []
+    if json:
+        print_json({**stats.to_json(), "clips": [clip.to_json() for clip in rows]})
+    elif rows:
+        _print_clips([clip.to_json() for clip in rows])
+    else:
+        _print_stats(library, stats.to_json())
+
+
+def _print_clips(rows: list[dict[str, Any]]) -> None:
+    from rich.markup import escape
+    from rich.table import Table
+
+    table = Table(box=None)
+    for name in ("clip", "category", "taken for", "performer", "s", "Hz", "file"):
+        table.add_column(name, justify="right" if name in ("clip", "s", "Hz") else "left", overflow="fold")
+    for row in rows:
+        labels = [escape(row[name] or "-") for name in ("category", "predicted_category", "performer")]
+        table.add_row(
+            str(row["id"]), *labels, f"{row['duration']:.1f}", f"{row['frame_rate']:g}", escape(row["path"])
+        )
+    console().print(table)
+
+
+def _print_stats(library: str, stats: dict[str, Any]) -> None:
+    from rich.markup import escape
+    from rich.table import Table
+
+    out = console()
+    forest = (
+        "not trained yet; run: dousa train" if not stats["trained_at"] else f"trained {stats['trained_at']}"
+    )
+    if stats["trained_at"] and not stats["forest_is_current"]:
+        forest += ", clips or labels changed since; run: dousa train"
+    out.print(
+        escape(f"{library}: {stats['n_clips']} clips, {stats['seconds'] / 60:.1f} minutes, "
+               f"{len(stats['performers'])} performers; forest {forest}"),
+        soft_wrap=True,
+    )  # fmt: skip
+    table = Table(box=None)
+    table.add_column("category")
+    table.add_column("clips", justify="right")
+    for name, count in stats["categories"].items():
+        table.add_row(escape(name), str(count))
+    if stats["n_unlabelled"]:
+        table.add_row("(none)", str(stats["n_unlabelled"]))
+    out.print(table)
+
+
+def _selection(clips: list[str] | None) -> list[int | str]:
+    return [int(clip) if clip.isdigit() and not Path(clip).exists() else clip for clip in clips or []]
+
+
+def remove(
+    library: o.LibraryPath,
+    clips: Clips = None,
+    category: Annotated[str | None, typer.Option("--category", help="Only clips of this category.")] = None,
+    performer: Annotated[
+        str | None, typer.Option("--performer", help="Only clips of this performer.")
+    ] = None,
+    json: o.Json = False,
+) -> None:
+    """Take clips out of a library; the files themselves are left alone.
+
+    Example: dousa remove moves.dousa recordings/broken.bvh
+    """
+    with _open(library) as opened:
+        removed = opened.remove(_selection(clips), category=category, performer=performer)
+    if json:
+        print_json({"removed": removed})
+    else:
+        _print_some(f"{len(removed)} removed", list(removed))
+
+
+def relabel(
+    library: o.LibraryPath,
+    clips: Clips = None,
+    category: Annotated[str | None, typer.Option("--category", help="The new category; '' for none.")] = None,
+    performer: Annotated[
+        str | None, typer.Option("--performer", help="The new performer; '' for none.")
+    ] = None,
+    where_category: Annotated[
+        str | None, typer.Option("--where-category", help="Only clips of this category.")
+    ] = None,
+    where_performer: Annotated[
+        str | None, typer.Option("--where-performer", help="Only clips of this performer.")
+    ] = None,
+    json: o.Json = False,
+) -> None:
+    """Give clips another category or performer; the forest learns of it with the next dousa train.
+
+    Example: dousa relabel moves.dousa 12 13 --category kick
+    """
+    from dousa.library import UNCHANGED
+
+    if category is None and performer is None:
+        raise OptionError("nothing to change: give --category or --performer")
+    with _open(library) as opened:
+        changed = opened.relabel(
+            _selection(clips),
+            category=UNCHANGED if category is None else category or None,
+            performer=UNCHANGED if performer is None else performer or None,
+            where_category=where_category,
+            where_performer=where_performer,
+        )
+    if json:
+        print_json({"relabelled": changed})
+    else:
+        _print_some(f"{len(changed)} relabelled", list(changed))

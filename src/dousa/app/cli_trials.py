@@ -1,0 +1,209 @@
+"""Commands that try things out: experiment and demo."""
+
+from __future__ import annotations
+
+import enum
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from dousa.app import _options as o
+from dousa.app._output import console, print_json, progress_bar, warn
+from dousa.errors import OptionError
+
+if TYPE_CHECKING:
+    from dousa.library import Skipped
+
+__all__ = ["register"]
+
+_NAMES = {
+    "full_tree": "single full tree",
+    "random_tree": "single random tree",
+    "forest": "forest",
+    "motion_templates": "motion templates",
+}
+_SCORES = ("recall", "precision", "f_measure", "accuracy")
+_SHOWN_CONFUSIONS = 5
+
+
+class SplitName(enum.StrEnum):
+    """How clips are divided into those that train and those that are tested."""
+
+    HALF = "half"
+    LEAVE_PERFORMER_OUT = "leave-performer-out"
+
+
+class FeatureSet(enum.StrEnum):
+    """What the trees look at."""
+
+    PAPER = "paper"
+    EXTENDED = "extended"
+
+
+def register(app: typer.Typer) -> None:
+    """Hang this module's commands on the application."""
+    app.command(rich_help_panel="Trials")(experiment)
+    app.command(rich_help_panel="Trials")(demo)
+
+
+def experiment(
+    path: Annotated[list[Path], typer.Argument(metavar="PATH...", help="Folders of motion files.")],
+    test: Annotated[
+        list[Path] | None,
+        typer.Option("--test", help="Train on PATH and test on this folder instead of splitting."),
+    ] = None,
+    split: Annotated[
+        SplitName | None, typer.Option("--split", help="How PATH is split.", show_default="half")
+    ] = None,
+    repeats: Annotated[
+        int, typer.Option("--repeats", min=1, help="How often, with other random numbers.")
+    ] = 1,
+    features: Annotated[
+        FeatureSet,
+        typer.Option(
+            "--features", help="paper: the 56 pose features; extended: also turn, travel, speed, duration."
+        ),
+    ] = FeatureSet.PAPER,
+    trees: Annotated[int, typer.Option("--trees", min=1, help="Trees of the forest.")] = 100,
+    seed: Annotated[int, typer.Option("--seed", min=0, help="The same seed gives the same table.")] = 0,
+    category_from: o.CategoryFrom = "folder",
+    performer_from: o.PerformerFrom = None,
+    unit: o.Unit = None,
+    up: o.Up = None,
+    skeleton: o.SkeletonFile = None,
+    joint_map: o.JointMap = None,
+    jobs: o.Jobs = None,
+    figure: Annotated[
+        Path | None, typer.Option("--figure", help="Draw the table: .png, .svg or .pdf.")
+    ] = None,
+    json: o.Json = False,
+) -> None:
+    """How well are categories told apart: single trees, the forest and motion templates, on clips not seen.
+
+    The paper's figures 4 and 5 as a table. Without --split half of every category trains and half is tested.
+
+    Example: dousa experiment hdm05/ --split leave-performer-out --performer-from 'name:HDM_(..)_'
+    """
+    from dousa.app.trials import read_labelled_clips
+    from dousa.library import ReadOptions
+    from dousa.motion import read_joint_map
+    from dousa.retrieval.experiment import run_experiment
+
+    if test and split is not None:
+        raise OptionError(
+            "--test gives the clips to test, so --split has nothing to do; leave one of them out"
+        )
+    if split is SplitName.LEAVE_PERFORMER_OUT and performer_from is None:
+        raise OptionError(
+            "--split leave-performer-out needs to know the performers: add --performer-from, for instance "
+            "--performer-from 'name:_s(\\d+)_' where file names hold _s1_, _s2_ ..."
+        )
+    options = ReadOptions(read_joint_map(joint_map) if joint_map else None, unit, up, skeleton)
+    rules = {
+        "category_from": category_from,
+        "performer_from": performer_from,
+        "options": options,
+        "n_jobs": jobs,
+    }
+    with progress_bar() as progress:
+        clips, skipped = read_labelled_clips(path, **rules, progress=progress)
+        tested = None
+        if test:
+            tested, more = read_labelled_clips(test, **rules, progress=progress)
+            skipped += more
+        result = run_experiment(
+            clips,
+            test_clips=tested,
+            split=None if test else (split or SplitName.HALF).value,
+            repeats=repeats,
+            random_state=seed,
+            feature_set=features.value,
+            n_trees=trees,
+            n_jobs=jobs or -1,
+            progress=progress,
+        )
+    answer = {**result.to_json(), "skipped": [{"path": s.path, "reason": s.reason} for s in skipped]}
+    _warn_skipped(skipped)
+    if figure:
+        from dousa.app.pictures import draw_experiment_figure
+
+        draw_experiment_figure(answer, figure)
+    if json:
+        print_json(answer)
+    else:
+        print_experiment(answer)
+
+
+def _warn_skipped(skipped: list[Skipped]) -> None:
+    for item in skipped[:5]:
+        warn(f"left out {item.path}: {item.reason}")
+    if len(skipped) > 5:
+        warn(f"left out {len(skipped) - 5} more files")
+
+
+def print_experiment(answer: dict[str, Any]) -> None:
+    """Print the JSON answer of an experiment as tables."""
+    from rich.markup import escape
+    from rich.table import Table
+
+    out = console()
+    table = Table(
+        title=f"{len(answer['categories'])} categories, {answer['n_train']} clips train, {answer['n_test']} tested "
+        f"({answer['split']}, {answer['repeats']} x)",
+        title_justify="left",
+    )
+    table.add_column("system")
+    for name in ("recall", "precision", "F", "accuracy", "train s", "ms per query"):
+        table.add_column(name, justify="right")
+    for name, scores in answer["systems"].items():
+        cells = [_with_spread(scores, score) for score in _SCORES]
+        times = (f"{scores['fit_seconds']:.2f}", f"{scores['query_milliseconds']:.3f}")
+        table.add_row(_NAMES[name], *cells, *times, style="bold" if name == "forest" else None)
+    out.print(table)
+    seconds = answer["feature_seconds"], answer["relational_seconds"], answer["compile_seconds"]
+    out.print(
+        "macro means; pose features of all clips took {:.2f} s, relational features {:.2f} s; "
+        "making the kernels ready {:.1f} s".format(*seconds)
+    )
+    for category, count in answer["untrained"].items():
+        out.print(f"[yellow]{escape(category)}[/]: {count} test clips, none to train on; counted as wrong")
+    confusions = answer["systems"].get("forest", {}).get("confusions", [])[:_SHOWN_CONFUSIONS]
+    for mistake in confusions:
+        out.print(
+            escape(f"the forest took {mistake['truth']} for {mistake['predicted']} {mistake['count']} times")
+        )
+
+
+def _with_spread(scores: dict[str, Any], name: str) -> str:
+    spread = scores.get(f"{name}_std")
+    return f"{scores[name]:.3f}" if spread is None else f"{scores[name]:.3f} ± {spread:.3f}"
+
+
+def demo(
+    data: Annotated[
+        Path | None, typer.Option("--data", help="Do it with the motion files of this folder instead.")
+    ] = None,
+    output: Annotated[
+        Path, typer.Option("--output", "-o", help="Folder for the motions, the library and the picture.")
+    ] = Path("demo-output"),
+    category_from: o.CategoryFrom = "folder",
+    performer_from: o.PerformerFrom = None,
+    seed: Annotated[int, typer.Option("--seed", min=0, help="Other performers and motions.")] = 0,
+    jobs: o.Jobs = None,
+) -> None:
+    """Show the main job with nothing but the package: make a library of motions, train it and search it.
+
+    Example: dousa demo --output demo-output
+    """
+    from dousa.app.demo import run_demo
+
+    run_demo(
+        console(),
+        data,
+        output,
+        seed=seed,
+        n_jobs=jobs,
+        category_from=category_from,
+        performer_from=performer_from,
+    )

@@ -1,0 +1,86 @@
+"""From folders of motion files to the labelled clips of an experiment."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+from dousa.errors import DousaError, TrainingError
+from dousa.library import ReadOptions, Skipped, find_motion_files, parse_label_rule
+from dousa.library.ingest import FoundFile, read_canonical
+
+if TYPE_CHECKING:
+    from dousa.app._output import ProgressCallback
+    from dousa.retrieval.experiment import LabelledClip
+
+__all__ = ["read_labelled_clips"]
+
+
+def read_labelled_clips(
+    paths: Sequence[str | os.PathLike[str]],
+    *,
+    category_from: str,
+    performer_from: str | None,
+    options: ReadOptions,
+    n_jobs: int | None = None,
+    progress: ProgressCallback | None = None,
+) -> tuple[list[LabelledClip], list[Skipped]]:
+    """Read all motion files below some paths, with their category and performer.
+
+    Parameters
+    ----------
+    paths : files and folders.
+    category_from, performer_from : rules as in `dousa.library.labels`.
+    options : what is said about the files.
+    n_jobs : files at a time; None for every core.
+    progress : called with (done, total, file).
+
+    Returns
+    -------
+    clips : those that could be read and have a category.
+    skipped : the other files, and why.
+
+    Raises
+    ------
+    OptionError : a rule that cannot be understood.
+    TrainingError : no clip could be read.
+    """
+    import joblib
+
+    rules = parse_label_rule(category_from, "category"), parse_label_rule(performer_from, "performer")
+    files, skipped = find_motion_files(paths)
+    labels = [tuple(rule(file.root, file.path) for rule in rules) for file in files]
+    parallel = joblib.Parallel(n_jobs=n_jobs or joblib.cpu_count(), prefer="threads", return_as="generator")
+    clips: list[LabelledClip] = []
+    answers = parallel(
+        joblib.delayed(_read_clip)(file, category, performer, options)
+        for file, (category, performer) in zip(files, labels, strict=True)
+    )
+    for done, answer in enumerate(answers, 1):
+        (skipped if isinstance(answer, Skipped) else clips).append(answer)
+        if progress is not None:
+            progress(done, len(files), "reading")
+    if not clips:
+        reason = (
+            f"; the first of {len(skipped)} problems: {skipped[0].path}: {skipped[0].reason}"
+            if skipped
+            else ""
+        )
+        raise TrainingError(f"found no motion with a category below {', '.join(map(str, paths))}{reason}")
+    return clips, skipped
+
+
+def _read_clip(
+    file: FoundFile, category: str | None, performer: str | None, options: ReadOptions
+) -> LabelledClip | Skipped:
+    from dousa.retrieval.experiment import LabelledClip
+
+    path = str(file.path)
+    if category is None:
+        return Skipped(path, "no category; see --category-from")
+    try:
+        motion, _ = read_canonical(path, options)
+    except DousaError as error:
+        return Skipped(path, str(error).removeprefix(f"{path}: "))
+    return LabelledClip(path, category, performer, motion.positions, motion.frame_rate, motion.height)

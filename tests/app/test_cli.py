@@ -1,0 +1,265 @@
+"""The command line as a person uses it: answers, JSON, errors with exit code 2 and no traceback."""
+
+from __future__ import annotations
+
+import json
+import re
+import shutil
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from dousa.app.cli import main
+from dousa.formats import read_motion, write_motion
+from dousa.motion.synthetic import draw_performer, make_motion
+
+CATEGORIES = ("walk", "squat", "clap", "bow")
+PERFORMERS = 4
+
+
+@pytest.fixture
+def dousa(monkeypatch, capsys):
+    """Runs a command in this process: (exit code, standard output, standard error)."""
+
+    def run(*words):
+        monkeypatch.setattr(sys, "argv", ["dousa", *map(str, words)])
+        try:
+            main()
+            code = 0
+        except SystemExit as stop:
+            code = stop.code or 0
+        out = capsys.readouterr()
+        return code, out.out, out.err
+
+    return run
+
+
+@pytest.fixture(scope="session")
+def motions(tmp_path_factory) -> Path:
+    """A folder of BVH files: category/pN.bvh."""
+    folder = tmp_path_factory.mktemp("motions")
+    for number in range(PERFORMERS):
+        performer = draw_performer(number)
+        for category in CATEGORIES:
+            (folder / category).mkdir(exist_ok=True)
+            write_motion(make_motion(category, performer, seed=number), folder / category / f"p{number}.bvh")
+    return folder
+
+
+@pytest.fixture(scope="session")
+def trained(motions, tmp_path_factory) -> Path:
+    """A trained library of those motions."""
+    from dousa.library import Library
+
+    path = tmp_path_factory.mktemp("library") / "moves.dousa"
+    with Library.open(path, create=True) as library:
+        library.add(motions, performer_from=r"name:(p\d)")
+        library.train(random_state=1)
+    return path
+
+
+@pytest.fixture
+def library(trained, tmp_path) -> Path:
+    """A copy of the trained library, free to change."""
+    return Path(shutil.copy(trained, tmp_path / "moves.dousa"))
+
+
+def test_help_names_every_command_and_gives_examples(dousa):
+    code, out, _ = dousa("--help")
+    assert code == 0
+    commands = "info convert plot add train search classify list remove relabel experiment demo".split()
+    for command in commands:
+        assert command in out
+        code, text, _ = dousa(command, "--help")
+        assert code == 0
+        assert re.search(rf"Example:\s+dousa {command}", text)
+
+
+def test_version(dousa):
+    assert re.fullmatch(r"dousa \d+\.\d+\.\d+\n", dousa("--version")[1])
+
+
+def test_info_shows_unit_axis_and_mapping(dousa, motions):
+    code, out, _ = dousa("info", motions / "walk/p0.bvh")
+    assert code == 0
+    for word in ("bvh", "0.01 m (inferred)", "up", "left/right", "agree", "height"):
+        assert word in out
+
+
+def test_info_json_goes_on_after_a_bad_file(dousa, motions, tmp_path):
+    bad = tmp_path / "bad.bvh"
+    bad.write_text("HIERARCHY\nROOT hips\n{\n")
+    code, out, err = dousa("info", "--json", bad, motions / "walk/p0.bvh")
+    assert code == 2
+    assert str(bad) in err and "Traceback" not in err
+    (answer,) = json.loads(out)
+    assert answer["format"] == "bvh"
+    assert answer["unit_m"] == 0.01 and answer["up"] == "y"
+    assert answer["mapping"]["sides"] == "agree"
+
+
+def test_info_of_joints_nobody_knows_names_them(dousa, tmp_path):
+    from dousa.motion import Trajectories
+
+    path = tmp_path / "dots.trc"
+    write_motion(Trajectories(("foo", "bar"), np.zeros((5, 2, 3)), 30), path)
+    code, out, _ = dousa("info", path)
+    assert code == 0
+    assert "not understood" in out and "foo, bar" in out
+
+
+def test_convert_keeps_a_bvh_and_resamples(dousa, motions, tmp_path):
+    source, copy, slow = motions / "clap/p1.bvh", tmp_path / "copy.bvh", tmp_path / "slow.bvh"
+    assert dousa("convert", source, copy)[0] == 0
+    first, second = read_motion(source), read_motion(copy)
+    assert np.array_equal(first.provenance.values, second.provenance.values)
+    code, out, _ = dousa("convert", source, slow, "--frame-rate", 10, "--json")
+    assert code == 0
+    assert json.loads(out)["frame_rate"] == 10
+    assert abs(read_motion(slow).duration - first.duration) < 0.2
+
+
+@pytest.mark.parametrize("suffix", [".trc", ".c3d", ".npz"])
+def test_convert_to_positions_and_back(dousa, motions, tmp_path, suffix):
+    middle, back = tmp_path / f"a{suffix}", tmp_path / "a.bvh"
+    assert dousa("convert", motions / "bow/p0.bvh", middle)[0] == 0
+    code, _, err = dousa("convert", middle, back)
+    assert code == 0
+    assert read_motion(back).n_frames == read_motion(motions / "bow/p0.bvh").n_frames
+    assert suffix == ".npz" or "mean joint error" in err
+
+
+def test_convert_refuses_and_leaves_nothing(dousa, motions, tmp_path):
+    source = motions / "walk/p0.bvh"
+    for target, options in (("a.fbx", ()), ("a.bvh", ("--frame-rate", "0")), ("no/folder/a.bvh", ())):
+        code, _, err = dousa("convert", source, tmp_path / target, *options)
+        assert code == 2 and err.startswith("dousa: ") and "Traceback" not in err
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_plot_writes_a_picture(dousa, motions, tmp_path):
+    picture = tmp_path / "sheet.png"
+    assert dousa("plot", motions / "squat/p0.bvh", "-o", picture)[0] == 0
+    assert picture.read_bytes().startswith(b"\x89PNG")
+
+
+def test_add_train_search_classify(dousa, motions, tmp_path):
+    library = tmp_path / "moves.dousa"
+    code, out, _ = dousa("add", library, motions, "--performer-from", r"name:(p\d)", "--json")
+    assert code == 0
+    assert len(json.loads(out)["added"]) == len(CATEGORIES) * PERFORMERS
+    code, out, _ = dousa("add", library, motions, "--json")
+    again = json.loads(out)
+    assert code == 0
+    assert again["added"] == [] and len(again["unchanged"]) == len(CATEGORIES) * PERFORMERS
+    assert dousa("train", library)[0] == 0
+    query = tmp_path / "query.bvh"
+    write_motion(make_motion("squat", draw_performer(99), seed=99), query)
+    code, out, _ = dousa("search", library, query, "-k", 3, "--json")
+    assert code == 0
+    answer = json.loads(out)
+    assert set(answer) == {"query", "category", "histogram", "results"}
+    assert answer["category"] == "squat"
+    assert abs(sum(answer["histogram"].values()) - 1) < 1e-9
+    assert [hit["rank"] for hit in answer["results"]] == [1, 2, 3]
+    assert all(set(hit) == {"path", "category", "distance", "rank"} for hit in answer["results"])
+    distances = [hit["distance"] for hit in answer["results"]]
+    assert distances == sorted(distances)
+    code, out, _ = dousa("classify", library, query, "--json")
+    assert code == 0
+    assert json.loads(out)[0]["category"] == "squat"
+
+
+def test_search_by_number_with_picture(dousa, library, tmp_path):
+    picture = tmp_path / "hits.png"
+    code, out, _ = dousa("search", library, 1, "-k", 2, "--same-category", "--picture", picture)
+    assert code == 0
+    assert "rank" in out
+    assert picture.read_bytes().startswith(b"\x89PNG")
+
+
+def test_list_relabel_remove(dousa, library, motions):
+    code, out, _ = dousa("list", library)
+    assert code == 0
+    assert "16 clips" in out and "walk" in out
+    code, out, _ = dousa("relabel", library, motions / "walk/p0.bvh", "--category", "stroll", "--json")
+    assert code == 0
+    assert len(json.loads(out)["relabelled"]) == 1
+    clips = json.loads(dousa("list", library, "--category", "stroll", "--json")[1])["clips"]
+    assert [clip["path"] for clip in clips] == [str(motions / "walk/p0.bvh")]
+    code, out, _ = dousa("remove", library, clips[0]["id"], "--json")
+    assert code == 0
+    assert json.loads(out)["removed"] == [str(motions / "walk/p0.bvh")]
+    assert "changed since" in dousa("list", library)[1]
+
+
+def test_experiment_prints_the_four_systems(dousa, motions, tmp_path):
+    picture = tmp_path / "figure.png"
+    words = ("experiment", motions, "--repeats", 2, "--trees", 20, "--figure", picture, "--json")
+    code, out, _ = dousa(*words)
+    assert code == 0
+    answer = json.loads(out)
+    assert set(answer["systems"]) == {"full_tree", "random_tree", "forest", "motion_templates"}
+    for scores in answer["systems"].values():
+        assert {"recall", "precision", "f_measure", "accuracy"} <= set(scores)
+    assert (answer["n_train"], answer["n_test"]) == (8, 8)
+    assert answer["categories"] == sorted(CATEGORIES)
+    assert picture.exists()
+    code, out, _ = dousa(
+        "experiment", motions, "--split", "leave-performer-out", "--performer-from", r"name:(p\d)"
+    )
+    assert code == 0
+    assert "single full tree" in out and "motion templates" in out
+
+
+def test_experiment_with_given_test_folder(dousa, motions):
+    code, out, _ = dousa("experiment", motions, "--test", motions, "--features", "extended", "--json")
+    assert code == 0
+    assert json.loads(out)["systems"]["full_tree"]["accuracy"] == 1.0
+
+
+@pytest.mark.parametrize(
+    ("words", "says"),
+    [
+        (("search", "{tmp}/none.dousa", "{bvh}"), "no library at"),
+        (("train", "{bvh}"), "not a dousa library"),
+        (("search", "{lib}", "{tmp}/none.bvh"), "no such file"),
+        (("add", "{lib}", "{tmp}/none"), "no such file"),
+        (("add", "{lib}", "{bvh}", "--category-from", "name:("), "regular expression"),
+        (("add", "{lib}", "{bvh}", "--category-from", "mood"), "folder"),
+        (("relabel", "{lib}", "1"), "--category"),
+        (("remove", "{lib}"), "nothing"),
+        (("remove", "{lib}", "999"), "999"),
+        (("experiment", "{tmp}"), "found no motion"),
+        (("experiment", "{dir}", "--split", "leave-performer-out"), "--performer-from"),
+        (("experiment", "{dir}", "--test", "{dir}", "--split", "half"), "--test"),
+        (("plot", "{bvh}", "-o", "{tmp}/a.xyz"), ".png"),
+        (("info", "{bvh}", "--unit", "furlong"), "furlong"),
+        (("info", "{bvh}", "--up", "w"), "w"),
+        (("info", "{bvh}", "--joint-map", "{tmp}/no.toml"), "no.toml"),
+    ],
+)
+def test_bad_input_is_one_line_and_exit_code_2(dousa, library, motions, tmp_path, words, says):
+    empty = tmp_path / "empty"
+    empty.mkdir()
+    places = {"tmp": empty, "bvh": motions / "walk/p0.bvh", "lib": library, "dir": motions}
+    code, out, err = dousa(*(word.format(**places) for word in words))
+    assert code == 2
+    assert says in err + out
+    assert "Traceback" not in err
+    assert list(empty.iterdir()) == []
+
+
+def test_ctrl_c_is_a_word_not_a_traceback(dousa, motions, tmp_path, monkeypatch):
+    from dousa.library import ingest
+
+    def interrupt(task):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(ingest, "read_clip", interrupt)
+    code, _, err = dousa("add", tmp_path / "a.dousa", motions, "--jobs", 1)
+    assert code == 130
+    assert "interrupted" in err and "Traceback" not in err
+    monkeypatch.undo()

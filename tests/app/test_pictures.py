@@ -1,0 +1,185 @@
+"""Pictures: valid files of sane size with something on them, in any script, whole or not at all."""
+
+from __future__ import annotations
+
+import errno
+import os
+
+import numpy as np
+import pytest
+
+from dousa.app import _canvas, _poses
+from dousa.app.pictures import Strip, draw_contact_sheet, draw_experiment_figure, draw_search_sheet
+from dousa.errors import MotionWriteError, OptionError
+from dousa.motion import CANONICAL_JOINTS, JOINT_INDEX, Trajectories, canonicalise, compute_trajectories
+from dousa.motion.synthetic import draw_performer, make_motion
+
+
+@pytest.fixture(scope="module")
+def walk():
+    return make_motion("walk", draw_performer(1))
+
+
+def markers(n_frames=20, n_points=9, **fields):
+    rng = np.random.default_rng(0)
+    names = tuple(f"M{number}" for number in range(n_points))
+    return Trajectories(names, rng.uniform(-1, 1, (n_frames, n_points, 3)), 60.0, **fields)
+
+
+def pixels(path):
+    from matplotlib.image import imread
+
+    image = imread(path)
+    assert 700 < image.shape[1] < 2500
+    assert 250 < image.shape[0] < 6000
+    shades = np.unique(np.round(image[..., :3].reshape(-1, 3), 1), axis=0)
+    assert len(shades) > 8  # ink of several colours
+    assert 0.001 < (image[..., :3].min(axis=2) < 0.9).mean() < 0.5
+    return image
+
+
+def is_near(image, colour):
+    wanted = np.array([int(colour[k : k + 2], 16) for k in (1, 3, 5)]) / 255
+    return np.abs(image[..., :3] - wanted).max(axis=2) < 0.03
+
+
+@pytest.mark.parametrize("kind", ["motion", "trajectories", "canonical"])
+def test_contact_sheet_of_every_kind_of_motion(kind, walk, tmp_path):
+    drawn = {"motion": walk, "trajectories": compute_trajectories(walk), "canonical": canonicalise(walk)}[
+        kind
+    ]
+    path = tmp_path / "sheet.png"
+    draw_contact_sheet(drawn, path, title="walk.bvh")
+    image = pixels(path)
+    assert is_near(image, _canvas.BLUE).sum() > 500
+    assert is_near(image, _canvas.VERMILLION).sum() > 300
+
+
+@pytest.mark.parametrize(("suffix", "start"), [(".svg", b"<?xml"), (".pdf", b"%PDF"), (".PNG", b"\x89PNG")])
+def test_format_follows_the_suffix_and_the_same_picture_gives_the_same_bytes(suffix, start, walk, tmp_path):
+    first, second = tmp_path / f"a{suffix}", tmp_path / f"b{suffix}"
+    for path in (first, second):
+        draw_contact_sheet(walk, path, n_poses=3)
+    assert first.read_bytes().startswith(start)
+    assert first.read_bytes() == second.read_bytes()
+
+
+@pytest.mark.parametrize("n_poses", [1, 2, 10, 25, 60])
+def test_any_number_of_poses(n_poses, walk, tmp_path):
+    draw_contact_sheet(walk, tmp_path / "sheet.png", n_poses=n_poses)
+    pixels(tmp_path / "sheet.png")
+
+
+def test_one_frame(walk, tmp_path):
+    one = walk.replace(rotations=walk.rotations[:1], translations=walk.translations[:1])
+    draw_contact_sheet(one, tmp_path / "one.png")
+    pixels(tmp_path / "one.png")
+
+
+@pytest.mark.parametrize("parents", [None, np.array([-1, 0, 1, 2, 3, 0, 5, 6, 7])])
+def test_points_that_are_no_joints_are_dots_with_their_tree(parents, tmp_path):
+    draw_contact_sheet(markers(parents=parents), tmp_path / "dots.png", title="dots")
+    image = pixels(tmp_path / "dots.png")
+    assert is_near(image, _canvas.BLUE).sum() > 200
+    assert not is_near(image, _canvas.VERMILLION).any()
+
+
+def test_missing_points_leave_gaps_only(tmp_path):
+    positions = np.array(markers().positions)
+    positions[3:9, 2] = np.nan
+    positions[5] = np.nan
+    draw_contact_sheet(markers().replace(positions=positions), tmp_path / "gaps.png", n_poses=20)
+    draw_contact_sheet(markers().replace(positions=np.full_like(positions, np.nan)), tmp_path / "none.png")
+    pixels(tmp_path / "gaps.png")
+
+
+@pytest.mark.parametrize(
+    "title", ["動作_歩く.bvh", "$\\frac{1}{$_a^b$", "tab\tnew\nline", "\u200f\ufffe😀", "x" * 400, ""]
+)
+def test_titles_in_any_script_draw_without_warnings(title, walk, tmp_path, caplog):
+    draw_contact_sheet(walk, tmp_path / "sheet.png", n_poses=2, title=title)
+    pixels(tmp_path / "sheet.png")
+    assert not caplog.records
+
+
+def test_characters_without_a_glyph_are_spelled_out(monkeypatch):
+    class OnlyLetters:
+        @staticmethod
+        def get_char_index(code):
+            return 1 if code < 128 else 0
+
+    monkeypatch.setattr(_canvas, "_fonts", lambda: (("DejaVu Sans",), (OnlyLetters,)))
+    assert _canvas._drawable("a動\t") == "a\\u52d5\\t"
+
+
+def test_the_viewer_sees_the_front_and_then_the_right_side(walk):
+    figurine = _poses.to_figurine(walk)
+    names = ["left_shoulder", "right_shoulder", "left_ankle", "left_toe"]
+    left, right, ankle, toe = (figurine.positions[0, JOINT_INDEX[name]] for name in names)
+    front = [_poses._project(point, _poses.FRONT)[0] for point in (left, right)]
+    assert front[0] > front[1]  # a person who faces us has the left on our right
+    side = [_poses._project(point, _poses.SIDE)[0] for point in (ankle, toe)]
+    assert side[0] < side[1]  # and walks to our right, seen from the right side
+
+
+def test_a_person_facing_anywhere_is_turned_to_face_the_viewer(walk):
+    moved = compute_trajectories(walk).select(CANONICAL_JOINTS)
+    c, s = np.cos(2.1), np.sin(2.1)
+    turned = moved @ np.array([[c, 0, -s], [0, 1, 0], [s, 0, c]])
+    np.testing.assert_allclose(_poses._face_viewer(turned), _poses._face_viewer(moved), atol=1e-9)
+
+
+def test_search_sheet_says_match_and_differs(walk, tmp_path):
+    hits = [
+        Strip(walk, "walk", "/a/b/walk_1.bvh", "rank 1, distance 0.010", "match"),
+        Strip(markers(), "run", "/a/b/走る.c3d", "rank 2, distance 0.500", "differs"),
+    ]
+    draw_search_sheet(Strip(walk, "walk", "query.bvh"), hits, tmp_path / "search.png")
+    image = pixels(tmp_path / "search.png")
+    assert is_near(image, _canvas.GREEN).sum() > 20
+    draw_search_sheet(Strip(walk, "walk", "query.bvh"), hits, tmp_path / "search.svg")
+    draw_search_sheet(Strip(walk, "walk", "query.bvh"), [], tmp_path / "nothing.png")
+
+
+def _scores(value, spread=None):
+    measures = ("recall", "precision", "f_measure", "accuracy")
+    return {**dict.fromkeys(measures, value), **{f"{name}_std": spread for name in measures}}
+
+
+def test_experiment_figure(tmp_path):
+    systems = {
+        "full_tree": _scores(0.71),
+        "random_tree": _scores(0.8, 0.05),
+        "forest": _scores(1.0),
+        "motion_templates": _scores(0.0),
+    }
+    result = {"systems": systems, "n_train": 50, "n_test": 50, "categories": ["a", "b"]}
+    draw_experiment_figure(result, tmp_path / "figure.png")
+    pixels(tmp_path / "figure.png")
+    draw_experiment_figure({"systems": {"forest": _scores(0.9)}}, tmp_path / "one.png")
+    with pytest.raises(OptionError, match="expected results of full_tree"):
+        draw_experiment_figure({"systems": {}}, tmp_path / "none.png")
+
+
+def test_what_cannot_be_drawn_is_refused(walk, tmp_path):
+    with pytest.raises(OptionError, match=r"expected a picture .png, .svg or .pdf, got '.jpg'"):
+        draw_contact_sheet(walk, tmp_path / "sheet.jpg")
+    with pytest.raises(OptionError, match="at least one pose"):
+        draw_contact_sheet(walk, tmp_path / "sheet.png", n_poses=0)
+    with pytest.raises(MotionWriteError, match="folder does not exist"):
+        draw_contact_sheet(walk, tmp_path / "no" / "sheet.png")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_full_disk_leaves_the_old_picture(walk, tmp_path, monkeypatch):
+    path = tmp_path / "sheet.png"
+    path.write_bytes(b"old")
+
+    def full(_):
+        raise OSError(errno.ENOSPC, "no space left on device")
+
+    monkeypatch.setattr(os, "fsync", full)
+    with pytest.raises(MotionWriteError, match="disk is full"):
+        draw_contact_sheet(walk, path)
+    assert path.read_bytes() == b"old"
+    assert list(tmp_path.iterdir()) == [path]
