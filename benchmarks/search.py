@@ -27,6 +27,7 @@ from dousa.formats import write_motion
 from dousa.library import Library, schema
 from dousa.library._arrays import pack
 from dousa.library._engine import writing
+from dousa.library._forests import load_outline
 from dousa.library._revision import next_revision, take_clip_ids
 from dousa.library.search import load_index
 from dousa.motion import canonicalise, compute_trajectories
@@ -98,8 +99,9 @@ def time_warm(path: Path, query: Path) -> tuple[float, np.ndarray]:
         print(f"ours, warm, a stored clip: {1e3 * stored:.2f} ms")
         print(f"ours, warm, a file (read, features, forest, ranking): {1e3 * read:.2f} ms")
         with library._engine.begin() as connection:
-            categories = tuple(library.categories())
-            votes = load_index(connection, 0, categories).histograms.votes
+            outline = load_outline(connection)
+            assert outline is not None
+            votes = load_index(connection, 0, *outline).answers.shares()
     return stored, votes
 
 

@@ -34,6 +34,15 @@ class SplitName(enum.StrEnum):
     LEAVE_PERFORMER_OUT = "leave-performer-out"
 
 
+class SystemName(enum.StrEnum):
+    """What is compared."""
+
+    FULL_TREE = "full_tree"
+    RANDOM_TREE = "random_tree"
+    FOREST = "forest"
+    MOTION_TEMPLATES = "motion_templates"
+
+
 class FeatureSet(enum.StrEnum):
     """What the trees look at."""
 
@@ -65,6 +74,18 @@ def experiment(
             "--features", help="paper: the 56 pose features; extended: also turn, travel, speed, duration."
         ),
     ] = FeatureSet.PAPER,
+    system: Annotated[
+        list[SystemName] | None,
+        typer.Option(
+            "--system", help="Only this system; can be given several times.", show_default="all four"
+        ),
+    ] = None,
+    samples: Annotated[
+        int,
+        typer.Option(
+            "--samples", min=1, help="Poses averaged for each of the 10 frames; 1 is plain thinning."
+        ),
+    ] = 8,
     trees: Annotated[int, typer.Option("--trees", min=1, help="Trees of the forest.")] = 100,
     seed: Annotated[int, typer.Option("--seed", min=0, help="The same seed gives the same table.")] = 0,
     category_from: o.CategoryFrom = "folder",
@@ -118,7 +139,9 @@ def experiment(
             split=None if test else (split or SplitName.HALF).value,
             repeats=repeats,
             random_state=seed,
+            systems=[name.value for name in system or SystemName],
             feature_set=features.value,
+            samples_per_frame=samples,
             n_trees=trees,
             n_jobs=jobs or -1,
             progress=progress,

@@ -27,7 +27,7 @@ def pack(values: ArrayLike, dtype: str) -> bytes:
 
 
 def unpack(data: bytes, dtype: str, shape: tuple[int, ...], what: str) -> NDArray[Any]:
-    """The array that ``pack`` wrote, read-only.
+    """The array that ``pack`` wrote.
 
     Raises
     ------
@@ -47,7 +47,8 @@ def stack(blobs: Sequence[bytes], dtype: str, shape: tuple[int, ...], what: str)
     for blob in blobs:
         if len(blob) != expected:
             raise LibraryDamagedError(f"{what}: expected {expected} bytes, got {len(blob)}; {_REMEDY}")
-    array = np.frombuffer(b"".join(blobs), dtype=dtype).reshape(len(blobs), *shape)
+    # A bytearray, so that the array is writable as one that was computed is: numba would compile again for another.
+    array = np.frombuffer(bytearray().join(blobs), dtype=dtype).reshape(len(blobs), *shape)
     # A sum is finite unless a part is not (or the parts are absurd): cheaper than looking at every number.
     if array.dtype.kind == "f" and not np.isfinite(array.sum(dtype=np.float64)):
         raise LibraryDamagedError(f"{what}: expected finite numbers, got NaN or infinity; {_REMEDY}")

@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 from dousa.errors import DousaError, LibraryDamagedError
 from dousa.library import schema
 from dousa.library._arrays import pack, stack
-from dousa.library.selection import portions
 
 if TYPE_CHECKING:
     from dousa.motion._types import FloatArray
@@ -190,15 +189,10 @@ def load_features(connection: sa.Connection) -> tuple[list[int], FloatArray, lis
 
 
 def load_features_of(connection: sa.Connection, ids: Sequence[int]) -> FloatArray:
-    """Features (N, 10, 56) of some clips, in the order of these numbers."""
+    """Features (N, 10, 56) of some clips, in the order of these numbers; at most a portion of them."""
     table = schema.clip_features.c
-    query = sa.select(table.clip_id, table.pose_features)
-    found: dict[int, bytes] = {}
-    for some in portions(ids):
-        found.update(
-            (row.clip_id, row.pose_features)
-            for row in connection.execute(query.where(table.clip_id.in_(some)))
-        )
+    query = sa.select(table.clip_id, table.pose_features).where(table.clip_id.in_(ids))
+    found = {row[0]: row[1] for row in connection.execute(query).all()}
     if len(found) != len(ids):
         raise LibraryDamagedError(
             f"expected features of {len(ids)} clips, found {len(found)}; add them again"

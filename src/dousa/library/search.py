@@ -27,6 +27,7 @@ from dousa.library import schema
 from dousa.library._arrays import stack
 from dousa.library._forests import TreeAnswers
 from dousa.library.reports import Hit, SearchResult
+from dousa.library.selection import portions
 from dousa.retrieval.ranking import rank_by_histogram
 
 if TYPE_CHECKING:
@@ -136,7 +137,8 @@ def rank_clips(
     asked : the query.
     k : how many.
     same_category : whether only clips of the query's category are looked at, as in the paper.
-    read_features : reads (N, 10, 56) of clips by their numbers; asked only for clips that nothing else orders.
+    read_features : reads (N, 10, 56) of a portion of clips by their numbers; asked only for clips that nothing
+        else orders.
     """
     category = asked.answers.predicted()[0]
     n_trees = asked.answers.leaves.shape[1]
@@ -150,7 +152,7 @@ def rank_clips(
     common = np.count_nonzero(index.answers.leaves[rows] == asked.answers.leaves[0], axis=1)
     keys = np.stack([distances[rows], -common / n_trees], axis=1)
     best = _order(
-        keys, k, lambda tied: _compare(asked, read_features([index.ids[row] for row in rows[tied]]))
+        keys, k, lambda tied: _compare(asked, [index.ids[row] for row in rows[tied]], read_features)
     )
     hits = tuple(
         Hit(index.paths[row], index.labels[row], float(distance), rank, index.ids[row], float(-share))
@@ -174,7 +176,10 @@ def _order(keys: FloatArray, k: int, compare: Callable[[NDArray[np.intp]], Float
     return order[np.lexsort((order, last, group))][:k]
 
 
-def _compare(asked: Asked, features: FloatArray) -> FloatArray:
-    """(N,) distance of the pose features from those of the query."""
-    apart = (features - asked.features).reshape(len(features), -1)
-    return np.sqrt(np.einsum("nf,nf->n", apart, apart))
+def _compare(asked: Asked, ids: Sequence[int], read_features: FeatureReader) -> FloatArray:
+    """(N,) distance of the pose features of clips from those of the query."""
+    distances = []
+    for some in portions(ids):
+        apart = (read_features(some) - asked.features).reshape(len(some), -1)
+        distances.append(np.sqrt(np.einsum("nf,nf->n", apart, apart)))
+    return np.concatenate(distances)

@@ -51,6 +51,7 @@ def run_experiment(
     n_trees: int = 100,
     feature_set: str = "paper",
     n_frames: int = 10,
+    samples_per_frame: int = 8,
     sampling_rate: float = 30.0,
     template_threshold: float = 0.1,
     n_jobs: int | None = None,
@@ -69,7 +70,7 @@ def run_experiment(
     systems : which, of ``SYSTEMS``.
     n_trees : trees of the forest.
     feature_set : what the trees look at: ``"paper"``, the 56 features, or ``"extended"``.
-    n_frames : frames that clips are thinned to for the forest.
+    n_frames, samples_per_frame : how clips are thinned for the forest, see ``compute_clip_features``.
     sampling_rate, template_threshold : of motion templates (Hz; share of the motions, see there). 0.1 is the
         publication's; on real recordings 0.3 was better.
     n_jobs : threads; None for one.
@@ -95,7 +96,12 @@ def run_experiment(
     split = "given" if test_clips is not None else split or "half"
     rounds = _make_rounds(clips, tested, split, repeats=repeats, random_state=random_state)
     material = _describe(
-        tested, systems, feature_set, n_frames=n_frames, sampling_rate=sampling_rate, progress=progress
+        tested,
+        systems,
+        feature_set,
+        frames=(n_frames, samples_per_frame),
+        sampling_rate=sampling_rate,
+        progress=progress,
     )
     workers = _Workers(n_trees, sampling_rate, template_threshold, n_jobs)
     compile_seconds = workers.warm_up(systems)
@@ -274,12 +280,12 @@ def _describe(
     systems: Sequence[str],
     feature_set: str,
     *,
-    n_frames: int,
+    frames: tuple[int, int],
     sampling_rate: float,
     progress: Progress | None,
 ) -> _Material:
     """Compute what the asked systems look at, once for all repeats."""
-    features, sequences = np.empty((len(clips), n_frames, 0)), []
+    features, sequences = np.empty((len(clips), frames[0], 0)), []
     started = time.perf_counter()
     if set(systems) - {"motion_templates"}:
         from dousa.retrieval.feature_sets import FEATURE_SETS
@@ -288,7 +294,7 @@ def _describe(
             raise OptionError(f"features: expected {' or '.join(FEATURE_SETS)}, got '{feature_set}'")
         if progress is not None:
             progress(0, 0, "pose features")
-        features = np.stack([FEATURE_SETS[feature_set](clip, n_frames) for clip in clips])
+        features = np.stack([FEATURE_SETS[feature_set](clip, *frames) for clip in clips])
     between = time.perf_counter()
     if "motion_templates" in systems:
         from dousa.retrieval.templates import compute_relational_sequence

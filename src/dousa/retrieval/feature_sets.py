@@ -17,13 +17,16 @@ if TYPE_CHECKING:
 __all__ = ["FEATURE_SETS"]
 
 
-def _compute_extended(canonical: CanonicalMotion, n_frames: int = 10) -> NDArray[np.float64]:
+def _compute_extended(
+    canonical: CanonicalMotion, n_frames: int = 10, samples_per_frame: int = 8
+) -> NDArray[np.float64]:
     """The 56 and the extra features of a clip, (n_frames, 82)."""
-    parts = (compute_clip_features(canonical, n_frames), compute_extra_features(canonical, n_frames))
+    poses = compute_clip_features(canonical, n_frames, samples_per_frame)
+    parts = (poses, compute_extra_features(canonical, n_frames))
     return np.concatenate(parts, axis=1)
 
 
-FEATURE_SETS: dict[str, Callable[[CanonicalMotion, int], NDArray[np.float64]]] = {
+FEATURE_SETS: dict[str, Callable[[CanonicalMotion, int, int], NDArray[np.float64]]] = {
     "paper": compute_clip_features,
     "extended": _compute_extended,
 }
