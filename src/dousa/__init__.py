@@ -6,8 +6,9 @@ library. Names are loaded when first used, so that ``import dousa`` costs next t
 
 from __future__ import annotations
 
-import importlib
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
+
+from dousa._lazy import load_when_used
 
 if TYPE_CHECKING:
     from dousa.formats import read_motion, write_motion
@@ -57,12 +58,7 @@ __all__ = [
 ]
 
 
-def __getattr__(name: str) -> Any:
-    if name not in _HOME:
-        raise AttributeError(f"module 'dousa' has no attribute '{name}'")
-    value = getattr(importlib.import_module(_HOME[name]), name)
-    globals()[name] = value
-    return value
+__getattr__ = load_when_used(__name__, _HOME)
 
 
 def __dir__() -> list[str]:

@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
 
 Json = Annotated[bool, typer.Option("--json", help="Answer as JSON on standard output.")]
 Unit = Annotated[
@@ -46,3 +49,13 @@ PerformerFrom = Annotated[
 LibraryPath = Annotated[
     str, typer.Argument(metavar="LIB", help="The library: a file such as moves.dousa, or a database URL.")
 ]
+
+
+def load_joint_map(path: Path | None) -> Mapping[str, str | Sequence[str]] | None:
+    """The joint map of ``--joint-map``, None if it was not given."""
+    if path is None:
+        return None
+    from dousa.motion import read_joint_map
+
+    mapping: Mapping[str, str | Sequence[str]] = read_joint_map(path)
+    return mapping

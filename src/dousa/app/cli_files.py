@@ -40,7 +40,7 @@ def info(
 
     Example: dousa info walk.bvh take01.amc
     """
-    mapping = _read_joint_map(joint_map)
+    mapping = o.load_joint_map(joint_map)
     answers, failed = [], 0
     for path in files:
         try:
@@ -52,17 +52,11 @@ def info(
         print_json(answers)
     else:
         for answer in answers:
-            _print_info(answer)
+            from dousa.app import _tables
+
+            _tables.print_info(console(), answer)
     if failed:
         raise typer.Exit(2)
-
-
-def _read_joint_map(path: Path | None) -> Mapping[str, Any] | None:
-    if path is None:
-        return None
-    from dousa.motion import read_joint_map
-
-    return read_joint_map(path)
 
 
 def _read(path: Path, unit: str | None, up: str | None, skeleton: Path | None) -> Motion | Trajectories:
@@ -111,34 +105,6 @@ def _describe(
     answer["height_source"] = canonical.height_source
     answer["warnings"] = list(canonical.warnings)
     return answer
-
-
-def _print_info(answer: dict[str, Any]) -> None:
-    from rich.markup import escape
-    from rich.table import Table
-
-    table = Table(
-        title=escape(answer["path"]), title_justify="left", show_header=False, box=None, padding=(0, 2)
-    )
-    table.add_row("format", f"{answer['format']}, holds {answer['holds']}")
-    table.add_row(
-        "length",
-        f"{answer['n_frames']} frames at {answer['frame_rate']:g} Hz, {answer['duration_s']:.2f} s",
-    )
-    table.add_row("unit", f"{answer['unit_m']:g} m ({answer['unit_source']})")
-    table.add_row("up", f"{answer['up']} ({answer['up_source']})")
-    mapping = answer["mapping"]
-    if mapping is None:
-        table.add_row("mapping", "[bold red]not understood[/]")
-    else:
-        derived = f"; derived: {', '.join(mapping['derived'])}" if mapping["derived"] else ""
-        table.add_row("mapping", escape(f"{mapping['table']}{derived}"))
-        table.add_row("left/right", f"names and geometry {mapping['sides']}")
-        table.add_row("height", f"{answer['height_m']:.2f} m (from the {answer['height_source']})")
-    table.add_row("joints", escape(f"{answer['n_joints']}: {', '.join(answer['joints'])}"))
-    for warning in answer["warnings"]:
-        table.add_row("[yellow]note[/]", escape(warning))
-    console().print(table)
 
 
 def convert(
@@ -217,7 +183,7 @@ def plot(
 
     motion = _read(file, unit, up, skeleton)
     try:
-        drawn = canonicalise(motion, _read_joint_map(joint_map))
+        drawn = canonicalise(motion, o.load_joint_map(joint_map))
     except JointMappingError as error:
         warn(f"{file}: {error.problem}; the points are drawn as they are")
         drawn = motion

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -13,13 +12,9 @@ from dousa.app._output import console, print_json, progress_bar, warn
 from dousa.errors import OptionError
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
-
-    from dousa.library import AddReport, Library, SearchResult
+    from dousa.library import Library
 
 __all__ = ["register"]
-
-_SHOWN = 10
 
 Query = Annotated[
     str, typer.Argument(metavar="QUERY", help="A motion file, or the number of a clip (see dousa list).")
@@ -41,14 +36,6 @@ def _open(library: str, **options: bool) -> Library:
     from dousa.library import Library
 
     return Library.open(library, **options)
-
-
-def _joint_map(path: Path | None) -> Mapping[str, Any] | None:
-    if path is None:
-        return None
-    from dousa.motion import read_joint_map
-
-    return read_joint_map(path)
 
 
 def add(
@@ -75,7 +62,7 @@ def add(
             paths,
             category_from=category_from,
             performer_from=performer_from,
-            joint_map=_joint_map(joint_map),
+            joint_map=o.load_joint_map(joint_map),
             unit=unit,
             up=up,
             skeleton=skeleton,
@@ -85,45 +72,12 @@ def add(
     if json:
         print_json(report.to_json())
     else:
-        _print_add(report)
+        from dousa.app import _tables
+
+        _tables.print_add(console(), report)
     used = (report.added, report.replaced, report.moved, report.unchanged, report.duplicates)
     if report.skipped and not any(used):
         raise typer.Exit(2)
-
-
-def _print_add(report: AddReport) -> None:
-    out = console()
-    rate = report.bytes / 1e6 / report.seconds if report.seconds > 0 else 0.0
-    out.print(
-        f"{len(report.added)} added, {report.bytes / 1e6:.1f} MB in {report.seconds:.1f} s ({rate:.0f} MB/s)"
-    )
-    for what, files in (
-        ("replaced, as their file had changed", report.replaced),
-        ("followed to their new place", report.moved),
-        ("already there", report.unchanged),
-    ):
-        if files:
-            out.print(f"{len(files)} {what}")
-    if report.duplicates:
-        pairs = [f"{item.path} = {item.same_as}" for item in report.duplicates]
-        _print_some(f"{len(pairs)} with the content of another file", pairs)
-    if report.skipped:
-        _print_some(
-            f"{len(report.skipped)} skipped", [f"{item.path}: {item.reason}" for item in report.skipped]
-        )
-    for text, count in Counter(text for _, text in report.warnings).most_common(_SHOWN):
-        warn(f"{text} ({count} {'file' if count == 1 else 'files'})")
-    if report.other_labels:
-        warn(f"{len(report.other_labels)} files keep the labels they had; change them with: dousa relabel")
-
-
-def _print_some(heading: str, lines: list[str]) -> None:
-    out = console()
-    out.print(heading)
-    for line in lines[:_SHOWN]:
-        out.print(f"  {line}", markup=False, soft_wrap=True)
-    if len(lines) > _SHOWN:
-        out.print(f"  and {len(lines) - _SHOWN} more (all with --json)")
 
 
 def train(
@@ -197,7 +151,7 @@ def search(
     """
     with _open(library, read_only=True) as opened:
         wanted = int(query) if query.isdigit() and not Path(query).exists() else query
-        reading = {"joint_map": _joint_map(joint_map), "unit": unit, "up": up, "skeleton": skeleton}
+        reading = {"joint_map": o.load_joint_map(joint_map), "unit": unit, "up": up, "skeleton": skeleton}
         result = opened.search(wanted, k, same_category=same_category, **reading)
         if picture:
             from dousa.app.pictures import draw_search_result
@@ -206,30 +160,9 @@ def search(
     if json:
         print_json(result.to_json())
     else:
-        _print_search(result)
+        from dousa.app import _tables
 
-
-def _print_search(answer: SearchResult) -> None:
-    from rich.markup import escape
-    from rich.table import Table
-
-    out = console()
-    out.print(f"{escape(str(answer.query))}: [bold]{escape(answer.category)}[/] ({_votes(answer.histogram)})")
-    table = Table(box=None)
-    table.add_column("rank", justify="right")
-    table.add_column("distance", justify="right")
-    table.add_column("same leaf", justify="right")
-    table.add_column("category")
-    table.add_column("file", overflow="fold")
-    for hit in answer.results:
-        numbers = (str(hit.rank), f"{hit.distance:.3f}", f"{hit.leaf_share:.0%}")
-        table.add_row(*numbers, escape(hit.category or "-"), escape(hit.path))
-    out.print(table)
-
-
-def _votes(histogram: dict[str, float], shown: int = 3) -> str:
-    best = sorted(histogram.items(), key=lambda item: -item[1])[:shown]
-    return ", ".join(f"{name} {share:.0%}" for name, share in best if share > 0)
+        _tables.print_search(console(), result)
 
 
 def classify(
@@ -247,15 +180,17 @@ def classify(
     Example: dousa classify moves.dousa new/*.bvh
     """
     with _open(library, read_only=True) as opened:
-        reading = {"joint_map": _joint_map(joint_map), "unit": unit, "up": up, "skeleton": skeleton}
+        reading = {"joint_map": o.load_joint_map(joint_map), "unit": unit, "up": up, "skeleton": skeleton}
         answers = opened.classify(files, **reading, n_jobs=jobs)
     if json:
         print_json([answer.to_json() for answer in answers])
     else:
+        from dousa.app import _tables
+
         out = console()
         for answer in answers:
             if answer.problem is None:
-                line = f"{answer.path}: {answer.category} ({_votes(answer.histogram)})"
+                line = f"{answer.path}: {answer.category} ({_tables.describe_votes(answer.histogram)})"
                 out.print(line, markup=False, soft_wrap=True)
     problems = [answer for answer in answers if answer.problem is not None]
     for answer in problems:
@@ -284,49 +219,13 @@ def list_clips(
     if json:
         print_json({**stats.to_json(), "clips": [clip.to_json() for clip in rows]})
     elif rows:
-        _print_clips([clip.to_json() for clip in rows])
+        from dousa.app import _tables
+
+        _tables.print_clips(console(), [clip.to_json() for clip in rows])
     else:
-        _print_stats(library, stats.to_json())
+        from dousa.app import _tables
 
-
-def _print_clips(rows: list[dict[str, Any]]) -> None:
-    from rich.markup import escape
-    from rich.table import Table
-
-    table = Table(box=None)
-    for name in ("clip", "category", "taken for", "performer", "s", "Hz", "file"):
-        table.add_column(name, justify="right" if name in ("clip", "s", "Hz") else "left", overflow="fold")
-    for row in rows:
-        labels = [escape(row[name] or "-") for name in ("category", "predicted_category", "performer")]
-        table.add_row(
-            str(row["id"]), *labels, f"{row['duration']:.1f}", f"{row['frame_rate']:g}", escape(row["path"])
-        )
-    console().print(table)
-
-
-def _print_stats(library: str, stats: dict[str, Any]) -> None:
-    from rich.markup import escape
-    from rich.table import Table
-
-    out = console()
-    forest = (
-        "not trained yet; run: dousa train" if not stats["trained_at"] else f"trained {stats['trained_at']}"
-    )
-    if stats["trained_at"] and not stats["forest_is_current"]:
-        forest += ", clips or labels changed since; run: dousa train"
-    out.print(
-        escape(f"{library}: {stats['n_clips']} clips, {stats['seconds'] / 60:.1f} minutes, "
-               f"{len(stats['performers'])} performers; forest {forest}"),
-        soft_wrap=True,
-    )  # fmt: skip
-    table = Table(box=None)
-    table.add_column("category")
-    table.add_column("clips", justify="right")
-    for name, count in stats["categories"].items():
-        table.add_row(escape(name), str(count))
-    if stats["n_unlabelled"]:
-        table.add_row("(none)", str(stats["n_unlabelled"]))
-    out.print(table)
+        _tables.print_stats(console(), library, stats.to_json())
 
 
 def _selection(clips: list[str] | None) -> list[int | str]:
@@ -351,7 +250,9 @@ def remove(
     if json:
         print_json({"removed": removed})
     else:
-        _print_some(f"{len(removed)} removed", list(removed))
+        from dousa.app import _tables
+
+        _tables.print_some(console(), f"{len(removed)} removed", list(removed))
 
 
 def relabel(
@@ -388,4 +289,6 @@ def relabel(
     if json:
         print_json({"relabelled": changed})
     else:
-        _print_some(f"{len(changed)} relabelled", list(changed))
+        from dousa.app import _tables
+
+        _tables.print_some(console(), f"{len(changed)} relabelled", list(changed))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import enum
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -16,15 +16,6 @@ if TYPE_CHECKING:
     from dousa.library import Skipped
 
 __all__ = ["register"]
-
-_NAMES = {
-    "full_tree": "single full tree",
-    "random_tree": "single random tree",
-    "forest": "forest",
-    "motion_templates": "motion templates",
-}
-_SCORES = ("recall", "precision", "f_measure", "accuracy")
-_SHOWN_CONFUSIONS = 5
 
 
 class SplitName(enum.StrEnum):
@@ -108,7 +99,6 @@ def experiment(
     """
     from dousa.app.trials import read_labelled_clips
     from dousa.library import ReadOptions
-    from dousa.motion import read_joint_map
     from dousa.retrieval.experiment import run_experiment
 
     if test and split is not None:
@@ -120,7 +110,7 @@ def experiment(
             "--split leave-performer-out needs to know the performers: add --performer-from, for instance "
             "--performer-from 'name:_s(\\d+)_' where file names hold _s1_, _s2_ ..."
         )
-    options = ReadOptions(read_joint_map(joint_map) if joint_map else None, unit, up, skeleton)
+    options = ReadOptions(o.load_joint_map(joint_map), unit, up, skeleton)
     rules = {
         "category_from": category_from,
         "performer_from": performer_from,
@@ -155,7 +145,9 @@ def experiment(
     if json:
         print_json(answer)
     else:
-        print_experiment(answer)
+        from dousa.app import _tables
+
+        _tables.print_experiment(console(), answer)
 
 
 def _warn_skipped(skipped: list[Skipped]) -> None:
@@ -163,44 +155,6 @@ def _warn_skipped(skipped: list[Skipped]) -> None:
         warn(f"left out {item.path}: {item.reason}")
     if len(skipped) > 5:
         warn(f"left out {len(skipped) - 5} more files")
-
-
-def print_experiment(answer: dict[str, Any]) -> None:
-    """Print the JSON answer of an experiment as tables."""
-    from rich.markup import escape
-    from rich.table import Table
-
-    out = console()
-    table = Table(
-        title=f"{len(answer['categories'])} categories, {answer['n_train']} clips train, {answer['n_test']} tested "
-        f"({answer['split']}, {answer['repeats']} x)",
-        title_justify="left",
-    )
-    table.add_column("system")
-    for name in ("recall", "precision", "F", "accuracy", "train s", "ms per query"):
-        table.add_column(name, justify="right")
-    for name, scores in answer["systems"].items():
-        cells = [_with_spread(scores, score) for score in _SCORES]
-        times = (f"{scores['fit_seconds']:.2f}", f"{scores['query_milliseconds']:.3f}")
-        table.add_row(_NAMES[name], *cells, *times, style="bold" if name == "forest" else None)
-    out.print(table)
-    seconds = answer["feature_seconds"], answer["relational_seconds"], answer["compile_seconds"]
-    out.print(
-        "macro means; pose features of all clips took {:.2f} s, relational features {:.2f} s; "
-        "making the kernels ready {:.1f} s".format(*seconds)
-    )
-    for category, count in answer["untrained"].items():
-        out.print(f"[yellow]{escape(category)}[/]: {count} test clips, none to train on; counted as wrong")
-    confusions = answer["systems"].get("forest", {}).get("confusions", [])[:_SHOWN_CONFUSIONS]
-    for mistake in confusions:
-        out.print(
-            escape(f"the forest took {mistake['truth']} for {mistake['predicted']} {mistake['count']} times")
-        )
-
-
-def _with_spread(scores: dict[str, Any], name: str) -> str:
-    spread = scores.get(f"{name}_std")
-    return f"{scores[name]:.3f}" if spread is None else f"{scores[name]:.3f} ± {spread:.3f}"
 
 
 def demo(

@@ -267,13 +267,18 @@ def _print_answer(console: Console, plan: _Plan, result: SearchResult) -> None:
     from rich.markup import escape
     from rich.table import Table
 
-    votes = ", ".join(f"{name} {share:.0%}" for name, share in list(result.histogram.items())[:3] if share)
+    from dousa.app._tables import describe_votes
+
     truth = plan.queries[plan.example]
     console.print(f"\nQuery: {plan.example} ({plan.who})", markup=False, soft_wrap=True)
-    console.print(f"In truth {truth}; the forest says {result.category} ({votes})", markup=False)
+    console.print(
+        f"In truth {truth}; the forest says {result.category} ({describe_votes(result.histogram)})",
+        markup=False,
+    )
     table = Table(box=None)
     table.add_column("rank", justify="right")
     table.add_column("distance", justify="right")
+    table.add_column("same leaf", justify="right")
     table.add_column("category")
     table.add_column("")
     table.add_column("file", overflow="fold")
@@ -281,14 +286,14 @@ def _print_answer(console: Console, plan: _Plan, result: SearchResult) -> None:
         same = hit.category == truth
         verdict = "[green]match[/]" if same else "[red]differs[/]"
         name = os.path.relpath(hit.path, os.path.abspath(plan.folder))
-        row = (str(hit.rank), f"{hit.distance:.3f}", escape(hit.category), verdict, escape(name))
-        table.add_row(*row)
+        numbers = (str(hit.rank), f"{hit.distance:.3f}", f"{hit.leaf_share:.0%}")
+        table.add_row(*numbers, escape(hit.category), verdict, escape(name))
     console.print(table)
 
 
 def _measure(console: Console, plan: _Plan, picture: Path, seed: int, n_jobs: int | None) -> None:
     """The paper's experiment on all motions at hand."""
-    from dousa.app.cli_trials import print_experiment
+    from dousa.app._tables import print_experiment
     from dousa.app.pictures import draw_experiment_figure
     from dousa.app.trials import read_labelled_clips
     from dousa.library import ReadOptions
@@ -316,6 +321,6 @@ def _measure(console: Console, plan: _Plan, picture: Path, seed: int, n_jobs: in
     console.print(
         f"\nThe experiment of the paper on these motions (motion templates at {_TEMPLATE_RATE:g} Hz):"
     )
-    print_experiment(answer)
+    print_experiment(console, answer)
     draw_experiment_figure(answer, picture)
     console.print(f"Picture of the table: {picture}", markup=False, soft_wrap=True)

@@ -5,8 +5,7 @@
 
 from __future__ import annotations
 
-import importlib
-from typing import Any
+from dousa._lazy import load_when_used
 
 _HOME = {
     "AddReport": "reports",
@@ -27,10 +26,4 @@ _HOME = {
 
 __all__ = sorted(_HOME)  # noqa: PLE0605
 
-
-def __getattr__(name: str) -> Any:
-    if name not in _HOME:
-        raise AttributeError(f"module 'dousa.library' has no attribute '{name}'")
-    value = getattr(importlib.import_module(f"dousa.library.{_HOME[name]}"), name)
-    globals()[name] = value
-    return value
+__getattr__ = load_when_used(__name__, {name: f"{__name__}.{module}" for name, module in _HOME.items()})

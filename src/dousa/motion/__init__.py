@@ -5,8 +5,7 @@ Loaded name by name when first used: the types cost nothing, the kernels load nu
 
 from __future__ import annotations
 
-import importlib
-from typing import Any
+from dousa._lazy import load_when_used
 
 _HOME = {
     "CANONICAL_JOINTS": "joints",
@@ -33,10 +32,4 @@ _HOME = {
 
 __all__ = sorted(_HOME)  # noqa: PLE0605
 
-
-def __getattr__(name: str) -> Any:
-    if name not in _HOME:
-        raise AttributeError(f"module 'dousa.motion' has no attribute '{name}'")
-    value = getattr(importlib.import_module(f"dousa.motion.{_HOME[name]}"), name)
-    globals()[name] = value
-    return value
+__getattr__ = load_when_used(__name__, {name: f"{__name__}.{module}" for name, module in _HOME.items()})

@@ -6,8 +6,7 @@ motion template baseline, and the experiment that compares them. Loaded name by 
 
 from __future__ import annotations
 
-import importlib
-from typing import Any
+from dousa._lazy import load_when_used
 
 _HOME = {
     "EXTRA_FEATURE_NAMES": "extra_features",
@@ -38,14 +37,4 @@ _HOME = {
 
 __all__ = sorted(_HOME)  # noqa: PLE0605
 
-
-def __getattr__(name: str) -> Any:
-    if name not in _HOME:
-        raise AttributeError(f"module 'dousa.retrieval' has no attribute '{name}'")
-    value = getattr(importlib.import_module(f"dousa.retrieval.{_HOME[name]}"), name)
-    globals()[name] = value
-    return value
-
-
-def __dir__() -> list[str]:
-    return list(__all__)
+__getattr__ = load_when_used(__name__, {name: f"{__name__}.{module}" for name, module in _HOME.items()})

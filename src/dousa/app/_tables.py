@@ -1,0 +1,190 @@
+"""Answers of the commands as tables for people; each prints to the console it is given."""
+
+from __future__ import annotations
+
+from collections import Counter
+from typing import TYPE_CHECKING, Any
+
+from rich.markup import escape
+from rich.table import Table
+
+from dousa.app._output import warn
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from dousa.library import AddReport, SearchResult
+
+__all__ = [
+    "describe_votes",
+    "print_add",
+    "print_clips",
+    "print_experiment",
+    "print_info",
+    "print_search",
+    "print_some",
+    "print_stats",
+]
+
+_SHOWN = 10
+_SHOWN_CONFUSIONS = 5
+_SCORES = ("recall", "precision", "f_measure", "accuracy")
+_SYSTEM_NAMES = {
+    "full_tree": "single full tree",
+    "random_tree": "single random tree",
+    "forest": "forest",
+    "motion_templates": "motion templates",
+}
+
+
+def print_info(out: Console, answer: dict[str, Any]) -> None:
+    """One file, as `dousa info` describes it."""
+    table = Table(
+        title=escape(answer["path"]), title_justify="left", show_header=False, box=None, padding=(0, 2)
+    )
+    table.add_row("format", f"{answer['format']}, holds {answer['holds']}")
+    table.add_row(
+        "length",
+        f"{answer['n_frames']} frames at {answer['frame_rate']:g} Hz, {answer['duration_s']:.2f} s",
+    )
+    table.add_row("unit", f"{answer['unit_m']:g} m ({answer['unit_source']})")
+    table.add_row("up", f"{answer['up']} ({answer['up_source']})")
+    mapping = answer["mapping"]
+    if mapping is None:
+        table.add_row("mapping", "[bold red]not understood[/]")
+    else:
+        derived = f"; derived: {', '.join(mapping['derived'])}" if mapping["derived"] else ""
+        table.add_row("mapping", escape(f"{mapping['table']}{derived}"))
+        table.add_row("left/right", f"names and geometry {mapping['sides']}")
+        table.add_row("height", f"{answer['height_m']:.2f} m (from the {answer['height_source']})")
+    table.add_row("joints", escape(f"{answer['n_joints']}: {', '.join(answer['joints'])}"))
+    for warning in answer["warnings"]:
+        table.add_row("[yellow]note[/]", escape(warning))
+    out.print(table)
+
+
+def print_add(out: Console, report: AddReport) -> None:
+    """What was added to a library, and what was not and why."""
+    rate = report.bytes / 1e6 / report.seconds if report.seconds > 0 else 0.0
+    out.print(
+        f"{len(report.added)} added, {report.bytes / 1e6:.1f} MB in {report.seconds:.1f} s ({rate:.0f} MB/s)"
+    )
+    for what, files in (
+        ("replaced, as their file had changed", report.replaced),
+        ("followed to their new place", report.moved),
+        ("already there", report.unchanged),
+    ):
+        if files:
+            out.print(f"{len(files)} {what}")
+    if report.duplicates:
+        pairs = [f"{item.path} = {item.same_as}" for item in report.duplicates]
+        print_some(out, f"{len(pairs)} with the content of another file", pairs)
+    if report.skipped:
+        print_some(
+            out, f"{len(report.skipped)} skipped", [f"{item.path}: {item.reason}" for item in report.skipped]
+        )
+    for text, count in Counter(text for _, text in report.warnings).most_common(_SHOWN):
+        warn(f"{text} ({count} {'file' if count == 1 else 'files'})")
+    if report.other_labels:
+        warn(f"{len(report.other_labels)} files keep the labels they had; change them with: dousa relabel")
+
+
+def print_some(out: Console, heading: str, lines: list[str]) -> None:
+    """A heading and the first lines of a list."""
+    out.print(heading)
+    for line in lines[:_SHOWN]:
+        out.print(f"  {line}", markup=False, soft_wrap=True)
+    if len(lines) > _SHOWN:
+        out.print(f"  and {len(lines) - _SHOWN} more (all with --json)")
+
+
+def print_search(out: Console, answer: SearchResult) -> None:
+    """A query and the clips found."""
+    out.print(
+        f"{escape(str(answer.query))}: [bold]{escape(answer.category)}[/] ({describe_votes(answer.histogram)})"
+    )
+    table = Table(box=None)
+    table.add_column("rank", justify="right")
+    table.add_column("distance", justify="right")
+    table.add_column("same leaf", justify="right")
+    table.add_column("category")
+    table.add_column("file", overflow="fold")
+    for hit in answer.results:
+        numbers = (str(hit.rank), f"{hit.distance:.3f}", f"{hit.leaf_share:.0%}")
+        table.add_row(*numbers, escape(hit.category or "-"), escape(hit.path))
+    out.print(table)
+
+
+def describe_votes(histogram: dict[str, float], shown: int = 3) -> str:
+    """The most voted categories with their shares: ``kick 87%, march 5%``."""
+    best = sorted(histogram.items(), key=lambda item: -item[1])[:shown]
+    return ", ".join(f"{name} {share:.0%}" for name, share in best if share > 0)
+
+
+def print_clips(out: Console, rows: list[dict[str, Any]]) -> None:
+    """Clips of a library, one in a row."""
+    table = Table(box=None)
+    for name in ("clip", "category", "taken for", "performer", "s", "Hz", "file"):
+        table.add_column(name, justify="right" if name in ("clip", "s", "Hz") else "left", overflow="fold")
+    for row in rows:
+        labels = [escape(row[name] or "-") for name in ("category", "predicted_category", "performer")]
+        table.add_row(
+            str(row["id"]), *labels, f"{row['duration']:.1f}", f"{row['frame_rate']:g}", escape(row["path"])
+        )
+    out.print(table)
+
+
+def print_stats(out: Console, library: str, stats: dict[str, Any]) -> None:
+    """A library in numbers."""
+    forest = (
+        "not trained yet; run: dousa train" if not stats["trained_at"] else f"trained {stats['trained_at']}"
+    )
+    if stats["trained_at"] and not stats["forest_is_current"]:
+        forest += ", clips or labels changed since; run: dousa train"
+    out.print(
+        escape(f"{library}: {stats['n_clips']} clips, {stats['seconds'] / 60:.1f} minutes, "
+               f"{len(stats['performers'])} performers; forest {forest}"),
+        soft_wrap=True,
+    )  # fmt: skip
+    table = Table(box=None)
+    table.add_column("category")
+    table.add_column("clips", justify="right")
+    for name, count in stats["categories"].items():
+        table.add_row(escape(name), str(count))
+    if stats["n_unlabelled"]:
+        table.add_row("(none)", str(stats["n_unlabelled"]))
+    out.print(table)
+
+
+def print_experiment(out: Console, answer: dict[str, Any]) -> None:
+    """Print the JSON answer of an experiment as tables."""
+    table = Table(
+        title=f"{len(answer['categories'])} categories, {answer['n_train']} clips train, {answer['n_test']} tested "
+        f"({answer['split']}, {answer['repeats']} x)",
+        title_justify="left",
+    )
+    table.add_column("system")
+    for name in ("recall", "precision", "F", "accuracy", "train s", "ms per query"):
+        table.add_column(name, justify="right")
+    for name, scores in answer["systems"].items():
+        cells = [_with_spread(scores, score) for score in _SCORES]
+        times = (f"{scores['fit_seconds']:.2f}", f"{scores['query_milliseconds']:.3f}")
+        table.add_row(_SYSTEM_NAMES[name], *cells, *times, style="bold" if name == "forest" else None)
+    out.print(table)
+    seconds = answer["feature_seconds"], answer["relational_seconds"], answer["compile_seconds"]
+    out.print(
+        "macro means; pose features of all clips took {:.2f} s, relational features {:.2f} s; "
+        "making the kernels ready {:.1f} s".format(*seconds)
+    )
+    for category, count in answer["untrained"].items():
+        out.print(f"[yellow]{escape(category)}[/]: {count} test clips, none to train on; counted as wrong")
+    confusions = answer["systems"].get("forest", {}).get("confusions", [])[:_SHOWN_CONFUSIONS]
+    for mistake in confusions:
+        out.print(
+            escape(f"the forest took {mistake['truth']} for {mistake['predicted']} {mistake['count']} times")
+        )
+
+
+def _with_spread(scores: dict[str, Any], name: str) -> str:
+    spread = scores.get(f"{name}_std")
+    return f"{scores[name]:.3f}" if spread is None else f"{scores[name]:.3f} ± {spread:.3f}"
