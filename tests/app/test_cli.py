@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import json
+import os
 import re
 import shutil
+import subprocess
 import sys
 from pathlib import Path
 
@@ -34,6 +36,19 @@ def dousa(monkeypatch, capsys):
         return code, out.out, out.err
 
     return run
+
+
+def run_command(*words, stdout=subprocess.PIPE, **environment):
+    """Runs a command in a process of its own."""
+    code = "from dousa.app.cli import main; main()"
+    return subprocess.run(
+        [sys.executable, "-c", code, *map(str, words)],
+        stdout=stdout,
+        stderr=subprocess.PIPE,
+        encoding="latin-1",
+        env={**os.environ, **environment},
+        check=False,
+    )
 
 
 @pytest.fixture(scope="session")
@@ -214,10 +229,12 @@ def test_experiment_prints_the_four_systems(dousa, motions, tmp_path):
     assert "single full tree" in out and "motion templates" in out
 
 
-def test_experiment_with_given_test_folder(dousa, motions):
-    code, out, _ = dousa("experiment", motions, "--test", motions, "--features", "extended", "--json")
+def test_experiment_with_given_test_folder(dousa, motions, tmp_path):
+    shutil.copytree(motions, tmp_path / "copy")
+    words = ("--features", "extended", "--json")
+    code, out, _ = dousa("experiment", motions, "--test", tmp_path / "copy", *words)
     assert code == 0
-    assert json.loads(out)["systems"]["full_tree"]["accuracy"] == 1.0
+    assert json.loads(out)["systems"]["full_tree"]["accuracy"] == 1.0  # it knows them all by heart
 
 
 @pytest.mark.parametrize(
@@ -236,6 +253,11 @@ def test_experiment_with_given_test_folder(dousa, motions):
         (("experiment", "{dir}", "--split", "leave-performer-out"), "--performer-from"),
         (("experiment", "{dir}", "--test", "{dir}", "--split", "half"), "--test"),
         (("plot", "{bvh}", "-o", "{tmp}/a.xyz"), ".png"),
+        (("info", "{tmp}"), "this is a folder"),
+        (("search", "{lib}", "²"), "no suffix"),
+        (("train", "{lib}", "--jobs", "0"), "--jobs"),
+        (("experiment", "{dir}", "-j", "0"), "--jobs"),
+        (("experiment", "{dir}", "--test", "{dir}"), "would train"),
         (("info", "{bvh}", "--unit", "furlong"), "furlong"),
         (("info", "{bvh}", "--up", "w"), "w"),
         (("info", "{bvh}", "--joint-map", "{tmp}/no.toml"), "no.toml"),
@@ -250,6 +272,56 @@ def test_bad_input_is_one_line_and_exit_code_2(dousa, library, motions, tmp_path
     assert says in err + out
     assert "Traceback" not in err
     assert list(empty.iterdir()) == []
+
+
+def test_names_with_brackets_and_line_ends_are_shown_as_they_are(dousa, motions, tmp_path):
+    folder = tmp_path / "[bold]a[" / "["
+    shutil.copytree(motions, folder)
+    (folder / "walk" / "p0.bvh").rename(folder / "walk" / "p\n0.bvh")
+    lib = tmp_path / "a.dousa"
+    assert dousa("add", lib, tmp_path / "[bold]a[")[0] == 0
+    assert dousa("relabel", lib, "--where-category", "[/walk", "--category", "[/walk]")[0] == 0
+    assert dousa("train", lib, "--trees", 5)[0] == 0
+    query = folder / "walk" / "p\n0.bvh"
+    code, out, _ = dousa("search", lib, query, "-k", 1)
+    assert code == 0
+    assert "[/walk] 100%" in out and "p\\n0.bvh" in out and "[bold]a[" in out
+    for command in ("list", "classify"):
+        words = (query,) if command == "classify" else ("--clips",)
+        code, out, _ = dousa(command, lib, *words)
+        assert code == 0 and "[/walk]" in out and "p\\n0.bvh" in out
+    query.write_text("")
+    code, _, err = dousa("info", query)
+    assert code == 2 and len(err.splitlines()) == 1 and "p\\n0.bvh: the file is empty" in err
+
+
+def test_nothing_found_is_told(dousa, library, tmp_path, motions):
+    for command in ("add", "classify"):
+        code, _, err = dousa(command, library, tmp_path)
+        assert code == 0 and "found no motion files" in err
+    assert dousa("remove", library, motions)[0] == 0
+    code, _, err = dousa("search", library, motions / "walk/p0.bvh")
+    assert code == 0 and "no clip was found" in err
+
+
+@pytest.mark.parametrize("encoding", ["ascii", "latin-1"])
+def test_a_terminal_of_few_characters_shows_codes(motions, tmp_path, encoding):
+    path = shutil.copy(motions / "walk/p0.bvh", tmp_path / "歩く é.bvh")
+    for words in (("--help",), ("info", path), ("info", path, "--json"), ("info", f"{path}x")):
+        done = run_command(*words, PYTHONIOENCODING=encoding)
+        assert "Traceback" not in done.stderr
+        assert done.returncode == (2 if words[-1] == f"{path}x" else 0)
+        if "--json" in words:
+            assert json.loads(done.stdout)[0]["path"] == str(path)
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="no /dev/full here")
+@pytest.mark.parametrize("words", [("info", "--json"), ("info",)])
+def test_an_output_that_cannot_be_written_is_one_line(motions, words):
+    with open("/dev/full", "w") as full:
+        done = run_command(*words, motions / "walk/p0.bvh", stdout=full)
+    assert done.returncode == 2
+    assert done.stderr.splitlines() == ["dousa: the answer cannot be written: No space left on device"]
 
 
 def test_ctrl_c_is_a_word_not_a_traceback(dousa, motions, tmp_path, monkeypatch):

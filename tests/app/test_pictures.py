@@ -10,7 +10,7 @@ import pytest
 
 from dousa.app import _canvas, _poses
 from dousa.app.pictures import Strip, draw_contact_sheet, draw_experiment_figure, draw_search_sheet
-from dousa.errors import MotionWriteError, OptionError
+from dousa.errors import InvalidMotionError, MotionWriteError, OptionError
 from dousa.motion import CANONICAL_JOINTS, JOINT_INDEX, Trajectories, canonicalise, compute_trajectories
 from dousa.motion.synthetic import draw_performer, make_motion
 
@@ -41,6 +41,12 @@ def pixels(path):
 def is_near(image, colour):
     wanted = np.array([int(colour[k : k + 2], 16) for k in (1, 3, 5)]) / 255
     return np.abs(image[..., :3] - wanted).max(axis=2) < 0.03
+
+
+def test_points_beyond_any_measure_are_not_drawn(tmp_path):
+    far = markers()
+    with pytest.raises(InvalidMotionError, match="beyond any measure"):
+        draw_contact_sheet(far.replace(positions=far.positions * 1e300), tmp_path / "far.png")
 
 
 @pytest.mark.parametrize("kind", ["motion", "trajectories", "canonical"])

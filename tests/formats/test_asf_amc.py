@@ -454,7 +454,10 @@ def test_random_damage_gives_a_motion_or_an_error(tmp_path_factory, data):
         content[start:end] = data.draw(
             st.binary(max_size=6) | st.sampled_from([b"root", b"nan", b"1e400", b"\n", b"9" * 30])
         )
-    folder = tmp_path_factory.getbasetemp()
+    folder = (
+        tmp_path_factory.getbasetemp() / "damaged"
+    )  # the readers of other tests look for an .asf above them
+    folder.mkdir(exist_ok=True)
     (folder / "damaged.amc").write_bytes(bytes(texts[0]) or b"x")
     (folder / "damaged.asf").write_bytes(bytes(texts[1]) or b"x")
     try:

@@ -137,6 +137,30 @@ def test_joint_names(bvh, tmp_path, name, encoding):
     assert f"JOINT {name}\n".encode(encoding) in (tmp_path / "out.bvh").read_bytes()
 
 
+@pytest.mark.parametrize(
+    "change",
+    [
+        lambda text: text.replace("CHANNELS 3 ", "CHANNELS 3\n\t"),
+        lambda text: text.replace("CHANNELS ", "CHANNELS\n\n"),
+        lambda text: text.replace("Zposition Zrotation", "Zposition\r\n \tZrotation"),
+        lambda text: text.replace("OFFSET ", "OFFSET\n").replace("20.5 0", "20.5\n0"),
+        lambda text: text.replace("0\n\tCHANNELS", "0 CHANNELS").replace("0\n\t\tCHANNELS", "0\tCHANNELS"),
+        lambda text: text.replace("JOINT Spine", "JOINT\nSpine").replace("End Site", "End\nSite"),
+        lambda text: " ".join(text.partition("MOTION")[0].split()) + "\nMOTION" + text.partition("MOTION")[2],
+    ],
+)
+def test_statements_split_over_lines_or_joined(bvh, change):
+    wanted, got = read_bvh(bvh(SMALL)), read_bvh(bvh(change(SMALL)))
+    assert got.skeleton.names == wanted.skeleton.names
+    assert got.provenance.layout == wanted.provenance.layout
+    same_numbers(got.provenance.values, wanted.provenance.values)
+
+
+@pytest.mark.parametrize("name", ["Offset", "the End Site", "JOINT", "Channels 3"])
+def test_keywords_inside_joint_names(bvh, name):
+    assert read_bvh(bvh(SMALL.replace("JOINT Spine", f"JOINT {name}"))).skeleton.names[1] == name
+
+
 def test_end_site_names_are_unique(bvh):
     extra = "\t\tEnd Site\n\t\t{\n\t\t\tOFFSET 0 0 1\n\t\t}\n"
     text = SMALL.replace("\t}\n\tJOINT LeftUpLeg", extra + "\t}\n\tJOINT Spine_end2")
@@ -162,6 +186,10 @@ def test_position_channels_replace_the_offset_one_by_one(bvh):
         ("0.017", 60),
         ("0.0166667", 60),
         ("0.01", 100),
+        ("8.3333e-03", 120),
+        ("0.0166", 60),
+        ("0.016666", 60),
+        ("0.041666", 24),
     ],
 )
 def test_a_frame_time_that_is_a_rounded_usual_rate(bvh, text, rate):
@@ -203,11 +231,13 @@ DAMAGE = [
     ),
     (lambda t: t.replace("Frames: 3", "Frames: 0"), 26, "no motion"),
     (lambda t: t.replace("Frames: 3", "Frames: -3"), 26, "expected 'Frames: N'"),
-    (lambda t: t.replace("Frames: 3", "Frames: many"), 26, "expected 'Frames: N'"),
+    (lambda t: t.replace("Frames: 3", "Frames: many"), 26, "after MOTION, got 'Frames: many'"),
+    (lambda t: t[: t.index("0.0333333") + 10], 26, "but none follow; is it truncated or edited?"),
     (lambda t: t.replace("Frames: 3\n", ""), 26, "expected 'Frames: N'"),
     (lambda t: t.replace("Frame Time: 0.0333333\n", ""), 27, "expected 'Frame Time: SECONDS'"),
     (lambda t: t.replace("0.0333333", "0"), 27, "expected a frame time above 0"),
     (lambda t: t.replace("0.0333333", "-0.1"), 27, "expected a frame time above 0"),
+    (lambda t: t.replace("0.0333333", "1e300"), 27, "from 1e-6 to 1e6, got '1e300'"),
     (lambda t: t.replace("0.0333333", "nan"), 27, "expected a frame time above 0"),
     (lambda t: t[: t.index("MOTION")], 25, "expected MOTION after the HIERARCHY"),
     (lambda t: t[: t.index("JOINT Left")] + t[t.index("MOTION") :], 15, "'}' missing"),

@@ -49,6 +49,7 @@ def saved(tmp_path):
         HEADER.replace("LASI\t\t\tRASI\t\t", "LASI\t\t\tRASI\t\t\t") + ROWS,
         HEADER.replace("\t\tX1", "X1") + ROWS,
         HEADER + ROWS.replace("2000", " 2000 ").replace("-3", "-3. "),
+        HEADER.replace("100\t100", "100,0\t100,0") + ROWS.replace(".", ",").replace("6e0", "0,6e1"),
     ],
 )
 def test_every_variant_gives_the_same(saved, text):
@@ -60,7 +61,8 @@ def test_every_variant_gives_the_same(saved, text):
 
 
 @pytest.mark.parametrize(
-    ("unit", "metres"), [("m", 1), ("cm", 0.01), ("mm", 0.001), ("inches", 0.0254), ("Meters", None)]
+    ("unit", "metres"),
+    [("m", 1), ("cm", 0.01), ("mm", 0.001), ("inches", 0.0254), ("Meters", 1), ("furlongs", None)],
 )
 def test_units(saved, unit, metres):
     got = read_trc(saved(HEADER.replace("mm", unit) + ROWS), up="y")

@@ -55,6 +55,19 @@ def test_other_labels_are_reported_and_not_taken(library, moves):
     assert library.categories() == {"bow": 5, "squat": 5, "wave": 5}
 
 
+def test_a_rule_that_finds_nothing_is_told(empty_library, moves):
+    report = empty_library.add(moves / "bow", performer_from="name:(nobody)", n_jobs=1)
+    assert len(report.added) == 5
+    assert [text.partition(";")[0] for _, text in report.warnings] == [
+        "no category found",
+        "no performer found",
+    ] * 5
+
+
+def test_nothing_is_told_of_labels_nobody_asked_for(empty_library, moves):
+    assert empty_library.add(moves / "bow", category_from="none", n_jobs=1).warnings == ()
+
+
 def test_a_touched_file_is_unchanged_and_then_not_read_again(empty_library, write_move, tmp_path):
     path = write_move(tmp_path / "a.bvh")
     empty_library.add(path)
@@ -118,9 +131,28 @@ def test_two_files_that_changed_places(empty_library, write_move, tmp_path):
     (tmp_path / "c").rename(second)
     os.utime(first, (5, 5))
     os.utime(second, (6, 6))
-    for _ in range(2):
-        empty_library.add(tmp_path)
-    assert [clip.path for clip in empty_library.clips()] == [str(first), str(second)]
+    empty_library.relabel(first, category="x")
+    report = empty_library.add(tmp_path)
+    assert (report.replaced, report.duplicates) == ((str(first), str(second)), ())
+    assert [(clip.path, clip.category) for clip in empty_library.clips()] == [
+        (str(first), "x"),
+        (str(second), None),
+    ]
+
+
+def test_a_file_that_moved_and_was_copied_moves_once(empty_library, write_move, tmp_path):
+    old = write_move(tmp_path / "wave" / "a.bvh", seed=1)
+    empty_library.add(tmp_path)
+    new = [tmp_path / "greet" / name for name in ("b.bvh", "c.bvh")]
+    new[0].parent.mkdir()
+    for path in new:
+        shutil.copy(old, path)
+    old.unlink()
+    report = empty_library.add(tmp_path)
+    assert [(item.path, item.same_as) for item in report.moved] == [(str(new[0]), str(old))]
+    assert [(item.path, item.same_as) for item in report.duplicates] == [(str(new[1]), str(new[0]))]
+    assert [(clip.path, clip.category) for clip in empty_library.clips()] == [(str(new[0]), "wave")]
+    assert report.other_labels == (str(new[0]),)  # the folder says something else now
 
 
 def test_bad_files_are_named_and_the_others_go_on(empty_library, write_move, tmp_path):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 from pathlib import Path
 
@@ -33,6 +34,23 @@ def test_hidden_files_and_folders_are_left_out(tmp_path):
 def test_a_file_that_is_named_is_taken_whatever_it_is(tmp_path):
     touch(tmp_path, "notes.txt")
     assert names(tmp_path, tmp_path / "notes.txt") == ["notes.txt"]
+
+
+def test_a_folder_that_cannot_be_looked_into_is_named(tmp_path, monkeypatch):
+    touch(tmp_path, "open/a.bvh", "closed/b.bvh")
+    look = os.scandir
+
+    def refuse(folder):
+        if os.path.basename(folder) == "closed":
+            raise PermissionError(errno.EACCES, "Permission denied", os.fspath(folder))
+        return look(folder)
+
+    monkeypatch.setattr(os, "scandir", refuse)
+    files, missing = find_motion_files([tmp_path])
+    assert [file.path.name for file in files] == ["a.bvh"]
+    assert [(item.path, item.reason) for item in missing] == [
+        (str(tmp_path / "closed"), "the folder cannot be read: Permission denied")
+    ]
 
 
 def test_links_in_a_circle_end(tmp_path):

@@ -100,6 +100,11 @@ def test_paths_may_be_relative_to_the_table(tmp_path):
     assert label(rule, "a.bvh", root=tmp_path / "sub" / "walk") == "walking"
 
 
+def test_paths_may_be_written_as_on_windows(tmp_path):
+    rule = write_table(tmp_path, "path,category\r\nwalk\\a.bvh,walking\r\n")
+    assert label(rule, "walk/a.bvh") == "walking"
+
+
 def test_an_empty_cell_is_no_label(tmp_path):
     assert label(write_table(tmp_path, "path,category\na.bvh,\n"), "a.bvh") is None
 
@@ -122,5 +127,5 @@ def test_bad_tables_say_what_is_wrong(tmp_path, text, message):
 def test_a_missing_table_and_one_of_another_encoding(tmp_path):
     with pytest.raises(OptionError, match=r"none\.csv cannot be read"):
         parse_label_rule(f"csv:{tmp_path / 'none.csv'}", "category")
-    with pytest.raises(OptionError, match="cannot be read"):
+    with pytest.raises(OptionError, match="not text in UTF-8; save it as CSV UTF-8"):
         parse_label_rule(write_table(tmp_path, "path,category\nä.bvh,x\n", "latin-1"), "category")

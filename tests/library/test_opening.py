@@ -21,7 +21,7 @@ from dousa.errors import (
     LibraryVersionError,
     OptionError,
 )
-from dousa.library import Library, migrations, schema
+from dousa.library import Library, _engine, migrations, schema
 
 
 def change(path: Path, *statements: str) -> None:
@@ -231,6 +231,7 @@ def test_a_read_only_library_answers_and_refuses(library_file, moves, write_move
             library.add(write_move(tmp_path / "a.bvh", seed=9))
         with pytest.raises(LibraryError, match="read-only"):
             library.remove(1)
+    assert [path.name for path in library_file.parent.glob(f"{library_file.name}*")] == [library_file.name]
 
 
 @contextmanager
@@ -280,6 +281,24 @@ def test_a_library_that_may_not_be_made_or_read(frozen_library):
         Library.open(frozen_library)
 
 
+def test_a_full_disk_does_not_hinder_reading(library_file, moves, monkeypatch):
+    """SQLite makes files beside the library even to read it; where it cannot, it does without."""
+    connect = _engine._connect_as
+
+    def refuse(path, options, timeout):
+        if "immutable" in options:
+            return connect(path, options, timeout)
+        error = sqlite3.OperationalError("disk I/O error")
+        error.sqlite_errorname = "SQLITE_IOERR_SHMSIZE"
+        raise error
+
+    monkeypatch.setattr(_engine, "_connect_as", refuse)
+    with Library.open(library_file, read_only=True) as library:
+        assert library.search(1).results
+    with pytest.raises(LibraryError, match="is it full"):
+        Library.open(library_file)
+
+
 def test_a_full_disk_keeps_what_was_there(library_file, write_move, tmp_path):
     new = [write_move(tmp_path / "in" / f"{seed}.bvh", "wave", 100 + seed, n_frames=200) for seed in range(8)]
     with Library.open(library_file) as library:
@@ -303,11 +322,23 @@ def test_a_full_disk_keeps_what_was_there(library_file, write_move, tmp_path):
     [
         ("nonsense://host/base", "not the URL of a database"),
         ("postgresql+nodriver://host/base", "not the URL of a database"),
+        ("sqlite://me:secret@host:port/base", r"me:\*\*\*@host.*not the URL of a database"),
     ],
 )
 def test_bad_urls(url, message):
     with pytest.raises(LibraryError, match=message):
         Library.open(url)
+
+
+def test_a_password_is_not_told():
+    assert _engine.name_of("postgresql://me:secret@host/base") == "postgresql://me:***@host/base"
+    assert "secret" not in _engine.name_of("postgresql://me:secret@host:port/base")
+    assert _engine.name_of(Path("a/b.dousa")) == "a/b.dousa"
+
+
+def test_an_sqlite_file_is_named_and_not_given_as_a_url(library_file):
+    with pytest.raises(LibraryError, match="name an SQLite file without"):
+        Library.open(f"sqlite:///{library_file}")
 
 
 def test_a_url_whose_driver_is_missing():

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import os
 import shutil
 from collections.abc import Sequence
 
@@ -206,6 +207,18 @@ def test_same_category_keeps_to_the_category_of_the_query(library, moves):
     assert {hit.category for hit in result.results} == {result.category} == {"bow"}
 
 
+def test_a_name_that_is_no_unicode_is_searched_for(library, write_move, tmp_path):
+    path = os.fsdecode(os.fsencode(tmp_path) + b"/\xff.bvh")
+    write_move(tmp_path / "plain.bvh", "bow", 8).rename(path)
+    assert library.search(path, 1).category == "bow"
+
+
+def test_no_common_leaf_is_a_share_of_nothing(library):
+    shares = [hit.leaf_share for hit in library.search(1, 100).results]
+    assert min(shares) == 0.0
+    assert not np.signbit(shares).any()
+
+
 def test_k_larger_than_the_library_gives_all(library, moves):
     assert len(library.search(library.clips()[0].id, 1000).results) == 15
 
@@ -276,6 +289,7 @@ def test_clips_that_change_while_the_trees_grow(library, library_file, write_mov
                 other.remove(category="wave")
 
     library.train(n_trees=10, progress=meddle)
+    assert not library.stats().forest_is_current
     assert len(library.search(new, 100).results) == 11
     assert all(clip.predicted_category for clip in library.clips())
 

@@ -174,6 +174,26 @@ def test_a_point_body_is_refused() -> None:
         canonicalise(Trajectories(body.names, np.zeros_like(body.positions), 30.0))
 
 
+@pytest.mark.parametrize("scale", [1e12, 1e300])
+def test_a_body_beyond_any_measure_is_refused(scale: float) -> None:
+    body = walking_body()
+    with np.errstate(over="ignore"), pytest.raises(JointMappingError, match="beyond any measure"):
+        canonicalise(body.replace(positions=body.positions * scale, rest_positions=None))
+
+
+@pytest.mark.parametrize(("scale", "doubted"), [(0.1, True), (0.5, False), (1.5, False), (10.0, True)])
+def test_a_height_that_no_person_has_is_doubted(scale: float, doubted: bool) -> None:
+    body = walking_body()
+    scaled = body.replace(positions=body.positions * scale, rest_positions=body.rest_positions * scale)
+    assert ("is the unit right" in "".join(canonicalise(scaled).warnings)) == doubted
+
+
+def test_positions_that_are_all_missing() -> None:
+    body = walking_body()
+    with pytest.raises(JointMappingError, match="no frame tells where any joint is"):
+        canonicalise(body.replace(positions=np.full_like(body.positions, np.nan)))
+
+
 def test_one_frame() -> None:
     canonical = canonicalise(walking_body(1))
     assert canonical.n_frames == 1

@@ -55,6 +55,13 @@ def test_unreadable(tmp_path) -> None:
         read_joint_map(tmp_path / "bytes")
 
 
+def test_a_joint_given_twice(tmp_path) -> None:
+    path = tmp_path / "map.txt"
+    path.write_text("left_knee = A\nleft_knee = B\n")
+    with pytest.raises(OptionError, match=r"map\.txt:2: 'left_knee' is given a second time"):
+        read_joint_map(path)
+
+
 def _unknown() -> tuple[Trajectories, dict[str, str]]:
     canonical = canonicalise(walking_body()).to_trajectories()
     names = tuple(f"M{i}" for i in range(len(canonical.names)))

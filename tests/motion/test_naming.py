@@ -36,6 +36,12 @@ EXPECTED = {
     "Poser": {"pelvis": "hip", "left_shoulder": "lShldr"},
     "Rigify": {"left_elbow": "forearm.L", "pelvis": "spine"},
     "Human3.6M": {"left_ankle": "LFoot", "pelvis": "Hip"},
+    "Motive": {"left_shoulder": "LUArm", "right_elbow": "RFArm", "spine": "Chest"},
+    "iPi": {"left_shoulder": "LShoulder", "left_elbow": "LForearm", "pelvis": "Hip"},
+    "DeepMotion": {"left_hip": "l_upleg_JNT", "right_wrist": "r_hand_JNT"},
+    "Trinity gestures": {"left_wrist": "b_l_wrist", "left_shoulder": "b_l_arm"},
+    "MakeHuman": {"left_hip": "upperleg01.L", "left_wrist": "wrist.L"},
+    "Daz friendly joints": {"left_wrist": "lhand", "left_ankle": "lfoot", "left_hip": "lhip"},
     "VRM": {"left_shoulder": "J_Bip_L_UpperArm", "pelvis": "J_Bip_C_Hips"},
 }
 

@@ -89,6 +89,52 @@ def test_a_person_who_lies_does_not_turn_the_world(axis: int) -> None:
     assert infer_reference_frame(lying).up == "y"
 
 
+@pytest.mark.parametrize("axis", [0, 2])
+def test_lying_with_a_rest_pose_that_does_not_stand(axis: int) -> None:
+    # As in LAFAN1: all bones of the rest pose point along x.
+    body = walking_body()
+    assert body.parents is not None
+    rest = np.zeros((len(body.names), 3))
+    for joint, parent in enumerate(body.parents):
+        if parent >= 0:
+            length = np.linalg.norm(body.positions[0, joint] - body.positions[0, parent])
+            rest[joint] = rest[parent] + (length, 0, 0)
+    body = body.replace(rest_positions=rest)
+    turned = _in_file(body, 1.0, "xyz"[axis]).positions.copy()
+    assert infer_reference_frame(body.replace(positions=turned)).up == "xyz"[axis]  # on a floor at 0: stands
+    turned[..., axis] += 3.0
+    assert infer_reference_frame(body.replace(positions=turned)).up == "y"
+
+
+@pytest.mark.parametrize("default_up", ["y", None])
+@pytest.mark.parametrize("axis", [0, 2])
+def test_markers_of_a_person_who_lies(axis: int, default_up: str | None) -> None:
+    body = walking_body().replace(rest_positions=None, parents=None)
+    turned = _in_file(body, 1.0, "xyz"[axis]).positions.copy()
+    turned[..., axis] += 3.0
+    turned[..., 1] = 0.1 + 0.2 * (turned[..., 1] - turned[..., 1].min())
+    assert infer_reference_frame(body.replace(positions=turned), default_up=default_up).up == "y"
+
+
+@pytest.mark.parametrize("default_up", ["y", None])
+@pytest.mark.parametrize("up", ["y", "-y", "z"])
+def test_markers_around_the_pelvis_or_before_a_camera(up: str, default_up: str | None) -> None:
+    body = _in_file(walking_body(), 0.01, up).replace(rest_positions=None, parents=None)
+    pelvis = body.positions[:, [body.names.index("Hips")]]
+    centred = body.replace(positions=body.positions - pelvis)
+    assert infer_reference_frame(centred, default_up=default_up).up == up
+    if up != "z":  # at the height of the camera, 3 m before it
+        seen = centred.replace(positions=centred.positions + np.array([0, 0, 300]))
+        assert infer_reference_frame(seen, default_up=default_up).up == up
+
+
+@pytest.mark.parametrize(
+    ("text", "unit"), [("Meters", 1.0), ("metre", 1.0), ("millimetres", 0.001), ("Centimeter", 0.01)]
+)
+def test_units_in_full(text: str, unit: float) -> None:
+    assert parse_unit(text) == unit
+
+
 @pytest.mark.parametrize("folder", ["hdm05", "bandai", "utd_mhad/skeleton"])
 def test_recordings(folder: str, shared_data) -> None:
     files = sorted(p for p in shared_data(folder).rglob("*") if p.suffix.lower() in (".amc", ".bvh", ".c3d"))

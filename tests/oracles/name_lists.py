@@ -224,6 +224,42 @@ NAME_LISTS: dict[str, tuple[str, str]] = {
         "J_Bip_L_LowerLeg,J_Bip_L_Foot,J_Bip_L_ToeBase,J_Bip_R_UpperLeg,J_Bip_R_LowerLeg,"
         "J_Bip_R_Foot,J_Bip_R_ToeBase",
     ),
+    "Motive": (
+        "Motive",
+        "Hip,Ab,Chest,Neck,Head,LShoulder,LUArm,LFArm,LHand,RShoulder,RUArm,RFArm,RHand,LThigh,LShin,"
+        "LFoot,LToe,RThigh,RShin,RFoot,RToe",
+    ),
+    "iPi": (
+        "iPi",
+        "Hip,LowerSpine,MiddleSpine,Chest,Neck,Head,LClavicle,LShoulder,LForearm,LHand,RClavicle,"
+        "RShoulder,RForearm,RHand,LThigh,LShin,LFoot,LToe,RThigh,RShin,RFoot,RToe",
+    ),
+    "DeepMotion": (
+        "MotionBuilder/Mixamo/LAFAN1",
+        "hips_JNT,spine_JNT,spine1_JNT,spine2_JNT,neck_JNT,head_JNT,l_shoulder_JNT,l_arm_JNT,"
+        "l_forearm_JNT,l_hand_JNT,r_shoulder_JNT,r_arm_JNT,r_forearm_JNT,r_hand_JNT,l_upleg_JNT,"
+        "l_leg_JNT,l_foot_JNT,l_toebase_JNT,r_upleg_JNT,r_leg_JNT,r_foot_JNT,r_toebase_JNT",
+    ),
+    "Trinity gestures": (
+        "MotionBuilder/Mixamo/LAFAN1",
+        "body_world,b_root,b_spine0,b_spine1,b_spine2,b_spine3,b_neck0,b_head,b_l_shoulder,b_l_arm,"
+        "b_l_arm_twist,b_l_forearm,b_l_wrist_twist,b_l_wrist,b_r_shoulder,b_r_arm,b_r_arm_twist,"
+        "b_r_forearm,b_r_wrist_twist,b_r_wrist,b_l_upleg,b_l_leg,b_l_foot,b_l_toe,b_r_upleg,b_r_leg,"
+        "b_r_foot,b_r_toe",
+    ),
+    "MakeHuman": (
+        "MakeHuman",
+        "root,spine05,spine04,spine03,spine02,spine01,neck01,neck02,neck03,head,clavicle.L,"
+        "shoulder01.L,upperarm01.L,upperarm02.L,lowerarm01.L,lowerarm02.L,wrist.L,clavicle.R,"
+        "shoulder01.R,upperarm01.R,upperarm02.R,lowerarm01.R,lowerarm02.R,wrist.R,upperleg01.L,"
+        "upperleg02.L,lowerleg01.L,lowerleg02.L,foot.L,upperleg01.R,upperleg02.R,lowerleg01.R,"
+        "lowerleg02.R,foot.R",
+    ),
+    "Daz friendly joints": (
+        "Human3.6M",
+        "hip,abdomen,chest,neck,head,rcollar,rshoulder,relbow,rhand,lcollar,lshoulder,lelbow,lhand,"
+        "rbuttock,rhip,rknee,rfoot,lbuttock,lhip,lknee,lfoot",
+    ),
     "Human3.6M": (
         "Human3.6M",
         "Hip,RHip,RKnee,RFoot,LHip,LKnee,LFoot,Spine,Thorax,Neck/Nose,Head,LShoulder,LElbow,LWrist,"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -131,6 +132,18 @@ def test_given_test_clips_and_a_category_never_trained() -> None:
     assert forest.scores.accuracy <= 4 / 6 and forest.spread is None
     assert any(one.truth == "stand" for one in forest.confusions)
     assert result.to_json()["systems"]["forest"]["recall_std"] is None
+
+
+def test_predictions_do_not_depend_on_the_labels_of_the_test_clips() -> None:
+    """If all test clips are said to be one category, the accuracy is how often it is named: these sum to 1."""
+    train, test = clips(performers="al"), clips(performers="bo cy")
+    named = dict.fromkeys(SYSTEMS, 0.0)
+    for category in ("right", "left", "squat", "stand"):
+        said = [replace(clip, category=category) for clip in test]
+        result = run_experiment(train, test_clips=said, n_trees=7)
+        for system, answer in result.systems.items():
+            named[system] += answer.scores.accuracy
+    assert named == pytest.approx(dict.fromkeys(SYSTEMS, 1.0))
 
 
 def test_a_category_with_one_clip_trains_only() -> None:

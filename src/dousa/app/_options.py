@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from dousa.errors import OptionError
+
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
@@ -32,7 +34,18 @@ JointMap = Annotated[
         "--joint-map", help="File that names the canonical joints: lines 'left_knee = L_Kn', TOML or JSON."
     ),
 ]
-Jobs = Annotated[int | None, typer.Option("--jobs", "-j", min=-1, help="Workers; default: all cores.")]
+
+
+def _check_jobs(jobs: int | None) -> int | None:
+    if jobs == 0:
+        raise OptionError("--jobs: expected a number of workers such as 2, or -1 for every core, got 0")
+    return jobs
+
+
+Jobs = Annotated[
+    int | None,
+    typer.Option("--jobs", "-j", min=-1, callback=_check_jobs, help="Workers; default: all cores."),
+]
 CategoryFrom = Annotated[
     str,
     typer.Option(

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import io
 import json
 import sys
+import unicodedata
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
@@ -11,10 +13,22 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from rich.console import Console
 
-__all__ = ["ProgressCallback", "console", "fail", "print_json", "progress_bar", "warn"]
+__all__ = [
+    "ProgressCallback",
+    "console",
+    "fail",
+    "one_line",
+    "print_json",
+    "progress_bar",
+    "survive_narrow_encodings",
+    "warn",
+]
 
 ProgressCallback = Callable[[int, int, str], None]
 """Called with (done, total, what is being done)."""
+
+_WHOLE_ROWS = 4000  # columns: a row of a table in a file or pipe is never broken, so that it can be searched
+_UNSHOWN = ("Cc", "Cs", "Zl", "Zp")  # control characters, halves of characters, line and paragraph ends
 
 
 def console(*, stderr: bool = False) -> Console:
@@ -23,13 +37,34 @@ def console(*, stderr: bool = False) -> Console:
 
     made = Console(stderr=stderr, highlight=False, soft_wrap=False)
     if not made.is_terminal:
-        made.width = max(made.width, 140)
+        made.width = _WHOLE_ROWS
     return made
+
+
+def survive_narrow_encodings() -> None:
+    """Let characters that the terminal cannot show be spelled as their codes instead of ending the program."""
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="backslashreplace")
 
 
 def print_json(answer: Any) -> None:
     """One JSON document on standard output; numbers that are not finite become null."""
-    sys.stdout.write(json.dumps(_plain(answer), ensure_ascii=False, indent=1, allow_nan=False) + "\n")
+    plain = _plain(answer)
+    text = json.dumps(plain, ensure_ascii=False, indent=1, allow_nan=False)
+    try:
+        text.encode(sys.stdout.encoding or "utf-8")
+    except UnicodeEncodeError:  # a terminal of few characters, or a file name that is not Unicode
+        text = json.dumps(plain, indent=1, allow_nan=False)
+    sys.stdout.write(text + "\n")
+
+
+def one_line(text: str) -> str:
+    """The text with control characters, as file names may hold them, spelled as their codes."""
+    return "".join(
+        repr(character)[1:-1] if unicodedata.category(character) in _UNSHOWN else character
+        for character in text
+    )
 
 
 def _plain(value: Any) -> Any:
@@ -46,12 +81,12 @@ def _plain(value: Any) -> Any:
 
 def fail(message: str) -> None:
     """One line of error on standard error."""
-    sys.stderr.write(f"dousa: {message}\n")
+    sys.stderr.write(f"dousa: {one_line(message)}\n")
 
 
 def warn(message: str) -> None:
     """One line of warning on standard error."""
-    sys.stderr.write(f"dousa: note: {message}\n")
+    sys.stderr.write(f"dousa: note: {one_line(message)}\n")
 
 
 @contextmanager

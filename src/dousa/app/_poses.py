@@ -23,6 +23,7 @@ __all__ = ["FRONT", "SIDE", "THREE_QUARTER", "Figurine", "Limb", "draw_poses", "
 FRONT, THREE_QUARTER, SIDE = 0.0, 35.0, 90.0
 
 _HEAD_RADIUS = 0.055  # statures
+_FARTHEST = 1e9  # m
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,7 +65,7 @@ class Figurine:
 
 def to_figurine(motion: Motion | Trajectories | CanonicalMotion) -> Figurine:
     """Canonical joints where they can be told apart, else the points as they are."""
-    from dousa.errors import JointMappingError
+    from dousa.errors import InvalidMotionError, JointMappingError
     from dousa.motion import CanonicalMotion, canonicalise, compute_trajectories
 
     if not isinstance(motion, CanonicalMotion):
@@ -78,6 +79,8 @@ def to_figurine(motion: Motion | Trajectories | CanonicalMotion) -> Figurine:
     positions = trajectories.positions
     seen = positions[np.isfinite(positions).all(axis=2)]
     height = float(np.ptp(seen[:, 1])) if len(seen) else 1.0
+    if len(seen) and not np.abs(seen).max() < _FARTHEST:
+        raise InvalidMotionError("the points lie beyond any measure; is the unit right (--unit)?")
     parents = None if trajectories.parents is None else tuple(int(p) for p in trajectories.parents)
     return Figurine(positions, trajectories.frame_rate, parents, max(height, 1e-3), False)
 

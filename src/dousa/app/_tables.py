@@ -8,16 +8,19 @@ from typing import TYPE_CHECKING, Any
 from rich.markup import escape
 from rich.table import Table
 
-from dousa.app._output import warn
+from dousa.app._output import one_line, warn
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from rich.console import Console
 
-    from dousa.library import AddReport, SearchResult
+    from dousa.library import AddReport, Classification, SearchResult
 
 __all__ = [
     "describe_votes",
     "print_add",
+    "print_classes",
     "print_clips",
     "print_experiment",
     "print_info",
@@ -26,6 +29,7 @@ __all__ = [
     "print_stats",
 ]
 
+_NO_FILES = "found no motion files (.bvh, .amc, .c3d, .trc, .npz) there"
 _SHOWN = 10
 _SHOWN_CONFUSIONS = 5
 _SCORES = ("recall", "precision", "f_measure", "accuracy")
@@ -37,10 +41,15 @@ _SYSTEM_NAMES = {
 }
 
 
+def _cell(text: str) -> str:
+    """The text as Rich shows it: square brackets are square brackets, and it is one line."""
+    return escape(one_line(text))
+
+
 def print_info(out: Console, answer: dict[str, Any]) -> None:
     """One file, as `dousa info` describes it."""
     table = Table(
-        title=escape(answer["path"]), title_justify="left", show_header=False, box=None, padding=(0, 2)
+        title=_cell(answer["path"]), title_justify="left", show_header=False, box=None, padding=(0, 2)
     )
     table.add_row("format", f"{answer['format']}, holds {answer['holds']}")
     table.add_row(
@@ -85,6 +94,9 @@ def print_add(out: Console, report: AddReport) -> None:
         )
     for text, count in Counter(text for _, text in report.warnings).most_common(_SHOWN):
         warn(f"{text} ({count} {'file' if count == 1 else 'files'})")
+    told = (report.added, report.replaced, report.moved, report.unchanged, report.duplicates, report.skipped)
+    if not any(told):
+        warn(_NO_FILES)
     if report.other_labels:
         warn(f"{len(report.other_labels)} files keep the labels they had; change them with: dousa relabel")
 
@@ -93,16 +105,28 @@ def print_some(out: Console, heading: str, lines: list[str]) -> None:
     """A heading and the first lines of a list."""
     out.print(heading)
     for line in lines[:_SHOWN]:
-        out.print(f"  {line}", markup=False, soft_wrap=True)
+        out.print(f"  {one_line(line)}", markup=False, soft_wrap=True)
     if len(lines) > _SHOWN:
         out.print(f"  and {len(lines) - _SHOWN} more (all with --json)")
 
 
+def print_classes(out: Console, answers: Sequence[Classification]) -> None:
+    """What files were taken for."""
+    if not answers:
+        warn(_NO_FILES)
+    for answer in answers:
+        if answer.problem is None:
+            line = f"{answer.path}: {answer.category} ({describe_votes(answer.histogram)})"
+            out.print(one_line(line), markup=False, soft_wrap=True)
+
+
 def print_search(out: Console, answer: SearchResult) -> None:
     """A query and the clips found."""
-    out.print(
-        f"{escape(str(answer.query))}: [bold]{escape(answer.category)}[/] ({describe_votes(answer.histogram)})"
-    )
+    votes = _cell(describe_votes(answer.histogram))
+    out.print(f"{_cell(str(answer.query))}: [bold]{_cell(answer.category)}[/] ({votes})", soft_wrap=True)
+    if not answer.results:
+        warn("no clip was found: the library has none, or none of this category")
+        return
     table = Table(box=None)
     table.add_column("rank", justify="right")
     table.add_column("distance", justify="right")
@@ -111,7 +135,7 @@ def print_search(out: Console, answer: SearchResult) -> None:
     table.add_column("file", overflow="fold")
     for hit in answer.results:
         numbers = (str(hit.rank), f"{hit.distance:.3f}", f"{hit.leaf_share:.0%}")
-        table.add_row(*numbers, escape(hit.category or "-"), escape(hit.path))
+        table.add_row(*numbers, _cell(hit.category or "-"), _cell(hit.path))
     out.print(table)
 
 
@@ -127,9 +151,9 @@ def print_clips(out: Console, rows: list[dict[str, Any]]) -> None:
     for name in ("clip", "category", "taken for", "performer", "s", "Hz", "file"):
         table.add_column(name, justify="right" if name in ("clip", "s", "Hz") else "left", overflow="fold")
     for row in rows:
-        labels = [escape(row[name] or "-") for name in ("category", "predicted_category", "performer")]
+        labels = [_cell(row[name] or "-") for name in ("category", "predicted_category", "performer")]
         table.add_row(
-            str(row["id"]), *labels, f"{row['duration']:.1f}", f"{row['frame_rate']:g}", escape(row["path"])
+            str(row["id"]), *labels, f"{row['duration']:.1f}", f"{row['frame_rate']:g}", _cell(row["path"])
         )
     out.print(table)
 
@@ -150,7 +174,7 @@ def print_stats(out: Console, library: str, stats: dict[str, Any]) -> None:
     table.add_column("category")
     table.add_column("clips", justify="right")
     for name, count in stats["categories"].items():
-        table.add_row(escape(name), str(count))
+        table.add_row(_cell(name), str(count))
     if stats["n_unlabelled"]:
         table.add_row("(none)", str(stats["n_unlabelled"]))
     out.print(table)

@@ -14,7 +14,7 @@ import typer
 
 import dousa
 from dousa.app import cli_files, cli_library, cli_trials
-from dousa.app._output import fail
+from dousa.app._output import fail, survive_narrow_encodings
 from dousa.errors import DousaError
 
 __all__ = ["app", "main"]
@@ -55,10 +55,15 @@ def main() -> None:
     # Loading numba and SQLAlchemy makes very many objects that all stay; to look through them for cycles again
     # and again would take a tenth of the time of a search.
     gc.set_threshold(100_000)
+    survive_narrow_encodings()
     try:
         app()
     except DousaError as error:
         fail(str(error))
+        sys.exit(2)
+    except OSError as error:
+        # Files are looked after where they are read and written; what is left is mostly the output itself.
+        fail(f"{error.filename or 'the answer cannot be written'}: {error.strerror or error}")
         sys.exit(2)
     except (KeyboardInterrupt, SystemExit) as stop:
         # Typer turns Ctrl-C into this exit code and says nothing.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -150,7 +151,7 @@ def search(
     Example: dousa search moves.dousa kick.bvh -k 5
     """
     with _open(library, read_only=True) as opened:
-        wanted = int(query) if query.isdigit() and not Path(query).exists() else query
+        wanted = _clip_or_path(query)
         reading = {"joint_map": o.load_joint_map(joint_map), "unit": unit, "up": up, "skeleton": skeleton}
         result = opened.search(wanted, k, same_category=same_category, **reading)
         if picture:
@@ -187,11 +188,7 @@ def classify(
     else:
         from dousa.app import _tables
 
-        out = console()
-        for answer in answers:
-            if answer.problem is None:
-                line = f"{answer.path}: {answer.category} ({_tables.describe_votes(answer.histogram)})"
-                out.print(line, markup=False, soft_wrap=True)
+        _tables.print_classes(console(), answers)
     problems = [answer for answer in answers if answer.problem is not None]
     for answer in problems:
         warn(f"{answer.path}: {answer.problem}")
@@ -228,8 +225,13 @@ def list_clips(
         _tables.print_stats(console(), library, stats.to_json())
 
 
+def _clip_or_path(text: str) -> int | str:
+    """The number of a clip, unless a file is called so."""
+    return int(text) if text.isascii() and text.isdigit() and not os.path.exists(text) else text
+
+
 def _selection(clips: list[str] | None) -> list[int | str]:
-    return [int(clip) if clip.isdigit() and not Path(clip).exists() else clip for clip in clips or []]
+    return [_clip_or_path(clip) for clip in clips or []]
 
 
 def remove(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import enum
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -14,6 +14,7 @@ from dousa.errors import OptionError
 
 if TYPE_CHECKING:
     from dousa.library import Skipped
+    from dousa.retrieval import LabelledClip
 
 __all__ = ["register"]
 
@@ -97,32 +98,27 @@ def experiment(
 
     Example: dousa experiment hdm05/ --split leave-performer-out --performer-from 'name:HDM_(..)_'
     """
-    from dousa.app.trials import read_labelled_clips
+    from dousa.app.trials import read_labelled_clips, refuse_clips_in_both
     from dousa.library import ReadOptions
     from dousa.retrieval.experiment import run_experiment
 
-    if test and split is not None:
-        raise OptionError(
-            "--test gives the clips to test, so --split has nothing to do; leave one of them out"
-        )
-    if split is SplitName.LEAVE_PERFORMER_OUT and performer_from is None:
-        raise OptionError(
-            "--split leave-performer-out needs to know the performers: add --performer-from, for instance "
-            "--performer-from 'name:_s(\\d+)_' where file names hold _s1_, _s2_ ..."
-        )
+    _check_split(split, bool(test), performer_from)
     options = ReadOptions(o.load_joint_map(joint_map), unit, up, skeleton)
-    rules = {
-        "category_from": category_from,
-        "performer_from": performer_from,
-        "options": options,
-        "n_jobs": jobs,
-    }
     with progress_bar() as progress:
-        clips, skipped = read_labelled_clips(path, **rules, progress=progress)
-        tested = None
-        if test:
-            tested, more = read_labelled_clips(test, **rules, progress=progress)
-            skipped += more
+
+        def read(paths: list[Path]) -> tuple[list[LabelledClip], list[Skipped]]:
+            return read_labelled_clips(
+                paths,
+                category_from=category_from,
+                performer_from=performer_from,
+                options=options,
+                n_jobs=jobs,
+                progress=progress,
+            )
+
+        clips, skipped = read(path)
+        tested, more = read(test) if test else (None, [])
+        refuse_clips_in_both(clips, tested or [])
         result = run_experiment(
             clips,
             test_clips=tested,
@@ -136,18 +132,35 @@ def experiment(
             n_jobs=jobs or -1,
             progress=progress,
         )
+    skipped += more
     answer = {**result.to_json(), "skipped": [{"path": s.path, "reason": s.reason} for s in skipped]}
     _warn_skipped(skipped)
-    if figure:
-        from dousa.app.pictures import draw_experiment_figure
+    _show_experiment(answer, figure, json)
 
-        draw_experiment_figure(answer, figure)
+
+def _check_split(split: SplitName | None, test_given: bool, performer_from: str | None) -> None:
+    if test_given and split is not None:
+        raise OptionError(
+            "--test gives the clips to test, so --split has nothing to do; leave one of them out"
+        )
+    if split is SplitName.LEAVE_PERFORMER_OUT and performer_from is None:
+        raise OptionError(
+            "--split leave-performer-out needs to know the performers: add --performer-from, for instance "
+            "--performer-from 'name:_s(\\d+)_' where file names hold _s1_, _s2_ ..."
+        )
+
+
+def _show_experiment(answer: dict[str, Any], figure: Path | None, json: bool) -> None:
     if json:
         print_json(answer)
     else:
         from dousa.app import _tables
 
         _tables.print_experiment(console(), answer)
+    if figure:  # last, so that an answer that took long is not lost where the picture cannot be written
+        from dousa.app.pictures import draw_experiment_figure
+
+        draw_experiment_figure(answer, figure)
 
 
 def _warn_skipped(skipped: list[Skipped]) -> None:

@@ -6,15 +6,15 @@ import os
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
-from dousa.errors import DousaError, TrainingError
+from dousa.errors import DousaError, OptionError, TrainingError
 from dousa.library import ReadOptions, Skipped, find_motion_files, parse_label_rule
-from dousa.library.ingest import FoundFile, read_canonical
+from dousa.library.ingest import FoundFile, describe_problem, read_canonical
 
 if TYPE_CHECKING:
     from dousa.app._output import ProgressCallback
     from dousa.retrieval.experiment import LabelledClip
 
-__all__ = ["read_labelled_clips"]
+__all__ = ["read_labelled_clips", "refuse_clips_in_both"]
 
 
 def read_labelled_clips(
@@ -71,6 +71,18 @@ def read_labelled_clips(
     return clips, skipped
 
 
+def refuse_clips_in_both(clips: Sequence[LabelledClip], tested: Sequence[LabelledClip]) -> None:
+    """OptionError where a file trains and tests: a system that knows the answer by heart is not tested."""
+    both = sorted(
+        {os.path.realpath(clip.name) for clip in clips} & {os.path.realpath(c.name) for c in tested}
+    )
+    if both:
+        raise OptionError(
+            f"--test: {len(both)} of {len(tested)} files lie below PATH too and would train, the first is "
+            f"{both[0]}; keep them apart, or leave --test out and half of PATH is tested"
+        )
+
+
 def _read_clip(
     file: FoundFile, category: str | None, performer: str | None, options: ReadOptions
 ) -> LabelledClip | Skipped:
@@ -82,5 +94,5 @@ def _read_clip(
     try:
         motion, _ = read_canonical(path, options)
     except DousaError as error:
-        return Skipped(path, str(error).removeprefix(f"{path}: "))
+        return Skipped(path, describe_problem(path, error))
     return LabelledClip(path, category, performer, motion.positions, motion.frame_rate, motion.height)

@@ -93,7 +93,7 @@ class AsfSkeleton:
 def _build_skeleton(asf: AsfSkeleton) -> Skeleton:
     names, parents, ends = ["root"], [-1], [False]
     offsets = [asf.root_position]
-    tips = [tuple(bone.length * part for part in bone.direction) for bone in asf.bones]
+    tips = [_tip(bone) for bone in asf.bones]
     for bone in asf.bones:
         names.append(bone.name)
         parents.append(bone.parent + 1)
@@ -110,6 +110,11 @@ def _build_skeleton(asf: AsfSkeleton) -> Skeleton:
             offsets.append(tips[index])
             ends.append(True)
     return Skeleton(tuple(names), np.array(parents, np.intp), np.array(offsets), np.array(ends))
+
+
+def _tip(bone: AsfBone) -> Vector:
+    x, y, z = bone.direction
+    return bone.length * x, bone.length * y, bone.length * z
 
 
 @functools.lru_cache(maxsize=64)

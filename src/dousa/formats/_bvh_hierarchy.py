@@ -7,6 +7,7 @@ import math
 import re
 from collections.abc import Iterator
 from dataclasses import dataclass, field
+from decimal import Decimal
 
 import numpy as np
 
@@ -44,6 +45,9 @@ _USUAL_RATES = (
 )
 _KINDS = {name.lower(): kind for kind, name in enumerate(CHANNEL_NAMES)}
 _STATEMENT = re.compile(rb"[{}]|[^\r\n{}]+")
+_KEYWORD = re.compile(rb"(?:ROOT|JOINT|END|ENDSITE|OFFSET|CHANNELS)(?!\S)", re.IGNORECASE)
+_NUMBERED = re.compile(rb"(?:OFFSET|CHANNELS)(?!\S)", re.IGNORECASE)
+_JOINED = re.compile(rb"\s+(?=(?:JOINT|END|ENDSITE|OFFSET|CHANNELS)(?!\S))", re.IGNORECASE)
 
 
 class BvhSyntaxError(ValueError):
@@ -79,11 +83,13 @@ class BvhLayout:
 
     @property
     def frame_rate(self) -> float:
-        """Hz: the usual rate that the frame time is a rounding of, if there is exactly one, else one over the time."""
-        seconds = float(self.frame_time)
-        if re.fullmatch(r"0*\.0*[1-9]\d+", self.frame_time):
-            half_a_digit = 0.500001 * 10.0 ** (self.frame_time.index(".") + 1 - len(self.frame_time))
-            near = [rate for rate in _USUAL_RATES if abs(1 / rate - seconds) <= half_a_digit]
+        """Hz: the one usual rate whose frame time was rounded or cut off to this one, else one over the time."""
+        seconds, (_, digits, exponent) = float(self.frame_time), Decimal(self.frame_time).as_tuple()
+        if len(digits) > 1 and isinstance(exponent, int) and exponent < 0:
+            last = 10.0**exponent
+            rounded = [rate for rate in _USUAL_RATES if abs(1 / rate - seconds) <= 0.500001 * last]
+            # 0.0166 is 60 Hz with the other digits cut off.
+            near = rounded or [rate for rate in _USUAL_RATES if seconds <= 1 / rate < seconds + last]
             if len(near) == 1:
                 return float(near[0])
         return 1.0 / seconds
@@ -232,10 +238,39 @@ def _parse_channels(words: list[bytes], position: int) -> tuple[str, ...]:
 
 
 def _statements(section: bytes) -> Iterator[tuple[bytes, int]]:
+    """Braces and statements with their places; mostly a line each, but lines may be split or joined."""
+    held, held_at = b"", 0
+    for text, position in _pieces(section):
+        if held and text not in (b"{", b"}") and _lacks_words(held) and not _KEYWORD.match(text):
+            held += b" " + text
+            continue
+        if held:
+            yield held, held_at
+        held, held_at = text, position
+    if held:
+        yield held, held_at
+
+
+def _pieces(section: bytes) -> Iterator[tuple[bytes, int]]:
+    """Braces and lines, cut before a keyword that follows numbers or channels (joint names may hold any word)."""
     for match in _STATEMENT.finditer(section):
         text = match.group().strip()
-        if text:
+        if text and _NUMBERED.match(text):
+            for piece in _JOINED.split(text):
+                yield piece, match.start()
+        elif text:
             yield text, match.start()
+
+
+def _lacks_words(statement: bytes) -> bool:
+    """Whether a statement goes on in the next line."""
+    words = statement.split()
+    keyword = words[0].lower()
+    if keyword == b"offset":
+        return len(words) < 4
+    if keyword == b"channels":
+        return len(words) == 1 or (words[1].isdigit() and len(words) < 2 + int(words[1][:3]))
+    return len(words) == 1 and keyword in (b"root", b"joint", b"end")
 
 
 def _encoding(section: bytes) -> str:

@@ -123,7 +123,7 @@ def _combine(positions: tuple[str, ...], turns: tuple[str, ...], wanted: tuple[s
 def _depth_first(skeleton: Skeleton) -> list[int]:
     """Joints in the order a BVH file nests them."""
     children: list[list[int]] = [[] for _ in skeleton.names]
-    roots = []
+    roots: list[int] = []
     for joint, parent in enumerate(skeleton.parents.tolist()):
         (children[parent] if parent >= 0 else roots).append(joint)
     order, waiting = [], roots[::-1]
@@ -135,8 +135,10 @@ def _depth_first(skeleton: Skeleton) -> list[int]:
 
 def _position_channels(motion: Motion, layout: BvhLayout | None, tolerance: float) -> list[tuple[str, ...]]:
     """Per joint the position channels it needs: those of the layout, all three where these do not suffice."""
-    still = np.abs(motion.translations - motion.skeleton.offsets) <= tolerance  # false for NaN
-    moving = ~still.all(axis=0)
+    still: NDArray[np.bool_] = (
+        np.abs(motion.translations - motion.skeleton.offsets) <= tolerance
+    )  # false for NaN
+    moving: NDArray[np.bool_] = np.logical_not(still.all(axis=0))
     result = []
     for joint, parent in enumerate(motion.skeleton.parents):
         names = tuple(n for n in layout.channels[joint] if n in CHANNEL_NAMES[:3]) if layout else ()
@@ -152,7 +154,7 @@ def _rotation_channels(motion: Motion, layout: BvhLayout | None) -> tuple[list[t
     """Per joint the rotation channels and (T, J, 3) their angles in rad, those of missing channels 0."""
     skeleton = motion.skeleton
     ends = _plain_ends(motion)
-    turns = [() if end else _DEFAULT_TURNS for end in ends]
+    turns: list[tuple[str, ...]] = [() if end else _DEFAULT_TURNS for end in ends]
     if layout is not None:
         for joint in np.flatnonzero(~ends):
             names = tuple(name for name in layout.channels[joint] if name in CHANNEL_NAMES[3:])
@@ -217,7 +219,8 @@ def _frame_time(motion: Motion) -> str:
 
 def _hierarchy_lines(content: _Content, path: str | os.PathLike[str]) -> list[str]:
     skeleton = content.skeleton
-    lines, open_joints = ["HIERARCHY"], []
+    lines = ["HIERARCHY"]
+    open_joints: list[int] = []
     has_child = np.zeros(skeleton.n_joints, bool)
     has_child[skeleton.parents[skeleton.parents >= 0]] = True
     for joint in content.order:

@@ -75,6 +75,8 @@ def _suffix(path: str | os.PathLike[str]) -> str:
 
 
 def _no_format(path: str | os.PathLike[str], table: dict[str, Format], verb: str) -> UnknownFormatError:
+    if os.path.isdir(path):
+        return UnknownFormatError(path, "expected a motion file, this is a folder")
     suffix = _suffix(path)
     what = f"no format for '{suffix}'" if suffix else "the name has no suffix"
     return UnknownFormatError(path, f"{what}; files that can be {verb} end in {', '.join(table)}")

@@ -89,7 +89,8 @@ def _parse_motion_header(data: bytes, position: int) -> tuple[int, int, str, int
     """Number of frames, where that stands, frame time as spelt, where the values begin."""
     frames = _FRAMES.match(data, position)
     if frames is None or not re.fullmatch(rb"\d{1,18}", frames[1]):
-        raise BvhSyntaxError("expected 'Frames: N' after MOTION", _next_text(data, position))
+        at = _next_text(data, position)
+        raise BvhSyntaxError(f"expected 'Frames: N' after MOTION, got '{_show_line(data, at)}'", at)
     n_frames = int(frames[1])
     if n_frames == 0:
         raise BvhSyntaxError("the file says 'Frames: 0': there is no motion in it", frames.start(1))
@@ -99,8 +100,15 @@ def _parse_motion_header(data: bytes, position: int) -> tuple[int, int, str, int
     seconds = parse_number(time[1])
     if seconds is None or not 1e-6 <= seconds <= 1e6:
         shown = time[1][:40].decode("ascii", "backslashreplace")
-        raise BvhSyntaxError(f"expected a frame time above 0 in seconds, got '{shown}'", time.start(1))
+        raise BvhSyntaxError(
+            f"expected a frame time above 0 in seconds, from 1e-6 to 1e6, got '{shown}'", time.start(1)
+        )
     return n_frames, frames.start(1), time[1].decode("ascii"), time.end()
+
+
+def _show_line(data: bytes, start: int) -> str:
+    """The beginning of a line, to be shown in a message."""
+    return re.split(rb"[\r\n]", data[start : start + 60])[0].decode("ascii", "backslashreplace").rstrip()
 
 
 def _next_text(data: bytes, position: int) -> int:
@@ -135,7 +143,5 @@ def _read_values(data: bytes, start: int, columns: int, n_frames: int, frames_at
 
 
 def _wrong_count(declared: int, found: int) -> str:
-    return (
-        f"the file says {declared} frames, but {found} follow; is it truncated or edited? "
-        f"If the frames are all there, write 'Frames: {found}'"
-    )
+    problem = f"the file says {declared} frames, but {found or 'none'} follow; is it truncated or edited?"
+    return f"{problem} If the frames are all there, write 'Frames: {found}'" if found else problem

@@ -1,7 +1,8 @@
 """TRC: marker positions as a table of text (Motion Analysis Cortex, OpenSim, Pose2Sim).
 
 Three lines of header, a line of marker names over every third column, a line X1 Y1 Z1 X2 ..., and then one row
-per frame: frame number, time, coordinates, separated by tabs. A blank or ``nan`` cell is a missing value.
+per frame: frame number, time, coordinates, separated by tabs. A blank or ``nan`` cell is a missing value; the
+decimal sign is a point or, throughout a file from programs in some languages, a comma.
 Reference: OpenSim documentation, "Marker (.trc) Files". The format does not say which axis points up.
 
 The rows count, not NumFrames and NumMarkers, which published files (those of Pose2Sim) have wrong. A file counts
@@ -98,7 +99,7 @@ def _read_fields(path: str | os.PathLike[str], lines: list[str]) -> tuple[dict[s
 
 
 def _field_number(path: str | os.PathLike[str], fields: dict[str, str], key: str, line: int) -> float:
-    text = fields.get(key, "")
+    text = fields.get(key, "").replace(",", ".")
     if not _NUMBER.fullmatch(text):
         raise MotionFileError(path, f"expected a number for {key} in the header, got '{text}'", line)
     return float(text)
@@ -131,17 +132,18 @@ def _read_rows(
 ) -> FloatArray:
     """Positions (T, K, 3) in file units."""
     width = 2 + 3 * len(names)
-    numbered = [
-        (number, line) for number, line in enumerate(lines[body:], body + 1) if line and not line.isspace()
-    ]
+    rows = lines[body:]
+    if any("," in row for row in rows) and not any("." in row for row in rows):
+        rows = [row.replace(",", ".") for row in rows]
+    numbered = [(number, row) for number, row in enumerate(rows, body + 1) if row and not row.isspace()]
     if not numbered:
         raise MotionFileError(path, "expected at least one frame after the header, got none", body)
     step = max(1, _CHUNK_CELLS // width)
     chunks = []
     for start in range(0, len(numbered), step):
         part = numbered[start : start + step]
-        rows = [_row_cells(path, line, number, names) for number, line in part]
-        chunks.append(_parse_rows(path, rows, part, names))
+        cells = [_row_cells(path, line, number, names) for number, line in part]
+        chunks.append(_parse_rows(path, cells, part, names))
     positions = np.concatenate(chunks)
     if np.isinf(positions).any():
         row, point, _ = np.argwhere(np.isinf(positions))[0]

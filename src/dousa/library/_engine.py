@@ -7,11 +7,13 @@ Transactions that write begin with ``BEGIN IMMEDIATE``: they wait for each other
 from __future__ import annotations
 
 import os
+import re
 import sqlite3
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from json import JSONDecodeError
 from pathlib import Path
+from typing import Any
 from urllib.parse import quote
 
 import sqlalchemy as sa
@@ -25,6 +27,7 @@ __all__ = [
     "is_url",
     "make_engine",
     "mark_as_library",
+    "name_of",
     "plain_errors",
     "reading",
     "use_write_ahead_log",
@@ -32,6 +35,7 @@ __all__ = [
 ]
 
 _WRITES = "dousa_writes"
+_READ_ONLY = "dousa_read_only"
 _SQLITE_START = b"SQLite format 3\0"
 _NOT_A_LIBRARY = "not a dousa library"
 
@@ -39,6 +43,16 @@ _NOT_A_LIBRARY = "not a dousa library"
 def is_url(path_or_url: str | os.PathLike[str]) -> bool:
     """Whether this names a database server rather than a file."""
     return isinstance(path_or_url, str) and "://" in path_or_url
+
+
+def name_of(path_or_url: str | os.PathLike[str]) -> str:
+    """What messages call a library: its path, or its URL without the password."""
+    if not is_url(path_or_url):
+        return os.fspath(path_or_url)
+    try:
+        return sa.make_url(str(path_or_url)).render_as_string(hide_password=True)
+    except (exc.ArgumentError, ValueError):
+        return re.sub(r"(?<=:)[^:@/]+(?=@)", "***", str(path_or_url))
 
 
 def make_engine(
@@ -58,7 +72,7 @@ def make_engine(
     LibraryError : no such file or folder, a folder instead of a file, a URL that SQLAlchemy does not know.
     """
     if is_url(path_or_url):
-        return _server_engine(str(path_or_url))
+        return _server_engine(str(path_or_url), read_only, timeout)
     path = Path(path_or_url).absolute()
     _check_place(path, create)
     engine = sa.create_engine(
@@ -66,28 +80,43 @@ def make_engine(
         creator=lambda: _connect(path, create, read_only, timeout),
         poolclass=sa.pool.QueuePool,
         pool_size=1,
+        execution_options={_READ_ONLY: read_only},
     )
     event.listen(engine, "begin", _begin)
     return engine
 
 
-def _server_engine(url: str) -> sa.Engine:
+def _server_engine(url: str, read_only: bool, timeout: float) -> sa.Engine:
+    name = name_of(url)
     try:
-        return sa.create_engine(url)
-    except (exc.ArgumentError, exc.NoSuchModuleError) as error:
-        raise LibraryError(f"{url}: not the URL of a database: {error}") from error
+        engine = sa.create_engine(url, execution_options={_READ_ONLY: read_only})
+    except (exc.ArgumentError, exc.NoSuchModuleError, ValueError) as error:
+        raise LibraryError(f"{name}: not the URL of a database: {error}") from error
     except ImportError as error:
-        raise LibraryError(f"{url}: the driver is missing; run: pip install {error.name}") from error
+        raise LibraryError(f"{name}: the driver is missing; run: pip install {error.name}") from error
+    if engine.dialect.name == "sqlite":
+        # It would lack all that we give a file: the log, foreign keys, writers that wait.
+        raise LibraryError(f"{name}: expected a database server; name an SQLite file without sqlite://")
+    if engine.dialect.name == "postgresql":
+
+        def limit_waiting(connection: Any, record: Any) -> None:
+            with connection.cursor() as cursor:
+                cursor.execute(f"SET lock_timeout = {max(round(1000 * timeout), 1)}")
+            connection.commit()
+
+        event.listen(engine, "connect", limit_waiting)
+    return engine
 
 
 def _check_place(path: Path, create: bool) -> None:
-    if path.is_dir():
+    # The functions of os.path say no, and do not raise, where a folder above cannot be looked into.
+    if os.path.isdir(path):
         raise LibraryError(f"{path}: expected the file of a library, this is a folder")
-    if not path.exists() and not create:
+    if not os.path.exists(path) and not create:
         raise LibraryError(f"no library at {path}; make one with: dousa add {path.name} PATH")
-    if not path.parent.is_dir():
+    if not os.path.isdir(path.parent):
         raise LibraryError(f"{path}: the folder {path.parent} does not exist; make it first")
-    if path.exists() and _is_something_else(path):
+    if os.path.exists(path) and _is_something_else(path):
         # SQLite would take a file of a few bytes for an empty database, and write over it.
         raise LibraryDamagedError(f"{path}: {_NOT_A_LIBRARY}; name the file that 'dousa add' made")
 
@@ -102,12 +131,15 @@ def _is_something_else(path: Path) -> bool:
 
 
 def _connect(path: Path, create: bool, read_only: bool, timeout: float) -> sqlite3.Connection:
-    mode = "ro" if read_only else "rwc" if create else "rw"
+    # Also to read: a connection that may not write cannot clear its lock files away. ``writing`` refuses.
+    mode = "rwc" if create else "rw"
     try:
         return _connect_as(path, f"mode={mode}", timeout)
     except sqlite3.OperationalError as error:
         # Where nobody may write, SQLite cannot make its lock files; if no log waits there, it can do without.
-        if error.sqlite_errorname.startswith(("SQLITE_CANTOPEN", "SQLITE_READONLY")) and not _has_log(path):
+        # On a full disk it cannot make them either, but then a program that means to write must hear of that.
+        kinds = ("SQLITE_CANTOPEN", "SQLITE_READONLY", *(("SQLITE_IOERR",) if read_only else ()))
+        if error.sqlite_errorname.startswith(kinds) and not _has_log(path):
             return _connect_as(path, "mode=ro&immutable=1", timeout)
         raise
 
@@ -129,8 +161,8 @@ def _connect_as(path: Path, options: str, timeout: float) -> sqlite3.Connection:
 
 
 def _has_log(path: Path) -> bool:
-    log = path.with_name(path.name + "-wal")
-    return log.exists() and log.stat().st_size > 0
+    log = f"{path}-wal"
+    return os.path.exists(log) and os.path.getsize(log) > 0
 
 
 def _begin(connection: sa.Connection) -> None:
@@ -189,7 +221,9 @@ def reading(engine: sa.Engine, where: str) -> Iterator[sa.Connection]:
 
 @contextmanager
 def writing(engine: sa.Engine, where: str) -> Iterator[sa.Connection]:
-    """A connection in one transaction that writes all or nothing."""
+    """A connection in one transaction that writes all or nothing; LibraryError where it was opened to be read."""
+    if engine.get_execution_options().get(_READ_ONLY):
+        raise LibraryError(f"{where}: opened read-only; open it for writing to change it")
     with plain_errors(where), engine.connect() as connection:
         connection.execution_options(**{_WRITES: True})
         with connection.begin():
@@ -235,7 +269,7 @@ _SQLITE_PROBLEMS: tuple[tuple[str, type[LibraryError], str], ...] = (
     ),
     ("SQLITE_CANTOPEN", LibraryError, "cannot be opened; check the permissions of the file and its folder"),
     ("SQLITE_PERM", LibraryError, "no permission; change the permissions of the file"),
-    ("SQLITE_IOERR", LibraryError, "the disk cannot be read or written"),
+    ("SQLITE_IOERR", LibraryError, "the disk cannot be read or written; is it full?"),
     ("SQLITE_TOOBIG", LibraryError, "the motion is too long for the database"),
 )
 _SERVER_PROBLEMS: dict[str, tuple[type[LibraryError], str]] = {
@@ -256,4 +290,4 @@ def _translate(error: BaseException | None, where: str) -> LibraryError:
         return kind(f"{where}: {problem}")
     if name == "SQLITE_ERROR" and "no such" in str(error):
         return LibraryDamagedError(f"{where}: the file is damaged: {error}")
-    return LibraryError(f"{where}: {error}")
+    return LibraryError(f"{where}: {' '.join(str(error).split())}")  # drivers like to speak in several lines

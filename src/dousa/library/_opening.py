@@ -7,7 +7,7 @@ import os
 import sqlalchemy as sa
 
 from dousa.errors import LibraryError, LibraryVersionError, OptionError
-from dousa.library._engine import check_mark, make_engine, reading, use_write_ahead_log
+from dousa.library._engine import check_mark, is_url, make_engine, name_of, reading, use_write_ahead_log
 from dousa.library.migrations import MIGRATIONS, applied_number, create_tables, migrate
 
 __all__ = ["open_engine"]
@@ -26,7 +26,7 @@ def open_engine(
     """
     if create and read_only:
         raise OptionError("a library cannot be made read-only: expected create or read_only, got both")
-    where = os.fspath(path_or_url)
+    where = name_of(path_or_url)
     engine = make_engine(path_or_url, create=create, read_only=read_only, timeout=timeout)
     try:
         _prepare(engine, where, create, read_only)
@@ -41,9 +41,8 @@ def _prepare(engine: sa.Engine, where: str, create: bool, read_only: bool) -> No
         ours = check_mark(connection, where)
         number = applied_number(connection, where) if ours else 0
     if not ours and not create:
-        raise LibraryError(
-            f"{where}: empty, not yet a library; make one with: dousa add {os.path.basename(where)} PATH"
-        )
+        name = where if is_url(where) else os.path.basename(where)
+        raise LibraryError(f"{where}: empty, not yet a library; make one with: dousa add {name} PATH")
     if not ours:
         create_tables(engine, where)
     elif number < MIGRATIONS[-1].number:

@@ -26,6 +26,7 @@ from dousa.library.ingest import (
     ReadOptions,
     ReadTask,
     find_motion_files,
+    is_unicode,
     look_at,
     read_canonical,
     read_clips,
@@ -119,6 +120,8 @@ class Querying:
         if not isinstance(query, str | os.PathLike):
             return None
         path = os.path.abspath(query)
+        if not is_unicode(path):
+            return None  # no database can hold it, so it is not there
         table = schema.clips.c
         columns = sa.select(table.id, table.fingerprint, table.read_options)
         row = connection.execute(columns.where(table.path == path)).one_or_none()

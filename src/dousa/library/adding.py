@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import os
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from typing import Any
@@ -33,7 +33,7 @@ from dousa.library.ingest import (
     read_clip,
     read_clips,
 )
-from dousa.library.labels import LabelRule
+from dousa.library.labels import LabelRule, no_label
 from dousa.library.reports import AddReport, Duplicate, Skipped
 
 __all__ = ["AddProgress", "Adding"]
@@ -174,13 +174,14 @@ class Adding:
                 continue
             row = stored.get(path)
             if row and (row.fingerprint, row.read_options) == (state.fingerprint, self._option_text):
-                self._note_unchanged(self._tally, path, row)
+                self._tally.unchanged.append(path)
+                self._note_labels(self._tally, path, row)
             else:
                 tasks.append(ReadTask(path, self._options, tuple(hashes.get(state.size, ()))))
         return tasks
 
-    def _note_unchanged(self, tally: _Tally, path: str, row: Any) -> None:
-        tally.unchanged.append(path)
+    def _note_labels(self, tally: _Tally, path: str, row: Any) -> None:
+        """Whether the rules would label a stored clip otherwise: it keeps its labels, but that is told."""
         labels = self._labels(path)
         if any(value is not None and value != getattr(row, name) for name, value in labels.items()):
             tally.other_labels.append(path)
@@ -200,28 +201,29 @@ class Adding:
         tally = _Tally()
         stored = _load_rows(connection, read)
         by_path = {row.path: row for row in stored}
-        owner = {row.content_hash: row.path for row in stored}
+        # Files that hold something else now. All are found before any is stored: two may have changed places.
+        now = {answer.path: answer.content_hash for answer in read}
+        gone = {row.path: row.id for row in stored if now.get(row.path, row.content_hash) != row.content_hash}
+        owner = {row.content_hash: row.path for row in stored if row.path not in gone}
         fresh: list[tuple[ClipRecord, Labels]] = []
-        gone: list[int] = []
         for answer in read:
             tally.bytes += answer.state.size
             row, first = by_path.get(answer.path), owner.get(answer.content_hash)
-            if row is not None and first == answer.path:
-                self._move(connection, answer, answer.path)
-                self._note_unchanged(tally, answer.path, row)
-                continue
-            if row is not None:  # its file holds something else now
-                gone.append(row.id)
-                owner.pop(row.content_hash, None)
-            if first is None:
+            if first == answer.path and row is not None:
+                self._move(connection, answer, first)
+                tally.unchanged.append(first)
+                self._note_labels(tally, first, row)
+            elif first is None:
                 self._take(tally, fresh, answer, row)
-            elif row is None and not os.path.exists(first):
+                owner[answer.content_hash] = answer.path
+            elif row is None and first in by_path and not os.path.exists(first):
                 self._move(connection, answer, first)
                 tally.moved.append(Duplicate(answer.path, first))
+                self._note_labels(tally, answer.path, by_path[first])
+                owner[answer.content_hash] = answer.path
             else:
                 tally.duplicates.append(Duplicate(answer.path, first))
-            owner.setdefault(answer.content_hash, answer.path)
-        _delete(connection, gone)
+        _delete(connection, list(gone.values()))
         self._insert(connection, fresh)
         if fresh or gone or tally.moved:
             next_revision(connection)
@@ -240,11 +242,18 @@ class Adding:
             # The clip of this content has just gone: read the file after all.
             record = read_clip(ReadTask(answer.path, self._options))
         if isinstance(record, ClipRecord):
-            fresh.append((record, self._choose_labels(record.path, row)))
+            labels = self._choose_labels(record.path, row)
+            fresh.append((record, labels))
             (tally.added if row is None else tally.replaced).append(record.path)
-            tally.warnings += [(record.path, text) for text in record.warnings]
+            tally.warnings += [(record.path, text) for text in (*record.warnings, *self._missing(labels))]
         elif isinstance(record, Skipped):
             tally.skipped.append(record)
+
+    def _missing(self, labels: Labels) -> Iterator[str]:
+        """What a rule that was given did not find."""
+        for name, rule in self._rules.items():
+            if labels[name] is None and rule is not no_label:
+                yield f"no {name} found; see --{name}-from, or give one with: dousa relabel"
 
     def _choose_labels(self, path: str, row: Any) -> Labels:
         """Labels of a new clip; one whose file changed keeps those that it has."""

@@ -34,7 +34,9 @@ __all__ = [
     "ReadOptions",
     "ReadTask",
     "SourceState",
+    "describe_problem",
     "find_motion_files",
+    "is_unicode",
     "look_at",
     "read_canonical",
     "read_clip",
@@ -161,25 +163,29 @@ def find_motion_files(paths: Iterable[str | os.PathLike[str]]) -> tuple[list[Fou
     Returns
     -------
     files : each once, under the first PATH that leads to it.
-    missing : the paths that do not exist.
+    missing : the paths that do not exist, and the folders that cannot be looked into.
     """
     found: dict[Path, FoundFile] = {}
-    missing = []
+    missing: list[Skipped] = []
     for given in paths:
         root = Path(os.path.abspath(given))
-        if root.is_dir():
-            for path in _walk(root):
+        # Unlike Path.is_dir these say no, and do not raise, where a folder above cannot be looked into.
+        if os.path.isdir(root):
+            for path in _walk(root, missing):
                 found.setdefault(path, FoundFile(root, path))
-        elif root.exists():
+        elif os.path.exists(root):
             found.setdefault(root, FoundFile(root, root))
         else:
             missing.append(Skipped(os.fspath(given), "no such file or folder; check the name"))
     return list(found.values()), missing
 
 
-def _walk(root: Path) -> Iterator[Path]:
+def _walk(root: Path, closed: list[Skipped]) -> Iterator[Path]:
+    def note(error: OSError) -> None:
+        closed.append(Skipped(str(error.filename), f"the folder cannot be read: {error.strerror}"))
+
     seen: set[tuple[int, int]] = set()
-    for folder, subfolders, names in os.walk(root, followlinks=True):
+    for folder, subfolders, names in os.walk(root, followlinks=True, onerror=note):
         place = os.stat(folder)
         if (place.st_dev, place.st_ino) in seen:
             subfolders.clear()
@@ -243,6 +249,15 @@ def read_canonical(path: str, options: ReadOptions) -> tuple[CanonicalMotion, st
         raise JointMappingError(f"{path}: {error.problem}", error.joints) from error
 
 
+def is_unicode(path: str) -> bool:
+    """Whether a path is text: on some disks names are any bytes, which no database keeps."""
+    try:
+        path.encode()
+    except UnicodeEncodeError:
+        return False
+    return True
+
+
 def read_clip(task: ReadTask) -> ClipRecord | KnownContent | Skipped:
     """Read one motion file and derive everything the library keeps of it.
 
@@ -255,8 +270,8 @@ def read_clip(task: ReadTask) -> ClipRecord | KnownContent | Skipped:
     The record; or that the content is known; or why the file cannot be used. Never raises for a bad file, so
     that the others go on.
     """
-    printable = task.path.encode(errors="backslashreplace").decode()
-    if printable != task.path:
+    if not is_unicode(task.path):
+        printable = task.path.encode(errors="backslashreplace").decode()
         return Skipped(printable, "its name is not valid Unicode; rename it")
     try:
         state = look_at(task.path, task.options)
@@ -265,14 +280,14 @@ def read_clip(task: ReadTask) -> ClipRecord | KnownContent | Skipped:
             return KnownContent(task.path, content_hash, state)
         return _derive(task, state, content_hash)
     except DousaError as error:
-        return Skipped(task.path, _reason(task.path, error))
+        return Skipped(task.path, describe_problem(task.path, error))
     except OSError as error:
         return Skipped(task.path, f"cannot be read: {error.strerror or error}")
     except MemoryError:
         return Skipped(task.path, "the motion does not fit into the memory of this machine")
 
 
-def _reason(path: str, error: DousaError) -> str:
+def describe_problem(path: str, error: DousaError) -> str:
     """The message without the path, which is told beside it."""
     if isinstance(error, MotionFileError) and error.path == path:
         return error.problem if error.line is None else f"line {error.line}: {error.problem}"

@@ -27,7 +27,7 @@ from dousa.errors import OptionError
 if TYPE_CHECKING:
     from _csv import Reader
 
-__all__ = ["LabelRule", "parse_label_rule"]
+__all__ = ["LabelRule", "no_label", "parse_label_rule"]
 
 LabelRule = Callable[[Path, Path], "str | None"]
 """Label of a file: called with the PATH that was given and the file found there, both absolute."""
@@ -54,7 +54,7 @@ def parse_label_rule(text: str | None, label: str) -> LabelRule:
     """
     kind, _, rest = (text or "none").partition(":")
     if kind in ("folder", "none") and not rest:
-        return _folder if kind == "folder" else _nothing
+        return _folder if kind == "folder" else no_label
     if kind in ("name", "path") and rest:
         return _expression_rule(kind, rest, label)
     if kind == "csv" and rest:
@@ -62,7 +62,8 @@ def parse_label_rule(text: str | None, label: str) -> LabelRule:
     raise OptionError(f"--{label}-from: expected {_RULES}, got '{text}'")
 
 
-def _nothing(root: Path, file: Path) -> None:
+def no_label(root: Path, file: Path) -> None:
+    """The rule ``none``."""
     return None
 
 
@@ -100,12 +101,13 @@ def _table_rule(path: Path, label: str) -> LabelRule:
     by_text: dict[str, str | None] = {}
     by_place: dict[str, str | None] = {}
     for line, name, value in rows:
-        key = os.path.normpath(name)
-        if by_text.setdefault(key, value) != value:
+        # Tables are often made on Windows; a name that holds a backslash itself is hardly ever met.
+        relative = os.path.normpath(name.replace("\\", "/"))
+        if by_text.setdefault(relative, value) != value:
             raise OptionError(
-                f"{path}:{line}: '{name}' has a second {label} '{value}', the first is '{by_text[key]}'"
+                f"{path}:{line}: '{name}' has a second {label} '{value}', the first is '{by_text[relative]}'"
             )
-        by_place[os.path.normpath(os.path.join(base, name))] = value
+        by_place[os.path.normpath(os.path.join(base, relative))] = value
 
     def rule(root: Path, file: Path) -> str | None:
         for table, key in ((by_place, str(file)), (by_text, str(_below(root, file)))):
@@ -121,9 +123,10 @@ def _read_table(path: Path, label: str) -> tuple[str, list[tuple[int, str, str |
     """Name of the column of files, and (line, file, label) of each row."""
     try:
         text = path.read_text(encoding="utf-8-sig")
-    except (OSError, UnicodeDecodeError) as error:
-        reason = getattr(error, "strerror", None) or error
-        raise OptionError(f"--{label}-from: {path} cannot be read: {reason}") from error
+    except OSError as error:
+        raise OptionError(f"--{label}-from: {path} cannot be read: {error.strerror or error}") from error
+    except UnicodeDecodeError as error:
+        raise OptionError(f"--{label}-from: {path} is not text in UTF-8; save it as CSV UTF-8") from error
     header = text.partition("\n")[0]
     delimiter = max(",;\t", key=header.count)
     reader = csv.reader(io.StringIO(text, newline=""), delimiter=delimiter)

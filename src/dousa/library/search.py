@@ -155,7 +155,7 @@ def rank_clips(
         keys, k, lambda tied: _compare(asked, [index.ids[row] for row in rows[tied]], read_features)
     )
     hits = tuple(
-        Hit(index.paths[row], index.labels[row], float(distance), rank, index.ids[row], float(-share))
+        Hit(index.paths[row], index.labels[row], float(distance), rank, index.ids[row], 0.0 - float(share))
         for rank, (row, (distance, share)) in enumerate(zip(rows[best], keys[best], strict=True), start=1)
     )
     histogram = order_histogram(asked.answers.categories, asked.answers.shares()[0])

@@ -57,6 +57,7 @@ def train_forest(
             # Another program added or removed clips while the trees grew.
             ids, features, _ = load_features(connection)
             answers = ask_trees(stored, features)
+            next_revision(connection)  # the forest has not learned from what they did: it is not current
         save_forest(connection, stored, _plain_parameters(forest), len(labelled))
         connection.execute(sa.delete(schema.clip_histograms))
         save_answers(connection, ids, answers)

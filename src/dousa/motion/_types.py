@@ -26,7 +26,7 @@ _UNIT_TOLERANCE = 1e-6
 def _frozen_array(values: ArrayLike, dtype: type, shape: tuple[int | None, ...], what: str) -> NDArray[Any]:
     """A read-only C-ordered array of the wanted shape (None fits any length); copies only what is writable."""
     try:
-        array = np.ascontiguousarray(values, dtype=dtype)
+        array: NDArray[Any] = np.ascontiguousarray(values, dtype=dtype)
     except (TypeError, ValueError) as error:
         raise InvalidMotionError(f"{what}: expected numbers of shape {shape}: {error}") from error
     if array.ndim != len(shape) or any(

@@ -25,6 +25,8 @@ from dousa.motion.tree_shape import shape_recipe
 
 __all__ = ["CanonicalMotion", "JointMapping", "canonicalise"]
 
+# m: heights over the joints that no person has, and that nothing has.
+_SMALLEST, _TALLEST, _NO_BODY = 0.4, 3.0, 1e9
 _MAX_FRAMES = 32  # evenly spread, for the height and the sides
 _DEGENERATE = 0.05  # of the forearm or shank: a hand or toe this near to its parent is not one
 _TOE_PER_SHANK = 0.35
@@ -55,6 +57,7 @@ _BY_SHAPE = (
 )
 _BY_SHAPE_UNCLEAR = _BY_SHAPE + "; which side is left is not clear, a joint map would settle it"
 _SKIN_MARKERS = "shoulders, elbows, wrists, knees and ankles are markers on the skin, not joint centres"
+_NO_PERSON = "no person is as small or as tall as this; is the unit right (--unit)?"
 _MADE_TOES = "there are no toes: they were put in front of the ankles"
 
 
@@ -177,6 +180,8 @@ def _choose_recipe(moving: Trajectories, joint_map: JointMap | None, never: tupl
 
 def _problem(match: NameMatch | None, moving: Trajectories, never: tuple[str, ...]) -> str:
     """What is missing and what to do about it."""
+    if len(never) == len(moving.names):
+        return "no frame tells where any joint is: a value that all of them need is always missing (nan)"
     if match is None or len(match.missing) > 8:
         problem = "the names of the joints are of no known family"
         if moving.parents is None:
@@ -207,6 +212,8 @@ def _finish(moving: Trajectories, recipe: Recipe, points: FloatArray) -> Canonic
     height, height_source = _measure_height(recipe, sample, moving.rest_positions)
     sides = compare_sides(sample)
     warnings = []
+    if not _SMALLEST <= height <= _TALLEST:
+        warnings.append(_NO_PERSON)
     if recipe.table == "tree shape":
         warnings.append(_BY_SHAPE_UNCLEAR if sides == "unclear" else _BY_SHAPE)
     elif sides == "unclear":
@@ -267,7 +274,9 @@ def _make_toes(points: FloatArray) -> None:
 def _measure_height(recipe: Recipe, sample: FloatArray, rest: FloatArray | None) -> tuple[float, str]:
     chain = chain_height(sample)
     if not chain > 0:
-        raise JointMappingError("the body has no height: all its joints coincide", CANONICAL_JOINTS)
+        raise JointMappingError("the body has no height: all its joints coincide")
+    if not chain < _NO_BODY:
+        raise JointMappingError("its joints lie beyond any measure; is the unit right (--unit)?")
     upright = measure_rest(recipe, rest)
     if upright is not None and upright.fits(chain):
         return upright.height, "rest pose"

@@ -57,6 +57,9 @@ _ALIGNED = 0.8  # cosine between body axis and a coordinate axis
 _NEARLY_ALL = 0.9  # of the frames
 _FLOOR = 0.15  # of the body height: how near to zero the floor must be
 _JUMP = 0.5  # of the body height: how high above it the feet may fly
+_CENTRED = 0.02  # of the body height: a pelvis that stays this near to zero was put there
+_FLAT = 0.4  # of the body height: a body that lies is no thicker
+_BELOW = 0.03  # of the body height: nothing of it is deeper below the floor
 
 
 def find_recipe(names: tuple[str, ...], parents: ArrayLike | None, positions: FloatArray) -> Recipe | None:
@@ -202,8 +205,8 @@ def find_upright_axis(
 ) -> str:
     """The axis that points up: the format's habit unless the body says otherwise in nearly all frames.
 
-    A person may lie down, so a body along another axis is not enough where the rest pose stands along the
-    habitual axis: then the feet must also stay on a floor at zero along the new axis.
+    A person may lie down, so a body along another axis is not enough unless the skeleton's rest pose stands along
+    that axis too: the feet must also stay on a floor at zero along the new axis.
 
     Parameters
     ----------
@@ -226,8 +229,10 @@ def find_upright_axis(
         return prior
     name = _common_axis(cosines)
     if default_up is None:
-        return name or ("z" if abs(cosines[:, 2].mean()) > abs(cosines[:, 1].mean()) else "y")
-    return prior if name is None or _lies_down(points, rest, prior, name) else name
+        if name is not None:
+            return _floor_axis(points, name) or name
+        return "z" if abs(cosines[:, 2].mean()) > abs(cosines[:, 1].mean()) else "y"
+    return prior if name is None or _lies_down(sample, points, rest, prior, name) else name
 
 
 def _common_axis(cosines: FloatArray) -> str | None:
@@ -240,14 +245,39 @@ def _common_axis(cosines: FloatArray) -> str | None:
     return ("-" if sign < 0 else "") + _AXES[column]
 
 
-def _lies_down(points: FloatArray, rest: RestPose | None, prior: str, name: str) -> bool:
+def _lies_down(
+    sample: Trajectories, points: FloatArray, rest: RestPose | None, prior: str, name: str
+) -> bool:
     """Whether a body along an unusual axis may rather be a person who lies: no sign of a floor below the feet."""
     height = chain_height(points)
-    if rest is None or not rest.fits(height) or _AXES[rest.axis] != prior[-1]:
+    stands = _AXES[rest.axis] if rest is not None and rest.fits(height) else None
+    # A rest pose that stands along this axis is sign enough, but for x, which is nobody's up axis: rest poses along it
+    # (LAFAN1, Bandai-Namco) are a habit of drawing bones. Points without a skeleton may be in a camera's axes, y down.
+    if stands == name[-1] != prior[-1] and name[-1] != "x":
         return False
+    centred = np.abs(points[:, J["pelvis"]]).max() < _CENTRED * height
+    if sample.rest_positions is None and (centred or name[-1] == prior[-1]):
+        return False
+    return not _has_floor(points, name, height)
+
+
+def _has_floor(points: FloatArray, name: str, height: float) -> bool:
+    """Whether the body stays on a floor at zero along an axis; NaN is no evidence."""
     along = points[..., _AXES.index(name[-1])] * (-1.0 if name.startswith("-") else 1.0)
-    lowest = along.min(axis=1)  # NaN fails the comparison: no evidence
-    return not (abs(lowest.min()) < _FLOOR * height and lowest.max() < _JUMP * height)
+    lowest = along.min(axis=1)
+    return bool(abs(lowest.min()) < _FLOOR * height and lowest.max() < _JUMP * height)
+
+
+def _floor_axis(points: FloatArray, name: str) -> str | None:
+    """The axis, z or y, across whose floor a body along another axis lies flat; None if it rather stands."""
+    height = chain_height(points)
+    for axis in ("z", "y"):
+        if axis == name[-1] or _has_floor(points, name, height) or not _has_floor(points, axis, height):
+            continue
+        along = points[..., _AXES.index(axis)]
+        if along.min() > -_BELOW * height and np.ptp(along, axis=1).max() < _FLAT * height:
+            return axis
+    return None
 
 
 def _up_without_joints(sample: Trajectories) -> str:

@@ -80,6 +80,8 @@ def _parse_lines(text: str, where: str) -> dict[str, Any]:
             raise OptionError(
                 f"{where}:{number}: expected 'canonical joint = name in the file', got '{content}'"
             )
+        if joint.strip() in found:
+            raise OptionError(f"{where}:{number}: '{joint.strip()}' is given a second time")
         found[joint.strip()] = [name.strip().strip("\"'") for name in names.strip(" []").split(",")]
     return found
 

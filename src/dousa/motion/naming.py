@@ -32,6 +32,7 @@ _SIDES = {"left": "l", "lft": "l", "l": "l", "right": "r", "rgt": "r", "rt": "r"
 _FIRST_WORDS = frozenset(
     {"def", "org", "joint", "jnt", "bone", "c", "m", "f", "avg", "mixamorig", "valvebiped", "bip01", "bip001"}
 )
+_LAST_WORDS = frozenset({"jnt", "joint", "bone"})
 _SHARED = 0.8  # a first word of this share of the names is a prefix, not part of any name
 
 _CORES = frozenset(
@@ -75,7 +76,7 @@ def _split(name: str) -> list[str]:
 
 
 def _without_prefix(words: list[list[str]]) -> list[list[str]]:
-    """Take off the first words that nearly all names share, and the known prefixes of single bones."""
+    """Take off the first words that nearly all names share, and the known first and last words of single bones."""
     while len(words) >= 5:
         firsts = [row[0] for row in words if len(row) > 1]
         common = max(set(firsts), key=firsts.count) if firsts else ""
@@ -87,7 +88,8 @@ def _without_prefix(words: list[list[str]]) -> list[list[str]]:
         start = 0
         while start < len(row) - 1 and row[start] in _FIRST_WORDS:
             start += 1
-        cleaned.append(row[start:])
+        end = len(row) - (len(row) - start > 1 and row[-1] in _LAST_WORDS)
+        cleaned.append(row[start:end])
     return cleaned
 
 

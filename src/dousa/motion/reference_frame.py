@@ -7,6 +7,7 @@ users agreed on unless the body itself stands along another axis in nearly all f
 from __future__ import annotations
 
 import dataclasses
+import re
 from dataclasses import dataclass
 from typing import TypeVar, cast
 
@@ -39,7 +40,9 @@ CMU_UNIT = 0.0254 / 0.45
 _UNITS = {
     "m": 1.0,
     "metre": 1.0,
+    "metres": 1.0,
     "meter": 1.0,
+    "meters": 1.0,
     "dm": 0.1,
     "cm": 0.01,
     "mm": 0.001,
@@ -51,6 +54,7 @@ _UNITS = {
     "feet": 0.3048,
     "cmu": CMU_UNIT,
 }
+_PREFIXED = re.compile(r"(milli|centi|deci)met(?:re|er)s?")
 _COMMON = (1.0, 0.01, 0.001)
 _RARE = (CMU_UNIT, 0.0254, 0.1, 0.3048)
 _COMMON_STATURE = (0.8, 2.5)  # m, a child of two to a giant
@@ -108,6 +112,7 @@ def parse_unit(text: str | float) -> float:
     OptionError : anything else.
     """
     key = str(text).strip().lower()
+    key = _PREFIXED.sub(lambda word: word[1][0] + "m", key)
     if key in _UNITS:
         return _UNITS[key]
     try:

@@ -60,16 +60,22 @@ class Workspace(NamedTuple):
     @classmethod
     def create(cls, n_clips: int, n_classes: int, n_tests: int) -> Workspace:
         """For trees of so many clips, categories and tests."""
+        keys, spare = np.empty((2, n_clips), np.int64)
+        counts, left, present, number = np.empty((4, n_classes), np.int64)
         return cls(
-            np.empty(n_clips),
-            np.empty(n_clips, np.int32),
-            *np.empty((2, n_clips), np.int64),
-            *np.empty((4, n_classes), np.int64),
-            np.arange(n_tests),
-            np.empty(n_tests, np.int64),
-            np.empty((n_clips + 1, 3), np.int64),
-            np.empty((4, 256), np.int64),
-            np.empty(1, np.uint64),
+            values=np.empty(n_clips),
+            labels=np.empty(n_clips, np.int32),
+            keys=keys,
+            spare=spare,
+            counts=counts,
+            left=left,
+            present=present,
+            number=number,
+            order=np.arange(n_tests),
+            swaps=np.empty(n_tests, np.int64),
+            stack=np.empty((n_clips + 1, 3), np.int64),
+            digits=np.empty((4, 256), np.int64),
+            state=np.empty(1, np.uint64),
         )
 
 

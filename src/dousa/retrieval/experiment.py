@@ -105,17 +105,19 @@ def run_experiment(
     )
     workers = _Workers(n_trees, sampling_rate, template_threshold, n_jobs)
     compile_seconds = workers.warm_up(systems)
-    total = len(systems) * sum(len(folds) for folds in rounds)
-    report = _Reporter(progress, total)
-    results = {}
-    for system in systems:
-        once = split != "half" and system in _WITHOUT_RANDOMNESS
-        trials = [
-            _run_folds(workers, system, material, folds, seeds=(random_state, repeat), report=report)
-            for repeat, folds in enumerate(rounds[:1] if once else rounds)
-        ]
-        report.skip(total // len(systems) - sum(len(trial.folds) for trial in trials))
-        results[system] = _summarise(trials * (repeats if once else 1), material.categories, not once)
+    report = _Reporter(progress, len(systems) * sum(len(folds) for folds in rounds))
+    results = {
+        system: _run_system(
+            workers,
+            system,
+            material,
+            rounds,
+            redrawn=split == "half",
+            random_state=random_state,
+            report=report,
+        )
+        for system in systems
+    }
     report("done")
     untrained, untested = _gaps(material.categories, rounds)
     first = rounds[0]
@@ -140,7 +142,7 @@ class _Material:
     """The clips as the systems see them, computed once."""
 
     categories: NDArray[Any]  # (N,) str objects
-    features: NDArray[np.float64]  # (N, n_frames, 56)
+    features: NDArray[np.float64]  # (N, n_frames, 56 or 82)
     sequences: list[NDArray[np.bool_]]  # N of (T_i, 39)
     feature_seconds: float
     relational_seconds: float
@@ -305,6 +307,26 @@ def _describe(
     ended = time.perf_counter()
     categories = np.array([clip.category for clip in clips], dtype=object)
     return _Material(categories, features, sequences, between - started, ended - between)
+
+
+def _run_system(
+    workers: _Workers,
+    system: str,
+    material: _Material,
+    rounds: list[tuple[Split, ...]],
+    *,
+    redrawn: bool,
+    random_state: int,
+    report: _Reporter,
+) -> SystemResult:
+    """All repeats of one system; a system without randomness runs once where the splits are not redrawn."""
+    once = not redrawn and system in _WITHOUT_RANDOMNESS
+    trials = [
+        _run_folds(workers, system, material, folds, seeds=(random_state, repeat), report=report)
+        for repeat, folds in enumerate(rounds[:1] if once else rounds)
+    ]
+    report.skip(sum(len(folds) for folds in rounds) - sum(len(trial.folds) for trial in trials))
+    return _summarise(trials * (len(rounds) if once else 1), material.categories, not once)
 
 
 def _run_folds(

@@ -105,7 +105,7 @@ class MotionTemplates:
 
         Raises
         ------
-        TrainingError : no clips, or as many labels as clips are missing.
+        TrainingError : no clips, or another number of labels.
         OptionError : a parameter outside its range.
         """
         self._check_parameters()
@@ -121,7 +121,7 @@ class MotionTemplates:
             )
         self.classes_, numbers = np.unique(labels, return_inverse=True)
         groups = [
-            [np.asarray(sequences[k], dtype=np.float64) for k in np.flatnonzero(numbers == c)]
+            [np.asarray(sequences[int(k)], dtype=np.float64) for k in np.flatnonzero(numbers == c)]
             for c in range(len(self.classes_))
         ]
         self.averages_ = _in_threads(
