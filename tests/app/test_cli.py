@@ -160,6 +160,16 @@ def test_plot_writes_a_picture(dousa, motions, tmp_path):
     assert picture.read_bytes().startswith(b"\x89PNG")
 
 
+@pytest.mark.parametrize(
+    "words", [("{tmp}/nowhere",), ("{dir}", "--category-from", "mood"), ("{dir}", "--unit", "furlong")]
+)
+def test_a_mistaken_add_leaves_no_library(dousa, motions, tmp_path, words):
+    places = {"tmp": tmp_path, "dir": motions}
+    code, _, err = dousa("add", tmp_path / "new.dousa", *(word.format(**places) for word in words))
+    assert code == 2 and err
+    assert list(tmp_path.iterdir()) == []
+
+
 def test_add_train_search_classify(dousa, motions, tmp_path):
     library = tmp_path / "moves.dousa"
     code, out, _ = dousa("add", library, motions, "--performer-from", r"name:(p\d)", "--json")

@@ -160,6 +160,17 @@ def test_a_newer_library_names_both_versions(library_file):
         Library.open(library_file)
 
 
+def test_a_forest_of_other_features_is_not_asked(library_file, moves, monkeypatch):
+    from dousa import retrieval
+
+    monkeypatch.setattr(retrieval, "FEATURE_NAMES", (*retrieval.FEATURE_NAMES[1:], "a new one"))
+    with (
+        Library.open(library_file) as library,
+        pytest.raises(LibraryVersionError, match="other pose features"),
+    ):
+        library.classify(moves)
+
+
 @pytest.fixture
 def second_migration(monkeypatch) -> None:
     def add_table(connection: sa.Connection) -> None:

@@ -58,12 +58,14 @@ def add(
 
     Example: dousa add moves.dousa recordings/ --performer-from 'name:HDM_(..)_'
     """
+    named_joints = o.load_joint_map(joint_map)
+    _check_before_making(paths, category_from, performer_from, unit, up)
     with _open(library, create=True) as opened, progress_bar() as progress:
         report = opened.add(
             paths,
             category_from=category_from,
             performer_from=performer_from,
-            joint_map=o.load_joint_map(joint_map),
+            joint_map=named_joints,
             unit=unit,
             up=up,
             skeleton=skeleton,
@@ -79,6 +81,24 @@ def add(
     used = (report.added, report.replaced, report.moved, report.unchanged, report.duplicates)
     if report.skipped and not any(used):
         raise typer.Exit(2)
+
+
+def _check_before_making(
+    paths: list[Path], category_from: str, performer_from: str | None, unit: str | None, up: str | None
+) -> None:
+    """Find mistakes in the words of a command before it leaves an empty library behind."""
+    from dousa.library import parse_label_rule
+    from dousa.motion.reference_frame import parse_unit, parse_up
+
+    if unit is not None:
+        parse_unit(unit)
+    if up is not None:
+        parse_up(up)
+
+    parse_label_rule(category_from, "category")
+    parse_label_rule(performer_from, "performer")
+    if not any(os.path.lexists(path) for path in paths):
+        raise OptionError(f"{paths[0]}: no such file or folder; check the name")
 
 
 def train(

@@ -11,7 +11,7 @@ import numpy as np
 import sqlalchemy as sa
 from numpy.typing import NDArray
 
-from dousa.errors import DousaError, LibraryDamagedError
+from dousa.errors import DousaError, LibraryDamagedError, LibraryVersionError
 from dousa.library import schema
 from dousa.library._arrays import pack, stack
 
@@ -123,6 +123,7 @@ def load_forest(
     Raises
     ------
     LibraryDamagedError : bytes that are not a forest.
+    LibraryVersionError : a forest of other pose features.
     """
     table = schema.forests.c
     query = sa.select(table.revision).where(table.id == _FOREST_ID)
@@ -130,7 +131,7 @@ def load_forest(
     if revision is None or (known is not None and known.revision == revision):
         return None if revision is None else known
     row = connection.execute(sa.select(table.data, table.categories).where(table.id == _FOREST_ID)).one()
-    from dousa.retrieval import MotionForest
+    from dousa.retrieval import FEATURE_NAMES, MotionForest
 
     try:
         forest = MotionForest.from_bytes(row.data)
@@ -139,6 +140,11 @@ def load_forest(
             raise LibraryDamagedError("its categories are not those of the library")
     except DousaError as error:
         raise LibraryDamagedError(f"{where}: the forest is damaged ({error}); run: dousa train") from error
+    if forest.feature_names_ != FEATURE_NAMES:
+        raise LibraryVersionError(
+            f"{where}: its clips are described by other pose features than those of this dousa; "
+            "add their files to a new library"
+        )
     return StoredForest(forest, int(revision), categories)
 
 

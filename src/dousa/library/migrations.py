@@ -2,6 +2,7 @@
 
 A new library is made from ``schema`` at once and every step is recorded as done; an older library takes the
 steps that it lacks. To change a table: change ``schema`` and add a step that does the same to an old library.
+To change the pose features: add a step too, which computes those of the stored clips anew.
 """
 
 from __future__ import annotations
