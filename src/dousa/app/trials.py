@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from dousa.errors import DousaError, OptionError, TrainingError
-from dousa.library import ReadOptions, Skipped, find_motion_files, parse_label_rule
+from dousa.library import ReadOptions, Skipped, choose_jobs, find_motion_files, parse_label_rule
 from dousa.library.ingest import FoundFile, describe_problem, read_canonical
 
 if TYPE_CHECKING:
@@ -51,7 +51,7 @@ def read_labelled_clips(
     rules = parse_label_rule(category_from, "category"), parse_label_rule(performer_from, "performer")
     files, skipped = find_motion_files(paths)
     labels = [tuple(rule(file.root, file.path) for rule in rules) for file in files]
-    parallel = joblib.Parallel(n_jobs=n_jobs or joblib.cpu_count(), prefer="threads", return_as="generator")
+    parallel = joblib.Parallel(n_jobs=choose_jobs(n_jobs), prefer="threads", return_as="generator")
     clips: list[LabelledClip] = []
     answers = parallel(
         joblib.delayed(_read_clip)(file, category, performer, options)

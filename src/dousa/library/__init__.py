@@ -20,6 +20,7 @@ _HOME = {
     "Skipped": "reports",
     "TrainReport": "reports",
     "UNCHANGED": "selection",
+    "choose_jobs": "_jobs",
     "find_motion_files": "ingest",
     "parse_label_rule": "labels",
 }

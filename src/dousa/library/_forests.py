@@ -35,7 +35,6 @@ __all__ = [
 FEATURE_SHAPE = (10, 56)
 """Frames and pose features of a clip."""
 
-_FEATURE_SET = "56 pose features, 10 frames"
 _FOREST_ID = 1
 _ROWS_AT_ONCE = 1000
 
@@ -86,9 +85,9 @@ def ask_trees(stored: StoredForest, features: FloatArray) -> TreeAnswers:
     stored : the forest.
     features : (N, 10, 56).
     """
-    leaves = stored.forest.apply(features).astype(np.int32)
-    votes = np.rint(stored.forest.predict_proba(features) * leaves.shape[1]).astype(np.int32)
-    return TreeAnswers(votes, leaves, stored.categories)
+    leaves = stored.forest.apply(features)
+    votes = np.rint(stored.forest.histograms_of(leaves) * leaves.shape[1]).astype(np.int32)
+    return TreeAnswers(votes, leaves.astype(np.int32), stored.categories)
 
 
 def load_outline(connection: sa.Connection) -> tuple[tuple[str, ...], int] | None:
@@ -158,7 +157,6 @@ def save_forest(
             id=_FOREST_ID,
             revision=stored.revision,
             trained_at=datetime.now(UTC).isoformat(timespec="seconds"),
-            feature_set=_FEATURE_SET,
             categories=list(stored.categories),
             parameters=parameters,
             n_clips=n_clips,

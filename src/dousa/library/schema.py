@@ -107,7 +107,6 @@ forests = sa.Table(
     # Of the library at the end of the training: tells forests apart, and whether clips changed since.
     sa.Column("revision", sa.BigInteger, nullable=False),
     sa.Column("trained_at", sa.Text, nullable=False),
-    sa.Column("feature_set", sa.Text, nullable=False),
     sa.Column("categories", sa.JSON, nullable=False),
     sa.Column("parameters", sa.JSON, nullable=False),
     sa.Column("n_clips", sa.Integer, nullable=False),

@@ -172,8 +172,26 @@ class MotionForest:
         ------
         NotTrainedError, InvalidMotionError, OptionError
         """
+        self._entries(histogram)  # a wrong word is told before the work
+        return self.histograms_of(self.apply(features), histogram)
+
+    def histograms_of(self, leaves: NDArray[np.int64], histogram: Histogram = "votes") -> FloatArray:
+        """The histograms of clips whose leaves are known: ``predict_proba`` without going down the trees again.
+
+        Parameters
+        ----------
+        leaves : (N, n_trees) as ``apply`` gives them.
+        histogram : as in ``predict_proba``.
+
+        Returns
+        -------
+        (N, C) shares in the order of ``classes_``; rows sum to 1.
+
+        Raises
+        ------
+        NotTrainedError, OptionError
+        """
         entries = self._entries(histogram)
-        leaves = self.apply(features)
         shares = np.zeros((len(leaves), self._fitted.n_classes))
         kernels.count_leaves(leaves, *entries, shares)
         shares /= leaves.shape[1]
