@@ -202,3 +202,15 @@ def test_one_frame() -> None:
 
 def test_result_is_read_only() -> None:
     assert not canonicalise(walking_body()).positions.flags.writeable
+
+
+def test_gaps_are_filled_and_marked() -> None:
+    body = walking_body()
+    positions = body.positions.copy()
+    positions[5:9, body.names.index("LeftLeg"), 1] = np.nan
+    gappy = canonicalise(Trajectories(body.names, positions, body.frame_rate, body.parents))
+    assert np.isfinite(gappy.positions).all()
+    expected = np.zeros(gappy.positions.shape[:2], bool)
+    expected[5:9, JOINT_INDEX["left_knee"]] = True
+    np.testing.assert_array_equal(gappy.missing, expected)
+    assert canonicalise(body).missing is None

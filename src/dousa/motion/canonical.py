@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
+from numpy.typing import NDArray
 
 from dousa.errors import JointMappingError
 from dousa.motion._recipe import HAND_REACH, Recipe, named_recipe
@@ -92,6 +93,7 @@ class CanonicalMotion:
     height_source : ``"rest pose"`` if an upright one was there, else ``"bone chain"``.
     mapping : where the joints come from.
     warnings : what a person should know, in sentences.
+    missing : (T, 20) True where a joint was not seen and its place was filled in; None if all were seen.
     """
 
     positions: FloatArray
@@ -100,6 +102,7 @@ class CanonicalMotion:
     height_source: str
     mapping: JointMapping
     warnings: tuple[str, ...] = ()
+    missing: NDArray[np.bool_] | None = None
 
     @property
     def n_frames(self) -> int:
@@ -126,7 +129,7 @@ def canonicalise(motion: Motion | Trajectories, joint_map: JointMap | None = Non
 
     Returns
     -------
-    The canonical motion; gaps (NaN) are filled by interpolation, ends held.
+    The canonical motion; gaps (NaN) are filled by interpolation, ends held, and marked in ``missing``.
 
     Raises
     ------
@@ -137,10 +140,12 @@ def canonicalise(motion: Motion | Trajectories, joint_map: JointMap | None = Non
     gaps = bool(np.isnan(positions.sum()))
     never = _never_seen(moving) if gaps else ()
     recipe = _choose_recipe(moving, joint_map, never)
+    missing = None
     if gaps:
+        missing = _find_missing(recipe, positions)
         positions = _fill(positions)
     points = body_points(recipe, positions)
-    return _finish(moving, recipe, points)
+    return _finish(moving, recipe, points, missing)
 
 
 def _trajectories(motion: Motion | Trajectories) -> Trajectories:
@@ -160,6 +165,19 @@ def _fill(positions: FloatArray) -> FloatArray:
     from dousa.motion.resampling import fill_gaps
 
     return fill_gaps(positions)
+
+
+def _find_missing(recipe: Recipe, positions: FloatArray) -> NDArray[np.bool_]:
+    """(T, 20) where what a joint is made from is not seen."""
+    unseen = np.isnan(positions).any(axis=2)
+    missing = unseen[:, recipe.gather]
+    for row, indices, _ in recipe.blends:
+        missing[:, row] = unseen[:, indices].any(axis=1)
+    if recipe.pelvis_markers:
+        markers = [index for indices in recipe.pelvis_markers for index in indices]
+        hips = unseen[:, markers].any(axis=1)
+        missing[:, [J["pelvis"], J["left_hip"], J["right_hip"]]] |= hips[:, None]
+    return missing
 
 
 def _choose_recipe(moving: Trajectories, joint_map: JointMap | None, never: tuple[str, ...]) -> Recipe:
@@ -195,7 +213,9 @@ def _problem(match: NameMatch | None, moving: Trajectories, never: tuple[str, ..
     return problem + "; name the joints in a joint map (--joint-map FILE with lines 'left_elbow = name')"
 
 
-def _finish(moving: Trajectories, recipe: Recipe, points: FloatArray) -> CanonicalMotion:
+def _finish(
+    moving: Trajectories, recipe: Recipe, points: FloatArray, unseen: NDArray[np.bool_] | None
+) -> CanonicalMotion:
     """Tips, height, sides, warnings."""
     sample = _spread(points)
     no_hands, no_toes = _coincident_tips(sample)
@@ -229,7 +249,7 @@ def _finish(moving: Trajectories, recipe: Recipe, points: FloatArray) -> Canonic
     sources = {joint: names for joint, names in _named_sources(recipe, moving.names) if joint not in derived}
     mapping = JointMapping(recipe.table, sources, derived, sides)
     points.flags.writeable = False
-    return CanonicalMotion(points, moving.frame_rate, height, height_source, mapping, tuple(warnings))
+    return CanonicalMotion(points, moving.frame_rate, height, height_source, mapping, tuple(warnings), unseen)
 
 
 @lru_cache(maxsize=256)

@@ -15,18 +15,15 @@ import numpy as np
 
 from dousa.errors import OptionError
 from dousa.motion._synthetic_body import build_skeleton, compose_motion
-from dousa.motion._synthetic_scores import FREEDOMS, SCORES, Score, evaluate_track, mirror_name
-from dousa.motion._types import FloatArray, Motion, Skeleton
+from dousa.motion._synthetic_playing import Plan, play_score
+from dousa.motion._synthetic_scores import SCORES, Score
+from dousa.motion._types import Motion, Skeleton
 
 __all__ = ["CATEGORIES", "Performer", "draw_performer", "make_library", "make_motion", "make_skeleton"]
 
 CATEGORIES: tuple[str, ...] = tuple(SCORES)
 """The kinds of motion that `make_motion` knows."""
 
-# Directions and headings: a livelier performer does not turn further round or raise the arms more sideways.
-_UNSCALED = ("turn", "arm_side", "arm_turn", "toe_out", "arm_out")
-_HINGES = {"elbow": (0.0, 150.0), "knee": (0.0, 150.0), "arm_raise": (-75.0, 178.0)}
-_STANCE = {"arm_side": 12.0, "arm_raise": 2.0, "knee": 3.0, "thigh": 1.0, "spread": 1.5}
 _MAX_FRAMES = 1_000_000
 
 
@@ -136,7 +133,7 @@ def make_motion(category: str, performer: Performer, seed: int = 0, frame_rate: 
     if performer.left_handed and not score.sided:
         score = score.mirrored()
     plan = _plan(score, performer, frame_rate, rng)
-    pose = _perform(score, performer, plan, rng)
+    pose = play_score(score, performer, plan, rng)
     return compose_motion(make_skeleton(performer), pose, frame_rate, performer.stature)
 
 
@@ -178,16 +175,7 @@ def _checked_seed(seed: int) -> int:
     return int(seed)
 
 
-@dataclass(frozen=True, slots=True)
-class _Plan:
-    """Of every frame (T,): the time in s, the phase in rounds, how far the stance is left (0 to 1)."""
-
-    times: FloatArray
-    phases: FloatArray
-    weights: FloatArray
-
-
-def _plan(score: Score, performer: Performer, frame_rate: float, rng: np.random.Generator) -> _Plan:
+def _plan(score: Score, performer: Performer, frame_rate: float, rng: np.random.Generator) -> Plan:
     """How one take runs: tempo, rounds, start, hurry, and whether it begins and ends standing."""
     seconds = score.seconds / (performer.tempo * rng.uniform(0.94, 1.06))
     low, high = score.rounds
@@ -211,58 +199,4 @@ def _plan(score: Score, performer: Performer, frame_rate: float, rng: np.random.
         rise, fall = rng.uniform(0.25, 0.5, 2) / performer.tempo
         ramp = np.minimum(times / rise, (times[-1] - times) / fall).clip(0.0, 1.0)
         weights = ramp * ramp * (3 - 2 * ramp)
-    return _Plan(times, phases, weights)
-
-
-def _posture(performer: Performer) -> dict[str, float]:
-    """Degrees of freedom of the performer who stands."""
-    side = {"arm_out": performer.arm_out, "elbow": performer.elbow, "toe_out": performer.toe_out, **_STANCE}
-    stance = {f"{hand}_{name}": value for hand in ("left", "right") for name, value in side.items()}
-    # The working shoulder hangs lower and its elbow is bent a little more.
-    stance |= {"bend": performer.stoop, "nod": 0.6 * performer.stoop, "lean": -performer.tilt}
-    stance["right_elbow"] += 4.0 * performer.tilt / 2
-    if performer.left_handed:
-        stance = {mirror_name(name): value for name, value in stance.items()}
-        stance["lean"] = performer.tilt
-    return stance
-
-
-def _perform(
-    score: Score, performer: Performer, plan: _Plan, rng: np.random.Generator
-) -> dict[str, FloatArray]:
-    """Degrees (T,) of every degree of freedom."""
-    stance = _posture(performer)
-    periodic = score.kind != "once"
-    own = np.random.default_rng([performer.seed, 1])
-    habits: dict[str, float] = {}
-    phases, weights = plan.phases, plan.weights
-    pose = {}
-    for name in FREEDOMS:
-        kind = name.partition("_")[2] or name
-        # The two sides are alike, but not equal.
-        habit = habits.setdefault(kind, own.normal(1.0, 0.06) * rng.normal(1.0, 0.03))
-        gain = performer.amplitude * habit * own.normal(1.0, 0.02)
-        gain = 1.0 + 0.1 * (gain - 1.0) if kind in _UNSCALED else gain
-        values = np.zeros(len(phases))
-        rest = np.full(len(phases), stance.get(name, 0.0))
-        if name in score.tracks:
-            late = performer.lag if kind.startswith(("arm", "elbow")) and periodic else 0.0
-            values = gain * evaluate_track(score.tracks[name], phases - late, periodic)
-            # The score says where the arm goes; of the stance only its slack remains.
-            rest = rest * (1.0 - weights) if kind == "arm_side" else rest
-        if kind not in ("flight", "turn"):
-            rest = rest + _unsteadiness(plan.times, performer.noise * (0.4 if kind == "foot" else 1.0), rng)
-        values = weights * values + rest
-        low, high = _HINGES.get(kind, (-np.inf, np.inf))
-        pose[name] = np.clip(values, low, high)
-    pose["turn"] = pose["turn"] + rng.normal(0.0, 5.0)
-    return pose
-
-
-def _unsteadiness(times: FloatArray, degrees: float, rng: np.random.Generator) -> FloatArray:
-    """Slow random drift (T,) of about that many degrees: three sines of 0.3 to 2.5 Hz."""
-    frequencies = rng.uniform(0.3, 2.5, (3, 1))
-    offsets = rng.uniform(0.0, 2 * np.pi, (3, 1))
-    sizes = rng.normal(0.0, degrees / np.sqrt(1.5), (3, 1)) / np.sqrt(1.0 + frequencies**2)
-    drift: FloatArray = (sizes * np.sin(2 * np.pi * frequencies * times + offsets)).sum(axis=0)
-    return drift
+    return Plan(times, phases, weights)
