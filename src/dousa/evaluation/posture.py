@@ -1,0 +1,285 @@
+"""Posture: a frame as the directions of nine body segments, eq. 1 and 2 of Yamane and Shakunaga.
+
+Place and bone lengths drop out; the axes stay those of the world (Y up), so that only the rotation about the
+vertical is left to normalise.
+"""
+
+from __future__ import annotations
+
+from typing import cast
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from dousa.errors import InvalidMotionError, OptionError
+from dousa.evaluation._types import PostureSequence
+from dousa.motion._types import FloatArray
+from dousa.motion.canonical import CanonicalMotion
+from dousa.motion.joints import CANONICAL_JOINTS, MIRRORED_JOINTS
+from dousa.motion.joints import JOINT_INDEX as J
+from dousa.motion.resampling import fill_gaps
+
+__all__ = [
+    "LIMBS",
+    "MIRRORED_SEGMENTS",
+    "SEGMENTS",
+    "SEGMENT_JOINTS",
+    "check_segments",
+    "check_weights",
+    "compute_postures",
+    "compute_segments",
+    "mirror_postures",
+]
+
+SEGMENT_JOINTS: tuple[tuple[str, str], ...] = (
+    ("pelvis", "neck"),
+    ("left_shoulder", "left_elbow"),
+    ("left_elbow", "left_wrist"),
+    ("right_shoulder", "right_elbow"),
+    ("right_elbow", "right_wrist"),
+    ("left_hip", "left_knee"),
+    ("left_knee", "left_ankle"),
+    ("right_hip", "right_knee"),
+    ("right_knee", "right_ankle"),
+)
+"""Start and end of each segment as canonical joints. The trunk is drawn from the pelvis but measured from the
+middle of the hips: the pelvis sits up to 10 cm higher in one kind of file than in another."""
+
+SEGMENTS: tuple[str, ...] = (
+    "trunk",
+    "left_upper_arm",
+    "left_forearm",
+    "right_upper_arm",
+    "right_forearm",
+    "left_thigh",
+    "left_shank",
+    "right_thigh",
+    "right_shank",
+)
+
+MIRRORED_SEGMENTS: tuple[int, ...] = (0, 3, 4, 1, 2, 7, 8, 5, 6)
+"""Index of each segment's mirror image."""
+
+LIMBS: dict[str, tuple[int, ...]] = {
+    "trunk": (0,),
+    "left_arm": (1, 2),
+    "right_arm": (3, 4),
+    "left_leg": (5, 6),
+    "right_leg": (7, 8),
+}
+"""Segments of each limb."""
+
+_SHORTEST = 1e-6  # m: a segment shorter than this has no direction
+_MOST_FRAMES = 20_000_000
+_FRAME_TOLERANCE = 1e-9  # a last frame missed by rounding alone still counts
+
+
+_STARTS = [J[start] for start, _ in SEGMENT_JOINTS]
+_ENDS = [J[end] for _, end in SEGMENT_JOINTS]
+
+_JOINTS_OF = np.zeros((len(SEGMENTS), len(CANONICAL_JOINTS)), bool)  # what each segment is measured from
+_JOINTS_OF[range(len(SEGMENTS)), _STARTS] = True
+_JOINTS_OF[range(len(SEGMENTS)), _ENDS] = True
+_JOINTS_OF[0] = [name in ("left_hip", "right_hip", "neck") for name in CANONICAL_JOINTS]
+
+# What a segment that is never seen is drawn as: hanging, the trunk upright.
+_REST = np.tile([0.0, -1.0, 0.0], (len(SEGMENTS), 1))
+_REST[0, 1] = 1.0
+
+
+def check_segments(values: ArrayLike, what: str) -> FloatArray:
+    """Postures as a float array, checked.
+
+    Parameters
+    ----------
+    values : (..., 9, 3) finite.
+    what : name of the argument, for the message.
+
+    Returns
+    -------
+    (..., 9, 3).
+
+    Raises
+    ------
+    InvalidMotionError : another shape, no numbers, or values that are missing.
+    """
+    try:
+        array = np.asarray(values, np.float64)
+    except (TypeError, ValueError) as error:
+        raise InvalidMotionError(f"{what}: expected numbers of shape (..., 9, 3): {error}") from error
+    if array.ndim < 2 or array.shape[-2:] != (len(SEGMENTS), 3):
+        raise InvalidMotionError(f"{what}: expected shape (..., 9, 3), got {array.shape}")
+    if not np.isfinite(array.sum()):
+        raise InvalidMotionError(
+            f"{what}: expected finite directions, got nan or inf; compute_postures() fills what is not seen"
+        )
+    return array
+
+
+def check_weights(weights: ArrayLike | None) -> FloatArray:
+    """Weights of the segments, checked; equal ones if none are given.
+
+    Parameters
+    ----------
+    weights : (9,) or (..., 9), 0 or above, not all 0 in any row; None for equal weights.
+
+    Returns
+    -------
+    (9,) or (..., 9).
+
+    Raises
+    ------
+    OptionError : another shape, or values that are negative, missing or all 0.
+    """
+    if weights is None:
+        return np.ones(len(SEGMENTS))
+    array = np.asarray(weights, np.float64)
+    if array.ndim < 1 or array.shape[-1] != len(SEGMENTS):
+        raise OptionError(f"weights: expected one a segment, shape (9,) or (..., 9), got {array.shape}")
+    if not (np.isfinite(array.sum()) and (array >= 0).all() and (array.sum(axis=-1) > 0).all()):
+        raise OptionError("weights: expected numbers of 0 or above that are not all 0")
+    return array
+
+
+def compute_segments(positions: ArrayLike) -> FloatArray:
+    """Directions of the nine segments of a pose.
+
+    Parameters
+    ----------
+    positions : (..., 20, 3) m, canonical joints, Y up.
+
+    Returns
+    -------
+    (..., 9, 3) unit vectors, order of `SEGMENTS`; NaN where a joint is missing or both ends coincide.
+
+    Raises
+    ------
+    InvalidMotionError : another shape.
+
+    Source: Yamane and Shakunaga, eq. 1 and 2. The trunk goes from the middle of the hips to the neck.
+    """
+    points = np.asarray(positions, np.float64)
+    if points.ndim < 2 or points.shape[-2:] != (len(CANONICAL_JOINTS), 3):
+        raise InvalidMotionError(f"positions: expected shape (..., 20, 3), got {points.shape}")
+    hips = 0.5 * (points[..., J["left_hip"], :] + points[..., J["right_hip"], :])
+    vectors = points[..., _ENDS, :] - points[..., _STARTS, :]
+    vectors[..., 0, :] = points[..., J["neck"], :] - hips
+    lengths = np.sqrt(np.einsum("...k,...k->...", vectors, vectors))
+    lengths[~(lengths > _SHORTEST)] = np.nan
+    return cast(FloatArray, vectors / lengths[..., None])
+
+
+def compute_postures(
+    motion: CanonicalMotion, frame_rate: float | None = None, name: str = ""
+) -> PostureSequence:
+    """The postures of a motion, at its own or another frame rate.
+
+    The first frame stays at 0 s; the new frames go on as long as the old ones do. Positions are interpolated
+    linearly. What is not seen is filled from the neighbours in time, and marked.
+
+    Parameters
+    ----------
+    motion : canonical joints; where its ``missing`` is True, the segments that end there are not seen.
+    frame_rate : Hz; None keeps the motion's.
+    name : of the recording.
+
+    Returns
+    -------
+    The postures, arrays read-only.
+
+    Raises
+    ------
+    InvalidMotionError : no frame, another shape, or infinite positions.
+    OptionError : a frame rate that is not above 0 or makes too many frames.
+    """
+    positions, seen = _read(motion)
+    rate = motion.frame_rate
+    if frame_rate is not None and frame_rate != rate:
+        positions, seen = _resample(positions, seen, rate, float(frame_rate))
+        rate = float(frame_rate)
+    segments = compute_segments(positions)
+    seen &= ~np.isnan(segments).any(axis=2)
+    _fill(segments, seen)
+    for array in (segments, seen, positions):
+        array.flags.writeable = False
+    return PostureSequence(segments, seen, positions, rate, name)
+
+
+def _read(motion: CanonicalMotion) -> tuple[FloatArray, NDArray[np.bool_]]:
+    """Positions without gaps, as far as a joint is ever seen, and (T, 9) what is seen of the segments."""
+    positions = np.array(motion.positions, np.float64)
+    if positions.ndim != 3 or positions.shape[1:] != (len(CANONICAL_JOINTS), 3):
+        raise InvalidMotionError(f"positions: expected shape (frames, 20, 3), got {positions.shape}")
+    if len(positions) == 0:
+        raise InvalidMotionError("positions: expected at least one frame, got none")
+    if np.isinf(positions).any():
+        raise InvalidMotionError("positions: expected metres, got infinite values")
+    lost = cast(NDArray[np.bool_], np.isnan(positions).any(axis=2))
+    if lost.any():
+        positions = fill_gaps(positions)
+    missing = motion.missing
+    if missing is not None:
+        if np.shape(missing) != lost.shape:
+            raise InvalidMotionError(f"missing: expected shape {lost.shape}, got {np.shape(missing)}")
+        lost |= np.asarray(missing, bool)
+    lost_ends = cast(NDArray[np.bool_], (lost[:, None, :] & _JOINTS_OF).any(axis=2))
+    return positions, ~lost_ends
+
+
+def _resample(
+    positions: FloatArray, seen: NDArray[np.bool_], old: float, new: float
+) -> tuple[FloatArray, NDArray[np.bool_]]:
+    if not (np.isfinite(new) and 0 < new <= 1e6):
+        raise OptionError(f"frame rate: expected Hz above 0 and up to a million, got {new}")
+    last = len(positions) - 1
+    count = int(np.floor(last / old * new + _FRAME_TOLERANCE)) + 1
+    if count > _MOST_FRAMES:
+        raise OptionError(f"frame rate: {new:g} Hz would make {count} frames; choose a lower rate")
+    place = np.minimum(np.arange(count) * (old / new), last)
+    nearest = np.round(place)
+    # Frames that fall together but for rounding are copied, so that a gap beside them does not spread.
+    place = np.where(np.abs(place - nearest) < _FRAME_TOLERANCE * np.maximum(1.0, nearest), nearest, place)
+    before = place.astype(np.intp)
+    after = np.ceil(place).astype(np.intp)
+    share = (place - before)[:, None, None]
+    return positions[before] * (1.0 - share) + positions[after] * share, seen[before] & seen[after]
+
+
+def _fill(segments: FloatArray, seen: NDArray[np.bool_]) -> None:
+    """Put directions where none was seen: between the neighbours in time, in place."""
+    frames = np.arange(len(segments))
+    for number in np.flatnonzero(~seen.all(axis=0)):
+        known = frames[seen[:, number]]
+        lost = frames[~seen[:, number]]
+        if len(known) == 0:
+            segments[:, number] = _REST[number]
+            continue
+        for axis in range(3):
+            segments[lost, number, axis] = np.interp(lost, known, segments[known, number, axis])
+        lengths = np.linalg.norm(segments[lost, number], axis=1)
+        # Halfway between opposite directions there is none: keep the earlier one.
+        flat = lost[lengths < 0.01]
+        segments[flat, number] = segments[known[np.searchsorted(known, flat) - 1], number]
+        segments[lost, number] /= np.linalg.norm(segments[lost, number], axis=1, keepdims=True)
+
+
+def mirror_postures(postures: PostureSequence) -> PostureSequence:
+    """The same motion in a mirror: x negated, left and right changed.
+
+    Parameters
+    ----------
+    postures : any.
+
+    Returns
+    -------
+    Postures of the same frames, arrays read-only.
+    """
+    flip = np.array([-1.0, 1.0, 1.0])
+    arrays = (
+        postures.segments[:, MIRRORED_SEGMENTS] * flip,
+        postures.seen[:, MIRRORED_SEGMENTS],
+        postures.positions[:, MIRRORED_JOINTS] * flip,
+    )
+    for array in arrays:
+        array.flags.writeable = False
+    return PostureSequence(*arrays, frame_rate=postures.frame_rate, name=postures.name)
