@@ -1,0 +1,367 @@
+// dousa.createPlayer(element, data) -> player
+//
+// Two figures, a reference and a performance, on one canvas. Times are seconds of the performance.
+//   player.seek(seconds) .play() .pause() .loop(start, end) .loop(null) .setSpeed(factor)
+//   player.setView({mode: "side" | "over", sync: "step" | "time", mirror: bool, inPlace: bool}), each optional
+//   player.onTime(callback) -> function that stops the calls; callback(seconds) after every change
+//   player.destroy(); and to read: player.time .duration .playing .speed .view .looped
+
+const SPEEDS = [0.25, 0.5, 1, 2];
+const LONGEST_STEP = 0.25; // s: after the page slept, play goes on from where it stood
+const QUIET = 400; // ms without change before a screen reader is told the time
+
+const players = []; // the one used last comes first: it gets the keys that nobody else wants
+
+class Player {
+  constructor(element, data) {
+    this.data = data;
+    this.clips = {
+      reference: new Clip(data.reference, data.rate),
+      performance: new Clip(data.performance, data.rate),
+    };
+    this.matches = { step: new Match(data.step, data.rate), time: new Match(data.time, data.rate) };
+    this.duration = Math.max((data.performance.n_frames - 1) / data.rate, 1e-3);
+    this.joints = { reference: new Float64Array(VALUES), performance: new Float64Array(VALUES) };
+    Object.assign(this, { time: 0, playing: false, speed: 1, looped: null, listeners: new Set(), waiting: 0 });
+    this.view = { mode: "side", sync: "step", mirror: false, inPlace: true };
+    this.measureTravel();
+    this.build(element);
+    players.unshift(this);
+    this.request();
+  }
+
+  build(element) {
+    this.root = make("div", "dousa-player", element);
+    this.root.tabIndex = 0;
+    this.root.setAttribute("role", "group");
+    this.root.setAttribute("aria-label", this.data.texts.player);
+    if (this.data.language) this.root.lang = this.data.language;
+    this.controls = new Controls(this.root, { ...this.data, duration: this.duration }, this.actions());
+    this.stage = new Stage(this.root, this.controls.canvas, () => {
+      this.controls.layMarks();
+      this.request();
+    });
+    this.onKey = (event) => {
+      if (players.find((player) => player.root.isConnected && player.takes(event)) === this) this.press(event);
+    };
+    document.addEventListener("keydown", this.onKey);
+    this.root.addEventListener("pointerdown", () => this.comeFirst());
+    this.root.addEventListener("focusin", () => this.comeFirst());
+  }
+
+  comeFirst() {
+    players.splice(players.indexOf(this), 1);
+    players.unshift(this);
+  }
+
+  actions() {
+    return {
+      seek: (seconds) => this.seek(seconds),
+      goToEvent: (index) => this.goToEvent(index),
+      previous: () => this.goBeside(-1),
+      next: () => this.goBeside(1),
+      stepFrames: (count) => this.stepFrames(count),
+      toggle: () => (this.playing ? this.pause() : this.play()),
+      setSpeed: (speed) => this.setSpeed(speed),
+      toggleLoop: () => this.toggleLoop(),
+      setView: (view) => this.setView(view),
+      flip: (name) => this.setView({ [name]: !this.view[name] }),
+      look: (name) => this.look(name),
+      resetView: () => this.look(null),
+    };
+  }
+
+  // A little travel fits the picture; a camera that stands still shows it best. Far travel is followed.
+  measureTravel() {
+    const [a, b] = [this.clips.reference.bounds, this.clips.performance.bounds];
+    const low = [0, 1].map((k) => Math.min(a.low[k], b.low[k]));
+    const high = [0, 1].map((k) => Math.max(a.high[k], b.high[k]));
+    this.middle = [0, 1].map((k) => (low[k] + high[k]) / 2);
+    this.travel = Math.hypot(high[0] - low[0], high[1] - low[1]) / 2;
+    this.follow = this.travel > 1.6;
+  }
+
+  // --- time
+
+  seek(seconds) {
+    if (!Number.isFinite(seconds)) return;
+    this.time = Math.min(Math.max(seconds, 0), this.duration);
+    this.tell();
+  }
+
+  play() {
+    if (this.playing) return;
+    const [start, end] = this.looped ?? [0, this.duration];
+    if (this.time >= end - 1e-6) this.time = start;
+    this.playing = true;
+    this.clock = null;
+    this.tell();
+  }
+
+  pause() {
+    if (!this.playing) return;
+    this.playing = false;
+    this.tell();
+  }
+
+  setSpeed(speed) {
+    if (!(speed > 0) || !Number.isFinite(speed)) return;
+    this.speed = speed;
+    this.request();
+  }
+
+  loop(start, end) {
+    const valid = Number.isFinite(start) && Number.isFinite(end) && Math.min(end, this.duration) > Math.max(start, 0);
+    this.looped = valid ? [Math.max(start, 0), Math.min(end, this.duration)] : null;
+    if (this.looped && (this.time < this.looped[0] || this.time >= this.looped[1])) this.time = this.looped[0];
+    this.tell();
+  }
+
+  toggleLoop() {
+    if (this.looped) {
+      this.loop(null);
+      return;
+    }
+    const index = this.currentEvents()[0] ?? this.nearestEvent();
+    if (index !== undefined) this.loop(this.data.events[index].start, this.data.events[index].end);
+  }
+
+  stepFrames(count) {
+    this.pause();
+    this.seek((Math.round(this.time * this.data.rate) + count) / this.data.rate);
+  }
+
+  // --- events
+
+  currentEvents() {
+    const now = this.time;
+    const found = [];
+    this.data.events.forEach((event, index) => {
+      if (now >= event.start - 1e-6 && now <= event.end + 1e-6) found.push(index);
+    });
+    return found;
+  }
+
+  nearestEvent() {
+    const gap = ({ start, end }) => Math.max(start - this.time, this.time - end, 0);
+    const order = this.data.events.map((_, index) => index);
+    return order.sort((a, b) => gap(this.data.events[a]) - gap(this.data.events[b]))[0];
+  }
+
+  // A still picture shows the worst moment; a moving one the whole event from its start.
+  anchor(event) {
+    return this.playing ? event.start : (event.worst ?? event.start);
+  }
+
+  goToEvent(index) {
+    const event = this.data.events[index];
+    if (!event) return;
+    if (this.looped) this.loop(event.start, event.end);
+    this.seek(this.anchor(event));
+  }
+
+  goBeside(direction) {
+    const anchors = this.data.events.map((event) => this.anchor(event));
+    // While it plays, "previous" shortly after a start means the one before.
+    const slack = this.playing && direction < 0 ? 1.0 : 1e-3;
+    let best = -1;
+    anchors.forEach((time, index) => {
+      if (direction * (time - this.time) <= slack) return;
+      if (best < 0 || direction * (time - anchors[best]) < 0) best = index;
+    });
+    if (best >= 0) this.goToEvent(best);
+  }
+
+  // --- view
+
+  setView(view) {
+    const allowed = { mode: ["side", "over"], sync: ["step", "time"], mirror: [true, false], inPlace: [true, false] };
+    for (const [name, values] of Object.entries(allowed)) {
+      if (values.includes(view?.[name])) this.view[name] = view[name];
+    }
+    this.request();
+  }
+
+  look(name) {
+    if (name) this.stage.camera.look(name);
+    else this.stage.camera.reset();
+    this.request();
+  }
+
+  // --- keys
+
+  takes(event) {
+    if (event.defaultPrevented || event.ctrlKey || event.metaKey || event.altKey) return false;
+    const { target } = event;
+    const free = target === document.body || target === document.documentElement;
+    return free || this.root.contains(target);
+  }
+
+  press(event) {
+    const { target } = event;
+    const button = target.closest?.("button, summary");
+    if (button && (event.key === " " || event.key === "Enter")) return;
+    const act = this.actions();
+    const far = event.shiftKey ? 1 : 0;
+    const arrow = (sign) => (far ? this.seek(this.time + sign) : act.stepFrames(sign));
+    const keys = {
+      " ": act.toggle,
+      ArrowLeft: () => arrow(-1),
+      ArrowRight: () => arrow(1),
+      "[": () => this.changeSpeed(-1),
+      "]": () => this.changeSpeed(1),
+      l: act.toggleLoop,
+      m: () => act.flip("mirror"),
+      i: () => act.flip("inPlace"),
+      o: () => act.setView({ mode: this.view.mode === "side" ? "over" : "side" }),
+      s: () => act.setView({ sync: this.view.sync === "step" ? "time" : "step" }),
+      n: act.next,
+      p: act.previous,
+      1: () => act.look("front"),
+      2: () => act.look("flank"),
+      3: () => act.look("top"),
+      0: act.resetView,
+    };
+    if (this.root.contains(target)) {
+      keys.Home = () => this.seek(this.looped ? this.looped[0] : 0);
+      keys.End = () => this.seek(this.duration);
+    }
+    const action = keys[event.key.length === 1 ? event.key.toLowerCase() : event.key];
+    if (!action) return;
+    event.preventDefault();
+    action();
+  }
+
+  changeSpeed(direction) {
+    const sorted = direction > 0 ? SPEEDS : [...SPEEDS].reverse();
+    this.setSpeed(sorted.find((speed) => direction * (speed - this.speed) > 1e-9) ?? this.speed);
+  }
+
+  // --- frames
+
+  tell() {
+    for (const callback of [...this.listeners]) callback(this.time);
+    this.request();
+  }
+
+  request() {
+    if (!this.waiting && !this.dead) this.waiting = requestAnimationFrame((now) => this.tick(now));
+  }
+
+  tick(now) {
+    this.waiting = 0;
+    if (this.playing) {
+      if (this.clock !== null) this.advance(Math.min((now - this.clock) / 1000, LONGEST_STEP) * this.speed);
+      this.clock = now;
+    }
+    this.render();
+    if (this.playing) this.request();
+  }
+
+  advance(seconds) {
+    this.time += seconds;
+    const [start, end] = this.looped ?? [0, this.duration];
+    if (this.time >= end) {
+      if (this.looped) {
+        this.time = start + Math.min(this.time - end, end - start) * 0.999;
+      } else {
+        this.time = this.duration;
+        this.playing = false;
+      }
+    }
+    for (const callback of [...this.listeners]) callback(this.time);
+  }
+
+  render() {
+    const match = this.matches[this.view.sync].at(this.time);
+    const current = this.currentEvents();
+    const wrong = new Set(current.flatMap((index) => this.data.events[index].segments));
+    const figure = (name, time) => {
+      const clip = this.clips[name];
+      const gone = clip.sample(time, this.joints[name]);
+      const place = this.view.inPlace ? [0, 0] : gone;
+      const home = this.follow ? clip.smoothPlace(time) : this.middle;
+      return { clip, place, home, body: buildBody(this.joints[name], clip.scale) };
+    };
+    const reference = figure("reference", match.time);
+    const performance = figure("performance", this.time);
+    const { view, follow, travel } = this;
+    this.stage.draw({ reference, performance, seen: match.seen, view, follow, travel, wrong });
+    this.controls.update({
+      time: this.time,
+      referenceTime: match.time,
+      seen: match.seen,
+      playing: this.playing,
+      speed: this.speed,
+      looped: this.looped,
+      view,
+      current,
+    });
+    this.announceLater();
+  }
+
+  // Screen readers hear the time when it rests, and whether it runs; not every frame.
+  announceLater() {
+    clearTimeout(this.timer);
+    if (this.playing && this.announced === "playing") return;
+    this.timer = setTimeout(() => {
+      const words = this.data.texts;
+      this.announced = this.playing ? "playing" : "paused";
+      const says = this.currentEvents().map((index) => this.data.events[index].says);
+      this.controls.status.textContent = this.playing
+        ? words.playing
+        : [formatTime(this.time, 1), words.paused, ...says].join(", ");
+    }, this.playing ? 0 : QUIET);
+  }
+
+  destroy() {
+    if (this.dead) return;
+    this.dead = true;
+    this.playing = false;
+    cancelAnimationFrame(this.waiting);
+    clearTimeout(this.timer);
+    document.removeEventListener("keydown", this.onKey);
+    this.stage.destroy();
+    this.root.remove();
+    this.listeners.clear();
+    players.splice(players.indexOf(this), 1);
+  }
+}
+
+function createPlayer(element, data) {
+  const inner = new Player(element, data);
+  return Object.freeze({
+    seek: (seconds) => inner.seek(seconds),
+    play: () => inner.play(),
+    pause: () => inner.pause(),
+    loop: (start, end) => inner.loop(start, end),
+    setSpeed: (speed) => inner.setSpeed(speed),
+    setView: (view) => inner.setView(view),
+    onTime(callback) {
+      inner.listeners.add(callback);
+      return () => inner.listeners.delete(callback);
+    },
+    destroy: () => inner.destroy(),
+    element: inner.root,
+    get time() {
+      return inner.time;
+    },
+    get duration() {
+      return inner.duration;
+    },
+    get playing() {
+      return inner.playing;
+    },
+    get speed() {
+      return inner.speed;
+    },
+    get view() {
+      return { ...inner.view };
+    },
+    get looped() {
+      return inner.looped ? [...inner.looped] : null;
+    },
+  });
+}
+
+window.dousa = Object.assign(window.dousa ?? {}, { createPlayer });
