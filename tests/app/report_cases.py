@@ -1,0 +1,93 @@
+"""Assessments that a report must bear, and the data that a page carries."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import math
+import re
+from typing import Any
+
+import numpy as np
+
+from dousa.evaluation._types import Assessment
+
+__all__ = ["UNUSUAL", "change", "page_data"]
+
+
+def page_data(page: str, name: str = "report-data") -> Any:
+    found = re.search(rf'<script type="application/json" id="{name}">(.*?)</script>', page, re.DOTALL)
+    assert found
+    return json.loads(found.group(1))
+
+
+def change(assessment: Assessment, **changes: Any) -> Assessment:
+    return dataclasses.replace(assessment, **changes)
+
+
+def _cut(assessment: Assessment, n_frames: int) -> Assessment:
+    """The first frames of an assessment."""
+    changes: dict[str, Any] = {}
+    for field in dataclasses.fields(assessment):
+        value = getattr(assessment, field.name)
+        if isinstance(value, np.ndarray) and field.name not in ("residual_limit", "path"):
+            changes[field.name] = value[:n_frames]
+    for name in ("reference", "performance"):
+        whole = getattr(assessment, name)
+        changes[name] = dataclasses.replace(
+            whole,
+            segments=whole.segments[:n_frames],
+            seen=whole.seen[:n_frames],
+            positions=whole.positions[:n_frames],
+        )
+    return change(assessment, path=assessment.path[:n_frames], events=(), lapses=(), gaps=(), **changes)
+
+
+def _nan_curves(assessment: Assessment) -> Assessment:
+    names = "same_time matched_time lag facing d_space d_within d_path d_space_limit d_within_limit residual".split()
+    empty = {name: np.full_like(getattr(assessment, name), np.nan) for name in names}
+    furi = tuple(
+        dataclasses.replace(
+            f, start_s=math.nan, end_s=math.nan, lag_s=math.nan, score=math.nan, gain=np.full(9, math.nan)
+        )
+        for f in assessment.furi
+    )
+    events = tuple(
+        dataclasses.replace(e, severity=math.nan, worst_s=math.nan, reference_s=math.nan, furi=None)
+        for e in assessment.events
+    )
+    path = np.zeros((0, 2), int)
+    return change(assessment, furi=furi, events=events, path=path, score=math.nan, tempo=math.nan, **empty)
+
+
+UNUSUAL = {
+    "nothing found": lambda a: change(a, events=(), lapses=(), gaps=(), warnings=()),
+    "calibrated": lambda a: change(a, calibrated=True, n_references=5, score=100.0),
+    "one frame": lambda a: change(_cut(a, 1), furi=a.furi[:1]),
+    "two frames": lambda a: _cut(a, 2),
+    "one furi": lambda a: change(a, furi=a.furi[:1]),
+    "no furi": lambda a: change(a, furi=()),
+    "no values": _nan_curves,
+    "no names": lambda a: change(
+        a,
+        reference=dataclasses.replace(a.reference, name=""),
+        performance=dataclasses.replace(a.performance, name=""),
+    ),
+    "a space of no dimensions": lambda a: change(
+        a,
+        furi=tuple(
+            dataclasses.replace(
+                f,
+                eigenspace=type(f.eigenspace)(
+                    mean=f.eigenspace.mean,
+                    axes=np.zeros((27, 0)),
+                    variances=np.zeros(0),
+                    contribution=1.0,
+                    n_dims=0,
+                    n_frames=1,
+                ),
+            )
+            for f in a.furi
+        ),
+    ),
+}

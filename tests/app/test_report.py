@@ -1,0 +1,336 @@
+"""The report: one page that opens offline, in both languages, whatever the assessment holds."""
+
+from __future__ import annotations
+
+import base64
+import csv
+import dataclasses
+import io
+import json
+import math
+import re
+import zlib
+from html.parser import HTMLParser
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from app.fake_assessment import HOSTILE_WORDS, make_assessment
+from app.report_cases import UNUSUAL, change, page_data
+from dousa.app.report import _fonts, write_report
+from dousa.app.report._curves import thin_curve
+from dousa.app.report._header import strip_time
+from dousa.app.report._page import build_page
+from dousa.app.report._plots import choose_ticks, time_ticks
+from dousa.app.report._png import encode_map, viridis_table
+from dousa.app.report._svg import element, format_number, trace
+from dousa.app.report._texts import TEXTS
+from dousa.errors import OptionError
+
+_VOID = {"meta", "img", "br", "link", "input", "col", "hr"}
+_SHAPES = {"path", "polygon", "circle", "rect", "line"}
+
+
+class _Reader(HTMLParser):
+    """Elements, shown text, and whether every element that was opened was closed."""
+
+    def __init__(self) -> None:
+        super().__init__(convert_charrefs=True)
+        self.elements: list[tuple[str, dict[str, str | None]]] = []
+        self.texts: list[str] = []
+        self.stack: list[str] = []
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.elements.append((tag, dict(attrs)))
+        if tag not in _VOID:
+            self.stack.append(tag)
+
+    def handle_endtag(self, tag: str) -> None:
+        assert self.stack and self.stack[-1] == tag, f"</{tag}> closes {self.stack[-3:]}"
+        self.stack.pop()
+
+    def handle_data(self, data: str) -> None:
+        if self.stack and self.stack[-1] not in ("script", "style"):
+            self.texts.append(data)
+
+    def with_class(self, name: str) -> list[dict[str, str | None]]:
+        return [attrs for _, attrs in self.elements if name in (attrs.get("class") or "").split()]
+
+
+def _read(page: str) -> _Reader:
+    reader = _Reader()
+    reader.feed(page)
+    assert not reader.stack
+    return reader
+
+
+@pytest.fixture(scope="module")
+def english() -> str:
+    return build_page(make_assessment(), "en")
+
+
+@pytest.fixture(scope="module")
+def japanese() -> str:
+    return build_page(make_assessment(language="ja"), "ja")
+
+
+def test_three_files_are_written(tmp_path: Path) -> None:
+    folder = tmp_path / "new" / "folder"
+    path = write_report(make_assessment(), folder)
+    assert path == folder / "report.html"
+    assert sorted(p.name for p in folder.iterdir()) == ["curves.csv", "events.csv", "report.html"]
+    page = path.read_text(encoding="utf-8")
+    assert '<html lang="en">' in page and "<title>pupil.bvh against reference.bvh</title>" in page
+    again = write_report(make_assessment(), folder, title="Spring & show")
+    assert "<h1>Spring &amp; show</h1>" in again.read_text(encoding="utf-8")
+
+
+def test_the_page_asks_nothing_of_the_network(english: str, japanese: str) -> None:
+    for page in (english, japanese):
+        asked = page.replace("http://www.w3.org/2000/svg", "")  # the name of a namespace, never loaded
+        assert not re.search(r"https?:|//[a-z]+\.[a-z]|url\((?!data:)|@import", asked, re.IGNORECASE)
+        for tag, attrs in _read(page).elements:
+            for name in ("src", "href", "poster", "srcset", "data"):
+                value = attrs.get(name)
+                if value is not None:
+                    assert value.startswith(("data:", "#")) or value in ("curves.csv", "events.csv"), (
+                        tag,
+                        value,
+                    )
+        assert "default-src 'none'" in page
+
+
+def test_contents_in_english(english: str) -> None:
+    text = " ".join(_read(english).texts)
+    for words in (
+        "71",
+        "not calibrated",
+        "100 - 10 x 2.9 = 71",
+        "The three worst moments",
+        "Timeline",
+        "d#",
+        "d*",
+    ):
+        assert words in text
+    assert "one take of the reference: the limits are guessed" in text
+    assert "leaves out 1.0 s of the reference" in text
+
+
+def test_contents_in_japanese(japanese: str) -> None:
+    text = " ".join(_read(japanese).texts)
+    assert '<html lang="ja">' in japanese
+    for words in (
+        "未較正",
+        "全体振りミス",
+        "部分振りミス",
+        "不完全動作",
+        "時間ズレ",
+        "手本",
+        "時系列相関行列",
+    ):
+        assert words in text
+    assert "calibrat" not in text and "Timeline" not in text
+
+
+def test_both_languages_have_the_same_texts_and_slots() -> None:
+    assert list(TEXTS["en"]) == list(TEXTS["ja"])
+    for name, text in TEXTS["en"].items():
+        assert sorted(re.findall(r"\{\w+\}", text)) == sorted(re.findall(r"\{\w+\}", TEXTS["ja"][name])), name
+
+
+@pytest.mark.parametrize("language", ["en", "ja"])
+def test_hostile_words_stay_words(language: str) -> None:
+    assessment = make_assessment(words=HOSTILE_WORDS)
+    bad = "</script><script>window.hacked=1</script>{{player_data}}"
+    sequences = [dataclasses.replace(s, name=bad) for s in (assessment.reference, assessment.performance)]
+    furi = tuple(dataclasses.replace(f, label="<i>A\"'") for f in assessment.furi)
+    assessment = change(
+        assessment,
+        reference=sequences[0],
+        performance=sequences[1],
+        furi=furi,
+        warnings=(bad,),
+        score_formula=bad,
+    )
+    page = build_page(assessment, language)
+    reader = _read(page)
+    assert [tag for tag, _ in reader.elements].count("script") == 4
+    assert not any("onerror" in attrs for _, attrs in reader.elements)
+    assert HOSTILE_WORDS in "".join(reader.texts)
+    assert bad in "".join(reader.texts)
+
+
+def test_file_names_that_are_no_text(tmp_path: Path) -> None:
+    assessment = make_assessment()
+    odd = dataclasses.replace(assessment.performance, name="caf\udce9.bvh")
+    page = write_report(change(assessment, performance=odd), tmp_path).read_bytes().decode("utf-8")
+    assert "caf?.bvh" in page
+
+
+def _embedded_characters(page: str) -> set[str]:
+    from fontTools.ttLib import TTFont
+
+    found = re.search(r"url\(data:font/woff;base64,([^)]+)\)", page)
+    assert found, "no font in the page"
+    with TTFont(io.BytesIO(base64.b64decode(found.group(1)))) as font:
+        return {chr(code) for code in font.getBestCmap()}
+
+
+@pytest.mark.parametrize("language", ["en", "ja"])
+def test_every_character_has_a_glyph(language: str) -> None:
+    assessment = make_assessment(language="ja")
+    named = dataclasses.replace(assessment.performance, name="牛深ハイヤ節\u3000動作１.bvh")
+    page = build_page(change(assessment, performance=named), language)
+    reader = _read(page)
+    shown = set("".join(reader.texts)) | set(json.dumps(page_data(page), ensure_ascii=False))
+    shown |= set(json.dumps(page_data(page, "player-data"), ensure_ascii=False))
+    for _, attrs in reader.elements:
+        shown |= set("".join(attrs.get(name) or "" for name in ("title", "aria-label", "alt")))
+    plain = {chr(code) for code in range(0x100)} | set("–−×†•…“”’‘±°·")  # in the fonts of every system
+    assert "節" in shown
+    assert shown - plain <= _embedded_characters(page)
+
+
+def test_an_english_page_carries_no_font(english: str) -> None:
+    assert "@font-face" not in english
+
+
+def test_a_missing_font_is_said_and_nothing_else_breaks(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(_fonts, "find_font", lambda: None)
+    page = build_page(make_assessment(language="ja"), "ja")
+    assert "@font-face" not in page
+    assert "pip install matplotlib-fontja" in page
+
+
+def test_every_picture_has_words_and_a_table(english: str) -> None:
+    reader = _read(english)
+    for tag, attrs in reader.elements:
+        if tag == "svg":
+            assert attrs.get("aria-label") or attrs.get("aria-hidden") == "true"
+        if tag == "img":
+            assert attrs.get("alt")
+    tables = [attrs for tag, attrs in reader.elements if tag == "table"]
+    # Furi, one a figure, one a moment, events, lapses, seconds, gaps.
+    assert len(tables) == 1 + len(reader.with_class("shape-card")) + len(reader.with_class("moment")) + 4
+    captions = [tag for tag, _ in reader.elements if tag == "caption"]
+    assert len(captions) == len(tables)
+
+
+def test_no_number_is_nan(english: str) -> None:
+    reader = _read(english)
+    for tag, attrs in reader.elements:
+        if tag in _SHAPES or "style" in attrs:
+            assert not re.search(r"\bnan|\binf|None", " ".join(v or "" for v in attrs.values())), (tag, attrs)
+
+
+@pytest.mark.parametrize("language", ["en", "ja"])
+@pytest.mark.parametrize("case", list(UNUSUAL))
+def test_unusual_assessments(case: str, language: str, tmp_path: Path) -> None:
+    assessment = UNUSUAL[case](make_assessment(seconds=6.0))
+    path = write_report(assessment, tmp_path, language=language)
+    page = path.read_text(encoding="utf-8")
+    test_no_number_is_nan(page)
+    page_data(page)
+    if case == "nothing found":
+        assert TEXTS[language]["worst_none"] in page and TEXTS[language]["events_none"] in page
+    if case == "calibrated":
+        assert TEXTS[language]["calibrated"].format(count=5) in page
+        assert TEXTS[language]["uncalibrated"] not in " ".join(_read(page).texts)
+
+
+def test_curves_csv_is_whole(tmp_path: Path) -> None:
+    assessment = make_assessment(seconds=6.0)
+    write_report(assessment, tmp_path)
+    rows = list(csv.DictReader(io.StringIO((tmp_path / "curves.csv").read_text(encoding="ascii"))))
+    assert len(rows) == assessment.performance.n_frames
+    assert (
+        list(rows[0])[:11]
+        == (
+            "time_s reference_s matched_s furi lag_ms facing_deg d_space d_space_limit d_within d_within_limit d_path"
+        ).split()
+    )
+    assert rows[-1]["matched_s"] == "" and rows[0]["furi"] == "1"
+    np.testing.assert_allclose([float(row["d_space"]) for row in rows], assessment.d_space, atol=1e-5)
+    read = [float(row["right_forearm_deg"]) for row in rows]
+    np.testing.assert_allclose(read, np.degrees(assessment.residual[:, 4]), atol=0.01)
+
+
+def test_events_csv_holds_events_and_lapses(tmp_path: Path) -> None:
+    assessment = make_assessment(language="ja")
+    write_report(assessment, tmp_path, language="ja")
+    data = (tmp_path / "events.csv").read_bytes()
+    assert data.startswith(b"\xef\xbb\xbf")  # spreadsheets guess another encoding without it
+    rows = list(csv.DictReader(io.StringIO(data.decode("utf-8-sig"))))
+    assert len(rows) == len(assessment.events) + len(assessment.lapses)
+    assert {row["kind"] for row in rows} == {"global", "partial", "incomplete", "shift", "skip"}
+    assert [row["says"] for row in rows if row["kind"] == "shift"] == [
+        event.says for event in assessment.events if event.kind == "shift"
+    ]
+
+
+def test_a_folder_that_cannot_be_written_is_said(tmp_path: Path) -> None:
+    assessment = make_assessment(seconds=4.0)
+    file = tmp_path / "file"
+    file.write_text("x")
+    for folder in (file, file / "below", "bad\0name"):
+        with pytest.raises(OptionError, match="report cannot be written"):
+            write_report(assessment, folder)
+    (tmp_path / "taken" / "report.html").mkdir(parents=True)
+    with pytest.raises(OptionError, match="report cannot be written"):
+        write_report(assessment, tmp_path / "taken")
+
+
+def test_another_language_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(OptionError, match="expected one of en, ja"):
+        write_report(make_assessment(seconds=4.0), tmp_path, language="fr")
+    assert not list(tmp_path.iterdir())
+
+
+def test_long_takes_are_thinned() -> None:
+    long = build_page(make_assessment(seconds=120.0, frame_rate=60.0), "en")
+    lines = [attrs["d"] or "" for tag, attrs in _read(long).elements if tag == "path" and attrs.get("d")]
+    assert max(line.count("L") for line in lines) <= 2000
+    assert len(page_data(long)["space"]) <= 2000
+
+
+def test_thinning_keeps_peaks_and_gaps() -> None:
+    rng = np.random.default_rng(3)
+    times = np.arange(50_000) / 100.0
+    values = rng.random(50_000)
+    values[12_345], values[40_000] = 9.0, -7.0
+    values[20_000:25_000] = np.nan
+    x, y = thin_curve(times, values, 1000)
+    assert len(x) == len(y) <= 1000 and (np.diff(x) >= 0).all()
+    assert np.nanmax(y) == 9.0 and np.nanmin(y) == -7.0
+    assert x[np.nanargmax(y)] == pytest.approx(123.45)
+    assert np.isnan(y[(x > 201) & (x < 249)]).all()
+
+
+def test_the_picture_of_a_matrix_is_a_png() -> None:
+    values = np.array([[0.0, 1.0, np.nan], [0.5, 2.0, -1.0]])
+    data = base64.b64decode(encode_map(values, 0.0, 1.0).removeprefix("data:image/png;base64,"))
+    assert data.startswith(b"\x89PNG\r\n\x1a\n")
+    start = data.index(b"IDAT") + 4
+    size = int.from_bytes(data[start - 8 : start - 4], "big")
+    lines = np.frombuffer(zlib.decompress(data[start : start + size]), np.uint8).reshape(2, 4)
+    assert lines.tolist() == [[0, 0, 254, 255], [0, 127, 254, 0]]
+
+
+def test_viridis_is_that_of_matplotlib() -> None:
+    from matplotlib import colormaps
+
+    ours, places = viridis_table() / 255.0, np.linspace(0, 1, 255)
+    assert np.abs(ours - np.asarray(colormaps["viridis"](places))[:, :3]).max() < 0.03
+
+
+def test_small_parts() -> None:
+    assert (
+        element("p", {"class": 'a"b', "hidden": True, "x": None}, "<&>")
+        == '<p class="a&quot;b" hidden>&lt;&amp;&gt;</p>'
+    )
+    assert format_number(-0.001) == "0" and format_number(math.nan) == "–" and format_number(12.50) == "12.5"
+    assert trace(np.array([0.0, 1.0, np.nan, 2.0]), np.array([0.0, 1.0, 1.0, 3.0])) == "M0 0L1 1M2 3"
+    assert choose_ticks(0.0, 1.08, 3) == (0.0, 0.5, 1.0) and choose_ticks(math.nan, 1.0) == ()
+    assert time_ticks(0.1)[0] == 0.0 and len(time_ticks(300.0)) <= 12
+    assert strip_time("1:12.0, right arm", 72.0) == "right arm" and strip_time("late", 1.0) == "late"
