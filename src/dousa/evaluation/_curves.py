@@ -1,0 +1,348 @@
+"""Curves over the performance's frames: distances, angles, facing, and what each furi makes of them.
+
+Everything compares the performance with the reference on the same clock, after one turn about the vertical.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dousa.evaluation._types import PostureSequence
+from dousa.evaluation._working import interpolate_segments
+from dousa.evaluation.eigenspace import (
+    Eigenspace,
+    compute_distance_from_space,
+    compute_distance_to_path,
+    compute_distance_within,
+)
+from dousa.evaluation.furi import Furi
+from dousa.evaluation.posture import SEGMENTS
+from dousa.evaluation.yaw import estimate_robust_yaw, rotate_yaw
+from dousa.motion._types import FloatArray
+
+__all__ = ["Curves", "compare_poses", "compute_curves"]
+
+_YAW_WINDOW_S = 0.5
+_YAW_ROUNDS = 3
+_WRONG = (
+    0.35  # chord (20 deg) from which a segment loses its say in the common yaw, as in estimate_robust_yaw
+)
+_PATH_MARGIN_S = 1.0  # who is late shows the end of the figure before: not a wrong pose
+_PATH_RATE = 60.0  # Hz, of the poses of the reference that the nearest one is chosen from
+_RANGE_WINDOW_S = 0.1
+_RANGE_RATE = 30.0  # Hz, after that smoothing
+_ROUNDING = 1e-6  # frames
+_SMALLEST_RANGE = np.radians(15.0)
+_N_DIRECTIONS = 32  # along which the extreme poses of a segment are looked for: 64 candidates
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Curves:
+    """What differs, frame by frame; nan where there is nothing to compare.
+
+    Parameters
+    ----------
+    d_space : (T,) d#, distance from the furi's eigenspace (eq. 10, 11).
+    d_within : (T,) d*, distance inside it at the same time (eq. 12-14).
+    d_path : (T,) distance to the nearest pose of the furi, any time of it and a second around it.
+    facing : (T,) rad, heading against the reference's less its median, -pi to pi, to the own left.
+    residual : (T, 9) rad, angle between each segment and the reference's at the same time.
+    gain : (n_furi, 9) range of each segment as a share of the reference's.
+    lag_by_furi : (n_furi,) s, median, positive is late.
+    furi_index : (T,) number of the furi; -1 outside all.
+    d_space_reference : (U,) largest d# that any take of the reference has at a frame of the first.
+    d_within_reference : (U,) largest d* of the other takes against the first; nan with one take.
+    """
+
+    d_space: FloatArray
+    d_within: FloatArray
+    d_path: FloatArray
+    facing: FloatArray
+    residual: FloatArray
+    gain: FloatArray
+    lag_by_furi: FloatArray
+    furi_index: NDArray[np.intp]
+    d_space_reference: FloatArray
+    d_within_reference: FloatArray
+
+
+def compute_curves(
+    reference: PostureSequence,
+    more_references: Sequence[PostureSequence],
+    performance: PostureSequence,
+    same_time: FloatArray,
+    matched_time: FloatArray,
+    furi: Sequence[Furi],
+    spaces: Mapping[str, Eigenspace],
+) -> Curves:
+    """All curves of a performance.
+
+    Parameters
+    ----------
+    reference : first take.
+    more_references : further takes on the clock of the first, as long as it; may be empty.
+    performance : at the same frame rate.
+    same_time : (T,) s, reference time of each frame if the tempo is kept; outside the reference, or nan, nothing
+        is compared.
+    matched_time : (T,) s, reference time that each frame resembles.
+    furi : in frames of the reference.
+    spaces : by label.
+
+    Source: Yamane and Shakunaga, eq. 7 to 14. Poses are turned by a yaw that one wrong limb cannot bend. A pose
+    with a segment that is not seen has no distance; its other segments keep their residuals.
+    """
+    frames = _find_frames(same_time, reference)
+    inside = (frames >= -0.5) & (frames <= reference.n_frames - 0.5)
+    frames = np.where(inside, np.clip(frames, 0.0, reference.n_frames - 1.0), 0.0)
+    index = _find_furi_index(frames, inside, furi, reference.n_frames)
+    judged = performance.seen & _look_up_seen(reference, frames) & inside[:, None]
+    there = interpolate_segments(reference.segments, frames)
+    residual, yaw = compare_poses(there, performance.segments, judged, performance.frame_rate)
+    distances = np.full((3, len(frames)), np.nan)
+    references = np.full((2, reference.n_frames), np.nan)
+    whole: NDArray[np.bool_] = np.all(judged, axis=1)
+    for number, figure in enumerate(furi):
+        space = spaces[figure.label]
+        turned = _turn_reference(reference, figure, space)
+        here = np.flatnonzero((index == number) & whole)
+        distances[:, here] = _measure_distances(
+            space, turned, performance.segments[here], frames[here], reference.frame_rate
+        )
+        references[:, figure.start : figure.end] = _measure_takes(space, turned, figure, more_references)
+    lag_by_furi = _take_medians(np.asarray(same_time) - matched_time, index, len(furi))
+    return Curves(
+        d_space=distances[0],
+        d_within=distances[1],
+        d_path=distances[2],
+        facing=_take_off_median(yaw),
+        residual=residual,
+        gain=_measure_gains(reference, performance, same_time, lag_by_furi, furi, spaces),
+        lag_by_furi=lag_by_furi,
+        furi_index=index,
+        d_space_reference=references[0],
+        d_within_reference=references[1],
+    )
+
+
+def compare_poses(
+    reference: FloatArray, performance: FloatArray, judged: NDArray[np.bool_], frame_rate: float
+) -> tuple[FloatArray, FloatArray]:
+    """Angles between segments after a common yaw that changes slowly.
+
+    Parameters
+    ----------
+    reference, performance : (T, 9, 3) poses of the same moments.
+    judged : (T, 9) where both are seen.
+    frame_rate : Hz.
+
+    Returns
+    -------
+    residual : (T, 9) rad, nan where not judged.
+    yaw : (T,) rad that turns the reference onto the performance, nan where nothing is judged.
+    """
+    some: NDArray[np.bool_] = np.any(judged, axis=1)
+    residual = np.full(judged.shape, np.nan)
+    yaw = np.full(len(judged), np.nan)
+    if not some.any():
+        return residual, yaw
+    # Where nothing is seen the weights are 0, so that the neighbours tell the yaw.
+    trust = estimate_robust_yaw(performance, reference, np.where(some[:, None], judged, 1.0), n_rounds=0)[1]
+    trust = trust * judged
+    products = _horizontal(performance) * _horizontal(reference).conj()
+    half = max(0, round(0.5 * _YAW_WINDOW_S * frame_rate))
+    turn = _smooth_turn((products * trust).sum(axis=1), half)
+    fixed = 2.0 - 2.0 * performance[..., 1] * reference[..., 1]
+    for _ in range(_YAW_ROUNDS):
+        squared = np.maximum(fixed - 2.0 * (products * turn.conj()[:, None]).real, 0.0)
+        trust = judged / (1.0 + squared / _WRONG**2) ** 2
+        turn = _smooth_turn((products * trust).sum(axis=1), half)
+    angle = np.angle(turn)
+    chord = np.linalg.norm(performance - rotate_yaw(reference, angle), axis=2)
+    residual[judged] = 2.0 * np.arcsin(np.minimum(0.5 * chord[judged], 1.0))
+    yaw[some] = angle[some]
+    return residual, yaw
+
+
+def _horizontal(segments: FloatArray) -> NDArray[np.complex128]:
+    return segments[..., 2] + 1j * segments[..., 0]
+
+
+def _smooth_turn(values: NDArray[np.complex128], half: int) -> NDArray[np.complex128]:
+    """Correlations summed over a window, of modulus 1."""
+    total = np.cumsum(np.pad(values, (half + 1, half)))
+    summed = total[2 * half + 1 :] - total[: len(values)]
+    size = np.abs(summed)
+    return np.divide(summed, size, out=np.ones_like(summed), where=size > 1e-9)
+
+
+def _take_off_median(yaw: FloatArray) -> FloatArray:
+    """Angles against their median, from above -pi to pi."""
+    known = np.isfinite(yaw)
+    if not known.any():
+        return yaw
+    # The median of angles is taken about their mean direction, or the cut at pi would move it.
+    middle = np.angle(np.exp(1j * yaw[known]).sum())
+    around = np.angle(np.exp(1j * (yaw - middle)))
+    return np.angle(np.exp(1j * (around - np.median(around[known]))))
+
+
+def _find_frames(times: FloatArray, reference: PostureSequence) -> FloatArray:
+    """Fractional frames; those that are whole but for rounding are whole."""
+    frames = np.asarray(times, np.float64) * reference.frame_rate
+    near = np.rint(frames)
+    return np.where(np.abs(frames - near) < _ROUNDING, near, frames)
+
+
+def _look_up_seen(reference: PostureSequence, frames: FloatArray) -> NDArray[np.bool_]:
+    """(T, 9) whether both frames that each lies between are seen."""
+    low, high = np.floor(frames).astype(np.intp), np.ceil(frames).astype(np.intp)
+    return reference.seen[low] & reference.seen[high]
+
+
+def _find_furi_index(
+    frames: FloatArray, inside: NDArray[np.bool_], furi: Sequence[Furi], n_frames: int
+) -> NDArray[np.intp]:
+    """Number of the furi that each frame lies in, -1 outside."""
+    of_frame = np.full(n_frames, -1, np.intp)
+    for number, figure in enumerate(furi):
+        of_frame[figure.start : figure.end] = number
+    return np.where(inside, of_frame[np.rint(frames).astype(np.intp)], -1)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Turned:
+    """Reference poses of a furi and a second around it, turned onto the furi's mean."""
+
+    segments: FloatArray
+    seen: NDArray[np.bool_]  # (n,) all segments
+    first: int  # frame of the reference
+
+    def find(self, figure: Furi) -> slice:
+        return slice(figure.start - self.first, figure.end - self.first)
+
+
+def _turn_reference(reference: PostureSequence, figure: Furi, space: Eigenspace) -> _Turned:
+    margin = round(_PATH_MARGIN_S * reference.frame_rate)
+    part = slice(max(figure.start - margin, 0), min(figure.end + margin, reference.n_frames))
+    seen: NDArray[np.bool_] = np.all(reference.seen[part], axis=1)
+    return _Turned(space.align(reference.segments[part]), seen, part.start)
+
+
+def _measure_distances(
+    space: Eigenspace, turned: _Turned, segments: FloatArray, frames: FloatArray, frame_rate: float
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """d#, d* and the distance to the path of poses (n, 9, 3) at reference frames (n,), (n,) each."""
+    ours = space.align(segments)
+    theirs = interpolate_segments(turned.segments, frames - turned.first)
+    # Between the frames of the path the reference itself would be a little off it.
+    nearest: FloatArray = np.linalg.norm((ours - theirs).reshape(len(ours), 27), axis=1)
+    step = max(1, int(frame_rate // _PATH_RATE))
+    path = turned.segments[::step][turned.seen[::step]]
+    if len(path):
+        nearest = np.minimum(nearest, compute_distance_to_path(space, path, ours))
+    return (
+        compute_distance_from_space(space, ours),
+        compute_distance_within(space, theirs, ours),
+        nearest,
+    )
+
+
+def _take_medians(values: FloatArray, index: NDArray[np.intp], count: int) -> FloatArray:
+    """Median of each furi's values, nan for none."""
+    medians = np.full(count, np.nan)
+    known = np.isfinite(values)
+    for number in range(count):
+        here = values[(index == number) & known]
+        if len(here):
+            medians[number] = np.median(here)
+    return medians
+
+
+def _measure_gains(
+    reference: PostureSequence,
+    performance: PostureSequence,
+    same_time: FloatArray,
+    lag_by_furi: FloatArray,
+    furi: Sequence[Furi],
+    spaces: Mapping[str, Eigenspace],
+) -> FloatArray:
+    """(n_furi, 9) ranges of the performance over the reference's; nan where the reference hardly moves."""
+    gain = np.full((len(furi), len(SEGMENTS)), np.nan)
+    rate = reference.frame_rate
+    half = round(_RANGE_WINDOW_S * rate) // 2
+    smooth_theirs, smooth_ours = _smooth(reference.segments, half), _smooth(performance.segments, half)
+    step = max(1, int(rate // _RANGE_RATE))
+    for number, figure in enumerate(furi):
+        if not np.isfinite(lag_by_furi[number]):
+            continue
+        # Who dances the figure late has the whole of it later.
+        shown = (same_time - lag_by_furi[number]) * rate
+        ours = np.flatnonzero((shown >= figure.start - 0.5) & (shown < figure.end - 0.5))[::step]
+        if len(ours) < 2:
+            continue
+        # Of a figure danced in part that part is compared.
+        first = max(figure.start, int(np.rint(shown[ours].min())))
+        theirs = np.arange(first, min(figure.end, int(np.rint(shown[ours].max())) + step), step)
+        space = spaces[figure.label]
+        whole = _measure_range(space.align(smooth_theirs[theirs]), reference.seen[theirs])
+        part = _measure_range(space.align(smooth_ours[ours]), performance.seen[ours])
+        moving = whole >= _SMALLEST_RANGE
+        gain[number, moving] = part[moving] / whole[moving]
+    return gain
+
+
+def _measure_range(aligned: FloatArray, seen: NDArray[np.bool_]) -> FloatArray:
+    """(9,) rad, largest angle between two directions of each segment."""
+    # The two lie at the ends along some direction: so only the ends along many directions are compared.
+    reach = np.tensordot(aligned, _DIRECTIONS, axes=1)  # (n, 9, directions)
+    unseen = ~seen[..., None]
+    lowest = np.where(unseen, np.inf, reach).argmin(axis=0)
+    highest = np.where(unseen, -np.inf, reach).argmax(axis=0)
+    chosen = np.concatenate([lowest, highest], axis=1)  # (9, candidates)
+    candidates = np.take_along_axis(aligned.transpose(1, 0, 2), chosen[..., None], axis=1)
+    smallest = (candidates @ candidates.transpose(0, 2, 1)).min(axis=(1, 2))
+    angle: FloatArray = np.arccos(np.clip(smallest, -1.0, 1.0))
+    return np.where(seen.any(axis=0), angle, np.nan)
+
+
+def _smooth(segments: FloatArray, half: int) -> FloatArray:
+    """Mean direction of the frames around each, fewer at the ends."""
+    if half < 1:
+        return segments
+    count = len(segments)
+    total = np.concatenate([np.zeros((1, *segments.shape[1:])), np.cumsum(segments, axis=0)])
+    low, high = np.maximum(np.arange(count) - half, 0), np.minimum(np.arange(count) + half + 1, count)
+    mean = total[high] - total[low]
+    smooth: FloatArray = mean / np.maximum(np.linalg.norm(mean, axis=2, keepdims=True), 1e-9)
+    return smooth
+
+
+def _spread_directions(count: int) -> FloatArray:
+    """(3, count) unit vectors spread evenly over half a sphere."""
+    number = np.arange(count) + 0.5
+    height, turn = number / count, number * np.pi * (1.0 + np.sqrt(5.0))
+    across = np.sqrt(1.0 - height**2)
+    return np.stack([across * np.cos(turn), across * np.sin(turn), height])
+
+
+_DIRECTIONS = _spread_directions(_N_DIRECTIONS)
+
+
+def _measure_takes(
+    space: Eigenspace, turned: _Turned, figure: Furi, more_references: Sequence[PostureSequence]
+) -> tuple[FloatArray, FloatArray]:
+    """Largest d# of all takes and d* of the others against the first, a value a frame of the figure."""
+    first, seen = turned.segments[turned.find(figure)], turned.seen[turned.find(figure)]
+    d_space = np.where(seen, compute_distance_from_space(space, first), np.nan)
+    d_within = np.full(len(first), np.nan)
+    for take in more_references:
+        part = slice(figure.start, figure.end)
+        other = space.align(take.segments[part])
+        both = seen & take.seen[part].all(axis=1)
+        d_space = np.fmax(d_space, np.where(both, compute_distance_from_space(space, other), np.nan))
+        d_within = np.fmax(d_within, np.where(both, compute_distance_within(space, first, other), np.nan))
+    return d_space, d_within

@@ -1,0 +1,182 @@
+"""Where a performance differs by more than is tolerated: stretches of frames that want an explanation."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dousa.evaluation._deviation import Deviations
+from dousa.evaluation._gain import find_shrunk
+from dousa.evaluation._line_kernels import follow_lag, switch_on
+from dousa.evaluation.posture import LIMBS
+from dousa.motion._types import FloatArray
+
+__all__ = [
+    "CAP",
+    "LIMB_SEGMENTS",
+    "SLACK_S",
+    "Evidence",
+    "at_lag",
+    "find_stretches",
+    "gather_evidence",
+    "refine_lag",
+    "runs_of",
+]
+
+CAP = 9.0
+"""A segment three times out of tolerance is wrong; how much further out says no more."""
+
+SLACK_S = 0.07
+"""s; nobody is steadier in time than this, so a smaller lag is forgiven."""
+
+LIMB_SEGMENTS: tuple[NDArray[np.intp], ...] = tuple(np.array(indices) for indices in LIMBS.values())
+
+# All in units of one frame at 30 Hz with one segment at its tolerance.
+_LAG_CHANGE = 2.0  # price of one column of lag more or less
+LAG_PRICE = 0.15  # and of being late at all, a frame and column: of two explanations the nearer one
+_CHANGE = 8.0  # price of starting or ending a stretch
+_BODY = 0.45  # mean over all segments from which the body as a whole is off
+_LAG_EVIDENCE = 8.0  # what a lag must explain
+_SHORTEST_LAG_S = 0.12
+_BRIDGE_S = 0.25
+_APART_S = 0.3
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Evidence:
+    """Deviations in multiples of what is tolerated.
+
+    Parameters
+    ----------
+    deviations : as measured.
+    tolerance : (9,) rad.
+    ratio : (T, K, 9) squared deviation over squared tolerance, at most `CAP`, times the segment's weight.
+    ordinary : (T, 9) the same at the same time, small lags forgiven; 0 where nothing is judged.
+    punctual : (T, 9) the same without forgiving.
+    course : (T,) column of the lag that explains most.
+    near : (T,) the same among the lags that are forgiven.
+    slack : columns that are forgiven.
+    rate : Hz.
+    """
+
+    deviations: Deviations
+    tolerance: FloatArray
+    ratio: FloatArray
+    ordinary: FloatArray
+    punctual: FloatArray
+    course: NDArray[np.intp]
+    near: NDArray[np.intp]
+    slack: int
+    rate: float
+
+    @property
+    def center(self) -> int:
+        """Column of no lag."""
+        return self.deviations.center
+
+    @property
+    def lag_prices(self) -> FloatArray:
+        """(K,) price a frame of each lag."""
+        columns = np.arange(self.ratio.shape[1])
+        prices: FloatArray = LAG_PRICE * np.abs(columns - self.center) * (30.0 / self.rate)
+        return prices
+
+
+def at_lag(ratio: FloatArray, course: NDArray[np.intp]) -> FloatArray:
+    """(T, 9) of (T, K, 9) at each frame's column."""
+    return np.take_along_axis(ratio, course[:, None, None], axis=1)[:, 0]
+
+
+def gather_evidence(
+    deviations: Deviations, tolerance: FloatArray, slack_s: float, weights: FloatArray
+) -> Evidence:
+    """Weigh the deviations.
+
+    Parameters
+    ----------
+    deviations : of the performance.
+    tolerance : (9,) rad.
+    slack_s : s, lag that is forgiven.
+    weights : (9,) of the segments, mean 1.
+    """
+    rate = 1.0 / deviations.step_s
+    ratio = np.minimum(deviations.squared / tolerance**2, CAP) * weights
+    cost = ratio.sum(axis=2)
+    center = deviations.center
+    slack = min(max(1, round(slack_s * rate)), center)
+    change = _LAG_CHANGE * 30.0 / rate
+    near = follow_lag(np.ascontiguousarray(cost[:, center - slack : center + slack + 1]), change)
+    near = near.astype(np.intp) + center - slack
+    prices = LAG_PRICE * np.abs(np.arange(cost.shape[1]) - center) * (30.0 / rate)
+    course = follow_lag(cost + prices, change).astype(np.intp)
+    ordinary = at_lag(ratio, near) * deviations.judged
+    punctual = ratio[:, center] * deviations.judged
+    return Evidence(deviations, tolerance, ratio, ordinary, punctual, course, near, slack, rate)
+
+
+def refine_lag(evidence: Evidence, course: NDArray[np.intp], first: int = 0) -> FloatArray:
+    """Lag in s of frames ``first`` and on, to a fraction of a column: the lowest point of a parabola.
+
+    One frame's minimum is noise; nine frames at the same lag have one.
+    """
+    rows = np.arange(first, first + len(course))
+    inner = np.clip(course, 1, evidence.ratio.shape[1] - 2)
+    left, here, right = (evidence.deviations.squared[rows, inner + step].sum(axis=1) for step in (-1, 0, 1))
+    kernel = np.ones(9) / 9.0
+    left, here, right = (
+        np.convolve(values, kernel, mode="same")[: len(rows)] for values in (left, here, right)
+    )
+    bend = left - 2.0 * here + right
+    shift = np.where(bend > 1e-6, 0.5 * (left - right) / np.maximum(bend, 1e-6), 0.0)
+    columns: FloatArray = course - evidence.center + np.clip(shift, -1.0, 1.0)
+    return -columns * evidence.deviations.step_s
+
+
+def runs_of(mask: NDArray[np.bool_]) -> list[tuple[int, int]]:
+    """Half-open stretches where a mask is true."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], mask.view(np.int8), [0]])))
+    return [(int(a), int(b)) for a, b in edges.reshape(-1, 2)]
+
+
+def find_stretches(evidence: Evidence) -> list[tuple[int, int]]:
+    """Half-open stretches of frames in which something is wrong: a limb, the body, the time, or the size."""
+    per_frame = 30.0 / evidence.rate
+    wrong = np.zeros(len(evidence.ordinary), np.bool_)
+    for limb in LIMB_SEGMENTS:
+        wrong |= switch_on((evidence.ordinary[:, limb].max(axis=1) - 1.0) * per_frame, _CHANGE)
+    body = evidence.ordinary.mean(axis=1) - _BODY
+    wrong |= switch_on(3.0 * body * per_frame, _CHANGE)
+    wrong |= _find_lags(evidence)
+    shrunk = find_shrunk(evidence.deviations, evidence.tolerance, evidence.rate)
+    apart = _widen(wrong, round(_APART_S * evidence.rate))
+    for start, end in shrunk:
+        # Where something else is wrong the windows that look for shrinking see that.
+        if apart[start:end].mean() < 0.3:
+            wrong[start:end] = True
+    stretches: list[tuple[int, int]] = []
+    for start, end in runs_of(wrong):
+        if stretches and start - stretches[-1][1] <= _BRIDGE_S * evidence.rate:
+            stretches[-1] = (stretches[-1][0], end)
+        else:
+            stretches.append((start, end))
+    return stretches
+
+
+def _find_lags(evidence: Evidence) -> NDArray[np.bool_]:
+    """Where the lag is beyond what is forgiven, and explains enough."""
+    explained = evidence.ordinary.sum(axis=1) - at_lag(evidence.ratio, evidence.course).sum(axis=1)
+    explained -= evidence.lag_prices[evidence.course]
+    late = np.abs(evidence.course - evidence.center) > evidence.slack
+    found = np.zeros(len(late), np.bool_)
+    for start, end in runs_of(late):
+        enough = explained[start:end].sum() * (30.0 / evidence.rate) > _LAG_EVIDENCE
+        found[start:end] = enough and end - start >= _SHORTEST_LAG_S * evidence.rate
+    return found
+
+
+def _widen(mask: NDArray[np.bool_], reach: int) -> NDArray[np.bool_]:
+    kernel = np.ones(2 * reach + 1)
+    wide: NDArray[np.bool_] = np.convolve(mask.astype(float), kernel, mode="same")[: len(mask)] > 0.5
+    return wide

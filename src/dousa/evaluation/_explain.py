@@ -1,0 +1,295 @@
+"""Which error explains a stretch that differs: late, too small, one limb wrong, or another figure.
+
+Every explanation says what the performance should look like if it were true; the one that leaves least unexplained,
+its own price included, wins. Costs are squared deviations in multiples of what is tolerated, summed over frames of
+1/30 s and segments.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dousa.evaluation._coverage import compute_unreached, follow_path
+from dousa.evaluation._evidence import CAP, LIMB_SEGMENTS, Evidence, at_lag, refine_lag, runs_of
+from dousa.evaluation._gain import GROUPS, GainFit, fit_gain
+from dousa.evaluation._line_kernels import switch_on
+from dousa.evaluation._size import measure_missing_range
+from dousa.motion._types import FloatArray
+
+__all__ = ["Finding", "explain"]
+
+_PAD_S = 0.25
+_PRICE = 10.0  # of an explanation with a number in it: a lag, a gain
+_PRICE_WRONG = 6.0  # of another motion, which explains anything
+_SURPRISE = 2.0  # of a segment that does something else, a frame
+_DOUBT = 0.15  # what a frame must be explained better to belong to the error
+_UNREACHED = 5.0  # squared ratio from which an extreme was not reached
+_ON_PATH, _ON_PATH_SHARE, _OFF_PATH = 4.5, 0.55, 9.0
+_GAINS = (0.22, 0.86)  # below, a limb does nothing of the motion; above, it does it all
+_OFF_CENTER, _UNEXPLAINED = 1.5, 0.6
+_N_GLOBAL = 5  # segments of nine
+_WRONG_SHARE = 0.6  # of the surprise's price, in the mean: the segment belongs to the error
+_SHORTEST_S = 0.25
+_FADE_S = 0.033
+_BODY = np.arange(9)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Finding:
+    """An error in working frames.
+
+    Parameters
+    ----------
+    kind : class.
+    start, end : half-open.
+    segments : indices.
+    lag_s : positive is late.
+    shortfall, shortfall_share : rad, and share of the reference's range.
+    severity : in multiples of what is tolerated.
+    worst : frame.
+    """
+
+    kind: str
+    start: int
+    end: int
+    segments: tuple[int, ...]
+    severity: float
+    worst: int
+    lag_s: float | None = None
+    shortfall: float | None = None
+    shortfall_share: float | None = None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Hypothesis:
+    """One explanation of the frames first to last.
+
+    Parameters
+    ----------
+    cost : what it leaves, price included.
+    frames : (n,) what it leaves in each frame.
+    course : (n,) lag columns of a shift or of the way along the path.
+    group, fit : of a gain.
+    """
+
+    name: str
+    cost: float
+    frames: FloatArray
+    course: NDArray[np.intp] | None = None
+    group: NDArray[np.intp] | None = None
+    fit: GainFit | None = None
+
+
+def explain(evidence: Evidence, start: int, end: int) -> list[Finding]:
+    """The errors of one stretch [start, end), in order."""
+    pad = round(_PAD_S * evidence.rate)
+    first, last = max(start - pad, 0), min(end + pad, len(evidence.ordinary))
+    plain = evidence.ordinary[first:last].sum(axis=1)
+    if end - start < 2:
+        return []
+    hypotheses = [
+        *_explain_by_time(evidence, start, end, first, last),
+        *_explain_by_size(evidence, start, end, first, last),
+        _explain_by_limbs(evidence, start, end, first, last),
+    ]
+    best = min(hypotheses, key=lambda hypothesis: hypothesis.cost)
+    if best.cost >= plain.sum() * _per_frame(evidence):
+        return []
+    finding = _REPORTS[best.name](evidence, best, start, end, first)
+    found = [finding] if finding.end - finding.start >= _SHORTEST_S * evidence.rate else []
+    if best.name == "shift":
+        found += _explain_rest(evidence, finding, start, end, pad)
+    return sorted(found, key=lambda one: one.start)
+
+
+def _per_frame(evidence: Evidence) -> float:
+    return 30.0 / evidence.rate
+
+
+def _explain_by_time(evidence: Evidence, start: int, end: int, first: int, last: int) -> list[_Hypothesis]:
+    """Late or early; or on the path of the reference, but not to its end."""
+    scale = _per_frame(evidence)
+    ordinary = evidence.ordinary[first:last]
+    unreached = float(compute_unreached(evidence, start, end, first, last).max())
+    if unreached >= _UNREACHED:
+        course, left = follow_path(evidence, first, last)
+        if (left[start - first : end - first] < _ON_PATH).mean() < _ON_PATH_SHARE:
+            return []
+        cost = np.minimum(left, _OFF_PATH).sum() * scale + _PRICE + 0.5 * _PRICE
+        return [_Hypothesis("stops short", cost, left, course)]
+    found = []
+    near, far = evidence.center - evidence.slack, evidence.center + evidence.slack
+    whole = evidence.course[first:last]
+    for course in (np.minimum(whole, far), np.maximum(whole, near)):
+        forgiven = np.abs(course - evidence.center) <= evidence.slack
+        shifted = at_lag(evidence.ratio[first:last], course) * evidence.deviations.judged[first:last]
+        left = np.where(forgiven[:, None], ordinary, shifted).sum(axis=1)
+        cost = (left + evidence.lag_prices[course] / scale).sum() * scale + _PRICE
+        found.append(_Hypothesis("shift", cost, left, course))
+    return found
+
+
+def _explain_by_size(evidence: Evidence, start: int, end: int, first: int, last: int) -> list[_Hypothesis]:
+    """A limb, or the body, moves less."""
+    ours, theirs = evidence.deviations.performance, evidence.deviations.reference
+    ordinary = evidence.ordinary[first:last]
+    inside = slice(start - first, end - first)
+    found = []
+    for group in GROUPS.values():
+        tolerance = evidence.tolerance[group]
+        fit = fit_gain(ours[start:end, group], theirs[start:end, group], tolerance)
+        plausible = _GAINS[0] < fit.gain < _GAINS[1] and fit.off_center < _OFF_CENTER
+        if not plausible or fit.unexplained > _UNEXPLAINED:
+            continue
+        rest = fit.compute_rest(ours[first:last, group], theirs[first:last, group], tolerance)
+        smaller = np.minimum(rest, CAP).sum(axis=1)
+        others = np.delete(ordinary, group, axis=1).sum(axis=1)
+        same = ordinary[:, group].sum(axis=1)
+        # Where the error fades in or out a frame is nearer to the reference than to its smaller copy.
+        within = same.copy()
+        within[inside] = np.minimum(smaller, same + 1.0)[inside]
+        cost = (within + others).sum() * _per_frame(evidence) + _PRICE
+        found.append(_Hypothesis("size", cost, smaller + others, group=group, fit=fit))
+    return found
+
+
+def _explain_by_limbs(evidence: Evidence, start: int, end: int, first: int, last: int) -> _Hypothesis:
+    """Some segments do something else: each for a price a frame."""
+    left = evidence.ordinary[first:last].copy()
+    inside = left[start - first : end - first]
+    wrong = inside.sum(axis=0) > _SURPRISE * len(inside)
+    inside[:, wrong] = _SURPRISE
+    frames = left.sum(axis=1)
+    return _Hypothesis("limbs", frames.sum() * _per_frame(evidence) + _PRICE_WRONG, frames)
+
+
+def _report_shift(evidence: Evidence, best: _Hypothesis, start: int, end: int, first: int) -> Finding:
+    assert best.course is not None
+    span = slice(first, first + len(best.frames))
+    better = evidence.punctual[span].sum(axis=1) - best.frames - _DOUBT
+    begin, stop = _best_span(better)
+    lag = refine_lag(evidence, best.course, first)[begin:stop]
+    typical = float(np.median(lag[np.abs(lag) >= 0.6 * np.abs(lag).max()])) if len(lag) else 0.0
+    worst = int(np.argmax(evidence.punctual[first + begin : first + stop].sum(axis=1))) if stop > begin else 0
+    slack = evidence.slack * evidence.deviations.step_s
+    return Finding(
+        "shift",
+        first + begin,
+        first + stop,
+        tuple(range(9)),
+        abs(typical) / slack,
+        first + begin + worst,
+        typical,
+    )
+
+
+def _report_stop(evidence: Evidence, best: _Hypothesis, start: int, end: int, first: int) -> Finding:
+    assert best.course is not None
+    theirs, ours = evidence.deviations.reference, evidence.deviations.performance
+    # An error fades in and out: it begins before it is out of tolerance.
+    start, end = max(start - 2 * _fade_frames(evidence), first), end + 2 * _fade_frames(evidence)
+    end = min(end, first + len(best.frames))
+    frames = np.arange(start, end) + best.course[start - first : end - first] - evidence.center
+    model = theirs[np.clip(frames, 0, len(theirs) - 1)]
+    missing, share = measure_missing_range(theirs[start:end], ours[start:end], model, _BODY)
+    severity, worst = _severity(evidence, start, end, _BODY)
+    segments = tuple(range(9))
+    return Finding("incomplete", start, end, segments, severity, worst, None, missing, share)
+
+
+def _report_size(evidence: Evidence, best: _Hypothesis, start: int, end: int, first: int) -> Finding:
+    assert best.fit is not None and best.group is not None
+    group, fit = best.group, best.fit
+    theirs, ours = evidence.deviations.reference, evidence.deviations.performance
+    better = evidence.ordinary[first : first + len(best.frames)].sum(axis=1) - best.frames - _DOUBT
+    begin, stop = _best_span(better)
+    if stop - begin >= _SHORTEST_S * evidence.rate:
+        fade = _fade_frames(evidence)
+        start, end = max(first + begin - fade, 0), min(first + stop + fade, len(ours))
+        fit = fit_gain(ours[start:end, group], theirs[start:end, group], evidence.tolerance[group])
+    model = ours[start:end].copy()
+    model[:, group] = _fade(theirs[start:end, group], ours[start:end, group], fit, evidence.tolerance[group])
+    missing, share = measure_missing_range(theirs[start:end], ours[start:end], model, group)
+    severity, worst = _severity(evidence, start, end, group)
+    return Finding("incomplete", start, end, tuple(group.tolist()), severity, worst, None, missing, share)
+
+
+def _fade_frames(evidence: Evidence) -> int:
+    return round(_FADE_S * evidence.rate)
+
+
+def _fade(reference: FloatArray, performance: FloatArray, fit: GainFit, tolerance: FloatArray) -> FloatArray:
+    """The smaller motion, faded in and out as the performance does."""
+    change = fit.predict(reference) - reference
+    weight = 1.0 / tolerance[:, None] ** 2
+    along = ((performance - reference) * change * weight).sum(axis=(1, 2))
+    power = (change * change * weight).sum(axis=(1, 2))
+    kernel = np.ones(5)
+    share = np.convolve(along, kernel, mode="same") / np.maximum(
+        np.convolve(power, kernel, mode="same"), 1e-6
+    )
+    faded = reference + np.clip(share[: len(change)], 0.0, 1.1)[:, None, None] * change
+    unit: FloatArray = faded / np.maximum(np.linalg.norm(faded, axis=2, keepdims=True), 1e-9)
+    return unit
+
+
+def _report_limbs(evidence: Evidence, best: _Hypothesis, start: int, end: int, first: int) -> Finding:
+    inside = evidence.ordinary[start:end]
+    wrong = np.flatnonzero(inside.mean(axis=0) > _WRONG_SHARE * _SURPRISE)
+    if not len(wrong):
+        wrong = np.array([int(inside.mean(axis=0).argmax())])
+    kind = "global" if len(wrong) >= _N_GLOBAL else "partial"
+    if kind == "global":
+        wrong = _BODY
+    severity, worst = _severity(evidence, start, end, wrong)
+    return Finding(kind, start, end, tuple(wrong.tolist()), severity, worst)
+
+
+_REPORTS = {
+    "shift": _report_shift,
+    "stops short": _report_stop,
+    "size": _report_size,
+    "limbs": _report_limbs,
+}
+
+
+def _explain_rest(evidence: Evidence, shift: Finding, start: int, end: int, pad: int) -> list[Finding]:
+    """What a shift leaves over: limbs that are wrong at its own time too, and what lies before and after it."""
+    found: list[Finding] = []
+    late = at_lag(evidence.ratio, evidence.course)[shift.start : shift.end]
+    for limb in LIMB_SEGMENTS:
+        if len(late) < 2:
+            break
+        score = (late[:, limb].max(axis=1) - 1.5) * _per_frame(evidence)
+        for begin, stop in runs_of(switch_on(score, 2.0 * _PRICE)):
+            if stop - begin >= 2.0 * _SHORTEST_S * evidence.rate:
+                a, b = shift.start + begin, shift.start + stop
+                severity = float(np.sqrt(late[begin:stop, limb].max(axis=1).mean()))
+                worst = a + int(late[begin:stop, limb].max(axis=1).argmax())
+                found.append(Finding("partial", a, b, tuple(limb.tolist()), severity, worst))
+    for a, b in ((start, shift.start - pad // 2), (shift.end + pad // 2, end)):
+        if b - a >= 2.0 * _SHORTEST_S * evidence.rate and b - a < end - start:
+            found += explain(evidence, a, b)
+    return found
+
+
+def _severity(evidence: Evidence, start: int, end: int, segments: NDArray[np.intp]) -> tuple[float, int]:
+    """Largest lasting deviation in multiples of what is tolerated, and when it is worst."""
+    far = evidence.deviations.squared[start:end, evidence.center][:, segments]
+    ratio = np.sqrt(far / evidence.tolerance[segments] ** 2).max(axis=1)
+    return float(np.percentile(ratio, 90)), start + int(ratio.argmax())
+
+
+def _best_span(gains: FloatArray) -> tuple[int, int]:
+    """Half-open span with the largest sum."""
+    best, total, start, span = -np.inf, 0.0, 0, (0, len(gains))
+    for i, gain in enumerate(gains):
+        if total <= 0.0:
+            total, start = 0.0, i
+        total += gain
+        if total > best:
+            best, span = total, (start, i + 1)
+    return span

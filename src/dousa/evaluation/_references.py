@@ -1,0 +1,148 @@
+"""The takes of the reference: one clock for all, and what differs between them is tolerated."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from dousa.evaluation._alignment import Alignment, align
+from dousa.evaluation._deviation import Deviations, compute_deviations
+from dousa.evaluation._evidence import SLACK_S, find_stretches, gather_evidence
+from dousa.evaluation._explain import Finding, explain
+from dousa.evaluation._types import PostureSequence
+from dousa.evaluation._working import Working, interpolate_segments, thin_postures
+from dousa.evaluation.scoring import compute_deviation
+from dousa.evaluation.thresholds import Tolerance, measure_unsteadiness, widen
+from dousa.motion._types import FloatArray
+
+__all__ = ["Comparison", "ReferenceTakes", "compare", "find_errors", "prepare_references"]
+
+_MARGIN = 1.15  # what nobody did yet, and is still no error
+_N_ROUNDS = 14
+_MOST_SPAN = 3.0  # takes that differ more than this are not takes of one thing
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ReferenceTakes:
+    """Takes of the reference on the clock of the first.
+
+    Parameters
+    ----------
+    postures : of the first take, at the performance's rate.
+    working : of each take, at the working rate, warped onto the first.
+    warped : (N - 1) further takes at the full rate, warped onto the first.
+    tolerance : learned from the takes; None if there is one only.
+    deviations : (N - 1) degrees, mean deviation of each further take from the first.
+    """
+
+    postures: PostureSequence
+    working: tuple[Working, ...]
+    warped: tuple[PostureSequence, ...]
+    tolerance: Tolerance | None
+    deviations: tuple[float, ...]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Comparison:
+    """A performance laid beside the reference.
+
+    Parameters
+    ----------
+    alignment : lines.
+    deviations : from the nearest take.
+    reference_end_s : s, time of the last frame of the first take.
+    from_first : (T, 9) rad, from the first take at the same time; nan where nothing is judged.
+    """
+
+    alignment: Alignment
+    deviations: Deviations
+    reference_end_s: float
+    from_first: FloatArray
+
+
+def prepare_references(takes: Sequence[PostureSequence], tempo: str, weights: FloatArray) -> ReferenceTakes:
+    """Warp all takes onto the first, and learn what is tolerated from those that differ.
+
+    Parameters
+    ----------
+    takes : at one frame rate, one or more.
+    tempo : of the performance's comparison; the takes are held to the same.
+    weights : (9,) mean 1.
+    """
+    first = takes[0]
+    warped = tuple(_warp(first, take, weights) for take in takes[1:])
+    working = (thin_postures(first), *(thin_postures(take) for take in warped))
+    tolerance = None
+    unwarped = [thin_postures(take) for take in takes[1:]]
+    if unwarped:
+        tolerance = _learn(working, unwarped, tempo, weights)
+    alone = [compare(working[:1], take, tempo, weights).from_first for take in unwarped]
+    deviations = tuple(compute_deviation(angles, weights) for angles in alone)
+    return ReferenceTakes(first, working, warped, tolerance, deviations)
+
+
+def _warp(first: PostureSequence, take: PostureSequence, weights: FloatArray) -> PostureSequence:
+    """A take on the clock of the first, by the curve of best correspondence."""
+    from dousa.evaluation.correspondence import find_path
+
+    path = find_path(first.segments, take.segments, weights=weights)
+    count = np.bincount(path[:, 0], minlength=first.n_frames)
+    mean = np.bincount(path[:, 0], weights=path[:, 1], minlength=first.n_frames) / np.maximum(count, 1)
+    nearest = np.rint(mean).astype(np.intp)
+    return PostureSequence(
+        interpolate_segments(take.segments, mean),
+        take.seen[nearest],
+        take.positions[nearest],
+        first.frame_rate,
+        take.name,
+    )
+
+
+def compare(
+    references: Sequence[Working], performance: Working, tempo: str, weights: FloatArray
+) -> Comparison:
+    """Lay a performance beside the takes, the first of which gives the clock.
+
+    What one take does is right: each deviation is from the take nearest to it.
+    """
+    alignment = align(references[0], performance, tempo, weights)
+    deviations = compute_deviations(references[0], performance, alignment.frames, weights)
+    chord = np.sqrt(deviations.squared[:, deviations.center])
+    from_first = np.where(deviations.judged, 2.0 * np.arcsin(np.minimum(0.5 * chord, 1.0)), np.nan)
+    for reference in references[1:]:
+        other = compute_deviations(reference, performance, alignment.frames, weights)
+        nearest = np.minimum(deviations.squared, other.squared)
+        deviations = replace(deviations, squared=nearest)
+    end_s = (references[0].n_frames - 1) / references[0].frame_rate
+    return Comparison(alignment, deviations, end_s, from_first)
+
+
+def find_errors(comparison: Comparison, tolerance: Tolerance, weights: FloatArray) -> list[Finding]:
+    """All errors of a performance, in order of time."""
+    evidence = gather_evidence(comparison.deviations, tolerance.angle, tolerance.lag_s, weights)
+    found: list[Finding] = []
+    for start, end in find_stretches(evidence):
+        found += explain(evidence, start, end)
+    return found
+
+
+def _learn(
+    working: Sequence[Working], takes: Sequence[Working], tempo: str, weights: FloatArray
+) -> Tolerance:
+    """The least tolerance with which no take has an error beside the others, and a margin."""
+    comparisons = []
+    for number, take in enumerate(takes, start=1):
+        others = [other for index, other in enumerate(working) if index != number]
+        comparisons.append(compare(others, take, tempo, weights))
+    steady = np.max([measure_unsteadiness(one.deviations).angle for one in comparisons], axis=0)
+    tolerance = Tolerance(steady, SLACK_S)
+    for comparison in comparisons:
+        for _ in range(_N_ROUNDS):
+            found = find_errors(comparison, tolerance, weights)
+            if not found:
+                break
+            tolerance = widen(tolerance, found)
+    capped = np.minimum(tolerance.angle * _MARGIN, _MOST_SPAN * steady)
+    return Tolerance(capped, min(tolerance.lag_s * _MARGIN, 1.0))

@@ -1,0 +1,290 @@
+"""A performance against its reference, from joints to a grade.
+
+postures -> lines -> deviations over time and lag -> stretches that differ -> what explains them
+         -> figures, their eigenspaces, d# and d* over time
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from dousa.errors import InvalidMotionError, OptionError
+from dousa.evaluation._curves import Curves, compute_curves
+from dousa.evaluation._evidence import Evidence, gather_evidence, refine_lag, runs_of
+from dousa.evaluation._lapses import find_lapses
+from dousa.evaluation._references import Comparison, ReferenceTakes, compare, find_errors, prepare_references
+from dousa.evaluation._reporting import describe_findings, describe_gaps, describe_warnings
+from dousa.evaluation._types import Assessment, FuriAssessment, PostureSequence
+from dousa.evaluation._working import Working, thin_postures
+from dousa.evaluation.eigenspace import Eigenspace
+from dousa.evaluation.furi import Furi, find_furi, fit_furi_eigenspaces
+from dousa.evaluation.posture import LIMBS, SEGMENTS, compute_postures, mirror_postures
+from dousa.evaluation.scoring import compute_deviation, compute_score
+from dousa.evaluation.thresholds import Tolerance, measure_unsteadiness
+from dousa.evaluation.words import check_language
+from dousa.motion import CanonicalMotion
+from dousa.motion._types import FloatArray
+
+__all__ = ["assess"]
+
+_SHORTEST_S = 0.5
+
+
+def assess(
+    reference: CanonicalMotion | Sequence[CanonicalMotion],
+    performance: CanonicalMotion,
+    *,
+    furi: Sequence[Furi] | None = None,
+    side: str = "same",
+    tempo: str = "same",
+    weights: Mapping[str, float] | None = None,
+    language: str = "en",
+    names: Sequence[str] = (),
+) -> Assessment:
+    """Say what differs between a performance and its reference, where, and by how much.
+
+    Parameters
+    ----------
+    reference : one take, or several takes of the same dance. The first gives the clock and the figures; what
+        differs between the takes is tolerated. Five or more make a calibrated grade.
+    performance : what is judged; any frame rate, place, heading and stature.
+    furi : figures in frames of the first reference at its own rate; found by themselves if None.
+    side : ``"mirrored"`` for a pupil who dances facing the teacher, left for right.
+    tempo : ``"same"``: to the same music, being late is an error; ``"free"``: only hurrying and lagging within a
+        few seconds is.
+    weights : of segments or limbs, 1 for those not named.
+    language : ``"en"`` or ``"ja"``, of the sentences.
+    names : of the references and, last, of the performance.
+
+    Returns
+    -------
+    The assessment: curves, figures, events, lapses and the grade.
+
+    Raises
+    ------
+    InvalidMotionError : a motion shorter than half a second, no reference.
+    OptionError : an unknown side, tempo, language, segment, or a weight below 0; furi outside the reference.
+
+    Source: Yamane and Shakunaga; the four classes and all numbers with a unit go beyond the paper, see
+    docs/evaluation.md.
+    """
+    takes = [reference] if isinstance(reference, CanonicalMotion) else list(reference)
+    check_language(language)
+    _check(takes, performance, side, tempo)
+    shares = _spread_weights(weights)
+    titles = [*names, *[""] * (len(takes) + 1 - len(names))]
+    played = compute_postures(performance, name=titles[len(takes)])
+    if side == "mirrored":
+        played = mirror_postures(played)
+    rate = played.frame_rate
+    postures = [compute_postures(take, rate, name) for take, name in zip(takes, titles, strict=False)]
+    references = prepare_references(postures, tempo, shares)
+    figures = _scale_furi(furi, takes[0], references.postures) if furi else find_furi(references.postures)
+    return judge(references, figures, played, tempo=tempo, weights=shares, language=language)
+
+
+def judge(
+    references: ReferenceTakes,
+    furi: Sequence[Furi],
+    performance: PostureSequence,
+    *,
+    tempo: str,
+    weights: FloatArray,
+    language: str,
+) -> Assessment:
+    """Assess a performance against references that are ready; parameters as in `assess`, weights (9,) of mean 1."""
+    working = thin_postures(performance)
+    comparison = compare(references.working, working, tempo, weights)
+    tolerance = choose_tolerance(references, comparison)
+    evidence = gather_evidence(comparison.deviations, tolerance.angle, tolerance.lag_s, weights)
+    same, matched, lag = _make_clocks(comparison, evidence, working, performance)
+    spaces = fit_furi_eigenspaces(references.postures, furi, more=_pool(references.warped, furi))
+    curves = compute_curves(references.postures, references.warped, performance, same, matched, furi, spaces)
+    lapses = find_lapses(comparison.alignment, references.working[0], working, language)
+    events = describe_findings(
+        find_errors(comparison, tolerance, weights),
+        lapses,
+        working=working,
+        same_time=same,
+        furi_index=curves.furi_index,
+        language=language,
+    )
+    score, formula, calibrated = compute_score(
+        compute_deviation(comparison.from_first, weights), references.deviations, language
+    )
+    return Assessment(
+        frame_rate=performance.frame_rate,
+        reference=references.postures,
+        performance=performance,
+        same_time=same,
+        matched_time=matched,
+        lag=lag,
+        facing=curves.facing,
+        d_space=curves.d_space,
+        d_within=curves.d_within,
+        d_path=curves.d_path,
+        d_space_limit=_limit(tolerance, curves.d_space_reference, same, performance.frame_rate),
+        d_within_limit=_limit(tolerance, curves.d_within_reference, same, performance.frame_rate),
+        residual=curves.residual,
+        residual_limit=tolerance.angle,
+        path=_make_path(matched, references.postures),
+        furi=_assess_furi(furi, spaces, curves, comparison, references, same, performance, working, weights),
+        events=events,
+        lapses=lapses,
+        score=score,
+        score_formula=formula,
+        calibrated=calibrated,
+        n_references=len(references.working),
+        tempo=comparison.alignment.tempo,
+        gaps=describe_gaps(performance),
+        warnings=describe_warnings(
+            references, furi, performance, working, comparison, tempo, weights, language
+        ),
+    )
+
+
+def _check(takes: Sequence[CanonicalMotion], performance: CanonicalMotion, side: str, tempo: str) -> None:
+    if not takes:
+        raise InvalidMotionError("evaluation: expected at least one reference, got none")
+    if side not in ("same", "mirrored"):
+        raise OptionError(f"side: expected 'same' or 'mirrored', got {side!r}")
+    if tempo not in ("same", "free"):
+        raise OptionError(f"tempo: expected 'same' or 'free', got {tempo!r}")
+    for what, motion in (*(("reference", take) for take in takes), ("performance", performance)):
+        if motion.duration < _SHORTEST_S or motion.n_frames < 3:
+            raise InvalidMotionError(
+                f"{what}: expected a motion of at least {_SHORTEST_S} s and 3 frames, got {motion.n_frames} frames "
+                f"at {motion.frame_rate:g} Hz ({motion.duration:.2f} s)"
+            )
+
+
+def _spread_weights(weights: Mapping[str, float] | None) -> FloatArray:
+    """(9,) weights of mean 1."""
+    shares = np.ones(len(SEGMENTS))
+    for name, value in (weights or {}).items():
+        if name not in SEGMENTS and name not in LIMBS:
+            raise OptionError(f"weights: expected names of {', '.join((*SEGMENTS, *LIMBS))}, got {name!r}")
+        if not (np.isfinite(value) and value >= 0.0):
+            raise OptionError(f"weights: {name}: expected a number of 0 or more, got {value!r}")
+        shares[[SEGMENTS.index(name)] if name in SEGMENTS else list(LIMBS[name])] = value
+    if shares.sum() <= 0.0:
+        raise OptionError("weights: expected at least one weight above 0")
+    return shares / shares.mean()
+
+
+def _scale_furi(furi: Sequence[Furi], take: CanonicalMotion, postures: PostureSequence) -> tuple[Furi, ...]:
+    """Figures in frames of the resampled reference."""
+    ratio = postures.frame_rate / take.frame_rate
+    scaled = []
+    for one in furi:
+        if not 0 <= one.start < one.end <= take.n_frames:
+            raise OptionError(
+                f"furi: expected frames between 0 and {take.n_frames} of the reference, got {one.start} to {one.end}"
+            )
+        start, end = round(one.start * ratio), min(round(one.end * ratio), postures.n_frames)
+        scaled.append(Furi(min(start, end - 1), end, one.label))
+    return tuple(scaled)
+
+
+def choose_tolerance(references: ReferenceTakes, comparison: Comparison) -> Tolerance:
+    """What the takes tell, but no less than the performer's own steadiness asks for."""
+    own = measure_unsteadiness(comparison.deviations)
+    if references.tolerance is None:
+        return own
+    return Tolerance(np.maximum(own.angle, references.tolerance.angle), references.tolerance.lag_s)
+
+
+def _make_clocks(
+    comparison: Comparison, evidence: Evidence, working: Working, performance: PostureSequence
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """(T,) s: reference time of the straight lines, reference time that is resembled, and the lag."""
+    center = np.arange(working.n_frames) * working.stride + 0.5 * (working.stride - 1)
+    frames = np.arange(performance.n_frames)
+    same = np.empty(performance.n_frames)
+    rate = performance.frame_rate
+    # Line by line: between two lines there is a jump, not a slope.
+    runs = comparison.alignment.runs
+    starts = [0] + [run.start for run in runs[1:]]
+    ends = [*starts[1:], working.n_frames]
+    for start, end in zip(starts, ends, strict=True):
+        last = performance.n_frames if end == working.n_frames else end * working.stride
+        span = frames[start * working.stride : last]
+        there = comparison.alignment.frames[start:end] * working.stride + 0.5 * (working.stride - 1)
+        slope = (
+            (there[-1] - there[0]) / max(center[end - 1] - center[start], 1e-9) if end - start > 1 else 1.0
+        )
+        line = np.interp(span, center[start:end], there)
+        line += slope * (np.minimum(span - center[start], 0.0) + np.maximum(span - center[end - 1], 0.0))
+        same[span] = line / rate
+    beyond = np.abs(evidence.course - evidence.center) > evidence.slack
+    lag = np.interp(frames, center, refine_lag(evidence, np.where(beyond, evidence.course, evidence.near)))
+    inside = (same >= -0.5 / rate) & (same <= comparison.reference_end_s + 0.5 / rate)
+    same = np.where(inside, np.clip(same, 0.0, comparison.reference_end_s), np.nan)
+    lag = np.where(inside, lag, np.nan)
+    return same, np.clip(same - lag, 0.0, comparison.reference_end_s), lag
+
+
+def _pool(warped: Sequence[PostureSequence], furi: Sequence[Furi]) -> dict[str, FloatArray]:
+    """Postures of the further takes by label."""
+    if not warped:
+        return {}
+    labels = dict.fromkeys(one.label for one in furi)
+    return {
+        label: np.concatenate(
+            [take.segments[one.start : one.end] for take in warped for one in furi if one.label == label]
+        )
+        for label in labels
+    }
+
+
+def _limit(tolerance: Tolerance, among: FloatArray, same_time: FloatArray, rate: float) -> FloatArray:
+    """(T,) limit of a distance: what all segments at a third of their tolerance come to, or what the takes show."""
+    least = float(np.linalg.norm(tolerance.angle)) / 2.0
+    frames = np.clip(np.nan_to_num(same_time) * rate, 0, len(among) - 1).astype(np.intp)
+    shown = float(np.nanpercentile(among, 95)) if np.isfinite(among).any() else 0.0
+    return np.where(np.isfinite(same_time), np.full(len(frames), max(least, 1.2 * shown)), np.nan)
+
+
+def _make_path(matched: FloatArray, reference: PostureSequence) -> np.ndarray:
+    frames = np.flatnonzero(np.isfinite(matched))
+    there = np.rint(matched[frames] * reference.frame_rate).astype(np.intp)
+    return np.column_stack([frames, np.clip(there, 0, reference.n_frames - 1)])
+
+
+def _assess_furi(
+    furi: Sequence[Furi],
+    spaces: Mapping[str, Eigenspace],
+    curves: Curves,
+    comparison: Comparison,
+    references: ReferenceTakes,
+    same_time: FloatArray,
+    performance: PostureSequence,
+    working: Working,
+    weights: FloatArray,
+) -> tuple[FuriAssessment, ...]:
+    rate = performance.frame_rate
+    thinned = curves.furi_index[:: working.stride][: working.n_frames]
+    result = []
+    for number, one in enumerate(furi):
+        spans = runs_of(curves.furi_index == number)
+        longest = max(spans, key=lambda span: span[1] - span[0], default=None)
+        angles = comparison.from_first[thinned == number]
+        score = np.nan
+        if len(angles) and np.isfinite(angles).any():
+            score = compute_score(compute_deviation(angles, weights), references.deviations, "en")[0]
+        result.append(
+            FuriAssessment(
+                start_s=longest[0] / rate if longest else np.nan,
+                end_s=longest[1] / rate if longest else np.nan,
+                reference_start_s=one.start / rate,
+                reference_end_s=one.end / rate,
+                label=one.label,
+                eigenspace=spaces[one.label],
+                gain=curves.gain[number],
+                lag_s=float(curves.lag_by_furi[number]),
+                score=score,
+            )
+        )
+    return tuple(result)

@@ -1,0 +1,60 @@
+"""What is tolerated: from the performer's own steadiness, and from several takes of the reference."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from dousa.evaluation._deviation import Deviations
+from dousa.evaluation._evidence import SLACK_S
+from dousa.evaluation._explain import Finding
+from dousa.motion._types import FloatArray
+
+__all__ = ["Tolerance", "measure_unsteadiness", "widen"]
+
+_STEADIEST, _UNSTEADIEST = np.radians(3.0), np.radians(9.0)
+_MULTIPLE = 2.4
+_LEAST = np.radians(10.0)
+_NEAR_S = 0.14
+_WIDER = 1.2
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Tolerance:
+    """What is tolerated.
+
+    Parameters
+    ----------
+    angle : (9,) rad, of each segment.
+    lag_s : s.
+    """
+
+    angle: FloatArray
+    lag_s: float = SLACK_S
+
+
+def measure_unsteadiness(deviations: Deviations) -> Tolerance:
+    """Tolerance from one performance: a multiple of how far each segment mostly is from the reference."""
+    reach = max(1, round(_NEAR_S / deviations.step_s))
+    center = deviations.center
+    near = slice(max(center - reach, 0), center + reach + 1)
+    nearest = deviations.squared[:, near].sum(axis=2).argmin(axis=1)
+    left = np.take_along_axis(deviations.squared[:, near], nearest[:, None, None], axis=1)[:, 0]
+    # The root mean square of a wavering direction is 1.2 times its median; errors hardly move the median.
+    typical = 1.2 * np.sqrt(np.median(left, axis=0))
+    steadiness = np.clip(typical, _STEADIEST, _UNSTEADIEST)
+    return Tolerance(np.maximum(_MULTIPLE * steadiness, _LEAST))
+
+
+def widen(tolerance: Tolerance, found: Sequence[Finding]) -> Tolerance:
+    """A little more tolerance of what was found: time for shifts, angles of the segments for the rest."""
+    angle, lag_s = tolerance.angle.copy(), tolerance.lag_s
+    for finding in found:
+        if finding.kind == "shift":
+            lag_s = max(lag_s, tolerance.lag_s * _WIDER, abs(finding.lag_s or 0.0))
+        else:
+            segments = list(finding.segments)
+            angle[segments] = tolerance.angle[segments] * _WIDER
+    return Tolerance(angle, lag_s)
