@@ -182,11 +182,13 @@ def demo(
     seed: Annotated[int, typer.Option("--seed", min=0, help="Other performers and motions.")] = 0,
     jobs: o.Jobs = None,
 ) -> None:
-    """Show the main job with nothing but the package: make a library of motions, train it and search it.
+    """Show the main jobs with nothing but the package: make a library of motions, train it and search it;
+    make a dance and a pupil who gets parts of it wrong, and tell them (not with --data).
 
     Example: dousa demo --output demo-output
     """
     from dousa.app.demo import run_demo
+    from dousa.app.demo_evaluation import run_dance_demo
 
     run_demo(
         console(),
@@ -197,3 +199,5 @@ def demo(
         category_from=category_from,
         performer_from=performer_from,
     )
+    if data is None:
+        run_dance_demo(console(), output, seed=seed)

@@ -110,7 +110,7 @@ def compute_curves(
         turned = _turn_reference(reference, figure, space)
         here = np.flatnonzero((index == number) & whole)
         distances[:, here] = _measure_distances(
-            space, turned, performance.segments[here], frames[here], reference.frame_rate
+            space, turned, there[here], performance.segments[here], reference.frame_rate
         )
         references[:, figure.start : figure.end] = _measure_takes(space, turned, figure, more_references)
     lag_by_furi = _take_medians(np.asarray(same_time) - matched_time, index, len(furi))
@@ -233,11 +233,10 @@ def _turn_reference(reference: PostureSequence, figure: Furi, space: Eigenspace)
 
 
 def _measure_distances(
-    space: Eigenspace, turned: _Turned, segments: FloatArray, frames: FloatArray, frame_rate: float
+    space: Eigenspace, turned: _Turned, reference: FloatArray, performance: FloatArray, frame_rate: float
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """d#, d* and the distance to the path of poses (n, 9, 3) at reference frames (n,), (n,) each."""
-    ours = space.align(segments)
-    theirs = interpolate_segments(turned.segments, frames - turned.first)
+    """d#, d* and the distance to the path of (n, 9, 3) poses of the performance, (n,) each."""
+    ours, theirs = space.align(performance), space.align(reference)
     # Between the frames of the path the reference itself would be a little off it.
     nearest: FloatArray = np.linalg.norm((ours - theirs).reshape(len(ours), 27), axis=1)
     step = max(1, int(frame_rate // _PATH_RATE))

@@ -51,6 +51,8 @@ def compute_deviations(
     reference: Working, performance: Working, frames: FloatArray, weights: FloatArray
 ) -> Deviations:
     """Compare every frame of the performance with the reference around ``frames`` (T,), at the working rate."""
+    from dousa.evaluation._deviation_kernels import measure_deviations
+
     reach = round(MAX_LAG_S * performance.frame_rate)
     count = performance.n_frames
     # The reference on the performance's clock, going on before and after it.
@@ -62,30 +64,20 @@ def compute_deviations(
     near = np.clip(np.rint(clock).astype(np.intp), 0, reference.n_frames - 1)
     # Before its start and after its end the reference stands still; errors are judged inside it only.
     seen = reference.seen[near]
-    windows = np.arange(count)[:, None] + np.arange(2 * reach + 1)
-    ours, theirs = performance.segments, moved
-    across_ours = ours[..., 2] + 1j * ours[..., 0]
-    across = theirs[..., 2] - 1j * theirs[..., 0]
-    product = across_ours[:, None, :] * across[windows]  # (T, K, 9)
-    upright = ours[:, None, :, 1] * theirs[windows][..., 1]
-    both = performance.seen[:, None, :] & seen[windows]
     half = max(1, round(0.5 * _YAW_WINDOW_S * performance.frame_rate))
-    trust = both * weights
-    for _ in range(4):
-        turn = _smooth_diagonal((product * trust).sum(axis=2), half)
-        turn /= np.maximum(np.abs(turn), 1e-12)
-        squared = np.maximum(2.0 - 2.0 * ((product * turn.conj()[..., None]).real + upright), 0.0)
-        trust = both * weights / (1.0 + squared / _SCALE**2) ** 2
-    squared *= both
-    judged = both[:, reach] & inside[reach : reach + count, None]
+    squared, turn = measure_deviations(
+        np.ascontiguousarray(performance.segments),
+        moved,
+        np.ascontiguousarray(performance.seen),
+        seen,
+        np.asarray(weights, np.float64),
+        half,
+        _SCALE**2,
+    )
+    here = slice(reach, reach + count)
+    judged = performance.seen & seen[here] & inside[here, None]
     yaw = np.angle(turn)
     facing = np.interp(frames, np.arange(reference.n_frames), reference.heading)
-    theirs = rotate_yaw(moved[reach : reach + count], -facing)
-    ours = rotate_yaw(ours, -facing - yaw[:, reach])
+    theirs = rotate_yaw(moved[here], -facing)
+    ours = rotate_yaw(performance.segments, -facing - yaw[:, reach])
     return Deviations(squared, yaw, judged, ours, theirs, reach, 1.0 / performance.frame_rate)
-
-
-def _smooth_diagonal(values: NDArray[np.complex128], half: int) -> NDArray[np.complex128]:
-    """Sums over a window of frames at equal lag."""
-    total = np.cumsum(np.pad(values, ((half + 1, half), (0, 0))), axis=0)
-    return total[2 * half + 1 :] - total[: -2 * half - 1]

@@ -87,7 +87,8 @@ def compute_score(
         spread = max(float(takes.std(ddof=1)), _LEAST_SHARE * mean, _LEAST_SPREAD)
     if not np.isfinite(deviation):
         return 0.0, _NOTHING[language], calibrated
-    score = float(np.clip(100.0 - _POINTS * (deviation - mean) / spread, 0.0, 100.0))
+    # Rounded, so that rounding errors in angles do not keep the same motion from 100.
+    score = round(float(np.clip(100.0 - _POINTS * (deviation - mean) / spread, 0.0, 100.0)), 6)
     return score, _describe(score, deviation, mean, spread, len(takes), calibrated, language), calibrated
 
 

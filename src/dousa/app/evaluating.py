@@ -1,0 +1,211 @@
+"""From motion files to an assessment, and to the takes of an experiment: the commands without their options."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from dousa.errors import DousaError, InvalidMotionError, OptionError
+from dousa.library import ReadOptions, Skipped, choose_jobs, find_motion_files
+from dousa.library.ingest import describe_problem, read_canonical
+
+if TYPE_CHECKING:
+    from dousa.app._output import ProgressCallback
+    from dousa.evaluation import Assessment, Furi
+    from dousa.evaluation.experiment import NamedMotion
+    from dousa.library.ingest import FoundFile
+    from dousa.library.labels import LabelRule
+    from dousa.motion import CanonicalMotion
+
+__all__ = ["Evaluation", "check_folder", "evaluate_files", "find_references", "read_takes"]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Evaluation:
+    """An assessment and the files that it is about.
+
+    Parameters
+    ----------
+    assessment : the answer.
+    references : files of the reference takes, the first is the model.
+    performance : the file judged.
+    notes : (file, sentence) what reading the files said.
+    """
+
+    assessment: Assessment
+    references: tuple[Path, ...]
+    performance: Path
+    notes: tuple[tuple[Path, str], ...]
+
+
+def find_references(paths: Sequence[Path]) -> list[Path]:
+    """The files given, folders replaced by the motion files below them; each once, in this order.
+
+    Raises
+    ------
+    OptionError : a path that does not exist, a folder without motion files.
+    """
+    found: list[Path] = []
+    for path in paths:
+        files, missing = find_motion_files([path])
+        if missing:
+            raise OptionError(f"{missing[0].path}: {missing[0].reason}")
+        if not files:
+            raise OptionError(f"{path}: there are no motion files (.bvh, .amc, .c3d, .trc, .npz) below it")
+        single = path if not path.is_dir() else None
+        found.extend(single or file.path for file in files)
+    by_place: dict[str, Path] = {}
+    for path in found:
+        by_place.setdefault(os.path.realpath(path), path)
+    return list(by_place.values())
+
+
+def evaluate_files(
+    references: Sequence[Path],
+    performance: Path,
+    *,
+    options: ReadOptions,
+    furi_file: Path | None = None,
+    side: str = "same",
+    tempo: str = "same",
+    weights: Mapping[str, float] | None = None,
+    language: str = "en",
+    progress: ProgressCallback | None = None,
+) -> Evaluation:
+    """Read the takes of the reference and the performance, and assess.
+
+    Parameters
+    ----------
+    references : files, see `find_references`.
+    performance : file.
+    options : what is said about all of them.
+    furi_file : cuts of the figures, in frames of the first reference; by default they are found.
+    side, tempo, weights, language : as in `dousa.evaluation.assess`.
+    progress : called with (steps done, steps, what is being done).
+
+    Raises
+    ------
+    DousaError : a file, furi file or motion that cannot be used; the message says which.
+    """
+    steps = len(references) + 2
+    report = progress or (lambda done, total, what: None)
+    notes: list[tuple[Path, str]] = []
+    takes: list[CanonicalMotion] = []
+    for number, path in enumerate((*references, performance)):
+        report(number, steps, "reading")
+        takes.append(_read(path, options, notes))
+    furi = None if furi_file is None else _read_furi(furi_file, takes[0])
+    report(steps - 1, steps, "comparing")
+    from dousa.evaluation import assess
+
+    try:
+        assessment = assess(
+            takes[:-1],
+            takes[-1],
+            furi=furi,
+            side=side,
+            tempo=tempo,
+            weights=weights,
+            language=language,
+            names=[path.name for path in (*references, performance)],
+        )
+    except InvalidMotionError as error:
+        # The message says "reference: ..." or "performance: ..."; the person wants the name of the file.
+        shortest = min(range(len(references)), key=lambda number: takes[number].duration)
+        where = references[shortest] if str(error).startswith("reference") else performance
+        raise InvalidMotionError(f"{where}: {error}") from error
+    return Evaluation(assessment, tuple(references), performance, tuple(notes))
+
+
+def _read(path: Path, options: ReadOptions, notes: list[tuple[Path, str]]) -> CanonicalMotion:
+    if path.is_dir():
+        raise OptionError(f"{path}: this is a folder; give the file of one performance")
+    motion, _ = read_canonical(os.fspath(path), options)
+    notes.extend((path, text) for text in motion.warnings)
+    return motion
+
+
+def _read_furi(path: Path, take: CanonicalMotion) -> Sequence[Furi]:
+    from dousa.evaluation import read_furi
+
+    furi: Sequence[Furi] = read_furi(path, take.frame_rate, take.n_frames)
+    return furi
+
+
+def check_folder(folder: Path) -> None:
+    """Whether a folder can be made or written, without doing it: to be known before the long work.
+
+    Raises
+    ------
+    OptionError : it cannot.
+    """
+    place = Path(os.path.abspath(folder))
+    while not os.path.lexists(place) and place != place.parent:
+        place = place.parent
+    if not place.is_dir():
+        raise OptionError(f"{folder}: {place} is a file, so there can be no folder; choose another with -o")
+    if not os.access(place, os.W_OK | os.X_OK):
+        raise OptionError(f"{folder}: {place} must not be written to; choose another folder with -o")
+
+
+def read_takes(
+    paths: Sequence[Path],
+    group_of: LabelRule,
+    *,
+    options: ReadOptions,
+    n_jobs: int | None = None,
+    progress: ProgressCallback | None = None,
+) -> tuple[list[tuple[NamedMotion, str | None]], list[Skipped]]:
+    """Read all motion files below some paths for an experiment.
+
+    Parameters
+    ----------
+    paths : files and folders.
+    group_of : tells which files are takes of one thing.
+    options : what is said about the files.
+    n_jobs : files at a time; None for every core.
+    progress : called with (done, total, "reading").
+
+    Returns
+    -------
+    takes : motions and their groups, in the order of the files.
+    skipped : the other files, and why.
+
+    Raises
+    ------
+    OptionError : no motion could be read.
+    """
+    import joblib
+
+    files, skipped = find_motion_files(paths)
+    parallel = joblib.Parallel(n_jobs=choose_jobs(n_jobs), prefer="threads", return_as="generator")
+    takes: list[tuple[NamedMotion, str | None]] = []
+    answers = parallel(joblib.delayed(_read_take)(file, options) for file in files)
+    for done, (file, answer) in enumerate(zip(files, answers, strict=True), 1):
+        if isinstance(answer, Skipped):
+            skipped.append(answer)
+        else:
+            takes.append((answer, group_of(file.root, file.path)))
+        if progress is not None:
+            progress(done, len(files), "reading")
+    if not takes:
+        first = (
+            f"; the first of {len(skipped)} problems: {skipped[0].path}: {skipped[0].reason}"
+            if skipped
+            else ""
+        )
+        raise OptionError(f"found no motion below {', '.join(map(str, paths))}{first}")
+    return takes, skipped
+
+
+def _read_take(file: FoundFile, options: ReadOptions) -> NamedMotion | Skipped:
+    from dousa.evaluation.experiment import NamedMotion
+
+    path = str(file.path)
+    try:
+        return NamedMotion(path, read_canonical(path, options)[0])
+    except DousaError as error:
+        return Skipped(path, describe_problem(path, error))

@@ -1,0 +1,322 @@
+"""``dousa evaluate`` as a person uses it: table, JSON, report, and every mistake in one line with exit code 2."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import math
+import re
+import shutil
+import sys
+from pathlib import Path
+from types import SimpleNamespace
+
+import pytest
+
+import dousa.evaluation
+from app.fake_assessment import make_assessment
+from dousa.app.cli import main
+from dousa.evaluation import ErrorEvent
+from dousa.formats import write_motion
+from dousa.motion import compute_trajectories
+from dousa.motion.synthetic import draw_performer, make_motion
+
+
+@pytest.fixture
+def run(monkeypatch, capsys):
+    """Runs a command in this process: (exit code, standard output, standard error)."""
+
+    def run(*words):
+        monkeypatch.setattr(sys, "argv", ["dousa", *map(str, words)])
+        try:
+            main()
+            code = 0
+        except SystemExit as stop:
+            code = stop.code or 0
+        out = capsys.readouterr()
+        return code, out.out, out.err
+
+    return run
+
+
+@pytest.fixture(scope="session")
+def takes(tmp_path_factory) -> Path:
+    """BVH files of one synthetic person: takes/t0.bvh ... t2.bvh, and pupil.bvh beside the folder."""
+    folder = tmp_path_factory.mktemp("evaluate")
+    (folder / "takes").mkdir()
+    for number in range(3):
+        write_motion(make_motion("squat", draw_performer(1), number), folder / "takes" / f"t{number}.bvh")
+    write_motion(make_motion("squat", draw_performer(2)), folder / "pupil.bvh")
+    return folder
+
+
+@pytest.fixture
+def asked(monkeypatch):
+    """A made-up `assess` and report; holds what they were asked for."""
+    calls = SimpleNamespace(assess=[], report=[])
+
+    def assess(references, performance, **options):
+        calls.assess.append((references, performance, options))
+        made = make_assessment(language=options["language"])
+        return dataclasses.replace(made, n_references=len(references), calibrated=len(references) >= 5)
+
+    def write_report(assessment, folder, language="en"):
+        calls.report.append((Path(folder), language))
+        Path(folder).mkdir(parents=True, exist_ok=True)
+        for name in ("report.html", "curves.csv"):
+            (Path(folder) / name).write_text(language)
+        return Path(folder) / "report.html"
+
+    monkeypatch.setitem(dousa.evaluation.__dict__, "assess", assess)
+    monkeypatch.setitem(sys.modules, "dousa.app.report", SimpleNamespace(write_report=write_report))
+    return calls
+
+
+def test_the_table_tells_grade_errors_and_order(run, takes, asked):
+    code, out, err = run("evaluate", takes / "takes/t0.bvh", "--performance", takes / "pupil.bvh")
+    assert code == 0
+    for word in ("grade 71", "100 - 10 x 2.9 = 71", "not calibrated", "global motion error", "order: skip",
+                 "partial motion error", "24° short", "200 ms late", " 1.4 "):  # fmt: skip
+        assert word in out
+    assert len(re.findall(r"^ ?0:\d\d\.\d-0:\d\d\.\d", out, re.MULTILINE)) == 5
+    assert "the limits are guessed" in err and "Traceback" not in err
+    ((references, performance, options),) = asked.assess
+    assert len(references) == 1 and performance.n_frames > 10
+    assert options.pop("names") == ["t0.bvh", "pupil.bvh"]
+    assert options == {"furi": None, "side": "same", "tempo": "same", "weights": None, "language": "en"}
+    assert asked.report == []
+
+
+def test_json_alone_is_on_standard_output(run, takes, asked, tmp_path):
+    words = ("--performance", takes / "pupil.bvh", "--json", "-o", tmp_path / "a" / "b")
+    code, out, err = run("evaluate", takes / "takes", takes / "takes/t0.bvh", *words)
+    assert code == 0
+    answer = json.loads(out, parse_constant=lambda name: pytest.fail(f"{name} is no JSON"))
+    keys = ["score", "calibrated", "furi", "events", "lag_ms", "frame_rate"]
+    assert list(answer)[:6] == keys
+    assert answer["n_references"] == 3  # the one named twice counts once
+    assert [Path(path).name for path in answer["references"]] == ["t0.bvh", "t1.bvh", "t2.bvh"]
+    assert answer["performance"] == str(takes / "pupil.bvh")
+    assert answer["report"] == str(tmp_path / "a" / "b" / "report.html")
+    assert sorted(path.name for path in (tmp_path / "a" / "b").iterdir()) == ["curves.csv", "report.html"]
+    assert "guessed" in err
+
+
+def test_options_reach_the_assessment(run, takes, asked, tmp_path):
+    weights = tmp_path / "weights"
+    weights.write_text("arms = 2\n")
+    words = ("--mirror", "--tempo", "free", "--weights", weights, "--lang", "ja", "-o", tmp_path / "out")
+    code, out, _ = run("evaluate", takes / "takes", "-p", takes / "pupil.bvh", *words)
+    assert code == 0
+    options = asked.assess[0][2]
+    assert (options["side"], options["tempo"], options["language"]) == ("mirrored", "free", "ja")
+    assert options["weights"]["left_forearm"] == 2.0 and options["weights"]["trunk"] == 1.0
+    for word in ("評価 71", "全体振りミス", "時刻", "しきい値は未校正", "順序: 抜け"):
+        assert word in out
+    assert asked.report[0][1] == "ja" and (tmp_path / "out/report.html").read_text() == "ja"
+
+
+def test_a_furi_file_counts_frames_of_the_first_reference(run, takes, asked, tmp_path):
+    path = tmp_path / "furi.txt"
+    path.write_text("1-20 down\n21-40 up\n")
+    words = ("evaluate", takes / "takes", "-p", takes / "pupil.bvh", "--furi", path)
+    assert run(*words)[0] == 0
+    furi = asked.assess[0][2]["furi"]
+    assert [(figure.start, figure.end, figure.label) for figure in furi] == [(0, 20, "down"), (20, 40, "up")]
+    for text, says in (
+        ("1-20\n15-30\n", "overlap"),
+        ("1-20000\n", "expected frames 1 to"),
+        ("one\n", "expected"),
+    ):
+        path.write_text(text)
+        code, out, err = run(*words)
+        assert code == 2 and out == "" and says in err and str(path) in err and len(err.splitlines()) == 1
+    path.unlink()
+    code, _, err = run(*words)
+    assert code == 2 and "cannot be read" in err and len(asked.assess) == 1
+
+
+def test_a_performance_among_several_references_is_noted(run, takes, asked):
+    _, _, err = run("evaluate", takes / "takes", "-p", takes / "takes/t1.bvh")
+    assert "one of the references too" in err
+    _, _, err = run("evaluate", takes / "takes/t1.bvh", "-p", takes / "takes/t1.bvh")
+    assert "one of the references too" not in err
+
+
+def test_nothing_found_and_no_grade(run, takes, asked, monkeypatch):
+    made = dataclasses.replace(
+        make_assessment(), events=(), lapses=(), score=math.nan, gaps=((1, 2, "trunk"),)
+    )
+    monkeypatch.setitem(dousa.evaluation.__dict__, "assess", lambda *_, **__: made)
+    code, out, _ = run("evaluate", takes / "takes", "-p", takes / "pupil.bvh")
+    assert code == 0
+    assert "grade - of 100" in out and "no error found" in out and "1.0 s of gaps" in out
+
+
+@pytest.mark.parametrize(
+    ("words", "says"),
+    [
+        (("{takes}",), "--performance FILE is missing"),
+        (("{dir}/none.bvh", "-p", "{pupil}"), "none.bvh: no such file"),
+        (("{takes}", "-p", "{dir}/none.bvh"), "none.bvh: no such file"),
+        (("{takes}", "-p", "{takes}"), "this is a folder"),
+        (("{dir}", "-p", "{pupil}"), "no motion files"),
+        (("{takes}", "-p", "{pupil}", "--weights", "{dir}/none"), "weights cannot be read"),
+        (("{takes}", "-p", "{pupil}", "--weights", "{pupil}"), "expected 'segment = number'"),
+        (("{takes}", "-p", "{pupil}", "-o", "{pupil}"), "is a file"),
+        (("{takes}", "-p", "{pupil}", "-o", "{pupil}/deeper"), "is a file"),
+        (("{takes}", "-p", "{pupil}", "--joint-map", "{dir}/none"), "joint map"),
+        (("{takes}", "-p", "{pupil}", "--unit", "furlong"), "furlong"),
+    ],
+)
+def test_mistakes_are_one_line_and_exit_code_2(run, takes, asked, tmp_path, words, says):
+    places = {"takes": takes / "takes", "dir": tmp_path, "pupil": takes / "pupil.bvh"}
+    code, out, err = run("evaluate", *(word.format(**places) for word in words))
+    assert code == 2 and out == ""
+    assert says in err and len(err.splitlines()) == 1 and "Traceback" not in err
+    assert asked.assess == [] and list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("option", [("--tempo", "fast"), ("--lang", "fr")])
+def test_unknown_choices_are_refused(run, takes, option):
+    code, _, err = run("evaluate", takes / "takes", "-p", takes / "pupil.bvh", *option)
+    assert code == 2 and option[1] in err and "Traceback" not in err
+
+
+def test_a_file_that_is_damaged_is_named(run, takes, asked, tmp_path):
+    bad = tmp_path / "bad.bvh"
+    bad.write_text("HIERARCHY\n")
+    for words in ((bad, "-p", takes / "pupil.bvh"), (takes / "takes", bad, "-p", takes / "pupil.bvh"),
+                  (takes / "takes", "-p", bad)):  # fmt: skip
+        code, _, err = run("evaluate", *words)
+        assert code == 2 and str(bad) in err and len(err.splitlines()) == 1
+
+
+def test_a_motion_that_is_too_short_is_named(run, takes, tmp_path):
+    one = tmp_path / "one.bvh"
+    motion = make_motion("bow", draw_performer(3))
+    write_motion(
+        dataclasses.replace(motion, rotations=motion.rotations[:1], translations=motion.translations[:1]), one
+    )
+    for words in ((takes / "takes", one, "-p", takes / "pupil.bvh"), (takes / "takes", "-p", one)):
+        code, out, err = run("evaluate", *words, "--json", "-o", tmp_path / "out")
+        assert code == 2 and out == "" and not (tmp_path / "out").exists()
+        assert str(one) in err and "got 1 frames" in err and len(err.splitlines()) == 1
+
+
+def test_ctrl_c_leaves_nothing(run, takes, asked, monkeypatch, tmp_path):
+    def interrupt(*_, **__):
+        raise KeyboardInterrupt
+
+    monkeypatch.setitem(dousa.evaluation.__dict__, "assess", interrupt)
+    code, out, err = run("evaluate", takes / "takes", "-p", takes / "pupil.bvh", "-o", tmp_path / "a/b")
+    assert code == 130 and out == "" and "interrupted" in err and "Traceback" not in err
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_other_formats_and_names_with_brackets(run, takes, asked, tmp_path):
+    place = tmp_path / "[bold]\n"
+    place.mkdir()
+    for suffix in (".trc", ".c3d", ".npz"):
+        write_motion(compute_trajectories(make_motion("bow", draw_performer(3))), place / f"a{suffix}")
+    shutil.copy(takes / "pupil.bvh", place / "[x] é.BVH")
+    code, out, err = run("evaluate", place, "-p", place / "[x] é.BVH", "-o", place)
+    assert code == 0 and "report: " in out
+    assert len(asked.assess[0][0]) == 4 and "Traceback" not in err
+
+
+def test_the_real_assessment_and_report(run, takes, tmp_path):
+    words = (
+        "evaluate",
+        takes / "takes",
+        "-p",
+        takes / "pupil.bvh",
+        "-o",
+        tmp_path / "report",
+        "--lang",
+        "ja",
+    )
+    code, out, err = run(*words)
+    assert code == 0 and "評価" in out and "Traceback" not in err
+    page = (tmp_path / "report" / "report.html").read_text(encoding="utf-8")
+    assert "pupil.bvh" in page and "t0.bvh" in page
+    code, out, _ = run(*words, "--json")
+    assert code == 0 and json.loads(out)["report"] == str(tmp_path / "report" / "report.html")
+
+
+def test_a_motion_equals_itself(run, takes):
+    code, out, _ = run("evaluate", takes / "pupil.bvh", "-p", takes / "pupil.bvh", "--json")
+    answer = json.loads(out)
+    assert code == 0 and answer["score"] == 100.0 and answer["events"] == []
+
+
+def test_each_amc_finds_its_own_skeleton(run, asked, shared_data):
+    folder = shared_data("hdm05/squat1Reps")
+    files = sorted(folder.glob("*.amc"))
+    code, out, _ = run("evaluate", files[0], files[-1], "-p", files[1], "--json")
+    assert code == 0
+    assert len(json.loads(out)["references"]) == 2
+    first, last = asked.assess[0][0]
+    assert first.height != last.height  # another person's skeleton
+
+
+# experiment-errors
+
+
+@pytest.fixture
+def blind(monkeypatch):
+    """A made-up `assess` that always finds a time shift from 0.5 to 1.5 s."""
+
+    def assess(references, performance, **_):
+        calls.append(len(references))
+        event = ErrorEvent("shift", 0.5, 1.5, ("trunk",), 100.0, None, None, 1.5, 1.0, 0.9, None, "late")
+        return SimpleNamespace(events=(event,))
+
+    calls: list[int] = []
+    monkeypatch.setitem(sys.modules, "dousa.evaluation.assessment", SimpleNamespace(assess=assess))
+    return calls
+
+
+def test_the_experiment_tells_what_is_found(run, takes, blind):
+    code, out, _ = run("experiment-errors", takes / "takes", "--jobs", 1)
+    assert code == 0
+    for word in ("precision", "shift", "incomplete", "partial", "global", "mean", "a minute", "Recall by kind",
+                 "no error", "median onset error"):  # fmt: skip
+        assert word in out
+
+
+def test_the_experiment_as_json_and_second_takes(run, takes, blind, tmp_path):
+    shutil.copy(takes / "pupil.bvh", tmp_path / "alone_0.bvh")
+    (tmp_path / "bad.bvh").write_text("")
+    for path in (takes / "takes").iterdir():
+        shutil.copy(path, tmp_path)
+    words = ("--jobs", 1, "--takes-from", "name:^(.*?)_?[0-9]", "--references", 2, "--json")
+    code, out, err = run("experiment-errors", tmp_path, "--repeats", 2, *words)
+    assert code == 0 and "left out" in err
+    answer = json.loads(out)
+    assert answer["sets"]["all"]["n_motions"] == 4 and answer["repeats"] == 2
+    second = answer["second_takes"]
+    assert (second["n_takes"], second["n_groups"], second["n_alone"]) == (3, 1, 1)
+    assert second["per_minute"] == pytest.approx(3 / second["minutes"])
+    assert second["n_with_fewer_references"] == 0
+    assert Path(answer["skipped"][0]["path"]).name == "bad.bvh"
+    code, out, _ = run("experiment-errors", tmp_path, "--repeats", 0, *words[:-1])
+    assert code == 0 and "Other takes of the same, 2 references: 3 takes" in out and "precision" not in out
+    assert set(blind) == {1, 2}
+
+
+@pytest.mark.parametrize(
+    ("words", "says"),
+    [
+        (("{dir}",), "found no motion below"),
+        (("{dir}/none",), "found no motion below"),
+        (("{takes}", "--repeats", "0"), "leaves nothing to do"),
+        (("{takes}", "--takes-from", "mood", "--repeats", "0"), "--takes-from: expected folder"),
+        (("{takes}", "--takes-from", "name:(t.)", "--repeats", "0"), "expected two takes or more"),
+    ],
+)
+def test_mistakes_of_the_experiment(run, takes, blind, tmp_path, words, says):
+    code, out, err = run(
+        "experiment-errors", *(word.format(takes=takes / "takes", dir=tmp_path) for word in words)
+    )
+    assert code == 2 and out == "" and says in err and len(err.splitlines()) == 1
