@@ -22,7 +22,7 @@ __all__ = ["Comparison", "ReferenceTakes", "compare", "find_errors", "prepare_re
 _DOUBT = 0.9  # few takes show little of what may still be done: 1.9 times with two takes, 1.2 times with five
 _N_ROUNDS = 14
 _MOST_LAG_S = 1.0
-_MOST_SPAN = 3.0  # takes that differ more than this are not takes of one thing
+_MOST_ANGLE = np.radians(40.0)  # takes that differ more than this are not takes of one thing
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -146,5 +146,5 @@ def _learn(
                 break
             tolerance = widen(tolerance, found)
     margin = 1.0 + _DOUBT / len(takes)
-    capped = np.minimum(tolerance.angle * margin, _MOST_SPAN * steady)
+    capped = np.minimum(tolerance.angle * margin, _MOST_ANGLE)
     return Tolerance(capped, min(tolerance.lag_s * margin, _MOST_LAG_S))

@@ -22,7 +22,7 @@ from dousa.motion._types import FloatArray
 __all__ = ["describe_findings", "describe_gaps", "describe_warnings"]
 
 _JOIN_S = 0.35
-_UNLIKE, _ALIKE = 0.75, 0.3  # mismatch along the lines
+_UNLIKE, _ALIKE = 0.85, 0.3  # mismatch along the lines
 _MIRROR_BETTER = 0.6
 _TEMPO_OFF, _TEMPO_BETTER = 0.04, 0.8
 _STILL = np.radians(12.0)  # range of the segment that moves most

@@ -24,7 +24,6 @@ clean takes of one person are from the first of them has a pooled standard devia
 
 _POINTS = 10.0  # for a standard deviation
 _FEWEST = 2  # takes beside the first that have a spread
-_LEAST_SHARE, _LEAST_SPREAD = 0.15, 0.5  # of the mean; deg. Few takes may happen to agree.
 
 
 def compute_deviation(residual: ArrayLike, weights: ArrayLike | None = None) -> float:
@@ -71,6 +70,7 @@ def compute_score(
     -------
     score : 0 to 100.
     formula : how it came about, in words and numbers.
+        The standard deviation of a handful of takes is uncertain: `UNCALIBRATED_SPREAD` counts as one take more.
     calibrated : False where there are fewer than two other takes: then 100 is no deviation at all, and the
         standard deviation is `UNCALIBRATED_SPREAD`.
 
@@ -84,7 +84,9 @@ def compute_score(
     mean, spread = 0.0, UNCALIBRATED_SPREAD
     if calibrated:
         mean = float(takes.mean())
-        spread = max(float(takes.std(ddof=1)), _LEAST_SHARE * mean, _LEAST_SPREAD)
+        # A handful of takes tell their spread badly: the usual one counts as one take more.
+        squares = float(((takes - mean) ** 2).sum()) + UNCALIBRATED_SPREAD**2
+        spread = float(np.sqrt(squares / len(takes)))
     if not np.isfinite(deviation):
         return 0.0, _NOTHING[language], calibrated
     # Rounded, so that rounding errors in angles do not keep the same motion from 100.
