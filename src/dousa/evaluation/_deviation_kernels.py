@@ -42,7 +42,8 @@ def measure_deviations(
     squared = np.empty((n_frames, n_lags, 9))
     turn = np.empty((n_frames, n_lags), np.complex128)
     along, across = np.empty((n_frames, 9)), np.empty((n_frames, 9))
-    upright, weight, trust = np.empty((n_frames, 9)), np.empty((n_frames, 9)), np.empty((n_frames, 9))
+    upright, far = np.empty((n_frames, 9)), np.empty((n_frames, 9))
+    weight, trust = np.empty((n_frames, 9)), np.empty((n_frames, 9))
     total = np.zeros((n_frames + 1, 2))
     for k in range(n_lags):
         for t in range(n_frames):
@@ -67,9 +68,12 @@ def measure_deviations(
                 a, b = total[high, 0] - total[low, 0], total[high, 1] - total[low, 1]
                 size = max(np.sqrt(a * a + b * b), 1e-12)
                 a, b = a / size, b / size
-                turn[t, k] = complex(a, b)
                 for s in range(9):
-                    far = max(upright[t, s] - 2.0 * (along[t, s] * a + across[t, s] * b), 0.0)
-                    trust[t, s] = weight[t, s] / (1.0 + far / scale) ** 2
-                    squared[t, k, s] = far if weight[t, s] > 0.0 else 0.0
+                    far[t, s] = max(upright[t, s] - 2.0 * (along[t, s] * a + across[t, s] * b), 0.0)
+                    share = 1.0 / (1.0 + far[t, s] / scale)
+                    trust[t, s] = weight[t, s] * share * share
+                turn[t, k] = complex(a, b)
+        for t in range(n_frames):
+            for s in range(9):
+                squared[t, k, s] = far[t, s] if ours_seen[t, s] and theirs_seen[t + k, s] else 0.0
     return squared, turn

@@ -99,7 +99,7 @@ def gather_evidence(
     deviations : of the performance.
     tolerance : (9,) rad.
     slack_s : s, lag that is forgiven.
-    weights : (9,) of the segments, mean 1.
+    weights : (9,) of the segments, those above 0 of mean 1.
     """
     rate = 1.0 / deviations.step_s
     ratio = np.minimum(deviations.squared / tolerance**2, CAP) * weights
@@ -129,7 +129,9 @@ def refine_lag(evidence: Evidence, course: NDArray[np.intp], first: int = 0) -> 
         np.convolve(values, kernel, mode="same")[: len(rows)] for values in (left, here, right)
     )
     bend = left - 2.0 * here + right
-    shift = np.where(bend > 1e-6, 0.5 * (left - right) / np.maximum(bend, 1e-6), 0.0)
+    # Where nothing differs the lag is none, however lopsided the parabola is.
+    sure = (bend > 1e-6) & (here > 1e-9)
+    shift = np.where(sure, 0.5 * (left - right) / np.maximum(bend, 1e-6), 0.0)
     columns: FloatArray = course - evidence.center + np.clip(shift, -1.0, 1.0)
     return -columns * evidence.deviations.step_s
 
@@ -177,6 +179,7 @@ def _find_lags(evidence: Evidence) -> NDArray[np.bool_]:
 
 
 def _widen(mask: NDArray[np.bool_], reach: int) -> NDArray[np.bool_]:
-    kernel = np.ones(2 * reach + 1)
-    wide: NDArray[np.bool_] = np.convolve(mask.astype(float), kernel, mode="same")[: len(mask)] > 0.5
+    """True wherever the mask is true at most ``reach`` frames away."""
+    count = np.convolve(mask.astype(float), np.ones(2 * reach + 1))[reach : reach + len(mask)]
+    wide: NDArray[np.bool_] = count > 0.5
     return wide

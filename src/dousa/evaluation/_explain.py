@@ -16,7 +16,7 @@ from dousa.evaluation._coverage import compute_unreached, follow_path
 from dousa.evaluation._evidence import CAP, LIMB_SEGMENTS, Evidence, at_lag, refine_lag, runs_of
 from dousa.evaluation._gain import GROUPS, GainFit, fit_gain
 from dousa.evaluation._line_kernels import switch_on
-from dousa.evaluation._size import measure_missing_range
+from dousa.evaluation._size import measure_missing_range, measure_ranges
 from dousa.motion._types import FloatArray
 
 __all__ = ["Finding", "explain"]
@@ -32,8 +32,10 @@ _GAINS = (0.22, 0.86)  # below, a limb does nothing of the motion; above, it doe
 _OFF_CENTER, _UNEXPLAINED = 1.5, 0.6
 _N_GLOBAL = 5  # segments of nine
 _WRONG_SHARE = 0.6  # of the surprise's price, in the mean: the segment belongs to the error
+_LARGER, _LEAST_EXCESS = 1.2, np.radians(10.0)
 _SHORTEST_S = 0.25
 _FADE_S = 0.033
+_PLATEAU = 0.75  # of the largest lag: the rest is fading in and out
 _BODY = np.arange(9)
 
 
@@ -47,7 +49,7 @@ class Finding:
     start, end : half-open.
     segments : indices.
     lag_s : positive is late.
-    shortfall, shortfall_share : rad, and share of the reference's range.
+    shortfall, shortfall_share : rad, and share of the reference's range; negative is larger than the reference.
     severity : in multiples of what is tolerated.
     worst : frame.
     """
@@ -172,7 +174,7 @@ def _report_shift(evidence: Evidence, best: _Hypothesis, start: int, end: int, f
     better = evidence.punctual[span].sum(axis=1) - best.frames - _DOUBT
     begin, stop = _best_span(better)
     lag = refine_lag(evidence, best.course, first)[begin:stop]
-    typical = float(np.median(lag[np.abs(lag) >= 0.6 * np.abs(lag).max()])) if len(lag) else 0.0
+    typical = float(np.median(lag[np.abs(lag) >= _PLATEAU * np.abs(lag).max()])) if len(lag) else 0.0
     worst = int(np.argmax(evidence.punctual[first + begin : first + stop].sum(axis=1))) if stop > begin else 0
     slack = evidence.slack * evidence.deviations.step_s
     return Finding(
@@ -245,7 +247,23 @@ def _report_limbs(evidence: Evidence, best: _Hypothesis, start: int, end: int, f
     if kind == "global":
         wrong = _BODY
     severity, worst = _severity(evidence, start, end, wrong)
-    return Finding(kind, start, end, tuple(wrong.tolist()), severity, worst)
+    further, share = (None, None) if kind == "global" else _measure_excess(evidence, start, end, wrong)
+    return Finding(kind, start, end, tuple(wrong.tolist()), severity, worst, None, further, share)
+
+
+def _measure_excess(
+    evidence: Evidence, start: int, end: int, segments: NDArray[np.intp]
+) -> tuple[float | None, float | None]:
+    """Negative missing range, rad and share, of limbs that do the same motion larger; None if they do another one."""
+    ours = evidence.deviations.performance[start:end, segments]
+    theirs = evidence.deviations.reference[start:end, segments]
+    fit = fit_gain(ours, theirs, evidence.tolerance[segments])
+    if fit.gain < _LARGER or fit.unexplained > _UNEXPLAINED:
+        return None, None
+    whole, reached = measure_ranges(theirs), measure_ranges(ours)
+    most = int(np.argmax(reached - whole))
+    missing = float(whole[most] - reached[most])
+    return (missing, missing / float(whole[most])) if missing < -_LEAST_EXCESS else (None, None)
 
 
 _REPORTS = {

@@ -70,7 +70,7 @@ def prepare_references(takes: Sequence[PostureSequence], tempo: str, weights: Fl
     ----------
     takes : at one frame rate, one or more.
     tempo : of the performance's comparison; the takes are held to the same.
-    weights : (9,) mean 1.
+    weights : (9,) of the segments, those above 0 of mean 1.
     """
     first = takes[0]
     warped = tuple(_warp(first, take, weights) for take in takes[1:])

@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dousa.evaluation._alignment import align
+from dousa.evaluation._curves import Curves
 from dousa.evaluation._evidence import runs_of
 from dousa.evaluation._explain import Finding
 from dousa.evaluation._references import Comparison, ReferenceTakes
@@ -16,7 +16,7 @@ from dousa.evaluation._warning_words import describe_warning
 from dousa.evaluation._working import Working, thin_postures
 from dousa.evaluation.furi import Furi
 from dousa.evaluation.posture import SEGMENTS, mirror_postures
-from dousa.evaluation.words import describe_event
+from dousa.evaluation.words import describe_event, describe_facing, format_time
 from dousa.motion._types import FloatArray
 
 __all__ = ["describe_findings", "describe_gaps", "describe_warnings"]
@@ -25,6 +25,7 @@ _JOIN_S = 0.35
 _UNLIKE, _ALIKE = 0.85, 0.3  # mismatch along the lines
 _MIRROR_BETTER = 0.6
 _TEMPO_OFF, _TEMPO_BETTER = 0.04, 0.8
+_TURNED, _TURNED_S = np.radians(40.0), 1.0
 _STILL = np.radians(12.0)  # range of the segment that moves most
 
 
@@ -34,7 +35,7 @@ def describe_findings(
     *,
     working: Working,
     same_time: FloatArray,
-    furi_index: NDArray[np.intp],
+    curves: Curves,
     language: str,
 ) -> tuple[ErrorEvent, ...]:
     """Events of findings, those that a lapse explains left out.
@@ -44,7 +45,8 @@ def describe_findings(
     findings : in working frames.
     lapses : in seconds.
     working : the performance at the working rate.
-    same_time, furi_index : (T,) at the full rate.
+    same_time : (T,) s, at the full rate.
+    curves : at the full rate.
     language : of the sentences.
     """
     rate, stride = working.frame_rate, working.stride
@@ -54,9 +56,12 @@ def describe_findings(
         if any(_overlap(start, end, lapse) > 0.5 * (end - start) for lapse in lapses):
             continue
         frame = min(finding.worst * stride + stride // 2, len(same_time) - 1)
-        number = int(furi_index[frame])
+        number = int(curves.furi_index[frame])
         furi = number if number >= 0 else None
         segments = tuple(SEGMENTS[index] for index in finding.segments)
+        span = slice(finding.start * stride, max(finding.end, finding.start + 1) * stride)
+        off = _lasting(np.degrees(curves.residual[span][:, list(finding.segments)]))
+        facing = np.degrees(curves.facing[span])
         lag_ms = None if finding.lag_s is None else 1000.0 * finding.lag_s
         short = None if finding.shortfall is None else float(np.degrees(finding.shortfall))
         percent = None if finding.shortfall_share is None else 100.0 * finding.shortfall_share
@@ -73,6 +78,8 @@ def describe_findings(
                 worst_s=frame / (rate * stride),
                 reference_s=float(same_time[frame]),
                 furi=furi,
+                deviation_deg=off,
+                facing_deg=float(np.nanmedian(facing)) if np.isfinite(facing).any() else None,
                 says=describe_event(
                     finding.kind,
                     start,
@@ -80,12 +87,21 @@ def describe_findings(
                     lag_ms=lag_ms,
                     shortfall_deg=short,
                     shortfall_percent=percent,
+                    deviation_deg=off,
                     language=language,
                     furi=furi,
                 ),
             )
         )
     return tuple(events)
+
+
+def _lasting(angles: FloatArray) -> float | None:
+    """Largest lasting number of (n, S): nine tenths of the moments are below it; None if there is none."""
+    seen = np.isfinite(angles)
+    if not seen.any():
+        return None
+    return float(np.percentile(np.where(seen, angles, 0.0).max(axis=1), 90))
 
 
 def _join(findings: Sequence[Finding], gap: float) -> list[Finding]:
@@ -138,6 +154,7 @@ def describe_warnings(
     performance: PostureSequence,
     working: Working,
     comparison: Comparison,
+    curves: Curves,
     tempo: str,
     weights: FloatArray,
     language: str,
@@ -163,7 +180,13 @@ def describe_warnings(
     uncovered = references.postures.n_frames - sum(one.n_frames for one in furi)
     if uncovered > 0:
         keys.append(("uncovered", uncovered / performance.frame_rate))
-    return tuple(describe_warning(key, value, language) for key, value in keys)
+    turned = [
+        f"{format_time(start / performance.frame_rate)}: {describe_facing(angle, language)}"
+        for start, end in runs_of(np.nan_to_num(np.abs(curves.facing)) > _TURNED)
+        if end - start >= _TURNED_S * performance.frame_rate
+        for angle in (float(np.median(curves.facing[start:end])),)
+    ]
+    return (*(describe_warning(key, value, language) for key, value in keys), *turned)
 
 
 def _moves(postures: PostureSequence) -> float:

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from dousa.motion._types import FloatArray
 
-__all__ = ["measure_missing_range", "measure_ranges", "smooth_segments"]
+__all__ = ["measure_missing_range", "measure_ranges"]
 
 _MOST_FRAMES = 90
 _MODEL_SHARE = 0.25
@@ -19,17 +19,6 @@ def measure_ranges(segments: FloatArray) -> FloatArray:
     cosines = (thinned @ thinned.transpose(0, 2, 1)).reshape(len(thinned), -1).min(axis=1)
     ranges: FloatArray = np.arccos(np.clip(cosines, -1.0, 1.0))
     return ranges
-
-
-def smooth_segments(segments: FloatArray, half: int) -> FloatArray:
-    """Unit vectors averaged over ``2 half + 1`` frames, ends held."""
-    if half < 1:
-        return segments
-    padded = np.pad(segments, ((half, half), (0, 0), (0, 0)), mode="edge")
-    total = np.cumsum(np.concatenate([np.zeros((1, *padded.shape[1:])), padded]), axis=0)
-    mean = total[2 * half + 1 :] - total[: -2 * half - 1]
-    smooth: FloatArray = mean / np.maximum(np.linalg.norm(mean, axis=2, keepdims=True), 1e-9)
-    return smooth
 
 
 def measure_missing_range(

@@ -78,6 +78,8 @@ def _describe_event(event: ErrorEvent) -> dict[str, Any]:
         "shortfall_percent": _number(event.shortfall_percent, 1),
         "severity": _number(event.severity, 2),
         "says": event.says,
+        "deviation_deg": _number(event.deviation_deg, _DEGREES),
+        "facing_deg": _number(event.facing_deg, _DEGREES),
         "worst_s": _number(event.worst_s, _SECONDS),
         "reference_s": _number(event.reference_s, _SECONDS),
         "furi": None if event.furi is None else int(event.furi),

@@ -56,12 +56,15 @@ class ErrorEvent:
     start_s, end_s : in the performance's own seconds.
     segments : names of the segments that are wrong; all nine for an error of the whole body.
     lag_ms : how late (positive) or early (negative), of a shift.
-    shortfall_deg, shortfall_percent : how much of the range of motion is missing, of an incomplete motion.
+    shortfall_deg, shortfall_percent : how much of the range of motion is missing, of an incomplete motion; negative
+        for a limb (a partial error) that goes further than the reference.
     severity : size in multiples of what is tolerated, above 1.
     worst_s : moment of the largest deviation, performance seconds.
     reference_s : moment of the reference that belongs to it.
     furi : number of the furi, from 0; None outside all.
     says : one sentence for a person.
+    deviation_deg : largest lasting angle of a wrong segment from the reference's at the same time.
+    facing_deg : median heading against the reference's while it lasts; positive is turned to the own left.
     """
 
     kind: str
@@ -76,6 +79,8 @@ class ErrorEvent:
     reference_s: float
     furi: int | None
     says: str
+    deviation_deg: float | None = None
+    facing_deg: float | None = None
 
 
 @dataclass(frozen=True, slots=True)

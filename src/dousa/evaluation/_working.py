@@ -56,7 +56,7 @@ def thin_postures(postures: PostureSequence) -> Working:
     groups = postures.segments[: count * stride].reshape(count, stride, 9, 3).mean(axis=1)
     length = np.linalg.norm(groups, axis=2, keepdims=True)
     groups = groups / np.maximum(length, 1e-9)
-    seen = postures.seen[: count * stride].reshape(count, stride, 9).all(axis=1)
+    seen: NDArray[np.bool_] = np.all(postures.seen[: count * stride].reshape(count, stride, 9), axis=1)
     rate = postures.frame_rate / stride
     heading = _measure_heading(postures.positions[: count * stride : stride], round(0.5 * _HEADING_S * rate))
     return Working(groups, seen, heading, rate, stride)
@@ -64,9 +64,10 @@ def thin_postures(postures: PostureSequence) -> Working:
 
 def _measure_heading(positions: FloatArray, half: int) -> FloatArray:
     """(T,) rad about +Y of the front of the body, averaged over ``2 half + 1`` frames."""
-    across = sum(
-        positions[:, J[f"left_{joint}"]] - positions[:, J[f"right_{joint}"]] for joint in ("hip", "shoulder")
+    left, right = (
+        positions[:, J[f"{side}_hip"]] + positions[:, J[f"{side}_shoulder"]] for side in ("left", "right")
     )
+    across = left - right
     front = across[:, 2] + 1j * across[:, 0]
     total = np.cumsum(np.pad(front, (half + 1, half), mode="edge"))
     return np.unwrap(np.angle(total[2 * half + 1 :] - total[: -2 * half - 1]))

@@ -94,7 +94,7 @@ def judge(
     weights: FloatArray,
     language: str,
 ) -> Assessment:
-    """Assess a performance against references that are ready; parameters as in `assess`, weights (9,) of mean 1."""
+    """Assess a performance against references that are ready; weights (9,), those above 0 of mean 1."""
     working = thin_postures(performance)
     comparison = compare(references.working, working, tempo, weights)
     tolerance = choose_tolerance(references, comparison)
@@ -108,7 +108,7 @@ def judge(
         lapses,
         working=working,
         same_time=same,
-        furi_index=curves.furi_index,
+        curves=curves,
         language=language,
     )
     score, formula, calibrated = compute_score(
@@ -125,8 +125,8 @@ def judge(
         d_space=curves.d_space,
         d_within=curves.d_within,
         d_path=curves.d_path,
-        d_space_limit=_limit(tolerance, curves.d_space_reference, same, performance.frame_rate),
-        d_within_limit=_limit(tolerance, curves.d_within_reference, same, performance.frame_rate),
+        d_space_limit=_limit(tolerance, curves.d_space_reference, same),
+        d_within_limit=_limit(tolerance, curves.d_within_reference, same),
         residual=curves.residual,
         residual_limit=tolerance.angle,
         path=_make_path(matched, references.postures),
@@ -140,7 +140,7 @@ def judge(
         tempo=comparison.alignment.tempo,
         gaps=describe_gaps(performance),
         warnings=describe_warnings(
-            references, furi, performance, working, comparison, tempo, weights, language
+            references, furi, performance, working, comparison, curves, tempo, weights, language
         ),
     )
 
@@ -161,7 +161,7 @@ def _check(takes: Sequence[CanonicalMotion], performance: CanonicalMotion, side:
 
 
 def _spread_weights(weights: Mapping[str, float] | None) -> FloatArray:
-    """(9,) weights of mean 1."""
+    """(9,) weights; those above 0 have a mean of 1, so that leaving limbs out makes nobody stricter with the rest."""
     shares = np.ones(len(SEGMENTS))
     for name, value in (weights or {}).items():
         if name not in SEGMENTS and name not in LIMBS:
@@ -171,7 +171,7 @@ def _spread_weights(weights: Mapping[str, float] | None) -> FloatArray:
         shares[[SEGMENTS.index(name)] if name in SEGMENTS else list(LIMBS[name])] = value
     if shares.sum() <= 0.0:
         raise OptionError("weights: expected at least one weight above 0")
-    return shares / shares.mean()
+    return shares / shares[shares > 0.0].mean()
 
 
 def _scale_furi(furi: Sequence[Furi], take: CanonicalMotion, postures: PostureSequence) -> tuple[Furi, ...]:
@@ -183,8 +183,10 @@ def _scale_furi(furi: Sequence[Furi], take: CanonicalMotion, postures: PostureSe
             raise OptionError(
                 f"furi: expected frames between 0 and {take.n_frames} of the reference, got {one.start} to {one.end}"
             )
-        start, end = round(one.start * ratio), min(round(one.end * ratio), postures.n_frames)
-        scaled.append(Furi(min(start, end - 1), end, one.label))
+        # However few frames there are, each figure has one.
+        start = min(round(one.start * ratio), postures.n_frames - 1)
+        end = min(round(one.end * ratio), postures.n_frames)
+        scaled.append(Furi(start, max(end, start + 1), one.label))
     return tuple(scaled)
 
 
@@ -239,12 +241,11 @@ def _pool(warped: Sequence[PostureSequence], furi: Sequence[Furi]) -> dict[str, 
     }
 
 
-def _limit(tolerance: Tolerance, among: FloatArray, same_time: FloatArray, rate: float) -> FloatArray:
-    """(T,) limit of a distance: what all segments at a third of their tolerance come to, or what the takes show."""
+def _limit(tolerance: Tolerance, among: FloatArray, same_time: FloatArray) -> FloatArray:
+    """(T,) limit of a distance: what all segments at half of their tolerance come to, or what the takes show."""
     least = float(np.linalg.norm(tolerance.angle)) / 2.0
-    frames = np.clip(np.nan_to_num(same_time) * rate, 0, len(among) - 1).astype(np.intp)
     shown = float(np.nanpercentile(among, 95)) if np.isfinite(among).any() else 0.0
-    return np.where(np.isfinite(same_time), np.full(len(frames), max(least, 1.2 * shown)), np.nan)
+    return np.where(np.isfinite(same_time), max(least, 1.2 * shown), np.nan)
 
 
 def _make_path(matched: FloatArray, reference: PostureSequence) -> np.ndarray:

@@ -37,7 +37,7 @@ class Tolerance:
 
 
 def measure_unsteadiness(deviations: Deviations) -> Tolerance:
-    """Tolerance from one performance: a multiple of how far each segment, and the time, mostly is from the reference."""
+    """Tolerance from one performance: multiples of how far segments and time mostly are from the reference."""
     reach = max(1, round(_NEAR_S / deviations.step_s))
     center = deviations.center
     near = slice(max(center - reach, 0), center + reach + 1)

@@ -187,6 +187,7 @@ def describe_event(
     lag_ms: float | None = None,
     shortfall_deg: float | None = None,
     shortfall_percent: float | None = None,
+    deviation_deg: float | None = None,
     language: str = "en",
     furi: int | None = None,
 ) -> str:
@@ -198,7 +199,9 @@ def describe_event(
     start_s : performance seconds.
     segments : names of the wrong segments.
     lag_ms : how late, negative is early; of a shift.
-    shortfall_deg, shortfall_percent : missing range of motion, in degrees and percent of the reference's.
+    shortfall_deg, shortfall_percent : missing range of motion, in degrees and percent of the reference's; negative
+        if it goes further than the reference.
+    deviation_deg : largest lasting angle from the reference, of a partial error.
     language : ``"en"`` or ``"ja"``.
     furi : number of the furi, from 0; None to leave it out.
 
@@ -209,18 +212,24 @@ def describe_event(
     who = describe_segments(segments, language)
     if kind not in KIND_WORDS[language]:
         raise OptionError(f"kind: expected one of {', '.join(KIND_WORDS['en'])}, got {kind!r}")
+    numbers = (lag_ms, shortfall_deg, shortfall_percent, deviation_deg)
     if language == "ja":
         where = "" if furi is None else f"（振り{furi + 1}）"
-        return f"{format_time(start_s)} {_say_ja(kind, who, lag_ms, shortfall_deg, shortfall_percent)}{where}"
+        return f"{format_time(start_s)} {_say_ja(kind, who, *numbers)}{where}"
     where = "" if furi is None else f" (furi {furi + 1})"
-    return f"{format_time(start_s)}, {_say_en(kind, who, lag_ms, shortfall_deg, shortfall_percent)}{where}"
+    return f"{format_time(start_s)}, {_say_en(kind, who, *numbers)}{where}"
 
 
-def _say_en(kind: str, who: str, lag: float | None, degrees: float | None, percent: float | None) -> str:
+def _say_en(
+    kind: str, who: str, lag: float | None, degrees: float | None, percent: float | None, off: float | None
+) -> str:
     if kind == "global":
         return "the whole figure is another one"
     if kind == "partial":
-        return f"{who}: another movement than the reference's"
+        if _is_number(degrees) and degrees < 0:
+            return f"{who}: goes {-degrees:.0f} deg further than the reference"
+        far = f", up to {off:.0f} deg away" if _is_number(off) else ""
+        return f"{who}: another movement than the reference's{far}"
     if kind == "shift":
         if not _is_number(lag):
             return f"{who}: out of time"
@@ -233,11 +242,16 @@ def _say_en(kind: str, who: str, lag: float | None, degrees: float | None, perce
     return f"{who}: {', '.join(parts) or 'not danced to the full'}"
 
 
-def _say_ja(kind: str, who: str, lag: float | None, degrees: float | None, percent: float | None) -> str:
+def _say_ja(
+    kind: str, who: str, lag: float | None, degrees: float | None, percent: float | None, off: float | None
+) -> str:
     if kind == "global":
         return "全身：手本とは別の振りになっています"
     if kind == "partial":
-        return f"{who}：手本と動きが違います"
+        if _is_number(degrees) and degrees < 0:
+            return f"{who}：手本より{-degrees:.0f}度大きく動いています"
+        far = f"（最大{off:.0f}度）" if _is_number(off) else ""
+        return f"{who}：手本と動きが違います{far}"
     if kind == "shift":
         if not _is_number(lag):
             return f"{who}：タイミングがずれています"

@@ -1,0 +1,171 @@
+"""One frame of a performance that is still going on: its posture, and what can be said of it at once."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dousa.evaluation._deviation import _SCALE, _YAW_WINDOW_S, MAX_LAG_S
+from dousa.evaluation._evidence import _LAG_CHANGE, CAP, LAG_PRICE
+from dousa.evaluation._types import PostureSequence
+from dousa.evaluation._working import Working, interpolate_segments
+from dousa.evaluation.eigenspace import Eigenspace, compute_distance_from_space, compute_distance_within
+from dousa.evaluation.furi import Furi
+from dousa.evaluation.posture import compute_segments
+from dousa.evaluation.thresholds import Tolerance
+from dousa.evaluation.yaw import rotate_yaw
+from dousa.motion._types import FloatArray
+
+__all__ = ["FigureMeter", "LagWatcher", "PoseReader", "compare_with_reference"]
+
+_SMOOTH = 5  # poses whose costs tell the lag to a fraction of a frame
+
+
+class PoseReader:
+    """Postures of frames as they come; what is not seen stays as it was."""
+
+    def __init__(self) -> None:
+        self._last = np.tile([0.0, -1.0, 0.0], (9, 1))
+        self._last[0, 1] = 1.0
+
+    def read(self, joints: FloatArray) -> tuple[FloatArray, NDArray[np.bool_]]:
+        """Directions (9, 3) of (20, 3) joints, and (9,) which are seen."""
+        segments = compute_segments(joints)
+        seen = ~np.isnan(segments[:, 0])
+        if not seen.all():
+            segments[~seen] = self._last[~seen]
+        self._last = segments
+        return segments, seen
+
+
+class LagWatcher:
+    """How late each pose is, at once, at the working rate.
+
+    Parameters
+    ----------
+    references : takes at the working rate, on one clock.
+    weights : (9,) of the segments, mean 1.
+    """
+
+    def __init__(self, references: tuple[Working, ...], weights: FloatArray) -> None:
+        first = references[0]
+        self._rate, self._weights = first.frame_rate, weights
+        self.center = round(MAX_LAG_S * self._rate)
+        self._n_frames = first.n_frames
+        ends = ((self.center, self.center), (0, 0), (0, 0))
+        self._takes = [np.pad(one.segments, ends, mode="edge") for one in references]
+        self._seen = [np.pad(one.seen, ends[:2], mode="edge") for one in references]
+        # Of a window in the middle of time only the past is known.
+        self._length = max(1, round(0.5 * _YAW_WINDOW_S * self._rate))
+        self.forget()
+
+    def forget(self) -> None:
+        """The line has moved: lags before mean nothing."""
+        n_lags = 2 * self.center + 1
+        shape = (len(self._takes), self._length, n_lags, 2)
+        self._past, self._turns = np.zeros(shape), np.zeros((len(self._takes), n_lags, 2))
+        self._slot = 0
+        self._best = np.zeros(n_lags)
+        self._costs = np.zeros((_SMOOTH, n_lags))
+        self.lag_s, self.yaw = np.nan, np.nan
+        self.forgiven = np.full(9, np.nan)
+
+    def look(self, pose: FloatArray, seen: NDArray[np.bool_], there: float, tolerance: Tolerance) -> None:
+        """Take a pose (9, 3) that belongs to the reference frame ``there``; afterwards the fields tell of it.
+
+        ``lag_s`` s, positive is late; ``yaw`` rad that turns the reference onto the pose; ``forgiven`` (9,)
+        squared angle to the reference, small lags forgiven.
+        """
+        from dousa.evaluation._stream_kernels import compare_pose
+
+        if not -0.5 <= there <= self._n_frames - 0.5:
+            self.forget()
+            return
+        near = int(np.clip(round(there), 0, self._n_frames - 1))
+        part = slice(near, near + 2 * self.center + 1)
+        shares = self._weights * seen
+        squared = np.empty((2 * self.center + 1, 9))
+        least: FloatArray | None = None
+        for number, take in enumerate(self._takes):
+            turns, past = self._turns[number], self._past[number, self._slot]
+            turns -= past
+            compare_pose(pose, take[part], shares, self._seen[number][part], _SCALE**2, turns, past, squared)
+            least = squared.copy() if least is None else np.minimum(least, squared)
+        assert least is not None
+        self._slot = (self._slot + 1) % self._length
+        self.yaw = float(np.arctan2(self._turns[0, self.center, 1], self._turns[0, self.center, 0]))
+        self._choose(least, tolerance, near - there)
+
+    def _choose(self, squared: FloatArray, tolerance: Tolerance, rounded: float) -> None:
+        columns = np.arange(len(squared))
+        scale = 30.0 / self._rate
+        cost = np.minimum(squared / tolerance.angle**2, CAP) @ self._weights
+        change = _LAG_CHANGE * scale * columns
+        # The cheapest way to each lag, a change by a column at its price: from below, and from above.
+        rising = np.minimum.accumulate(self._best - change) + change
+        falling = (np.minimum.accumulate((self._best + change)[::-1]))[::-1] - change
+        self._best = np.minimum(rising, falling) + cost + LAG_PRICE * np.abs(columns - self.center) * scale
+        self._best -= self._best.min()
+        slack = min(max(1, round(tolerance.lag_s * self._rate)), self.center)
+        near = slice(self.center - slack, self.center + slack + 1)
+        column = int(self._best.argmin())
+        nearest = self.center - slack + int(self._best[near].argmin())
+        if abs(column - self.center) <= slack:
+            column = nearest
+        self.forgiven = squared[nearest]
+        self._costs[:-1] = self._costs[1:]
+        self._costs[-1] = squared.sum(axis=1)
+        shift = 0.0
+        if 0 < column < len(squared) - 1:
+            left, here, right = self._costs[:, column - 1 : column + 2].sum(axis=0)
+            bend = left - 2.0 * here + right
+            shift = float(np.clip(0.5 * (left - right) / bend, -1.0, 1.0)) if bend > 1e-6 else 0.0
+        self.lag_s = -(column - self.center + shift + rounded) / self._rate
+
+
+class FigureMeter:
+    """d# and d* of single poses.
+
+    Parameters
+    ----------
+    reference : first take at the full rate.
+    furi : its figures.
+    spaces : by label.
+    """
+
+    def __init__(
+        self, reference: PostureSequence, furi: tuple[Furi, ...], spaces: dict[str, Eigenspace]
+    ) -> None:
+        self._furi, self._spaces = furi, spaces
+        self.index = np.full(reference.n_frames, -1, np.intp)
+        for number, one in enumerate(furi):
+            self.index[one.start : one.end] = number
+        self._turned = [spaces[one.label].align(reference.segments[one.start : one.end]) for one in furi]
+
+    def measure(self, pose: FloatArray, there: float) -> tuple[float, float]:
+        """Distance from the space and within it of a pose (9, 3) at a reference frame; nan outside all figures."""
+        number = self.index[min(max(round(there), 0), len(self.index) - 1)]
+        if number < 0:
+            return np.nan, np.nan
+        figure = self._furi[number]
+        space = self._spaces[figure.label]
+        ours = space.align(pose[None])
+        theirs = interpolate_segments(self._turned[number], np.array([there - figure.start]))
+        return (
+            float(compute_distance_from_space(space, ours)[0]),
+            float(compute_distance_within(space, theirs, ours)[0]),
+        )
+
+
+def compare_with_reference(
+    reference: PostureSequence, pose: FloatArray, seen: NDArray[np.bool_], there: float, yaw: float
+) -> tuple[FloatArray, bool]:
+    """Angles (9,) rad to the reference at a frame, nan where not seen; and whether all are seen."""
+    low = int(np.clip(np.floor(there), 0, reference.n_frames - 1))
+    high = min(low + 1, reference.n_frames - 1)
+    share = min(max(there - low, 0.0), 1.0)
+    theirs = reference.segments[low] * (1.0 - share) + reference.segments[high] * share
+    theirs = theirs / np.maximum(np.linalg.norm(theirs, axis=1, keepdims=True), 1e-9)
+    judged = seen & reference.seen[low] & (reference.seen[high] | (share < 1e-6))
+    chord = np.linalg.norm(pose - rotate_yaw(theirs, yaw), axis=1)
+    return np.where(judged, 2.0 * np.arcsin(np.minimum(0.5 * chord, 1.0)), np.nan), bool(judged.all())

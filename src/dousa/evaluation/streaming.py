@@ -1,0 +1,350 @@
+"""A performance judged while it goes on: frame by frame, with the answers that the whole will have.
+
+Of every frame what is known at once; of errors, once they are over and the look-ahead has passed, the same events
+that `assess` finds in the whole; and at the end `assess` itself.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from dousa.errors import InvalidMotionError, OptionError
+from dousa.evaluation._explain import Finding
+from dousa.evaluation._references import prepare_references
+from dousa.evaluation._reporting import describe_findings
+from dousa.evaluation._stream_frame import FigureMeter, LagWatcher, PoseReader, compare_with_reference
+from dousa.evaluation._stream_line import LineFollower
+from dousa.evaluation._stream_window import Window
+from dousa.evaluation._types import Assessment, ErrorEvent, Lapse
+from dousa.evaluation._working import WORKING_RATE, Working
+from dousa.evaluation.assessment import _check, _pool, _scale_furi, _spread_weights, judge
+from dousa.evaluation.furi import Furi, find_furi, fit_furi_eigenspaces
+from dousa.evaluation.posture import MIRRORED_SEGMENTS, SEGMENTS, compute_postures, mirror_postures
+from dousa.evaluation.words import check_language
+from dousa.evaluation.yaw import estimate_robust_yaw
+from dousa.motion import CanonicalMotion
+from dousa.motion._types import FloatArray
+from dousa.motion.joints import CANONICAL_JOINTS
+
+__all__ = ["FrameState", "IncrementalAssessor"]
+
+_HOP_S = 1.0
+_LOOK_AHEAD_S = 2.0
+_REPLAYED_S = 0.5
+_MOVED = 0.25  # frames by which the line must move for the lag to be followed anew
+_FLIP = np.array([-1.0, 1.0, 1.0])
+_N_JOINTS = len(CANONICAL_JOINTS)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FrameState:
+    """What is known of a frame at the moment it is seen; nan where there is nothing to compare.
+
+    Parameters
+    ----------
+    time_s : of the performance.
+    reference_time_s : s, of the reference, if the tempo is kept (straight line).
+    matched_time_s : s, reference time that the pose resembles.
+    lag_ms : positive is late.
+    residual : (9,) rad, angle of each segment to the reference's at the same time.
+    d_space, d_within : d# and d* (eq. 10 to 14).
+    wrong : names of the segments that are out of tolerance now, small lags forgiven.
+    provisional : True while it is not clear yet which part of the reference is danced.
+    """
+
+    time_s: float
+    reference_time_s: float
+    matched_time_s: float
+    lag_ms: float
+    residual: FloatArray
+    d_space: float
+    d_within: float
+    wrong: tuple[str, ...]
+    provisional: bool
+
+
+class IncrementalAssessor:
+    """Says what differs between a performance and its reference while it goes on.
+
+    Parameters
+    ----------
+    reference, furi, side, tempo, weights, language : as for `assess`.
+    frame_rate : Hz, of the frames that will come.
+    look_ahead_s : s, 1 or more, after which an error that is over is told. With ``tempo="free"`` the line bends for
+        3 s after a moment, so that less than that tells less truly.
+    offset_s : reference time at the first frame in s, if it is known (both start with the music); then no line is
+        searched, and who stops or skips is late or wrong from there on. None: the line is found, and followed.
+
+    Raises
+    ------
+    InvalidMotionError, OptionError : as `assess`; a frame rate or look-ahead that is none.
+
+    Not in the paper. Where the answers may differ from those of the whole: with one reference the tolerance comes
+    from the performer's own steadiness, here so far (the last three minutes of it), in the whole from all of it;
+    a stop, skip or repeat is known some 3 s after it, as soon as the other line is worth it; an error of more than
+    about half a minute is told in pieces; with a free tempo the curve is that of the past. The work on a frame is
+    bounded by the length of the reference. All frames are kept for `finish`; what else is kept is a fraction of it.
+    """
+
+    def __init__(
+        self,
+        reference: CanonicalMotion | Sequence[CanonicalMotion],
+        frame_rate: float,
+        *,
+        furi: Sequence[Furi] | None = None,
+        side: str = "same",
+        tempo: str = "same",
+        weights: Mapping[str, float] | None = None,
+        language: str = "en",
+        look_ahead_s: float = _LOOK_AHEAD_S,
+        offset_s: float | None = None,
+    ) -> None:
+        takes = [reference] if isinstance(reference, CanonicalMotion) else list(reference)
+        _check_numbers(frame_rate, look_ahead_s, offset_s)
+        check_language(language)
+        if not takes:
+            raise InvalidMotionError("evaluation: expected at least one reference, got none")
+        _check(takes, takes[0], side, tempo)
+        self._weights = _spread_weights(weights)
+        self._rate, self._mirrored = float(frame_rate), side == "mirrored"
+        self._tempo, self._language, self._look_ahead_s = tempo, language, look_ahead_s
+        self._model = takes[0]
+        postures = [compute_postures(take, self._rate) for take in takes]
+        self._references = prepare_references(postures, tempo, self._weights)
+        first = self._references.postures
+        self._furi = _scale_furi(furi, takes[0], first) if furi else find_furi(first)
+        more = _pool(self._references.warped, self._furi)
+        spaces = fit_furi_eigenspaces(first, self._furi, more=more)
+        self._figures = FigureMeter(first, tuple(self._furi), spaces)
+        self._stride = self._references.working[0].stride
+        self._working_rate = self._rate / self._stride
+        offset = None if offset_s is None else offset_s * self._working_rate
+        working = self._references.working
+        self._line = LineFollower(working[0], tempo, self._weights, offset)
+        self._window = Window(self._references, self._line, self._weights, language)
+        self._watcher = LagWatcher(working, self._weights)
+        self._reader = PoseReader()
+        self._joints, self._group = _Rows((_N_JOINTS, 3)), _Rows((9, 3))
+        self._seen = _Rows((9,), np.bool_)
+        self._poses = np.zeros((self._stride, 9, 3))
+        self._poses_seen = np.zeros((self._stride, 9), np.bool_)
+        self._settled: list[ErrorEvent] = []
+
+    @property
+    def n_frames(self) -> int:
+        """Frames so far."""
+        return self._joints.count
+
+    @property
+    def settled(self) -> tuple[ErrorEvent, ...]:
+        """Errors that are over for the look-ahead and more, in order of time; they do not change any more."""
+        return tuple(self._settled)
+
+    @property
+    def lapses(self) -> tuple[Lapse, ...]:
+        """Stops, skips and repeats so far; they do not change any more."""
+        return tuple(self._window.lapses)
+
+    @property
+    def tolerance(self) -> FloatArray:
+        """(9,) rad, what is tolerated of each segment now."""
+        return self._window.tolerance.angle.copy()
+
+    def push(self, joints: ArrayLike) -> FrameState:
+        """Take the next frame.
+
+        Parameters
+        ----------
+        joints : (20, 3) m, order of `CANONICAL_JOINTS`, Y up; nan where a joint is not seen.
+
+        Returns
+        -------
+        What is known of it. About once a second the call takes longer, when the last seconds are looked at.
+
+        Raises
+        ------
+        InvalidMotionError : another shape, or infinite values; the frame is not taken then.
+        """
+        points = _check_frame(joints)
+        number = self.n_frames
+        self._joints.add(points)
+        pose, seen = self._reader.read(points)
+        if self._mirrored:
+            pose, seen = pose[MIRRORED_SEGMENTS, :] * _FLIP, seen[list(MIRRORED_SEGMENTS)]
+        slot = number % self._stride
+        self._poses[slot], self._poses_seen[slot] = pose, seen
+        if slot == self._stride - 1:
+            self._take_working_frame()
+        return self._describe(number, pose, seen)
+
+    def finish(self) -> Assessment:
+        """The assessment of all frames so far, as `assess` gives it.
+
+        Returns
+        -------
+        The same as ``assess(reference, performance, ...)``; more frames may follow.
+
+        Raises
+        ------
+        InvalidMotionError : fewer than 3 frames or half a second.
+        """
+        positions = self._joints.values.copy()
+        performance = replace(
+            self._model, positions=positions, frame_rate=self._rate, missing=None, warnings=()
+        )
+        _check([self._model], performance, "same", self._tempo)
+        played = compute_postures(performance)
+        if self._mirrored:
+            played = mirror_postures(played)
+        return judge(
+            self._references,
+            self._furi,
+            played,
+            tempo=self._tempo,
+            weights=self._weights,
+            language=self._language,
+        )
+
+    def _take_working_frame(self) -> None:
+        mean = self._poses.mean(axis=0)
+        mean /= np.maximum(np.linalg.norm(mean, axis=1, keepdims=True), 1e-9)
+        self._group.add(mean)
+        self._seen.add(self._poses_seen.all(axis=0))
+        count = self._group.count
+        if count % max(1, round(_HOP_S * self._working_rate)) == 0:
+            self._look_back()
+        self._watch(count - 1)
+
+    def _watch(self, frame: int) -> None:
+        there = float(self._line.locate(frame, frame + 1)[0])
+        pose, seen = self._group.values[frame], self._seen.values[frame]
+        self._watcher.look(pose, seen, there, self._window.tolerance)
+
+    def _look_back(self) -> None:
+        """Once a second: the line, the deviations along it, and the errors that are over."""
+        count = self._group.count
+        performance = Working(
+            self._group.values, self._seen.values, np.zeros(count), self._working_rate, self._stride
+        )
+        self._line.update(performance.segments)
+        if self._window.update(performance) > _MOVED:
+            self._watcher.forget()
+            for frame in range(max(count - 1 - round(_REPLAYED_S * self._working_rate), 0), count - 1):
+                self._watch(frame)
+        if not self._line.known:
+            return
+        until = count - round(self._look_ahead_s * self._working_rate)
+        found = self._window.settle(performance, until)
+        if found:
+            self._settled += self._tell(found, performance)
+
+    def _tell(self, found: Sequence[Finding], performance: Working) -> tuple[ErrorEvent, ...]:
+        reference = self._references.postures
+        there = np.full(self.n_frames, np.nan)
+        first = self._window.first * self._stride
+        frames = np.arange(first, self.n_frames)
+        centres = (self._window.first + np.arange(len(self._window.frames))) * self._stride
+        middle = 0.5 * (self._stride - 1)
+        there[first:] = np.interp(frames, centres + middle, self._window.frames * self._stride + middle)
+        inside = (there >= -0.5) & (there <= reference.n_frames - 0.5)
+        there = np.where(inside, np.clip(there, 0.0, reference.n_frames - 1.0), np.nan)
+        index = np.full(self.n_frames, -1, np.intp)
+        index[inside] = self._figures.index[np.rint(there[inside]).astype(np.intp)]
+        return describe_findings(
+            found,
+            self._window.lapses,
+            working=performance,
+            same_time=there / self._rate,
+            furi_index=index,
+            language=self._language,
+        )
+
+    def _describe(self, number: int, pose: FloatArray, seen: NDArray[np.bool_]) -> FrameState:
+        reference, middle = self._references.postures, 0.5 * (self._stride - 1)
+        place = (number - middle) / self._stride
+        whole = int(np.floor(place))
+        low, high = self._line.locate(whole, whole + 2) if self._tempo == "free" else (0.0, 0.0)
+        line = low + (place - whole) * (high - low)
+        if self._tempo != "free":
+            line = place + self._line.runs[-1].offset
+        there = line * self._stride + middle
+        time_s, nothing = number / self._rate, np.full(len(SEGMENTS), np.nan)
+        provisional = not self._line.known
+        if not -0.5 <= there <= reference.n_frames - 0.5:
+            return FrameState(time_s, np.nan, np.nan, np.nan, nothing, np.nan, np.nan, (), provisional)
+        there = min(max(there, 0.0), reference.n_frames - 1.0)
+        yaw = self._watcher.yaw
+        if not np.isfinite(yaw):
+            yaw = float(estimate_robust_yaw(pose, reference.segments[round(there)])[0])
+        residual, whole_pose = compare_with_reference(reference, pose, seen, there, yaw)
+        d_space, d_within = self._figures.measure(pose, there) if whole_pose else (np.nan, np.nan)
+        lag_s, same_s = self._watcher.lag_s, there / self._rate
+        end_s = (reference.n_frames - 1) / self._rate
+        return FrameState(
+            time_s=time_s,
+            reference_time_s=same_s,
+            matched_time_s=min(max(same_s - lag_s, 0.0), end_s) if np.isfinite(lag_s) else np.nan,
+            lag_ms=1000.0 * lag_s,
+            residual=residual,
+            d_space=d_space,
+            d_within=d_within,
+            wrong=self._find_wrong(residual),
+            provisional=provisional,
+        )
+
+    def _find_wrong(self, residual: FloatArray) -> tuple[str, ...]:
+        limit = self._window.tolerance.angle
+        with np.errstate(invalid="ignore"):
+            over = (residual > limit) & ~(self._watcher.forgiven <= limit**2)
+        return tuple(SEGMENTS[index] for index in np.flatnonzero(over))
+
+
+class _Rows:
+    """An array that grows."""
+
+    def __init__(self, shape: tuple[int, ...], dtype: type = np.float64) -> None:
+        self._array = np.empty((1024, *shape), dtype)
+        self.count = 0
+
+    @property
+    def values(self) -> np.ndarray:
+        """All rows so far."""
+        return self._array[: self.count]
+
+    def add(self, row: np.ndarray) -> None:
+        """One more."""
+        if self.count == len(self._array):
+            self._array = np.concatenate([self._array, np.empty_like(self._array)])
+        self._array[self.count] = row
+        self.count += 1
+
+
+def _check_numbers(frame_rate: float, look_ahead_s: float, offset_s: float | None) -> None:
+    if not (np.isfinite(frame_rate) and frame_rate > 0.0):
+        raise OptionError(f"frame rate: expected Hz above 0, got {frame_rate!r}")
+    if frame_rate > 1000.0 * WORKING_RATE:
+        raise OptionError(f"frame rate: expected at most {1000.0 * WORKING_RATE:g} Hz, got {frame_rate:g}")
+    if not (np.isfinite(look_ahead_s) and look_ahead_s >= 1.0):
+        raise OptionError(f"look-ahead: expected 1 s or more, got {look_ahead_s!r}")
+    if offset_s is not None and not np.isfinite(offset_s):
+        raise OptionError(f"offset: expected s, got {offset_s!r}")
+
+
+def _check_frame(joints: ArrayLike) -> FloatArray:
+    try:
+        points = np.asarray(joints, np.float64)
+    except (TypeError, ValueError) as error:
+        raise InvalidMotionError(f"frame: expected numbers of shape (20, 3): {error}") from error
+    if points.shape != (_N_JOINTS, 3):
+        raise InvalidMotionError(
+            f"frame: expected the joints of one frame, shape ({_N_JOINTS}, 3), got {points.shape}"
+        )
+    if np.isinf(points).any():
+        raise InvalidMotionError(
+            "frame: expected metres, or nan where a joint is not seen; got infinite values"
+        )
+    return points
