@@ -26,6 +26,7 @@ _OUTSIDE = 0.75
 _SAME_LINE_S = 1.0  # s; lines nearer than this are one line and a lag
 _SAME_LONG_LINE_S = 0.6  # s; the same where both are long: who is late for good has stopped, not lagged
 _LONG_RUN_S = 4.0
+_IN_STEP = 1.4  # motions of equal length begin together, unless another offset is so much better
 _SHORTEST_RUN_S = 1.5
 _PAUSE_S = 1.0  # s for which the reference rests before this is a stop and not a slow passage
 _SLOPES = (0.4, 2.5)  # reference per performance time
@@ -225,7 +226,7 @@ def _refine(run: Run, step: int, reference: Working, performance: Working, weigh
     best = int(np.argmin(costs))
     if equal_length and end - start > 0.6 * performance.n_frames:
         zero = _diagonal_costs(reference, performance, start, end, np.array([0]), weights)[0]
-        if zero <= costs[best] + 0.01:
+        if zero <= _IN_STEP * costs[best] + 0.02:
             return 0.0
     shift = float(shifts[best])
     if 0 < best < len(costs) - 1 and np.isfinite(costs[best - 1 : best + 2]).all():

@@ -38,8 +38,8 @@ _LAG_CHANGE = 2.0  # price of one column of lag more or less
 LAG_PRICE = 0.15  # and of being late at all, a frame and column: of two explanations the nearer one
 _CHANGE = 8.0  # price of starting or ending a stretch
 _BODY = 0.45  # mean over all segments from which the body as a whole is off
-_LAG_EVIDENCE = 8.0  # what a lag must explain
-_SHORTEST_LAG_S = 0.12
+_LAG_EVIDENCE = 40.0  # what a lag must explain
+_SHORTEST_LAG_S = 0.2
 _BRIDGE_S = 0.25
 _APART_S = 0.3
 
@@ -57,7 +57,8 @@ class Evidence:
     punctual : (T, 9) the same without forgiving.
     course : (T,) column of the lag that explains most.
     near : (T,) the same among the lags that are forgiven.
-    slack : columns that are forgiven.
+    slack_s : s of lag that is forgiven.
+    slack : columns of it.
     rate : Hz.
     """
 
@@ -68,6 +69,7 @@ class Evidence:
     punctual: FloatArray
     course: NDArray[np.intp]
     near: NDArray[np.intp]
+    slack_s: float
     slack: int
     rate: float
 
@@ -113,7 +115,7 @@ def gather_evidence(
     course = follow_lag(cost + prices, change).astype(np.intp)
     ordinary = at_lag(ratio, near) * deviations.judged
     punctual = ratio[:, center] * deviations.judged
-    return Evidence(deviations, tolerance, ratio, ordinary, punctual, course, near, slack, rate)
+    return Evidence(deviations, tolerance, ratio, ordinary, punctual, course, near, slack_s, slack, rate)
 
 
 def refine_lag(evidence: Evidence, course: NDArray[np.intp], first: int = 0) -> FloatArray:
@@ -167,10 +169,11 @@ def find_stretches(evidence: Evidence) -> list[tuple[int, int]]:
 
 
 def _find_lags(evidence: Evidence) -> NDArray[np.bool_]:
-    """Where the lag is beyond what is forgiven, and explains enough."""
-    explained = evidence.ordinary.sum(axis=1) - at_lag(evidence.ratio, evidence.course).sum(axis=1)
+    """Where the lag is beyond what is forgiven, and is sure: being in time explains much less."""
+    explained = evidence.punctual.sum(axis=1) - at_lag(evidence.ratio, evidence.course).sum(axis=1)
     explained -= evidence.lag_prices[evidence.course]
-    late = np.abs(evidence.course - evidence.center) > evidence.slack
+    late = np.abs(refine_lag(evidence, evidence.course)) > evidence.slack_s
+    late &= evidence.deviations.judged.any(axis=1)
     found = np.zeros(len(late), np.bool_)
     for start, end in runs_of(late):
         enough = explained[start:end].sum() * (30.0 / evidence.rate) > _LAG_EVIDENCE

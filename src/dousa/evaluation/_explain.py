@@ -98,7 +98,9 @@ def explain(evidence: Evidence, start: int, end: int) -> list[Finding]:
         _explain_by_limbs(evidence, start, end, first, last),
     ]
     best = min(hypotheses, key=lambda hypothesis: hypothesis.cost)
-    if best.cost >= plain.sum() * _per_frame(evidence):
+    # A lag is forgiven or it is not: once it is too large it counts in full.
+    same = evidence.punctual[first:last].sum(axis=1) if best.name == "shift" else plain
+    if best.cost >= same.sum() * _per_frame(evidence):
         return []
     finding = _REPORTS[best.name](evidence, best, start, end, first)
     found = [finding] if finding.end - finding.start >= _SHORTEST_S * evidence.rate else []
@@ -176,13 +178,12 @@ def _report_shift(evidence: Evidence, best: _Hypothesis, start: int, end: int, f
     lag = refine_lag(evidence, best.course, first)[begin:stop]
     typical = float(np.median(lag[np.abs(lag) >= _PLATEAU * np.abs(lag).max()])) if len(lag) else 0.0
     worst = int(np.argmax(evidence.punctual[first + begin : first + stop].sum(axis=1))) if stop > begin else 0
-    slack = evidence.slack * evidence.deviations.step_s
     return Finding(
         "shift",
         first + begin,
         first + stop,
         tuple(range(9)),
-        abs(typical) / slack,
+        abs(typical) / evidence.slack_s,
         first + begin + worst,
         typical,
     )

@@ -19,7 +19,7 @@ _MULTIPLE = 2.4
 _LEAST = np.radians(10.0)
 _NEAR_S = 0.14
 _WIDER = 1.2
-_WOBBLE_S, _WOBBLE_PERCENTILE, _WOBBLE_MULTIPLE, _MOST_SLACK_S = 0.5, 35.0, 3.0, 0.3
+_WOBBLE_S, _WOBBLE_PERCENTILE, _WOBBLE_MULTIPLE, _MOST_SLACK_S = 0.5, 20.0, 3.0, 0.3
 
 
 @dataclass(frozen=True, slots=True, eq=False)
