@@ -12,7 +12,7 @@ import numpy as np
 
 from dousa.errors import InvalidMotionError, OptionError
 from dousa.evaluation._curves import Curves, compute_curves
-from dousa.evaluation._evidence import Evidence, gather_evidence, refine_lag, runs_of
+from dousa.evaluation._evidence import Evidence, at_lag, gather_evidence, refine_lag, runs_of
 from dousa.evaluation._lapses import find_lapses
 from dousa.evaluation._references import Comparison, ReferenceTakes, compare, find_errors, prepare_references
 from dousa.evaluation._reporting import describe_findings, describe_gaps, describe_warnings
@@ -30,6 +30,7 @@ from dousa.motion._types import FloatArray
 __all__ = ["assess"]
 
 _SHORTEST_S = 0.5
+_UNLIKE, _FAILING_S = 2.0, 0.3  # mean squared multiple of what is tolerated, and for how long
 
 
 def assess(
@@ -220,12 +221,21 @@ def _make_clocks(
         line = np.interp(span, center[start:end], there)
         line += slope * (np.minimum(span - center[start], 0.0) + np.maximum(span - center[end - 1], 0.0))
         same[span] = line / rate
-    beyond = np.abs(evidence.course - evidence.center) > evidence.slack
-    lag = np.interp(frames, center, refine_lag(evidence, np.where(beyond, evidence.course, evidence.near)))
+    lag = np.interp(frames, center, _measure_lag(evidence))
     inside = (same >= -0.5 / rate) & (same <= comparison.reference_end_s + 0.5 / rate)
     same = np.where(inside, np.clip(same, 0.0, comparison.reference_end_s), np.nan)
     lag = np.where(inside, lag, np.nan)
-    return same, np.clip(same - lag, 0.0, comparison.reference_end_s), lag
+    return same, np.clip(same - np.nan_to_num(lag), 0.0, comparison.reference_end_s), lag
+
+
+def _measure_lag(evidence: Evidence) -> FloatArray:
+    """(T,) s, at the working rate; nan where no moment nearby is resembled: there the correspondence has failed."""
+    beyond = np.abs(evidence.course - evidence.center) > evidence.slack
+    course = np.where(beyond, evidence.course, evidence.near)
+    unlike = at_lag(evidence.ratio, course).mean(axis=1)
+    window = np.ones(2 * round(0.5 * _FAILING_S * evidence.rate) + 1)
+    unlike = np.convolve(unlike, window / len(window), mode="same")[: len(unlike)]
+    return np.where(unlike > _UNLIKE, np.nan, refine_lag(evidence, course))
 
 
 def _pool(warped: Sequence[PostureSequence], furi: Sequence[Furi]) -> dict[str, FloatArray]:
