@@ -27,6 +27,7 @@ _PRICE_WRONG = 6.0  # of another motion, which explains anything
 _SURPRISE = 2.0  # of a segment that does something else, a frame
 _DOUBT = 0.15  # what a frame must be explained better to belong to the error
 _UNREACHED = 5.0  # squared ratio from which an extreme was not reached
+_UNREACHED_TURNING = 2.0  # and if the performance is late on the way there, and early on the way back
 _ON_PATH, _ON_PATH_SHARE, _OFF_PATH = 4.5, 0.55, 9.0
 _GAINS = (0.22, 0.86)  # below, a limb does nothing of the motion; above, it does it all
 _OFF_CENTER, _UNEXPLAINED = 1.5, 0.6
@@ -99,7 +100,7 @@ def explain(evidence: Evidence, start: int, end: int) -> list[Finding]:
     ]
     best = min(hypotheses, key=lambda hypothesis: hypothesis.cost)
     # A lag is forgiven or it is not: once it is too large it counts in full.
-    same = evidence.punctual[first:last].sum(axis=1) if best.name == "shift" else plain
+    same = evidence.punctual[first:last].sum(axis=1) if best.name in ("shift", "stops short") else plain
     if best.cost >= same.sum() * _per_frame(evidence):
         return []
     finding = _REPORTS[best.name](evidence, best, start, end, first)
@@ -118,7 +119,9 @@ def _explain_by_time(evidence: Evidence, start: int, end: int, first: int, last:
     scale = _per_frame(evidence)
     ordinary = evidence.ordinary[first:last]
     unreached = float(compute_unreached(evidence, start, end, first, last).max())
-    if unreached >= _UNREACHED:
+    lag = refine_lag(evidence, evidence.course[start:end], start)
+    turned_back = bool((lag > evidence.slack_s).any() and (lag < -evidence.slack_s).any())
+    if unreached >= (_UNREACHED_TURNING if turned_back else _UNREACHED):
         course, left = follow_path(evidence, first, last)
         if (left[start - first : end - first] < _ON_PATH).mean() < _ON_PATH_SHARE:
             return []
