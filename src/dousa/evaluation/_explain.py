@@ -34,6 +34,8 @@ _OFF_CENTER, _UNEXPLAINED = 1.5, 0.6
 _N_GLOBAL = 5  # segments of nine
 _WRONG_SHARE = 0.6  # of the surprise's price, in the mean: the segment belongs to the error
 _LARGER, _LEAST_EXCESS = 1.2, np.radians(10.0)
+_SURELY_LATE = 1.15  # in multiples of what is forgiven
+_BY_TIME = ("shift", "stops short")
 _SHORTEST_S = 0.25
 _FADE_S = 0.033
 _PLATEAU = 0.75  # of the largest lag: the rest is fading in and out
@@ -90,7 +92,6 @@ def explain(evidence: Evidence, start: int, end: int) -> list[Finding]:
     """The errors of one stretch [start, end), in order."""
     pad = round(_PAD_S * evidence.rate)
     first, last = max(start - pad, 0), min(end + pad, len(evidence.ordinary))
-    plain = evidence.ordinary[first:last].sum(axis=1)
     if end - start < 2:
         return []
     hypotheses = [
@@ -98,16 +99,33 @@ def explain(evidence: Evidence, start: int, end: int) -> list[Finding]:
         *_explain_by_size(evidence, start, end, first, last),
         _explain_by_limbs(evidence, start, end, first, last),
     ]
-    best = min(hypotheses, key=lambda hypothesis: hypothesis.cost)
-    # A lag is forgiven or it is not: once it is too large it counts in full.
-    same = evidence.punctual[first:last].sum(axis=1) if best.name in ("shift", "stops short") else plain
-    if best.cost >= same.sum() * _per_frame(evidence):
+    best = _choose(evidence, hypotheses, first, last)
+    if best is None:
         return []
     finding = _REPORTS[best.name](evidence, best, start, end, first)
-    found = [finding] if finding.end - finding.start >= _SHORTEST_S * evidence.rate else []
+    lasting = finding.end - finding.start >= _SHORTEST_S * evidence.rate
+    forgiven = finding.kind == "shift" and finding.severity <= _SURELY_LATE
+    found = [finding] if lasting and not forgiven else []
     if best.name == "shift":
         found += _explain_rest(evidence, finding, start, end, pad)
     return sorted(found, key=lambda one: one.start)
+
+
+def _choose(evidence: Evidence, hypotheses: list[_Hypothesis], first: int, last: int) -> _Hypothesis | None:
+    """The cheapest explanation that is better than none.
+
+    A lag is forgiven or it is not: once it is too large it counts in full, so explanations by time are held against
+    a performance in which no lag is forgiven, if nothing else is wrong.
+    """
+    best = min(hypotheses, key=lambda hypothesis: hypothesis.cost)
+    scale = _per_frame(evidence)
+    if best.name not in _BY_TIME and best.cost < evidence.ordinary[first:last].sum() * scale:
+        return best
+    by_time = [hypothesis for hypothesis in hypotheses if hypothesis.name in _BY_TIME]
+    if not by_time:
+        return None
+    best = min(by_time, key=lambda hypothesis: hypothesis.cost)
+    return best if best.cost < evidence.punctual[first:last].sum() * scale else None
 
 
 def _per_frame(evidence: Evidence) -> float:
