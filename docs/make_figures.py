@@ -1,6 +1,7 @@
 """Draw the pictures of the documents again, and print the table of features: ``make figures``.
 
-Everything shown is made by the package itself: no recording is needed.
+Everything shown is made by the package itself: no recording is needed. `make_evaluation_figures` does the same for
+docs/evaluation.md.
 """
 
 from __future__ import annotations
@@ -55,7 +56,10 @@ def _row(number: int, feature: Feature) -> str:
 
 
 if __name__ == "__main__":
+    import make_evaluation_figures
+
     FIGURES.mkdir(exist_ok=True)
     draw_sheet()
     draw_demo()
     (DOCS / "features.md").write_text(describe_features(), encoding="utf-8")
+    make_evaluation_figures.make_all()

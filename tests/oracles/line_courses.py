@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from itertools import product
+from itertools import pairwise, product
 
 import numpy as np
 
@@ -13,7 +13,7 @@ OUTSIDE = -1
 def price_of_lag(cost: np.ndarray, slope: float, course: Sequence[int]) -> float:
     """Sum of the costs on a course of columns, and of its changes."""
     total = sum(float(cost[t, column]) for t, column in enumerate(course))
-    return total + slope * sum(abs(int(b) - int(a)) for a, b in zip(course, course[1:], strict=False))
+    return total + slope * sum(abs(int(b) - int(a)) for a, b in pairwise(course))
 
 
 def cheapest_lag(cost: np.ndarray, slope: float) -> float:
@@ -25,18 +25,18 @@ def cheapest_lag(cost: np.ndarray, slope: float) -> float:
 def worth_of_switching(score: np.ndarray, price: float, states: Sequence[bool]) -> float:
     """Sum of the scores while on, less the price of every change; off before the first frame and after the last."""
     around = [False, *(bool(state) for state in states), False]
-    changes = sum(a != b for a, b in zip(around, around[1:], strict=False))
+    changes = sum(a != b for a, b in pairwise(around))
     return sum(float(s) for s, on in zip(score, states, strict=True) if on) - price * changes
 
 
 def best_switching(score: np.ndarray, price: float) -> float:
     """Worth of the best of all on/off sequences."""
-    return max(worth_of_switching(score, price, states) for states in product((False, True), repeat=len(score)))
+    return max(
+        worth_of_switching(score, price, states) for states in product((False, True), repeat=len(score))
+    )
 
 
-def price_of_lines(
-    cost: np.ndarray, jump: float, pause: float, outside: float, path: Sequence[int]
-) -> float:
+def price_of_lines(cost: np.ndarray, jump: float, pause: float, outside: float, path: Sequence[int]) -> float:
     """Price of a sequence of lines; infinite if it leaves them and comes back."""
     total, left, before = 0.0, False, None
     for t, column in enumerate(path):

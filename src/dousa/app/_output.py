@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import json
+import os
 import sys
 import unicodedata
 from collections.abc import Callable, Iterator
@@ -42,7 +43,15 @@ def console(*, stderr: bool = False) -> Console:
 
 
 def survive_narrow_encodings() -> None:
-    """Let characters that the terminal cannot show be spelled as their codes instead of ending the program."""
+    """Let characters that the terminal cannot show be spelled as their codes instead of ending the program.
+
+    Where standard output or error was closed before the start (``>&-``), Python has no stream: an answer then ends
+    in an error like that of a full disk, a note goes nowhere.
+    """
+    if sys.stdout is None:
+        sys.stdout = open(os.devnull, encoding="utf-8")  # noqa: SIM115 - for reading, so that writing is refused
+    if sys.stderr is None:
+        sys.stderr = open(os.devnull, "w", encoding="utf-8")  # noqa: SIM115 - until the end of the program
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="backslashreplace")

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import gc
 import sys
-from typing import Annotated
+from typing import Annotated, NoReturn
 
 import typer
 
@@ -69,8 +69,20 @@ def main() -> None:
         # Typer turns Ctrl-C into this exit code and says nothing.
         if isinstance(stop, SystemExit) and stop.code != INTERRUPTED:
             raise
-        fail("interrupted; what was finished is kept, run the same command again to go on")
-        sys.exit(INTERRUPTED)
+        _stop_interrupted()
+    except SystemError as error:
+        # Ctrl-C while a compiled loop runs is noticed when it returns, and reaches us as the first cause of this.
+        cause: BaseException = error
+        while cause.__cause__ is not None:
+            cause = cause.__cause__
+        if not isinstance(cause, KeyboardInterrupt):
+            raise
+        _stop_interrupted()
+
+
+def _stop_interrupted() -> NoReturn:
+    fail("interrupted; what was finished is kept, run the same command again to go on")
+    sys.exit(INTERRUPTED)
 
 
 if __name__ == "__main__":

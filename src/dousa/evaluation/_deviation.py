@@ -6,7 +6,7 @@ another lag, a wrong limb is large at every lag, whatever the rest of the body d
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,7 +15,7 @@ from dousa.evaluation._working import Working, interpolate_segments
 from dousa.evaluation.yaw import rotate_yaw
 from dousa.motion._types import FloatArray
 
-__all__ = ["Deviations", "compute_deviations"]
+__all__ = ["Deviations", "choose_nearest", "compute_deviations"]
 
 MAX_LAG_S = 1.2
 _YAW_WINDOW_S = 0.6
@@ -29,7 +29,7 @@ class Deviations:
     Parameters
     ----------
     squared : (T, K, 9) squared chord between the segments of the performance at t and of the reference at the same
-        time + lag column, turned by the common yaw; 0 where either is not seen.
+        time + lag column, turned by the common yaw; 0 where either is not seen, and only there.
     yaw : (T, K) rad that turn the reference onto the performance.
     judged : (T, 9) both seen, and inside the reference.
     performance, reference : (T, 9, 3) unit vectors at the same time, the reference turned onto the performance, and
@@ -53,7 +53,8 @@ def compute_deviations(
     """Compare every frame of the performance with the reference around ``frames`` (T,), at the working rate."""
     from dousa.evaluation._deviation_kernels import measure_deviations
 
-    reach = round(MAX_LAG_S * performance.frame_rate)
+    # However slow the camera, there are lags to both sides.
+    reach = max(2, round(MAX_LAG_S * performance.frame_rate))
     count = performance.n_frames
     # The reference on the performance's clock, going on before and after it.
     before = frames[0] + np.arange(-reach, 0)
@@ -81,3 +82,10 @@ def compute_deviations(
     theirs = rotate_yaw(moved[here], -facing)
     ours = rotate_yaw(performance.segments, -facing - yaw[:, reach])
     return Deviations(squared, yaw, judged, ours, theirs, reach, 1.0 / performance.frame_rate)
+
+
+def choose_nearest(deviations: Deviations, other: Deviations) -> Deviations:
+    """Deviations from the nearer of two takes; where one take is not seen, from the other one."""
+    mine, its = deviations.squared, other.squared
+    nearer = (its > 0.0) & ((its < mine) | (mine == 0.0))
+    return replace(deviations, squared=np.where(nearer, its, mine))

@@ -10,6 +10,7 @@ from dousa.motion._types import FloatArray
 __all__ = ["measure_deviations"]
 
 _N_ROUNDS = 4
+_LEAST = 1e-30  # of what is seen, far below rounding: 0 says that it is not seen
 
 
 @njit(cache=True, nogil=True)
@@ -35,7 +36,7 @@ def measure_deviations(
 
     Returns
     -------
-    squared : (T, K, 9), 0 where either is not seen.
+    squared : (T, K, 9), 0 where either is not seen, and only there.
     turn : (T, K) complex of modulus 1, the yaw that turns the reference onto the performance.
     """
     n_frames, n_lags = len(ours), len(theirs) - len(ours) + 1
@@ -75,5 +76,7 @@ def measure_deviations(
                 turn[t, k] = complex(a, b)
         for t in range(n_frames):
             for s in range(9):
-                squared[t, k, s] = far[t, s] if ours_seen[t, s] and theirs_seen[t + k, s] else 0.0
+                squared[t, k, s] = (
+                    max(far[t, s], _LEAST) if ours_seen[t, s] and theirs_seen[t + k, s] else 0.0
+                )
     return squared, turn

@@ -140,7 +140,7 @@ def find_shrunk(deviations: Deviations, tolerance: FloatArray, rate: float) -> l
     found: list[tuple[float, int, int]] = []
     for seconds in _WINDOWS_S:
         width = round(seconds * rate)
-        if width >= len(ours):
+        if not 2 <= width < len(ours):
             continue
         x, y, xx, xy, yy, unseen = (total[width:] - total[:-width] for total in sums)
         xx = xx - (x * x).sum(axis=2) / width

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
 from dousa.evaluation._alignment import Alignment, align
-from dousa.evaluation._deviation import Deviations, compute_deviations
+from dousa.evaluation._deviation import Deviations, choose_nearest, compute_deviations
 from dousa.evaluation._evidence import SLACK_S, find_stretches, gather_evidence
 from dousa.evaluation._explain import Finding, explain
 from dousa.evaluation._types import PostureSequence
@@ -53,13 +53,11 @@ class Comparison:
     ----------
     alignment : lines.
     deviations : from the nearest take.
-    reference_end_s : s, time of the last frame of the first take.
     from_first : (T, 9) rad, from the first take at the same time; nan where nothing is judged.
     """
 
     alignment: Alignment
     deviations: Deviations
-    reference_end_s: float
     from_first: FloatArray
 
 
@@ -114,10 +112,8 @@ def compare(
     from_first = np.where(deviations.judged, 2.0 * np.arcsin(np.minimum(0.5 * chord, 1.0)), np.nan)
     for reference in references[1:]:
         other = compute_deviations(reference, performance, alignment.frames, weights)
-        nearest = np.minimum(deviations.squared, other.squared)
-        deviations = replace(deviations, squared=nearest)
-    end_s = (references[0].n_frames - 1) / references[0].frame_rate
-    return Comparison(alignment, deviations, end_s, from_first)
+        deviations = choose_nearest(deviations, other)
+    return Comparison(alignment, deviations, from_first)
 
 
 def find_errors(comparison: Comparison, tolerance: Tolerance, weights: FloatArray) -> list[Finding]:

@@ -16,6 +16,7 @@ from dousa.evaluation._warning_words import describe_warning
 from dousa.evaluation._working import Working, thin_postures
 from dousa.evaluation.furi import Furi
 from dousa.evaluation.posture import SEGMENTS, mirror_postures
+from dousa.evaluation.scoring import compute_deviation
 from dousa.evaluation.words import describe_event, describe_facing, format_time
 from dousa.motion._types import FloatArray
 
@@ -23,6 +24,7 @@ __all__ = ["describe_findings", "describe_gaps", "describe_warnings"]
 
 _JOIN_S = 0.35
 _UNLIKE, _ALIKE = 0.85, 0.3  # mismatch along the lines
+_FAR_DEG = 40.0  # mean deviation from the reference
 _MIRROR_BETTER = 0.6
 _TEMPO_OFF, _TEMPO_BETTER = 0.04, 0.8
 _TURNED, _TURNED_S = np.radians(40.0), 1.0
@@ -162,7 +164,8 @@ def describe_warnings(
     """What a person should know before believing the grade."""
     first, mismatch = references.working[0], comparison.alignment.mismatch
     keys: list[tuple[str, float]] = []
-    if mismatch > _UNLIKE:
+    unlike = mismatch > _UNLIKE or compute_deviation(comparison.from_first, weights) > _FAR_DEG
+    if unlike:
         keys.append(("unlike", mismatch))
     if mismatch > _ALIKE:
         mirrored = align(first, thin_postures(mirror_postures(performance)), tempo, weights)
@@ -173,17 +176,21 @@ def describe_warnings(
         if abs(free.tempo - 1.0) > _TEMPO_OFF and free.mismatch < _TEMPO_BETTER * mismatch:
             keys.append(("tempo", free.tempo))
     for postures, key in ((references.postures, "still reference"), (performance, "still performance")):
-        if _moves(postures) < _STILL:
+        # What was never seen is drawn as standing.
+        if postures.seen.any() and _moves(postures) < _STILL:
             keys.append((key, 0.0))
     if not performance.seen.all():
         keys.append(("gaps", 100.0 * float(np.mean(~performance.seen))))
-    uncovered = references.postures.n_frames - sum(one.n_frames for one in furi)
+    covered = np.zeros(references.postures.n_frames, np.bool_)
+    for one in furi:
+        covered[one.start : one.end] = True
+    uncovered = int((~covered).sum())
     if uncovered > 0:
         keys.append(("uncovered", uncovered / performance.frame_rate))
     turned = [
         f"{format_time(start / performance.frame_rate)}: {describe_facing(angle, language)}"
         for start, end in runs_of(np.nan_to_num(np.abs(curves.facing)) > _TURNED)
-        if end - start >= _TURNED_S * performance.frame_rate
+        if not unlike and end - start >= _TURNED_S * performance.frame_rate
         for angle in (float(np.median(curves.facing[start:end])),)
     ]
     return (*(describe_warning(key, value, language) for key, value in keys), *turned)

@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from numpy.typing import NDArray
 
 from dousa.evaluation._deviation import _SCALE, _YAW_WINDOW_S, MAX_LAG_S
 from dousa.evaluation._evidence import _LAG_CHANGE, CAP, LAG_PRICE
 from dousa.evaluation._types import PostureSequence
-from dousa.evaluation._working import Working, interpolate_segments
-from dousa.evaluation.eigenspace import Eigenspace, compute_distance_from_space, compute_distance_within
+from dousa.evaluation._working import Working
+from dousa.evaluation.eigenspace import Eigenspace
 from dousa.evaluation.furi import Furi
 from dousa.evaluation.posture import compute_segments
 from dousa.evaluation.thresholds import Tolerance
-from dousa.evaluation.yaw import rotate_yaw
+from dousa.evaluation.yaw import _WITHOUT_LIMB, _WRONG
 from dousa.motion._types import FloatArray
 
 __all__ = ["FigureMeter", "LagWatcher", "PoseReader", "compare_with_reference"]
@@ -30,7 +32,7 @@ class PoseReader:
 
     def read(self, joints: FloatArray) -> tuple[FloatArray, NDArray[np.bool_]]:
         """Directions (9, 3) of (20, 3) joints, and (9,) which are seen."""
-        segments = compute_segments(joints)
+        segments = np.ascontiguousarray(compute_segments(joints))
         seen = ~np.isnan(segments[:, 0])
         if not seen.all():
             segments[~seen] = self._last[~seen]
@@ -81,7 +83,7 @@ class LagWatcher:
         if not -0.5 <= there <= self._n_frames - 0.5:
             self.forget()
             return
-        near = int(np.clip(round(there), 0, self._n_frames - 1))
+        near = min(max(round(there), 0), self._n_frames - 1)
         part = slice(near, near + 2 * self.center + 1)
         shares = self._weights * seen
         squared = np.empty((2 * self.center + 1, 9))
@@ -90,7 +92,7 @@ class LagWatcher:
             turns, past = self._turns[number], self._past[number, self._slot]
             turns -= past
             compare_pose(pose, take[part], shares, self._seen[number][part], _SCALE**2, turns, past, squared)
-            least = squared.copy() if least is None else np.minimum(least, squared)
+            least = squared.copy() if least is None else _choose_nearest(least, squared)
         assert least is not None
         self._slot = (self._slot + 1) % self._length
         self.yaw = float(np.arctan2(self._turns[0, self.center, 1], self._turns[0, self.center, 0]))
@@ -119,8 +121,13 @@ class LagWatcher:
         if 0 < column < len(squared) - 1:
             left, here, right = self._costs[:, column - 1 : column + 2].sum(axis=0)
             bend = left - 2.0 * here + right
-            shift = float(np.clip(0.5 * (left - right) / bend, -1.0, 1.0)) if bend > 1e-6 else 0.0
+            shift = min(max(float(0.5 * (left - right) / bend), -1.0), 1.0) if bend > 1e-6 else 0.0
         self.lag_s = -(column - self.center + shift + rounded) / self._rate
+
+
+def _choose_nearest(mine: FloatArray, its: FloatArray) -> FloatArray:
+    """The nearer of two takes, as `choose_nearest` does it for all frames."""
+    return np.where((its > 0.0) & ((its < mine) | (mine == 0.0)), its, mine)
 
 
 class FigureMeter:
@@ -144,28 +151,48 @@ class FigureMeter:
 
     def measure(self, pose: FloatArray, there: float) -> tuple[float, float]:
         """Distance from the space and within it of a pose (9, 3) at a reference frame; nan outside all figures."""
+        from dousa.evaluation._stream_kernels import find_pose_yaw
+
         number = self.index[min(max(round(there), 0), len(self.index) - 1)]
         if number < 0:
             return np.nan, np.nan
-        figure = self._furi[number]
+        figure, turned = self._furi[number], self._turned[number]
         space = self._spaces[figure.label]
-        ours = space.align(pose[None])
-        theirs = interpolate_segments(self._turned[number], np.array([there - figure.start]))
-        return (
-            float(compute_distance_from_space(space, ours)[0]),
-            float(compute_distance_within(space, theirs, ours)[0]),
-        )
+        yaw = find_pose_yaw(space.mean, pose, _WITHOUT_LIMB, _WRONG**2) + space.bias
+        ours = (turn_pose(pose, yaw) - space.mean).reshape(-1)
+        theirs = (mix_poses(turned, there - figure.start) - space.mean).reshape(-1)
+        inside = ours @ space.axes
+        outside = ours - space.axes @ inside
+        within = inside - theirs @ space.axes
+        return math.sqrt(outside @ outside), math.sqrt(within @ within)
+
+
+def mix_poses(segments: FloatArray, frame: float) -> FloatArray:
+    """The pose (9, 3) at a fractional frame of (T, 9, 3), ends held: `interpolate_segments` of one."""
+    frame = min(max(frame, 0.0), len(segments) - 1.0)
+    low = int(frame)
+    share = frame - low
+    if share == 0.0:
+        pose: FloatArray = segments[low]
+        return pose
+    mixed = segments[low] * (1.0 - share) + segments[low + 1] * share
+    unit: FloatArray = mixed / np.maximum(np.sqrt((mixed * mixed).sum(axis=1, keepdims=True)), 1e-9)
+    return unit
+
+
+def turn_pose(pose: FloatArray, yaw: float) -> FloatArray:
+    """A pose (9, 3) turned about the vertical: `rotate_yaw` of one."""
+    cosine, sine = math.cos(yaw), math.sin(yaw)
+    return pose @ np.array([[cosine, 0.0, -sine], [0.0, 1.0, 0.0], [sine, 0.0, cosine]])
 
 
 def compare_with_reference(
     reference: PostureSequence, pose: FloatArray, seen: NDArray[np.bool_], there: float, yaw: float
 ) -> tuple[FloatArray, bool]:
     """Angles (9,) rad to the reference at a frame, nan where not seen; and whether all are seen."""
-    low = int(np.clip(np.floor(there), 0, reference.n_frames - 1))
-    high = min(low + 1, reference.n_frames - 1)
-    share = min(max(there - low, 0.0), 1.0)
-    theirs = reference.segments[low] * (1.0 - share) + reference.segments[high] * share
-    theirs = theirs / np.maximum(np.linalg.norm(theirs, axis=1, keepdims=True), 1e-9)
-    judged = seen & reference.seen[low] & (reference.seen[high] | (share < 1e-6))
-    chord = np.linalg.norm(pose - rotate_yaw(theirs, yaw), axis=1)
+    frame = min(max(there, 0.0), reference.n_frames - 1.0)
+    low, high = math.floor(frame), math.ceil(frame)
+    judged = seen & reference.seen[low] & reference.seen[high]
+    difference = pose - turn_pose(mix_poses(reference.segments, frame), yaw)
+    chord = np.sqrt((difference * difference).sum(axis=1))
     return np.where(judged, 2.0 * np.arcsin(np.minimum(0.5 * chord, 1.0)), np.nan), bool(judged.all())

@@ -7,9 +7,10 @@ from numba import njit
 
 from dousa.motion._types import FloatArray
 
-__all__ = ["compare_pose", "extend_lines"]
+__all__ = ["compare_pose", "extend_lines", "find_pose_yaw"]
 
 _N_ROUNDS = 3
+_N_YAW_ROUNDS = 6
 
 
 @njit(cache=True, nogil=True)
@@ -63,7 +64,8 @@ def extend_lines(
                 source = -1
             now[r] = value + cost[t, r]
             origin[t, r] = source
-        best[:] = now
+        for r in range(n_reference):
+            best[r] = now[r]
         outside_costs[0] += outside
 
 
@@ -119,3 +121,49 @@ def compare_pose(
         for s in range(9):
             if weights[s] == 0.0 or not theirs_seen[k, s]:
                 squared[k, s] = 0.0
+
+
+@njit(cache=True, nogil=True)
+def find_pose_yaw(
+    a: FloatArray, b: FloatArray, starts: FloatArray, wrong: float
+) -> float:  # pragma: no cover - compiled
+    """`estimate_robust_yaw` of one pose with equal weights: for single poses arrays cost more than the sums.
+
+    Parameters
+    ----------
+    a, b : (9, 3) unit vectors; the angle turns b onto a.
+    starts : (9, n) shares of the segments in each start.
+    wrong : squared chord from which a segment loses its say.
+    """
+    along, across, fixed = np.empty(9), np.empty(9), np.empty(9)
+    for s in range(9):
+        along[s] = a[s, 2] * b[s, 2] + a[s, 0] * b[s, 0]
+        across[s] = a[s, 0] * b[s, 2] - a[s, 2] * b[s, 0]
+        lengths = 0.0
+        for axis in range(3):
+            lengths += a[s, axis] * a[s, axis] + b[s, axis] * b[s, axis]
+        fixed[s] = lengths - 2.0 * a[s, 1] * b[s, 1]
+    least, turn_along, turn_across = np.inf, 1.0, 0.0
+    for k in range(starts.shape[1]):
+        x, y = 0.0, 0.0
+        for s in range(9):
+            x += along[s] * starts[s, k]
+            y += across[s] * starts[s, k]
+        size = np.sqrt(x * x + y * y)
+        x, y = (x / size, y / size) if size > 0.0 else (1.0, 0.0)
+        cost = 0.0
+        for s in range(9):
+            far = max(fixed[s] - 2.0 * (along[s] * x + across[s] * y), 0.0)
+            cost += far / (far + wrong)
+        if cost < least:
+            least, turn_along, turn_across = cost, x, y
+    for _ in range(_N_YAW_ROUNDS):
+        x, y = 0.0, 0.0
+        for s in range(9):
+            far = max(fixed[s] - 2.0 * (along[s] * turn_along + across[s] * turn_across), 0.0)
+            share = wrong / (far + wrong)
+            x += along[s] * share * share
+            y += across[s] * share * share
+        size = np.sqrt(x * x + y * y)
+        turn_along, turn_across = (x / size, y / size) if size > 0.0 else (1.0, 0.0)
+    return float(np.arctan2(turn_across, turn_along))

@@ -68,7 +68,7 @@ class _Diagonals:
         if 0 < best < len(costs) - 1:
             left, here, right = costs[best - 1 : best + 2]
             bend = left - 2.0 * here + right
-            shift += 0.5 * (left - right) / bend if bend > 1e-12 else 0.0
+            shift += float(0.5 * (left - right) / bend) if bend > 1e-12 else 0.0
         return shift
 
 
@@ -221,4 +221,6 @@ class LineFollower:
         on = np.flatnonzero(self._shown[begin : run.end] >= 0)
         offset = float(self._shown[begin + on[0]] - begin - on[0]) if len(on) else run.offset
         trend = _smooth_course(self._shown, Run(begin, run.end, offset), self._rate)
-        return _extrapolate(frames, np.arange(begin, run.end) * float(self._step), trend * self._step)
+        return _extrapolate(
+            frames, np.arange(begin, run.end, dtype=np.float64) * self._step, trend * self._step
+        )

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from dousa.evaluation._alignment import Alignment, Run
-from dousa.evaluation._deviation import _YAW_WINDOW_S, Deviations, compute_deviations
+from dousa.evaluation._deviation import _YAW_WINDOW_S, Deviations, choose_nearest, compute_deviations
 from dousa.evaluation._evidence import find_stretches, gather_evidence
 from dousa.evaluation._explain import Finding, explain
 from dousa.evaluation._lapses import find_lapses
@@ -136,7 +136,7 @@ class Window:
         deviations = compute_deviations(first, part, frames, self._weights)
         for reference in others:
             other = compute_deviations(reference, part, frames, self._weights)
-            deviations = replace(deviations, squared=np.minimum(deviations.squared, other.squared))
+            deviations = choose_nearest(deviations, other)
         return deviations
 
     def _learn(self) -> None:
@@ -175,12 +175,7 @@ class Window:
         ):
             if lapse.kind not in _ORDER:
                 continue
-            spans = (
-                begin + lapse.start_s,
-                begin + lapse.end_s,
-                lapse.reference_start_s,
-                lapse.reference_end_s,
-            )
+            spans = _place(lapse, begin)
             self.lapses.append(Lapse(lapse.kind, *spans, describe_lapse(lapse.kind, *spans, self._language)))
 
 
@@ -190,6 +185,14 @@ _START = Tolerance(np.full(9, np.radians(21.6)))
 
 def _near(start_s: float, lapse: Lapse) -> bool:
     return lapse.start_s - 1.0 <= start_s <= lapse.end_s + 1.0
+
+
+def _place(lapse: Lapse, begin_s: float) -> tuple[float, float, float, float]:
+    """Spans of a lapse in a part that begins at a moment; what is danced again may not be over yet."""
+    start_s, end_s = begin_s + lapse.start_s, begin_s + lapse.end_s
+    if lapse.kind == "repeat":
+        end_s = start_s + lapse.reference_end_s - lapse.reference_start_s
+    return start_s, end_s, lapse.reference_start_s, lapse.reference_end_s
 
 
 def _cut(working: Working, start: int, end: int) -> Working:

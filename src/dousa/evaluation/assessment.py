@@ -100,7 +100,7 @@ def judge(
     comparison = compare(references.working, working, tempo, weights)
     tolerance = choose_tolerance(references, comparison)
     evidence = gather_evidence(comparison.deviations, tolerance.angle, tolerance.lag_s, weights)
-    same, matched, lag = _make_clocks(comparison, evidence, working, performance)
+    same, matched, lag = _make_clocks(comparison, evidence, working, performance, references.postures)
     spaces = fit_furi_eigenspaces(references.postures, furi, more=_pool(references.warped, furi))
     curves = compute_curves(references.postures, references.warped, performance, same, matched, furi, spaces)
     lapses = find_lapses(comparison.alignment, references.working[0], working, language)
@@ -200,7 +200,11 @@ def choose_tolerance(references: ReferenceTakes, comparison: Comparison) -> Tole
 
 
 def _make_clocks(
-    comparison: Comparison, evidence: Evidence, working: Working, performance: PostureSequence
+    comparison: Comparison,
+    evidence: Evidence,
+    working: Working,
+    performance: PostureSequence,
+    reference: PostureSequence,
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """(T,) s: reference time of the straight lines, reference time that is resembled, and the lag."""
     center = np.arange(working.n_frames) * working.stride + 0.5 * (working.stride - 1)
@@ -222,10 +226,11 @@ def _make_clocks(
         line += slope * (np.minimum(span - center[start], 0.0) + np.maximum(span - center[end - 1], 0.0))
         same[span] = line / rate
     lag = np.interp(frames, center, _measure_lag(evidence))
-    inside = (same >= -0.5 / rate) & (same <= comparison.reference_end_s + 0.5 / rate)
-    same = np.where(inside, np.clip(same, 0.0, comparison.reference_end_s), np.nan)
+    end_s = (reference.n_frames - 1) / reference.frame_rate
+    inside = (same >= -0.5 / rate) & (same <= end_s + 0.5 / rate)
+    same = np.where(inside, np.clip(same, 0.0, end_s), np.nan)
     lag = np.where(inside, lag, np.nan)
-    return same, np.clip(same - np.nan_to_num(lag), 0.0, comparison.reference_end_s), lag
+    return same, np.clip(same - np.nan_to_num(lag), 0.0, end_s), lag
 
 
 def _measure_lag(evidence: Evidence) -> FloatArray:

@@ -18,7 +18,6 @@ import re
 from collections.abc import Sequence
 from contextlib import suppress
 from itertools import pairwise
-from pathlib import Path
 
 from dousa.errors import MotionFileError, MotionWriteError, OptionError
 from dousa.evaluation.furi import Furi, name_label
@@ -77,9 +76,12 @@ def read_furi(path: str | os.PathLike[str], frame_rate: float, n_frames: int) ->
 
 def _read_text(path: str | os.PathLike[str]) -> str:
     try:
-        if Path(path).stat().st_size > _MOST_BYTES:
+        # Not the size that the system tells: a device or a pipe has none, and may never end.
+        with open(path, "rb") as file:
+            data = file.read(_MOST_BYTES + 1)
+        if len(data) > _MOST_BYTES:
             raise MotionFileError(path, "expected a furi file of a few lines, got a file of over 1 MB")
-        text = Path(path).read_text(encoding="utf-8-sig")
+        text = data.decode("utf-8-sig")
     except OSError as error:
         raise MotionFileError(path, f"the furi file cannot be read: {error.strerror or error}") from error
     except UnicodeDecodeError as error:

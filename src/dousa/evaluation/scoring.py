@@ -90,7 +90,7 @@ def compute_score(
     if not np.isfinite(deviation):
         return 0.0, _NOTHING[language], calibrated
     # Rounded, so that rounding errors in angles do not keep the same motion from 100.
-    score = round(float(np.clip(100.0 - _POINTS * (deviation - mean) / spread, 0.0, 100.0)), 6)
+    score = round(float(np.clip(100.0 - _POINTS * (deviation - mean) / spread, 0.0, 100.0)), 4)
     return score, _describe(score, deviation, mean, spread, len(takes), calibrated, language), calibrated
 
 

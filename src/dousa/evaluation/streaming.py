@@ -13,14 +13,16 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from dousa.errors import InvalidMotionError, OptionError
+from dousa.evaluation._curves import Curves, compare_poses
+from dousa.evaluation._curves import _take_off_median as take_off_median
 from dousa.evaluation._explain import Finding
 from dousa.evaluation._references import prepare_references
 from dousa.evaluation._reporting import describe_findings
 from dousa.evaluation._stream_frame import FigureMeter, LagWatcher, PoseReader, compare_with_reference
 from dousa.evaluation._stream_line import LineFollower
 from dousa.evaluation._stream_window import Window
-from dousa.evaluation._types import Assessment, ErrorEvent, Lapse
-from dousa.evaluation._working import WORKING_RATE, Working
+from dousa.evaluation._types import Assessment, ErrorEvent, Lapse, PostureSequence
+from dousa.evaluation._working import WORKING_RATE, Working, interpolate_segments
 from dousa.evaluation.assessment import _check, _pool, _scale_furi, _spread_weights, judge
 from dousa.evaluation.furi import Furi, find_furi, fit_furi_eigenspaces
 from dousa.evaluation.posture import MIRRORED_SEGMENTS, SEGMENTS, compute_postures, mirror_postures
@@ -35,6 +37,8 @@ __all__ = ["FrameState", "IncrementalAssessor"]
 _HOP_S = 1.0
 _LOOK_AHEAD_S = 2.0
 _REPLAYED_S = 0.5
+_MARGIN_S = 1.0
+_SHORTEST_S, _FEWEST = 0.5, 3
 _MOVED = 0.25  # frames by which the line must move for the lag to be followed anew
 _FLIP = np.array([-1.0, 1.0, 1.0])
 _N_JOINTS = len(CANONICAL_JOINTS)
@@ -129,7 +133,7 @@ class IncrementalAssessor:
         self._watcher = LagWatcher(working, self._weights)
         self._reader = PoseReader()
         self._joints, self._group = _Rows((_N_JOINTS, 3)), _Rows((9, 3))
-        self._seen = _Rows((9,), np.bool_)
+        self._seen, self._yaw = _Rows((9,), np.bool_), _Rows(())
         self._poses = np.zeros((self._stride, 9, 3))
         self._poses_seen = np.zeros((self._stride, 9), np.bool_)
         self._settled: list[ErrorEvent] = []
@@ -192,18 +196,15 @@ class IncrementalAssessor:
         ------
         InvalidMotionError : fewer than 3 frames or half a second.
         """
-        positions = self._joints.values.copy()
-        performance = replace(
-            self._model, positions=positions, frame_rate=self._rate, missing=None, warnings=()
-        )
-        _check([self._model], performance, "same", self._tempo)
-        played = compute_postures(performance)
-        if self._mirrored:
-            played = mirror_postures(played)
+        if self.n_frames < max(_FEWEST, _SHORTEST_S * self._rate):
+            raise InvalidMotionError(
+                f"performance: expected at least {_SHORTEST_S} s and {_FEWEST} frames before finish(), got "
+                f"{self.n_frames} frames at {self._rate:g} Hz ({self.n_frames / self._rate:.2f} s)"
+            )
         return judge(
             self._references,
             self._furi,
-            played,
+            self._read_postures(0),
             tempo=self._tempo,
             weights=self._weights,
             language=self._language,
@@ -213,7 +214,7 @@ class IncrementalAssessor:
         mean = self._poses.mean(axis=0)
         mean /= np.maximum(np.linalg.norm(mean, axis=1, keepdims=True), 1e-9)
         self._group.add(mean)
-        self._seen.add(self._poses_seen.all(axis=0))
+        self._seen.add(np.all(self._poses_seen, axis=0, keepdims=True)[0])
         count = self._group.count
         if count % max(1, round(_HOP_S * self._working_rate)) == 0:
             self._look_back()
@@ -223,6 +224,8 @@ class IncrementalAssessor:
         there = float(self._line.locate(frame, frame + 1)[0])
         pose, seen = self._group.values[frame], self._seen.values[frame]
         self._watcher.look(pose, seen, there, self._window.tolerance)
+        if frame == self._yaw.count:
+            self._yaw.add(np.asarray(self._watcher.yaw))
 
     def _look_back(self) -> None:
         """Once a second: the line, the deviations along it, and the errors that are over."""
@@ -243,25 +246,63 @@ class IncrementalAssessor:
             self._settled += self._tell(found, performance)
 
     def _tell(self, found: Sequence[Finding], performance: Working) -> tuple[ErrorEvent, ...]:
-        reference = self._references.postures
-        there = np.full(self.n_frames, np.nan)
-        first = self._window.first * self._stride
-        frames = np.arange(first, self.n_frames)
-        centres = (self._window.first + np.arange(len(self._window.frames))) * self._stride
-        middle = 0.5 * (self._stride - 1)
-        there[first:] = np.interp(frames, centres + middle, self._window.frames * self._stride + middle)
-        inside = (there >= -0.5) & (there <= reference.n_frames - 0.5)
-        there = np.where(inside, np.clip(there, 0.0, reference.n_frames - 1.0), np.nan)
-        index = np.full(self.n_frames, -1, np.intp)
-        index[inside] = self._figures.index[np.rint(there[inside]).astype(np.intp)]
+        """Events in words, from the curves of the last seconds."""
+        first = min(finding.start for finding in found) - round(_MARGIN_S * self._working_rate)
+        first = max(first, self._window.first) * self._stride
+        there = self._place_frames(first)
+        part = self._read_postures(first)
+        residual, yaw = self._compare(part, there)
+        count = self.n_frames
+        index, same = np.full(count, -1, np.intp), np.full(count, np.nan)
+        inside = np.isfinite(there)
+        index[first:][inside] = self._figures.index[np.rint(there[inside]).astype(np.intp)]
+        same[first:] = there / self._rate
+        residuals, facing = np.full((count, len(SEGMENTS)), np.nan), np.full(count, np.nan)
+        residuals[first:] = residual
+        # Of the heading the usual difference so far is taken off.
+        facing[first:] = take_off_median(np.concatenate([self._yaw.values, yaw]))[-len(yaw) :]
+        none = np.empty(0)
+        curves = Curves(none, none, none, facing, residuals, none, none, index, none, none)
         return describe_findings(
             found,
             self._window.lapses,
             working=performance,
-            same_time=there / self._rate,
-            furi_index=index,
+            same_time=same,
+            curves=curves,
             language=self._language,
         )
+
+    def _place_frames(self, first: int) -> FloatArray:
+        """Reference frames of the frames from the first on, nan outside the reference."""
+        n_reference, middle = self._references.postures.n_frames, 0.5 * (self._stride - 1)
+        centres = (self._window.first + np.arange(len(self._window.frames))) * self._stride + middle
+        there = np.interp(
+            np.arange(first, self.n_frames), centres, self._window.frames * self._stride + middle
+        )
+        inside = (there >= -0.5) & (there <= n_reference - 0.5)
+        return np.where(inside, np.clip(there, 0.0, n_reference - 1.0), np.nan)
+
+    def _compare(self, part: PostureSequence, there: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Angles to the reference and headings, as for the whole."""
+        reference = self._references.postures
+        inside = np.isfinite(there)
+        frames = np.where(inside, there, 0.0)
+        seen = (
+            reference.seen[np.floor(frames).astype(np.intp)] & reference.seen[np.ceil(frames).astype(np.intp)]
+        )
+        judged = part.seen & seen & inside[:, None]
+        return compare_poses(
+            interpolate_segments(reference.segments, frames), part.segments, judged, self._rate
+        )
+
+    def _read_postures(self, first: int) -> PostureSequence:
+        """Postures of the frames from the first on, gaps filled as for the whole."""
+        positions = self._joints.values[first:].copy()
+        performance = replace(
+            self._model, positions=positions, frame_rate=self._rate, missing=None, warnings=()
+        )
+        postures = compute_postures(performance)
+        return mirror_postures(postures) if self._mirrored else postures
 
     def _describe(self, number: int, pose: FloatArray, seen: NDArray[np.bool_]) -> FrameState:
         reference, middle = self._references.postures, 0.5 * (self._stride - 1)
@@ -307,7 +348,7 @@ class _Rows:
     """An array that grows."""
 
     def __init__(self, shape: tuple[int, ...], dtype: type = np.float64) -> None:
-        self._array = np.empty((1024, *shape), dtype)
+        self._array: np.ndarray = np.empty((1024, *shape), dtype)
         self.count = 0
 
     @property

@@ -11,11 +11,9 @@ What is not named weighs 1.
 
 from __future__ import annotations
 
-import math
 import os
 import tomllib
 from collections.abc import Mapping
-from pathlib import Path
 from typing import Any
 
 from dousa.errors import OptionError
@@ -25,6 +23,7 @@ __all__ = ["read_weights"]
 
 _MOST_BYTES = 1_000_000
 _LARGEST = 1e6
+_SHOWN = 40  # letters of a wrong value in a message
 
 # From the coarse names to the exact ones, which are laid over them.
 _LEVELS: tuple[dict[str, tuple[str, ...]], ...] = (
@@ -76,9 +75,12 @@ def read_weights(path: str | os.PathLike[str]) -> dict[str, float]:
 
 def _read_text(path: str | os.PathLike[str], where: str) -> str:
     try:
-        if Path(path).stat().st_size > _MOST_BYTES:
+        # Not the size that the system tells: a device or a pipe has none, and may never end.
+        with open(path, "rb") as file:
+            data = file.read(_MOST_BYTES + 1)
+        if len(data) > _MOST_BYTES:
             raise OptionError(f"{where}: expected weights, a few lines, got a file of over 1 MB")
-        return Path(path).read_text(encoding="utf-8-sig")
+        return data.decode("utf-8-sig")
     except OSError as error:
         raise OptionError(f"{where}: the weights cannot be read: {error.strerror or error}") from error
     except UnicodeDecodeError as error:
@@ -105,13 +107,15 @@ def _parse_lines(text: str, where: str) -> dict[str, Any]:
             continue
         name, equals, value = (part.strip() for part in content.partition("="))
         if not equals or not name or not value:
-            raise OptionError(f"{where}:{number}: expected 'segment = number', got '{content}'")
+            raise OptionError(f"{where}:{number}: expected 'segment = number', got {_shown(content)}")
         if _plain(name) in found:
             raise OptionError(f"{where}:{number}: '{name}' is given a second time")
         try:
             found[_plain(name)] = float(value)
         except ValueError:
-            raise OptionError(f"{where}:{number}: expected a number for '{name}', got '{value}'") from None
+            raise OptionError(
+                f"{where}:{number}: expected a number for '{name}', got {_shown(value)}"
+            ) from None
     return found
 
 
@@ -121,5 +125,15 @@ def _plain(name: str) -> str:
 
 def _check(value: Any, name: str, where: str) -> None:
     number = isinstance(value, int | float) and not isinstance(value, bool)
-    if not number or not math.isfinite(value) or not 0 <= value <= _LARGEST:
-        raise OptionError(f"{where}: '{name}': expected a weight from 0 to a million, got {value!r}")
+    # nan is in no range; an integer may be too large for a float.
+    if not number or not 0 <= value <= _LARGEST:
+        raise OptionError(f"{where}: '{name}': expected a weight from 0 to a million, got {_shown(value)}")
+
+
+def _shown(value: Any) -> str:
+    """The beginning of a wrong value."""
+    try:
+        text = repr(value)
+    except ValueError:  # an integer of more digits than Python writes
+        text = "a huge number"
+    return text if len(text) <= _SHOWN else text[:_SHOWN] + "..."
