@@ -77,7 +77,7 @@ def evaluate(
         typer.Option(
             "--furi",
             metavar="FILE",
-            help="Cuts of the figures, in frames of the first REFERENCE. Default: found in the reference.",
+            help="Cuts of the figures, in frames or seconds of the first REFERENCE. Default: found in it.",
         ),
     ] = None,
     mirror: Annotated[

@@ -31,7 +31,7 @@ _UNREACHED_TURNING = 2.0  # and if the performance is late on the way there, and
 _ON_PATH, _ON_PATH_SHARE, _OFF_PATH = 4.5, 0.55, 9.0
 _GAINS = (0.22, 0.86)  # below, a limb does nothing of the motion; above, it does it all
 _OFF_CENTER, _UNEXPLAINED = 1.5, 0.6
-_N_GLOBAL = 5  # segments of nine
+_GLOBAL_SHARE = 5 / 9  # of the segments that weigh anything
 _WRONG_SHARE = 0.6  # of the surprise's price, in the mean: the segment belongs to the error
 _LARGER, _LEAST_EXCESS = 1.2, np.radians(10.0)
 _SURELY_LATE = 1.15  # in multiples of what is forgiven
@@ -219,9 +219,15 @@ def _report_stop(evidence: Evidence, best: _Hypothesis, start: int, end: int, fi
     frames = np.arange(start, end) + best.course[start - first : end - first] - evidence.center
     model = theirs[np.clip(frames, 0, len(theirs) - 1)]
     missing, share = measure_missing_range(theirs[start:end], ours[start:end], model, _BODY)
-    severity, worst = _severity(evidence, start, end, _BODY)
-    segments = tuple(range(9))
-    return Finding("incomplete", start, end, segments, severity, worst, None, missing, share)
+    changed = _find_changed(evidence, start, end, _BODY)
+    severity, worst = _severity(evidence, start, end, changed)
+    return Finding("incomplete", start, end, tuple(changed.tolist()), severity, worst, None, missing, share)
+
+
+def _find_changed(evidence: Evidence, start: int, end: int, segments: NDArray[np.intp]) -> NDArray[np.intp]:
+    """Those of the segments that are out of tolerance at some moment; all if none is."""
+    out = evidence.punctual[start:end].max(axis=0)[segments] > 1.0
+    return segments[out] if out.any() else segments
 
 
 def _report_size(evidence: Evidence, best: _Hypothesis, start: int, end: int, first: int) -> Finding:
@@ -237,6 +243,8 @@ def _report_size(evidence: Evidence, best: _Hypothesis, start: int, end: int, fi
     model = ours[start:end].copy()
     model[:, group] = _fade(theirs[start:end, group], ours[start:end, group], fit, evidence.tolerance[group])
     missing, share = measure_missing_range(theirs[start:end], ours[start:end], model, group)
+    if len(group) == len(_BODY):
+        group = _find_changed(evidence, start, end, group)
     severity, worst = _severity(evidence, start, end, group)
     return Finding("incomplete", start, end, tuple(group.tolist()), severity, worst, None, missing, share)
 
@@ -265,7 +273,8 @@ def _report_limbs(evidence: Evidence, best: _Hypothesis, start: int, end: int, f
     wrong = np.flatnonzero(inside.mean(axis=0) > _WRONG_SHARE * _SURPRISE)
     if not len(wrong):
         wrong = np.array([int(inside.mean(axis=0).argmax())])
-    kind = "global" if len(wrong) >= _N_GLOBAL else "partial"
+    judged = np.flatnonzero(evidence.ratio.any(axis=(0, 1)))
+    kind = "global" if len(wrong) >= max(_GLOBAL_SHARE * len(judged), 2.0) else "partial"
     if kind == "global":
         wrong = _BODY
     severity, worst = _severity(evidence, start, end, wrong)

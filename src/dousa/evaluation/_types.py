@@ -58,7 +58,7 @@ class ErrorEvent:
     lag_ms : how late (positive) or early (negative), of a shift.
     shortfall_deg, shortfall_percent : how much of the range of motion is missing, of an incomplete motion; negative
         for a limb (a partial error) that goes further than the reference.
-    severity : size in multiples of what is tolerated, above 1.
+    severity : size in multiples of what is tolerated, 1 or above.
     worst_s : moment of the largest deviation, performance seconds.
     reference_s : moment of the reference that belongs to it.
     furi : number of the furi, from 0; None outside all.
@@ -159,7 +159,8 @@ class Assessment:
     d_space : (T,) d#, distance from the furi's eigenspace (eq. 10, 11).
     d_within : (T,) d*, distance inside it at the same time (eq. 12-14).
     d_path : (T,) distance to the reference trajectory, any time of the furi: wrong, though in the space.
-    d_space_limit, d_within_limit : (T,) thresholds.
+    d_space_limit, d_within_limit : (T,) what the takes, or a steady performer, keep below. Drawn for orientation:
+        the events come from deviations and lags.
     residual : (T, 9) rad, angle between each segment and the reference's at the same time.
     residual_limit : (9,) rad.
     path : (K, 2) frames of performance and reference that correspond, for the picture of the matrix.
@@ -168,7 +169,7 @@ class Assessment:
     lapses : stops, skips, repeats.
     score : 0 to 100.
     score_formula : how the score came about, in words and numbers.
-    calibrated : whether the thresholds come from several takes of the reference.
+    calibrated : whether the grade rests on three takes of the reference or more.
     n_references : takes of the reference.
     tempo : performance seconds per reference second.
     gaps : (start_s, end_s, segment name) of spans that were not seen and not judged.

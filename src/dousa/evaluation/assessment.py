@@ -30,6 +30,7 @@ from dousa.motion._types import FloatArray
 __all__ = ["assess"]
 
 _SHORTEST_S = 0.5
+_ABOVE = 1.05  # rounding, and frames between frames
 _UNLIKE, _FAILING_S = 2.0, 0.3  # mean squared multiple of what is tolerated, and for how long
 
 
@@ -49,7 +50,7 @@ def assess(
     Parameters
     ----------
     reference : one take, or several takes of the same dance. The first gives the clock and the figures; what
-        differs between the takes is tolerated. Five or more make a calibrated grade.
+        differs between the takes is tolerated. Three make a calibrated grade, five a good one.
     performance : what is judged; any frame rate, place, heading and stature.
     furi : figures in frames of the first reference at its own rate; found by themselves if None.
     side : ``"mirrored"`` for a pupil who dances facing the teacher, left for right.
@@ -257,10 +258,10 @@ def _pool(warped: Sequence[PostureSequence], furi: Sequence[Furi]) -> dict[str, 
 
 
 def _limit(tolerance: Tolerance, among: FloatArray, same_time: FloatArray) -> FloatArray:
-    """(T,) limit of a distance: what all segments at half of their tolerance come to, or what the takes show."""
+    """(T,) limit of a distance: what all segments at half of their tolerance come to; no take is beyond it."""
     least = float(np.linalg.norm(tolerance.angle)) / 2.0
-    shown = float(np.nanpercentile(among, 95)) if np.isfinite(among).any() else 0.0
-    return np.where(np.isfinite(same_time), max(least, 1.2 * shown), np.nan)
+    shown = float(np.nanmax(among)) if np.isfinite(among).any() else 0.0
+    return np.where(np.isfinite(same_time), max(least, _ABOVE * shown), np.nan)
 
 
 def _make_path(matched: FloatArray, reference: PostureSequence) -> np.ndarray:

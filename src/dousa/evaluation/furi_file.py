@@ -27,6 +27,7 @@ __all__ = ["read_furi", "uncovered", "write_furi"]
 _MOST_BYTES = 1_000_000
 _SLACK_S = 0.1  # people round: the last figure may end so much after the dance
 _SHOWN = 40  # letters of a wrong line in a message
+_LONGEST_LABEL = 100  # letters; a whole line of a page
 _VALUE = r"[^\s,;\-–—−~〜～]+"
 _LINE = re.compile(rf"({_VALUE})\s*[\s,;\-–—−~〜～]\s*({_VALUE})(?:[\s,;]+(.*))?", re.DOTALL)
 _HEADING = re.compile(r"(start|begin|from|開始)\w*[\s,;]+(end|stop|to|終了)\w*([\s,;].*)?", re.IGNORECASE)
@@ -99,6 +100,10 @@ def _parse_line(content: str, frame_rate: float, n_frames: int) -> tuple[int, in
     if match is None:
         raise ValueError(f"{_FORM}, got {_quote(content)}")
     first, last, label = match[1], match[2], _clean(match[3] or "")
+    if len(label) > _LONGEST_LABEL:
+        raise ValueError(
+            f"expected a label of at most {_LONGEST_LABEL} letters, got {len(label)}: {_quote(label)}"
+        )
     if _FRAME.fullmatch(first) and _FRAME.fullmatch(last):
         start, end = int(first) - 1, int(last)
         if start < 0 or end > n_frames:
@@ -154,7 +159,8 @@ def write_furi(path: str | os.PathLike[str], furi: Sequence[Furi], frame_rate: f
 
     Raises
     ------
-    OptionError : a label that a furi file cannot hold: empty, with ``#``, with spaces, commas or quotes around it.
+    OptionError : a label that a furi file cannot hold: empty, with ``#``, with spaces, commas or quotes around it,
+        longer than 100 letters.
     MotionWriteError : the folder is missing or read-only, or the disk is full.
     """
     lines = [f"# start-end label, frames from 1, last one included, {frame_rate:g} frames/s"]
@@ -180,7 +186,8 @@ def write_furi(path: str | os.PathLike[str], furi: Sequence[Furi], frame_rate: f
 def _can_hold(label: str) -> bool:
     match = _LINE.fullmatch(f"1-2 {label}")
     plain = label.isprintable() and "#" not in label
-    return plain and match is not None and bool(label) and match[3] == label == _clean(label)
+    whole = match is not None and match[3] == label == _clean(label)
+    return plain and whole and 0 < len(label) <= _LONGEST_LABEL
 
 
 def _clock(seconds: float) -> str:

@@ -2,7 +2,7 @@
 
 A file of TOML or plain lines ``segment = number``:
 
-    arms = 2            # hands are what this dance is about
+    arms = 2            # arms are what this dance is about
     left_forearm = 1.5  # what is named more exactly counts
     legs = 0            # not judged
 

@@ -18,7 +18,7 @@ _ENGLISH: dict[str, str] = {
     "out_of": "of 100",
     "calibrated": "calibrated with {count} takes of the reference",
     "uncalibrated": "not calibrated",
-    "uncalibrated_note": "The limits rest on {count} take of the reference alone and are wide guesses: compare this "
+    "uncalibrated_note": "Takes of the reference: {count}. With so few the limits are guesses: compare this "
     "grade with other grades of the same reference only. Five or more takes would calibrate it.",
     "facts": "Facts",
     "fact_length": "Length",
@@ -165,7 +165,8 @@ _ENGLISH: dict[str, str] = {
     "read_within": "d* is the distance to the reference's pose of the same moment, inside that space: the pose belongs "
     "to the figure, but not here or not this far. Large d* means late, early or not danced to the full.",
     "read_limit_term": "Limits",
-    "read_limit": "What different takes of one good dancer differ by anyway. Only what exceeds it counts as an error.",
+    "read_limit": "What takes of one good dancer differ by anyway; with a single take, what a steady dancer wavers by. "
+    "Only what exceeds it counts as an error.",
     "read_global": "The movement of the whole body is another one for a while.",
     "read_partial": "The figure is right, but one limb does something else.",
     "read_incomplete": "The movement is right, but does not reach its full range.",
