@@ -191,11 +191,15 @@ def experiment_errors(
     seed: Annotated[int, typer.Option("--seed", min=0, help="The same seed gives the same table.")] = 0,
     noise: Annotated[
         float,
-        typer.Option("--noise", min=0.0, metavar="DEG", help="How much the simulated performer wavers."),
+        typer.Option(
+            "--noise", min=0.0, max=90.0, metavar="DEG", help="How much the simulated performer wavers."
+        ),
     ] = 3.0,
     timing: Annotated[
         float,
-        typer.Option("--timing", min=0.0, metavar="MS", help="How far off the beat the performer drifts."),
+        typer.Option(
+            "--timing", min=0.0, max=5000.0, metavar="MS", help="How far off the beat the performer drifts."
+        ),
     ] = 20.0,
     which: Annotated[
         Which,

@@ -90,7 +90,7 @@ def _read_text(path: str | os.PathLike[str], where: str) -> str:
 def _parse(text: str, where: str) -> Mapping[str, Any]:
     try:
         entries = tomllib.loads(text)
-    except (tomllib.TOMLDecodeError, RecursionError):
+    except (ValueError, RecursionError):  # no TOML, or a number of too many digits
         entries = _parse_lines(text, where)
     if len(entries) == 1 and isinstance(inner := next(iter(entries.values())), dict):
         entries = inner  # under one heading, such as [weights]
