@@ -27,7 +27,7 @@ from pathlib import Path
 
 import numpy as np
 
-from dousa.evaluation import assess, inject_many, simulate_performer
+from dousa.evaluation import IncrementalAssessor, assess, inject_many, simulate_performer
 from dousa.motion import CanonicalMotion, canonicalise
 from dousa.motion.synthetic import Performer
 from dousa.motion.synthetic_dance import make_dance
@@ -100,8 +100,6 @@ def measure_memory(name: str | None, seconds: float, rate: float) -> None:
 
 
 def measure_first(name: str | None) -> None:
-    from dousa.evaluation.streaming import IncrementalAssessor
-
     reference, performance = make_pair(name, 30.0, 30.0, 4)
     first, _ = timed(lambda: assess(reference, performance))
     warm, _ = timed(lambda: assess(reference, performance))
@@ -142,8 +140,6 @@ def measure_whole(options: argparse.Namespace) -> None:
 
 
 def measure_running(options: argparse.Namespace, rate: float, seconds: float = 90.0) -> None:
-    from dousa.evaluation.streaming import IncrementalAssessor
-
     reference, performance = make_pair(options.file, seconds, rate, 9)
     start = time.perf_counter()
     assessor = IncrementalAssessor(reference, rate)

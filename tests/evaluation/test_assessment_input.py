@@ -113,9 +113,8 @@ def test_a_gap_in_a_reference_take_excuses_nobody() -> None:
 
 
 def test_who_is_never_seen_is_not_judged() -> None:
-    found = judge(lose(MOTION, list(CANONICAL_JOINTS), 0.0, 20.0))
-    assert found.events == () and found.score == 0.0
-    assert len(found.warnings) == 1 and "100.0 %" in found.warnings[0]
+    with pytest.raises(InvalidMotionError, match="body that is seen for at least"):
+        judge(lose(MOTION, list(CANONICAL_JOINTS), 0.0, 20.0))
     never = judge(lose(MOTION, ["left_wrist"], 0.0, 20.0))
     assert never.events == () and np.isnan(never.d_space).all()
     assert never.score == pytest.approx(100.0, abs=0.1)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
@@ -12,12 +13,17 @@ from oracles import yamane_eigenspace as oracle
 from oracles.wandering import make_wandering_motion
 
 from dousa.evaluation._curves import Curves, compare_poses, compute_curves
+from dousa.evaluation._turned import turn_reference
 from dousa.evaluation._types import PostureSequence
+from dousa.evaluation._working import interpolate_segments
 from dousa.evaluation.eigenspace import Eigenspace
-from dousa.evaluation.furi import Furi, fit_furi_eigenspaces
+from dousa.evaluation.furi import Furi, find_furi, fit_furi_eigenspaces
 from dousa.evaluation.injection import simulate_performer
 from dousa.evaluation.posture import SEGMENTS, compute_postures
 from dousa.evaluation.yaw import rotate_yaw
+from dousa.motion import canonicalise
+from dousa.motion.synthetic import Performer
+from dousa.motion.synthetic_dance import make_dance
 
 RATE = 30.0
 FURI = (Furi(0, 90, "A"), Furi(90, 200, "B"), Furi(200, 240, "A"))
@@ -95,16 +101,87 @@ def test_distances_are_those_of_the_paper() -> None:
     for frame in (0, 40, 89, 90, 150, 239):
         space = SPACES[FURI[curves.furi_index[frame]].label]
         middle, phi = space.mean.ravel().tolist(), space.axes.T.tolist()
-        x = space.align(REFERENCE.segments[frame : frame + 1]).ravel().tolist()
-        y = space.align(segments[frame : frame + 1]).ravel().tolist()
+        figure = FURI[curves.furi_index[frame]]
+        turned = turn_reference(REFERENCE, figure, space)
+        x = turned.segments[frame - turned.first].ravel().tolist()
+        y = rotate_yaw(segments[frame], curves.turn[frame]).ravel().tolist()
         assert curves.d_space[frame] == pytest.approx(oracle.distance_from_space(y, middle, phi))
         assert curves.d_space[frame] == pytest.approx(oracle.distance_from_space_by_residual(y, middle, phi))
         assert curves.d_within[frame] == pytest.approx(oracle.distance_within(x, y, middle, phi))
         assert curves.d_within[frame] == pytest.approx(oracle.distance_within_by_difference(x, y, phi))
-        figure = FURI[curves.furi_index[frame]]
-        around = REFERENCE.segments[max(figure.start - 30, 0) : figure.end + 30]
-        path = [pose.ravel().tolist() for pose in space.align(around)]
+        assert turned.first == max(figure.start - 30, 0)
+        assert len(turned.segments) == min(figure.end + 30, 240) - turned.first
+        path = [pose.ravel().tolist() for pose in turned.segments]
         assert curves.d_path[frame] == pytest.approx(oracle.distance_to_path(y, path))
+
+
+def test_reference_and_performance_are_turned_alike() -> None:
+    yaw = 0.7 + 0.1 * np.sin(CLOCK)
+    curves = compute(with_segments(rotate_yaw(REFERENCE.segments, yaw)))
+    for number, figure in enumerate(FURI):
+        turned = turn_reference(REFERENCE, figure, SPACES[figure.label])
+        part = slice(figure.start, figure.end)
+        assert (curves.furi_index[part] == number).all()
+        off = curves.turn[part] - turned.turn[turned.find(figure)] + yaw[part]
+        assert np.abs(np.angle(np.exp(1j * off))).max() < 0.02
+
+
+def test_the_turn_of_the_reference_is_that_of_its_poses_without_their_jumps() -> None:
+    for figure in FURI:
+        space = SPACES[figure.label]
+        turned = turn_reference(REFERENCE, figure, space)
+        part = REFERENCE.segments[turned.first : turned.first + len(turned.turn)]
+        np.testing.assert_allclose(turned.segments, rotate_yaw(part, turned.turn), atol=1e-12)
+        off = np.angle(np.exp(1j * (turned.turn - space.find_turn(part))))
+        assert np.median(np.abs(off)) < np.radians(6.0)
+
+
+def test_what_is_not_seen_has_no_turn() -> None:
+    seen = np.ones((240, 9), bool)
+    seen[50:60, FOREARM] = False
+    curves = compute(with_segments(REFERENCE.segments, seen))
+    assert (np.isnan(curves.turn) == np.isnan(curves.d_space)).all()
+    assert np.isnan(curves.turn[50:60]).all()
+
+
+@cache
+def dance_to_demo(seed: int) -> tuple[PostureSequence, tuple[Furi, ...], dict[str, Eigenspace]]:
+    """The dance of the demo, where several poses stand upright in all segments, and its figures."""
+    reference = compute_postures(canonicalise(make_dance(Performer(), seed, 40.0).motion))
+    furi = find_furi(reference)
+    return reference, furi, fit_furi_eigenspaces(reference, furi)
+
+
+@pytest.mark.parametrize("seed", [0, 1, 2])
+@pytest.mark.parametrize("offset", [0.0, 0.4])
+def test_no_distance_jumps_where_nothing_differs(seed: int, offset: float) -> None:
+    reference, furi, spaces = dance_to_demo(seed)
+    frames = np.arange(reference.n_frames - 1) + offset
+    segments = with_noise(interpolate_segments(reference.segments, frames), seed, np.radians(3.0))
+    performance = replace(
+        reference, segments=segments, seen=reference.seen[:-1], positions=reference.positions[:-1]
+    )
+    same = frames / reference.frame_rate
+    curves = compute(performance, same=same, reference=reference, furi=furi, spaces=spaces)
+    assert np.nanmax(curves.d_within) < 4.0 * np.nanmedian(curves.d_within)
+    assert np.nanmax(curves.d_path) < 2.0 * np.nanmedian(curves.d_path)
+    # Beyond what the eigenspace leaves of the reference itself.
+    at_reference = curves.d_space_reference[np.rint(frames).astype(int)]
+    beyond = curves.d_space - at_reference
+    assert np.nanmax(beyond) < 2.0 * np.nanmedian(curves.d_space)
+
+
+@pytest.mark.parametrize("seed", [0, 1, 2])
+def test_another_performer_makes_no_distance_jump(seed: int) -> None:
+    reference, furi, spaces = dance_to_demo(seed)
+    motion = canonicalise(make_dance(Performer(), seed, 40.0).motion)
+    performance = compute_postures(simulate_performer(motion, seed + 7))
+    same = np.arange(reference.n_frames) / reference.frame_rate
+    curves = compute(performance, same=same, reference=reference, furi=furi, spaces=spaces)
+    # What the pose differs by bounds all distances: they come from chords of the same segments.
+    chords = np.linalg.norm(2.0 * np.sin(0.5 * curves.residual), axis=1)
+    assert np.nanmax(curves.d_within - chords) < 1e-6
+    assert np.nanmax(curves.d_space - curves.d_space_reference - chords) < 1e-6
 
 
 @settings(max_examples=15, deadline=None)

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from oracles.slow_deviations import measure
 from oracles.wrong_dances import ARM, choose, get_dance, lose, place, turn_limb
 
-from dousa.evaluation._deviation import _SCALE, MAX_LAG_S, choose_nearest, compute_deviations
+from dousa.evaluation._deviation import MAX_LAG_S, YAW_SCALE, choose_nearest, compute_deviations
 from dousa.evaluation._working import Working, interpolate_segments, thin_postures
 from dousa.evaluation.posture import compute_postures
 from dousa.motion import CanonicalMotion
@@ -48,7 +48,7 @@ def test_deviations_are_those_of_plain_loops(seed: int, rate: float, gaps: float
         weights,
         reach=reach,
         half=half,
-        scale=_SCALE,
+        scale=YAW_SCALE,
     )
     assert found.center == reach
     assert found.step_s == pytest.approx(1.0 / rate)

@@ -16,7 +16,7 @@ from oracles.line_courses import (
     worth_of_switching,
 )
 
-from dousa.evaluation._line_kernels import follow_lag, follow_lines, switch_on
+from dousa.evaluation._line_kernels import extend_lines, follow_lag, follow_lines, switch_on
 
 QUICK = settings(max_examples=60, deadline=None)
 SHARES = st.floats(0.0, 1.0, width=32)
@@ -108,3 +108,27 @@ def test_a_stretch_must_be_worth_two_changes() -> None:
     # Also at the ends of the recording.
     assert switch_on(np.full(5, 1.0), 2.0).all()
     assert not switch_on(np.full(5, 1.0), 3.0).any()
+
+
+@pytest.mark.parametrize("cuts", [(60,), (1, 2, 30, 59), tuple(range(1, 60))])
+def test_lines_that_are_carried_on_are_those_of_the_whole(cuts: tuple[int, ...]) -> None:
+    rng = np.random.default_rng(len(cuts))
+    cost = rng.uniform(0.3, 1.0, (60, 50))
+    cost[np.arange(5, 30), np.arange(5, 30)] = 0.02
+    cost[np.arange(32, 55), np.arange(20, 43)] = 0.02
+    best, outside = np.full(50, np.inf), np.zeros(2)
+    origin, ended = np.empty((60, 50), np.int32), np.empty(60, np.int32)
+    first = 0
+    for last in sorted({*cuts, 60}):
+        part = slice(first, last)
+        extend_lines(cost[part], best, outside, 5.0, 1e9, 0.75, origin[part], ended[part])
+        first = last
+    path, row, place = np.full(60, -1), 59, int(best.argmin())
+    if outside[1] < best[place]:
+        while ended[row] == -2:
+            row -= 1
+        place, row = int(ended[row]), row - 1
+    while row >= 0 and place >= 0:
+        path[row] = place
+        place, row = int(origin[row, place]), row - 1
+    np.testing.assert_array_equal(path, follow_lines(cost, 5.0, 1e9, 0.75))

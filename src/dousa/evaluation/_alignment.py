@@ -15,14 +15,29 @@ from numpy.typing import NDArray
 from dousa.evaluation._working import Working
 from dousa.motion._types import FloatArray
 
-__all__ = ["Alignment", "Run", "align"]
+__all__ = [
+    "COARSE_RATE",
+    "JUMP_S",
+    "OUTSIDE",
+    "PAUSE",
+    "Alignment",
+    "Run",
+    "align",
+    "extrapolate",
+    "find_pauses",
+    "find_runs",
+    "pair_similarity",
+    "smooth_course",
+    "to_cost",
+]
 
-_COARSE_RATE = 10.0  # Hz
+COARSE_RATE = 10.0  # Hz
 _SMALL = 1.0 - np.cos(np.radians(8.0))  # dissimilarity of the same pose taken twice
 _LARGE = 25.0 * _SMALL  # about 40 deg: a larger dissimilarity says no more than this
-_JUMP_S = 2.5  # s of complete mismatch that are worth a new line
-_PAUSE = {"same": 1e9, "free": 0.35}  # of a frame's full cost
-_OUTSIDE = 0.75
+JUMP_S = 2.5  # s of complete mismatch that are worth a new line
+PAUSE = {"same": 1e9, "free": 0.35}  # of a frame's full cost
+OUTSIDE = 0.75
+_ENOUGH = 0.5  # of the shorter motion
 _SAME_LINE_S = 1.0  # s; lines nearer than this are one line and a lag
 _SAME_LONG_LINE_S = 0.6  # s; the same where both are long: who is late for good has stopped, not lagged
 _LONG_RUN_S = 4.0
@@ -77,7 +92,7 @@ def align(reference: Working, performance: Working, tempo: str, weights: FloatAr
     tempo : ``"same"`` (lines of slope one) or ``"free"`` (a curve, averaged over seconds).
     weights : (9,) of the segments.
     """
-    step = max(1, round(performance.frame_rate / _COARSE_RATE))
+    step = max(1, round(performance.frame_rate / COARSE_RATE))
     rate = performance.frame_rate / step
     # Performance frame of each row; its fractions matter only where the tempo is another.
     clock = np.arange(0, performance.n_frames, step, dtype=np.float64)
@@ -87,16 +102,16 @@ def align(reference: Working, performance: Working, tempo: str, weights: FloatAr
         slope = _measure_slope(course)
         clock = np.arange(0.0, performance.n_frames, step / slope)
         cost, course = _follow(reference, performance, clock, step, tempo, weights)
-        course = np.where(_find_pauses(course, rate), -1, course)
-    runs = _find_runs(course, rate)
+        course = np.where(find_pauses(course, rate), -1, course)
+    runs = find_runs(course, rate)
     starts = [int(np.ceil(clock[run.start])) for run in runs]
     edges = [0, *starts[1:], performance.n_frames]
     frames = np.empty(performance.n_frames)
     for run, (first, last) in zip(runs, pairwise(edges), strict=True):
         here = np.arange(first, last, dtype=np.float64)
         if tempo == "free":
-            line = _smooth_course(course, run, rate)
-            frames[first:last] = _extrapolate(here, clock[run.start : run.end], line * step)
+            line = smooth_course(course, run, rate)
+            frames[first:last] = extrapolate(here, clock[run.start : run.end], line * step)
         else:
             frames[first:last] = here + _refine(run, step, reference, performance, weights)
     ends = edges[1:]
@@ -104,7 +119,7 @@ def align(reference: Working, performance: Working, tempo: str, weights: FloatAr
         Run(start, end, float(frames[start] - start)) for start, end in zip(starts, ends, strict=True)
     )
     on_clock = np.interp(clock, np.arange(performance.n_frames), frames) / step
-    mismatch = float(_costs_at(on_clock, cost).mean())
+    mismatch = _measure_mismatch(on_clock, cost)
     return Alignment(frames, final, mismatch, _measure_tempo(frames, final))
 
 
@@ -124,9 +139,9 @@ def _follow(
     similarity = compute_correlation_matrix(
         performance.segments[rows], reference.segments[::step], weights=weights
     )
-    cost = _to_cost(similarity)
+    cost = to_cost(similarity)
     rate = performance.frame_rate / step
-    return cost, follow_lines(cost, _JUMP_S * rate, _PAUSE[tempo], _OUTSIDE)
+    return cost, follow_lines(cost, JUMP_S * rate, PAUSE[tempo], OUTSIDE)
 
 
 def _measure_slope(course: np.ndarray) -> float:
@@ -140,7 +155,7 @@ def _measure_slope(course: np.ndarray) -> float:
     return float(np.clip(np.median(slopes), *_SLOPES)) if len(slopes) else 1.0
 
 
-def _find_pauses(course: np.ndarray, rate: float) -> NDArray[np.bool_]:
+def find_pauses(course: np.ndarray, rate: float) -> NDArray[np.bool_]:
     """Rows in which the course rests in the reference for a second and more: the performer waits."""
     length = max(2, round(_PAUSE_S * rate))
     paused = np.zeros(len(course), bool)
@@ -152,7 +167,7 @@ def _find_pauses(course: np.ndarray, rate: float) -> NDArray[np.bool_]:
     return paused
 
 
-def _extrapolate(x: FloatArray, known: FloatArray, values: FloatArray) -> FloatArray:
+def extrapolate(x: FloatArray, known: FloatArray, values: FloatArray) -> FloatArray:
     """Linear interpolation that goes on beyond both ends at the mean slope."""
     found = np.interp(x, known, values)
     slope = (values[-1] - values[0]) / (known[-1] - known[0]) if len(known) > 1 else 1.0
@@ -160,19 +175,22 @@ def _extrapolate(x: FloatArray, known: FloatArray, values: FloatArray) -> FloatA
     return np.where(x > known[-1], values[-1] + slope * (x - known[-1]), found)
 
 
-def _to_cost(similarity: NDArray[np.floating]) -> FloatArray:
+def to_cost(similarity: NDArray[np.floating]) -> FloatArray:
     """0 for equal poses, 1 for poses with nothing in common; steep at first, so that the most frames decide."""
     cost: FloatArray = np.log1p(np.clip(1.0 - similarity, 0.0, _LARGE) / _SMALL) / np.log1p(_LARGE / _SMALL)
     return cost
 
 
-def _costs_at(frames: FloatArray, cost: FloatArray) -> FloatArray:
+def _measure_mismatch(frames: FloatArray, cost: FloatArray) -> float:
+    """Mean cost where the lines run inside the reference; of everything if that is too little to tell."""
     inside = (frames >= -0.5) & (frames <= cost.shape[1] - 0.5)
     columns = np.clip(np.rint(frames).astype(np.intp), 0, cost.shape[1] - 1)
-    return np.where(inside, cost[np.arange(len(frames)), columns], _OUTSIDE)
+    costs = np.where(inside, cost[np.arange(len(frames)), columns], OUTSIDE)
+    enough = inside.sum() >= _ENOUGH * min(cost.shape)
+    return float(costs[inside].mean() if enough else costs.mean())
 
 
-def _find_runs(course: np.ndarray, rate: float) -> list[Run]:
+def find_runs(course: np.ndarray, rate: float) -> list[Run]:
     """Lines of the course; what goes away from a line and comes back to it is one line (and an error on it)."""
     on = np.flatnonzero(course >= 0)
     if len(on) == 0:
@@ -246,15 +264,15 @@ def _diagonal_costs(
         there = frames + shift
         inside = (there >= 0) & (there < reference.n_frames)
         if inside.any():
-            similarity = _pair_similarity(
+            similarity = pair_similarity(
                 performance.segments[frames[inside]], reference.segments[there[inside]], weights
             )
-            total = _to_cost(similarity).sum() + _OUTSIDE * (~inside).sum()
+            total = to_cost(similarity).sum() + OUTSIDE * (~inside).sum()
             costs[i] = total / len(frames)
     return costs
 
 
-def _pair_similarity(a: FloatArray, b: FloatArray, weights: FloatArray) -> FloatArray:
+def pair_similarity(a: FloatArray, b: FloatArray, weights: FloatArray) -> FloatArray:
     """S of the spec, pose by pose."""
     across = (a[..., 2] + 1j * a[..., 0]) * (b[..., 2] - 1j * b[..., 0])
     upright = a[..., 1] * b[..., 1]
@@ -262,7 +280,7 @@ def _pair_similarity(a: FloatArray, b: FloatArray, weights: FloatArray) -> Float
     return similarity
 
 
-def _smooth_course(course: np.ndarray, run: Run, rate: float) -> FloatArray:
+def smooth_course(course: np.ndarray, run: Run, rate: float) -> FloatArray:
     """Reference frames of a run's frames, averaged over seconds about a robust straight line."""
     frames = np.arange(run.start, run.end, dtype=np.float64)
     on = course[run.start : run.end] >= 0

@@ -1,6 +1,8 @@
 """Curves over the performance's frames: distances, angles, facing, and what each furi makes of them.
 
-Everything compares the performance with the reference on the same clock, after one turn about the vertical.
+Everything compares the performance with the reference on the same clock, after one turn about the vertical. Both
+are turned onto the mean of a figure alike: by an angle of the reference that changes slowly, and by the yaw between
+the two. Pose by pose, a near-vertical one would be turned any way, and each of the two another way.
 """
 
 from __future__ import annotations
@@ -11,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from dousa.evaluation._turned import Turned, turn_reference
 from dousa.evaluation._types import PostureSequence
 from dousa.evaluation._working import interpolate_segments
 from dousa.evaluation.eigenspace import (
@@ -24,14 +27,13 @@ from dousa.evaluation.posture import SEGMENTS
 from dousa.evaluation.yaw import estimate_robust_yaw, rotate_yaw
 from dousa.motion._types import FloatArray
 
-__all__ = ["Curves", "compare_poses", "compute_curves"]
+__all__ = ["Curves", "compare_poses", "compute_curves", "take_off_median"]
 
 _YAW_WINDOW_S = 0.5
 _YAW_ROUNDS = 3
 _WRONG = (
     0.35  # chord (20 deg) from which a segment loses its say in the common yaw, as in estimate_robust_yaw
 )
-_PATH_MARGIN_S = 1.0  # who is late shows the end of the figure before: not a wrong pose
 _PATH_RATE = 60.0  # Hz, of the poses of the reference that the nearest one is chosen from
 _RANGE_WINDOW_S = 0.1
 _RANGE_RATE = 30.0  # Hz, after that smoothing
@@ -48,7 +50,8 @@ class Curves:
     ----------
     d_space : (T,) d#, distance from the furi's eigenspace (eq. 10, 11).
     d_within : (T,) d*, distance inside it at the same time (eq. 12-14).
-    d_path : (T,) distance to the nearest pose of the furi, any time of it and a second around it.
+    d_path : (T,) distance to the nearest pose of the furi, any time of it and a second around it; turned like the
+        moment that is resembled, so that who is late is on the path.
     facing : (T,) rad, heading against the reference's less its median, -pi to pi, to the own left.
     residual : (T, 9) rad, angle between each segment and the reference's at the same time.
     gain : (n_furi, 9) range of each segment as a share of the reference's.
@@ -56,6 +59,7 @@ class Curves:
     furi_index : (T,) number of the furi; -1 outside all.
     d_space_reference : (U,) largest d# that any take of the reference has at a frame of the first.
     d_within_reference : (U,) largest d* of the other takes against the first; nan with one take.
+    turn : (T,) rad that turns each pose of the performance onto the mean of its furi; nan without a distance.
     """
 
     d_space: FloatArray
@@ -68,6 +72,7 @@ class Curves:
     furi_index: NDArray[np.intp]
     d_space_reference: FloatArray
     d_within_reference: FloatArray
+    turn: FloatArray
 
 
 def compute_curves(
@@ -92,8 +97,10 @@ def compute_curves(
     furi : in frames of the reference.
     spaces : by label.
 
-    Source: Yamane and Shakunaga, eq. 7 to 14. Poses are turned by a yaw that one wrong limb cannot bend. A pose
-    with a segment that is not seen has no distance; its other segments keep their residuals.
+    Source: Yamane and Shakunaga, eq. 7 to 14. They turn every pose by itself; here the reference is turned onto the
+    mean by an angle that changes slowly, the performance by that less the yaw from the reference to it, which one
+    wrong limb cannot bend. A pose with a segment that is not seen has no distance; its other segments keep their
+    residuals.
     """
     frames = _find_frames(same_time, reference)
     inside = (frames >= -0.5) & (frames <= reference.n_frames - 0.5)
@@ -103,28 +110,39 @@ def compute_curves(
     there = interpolate_segments(reference.segments, frames)
     residual, yaw = compare_poses(there, performance.segments, judged, performance.frame_rate)
     distances = np.full((3, len(frames)), np.nan)
+    turn = np.full(len(frames), np.nan)
     references = np.full((2, reference.n_frames), np.nan)
     whole: NDArray[np.bool_] = np.all(judged, axis=1)
+    late_frames, late_yaw = _find_resembled(reference, performance, matched_time, frames, yaw)
+    takes = [_turn_take(reference, take) for take in more_references]
     for number, figure in enumerate(furi):
         space = spaces[figure.label]
-        turned = _turn_reference(reference, figure, space)
+        turned = turn_reference(reference, figure, space)
         here = np.flatnonzero((index == number) & whole)
+        angle = turned.find_turn(frames[here])
+        turn[here] = angle - yaw[here]
         distances[:, here] = _measure_distances(
-            space, turned, there[here], performance.segments[here], reference.frame_rate
+            space,
+            turned,
+            rotate_yaw(there[here], angle),
+            rotate_yaw(performance.segments[here], turn[here]),
+            turned.find_turn(late_frames[here]) - late_yaw[here] - turn[here],
+            reference.frame_rate,
         )
-        references[:, figure.start : figure.end] = _measure_takes(space, turned, figure, more_references)
+        references[:, figure.start : figure.end] = _measure_takes(space, turned, figure, takes)
     lag_by_furi = _take_medians(np.asarray(same_time) - matched_time, index, len(furi))
     return Curves(
         d_space=distances[0],
         d_within=distances[1],
         d_path=distances[2],
-        facing=_take_off_median(yaw),
+        facing=take_off_median(yaw),
         residual=residual,
         gain=_measure_gains(reference, performance, same_time, lag_by_furi, furi, spaces),
         lag_by_furi=lag_by_furi,
         furi_index=index,
         d_space_reference=references[0],
         d_within_reference=references[1],
+        turn=turn,
     )
 
 
@@ -179,7 +197,7 @@ def _smooth_turn(values: NDArray[np.complex128], half: int) -> NDArray[np.comple
     return np.divide(summed, size, out=np.ones_like(summed), where=size > 1e-9)
 
 
-def _take_off_median(yaw: FloatArray) -> FloatArray:
+def take_off_median(yaw: FloatArray) -> FloatArray:
     """Angles against their median, from above -pi to pi."""
     known = np.isfinite(yaw)
     if not known.any():
@@ -213,36 +231,44 @@ def _find_furi_index(
     return np.where(inside, of_frame[np.rint(frames).astype(np.intp)], -1)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Turned:
-    """Reference poses of a furi and a second around it, turned onto the furi's mean."""
+def _find_resembled(
+    reference: PostureSequence,
+    performance: PostureSequence,
+    matched_time: FloatArray,
+    frames: FloatArray,
+    yaw: FloatArray,
+) -> tuple[FloatArray, FloatArray]:
+    """(T,) reference frames that are resembled, and (T,) rad that turn them onto the performance.
 
-    segments: FloatArray
-    seen: NDArray[np.bool_]  # (n,) all segments
-    first: int  # frame of the reference
-
-    def find(self, figure: Furi) -> slice:
-        return slice(figure.start - self.first, figure.end - self.first)
-
-
-def _turn_reference(reference: PostureSequence, figure: Furi, space: Eigenspace) -> _Turned:
-    margin = round(_PATH_MARGIN_S * reference.frame_rate)
-    part = slice(max(figure.start - margin, 0), min(figure.end + margin, reference.n_frames))
-    seen: NDArray[np.bool_] = np.all(reference.seen[part], axis=1)
-    return _Turned(space.align(reference.segments[part]), seen, part.start)
+    Where nothing is resembled, those of the same time.
+    """
+    matched = _find_frames(matched_time, reference)
+    matched = np.clip(np.where(np.isfinite(matched), matched, frames), 0.0, reference.n_frames - 1.0)
+    there = interpolate_segments(reference.segments, matched)
+    judged = performance.seen & _look_up_seen(reference, matched)
+    found = compare_poses(there, performance.segments, judged, performance.frame_rate)[1]
+    known = np.isfinite(found)
+    return np.where(known, matched, frames), np.where(known, found, yaw)
 
 
 def _measure_distances(
-    space: Eigenspace, turned: _Turned, reference: FloatArray, performance: FloatArray, frame_rate: float
+    space: Eigenspace,
+    turned: Turned,
+    theirs: FloatArray,
+    ours: FloatArray,
+    further: FloatArray,
+    frame_rate: float,
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """d#, d* and the distance to the path of (n, 9, 3) poses of the performance, (n,) each."""
-    ours, theirs = space.align(performance), space.align(reference)
+    """d#, d* and the distance to the path of (n, 9, 3) poses that are turned onto the mean, (n,) each.
+
+    Poses are turned ``further`` (n,) rad for the path.
+    """
     # Between the frames of the path the reference itself would be a little off it.
     nearest: FloatArray = np.linalg.norm((ours - theirs).reshape(len(ours), 27), axis=1)
     step = max(1, int(frame_rate // _PATH_RATE))
     path = turned.segments[::step][turned.seen[::step]]
     if len(path):
-        nearest = np.minimum(nearest, compute_distance_to_path(space, path, ours))
+        nearest = np.minimum(nearest, compute_distance_to_path(space, path, rotate_yaw(ours, further)))
     return (
         compute_distance_from_space(space, ours),
         compute_distance_within(space, theirs, ours),
@@ -331,17 +357,28 @@ def _spread_directions(count: int) -> FloatArray:
 _DIRECTIONS = _spread_directions(_N_DIRECTIONS)
 
 
+def _turn_take(first: PostureSequence, take: PostureSequence) -> tuple[FloatArray, NDArray[np.bool_]]:
+    """A further take turned onto the first (T, 9, 3), and (T,) where both are seen."""
+    judged = first.seen & take.seen
+    yaw = compare_poses(first.segments, take.segments, judged, first.frame_rate)[1]
+    return rotate_yaw(take.segments, -np.nan_to_num(yaw)), np.all(judged, axis=1)
+
+
 def _measure_takes(
-    space: Eigenspace, turned: _Turned, figure: Furi, more_references: Sequence[PostureSequence]
+    space: Eigenspace,
+    turned: Turned,
+    figure: Furi,
+    takes: Sequence[tuple[FloatArray, NDArray[np.bool_]]],
 ) -> tuple[FloatArray, FloatArray]:
     """Largest d# of all takes and d* of the others against the first, a value a frame of the figure."""
-    first, seen = turned.segments[turned.find(figure)], turned.seen[turned.find(figure)]
+    here, part = turned.find(figure), slice(figure.start, figure.end)
+    first, seen = turned.segments[here], turned.seen[here]
     d_space = np.where(seen, compute_distance_from_space(space, first), np.nan)
     d_within = np.full(len(first), np.nan)
-    for take in more_references:
-        part = slice(figure.start, figure.end)
-        other = space.align(take.segments[part])
-        both = seen & take.seen[part].all(axis=1)
-        d_space = np.fmax(d_space, np.where(both, compute_distance_from_space(space, other), np.nan))
-        d_within = np.fmax(d_within, np.where(both, compute_distance_within(space, first, other), np.nan))
+    for segments, both in takes:
+        other = rotate_yaw(segments[part], turned.turn[here])
+        d_space = np.fmax(d_space, np.where(both[part], compute_distance_from_space(space, other), np.nan))
+        d_within = np.fmax(
+            d_within, np.where(both[part], compute_distance_within(space, first, other), np.nan)
+        )
     return d_space, d_within

@@ -15,11 +15,18 @@ from dousa.evaluation._working import Working, interpolate_segments
 from dousa.evaluation.yaw import rotate_yaw
 from dousa.motion._types import FloatArray
 
-__all__ = ["Deviations", "choose_nearest", "compute_deviations"]
+__all__ = [
+    "MAX_LAG_S",
+    "YAW_SCALE",
+    "YAW_WINDOW_S",
+    "Deviations",
+    "choose_nearest",
+    "compute_deviations",
+]
 
 MAX_LAG_S = 1.2
-_YAW_WINDOW_S = 0.6
-_SCALE = np.radians(12.0)  # chord from which a segment loses its say in the heading
+YAW_WINDOW_S = 0.6
+YAW_SCALE = np.radians(12.0)  # chord from which a segment loses its say in the heading
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -65,7 +72,7 @@ def compute_deviations(
     near = np.clip(np.rint(clock).astype(np.intp), 0, reference.n_frames - 1)
     # Before its start and after its end the reference stands still; errors are judged inside it only.
     seen = reference.seen[near]
-    half = max(1, round(0.5 * _YAW_WINDOW_S * performance.frame_rate))
+    half = max(1, round(0.5 * YAW_WINDOW_S * performance.frame_rate))
     squared, turn = measure_deviations(
         np.ascontiguousarray(performance.segments),
         moved,
@@ -73,7 +80,7 @@ def compute_deviations(
         seen,
         np.asarray(weights, np.float64),
         half,
-        _SCALE**2,
+        YAW_SCALE**2,
     )
     here = slice(reach, reach + count)
     judged = performance.seen & seen[here] & inside[here, None]

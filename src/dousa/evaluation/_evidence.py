@@ -15,6 +15,8 @@ from dousa.motion._types import FloatArray
 
 __all__ = [
     "CAP",
+    "LAG_CHANGE",
+    "LAG_PRICE",
     "LIMB_SEGMENTS",
     "SLACK_S",
     "Evidence",
@@ -34,13 +36,14 @@ SLACK_S = 0.07
 LIMB_SEGMENTS: tuple[NDArray[np.intp], ...] = tuple(np.array(indices) for indices in LIMBS.values())
 
 # All in units of one frame at 30 Hz with one segment at its tolerance.
-_LAG_CHANGE = 2.0  # price of one column of lag more or less
+LAG_CHANGE = 2.0  # price of one column of lag more or less
 LAG_PRICE = 0.15  # and of being late at all, a frame and column: of two explanations the nearer one
 _CHANGE = 8.0  # price of starting or ending a stretch
 _BODY = 0.45  # mean over all segments from which the body as a whole is off
 _LAG_EVIDENCE = 40.0  # what a lag must explain
 _SHORTEST_LAG_S = 0.2
 _BRIDGE_S = 0.25
+_TIE = 1e-3
 _APART_S = 0.3
 
 
@@ -105,17 +108,30 @@ def gather_evidence(
     """
     rate = 1.0 / deviations.step_s
     ratio = np.minimum(deviations.squared / tolerance**2, CAP) * weights
-    cost = ratio.sum(axis=2)
     center = deviations.center
+    _level_gaps(ratio, deviations)
+    cost = ratio.sum(axis=2)
     slack = min(max(1, round(slack_s * rate)), center)
-    change = _LAG_CHANGE * 30.0 / rate
-    near = follow_lag(np.ascontiguousarray(cost[:, center - slack : center + slack + 1]), change)
-    near = near.astype(np.intp) + center - slack
+    change = LAG_CHANGE * 30.0 / rate
     prices = LAG_PRICE * np.abs(np.arange(cost.shape[1]) - center) * (30.0 / rate)
+    # Where all lags are as good there is none.
+    forgiven = slice(center - slack, center + slack + 1)
+    near = follow_lag(cost[:, forgiven] + _TIE * prices[forgiven], change)
+    near = near.astype(np.intp) + center - slack
     course = follow_lag(cost + prices, change).astype(np.intp)
     ordinary = at_lag(ratio, near) * deviations.judged
     punctual = ratio[:, center] * deviations.judged
     return Evidence(deviations, tolerance, ratio, ordinary, punctual, course, near, slack_s, slack, rate)
+
+
+def _level_gaps(ratio: FloatArray, deviations: Deviations) -> None:
+    """Let what is not seen speak for no lag: as good as at the same time, or nothing if that is not judged."""
+    unseen = deviations.squared == 0.0
+    if not unseen.any():
+        return
+    center = deviations.center
+    np.copyto(ratio, ratio[:, center : center + 1], where=unseen)
+    np.copyto(ratio, 0.0, where=unseen[:, center : center + 1])
 
 
 def refine_lag(evidence: Evidence, course: NDArray[np.intp], first: int = 0) -> FloatArray:

@@ -29,14 +29,22 @@ _DOUBT = 0.15  # what a frame must be explained better to belong to the error
 _UNREACHED = 5.0  # squared ratio from which an extreme was not reached
 _UNREACHED_TURNING = 2.0  # and if the performance is late on the way there, and early on the way back
 _ON_PATH, _ON_PATH_SHARE, _OFF_PATH = 4.5, 0.55, 9.0
-_GAINS = (0.22, 0.86)  # below, a limb does nothing of the motion; above, it does it all
+_OFF_PATH_SEGMENT = 4.0
+_GAINS = (0.28, 0.86)  # below, a limb does nothing of the motion; above, it does it all
 _OFF_CENTER, _UNEXPLAINED = 1.5, 0.6
+_OFF_CENTER_CLEAR, _CLEAR = 3.0, 0.2  # what shrinks to its first pose, if shrinking explains nearly all
+_STEADY_S, _STEADY_SHARE, _IN_STEP = 0.07, 0.7, 2.5  # of a leap in time
+_LEAP_S, _LEAP_LASTS_S = 0.15, 0.5  # a smaller or shorter one may be a turn that came too early
+# Of the stretch's length, and s: a moment from further away is another figure.
+_LONGEST_LAG, _LONGEST_LAG_S = 0.5, 0.6
 _GLOBAL_SHARE = 5 / 9  # of the segments that weigh anything
+_GLOBAL_LIMBS, _GLOBAL_SEGMENTS = 3, 4  # or so many, spread over the body
 _WRONG_SHARE = 0.6  # of the surprise's price, in the mean: the segment belongs to the error
 _LARGER, _LEAST_EXCESS = 1.2, np.radians(10.0)
 _SURELY_LATE = 1.15  # in multiples of what is forgiven
 _BY_TIME = ("shift", "stops short")
 _SHORTEST_S = 0.25
+_HELD = 0.35  # of the reference's range, unsteadiness included
 _FADE_S = 0.033
 _PLATEAU = 0.75  # of the largest lag: the rest is fading in and out
 _BODY = np.arange(9)
@@ -136,10 +144,15 @@ def _explain_by_time(evidence: Evidence, start: int, end: int, first: int, last:
     """Late or early; or on the path of the reference, but not to its end."""
     scale = _per_frame(evidence)
     ordinary = evidence.ordinary[first:last]
-    unreached = float(compute_unreached(evidence, start, end, first, last).max())
+    # Where a segment is off the path it is wrong: that the path's end is not reached says nothing then.
+    wrong = at_lag(evidence.ratio, evidence.course)[start:end] > _OFF_PATH_SEGMENT
+    unreached = float(np.where(wrong, 0.0, compute_unreached(evidence, start, end, first, last)).max())
     lag = refine_lag(evidence, evidence.course[start:end], start)
     turned_back = bool((lag > evidence.slack_s).any() and (lag < -evidence.slack_s).any())
-    if unreached >= (_UNREACHED_TURNING if turned_back else _UNREACHED):
+    missed = unreached >= (_UNREACHED_TURNING if turned_back else _UNREACHED)
+    if missed and not _keeps_its_lag(evidence, start, end):
+        if _holds_a_limb(evidence, start, end):
+            return []
         course, left = follow_path(evidence, first, last)
         if (left[start - first : end - first] < _ON_PATH).mean() < _ON_PATH_SHARE:
             return []
@@ -148,13 +161,38 @@ def _explain_by_time(evidence: Evidence, start: int, end: int, first: int, last:
     found = []
     near, far = evidence.center - evidence.slack, evidence.center + evidence.slack
     whole = evidence.course[first:last]
+    farthest = max(_LONGEST_LAG * (end - start), _LONGEST_LAG_S * evidence.rate)
     for course in (np.minimum(whole, far), np.maximum(whole, near)):
+        if abs(np.median(course[start - first : end - first]) - evidence.center) > farthest:
+            continue
         forgiven = np.abs(course - evidence.center) <= evidence.slack
         shifted = at_lag(evidence.ratio[first:last], course) * evidence.deviations.judged[first:last]
         left = np.where(forgiven[:, None], ordinary, shifted).sum(axis=1)
         cost = (left + evidence.lag_prices[course] / scale).sum() * scale + _PRICE
         found.append(_Hypothesis("shift", cost, left, course))
     return found
+
+
+def _holds_a_limb(evidence: Evidence, start: int, end: int) -> bool:
+    """Whether all that is wrong is one limb, which does next to nothing of what the reference's does."""
+    out = evidence.ordinary[start:end].mean(axis=0) > 1.0
+    limbs = [limb for limb in LIMB_SEGMENTS if out[limb].any()]
+    if len(limbs) != 1:
+        return False
+    theirs = measure_ranges(evidence.deviations.reference[start:end, limbs[0]])
+    ours = measure_ranges(evidence.deviations.performance[start:end, limbs[0]])
+    return bool(ours.max() < _HELD * theirs.max())
+
+
+def _keeps_its_lag(evidence: Evidence, start: int, end: int) -> bool:
+    """Whether a stretch is one steady lag: a leap in time skips an extreme, or comes too late for it, yet moves on."""
+    course = evidence.course[start:end]
+    typical = round(float(np.median(course)))
+    steady = np.abs(course - typical) <= _STEADY_S * evidence.rate
+    left = at_lag(evidence.ratio[start:end], course).sum(axis=1)
+    leap = abs(typical - evidence.center) > max(evidence.slack, _LEAP_S * evidence.rate - 0.5)
+    lasts = end - start >= _LEAP_LASTS_S * evidence.rate
+    return bool(leap and lasts and (steady & (left < _IN_STEP)).mean() > _STEADY_SHARE)
 
 
 def _explain_by_size(evidence: Evidence, start: int, end: int, first: int, last: int) -> list[_Hypothesis]:
@@ -166,7 +204,8 @@ def _explain_by_size(evidence: Evidence, start: int, end: int, first: int, last:
     for group in GROUPS.values():
         tolerance = evidence.tolerance[group]
         fit = fit_gain(ours[start:end, group], theirs[start:end, group], tolerance)
-        plausible = _GAINS[0] < fit.gain < _GAINS[1] and fit.off_center < _OFF_CENTER
+        off_center = _OFF_CENTER_CLEAR if fit.unexplained < _CLEAR else _OFF_CENTER
+        plausible = _GAINS[0] < fit.gain < _GAINS[1] and fit.off_center < off_center
         if not plausible or fit.unexplained > _UNEXPLAINED:
             continue
         rest = fit.compute_rest(ours[first:last, group], theirs[first:last, group], tolerance)
@@ -273,8 +312,11 @@ def _report_limbs(evidence: Evidence, best: _Hypothesis, start: int, end: int, f
     wrong = np.flatnonzero(inside.mean(axis=0) > _WRONG_SHARE * _SURPRISE)
     if not len(wrong):
         wrong = np.array([int(inside.mean(axis=0).argmax())])
-    judged = np.flatnonzero(evidence.ratio.any(axis=(0, 1)))
-    kind = "global" if len(wrong) >= max(_GLOBAL_SHARE * len(judged), 2.0) else "partial"
+    limbs = [limb for limb in LIMB_SEGMENTS if np.isin(limb, wrong).any()]
+    weighing = np.flatnonzero(evidence.ratio.any(axis=(0, 1)))
+    most = len(wrong) >= _GLOBAL_SHARE * len(weighing) and len(limbs) >= 2
+    whole = most or (len(limbs) >= _GLOBAL_LIMBS and len(wrong) >= _GLOBAL_SEGMENTS)
+    kind = "global" if whole else "partial"
     if kind == "global":
         wrong = _BODY
     severity, worst = _severity(evidence, start, end, wrong)

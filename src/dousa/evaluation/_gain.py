@@ -85,17 +85,20 @@ def fit_gain(performance: FloatArray, reference: FloatArray, tolerance: FloatArr
 
     Returns
     -------
-    The better of two fits: vectors shrink (as an average of two postures does), or angles shrink (as joints do).
+    The best of four fits: vectors shrink (as an average of two postures does), or angles do (as joints do), seen from
+    the mean direction, from the direction at the beginning, or from that of a hanging limb.
     """
-    fits = [_fit(performance, reference, tolerance, chord) for chord in (True, False)]
+    middle = reference.mean(axis=0)
+    middle = middle / np.maximum(np.linalg.norm(middle, axis=1, keepdims=True), 1e-9)
+    hanging = np.broadcast_to(np.array([0.0, -1.0, 0.0]), middle.shape)
+    fits = [_fit(performance, reference, tolerance, middle, True)]
+    fits += [_fit(performance, reference, tolerance, pole, False) for pole in (middle, reference[0], hanging)]
     return min(fits, key=lambda pair: pair[0])[1]
 
 
 def _fit(
-    performance: FloatArray, reference: FloatArray, tolerance: FloatArray, chord: bool
+    performance: FloatArray, reference: FloatArray, tolerance: FloatArray, pole: FloatArray, chord: bool
 ) -> tuple[float, GainFit]:
-    pole = reference.mean(axis=0)
-    pole = pole / np.maximum(np.linalg.norm(pole, axis=1, keepdims=True), 1e-9)
     theirs = reference if chord else _to_tangent(pole, reference)
     ours = performance if chord else _to_tangent(pole, performance)
     trust = np.ones(len(theirs))

@@ -7,48 +7,45 @@ from numba import njit
 
 from dousa.motion._types import FloatArray
 
-__all__ = ["follow_lag", "follow_lines", "switch_on"]
+__all__ = ["extend_lines", "follow_lag", "follow_lines", "switch_on"]
 
 
 @njit(cache=True, nogil=True)
-def follow_lines(  # noqa: PLR0912, PLR0915 - one compiled loop
-    cost: FloatArray, jump: float, pause: float, outside: float
-) -> np.ndarray:  # pragma: no cover - compiled
-    """Reference frame of every performance frame on the cheapest sequence of lines.
+def extend_lines(
+    cost: FloatArray,
+    best: FloatArray,
+    outside_costs: FloatArray,
+    jump: float,
+    pause: float,
+    outside: float,
+    origin: np.ndarray,
+    ended: np.ndarray,
+) -> None:  # pragma: no cover - compiled
+    """Carry the cheapest sequences of lines on by frames that are new; before the first all of ``best`` is infinite.
 
     Parameters
     ----------
-    cost : (T, U) of performance frame against reference frame, 0 to 1.
+    cost : (n, U) of the new performance frames against the reference frames.
+    best : (U,) price of the cheapest sequence of lines that ends at each reference frame; in place.
+    outside_costs : (2,) price of being before the lines so far, and of being after them; in place.
     jump : price of leaving a line for any other.
     pause : price of staying at a reference frame, or of leaving one out, for one frame.
     outside : price a frame of being before the first or after the last line.
-
-    Returns
-    -------
-    (T,) reference frames; -1 before the first and after the last line.
+    origin : (n, U) out, reference frame that each is reached from; -1 from before the lines.
+    ended : (n,) out, reference frame after which the lines ended at this frame; -2 if they did before.
     """
-    n_frames, n_reference = cost.shape
-    origin = np.empty((n_frames, n_reference), np.int32)
-    best = np.empty(n_reference)
+    n_reference = len(best)
     now = np.empty(n_reference)
-    left = np.empty(n_frames)  # price of being outside after the lines, and where they ended
-    last = np.empty(n_frames, np.int32)
-    for r in range(n_reference):
-        best[r] = cost[0, r]
-        origin[0, r] = -1
-    left[0] = outside
-    last[0] = -1
-    before = outside
-    for t in range(1, n_frames):
+    for t in range(len(cost)):
         cheapest = 0
         for r in range(1, n_reference):
             if best[r] < best[cheapest]:
                 cheapest = r
-        left[t] = left[t - 1] + outside
-        last[t] = -2
-        if best[cheapest] + outside < left[t]:
-            left[t] = best[cheapest] + outside
-            last[t] = cheapest
+        outside_costs[1] += outside
+        ended[t] = -2
+        if best[cheapest] + outside < outside_costs[1]:
+            outside_costs[1] = best[cheapest] + outside
+            ended[t] = cheapest
         for r in range(n_reference):
             value = best[cheapest] + jump
             source = cheapest
@@ -61,25 +58,45 @@ def follow_lines(  # noqa: PLR0912, PLR0915 - one compiled loop
             if r >= 2 and best[r - 2] + pause < value:
                 value = best[r - 2] + pause
                 source = r - 2
-            if before < value:
-                value = before
+            if outside_costs[0] < value:
+                value = outside_costs[0]
                 source = -1
             now[r] = value + cost[t, r]
             origin[t, r] = source
-        best, now = now, best
-        before += outside
+        for r in range(n_reference):
+            best[r] = now[r]
+        outside_costs[0] += outside
+
+
+@njit(cache=True, nogil=True)
+def follow_lines(
+    cost: FloatArray, jump: float, pause: float, outside: float
+) -> np.ndarray:  # pragma: no cover - compiled
+    """Reference frame of every performance frame on the cheapest sequence of lines.
+
+    Parameters
+    ----------
+    cost : (T, U) of performance frame against reference frame, 0 to 1.
+    jump, pause, outside : prices, as in `extend_lines`.
+
+    Returns
+    -------
+    (T,) reference frames; -1 before the first and after the last line.
+    """
+    n_frames, n_reference = cost.shape
+    best = np.full(n_reference, np.inf)
+    outside_costs = np.zeros(2)
+    origin = np.empty((n_frames, n_reference), np.int32)
+    ended = np.empty(n_frames, np.int32)
+    extend_lines(cost, best, outside_costs, jump, pause, outside, origin, ended)
     path = np.full(n_frames, -1, np.int32)
-    r = 0
-    for other in range(1, n_reference):
-        if best[other] < best[r]:
-            r = other
-    t = n_frames - 1
-    if left[t] < best[r]:
-        while t >= 0 and last[t] == -2:
+    r, t = np.argmin(best), n_frames - 1
+    if outside_costs[1] < best[r]:
+        while t >= 0 and ended[t] == -2:
             t -= 1
-        if t < 0 or last[t] == -1:
+        if t < 0:
             return path
-        r = last[t]
+        r = ended[t]
         t -= 1
     while t >= 0 and r >= 0:
         path[t] = r

@@ -17,10 +17,21 @@ from dousa.evaluation.scoring import compute_deviation
 from dousa.evaluation.thresholds import Tolerance, measure_unsteadiness, widen
 from dousa.motion._types import FloatArray
 
-__all__ = ["Comparison", "ReferenceTakes", "compare", "find_errors", "prepare_references"]
+__all__ = [
+    "MOST_DEVIATION",
+    "MOST_MISMATCH",
+    "Comparison",
+    "ReferenceTakes",
+    "compare",
+    "find_errors",
+    "prepare_references",
+]
 
-_DOUBT = 0.9  # few takes show little of what may still be done: 1.9 times with two takes, 1.2 times with five
+_DOUBT = 1.2  # few takes show little of what may still be done: 2.2 times with two takes, 1.3 times with five
 _N_ROUNDS = 14
+MOST_MISMATCH, MOST_DEVIATION = 0.85, 40.0
+"""Along the lines (0 to 1), and degrees: motions that differ more have nothing in common."""
+
 _MOST_LAG_S = 1.0
 _MOST_ANGLE = np.radians(40.0)  # takes that differ more than this are not takes of one thing
 
@@ -36,6 +47,7 @@ class ReferenceTakes:
     warped : (N - 1) further takes at the full rate, warped onto the first.
     tolerance : learned from the takes; None if there is one only.
     deviations : (N - 1) degrees, mean deviation of each further take from the first.
+    left_out : numbers, from 1, of takes that are not like the first.
     """
 
     postures: PostureSequence
@@ -43,6 +55,7 @@ class ReferenceTakes:
     warped: tuple[PostureSequence, ...]
     tolerance: Tolerance | None
     deviations: tuple[float, ...]
+    left_out: tuple[int, ...] = ()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -71,15 +84,21 @@ def prepare_references(takes: Sequence[PostureSequence], tempo: str, weights: Fl
     weights : (9,) of the segments, those above 0 of mean 1.
     """
     first = takes[0]
-    warped = tuple(_warp(first, take, weights) for take in takes[1:])
-    working = (thin_postures(first), *(thin_postures(take) for take in warped))
-    tolerance = None
+    clock = (thin_postures(first),)
     unwarped = [thin_postures(take) for take in takes[1:]]
-    if unwarped:
-        tolerance = _learn(working, unwarped, tempo, weights)
-    alone = [compare(working[:1], take, tempo, weights).from_first for take in unwarped]
-    deviations = tuple(compute_deviation(angles, weights) for angles in alone)
-    return ReferenceTakes(first, working, warped, tolerance, deviations)
+    alone = [compare(clock, take, tempo, weights) for take in unwarped]
+    apart = [compute_deviation(one.from_first, weights) for one in alone]
+    like = [
+        i
+        for i, (one, angle) in enumerate(zip(alone, apart, strict=True))
+        if one.alignment.mismatch <= MOST_MISMATCH and angle <= MOST_DEVIATION
+    ]
+    warped = tuple(_warp(first, takes[i + 1], weights) for i in like)
+    working = (*clock, *(thin_postures(take) for take in warped))
+    tolerance = _learn(working, [unwarped[i] for i in like], tempo, weights) if like else None
+    deviations = tuple(apart[i] for i in like)
+    left_out = tuple(i + 2 for i in range(len(unwarped)) if i not in like)
+    return ReferenceTakes(first, working, warped, tolerance, deviations, left_out)
 
 
 def _warp(first: PostureSequence, take: PostureSequence, weights: FloatArray) -> PostureSequence:

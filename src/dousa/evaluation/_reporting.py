@@ -10,7 +10,7 @@ from dousa.evaluation._alignment import align
 from dousa.evaluation._curves import Curves
 from dousa.evaluation._evidence import runs_of
 from dousa.evaluation._explain import Finding
-from dousa.evaluation._references import Comparison, ReferenceTakes
+from dousa.evaluation._references import MOST_DEVIATION, MOST_MISMATCH, Comparison, ReferenceTakes
 from dousa.evaluation._types import ErrorEvent, Lapse, PostureSequence
 from dousa.evaluation._warning_words import describe_warning
 from dousa.evaluation._working import Working, thin_postures
@@ -23,8 +23,7 @@ from dousa.motion._types import FloatArray
 __all__ = ["describe_findings", "describe_gaps", "describe_warnings"]
 
 _JOIN_S = 0.35
-_UNLIKE, _ALIKE = 0.85, 0.3  # mismatch along the lines
-_FAR_DEG = 40.0  # mean deviation from the reference
+_ALIKE = 0.3  # mismatch along the lines
 _MIRROR_BETTER = 0.6
 _TEMPO_OFF, _TEMPO_BETTER = 0.04, 0.8
 _TURNED, _TURNED_S = np.radians(40.0), 1.0
@@ -163,8 +162,9 @@ def describe_warnings(
 ) -> tuple[str, ...]:
     """What a person should know before believing the grade."""
     first, mismatch = references.working[0], comparison.alignment.mismatch
-    keys: list[tuple[str, float]] = []
-    unlike = mismatch > _UNLIKE or compute_deviation(comparison.from_first, weights) > _FAR_DEG
+    keys: list[tuple[str, float]] = [("left out", float(number)) for number in references.left_out]
+    deviation = compute_deviation(comparison.from_first, weights)
+    unlike = mismatch > MOST_MISMATCH or deviation > MOST_DEVIATION
     if unlike:
         keys.append(("unlike", mismatch))
     if mismatch > _ALIKE:
@@ -181,6 +181,8 @@ def describe_warnings(
             keys.append((key, 0.0))
     if not performance.seen.all():
         keys.append(("gaps", 100.0 * float(np.mean(~performance.seen))))
+    if not references.postures.seen.all():
+        keys.append(("reference gaps", 100.0 * float(np.mean(~references.postures.seen))))
     covered = np.zeros(references.postures.n_frames, np.bool_)
     for one in furi:
         covered[one.start : one.end] = True

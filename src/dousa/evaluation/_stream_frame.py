@@ -7,15 +7,15 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from dousa.evaluation._deviation import _SCALE, _YAW_WINDOW_S, MAX_LAG_S
-from dousa.evaluation._evidence import _LAG_CHANGE, CAP, LAG_PRICE
+from dousa.evaluation._deviation import MAX_LAG_S, YAW_SCALE, YAW_WINDOW_S
+from dousa.evaluation._evidence import CAP, LAG_CHANGE, LAG_PRICE
+from dousa.evaluation._turned import turn_reference
 from dousa.evaluation._types import PostureSequence
 from dousa.evaluation._working import Working
 from dousa.evaluation.eigenspace import Eigenspace
 from dousa.evaluation.furi import Furi
 from dousa.evaluation.posture import compute_segments
 from dousa.evaluation.thresholds import Tolerance
-from dousa.evaluation.yaw import _WITHOUT_LIMB, _WRONG
 from dousa.motion._types import FloatArray
 
 __all__ = ["FigureMeter", "LagWatcher", "PoseReader", "compare_with_reference"]
@@ -58,7 +58,7 @@ class LagWatcher:
         self._takes = [np.pad(one.segments, ends, mode="edge") for one in references]
         self._seen = [np.pad(one.seen, ends[:2], mode="edge") for one in references]
         # Of a window in the middle of time only the past is known.
-        self._length = max(1, round(0.5 * _YAW_WINDOW_S * self._rate))
+        self._length = max(1, round(0.5 * YAW_WINDOW_S * self._rate))
         self.forget()
 
     def forget(self) -> None:
@@ -91,7 +91,9 @@ class LagWatcher:
         for number, take in enumerate(self._takes):
             turns, past = self._turns[number], self._past[number, self._slot]
             turns -= past
-            compare_pose(pose, take[part], shares, self._seen[number][part], _SCALE**2, turns, past, squared)
+            compare_pose(
+                pose, take[part], shares, self._seen[number][part], YAW_SCALE**2, turns, past, squared
+            )
             least = squared.copy() if least is None else _choose_nearest(least, squared)
         assert least is not None
         self._slot = (self._slot + 1) % self._length
@@ -102,7 +104,7 @@ class LagWatcher:
         columns = np.arange(len(squared))
         scale = 30.0 / self._rate
         cost = np.minimum(squared / tolerance.angle**2, CAP) @ self._weights
-        change = _LAG_CHANGE * scale * columns
+        change = LAG_CHANGE * scale * columns
         # The cheapest way to each lag, a change by a column at its price: from below, and from above.
         rising = np.minimum.accumulate(self._best - change) + change
         falling = (np.minimum.accumulate((self._best + change)[::-1]))[::-1] - change
@@ -147,20 +149,26 @@ class FigureMeter:
         self.index = np.full(reference.n_frames, -1, np.intp)
         for number, one in enumerate(furi):
             self.index[one.start : one.end] = number
-        self._turned = [spaces[one.label].align(reference.segments[one.start : one.end]) for one in furi]
+        self._reference = reference.segments
+        # The turns of the reference are known in advance, so of every frame also those after it.
+        self._turns = []
+        for one in furi:
+            turned = turn_reference(reference, one, spaces[one.label])
+            self._turns.append(turned.turn[turned.find(one)])
 
-    def measure(self, pose: FloatArray, there: float) -> tuple[float, float]:
-        """Distance from the space and within it of a pose (9, 3) at a reference frame; nan outside all figures."""
-        from dousa.evaluation._stream_kernels import find_pose_yaw
+    def measure(self, pose: FloatArray, there: float, yaw: float) -> tuple[float, float]:
+        """Distance from the space and within it of a pose (9, 3) at a reference frame; nan outside all figures.
 
+        ``yaw`` rad turns the reference onto the pose.
+        """
         number = self.index[min(max(round(there), 0), len(self.index) - 1)]
         if number < 0:
             return np.nan, np.nan
-        figure, turned = self._furi[number], self._turned[number]
+        figure, turns = self._furi[number], self._turns[number]
         space = self._spaces[figure.label]
-        yaw = find_pose_yaw(space.mean, pose, _WITHOUT_LIMB, _WRONG**2) + space.bias
-        ours = (turn_pose(pose, yaw) - space.mean).reshape(-1)
-        theirs = (mix_poses(turned, there - figure.start) - space.mean).reshape(-1)
+        turn = _mix(turns, there - figure.start)
+        ours = (turn_pose(pose, turn - yaw) - space.mean).reshape(-1)
+        theirs = (turn_pose(mix_poses(self._reference, there), turn) - space.mean).reshape(-1)
         inside = ours @ space.axes
         outside = ours - space.axes @ inside
         within = inside - theirs @ space.axes
@@ -178,6 +186,14 @@ def mix_poses(segments: FloatArray, frame: float) -> FloatArray:
     mixed = segments[low] * (1.0 - share) + segments[low + 1] * share
     unit: FloatArray = mixed / np.maximum(np.sqrt((mixed * mixed).sum(axis=1, keepdims=True)), 1e-9)
     return unit
+
+
+def _mix(values: FloatArray, frame: float) -> float:
+    """The value at a fractional frame, ends held."""
+    frame = min(max(frame, 0.0), len(values) - 1.0)
+    low = int(frame)
+    high = min(low + 1, len(values) - 1)
+    return float(values[low] + (frame - low) * (values[high] - values[low]))
 
 
 def turn_pose(pose: FloatArray, yaw: float) -> FloatArray:

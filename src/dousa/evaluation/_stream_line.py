@@ -9,17 +9,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dousa.evaluation._alignment import (
-    _COARSE_RATE,
-    _JUMP_S,
-    _OUTSIDE,
-    _PAUSE,
+    COARSE_RATE,
+    JUMP_S,
+    OUTSIDE,
+    PAUSE,
     Run,
-    _extrapolate,
-    _find_pauses,
-    _find_runs,
-    _pair_similarity,
-    _smooth_course,
-    _to_cost,
+    extrapolate,
+    find_pauses,
+    find_runs,
+    pair_similarity,
+    smooth_course,
+    to_cost,
 )
 from dousa.evaluation._working import Working
 from dousa.motion._types import FloatArray
@@ -50,8 +50,8 @@ class _Diagonals:
         there = np.arange(self.counted, end)[:, None] + self.shifts
         inside = (there >= 0) & (there < reference.n_frames)
         poses = reference.segments[np.clip(there, 0, reference.n_frames - 1)]
-        cost = _to_cost(_pair_similarity(segments[self.counted : end, None], poses, weights))
-        self.costs += np.where(inside, cost, _OUTSIDE).sum(axis=0)
+        cost = to_cost(pair_similarity(segments[self.counted : end, None], poses, weights))
+        self.costs += np.where(inside, cost, OUTSIDE).sum(axis=0)
         self.counted = end
 
     def settle(self, middle: int, reach: int, *, prefer_zero: bool) -> float:
@@ -85,7 +85,7 @@ class LineFollower:
 
     def __init__(self, reference: Working, tempo: str, weights: FloatArray, offset: float | None) -> None:
         self._reference, self._tempo, self._weights, self._offset = reference, tempo, weights, offset
-        self._step = max(1, round(reference.frame_rate / _COARSE_RATE))
+        self._step = max(1, round(reference.frame_rate / COARSE_RATE))
         self._rate = reference.frame_rate / self._step
         coarse = reference.segments[:: self._step]
         self._best = np.full(len(coarse), np.inf)
@@ -112,7 +112,7 @@ class LineFollower:
         self._extend(segments)
         course = self._trace_back()
         if self._tempo == "free":
-            course = np.where(_find_pauses(course, self._rate), -1, course)
+            course = np.where(find_pauses(course, self._rate), -1, course)
         runs = self._choose_runs(course, count)
         starts = [0, *(run.start * self._step for run in runs[1:])]
         self._runs = []
@@ -139,24 +139,22 @@ class LineFollower:
         return there
 
     def _extend(self, segments: FloatArray) -> None:
-        from dousa.evaluation._stream_kernels import extend_lines
+        from dousa.evaluation._line_kernels import extend_lines
         from dousa.evaluation.correlation import compute_correlation_matrix
 
         rows = np.arange(len(self._course) * self._step, len(segments), self._step)
         if not len(rows):
             return
-        cost = _to_cost(
-            compute_correlation_matrix(segments[rows], self._coarse, weights=self._weights)
-        ).astype(np.float64)
+        cost = to_cost(compute_correlation_matrix(segments[rows], self._coarse, weights=self._weights))
         origin = np.empty((len(rows), len(self._coarse)), np.int32)
         ended = np.empty(len(rows), np.int32)
         extend_lines(
             cost,
             self._best,
             self._outside,
-            _JUMP_S * self._rate,
-            _PAUSE[self._tempo],
-            _OUTSIDE,
+            JUMP_S * self._rate,
+            PAUSE[self._tempo],
+            OUTSIDE,
             origin,
             ended,
         )
@@ -197,7 +195,7 @@ class LineFollower:
             around = self._best[max(zero - 3, 0) : zero + 4]
             if around.min() <= self._best[place] + _CLEAR:
                 return [Run(0, len(course), 0.0)]
-        return _find_runs(course, self._rate)
+        return find_runs(course, self._rate)
 
     def _refine(self, run: Run, start: int, end: int, segments: FloatArray) -> float:
         """Offset at the working rate, from all frames of the run."""
@@ -220,7 +218,7 @@ class LineFollower:
         begin = max(run.start, run.end - round(_TREND_S * self._rate))
         on = np.flatnonzero(self._shown[begin : run.end] >= 0)
         offset = float(self._shown[begin + on[0]] - begin - on[0]) if len(on) else run.offset
-        trend = _smooth_course(self._shown, Run(begin, run.end, offset), self._rate)
-        return _extrapolate(
+        trend = smooth_course(self._shown, Run(begin, run.end, offset), self._rate)
+        return extrapolate(
             frames, np.arange(begin, run.end, dtype=np.float64) * self._step, trend * self._step
         )

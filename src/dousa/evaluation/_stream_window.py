@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from dousa.evaluation._alignment import Alignment, Run
-from dousa.evaluation._deviation import _YAW_WINDOW_S, Deviations, choose_nearest, compute_deviations
+from dousa.evaluation._deviation import YAW_WINDOW_S, Deviations, choose_nearest, compute_deviations
 from dousa.evaluation._evidence import find_stretches, gather_evidence
 from dousa.evaluation._explain import Finding, explain
 from dousa.evaluation._lapses import find_lapses
@@ -50,7 +50,7 @@ class Window:
         self._references, self._line, self._weights = references, line, weights
         self._language = language
         self._rate = references.working[0].frame_rate
-        self._context = 4 * max(1, round(0.5 * _YAW_WINDOW_S * self._rate))
+        self._context = 4 * max(1, round(0.5 * YAW_WINDOW_S * self._rate))
         self._first = 0
         self._frames = np.empty(0)
         self._parts: Deviations | None = None

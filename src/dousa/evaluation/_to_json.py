@@ -41,6 +41,7 @@ def describe_assessment(assessment: Assessment) -> dict[str, Any]:
         "frame_rate": _number(assessment.frame_rate, 6),
         "n_references": int(assessment.n_references),
         "score_formula": assessment.score_formula,
+        "side": assessment.side,
         "tempo": _number(assessment.tempo, _SHARES),
         "facing_deg": _summarise_facing(assessment.facing),
         "lapses": [_describe_lapse(lapse) for lapse in assessment.lapses],

@@ -174,6 +174,7 @@ class Assessment:
     tempo : performance seconds per reference second.
     gaps : (start_s, end_s, segment name) of spans that were not seen and not judged.
     warnings : sentences.
+    side : ``"mirrored"`` if the performance was mirrored first: left and right are the reference's, then.
     """
 
     frame_rate: float
@@ -201,6 +202,7 @@ class Assessment:
     tempo: float
     gaps: tuple[tuple[float, float, str], ...] = ()
     warnings: tuple[str, ...] = field(default=())
+    side: str = "same"
 
     @property
     def times(self) -> FloatArray:

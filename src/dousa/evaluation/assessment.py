@@ -10,26 +10,26 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from dousa.errors import InvalidMotionError, OptionError
 from dousa.evaluation._curves import Curves, compute_curves
 from dousa.evaluation._evidence import Evidence, at_lag, gather_evidence, refine_lag, runs_of
+from dousa.evaluation._inputs import check_seen, check_takes, pool_takes, scale_furi, spread_weights
 from dousa.evaluation._lapses import find_lapses
 from dousa.evaluation._references import Comparison, ReferenceTakes, compare, find_errors, prepare_references
 from dousa.evaluation._reporting import describe_findings, describe_gaps, describe_warnings
 from dousa.evaluation._types import Assessment, FuriAssessment, PostureSequence
+from dousa.evaluation._warning_words import describe_warning
 from dousa.evaluation._working import Working, thin_postures
 from dousa.evaluation.eigenspace import Eigenspace
 from dousa.evaluation.furi import Furi, find_furi, fit_furi_eigenspaces
-from dousa.evaluation.posture import LIMBS, SEGMENTS, compute_postures, mirror_postures
+from dousa.evaluation.posture import compute_postures, mirror_postures
 from dousa.evaluation.scoring import compute_deviation, compute_score
 from dousa.evaluation.thresholds import Tolerance, measure_unsteadiness
 from dousa.evaluation.words import check_language
 from dousa.motion import CanonicalMotion
 from dousa.motion._types import FloatArray
 
-__all__ = ["assess"]
+__all__ = ["assess", "judge"]
 
-_SHORTEST_S = 0.5
 _ABOVE = 1.05  # rounding, and frames between frames
 _UNLIKE, _FAILING_S = 2.0, 0.3  # mean squared multiple of what is tolerated, and for how long
 
@@ -66,7 +66,7 @@ def assess(
 
     Raises
     ------
-    InvalidMotionError : a motion shorter than half a second, no reference.
+    InvalidMotionError : a motion shorter than half a second, or seen for less; no reference.
     OptionError : an unknown side, tempo, language, segment, or a weight below 0; furi outside the reference.
 
     Source: Yamane and Shakunaga; the four classes and all numbers with a unit go beyond the paper, see
@@ -74,17 +74,20 @@ def assess(
     """
     takes = [reference] if isinstance(reference, CanonicalMotion) else list(reference)
     check_language(language)
-    _check(takes, performance, side, tempo)
-    shares = _spread_weights(weights)
+    check_takes(takes, performance, side, tempo)
+    shares = spread_weights(weights)
     titles = [*names, *[""] * (len(takes) + 1 - len(names))]
     played = compute_postures(performance, name=titles[len(takes)])
     if side == "mirrored":
         played = mirror_postures(played)
+    check_seen(played, "performance")
     rate = played.frame_rate
     postures = [compute_postures(take, rate, name) for take, name in zip(takes, titles, strict=False)]
+    for take in postures:
+        check_seen(take, "reference")
     references = prepare_references(postures, tempo, shares)
-    figures = _scale_furi(furi, takes[0], references.postures) if furi else find_furi(references.postures)
-    return judge(references, figures, played, tempo=tempo, weights=shares, language=language)
+    figures = scale_furi(furi, takes[0], references.postures) if furi else find_furi(references.postures)
+    return judge(references, figures, played, side=side, tempo=tempo, weights=shares, language=language)
 
 
 def judge(
@@ -92,6 +95,7 @@ def judge(
     furi: Sequence[Furi],
     performance: PostureSequence,
     *,
+    side: str = "same",
     tempo: str,
     weights: FloatArray,
     language: str,
@@ -102,7 +106,7 @@ def judge(
     tolerance = choose_tolerance(references, comparison)
     evidence = gather_evidence(comparison.deviations, tolerance.angle, tolerance.lag_s, weights)
     same, matched, lag = _make_clocks(comparison, evidence, working, performance, references.postures)
-    spaces = fit_furi_eigenspaces(references.postures, furi, more=_pool(references.warped, furi))
+    spaces = fit_furi_eigenspaces(references.postures, furi, more=pool_takes(references.warped, furi))
     curves = compute_curves(references.postures, references.warped, performance, same, matched, furi, spaces)
     lapses = find_lapses(comparison.alignment, references.working[0], working, language)
     events = describe_findings(
@@ -141,55 +145,14 @@ def judge(
         n_references=len(references.working),
         tempo=comparison.alignment.tempo,
         gaps=describe_gaps(performance),
-        warnings=describe_warnings(
-            references, furi, performance, working, comparison, curves, tempo, weights, language
+        warnings=(
+            *((describe_warning("sides", 0.0, language),) if side == "mirrored" else ()),
+            *describe_warnings(
+                references, furi, performance, working, comparison, curves, tempo, weights, language
+            ),
         ),
+        side=side,
     )
-
-
-def _check(takes: Sequence[CanonicalMotion], performance: CanonicalMotion, side: str, tempo: str) -> None:
-    if not takes:
-        raise InvalidMotionError("evaluation: expected at least one reference, got none")
-    if side not in ("same", "mirrored"):
-        raise OptionError(f"side: expected 'same' or 'mirrored', got {side!r}")
-    if tempo not in ("same", "free"):
-        raise OptionError(f"tempo: expected 'same' or 'free', got {tempo!r}")
-    for what, motion in (*(("reference", take) for take in takes), ("performance", performance)):
-        if motion.duration < _SHORTEST_S or motion.n_frames < 3:
-            raise InvalidMotionError(
-                f"{what}: expected a motion of at least {_SHORTEST_S} s and 3 frames, got {motion.n_frames} frames "
-                f"at {motion.frame_rate:g} Hz ({motion.duration:.2f} s)"
-            )
-
-
-def _spread_weights(weights: Mapping[str, float] | None) -> FloatArray:
-    """(9,) weights; those above 0 have a mean of 1, so that leaving limbs out makes nobody stricter with the rest."""
-    shares = np.ones(len(SEGMENTS))
-    for name, value in (weights or {}).items():
-        if name not in SEGMENTS and name not in LIMBS:
-            raise OptionError(f"weights: expected names of {', '.join((*SEGMENTS, *LIMBS))}, got {name!r}")
-        if not (np.isfinite(value) and value >= 0.0):
-            raise OptionError(f"weights: {name}: expected a number of 0 or more, got {value!r}")
-        shares[[SEGMENTS.index(name)] if name in SEGMENTS else list(LIMBS[name])] = value
-    if shares.sum() <= 0.0:
-        raise OptionError("weights: expected at least one weight above 0")
-    return shares / shares[shares > 0.0].mean()
-
-
-def _scale_furi(furi: Sequence[Furi], take: CanonicalMotion, postures: PostureSequence) -> tuple[Furi, ...]:
-    """Figures in frames of the resampled reference."""
-    ratio = postures.frame_rate / take.frame_rate
-    scaled = []
-    for one in furi:
-        if not 0 <= one.start < one.end <= take.n_frames:
-            raise OptionError(
-                f"furi: expected frames between 0 and {take.n_frames} of the reference, got {one.start} to {one.end}"
-            )
-        # However few frames there are, each figure has one.
-        start = min(round(one.start * ratio), postures.n_frames - 1)
-        end = min(round(one.end * ratio), postures.n_frames)
-        scaled.append(Furi(start, max(end, start + 1), one.label))
-    return tuple(scaled)
 
 
 def choose_tolerance(references: ReferenceTakes, comparison: Comparison) -> Tolerance:
@@ -241,20 +204,8 @@ def _measure_lag(evidence: Evidence) -> FloatArray:
     unlike = at_lag(evidence.ratio, course).mean(axis=1)
     window = np.ones(2 * round(0.5 * _FAILING_S * evidence.rate) + 1)
     unlike = np.convolve(unlike, window / len(window), mode="same")[: len(unlike)]
-    return np.where(unlike > _UNLIKE, np.nan, refine_lag(evidence, course))
-
-
-def _pool(warped: Sequence[PostureSequence], furi: Sequence[Furi]) -> dict[str, FloatArray]:
-    """Postures of the further takes by label."""
-    if not warped:
-        return {}
-    labels = dict.fromkeys(one.label for one in furi)
-    return {
-        label: np.concatenate(
-            [take.segments[one.start : one.end] for take in warped for one in furi if one.label == label]
-        )
-        for label in labels
-    }
+    unknown = (unlike > _UNLIKE) | ~evidence.deviations.judged.any(axis=1)
+    return np.where(unknown, np.nan, refine_lag(evidence, course))
 
 
 def _limit(tolerance: Tolerance, among: FloatArray, same_time: FloatArray) -> FloatArray:

@@ -88,8 +88,24 @@ class Eigenspace:
 
         Source: Yamane and Shakunaga, eq. 7. By default the angle is one that a wrong limb cannot bend.
         """
-        poses = check_segments(segments, "segments")
-        return rotate_yaw(poses, _estimate(poses, self.mean, self.yaw) + self.bias)
+        return rotate_yaw(segments, self.find_turn(segments))
+
+    def find_turn(self, segments: ArrayLike) -> FloatArray:
+        """The angles by which `align` turns postures.
+
+        Parameters
+        ----------
+        segments : (T, 9, 3) unit vectors, Y up.
+
+        Returns
+        -------
+        (T,) rad about +Y.
+
+        Raises
+        ------
+        InvalidMotionError : another shape, or missing values.
+        """
+        return _estimate(check_segments(segments, "segments"), self.mean, self.yaw) + self.bias
 
     def project(self, aligned: ArrayLike) -> FloatArray:
         """Coordinates of postures in the space.

@@ -25,6 +25,7 @@ __all__ = ["Furi", "find_furi", "fit_furi_eigenspaces", "name_label"]
 # Tuned on synthetic dances and on the recordings that are not held out.
 _ALIKE = 0.45  # figures are one if they are nearer to each other than this share of the motion within them
 _SAME = 0.01  # and so much, of 1 - S, that even two rests are apart
+_MOST_LEARNT = 1500  # postures that make an eigenspace where there are more
 _LENGTH_SLACK = 1.6  # figures whose lengths differ by a larger factor are two
 
 
@@ -142,7 +143,8 @@ def fit_furi_eigenspaces(
     Returns
     -------
     Eigenspaces by label, in order of appearance. Frames in which a segment is not seen are left out, unless all
-    frames of the label are like that.
+    frames of the label are like that. Of a label with more than 1,500 frames every second, third ... is taken, so
+    that at most 1,500 are: neighbours at a high frame rate say the same.
 
     Raises
     ------
@@ -167,5 +169,6 @@ def fit_furi_eigenspaces(
         postures = reference.segments[seen if len(seen) else chosen]
         if more is not None and label in more:
             postures = np.concatenate([postures, check_segments(more[label], f"more[{label!r}]")])
-        spaces[label] = fit_eigenspace(postures, contribution, yaw=yaw)
+        step = -(-len(postures) // _MOST_LEARNT)
+        spaces[label] = fit_eigenspace(postures[::step], contribution, yaw=yaw)
     return spaces

@@ -13,9 +13,16 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from dousa.errors import InvalidMotionError, OptionError
-from dousa.evaluation._curves import Curves, compare_poses
-from dousa.evaluation._curves import _take_off_median as take_off_median
+from dousa.evaluation._curves import Curves, compare_poses, take_off_median
 from dousa.evaluation._explain import Finding
+from dousa.evaluation._inputs import (
+    FEWEST_FRAMES,
+    SHORTEST_S,
+    check_takes,
+    pool_takes,
+    scale_furi,
+    spread_weights,
+)
 from dousa.evaluation._references import prepare_references
 from dousa.evaluation._reporting import describe_findings
 from dousa.evaluation._stream_frame import FigureMeter, LagWatcher, PoseReader, compare_with_reference
@@ -23,7 +30,7 @@ from dousa.evaluation._stream_line import LineFollower
 from dousa.evaluation._stream_window import Window
 from dousa.evaluation._types import Assessment, ErrorEvent, Lapse, PostureSequence
 from dousa.evaluation._working import WORKING_RATE, Working, interpolate_segments
-from dousa.evaluation.assessment import _check, _pool, _scale_furi, _spread_weights, judge
+from dousa.evaluation.assessment import judge
 from dousa.evaluation.furi import Furi, find_furi, fit_furi_eigenspaces
 from dousa.evaluation.posture import MIRRORED_SEGMENTS, SEGMENTS, compute_postures, mirror_postures
 from dousa.evaluation.words import check_language
@@ -38,7 +45,6 @@ _HOP_S = 1.0
 _LOOK_AHEAD_S = 2.0
 _REPLAYED_S = 0.5
 _MARGIN_S = 1.0
-_SHORTEST_S, _FEWEST = 0.5, 3
 _MOVED = 0.25  # frames by which the line must move for the lag to be followed anew
 _FLIP = np.array([-1.0, 1.0, 1.0])
 _N_JOINTS = len(CANONICAL_JOINTS)
@@ -112,16 +118,16 @@ class IncrementalAssessor:
         check_language(language)
         if not takes:
             raise InvalidMotionError("evaluation: expected at least one reference, got none")
-        _check(takes, takes[0], side, tempo)
-        self._weights = _spread_weights(weights)
+        check_takes(takes, takes[0], side, tempo)
+        self._weights = spread_weights(weights)
         self._rate, self._mirrored = float(frame_rate), side == "mirrored"
         self._tempo, self._language, self._look_ahead_s = tempo, language, look_ahead_s
         self._model = takes[0]
         postures = [compute_postures(take, self._rate) for take in takes]
         self._references = prepare_references(postures, tempo, self._weights)
         first = self._references.postures
-        self._furi = _scale_furi(furi, takes[0], first) if furi else find_furi(first)
-        more = _pool(self._references.warped, self._furi)
+        self._furi = scale_furi(furi, takes[0], first) if furi else find_furi(first)
+        more = pool_takes(self._references.warped, self._furi)
         spaces = fit_furi_eigenspaces(first, self._furi, more=more)
         self._figures = FigureMeter(first, tuple(self._furi), spaces)
         self._stride = self._references.working[0].stride
@@ -196,15 +202,16 @@ class IncrementalAssessor:
         ------
         InvalidMotionError : fewer than 3 frames or half a second.
         """
-        if self.n_frames < max(_FEWEST, _SHORTEST_S * self._rate):
+        if self.n_frames < max(FEWEST_FRAMES, SHORTEST_S * self._rate):
             raise InvalidMotionError(
-                f"performance: expected at least {_SHORTEST_S} s and {_FEWEST} frames before finish(), got "
+                f"performance: expected at least {SHORTEST_S} s and {FEWEST_FRAMES} frames before finish(), got "
                 f"{self.n_frames} frames at {self._rate:g} Hz ({self.n_frames / self._rate:.2f} s)"
             )
         return judge(
             self._references,
             self._furi,
             self._read_postures(0),
+            side="mirrored" if self._mirrored else "same",
             tempo=self._tempo,
             weights=self._weights,
             language=self._language,
@@ -262,7 +269,7 @@ class IncrementalAssessor:
         # Of the heading the usual difference so far is taken off.
         facing[first:] = take_off_median(np.concatenate([self._yaw.values, yaw]))[-len(yaw) :]
         none = np.empty(0)
-        curves = Curves(none, none, none, facing, residuals, none, none, index, none, none)
+        curves = Curves(none, none, none, facing, residuals, none, none, index, none, none, none)
         return describe_findings(
             found,
             self._window.lapses,
@@ -322,7 +329,7 @@ class IncrementalAssessor:
         if not np.isfinite(yaw):
             yaw = float(estimate_robust_yaw(pose, reference.segments[round(there)])[0])
         residual, whole_pose = compare_with_reference(reference, pose, seen, there, yaw)
-        d_space, d_within = self._figures.measure(pose, there) if whole_pose else (np.nan, np.nan)
+        d_space, d_within = self._figures.measure(pose, there, yaw) if whole_pose else (np.nan, np.nan)
         lag_s, same_s = self._watcher.lag_s, there / self._rate
         end_s = (reference.n_frames - 1) / self._rate
         return FrameState(

@@ -169,13 +169,13 @@ def _fill(positions: FloatArray) -> FloatArray:
 
 def _find_missing(recipe: Recipe, positions: FloatArray) -> NDArray[np.bool_]:
     """(T, 20) where what a joint is made from is not seen."""
-    unseen = np.isnan(positions).any(axis=2)
+    unseen: NDArray[np.bool_] = np.any(np.isnan(positions), axis=2)
     missing = unseen[:, recipe.gather]
     for row, indices, _ in recipe.blends:
         missing[:, row] = unseen[:, indices].any(axis=1)
     if recipe.pelvis_markers:
         markers = [index for indices in recipe.pelvis_markers for index in indices]
-        hips = unseen[:, markers].any(axis=1)
+        hips: NDArray[np.bool_] = np.any(unseen[:, markers], axis=1)
         missing[:, [J["pelvis"], J["left_hip"], J["right_hip"]]] |= hips[:, None]
     return missing
 

@@ -59,7 +59,7 @@ def build_page(assessment: Assessment, language: str, title: str | None = None) 
         "matrix": draw_matrix(assessment, words),
         "furi": build_furi(assessment, words, language),
         "moments": build_moments(assessment, words, language),
-        "reading": build_reading(words, language),
+        "reading": build_reading(assessment, words, language),
         "tables": build_tables(assessment, words, language),
         "files": _files(words),
         "data": format_player_data(_data(assessment, words, language)),

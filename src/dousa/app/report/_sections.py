@@ -176,7 +176,7 @@ def _facing(assessment: Assessment, event: ErrorEvent) -> float:
     return value if math.isfinite(value) else 0.0
 
 
-def build_reading(words: Mapping[str, str], language: str) -> str:
+def build_reading(assessment: Assessment, words: Mapping[str, str], language: str) -> str:
     """What the terms mean, in plain words."""
     pairs = [
         (element("b", None, words[f"read_{name}_term"]), words[f"read_{name}"])
@@ -192,5 +192,5 @@ def build_reading(words: Mapping[str, str], language: str) -> str:
         for term, text in pairs
     )
     return element("dl", {"class": "reading"}, inner=items) + element(
-        "p", {"class": "note"}, words["read_sides"]
+        "p", {"class": "note"}, words["read_sides" if assessment.side == "same" else "read_sides_mirrored"]
     )

@@ -174,6 +174,8 @@ _ENGLISH: dict[str, str] = {
     "read_lapse_term": "lapse",
     "read_lapse": "A stop, a figure left out, done twice, not begun or not ended: an error of order, not of form.",
     "read_sides": "Left and right are the dancer's own.",
+    "read_sides_mirrored": "The performance was mirrored: left and right are the reference's, and the pupil's own "
+    "are the other way round.",
     "font_missing": "The Japanese font could not be embedded ({reason}); Japanese text needs a font of this machine.",
     "made_by": "Made by dousa. Method: Yamane and Shakunaga, Quantitative evaluation of dance motion by eigenspace "
     "analysis, with the additions that its documentation names.",
