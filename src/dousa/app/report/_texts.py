@@ -19,7 +19,7 @@ _ENGLISH: dict[str, str] = {
     "calibrated": "calibrated with {count} takes of the reference",
     "uncalibrated": "not calibrated",
     "uncalibrated_note": "Takes of the reference: {count}. With so few the limits are guesses: compare this "
-    "grade with other grades of the same reference only. Five or more takes would calibrate it.",
+    "grade with other grades of the same reference only. Three takes calibrate it, five do so well.",
     "facts": "Facts",
     "fact_length": "Length",
     "fact_length_value": "{performance} (reference {reference})",
