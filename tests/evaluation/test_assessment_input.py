@@ -24,6 +24,7 @@ from oracles.wrong_dances import (
 
 from dousa.errors import InvalidMotionError, OptionError
 from dousa.evaluation import Assessment, assess
+from dousa.evaluation._inputs import spread_weights
 from dousa.evaluation.posture import SEGMENTS
 from dousa.formats import read_motion
 from dousa.motion import CanonicalMotion, canonicalise
@@ -220,3 +221,12 @@ def test_a_second_take_of_one_person_is_hardly_wrong(shared_data: Callable[[str]
         assert "global" not in kinds(found) and len(found.events) <= 2
         assert found.score > 20.0
         assert not any("hardly anywhere" in warning for warning in found.warnings)
+
+
+def test_what_is_named_more_exactly_weighs_in_any_order() -> None:
+    first = spread_weights({"left_forearm": 3.0, "left_arm": 1.0})
+    assert np.array_equal(first, spread_weights({"left_arm": 1.0, "left_forearm": 3.0}))
+    assert first[SEGMENTS.index("left_forearm")] == pytest.approx(3.0 * first[SEGMENTS.index("trunk")])
+    for wrong in ("2", None, float("nan"), -1.0, 1e308):
+        with pytest.raises(OptionError, match="left_arm: expected a number"):
+            spread_weights({"left_arm": wrong})

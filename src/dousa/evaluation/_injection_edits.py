@@ -47,7 +47,6 @@ _MOST_TURN = np.radians(30.0)
 _SLOW = 0.5  # of the fastest in the window: the speed at a turning point
 _ANGLES = (35.0, 80.0)  # degrees
 _ELSEWHERE_S = 1.0  # a section nearer than this would be a shift
-_LEGS = ("left_leg", "right_leg")
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -25,6 +25,8 @@ __all__ = [
 
 SHORTEST_S, FEWEST_FRAMES = 0.5, 3  # of a motion that can be assessed
 
+_LARGEST_WEIGHT = 1e6
+
 
 def check_takes(
     takes: Sequence[CanonicalMotion], performance: CanonicalMotion, side: str, tempo: str
@@ -57,11 +59,12 @@ def check_seen(postures: PostureSequence, what: str) -> None:
 def spread_weights(weights: Mapping[str, float] | None) -> FloatArray:
     """(9,) weights; those above 0 have a mean of 1, so that leaving limbs out makes nobody stricter with the rest."""
     shares = np.ones(len(SEGMENTS))
-    for name, value in (weights or {}).items():
+    # What is named more exactly counts, in whatever order it comes: limbs first, then segments.
+    for name, value in sorted((weights or {}).items(), key=lambda item: item[0] in SEGMENTS):
         if name not in SEGMENTS and name not in LIMBS:
             raise OptionError(f"weights: expected names of {', '.join((*SEGMENTS, *LIMBS))}, got {name!r}")
-        if not (np.isfinite(value) and value >= 0.0):
-            raise OptionError(f"weights: {name}: expected a number of 0 or more, got {value!r}")
+        if not isinstance(value, int | float) or not 0.0 <= value <= _LARGEST_WEIGHT:
+            raise OptionError(f"weights: {name}: expected a number from 0 to a million, got {value!r}")
         shares[[SEGMENTS.index(name)] if name in SEGMENTS else list(LIMBS[name])] = value
     if shares.sum() <= 0.0:
         raise OptionError("weights: expected at least one weight above 0")

@@ -43,10 +43,10 @@ class ReferenceTakes:
     Parameters
     ----------
     postures : of the first take, at the performance's rate.
-    working : of each take, at the working rate, warped onto the first.
-    warped : (N - 1) further takes at the full rate, warped onto the first.
+    working : of the first take and of each further one that is like it, at the working rate, warped onto the first.
+    warped : the further ones at the full rate, warped onto the first.
     tolerance : learned from the takes; None if there is one only.
-    deviations : (N - 1) degrees, mean deviation of each further take from the first.
+    deviations : degrees, mean deviation of each of the further ones from the first.
     left_out : numbers, from 1, of takes that are not like the first.
     """
 
@@ -75,7 +75,7 @@ class Comparison:
 
 
 def prepare_references(takes: Sequence[PostureSequence], tempo: str, weights: FloatArray) -> ReferenceTakes:
-    """Warp all takes onto the first, and learn what is tolerated from those that differ.
+    """Warp the takes that are like the first onto it, and learn what is tolerated from how they differ.
 
     Parameters
     ----------

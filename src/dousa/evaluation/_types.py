@@ -166,11 +166,11 @@ class Assessment:
     path : (K, 2) frames of performance and reference that correspond, for the picture of the matrix.
     furi : figures in order of the reference.
     events : errors in order of time.
-    lapses : stops, skips, repeats.
+    lapses : in order of time, see `Lapse`.
     score : 0 to 100.
     score_formula : how the score came about, in words and numbers.
     calibrated : whether the grade rests on three takes of the reference or more.
-    n_references : takes of the reference.
+    n_references : takes of the reference that were used; those left out are not counted.
     tempo : performance seconds per reference second.
     gaps : (start_s, end_s, segment name) of spans that were not seen and not judged.
     warnings : sentences.

@@ -156,7 +156,7 @@ def judge(
 
 
 def choose_tolerance(references: ReferenceTakes, comparison: Comparison) -> Tolerance:
-    """What the takes tell, but no less than the performer's own steadiness asks for."""
+    """What the takes tell; of the angles no less than the performer's own steadiness asks for."""
     own = measure_unsteadiness(comparison.deviations)
     if references.tolerance is None:
         return own
