@@ -21,11 +21,11 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+from _timing import timed
 
 from dousa.evaluation import IncrementalAssessor, assess, inject_many, simulate_performer
 from dousa.motion import CanonicalMotion, canonicalise
@@ -33,16 +33,6 @@ from dousa.motion.synthetic import Performer
 from dousa.motion.synthetic_dance import make_dance
 
 KINDS = ("shift", "incomplete", "partial", "global")
-
-
-def timed(call: Callable[[], object], repeats: int = 1) -> tuple[float, object]:
-    """Shortest time of a call, s, and its result."""
-    times, result = [], None
-    for _ in range(repeats):
-        start = time.perf_counter()
-        result = call()
-        times.append(time.perf_counter() - start)
-    return min(times), result
 
 
 def read_dance(name: str | None) -> CanonicalMotion:

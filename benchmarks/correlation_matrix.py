@@ -17,21 +17,11 @@ from __future__ import annotations
 
 import argparse
 import time
-from collections.abc import Callable
 
 import numpy as np
+from _timing import best_of
 
 from dousa.evaluation import compute_correlation_matrix
-
-
-def best_of(call: Callable[[], object], repeats: int) -> float:
-    """Shortest time of a call, s."""
-    times = []
-    for _ in range(repeats):
-        start = time.perf_counter()
-        call()
-        times.append(time.perf_counter() - start)
-    return min(times)
 
 
 def make_postures(n_frames: int, seed: int) -> np.ndarray:

@@ -20,24 +20,13 @@ import argparse
 import os
 import subprocess
 import sys
-import time
 import warnings
-from collections.abc import Callable
 
 import numpy as np
+from _timing import timed
 
 from dousa.evaluation import compute_correlation_matrix, compute_postures, find_lines, find_path
 from dousa.evaluation import correspondence as module
-
-
-def timed(call: Callable[[], object], repeats: int = 1) -> tuple[float, object]:
-    """Shortest time of a call, s, and its result."""
-    times, result = [], None
-    for _ in range(repeats):
-        start = time.perf_counter()
-        result = call()
-        times.append(time.perf_counter() - start)
-    return min(times), result
 
 
 def unit(vectors: np.ndarray) -> np.ndarray:

@@ -16,12 +16,12 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable
 from datetime import UTC, datetime
 from pathlib import Path
 
 import numpy as np
 import sqlalchemy as sa
+from _timing import best_of
 
 from dousa.formats import write_motion
 from dousa.library import Library, schema
@@ -76,16 +76,6 @@ def make_library(path: Path, n_clips: int, n_categories: int) -> None:
         print(
             f"made: {report.n_clips} clips of {len(report.categories)} categories, trained in {report.seconds:.1f} s"
         )
-
-
-def best_of(call: Callable[[], object], repeats: int) -> float:
-    """Shortest time of a call, s."""
-    times = []
-    for _ in range(repeats):
-        start = time.perf_counter()
-        call()
-        times.append(time.perf_counter() - start)
-    return min(times)
 
 
 def time_warm(path: Path, query: Path) -> tuple[float, np.ndarray]:

@@ -1,10 +1,13 @@
-"""A real browser for tests of pages; they skip with a message where there is none."""
+"""The command line, and a real browser for tests of pages; they skip with a message where there is none."""
 
 from __future__ import annotations
+
+import sys
 
 import pytest
 
 from app.browser import Page, open_browser
+from dousa.app.cli import main
 
 
 @pytest.fixture(scope="session")
@@ -12,3 +15,20 @@ def browser(tmp_path_factory: pytest.TempPathFactory) -> Page:
     """A headless Chromium, started once; every test opens its own page in it."""
     with open_browser(tmp_path_factory.mktemp("chromium")) as page:
         yield page
+
+
+@pytest.fixture
+def dousa(monkeypatch, capsys):
+    """Runs a command in this process: (exit code, standard output, standard error)."""
+
+    def run(*words):
+        monkeypatch.setattr(sys, "argv", ["dousa", *map(str, words)])
+        try:
+            main()
+            code = 0
+        except SystemExit as stop:
+            code = stop.code or 0
+        out = capsys.readouterr()
+        return code, out.out, out.err
+
+    return run

@@ -13,29 +13,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from dousa.app.cli import main
 from dousa.formats import read_motion, write_motion
 from dousa.motion.synthetic import draw_performer, make_motion
 
 CATEGORIES = ("walk", "squat", "clap", "bow")
 PERFORMERS = 4
-
-
-@pytest.fixture
-def dousa(monkeypatch, capsys):
-    """Runs a command in this process: (exit code, standard output, standard error)."""
-
-    def run(*words):
-        monkeypatch.setattr(sys, "argv", ["dousa", *map(str, words)])
-        try:
-            main()
-            code = 0
-        except SystemExit as stop:
-            code = stop.code or 0
-        out = capsys.readouterr()
-        return code, out.out, out.err
-
-    return run
 
 
 def run_command(*words, stdout=subprocess.PIPE, **environment):

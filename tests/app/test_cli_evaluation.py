@@ -15,7 +15,6 @@ import pytest
 
 import dousa.evaluation
 from app.fake_assessment import make_assessment
-from dousa.app.cli import main
 from dousa.evaluation import ErrorEvent
 from dousa.formats import write_motion
 from dousa.motion import compute_trajectories
@@ -23,20 +22,9 @@ from dousa.motion.synthetic import draw_performer, make_motion
 
 
 @pytest.fixture
-def run(monkeypatch, capsys):
-    """Runs a command in this process: (exit code, standard output, standard error)."""
-
-    def run(*words):
-        monkeypatch.setattr(sys, "argv", ["dousa", *map(str, words)])
-        try:
-            main()
-            code = 0
-        except SystemExit as stop:
-            code = stop.code or 0
-        out = capsys.readouterr()
-        return code, out.out, out.err
-
-    return run
+def run(dousa):
+    """The command line, in this process."""
+    return dousa
 
 
 @pytest.fixture(scope="session")

@@ -13,13 +13,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dousa.evaluation._coverage import compute_unreached, follow_path
-from dousa.evaluation._evidence import CAP, LIMB_SEGMENTS, Evidence, at_lag, refine_lag, runs_of
+from dousa.evaluation._evidence import (
+    CAP,
+    LIMB_SEGMENTS,
+    Evidence,
+    at_lag,
+    find_stretches,
+    refine_lag,
+    runs_of,
+)
 from dousa.evaluation._gain import GROUPS, GainFit, fit_gain
 from dousa.evaluation._line_kernels import switch_on
 from dousa.evaluation._size import measure_missing_range, measure_ranges
 from dousa.motion._types import FloatArray
 
-__all__ = ["Finding", "explain"]
+__all__ = ["Finding", "explain", "explain_all"]
 
 _PAD_S = 0.25
 _PRICE = 10.0  # of an explanation with a number in it: a lag, a gain
@@ -94,6 +102,11 @@ class _Hypothesis:
     course: NDArray[np.intp] | None = None
     group: NDArray[np.intp] | None = None
     fit: GainFit | None = None
+
+
+def explain_all(evidence: Evidence) -> list[Finding]:
+    """All errors of a performance, in order of time."""
+    return [found for start, end in find_stretches(evidence) for found in explain(evidence, start, end)]
 
 
 def explain(evidence: Evidence, start: int, end: int) -> list[Finding]:

@@ -9,8 +9,8 @@ import numpy as np
 
 from dousa.evaluation._alignment import Alignment, align
 from dousa.evaluation._deviation import Deviations, choose_nearest, compute_deviations
-from dousa.evaluation._evidence import SLACK_S, find_stretches, gather_evidence
-from dousa.evaluation._explain import Finding, explain
+from dousa.evaluation._evidence import SLACK_S, gather_evidence
+from dousa.evaluation._explain import Finding, explain_all
 from dousa.evaluation._types import PostureSequence
 from dousa.evaluation._working import Working, interpolate_segments, thin_postures
 from dousa.evaluation.scoring import compute_deviation
@@ -137,11 +137,7 @@ def compare(
 
 def find_errors(comparison: Comparison, tolerance: Tolerance, weights: FloatArray) -> list[Finding]:
     """All errors of a performance, in order of time."""
-    evidence = gather_evidence(comparison.deviations, tolerance.angle, tolerance.lag_s, weights)
-    found: list[Finding] = []
-    for start, end in find_stretches(evidence):
-        found += explain(evidence, start, end)
-    return found
+    return explain_all(gather_evidence(comparison.deviations, tolerance.angle, tolerance.lag_s, weights))
 
 
 def _learn(

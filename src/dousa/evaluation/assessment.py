@@ -12,9 +12,10 @@ import numpy as np
 
 from dousa.evaluation._curves import Curves, compute_curves
 from dousa.evaluation._evidence import Evidence, at_lag, gather_evidence, refine_lag, runs_of
+from dousa.evaluation._explain import explain_all
 from dousa.evaluation._inputs import check_seen, check_takes, pool_takes, scale_furi, spread_weights
 from dousa.evaluation._lapses import find_lapses
-from dousa.evaluation._references import Comparison, ReferenceTakes, compare, find_errors, prepare_references
+from dousa.evaluation._references import Comparison, ReferenceTakes, compare, prepare_references
 from dousa.evaluation._reporting import describe_findings, describe_gaps, describe_warnings
 from dousa.evaluation._types import Assessment, FuriAssessment, PostureSequence
 from dousa.evaluation._warning_words import describe_warning
@@ -110,7 +111,7 @@ def judge(
     curves = compute_curves(references.postures, references.warped, performance, same, matched, furi, spaces)
     lapses = find_lapses(comparison.alignment, references.working[0], working, language)
     events = describe_findings(
-        find_errors(comparison, tolerance, weights),
+        explain_all(evidence),
         lapses,
         working=working,
         same_time=same,

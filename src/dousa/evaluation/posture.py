@@ -17,7 +17,7 @@ from dousa.motion._types import FloatArray
 from dousa.motion.canonical import CanonicalMotion
 from dousa.motion.joints import CANONICAL_JOINTS, MIRRORED_JOINTS
 from dousa.motion.joints import JOINT_INDEX as J
-from dousa.motion.resampling import fill_gaps
+from dousa.motion.resampling import fill_gaps, find_neighbours
 
 __all__ = [
     "LIMBS",
@@ -70,8 +70,6 @@ LIMBS: dict[str, tuple[int, ...]] = {
 """Segments of each limb."""
 
 _SHORTEST = 1e-6  # m: a segment shorter than this has no direction
-_MOST_FRAMES = 20_000_000
-_FRAME_TOLERANCE = 1e-9  # a last frame missed by rounding alone still counts
 
 
 _STARTS = [J[start] for start, _ in SEGMENT_JOINTS]
@@ -195,7 +193,10 @@ def compute_postures(
     positions, seen = _read(motion)
     rate = motion.frame_rate
     if frame_rate is not None and frame_rate != rate:
-        positions, seen = _resample(positions, seen, rate, float(frame_rate))
+        before, after, fraction = find_neighbours(len(positions), rate, float(frame_rate))
+        share = fraction[:, None, None]
+        positions = positions[before] * (1.0 - share) + positions[after] * share
+        seen = seen[before] & (seen[after] | (fraction == 0.0)[:, None])
         rate = float(frame_rate)
     segments = compute_segments(positions)
     seen &= ~np.isnan(segments).any(axis=2)
@@ -224,25 +225,6 @@ def _read(motion: CanonicalMotion) -> tuple[FloatArray, NDArray[np.bool_]]:
         lost |= np.asarray(missing, bool)
     lost_ends = cast(NDArray[np.bool_], (lost[:, None, :] & _JOINTS_OF).any(axis=2))
     return positions, ~lost_ends
-
-
-def _resample(
-    positions: FloatArray, seen: NDArray[np.bool_], old: float, new: float
-) -> tuple[FloatArray, NDArray[np.bool_]]:
-    if not (np.isfinite(new) and 0 < new <= 1e6):
-        raise OptionError(f"frame rate: expected Hz above 0 and up to a million, got {new}")
-    last = len(positions) - 1
-    count = int(np.floor(last / old * new + _FRAME_TOLERANCE)) + 1
-    if count > _MOST_FRAMES:
-        raise OptionError(f"frame rate: {new:g} Hz would make {count} frames; choose a lower rate")
-    place = np.minimum(np.arange(count) * (old / new), last)
-    nearest = np.round(place)
-    # Frames that fall together but for rounding are copied, so that a gap beside them does not spread.
-    place = np.where(np.abs(place - nearest) < _FRAME_TOLERANCE * np.maximum(1.0, nearest), nearest, place)
-    before = place.astype(np.intp)
-    after = np.ceil(place).astype(np.intp)
-    share = (place - before)[:, None, None]
-    return positions[before] * (1.0 - share) + positions[after] * share, seen[before] & seen[after]
 
 
 def _fill(segments: FloatArray, seen: NDArray[np.bool_]) -> None:

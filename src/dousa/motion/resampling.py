@@ -11,7 +11,7 @@ from dousa.errors import InvalidMotionError, OptionError
 from dousa.motion._types import FloatArray, Motion, Trajectories
 from dousa.motion.rotations import slerp
 
-__all__ = ["fill_gaps", "resample", "thin"]
+__all__ = ["fill_gaps", "find_neighbours", "resample", "thin"]
 
 _Moving = TypeVar("_Moving", Motion, Trajectories)
 
@@ -39,14 +39,9 @@ def resample(moving: _Moving, frame_rate: float) -> _Moving:
     OptionError : a frame rate that is not above 0, or that makes too many frames.
     """
     rate = float(frame_rate)
-    if not (np.isfinite(rate) and 0 < rate <= 1e6):
-        raise OptionError(f"frame rate: expected Hz above 0 and up to a million, got {frame_rate}")
     if rate == moving.frame_rate:
         return moving
-    count = int(np.floor((moving.n_frames - 1) / moving.frame_rate * rate + _FRAME_TOLERANCE)) + 1
-    if count > _MOST_FRAMES:
-        raise OptionError(f"frame rate: {rate:g} Hz would make {count} frames; choose a lower rate")
-    before, after, fraction = _neighbours(moving.n_frames, count, moving.frame_rate / rate)
+    before, after, fraction = find_neighbours(moving.n_frames, moving.frame_rate, frame_rate)
     if isinstance(moving, Motion):
         turned = slerp(moving.rotations[before], moving.rotations[after], fraction[:, None])
         exact = fraction == 0
@@ -61,11 +56,26 @@ def resample(moving: _Moving, frame_rate: float) -> _Moving:
     )
 
 
-def _neighbours(
-    n_frames: int, count: int, step: float
+def find_neighbours(
+    n_frames: int, old_rate: float, new_rate: float
 ) -> tuple[NDArray[np.intp], NDArray[np.intp], FloatArray]:
-    """Old frames before and after each new frame, and where between them it falls."""
-    place = np.minimum(np.arange(count) * step, n_frames - 1.0)
+    """Old frames before and after each frame at another rate, and where between them it falls.
+
+    Parameters
+    ----------
+    n_frames : at the old rate.
+    old_rate, new_rate : Hz.
+
+    Raises
+    ------
+    OptionError : a frame rate that is not above 0, or that makes too many frames.
+    """
+    if not (np.isfinite(new_rate) and 0 < new_rate <= 1e6):
+        raise OptionError(f"frame rate: expected Hz above 0 and up to a million, got {new_rate}")
+    count = int(np.floor((n_frames - 1) / old_rate * new_rate + _FRAME_TOLERANCE)) + 1
+    if count > _MOST_FRAMES:
+        raise OptionError(f"frame rate: {new_rate:g} Hz would make {count} frames; choose a lower rate")
+    place = np.minimum(np.arange(count) * (old_rate / new_rate), n_frames - 1.0)
     nearest = np.round(place)
     # Frames that fall together but for rounding are copied, so that NaN beside them does not spread.
     place = np.where(np.abs(place - nearest) < _FRAME_TOLERANCE * np.maximum(1.0, nearest), nearest, place)
