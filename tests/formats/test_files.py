@@ -8,8 +8,8 @@ import stat
 
 import pytest
 
+from dousa._files import atomic_write, read_bytes
 from dousa.errors import MotionFileError, MotionWriteError
-from dousa.formats._files import atomic_write, read_bytes
 
 
 def test_reads_what_is_there(tmp_path):
@@ -113,7 +113,7 @@ def test_a_disk_that_fails_while_writing(tmp_path, monkeypatch, number, message)
 @pytest.mark.skipif(not os.path.exists("/dev/full"), reason="no /dev/full here")
 def test_a_full_disk_on_closing(tmp_path, monkeypatch):
     """Bytes still in the buffer fail once more when the file is closed; that must not hide the reason."""
-    monkeypatch.setattr("dousa.formats._files._create_beside", lambda _: open("/dev/full", "wb"))  # noqa: SIM115
+    monkeypatch.setattr("dousa._files._create_beside", lambda _: open("/dev/full", "wb"))  # noqa: SIM115
     removed = []
     monkeypatch.setattr(os, "unlink", removed.append)
     with pytest.raises(MotionWriteError, match="disk is full"), atomic_write(tmp_path / "a.trc") as file:

@@ -7,8 +7,8 @@ import os
 from functools import lru_cache
 from typing import TYPE_CHECKING, Any
 
+from dousa._files import atomic_write
 from dousa.errors import OptionError
-from dousa.formats._files import atomic_write
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

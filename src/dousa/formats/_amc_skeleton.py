@@ -11,9 +11,9 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from dousa._files import read_bytes
 from dousa.errors import MotionFileError
 from dousa.formats._channels import ChannelProgram
-from dousa.formats._files import read_bytes
 from dousa.formats._numbers import parse_number
 from dousa.motion._types import Skeleton
 from dousa.motion.kinematics import compute_rest_positions

@@ -8,9 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from dousa._files import atomic_write
 from dousa.errors import MotionWriteError
 from dousa.formats._bvh_hierarchy import CHANNEL_NAMES, BvhLayout
-from dousa.formats._files import atomic_write
 from dousa.motion._types import FloatArray, Motion, Skeleton
 from dousa.motion.reference_frame import ReferenceFrame, from_reference_frame
 from dousa.motion.rotations import to_euler, unwrap_euler

@@ -8,8 +8,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from dousa._files import atomic_write
 from dousa.errors import MotionWriteError
-from dousa.formats._files import atomic_write
 from dousa.motion import Trajectories
 
 __all__ = ["write_c3d"]

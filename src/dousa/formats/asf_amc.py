@@ -11,11 +11,11 @@ import functools
 import os
 import re
 
+from dousa._files import read_bytes
 from dousa.errors import MotionFileError
 from dousa.formats._amc_frames import parse_frames, parse_header
 from dousa.formats._amc_skeleton import AsfBone, AsfSkeleton, channel_program, read_asf
 from dousa.formats._channels import FileUnits, build_motion
-from dousa.formats._files import read_bytes
 from dousa.formats._numbers import scannable
 from dousa.motion._types import Motion, Provenance
 

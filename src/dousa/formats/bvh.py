@@ -13,11 +13,11 @@ import re
 
 import numpy as np
 
+from dousa._files import read_bytes
 from dousa.errors import MotionFileError
 from dousa.formats._bvh_hierarchy import BvhLayout, BvhSyntaxError, parse_hierarchy
 from dousa.formats._bvh_writer import write_bvh
 from dousa.formats._channels import FileUnits, build_motion
-from dousa.formats._files import read_bytes
 from dousa.formats._numbers import DONE, FULL, line_number, parse_number, scan_rows, scannable, settle
 from dousa.motion._types import FloatArray, Motion, Provenance
 

@@ -22,10 +22,10 @@ import os
 import numpy as np
 from numpy.typing import NDArray
 
+from dousa._files import read_bytes
 from dousa.errors import MotionFileError
 from dousa.formats._c3d_sections import BLOCK, Sections, decode_floats, parse_sections
 from dousa.formats._c3d_writer import write_c3d
-from dousa.formats._files import read_bytes
 from dousa.formats._markers import declared_unit, settle_trajectories
 from dousa.motion import Trajectories
 from dousa.motion._types import FloatArray

@@ -32,8 +32,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from dousa._files import atomic_write, read_bytes
 from dousa.errors import InvalidMotionError, MotionFileError, MotionWriteError
-from dousa.formats._files import atomic_write, read_bytes
 from dousa.motion import Motion, Provenance, Skeleton, Trajectories
 from dousa.motion.reference_frame import parse_unit, parse_up
 

@@ -16,8 +16,8 @@ import re
 
 import numpy as np
 
+from dousa._files import atomic_write, read_bytes
 from dousa.errors import MotionFileError, MotionWriteError
-from dousa.formats._files import atomic_write, read_bytes
 from dousa.formats._markers import declared_unit, settle_trajectories
 from dousa.motion import Trajectories
 from dousa.motion._types import FloatArray

@@ -5,12 +5,12 @@ from __future__ import annotations
 import os
 from pathlib import Path
 
+from dousa._files import atomic_write
 from dousa.app.report._curves import to_curves_csv, to_events_csv
 from dousa.app.report._page import CURVES_NAME, EVENTS_NAME, build_page
 from dousa.errors import MotionWriteError, OptionError
 from dousa.evaluation._types import Assessment
 from dousa.evaluation.words import check_language
-from dousa.formats._files import atomic_write
 
 __all__ = ["write_report"]
 
