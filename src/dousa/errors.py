@@ -12,6 +12,9 @@
     │   └── LibraryVersionError
     ├── TrainingError           the clips at hand cannot train or test anything
     ├── NotTrainedError         the forest is asked before it was trained
+    ├── SilhouetteError         masks or videos that no silhouettes can be had from
+    ├── CalibrationError        a camera that cannot be: its file, its numbers, or its views disagree
+    ├── BodyModelError          a body model that cannot be: its file, its measures, or its tree
     ├── OptionError             a command or function was called with a value outside its range
     └── MissingExtraError       an optional package is not installed; says the pip command
 
@@ -24,6 +27,8 @@ from __future__ import annotations
 import os
 
 __all__ = [
+    "BodyModelError",
+    "CalibrationError",
     "DousaError",
     "InvalidMotionError",
     "JointMappingError",
@@ -36,6 +41,7 @@ __all__ = [
     "MotionWriteError",
     "NotTrainedError",
     "OptionError",
+    "SilhouetteError",
     "TrainingError",
     "UnknownFormatError",
 ]
@@ -119,6 +125,18 @@ class TrainingError(DousaError):
 
 class NotTrainedError(DousaError):
     """The forest is asked before it was trained."""
+
+
+class SilhouetteError(DousaError, ValueError):
+    """Masks or videos that no silhouettes can be had from."""
+
+
+class CalibrationError(DousaError, ValueError):
+    """A camera that cannot be: its file, its numbers, or views that disagree with it."""
+
+
+class BodyModelError(DousaError, ValueError):
+    """A body model that cannot be: its file, its measures, or its tree."""
 
 
 class OptionError(DousaError, ValueError):
