@@ -1,0 +1,151 @@
+"""Images in and out of OpenCV: quiet, resized, and as masks."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dousa._files import read_bytes
+from dousa.errors import MotionFileError, SilhouetteError
+from dousa.estimation.silhouettes import Mask
+
+__all__ = ["fit_frame", "mask_from_image", "quiet_opencv", "read_image", "resize_mask"]
+
+_MOST_PIXELS = 200_000_000
+_LABELS = 15  # values up to this are labels, not grey levels
+_PNG = b"\x89PNG\r\n\x1a\n"
+_BAR = 40.0  # grey level; a letterbox bar is darker
+_STRETCHED = 0.02  # change of the aspect ratio worth a word
+
+
+@contextmanager
+def quiet_opencv() -> Iterator[None]:
+    """OpenCV and FFmpeg print nothing meanwhile: the error that follows says it in one line."""
+    os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")  # read by OpenCV when it first opens a video
+    from cv2.utils import logging
+
+    before = logging.getLogLevel()
+    logging.setLogLevel(logging.LOG_LEVEL_SILENT)
+    try:
+        yield
+    finally:
+        logging.setLogLevel(before)
+
+
+def read_image(path: str | os.PathLike[str]) -> NDArray[Any]:
+    """An image as it is stored: (H, W) or (H, W, channels), 8 or 16 bit or float; blue, green, red.
+
+    Raises
+    ------
+    SilhouetteError : missing, damaged, no image, too large.
+    """
+    import cv2
+
+    try:
+        data = read_bytes(path)
+    except MotionFileError as error:
+        raise SilhouetteError(str(error).replace("name a motion file", "name an image")) from None
+    if data[:8] == _PNG and len(data) >= 24:
+        width, height = int.from_bytes(data[16:20], "big"), int.from_bytes(data[20:24], "big")
+        if width * height > _MOST_PIXELS:
+            raise SilhouetteError(
+                f"{os.fspath(path)}: declares {width} x {height} pixels; no image of a person"
+            )
+    try:
+        with quiet_opencv():
+            image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
+    except cv2.error as error:
+        raise SilhouetteError(f"{os.fspath(path)}: cannot be decoded as an image: {error.err}") from error
+    if image is None:
+        raise SilhouetteError(f"{os.fspath(path)}: not an image that can be read, or damaged")
+    return np.asarray(image)
+
+
+def read_colour_image(path: str | os.PathLike[str]) -> NDArray[np.uint8]:
+    """An image as (H, W, 3) uint8 blue, green, red; alpha is ignored."""
+    image = read_image(path)
+    if image.dtype == np.uint16:
+        image = (image // 257).astype(np.uint8)
+    if image.dtype != np.uint8:
+        raise SilhouetteError(f"{os.fspath(path)}: expected an image of 8 or 16 bit, got {image.dtype}")
+    if image.ndim == 2:
+        image = image[..., None].repeat(3, axis=2)
+    return np.ascontiguousarray(image[..., :3], np.uint8)
+
+
+def mask_from_image(image: NDArray[Any], lossless: bool = True) -> Mask:
+    """Foreground of an image of a mask: brighter than half, or not 0 where the values are labels (0, 1, 2 ...).
+
+    Parameters
+    ----------
+    image : (H, W) or (H, W, channels); alpha is ignored, the brightest colour counts.
+    lossless : whether small values can be trusted; JPEG makes them up.
+    """
+    if image.ndim == 3:
+        colours = image[..., :3] if image.shape[2] >= 3 else image[..., :1]
+        image = colours.max(axis=2)
+    peak = float(image.max())
+    if image.dtype.kind == "f":
+        return np.asarray(image > (0.5 if peak <= 1.0 else 127.5))
+    if lossless and peak <= _LABELS:
+        return np.asarray(image > 0)
+    full = 255 if image.dtype == np.uint8 or peak <= 255 else 65535
+    return np.asarray(image > full // 2)
+
+
+def resize_mask(mask: Mask, size: tuple[int, int]) -> Mask:
+    """A mask at another width and height: a pixel is foreground if more than half of what it covers is."""
+    if (mask.shape[1], mask.shape[0]) == size:
+        return mask
+    import cv2
+
+    image = np.ascontiguousarray(mask).view(np.uint8) * np.uint8(255)
+    return np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA) > 127)
+
+
+def fit_frame(
+    size: tuple[int, int], target: tuple[int, int], sample: NDArray[np.uint8]
+) -> tuple[slice, slice]:
+    """The part of a frame that becomes the target: black bars that a change of format added are cut off.
+
+    A video of 1080 x 1920 made from images of 1088 x 1920 has 7 black rows above and below; stretching it as it is
+    would put everything up to 7 rows off.
+
+    Parameters
+    ----------
+    size, target : width and height of the frames, and wanted.
+    sample : (H, W, 3) grey levels, a typical frame.
+
+    Returns
+    -------
+    Rows and columns to keep.
+    """
+    (width, height), (wide, high) = size, target
+    whole = (slice(0, height), slice(0, width))
+    rows, columns = (height - width * high / wide) / 2, (width - height * wide / high) / 2
+    grey = sample.mean(axis=2)
+    if rows >= 1 and _has_bars(grey.mean(axis=1), round(rows)):
+        return slice(round(rows), height - round(rows)), slice(0, width)
+    if columns >= 1 and _has_bars(grey.mean(axis=0), round(columns)):
+        return slice(0, height), slice(round(columns), width - round(columns))
+    return whole
+
+
+def _has_bars(profile: NDArray[np.floating[Any]], depth: int) -> bool:
+    """Whether so many lines at both ends are black and the scene behind them is not."""
+    if 4 * depth > len(profile):
+        return False
+    sure = max(1, depth - 1)  # the last line of a bar is blurred by compression
+    outside = max(profile[:sure].max(), profile[-sure:].max())
+    inside = min(profile[depth + 1 : 3 * depth + 4].mean(), profile[-3 * depth - 4 : -depth - 1].mean())
+    return bool(outside < _BAR and inside > outside + 20)
+
+
+def is_stretched(size: tuple[int, int], target: tuple[int, int]) -> bool:
+    """Whether going from one size to the other changes the proportions of what is seen."""
+    return abs(size[0] * target[1] / (size[1] * target[0]) - 1) > _STRETCHED
