@@ -1,0 +1,99 @@
+"""Compiled forward kinematics of a body: from a pose row to rotation matrices and places of its parts."""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+
+__all__ = ["exp_rotation", "multiply_into", "place_all", "place_part", "turn_root"]
+
+
+@njit(cache=True, nogil=True, inline="always")
+def exp_rotation(x, y, z, out):  # type: ignore[no-untyped-def]
+    """Quaternion of the rotation vector (x, y, z) rad."""
+    angle = np.sqrt(x * x + y * y + z * z)
+    scale = 0.5 if angle < 1e-9 else np.sin(0.5 * angle) / angle
+    out[0], out[1], out[2], out[3] = np.cos(0.5 * angle), x * scale, y * scale, z * scale
+
+
+@njit(cache=True, nogil=True, inline="always")
+def multiply_into(a, b, out):  # type: ignore[no-untyped-def]
+    """Hamilton product of quaternions; ``out`` may be one of them."""
+    w = a[0] * b[0] - a[1] * b[1] - a[2] * b[2] - a[3] * b[3]
+    x = a[0] * b[1] + a[1] * b[0] + a[2] * b[3] - a[3] * b[2]
+    y = a[0] * b[2] + a[2] * b[0] + a[3] * b[1] - a[1] * b[3]
+    z = a[0] * b[3] + a[3] * b[0] + a[1] * b[2] - a[2] * b[1]
+    out[0], out[1], out[2], out[3] = w, x, y, z
+
+
+@njit(cache=True, nogil=True)
+def turn_root(pose, x, y, z):  # type: ignore[no-untyped-def]
+    """Turn the root of a pose row by a rotation vector in its own axes, in place."""
+    turn = np.empty(4)
+    exp_rotation(x, y, z, turn)
+    multiply_into(pose[3:7], turn, pose[3:7])
+
+
+@njit(cache=True, nogil=True)
+def place_part(part, pose, tree, work, rotations, positions):  # type: ignore[no-untyped-def]
+    """World rotation matrix (3, 3) and place (3,) of one part; its parent must have been placed.
+
+    ``tree`` is (parents, offsets, rest, n_axes, axes, angle_starts); ``work`` (2, 4) is scratch.
+    """
+    parents, offsets, rest, n_axes, axes, angle_starts = tree
+    quaternion, turn = work[0], work[1]
+    parent = parents[part]
+    if parent < 0:
+        quaternion[:] = pose[3:7]
+        positions[part, :] = pose[0:3]
+        _to_matrix(quaternion, rotations[part])
+        return
+    quaternion[:] = rest[part]
+    count = n_axes[part]
+    first = 7 + angle_starts[part]
+    axis = axes[part]
+    if count == 3:
+        a, b, c = pose[first], pose[first + 1], pose[first + 2]
+        exp_rotation(
+            a * axis[0, 0] + b * axis[1, 0],
+            a * axis[0, 1] + b * axis[1, 1],
+            a * axis[0, 2] + b * axis[1, 2],
+            turn,
+        )
+        multiply_into(quaternion, turn, quaternion)
+        exp_rotation(c * axis[2, 0], c * axis[2, 1], c * axis[2, 2], turn)
+        multiply_into(quaternion, turn, quaternion)
+    else:
+        for k in range(count):
+            a = pose[first + k]
+            exp_rotation(a * axis[k, 0], a * axis[k, 1], a * axis[k, 2], turn)
+            multiply_into(quaternion, turn, quaternion)
+    w, x, y, z = quaternion[0], quaternion[1], quaternion[2], quaternion[3]
+    m00, m01, m02 = 1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)
+    m10, m11, m12 = 2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)
+    m20, m21, m22 = 2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)
+    above = rotations[parent]
+    offset = offsets[part]
+    for i in range(3):
+        p, q, r = above[i, 0], above[i, 1], above[i, 2]
+        positions[part, i] = positions[parent, i] + p * offset[0] + q * offset[1] + r * offset[2]
+        rotations[part, i, 0] = p * m00 + q * m10 + r * m20
+        rotations[part, i, 1] = p * m01 + q * m11 + r * m21
+        rotations[part, i, 2] = p * m02 + q * m12 + r * m22
+
+
+@njit(cache=True, nogil=True, inline="always")
+def _to_matrix(q, out):  # type: ignore[no-untyped-def]
+    w, x, y, z = q[0], q[1], q[2], q[3]
+    out[0, 0], out[0, 1], out[0, 2] = 1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)
+    out[1, 0], out[1, 1], out[1, 2] = 2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)
+    out[2, 0], out[2, 1], out[2, 2] = 2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)
+
+
+@njit(cache=True, nogil=True)
+def place_all(poses, tree, rotations, positions):  # type: ignore[no-untyped-def]
+    """Rotations (T, P, 3, 3) and places (T, P, 3) of all parts in all poses (T, 7 + A)."""
+    work = np.empty((2, 4))
+    for t in range(len(poses)):
+        for part in range(rotations.shape[1]):
+            place_part(part, poses[t], tree, work, rotations[t], positions[t])

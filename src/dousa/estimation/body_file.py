@@ -1,0 +1,373 @@
+"""Body files: any tree of parts, or a person in three lines, as TOML.
+
+A person:
+
+    stature = 1.65          # metres
+    sex = "female"          # "average" if left out
+    [measures]              # metres, any of dousa.estimation.human.MEASURES
+    thigh = 0.41
+
+Any tree, root first (metres, radians, axes of the part; see `BodyModel`):
+
+    stature = 1.2
+    [[part]]
+    name = "base"
+    spheres = [[0, 0, 0, 0.1], [0, 0.5, 0, 0.1]]       # x, y, z and radius; three numbers are a corner
+    [[part]]
+    name = "arm"
+    parent = "base"
+    joint = "shoulder"                                  # the part's name if left out
+    offset = [0, 0.5, 0]
+    axes = [[1, 0, 0], [0, 0, 1]]                       # none: the part is stuck
+    limits = [[-1.5, 1.5], [-0.5, 0.5]]                 # or limits_degrees
+    rest = [1, 0, 0, 0]                                 # quaternion w, x, y, z; no turn if left out
+    agility = 1.5                                       # how freely it moves from frame to frame; 1 if left out
+    neutral = [0.2, 0]                                  # angles at ease, one for each axis; 0 if left out
+    stiffness = 1                                       # what leaving them costs; 0 if left out
+    spheres = [[0, 0, 0, 0.05], [0, 0.4, 0, 0.03]]
+    [[tip]]
+    name = "gripper"
+    part = "arm"
+    offset = [0, 0.4, 0]
+"""
+
+from __future__ import annotations
+
+import os
+import re
+import tomllib
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dousa._files import atomic_write, read_bytes
+from dousa.errors import BodyModelError
+from dousa.estimation.body import BodyModel
+from dousa.estimation.human import make_human
+
+__all__ = ["read_body", "write_body"]
+
+FloatArray = NDArray[np.float64]
+
+_MOST_BYTES = 1_000_000
+_PERSON_KEYS = ("stature", "sex", "measures")
+_TREE_KEYS = ("stature", "part", "tip")
+_PART_KEYS = (
+    *("name", "joint", "parent", "offset", "rest", "axes", "limits", "limits_degrees", "spheres"),
+    *("agility", "neutral", "stiffness"),
+)
+_TIP_KEYS = ("name", "part", "offset")
+_AT_LINE = re.compile(r"\s*\(at line (\d+), column \d+\)")
+_STILL = (1.0, 0.0, 0.0, 0.0)
+_UNIT_SLACK = 1e-3  # typed quaternions and axes are a few digits long
+
+
+def read_body(path: str | os.PathLike[str]) -> BodyModel:
+    """Read a body.
+
+    Parameters
+    ----------
+    path : TOML as the module's docstring says.
+
+    Returns
+    -------
+    The body.
+
+    Raises
+    ------
+    MotionFileError : the file is missing, unreadable or empty.
+    BodyModelError : it is no TOML, has unknown or missing entries, or they make no body; with the line where known.
+    """
+    data = read_bytes(path)
+    if len(data) > _MOST_BYTES:
+        raise BodyModelError(
+            f"{os.fspath(path)}: expected a body file of some lines, got a file of over 1 MB"
+        )
+    try:
+        text = data.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        raise BodyModelError(f"{os.fspath(path)}: expected text in UTF-8: {error}") from error
+    source = _Source(os.fspath(path), text)
+    try:
+        content = tomllib.loads(text.replace("\r\n", "\n"))
+    except tomllib.TOMLDecodeError as error:
+        place = _AT_LINE.search(str(error))
+        problem = _AT_LINE.sub("", str(error))
+        raise source.error(f"expected TOML: {problem}", int(place[1]) if place else None) from error
+    except RecursionError:
+        raise source.error("expected TOML, got brackets nested too deep") from None
+    return _read_tree(source, content) if "part" in content else _read_person(source, content)
+
+
+class _Source:
+    """The text of a file, to say where something is wrong."""
+
+    def __init__(self, path: str, text: str) -> None:
+        self._path, self._lines = path, text.splitlines()
+
+    def error(self, problem: str, line: int | None = None) -> BodyModelError:
+        where = self._path if line is None else f"{self._path}:{line}"
+        return BodyModelError(f"{where}: {problem.removeprefix('body: ')}")
+
+    def stature(self, content: Mapping[str, Any]) -> float:
+        value = content["stature"]
+        if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) < 1e6:
+            raise self.error(f"stature: expected metres, got {value!r}", self.key("stature"))
+        return float(value)
+
+    def find(self, pattern: str, number: int = 0, after: int = 0) -> int | None:
+        """1-based line of the match of that number, from a line on."""
+        found = [i for i, line in enumerate(self._lines, 1) if i >= after and re.match(pattern, line)]
+        return found[number] if number < len(found) else None
+
+    def key(self, key: str, after: int | None = 0) -> int | None:
+        """1-based line of a key, at or after a line."""
+        return self.find(rf"\s*[\"']?{re.escape(key)}[\"']?\s*=", 0, after or 0)
+
+
+def _read_person(source: _Source, content: Mapping[str, Any]) -> BodyModel:
+    _refuse_unknown(source, content, _PERSON_KEYS, "a body file")
+    if "stature" not in content:
+        raise source.error("expected 'stature = ' in metres, or parts ([[part]])")
+    measures = content.get("measures", {})
+    if not isinstance(measures, Mapping):
+        raise source.error("measures: expected a table ([measures])", source.key("measures"))
+    try:
+        return make_human(content["stature"], content.get("sex", "average"), measures)
+    except BodyModelError as error:
+        keys = (*measures, "sex", "stature")
+        named = next((key for key in keys if f"{key}:" in str(error) or f"{key!r}" in str(error)), "")
+        raise source.error(str(error), source.key(named) if named else None) from error
+
+
+def _refuse_unknown(
+    source: _Source, table: Mapping[str, Any], known: Sequence[str], what: str, after: int | None = 0
+) -> None:
+    for key in table:
+        if key not in known:
+            raise source.error(
+                f"{what} has no entry {key!r}; there are {', '.join(known)}",
+                source.key(key, after) or after or None,
+            )
+
+
+def _read_tree(source: _Source, content: Mapping[str, Any]) -> BodyModel:
+    _refuse_unknown(source, content, _TREE_KEYS, "a body file with parts")
+    if "stature" not in content:
+        raise source.error("expected 'stature = ' in metres, the height of the body upright")
+    parts = [
+        _Table(source, "part", number, table) for number, table in enumerate(_tables(source, content, "part"))
+    ]
+    tips = [
+        _Table(source, "tip", number, table) for number, table in enumerate(_tables(source, content, "tip"))
+    ]
+    names = [part.text("name") for part in parts]
+    for number, part in enumerate(parts):
+        part.allow(_PART_KEYS)
+        if names[number] in names[:number]:
+            raise part.error(f"a second part called '{names[number]}'", "name")
+    for tip in tips:
+        tip.allow(_TIP_KEYS)
+    try:
+        return _build(parts, tips, names, source.stature(content))
+    except BodyModelError as error:
+        if not str(error).startswith("body: "):
+            raise
+        # From BodyModel itself, which knows no file.
+        named = re.search(r"part '([^']*)'", str(error))
+        place = parts[names.index(named[1])].line if named and named[1] in names else None
+        raise source.error(str(error), place) from error
+
+
+def _build(
+    parts: Sequence[_Table], tips: Sequence[_Table], names: Sequence[str], stature: float
+) -> BodyModel:
+    solids = [part.spheres() for part in parts]
+    joints = [_read_joint(part) for part in parts]
+    return BodyModel(
+        names=tuple(names),
+        joints=tuple(part.text("joint", name) for part, name in zip(parts, names, strict=True)),
+        parents=np.array([_parent(part, names, number) for number, part in enumerate(parts)]),
+        offsets=np.array([part.numbers("offset", (3,), (0.0, 0.0, 0.0)) for part in parts]),
+        rest=np.array([part.unit("rest", (4,), _STILL) for part in parts]),
+        n_axes=np.array([len(axes) for axes, _ in joints]),
+        axes=np.array([_padded(axes) for axes, _ in joints]),
+        limits=np.array([_padded(limits) for _, limits in joints]),
+        spheres=np.concatenate(solids),
+        sphere_starts=np.cumsum([0, *(len(solid) for solid in solids)]),
+        tips=tuple(tip.text("name") for tip in tips),
+        tip_parts=np.array([tip.one_of("part", names) for tip in tips], np.intp),
+        tip_offsets=np.array([tip.numbers("offset", (3,)) for tip in tips]).reshape(-1, 3),
+        stature=stature,
+        agility=np.array([part.numbers("agility", (), 1.0) for part in parts]),
+        neutral=np.array([_neutral(part, len(axes)) for part, (axes, _) in zip(parts, joints, strict=True)]),
+        stiffness=np.array([part.numbers("stiffness", (), 0.0) for part in parts]),
+    )
+
+
+def _tables(source: _Source, content: Mapping[str, Any], key: str) -> list[Mapping[str, Any]]:
+    tables = content.get(key, [])
+    if not isinstance(tables, list) or not all(isinstance(table, Mapping) for table in tables):
+        raise source.error(f"expected one [[{key}]] for each {key}", source.find(rf"\s*\[?{key}\b"))
+    return tables
+
+
+class _Table:
+    """One [[part]] or [[tip]]; every complaint says which and where."""
+
+    def __init__(self, source: _Source, kind: str, number: int, table: Mapping[str, Any]) -> None:
+        self._source, self._table = source, table
+        self.line = source.find(rf"\s*\[\[\s*{kind}\s*\]\]", number)
+        name = table.get("name")
+        self._title = f"{kind} '{name}'" if isinstance(name, str) else f"{kind} {number + 1}"
+
+    def error(self, problem: str, key: str = "") -> BodyModelError:
+        line = self._source.key(key, self.line) if key and self.line else self.line
+        return self._source.error(f"{self._title}: {problem}", line)
+
+    def allow(self, keys: Sequence[str]) -> None:
+        _refuse_unknown(self._source, self._table, keys, self._title, self.line)
+
+    def has(self, key: str) -> bool:
+        return key in self._table
+
+    def text(self, key: str, default: str | None = None) -> str:
+        value = self._table.get(key, default)
+        if not isinstance(value, str) or not value:
+            raise self.error(f"expected '{key}' as a text, got {value!r}", key if value is not None else "")
+        return value
+
+    def one_of(self, key: str, names: Sequence[str]) -> int:
+        value = self.text(key)
+        if value not in names:
+            raise self.error(f"{key}: there is no part called '{value}'", key)
+        return names.index(value)
+
+    def numbers(
+        self, key: str, shape: tuple[int | None, ...], default: Sequence[float] | float | None = None
+    ) -> FloatArray:
+        return self._numbers(key, self._table.get(key, default), shape)
+
+    def _numbers(self, key: str, value: object, shape: tuple[int | None, ...]) -> FloatArray:
+        wanted = " x ".join("n" if size is None else str(size) for size in shape) + " finite numbers"
+        try:
+            array = np.array(value, np.float64)
+        except (TypeError, ValueError, OverflowError):
+            array = np.full((), np.nan)
+        fits = array.ndim == len(shape) and all(
+            size is None or size == got for size, got in zip(shape, array.shape, strict=True)
+        )
+        if not fits or not np.isfinite(array).all():
+            got = "nothing" if value is None else repr(value)[:60]
+            raise self.error(
+                f"{key}: expected {wanted if shape else 'a finite number'}, got {got}",
+                key if value is not None else "",
+            )
+        return array
+
+    def unit(
+        self, key: str, shape: tuple[int | None, ...], default: Sequence[float] | None = None
+    ) -> FloatArray:
+        """Rows of unit length; those that are so to a few digits are made so."""
+        array = self.numbers(key, shape, default)
+        lengths = np.linalg.norm(array, axis=-1, keepdims=True)
+        wrong = lengths[np.abs(lengths - 1.0) > _UNIT_SLACK]
+        if len(wrong):
+            raise self.error(f"{key}: expected unit length, got length {wrong[0]:g}", key)
+        exact = np.abs(lengths - 1.0) < 1e-12  # written by write_body: read back bit for bit
+        return np.where(exact, array, array / lengths)
+
+    def spheres(self) -> FloatArray:
+        """(n, 4); three numbers are a corner, a sphere of no radius."""
+        rows = self._table.get("spheres")
+        if isinstance(rows, list):
+            rows = [[*row, 0.0] if isinstance(row, list) and len(row) == 3 else row for row in rows]
+        return self._numbers("spheres", rows, (None, 4))
+
+
+def _read_joint(part: _Table) -> tuple[FloatArray, FloatArray]:
+    """Axes (n, 3) and limits (n, 2) rad."""
+    axes = part.unit("axes", (None, 3)) if part.has("axes") else np.zeros((0, 3))
+    if not len(axes):
+        return axes, np.zeros((0, 2))
+    if part.has("limits") == part.has("limits_degrees"):
+        raise part.error("expected either limits (rad) or limits_degrees, a pair for each axis")
+    key = "limits" if part.has("limits") else "limits_degrees"
+    limits = part.numbers(key, (len(axes), 2))
+    return axes, limits if key == "limits" else np.radians(limits)
+
+
+def _neutral(part: _Table, count: int) -> FloatArray:
+    """(3,) rad, padded with zeros."""
+    angles = part.numbers("neutral", (count,), (0.0,) * count)
+    return np.pad(angles[:3], (0, max(0, 3 - count)))
+
+
+def _parent(part: _Table, names: Sequence[str], number: int) -> int:
+    if not part.has("parent"):
+        if number:
+            raise part.error("expected a 'parent'; only the first part, the root, has none")
+        return -1
+    return part.one_of("parent", names)
+
+
+def _padded(rows: FloatArray) -> FloatArray:
+    padded = np.zeros((3, rows.shape[1]))
+    padded[: min(len(rows), 3)] = rows[:3]
+    return padded
+
+
+def write_body(body: BodyModel, path: str | os.PathLike[str]) -> None:
+    """Write a body so that `read_body` reads the same numbers; the file appears whole or not at all.
+
+    Parameters
+    ----------
+    body : any tree of parts.
+    path : TOML file to write or replace.
+
+    Raises
+    ------
+    MotionWriteError : the folder is missing or read-only, or the disk is full.
+    """
+    lines = ["# metres, radians; axes of each part, root first", f"stature = {body.stature!r}"]
+    for part, name in enumerate(body.names):
+        count = int(body.n_axes[part])
+        solid = body.spheres[slice(*body.sphere_starts[part : part + 2])]
+        lines += ["", "[[part]]", f"name = {_quote(name)}", f"joint = {_quote(body.joints[part])}"]
+        if part:
+            lines.append(f"parent = {_quote(body.names[body.parents[part]])}")
+        lines += [f"offset = {_row(body.offsets[part])}", f"rest = {_row(body.rest[part])}"]
+        if count:
+            lines.append(f"axes = {_rows(body.axes[part, :count])}")
+            lines.append(f"limits = {_rows(body.limits[part, :count])}")
+        if body.agility[part] != 1.0:
+            lines.append(f"agility = {float(body.agility[part])!r}")
+        if body.neutral[part, :count].any():
+            lines.append(f"neutral = {_row(body.neutral[part, :count])}")
+        if body.stiffness[part]:
+            lines.append(f"stiffness = {float(body.stiffness[part])!r}")
+        lines.append(f"spheres = {_rows(solid)}")
+    for tip, name in enumerate(body.tips):
+        owner = body.names[body.tip_parts[tip]]
+        lines += ["", "[[tip]]", f"name = {_quote(name)}", f"part = {_quote(owner)}"]
+        lines.append(f"offset = {_row(body.tip_offsets[tip])}")
+    with atomic_write(path) as file:
+        file.write(("\n".join(lines) + "\n").encode())
+
+
+def _row(values: FloatArray) -> str:
+    return "[" + ", ".join(repr(float(value)) for value in values) + "]"
+
+
+def _rows(values: FloatArray) -> str:
+    return "[" + ", ".join(_row(row) for row in values) + "]"
+
+
+def _quote(text: str) -> str:
+    escaped = "".join(
+        f"\\u{ord(letter):04x}" if ord(letter) < 32 or ord(letter) == 127 else letter
+        for letter in text.replace("\\", "\\\\").replace('"', '\\"')
+    )
+    return f'"{escaped}"'
