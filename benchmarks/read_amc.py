@@ -16,8 +16,8 @@ from pathlib import Path
 
 import numpy as np
 
-from dousa.formats._amc_frames import parse_frames, parse_header
 from dousa._files import read_bytes
+from dousa.formats._amc_frames import parse_frames, parse_header
 from dousa.formats._numbers import scannable
 from dousa.formats.asf_amc import AsfSkeleton, read_amc, read_asf
 

@@ -1,7 +1,7 @@
 """Draw the pictures of the documents again, and print the table of features: ``make figures``.
 
-Everything shown is made by the package itself: no recording is needed. `make_evaluation_figures` does the same for
-docs/evaluation.md.
+Everything shown is made by the package itself: no recording is needed. `make_estimation_figures` and
+`make_evaluation_figures` do the same for docs/estimation.md and docs/evaluation.md.
 """
 
 from __future__ import annotations
@@ -56,10 +56,12 @@ def _row(number: int, feature: Feature) -> str:
 
 
 if __name__ == "__main__":
+    import make_estimation_figures
     import make_evaluation_figures
 
     FIGURES.mkdir(exist_ok=True)
     draw_sheet()
     draw_demo()
     (DOCS / "features.md").write_text(describe_features(), encoding="utf-8")
+    make_estimation_figures.make_all()
     make_evaluation_figures.make_all()

@@ -13,7 +13,14 @@ from typing import Annotated, NoReturn
 import typer
 
 import dousa
-from dousa.app import cli_evaluation, cli_files, cli_library, cli_trials
+from dousa.app import (
+    cli_estimation,
+    cli_estimation_trials,
+    cli_evaluation,
+    cli_files,
+    cli_library,
+    cli_trials,
+)
 from dousa.app._output import fail, survive_narrow_encodings
 from dousa.errors import DousaError
 
@@ -30,7 +37,7 @@ app = typer.Typer(
     rich_markup_mode="rich",
     context_settings={"help_option_names": ["-h", "--help"]},
 )
-for group in (cli_files, cli_library, cli_evaluation, cli_trials):
+for group in (cli_files, cli_library, cli_estimation, cli_estimation_trials, cli_evaluation, cli_trials):
     group.register(app)
 
 

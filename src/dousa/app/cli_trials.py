@@ -183,11 +183,13 @@ def demo(
     jobs: o.Jobs = None,
 ) -> None:
     """Show the main jobs with nothing but the package: make a library of motions, train it and search it;
-    make a dance and a pupil who gets parts of it wrong, and tell them (not with --data).
+    make a dance and a pupil who gets parts of it wrong, and tell them; see a performer with four cameras,
+    estimate the motion from the silhouettes, and find and judge it (the last two not with --data).
 
     Example: dousa demo --output demo-output
     """
     from dousa.app.demo import run_demo
+    from dousa.app.demo_estimation import run_estimation_demo
     from dousa.app.demo_evaluation import run_dance_demo
 
     run_demo(
@@ -201,3 +203,4 @@ def demo(
     )
     if data is None:
         run_dance_demo(console(), output, seed=seed)
+        run_estimation_demo(console(), output, seed=seed)

@@ -1,0 +1,60 @@
+"""Measurements of docs/estimation.md that no command of dousa makes: silhouettes of real people.
+
+    python docs/measure_estimation.py kinect FOLDER [--start kinect|auto] [--quick] [--cache FOLDER]
+    python docs/measure_estimation.py retrieval FOLDER [--start kinect|auto] [--quick] [--cache FOLDER]
+    python docs/measure_estimation.py video FOLDER [--start reference|auto] [--cache FOLDER]
+
+``kinect`` tracks the silhouettes of UTD-MHAD, one view, and compares with the joints of the Kinect; ``retrieval``
+classifies the motions so estimated by forests that were trained on skeletons of other people. ``video`` goes the whole
+way from the four videos of the Pose2Sim demo and compares with its markerless reference. ``--cache`` keeps what was
+estimated: empty that folder after a change of the tracker.
+"""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+from measured_kinect import list_clips, measure_kinect, measure_retrieval
+from measured_video import measure_video
+
+
+def main() -> None:
+    """Read the command line."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    commands = parser.add_subparsers(dest="command", required=True)
+    for name in ("kinect", "retrieval"):
+        command = commands.add_parser(name)
+        command.add_argument("folder", type=Path, help="with the folders silhouette and skeleton")
+        command.add_argument("--start", choices=("kinect", "auto"), default="kinect")
+        command.add_argument("--subjects", default="1,3,5,7")
+        command.add_argument("--trials", default="1,2")
+        command.add_argument("--actions", help="names of folders, with commas; all by default")
+        command.add_argument("--quick", action="store_true", help="the first trial of one subject")
+        command.add_argument("--cache", type=Path)
+        command.add_argument("--rows", action="store_true", help="print every clip")
+    video = commands.add_parser("video")
+    video.add_argument("folder", type=Path)
+    video.add_argument("--start", choices=("reference", "auto"), default="reference")
+    video.add_argument("--cache", type=Path)
+    video.add_argument("--views", default="1,2,3,4")
+    video.add_argument("--pictures", type=Path, help="folder for an overlay video and a contact sheet")
+    given = parser.parse_args()
+    if given.command == "video":
+        views = [int(view) for view in given.views.split(",")]
+        measure_video(given.folder, given.start, views, given.cache, given.pictures)
+        return
+    subjects, trials = ("1", "1") if given.quick else (given.subjects, given.trials)
+    if given.quick and given.command == "retrieval":
+        subjects = given.subjects
+    clips = list_clips(given.folder, subjects.split(","), trials.split(","), given.actions)
+    if given.command == "kinect":
+        measure_kinect(clips, given.start, given.cache, given.rows)
+    else:
+        measure_retrieval(given.folder, clips, given.start, given.cache)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,185 @@
+"""What the compiled search works on: a body, its views and a frame's silhouettes as plain arrays."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dousa.estimation._types import EVIDENCES, MOST_CANDIDATES, READINGS, TrackerSettings
+from dousa.estimation.body import BodyModel
+from dousa.estimation.camera import Camera, pack_cameras
+from dousa.estimation.kinematics import tree_arrays
+from dousa.estimation.rasteriser import outline_scratch, pack_bits
+
+__all__ = ["Frame", "Workshop"]
+
+FloatArray = NDArray[np.float64]
+_FLOOR_SIGMA, _FLOOR_CAP = 0.03, 4.0  # m; log score, so that people may jump
+_LEAST_RANGE = 0.1  # rad: a joint that hardly moves is not infinitely stiff
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Frame:
+    """The silhouettes of one frame.
+
+    Parameters
+    ----------
+    bits : (V, H, words) rows of bits; zeros where a view is not seen.
+    seen : (V,) views that have an image with somebody in it.
+    """
+
+    bits: NDArray[np.uint64]
+    seen: NDArray[np.bool_]
+
+
+class Workshop:
+    """A body before cameras, ready for the compiled search of `_search_kernels`.
+
+    Parameters
+    ----------
+    body, cameras, settings : see `dousa.estimation.tracker.estimate`.
+    frame_rate : Hz.
+    area : px, mean area of a silhouette, which scales the evidence.
+    """
+
+    def __init__(
+        self,
+        body: BodyModel,
+        cameras: Sequence[Camera],
+        settings: TrackerSettings,
+        frame_rate: float,
+        area: float,
+    ) -> None:
+        self.body, self.cameras, self.settings = body, tuple(cameras), settings
+        self.rows = pack_cameras(cameras)
+        self.sizes = np.array([(camera.width, camera.height) for camera in cameras], np.int64)
+        self.height = int(self.sizes[:, 1].max())
+        self.n_words = int(-(-self.sizes[:, 0].max() // 64))
+        self.n_axes = 6 + body.n_angles
+        subtrees, starts = _list_subtrees(body.parents)
+        self.model = (tree_arrays(body), (body.spheres, body.sphere_starts), subtrees, starts)
+        self.order = np.arange(body.n_parts)
+        self.whole = settings.candidates == "subtree"
+        self.half = settings.n_candidates // 2
+        self.half_later = settings.n_candidates_later // 2
+        self.bounds = (
+            _spread(body, settings, frame_rate),
+            _ease(body, settings.stiffness),
+            np.array(body.angle_limits),
+        )
+        self.weights = self.make_weights(area)
+
+    def make_weights(self, area: float) -> tuple[Any, ...]:
+        """The weights of the kernels for silhouettes of this mean area (px)."""
+        settings = self.settings
+        floor = np.zeros(3)
+        if settings.floor is not None:
+            floor[:] = settings.floor, 1.0 / _FLOOR_SIGMA**2, _FLOOR_CAP
+        image = 1.0 / (settings.image_scale * max(area, 1.0))
+        return (
+            READINGS.index(settings.reading),
+            EVIDENCES.index(settings.evidence),
+            image,
+            settings.inertia,
+            floor,
+        )
+
+    def make_scratch(self) -> tuple[Any, ...]:
+        """Scratch of the kernels; each thread needs its own.
+
+        0 outline work, 1 drawn bits, 2 plus, 3 minus, 4 fixed, 5 rotations, 6 positions, 7 quaternions, 8 trial pose,
+        9 fixed parts, 10 mismatches, 11 priors.
+        """
+        body, shape = self.body, (len(self.cameras), self.height, self.n_words)
+        return (
+            outline_scratch(body, self.height),
+            np.zeros(shape[1:], np.uint64),
+            np.zeros(shape, np.uint64),
+            np.zeros(shape, np.uint64),
+            np.zeros(shape, np.uint64),
+            np.zeros((body.n_parts, 3, 3)),
+            np.zeros((body.n_parts, 3)),
+            np.zeros((2, 4)),
+            np.zeros(7 + body.n_angles),
+            np.zeros(body.n_parts + 1, np.int64),
+            np.zeros(MOST_CANDIDATES),
+            np.zeros(MOST_CANDIDATES),
+        )
+
+    def pack(self, masks: Sequence[NDArray[np.bool_] | None]) -> Frame:
+        """Masks of one frame, of the sizes of the cameras, as bits; an empty mask counts as not seen."""
+        bits = np.zeros((len(self.cameras), self.height, self.n_words), np.uint64)
+        seen = np.zeros(len(self.cameras), np.bool_)
+        for view, mask in enumerate(masks):
+            if mask is not None and mask.any():
+                packed = pack_bits(mask)
+                bits[view, : packed.shape[0], : packed.shape[1]] = packed
+                seen[view] = True
+        return Frame(bits, seen)
+
+    def views(self, frame: Frame) -> tuple[Any, ...]:
+        """The ``views`` of the kernels."""
+        return self.rows, self.sizes, frame.seen, frame.bits
+
+    def sweep(
+        self,
+        pose: FloatArray,
+        shift: FloatArray,
+        factor: float,
+        frame: Frame,
+        scratch: tuple[Any, ...],
+        half: int | None = None,
+    ) -> None:
+        """One pass over the whole body, in place; see `_search_kernels.sweep`."""
+        from dousa.estimation._search_kernels import sweep
+
+        reach = (factor, half or self.half, self.settings.thinning)
+        views = self.views(frame)
+        sweep(
+            pose, shift, self.order, self.whole, reach, self.weights, self.bounds, self.model, views, scratch
+        )
+
+    def score(self, pose: FloatArray, shift: FloatArray, frame: Frame, scratch: tuple[Any, ...]) -> float:
+        """Log score of a whole pose; see `_search_kernels.score_pose`."""
+        from dousa.estimation._search_kernels import score_pose
+
+        return float(
+            score_pose(pose, shift, self.weights, self.bounds, self.model, self.views(frame), scratch)
+        )
+
+
+def _list_subtrees(parents: NDArray[np.intp]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """The parts below each part, itself first, one list after the other, and where each list starts."""
+    lists: list[list[int]] = []
+    for part in range(len(parents)):
+        below = [part]
+        for other in range(part + 1, len(parents)):
+            if parents[other] in below:
+                below.append(other)
+        lists.append(below)
+    starts = np.concatenate(([0], np.cumsum([len(below) for below in lists])))
+    return np.concatenate(lists).astype(np.int64), starts.astype(np.int64)
+
+
+def _spread(body: BodyModel, settings: TrackerSettings, frame_rate: float) -> FloatArray:
+    """dR of every degree of freedom, (6 + A,) m and rad."""
+    agility = body.agility if settings.agility == "body" else np.ones(body.n_parts)
+    angles = np.repeat(agility, body.n_axes) * settings.max_change
+    root = np.repeat((settings.root_change * body.stature, agility[0] * settings.max_change), 3)
+    spread: FloatArray = np.concatenate((root, angles)) * (30.0 / frame_rate)
+    return spread
+
+
+def _ease(body: BodyModel, stiffness: float) -> FloatArray:
+    """Neutral value and root of the price per square radian of every degree of freedom, (6 + A, 2)."""
+    ease = np.zeros((6 + body.n_angles, 2))
+    limits = body.angle_limits
+    half = np.maximum(0.5 * (limits[:, 1] - limits[:, 0]), _LEAST_RANGE)
+    used = np.arange(3) < body.n_axes[:, None]
+    ease[6:, 0] = body.neutral[used]
+    ease[6:, 1] = np.sqrt(stiffness * np.repeat(body.stiffness, body.n_axes)) / half
+    return ease

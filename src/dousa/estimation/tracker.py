@@ -1,0 +1,389 @@
+"""From silhouettes to a motion: frame after frame the pose that fits best within what inertia allows.
+
+The search of Kameda, Minoh and Ikeda ("A Human Motion Estimation Method Using a Model - Introduction of Inertia"), from
+the root part to the leaves, one axis at a time, each within dR of its prediction (eq. 1), scored by eqs. 2 and 3.
+`PAPER` is their method. The defaults go beyond it: several views, a part carries what hangs on it while it is
+judged, finer revisits, several predictions and a beam of poses, joints that move as quickly as joints do, girths
+fitted to the first silhouettes, a restart where the track is lost, smoothing forward and backward.
+"""
+
+from __future__ import annotations
+
+import os
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Literal
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from dousa.errors import BodyModelError, CalibrationError, SilhouetteError
+from dousa.estimation._beam import Beam, BeamState
+from dousa.estimation._diagnosis import Diary
+from dousa.estimation._types import PAPER, Estimate, TrackerSettings
+from dousa.estimation._working import Frame, Workshop
+from dousa.estimation.shrinking import Shrinker
+
+if TYPE_CHECKING:
+    from dousa.estimation.body import BodyModel
+    from dousa.estimation.camera import Camera
+    from dousa.estimation.silhouettes import Silhouettes
+
+__all__ = ["PAPER", "PartialTrack", "TrackerSettings", "estimate"]
+
+FloatArray = NDArray[np.float64]
+Progress = Callable[[int, int, str], None]
+
+_CHECKPOINT_FRAMES = 32
+_FIRST_FRAMES = 150  # looked through for the first one with somebody in it
+_LOST_FRAMES = 5  # after so many in a row the track is looked for anew
+_DOUBTFUL, _CLEARLY = 0.75, 0.08  # overlap below which a given start is held against a found one; by how much
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PartialTrack:
+    """What was tracked before an interruption: arrays only, so that it can be kept in a file.
+
+    Parameters
+    ----------
+    poses : (n, 7 + A) of the frames that are settled; the frames before the first person hold its pose.
+    overlap, uncertainty, occluded, restarts : of these frames, see `Estimate`.
+    spheres : (S, 4) of the body, whose girths may have been fitted.
+    first : the first frame with somebody in it.
+    usual : overlap that this recording usually has.
+    area : px, mean area of a silhouette.
+    poor, unseen : how many of the newest frames in a row the model hardly covers, and how many show nobody.
+    scores, beam_poses, velocities, pending_poses, pending_parents : see `BeamState`.
+    """
+
+    poses: FloatArray
+    overlap: FloatArray
+    uncertainty: FloatArray
+    occluded: NDArray[np.bool_]
+    restarts: NDArray[np.int64]
+    spheres: FloatArray
+    first: int
+    usual: float
+    area: float
+    poor: int
+    unseen: int
+    scores: FloatArray
+    beam_poses: FloatArray
+    velocities: FloatArray
+    pending_poses: FloatArray
+    pending_parents: NDArray[np.int64]
+
+
+def estimate(
+    silhouettes: Silhouettes,
+    cameras: Sequence[Camera],
+    body: BodyModel,
+    start: ArrayLike | None = None,
+    *,
+    settings: TrackerSettings | None = None,
+    girths: Literal["fit", "keep"] = "fit",
+    n_threads: int | None = None,
+    resume: PartialTrack | None = None,
+    on_checkpoint: Callable[[PartialTrack], None] | None = None,
+    progress: Progress | None = None,
+) -> Estimate:
+    """Estimate a motion from silhouettes.
+
+    Parameters
+    ----------
+    silhouettes : V views over T frames.
+    cameras : (V,) one for each view, of the size of its masks.
+    body : the model, with P parts, K tips and A joint angles.
+    start : (7 + A,) pose in the first frame in which anybody is seen; None looks for it.
+    settings : how to search; the defaults, or `PAPER`.
+    girths : ``"fit"`` thickens or thins the parts to the silhouettes of the first frame, ``"keep"`` does not.
+    n_threads : workers; by default two, or one on a machine of one core. The result does not depend on it.
+    resume : what an interrupted call with the same arguments had done.
+    on_checkpoint : called now and then with what is done so far.
+    progress : called with frames done, frames in all and what is being done.
+
+    Returns
+    -------
+    The estimate.
+
+    Raises
+    ------
+    CalibrationError : not one camera for each view, or of another size than the masks.
+    BodyModelError : a start that is no pose of this body.
+    SilhouetteError : nobody is seen in the first frames, or every mask is full.
+    """
+    settings = TrackerSettings() if settings is None else settings
+    _check_cameras(silhouettes, cameras)
+    job = _Job(silhouettes, cameras, body, settings, n_threads or min(2, os.cpu_count() or 1), progress)
+    try:
+        if resume is None:
+            job.begin(start, girths)
+        else:
+            job.resume(resume)
+        job.run(on_checkpoint)
+    finally:
+        job.close()
+    return job.finish()
+
+
+def _check_cameras(silhouettes: Silhouettes, cameras: Sequence[Camera]) -> None:
+    if len(cameras) != silhouettes.n_views:
+        raise CalibrationError(
+            f"expected one camera for each of the {silhouettes.n_views} views, got {len(cameras)}"
+        )
+    for camera, size, name in zip(cameras, silhouettes.sizes, silhouettes.names, strict=True):
+        if (camera.width, camera.height) != tuple(size):
+            raise CalibrationError(
+                f"view '{name}': expected a camera for {size[0]} x {size[1]} pixels, got one for "
+                f"{camera.width} x {camera.height}; see fit_cameras"
+            )
+
+
+def _checked_start(body: BodyModel, start: ArrayLike) -> FloatArray:
+    pose = np.array(start, np.float64)
+    if pose.shape != (7 + body.n_angles,) or not np.isfinite(pose).all():
+        raise BodyModelError(
+            f"start: expected a pose of {7 + body.n_angles} finite numbers, got shape {pose.shape}"
+        )
+    length = float(np.linalg.norm(pose[3:7]))
+    if not 0.99 < length < 1.01:
+        raise BodyModelError(
+            f"start: expected a unit quaternion as the root's orientation, got length {length:g}"
+        )
+    pose[3:7] /= length
+    limits = body.angle_limits
+    pose[7:] = np.clip(pose[7:], limits[:, 0], limits[:, 1])
+    return pose
+
+
+class _Job:
+    """One estimate at work."""
+
+    def __init__(
+        self,
+        silhouettes: Silhouettes,
+        cameras: Sequence[Camera],
+        body: BodyModel,
+        settings: TrackerSettings,
+        n_threads: int,
+        progress: Progress | None,
+    ) -> None:
+        self.silhouettes, self.body, self.settings, self.n_threads = silhouettes, body, settings, n_threads
+        self.progress = progress or (lambda done, total, what: None)
+        self.cameras = tuple(cameras)
+        self.poses: list[FloatArray] = []
+        self.restarts: list[int] = []
+        self.notes: list[str] = []
+        self.poor = self.unseen = 0
+        self.began = 0
+
+    def begin(self, start: ArrayLike | None, girths: Literal["fit", "keep"]) -> None:
+        """Find the first frame, shrink the views to the working size, find or take the start, fit the girths."""
+        self.first, masks = _find_first(self.silhouettes)
+        self.area = float(np.mean([mask.sum() for mask in masks if mask is not None and mask.any()]))
+        self._set_up()
+        small = self.shrinker.shrink(masks)
+        frame = self.workshop.pack(small)
+        if start is None:
+            from dousa.estimation.start import find_start
+
+            self.progress(0, self.silhouettes.n_frames, "looking for the first pose")
+            pose = find_start(self.workshop, frame, small)[0].pose
+        else:
+            pose = _checked_start(self.body, start)
+        if girths == "fit":
+            self._fit_girths(pose, small)
+        self.beam = Beam(self.workshop, pose, self.n_threads)
+        self.beam.begin(frame)
+        self.at = self.first + 1
+        covered = self.diary.cover(pose, frame)
+        self.usual = max(0.3, covered)
+        if start is not None and covered < _DOUBTFUL and self.settings.candidates == "subtree":
+            self._doubt_start(frame, small, covered)
+        for _ in range(self.first):
+            self._keep(pose, self.workshop.pack([None] * len(self.cameras)))
+
+    def _doubt_start(self, frame: Frame, masks: Sequence[NDArray[np.bool_] | None], covered: float) -> None:
+        """Say so if a pose that is found without the start covers the silhouettes clearly better."""
+        from dousa.estimation.start import find_start
+
+        found = find_start(self.workshop, frame, masks)[0]
+        if found.iou > covered + _CLEARLY:
+            self.notes.append(
+                f"the start covers {covered:.2f} of the silhouettes, a pose found without it {found.iou:.2f}; is the "
+                "start of another frame, turned, or of another person? Without a start one is looked for"
+            )
+
+    def _set_up(self) -> None:
+        """Everything that depends on the body and on the size of the silhouettes."""
+        self.shrinker = Shrinker(self.cameras, self.area, self.settings.height)
+        area = self.area * self.shrinker.area_share
+        self.workshop = Workshop(
+            self.body, self.shrinker.cameras, self.settings, self.silhouettes.frame_rate, area
+        )
+        self.diary = Diary(self.workshop)
+
+    def _fit_girths(self, pose: FloatArray, masks: Sequence[NDArray[np.bool_] | None]) -> None:
+        from dousa.estimation.girths import fit_girths
+
+        views = [number for number, mask in enumerate(masks) if mask is not None and mask.any()]
+        seen = [mask for mask in masks if mask is not None and mask.any()]
+        self.body = fit_girths(self.body, pose, seen, [self.shrinker.cameras[view] for view in views])
+        self._set_up()
+
+    def resume(self, partial: PartialTrack) -> None:
+        """Take up the work where it was left."""
+        from dataclasses import replace
+
+        self.body = replace(self.body, spheres=partial.spheres)
+        self.first, self.usual, self.area = int(partial.first), float(partial.usual), float(partial.area)
+        self.poor, self.unseen = int(partial.poor), int(partial.unseen)
+        self._set_up()
+        self.diary.load(partial.overlap, partial.uncertainty, partial.occluded)
+        self.poses = list(partial.poses)
+        self.restarts = [int(frame) for frame in partial.restarts]
+        self.beam = Beam(self.workshop, partial.beam_poses[0], self.n_threads)
+        self.at = len(self.poses)
+        frames = [self._read() for _ in range(len(partial.pending_poses))]
+        state = BeamState(
+            partial.scores,
+            partial.beam_poses,
+            partial.velocities,
+            partial.pending_poses,
+            partial.pending_parents,
+        )
+        self.beam.load(state, frames)
+        self.began = self.at
+
+    def _read(self) -> Frame:
+        frame = self.workshop.pack(self.shrinker.shrink(self.silhouettes.read(self.at)))
+        self.at += 1
+        return frame
+
+    def run(self, on_checkpoint: Callable[[PartialTrack], None] | None) -> None:
+        """Track to the end."""
+        n_frames = self.silhouettes.n_frames
+        self.clock = time.perf_counter()
+        self.began = max(self.began, self.at)
+        while self.at < n_frames:
+            frame = self._read()
+            self.beam.step(frame)
+            self._watch(frame)
+            for settled in self.beam.settle(self.settings.lag):
+                self._keep(settled.pose, settled.frame)
+            self.progress(self.at, n_frames, "tracking")
+            if on_checkpoint is not None and self.at % _CHECKPOINT_FRAMES == 0:
+                on_checkpoint(self._save())
+        for settled in self.beam.settle(0):
+            self._keep(settled.pose, settled.frame)
+        self.seconds = time.perf_counter() - self.clock
+
+    def _watch(self, frame: Frame) -> None:
+        """Look for the person anew after several frames that the model hardly covers, or that nobody is in."""
+        if not frame.seen.any():
+            self.unseen += 1
+            return
+        returned, self.unseen = self.unseen >= _LOST_FRAMES, 0
+        covered = self.diary.cover(self.beam.best, frame)
+        lost = self.diary.is_lost(covered, self.usual)
+        self.poor = self.poor + 1 if lost else 0
+        if not lost:
+            self.usual += 0.05 * (covered - self.usual)
+        if (self.poor >= _LOST_FRAMES or returned) and self.settings.candidates == "subtree":
+            self._search_anew(frame, covered)
+            self.poor = 0
+
+    def _search_anew(self, frame: Frame, covered: float) -> None:
+        from dousa.estimation.start import find_start
+
+        masks = self.shrinker.unpack(frame)
+        found = find_start(self.workshop, frame, masks, near=self.beam.best)[0]
+        if found.iou > covered + 0.05:
+            self.beam.restart(found.pose)
+            self.restarts.append(self.at - 1)
+
+    def _keep(self, pose: FloatArray, frame: Frame) -> None:
+        self.poses.append(pose)
+        self.diary.write(pose, frame)
+
+    def _save(self) -> PartialTrack:
+        state = self.beam.save()
+        overlap, uncertainty, occluded = self.diary.arrays()
+        return PartialTrack(
+            poses=np.array(self.poses).reshape(-1, 7 + self.body.n_angles),
+            overlap=overlap,
+            uncertainty=uncertainty,
+            occluded=occluded,
+            restarts=np.array(self.restarts, np.int64),
+            spheres=self.body.spheres,
+            first=self.first,
+            usual=self.usual,
+            area=self.area,
+            poor=self.poor,
+            unseen=self.unseen,
+            scores=state.scores,
+            beam_poses=state.poses,
+            velocities=state.velocities,
+            pending_poses=state.pending_poses,
+            pending_parents=state.pending_parents,
+        )
+
+    def close(self) -> None:
+        if hasattr(self, "beam"):
+            self.beam.close()
+
+    def finish(self) -> Estimate:
+        """Smooth, and say how far to trust it."""
+        from dousa.estimation.smoothing import smooth_poses
+
+        rate = self.silhouettes.frame_rate
+        overlap, uncertainty, occluded = self.diary.arrays()
+        poses = np.array(self.poses)
+        if self.settings.smoothing > 0:
+            poses = smooth_poses(poses, rate, self.settings.smoothing, breaks=self.restarts)
+        lost = self.diary.find_lost(overlap, self.usual)
+        return Estimate(
+            body=self.body,
+            poses=poses,
+            frame_rate=rate,
+            iou=overlap,
+            uncertainty=uncertainty,
+            occluded=occluded,
+            lost=lost,
+            warnings=tuple(self._describe(overlap, lost)),
+            frames_per_second=(self.at - self.began) / max(self.seconds, 1e-9),
+        )
+
+    def _describe(self, overlap: FloatArray, lost: NDArray[np.bool_]) -> list[str]:
+        notes = [*self.silhouettes.warnings, *self.notes]
+        if self.first:
+            notes.append(f"nobody is seen before frame {self.first}; the frames before hold its pose")
+        if self.restarts:
+            places = ", ".join(str(frame) for frame in self.restarts[:8])
+            notes.append(f"the track was lost and taken up anew at frame {places}")
+        if lost.any():
+            notes.append(
+                f"in {int(lost.sum())} of {len(lost)} frames the model does not cover the silhouettes"
+            )
+        return notes
+
+
+def _find_first(silhouettes: Silhouettes) -> tuple[int, tuple[NDArray[np.bool_] | None, ...]]:
+    """The first frame with somebody in it: in as many views as any of the first frames has."""
+    best, best_count, best_masks, full = -1, 0, None, 0
+    for frame in range(min(silhouettes.n_frames, _FIRST_FRAMES)):
+        masks = silhouettes.read(frame)
+        good = [mask is not None and 0 < mask.mean() < 0.9 for mask in masks]
+        full += any(mask is not None and mask.mean() >= 0.9 for mask in masks)
+        if sum(good) > best_count:
+            kept = tuple(mask if fine else None for mask, fine in zip(masks, good, strict=True))
+            best, best_count, best_masks = frame, sum(good), kept
+        if best_count and (best_count == len(masks) or frame >= best + 5):
+            break
+    if best_masks is None:
+        what = "every mask is full: is black foreground, white background?" if full else "every mask is empty"
+        raise SilhouetteError(
+            f"expected a person in the first {min(silhouettes.n_frames, _FIRST_FRAMES)} frames, but {what}"
+        )
+    return best, best_masks

@@ -1,0 +1,455 @@
+"""``dousa estimate`` and ``dousa render`` as a person uses them: every mistake is one line with exit code 2."""
+
+from __future__ import annotations
+
+import csv
+import dataclasses
+import json
+import os
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from dousa.estimation._types import PAPER, TrackerSettings
+from dousa.formats import read_motion, write_motion
+from dousa.motion import CANONICAL_JOINTS
+from dousa.motion.synthetic import draw_performer, make_motion
+
+
+@pytest.fixture
+def run(dousa):
+    """The command line, in this process."""
+    return dousa
+
+
+@pytest.fixture(scope="session")
+def jack(tmp_path_factory) -> Path:
+    """A folder with half a second of a synthetic jumping jack, and what four cameras see of it."""
+    from dousa.app.rendering_files import RenderRequest, render_file
+
+    folder = tmp_path_factory.mktemp("jack")
+    whole = make_motion("jumping_jack", draw_performer(10))
+    motion = whole.replace(rotations=whole.rotations[10:26], translations=whole.translations[10:26])
+    write_motion(motion, folder / "jack.bvh")
+    render_file(RenderRequest(folder / "jack.bvh", folder / "seen.npz", size=(160, 120)))
+    return folder
+
+
+def failed(answer, *words):
+    """The one line of an error with exit code 2."""
+    code, out, err = answer
+    lines = [line for line in err.splitlines() if not line.startswith("dousa: note:")]
+    assert code == 2 and out == "" and len(lines) == 1, answer
+    assert lines[0].startswith("dousa: ") and "Traceback" not in err
+    for word in words:
+        assert word in lines[0]
+    return lines[0]
+
+
+class TestRender:
+    def test_the_file_holds_masks_cameras_stature_and_truth(self, run, jack, tmp_path):
+        words = ("--ring", 3, "--size", "96x64", "--frames", "2:9", "--json", "-o", tmp_path / "seen.npz")
+        code, out, err = run("render", jack / "jack.bvh", *words)
+        assert code == 0, err
+        answer = json.loads(out)
+        assert (answer["n_frames"], answer["sizes"], len(answer["views"])) == (7, [[96, 64]] * 3, 3)
+        with np.load(tmp_path / "seen.npz") as file:
+            assert file["mask_packed"].shape == (3, 7, 64, 12)
+            assert file["joint_positions"].shape == (7, 20, 3)
+            assert tuple(file["joint_names"]) == CANONICAL_JOINTS
+            assert file["camera_matrix"].shape == (3, 3, 3)
+            assert 1.4 < float(file["stature"]) < 2.0
+            assert float(file["frame_rate"]) == 30.0
+
+    def test_the_true_joints_are_those_of_the_motion(self, jack):
+        from dousa.motion import canonicalise
+
+        with np.load(jack / "seen.npz") as file:
+            off = np.linalg.norm(
+                file["joint_positions"] - canonicalise(read_motion(jack / "jack.bvh")).positions, axis=2
+            )
+        assert off.mean() < 0.02
+
+    def test_the_body_is_in_the_middle_of_every_view_and_whole(self, jack):
+        with np.load(jack / "seen.npz") as file:
+            masks = np.unpackbits(file["mask_packed"], axis=3, count=160).astype(bool)
+        for edge in (masks[:, :, 0], masks[:, :, -1], masks[..., 0], masks[..., -1]):
+            assert not edge.any()
+        assert masks.any(axis=(2, 3)).all()
+
+    def test_another_rate_and_noise(self, run, jack, tmp_path):
+        for name, noise in (("clean", "clean"), ("noisy", "noisy"), ("again", "noisy")):
+            words = ("--rate", 10, "--noise", noise, "--size", "96x64", "-o", tmp_path / f"{name}.npz")
+            assert run("render", jack / "jack.bvh", *words)[0] == 0
+        masks = {
+            name: np.load(tmp_path / f"{name}.npz")["mask_packed"] for name in ("clean", "noisy", "again")
+        }
+        assert masks["clean"].shape[1] == 6
+        assert (masks["clean"] != masks["noisy"]).any() and (masks["noisy"] == masks["again"]).all()
+
+    @pytest.mark.parametrize(
+        ("words", "said"),
+        [
+            ((), "-o OUT.npz is missing"),
+            (("-o", "a.mp4"), "written as .npz"),
+            (("-o", "none/a.npz"), "folder does not exist"),
+            (("-o", "a.npz", "--size", "big"), "WIDTHxHEIGHT"),
+            (("-o", "a.npz", "--size", "0x9"), "WIDTHxHEIGHT"),
+            (("-o", "a.npz", "--stature", 172), "centimetres"),
+            (("-o", "a.npz", "--stature", 1.7, "--body", "x.toml"), "exclude each other"),
+            (("-o", "a.npz", "--body", "x.toml"), "x.toml"),
+            (("-o", "a.npz", "--cameras", "x.toml"), "x.toml"),
+            (("-o", "a.npz", "--cameras", "x.toml", "--ring", 3), "exclude each other"),
+            (("-o", "a.npz", "--frames", "90:"), "--frames"),
+            (("-o", "a.npz", "--rate", 0), "frame rate"),
+            (("-o", "jack.bvh"), "written as .npz"),
+        ],
+    )
+    def test_mistakes(self, run, jack, tmp_path, monkeypatch, words, said):
+        monkeypatch.chdir(tmp_path)
+        failed(run("render", jack / "jack.bvh", *words), said)
+        assert list(tmp_path.iterdir()) == []
+
+    def test_cameras_that_see_nobody(self, run, jack, tmp_path):
+        with np.load(jack / "seen.npz") as file:
+            arrays = dict(file)
+        arrays["world_to_camera_translation"] = arrays["world_to_camera_translation"] + [0.0, 90.0, 0.0]
+        np.savez(tmp_path / "away.npz", **arrays)
+        answer = run(
+            "render", jack / "jack.bvh", "--cameras", tmp_path / "away.npz", "-o", tmp_path / "out.npz"
+        )
+        failed(answer, "no camera sees the body")
+
+
+@pytest.fixture
+def tracked(monkeypatch):
+    """A made-up tracker that holds the start; it notes what it was asked, and can be interrupted."""
+    import sys
+    from types import SimpleNamespace
+
+    from dousa.estimation._types import Estimate
+    from dousa.estimation.posing import standing_state
+
+    calls = SimpleNamespace(asked=[], stop_at=None, iou=0.8, lost=[])
+
+    def estimate(
+        views, cameras, body, start=None, *, settings, resume=None, on_checkpoint=None, progress=None
+    ):
+        calls.asked.append(
+            SimpleNamespace(
+                views=views, cameras=cameras, body=body, start=start, settings=settings, resume=resume
+            )
+        )
+        done = [] if resume is None else list(resume.poses)
+        for frame in range(len(done), views.n_frames):
+            if frame == calls.stop_at:
+                raise KeyboardInterrupt
+            views.read(frame)
+            done.append(standing_state(body) if start is None else start)
+            on_checkpoint(Partial(np.array(done)))
+            progress(frame + 1, views.n_frames, "tracking")
+        n_frames, n_points = len(done), body.n_parts + len(body.tips)
+        lost = np.zeros(n_frames, bool)
+        lost[calls.lost] = True
+        iou = np.full((n_frames, len(cameras)), calls.iou)
+        hidden = np.zeros((n_frames, body.n_parts), bool)
+        return Estimate(
+            body,
+            np.array(done),
+            views.frame_rate,
+            iou,
+            np.full((n_frames, n_points), 0.02),
+            hidden,
+            lost,
+            (),
+            99.0,
+        )
+
+    module = SimpleNamespace(estimate=estimate, PartialTrack=Partial)
+    monkeypatch.setitem(sys.modules, "dousa.estimation.tracker", module)
+    monkeypatch.setattr("dousa.app._partial_track._EVERY_S", 0.0)
+    return calls
+
+
+@dataclasses.dataclass(frozen=True)
+class Partial:
+    """Stands in for what the tracker keeps."""
+
+    poses: np.ndarray
+
+
+class TestEstimateAround:
+    """Everything around the tracker, with one that holds its start."""
+
+    def test_json_begins_with_what_was_promised(self, run, jack, tracked, tmp_path):
+        out = tmp_path / "out.bvh"
+        code, answer, err = run(
+            "estimate", jack / "seen.npz", "--start", f"{jack / 'jack.bvh'}:0", "-o", out, "--json"
+        )
+        assert code == 0, err
+        said = json.loads(answer)
+        assert list(said)[:5] == ["n_frames", "frame_rate", "iou", "lost_frames", "frames_per_second"]
+        assert (said["n_frames"], said["frame_rate"], said["lost_frames"]) == (16, 30.0, [])
+        assert said["iou"] == {"mean": pytest.approx(0.8), "per_view": [pytest.approx(0.8)] * 4}
+        assert said["outputs"] == [str(out)] and read_motion(out).n_frames == 16
+        assert "said by the silhouettes' file" in said["body"]
+
+    def test_the_start_is_the_pose_of_the_frame(self, run, jack, tracked):
+        assert run("estimate", jack / "seen.npz", "--start", f"{jack / 'jack.bvh'}:7", "--json")[0] == 0
+        assert run("estimate", jack / "seen.npz", "--start", f"{jack / 'seen.npz'}:7", "--json")[0] == 0
+        assert run("estimate", jack / "seen.npz", "--json")[0] == 0
+        from dousa.estimation.kinematics import compute_points, point_names
+
+        one, two, three = tracked.asked
+        assert three.start is None
+        with np.load(jack / "seen.npz") as file:
+            truth = file["joint_positions"][7]
+        for asked in (one, two):
+            names = point_names(asked.body)
+            points = compute_points(asked.body, asked.start)[[names.index(name) for name in CANONICAL_JOINTS]]
+            assert np.linalg.norm(points - truth, axis=1).mean() < 0.06
+
+    def test_every_output_is_written(self, run, jack, tracked, tmp_path):
+        files = [tmp_path / name for name in ("a.npz", "a.trc", "a.csv", "a.png", "a.mp4")]
+        options = ("-o", "--trc", "--angles", "--sheet", "--overlay")
+        words = [word for pair in zip(options, files, strict=True) for word in pair]
+        code, out, err = run("estimate", jack / "seen.npz", "--frames", "0:5", *words)
+        assert code == 0, err
+        assert sorted(tmp_path.iterdir()) == sorted(files)
+        trc = read_motion(files[1])
+        assert trc.names == CANONICAL_JOINTS and trc.n_frames == 5
+        with open(files[2], newline="") as file:
+            rows = list(csv.reader(file))
+        assert (
+            len(rows) == 6
+            and rows[0][0] == "time_s"
+            and rows[0][-1] == "lost"
+            and len(rows[0]) == len(rows[3])
+        )
+        assert "left_elbow.1_deg" in rows[0]
+        for file in files[3:]:
+            assert file.stat().st_size > 1000
+        assert "view1" in out and "0.80" in out and "no frame lost" in out
+
+    def test_without_an_output_the_numbers_are_shown(self, run, jack, tracked):
+        tracked.lost = [3, 4, 9]
+        code, out, err = run("estimate", jack / "seen.npz", "--frames", "2:14")
+        assert code == 0 and "the motion is not kept" in err
+        assert "lost in 3 of 12 frames: 5-6, 11" in out
+
+    def test_options_reach_the_tracker(self, run, jack, tracked):
+        words = (
+            "--reading",
+            "residual",
+            "--evidence",
+            "global",
+            "--smoothing",
+            0,
+            "--beam",
+            3,
+            "--stature",
+            1.5,
+        )
+        assert run("estimate", jack / "seen.npz", *words, "--frames", ":2")[0] == 0
+        assert run("estimate", jack / "seen.npz", "--method", "paper", "--beam", 2, "--frames", ":2")[0] == 0
+        assert run("estimate", jack / "seen.npz", "--frames", ":2")[0] == 0
+        asked, paper, usual = tracked.asked
+        assert paper.settings == dataclasses.replace(PAPER, beam=2) and usual.settings == TrackerSettings()
+        settings = asked.settings
+        assert (settings.reading, settings.evidence) == ("residual", "global")
+        assert (settings.smoothing, settings.beam, asked.body.stature) == (0.0, 3, 1.5)
+
+    def test_interrupted_work_goes_on(self, run, jack, tracked, tmp_path):
+        words = ("estimate", jack / "seen.npz", "-o", tmp_path / "out.bvh", "--json")
+        tracked.stop_at = 9
+        code, out, err = run(*words)
+        assert code == 130 and out == "" and "run the same command again" in err
+        assert [path.name for path in tmp_path.iterdir()] == [".out.bvh.partial.npz"]
+        tracked.stop_at = None
+        code, out, err = run(*words)
+        assert code == 0 and "going on at frame 9 of 16" in err
+        assert json.loads(out)["resumed_frames"] == 9
+        assert tracked.asked[1].resume.poses.shape[0] == 9
+        assert [path.name for path in tmp_path.iterdir()] == ["out.bvh"]
+
+    def test_other_settings_start_anew(self, run, jack, tracked, tmp_path):
+        words = ("estimate", jack / "seen.npz", "-o", tmp_path / "out.bvh")
+        tracked.stop_at = 9
+        run(*words)
+        tracked.stop_at = None
+        code, _, err = run(*words, "--smoothing", 3)
+        assert code == 0 and "starting anew" in err and tracked.asked[1].resume is None
+
+    @pytest.mark.parametrize(
+        ("words", "said"),
+        [
+            (("none.npz",), "none.npz: no such file"),
+            (("SEEN", "-o", "a.xyz"), ".bvh"),
+            (("SEEN", "-o", "none/a.bvh"), "folder does not exist"),
+            (("SEEN", "-o", "SEEN"), "is read from"),
+            (("SEEN", "--start", "none.bvh:3"), "no file none.bvh"),
+            (("SEEN", "--start", "JACK:999"), "frames 0 to 15, there is no frame 999"),
+            (("SEEN", "--body", "x.toml", "--stature", 1.7), "exclude each other"),
+            (("SEEN", "--body", "x.toml"), "x.toml"),
+            (("SEEN", "--stature", 0.17), "stature"),
+            (("SEEN", "--stature", 170), "centimetres"),
+            (("SEEN", "--cameras", "x.toml"), "x.toml"),
+            (("SEEN", "--frames", "5:5"), "--frames"),
+            (("SEEN", "SEEN"), "give it alone"),
+            (("SEEN", "--bones", "start"), "--start"),
+            (("SEEN", "--background", "x.png"), "background"),
+            (("JACK",), "--cameras FILE is missing"),
+        ],
+    )  # fmt: skip
+    def test_mistakes(self, run, jack, tracked, tmp_path, monkeypatch, words, said):
+        monkeypatch.chdir(tmp_path)
+        places = {
+            "SEEN": str(jack / "seen.npz"),
+            "JACK": str(jack / "jack.bvh"),
+            "JACK:999": f"{jack / 'jack.bvh'}:999",
+        }
+        failed(run("estimate", *(places.get(word, word) for word in words)), said)
+        assert list(tmp_path.iterdir()) == [] and tracked.asked == []
+
+    @pytest.mark.skipif(hasattr(os, "geteuid") and os.geteuid() == 0, reason="root may write everywhere")
+    def test_no_permission_is_found_before_the_work(self, run, jack, tracked, tmp_path):
+        tmp_path.chmod(0o500)
+        failed(run("estimate", jack / "seen.npz", "-o", tmp_path / "a.bvh"), "no permission")
+        assert tracked.asked == []
+
+    def change(self, jack, path, **arrays):
+        """Another npz of silhouettes."""
+        with np.load(jack / "seen.npz") as file:
+            kept = {**dict(file), **arrays}
+        np.savez(path, **{key: value for key, value in kept.items() if value is not None})
+        return path
+
+    def test_mirror_images_are_turned_round(self, run, jack, tracked, tmp_path):
+        from dousa.estimation.mask_npz import read_silhouettes
+
+        with np.load(jack / "seen.npz") as file:
+            turned = np.packbits(np.unpackbits(file["mask_packed"], axis=3, count=160)[..., ::-1], axis=3)
+        path = self.change(jack, tmp_path / "turned.npz", mask_packed=turned)
+        assert run("estimate", path, "--mirror-left-right")[0] == 0
+        for mask, expected in zip(
+            tracked.asked[0].views.read(4), read_silhouettes(jack / "seen.npz").read(4), strict=True
+        ):
+            np.testing.assert_array_equal(mask, expected)
+
+    def test_cameras_that_are_lacking_or_too_few(self, run, jack, tracked, tmp_path):
+        bare = self.change(jack, tmp_path / "bare.npz", camera_matrix=None, world_to_camera_rotation=None,
+                           world_to_camera_translation=None)  # fmt: skip
+        failed(run("estimate", bare), "give --cameras FILE")
+        assert run("estimate", bare, "--cameras", jack / "seen.npz")[0] == 0
+        with np.load(jack / "seen.npz") as file:
+            keys = ("camera_matrix", "world_to_camera_rotation", "world_to_camera_translation", "view_names")
+            fewer = {key: file[key][:3] for key in keys}
+        np.savez(
+            tmp_path / "three.npz", mask_packed=np.zeros((3, 2, 8, 1), np.uint8), width=8, height=8, **fewer
+        )
+        failed(run("estimate", bare, "--cameras", tmp_path / "three.npz"), "3 cameras for 4 views")
+
+    def test_a_start_elsewhere(self, run, jack, tracked, tmp_path):
+        motion = read_motion(jack / "jack.bvh")
+        for offset, code, words in ((50.0, 2, "outside the image of every view"), (0.35, 0, "hardly covers")):
+            moved = motion.translations.copy()
+            moved[:, 0, 0] += offset
+            write_motion(motion.replace(translations=moved), tmp_path / "far.bvh")
+            answer = run("estimate", jack / "seen.npz", "--start", f"{tmp_path / 'far.bvh'}:0")
+            assert answer[0] == code and words in answer[2]
+
+    def test_a_wrong_calibration_is_told_from_the_overlap(self, run, jack, tracked):
+        tracked.iou = 0.3
+        code, _, err = run("estimate", jack / "seen.npz")
+        assert code == 0 and "overlap by 30% only" in err and "calibration" in err
+
+    def test_one_view_that_disagrees_is_named(self, run, jack, tracked):
+        tracked.iou = np.array([0.8, 0.8, 0.3, 0.8])
+        _, _, err = run("estimate", jack / "seen.npz")
+        assert "view 'view3' overlaps by 30% only, the others by 80%" in err
+
+    def test_a_camera_inside_the_body(self, run, jack, tracked, tmp_path):
+        with np.load(jack / "seen.npz") as file:
+            rotations = file["world_to_camera_rotation"]
+            shifts = file["world_to_camera_translation"].copy()
+        shifts[0] = -rotations[0] @ [0.0, 1.0, 0.0]
+        path = self.change(jack, tmp_path / "inside.npz", world_to_camera_translation=shifts)
+        _, _, err = run("estimate", path)
+        assert "camera 'view1' stands inside the body" in err
+
+
+@pytest.fixture(scope="session")
+def sources(jack, tmp_path_factory):
+    """Folders view1 ... view4 of masks, mp4 of the same, and cameras.toml with the cameras in another order."""
+    import cv2
+
+    from dousa.estimation.camera_files import read_cameras, write_cameras
+    from dousa.estimation.mask_npz import read_silhouettes
+
+    folder = tmp_path_factory.mktemp("sources")
+    views = read_silhouettes(jack / "seen.npz")
+    write_cameras(folder / "cameras.toml", read_cameras(jack / "seen.npz")[::-1])
+    videos = []
+    for name, size in zip(views.names, views.sizes, strict=True):
+        (folder / name).mkdir()
+        code = cv2.VideoWriter_fourcc(*"mp4v")
+        videos.append(cv2.VideoWriter(str(folder / f"{name}.mp4"), code, 30.0, size))
+    for frame in range(6):
+        for name, video, mask in zip(views.names, videos, views.read(frame), strict=True):
+            image = mask.astype(np.uint8) * 255
+            cv2.imwrite(str(folder / name / f"{frame:03d}.png"), image)
+            video.write(cv2.cvtColor(image, cv2.COLOR_GRAY2BGR))
+    for video in videos:
+        video.release()
+    return folder
+
+
+class TestSources:
+    """Folders and videos, matched to the cameras of a calibration file by name."""
+
+    @pytest.mark.parametrize("ending", ["", ".mp4"])
+    def test_views_find_their_cameras(self, run, jack, tracked, sources, ending):
+        from dousa.estimation.camera_files import read_cameras
+
+        own = {camera.name: camera for camera in read_cameras(jack / "seen.npz")}
+        paths = [sources / f"view{k}{ending}" for k in (2, 1, 4)]
+        words = ("--cameras", sources / "cameras.toml", "--rate", 30, "--stature", 1.7, "--json")
+        code, out, err = run("estimate", *paths, *words)
+        assert code == 0, err
+        assert json.loads(out)["views"] == ["view2", "view1", "view4"] and json.loads(out)["n_frames"] == 6
+        (asked,) = tracked.asked
+        for camera in asked.cameras:
+            np.testing.assert_allclose(camera.position, own[camera.name].position, atol=1e-6)
+
+    def test_videos_are_drawn_below_the_model(self, run, tracked, sources, tmp_path):
+        words = ("--cameras", sources / "cameras.toml", "--sheet", tmp_path / "a.png", "--frames", "1:4")
+        code, _, err = run("estimate", sources / "view1.mp4", *words)
+        assert code == 0 and (tmp_path / "a.png").stat().st_size > 1000, err
+        assert "a stature of 1.72 m is assumed" in err
+
+    def test_pictures_are_those_of_the_frames(self, sources):
+        from dousa.app._video_pictures import VideoPictures
+
+        pictures = VideoPictures(
+            [sources / "view1.mp4", sources / "view2.mp4"], [(160, 120), (80, 60)], 15.0, 1
+        )
+        large, small = pictures(1)
+        assert large.shape == (120, 160, 3) and small.shape == (60, 80, 3)
+        import cv2
+
+        mask = cv2.imread(str(sources / "view1" / "004.png"), cv2.IMREAD_GRAYSCALE) > 127
+        assert ((large[..., 0] > 127) == mask).mean() > 0.98
+        pictures.close()
+
+    def test_mistakes(self, run, tracked, sources, tmp_path):
+        (tmp_path / "view1.mp4").write_bytes(b"no video at all")
+        (tmp_path / "empty").mkdir()
+        calibration = ("--cameras", sources / "cameras.toml")
+        failed(run("estimate", tmp_path / "view1.mp4", *calibration), "cannot be opened as a video")
+        failed(run("estimate", tmp_path / "empty", *calibration), "empty", "images")
+        failed(run("estimate", sources / "view1.mp4"), "--cameras FILE is missing")
+        plates = ("--background", "x.png", "--background", "y.png")
+        failed(run("estimate", sources / "view1.mp4", *calibration, *plates), "background")
+        failed(run("estimate", sources / "view1", sources / "view1", *calibration), "camera")
+        assert tracked.asked == []

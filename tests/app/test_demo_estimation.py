@@ -1,0 +1,118 @@
+"""The demonstration's third act, with a tracker that knows the truth and with the real one."""
+
+from __future__ import annotations
+
+import dataclasses
+import io
+import re
+import sys
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from rich.console import Console
+
+import dousa.app.overlay
+from dousa.app.demo_estimation import run_estimation_demo, write_performance
+from dousa.errors import OptionError
+from dousa.estimation.human import make_human
+from dousa.estimation.mask_npz import read_silhouettes, read_stature, read_true_joints
+from dousa.formats import read_motion
+from dousa.motion import canonicalise
+
+
+@dataclasses.dataclass(frozen=True)
+class Partial:
+    """Stands in for what the tracker keeps."""
+
+    poses: np.ndarray
+
+
+@pytest.fixture
+def undrawn(monkeypatch):
+    """Drawings that are made in no time."""
+
+    def write(estimate, views, cameras, path, **options):
+        path.write_bytes(b"drawn")
+
+    monkeypatch.setattr(dousa.app.overlay, "write_overlay", write)
+    monkeypatch.setattr(dousa.app.overlay, "draw_overlay_sheet", write)
+
+
+@pytest.fixture
+def tracked(monkeypatch, tmp_path, undrawn):
+    """A tracker that fits the true joints."""
+    from dousa.estimation._types import Estimate
+    from dousa.estimation.posing import fit_poses
+
+    def estimate(views, cameras, body, start, *, settings, resume, on_checkpoint, progress):
+        assert start is None  # the demonstration shows that it is found
+        names, truth = read_true_joints(tmp_path / "seen.npz")
+        poses, _ = fit_poses(body, truth, names)
+        n_frames, n_parts = len(poses), body.n_parts
+        views.read(0)
+        uncertainty = np.full((n_frames, n_parts + len(body.tips)), 0.02)
+        iou, flags = np.full((n_frames, len(cameras)), 0.8), np.zeros((n_frames, n_parts), bool)
+        return Estimate(body, poses, views.frame_rate, iou, uncertainty, flags, flags[:, 0], (), 50.0)
+
+    monkeypatch.setitem(
+        sys.modules, "dousa.estimation.tracker", SimpleNamespace(estimate=estimate, PartialTrack=Partial)
+    )
+
+
+def test_the_chain_writes_its_files_and_says_how_good_it_is(tracked, tmp_path):
+    console = Console(file=io.StringIO(), width=300)
+    run_estimation_demo(console, tmp_path)
+    said = console.file.getvalue()
+    for word in ("mean joint error", "Held against 5 takes of a teacher", "as it really was", "report.html"):
+        assert word in said
+    names = {path.name for path in tmp_path.iterdir()}
+    assert {
+        "performed.bvh",
+        "seen.npz",
+        "estimated.bvh",
+        "estimated.mp4",
+        "estimated.png",
+        "report_estimated",
+    } <= names
+    assert not [name for name in names if name.startswith(".")]
+    assert (
+        read_motion(tmp_path / "estimated.bvh").n_frames == read_silhouettes(tmp_path / "seen.npz").n_frames
+    )
+
+
+def test_the_tracker_itself_does_it(undrawn, tmp_path):
+    console = Console(file=io.StringIO(), width=300)
+    run_estimation_demo(console, tmp_path)
+    told = console.file.getvalue()
+    off, held = re.search(r"mean joint error (\d+) mm \(holding the true first pose: (\d+) mm", told).groups()
+    assert int(off) < 60 < int(held) and "0 frames lost" in told
+    grades = re.search(r"teacher: grade (\d+) .*really was: (\d+)", told).groups()
+    assert abs(int(grades[0]) - int(grades[1])) < 25
+
+
+def test_the_performer_is_not_the_model(tmp_path):
+    stature = write_performance(tmp_path / "performed.bvh", tmp_path / "seen.npz", 3)
+    assert read_stature(tmp_path / "seen.npz") == stature
+    model = make_human(stature)
+    places = dict(zip(*map(list, _by_joint(tmp_path / "seen.npz")), strict=True))
+    lengths = {
+        "arm": (("left_shoulder", "left_elbow"), model.joints.index("left_elbow")),
+        "leg": (("left_hip", "left_knee"), model.joints.index("left_knee")),
+    }
+    for (first, second), joint in lengths.values():
+        own = np.linalg.norm(places[first] - places[second], axis=1).mean()
+        assert abs(own / np.linalg.norm(model.offsets[joint]) - 1.0) > 0.02
+    moved = canonicalise(read_motion(tmp_path / "performed.bvh")).positions
+    assert np.ptp(moved[:, :, 1], axis=0).max() > 0.3  # a kick
+
+
+def _by_joint(path):
+    names, positions = read_true_joints(path)
+    return names, np.moveaxis(positions, 1, 0)
+
+
+def test_a_folder_that_cannot_be_made(tmp_path):
+    (tmp_path / "file").write_text("")
+    with pytest.raises(OptionError, match="cannot make this folder"):
+        run_estimation_demo(Console(file=io.StringIO()), tmp_path / "file" / "out")
