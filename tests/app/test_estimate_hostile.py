@@ -142,7 +142,7 @@ class TestMasks:
     def test_somebody_who_comes_late(self, scene, masks, change):
         masks[:, :3] = False
         done = track(scene, change(masks), start=f"{scene / 'jack.bvh'}:3")
-        assert "nobody is seen before frame 3" in said(done) and done.estimate.n_frames == 12
+        assert "tracked from frame 3" in said(done) and done.estimate.n_frames == 12
         assert mean_error(done, scene) < 80.0
 
     def test_folders_of_other_lengths_with_images_missing(self, scene, masks, tmp_path):

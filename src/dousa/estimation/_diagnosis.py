@@ -70,7 +70,12 @@ class Diary:
         axes = np.flatnonzero(half)
         if not len(axes):
             return np.zeros(shop.body.n_parts + len(shop.body.tips))
-        moved = np.stack([move_pose(pose, half[axis] * np.eye(shop.n_axes)[axis]) for axis in axes])
+        moved = np.tile(pose, (len(axes), 1))
+        for row, axis in zip(moved, axes, strict=True):
+            if 3 <= axis < 6:
+                row[:] = move_pose(pose, half[axis] * np.eye(shop.n_axes)[axis])
+            else:
+                row[axis + (axis >= 6)] += half[axis]
         points = compute_points(shop.body, np.concatenate((pose[None], moved)))
         away = np.linalg.norm(points[1:] - points[0], axis=-1)
         return np.asarray(np.sqrt((away * away).sum(axis=0)))

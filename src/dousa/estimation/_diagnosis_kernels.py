@@ -5,13 +5,14 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from dousa.estimation._pose_kernels import place_part
+from dousa.estimation._borrowing import borrow
 from dousa.estimation._raster_kernels import interval_mask, outline_part, popcount
 from dousa.estimation._search_kernels import (
-    count_parts,
+    count_parts_apart,
     draw_parts_into,
     fill_evidence,
     move_axis,
+    place_parts,
     select_fixed,
 )
 
@@ -21,20 +22,27 @@ _TIE = 1.0  # log score: what drops by less is as good
 
 
 @njit(cache=True, nogil=True)
+def _outline(part, camera, width, height, solids, rotations, positions, work):  # type: ignore[no-untyped-def]
+    """`outline_part`, compiled once for both places that need it."""
+    return outline_part(part, camera, width, height, solids, rotations, positions, work)
+
+
+@njit(cache=True, nogil=True)
 def cover_views(pose, model, views, scratch, overlap, visible):  # type: ignore[no-untyped-def]
     """Overlap of body and silhouette in each view, and how much of each part no other part covers.
 
     Fills ``overlap`` (V,), intersection over union, NaN where nothing is seen, and ``visible`` (P,), the greatest share
     over the views of a part's pixels that are its own alone.
     """
+    pose, model, views, scratch = borrow((pose, model, views, scratch))
+    overlap, visible = borrow((overlap, visible))
     cameras, sizes, seen, silhouettes = views
     work, once, twice = scratch[0], scratch[2], scratch[3]
     n_parts = len(visible)
     once[:] = np.uint64(0)
     twice[:] = np.uint64(0)
     visible[:] = 0.0
-    for part in range(n_parts):
-        place_part(part, pose, model[0], scratch[7], scratch[5], scratch[6])
+    place_parts(model[2][:n_parts], n_parts, pose, model[0], scratch)
     for view in range(len(cameras)):
         overlap[view] = np.nan
         if not seen[view]:
@@ -78,17 +86,18 @@ def measure_widths(pose, weights, bounds, model, views, scratch, low, high):  # 
 
     Fills ``low`` and ``high`` (D,), amounts of 0 or more, dR / 32, / 8 or / 2.
     """
+    pose, weights, bounds, model, views, scratch = borrow((pose, weights, bounds, model, views, scratch))
+    low, high = borrow((low, high))
     tree, subtrees, starts = model[0], model[2], model[3]
     plus, minus = scratch[2], scratch[3]
     n_parts = len(tree[0])
     for part in range(n_parts):
         below = subtrees[starts[part] : starts[part + 1]]
-        for q in range(n_parts):
-            place_part(q, pose, tree, scratch[7], scratch[5], scratch[6])
+        place_parts(subtrees[:n_parts], n_parts, pose, tree, scratch)
         scratch[4][:] = np.uint64(0)
         draw_parts_into(scratch[4], select_fixed(part, n_parts, below, scratch[9]), model, views, scratch)
         fill_evidence(0, views[3], scratch[4], plus, minus)
-        allowed = count_parts(below, model, views, plus, minus, scratch) + _TIE / weights[2]
+        allowed = count_parts_apart(below, model, views, plus, minus, scratch) + _TIE / weights[2]
         first = 0 if part == 0 else 6 + tree[5][part]
         for axis in range(first, first + (6 if part == 0 else tree[3][part])):
             low[axis] = _measure_width(
@@ -107,9 +116,8 @@ def _measure_width(axis, side, allowed, below, pose, spread, model, views, scrat
     while amount <= spread:
         trial[:] = pose
         move_axis(trial, axis, side * amount)
-        for q in below:
-            place_part(q, trial, model[0], scratch[7], scratch[5], scratch[6])
-        if count_parts(below, model, views, scratch[2], scratch[3], scratch) > allowed:
+        place_parts(below, 1, trial, model[0], scratch)
+        if count_parts_apart(below, model, views, scratch[2], scratch[3], scratch) > allowed:
             break
         reached = amount
         amount *= 4.0

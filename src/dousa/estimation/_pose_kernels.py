@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-__all__ = ["exp_rotation", "multiply_into", "place_all", "place_part", "turn_root"]
+__all__ = ["exp_rotation", "hang_part", "multiply_into", "place_all", "turn_part", "turn_root"]
 
 
-@njit(cache=True, nogil=True, inline="always")
+@njit(cache=True, nogil=True, forceinline=True)
 def exp_rotation(x, y, z, out):  # type: ignore[no-untyped-def]
     """Quaternion of the rotation vector (x, y, z) rad."""
     angle = np.sqrt(x * x + y * y + z * z)
@@ -16,7 +16,7 @@ def exp_rotation(x, y, z, out):  # type: ignore[no-untyped-def]
     out[0], out[1], out[2], out[3] = np.cos(0.5 * angle), x * scale, y * scale, z * scale
 
 
-@njit(cache=True, nogil=True, inline="always")
+@njit(cache=True, nogil=True, forceinline=True)
 def multiply_into(a, b, out):  # type: ignore[no-untyped-def]
     """Hamilton product of quaternions; ``out`` may be one of them."""
     w = a[0] * b[0] - a[1] * b[1] - a[2] * b[2] - a[3] * b[3]
@@ -34,19 +34,17 @@ def turn_root(pose, x, y, z):  # type: ignore[no-untyped-def]
     multiply_into(pose[3:7], turn, pose[3:7])
 
 
-@njit(cache=True, nogil=True)
-def place_part(part, pose, tree, work, rotations, positions):  # type: ignore[no-untyped-def]
-    """World rotation matrix (3, 3) and place (3,) of one part; its parent must have been placed.
+@njit(cache=True, nogil=True, forceinline=True)
+def turn_part(part, pose, tree, work, local):  # type: ignore[no-untyped-def]
+    """Rotation matrix ``local[part]`` (3, 3) of a part in its parent's axes; of the root in the world's.
 
     ``tree`` is (parents, offsets, rest, n_axes, axes, angle_starts); ``work`` (2, 4) is scratch.
     """
-    parents, offsets, rest, n_axes, axes, angle_starts = tree
+    parents, _, rest, n_axes, axes, angle_starts = tree
     quaternion, turn = work[0], work[1]
-    parent = parents[part]
-    if parent < 0:
+    if parents[part] < 0:
         quaternion[:] = pose[3:7]
-        positions[part, :] = pose[0:3]
-        _to_matrix(quaternion, rotations[part])
+        _to_matrix(quaternion, local[part])
         return
     quaternion[:] = rest[part]
     count = n_axes[part]
@@ -68,21 +66,30 @@ def place_part(part, pose, tree, work, rotations, positions):  # type: ignore[no
             a = pose[first + k]
             exp_rotation(a * axis[k, 0], a * axis[k, 1], a * axis[k, 2], turn)
             multiply_into(quaternion, turn, quaternion)
-    w, x, y, z = quaternion[0], quaternion[1], quaternion[2], quaternion[3]
-    m00, m01, m02 = 1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)
-    m10, m11, m12 = 2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)
-    m20, m21, m22 = 2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)
-    above = rotations[parent]
-    offset = offsets[part]
+    _to_matrix(quaternion, local[part])
+
+
+@njit(cache=True, nogil=True, forceinline=True)
+def hang_part(part, pose, tree, local, rotations, positions):  # type: ignore[no-untyped-def]
+    """World rotation matrix (3, 3) and place (3,) of a part that was turned, below a parent that was hung."""
+    parent = tree[0][part]
+    if parent < 0:
+        for i in range(3):
+            positions[part, i] = pose[i]
+            for k in range(3):
+                rotations[part, i, k] = local[part, i, k]
+        return
+    offsets = tree[1]
     for i in range(3):
-        p, q, r = above[i, 0], above[i, 1], above[i, 2]
-        positions[part, i] = positions[parent, i] + p * offset[0] + q * offset[1] + r * offset[2]
-        rotations[part, i, 0] = p * m00 + q * m10 + r * m20
-        rotations[part, i, 1] = p * m01 + q * m11 + r * m21
-        rotations[part, i, 2] = p * m02 + q * m12 + r * m22
+        p, q, r = rotations[parent, i, 0], rotations[parent, i, 1], rotations[parent, i, 2]
+        positions[part, i] = positions[parent, i] + (
+            p * offsets[part, 0] + q * offsets[part, 1] + r * offsets[part, 2]
+        )
+        for k in range(3):
+            rotations[part, i, k] = p * local[part, 0, k] + q * local[part, 1, k] + r * local[part, 2, k]
 
 
-@njit(cache=True, nogil=True, inline="always")
+@njit(cache=True, nogil=True, forceinline=True)
 def _to_matrix(q, out):  # type: ignore[no-untyped-def]
     w, x, y, z = q[0], q[1], q[2], q[3]
     out[0, 0], out[0, 1], out[0, 2] = 1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)
@@ -93,7 +100,8 @@ def _to_matrix(q, out):  # type: ignore[no-untyped-def]
 @njit(cache=True, nogil=True)
 def place_all(poses, tree, rotations, positions):  # type: ignore[no-untyped-def]
     """Rotations (T, P, 3, 3) and places (T, P, 3) of all parts in all poses (T, 7 + A)."""
-    work = np.empty((2, 4))
+    work, local = np.empty((2, 4)), np.empty(rotations.shape[1:])
     for t in range(len(poses)):
         for part in range(rotations.shape[1]):
-            place_part(part, poses[t], tree, work, rotations[t], positions[t])
+            turn_part(part, poses[t], tree, work, local)
+            hang_part(part, poses[t], tree, local, rotations[t], positions[t])

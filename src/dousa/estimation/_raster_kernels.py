@@ -25,7 +25,7 @@ __all__ = [
 NEAREST = 0.05
 """m: a sphere whose centre is nearer to the camera's plane than this is behind the camera."""
 
-_FAR = 1e30
+_FAR = 1e12
 
 
 @intrinsic
@@ -38,7 +38,7 @@ def popcount(_context, word):  # type: ignore[no-untyped-def]
     return types.uint64(types.uint64), generate
 
 
-@njit(cache=True, nogil=True, inline="always")
+@njit(cache=True, nogil=True, forceinline=True)
 def project_sphere(camera, x, y, z, radius):  # type: ignore[no-untyped-def]
     """Image column, row and radius (px) of a sphere, radius -1 behind the camera; ``camera`` as in `CAMERA_ROW`."""
     cx = camera[6] * x + camera[7] * y + camera[8] * z + camera[15]
@@ -71,6 +71,10 @@ def outline_discs(discs, count, width, height, pairs, low, high):  # type: ignor
     """
     top, bottom = _FAR, -_FAR
     for i in range(count):
+        if (
+            not abs(discs[i, 0]) + abs(discs[i, 1]) + discs[i, 2] < _FAR
+        ):  # beyond all numbers of pixels, or none
+            return 0, 0
         top = min(top, discs[i, 1] - discs[i, 2])
         bottom = max(bottom, discs[i, 1] + discs[i, 2])
     if not (top <= height - 1.0 and bottom >= 0.0):
@@ -85,7 +89,7 @@ def outline_discs(discs, count, width, height, pairs, low, high):  # type: ignor
     return first, last + 1
 
 
-@njit(cache=True, nogil=True, inline="always")
+@njit(cache=True, nogil=True, forceinline=True)
 def _measure_pairs(discs, count, pairs):  # type: ignore[no-untyped-def]
     """For each pair: length of its outer tangents, -1 if one disc lies in the other, and 1 / squared distance."""
     for i in range(count):
@@ -99,7 +103,7 @@ def _measure_pairs(discs, count, pairs):  # type: ignore[no-untyped-def]
             pairs[j, i, 0], pairs[j, i, 1] = root, inverse
 
 
-@njit(cache=True, nogil=True, inline="always")
+@njit(cache=True, nogil=True, forceinline=True)
 def _trace_side(side, discs, count, pairs, top, first, last, width, columns):  # type: ignore[no-untyped-def]
     """Walk down one side of the hull (gift wrapping over discs) and note its column in every row.
 
@@ -123,40 +127,37 @@ def _trace_side(side, discs, count, pairs, top, first, last, width, columns):  #
             if out > 0.0 and up_here - 1e-9 <= up < best_up:
                 best, best_up, best_out = j, up, out
         leave = y + r * best_up if best >= 0 else _FAR
-        while row <= last and row <= leave:
-            off = row - y
-            columns[row] = _to_column(side, x + np.sqrt(max(0.0, r * r - off * off)), width)
-            row += 1
+        end = last if leave >= last else int(np.floor(leave))
+        for k in range(row, end + 1):
+            off = k - y
+            columns[k] = _to_column(side, x + np.sqrt(max(0.0, r * r - off * off)), width)
+        row = max(row, end + 1)
         if best < 0 or row > last:
-            return
+            break
         slope = -best_up / best_out
         start = x + r * best_out - slope * leave
         arrive = discs[best, 1] + discs[best, 2] * best_up
-        while row <= last and row <= arrive:
-            columns[row] = _to_column(side, start + slope * row, width)
-            row += 1
+        end = last if arrive >= last else int(np.floor(arrive))
+        for k in range(row, end + 1):
+            columns[k] = _to_column(side, start + slope * k, width)
+        row = max(row, end + 1)
         here, up_here = best, best_up
-    while row <= last:  # rounding alone can leave rows over, at the very end
-        columns[row] = -1 if side > 0.0 else width
-        row += 1
+    for k in range(row, last + 1):  # rounding alone can leave rows over, at the very end
+        columns[k] = -1 if side > 0.0 else width
 
 
-@njit(cache=True, nogil=True, inline="always")
+@njit(cache=True, nogil=True, forceinline=True)
 def _to_column(side, x, width):  # type: ignore[no-untyped-def]
     """The outermost whole column within a boundary at ``side * x``, clipped to the image before it is converted."""
     if side > 0.0:
-        if not x >= 0.0:  # or not a number
-            return -1
-        return width - 1 if x >= width - 1.0 else int(x)
-    if not x >= 1.0 - width:
-        return width
-    return 0 if x >= 0.0 else int(np.ceil(-x))
+        return int(min(max(x + 1.0, 0.0), float(width))) - 1
+    return width + 1 - int(min(max(x + (width + 1.0), 1.0), width + 1.0))
 
 
 _ONES = np.uint64(0xFFFFFFFFFFFFFFFF)
 
 
-@njit(cache=True, nogil=True, inline="always")
+@njit(cache=True, nogil=True, forceinline=True)
 def interval_mask(word, start, stop):  # type: ignore[no-untyped-def]
     """Bits of a word that lie in the columns from start to stop, both inclusive."""
     mask = _ONES
@@ -177,7 +178,7 @@ def draw_intervals(bits, low, high, first, last):  # type: ignore[no-untyped-def
                 bits[row, word] |= interval_mask(word, start, stop)
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, forceinline=True)
 def outline_part(part, camera, width, height, solids, rotations, positions, work):  # type: ignore[no-untyped-def]
     """Row intervals of one part, placed by ``rotations`` (P, 3, 3) and ``positions`` (P, 3); none behind the camera.
 

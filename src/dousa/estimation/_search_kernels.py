@@ -6,7 +6,7 @@ place of the root, 3 to 5 turn of the root in its own axes, then the joint angle
 
 Arguments that come together in every function:
 
-- ``model``: (tree, solids, subtrees, subtree_starts); ``tree`` as in `_pose_kernels.place_part`, ``solids`` as in
+- ``model``: (tree, solids, subtrees, subtree_starts); ``tree`` as in `_pose_kernels.turn_part`, ``solids`` as in
   `_raster_kernels.outline_part`; the parts below part p, itself first, are
   ``subtrees[subtree_starts[p]:subtree_starts[p + 1]]``.
 - ``views``: (cameras (V, 24), sizes (V, 2) width and height, seen (V,), silhouettes (V, H, words)).
@@ -16,7 +16,7 @@ Arguments that come together in every function:
 - ``reach``: (factor, half, stride): share of dR, candidates to either side, 1 for all of them or 2 for every other.
 - ``bounds``: (spread (D,), ease (D, 2), limits (A, 2)): dR of each degree of freedom, neutral value and inverse
   stiffness, least and greatest angle.
-- ``scratch``: see `tracker.make_scratch`.
+- ``scratch``: see `Workshop.make_scratch`.
 """
 
 from __future__ import annotations
@@ -24,16 +24,19 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from dousa.estimation._pose_kernels import place_part, turn_root
+from dousa.estimation._borrowing import borrow
+from dousa.estimation._pose_kernels import hang_part, turn_part, turn_root
 from dousa.estimation._raster_kernels import draw_intervals, outline_part, popcount
 
 __all__ = [
     "count_alone",
     "count_parts",
+    "count_parts_apart",
     "count_unseen",
     "draw_parts_into",
     "fill_evidence",
     "move_axis",
+    "place_parts",
     "score_pose",
     "select_fixed",
     "sweep",
@@ -43,7 +46,7 @@ _ONES, _ONE, _WORD, _BIT = np.uint64(0xFFFFFFFFFFFFFFFF), np.uint64(1), np.uint6
 _LEAST_WEIGHT = 1e-3  # W below this (beyond 2 dR) is out of reach
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, forceinline=True)
 def move_axis(pose, axis, amount):  # type: ignore[no-untyped-def]
     """Move a pose row along one degree of freedom, in place."""
     if axis < 3:
@@ -59,7 +62,17 @@ def move_axis(pose, axis, amount):  # type: ignore[no-untyped-def]
         pose[axis + 1] += amount
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, forceinline=True)
+def place_parts(parts, n_turned, pose, tree, scratch):  # type: ignore[no-untyped-def]
+    """Place parts, parents first, of which only the first ``n_turned`` have angles other than when last placed."""
+    work, local, rotations, positions = scratch[7], scratch[12], scratch[5], scratch[6]
+    for i in range(n_turned):
+        turn_part(parts[i], pose, tree, work, local)
+    for part in parts:
+        hang_part(part, pose, tree, local, rotations, positions)
+
+
+@njit(cache=True, nogil=True, forceinline=True)
 def count_alone(plus, minus, low, high, first, last):  # type: ignore[no-untyped-def]
     """Bits of plus less bits of minus under the intervals of one part."""
     total = 0
@@ -79,7 +92,7 @@ def count_alone(plus, minus, low, high, first, last):  # type: ignore[no-untyped
     return total
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, forceinline=True)
 def count_unseen(plus, minus, drawn, low, high, first, last):  # type: ignore[no-untyped-def]
     """The same for what is not yet in ``drawn``, which takes it up: several parts count each pixel once."""
     total = 0
@@ -101,7 +114,7 @@ def count_unseen(plus, minus, drawn, low, high, first, last):  # type: ignore[no
     return total
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, forceinline=True)
 def count_parts(parts, model, views, plus, minus, scratch):  # type: ignore[no-untyped-def]
     """``|P & plus| - |P & minus|`` over all views, P the union of parts that have been placed."""
     cameras, sizes, seen = views[0], views[1], views[2]
@@ -127,6 +140,12 @@ def count_parts(parts, model, views, plus, minus, scratch):  # type: ignore[no-u
             for word in range(drawn.shape[1]):
                 drawn[row, word] = np.uint64(0)
     return total
+
+
+@njit(cache=True, nogil=True)
+def count_parts_apart(parts, model, views, plus, minus, scratch):  # type: ignore[no-untyped-def]
+    """`count_parts` where a call costs little beside the rest, compiled once and not into every caller."""
+    return count_parts(parts, model, views, plus, minus, scratch)
 
 
 @njit(cache=True, nogil=True)
@@ -179,7 +198,7 @@ def _count_bits(bits, mask, masked):  # type: ignore[no-untyped-def]
     return total
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, forceinline=True)
 def _find_lowest(parts, solids, scratch):  # type: ignore[no-untyped-def]
     """Height m of the lowest point of parts that have been placed."""
     spheres, starts = solids
@@ -194,7 +213,7 @@ def _find_lowest(parts, solids, scratch):  # type: ignore[no-untyped-def]
     return lowest
 
 
-@njit(cache=True, nogil=True, inline="always")
+@njit(cache=True, nogil=True, forceinline=True)
 def _price_floor(lowest, floor):  # type: ignore[no-untyped-def]
     """What it costs that the lowest point is off the floor; capped, so that people may jump."""
     off = lowest - floor[0]
@@ -209,11 +228,11 @@ def sweep(pose, shift, order, whole, reach, weights, bounds, model, views, scrat
     part is judged alone, before those already placed (the paper; the root, which has none before it, with the whole
     body as predicted); else it carries all parts below it, and all others stand still around them.
     """
+    weights, bounds, model, views, scratch = borrow((weights, bounds, model, views, scratch))
+    pose, shift, order = borrow((pose, shift, order))
     tree, subtrees, starts = model[0], model[2], model[3]
-    rotations, positions, work = scratch[5], scratch[6], scratch[7]
     n_parts = len(tree[0])
-    for part in range(n_parts):
-        place_part(part, pose, tree, work, rotations, positions)
+    place_parts(subtrees[:n_parts], n_parts, pose, tree, scratch)
     for part in order:
         n_axes = 6 if part == 0 else tree[3][part]
         if n_axes == 0:
@@ -233,8 +252,7 @@ def sweep(pose, shift, order, whole, reach, weights, bounds, model, views, scrat
             amount = reach[0] * bounds[0][axis] * best / reach[1]
             move_axis(pose, axis, amount)
             shift[axis] += amount
-        for q in below:
-            place_part(q, pose, tree, work, rotations, positions)
+        place_parts(below, 1, pose, tree, scratch)
 
 
 @njit(cache=True, nogil=True)
@@ -251,7 +269,7 @@ def select_fixed(part, end, below, chosen):  # type: ignore[no-untyped-def]
     return chosen[:count]
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, forceinline=True)
 def _search_axis(axis, moved, lowest, pose, shift, reach, weights, bounds, model, views, scratch):  # type: ignore[no-untyped-def]
     """Number (-half to half) of the best candidate of one axis.
 
@@ -274,7 +292,7 @@ def _search_axis(axis, moved, lowest, pose, shift, reach, weights, bounds, model
     return best
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, forceinline=True)
 def _try_candidate(k, axis, moved, lowest, pose, shift, reach, weights, bounds, model, views, scratch):  # type: ignore[no-untyped-def]
     """Mismatch and prior of candidate k of an axis; out of reach it keeps the prior -inf."""
     spread, limits = bounds[0], bounds[2]
@@ -290,8 +308,7 @@ def _try_candidate(k, axis, moved, lowest, pose, shift, reach, weights, bounds, 
             return
     trial[:] = pose
     move_axis(trial, axis, amount)
-    for p in moved:
-        place_part(p, trial, model[0], scratch[7], scratch[5], scratch[6])
+    place_parts(moved, 1, trial, model[0], scratch)
     prior = weights[3] * np.log(max(w, _LEAST_WEIGHT)) - _price_strain(axis, trial, bounds[1])
     if weights[4][1] > 0.0:
         prior -= _price_floor(min(lowest, _find_lowest(moved, model[1], scratch)), weights[4])
@@ -320,7 +337,7 @@ def _choose(half, weights, scratch):  # type: ignore[no-untyped-def]
     return best
 
 
-@njit(cache=True, nogil=True, inline="always")
+@njit(cache=True, nogil=True, forceinline=True)
 def _price_strain(axis, pose, ease):  # type: ignore[no-untyped-def]
     """What it costs to hold an angle away from where the joint is at ease."""
     if axis < 6:
@@ -332,14 +349,15 @@ def _price_strain(axis, pose, ease):  # type: ignore[no-untyped-def]
 @njit(cache=True, nogil=True)
 def score_pose(pose, shift, weights, bounds, model, views, scratch):  # type: ignore[no-untyped-def]
     """Log score of a whole pose: image, inertia, ease and floor, up to a constant that all poses of a frame share."""
+    weights, bounds, model, views, scratch = borrow((weights, bounds, model, views, scratch))
+    pose, shift = borrow((pose, shift))
     tree = model[0]
     n_parts = len(tree[0])
     every = model[2][:n_parts]  # the subtree of the root
-    for part in range(n_parts):
-        place_part(part, pose, tree, scratch[7], scratch[5], scratch[6])
+    place_parts(every, n_parts, pose, tree, scratch)
     scratch[4][:] = np.uint64(0)
     fill_evidence(0, views[3], scratch[4], scratch[2], scratch[3])
-    score = -weights[2] * count_parts(every, model, views, scratch[2], scratch[3], scratch)
+    score = -weights[2] * count_parts_apart(every, model, views, scratch[2], scratch[3], scratch)
     for axis in range(len(shift)):
         off = shift[axis] / bounds[0][axis]
         score += weights[3] * np.log(max(_LEAST_WEIGHT, 1.0 - 0.25 * off * off)) - _price_strain(

@@ -92,7 +92,7 @@ class Workshop:
         """Scratch of the kernels; each thread needs its own.
 
         0 outline work, 1 drawn bits, 2 plus, 3 minus, 4 fixed, 5 rotations, 6 positions, 7 quaternions, 8 trial pose,
-        9 fixed parts, 10 mismatches, 11 priors.
+        9 fixed parts, 10 mismatches, 11 priors, 12 rotations in the parents' axes.
         """
         body, shape = self.body, (len(self.cameras), self.height, self.n_words)
         return (
@@ -108,6 +108,7 @@ class Workshop:
             np.zeros(body.n_parts + 1, np.int64),
             np.zeros(MOST_CANDIDATES),
             np.zeros(MOST_CANDIDATES),
+            np.zeros((body.n_parts, 3, 3)),
         )
 
     def pack(self, masks: Sequence[NDArray[np.bool_] | None]) -> Frame:

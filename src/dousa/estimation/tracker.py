@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from dousa.errors import BodyModelError, CalibrationError, SilhouetteError
+from dousa.errors import BodyModelError, CalibrationError, OptionError, SilhouetteError
 from dousa.estimation._beam import Beam, BeamState
 from dousa.estimation._diagnosis import Diary
 from dousa.estimation._types import PAPER, Estimate, TrackerSettings
@@ -95,7 +95,8 @@ def estimate(
     silhouettes : V views over T frames.
     cameras : (V,) one for each view, of the size of its masks.
     body : the model, with P parts, K tips and A joint angles.
-    start : (7 + A,) pose in the first frame in which anybody is seen; None looks for it.
+    start : (7 + A,) pose in the first frame that shows the person well (of the first frames with anybody, the one
+        that most views see); None looks for it.
     settings : how to search; the defaults, or `PAPER`.
     girths : ``"fit"`` thickens or thins the parts to the silhouettes of the first frame, ``"keep"`` does not.
     n_threads : workers; by default two, or one on a machine of one core. The result does not depend on it.
@@ -114,6 +115,8 @@ def estimate(
     SilhouetteError : nobody is seen in the first frames, or every mask is full.
     """
     settings = TrackerSettings() if settings is None else settings
+    if girths not in ("fit", "keep"):
+        raise OptionError(f"girths: expected fit or keep, got '{girths}'")
     _check_cameras(silhouettes, cameras)
     job = _Job(silhouettes, cameras, body, settings, n_threads or min(2, os.cpu_count() or 1), progress)
     try:
@@ -180,6 +183,9 @@ class _Job:
 
     def begin(self, start: ArrayLike | None, girths: Literal["fit", "keep"]) -> None:
         """Find the first frame, shrink the views to the working size, find or take the start, fit the girths."""
+        self.progress(
+            0, self.silhouettes.n_frames, "getting ready (the first time compiles for half a minute)"
+        )
         self.first, masks = _find_first(self.silhouettes)
         self.area = float(np.mean([mask.sum() for mask in masks if mask is not None and mask.any()]))
         self._set_up()
@@ -358,7 +364,9 @@ class _Job:
     def _describe(self, overlap: FloatArray, lost: NDArray[np.bool_]) -> list[str]:
         notes = [*self.silhouettes.warnings, *self.notes]
         if self.first:
-            notes.append(f"nobody is seen before frame {self.first}; the frames before hold its pose")
+            notes.append(
+                f"tracked from frame {self.first}, the first to show the person well; those before hold its pose"
+            )
         if self.restarts:
             places = ", ".join(str(frame) for frame in self.restarts[:8])
             notes.append(f"the track was lost and taken up anew at frame {places}")
