@@ -453,3 +453,13 @@ class TestSources:
         failed(run("estimate", sources / "view1.mp4", *calibration, *plates), "background")
         failed(run("estimate", sources / "view1", sources / "view1", *calibration), "camera")
         assert tracked.asked == []
+
+
+def test_backgrounds_may_follow_one_another(tmp_path):
+    from dousa.app.cli_estimation import _sort_out
+
+    first, second, film = tmp_path / "a.png", tmp_path / "b.png", tmp_path / "b.mp4"
+    for path in (first, second, film):
+        path.write_bytes(b"x")
+    assert _sort_out([film, second], [first]) == ((film,), (first, second))
+    assert _sort_out([film, second], None) == ((film, second), ())

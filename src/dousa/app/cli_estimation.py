@@ -17,6 +17,8 @@ if TYPE_CHECKING:
 
 __all__ = ["register"]
 
+_PICTURES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff")
+
 
 class Reading(enum.StrEnum):
     """How eq. 2 of the paper is read."""
@@ -146,7 +148,9 @@ def estimate(
     background: Annotated[
         list[Path] | None,
         typer.Option(
-            "--background", metavar="FILE", help="Image of a view without the person; once for each video."
+            "--background",
+            metavar="FILE",
+            help="Picture without the person; one for each video, in their order.",
         ),
     ] = None,
     background_method: Annotated[
@@ -242,19 +246,20 @@ def estimate(
 
     Example: dousa estimate jump.npz --start jump.trc:0 -o jump.bvh --overlay jump.mp4
 
-    Example: dousa estimate cam1.mp4 cam2.mp4 --cameras calib.toml --background bg1.png --background bg2.png
+    Example: dousa estimate cam1.mp4 cam2.mp4 --cameras calib.toml --background bg1.png bg2.png
     --stature 1.75 -o walk.bvh
     """
     from dousa.app._estimation_output import Outputs
     from dousa.app.estimating import Request, estimate_files
     from dousa.library import ReadOptions
 
+    sources, backgrounds = _sort_out(source, background)
     request = Request(
-        sources=tuple(source),
+        sources=sources,
         settings=_make_settings(method, reading, evidence, smoothing, beam),
         outputs=Outputs(output, trc, angles, overlay, sheet),
         cameras=cameras,
-        backgrounds=tuple(background or ()),
+        backgrounds=backgrounds,
         background_method=None if background_method is None else background_method.value,
         kind=None if kind is None else kind.value,
         rate=rate,
@@ -381,3 +386,11 @@ def render(
             markup=False,
             soft_wrap=True,
         )
+
+
+def _sort_out(source: list[Path], background: list[Path] | None) -> tuple[tuple[Path, ...], tuple[Path, ...]]:
+    """Sources and backgrounds: images that follow the first ``--background`` reach us as sources, which none is."""
+    if not background:
+        return tuple(source), ()
+    images = [path for path in source if path.suffix.lower() in _PICTURES and path.is_file()]
+    return tuple(path for path in source if path not in images), (*background, *images)
