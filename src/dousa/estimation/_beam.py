@@ -126,7 +126,7 @@ class Beam:
         kept: list[tuple[float, int, FloatArray, FloatArray]] = []
         for found in searched:
             new = all(np.abs(found[2][7:] - other[2][7:]).max(initial=0.0) > _APART for other in kept)
-            if not kept or (new and len(kept) < settings.beam):
+            if not kept or (new and len(kept) < self.workshop.beam):
                 kept.append(found)
         revisited = self._map(self._revisit, [(*found, frame) for found in kept])
         tracks = sorted(revisited, key=lambda track: -track.score)

@@ -66,7 +66,8 @@ class TrackerSettings:
     image_scale : lambda of the evidence ``"log"``, as a share of the mean area of a silhouette.
     damping : shares of the last velocity that predictions keep, one prediction each; 1 is constant velocity.
     stiffness : log score that a joint at the end of its range costs, times the body's own stiffness.
-    beam : number of poses kept from frame to frame.
+    beam : number of poses kept from frame to frame; None for 12 over the number of views, but 3 at least: what one view
+        leaves open takes more poses, and a frame costs the same.
     lag : frames after which a pose is settled.
     smoothing : Hz, cut-off of the forward-backward smoothing; 0 for none.
     height : px, silhouettes taller than this are shrunk before the search.
@@ -87,7 +88,7 @@ class TrackerSettings:
     image_scale: float = 0.011
     damping: tuple[float, ...] = (0.2, 0.9)
     stiffness: float = 4.0
-    beam: int = 3
+    beam: int | None = None
     lag: int = 30
     smoothing: float = 6.0
     height: int = 260
@@ -119,7 +120,7 @@ class TrackerSettings:
         if (
             not self.passes
             or not self.damping
-            or self.beam < 1
+            or (self.beam is not None and self.beam < 1)
             or self.thinning not in (1, 2)
             or self.lag < 1
         ):

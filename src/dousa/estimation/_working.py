@@ -19,6 +19,10 @@ __all__ = ["Frame", "Workshop"]
 
 FloatArray = NDArray[np.float64]
 _FLOOR_SIGMA, _FLOOR_CAP = 0.03, 4.0  # m; log score, so that people may jump
+_BEAM_TIMES_VIEWS, _LEAST_BEAM = (
+    12,
+    3,
+)  # poses times views: a frame costs the same with few views as with four
 _LEAST_RANGE = 0.1  # rad: a joint that hardly moves is not infinitely stiff
 
 
@@ -63,6 +67,7 @@ class Workshop:
         subtrees, starts = _list_subtrees(body.parents)
         self.model = (tree_arrays(body), (body.spheres, body.sphere_starts), subtrees, starts)
         self.order = np.arange(body.n_parts)
+        self.beam = settings.beam or max(_LEAST_BEAM, _BEAM_TIMES_VIEWS // max(1, len(self.cameras)))
         self.whole = settings.candidates == "subtree"
         self.half = settings.n_candidates // 2
         self.half_later = settings.n_candidates_later // 2
