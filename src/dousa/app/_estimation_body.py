@@ -8,12 +8,16 @@ from typing import TYPE_CHECKING
 from dousa.errors import BodyModelError, OptionError
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from dousa.app._estimation_start import StartPose
+    from dousa.app._output import ProgressCallback
     from dousa.app.estimating import Request
-    from dousa.estimation import BodyModel
+    from dousa.estimation import BodyModel, Camera
+    from dousa.estimation.silhouettes import Mask
     from dousa.library import ReadOptions
 
-__all__ = ["choose_body", "load_body", "load_given_body"]
+__all__ = ["choose_body", "load_body", "load_given_body", "measure_body"]
 
 _USUAL = 1.72
 _AGREES = 0.07  # of the stature: a start further off is of somebody else, or of a skeleton with other joints
@@ -60,6 +64,33 @@ def choose_body(
         said_words = f"the start's would be {fitted.stature:.2f} m tall; --bones start takes them"
         return body, f"{words}, limbs by the tables ({said_words})", notes
     return fitted, f"{words}, limbs of the start", notes
+
+
+def measure_body(
+    sex: str, cameras: Sequence[Camera], masks: Sequence[Mask | None], progress: ProgressCallback
+) -> tuple[BodyModel, str, tuple[str, ...]]:
+    """The body where nobody says how tall it is: several views of the first frame tell it, one does not.
+
+    Returns
+    -------
+    As `choose_body`.
+    """
+    from dousa.errors import SilhouetteError
+    from dousa.estimation.human import make_human
+    from dousa.estimation.scale import fit_scale
+
+    note = (
+        f"no --stature and no --body: a stature of {_USUAL} m is assumed; give --stature M for better results"
+    )
+    try:
+        scale = fit_scale(
+            cameras, masks, make_body=lambda stature: make_human(stature, sex), progress=progress
+        )
+    except SilhouetteError:  # nobody in the first frame
+        return make_human(_USUAL, sex), f"stature {_USUAL} m, assumed", (note,)
+    if not scale.told:
+        return make_human(_USUAL, sex), f"stature {_USUAL} m, assumed", (note,)
+    return make_human(scale.stature, sex), f"stature {scale.stature:.2f} m, told by the silhouettes", ()
 
 
 def load_body(

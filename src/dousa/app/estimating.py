@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from dousa.app._estimation_body import choose_body
+from dousa.app._estimation_body import choose_body, measure_body
 from dousa.app._estimation_doubts import describe_doubts
 from dousa.app._estimation_output import Outputs, check_outputs, write_outputs
 from dousa.app._estimation_start import StartPose, check_start, read_start
@@ -156,7 +156,11 @@ def estimate_files(
         views = WatchedSilhouettes(opened, first, last, _KEPT_BYTES if request.outputs.has_drawings else 0)
         cameras, notes = choose_cameras(request, views)
         said = None if request.start is None else read_start(request.start, request.options)
-        body, body_words, more = choose_body(request, said, read_known_stature(request.sources))
+        known = read_known_stature(request.sources)
+        if known is None and said is None and request.body is None and request.stature is None:
+            body, body_words, more = measure_body(request.sex, cameras, views.read(0), report)
+        else:
+            body, body_words, more = choose_body(request, said, known)
         start, start_words, start_notes = _choose_start(said, body, views, cameras)
         notes = [*notes, *more, *start_notes]
         kept = PartialFile(request.outputs.first, _fingerprint(request, cameras, body, start))
