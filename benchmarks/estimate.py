@@ -150,7 +150,7 @@ def tell_parts(material: Material) -> None:
             times.append(time.thread_time() - start)
         return 1000 * min(times)
 
-    n_first, n_later = settings.beam * len(settings.damping), settings.beam * (len(settings.passes) - 1)
+    n_first, n_later = shop.beam * len(settings.damping), shop.beam * (len(settings.passes) - 1)
     print(f"-- a first pass over the body, {spend(np.arange(material.body.n_parts)):.2f} ms of one thread;")
     print(f"   a frame takes up to {n_first} of them and {n_later} finer ones")
     shares = {name: spend(np.array([part])) for part, name in enumerate(material.body.names)}

@@ -26,9 +26,10 @@ from _timing import best_of, timed
 from numba import njit
 
 from dousa.estimation import TrackerSettings, make_human, make_ring, standing_state
-from dousa.estimation._pose_kernels import place_part
+from dousa.estimation._borrowing import borrow
 from dousa.estimation._raster_kernels import outline_part
 from dousa.estimation._search_kernels import count_parts, fill_evidence, move_axis
+from dousa.estimation._search_kernels import place_parts as hang_parts
 from dousa.estimation._types import READINGS
 from dousa.estimation._working import Workshop
 from dousa.estimation.kinematics import place_parts
@@ -42,12 +43,13 @@ CIRCLE = np.stack((np.cos(a := np.linspace(0, 2 * np.pi, 24, endpoint=False)), n
 
 @njit
 def count_all(pose, axis, amounts, parts, model, views, scratch, counts):  # type: ignore[no-untyped-def]
+    pose, model, views, scratch = borrow((pose, model, views, scratch))
+    counts = borrow(counts)
     trial = pose.copy()
     for n in range(len(amounts)):
         trial[:] = pose
         move_axis(trial, axis, amounts[n])
-        for part in parts:
-            place_part(part, trial, model[0], scratch[7], scratch[5], scratch[6])
+        hang_parts(parts, 1, trial, model[0], scratch)
         counts[n] = count_parts(parts, model, views, scratch[2], scratch[3], scratch)
 
 
