@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import enum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -11,6 +12,25 @@ from dousa.errors import OptionError
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
+
+
+class Reading(enum.StrEnum):
+    """How eq. 2 of the paper is read."""
+
+    MASKED = "masked"
+    RESIDUAL = "residual"
+    UNION = "union"
+    PLAIN = "plain"
+    LITERAL = "literal"
+
+
+class Evidence(enum.StrEnum):
+    """How the mismatch is weighed against inertia."""
+
+    LOG = "log"
+    LOCAL = "local"
+    GLOBAL = "global"
+
 
 Json = Annotated[bool, typer.Option("--json", help="Answer as JSON on standard output.")]
 Unit = Annotated[

@@ -12,12 +12,15 @@ from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from pathlib import Path
+
     from rich.console import Console
 
 __all__ = [
     "ProgressCallback",
     "console",
     "fail",
+    "make_folder",
     "one_line",
     "print_json",
     "progress_bar",
@@ -96,6 +99,18 @@ def fail(message: str) -> None:
 def warn(message: str) -> None:
     """One line of warning on standard error."""
     sys.stderr.write(f"dousa: note: {one_line(message)}\n")
+
+
+def make_folder(folder: Path) -> None:
+    """Make a folder for output, and those above it; OptionError, which names the folder, if it cannot be."""
+    from dousa.errors import OptionError
+
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise OptionError(
+            f"{folder}: cannot make this folder: {error.strerror or error}; choose another with --output"
+        ) from error
 
 
 @contextmanager

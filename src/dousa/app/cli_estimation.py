@@ -20,24 +20,6 @@ __all__ = ["register"]
 _PICTURES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff")
 
 
-class Reading(enum.StrEnum):
-    """How eq. 2 of the paper is read."""
-
-    MASKED = "masked"
-    RESIDUAL = "residual"
-    UNION = "union"
-    PLAIN = "plain"
-    LITERAL = "literal"
-
-
-class Evidence(enum.StrEnum):
-    """How the mismatch is weighed against inertia."""
-
-    LOG = "log"
-    LOCAL = "local"
-    GLOBAL = "global"
-
-
 class Sex(enum.StrEnum):
     """Proportions of the body."""
 
@@ -200,11 +182,11 @@ def estimate(
         ),
     ] = Search.DEFAULT,
     reading: Annotated[
-        Reading | None,
+        o.Reading | None,
         typer.Option("--reading", help="How eq. 2 is read.", show_default="masked; residual with paper"),
     ] = None,
     evidence: Annotated[
-        Evidence | None,
+        o.Evidence | None,
         typer.Option(
             "--evidence",
             help="How the image is weighed against inertia.",
@@ -288,8 +270,8 @@ def estimate(
 
 def _make_settings(
     method: Search,
-    reading: Reading | None,
-    evidence: Evidence | None,
+    reading: o.Reading | None,
+    evidence: o.Evidence | None,
     smoothing: float | None,
     beam: int | None,
 ) -> TrackerSettings:

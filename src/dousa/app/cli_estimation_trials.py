@@ -48,24 +48,6 @@ class VariantName(enum.StrEnum):
     NOISY = "noisy"
 
 
-class ReadingName(enum.StrEnum):
-    """How eq. 2 of the paper is read."""
-
-    MASKED = "masked"
-    RESIDUAL = "residual"
-    UNION = "union"
-    PLAIN = "plain"
-    LITERAL = "literal"
-
-
-class EvidenceName(enum.StrEnum):
-    """How the mismatch is weighed against inertia."""
-
-    LOG = "log"
-    LOCAL = "local"
-    GLOBAL = "global"
-
-
 def register(app: typer.Typer) -> None:
     """Hang this module's command on the application."""
     app.command("experiment-estimation", rich_help_panel="Estimation")(experiment_estimation)
@@ -111,11 +93,11 @@ def experiment_estimation(
         ),
     ] = BodyName.STATURE,
     reading: Annotated[
-        list[ReadingName] | None,
+        list[o.Reading] | None,
         typer.Option("--reading", help="How eq. 2 is read; with --paper several.", show_default="masked"),
     ] = None,
     evidence: Annotated[
-        list[EvidenceName] | None,
+        list[o.Evidence] | None,
         typer.Option(
             "--evidence",
             help="How the image is weighed against inertia; with --paper several.",

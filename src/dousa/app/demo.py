@@ -9,8 +9,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from dousa.app._output import progress_bar
-from dousa.errors import OptionError, TrainingError
+from dousa.app._output import make_folder, progress_bar
+from dousa.errors import TrainingError
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -62,7 +62,7 @@ def write_library(
     paths: list[Path] = []
     for category, performer, take, motion in make_library(n_performers, takes, seed, chosen):
         path = Path(folder) / category / f"{performer.name}_{take + 1}.bvh"
-        _make_folder(path.parent)
+        make_folder(path.parent)
         write_motion(motion, path)
         paths.append(path)
         if progress is not None:
@@ -100,7 +100,7 @@ def run_demo(
     ------
     DousaError : what can be put right by the person who reads it.
     """
-    _make_folder(output)
+    make_folder(output)
     if data is None:
         plan = _plan_synthetic(console, output, seed, n_performers, categories)
     else:
@@ -135,15 +135,6 @@ class _Plan:
     performer_from: str | None
 
 
-def _make_folder(folder: Path) -> None:
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise OptionError(
-            f"{folder}: cannot make this folder: {error.strerror or error}; choose another with --output"
-        ) from error
-
-
 def _plan_synthetic(
     console: Console, output: Path, seed: int, n_performers: int, categories: Sequence[str] | None
 ) -> _Plan:
@@ -158,7 +149,7 @@ def _plan_synthetic(
     queries = {}
     for category in dict.fromkeys(path.parent.name for path in written):
         path = output / "queries" / category / f"{stranger.name}_1.bvh"
-        _make_folder(path.parent)
+        make_folder(path.parent)
         write_motion(make_motion(category, stranger), path)
         queries[path] = category
     console.print(

@@ -14,8 +14,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from dousa.app._output import progress_bar, warn
-from dousa.errors import OptionError
+from dousa.app._output import make_folder, progress_bar, warn
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -34,7 +33,6 @@ _PERFORMER = 61  # number of the performer
 _TEACHER_TAKES = 5
 _GIRTH = 1.07  # of the performer, as a share of what the model has
 _ARMS, _LEGS = 1.06, 0.95  # likewise
-_TEMPO = 1.1
 _N_VIEWS = 4
 _N_RESULTS = 5
 
@@ -70,12 +68,7 @@ def run_estimation_demo(console: Console, output: Path, *, seed: int = 0) -> Non
     ------
     DousaError : what can be put right by the person who reads it.
     """
-    try:
-        output.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise OptionError(
-            f"{output}: cannot make this folder: {error.strerror or error}; choose another with --output"
-        ) from error
+    make_folder(output)
     started = time.perf_counter()
     files = _Files.in_folder(output)
     stature = write_performance(files.performed, files.seen, seed)

@@ -107,17 +107,12 @@ def run_dance_demo(console: Console, output: Path, *, seed: int = 0) -> None:
     DousaError : what can be put right by the person who reads it.
     """
     from dousa.app._evaluation_tables import print_assessment
-    from dousa.app._output import progress_bar, warn
+    from dousa.app._output import make_folder, progress_bar, warn
     from dousa.app.evaluating import evaluate_files
     from dousa.app.report import write_report
     from dousa.library import ReadOptions
 
-    try:
-        output.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise OptionError(
-            f"{output}: cannot make this folder: {error.strerror or error}; choose another with --output"
-        ) from error
+    make_folder(output)
     started = time.perf_counter()
     reference, pupil, errors = write_dance(output, seed)
     console.print(

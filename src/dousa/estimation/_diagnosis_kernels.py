@@ -22,12 +22,6 @@ _TIE = 1.0  # log score: what drops by less is as good
 
 
 @njit(cache=True, nogil=True)
-def _outline(part, camera, width, height, solids, rotations, positions, work):  # type: ignore[no-untyped-def]
-    """`outline_part`, compiled once for both places that need it."""
-    return outline_part(part, camera, width, height, solids, rotations, positions, work)
-
-
-@njit(cache=True, nogil=True)
 def cover_views(pose, model, views, scratch, overlap, visible):  # type: ignore[no-untyped-def]
     """Overlap of body and silhouette in each view, and how much of each part no other part covers.
 

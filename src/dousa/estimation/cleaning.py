@@ -10,13 +10,13 @@ from numpy.typing import NDArray
 from dousa.errors import OptionError
 from dousa.estimation.silhouettes import Mask
 
-__all__ = ["MaskState", "clean_mask", "describe_mask"]
+__all__ = ["NEARLY_FULL", "MaskState", "clean_mask", "describe_mask"]
 
 _MOST_PIECES = 24  # pieces beside the main one that are looked at, the largest first
 _PERSON_SHARE = 0.4  # a far piece with so much of the main one's area is somebody else
 _LEAST_REACH = 3.0  # px
 _STACKED_REACH = 0.3  # of the larger side of the main piece, which is only half a person then
-_NEARLY_FULL = 0.9
+NEARLY_FULL = 0.9  # of the image: a mask that covers so much shows nobody
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,7 +44,7 @@ class MaskState:
     @property
     def is_full(self) -> bool:
         """Whether (nearly) everything is foreground."""
-        return self.area_share >= _NEARLY_FULL
+        return self.area_share >= NEARLY_FULL
 
     @property
     def is_cut_off(self) -> bool:

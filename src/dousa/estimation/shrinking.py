@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from dousa.estimation._working import Frame
 from dousa.estimation.camera import Camera
+from dousa.estimation.cleaning import NEARLY_FULL
 from dousa.estimation.rasteriser import unpack_bits
 
 __all__ = ["Shrinker"]
@@ -49,7 +50,7 @@ class Shrinker:
         """Masks of one frame at the working size; full ones count as not seen."""
         small: list[Mask | None] = []
         for mask, size in zip(masks, self.sizes, strict=True):
-            if mask is None or mask.mean() >= 0.9:
+            if mask is None or mask.mean() >= NEARLY_FULL:
                 small.append(None)
             elif self.factor == 1:
                 small.append(mask)

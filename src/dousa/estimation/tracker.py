@@ -23,6 +23,7 @@ from dousa.estimation._beam import Beam, BeamState
 from dousa.estimation._diagnosis import Diary
 from dousa.estimation._types import PAPER, Estimate, TrackerSettings
 from dousa.estimation._working import Frame, Workshop
+from dousa.estimation.cleaning import NEARLY_FULL
 from dousa.estimation.shrinking import Shrinker
 
 if TYPE_CHECKING:
@@ -382,8 +383,8 @@ def _find_first(silhouettes: Silhouettes) -> tuple[int, tuple[NDArray[np.bool_] 
     best, best_count, best_masks, full = -1, 0, None, 0
     for frame in range(min(silhouettes.n_frames, _FIRST_FRAMES)):
         masks = silhouettes.read(frame)
-        good = [mask is not None and 0 < mask.mean() < 0.9 for mask in masks]
-        full += any(mask is not None and mask.mean() >= 0.9 for mask in masks)
+        good = [mask is not None and 0 < mask.mean() < NEARLY_FULL for mask in masks]
+        full += any(mask is not None and mask.mean() >= NEARLY_FULL for mask in masks)
         if sum(good) > best_count:
             kept = tuple(mask if fine else None for mask, fine in zip(masks, good, strict=True))
             best, best_count, best_masks = frame, sum(good), kept
