@@ -4,7 +4,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 JOBS ?= 2
 
-.PHONY: demo test lint fuzz bench figures lock clean
+.PHONY: demo test lint fuzz bench peers figures lock clean
 
 demo: $(VENV)/.installed
 	$(BIN)/dousa demo
@@ -21,6 +21,12 @@ fuzz: $(VENV)/.dev
 
 bench: $(VENV)/.bench
 	for claim in benchmarks/[a-z]*.py; do echo "== $$claim"; $(BIN)/python $$claim || exit 1; done
+
+# aeon needs an older NumPy and numba than our constraints: the comparison with it has an environment of its own.
+peers:
+	test -x $(VENV)-peers/bin/python || $(PYTHON) -m venv $(VENV)-peers
+	$(VENV)-peers/bin/python -m pip install --quiet --disable-pip-version-check -e . 'aeon>=1.6'
+	$(VENV)-peers/bin/python benchmarks/recognition.py
 
 figures: $(VENV)/.dev
 	$(BIN)/python docs/make_figures.py
@@ -43,4 +49,4 @@ lock: $(VENV)/.bench
 	$(BIN)/python -m pip freeze --exclude-editable --exclude dousa | grep -v '^-e' > constraints.txt
 
 clean:
-	rm -rf $(VENV) demo-output .pytest_cache .hypothesis .ruff_cache
+	rm -rf $(VENV) $(VENV)-peers demo-output .pytest_cache .hypothesis .ruff_cache

@@ -34,7 +34,7 @@ def materialise(features: NDArray[np.float64]) -> NDArray[np.float32]:
     integrals = integrate(features)
     tests = list_tests(features.shape[2], features.shape[1])
     columns = np.empty((len(features), len(tests)), np.float32)
-    for column, (i, t0, t1) in enumerate(tests):
+    for column, (_, i, _, t0, t1) in enumerate(tests):
         columns[:, column] = (integrals[:, i, t1] - integrals[:, i, t0]) / (t1 - t0)
     return columns
 

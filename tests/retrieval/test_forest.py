@@ -118,13 +118,13 @@ def materialise(pose):
     """Every mean of every feature over every interval, as scikit-learn needs them."""
     g = integrate(pose)
     tests = list_tests(pose.shape[2], pose.shape[1])
-    means = [(g[:, i, t1] - g[:, i, t0]) / (t1 - t0) for i, t0, t1 in tests]
+    means = [(g[:, i, t1] - g[:, i, t0]) / (t1 - t0) for _, i, _, t0, t1 in tests]
     return np.stack(means, axis=1).astype(np.float32).astype(np.float64)
 
 
 def test_the_full_tree_is_that_of_scikit_learn_where_one_split_is_best():
     sklearn_tree = pytest.importorskip("sklearn.tree")
-    tests = [tuple(test) for test in list_tests(3, 2)]
+    tests = [(i, t0, t1) for _, i, _, t0, t1 in list_tests(3, 2).tolist()]
     compared = 0
 
     def compare(ours, theirs, inside):
@@ -246,8 +246,8 @@ def test_decisions_say_in_words_what_led_to_the_leaf():
     assert {decision.tree for decision in asked} == {0, 1, 2}
     for decision in asked:
         i = FEATURE_NAMES.index(decision.feature)
-        assert decision.mean == pytest.approx(pose[0, decision.start : decision.stop, i].mean())
-        assert decision.above == (decision.mean > decision.threshold)
+        assert decision.value == pytest.approx(pose[0, decision.start : decision.stop, i].mean())
+        assert decision.above == (decision.value > decision.threshold)
     named = MotionForest(n_trees=1).fit(pose[:, :, :2], categories, feature_names=["speed", "height"])
     assert named.decisions(pose[0, :, :2])[0].feature in ("speed", "height")
 

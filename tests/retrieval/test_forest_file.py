@@ -91,7 +91,7 @@ def with_cycle(arrays):
     ("damage", "problem"),
     [
         (with_cycle, "child"),
-        (lambda a: a.update(version=np.int64(2)), "version 2"),
+        (lambda a: a.update(version=np.int64(3)), "version 3"),
         (lambda a: a.update(version=np.array("one")), "version"),
         (lambda a: a.pop("roots"), "other arrays"),
         (lambda a: a.update(more=np.zeros(3)), "other arrays"),

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import json
+import tokenize
 import zipfile
 from dataclasses import dataclass
 from typing import Any
@@ -16,7 +17,10 @@ from dousa.retrieval._trees import Trees
 
 __all__ = ["ForestFile", "pack_forest", "unpack_forest"]
 
-_VERSION = 1
+_VERSION = 2
+_WITHOUT_KINDS = (
+    1  # of a version whose every test was a mean, which is what its nodes say in version 2 as well
+)
 _ARRAYS = {
     "nodes": (np.int32, 2),
     "roots": (np.int64, 1),
@@ -66,7 +70,7 @@ def unpack_forest(data: bytes) -> ForestFile:
     arrays = _read_arrays(data)
     _check(arrays["version"].shape == () and arrays["version"].dtype.kind in "iu", "no version")
     version = int(arrays["version"])
-    if version != _VERSION:
+    if version not in (_WITHOUT_KINDS, _VERSION):
         raise DousaError(
             f"the forest is of version {version}, this dousa reads {_VERSION}; update dousa, or train"
         )
@@ -121,7 +125,7 @@ def _read_arrays(data: bytes) -> dict[str, NDArray[Any]]:
         raise DousaError(
             f"expected a dousa forest, got damaged or other data: {error}; train again"
         ) from error
-    except (MemoryError, OverflowError, RuntimeError, SyntaxError) as error:
+    except (MemoryError, OverflowError, RuntimeError, SyntaxError, tokenize.TokenError) as error:
         raise DousaError("expected a dousa forest, got damaged data; train again") from error
 
 
@@ -146,13 +150,16 @@ def _check_trees(trees: Trees) -> None:
     _check(
         bool(((children[inner] > inner) & (children[inner] + 1 < ends)).all()), "a child before its parent"
     )
-    _check(not trees.nodes[children < 0, :2].any(), "a leaf that tests")
+    _check(not trees.nodes[children < 0][:, [0, 1, 3]].any(), "a leaf that tests")
     leaves = -1 - children[children < 0]
     _check(bool((leaves < trees.n_leaves).all()), "a leaf that does not exist")
     later, sooner = trees.nodes[inner, 0].astype(np.int64), trees.nodes[inner, 1].astype(np.int64)
     width = trees.n_frames + 1
     in_range = (sooner >= 0) & (later < trees.n_features * width) & (sooner < later)
     _check(bool((in_range & (later // width == sooner // width)).all()), "a test outside the clip")
+    partner = np.abs(trees.nodes[inner, 3].astype(np.int64))
+    in_range = (partner % width == 0) & (later + partner < trees.n_features * width)
+    _check(bool(in_range.all()), "a test of a column that does not exist")
     _check(bool(np.isfinite(trees.cuts[inner, 2]).all()), "a threshold that is not finite")
     starts, entries = trees.leaf_starts, len(trees.leaf_classes)
     _check(len(starts) > 1 and starts[0] == 0 and starts[-1] == entries, "bad leaves")

@@ -1,13 +1,21 @@
-"""Compiled loops of the motion forest: growing one tree (steps 1-8) and running clips down all trees.
+"""Compiled loops of the motion forest: growing one tree (steps 1-8).
 
 Arrays that the loops share
 ---------------------------
 ``integrals`` (F, T + 1, N): eq. 4 with the clips last, so that one test of all clips reads two rows.
+``tests`` (R, 5): kind, column i, its partner j, t0, t1. A test asks for one value of the frames t0 ... t1:
+
+- ``MEAN``: the difference of two integrals of column i (eq. 5, times the length of the interval);
+- ``SPREAD``: the standard deviation, from the means of column i and of its partner, which holds its squares;
+- ``TREND``: the change along the fitted line over the interval, from column i and its partner, which holds the values
+  times the time in frames.
+
 ``nodes`` (M, 6) int32 and ``cuts`` (M, 3) float64 are two views of the same memory, 24 bytes a node, so that
 a node costs one cache line: columns 0 and 1 say which two integrals are subtracted (``i * (T + 1) + t1`` and
 ``i * (T + 1) + t0``), column 2 is the left child (the right child stands next to it) or ``-1 - leaf``, column
-3 is unused, and ``cuts[:, 2]`` is the threshold of the difference: that of the mean times the length of the
-interval.
+3 tells the kind and how far the integrals of the partner stand from them (0 for a mean, positive for a spread, negative
+for a trend), and ``cuts[:, 2]`` is the threshold of the value: for a mean, of the difference, which is the threshold of
+the mean times the length of the interval.
 
 Entropies are compared as integers: ``n log2 n`` is tabulated in fixed point, so sums do not depend on their
 order and two splits of equal gain are equal to the last bit, however clips are ordered and categories are
@@ -22,7 +30,11 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-__all__ = ["FIXED_POINT", "Workspace", "count_leaves", "find_leaves", "grow_tree"]
+from dousa.retrieval._descent_kernels import measure_spread, measure_trend
+from dousa.retrieval.integral import MEAN, SPREAD
+
+__all__ = ["FIXED_POINT", "Workspace", "grow_tree"]
+
 
 FIXED_POINT = 2**32
 """One bit of entropy of one clip, in the units of the ``n log2 n`` table."""
@@ -31,6 +43,7 @@ _NO_SCORE = -(2**62)
 _SAME_SCORE = 256  # units of the table: 6 log2 6 = 2 * 3 log2 3 + 6, but for the rounding of the entries
 _KEY_RANGE = 2.0**31 - 1.0  # a key is 31 bits of value above 32 bits of place: positive as int64
 _PLACE = 0xFFFFFFFF
+_HALVES = 2**24  # places for a random threshold: never at the ends, where it would part nothing
 _MANY = 64  # from here on, counting digits is faster than insertion sort
 
 _NODE_STEP = np.uint64(0xD1342543DE82EF95)
@@ -116,26 +129,43 @@ def _sort_digits(keys, spare, counts, n):
 
 
 @njit(cache=True, nogil=True)
-def _order_clips(integrals, i, t0, t1, samples, tolerance, values, keys, spare, digits):
-    """The node's clips in ascending order of one test: keys whose low half is the clip's place in the node.
-
-    Returns False, and no order, if the test does not tell any two clips apart.
-    """
-    n = len(samples)
+def _evaluate(integrals, test, samples, values):
+    """The value of one test for the clips of a node, into ``values``; returns the lowest and the highest."""
+    kind, i, j, t0, t1 = test[0], test[1], test[2], test[3], test[4]
     low, high = np.inf, -np.inf
-    for k in range(n):
-        value = integrals[i, t1, samples[k]] - integrals[i, t0, samples[k]]  # eq. 5, times t1 - t0
+    later, sooner = integrals[i, t1], integrals[i, t0]
+    partner_later, partner_sooner = integrals[j, t1], integrals[j, t0]
+    length, middle = float(t1 - t0), 0.5 * (t0 + t1)
+    for k in range(len(samples)):
+        value = later[samples[k]] - sooner[samples[k]]  # eq. 5, times t1 - t0
         values[k] = value
         low = min(low, value)
         high = max(high, value)
-    if high - low <= tolerance:
-        return False
+    if kind == MEAN:
+        return low, high
+    low, high = np.inf, -np.inf
+    for k in range(len(samples)):
+        other = partner_later[samples[k]] - partner_sooner[samples[k]]
+        value = (
+            measure_spread(values[k], other, length)
+            if kind == SPREAD
+            else measure_trend(values[k], other, length, middle)
+        )
+        values[k] = value
+        low = min(low, value)
+        high = max(high, value)
+    return low, high
+
+
+@njit(cache=True, nogil=True)
+def _order_clips(values, low, high, n, keys, spare, digits):
+    """The node's clips in ascending order of their values: keys whose low half is the clip's place in the node."""
     scale = _KEY_RANGE / (high - low)
     if n >= _MANY:
         for k in range(n):
             keys[k] = (np.int64((values[k] - low) * scale) << 32) | k
         _sort_digits(keys, spare, digits, n)
-        return True
+        return
     for k in range(n):
         key = (np.int64((values[k] - low) * scale) << 32) | k
         j = k - 1
@@ -143,19 +173,61 @@ def _order_clips(integrals, i, t0, t1, samples, tolerance, values, keys, spare, 
             keys[j + 1] = keys[j]
             j -= 1
         keys[j + 1] = key
-    return True
+
+
+@njit(cache=True, nogil=True)
+def _split_best(values, keys, n, labels, counts, left, total, log_table, tolerance, best):
+    """Step 3: the threshold of largest gain (eq. 7) of one test, whose clips are in order.
+
+    Returns its score and the threshold; the score is ``best``, and the threshold nothing, where none is better.
+    """
+    threshold = 0.0
+    for c in range(len(counts)):
+        left[c] = 0
+    running = total
+    place = keys[0] & _PLACE
+    for k in range(n - 1):
+        c = labels[place]
+        inside = left[c]
+        outside = counts[c] - inside
+        left[c] = inside + 1
+        running += log_table[inside + 1] - log_table[inside] + log_table[outside - 1] - log_table[outside]
+        following = keys[k + 1] & _PLACE
+        score = running - log_table[k + 1] - log_table[n - k - 1]
+        if score > best + _SAME_SCORE and values[following] - values[place] > tolerance:
+            best = score
+            threshold = 0.5 * (values[place] + values[following])
+        place = following
+    return best, threshold
+
+
+@njit(cache=True, nogil=True)
+def _split_at(values, threshold, n, labels, counts, left, total, log_table):
+    """The score of one test at a given threshold."""
+    for c in range(len(counts)):
+        left[c] = 0
+    running, n_left = total, 0
+    for k in range(n):
+        if values[k] <= threshold:
+            c = labels[k]
+            inside = left[c]
+            outside = counts[c] - inside
+            left[c] = inside + 1
+            running += log_table[inside + 1] - log_table[inside] + log_table[outside - 1] - log_table[outside]
+            n_left += 1
+    return running - log_table[n_left] - log_table[n - n_left]
 
 
 @njit(cache=True, nogil=True)
 def _find_split(
     integrals, tolerances, tests, order, swaps, state, samples, labels, counts, total, log_table, n_trials,
-    values, keys, spare, left, digits,
+    random_thresholds, values, keys, spare, left, digits,
 ):  # fmt: skip
     """Steps 1-4 for one node: the test and threshold of largest gain (eq. 7) among ``n_trials`` drawn tests.
 
     Gains are compared by their score, which leaves out what all splits of the node share; ``total`` is the
     sum of the table over ``counts``. Returns the test's place in ``tests``, or -1 if none tells the clips
-    apart, and the threshold of the difference. Leaves ``order`` as it was, so that no node depends on
+    apart, and the threshold of its value. Leaves ``order`` as it was, so that no node depends on
     how many tests another has drawn.
     """
     n, n_tests = len(samples), len(tests)
@@ -171,26 +243,20 @@ def _find_split(
             order[drawn], order[swaps[drawn]] = order[swaps[drawn]], order[drawn]
         test = order[drawn]
         drawn += 1
-        i, t0, t1 = tests[test, 0], tests[test, 1], tests[test, 2]
-        tolerance = tolerances[i]
-        if not _order_clips(integrals, i, t0, t1, samples, tolerance, values, keys, spare, digits):
+        tolerance = tolerances[tests[test, 1]]
+        low, high = _evaluate(integrals, tests[test], samples, values)
+        if high - low <= tolerance:
             continue
-        for c in range(len(counts)):
-            left[c] = 0
-        running = total
-        place = keys[0] & _PLACE
-        for k in range(n - 1):
-            c = labels[place]
-            inside = left[c]
-            outside = counts[c] - inside
-            left[c] = inside + 1
-            running += log_table[inside + 1] - log_table[inside] + log_table[outside - 1] - log_table[outside]
-            following = keys[k + 1] & _PLACE
-            score = running - log_table[k + 1] - log_table[n - k - 1]
-            if score > best + _SAME_SCORE and values[following] - values[place] > tolerance:
-                best, best_test = score, test
-                best_threshold = 0.5 * (values[place] + values[following])
-            place = following
+        if random_thresholds:
+            threshold = low + (high - low) * (_draw_below(state, _HALVES) + 0.5) / _HALVES
+            score = _split_at(values, threshold, n, labels, counts, left, total, log_table)
+        else:
+            _order_clips(values, low, high, n, keys, spare, digits)
+            score, threshold = _split_best(
+                values, keys, n, labels, counts, left, total, log_table, tolerance, best
+            )
+        if score > best + _SAME_SCORE:
+            best, best_test, best_threshold = score, test, threshold
     if n_trials < n_tests:
         for k in range(drawn - 1, -1, -1):
             order[k], order[swaps[k]] = order[swaps[k]], order[k]
@@ -198,13 +264,13 @@ def _find_split(
 
 
 @njit(cache=True, nogil=True)
-def _partition(later, sooner, threshold, samples, spare):
+def _partition(values, threshold, samples, spare):
     """Step 5: clips at or below the threshold to the front, order kept; returns how many."""
     n_left = 0
     n_right = 0
     for k in range(len(samples)):
         sample = samples[k]
-        if later[sample] - sooner[sample] <= threshold:
+        if values[k] <= threshold:
             samples[n_left] = sample
             n_left += 1
         else:
@@ -241,12 +307,12 @@ def _count_labels(categories, samples, labels, counts, present, number, log_tabl
 
 @njit(cache=True, nogil=True)
 def grow_tree(
-    integrals, tolerances, categories, tests, log_table, samples, n_trials, max_entropy, seed,
+    integrals, tolerances, categories, tests, log_table, samples, n_trials, random_thresholds, max_entropy, seed,
     work, nodes, cuts, leaf_starts, leaf_classes, leaf_counts,
 ):  # fmt: skip
     """Steps 1-8 for one tree: fills ``nodes``, ``cuts`` and the leaves' histograms, and counts both.
 
-    ``tests`` (R, 3) holds the triples (i, t0, t1); ``samples`` the clips, permuted in place; ``max_entropy``
+    ``samples`` are the clips, permuted in place; ``max_entropy``
     is in fixed point. Nodes are worked off depth first, left before right; each draws its tests with its own
     random numbers, from the seed and the node's number. All tests at once are taken in order.
     """
@@ -266,10 +332,10 @@ def grow_tree(
             state[0] = seed ^ (np.uint64(node) * _NODE_STEP)
             test, threshold = _find_split(
                 integrals, tolerances, tests, order, swaps, state, inside, labels, counts[:n_present], total,
-                log_table, n_trials, values, keys, spare, left, digits,
+                log_table, n_trials, random_thresholds, values, keys, spare, left, digits,
             )  # fmt: skip
         if test < 0:
-            nodes[node, 0], nodes[node, 1], nodes[node, 2] = 0, 0, -1 - n_leaves
+            nodes[node, 0], nodes[node, 1], nodes[node, 2], nodes[node, 3] = 0, 0, -1 - n_leaves, 0
             cuts[node, 2] = 0.0
             for c in range(n_present):
                 leaf_classes[n_entries + c] = present[c]
@@ -278,61 +344,16 @@ def grow_tree(
             n_leaves += 1
             leaf_starts[n_leaves] = n_entries
             continue
-        i, t0, t1 = tests[test, 0], tests[test, 1], tests[test, 2]
-        n_left = _partition(integrals[i, t1], integrals[i, t0], threshold, inside, keys)
-        row = i * integrals.shape[1]
-        nodes[node, 0], nodes[node, 1], nodes[node, 2] = row + t1, row + t0, n_nodes
+        _evaluate(integrals, tests[test], inside, values)
+        n_left = _partition(values, threshold, inside, keys)
+        width = integrals.shape[1]
+        kind, i, j = tests[test, 0], tests[test, 1], tests[test, 2]
+        nodes[node, 0], nodes[node, 1] = i * width + tests[test, 4], i * width + tests[test, 3]
+        nodes[node, 2] = n_nodes
+        nodes[node, 3] = 0 if kind == MEAN else (j - i) * width * (1 if kind == SPREAD else -1)
         cuts[node, 2] = threshold
         stack[depth, 0], stack[depth, 1], stack[depth, 2] = n_nodes + 1, start + n_left, stop
         stack[depth + 1, 0], stack[depth + 1, 1], stack[depth + 1, 2] = n_nodes, start, start + n_left
         depth += 2
         n_nodes += 2
     return n_nodes, n_leaves
-
-
-@njit(cache=True, nogil=True)
-def find_leaves(features, nodes, cuts, roots, leaves):
-    """Section 3.4: the leaf that each clip reaches in each tree, into ``leaves`` (N, n_trees).
-
-    ``features`` is (N, T, F). Returns the first clip with a value that is not finite, or -1.
-    """
-    n_clips, n_frames, n_features = features.shape
-    integral = np.zeros(n_features * (n_frames + 1))
-    places, trees = np.empty(len(roots), np.int64), np.empty(len(roots), np.int64)
-    for clip in range(n_clips):
-        finite = 0.0
-        for i in range(n_features):
-            running = 0.0
-            row = i * (n_frames + 1) + 1
-            for t in range(n_frames):
-                running += features[clip, t, i]  # eq. 4
-                integral[row + t] = running
-            finite += running - running  # NaN as soon as one value is NaN or infinite
-        if finite != 0.0:
-            return clip
-        # One step down all trees at a time: the steps do not wait for each other's memory.
-        n_active = len(roots)
-        for tree in range(n_active):
-            places[tree], trees[tree] = roots[tree], tree
-        while n_active > 0:
-            n_kept = 0
-            for k in range(n_active):
-                node, tree = places[k], trees[k]
-                child = np.int64(nodes[node, 2])
-                # eq. 5, without the division: the threshold is kept times the length of the interval.
-                above = integral[nodes[node, 0]] - integral[nodes[node, 1]] > cuts[node, 2]
-                leaves[clip, tree] = -1 - child  # the last one written is the leaf
-                places[n_kept], trees[n_kept] = child + above, tree
-                n_kept += child >= 0
-            n_active = n_kept
-    return -1
-
-
-@njit(cache=True, nogil=True)
-def count_leaves(leaves, starts, classes, weights, out):
-    """Adds, for each clip, the entries (class, weight) of every leaf that it reached to ``out`` (N, C)."""
-    for clip in range(leaves.shape[0]):
-        for tree in range(leaves.shape[1]):
-            leaf = leaves[clip, tree]
-            for entry in range(starts[leaf], starts[leaf + 1]):
-                out[clip, classes[entry]] += weights[entry]

@@ -2,31 +2,45 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from dousa.retrieval import _forest_kernels as kernels
-from dousa.retrieval.integral import list_tests
+from dousa.retrieval.integral import MEAN, SPREAD, TREND
 
-__all__ = ["Trees", "TreesSpec", "grow_trees"]
+__all__ = [
+    "KIND_NAMES",
+    "SAME_VALUE",
+    "Test",
+    "Trees",
+    "TreesSpec",
+    "evaluate_test",
+    "grow_trees",
+    "make_log_table",
+    "read_test",
+]
+
+KIND_NAMES = ("mean", "spread", "trend")
+"""Names of the kinds of tests, by their numbers in the kernels."""
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
-_SAME_VALUE = 1e-7
+SAME_VALUE = 1e-7
 """Values of a test closer than this share of the feature's largest value are one value."""
 
 
 @dataclass(frozen=True, slots=True)
 class TreesSpec:
-    """How trees are grown: tests drawn at a node, bits of entropy of a leaf, bootstrap, workers (joblib)."""
+    """How trees are grown: tests drawn at a node, bits of entropy of a leaf, bootstrap, random thresholds, workers."""
 
     n_trials: int
     max_entropy: float
     bootstrap: bool
+    random_thresholds: bool
     n_jobs: int | None
 
 
@@ -41,6 +55,7 @@ class Trees:
     leaf_starts : (L + 1,) where the entries of each leaf begin.
     leaf_classes, leaf_counts : (E,) int32, the category and the number of training clips of each entry.
     n_features, n_frames, n_classes : F, T and C.
+    only_means : whether no node asks for a spread or a trend.
     """
 
     nodes: NDArray[np.int32]
@@ -51,6 +66,10 @@ class Trees:
     n_features: int
     n_frames: int
     n_classes: int
+    only_means: bool = field(init=False)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "only_means", not self.nodes[:, 3].any())
 
     @property
     def cuts(self) -> FloatArray:
@@ -75,10 +94,55 @@ class Trees:
         return self.leaf_classes[order[self.leaf_starts[:-1]]]
 
 
+@dataclass(frozen=True, slots=True)
+class Test:
+    """What a node asks.
+
+    Parameters
+    ----------
+    kind : number, see ``KIND_NAMES``.
+    column, partner : columns of the features; the partner is the column itself for a mean.
+    start, stop : t0 and t1.
+    threshold : of the mean, spread or trend.
+    """
+
+    kind: int
+    column: int
+    partner: int
+    start: int
+    stop: int
+    threshold: float
+
+
+def read_test(trees: Trees, node: int) -> Test:
+    """The test of an inner node."""
+    width = trees.n_frames + 1
+    later, sooner, partner = int(trees.nodes[node, 0]), int(trees.nodes[node, 1]), int(trees.nodes[node, 3])
+    column, stop = divmod(later, width)
+    start, cut = sooner % width, float(trees.cuts[node, 2])
+    if partner == 0:
+        return Test(MEAN, column, column, start, stop, cut / (stop - start))
+    kind = SPREAD if partner > 0 else TREND
+    return Test(kind, column, column + abs(partner) // width, start, stop, cut)
+
+
+def evaluate_test(integrals: FloatArray, test: Test) -> float:
+    """The value of a test for one clip, from its integrals (F, T + 1)."""
+    length = test.stop - test.start
+    difference = integrals[test.column, test.stop] - integrals[test.column, test.start]
+    if test.kind == MEAN:
+        return float(difference / length)
+    other = integrals[test.partner, test.stop] - integrals[test.partner, test.start]
+    if test.kind == SPREAD:
+        return float(np.sqrt(max(other / length - (difference / length) ** 2, 0.0)))
+    return float(12.0 * (other - 0.5 * (test.start + test.stop) * difference) / length**2)
+
+
 def grow_trees(
     features: FloatArray,
     categories: NDArray[np.int32],
     n_classes: int,
+    tests: IntArray,
     spec: TreesSpec,
     seeds: NDArray[np.uint64],
 ) -> Trees:
@@ -88,6 +152,7 @@ def grow_trees(
     ----------
     features : (N, T, F) checked pose features.
     categories : (N,) 0 ... n_classes - 1.
+    tests : (R, 5) what may be asked at a node, see ``_forest_kernels``.
     spec : how to grow.
     seeds : 64-bit, one per tree.
     """
@@ -97,8 +162,8 @@ def grow_trees(
     # Clips last: a test of all clips at a node reads two rows.
     integrals = np.zeros((count, frames + 1, clips))
     np.cumsum(features.transpose(2, 1, 0), axis=1, out=integrals[:, 1:])
-    tolerances = _SAME_VALUE * np.abs(features).max(axis=(0, 1))
-    material = (integrals, tolerances, categories, list_tests(count, frames), _log_table(clips))
+    tolerances = SAME_VALUE * np.abs(features).max(axis=(0, 1))
+    material = (integrals, tolerances, categories, tests, make_log_table(clips))
     # A few trees a task: with few clips a tree takes less time than handing it out.
     tasks = np.array_split(seeds, min(len(seeds), 4 * effective_n_jobs(spec.n_jobs)))
     grown = Parallel(n_jobs=spec.n_jobs, prefer="threads")(
@@ -107,7 +172,7 @@ def grow_trees(
     return _join([tree for some in grown for tree in some], (count, frames, n_classes))
 
 
-def _log_table(n: int) -> IntArray:
+def make_log_table(n: int) -> IntArray:
     """k log2 k for k = 0 ... n, in fixed point."""
     number = np.arange(n + 1)
     return np.rint(number * np.log2(np.maximum(number, 1)) * kernels.FIXED_POINT).astype(np.int64)
@@ -131,7 +196,7 @@ def _grow_some(
         if spec.bootstrap:
             samples = np.sort(np.random.default_rng(int(seed)).integers(0, clips, clips))
         n_nodes, n_leaves = kernels.grow_tree(  # type: ignore[call-arg]
-            *material, samples, spec.n_trials, limit, seed, work,
+            *material, samples, spec.n_trials, spec.random_thresholds, limit, seed, work,
             nodes, nodes.view(np.float64), starts, classes, counts,
         )  # fmt: skip
         entries = starts[n_leaves]

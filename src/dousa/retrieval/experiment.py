@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from dousa.errors import OptionError, TrainingError
 from dousa.retrieval._experiment_result import ExperimentResult, FoldResult, LabelledClip, SystemResult
+from dousa.retrieval.feature_sets import FeatureSet, get_feature_set
 from dousa.retrieval.metrics import Scores, compute_scores, list_confusions
 from dousa.retrieval.splits import Split, leave_performer_out, split_half
 
@@ -50,7 +51,6 @@ def run_experiment(
     systems: Sequence[str] = SYSTEMS,
     n_trees: int = 100,
     feature_set: str = "paper",
-    n_frames: int = 10,
     samples_per_frame: int = 8,
     sampling_rate: float = 30.0,
     template_threshold: float = 0.1,
@@ -69,8 +69,8 @@ def run_experiment(
     random_state : seed; the same seed gives the same scores.
     systems : which, of ``SYSTEMS``.
     n_trees : trees of the forest.
-    feature_set : what the trees look at: ``"paper"``, the 56 features, or ``"extended"``.
-    n_frames, samples_per_frame : how clips are thinned for the forest, see ``compute_clip_features``.
+    feature_set : what the trees look at and how they grow, a name of ``FEATURE_SETS``.
+    samples_per_frame : how clips are thinned for the ``paper`` features, see ``compute_clip_features``.
     sampling_rate, template_threshold : of motion templates (Hz; share of the motions, see there). 0.1 is the
         publication's; on real recordings 0.3 was better.
     n_jobs : threads; None for one.
@@ -91,6 +91,7 @@ def run_experiment(
         raise OptionError(
             f"expected 1 repeat or more and a seed of 0 or more, got {repeats} and {random_state}"
         )
+    features_of = get_feature_set(feature_set)
     tested = list(clips) + list(test_clips or ())
     _check_clips(clips, test_clips)
     split = "given" if test_clips is not None else split or "half"
@@ -98,12 +99,12 @@ def run_experiment(
     material = _describe(
         tested,
         systems,
-        feature_set,
-        frames=(n_frames, samples_per_frame),
+        features_of,
+        samples_per_frame=samples_per_frame,
         sampling_rate=sampling_rate,
         progress=progress,
     )
-    workers = _Workers(n_trees, sampling_rate, template_threshold, n_jobs)
+    workers = _Workers(features_of, n_trees, sampling_rate, template_threshold, n_jobs)
     compile_seconds = workers.warm_up(systems)
     report = _Reporter(progress, len(systems) * sum(len(folds) for folds in rounds))
     results = {
@@ -142,7 +143,7 @@ class _Material:
     """The clips as the systems see them, computed once."""
 
     categories: NDArray[Any]  # (N,) str objects
-    features: NDArray[np.float64]  # (N, n_frames, 56 or 82)
+    features: NDArray[np.float64]  # (N, T, F)
     sequences: list[NDArray[np.bool_]]  # N of (T_i, 39)
     feature_seconds: float
     relational_seconds: float
@@ -175,8 +176,15 @@ class _Reporter:
 class _Workers:
     """Makes and times the systems."""
 
-    def __init__(self, n_trees: int, sampling_rate: float, threshold: float, n_jobs: int | None) -> None:
-        self.n_trees, self.n_jobs = n_trees, n_jobs
+    def __init__(
+        self,
+        feature_set: FeatureSet,
+        n_trees: int,
+        sampling_rate: float,
+        threshold: float,
+        n_jobs: int | None,
+    ) -> None:
+        self.feature_set, self.n_trees, self.n_jobs = feature_set, n_trees, n_jobs
         self.sampling_rate, self.threshold = sampling_rate, threshold
 
     def train_and_predict(
@@ -193,7 +201,8 @@ class _Workers:
             fitted = time.perf_counter()
             predicted = templates.predict_sequences([material.sequences[k] for k in fold.test])
         else:
-            forest = self._forest(system, seed).fit(material.features[fold.train], labels)
+            forest = self._forest(system, seed)
+            forest.fit(material.features[fold.train], labels, feature_set=self.feature_set)
             fitted = time.perf_counter()
             predicted = forest.predict(material.features[fold.test])
         return np.asarray(predicted).astype(object), fitted - started, time.perf_counter() - fitted
@@ -203,8 +212,13 @@ class _Workers:
 
         if system == "full_tree":
             return MotionForest(n_trees=1, n_trials="all", random_state=seed, n_jobs=self.n_jobs)
-        n_trees = 1 if system == "random_tree" else self.n_trees
-        return MotionForest(n_trees=n_trees, random_state=seed, n_jobs=self.n_jobs)
+        return MotionForest(
+            n_trees=1 if system == "random_tree" else self.n_trees,
+            n_trials=self.feature_set.n_trials,
+            thresholds=self.feature_set.thresholds,
+            random_state=seed,
+            n_jobs=self.n_jobs,
+        )
 
     def warm_up(self, systems: Sequence[str]) -> float:
         """Compile the kernels on a toy, so that the first system's time is not the compiler's; seconds."""
@@ -212,7 +226,7 @@ class _Workers:
         generator = np.random.default_rng(0)
         toy = _Material(
             categories=np.array(["a", "a", "b", "b"], dtype=object),
-            features=generator.random((4, 10, 56)),
+            features=generator.random((4, self.feature_set.n_frames, self.feature_set.n_columns)),
             sequences=[generator.random((3, 39)) > 0.5 for _ in range(4)],
             feature_seconds=0.0,
             relational_seconds=0.0,
@@ -280,23 +294,19 @@ def _make_rounds(
 def _describe(
     clips: Sequence[LabelledClip],
     systems: Sequence[str],
-    feature_set: str,
+    feature_set: FeatureSet,
     *,
-    frames: tuple[int, int],
+    samples_per_frame: int,
     sampling_rate: float,
     progress: Progress | None,
 ) -> _Material:
     """Compute what the asked systems look at, once for all repeats."""
-    features, sequences = np.empty((len(clips), frames[0], 0)), []
+    features, sequences = np.empty((len(clips), feature_set.n_frames, 0)), []
     started = time.perf_counter()
     if set(systems) - {"motion_templates"}:
-        from dousa.retrieval.feature_sets import FEATURE_SETS
-
-        if feature_set not in FEATURE_SETS:
-            raise OptionError(f"features: expected {' or '.join(FEATURE_SETS)}, got '{feature_set}'")
         if progress is not None:
             progress(0, 0, "pose features")
-        features = np.stack([FEATURE_SETS[feature_set](clip, *frames) for clip in clips])
+        features = np.stack([feature_set.compute(clip, samples_per_frame) for clip in clips])
     between = time.perf_counter()
     if "motion_templates" in systems:
         from dousa.retrieval.templates import compute_relational_sequence

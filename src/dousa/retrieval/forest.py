@@ -12,24 +12,37 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from dousa.errors import InvalidMotionError, NotTrainedError, OptionError, TrainingError
-from dousa.retrieval import _forest_kernels as kernels
-from dousa.retrieval._trees import Trees, TreesSpec, grow_trees
-from dousa.retrieval.features import FEATURE_NAMES
-from dousa.retrieval.integral import integrate
+from dousa.retrieval import _descent_kernels as kernels
+from dousa.retrieval._forest_checks import (
+    check_features,
+    check_names,
+    check_whole,
+    count_trials,
+    is_whole,
+    number_categories,
+)
+from dousa.retrieval._trees import KIND_NAMES, Trees, TreesSpec, evaluate_test, grow_trees, read_test
+from dousa.retrieval.integral import integrate, list_tests
+
+if TYPE_CHECKING:
+    from dousa.retrieval.feature_sets import FeatureSet
+    from dousa.retrieval.tracks import FeatureTrack
 
 __all__ = ["Decision", "MotionForest"]
 
 FloatArray = NDArray[np.float64]
 Histogram = Literal["votes", "leaves"]
 
-_PARAMETERS = ("n_trees", "n_trials", "max_entropy", "bootstrap", "random_state", "n_jobs")
+_PARAMETERS = ("n_trees", "n_trials", "max_entropy", "bootstrap", "thresholds", "random_state", "n_jobs")
 _TRIALS = ("sqrt", "all")
+_THRESHOLDS = ("best", "random")
+_WINDOWS_AT_ONCE = 64  # their features stay in the processor's cache
 _LARGEST_VALUE = 1e100  # sums and differences of larger ones could overflow
 
 
@@ -40,23 +53,27 @@ class Decision:
     Parameters
     ----------
     tree : which tree, from 0.
-    feature : name of the pose feature.
+    node : number of the node that asked, through all trees.
+    feature : name of the pose feature, or channel.
+    kind : ``"mean"``, ``"spread"`` (standard deviation) or ``"trend"`` (change along the fitted line).
     start, stop : the interval, frames ``start ... stop - 1`` of the thinned clip, counted from 0.
-    threshold : of the mean of the feature over the interval.
-    mean : of this clip.
+    threshold : of the mean, spread or trend of the feature over the interval.
+    value : that of this clip.
     """
 
     tree: int
+    node: int
     feature: str
+    kind: str
     start: int
     stop: int
     threshold: float
-    mean: float
+    value: float
 
     @property
     def above(self) -> bool:
         """Whether the clip lies above the threshold."""
-        return self.mean > self.threshold
+        return self.value > self.threshold
 
 
 class MotionForest:
@@ -69,6 +86,9 @@ class MotionForest:
         for the square root, ``"all"`` for every test: then nothing is random and one tree says it all.
     max_entropy : bits; a node of at most this entropy becomes a leaf.
     bootstrap : draw each tree's clips with replacement (the paper does not).
+    thresholds : ``"best"``, the threshold of largest gain of each drawn test (step 3 of the paper); ``"random"``, one
+        threshold drawn between the lowest and the highest value, of which only the best test is kept: extremely
+        randomised trees (Geurts, Ernst, Wehenkel, Machine Learning 63, 2006).
     random_state : seed; None for a new one each time. One seed gives one forest, however many workers.
     n_jobs : workers as in joblib; None is one, unless a joblib backend is set; -1 is all.
 
@@ -84,6 +104,7 @@ class MotionForest:
         n_trials: int | Literal["all", "sqrt"] | None = None,
         max_entropy: float = 0.0,
         bootstrap: bool = False,
+        thresholds: Literal["best", "random"] = "best",
         random_state: int | None = None,
         n_jobs: int | None = None,
     ) -> None:
@@ -91,6 +112,7 @@ class MotionForest:
         self.n_trials = n_trials
         self.max_entropy = max_entropy
         self.bootstrap = bootstrap
+        self.thresholds = thresholds
         self.random_state = random_state
         self.n_jobs = n_jobs
         self._trees: Trees | None = None
@@ -113,7 +135,12 @@ class MotionForest:
         return self
 
     def fit(
-        self, features: ArrayLike, categories: ArrayLike, feature_names: Sequence[str] | None = None
+        self,
+        features: ArrayLike,
+        categories: ArrayLike,
+        feature_names: Sequence[str] | None = None,
+        *,
+        feature_set: FeatureSet | None = None,
     ) -> MotionForest:
         """Grow the trees.
 
@@ -122,6 +149,7 @@ class MotionForest:
         features : (N, T, F) pose features of the training clips, thinned to T frames.
         categories : (N,) words or whole numbers; a single category is allowed and is then always the answer.
         feature_names : (F,) for ``decisions``; those of ``FEATURES`` where F is 56.
+        feature_set : what the columns are and what may be asked of them; without one, their means.
 
         Raises
         ------
@@ -130,25 +158,38 @@ class MotionForest:
         OptionError : a parameter or ``feature_names`` out of range.
         """
         self._check_options()
-        pose = _check_features(features)
+        shape = None if feature_set is None else (feature_set.n_frames, feature_set.n_columns)
+        pose = check_features(features, shape, finite=True)
         if not len(pose):
             raise TrainingError("expected clips to train with, got none")
         if np.abs(pose).max() > _LARGEST_VALUE:
             raise InvalidMotionError(f"expected pose features below {_LARGEST_VALUE:g}")
-        classes, numbers = _number_categories(categories, len(pose))
-        names = _check_names(feature_names, pose.shape[2])
-        count = pose.shape[2] * pose.shape[1] * (pose.shape[1] + 1) // 2
-        spec = TreesSpec(
-            _count_trials(self.n_trials, count), float(self.max_entropy), bool(self.bootstrap), self.n_jobs
-        )
+        classes, numbers = number_categories(categories, len(pose))
+        if feature_set is None:
+            names, tests = (
+                check_names(feature_names, pose.shape[2]),
+                list_tests(pose.shape[2], pose.shape[1]),
+            )
+        else:
+            names, tests = feature_set.column_names, feature_set.tests
         seeds = (
             np.random.SeedSequence(self.random_state)
             .generate_state(self.n_trees, np.uint64)
             .astype(np.uint64)
         )
-        trees = grow_trees(pose, numbers, len(classes), spec, seeds)
+        trees = grow_trees(pose, numbers, len(classes), tests, self.make_spec(len(tests)), seeds)
         self._take(trees, classes, names)
         return self
+
+    def make_spec(self, n_tests: int) -> TreesSpec:
+        """How trees are grown with the forest's parameters, of so many tests."""
+        return TreesSpec(
+            n_trials=count_trials(self.n_trials, n_tests),
+            max_entropy=float(self.max_entropy),
+            bootstrap=bool(self.bootstrap),
+            random_thresholds=self.thresholds == "random",
+            n_jobs=self.n_jobs,
+        )
 
     def predict(self, features: ArrayLike, histogram: Histogram = "votes") -> NDArray[Any]:
         """The category of largest share in ``predict_proba``, the first of equals: (N,)."""
@@ -224,29 +265,64 @@ class MotionForest:
     def apply(self, features: ArrayLike) -> NDArray[np.int64]:
         """The leaf that each clip reaches in each tree: (N, n_trees), numbered through all trees from 0."""
         trees = self._fitted
-        pose = _check_features(features, (trees.n_frames, trees.n_features))
+        pose = check_features(features, (trees.n_frames, trees.n_features))
         leaves = np.empty((len(pose), len(trees.roots)), np.int64)
         _run_down(pose, trees, self._cuts, leaves)
         return leaves
 
+    def apply_windows(self, track: FeatureTrack, starts: ArrayLike, stops: ArrayLike) -> NDArray[np.int64]:
+        """The leaf that each window of a recording reaches in each tree.
+
+        Parameters
+        ----------
+        track : of the feature set that the forest was fitted with.
+        starts, stops : (N,) frames of the track.
+
+        Returns
+        -------
+        (N, n_trees), as ``apply``; the features of all windows never stand in memory at once.
+
+        Raises
+        ------
+        InvalidMotionError : a window outside the recording, or a track of other features.
+        """
+        trees = self._fitted
+        if (track.feature_set.n_frames, track.feature_set.n_columns) != (trees.n_frames, trees.n_features):
+            raise InvalidMotionError(
+                f"expected a track of {trees.n_features} columns in {trees.n_frames} cells, "
+                f"got one of the feature set '{track.feature_set.name}'"
+            )
+        first, last = np.atleast_1d(starts), np.atleast_1d(stops)
+        leaves = np.empty((len(first), len(trees.roots)), np.int64)
+        for begin in range(0, len(first), _WINDOWS_AT_ONCE):
+            some = slice(begin, begin + _WINDOWS_AT_ONCE)
+            _run_down(track.describe(first[some], last[some]), trees, self._cuts, leaves[some])
+        return leaves
+
     def decisions(self, clip: ArrayLike) -> list[Decision]:
         """Every question asked about one clip (T, F) on its way down all trees, in order."""
-        trees, cuts = self._fitted, self._cuts
-        pose = _check_features(np.asarray(clip)[None], (trees.n_frames, trees.n_features))
+        trees = self._fitted
+        pose = check_features(np.asarray(clip)[None], (trees.n_frames, trees.n_features))
         integrals = integrate(pose)[0]
         asked = []
         for tree, root in enumerate(trees.roots):
             node = int(root)
             while trees.nodes[node, 2] >= 0:
-                later, sooner, child = (int(value) for value in trees.nodes[node, :3])
-                i, stop = divmod(later, trees.n_frames + 1)
-                start = sooner % (trees.n_frames + 1)
-                difference, length = integrals[i, stop] - integrals[i, start], stop - start
-                name, cut = self.feature_names_[i], cuts[node, 2]
+                test = read_test(trees, node)
+                value = evaluate_test(integrals, test)
                 asked.append(
-                    Decision(tree, name, start, stop, float(cut / length), float(difference / length))
+                    Decision(
+                        tree,
+                        node,
+                        self.feature_names_[test.column],
+                        KIND_NAMES[test.kind],
+                        test.start,
+                        test.stop,
+                        test.threshold,
+                        value,
+                    )
                 )
-                node = child + bool(difference > cut)
+                node = int(trees.nodes[node, 2]) + bool(value > test.threshold)
         return asked
 
     @property
@@ -287,6 +363,12 @@ class MotionForest:
         forest._take(file.trees, file.classes, file.feature_names)
         return forest
 
+    def with_trees(self, trees: Trees, classes: NDArray[Any]) -> MotionForest:
+        """A forest of the same parameters and features with other trees; ``classes`` (C,) are its sorted categories."""
+        forest = MotionForest().set_params(**self.get_params())
+        forest._take(trees, classes, self.feature_names_)
+        return forest
+
     @property
     def _fitted(self) -> Trees:
         if self._trees is None:
@@ -307,13 +389,15 @@ class MotionForest:
         return self._votes if histogram == "votes" else self._shares
 
     def _check_options(self) -> None:
-        _check_whole("n_trees", self.n_trees, 1)
+        check_whole("n_trees", self.n_trees, 1)
         if self.n_trials is not None and not (isinstance(self.n_trials, str) and self.n_trials in _TRIALS):
-            _check_whole("n_trials", self.n_trials, 1, "None, 'sqrt', 'all' or ")
+            check_whole("n_trials", self.n_trials, 1, "None, 'sqrt', 'all' or ")
         if self.random_state is not None:
-            _check_whole("random_state", self.random_state, 0, "None or ")
-        if self.n_jobs is not None and (not _is_whole(self.n_jobs) or self.n_jobs == 0):
+            check_whole("random_state", self.random_state, 0, "None or ")
+        if self.n_jobs is not None and (not is_whole(self.n_jobs) or self.n_jobs == 0):
             raise OptionError(f"n_jobs: expected None or a whole number other than 0, got {self.n_jobs!r}")
+        if self.thresholds not in _THRESHOLDS:
+            raise OptionError(f"thresholds: expected 'best' or 'random', got {self.thresholds!r}")
         if not isinstance(self.bootstrap, bool | np.bool_):
             raise OptionError(f"bootstrap: expected True or False, got {self.bootstrap!r}")
         entropy = self.max_entropy
@@ -322,60 +406,6 @@ class MotionForest:
 
 
 def _run_down(pose: FloatArray, trees: Trees, cuts: FloatArray, leaves: NDArray[np.int64]) -> None:
-    bad = kernels.find_leaves(pose, trees.nodes, cuts, trees.roots, leaves)
+    bad = kernels.find_leaves(pose, trees.nodes, cuts, trees.roots, trees.only_means, leaves)
     if bad >= 0:
         raise InvalidMotionError(f"expected finite pose features, clip {bad} has NaN or infinity")
-
-
-def _is_whole(value: object) -> bool:
-    return isinstance(value, int | np.integer) and not isinstance(value, bool)
-
-
-def _check_whole(name: str, value: object, least: int, otherwise: str = "") -> None:
-    if not _is_whole(value) or value < least:  # type: ignore[operator]
-        raise OptionError(f"{name}: expected {otherwise}a whole number of at least {least}, got {value!r}")
-
-
-def _count_trials(n_trials: int | str | None, n_tests: int) -> int:
-    if isinstance(n_trials, str):
-        return n_tests if n_trials == "all" else int(np.sqrt(n_tests))
-    return min(int(np.log2(n_tests)) + 1 if n_trials is None else int(n_trials), n_tests)
-
-
-def _check_features(features: ArrayLike, shape: tuple[int, int] | None = None) -> FloatArray:
-    """C-ordered (N, T, F) float64; finite if no shape is given, as the query looks for itself."""
-    try:
-        pose = np.ascontiguousarray(features, dtype=np.float64)
-    except (TypeError, ValueError) as error:
-        raise InvalidMotionError(f"expected pose features as numbers: {error}") from error
-    if pose.ndim != 3 or 0 in pose.shape[1:] or (shape is not None and pose.shape[1:] != shape):
-        wanted = "(clips, frames, features)" if shape is None else f"(clips, {shape[0]}, {shape[1]})"
-        raise InvalidMotionError(f"expected pose features of shape {wanted}, got {pose.shape}")
-    if shape is None and not np.isfinite(pose).all():
-        bad = int(np.argwhere(~np.isfinite(pose))[0][0])
-        raise InvalidMotionError(f"expected finite pose features, clip {bad} has NaN or infinity")
-    return pose
-
-
-def _number_categories(categories: ArrayLike, n_clips: int) -> tuple[NDArray[Any], NDArray[np.int32]]:
-    """The different categories, sorted, and each clip's number among them."""
-    labels = np.asarray(categories)
-    if labels.dtype == object and all(isinstance(label, str) for label in labels.flat):
-        labels = labels.astype(np.str_)
-    if labels.dtype.kind not in "Uiub":
-        raise TrainingError(
-            f"expected categories as words or whole numbers, got {labels.dtype} {labels.shape}"
-        )
-    if labels.shape != (n_clips,):
-        raise TrainingError(f"expected one category for each of {n_clips} clips, got shape {labels.shape}")
-    classes, numbers = np.unique(labels, return_inverse=True)
-    return classes, numbers.astype(np.int32)
-
-
-def _check_names(names: Sequence[str] | None, count: int) -> tuple[str, ...]:
-    if names is None:
-        is_ours = count == len(FEATURE_NAMES)
-        return FEATURE_NAMES if is_ours else tuple(f"feature {number}" for number in range(count))
-    if isinstance(names, str) or len(names) != count:
-        raise OptionError(f"expected {count} feature names, got {len(names)}")
-    return tuple(str(name) for name in names)

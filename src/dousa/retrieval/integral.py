@@ -6,14 +6,27 @@ counted from 0: with T frames there are ``T (T + 1) / 2`` of them.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from dousa.errors import InvalidMotionError, OptionError
 
-__all__ = ["compute_interval_means", "integrate", "list_tests"]
+__all__ = [
+    "MEAN",
+    "SPREAD",
+    "TREND",
+    "compute_interval_means",
+    "integrate",
+    "list_interval_tests",
+    "list_tests",
+]
 
 FloatArray = NDArray[np.float64]
+
+MEAN, SPREAD, TREND = 0, 1, 2
+"""Kinds of tests: the mean of a column over an interval, its standard deviation, its change along the fitted line."""
 
 
 def integrate(features: ArrayLike) -> FloatArray:
@@ -67,7 +80,7 @@ def compute_interval_means(integrals: ArrayLike, start: int, stop: int) -> Float
 
 
 def list_tests(n_features: int, n_frames: int) -> NDArray[np.int64]:
-    """Every test that a tree may ask: the set R of the paper.
+    """Every mean that a tree may ask for: the set R of the paper.
 
     Parameters
     ----------
@@ -75,14 +88,38 @@ def list_tests(n_features: int, n_frames: int) -> NDArray[np.int64]:
 
     Returns
     -------
-    (F T (T + 1) / 2, 3) rows (i, t0, t1); 3,080 for 56 features and 10 frames. Longer intervals come first, then
-    earlier ones: of tests that part the clips equally well a tree without randomness takes the first, and the
-    mean over a longer time says more about the motion and less about the moment.
+    (F T (T + 1) / 2, 5) rows (kind, i, i, t0, t1) with the kind 0, a mean; 3,080 for 56 features and 10 frames. Longer
+    intervals come first, then earlier ones: of tests that part the clips equally well a tree without randomness takes
+    the first, and the mean over a longer time says more about the motion and less about the moment.
+    """
+    columns = np.arange(n_features)
+    return list_interval_tests([(0, columns, columns)], n_frames)
+
+
+def list_interval_tests(
+    kinds: Sequence[tuple[int, NDArray[np.intp], NDArray[np.intp]]], n_frames: int
+) -> NDArray[np.int64]:
+    """Tests of several kinds over every interval, in the order of ``list_tests``.
+
+    Parameters
+    ----------
+    kinds : for each kind its number, the columns that it may ask for, and the partner of each column.
+    n_frames : T.
+
+    Returns
+    -------
+    (R, 5) rows (kind, column, partner, t0, t1).
     """
     starts, stops = np.triu_indices(n_frames + 1, k=1)
     order = np.lexsort((starts, starts - stops))
-    tests = np.empty((len(starts), n_features, 3), np.int64)
-    tests[:, :, 0] = np.arange(n_features)
-    tests[:, :, 1] = starts[order, None]
-    tests[:, :, 2] = stops[order, None]
-    return tests.reshape(-1, 3)
+    asked = np.concatenate(
+        [
+            np.stack([np.full(len(columns), kind), columns, partners], axis=1)
+            for kind, columns, partners in kinds
+        ]
+    )
+    tests = np.empty((len(starts), len(asked), 5), np.int64)
+    tests[:, :, :3] = asked
+    tests[:, :, 3] = starts[order, None]
+    tests[:, :, 4] = stops[order, None]
+    return tests.reshape(-1, 5)
