@@ -1,0 +1,76 @@
+"""A real uncut take with a written truth: what is labelled, and what is right.
+
+    python benchmarks/label_annotated.py TAKE TRUTH FOLDER... [--same ACTION=CATEGORY ...]
+
+TRUTH is CMU's `mocap.txt`: after a line with the numbers of subject and take, a line an action: its name and three
+frames, the earliest, likely and latest end. FOLDER holds labelled clips, which train. An action of the truth whose name
+is not said to be the same as a category is unknown to the library; frames between the earliest and the latest end do
+not count.
+"""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+from _take_material import FEATURE_SET, read_or_make_clips, train_forest
+
+from dousa.formats import read_motion
+from dousa.motion import canonicalise
+from dousa.retrieval.labeller_training import train_labeller
+from dousa.retrieval.labelling import label_take
+from dousa.retrieval.takes import describe_take
+from dousa.retrieval.timeline_metrics import TrueSegment, compare_timeline
+
+
+def read_truth(path: Path, take: str, frame_rate: float, same: dict[str, str]) -> list[TrueSegment]:
+    """The pieces of a take; `take` is subject and number, as in 86_01."""
+    wanted = [str(int(part)) for part in take.split("_")]
+    truth: list[TrueSegment] = []
+    inside, begin = False, 0.0
+    for line in path.read_text(encoding="utf-8").splitlines():
+        words = line.split()
+        if len(words) == 2:
+            inside = [str(int(word)) for word in words] == wanted
+        elif inside and len(words) == 4:
+            earliest, _, latest = (int(word) / frame_rate for word in words[1:])
+            truth.append(TrueSegment(begin, earliest, same.get(words[0])))
+            if latest > earliest:
+                truth.append(TrueSegment(earliest, latest, None, counted=False))
+            begin = latest
+    return truth
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("take", type=Path)
+    parser.add_argument("truth", type=Path)
+    parser.add_argument("folders", type=Path, nargs="+")
+    parser.add_argument("--same", action="append", default=[], metavar="ACTION=CATEGORY")
+    parser.add_argument("--performer-from", default=None)
+    options = parser.parse_args()
+    clips = [
+        clip for folder in options.folders for clip in read_or_make_clips(folder, options.performer_from)
+    ]
+    forest = train_forest(clips)
+    labeller = train_labeller(forest, FEATURE_SET, clips, n_jobs=2)
+    motion = canonicalise(read_motion(options.take))
+    same = dict(pair.split("=", 1) for pair in options.same)
+    truth = read_truth(options.truth, options.take.stem, motion.frame_rate, same)
+    windows = describe_take(forest, FEATURE_SET, motion, labeller.grid)
+    for name, threshold in (("with unknown", None), ("all said", 0.0)):
+        timeline = label_take(labeller, windows, threshold=threshold)
+        scores = compare_timeline(timeline.segments, truth, timeline.duration).scores()
+        print(f"{name}: {scores.frame_accuracy:.3f} of {scores.n_frames} frames right")
+        for one in timeline.segments:
+            print(f"  {one.start:6.1f} {one.stop:6.1f}  {one.category or 'unknown':32} {one.confidence:.2f}")
+    print("truth:")
+    for piece in truth:
+        if piece.counted:
+            print(f"  {piece.start:6.1f} {piece.stop:6.1f}  {piece.category or 'no such category'}")
+
+
+if __name__ == "__main__":
+    main()

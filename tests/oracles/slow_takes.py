@@ -1,0 +1,30 @@
+"""Slow transcriptions of the loops over windows of long takes."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import numpy as np
+
+
+def parts_of(poses, n_parts=8):
+    """Mean poses of the parts of a sequence, by cutting it where parts round to."""
+    edges = [int(np.floor(k * len(poses) / n_parts + 0.5)) for k in range(n_parts + 1)]
+    return np.array([poses[a:b].mean(axis=0) for a, b in pairwise(edges)])
+
+
+def pose_distance(window, query):
+    """Root mean square over the parts' mean poses and their changes."""
+    apart = parts_of(window) - parts_of(query)
+    return float(np.sqrt(np.mean(np.concatenate([apart, np.diff(apart, axis=0)]) ** 2)))
+
+
+def best_sum(starts, stops, gains):
+    """The largest sum of gains of windows that do not overlap, by trying all sets."""
+    best = 0.0
+    for chosen in range(2 ** len(starts)):
+        rows = [k for k in range(len(starts)) if chosen >> k & 1]
+        spans = sorted((starts[k], stops[k]) for k in rows)
+        if all(before[1] <= after[0] for before, after in pairwise(spans)):
+            best = max(best, sum(gains[k] for k in rows))
+    return best
