@@ -25,6 +25,8 @@ _HOME = {
     "fill_gaps": "resampling",
     "fit_motion": "fitting",
     "forward_kinematics": "kinematics",
+    "mirror_canonical": "mirroring",
+    "mirror_positions": "mirroring",
     "read_joint_map": "joint_map",
     "resample": "resampling",
     "thin": "resampling",

@@ -1,0 +1,154 @@
+"""The timeline of a take: a valid picture of any number of categories, from the object or its JSON."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from dousa.app import _canvas
+from dousa.app.timeline_picture import draw_timeline
+from dousa.errors import MotionWriteError, OptionError
+from dousa.motion import Trajectories, canonicalise
+from dousa.motion.synthetic import draw_performer, make_motion
+from dousa.retrieval.labelling import Segment, Timeline
+
+
+@pytest.fixture(scope="module")
+def walk():
+    return make_motion("walk", draw_performer(1))
+
+
+def segment(start, end, category="wave", confidence=0.8):
+    return {"start_s": start, "end_s": end, "category": category, "confidence": confidence}
+
+
+def take(count, categories, seconds=2.0, **fields):
+    segments = [
+        segment(seconds * k, seconds * (k + 0.9), f"category {k % categories}", 0.3 + 0.7 * (k % 4) / 4)
+        for k in range(count)
+    ]
+    return {"segments": segments, "duration_s": seconds * count, **fields}
+
+
+def ink(path):
+    from matplotlib.image import imread
+
+    image = imread(path)[..., :3]
+    assert image.shape[1] == 1430
+    return image
+
+
+def share_of(image, colour):
+    wanted = np.array([int(colour[k : k + 2], 16) for k in (1, 3, 5)]) / 255
+    return float((np.abs(image - wanted).max(axis=2) < 0.03).mean())
+
+
+def test_bars_lie_at_their_times_and_are_as_high_as_their_confidence(tmp_path):
+    timeline = {"segments": [segment(0, 2, "bow", 1.0), segment(2, 4, "wave", 0.5)], "duration_s": 8}
+    draw_timeline(timeline, tmp_path / "take.png")
+    blue = np.abs(ink(tmp_path / "take.png") - np.array([0x9C, 0xC7, 0xE4]) / 255).max(axis=2) < 0.02
+    columns = np.flatnonzero(blue.sum(axis=0) > 3)
+    left, right = 110 * (0.25 + 2.3), 110 * (13.0 - 0.25 - 0.75)  # the axis from 0 to 8 s
+    seconds = 8 * (columns - left) / (right - left)
+    assert -0.05 < seconds.min() < 0.05
+    assert 3.95 < seconds.max() < 4.05
+    heights = [blue[:, int(left + (right - left) * second / 8)].sum() for second in (0.3, 2.3)]
+    assert heights[0] == pytest.approx(2 * heights[1], abs=3)
+
+
+def test_object_and_json_give_the_same_picture(tmp_path):
+    segments = (Segment(0.0, 1.5, "bow", 0.75), Segment(1.5, 2.0, None, 0.5), Segment(2.0, 4.0, "wave", 1.0))
+    timeline = Timeline(segments, 4.0, 0.5)
+    draw_timeline(timeline, tmp_path / "a.svg", title="dance.bvh")
+    draw_timeline(timeline.to_json(), tmp_path / "b.svg", title="dance.bvh")
+    draw_timeline(timeline.to_json() | {"take": "dance.bvh"}, tmp_path / "c.svg")
+    assert (tmp_path / "a.svg").read_bytes() == (tmp_path / "b.svg").read_bytes()
+    assert (tmp_path / "a.svg").read_bytes() == (tmp_path / "c.svg").read_bytes()
+
+
+def test_every_category_has_a_row(tmp_path):
+    for count in (1, 27, 70):
+        draw_timeline(take(2 * count, count), tmp_path / f"{count}.png")
+    heights = [len(ink(tmp_path / f"{count}.png")) for count in (1, 27, 70)]
+    assert heights[2] - heights[1] == pytest.approx(43 * 33, abs=2)
+    assert heights[1] - heights[0] == pytest.approx(26 * 33, abs=2)
+
+
+@pytest.mark.parametrize("kind", ["motion", "canonical", "markers"])
+def test_poses_stand_above_their_times(kind, walk, tmp_path):
+    positions = np.random.default_rng(0).uniform(-1, 1, (20, 9, 3))
+    markers = Trajectories(tuple(f"M{number}" for number in range(9)), positions, 60.0)
+    motion = {"motion": walk, "canonical": canonicalise(walk), "markers": markers}[kind]
+    draw_timeline({"segments": [segment(0, 0.3)]}, tmp_path / "take.png", motion)
+    draw_timeline({"segments": [segment(0, 0.3)]}, tmp_path / "bare.png")
+    image, bare = ink(tmp_path / "take.png"), ink(tmp_path / "bare.png")
+    assert len(image) - len(bare) == pytest.approx(110 * 1.44, abs=2)
+    if kind != "markers":
+        assert share_of(image, _canvas.VERMILLION) > 0.0005
+
+
+def test_unknown_is_grey_and_comes_last(tmp_path):
+    known = [segment(1, 2, "bow"), segment(3, 4, "wave")]
+    draw_timeline({"segments": [segment(0, 1, None, 0.9), *known]}, tmp_path / "take.png")
+    draw_timeline({"segments": [segment(0, 1, "unknown", 0.9), *known]}, tmp_path / "same.png")
+    assert (tmp_path / "take.png").read_bytes() == (tmp_path / "same.png").read_bytes()
+    image = ink(tmp_path / "take.png")
+    bottom = image[-int(110 * 1.0) - 10 :, 300:420]
+    assert share_of(bottom, _canvas.BLUE) == 0.0
+    assert share_of(bottom, "#e4e4e4") > 0.0
+
+
+@pytest.mark.parametrize("seconds", [0.4, 30.0, 700.0, 40_000.0])
+def test_any_length_and_hundreds_of_segments(seconds, tmp_path):
+    draw_timeline(take(400, 20, seconds / 400), tmp_path / "take.png")
+    assert (ink(tmp_path / "take.png").min(axis=2) < 0.9).mean() > 0.01
+
+
+def test_nothing_found(tmp_path):
+    draw_timeline({"segments": [], "duration_s": 3.0}, tmp_path / "take.png")
+    ink(tmp_path / "take.png")
+
+
+def test_a_segment_without_confidence_and_one_of_no_length(tmp_path):
+    draw_timeline({"segments": [segment(0, 1, "bow", None), segment(2, 2)]}, tmp_path / "take.png")
+
+
+@pytest.mark.parametrize("suffix", [".png", ".svg", ".pdf"])
+def test_same_picture_same_bytes_in_any_script(suffix, walk, tmp_path):
+    timeline = {
+        "segments": [segment(0, 0.5, "$x_1$ 動作 \u202e"), segment(0.5, 1, "a" * 200)],
+        "take": "録画",
+    }
+    for name in ("a", "b"):
+        draw_timeline(timeline, tmp_path / (name + suffix), walk)
+    assert (tmp_path / f"a{suffix}").read_bytes() == (tmp_path / f"b{suffix}").read_bytes()
+
+
+@pytest.mark.parametrize(
+    ("bad", "told"),
+    [
+        ({"start_s": 0, "category": "bow", "confidence": 1}, "expected segments with start_s, end_s"),
+        (segment(2, 1), "0 <= start_s <= end_s"),
+        (segment(-1, 1), "0 <= start_s <= end_s"),
+        (segment(0, float("nan")), "0 <= start_s <= end_s"),
+        (segment(0, float("inf")), "0 <= start_s <= end_s"),
+        (segment(0, 1, confidence=1.2), "confidence of 0 to 1"),
+        (segment(0, 1, confidence=float("nan")), "confidence of 0 to 1"),
+    ],
+)
+def test_what_is_no_timeline_is_told(bad, told, tmp_path):
+    with pytest.raises(OptionError, match=told):
+        draw_timeline({"segments": [bad]}, tmp_path / "take.png")
+    assert not list(tmp_path.iterdir())
+
+
+def test_no_duration_and_no_segments(tmp_path):
+    with pytest.raises(OptionError, match="some seconds"):
+        draw_timeline({}, tmp_path / "take.png")
+
+
+def test_wrong_suffix_and_folder(tmp_path):
+    with pytest.raises(OptionError, match=r"expected a picture \.png"):
+        draw_timeline(take(1, 1), tmp_path / "take.gif")
+    with pytest.raises(MotionWriteError):
+        draw_timeline(take(1, 1), tmp_path / "missing" / "take.png")
