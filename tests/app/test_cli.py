@@ -66,7 +66,9 @@ def library(trained, tmp_path) -> Path:
 def test_help_names_every_command_and_gives_examples(dousa):
     code, out, _ = dousa("--help")
     assert code == 0
-    commands = "info convert plot add train search classify list remove relabel experiment demo".split()
+    commands = (
+        "info convert plot add train search classify find label list remove relabel experiment demo".split()
+    )
     for command in commands:
         assert command in out
         code, text, _ = dousa(command, "--help")
@@ -167,12 +169,14 @@ def test_add_train_search_classify(dousa, motions, tmp_path):
     code, out, _ = dousa("search", library, query, "-k", 3, "--json")
     assert code == 0
     answer = json.loads(out)
-    assert set(answer) == {"query", "category", "histogram", "results"}
+    keys = {"query", "category", "histogram", "guess", "known", "confidence", "ranking", "results"}
+    assert set(answer) == keys
     assert answer["category"] == "squat"
     assert abs(sum(answer["histogram"].values()) - 1) < 1e-9
     assert [hit["rank"] for hit in answer["results"]] == [1, 2, 3]
-    assert all(set(hit) == {"path", "category", "distance", "rank"} for hit in answer["results"])
-    distances = [hit["distance"] for hit in answer["results"]]
+    keys = {"path", "category", "distance", "rank"}
+    assert all(keys < set(hit) for hit in answer["results"])
+    distances = [hit["rank_distance"] for hit in answer["results"]]
     assert distances == sorted(distances)
     code, out, _ = dousa("classify", library, query, "--json")
     assert code == 0

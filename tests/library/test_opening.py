@@ -128,10 +128,9 @@ def test_flipped_bytes_give_library_errors_or_nothing(library_file, moves):
     [
         ("UPDATE clip_trajectories SET positions = x'00'", lambda library, moves: library.trajectories(1)),
         ("UPDATE clip_features SET pose_features = zeroblob(12)", lambda library, moves: library.train()),
-        ("UPDATE clip_histograms SET votes = zeroblob(8)", lambda library, moves: library.search(1)),
-        (f"UPDATE clip_histograms SET votes = x'{'ff' * 12}'", lambda library, moves: library.search(1)),
-        ("UPDATE clip_histograms SET votes = zeroblob(12)", lambda library, moves: library.search(1)),
-        ("UPDATE clip_histograms SET leaves = zeroblob(12)", lambda library, moves: library.search(1)),
+        ("UPDATE clip_leaves SET leaves = zeroblob(12)", lambda library, moves: library.search(1)),
+        (f"UPDATE clip_leaves SET leaves = x'{'ff' * 80}'", lambda library, moves: library.search(1)),
+        (f"UPDATE clip_leaves SET leaves = x'{'ffffff00' * 20}'", lambda library, moves: library.search(1)),
         (
             f"UPDATE clip_features SET pose_features = x'{'ff' * 4480}'",
             lambda library, moves: library.train(),
@@ -161,22 +160,28 @@ def test_a_newer_library_names_both_versions(library_file):
 
 
 def test_a_forest_of_other_features_is_not_asked(library_file, moves, monkeypatch):
-    from dousa import retrieval
+    from dousa.retrieval.feature_sets import FEATURE_SETS
 
-    monkeypatch.setattr(retrieval, "FEATURE_NAMES", (*retrieval.FEATURE_NAMES[1:], "a new one"))
-    with (
-        Library.open(library_file) as library,
-        pytest.raises(LibraryVersionError, match="other pose features"),
-    ):
-        library.classify(moves)
+    def classify_fails(message: str) -> None:
+        with Library.open(library_file) as library, pytest.raises(LibraryVersionError, match=message):
+            library.classify(moves)
+
+    monkeypatch.setitem(FEATURE_SETS, "extended", FEATURE_SETS["paper"])
+    classify_fails("other features than those of this dousa; run: dousa train")
+    monkeypatch.delitem(FEATURE_SETS, "extended")
+    classify_fails(r"'extended', this dousa knows paper.*--upgrade dousa")
+
+
+NEXT = len(migrations.MIGRATIONS) + 1
+STEPS = [(step.number, step.name) for step in migrations.MIGRATIONS]
 
 
 @pytest.fixture
-def second_migration(monkeypatch) -> None:
+def next_migration(monkeypatch) -> None:
     def add_table(connection: sa.Connection) -> None:
         connection.execute(sa.text("CREATE TABLE notes (id INTEGER)"))
 
-    steps = (*migrations.MIGRATIONS, migrations.Migration(2, "notes", add_table))
+    steps = (*migrations.MIGRATIONS, migrations.Migration(NEXT, "notes", add_table))
     monkeypatch.setattr(migrations, "MIGRATIONS", steps)
     monkeypatch.setattr("dousa.library._opening.MIGRATIONS", steps)
 
@@ -186,13 +191,13 @@ def applied(path: Path) -> list[tuple[int, str]]:
         return connection.execute("SELECT number, name FROM dousa_migrations ORDER BY number").fetchall()
 
 
-def test_an_older_library_takes_the_steps_it_lacks(library_file, second_migration):
+def test_an_older_library_takes_the_steps_it_lacks(library_file, next_migration):
     with pytest.raises(LibraryVersionError, match="older dousa"):
         Library.open(library_file, read_only=True)
     for _ in range(2):
         with Library.open(library_file) as library:
             assert len(library.clips()) == 15
-    assert applied(library_file) == [(1, "first tables"), (2, "notes")]
+    assert applied(library_file) == [*STEPS, (NEXT, "notes")]
     change(library_file, "SELECT * FROM notes")
 
 
@@ -201,12 +206,12 @@ def test_a_step_that_fails_leaves_the_library_as_it_was(library_file, monkeypatc
         connection.execute(sa.text("CREATE TABLE notes (id INTEGER)"))
         connection.execute(sa.text("CREATE TABLE notes (id INTEGER)"))
 
-    steps = (*migrations.MIGRATIONS, migrations.Migration(2, "fails", fail))
+    steps = (*migrations.MIGRATIONS, migrations.Migration(NEXT, "fails", fail))
     monkeypatch.setattr(migrations, "MIGRATIONS", steps)
     monkeypatch.setattr("dousa.library._opening.MIGRATIONS", steps)
     with pytest.raises(LibraryError):
         Library.open(library_file)
-    assert applied(library_file) == [(1, "first tables")]
+    assert applied(library_file) == STEPS
     change(library_file, "CREATE TABLE notes (id INTEGER)")
 
 

@@ -28,7 +28,11 @@ def test_every_question_can_be_asked_in_postgresql(tmp_path, moves, write_move):
         library.add(write_move(tmp_path / "a.bvh", seed=50))
         write_move(tmp_path / "a.bvh", seed=51)
         library.add(tmp_path / "a.bvh")
-        library.search(moves / "bow" / "bow_p0.bvh")
+        library.add(write_move(tmp_path / "take.bvh", n_frames=90), kind="take")
+        library.add(write_move(tmp_path / "new" / "kick" / "b.bvh", seed=52).parents[1])
+        library.find(1)
+        library.label(tmp_path / "take.bvh")
+        library.search(moves / "bow" / "bow_p0.bvh", mirror=True, explain=True)
         library.classify(moves / "bow")
         library.clips(category="bow", performer=None)
         library.trajectories(1)
@@ -37,12 +41,15 @@ def test_every_question_can_be_asked_in_postgresql(tmp_path, moves, write_move):
         library.stats()
     assert len(asked) > 30
     compiled = {str(element.compile(dialect=postgresql.dialect())) for element in asked}
-    assert any("INSERT INTO clip_histograms" in text for text in compiled)
+    for written in ("INSERT INTO clip_leaves", "INSERT INTO take_windows", "UPDATE forests"):
+        assert any(written in text for text in compiled)
     assert not any("PRAGMA" in text for text in compiled)
 
 
 @pytest.mark.parametrize(
-    "module", ["schema", "store", "adding", "training", "search", "selection", "_contents"]
+    "module",
+    "schema store adding training search selection migrations _contents _features _finding _forests _inserting "
+    "_labelling _learning _managing _querying _take_windows _taking".split(),
 )
 def test_only_the_engine_speaks_sqlite(module):
     import importlib

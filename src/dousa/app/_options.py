@@ -14,6 +14,13 @@ if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
 
+class FeatureSetName(enum.StrEnum):
+    """What the trees of a forest look at."""
+
+    PAPER = "paper"
+    EXTENDED = "extended"
+
+
 class Reading(enum.StrEnum):
     """How eq. 2 of the paper is read."""
 

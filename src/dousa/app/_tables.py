@@ -15,9 +15,11 @@ if TYPE_CHECKING:
 
     from rich.console import Console
 
-    from dousa.library import AddReport, Classification, SearchResult
+    from dousa.library import AddReport, Classification, SearchResult, Verdict
+    from dousa.retrieval import Explanation, Likeness
 
 __all__ = [
+    "describe_verdict",
     "describe_votes",
     "print_add",
     "print_classes",
@@ -92,6 +94,13 @@ def print_add(out: Console, report: AddReport) -> None:
         print_some(
             out, f"{len(report.skipped)} skipped", [f"{item.path}: {item.reason}" for item in report.skipped]
         )
+    if report.n_learned:
+        out.print(f"{_describe_learning(report)}; dousa train makes a new one")
+    if report.other_kind:
+        warn(
+            f"{len(report.other_kind)} files stay what they are, clips or takes; to change that, take them out first "
+            "with: dousa remove"
+        )
     for text, count in Counter(text for _, text in report.warnings).most_common(_SHOWN):
         warn(f"{text} ({count} {'file' if count == 1 else 'files'})")
     told = (report.added, report.replaced, report.moved, report.unchanged, report.duplicates, report.skipped)
@@ -99,6 +108,13 @@ def print_add(out: Console, report: AddReport) -> None:
         warn(_NO_FILES)
     if report.other_labels:
         warn(f"{len(report.other_labels)} files keep the labels they had; change them with: dousa relabel")
+
+
+def _describe_learning(report: AddReport) -> str:
+    """What the forest learned while clips were added."""
+    new = len(report.new_categories)
+    learned = f"the forest learned {report.n_learned} {'clip' if report.n_learned == 1 else 'clips'}"
+    return f"{learned} and {new} new {'category' if new == 1 else 'categories'}" if new else learned
 
 
 def print_some(out: Console, heading: str, lines: list[str]) -> None:
@@ -115,28 +131,61 @@ def print_classes(out: Console, answers: Sequence[Classification]) -> None:
     if not answers:
         warn(_NO_FILES)
     for answer in answers:
-        if answer.problem is None:
-            line = f"{answer.path}: {answer.category} ({describe_votes(answer.histogram)})"
-            out.print(one_line(line), markup=False, soft_wrap=True)
+        if answer.verdict is not None:
+            out.print(
+                one_line(f"{answer.path}: {describe_verdict(answer.verdict)}"), markup=False, soft_wrap=True
+            )
+            _print_mirrored(out, answer.verdict, answer.mirrored)
+            _print_reasons(out, answer.verdict.explanation)
+
+
+def describe_verdict(verdict: Verdict) -> str:
+    """What a motion is taken for: ``kick (kick 87%, march 5%)``."""
+    votes = describe_votes(verdict.histogram)
+    if verdict.category is not None:
+        return f"{verdict.category} ({votes})"
+    known = "" if verdict.known is None else f", {verdict.known:.0%} likely to be known"
+    return f"unknown (most like {verdict.guess}{known}; {votes})"
+
+
+def _print_mirrored(out: Console, verdict: Verdict, mirrored: Verdict | None) -> None:
+    if mirrored is not None:
+        better = ", which fits better" if mirrored.fits_better_than(verdict) else ""
+        line = f"  mirrored: {describe_verdict(mirrored)}{better}"
+        out.print(one_line(line), markup=False, soft_wrap=True)
+
+
+def _print_reasons(out: Console, reasons: Explanation | Likeness | None, indent: str = "  ") -> None:
+    for reason in reasons.reasons if reasons is not None else ():
+        out.print(one_line(f"{indent}{reason.text}"), markup=False, soft_wrap=True)
 
 
 def print_search(out: Console, answer: SearchResult) -> None:
     """A query and the clips found."""
-    votes = _cell(describe_votes(answer.histogram))
-    out.print(f"{_cell(str(answer.query))}: [bold]{_cell(answer.category)}[/] ({votes})", soft_wrap=True)
+    verdict = answer.verdict
+    out.print(one_line(f"{answer.query}: {describe_verdict(verdict)}"), markup=False, soft_wrap=True)
+    _print_mirrored(out, verdict, answer.mirrored)
+    _print_reasons(out, verdict.explanation)
     if not answer.results:
         warn("no clip was found: the library has none, or none of this category")
         return
     table = Table(box=None)
-    table.add_column("rank", justify="right")
-    table.add_column("distance", justify="right")
-    table.add_column("same leaf", justify="right")
+    for name in ("rank", "distance", "same leaf", "poses"):
+        table.add_column(name, justify="right")
     table.add_column("category")
+    if answer.mirrored is not None:
+        table.add_column("")
     table.add_column("file", overflow="fold")
     for hit in answer.results:
-        numbers = (str(hit.rank), f"{hit.distance:.3f}", f"{hit.leaf_share:.0%}")
-        table.add_row(*numbers, _cell(hit.category or "-"), _cell(hit.path))
+        poses = "-" if hit.pose_distance is None else f"{hit.pose_distance:.3f}"
+        numbers = (str(hit.rank), f"{hit.distance:.3f}", f"{hit.leaf_share:.0%}", poses)
+        side = () if answer.mirrored is None else ("mirrored" if hit.mirrored else "",)
+        table.add_row(*numbers, _cell(hit.category or "-"), *side, _cell(hit.path))
     out.print(table)
+    for hit in answer.results:
+        if hit.likeness is not None and hit.likeness.reasons:
+            out.print(one_line(f"{hit.rank}. {hit.path}"), markup=False, soft_wrap=True)
+            _print_reasons(out, hit.likeness, "   ")
 
 
 def describe_votes(histogram: dict[str, float], shown: int = 3) -> str:
@@ -148,12 +197,17 @@ def describe_votes(histogram: dict[str, float], shown: int = 3) -> str:
 def print_clips(out: Console, rows: list[dict[str, Any]]) -> None:
     """Clips of a library, one in a row."""
     table = Table(box=None)
-    for name in ("clip", "category", "taken for", "performer", "s", "Hz", "file"):
+    for name in ("clip", "kind", "category", "taken for", "performer", "s", "Hz", "file"):
         table.add_column(name, justify="right" if name in ("clip", "s", "Hz") else "left", overflow="fold")
     for row in rows:
         labels = [_cell(row[name] or "-") for name in ("category", "predicted_category", "performer")]
         table.add_row(
-            str(row["id"]), *labels, f"{row['duration']:.1f}", f"{row['frame_rate']:g}", _cell(row["path"])
+            str(row["id"]),
+            row["kind"],
+            *labels,
+            f"{row['duration']:.1f}",
+            f"{row['frame_rate']:g}",
+            _cell(row["path"]),
         )
     out.print(table)
 
@@ -163,10 +217,17 @@ def print_stats(out: Console, library: str, stats: dict[str, Any]) -> None:
     forest = (
         "not trained yet; run: dousa train" if not stats["trained_at"] else f"trained {stats['trained_at']}"
     )
+    if stats["trained_at"]:
+        forest += f" on features '{stats['parameters'].get('feature_set', 'paper')}'"
+    if stats["n_learned"]:
+        forest += f", learned {stats['n_learned']} clips since"
     if stats["trained_at"] and not stats["forest_is_current"]:
         forest += ", clips or labels changed since; run: dousa train"
+    count = stats["n_takes"]
+    words = f"{count} {'take' if count == 1 else 'takes'}, {stats['take_seconds'] / 60:.1f} minutes, "
+    takes = words if count else ""
     out.print(
-        escape(f"{library}: {stats['n_clips']} clips, {stats['seconds'] / 60:.1f} minutes, "
+        escape(f"{library}: {stats['n_clips']} clips, {stats['seconds'] / 60:.1f} minutes, {takes}"
                f"{len(stats['performers'])} performers; forest {forest}"),
         soft_wrap=True,
     )  # fmt: skip

@@ -19,6 +19,7 @@ from dousa.app import (
     cli_evaluation,
     cli_files,
     cli_library,
+    cli_takes,
     cli_trials,
 )
 from dousa.app._output import fail, survive_narrow_encodings
@@ -37,7 +38,9 @@ app = typer.Typer(
     rich_markup_mode="rich",
     context_settings={"help_option_names": ["-h", "--help"]},
 )
-for group in (cli_files, cli_library, cli_estimation, cli_estimation_trials, cli_evaluation, cli_trials):
+for group in (
+    cli_files, cli_library, cli_takes, cli_estimation, cli_estimation_trials, cli_evaluation, cli_trials
+):  # fmt: skip
     group.register(app)
 
 

@@ -2,28 +2,33 @@
 
 from __future__ import annotations
 
+import enum
 import os
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
 from dousa.app import _options as o
+from dousa.app._libraries import Explain, Mirror, Query, Threshold, clip_or_path, open_library, open_to_read
 from dousa.app._output import console, print_json, progress_bar, warn
 from dousa.errors import OptionError
 
-if TYPE_CHECKING:
-    from dousa.library import Library
-
 __all__ = ["register"]
 
-Query = Annotated[
-    str, typer.Argument(metavar="QUERY", help="A motion file, or the number of a clip (see dousa list).")
-]
 Clips = Annotated[
     list[str] | None,
     typer.Argument(metavar="[CLIP...]", help="Files, folders or numbers of clips (see dousa list)."),
 ]
+
+
+class RankingName(enum.StrEnum):
+    """What clips are ordered by."""
+
+    FUSED = "fused"
+    HISTOGRAM = "histogram"
+    LEAVES = "leaves"
+    POSE = "pose"
 
 
 def register(app: typer.Typer) -> None:
@@ -33,15 +38,15 @@ def register(app: typer.Typer) -> None:
     app.command("list", rich_help_panel="Library")(list_clips)
 
 
-def _open(library: str, **options: bool) -> Library:
-    from dousa.library import Library
-
-    return Library.open(library, **options)
-
-
 def add(
     library: o.LibraryPath,
     paths: Annotated[list[Path], typer.Argument(metavar="PATH...", help="Motion files, or folders of them.")],
+    takes: Annotated[
+        bool,
+        typer.Option(
+            "--takes", help="These are uncut recordings: to look into with dousa find, not to learn from."
+        ),
+    ] = False,
     category_from: o.CategoryFrom = "folder",
     performer_from: o.PerformerFrom = None,
     unit: o.Unit = None,
@@ -53,16 +58,20 @@ def add(
 ) -> None:
     """Add motion files to a library; it is made if there is none. Files already there are left as they are.
 
-    The category of a file is its folder below PATH, such as 'squat' or 'walk/active', or what --category-from says.
-    Can be interrupted and run again.
+    The category of a file is its folder below PATH, such as 'squat' or 'walk/active', or what --category-from says;
+    takes have none. If the library is trained, the forest learns from the new clips at once; dousa train makes a new
+    one. Can be interrupted and run again.
 
     Example: dousa add moves.dousa recordings/ --performer-from 'name:HDM_(..)_'
     """
+    if takes and category_from != "folder":
+        raise OptionError("takes have no category, as much happens in them: leave --category-from out")
     named_joints = o.load_joint_map(joint_map)
     _check_before_making(paths, category_from, performer_from, unit, up)
-    with _open(library, create=True) as opened, progress_bar() as progress:
+    with open_library(library, create=True) as opened, progress_bar() as progress:
         report = opened.add(
             paths,
+            kind="take" if takes else "clip",
             category_from=category_from,
             performer_from=performer_from,
             joint_map=named_joints,
@@ -103,11 +112,21 @@ def _check_before_making(
 
 def train(
     library: o.LibraryPath,
+    features: Annotated[
+        o.FeatureSetName | None,
+        typer.Option(
+            "--features",
+            help="What the trees look at: the 56 pose features of the paper, or also speeds, spreads and trends.",
+            show_default="extended",
+        ),
+    ] = None,
     trees: Annotated[int, typer.Option("--trees", min=1, help="Number of trees.")] = 100,
     trials: Annotated[
         int | None,
         typer.Option(
-            "--trials", min=1, help="Tests drawn at a node; default: 12, the logarithm of all 3,080."
+            "--trials",
+            min=1,
+            help="Tests drawn at a node; default: 12 of 3,080 (paper), the square root (extended).",
         ),
     ] = None,
     max_entropy: Annotated[
@@ -120,12 +139,13 @@ def train(
     jobs: o.Jobs = None,
     json: o.Json = False,
 ) -> None:
-    """Learn the categories of a library; every clip gets its histogram.
+    """Learn the categories of a library; every clip gets its histogram, every take is described.
 
     Example: dousa train moves.dousa
     """
-    with _open(library) as opened, progress_bar() as progress:
+    with open_library(library) as opened, progress_bar() as progress:
         report = opened.train(
+            feature_set=features.value if features else None,
             n_trees=trees,
             n_trials=trials,
             max_entropy=max_entropy,
@@ -141,6 +161,14 @@ def train(
         f"{report.n_trees} trees learned {len(report.categories)} categories from {report.n_clips} clips "
         f"in {report.seconds:.1f} s"
     )
+    calibration = report.calibration
+    if calibration is None:
+        warn("too few categories or clips to learn what is unknown: every motion gets a category")
+    else:
+        console().print(
+            f"of motions like these {calibration.false_alarms:.0%} are called unknown, of others "
+            f"{1 - calibration.misses:.0%} (categories and performers held back)"
+        )
     if report.n_unlabelled:
         warn(f"{report.n_unlabelled} clips without a category taught nothing; they can be found all the same")
     if report.single:
@@ -151,6 +179,13 @@ def search(
     library: o.LibraryPath,
     query: Query,
     k: Annotated[int, typer.Option("-k", min=1, help="How many results.")] = 10,
+    rank: Annotated[
+        RankingName,
+        typer.Option("--rank", help="What the order goes by: votes, leaves, poses, or all three."),
+    ] = RankingName.FUSED,
+    mirror: Mirror = False,
+    explain: Explain = False,
+    threshold: Threshold = None,
     same_category: Annotated[
         bool, typer.Option("--same-category", help="Only clips of the category that the query is taken for.")
     ] = False,
@@ -163,17 +198,26 @@ def search(
     joint_map: o.JointMap = None,
     json: o.Json = False,
 ) -> None:
-    """Find the motions most like a motion.
+    """Find the motions most like a motion, and say what it is.
 
-    The distance is that of the forest's votes. Among equals the share of trees decides that lead query and clip to
-    the same leaf, then the likeness of the poses.
+    Clips are put in order by the distance of the forest's votes, by the share of trees that lead query and clip to the
+    same leaf, and by the distance of their poses aligned in time.
 
     Example: dousa search moves.dousa kick.bvh -k 5
     """
-    with _open(library, read_only=True) as opened:
-        wanted = _clip_or_path(query)
+    with open_to_read(library) as opened:
+        wanted = clip_or_path(query)
         reading = {"joint_map": o.load_joint_map(joint_map), "unit": unit, "up": up, "skeleton": skeleton}
-        result = opened.search(wanted, k, same_category=same_category, **reading)
+        result = opened.search(
+            wanted,
+            k,
+            ranking=rank.value,
+            same_category=same_category,
+            mirror=mirror,
+            explain=explain,
+            threshold=threshold,
+            **reading,
+        )
         if picture:
             from dousa.app.pictures import draw_search_result
 
@@ -189,6 +233,9 @@ def search(
 def classify(
     library: o.LibraryPath,
     files: Annotated[list[Path], typer.Argument(metavar="FILE...", help="Motion files, or folders of them.")],
+    mirror: Mirror = False,
+    explain: Explain = False,
+    threshold: Threshold = None,
     unit: o.Unit = None,
     up: o.Up = None,
     skeleton: o.SkeletonFile = None,
@@ -196,13 +243,15 @@ def classify(
     jobs: o.Jobs = None,
     json: o.Json = False,
 ) -> None:
-    """Say which category each file belongs to, without adding it.
+    """Say which category each file belongs to, or that it belongs to none, without adding it.
 
     Example: dousa classify moves.dousa new/*.bvh
     """
-    with _open(library, read_only=True) as opened:
+    with open_to_read(library) as opened:
         reading = {"joint_map": o.load_joint_map(joint_map), "unit": unit, "up": up, "skeleton": skeleton}
-        answers = opened.classify(files, **reading, n_jobs=jobs)
+        answers = opened.classify(
+            files, mirror=mirror, explain=explain, threshold=threshold, **reading, n_jobs=jobs
+        )
     if json:
         print_json([answer.to_json() for answer in answers])
     else:
@@ -222,14 +271,16 @@ def list_clips(
     performer: Annotated[
         str | None, typer.Option("--performer", help="Only clips of this performer.")
     ] = None,
-    clips: Annotated[bool, typer.Option("--clips", help="List every clip, not only the categories.")] = False,
+    clips: Annotated[
+        bool, typer.Option("--clips", help="List every clip and take, not only the categories.")
+    ] = False,
     json: o.Json = False,
 ) -> None:
-    """What is in a library: its categories, or with --clips (or a category or performer) every clip.
+    """What is in a library: its categories, or with --clips (or a category or performer) every clip and take.
 
     Example: dousa list moves.dousa --category walk
     """
-    with _open(library, read_only=True) as opened:
+    with open_to_read(library) as opened:
         stats = opened.stats()
         chosen = category is not None or performer is not None
         rows = opened.clips(category=category, performer=performer) if chosen or clips or json else []
@@ -245,13 +296,8 @@ def list_clips(
         _tables.print_stats(console(), library, stats.to_json())
 
 
-def _clip_or_path(text: str) -> int | str:
-    """The number of a clip, unless a file is called so."""
-    return int(text) if text.isascii() and text.isdigit() and not os.path.exists(text) else text
-
-
 def _selection(clips: list[str] | None) -> list[int | str]:
-    return [_clip_or_path(clip) for clip in clips or []]
+    return [clip_or_path(clip) for clip in clips or []]
 
 
 def remove(
@@ -263,11 +309,11 @@ def remove(
     ] = None,
     json: o.Json = False,
 ) -> None:
-    """Take clips out of a library; the files themselves are left alone.
+    """Take clips or takes out of a library; the files themselves are left alone.
 
     Example: dousa remove moves.dousa recordings/broken.bvh
     """
-    with _open(library) as opened:
+    with open_library(library) as opened:
         removed = opened.remove(_selection(clips), category=category, performer=performer)
     if json:
         print_json({"removed": removed})
@@ -292,7 +338,7 @@ def relabel(
     ] = None,
     json: o.Json = False,
 ) -> None:
-    """Give clips another category or performer; the forest learns of it with the next dousa train.
+    """Give clips or takes another category or performer; the forest learns of it with the next dousa train.
 
     Example: dousa relabel moves.dousa 12 13 --category kick
     """
@@ -300,7 +346,7 @@ def relabel(
 
     if category is None and performer is None:
         raise OptionError("nothing to change: give --category or --performer")
-    with _open(library) as opened:
+    with open_library(library) as opened:
         changed = opened.relabel(
             _selection(clips),
             category=UNCHANGED if category is None else category or None,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import enum
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -13,6 +14,7 @@ from dousa.app._output import console, print_json, progress_bar, warn
 from dousa.errors import OptionError
 
 if TYPE_CHECKING:
+    from dousa.app._output import ProgressCallback
     from dousa.library import Skipped
     from dousa.retrieval import LabelledClip
 
@@ -27,19 +29,21 @@ class SplitName(enum.StrEnum):
 
 
 class SystemName(enum.StrEnum):
-    """What is compared."""
+    """What is compared: the first four tell categories apart, the last seven rank."""
 
     FULL_TREE = "full_tree"
     RANDOM_TREE = "random_tree"
     FOREST = "forest"
     MOTION_TEMPLATES = "motion_templates"
+    FUSED = "fused"
+    HISTOGRAM = "histogram"
+    LEAVES = "leaves"
+    POSE = "pose"
+    EUCLIDEAN = "euclidean"
+    DTW = "dtw"
 
 
-class FeatureSet(enum.StrEnum):
-    """What the trees look at."""
-
-    PAPER = "paper"
-    EXTENDED = "extended"
+_SAMPLES = 8
 
 
 def register(app: typer.Typer) -> None:
@@ -60,16 +64,34 @@ def experiment(
     repeats: Annotated[
         int, typer.Option("--repeats", min=1, help="How often, with other random numbers.")
     ] = 1,
-    features: Annotated[
-        FeatureSet,
+    ranking: Annotated[
+        bool,
         typer.Option(
-            "--features", help="paper: the 56 pose features; extended: also turn, travel, speed, duration."
+            "--ranking", help="Ask how good the order of the clips found is, instead of their categories."
         ),
-    ] = FeatureSet.PAPER,
+    ] = False,
+    takes: Annotated[
+        bool,
+        typer.Option("--takes", help="Ask how well takes joined of clips are labelled and searched."),
+    ] = False,
+    unknown: Annotated[
+        bool,
+        typer.Option("--unknown", help="Ask how well unknown motions are told, and new categories taken in."),
+    ] = False,
+    features: Annotated[
+        o.FeatureSetName | None,
+        typer.Option(
+            "--features",
+            help="paper: the 56 pose features; extended: also speeds, spreads, trends.",
+            show_default="paper; extended with --ranking, --takes and --unknown",
+        ),
+    ] = None,
     system: Annotated[
         list[SystemName] | None,
         typer.Option(
-            "--system", help="Only this system; can be given several times.", show_default="all four"
+            "--system",
+            help="Only this system; can be given several times.",
+            show_default="all four; with --ranking the last seven",
         ),
     ] = None,
     samples: Annotated[
@@ -77,7 +99,7 @@ def experiment(
         typer.Option(
             "--samples", min=1, help="Poses averaged for each of the 10 frames; 1 is plain thinning."
         ),
-    ] = 8,
+    ] = _SAMPLES,
     trees: Annotated[int, typer.Option("--trees", min=1, help="Trees of the forest.")] = 100,
     seed: Annotated[int, typer.Option("--seed", min=0, help="The same seed gives the same table.")] = 0,
     category_from: o.CategoryFrom = "folder",
@@ -94,15 +116,28 @@ def experiment(
 ) -> None:
     """How well are categories told apart: single trees, the forest and motion templates, on clips not seen.
 
-    The paper's figures 4 and 5 as a table. Without --split half of every category trains and half is tested.
+    The paper's figures 4 and 5 as a table. Without --split half of every category trains and half is tested. With
+    --ranking: how good is the order in which clips are found, by our rankings, Euclidean distance, DTW and motion
+    templates. With --takes: how well are long takes of people left out labelled and searched. With --unknown: are
+    motions of no known category told, and how good are categories that were added later.
 
     Example: dousa experiment hdm05/ --split leave-performer-out --performer-from 'name:HDM_(..)_'
     """
     from dousa.app.trials import read_labelled_clips, refuse_clips_in_both
     from dousa.library import ReadOptions
-    from dousa.retrieval.experiment import run_experiment
 
+    kind = _choose_kind(ranking=ranking, takes=takes, unknown=unknown)
     _check_split(split, bool(test), performer_from)
+    given = {
+        "--repeats": repeats != 1,
+        "--samples": samples != _SAMPLES,
+        "--figure": figure is not None,
+        "--split": split is not None,
+        "--test": bool(test),
+        "--system": bool(system),
+    }
+    _refuse_ignored(kind, given)
+    systems = _choose_systems(system, ranking)
     options = ReadOptions(o.load_joint_map(joint_map), unit, up, skeleton)
     with progress_bar() as progress:
 
@@ -119,23 +154,131 @@ def experiment(
         clips, skipped = read(path)
         tested, more = read(test) if test else (None, [])
         refuse_clips_in_both(clips, tested or [])
-        result = run_experiment(
-            clips,
-            test_clips=tested,
-            split=None if test else (split or SplitName.HALF).value,
+        trial = _Trial(
+            clips, tested, None if test else (split or SplitName.HALF).value, systems, seed, trees, jobs or -1
+        )
+        if kind is _Kind.RECOGNITION:
+            answer = trial.recognise(features or o.FeatureSetName.PAPER, repeats, samples, progress)
+        else:
+            answer = trial.go_beyond(kind, features or o.FeatureSetName.EXTENDED, repeats, progress)
+    skipped += more
+    answer["skipped"] = [{"path": s.path, "reason": s.reason} for s in skipped]
+    _warn_skipped(skipped)
+    _show(kind, answer, figure, json)
+
+
+class _Kind(enum.Enum):
+    """What an experiment asks, and the options that have nothing to do with it."""
+
+    RECOGNITION = ("", ())
+    RANKING = ("--ranking", ("--repeats", "--samples", "--figure"))
+    TAKES = ("--takes", ("--repeats", "--samples", "--figure", "--split", "--test", "--system"))
+    UNKNOWN = ("--unknown", ("--samples", "--figure", "--split", "--test", "--system"))
+
+
+def _choose_kind(*, ranking: bool, takes: bool, unknown: bool) -> _Kind:
+    asked = {_Kind.RANKING: ranking, _Kind.TAKES: takes, _Kind.UNKNOWN: unknown}
+    kinds = [kind for kind, wanted in asked.items() if wanted]
+    if len(kinds) > 1:
+        names = " and ".join(kind.value[0] for kind in kinds)
+        raise OptionError(f"expected one kind of experiment, got {names}; run them one after the other")
+    return kinds[0] if kinds else _Kind.RECOGNITION
+
+
+def _refuse_ignored(kind: _Kind, given: dict[str, bool]) -> None:
+    """Refuse what would be ignored."""
+    name, ignored = kind.value
+    for option in ignored:
+        if given[option]:
+            raise OptionError(f"{option} has nothing to do with {name}; leave one of them out")
+
+
+@dataclass(frozen=True, slots=True)
+class _Trial:
+    """What both kinds of experiment are asked."""
+
+    clips: list[LabelledClip]
+    tested: list[LabelledClip] | None
+    split: str | None
+    systems: list[str]
+    seed: int
+    trees: int
+    jobs: int
+
+    def recognise(
+        self, features: o.FeatureSetName, repeats: int, samples: int, progress: ProgressCallback
+    ) -> dict[str, Any]:
+        """Tell categories apart."""
+        from dousa.retrieval.experiment import run_experiment
+
+        return run_experiment(
+            self.clips,
+            test_clips=self.tested,
+            split=self.split,
             repeats=repeats,
-            random_state=seed,
-            systems=[name.value for name in system or SystemName],
+            random_state=self.seed,
+            systems=self.systems,
             feature_set=features.value,
             samples_per_frame=samples,
-            n_trees=trees,
-            n_jobs=jobs or -1,
+            n_trees=self.trees,
+            n_jobs=self.jobs,
             progress=progress,
-        )
-    skipped += more
-    answer = {**result.to_json(), "skipped": [{"path": s.path, "reason": s.reason} for s in skipped]}
-    _warn_skipped(skipped)
-    _show_experiment(answer, figure, json)
+        ).to_json()
+
+    def go_beyond(
+        self, kind: _Kind, features: o.FeatureSetName, repeats: int, progress: ProgressCallback
+    ) -> dict[str, Any]:
+        """Put clips in order, label takes, or tell what is unknown."""
+        if kind is _Kind.RANKING:
+            from dousa.retrieval.ranking_experiment import run_ranking_experiment
+
+            return run_ranking_experiment(
+                self.clips,
+                test_clips=self.tested,
+                split=self.split,
+                random_state=self.seed,
+                systems=self.systems,
+                feature_set=features.value,
+                n_trees=self.trees,
+                n_jobs=self.jobs,
+                progress=progress,
+            ).to_json()
+        if kind is _Kind.TAKES:
+            from dousa.retrieval.takes_experiment import run_takes_experiment
+
+            return run_takes_experiment(
+                self.clips,
+                feature_set=features.value,
+                n_trees=self.trees,
+                random_state=self.seed,
+                n_jobs=self.jobs,
+                progress=progress,
+            ).to_json()
+        from dousa.retrieval.novelty_experiment import run_novelty_experiment
+
+        return run_novelty_experiment(
+            self.clips,
+            repeats=repeats,
+            n_trees=self.trees,
+            feature_set=features.value,
+            random_state=self.seed,
+            n_jobs=self.jobs,
+            progress=progress,
+        ).to_json()
+
+
+def _choose_systems(asked: list[SystemName] | None, ranking: bool) -> list[str]:
+    """The systems asked for, or all that this kind of experiment has."""
+    from dousa.retrieval._ranking_systems import RANKING_SYSTEMS
+    from dousa.retrieval.experiment import SYSTEMS
+
+    able = RANKING_SYSTEMS if ranking else SYSTEMS
+    names = [name.value for name in dict.fromkeys(asked or ())] or list(able)
+    wrong = [name for name in names if name not in able]
+    if wrong:
+        remedy = "leave --ranking out" if ranking else "add --ranking"
+        raise OptionError(f"--system: expected some of {', '.join(able)}, got {', '.join(wrong)}; {remedy}?")
+    return names
 
 
 def _check_split(split: SplitName | None, test_given: bool, performer_from: str | None) -> None:
@@ -150,13 +293,19 @@ def _check_split(split: SplitName | None, test_given: bool, performer_from: str 
         )
 
 
-def _show_experiment(answer: dict[str, Any], figure: Path | None, json: bool) -> None:
+def _show(kind: _Kind, answer: dict[str, Any], figure: Path | None, json: bool) -> None:
+    from dousa.app import _novelty_tables, _ranking_tables, _tables, _takes_trial_tables
+
+    shown = {
+        _Kind.RECOGNITION: _tables.print_experiment,
+        _Kind.RANKING: _ranking_tables.print_ranking,
+        _Kind.TAKES: _takes_trial_tables.print_takes_trial,
+        _Kind.UNKNOWN: _novelty_tables.print_novelty,
+    }
     if json:
         print_json(answer)
     else:
-        from dousa.app import _tables
-
-        _tables.print_experiment(console(), answer)
+        shown[kind](console(), answer)
     if figure:  # last, so that an answer that took long is not lost where the picture cannot be written
         from dousa.app.pictures import draw_experiment_figure
 

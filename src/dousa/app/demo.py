@@ -263,7 +263,7 @@ def _print_answer(console: Console, plan: _Plan, result: SearchResult) -> None:
     truth = plan.queries[plan.example]
     console.print(f"\nQuery: {plan.example} ({plan.who})", markup=False, soft_wrap=True)
     console.print(
-        f"In truth {truth}; the forest says {result.category} ({describe_votes(result.histogram)})",
+        f"In truth {truth}; the forest says {result.category or 'unknown'} ({describe_votes(result.histogram)})",
         markup=False,
     )
     table = Table(box=None)

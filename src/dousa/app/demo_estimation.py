@@ -194,7 +194,7 @@ def _search(console: Console, library_path: Path, files: _Files) -> None:
         result = library.search(files.estimated, _N_RESULTS)
     right = sum(hit.category == _CATEGORY for hit in result.results)
     console.print(
-        f"In the library: in truth {_CATEGORY}, the forest says {result.category} "
+        f"In the library: in truth {_CATEGORY}, the forest says {result.category or 'unknown'} "
         f"({describe_votes(result.histogram)}); {right} of the {len(result.results)} nearest clips are {_CATEGORY}",
         markup=False,
         soft_wrap=True,

@@ -235,7 +235,7 @@ def draw_search_result(
     from dousa.library import ReadOptions
     from dousa.library.ingest import read_canonical
 
-    expected = truth or result.category
+    expected = truth or result.verdict.guess
     if isinstance(query, int):
         motion: Drawable = library.trajectories(query)
     else:
@@ -243,7 +243,7 @@ def draw_search_result(
     share = max(result.histogram.values(), default=0.0)
     asked = Strip(
         motion,
-        result.category,
+        result.category or "unknown",
         str(result.query),
         f"so say {share:.0%} of the trees" + (f"; in truth: {truth}" if truth else ""),
     )
@@ -252,7 +252,7 @@ def draw_search_result(
             library.trajectories(hit.clip_id),
             hit.category,
             hit.path,
-            f"rank {hit.rank}, distance {hit.distance:.3f}",
+            f"rank {hit.rank}, distance {hit.distance:.3f}{', mirrored' if hit.mirrored else ''}",
             "match" if hit.category == expected else "differs",
         )
         for hit in result.results

@@ -50,6 +50,8 @@ def stack(blobs: Sequence[bytes], dtype: str, shape: tuple[int, ...], what: str)
     # A bytearray, so that the array is writable as one that was computed is: numba would compile again for another.
     array = np.frombuffer(bytearray().join(blobs), dtype=dtype).reshape(len(blobs), *shape)
     # A sum is finite unless a part is not (or the parts are absurd): cheaper than looking at every number.
-    if array.dtype.kind == "f" and not np.isfinite(array.sum(dtype=np.float64)):
+    with np.errstate(over="ignore", invalid="ignore"):
+        whole = array.dtype.kind != "f" or bool(np.isfinite(array.sum(dtype=np.float64)))
+    if not whole:
         raise LibraryDamagedError(f"{what}: expected finite numbers, got NaN or infinity; {_REMEDY}")
     return array

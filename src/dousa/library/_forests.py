@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from typing import TYPE_CHECKING, Any
 
@@ -13,39 +13,59 @@ from numpy.typing import NDArray
 
 from dousa.errors import DousaError, LibraryDamagedError, LibraryVersionError
 from dousa.library import schema
-from dousa.library._arrays import pack, stack
+from dousa.library._arrays import pack
+from dousa.library._describing import find_feature_set
 
 if TYPE_CHECKING:
     from dousa.motion._types import FloatArray
     from dousa.retrieval import MotionForest
+    from dousa.retrieval.calibration import Assessor
+    from dousa.retrieval.takes import WindowGrid
 
 __all__ = [
-    "FEATURE_SHAPE",
     "StoredForest",
     "TreeAnswers",
     "ask_trees",
-    "load_features",
-    "load_features_of",
+    "count_votes",
+    "find_leaves",
+    "fit_grid",
     "load_forest",
-    "load_outline",
+    "replace_forest",
     "save_answers",
-    "save_forest",
+    "update_forest",
 ]
-
-FEATURE_SHAPE = (10, 56)
-"""Frames and pose features of a clip."""
 
 _FOREST_ID = 1
 _ROWS_AT_ONCE = 1000
+_TEMPOS = (0.5, 2.0)  # windows from half to twice the length of the clips
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class StoredForest:
-    """A forest and the revision of the library that it belongs to."""
+    """A forest as the library keeps it.
+
+    Parameters
+    ----------
+    forest : the trees.
+    categories : names, in the order of the votes.
+    feature_set : name of the features that it asks for.
+    grid : windows that takes are cut into.
+    assessor : tells known motions from unknown ones; None where there were too few categories to learn that.
+    revision : of the library at the end of the training; other trees have another one.
+    learned : of the library when the leaves last learned; the histograms of clips hold until then.
+    """
 
     forest: MotionForest
-    revision: int
     categories: tuple[str, ...]
+    feature_set: str
+    grid: WindowGrid
+    assessor: Assessor | None
+    revision: int
+    learned: int
+
+    def with_revision(self, revision: int) -> StoredForest:
+        """The same forest, trained in this write."""
+        return replace(self, revision=revision, learned=revision)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -83,29 +103,33 @@ def ask_trees(stored: StoredForest, features: FloatArray) -> TreeAnswers:
     Parameters
     ----------
     stored : the forest.
-    features : (N, 10, 56).
+    features : (N, frames, columns) of its set.
     """
-    leaves = stored.forest.apply(features)
-    votes = np.rint(stored.forest.histograms_of(leaves) * leaves.shape[1]).astype(np.int32)
-    return TreeAnswers(votes, leaves.astype(np.int32), stored.categories)
+    return count_votes(stored, find_leaves(stored, features))
 
 
-def load_outline(connection: sa.Connection) -> tuple[tuple[str, ...], int] | None:
-    """Categories and number of trees of the forest, without the forest; None before the training.
+def find_leaves(stored: StoredForest, features: FloatArray) -> NDArray[np.int32]:
+    """(N, n_trees), the leaf that each clip reaches in each tree."""
+    return stored.forest.apply(features).astype(np.int32)
+
+
+def count_votes(stored: StoredForest, leaves: NDArray[np.int32]) -> TreeAnswers:
+    """What the trees say of clips whose leaves are known.
+
+    Parameters
+    ----------
+    stored : the forest.
+    leaves : (N, n_trees).
 
     Raises
     ------
-    LibraryDamagedError : no number of trees.
+    LibraryDamagedError : a leaf that the forest does not have.
     """
-    table = schema.forests.c
-    query = sa.select(table.categories, table.parameters).where(table.id == _FOREST_ID)
-    row = connection.execute(query).one_or_none()
-    if row is None:
-        return None
-    n_trees = row.parameters.get("n_trees") if isinstance(row.parameters, dict) else None
-    if not isinstance(n_trees, int) or n_trees < 1:
-        raise LibraryDamagedError(f"the forest has {n_trees!r} trees; run: dousa train")
-    return tuple(str(name) for name in row.categories), n_trees
+    if leaves.size and not (leaves.min() >= 0 and leaves.max() < stored.forest.trees_.n_leaves):
+        raise LibraryDamagedError("a clip stands in a leaf that is not there; run: dousa train")
+    shares = stored.forest.histograms_of(leaves.astype(np.int64))
+    votes = np.rint(shares * leaves.shape[1]).astype(np.int32)
+    return TreeAnswers(votes, leaves, stored.categories)
 
 
 def load_forest(
@@ -122,45 +146,106 @@ def load_forest(
     Raises
     ------
     LibraryDamagedError : bytes that are not a forest.
-    LibraryVersionError : a forest of other pose features.
+    LibraryVersionError : a forest of other features than those that this dousa computes.
     """
     table = schema.forests.c
-    query = sa.select(table.revision).where(table.id == _FOREST_ID)
-    revision = connection.execute(query).scalar_one_or_none()
-    if revision is None or (known is not None and known.revision == revision):
-        return None if revision is None else known
-    row = connection.execute(sa.select(table.data, table.categories).where(table.id == _FOREST_ID)).one()
-    from dousa.retrieval import FEATURE_NAMES, MotionForest
+    query = sa.select(table.revision, table.learned).where(table.id == _FOREST_ID)
+    state = connection.execute(query).one_or_none()
+    if state is None or (known is not None and (known.revision, known.learned) == tuple(state)):
+        return None if state is None else known
+    columns = (table.data, table.categories, table.parameters, table.window_lengths, table.calibration)
+    row = connection.execute(sa.select(*columns).where(table.id == _FOREST_ID)).one()
+    from dousa.retrieval import MotionForest
 
     try:
         forest = MotionForest.from_bytes(row.data)
         categories = tuple(str(name) for name in row.categories)
         if tuple(str(name) for name in forest.classes_) != categories:
             raise LibraryDamagedError("its categories are not those of the library")
+        if not isinstance(row.parameters, dict) or not isinstance(row.parameters.get("feature_set"), str):
+            raise LibraryDamagedError("it does not say what features it asks for")
     except DousaError as error:
         raise LibraryDamagedError(f"{where}: the forest is damaged ({error}); run: dousa train") from error
-    if forest.feature_names_ != FEATURE_NAMES:
+    feature_set = row.parameters["feature_set"]
+    if forest.feature_names_ != find_feature_set(feature_set).column_names:
         raise LibraryVersionError(
-            f"{where}: its clips are described by other pose features than those of this dousa; "
-            "add their files to a new library"
+            f"{where}: its forest asks for other features than those of this dousa; run: dousa train {where}"
         )
-    return StoredForest(forest, int(revision), categories)
+    return StoredForest(
+        forest,
+        categories,
+        feature_set,
+        _read_grid(connection, row.window_lengths),
+        _read_assessor(forest, row.calibration, where),
+        int(state.revision),
+        int(state.learned),
+    )
 
 
-def save_forest(
+def _read_assessor(forest: MotionForest, calibration: bytes | None, where: str) -> Assessor | None:
+    from dousa.retrieval.calibration import Assessor, Calibration
+
+    if calibration is None:
+        return None
+    try:
+        return Assessor(forest, Calibration.from_bytes(calibration))
+    except DousaError as error:
+        raise LibraryDamagedError(f"{where}: {error}") from error
+
+
+def _read_grid(connection: sa.Connection, lengths: Any) -> WindowGrid:
+    from dousa.retrieval.takes import WindowGrid
+
+    if lengths is None:
+        return fit_grid(connection)  # an older dousa trained the library
+    try:
+        return WindowGrid(tuple(lengths))
+    except (DousaError, TypeError) as error:
+        raise LibraryDamagedError(f"the windows of takes are damaged ({error}); run: dousa train") from error
+
+
+def fit_grid(connection: sa.Connection) -> WindowGrid:
+    """Windows as long as the clips that have a category."""
+    from dousa.retrieval.takes import choose_grid
+
+    table = schema.clips.c
+    query = sa.select(table.duration).where(table.kind == schema.CLIP, table.category.is_not(None))
+    return choose_grid(list(connection.execute(query).scalars()) or [1.0], *_TEMPOS)
+
+
+def replace_forest(
     connection: sa.Connection, stored: StoredForest, parameters: dict[str, Any], n_clips: int
 ) -> None:
-    """Put a forest in the place of the one before."""
+    """Put a newly trained forest in the place of the one before."""
     connection.execute(sa.delete(schema.forests))
     connection.execute(
         sa.insert(schema.forests).values(
             id=_FOREST_ID,
             revision=stored.revision,
+            learned=stored.learned,
             trained_at=datetime.now(UTC).isoformat(timespec="seconds"),
             categories=list(stored.categories),
-            parameters=parameters,
+            parameters={**parameters, "feature_set": stored.feature_set},
             n_clips=n_clips,
+            window_lengths=list(stored.grid.lengths),
+            calibration=None if stored.assessor is None else stored.assessor.calibration.to_bytes(),
+            n_learned=0,
             data=stored.forest.to_bytes(),
+        )
+    )
+
+
+def update_forest(connection: sa.Connection, stored: StoredForest, n_clips: int) -> None:
+    """Write a forest that has learned some more clips since it was trained."""
+    forests = schema.forests
+    connection.execute(
+        sa.update(forests).values(
+            learned=stored.learned,
+            categories=list(stored.categories),
+            n_learned=forests.c.n_learned + n_clips,
+            data=stored.forest.to_bytes(),
+            calibration=None if stored.assessor is None else stored.assessor.calibration.to_bytes(),
+            labeller=None,  # it does not know the new leaves
         )
     )
 
@@ -168,40 +253,11 @@ def save_forest(
 def save_answers(connection: sa.Connection, ids: Sequence[int], answers: TreeAnswers) -> None:
     """Write what the trees say of clips of which nothing is written yet."""
     rows = [
-        {
-            "clip_id": clip_id,
-            "predicted_category": category,
-            "votes": pack(votes, "<i4"),
-            "leaves": pack(leaves, "<i4"),
-        }
-        for clip_id, category, votes, leaves in zip(
-            ids, answers.predicted(), answers.votes, answers.leaves, strict=True
-        )
+        {"clip_id": clip_id, "predicted_category": category, "leaves": pack(leaves, "<i4")}
+        for clip_id, category, leaves in zip(ids, answers.predicted(), answers.leaves, strict=True)
     ]
     for some in _portions(rows):
-        connection.execute(sa.insert(schema.clip_histograms), some)
-
-
-def load_features(connection: sa.Connection) -> tuple[list[int], FloatArray, list[str | None]]:
-    """Numbers, features (N, 10, 56) and categories of all clips, in the order of their numbers."""
-    clips, features = schema.clips.c, schema.clip_features.c
-    query = sa.select(clips.id, clips.category, features.pose_features)
-    query = query.join(schema.clip_features, features.clip_id == clips.id).order_by(clips.id)
-    rows = connection.execute(query).all()
-    array = stack([row.pose_features for row in rows], "<f8", FEATURE_SHAPE, "features")
-    return [row.id for row in rows], array, [row.category for row in rows]
-
-
-def load_features_of(connection: sa.Connection, ids: Sequence[int]) -> FloatArray:
-    """Features (N, 10, 56) of some clips, in the order of these numbers; at most a portion of them."""
-    table = schema.clip_features.c
-    query = sa.select(table.clip_id, table.pose_features).where(table.clip_id.in_(ids))
-    found = {row[0]: row[1] for row in connection.execute(query).all()}
-    if len(found) != len(ids):
-        raise LibraryDamagedError(
-            f"expected features of {len(ids)} clips, found {len(found)}; add them again"
-        )
-    return stack([found[clip_id] for clip_id in ids], "<f8", FEATURE_SHAPE, "features")
+        connection.execute(sa.insert(schema.clip_leaves), some)
 
 
 def _portions(rows: Sequence[dict[str, Any]]) -> Iterable[Sequence[dict[str, Any]]]:

@@ -1,26 +1,26 @@
-"""Asking the forest of a library: searching and classifying, with the forest and the histograms kept warm."""
+"""Asking the forest of a library: searching and classifying, with the forest and the leaves kept warm."""
 
 from __future__ import annotations
 
 import os
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import sqlalchemy as sa
 
 from dousa.errors import DousaError, LibraryError, NotTrainedError
 from dousa.library import schema
+from dousa.library._describing import StoredMotion, describe_clip, load_motions, round_positions
 from dousa.library._engine import reading
-from dousa.library._forests import (
-    FEATURE_SHAPE,
-    StoredForest,
-    ask_trees,
-    load_features_of,
-    load_forest,
-    load_outline,
-)
+from dousa.library._explaining import Explaining
+from dousa.library._features import load_features, load_poses
+from dousa.library._forests import StoredForest, ask_trees, load_forest
+from dousa.library._judging import Unknown, judge
+from dousa.library._queries import name_query, read_query
 from dousa.library._revision import read_revision
+from dousa.library.answers import Classification, SearchResult, Verdict
 from dousa.library.ingest import (
     ClipRecord,
     ReadOptions,
@@ -28,20 +28,56 @@ from dousa.library.ingest import (
     find_motion_files,
     is_unicode,
     look_at,
-    read_canonical,
     read_clips,
 )
-from dousa.library.reports import Classification, SearchResult, Skipped
-from dousa.library.search import Asked, SearchIndex, load_index, order_histogram, rank_clips
+from dousa.library.reports import Skipped
+from dousa.library.search import Asked, SearchIndex, load_index, search_index
 
-if TYPE_CHECKING:
-    from dousa.motion._types import FloatArray
+__all__ = ["ClassifyOptions", "Querying", "SearchOptions"]
 
-__all__ = ["Querying"]
+
+@dataclass(frozen=True, slots=True)
+class SearchOptions:
+    """How a library is searched.
+
+    Parameters
+    ----------
+    k : results at most.
+    ranking : what clips are ordered by.
+    same_category : only clips of the category that most trees take the query for.
+    mirror : the mirror image of the query is searched for too.
+    explain : say why.
+    unknown : when a motion is called unknown.
+    """
+
+    k: int
+    ranking: str
+    same_category: bool
+    mirror: bool
+    explain: bool
+    unknown: Unknown
+
+
+@dataclass(frozen=True, slots=True)
+class ClassifyOptions:
+    """How files are classified.
+
+    Parameters
+    ----------
+    mirror : say what the mirror image is taken for too.
+    explain : say why.
+    unknown : when a motion is called unknown.
+    n_jobs : files read at a time.
+    """
+
+    mirror: bool
+    explain: bool
+    unknown: Unknown
+    n_jobs: int | None
 
 
 class Querying:
-    """The side of a library that answers.
+    """The side of a library that answers about whole motions.
 
     What was read stays in memory until the revision of the library changes.
 
@@ -56,66 +92,91 @@ class Querying:
         self._index: SearchIndex | None = None
         self.forest: StoredForest | None = None
 
-    def search(self, query: Any, k: int, same_category: bool, options: ReadOptions) -> SearchResult:
+    def search(self, query: Any, wanted: SearchOptions, options: ReadOptions) -> SearchResult:
         """The clips nearest to a file, a clip or a motion."""
         with reading(self._engine, self._where) as connection:
-            index = self._load_index(connection)
+            stored = self.load(connection)
+            index = self._load_index(connection, stored)
             clip_id = self._find_clip(connection, index, query, options)
+            name = index.paths[index.rows[query]] if isinstance(query, int) else name_query(query)
             if clip_id is None:
-                self.forest = self._load_forest(connection)
-                features = _compute_features(query, options)
-                asked = Asked(_name(query), ask_trees(self.forest, features[None]), features)
+                motion = round_positions(read_query(query, options))
+                asked = [_ask(stored, motion)]
             else:
-                name = index.paths[index.rows[clip_id]] if isinstance(query, int) else _name(query)
-                features = load_features_of(connection, [clip_id])[0]
-                asked = Asked(name, index.answers_of(clip_id), features)
-            return rank_clips(index, asked, k, same_category, lambda ids: load_features_of(connection, ids))
+                (motion,) = load_motions(connection, [clip_id])
+                features = load_features(connection, stored.feature_set, [clip_id]).features
+                poses = load_poses(connection, [clip_id])[0]
+                asked = [Asked(index.answers_of(clip_id), features, poses)]
+            if wanted.mirror:
+                asked.append(_ask(stored, motion.mirror(), mirrored=True))
+            verdicts = [judge(stored, one.answers, one.features, wanted.unknown)[0] for one in asked]
+            category = verdicts[0].guess if wanted.same_category else None
+            hits = search_index(
+                index, asked, wanted.k, wanted.ranking, category, lambda ids: load_poses(connection, ids)
+            )
+            if wanted.explain:
+                explaining = Explaining(stored)
+                verdicts = explaining.verdicts(verdicts, motion)
+                hits = explaining.hits(hits, motion, load_motions(connection, [hit.clip_id for hit in hits]))
+        return SearchResult(name, verdicts[0], hits, wanted.ranking, verdicts[1] if wanted.mirror else None)
 
     def classify(
-        self, paths: Sequence[str | os.PathLike[str]], options: ReadOptions, n_jobs: int | None
+        self, paths: Sequence[str | os.PathLike[str]], wanted: ClassifyOptions, options: ReadOptions
     ) -> list[Classification]:
         """What the forest takes files for."""
         with reading(self._engine, self._where) as connection:
-            self.forest = stored = self._load_forest(connection)
+            stored = self.load(connection)
         files, missing = find_motion_files(paths)
-        answers = list(read_clips([ReadTask(str(file.path), options) for file in files], n_jobs))
-        read = [answer for answer in answers if isinstance(answer, ClipRecord)]
-        features = np.stack([record.features for record in read]) if read else np.zeros((0, *FEATURE_SHAPE))
-        own = ask_trees(stored, features)
-        rows = zip(read, own.predicted(), own.shares(), strict=True)
-        good = {
-            record.path: Classification(record.path, category, order_histogram(stored.categories, shares))
-            for record, category, shares in rows
-        }
-        bad = [*missing, *(answer for answer in answers if isinstance(answer, Skipped))]
-        good.update({item.path: Classification(item.path, None, {}, item.reason) for item in bad})
-        return [good[path] for path in (*(item.path for item in missing), *(item.path for item in answers))]
+        tasks = [ReadTask(str(file.path), options, feature_set=stored.feature_set) for file in files]
+        explaining = Explaining(stored) if wanted.explain else None
+        answers: list[Classification] = []
+        for item in (*missing, *read_clips(tasks, wanted.n_jobs)):
+            if isinstance(item, ClipRecord):
+                verdicts = _classify(stored, item, wanted)
+                if explaining is not None:
+                    verdicts = explaining.verdicts(verdicts, item.to_motion())
+                answers.append(Classification(item.path, verdicts[0], verdicts[1] if wanted.mirror else None))
+            elif isinstance(item, Skipped):
+                answers.append(Classification(item.path, None, problem=item.reason))
+        return answers
 
-    def _not_trained(self) -> NotTrainedError:
-        return NotTrainedError(f"{self._where}: there is no forest yet; run: dousa train {self._where}")
+    def load(self, connection: sa.Connection) -> StoredForest:
+        """The forest, as it is now.
 
-    def _load_forest(self, connection: sa.Connection) -> StoredForest:
+        Raises
+        ------
+        NotTrainedError : there is none.
+        """
         stored = load_forest(connection, self._where, self.forest)
         if stored is None:
-            raise self._not_trained()
+            raise NotTrainedError(f"{self._where}: there is no forest yet; run: dousa train {self._where}")
+        self.forest = stored
         return stored
 
-    def _load_index(self, connection: sa.Connection) -> SearchIndex:
+    def path_of(self, connection: sa.Connection, number: int) -> str:
+        """The file of a clip or take; LibraryError if there is none of this number."""
+        query = sa.select(schema.clips.c.path).where(schema.clips.c.id == number)
+        path = connection.execute(query).scalar_one_or_none()
+        if path is None:
+            raise LibraryError(f"{self._where}: no clip or take {number}; see: dousa list")
+        return str(path)
+
+    def _load_index(self, connection: sa.Connection, stored: StoredForest) -> SearchIndex:
         revision = read_revision(connection)
         if self._index is None or self._index.revision != revision:
-            outline = load_outline(connection)
-            if outline is None:
-                raise self._not_trained()
-            self._index = load_index(connection, revision, *outline)
+            self._index = load_index(connection, revision, stored)
         return self._index
 
     def _find_clip(
         self, connection: sa.Connection, index: SearchIndex, query: Any, options: ReadOptions
     ) -> int | None:
-        """The clip that the query is, if its histogram is stored and still true."""
+        """The clip that the query is, if it has not changed since it was stored."""
         if isinstance(query, int):
             if query not in index.rows:
-                raise LibraryError(f"{self._where}: no clip {query}; see: dousa list")
+                path = self.path_of(connection, query)
+                raise LibraryError(
+                    f"{self._where}: {query} is the take {path}; look into takes with: dousa find, dousa label"
+                )
             return query
         if not isinstance(query, str | os.PathLike):
             return None
@@ -133,23 +194,17 @@ class Querying:
             return None  # reading the file says what is wrong
 
 
-def _compute_features(query: Any, options: ReadOptions) -> FloatArray:
-    """(10, 56) of a file or a motion."""
-    from dousa.motion import CanonicalMotion, Motion, canonicalise, compute_trajectories
-    from dousa.retrieval import compute_clip_features
-
-    if isinstance(query, str | os.PathLike):
-        motion, _ = read_canonical(os.fspath(query), options)
-    elif isinstance(query, CanonicalMotion):
-        motion = query
-    else:
-        trajectories = compute_trajectories(query) if isinstance(query, Motion) else query
-        motion = canonicalise(trajectories, options.joint_map)
-    return compute_clip_features(motion)
+def _ask(stored: StoredForest, motion: StoredMotion, mirrored: bool = False) -> Asked:
+    """What the trees say of a motion that is not stored."""
+    described = describe_clip(motion, stored.feature_set)
+    features = described.features[None]
+    return Asked(ask_trees(stored, features), features, described.poses, mirrored)
 
 
-def _name(query: Any) -> str:
-    """What the answer calls the query: its path, where it has one."""
-    if isinstance(query, str | os.PathLike):
-        return os.fspath(query)
-    return getattr(getattr(query, "provenance", None), "path", "motion")
+def _classify(stored: StoredForest, record: ClipRecord, wanted: ClassifyOptions) -> list[Verdict]:
+    """The verdict on a file, and on its mirror image if that is wanted."""
+    described = [record.description or describe_clip(record.to_motion(), stored.feature_set)]
+    if wanted.mirror:
+        described.append(describe_clip(record.to_motion().mirror(), stored.feature_set))
+    features = np.stack([one.features for one in described])
+    return judge(stored, ask_trees(stored, features), features, wanted.unknown)

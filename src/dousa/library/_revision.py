@@ -11,7 +11,7 @@ import sqlalchemy as sa
 from dousa.errors import LibraryDamagedError
 from dousa.library.schema import library_state
 
-__all__ = ["lock_for_writing", "next_revision", "read_revision", "take_clip_ids"]
+__all__ = ["lock_for_writing", "next_revision", "note_changed_clips", "read_revision", "take_clip_ids"]
 
 
 def read_revision(connection: sa.Connection) -> int:
@@ -31,6 +31,11 @@ def next_revision(connection: sa.Connection) -> int:
     """Count this write, and return its number."""
     connection.execute(sa.update(library_state).values(revision=library_state.c.revision + 1))
     return read_revision(connection)
+
+
+def note_changed_clips(connection: sa.Connection) -> None:
+    """Clips or their categories change in this write: the forest has not learned from them as they are now."""
+    connection.execute(sa.update(library_state).values(clips_revision=library_state.c.revision))
 
 
 def take_clip_ids(connection: sa.Connection, count: int) -> range:

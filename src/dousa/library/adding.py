@@ -9,19 +9,19 @@ from __future__ import annotations
 import os
 import time
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, field
-from datetime import UTC, datetime
+from dataclasses import dataclass, field, fields
 from typing import Any
 
-import numpy as np
 import sqlalchemy as sa
 
 from dousa.errors import DousaError
 from dousa.library import schema
-from dousa.library._arrays import pack
+from dousa.library._contents import delete_clips
 from dousa.library._engine import reading, writing
-from dousa.library._forests import StoredForest, ask_trees, load_forest, save_answers
-from dousa.library._revision import lock_for_writing, next_revision, take_clip_ids
+from dousa.library._forests import StoredForest, load_forest
+from dousa.library._inserting import Fresh, Labels, insert_clips
+from dousa.library._revision import lock_for_writing, next_revision
+from dousa.library._take_windows import DescribedTakes, describe_records, refresh_windows
 from dousa.library.ingest import (
     ClipRecord,
     FoundFile,
@@ -43,9 +43,9 @@ AddProgress = Callable[[int, int, str], None]
 
 _PORTION_CLIPS = 64
 _PORTION_SECONDS = 1.0
+_PORTION_BYTES = 1 << 26
 
 Answer = ClipRecord | KnownContent | Skipped
-Labels = dict[str, str | None]
 
 
 @dataclass(slots=True)
@@ -60,21 +60,14 @@ class _Tally:
     skipped: list[Skipped] = field(default_factory=list)
     warnings: list[tuple[str, str]] = field(default_factory=list)
     other_labels: list[str] = field(default_factory=list)
+    other_kind: list[str] = field(default_factory=list)
+    new_categories: list[str] = field(default_factory=list)
+    n_learned: int = 0
     bytes: int = 0
 
     def extend(self, other: _Tally) -> None:
-        for name in (
-            "added",
-            "replaced",
-            "unchanged",
-            "moved",
-            "duplicates",
-            "skipped",
-            "warnings",
-            "other_labels",
-        ):
-            getattr(self, name).extend(getattr(other, name))
-        self.bytes += other.bytes
+        for item in fields(self):
+            setattr(self, item.name, getattr(self, item.name) + getattr(other, item.name))
 
 
 class Adding:
@@ -83,6 +76,7 @@ class Adding:
     Parameters
     ----------
     engine, where : the library and its name for messages.
+    kind : ``CLIP`` or ``TAKE``, of files that are not there yet.
     category_rule, performer_rule : labels of new clips.
     options : what is said about the files.
     known_forest : the forest of the library, if it is loaded.
@@ -93,6 +87,7 @@ class Adding:
         engine: sa.Engine,
         where: str,
         *,
+        kind: str,
         category_rule: LabelRule,
         performer_rule: LabelRule,
         options: ReadOptions,
@@ -100,6 +95,7 @@ class Adding:
     ) -> None:
         self._engine = engine
         self._where = where
+        self._kind = kind
         self._rules = {"category": category_rule, "performer": performer_rule}
         self._options = options
         self._option_text = options.describe()
@@ -123,7 +119,7 @@ class Adding:
         try:
             for answer in answers:
                 portion.append(answer)
-                if len(portion) >= _PORTION_CLIPS or time.monotonic() - last >= _PORTION_SECONDS:
+                if _is_full(portion) or time.monotonic() - last >= _PORTION_SECONDS:
                     portion = self._store_portion(portion)
                     last = time.monotonic()
                 done += 1
@@ -134,6 +130,8 @@ class Adding:
         finally:
             answers.close()
         self._store_portion(portion)
+        if self._tally.n_learned and self.forest is not None:
+            refresh_windows(self._engine, self._where, self.forest, n_jobs)
         return self._report(time.perf_counter() - start)
 
     def _report(self, seconds: float) -> AddReport:
@@ -147,6 +145,9 @@ class Adding:
             skipped=tuple(tally.skipped),
             warnings=tuple(tally.warnings),
             other_labels=tuple(tally.other_labels),
+            other_kind=tuple(tally.other_kind),
+            n_learned=tally.n_learned,
+            new_categories=tuple(sorted(set(tally.new_categories))),
             seconds=seconds,
             bytes=tally.bytes,
         )
@@ -159,9 +160,10 @@ class Adding:
         """The files that must be opened; those that did not change since they were stored are tallied."""
         table = schema.clips.c
         columns = (table.path, table.content_hash, table.fingerprint, table.size, table.read_options)
-        query = sa.select(*columns, table.category, table.performer)
+        query = sa.select(*columns, table.category, table.performer, table.kind)
         with reading(self._engine, self._where) as connection:
             stored: dict[str, Any] = {row.path: row for row in connection.execute(query)}
+            self.forest = load_forest(connection, self._where, self.forest)
         hashes: dict[int, list[str]] = {}
         for row in stored.values():
             hashes.setdefault(row.size, []).append(row.content_hash)
@@ -170,18 +172,27 @@ class Adding:
             try:
                 state = look_at(path, self._options)
             except (DousaError, OSError):
-                tasks.append(ReadTask(path, self._options))  # reading it says what is wrong
+                tasks.append(self._task(path))  # reading it says what is wrong
                 continue
             row = stored.get(path)
             if row and (row.fingerprint, row.read_options) == (state.fingerprint, self._option_text):
                 self._tally.unchanged.append(path)
                 self._note_labels(self._tally, path, row)
             else:
-                tasks.append(ReadTask(path, self._options, tuple(hashes.get(state.size, ()))))
+                known = tuple(hashes.get(state.size, ()))
+                tasks.append(self._task(path, row.kind if row else self._kind, known))
         return tasks
 
+    def _task(self, path: str, kind: str | None = None, known: tuple[str, ...] = ()) -> ReadTask:
+        """A file to read; if there is a forest, the features of a clip are computed while it is read."""
+        chosen = kind or self._kind
+        feature_set = self.forest.feature_set if self.forest and chosen == schema.CLIP else ""
+        return ReadTask(path, self._options, known, chosen, feature_set)
+
     def _note_labels(self, tally: _Tally, path: str, row: Any) -> None:
-        """Whether the rules would label a stored clip otherwise: it keeps its labels, but that is told."""
+        """Whether a stored clip would be another kind or have other labels now: it stays, but that is told."""
+        if row.kind != self._kind:
+            tally.other_kind.append(path)
         labels = self._labels(path)
         if any(value is not None and value != getattr(row, name) for name, value in labels.items()):
             tally.other_labels.append(path)
@@ -191,13 +202,17 @@ class Adding:
         self._tally.skipped += [answer for answer in portion if isinstance(answer, Skipped)]
         read = [answer for answer in portion if not isinstance(answer, Skipped)]
         if read:
+            # Long recordings take a while to describe: not while other programs wait to write.
+            takes = describe_records(self.forest, [r for r in read if isinstance(r, ClipRecord)])
             with writing(self._engine, self._where) as connection:
                 lock_for_writing(connection)
-                tally = self._store(connection, read)
+                tally = self._store(connection, read, takes)
             self._tally.extend(tally)
         return []
 
-    def _store(self, connection: sa.Connection, read: list[ClipRecord | KnownContent]) -> _Tally:
+    def _store(
+        self, connection: sa.Connection, read: list[ClipRecord | KnownContent], takes: DescribedTakes
+    ) -> _Tally:
         tally = _Tally()
         stored = _load_rows(connection, read)
         by_path = {row.path: row for row in stored}
@@ -205,7 +220,7 @@ class Adding:
         now = {answer.path: answer.content_hash for answer in read}
         gone = {row.path: row.id for row in stored if now.get(row.path, row.content_hash) != row.content_hash}
         owner = {row.content_hash: row.path for row in stored if row.path not in gone}
-        fresh: list[tuple[ClipRecord, Labels]] = []
+        fresh: list[Fresh] = []
         for answer in read:
             tally.bytes += answer.state.size
             row, first = by_path.get(answer.path), owner.get(answer.content_hash)
@@ -223,16 +238,16 @@ class Adding:
                 owner[answer.content_hash] = answer.path
             else:
                 tally.duplicates.append(Duplicate(answer.path, first))
-        _delete(connection, list(gone.values()))
-        self._insert(connection, fresh)
         if fresh or gone or tally.moved:
-            next_revision(connection)
+            revision = next_revision(connection)
+            delete_clips(connection, list(gone.values()))
+            self._insert(connection, tally, fresh, takes, revision)
         return tally
 
     def _take(
         self,
         tally: _Tally,
-        fresh: list[tuple[ClipRecord, Labels]],
+        fresh: list[Fresh],
         answer: ClipRecord | KnownContent,
         row: Any,
     ) -> None:
@@ -240,10 +255,10 @@ class Adding:
         record: Answer = answer
         if isinstance(answer, KnownContent):
             # The clip of this content has just gone: read the file after all.
-            record = read_clip(ReadTask(answer.path, self._options))
+            record = read_clip(self._task(answer.path, row.kind if row is not None else None))
         if isinstance(record, ClipRecord):
             labels = self._choose_labels(record.path, row)
-            fresh.append((record, labels))
+            fresh.append(Fresh(record, labels, self._option_text))
             (tally.added if row is None else tally.replaced).append(record.path)
             tally.warnings += [(record.path, text) for text in (*record.warnings, *self._missing(labels))]
         elif isinstance(record, Skipped):
@@ -273,50 +288,31 @@ class Adding:
         }
         connection.execute(sa.update(schema.clips).where(schema.clips.c.path == old_path).values(**new))
 
-    def _insert(self, connection: sa.Connection, fresh: list[tuple[ClipRecord, Labels]]) -> None:
-        if not fresh:
-            return
-        ids = take_clip_ids(connection, len(fresh))
-        records = [record for record, _ in fresh]
-        rows = [self._clip_row(clip_id, *pair) for clip_id, pair in zip(ids, fresh, strict=True)]
-        connection.execute(sa.insert(schema.clips), rows)
-        positions = [{"clip_id": i, "positions": r.positions} for i, r in zip(ids, records, strict=True)]
-        connection.execute(sa.insert(schema.clip_trajectories), positions)
-        features = [
-            {"clip_id": i, "pose_features": pack(r.features, "<f8")}
-            for i, r in zip(ids, records, strict=True)
-        ]
-        connection.execute(sa.insert(schema.clip_features), features)
-        self.forest = load_forest(connection, self._where, self.forest)
-        if self.forest is not None:
-            stacked = np.stack([record.features for record in records])
-            save_answers(connection, ids, ask_trees(self.forest, stacked))
+    def _insert(
+        self,
+        connection: sa.Connection,
+        tally: _Tally,
+        fresh: list[Fresh],
+        takes: DescribedTakes,
+        revision: int,
+    ) -> None:
+        if fresh:
+            # Loaded again: another program may have trained the library while files were read.
+            forest = load_forest(connection, self._where, self.forest)
+            self.forest, learned = insert_clips(connection, fresh, forest, takes, revision)
+            tally.n_learned += learned.n_clips
+            tally.new_categories += learned.new_categories
 
-    def _clip_row(self, clip_id: int, record: ClipRecord, labels: Labels) -> dict[str, Any]:
-        return {
-            "id": clip_id,
-            "path": record.path,
-            "content_hash": record.content_hash,
-            "fingerprint": record.state.fingerprint,
-            "size": record.state.size,
-            "read_options": self._option_text,
-            "category": labels["category"],
-            "performer": labels["performer"],
-            "format": record.format,
-            "n_frames": record.n_frames,
-            "frame_rate": record.frame_rate,
-            "duration": record.duration,
-            "height": record.height,
-            "joint_table": record.joint_table,
-            "warnings": list(record.warnings),
-            "added_at": datetime.now(UTC).isoformat(timespec="seconds"),
-        }
+
+def _is_full(portion: Sequence[Answer]) -> bool:
+    size = sum(len(answer.positions) for answer in portion if isinstance(answer, ClipRecord))
+    return len(portion) >= _PORTION_CLIPS or size >= _PORTION_BYTES
 
 
 def _load_rows(connection: sa.Connection, read: list[ClipRecord | KnownContent]) -> list[Any]:
     """Stored clips that share a path or a content with files that were read."""
     table = schema.clips.c
-    query = sa.select(table.id, table.path, table.content_hash, table.category, table.performer)
+    query = sa.select(table.id, table.path, table.content_hash, table.category, table.performer, table.kind)
     rows = {}
     for column, values in (
         (table.path, [r.path for r in read]),
@@ -324,8 +320,3 @@ def _load_rows(connection: sa.Connection, read: list[ClipRecord | KnownContent])
     ):
         rows.update({row.id: row for row in connection.execute(query.where(column.in_(values)))})
     return list(rows.values())
-
-
-def _delete(connection: sa.Connection, ids: list[int]) -> None:
-    if ids:
-        connection.execute(sa.delete(schema.clips).where(schema.clips.c.id.in_(ids)))

@@ -19,13 +19,21 @@ import numpy as np
 
 from dousa.errors import DousaError, JointMappingError, MotionFileError
 from dousa.formats import SUFFIXES, read_motion
-from dousa.library._arrays import pack
+from dousa.library._arrays import pack, unpack
+from dousa.library._describing import (
+    BEYOND_MEASURE,
+    Description,
+    StoredMotion,
+    describe_clip,
+    round_positions,
+)
 from dousa.library._jobs import check_jobs, choose_jobs
 from dousa.library.reports import Skipped
+from dousa.library.schema import CLIP
+from dousa.motion.joints import CANONICAL_JOINTS
 
 if TYPE_CHECKING:
     from dousa.motion import CanonicalMotion
-    from dousa.motion._types import FloatArray
 
 __all__ = [
     "ClipRecord",
@@ -42,6 +50,9 @@ __all__ = [
     "read_clip",
     "read_clips",
 ]
+
+
+_BEYOND = "its joints lie beyond any measure; is the unit right?"
 
 
 @dataclass(frozen=True, slots=True)
@@ -106,11 +117,15 @@ class ReadTask:
     path : the motion file.
     options : what is said about it.
     known : content hashes in the library of clips of this size; such a content is not parsed again.
+    kind : ``CLIP`` or ``TAKE``.
+    feature_set : name of the features to describe it by; it is not described if empty.
     """
 
     path: str
     options: ReadOptions
     known: tuple[str, ...] = ()
+    kind: str = CLIP
+    feature_set: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -133,7 +148,8 @@ class ClipRecord:
     n_frames, frame_rate, duration, height : of the motion; Hz, s, m.
     joint_table, warnings : how its joints were told apart.
     positions : float32 bytes of (T, 20, 3) m.
-    features : (10, 56).
+    kind : ``CLIP`` or ``TAKE``.
+    description : features and poses, if they were asked for.
     """
 
     path: str
@@ -147,7 +163,13 @@ class ClipRecord:
     joint_table: str
     warnings: tuple[str, ...]
     positions: bytes
-    features: FloatArray
+    kind: str
+    description: Description | None
+
+    def to_motion(self) -> StoredMotion:
+        """The motion as it is stored."""
+        positions = unpack(self.positions, "<f4", (self.n_frames, len(CANONICAL_JOINTS), 3), self.path)
+        return StoredMotion(positions.astype(np.float64), self.frame_rate, self.height)
 
 
 def find_motion_files(paths: Iterable[str | os.PathLike[str]]) -> tuple[list[FoundFile], list[Skipped]]:
@@ -295,14 +317,10 @@ def describe_problem(path: str, error: DousaError) -> str:
 
 
 def _derive(task: ReadTask, state: SourceState, content_hash: str) -> ClipRecord | Skipped:
-    from dousa.retrieval import compute_clip_features
-
     motion, form = read_canonical(task.path, task.options)
-    features = compute_clip_features(motion)
-    with np.errstate(over="ignore"):
-        positions = np.asarray(motion.positions, np.float32)
-    if not (np.isfinite(features).all() and np.isfinite(positions).all()):
-        return Skipped(task.path, "its joints lie beyond any measure; is the unit right?")
+    rounded = round_positions(motion)
+    if not ((np.abs(rounded.positions) < BEYOND_MEASURE).all() and motion.height * BEYOND_MEASURE > 1):
+        return Skipped(task.path, _BEYOND)
     return ClipRecord(
         path=task.path,
         content_hash=content_hash,
@@ -314,8 +332,9 @@ def _derive(task: ReadTask, state: SourceState, content_hash: str) -> ClipRecord
         height=motion.height,
         joint_table=motion.mapping.table,
         warnings=tuple(motion.warnings),
-        positions=pack(positions, "<f4"),
-        features=features,
+        positions=pack(rounded.positions, "<f4"),
+        kind=task.kind,
+        description=describe_clip(rounded, task.feature_set) if task.feature_set else None,
     )
 
 

@@ -2,7 +2,8 @@
 
 A new library is made from ``schema`` at once and every step is recorded as done; an older library takes the
 steps that it lacks. To change a table: change ``schema`` and add a step that does the same to an old library.
-To change the pose features: add a step too, which computes those of the stored clips anew.
+To change a set of features: give it another name, or add a step that empties ``clip_features.feature_set``; features
+of another set than the one asked for are computed anew from the stored positions.
 """
 
 from __future__ import annotations
@@ -10,6 +11,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from datetime import UTC, datetime
+from typing import Any
 
 import sqlalchemy as sa
 
@@ -38,10 +40,47 @@ class Migration:
 
 
 def _first_tables(connection: sa.Connection) -> None:
-    schema.metadata.create_all(connection)
+    """Nothing to do: every library has them."""
 
 
-MIGRATIONS: tuple[Migration, ...] = (Migration(1, "first tables", _first_tables),)
+def _takes_and_feature_sets(connection: sa.Connection) -> None:
+    """Takes, sets of features by name, leaves that learn; histograms, which follow from the leaves, go."""
+    for table, column in (
+        (schema.clips, "kind"),
+        (schema.clip_features, "feature_set"),
+        (schema.forests, "learned"),
+        (schema.forests, "window_lengths"),
+        (schema.forests, "n_learned"),
+        (schema.forests, "calibration"),
+        (schema.forests, "labeller"),
+        (schema.library_state, "clips_revision"),
+    ):
+        _add_column(connection, table, column)
+    state = schema.library_state
+    connection.execute(sa.update(state).values(clips_revision=state.c.revision))
+    forests = schema.forests
+    for row in connection.execute(sa.select(forests.c.id, forests.c.revision, forests.c.parameters)).all():
+        known = {**row.parameters, "feature_set": "paper"}  # there was no other set
+        values = {"learned": row.revision, "parameters": known}
+        connection.execute(sa.update(forests).where(forests.c.id == row.id).values(**values))
+    schema.clip_poses.create(connection)
+    schema.clip_leaves.create(connection)
+    schema.take_windows.create(connection)
+    names = [column.name for column in schema.clip_leaves.c]
+    copied: Any = sa.select(*map(sa.column, names)).select_from(sa.table("clip_histograms"))
+    connection.execute(sa.insert(schema.clip_leaves).from_select(names, copied))
+    connection.execute(sa.DDL("DROP TABLE clip_histograms"))
+
+
+def _add_column(connection: sa.Connection, table: sa.Table, name: str) -> None:
+    column = sa.schema.CreateColumn(table.c[name]).compile(dialect=connection.dialect)
+    connection.execute(sa.DDL(f"ALTER TABLE {table.name} ADD COLUMN {column}"))
+
+
+MIGRATIONS: tuple[Migration, ...] = (
+    Migration(1, "first tables", _first_tables),
+    Migration(2, "takes and feature sets", _takes_and_feature_sets),
+)
 
 
 def _record(connection: sa.Connection, step: Migration) -> None:

@@ -1,18 +1,18 @@
-"""What the library answers: plain values without a connection behind them, each with ``to_json()``."""
+"""What the library says of itself and of its work: plain values without a connection, each with ``to_json()``."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from dousa.retrieval.calibration import Calibration
 
 __all__ = [
     "AddReport",
-    "Classification",
     "ClipInfo",
     "Duplicate",
-    "Hit",
     "LibraryStats",
-    "SearchResult",
     "Skipped",
     "TrainReport",
 ]
@@ -61,6 +61,10 @@ class AddReport:
     warnings : (path, text) of clips that were added with a doubt.
     other_labels : paths that were in the library with another category or performer than the rules give now;
         their labels stay, ``Library.relabel`` changes them.
+    other_kind : paths that were in the library as clips and were added as takes, or the other way round; they stay
+        what they are.
+    n_learned : clips with a category that the leaves of the forest learned at once.
+    new_categories : categories among them that the forest did not know.
     seconds : time it took.
     bytes : size of the files that were read.
     """
@@ -73,6 +77,9 @@ class AddReport:
     skipped: tuple[Skipped, ...]
     warnings: tuple[tuple[str, str], ...]
     other_labels: tuple[str, ...]
+    other_kind: tuple[str, ...]
+    n_learned: int
+    new_categories: tuple[str, ...]
     seconds: float
     bytes: int
 
@@ -87,6 +94,9 @@ class AddReport:
             "skipped": [{"path": item.path, "reason": item.reason} for item in self.skipped],
             "warnings": [{"path": path, "warning": text} for path, text in self.warnings],
             "other_labels": list(self.other_labels),
+            "other_kind": list(self.other_kind),
+            "n_learned": self.n_learned,
+            "new_categories": list(self.new_categories),
             "seconds": self.seconds,
             "bytes": self.bytes,
         }
@@ -98,112 +108,43 @@ class TrainReport:
 
     Parameters
     ----------
+    feature_set : name of the features that it asks for.
     n_trees : trees of the forest.
     n_clips : clips it was trained on.
     n_unlabelled : clips without a category, which got a histogram only.
     categories : number of clips of each category.
+    calibration : how well motions of unknown categories are told from known ones, learned by holding some back; None
+        where there were too few clips or categories.
     single : categories with one clip: the forest has seen too little to tell them apart.
     seconds : time it took.
     """
 
+    feature_set: str
     n_trees: int
     n_clips: int
     n_unlabelled: int
     categories: dict[str, int]
+    calibration: Calibration | None
     single: tuple[str, ...]
     seconds: float
 
     def to_json(self) -> dict[str, Any]:
         """The report as plain lists and dictionaries."""
         return {
+            "feature_set": self.feature_set,
             "n_trees": self.n_trees,
             "n_clips": self.n_clips,
             "n_unlabelled": self.n_unlabelled,
             "categories": dict(self.categories),
+            "calibration": None if self.calibration is None else self.calibration.to_json(),
             "single": list(self.single),
             "seconds": self.seconds,
         }
 
 
 @dataclass(frozen=True, slots=True)
-class Hit:
-    """One clip that a search found.
-
-    Parameters
-    ----------
-    path : file the clip came from.
-    category : its category; the forest's, where nobody gave it one.
-    distance : between the histograms of query and clip, eq. 8; 0 to sqrt(2).
-    rank : 1 for the nearest.
-    clip_id : number of the clip in the library.
-    leaf_share : share of the trees in which query and clip end in the same leaf, 0 to 1: orders clips of
-        equal distance.
-    """
-
-    path: str
-    category: str
-    distance: float
-    rank: int
-    clip_id: int
-    leaf_share: float
-
-
-@dataclass(frozen=True, slots=True)
-class SearchResult:
-    """The answer to a search.
-
-    Parameters
-    ----------
-    query : the file that was asked for.
-    category : what the forest takes the query for.
-    histogram : share of the trees that vote for each category, the largest first.
-    results : the nearest clips, nearest first.
-    """
-
-    query: str
-    category: str
-    histogram: dict[str, float]
-    results: tuple[Hit, ...]
-
-    def to_json(self) -> dict[str, Any]:
-        """The answer as plain lists and dictionaries."""
-        return {
-            "query": self.query,
-            "category": self.category,
-            "histogram": dict(self.histogram),
-            "results": [
-                {"path": hit.path, "category": hit.category, "distance": hit.distance, "rank": hit.rank}
-                for hit in self.results
-            ],
-        }
-
-
-@dataclass(frozen=True, slots=True)
-class Classification:
-    """What the forest takes a file for.
-
-    Parameters
-    ----------
-    path : the file.
-    category : the category most trees vote for, None if the file cannot be used.
-    histogram : share of the trees that vote for each category, the largest first.
-    problem : why the file cannot be used, None if it can.
-    """
-
-    path: str
-    category: str | None
-    histogram: dict[str, float]
-    problem: str | None = None
-
-    def to_json(self) -> dict[str, Any]:
-        """The answer as a plain dictionary; ``problem`` only where there is one."""
-        answer = {"path": self.path, "category": self.category, "histogram": dict(self.histogram)}
-        return answer if self.problem is None else {**answer, "problem": self.problem}
-
-
-@dataclass(frozen=True, slots=True)
 class ClipInfo:
-    """A clip of the library, without its arrays.
+    """A clip or take of the library, without its arrays.
 
     Parameters
     ----------
@@ -218,6 +159,7 @@ class ClipInfo:
     height : m, of the performer's skeleton.
     joint_table : where the canonical joints came from, such as ``"CMU/HDM05"``.
     warnings : doubts that came up when the file was read.
+    kind : ``"clip"`` or ``"take"``.
     """
 
     id: int
@@ -232,6 +174,7 @@ class ClipInfo:
     height: float
     joint_table: str
     warnings: tuple[str, ...]
+    kind: str = "clip"
 
     def to_json(self) -> dict[str, Any]:
         """The clip as a plain dictionary."""
@@ -248,6 +191,7 @@ class ClipInfo:
             "height": self.height,
             "joint_table": self.joint_table,
             "warnings": list(self.warnings),
+            "kind": self.kind,
         }
 
 
@@ -257,15 +201,17 @@ class LibraryStats:
 
     Parameters
     ----------
-    n_clips : clips.
+    n_clips : clips, takes left out.
     n_frames : poses of all clips.
     seconds : duration of all clips.
+    n_takes, take_seconds : uncut recordings, and their duration.
     n_unlabelled : clips without a category.
     categories : number of clips of each category.
-    performers : number of clips of each performer.
+    performers : number of clips and takes of each performer.
     trained_at : when the forest was trained (ISO 8601, UTC), None if there is none.
     n_trained : clips the forest was trained on.
-    parameters : of the forest.
+    n_learned : clips that its leaves learned later.
+    parameters : of the forest, with the name of the features it was trained on.
     forest_is_current : false if clips or labels changed after the training, or there is no forest.
     revision : counts the writes.
     """
@@ -273,11 +219,14 @@ class LibraryStats:
     n_clips: int
     n_frames: int
     seconds: float
+    n_takes: int
+    take_seconds: float
     n_unlabelled: int
     categories: dict[str, int]
     performers: dict[str, int]
     trained_at: str | None
     n_trained: int
+    n_learned: int
     parameters: dict[str, Any]
     forest_is_current: bool
     revision: int
@@ -288,11 +237,14 @@ class LibraryStats:
             "n_clips": self.n_clips,
             "n_frames": self.n_frames,
             "seconds": self.seconds,
+            "n_takes": self.n_takes,
+            "take_seconds": self.take_seconds,
             "n_unlabelled": self.n_unlabelled,
             "categories": dict(self.categories),
             "performers": dict(self.performers),
             "trained_at": self.trained_at,
             "n_trained": self.n_trained,
+            "n_learned": self.n_learned,
             "parameters": dict(self.parameters),
             "forest_is_current": self.forest_is_current,
             "revision": self.revision,

@@ -1,7 +1,8 @@
 """The tables of a library, in SQLAlchemy Core and nothing that only one database knows.
 
 ``clips`` is small and holds what people ask for; the arrays of a clip stand in tables of their own, so that
-listing reads no array, training reads features only, and searching reads histograms only.
+listing reads no array, training reads features only, and searching reads leaves only. Histograms are not stored:
+they follow from the leaves and the forest, whose leaves learn from clips that are added.
 """
 
 from __future__ import annotations
@@ -10,18 +11,25 @@ import sqlalchemy as sa
 
 __all__ = [
     "APPLICATION_ID",
+    "CLIP",
+    "TAKE",
     "clip_features",
-    "clip_histograms",
+    "clip_leaves",
+    "clip_poses",
     "clip_trajectories",
     "clips",
     "forests",
     "library_state",
     "metadata",
     "migrations",
+    "take_windows",
 ]
 
 APPLICATION_ID = 0x444F5553
 """``DOUS``: marks an SQLite file as a library of ours."""
+
+CLIP, TAKE = "clip", "take"
+"""The kinds of motion in a library: one thing that is done, cut out; and an uncut recording."""
 
 metadata = sa.MetaData()
 
@@ -42,6 +50,8 @@ library_state = sa.Table(
     sa.Column("revision", sa.BigInteger, nullable=False),
     # Numbers of clips are given out by us: known before the insert, and never used twice.
     sa.Column("next_clip_id", sa.Integer, nullable=False),
+    # The write that last changed what a forest learns from: clips and their categories, not takes.
+    sa.Column("clips_revision", sa.BigInteger, nullable=False, server_default="0"),
 )
 
 clips = sa.Table(
@@ -65,6 +75,7 @@ clips = sa.Table(
     sa.Column("joint_table", sa.Text, nullable=False),
     sa.Column("warnings", sa.JSON, nullable=False),
     sa.Column("added_at", sa.Text, nullable=False),
+    sa.Column("kind", sa.Text, nullable=False, server_default=CLIP),
 )
 
 
@@ -85,19 +96,37 @@ clip_features = sa.Table(
     "clip_features",
     metadata,
     _clip_id(),
-    # float64, little endian, (10, 56): not float32, so that a query file meets its own clip at distance 0
+    # Name in ``FEATURE_SETS``; empty where an older dousa computed them: they are computed anew when needed.
+    sa.Column("feature_set", sa.Text, nullable=False, server_default=""),
+    # float64, little endian, (frames, columns) of the set: not float32, so that a query file meets its own clip
     sa.Column("pose_features", sa.LargeBinary, nullable=False),
 )
 
-clip_histograms = sa.Table(
-    "clip_histograms",
+clip_poses = sa.Table(
+    "clip_poses",
+    metadata,
+    _clip_id(),
+    # float32, little endian, ``compute_pose_sequence``: what clips are aligned by when they are ranked
+    sa.Column("poses", sa.LargeBinary, nullable=False),
+)
+
+clip_leaves = sa.Table(
+    "clip_leaves",
     metadata,
     _clip_id(),
     sa.Column("predicted_category", sa.Text, nullable=False),
-    # int32, little endian, (n_categories,) in the order of the forest's categories: trees that name each
-    sa.Column("votes", sa.LargeBinary, nullable=False),
     # int32, little endian, (n_trees,): the leaf that the clip reaches in each tree
     sa.Column("leaves", sa.LargeBinary, nullable=False),
+)
+
+take_windows = sa.Table(
+    "take_windows",
+    metadata,
+    _clip_id(),
+    # ``forests.learned`` of the forest that described them: of another one they are described anew
+    sa.Column("learned", sa.BigInteger, nullable=False),
+    # ``TakeWindows.to_bytes``: leaves and poses of every window of a take
+    sa.Column("data", sa.LargeBinary, nullable=False),
 )
 
 forests = sa.Table(
@@ -106,9 +135,19 @@ forests = sa.Table(
     sa.Column("id", sa.Integer, primary_key=True, autoincrement=False),
     # Of the library at the end of the training: tells forests apart, and whether clips changed since.
     sa.Column("revision", sa.BigInteger, nullable=False),
+    # Of the library when the leaves last learned: by the training, or from clips that were added later.
+    sa.Column("learned", sa.BigInteger, nullable=False, server_default="0"),
     sa.Column("trained_at", sa.Text, nullable=False),
     sa.Column("categories", sa.JSON, nullable=False),
     sa.Column("parameters", sa.JSON, nullable=False),
     sa.Column("n_clips", sa.Integer, nullable=False),
+    # Frames of the windows that takes are cut into; None in a library that an older dousa trained.
+    sa.Column("window_lengths", sa.JSON(none_as_null=True)),
+    # Clips that the leaves learned after the training.
+    sa.Column("n_learned", sa.Integer, nullable=False, server_default="0"),
     sa.Column("data", sa.LargeBinary, nullable=False),
+    # ``Calibration.to_bytes``: when is a motion unknown? None where there were too few categories to learn that.
+    sa.Column("calibration", sa.LargeBinary),
+    # ``TakeLabeller.to_bytes``: learned when a take is first labelled
+    sa.Column("labeller", sa.LargeBinary),
 )

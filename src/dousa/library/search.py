@@ -1,57 +1,49 @@
-"""Ranking the clips of a library by the likeness of their histograms.
+"""Ranking the clips of a library by their likeness to a motion, and to its mirror image.
 
-The distance is eq. 8 of Hamada, Kuriyama, Mukai: Euclidean, between the histograms of votes, ascending (the
-paper calls it a similarity and sorts the other way). It is computed from whole numbers of votes, so that
-equal distances are equal to the last bit.
-
-Clips that the forest learned from have nearly all votes in one category, so most clips of a category are at
-one distance; the paper leaves their order open. Among them the proximity of Breiman and Cutler's random forests
-decides: the share of trees in which query and clip end in the same leaf, the largest first. Where categories are
-easily told apart, that share is often 1; then the Euclidean distance of the 10 x 56 pose features decides. The
-path comes last, so that the order never depends on when a clip was added.
+What clips are ordered by is told in ``dousa.retrieval.ranking``; here is what the library keeps in memory for it, and
+how two orders become one. The path decides last, so that the order never depends on when a clip was added.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from operator import itemgetter
-from typing import TYPE_CHECKING
 
 import numpy as np
 import sqlalchemy as sa
 from numpy.typing import NDArray
 
-from dousa.errors import LibraryDamagedError
 from dousa.library import schema
 from dousa.library._arrays import stack
-from dousa.library._forests import TreeAnswers
-from dousa.library.reports import Hit, SearchResult
-from dousa.library.selection import portions
-from dousa.retrieval.ranking import rank_by_histogram
+from dousa.library._forests import StoredForest, TreeAnswers, count_votes
+from dousa.library.answers import Hit
+from dousa.motion._types import FloatArray
+from dousa.retrieval.ranking import RankedClips, RankingQuery, rank_clips
 
-if TYPE_CHECKING:
-    from dousa.motion._types import FloatArray
+__all__ = ["Asked", "PoseReader", "SearchIndex", "load_index", "search_index"]
 
-__all__ = ["Asked", "FeatureReader", "SearchIndex", "load_index", "order_histogram", "rank_clips"]
+PoseReader = Callable[[Sequence[int]], NDArray[np.float32]]
+"""Gives (n, cells, columns), the pose sequences of clips of these numbers."""
 
-FeatureReader = Callable[[Sequence[int]], "FloatArray"]
+_CLEARLY = 0.95  # of the distance: a mirror image must be nearer than that, as many motions are their own
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Asked:
-    """A query.
+    """A motion that is searched for.
 
     Parameters
     ----------
-    name : for the answer.
-    answers : what the trees say of it.
-    features : (10, 56) its pose features.
+    answers, features : what the trees say of it, and what they say it of; one row each.
+    poses : its pose sequence.
+    mirrored : whether it is the mirror image of the query.
     """
 
-    name: str
     answers: TreeAnswers
     features: FloatArray
+    poses: NDArray[np.float32]
+    mirrored: bool = False
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -80,36 +72,26 @@ class SearchIndex:
         return self.answers[row : row + 1]
 
 
-def load_index(
-    connection: sa.Connection, revision: int, categories: tuple[str, ...], n_trees: int
-) -> SearchIndex:
+def load_index(connection: sa.Connection, revision: int, stored: StoredForest) -> SearchIndex:
     """Read what the trees say of all clips.
 
     Parameters
     ----------
     connection : in a transaction.
     revision : of the library in this transaction.
-    categories, n_trees : of its forest.
+    stored : its forest.
 
     Raises
     ------
-    LibraryDamagedError : votes that are not as many as the trees, arrays of another length.
+    LibraryDamagedError : leaves that are not as many as the trees, or that the forest does not have.
     """
-    clips, table = schema.clips.c, schema.clip_histograms.c
-    query = sa.select(
-        clips.id, clips.path, clips.category, table.predicted_category, table.votes, table.leaves
-    )
-    query = query.join(schema.clip_histograms, table.clip_id == clips.id)
+    clips, table = schema.clips.c, schema.clip_leaves.c
+    query = sa.select(clips.id, clips.path, clips.category, table.predicted_category, table.leaves)
+    query = query.join(schema.clip_leaves, table.clip_id == clips.id)
     # Sorted here: databases differ in how they order text.
     rows = sorted(connection.execute(query).all(), key=itemgetter(1))
-    ids, paths, given, predicted, votes, leaves = zip(*rows, strict=True) if rows else ((),) * 6
-    answers = TreeAnswers(
-        stack(votes, "<i4", (len(categories),), "histograms"),
-        stack(leaves, "<i4", (n_trees,), "leaves"),
-        categories,
-    )
-    if (answers.votes < 0).any() or (answers.votes.sum(axis=1) != n_trees).any():
-        raise LibraryDamagedError(f"expected histograms of {n_trees} votes, got others; run: dousa train")
+    ids, paths, given, predicted, leaves = zip(*rows, strict=True) if rows else ((),) * 5
+    answers = count_votes(stored, stack(leaves, "<i4", (len(stored.forest.trees_.roots),), "leaves"))
     return SearchIndex(
         revision=revision,
         ids=ids,
@@ -120,66 +102,84 @@ def load_index(
     )
 
 
-def order_histogram(categories: Sequence[str], shares: FloatArray) -> dict[str, float]:
-    """Share of each category, the largest first, then by name."""
-    order = np.argsort(-shares, kind="stable")
-    return {categories[index]: float(shares[index]) for index in order}
-
-
-def rank_clips(
-    index: SearchIndex, asked: Asked, k: int, same_category: bool, read_features: FeatureReader
-) -> SearchResult:
-    """The k clips that are most like a query.
+def search_index(
+    index: SearchIndex,
+    asked: Sequence[Asked],
+    k: int,
+    by: str,
+    category: str | None,
+    read_poses: PoseReader,
+) -> tuple[Hit, ...]:
+    """The k clips that are most like a motion, or like its mirror image.
 
     Parameters
     ----------
     index : the clips.
-    asked : the query.
+    asked : the motion, and its mirror image if that is searched for too.
     k : how many.
-    same_category : whether only clips of the query's category are looked at, as in the paper.
-    read_features : reads (N, 10, 56) of a portion of clips by their numbers; asked only for clips that nothing
-        else orders.
+    by : one of ``dousa.retrieval.ranking.RANKINGS``.
+    category : only clips of this category; of all if None.
+    read_poses : asked once for each motion.
+
+    Raises
+    ------
+    OptionError : an unknown ranking.
     """
-    category = asked.answers.predicted()[0]
-    n_trees = asked.answers.leaves.shape[1]
-    distances = rank_by_histogram(asked.answers.votes[0], index.answers.votes)[1] / n_trees
-    rows = np.arange(len(index.ids))
-    if same_category:
-        rows = np.flatnonzero(np.array(index.labels, dtype=object) == category)
-    if k < len(rows):
-        # The leaves are asked only where they can decide: up to the k-th distance, equals included.
-        rows = rows[distances[rows] <= np.partition(distances[rows], k - 1)[k - 1]]
-    common = np.count_nonzero(index.answers.leaves[rows] == asked.answers.leaves[0], axis=1)
-    keys = np.stack([distances[rows], -common / n_trees], axis=1)
-    best = _order(
-        keys, k, lambda tied: _compare(asked, [index.ids[row] for row in rows[tied]], read_features)
+    places = None
+    if category is not None:
+        places = np.flatnonzero(np.array(index.labels, dtype=object) == category)
+    first = [_rank(index, one, k, by, places, read_poses) for one in asked]
+    if len(first) == 1:
+        return tuple(_number(first[0]))
+    best: dict[int, Hit] = {}
+    for hit in sorted((hit for hits in first for hit in hits), key=_mirrored_last):
+        best.setdefault(hit.clip_id, hit)
+    return tuple(_number(list(best.values())[:k]))
+
+
+def _rank(
+    index: SearchIndex, asked: Asked, k: int, by: str, places: NDArray[np.intp] | None, read_poses: PoseReader
+) -> list[Hit]:
+    """The first k clips for one motion, among those at some places of the index."""
+    votes, leaves = index.answers.votes, index.answers.leaves
+    rows = np.arange(len(index.ids)) if places is None else places
+    clips = RankedClips(
+        votes if places is None else votes[places],
+        leaves if places is None else leaves[places],
+        lambda chosen: read_poses([index.ids[row] for row in rows[chosen]]),
     )
-    hits = tuple(
-        Hit(index.paths[row], index.labels[row], float(distance), rank, index.ids[row], 0.0 - float(share))
-        for rank, (row, (distance, share)) in enumerate(zip(rows[best], keys[best], strict=True), start=1)
+    ranking = rank_clips(
+        by, RankingQuery(asked.answers.votes[0], asked.answers.leaves[0], asked.poses), clips
     )
-    histogram = order_histogram(asked.answers.categories, asked.answers.shares()[0])
-    return SearchResult(asked.name, category, histogram, hits)
+    hits = []
+    for place in ranking.order[:k]:
+        row = int(rows[place])
+        hits.append(
+            Hit(
+                path=index.paths[row],
+                category=index.labels[row],
+                distance=float(ranking.histogram[place]),
+                rank=0,
+                clip_id=index.ids[row],
+                leaf_share=1.0 - float(ranking.leaves[place]),
+                pose_distance=_number_or_none(ranking.pose[place]),
+                rank_distance=_number_or_none(ranking.distances[place]),
+                mirrored=asked.mirrored,
+            )
+        )
+    return hits
 
 
-def _order(keys: FloatArray, k: int, compare: Callable[[NDArray[np.intp]], FloatArray]) -> NDArray[np.intp]:
-    """The first k rows of ``keys`` (N, 2) in ascending order; ``compare`` orders rows of equal keys."""
-    order = np.lexsort((keys[:, 1], keys[:, 0]))
-    if not len(order):
-        return order
-    changes = (keys[order[1:]] != keys[order[:-1]]).any(axis=1)
-    group = np.append(0, np.cumsum(changes))
-    tied = (np.bincount(group)[group] > 1) & (group <= group[min(k, len(order)) - 1])
-    last = np.zeros(len(order))
-    if tied.any():
-        last[tied] = compare(order[tied])
-    return order[np.lexsort((order, last, group))][:k]
+def _number_or_none(value: np.float64) -> float | None:
+    return None if np.isnan(value) else float(value)
 
 
-def _compare(asked: Asked, ids: Sequence[int], read_features: FeatureReader) -> FloatArray:
-    """(N,) distance of the pose features of clips from those of the query."""
-    distances = []
-    for some in portions(ids):
-        apart = (read_features(some) - asked.features).reshape(len(some), -1)
-        distances.append(np.sqrt(np.einsum("nf,nf->n", apart, apart)))
-    return np.concatenate(distances)
+def _mirrored_last(hit: Hit) -> tuple[bool, float]:
+    """By the distance, where mirrored clips must be clearly nearer; clips whose poses were not compared come last."""
+    far = hit.rank_distance is None
+    distance = hit.distance if hit.rank_distance is None else hit.rank_distance
+    return far, distance / _CLEARLY if hit.mirrored else distance
+
+
+def _number(hits: Sequence[Hit]) -> list[Hit]:
+    return [replace(hit, rank=rank) for rank, hit in enumerate(hits, start=1)]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import enum
 import os
 from collections.abc import Iterable, Sequence
-from typing import Any
+from typing import Any, TypeVar
 
 import sqlalchemy as sa
 
@@ -15,6 +15,8 @@ from dousa.library import schema
 __all__ = ["UNCHANGED", "Selection", "Unchanged", "portions", "select_ids"]
 
 _VALUES_AT_ONCE = 500  # databases limit the number of values in one query
+
+Item = TypeVar("Item")
 
 Selection = int | str | os.PathLike[str] | Iterable[int | str | os.PathLike[str]]
 """One clip or several: numbers, paths of files, or folders, which stand for all clips below them."""
@@ -90,6 +92,6 @@ def _matching(rows: Sequence[Any], item: int | str | os.PathLike[str], where: st
     return found
 
 
-def portions(ids: Sequence[int]) -> Iterable[Sequence[int]]:
-    """Numbers in lists short enough for one query."""
+def portions(ids: Sequence[Item]) -> Iterable[Sequence[Item]]:
+    """Numbers, or what goes with them, in lists short enough for one query."""
     return (ids[start : start + _VALUES_AT_ONCE] for start in range(0, len(ids), _VALUES_AT_ONCE))

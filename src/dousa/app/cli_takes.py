@@ -1,0 +1,200 @@
+"""Commands about uncut recordings: find, label."""
+
+from __future__ import annotations
+
+import io
+import json as json_module
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from dousa.app import _options as o
+from dousa.app._libraries import Mirror, Query, clip_or_path, open_library, open_to_read
+from dousa.app._output import console, print_json, progress_bar, warn
+from dousa.errors import OptionError
+
+if TYPE_CHECKING:
+    from dousa.library import LabelledTake, Library
+    from dousa.retrieval.streaming import LiveAnswer
+
+__all__ = ["register"]
+
+_STANDARD_INPUT = "-"
+
+
+def register(app: typer.Typer) -> None:
+    """Hang this module's commands on the application."""
+    for command in (find, label):
+        app.command(rich_help_panel="Library")(command)
+
+
+def find(
+    library: o.LibraryPath,
+    query: Query,
+    takes: Annotated[
+        list[str] | None,
+        typer.Argument(
+            metavar="[TAKE...]",
+            help="Recordings to look into: files, folders or numbers.",
+            show_default="all takes of the library",
+        ),
+    ] = None,
+    k: Annotated[int, typer.Option("-k", min=1, help="How many places.")] = 10,
+    mirror: Mirror = False,
+    unit: o.Unit = None,
+    up: o.Up = None,
+    skeleton: o.SkeletonFile = None,
+    joint_map: o.JointMap = None,
+    jobs: o.Jobs = None,
+    json: o.Json = False,
+) -> None:
+    """Find where in uncut recordings something like a motion happens, at half to twice its tempo.
+
+    The score is about the probability that a person would call both the same.
+
+    Example: dousa find moves.dousa kick.bvh
+    """
+    with open_to_read(library) as opened:
+        answer = opened.find(
+            clip_or_path(query),
+            None if not takes else [clip_or_path(take) for take in takes],
+            k,
+            mirror=mirror,
+            joint_map=o.load_joint_map(joint_map),
+            unit=unit,
+            up=up,
+            skeleton=skeleton,
+            n_jobs=jobs,
+        )
+    if json:
+        print_json(answer.to_json())
+    else:
+        from dousa.app import _take_tables
+
+        _take_tables.print_places(console(), answer, mirrored=mirror)
+    for item in answer.skipped:
+        warn(f"left out {item.path}: {item.reason}")
+    if answer.skipped and not answer.n_takes:
+        raise typer.Exit(2)
+
+
+def label(
+    library: o.LibraryPath,
+    take: Annotated[
+        str,
+        typer.Argument(
+            metavar="TAKE",
+            help="A recording: a file, the number of a take, or - for frames as JSON lines on standard input.",
+        ),
+    ],
+    threshold: Annotated[
+        float | None,
+        typer.Option(
+            "--threshold", min=0, max=1, help="Say a category if it is that sure.", show_default="learned"
+        ),
+    ] = None,
+    csv: Annotated[Path | None, typer.Option("--csv", help="Write the timeline as a table.")] = None,
+    picture: Annotated[
+        Path | None, typer.Option("--picture", help="Draw the timeline: .png, .svg or .pdf.")
+    ] = None,
+    height: Annotated[
+        float | None,
+        typer.Option(
+            "--height",
+            min=0.1,
+            max=10,
+            help="Of the performer in m; only with -.",
+            show_default="estimated from the first second",
+        ),
+    ] = None,
+    unit: o.Unit = None,
+    up: o.Up = None,
+    skeleton: o.SkeletonFile = None,
+    joint_map: o.JointMap = None,
+    jobs: o.Jobs = None,
+    json: o.Json = False,
+) -> None:
+    """Say what happens in an uncut recording from beginning to end, and what is unknown.
+
+    With - frames come as JSON lines, {"time": s, "joints": {"left_hand": [x, y, z], ...}} in m with Y up, and answers
+    go as JSON lines, some eight a second. The first time after dousa train, what takes are labelled with is learned.
+
+    Example: dousa label moves.dousa recordings/session.bvh --picture session.png
+    """
+    reading = {"joint_map": o.load_joint_map(joint_map), "unit": unit, "up": up, "skeleton": skeleton}
+    if take == _STANDARD_INPUT:
+        if csv or picture or any(value is not None for value in reading.values()):
+            raise OptionError(
+                "frames on standard input are in m with Y up and are answered as JSON lines only"
+            )
+        with open_library(library) as opened:
+            _label_live(opened, height, threshold, jobs)
+        return
+    if height is not None:
+        raise OptionError("--height is for frames on standard input; a recording tells the height itself")
+    with open_library(library) as opened:
+        with progress_bar() as progress:
+            answer = opened.label(
+                clip_or_path(take), threshold=threshold, **reading, n_jobs=jobs, progress=progress
+            )
+        if json:
+            print_json(answer.to_json())
+        else:
+            from dousa.app import _take_tables
+
+            _take_tables.print_timeline(console(), answer)
+        # Last, so that an answer is not lost where a file cannot be written.
+        if csv:
+            from dousa.retrieval.labelling import write_timeline_csv
+
+            write_timeline_csv(answer.timeline, csv)
+        if picture:
+            _draw(opened, answer, picture, reading)
+
+
+def _draw(library: Library, answer: LabelledTake, picture: Path, reading: dict[str, Any]) -> None:
+    """The picture of a timeline, with the poses of the take."""
+    from dousa.app.timeline_picture import draw_timeline
+    from dousa.library import ReadOptions
+    from dousa.library.ingest import read_canonical
+
+    if answer.clip_id is not None:
+        motion = library.trajectories(answer.clip_id)
+    else:
+        motion = read_canonical(answer.take, ReadOptions(**reading))[0].to_trajectories()
+    draw_timeline(answer.to_json(), picture, motion)
+
+
+def _label_live(library: Library, height: float | None, threshold: float | None, jobs: int | None) -> None:
+    """Answer frames on standard input as they come, a line of JSON each time there is something to say."""
+    from dousa.retrieval.live_frames import LiveFrameParser, read_live_frames
+
+    # Before the first frame: what takes are labelled with may still have to be learned.
+    labeller = library.live(height=height, threshold=threshold, n_jobs=jobs)
+    parser = LiveFrameParser()
+    for frame in read_live_frames(_read_lines(), parser):
+        if labeller.height is None:
+            labeller.height = parser.height
+        answer = labeller.push(frame.positions, frame.time)
+        if answer is not None:
+            _say(answer)
+    last = labeller.finish()
+    if last is None:
+        warn("no frames came on standard input")
+    else:
+        _say(last)
+
+
+def _read_lines() -> Iterator[str]:
+    """The lines of standard input as they come; none where it is closed."""
+    if isinstance(sys.stdin, io.TextIOWrapper):
+        sys.stdin.reconfigure(encoding="utf-8", errors="backslashreplace")
+    yield from sys.stdin or ()
+
+
+def _say(answer: LiveAnswer) -> None:
+    sys.stdout.write(json_module.dumps(answer.to_json(), ensure_ascii=False, allow_nan=False) + "\n")
+    sys.stdout.flush()

@@ -1,0 +1,300 @@
+"""The commands about uncut recordings, unknown motions, orders, reasons and mirror images."""
+
+from __future__ import annotations
+
+import io
+import json
+import shutil
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from dousa.app._options import FeatureSetName
+from dousa.app.cli_library import RankingName
+from dousa.formats import read_motion, write_motion
+from dousa.library import Library
+from dousa.motion import CANONICAL_JOINTS, Trajectories, canonicalise, compute_trajectories
+from dousa.motion.synthetic import draw_performer, make_motion
+from dousa.retrieval import DEFAULT_FEATURE_SET, FEATURE_SETS
+from dousa.retrieval.ranking import DEFAULT_RANKING, RANKINGS
+
+KNOWN = ("walk", "squat", "clap", "jump", "kick_left")
+
+
+def write(folder: Path, category: str, number: int) -> Path:
+    path = folder / category / f"p{number}.bvh"
+    path.parent.mkdir(parents=True, exist_ok=True)
+    write_motion(make_motion(category, draw_performer(number), seed=number), path)
+    return path
+
+
+@pytest.fixture(scope="session")
+def recordings(tmp_path_factory) -> Path:
+    """``clips`` of five categories by four performers, and ``take.trc``: a squat and a jump by a fifth."""
+    root = tmp_path_factory.mktemp("recordings")
+    for category in KNOWN:
+        for number in range(4):
+            write(root / "clips", category, number)
+    parts = [
+        canonicalise(compute_trajectories(make_motion(category, draw_performer(7), seed=7))).positions
+        for category in ("squat", "jump")
+    ]
+    write_motion(Trajectories(CANONICAL_JOINTS, np.concatenate(parts), 30.0), root / "take.trc")
+    return root
+
+
+@pytest.fixture(scope="session")
+def trained(recordings, tmp_path_factory) -> Path:
+    path = tmp_path_factory.mktemp("trained") / "moves.dousa"
+    with Library.open(path, create=True) as library:
+        library.add(recordings / "clips", performer_from=r"name:(p\d)")
+        library.train(n_trees=40)
+        library.add(recordings / "take.trc", kind="take")
+    return path
+
+
+@pytest.fixture
+def library(trained, tmp_path) -> Path:
+    return Path(shutil.copy(trained, tmp_path / "moves.dousa"))
+
+
+def test_the_choices_of_the_commands_are_those_of_the_package():
+    assert [name.value for name in FeatureSetName] == list(FEATURE_SETS)
+    assert sorted(name.value for name in RankingName) == sorted(RANKINGS)
+    assert RankingName.FUSED.value == DEFAULT_RANKING
+    assert DEFAULT_FEATURE_SET == "extended"  # so says dousa train --help
+
+
+def test_takes_are_added_and_listed(dousa, recordings, tmp_path):
+    library = tmp_path / "new.dousa"
+    assert dousa("add", library, recordings / "take.trc", "--takes")[0] == 0
+    code, _, err = dousa("add", library, recordings / "take.trc")
+    assert code == 0 and "1 files stay what they are" in err and "dousa remove" in err
+    code, out, _ = dousa("list", library)
+    assert code == 0 and "0 clips, 0.0 minutes, 1 take, 0.1 minutes" in out
+    code, out, _ = dousa("list", library, "--clips")
+    assert code == 0 and "take" in out
+    assert [clip["kind"] for clip in json.loads(dousa("list", library, "--json")[1])["clips"]] == ["take"]
+
+
+def test_train_says_what_will_be_unknown(dousa, library):
+    code, out, _ = dousa("train", library, "--trees", 20)
+    assert code == 0 and "are called unknown, of others" in out
+    code, out, _ = dousa("train", library, "--trees", 20, "--features", "paper", "--json")
+    answer = json.loads(out)
+    assert (answer["feature_set"], answer["n_clips"]) == ("paper", 20)
+    assert 0.5 <= answer["calibration"]["auroc"] <= 1
+    assert "features 'paper'" in dousa("list", library)[1]
+
+
+def test_add_says_what_the_forest_learned(dousa, library, tmp_path):
+    for number in range(3):
+        write(tmp_path / "new", "bow", number)
+    code, out, _ = dousa("add", library, tmp_path / "new")
+    assert code == 0
+    assert "the forest learned 3 clips and 1 new category; dousa train makes a new one" in out
+    assert "learned 3 clips since" in dousa("list", library)[1]
+    answer = json.loads(dousa("add", library, write(tmp_path / "more", "bow", 5).parents[1], "--json")[1])
+    assert (answer["n_learned"], answer["new_categories"]) == (1, [])
+
+
+def test_unknown_motions(dousa, library, tmp_path):
+    stranger, friend = write(tmp_path, "bow", 9), write(tmp_path, "squat", 9)
+    code, out, _ = dousa("classify", library, stranger, friend)
+    assert code == 0
+    first, second = out.splitlines()
+    assert f"{stranger}: unknown (most like " in first and "likely to be known" in first
+    assert second.startswith(f"{friend}: squat (squat ")
+    answer = json.loads(dousa("search", library, stranger, "--json")[1])
+    assert answer["category"] is None and answer["guess"] in KNOWN and answer["known"] < 0.5
+    answer = json.loads(dousa("search", library, stranger, "--json", "--threshold", 0)[1])
+    assert answer["category"] == answer["guess"]
+    code, out, _ = dousa("search", library, stranger, "-k", 2, "--picture", tmp_path / "a.png")
+    assert code == 0 and "unknown (most like" in out
+    assert (tmp_path / "a.png").read_bytes().startswith(b"\x89PNG")
+
+
+@pytest.mark.parametrize("rank", RANKINGS)
+def test_ranks(dousa, library, tmp_path, rank):
+    answer = json.loads(dousa("search", library, write(tmp_path, "squat", 9), "--rank", rank, "--json")[1])
+    assert answer["ranking"] == rank
+    assert [hit["category"] for hit in answer["results"][:3]] == ["squat"] * 3
+
+
+def test_reasons(dousa, library, tmp_path):
+    query = write(tmp_path, "squat", 9)
+    for words in (("search", library, query, "-k", 2), ("classify", library, query)):
+        code, out, _ = dousa(*words, "--explain")
+        assert code == 0 and " from " in out and " s: " in out
+        answer = json.loads(dousa(*words, "--explain", "--json")[1])
+        told = answer if words[0] == "search" else answer[0]
+        assert all(
+            reason["vote_without"] < reason["vote_before"] for reason in told["explanation"]["reasons"]
+        )
+
+
+def test_the_other_side(dousa, library, tmp_path):
+    kick = write(tmp_path, "kick_right", 9)
+    code, out, _ = dousa("search", library, kick, "-k", 3, "--mirror")
+    assert code == 0
+    assert "mirrored: kick_left" in out and "which fits better" in out
+    assert out.count("mirrored") == 4
+    (answer,) = json.loads(dousa("classify", library, kick, "--mirror", "--json")[1])
+    assert answer["mirrored"]["category"] == "kick_left" and answer["mirrored"]["fits_better"]
+    code, out, _ = dousa("find", library, kick, recordings_of(library), "--mirror")
+    assert code == 0
+
+
+def recordings_of(library: Path) -> str:
+    with Library.open(library) as opened:
+        return next(clip.path for clip in opened.clips() if clip.kind == "take")
+
+
+def test_find(dousa, library, recordings, tmp_path):
+    query = write(tmp_path, "squat", 9)
+    code, out, _ = dousa("find", library, query, "-k", 2)
+    assert code == 0
+    assert "in 1 take, 0.1 minutes:" in out and str(recordings / "take.trc") in out
+    answer = json.loads(dousa("find", library, query, "-k", 2, "--json")[1])
+    assert {"query", "results", "skipped", "n_takes"} <= set(answer)
+    best = answer["results"][0]
+    assert {"take", "start_s", "end_s", "score", "rank", "mirrored", "tempo"} <= set(best)
+    squat = make_motion("squat", draw_performer(7), seed=7).duration
+    assert best["start_s"] < squat / 2 and best["end_s"] < squat + 1
+    given = json.loads(dousa("find", library, query, recordings / "take.trc", "-k", 2, "--json")[1])
+    assert given["results"] == answer["results"]
+
+
+def test_find_goes_on_after_a_bad_file(dousa, library, recordings, tmp_path):
+    bad = tmp_path / "bad.bvh"
+    bad.write_text("")
+    code, out, err = dousa("find", library, 1, recordings / "take.trc", bad)
+    assert code == 0 and "take.trc" in out
+    assert f"left out {bad}" in err
+    code, _, err = dousa("find", library, 1, bad, "--json")
+    assert code == 2 and f"left out {bad}" in err
+
+
+def test_label_with_table_and_picture(dousa, library, recordings, tmp_path):
+    table, picture = tmp_path / "t.csv", tmp_path / "t.png"
+    take = recordings / "take.trc"
+    code, out, _ = dousa("label", library, take, "--csv", table, "--picture", picture)
+    assert code == 0 and "start" in out and "sure" in out
+    lines = table.read_text().splitlines()
+    assert lines[0] == "start_s,end_s,category,confidence"
+    assert picture.read_bytes().startswith(b"\x89PNG")
+    answer = json.loads(dousa("label", library, take, "--json")[1])
+    assert len(answer["segments"]) == len(lines) - 1
+    assert {"start_s", "end_s", "category", "confidence", "unknown"} <= set(answer["segments"][0])
+    assert answer["take"] == str(take)
+    copy = shutil.copy(take, tmp_path / "copy.trc")
+    again = json.loads(dousa("label", library, copy, "--json", "--picture", tmp_path / "c.svg")[1])
+    assert [one["category"] for one in again["segments"]] == [one["category"] for one in answer["segments"]]
+    assert all(
+        one["unknown"]
+        for one in json.loads(dousa("label", library, take, "--threshold", 1, "--json")[1])["segments"]
+    )
+
+
+def frames(recordings: Path) -> str:
+    motion = read_motion(recordings / "take.trc")
+    lines = [json.dumps({"height": 1.7, "frame_rate": motion.frame_rate})]
+    return "\n".join([*lines, *(json.dumps({"positions": pose.tolist()}) for pose in motion.positions), ""])
+
+
+def pipe(monkeypatch, text: str | bytes) -> None:
+    data = text if isinstance(text, bytes) else text.encode()
+    monkeypatch.setattr(sys, "stdin", io.TextIOWrapper(io.BytesIO(data)))
+
+
+def test_live_frames_are_answered_line_by_line(dousa, library, recordings, monkeypatch):
+    pipe(monkeypatch, frames(recordings))
+    code, out, _ = dousa("label", library, "-")
+    assert code == 0
+    answers = [json.loads(line) for line in out.splitlines()]
+    times = [answer["time_s"] for answer in answers]
+    assert times == sorted(times)
+    assert max(np.diff(times[:-1])) < 0.2
+    settled = [segment for answer in answers for segment in answer["settled"]]
+    assert settled[0]["start_s"] == 0
+    assert settled[-1]["end_s"] == pytest.approx(times[-1])
+    assert {segment["category"] for segment in settled} & set(KNOWN)
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        ("nonsense\n", "line 1: expected one JSON object"),
+        (b"\xff\xfe\n", "line 1: expected one JSON object"),
+        ('{"positions": [[0, 0, 0]], "time": 0}\n', "line 1: expected 'positions' of 20 joints, got 1"),
+        ('{"joints": {"tail": [0, 0, 0]}, "time": 0}\n', "line 1: no joint 'tail'"),
+    ],
+)
+def test_bad_frames_are_told_with_their_line(dousa, library, monkeypatch, text, says):
+    pipe(monkeypatch, text)
+    code, _, err = dousa("label", library, "-")
+    assert code == 2
+    assert says in err and len(err.splitlines()) == 1
+
+
+def test_no_frames_are_no_error(dousa, library, monkeypatch):
+    for nothing in (io.TextIOWrapper(io.BytesIO(b"")), None):
+        monkeypatch.setattr(sys, "stdin", nothing)
+        code, out, err = dousa("label", library, "-")
+        assert (code, out) == (0, "") and "no frames" in err
+
+
+@pytest.mark.parametrize(
+    ("words", "says"),
+    [
+        (("find", "{lib}", "{tmp}/none.bvh"), "no such file"),
+        (("find", "{lib}", "999"), "no clip or take 999"),
+        (("find", "{lib}", "1", "999"), "no clip or take 999"),
+        (("find", "{tmp}/none.dousa", "1"), "no library at"),
+        (("find", "{lib}", "1", "-k", "0"), "-k"),
+        (("label", "{lib}", "{tmp}/none.bvh"), "no such file"),
+        (("label", "{lib}", "999"), "no clip or take 999"),
+        (("label", "{lib}", "{clips}"), "expected one take, found 20 files"),
+        (("label", "{lib}", "{take}", "--threshold", "2"), "--threshold"),
+        (("label", "{lib}", "{take}", "--height", "1.7"), "--height is for frames"),
+        (("label", "{lib}", "{take}", "--picture", "{tmp}/a.xyz"), ".png"),
+        (("label", "{lib}", "{take}", "--csv", "{tmp}/no/a.csv"), "cannot write"),
+        (("label", "{lib}", "-", "--csv", "{tmp}/a.csv"), "JSON lines only"),
+        (("search", "{lib}", "1", "--rank", "best"), "--rank"),
+        (("search", "{lib}", "{take_number}"), "dousa find"),
+        (("train", "{lib}", "--features", "all"), "--features"),
+        (("add", "{lib}", "{take}", "--takes", "--category-from", "name:(.)"), "takes have no category"),
+    ],
+)
+def test_bad_input_is_one_line_and_exit_code_2(dousa, library, recordings, tmp_path, words, says):
+    empty = tmp_path / "empty"
+    empty.mkdir()
+    with Library.open(library) as opened:
+        (number,) = (clip.id for clip in opened.clips() if clip.kind == "take")
+    places = {"tmp": empty, "lib": library, "take": recordings / "take.trc", "clips": recordings / "clips"}
+    code, out, err = dousa(*(word.format(**places, take_number=number) for word in words))
+    assert code == 2
+    assert says in err + out
+    assert "Traceback" not in err
+    assert list(empty.iterdir()) == []
+
+
+def test_a_library_without_a_forest_says_how_to_train(dousa, recordings, tmp_path):
+    library = tmp_path / "new.dousa"
+    dousa("add", library, recordings / "take.trc", "--takes")
+    for words in (("find", library, 1), ("label", library, 1), ("label", library, "-")):
+        code, _, err = dousa(*words)
+        assert code == 2 and "dousa train" in err
+
+
+def test_an_old_library_is_brought_up_to_date_and_searched(dousa, tmp_path):
+    import gzip
+
+    made = Path(__file__).parents[1] / "library" / "library_of_tables_1.dousa.gz"
+    path = tmp_path / "old.dousa"
+    path.write_bytes(gzip.decompress(made.read_bytes()))
+    code, out, _ = dousa("search", path, 1, "-k", 2)
+    assert code == 0 and "bow (bow 100%)" in out
+    assert "features 'paper'" in dousa("list", path)[1]

@@ -1,0 +1,252 @@
+"""Orders of clips, unknown motions, mirror images and reasons."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from dousa.errors import OptionError
+from dousa.formats import read_motion, write_motion
+from dousa.library import Library
+from dousa.library._forests import TreeAnswers
+from dousa.library.search import Asked, SearchIndex, search_index
+from dousa.motion import canonicalise, compute_trajectories
+from dousa.motion.mirroring import mirror_canonical
+from dousa.motion.synthetic import draw_performer, make_motion
+from dousa.retrieval.ranking import RANKINGS, RankedClips, RankingQuery, rank_clips
+
+
+def make_index(seed: int, n_clips: int = 60, n_trees: int = 6) -> tuple[SearchIndex, np.ndarray]:
+    """Few trees and leaves, so that there are equals of every kind; and poses."""
+    rng = np.random.default_rng(seed)
+    votes = rng.multinomial(n_trees, [0.8, 0.15, 0.05], n_clips).astype(np.int32)
+    leaves = rng.integers(0, 2, (n_clips, n_trees)).astype(np.int32)
+    index = SearchIndex(
+        revision=1,
+        ids=tuple(range(100, 100 + n_clips)),
+        paths=tuple(f"{row:03}" for row in range(n_clips)),
+        labels=("a", "b") * (n_clips // 2),
+        answers=TreeAnswers(votes, leaves, ("a", "b", "c")),
+        rows={100 + row: row for row in range(n_clips)},
+    )
+    return index, rng.normal(0, 0.05, (n_clips, 4, 3)).astype(np.float32)
+
+
+NO_FEATURES = np.zeros((1, 0, 0))
+
+
+def ask(index: SearchIndex, poses: np.ndarray, row: int, mirrored: bool = False) -> Asked:
+    return Asked(index.answers_of(100 + row), NO_FEATURES, poses[row], mirrored)
+
+
+@pytest.mark.parametrize("by", RANKINGS)
+def test_clips_come_in_the_order_of_the_ranking(by):
+    index, poses = make_index(3)
+    asked = ask(index, poses, 7)
+    query = RankingQuery(asked.answers.votes[0], asked.answers.leaves[0], asked.poses)
+    expected = rank_clips(
+        by, query, RankedClips(index.answers.votes, index.answers.leaves, poses.__getitem__)
+    ).order
+    read = []
+
+    def read_poses(ids):
+        read.append(list(ids))
+        return poses[[clip_id - 100 for clip_id in ids]]
+
+    for k in (1, 7, 60, 100):
+        hits = search_index(index, [asked], k, by, None, read_poses)
+        assert [hit.clip_id - 100 for hit in hits] == expected[:k].tolist()
+        assert [hit.rank for hit in hits] == list(range(1, min(k, 60) + 1))
+    shares = index.answers.shares()
+    for hit in hits:
+        row = hit.clip_id - 100
+        assert hit.distance == pytest.approx(np.linalg.norm(shares[row] - shares[7]), abs=1e-9)
+        assert hit.leaf_share == pytest.approx((index.answers.leaves[row] == index.answers.leaves[7]).mean())
+    assert bool(read) == (by in ("pose", "fused"))
+
+
+@pytest.mark.parametrize("by", RANKINGS)
+def test_of_one_category_come_the_first_of_that_category(by):
+    index, poses = make_index(4)
+    asked = ask(index, poses, 4)
+    hits = search_index(index, [asked], 60, by, "b", lambda ids: poses[[i - 100 for i in ids]])
+    assert len(hits) == 30 and {hit.category for hit in hits} == {"b"}
+    if by != "pose":  # which poses are compared depends on what there is to compare
+        everything = search_index(index, [asked], 60, by, None, lambda ids: poses[[i - 100 for i in ids]])
+        assert [hit.path for hit in hits] == [hit.path for hit in everything if hit.category == "b"]
+
+
+@pytest.mark.parametrize("by", RANKINGS)
+def test_a_motion_and_its_mirror_image_are_merged(by):
+    index, poses = make_index(5)
+    both = [ask(index, poses, 10), ask(index, poses, 20, mirrored=True)]
+    hits = search_index(index, both, 60, by, None, lambda ids: poses[[i - 100 for i in ids]])
+    assert sorted(hit.clip_id for hit in hits) == list(index.ids)
+    for one in both:
+        alone = search_index(index, [one], 60, by, None, lambda ids: poses[[i - 100 for i in ids]])
+        own = {hit.clip_id: hit.rank_distance for hit in alone}
+        assert all(hit.rank_distance == own[hit.clip_id] for hit in hits if hit.mirrored == one.mirrored)
+    zero = {hit.clip_id: hit.mirrored for hit in hits if hit.clip_id in (110, 120)}
+    assert zero == {110: False, 120: True} or by in ("histogram", "leaves")  # where others are as near
+
+
+def test_nothing_is_found_among_nothing():
+    index, poses = make_index(6, 0)
+    answers = TreeAnswers(np.array([[6, 0, 0]], np.int32), np.zeros((1, 6), np.int32), ("a", "b", "c"))
+    asked = Asked(answers, NO_FEATURES, poses[:0])
+    assert search_index(index, [asked], 3, "leaves", None, lambda ids: poses) == ()
+
+
+@pytest.mark.parametrize("ranking", RANKINGS)
+def test_a_library_is_searched_by_each(library, moves, ranking):
+    result = library.search(moves / "bow" / "bow_p1.bvh", 15, ranking=ranking)
+    assert result.ranking == ranking
+    assert len(result.results) == 15
+    assert {hit.category for hit in result.results[:5]} == {"bow"}
+    distances = [hit.rank_distance for hit in result.results]
+    assert distances == sorted(distances)
+
+
+def test_an_unknown_ranking_is_refused(library):
+    with pytest.raises(OptionError, match="expected fused, histogram, leaves, pose, got 'best'"):
+        library.search(1, ranking="best")
+
+
+KNOWN = ("walk", "squat", "clap", "jump", "kick_left")
+
+
+def write(folder: Path, category: str, number: int) -> Path:
+    path = folder / category / f"p{number}.bvh"
+    path.parent.mkdir(parents=True, exist_ok=True)
+    write_motion(make_motion(category, draw_performer(number), seed=number), path)
+    return path
+
+
+@pytest.fixture(scope="session")
+def _five_categories(tmp_path_factory) -> bytes:
+    folder = tmp_path_factory.mktemp("five")
+    for category in KNOWN:
+        for number in range(4):
+            write(folder / "in", category, number)
+    with Library.open(folder / "five.dousa", create=True) as library:
+        library.add(folder / "in", performer_from=r"name:(p\d)", n_jobs=1)
+        report = library.train(n_trees=40)
+    assert report.calibration.auroc > 0.9
+    return (folder / "five.dousa").read_bytes()
+
+
+@pytest.fixture
+def five_categories(_five_categories, tmp_path):
+    """Five of the synthetic categories by four performers."""
+    path = tmp_path / "five.dousa"
+    path.write_bytes(_five_categories)
+    with Library.open(path) as library:
+        yield library
+
+
+def test_a_motion_of_no_category_is_unknown(five_categories, tmp_path):
+    strangers = [write(tmp_path, category, 9) for category in ("bow", "jumping_jack", "sit_down")]
+    friends = [write(tmp_path, category, 9) for category in KNOWN]
+    answers = five_categories.classify([*strangers, *friends])
+    assert [answer.category for answer in answers] == [None] * 3 + list(KNOWN)
+    unknown = answers[0]
+    assert unknown.verdict.known < 0.2
+    assert min(answer.verdict.known for answer in answers[3:]) > 0.5
+    assert unknown.verdict.guess == next(iter(unknown.histogram))
+    assert (unknown.to_json()["category"], unknown.to_json()["guess"]) == (None, unknown.verdict.guess)
+    assert "problem" not in unknown.to_json()
+    result = five_categories.search(strangers[0], 30, same_category=True)
+    assert result.category is None
+    assert {hit.category for hit in result.results} == {result.verdict.guess}
+
+
+def test_what_was_unknown_is_known_once_it_is_added(five_categories, tmp_path):
+    query = write(tmp_path / "query", "bow", 9)
+    assert five_categories.search(query, 1).category is None
+    for number in range(4, 9):
+        write(tmp_path / "new", "bow", number)
+    assert five_categories.add(tmp_path / "new").new_categories == ("bow",)
+    assert five_categories.search(query, 1).category == "bow"
+    with Library.open(five_categories.name) as again:
+        assert again.search(query, 1).verdict == five_categories.search(query, 1).verdict
+
+
+def test_the_threshold_can_be_given(five_categories, tmp_path):
+    path = write(tmp_path, "bow", 9)
+    (answer,) = five_categories.classify(path, threshold=0)
+    assert answer.category == answer.verdict.guess
+    (answer,) = five_categories.classify(path.parent.parent, threshold=1)
+    assert answer.category is None
+    for question in (five_categories.classify, five_categories.search):
+        with pytest.raises(OptionError, match="from 0 to 1, got 2"):
+            question(path, threshold=2)
+
+
+def test_with_few_categories_nothing_is_unknown(empty_library, moves):
+    empty_library.add([moves / "wave", moves / "bow"], category_from="name:([a-z]+)")
+    assert empty_library.train(n_trees=5).calibration is None
+    verdict = empty_library.search(moves / "squat" / "squat_p0.bvh").verdict
+    assert (verdict.known, verdict.confidence, verdict.category) == (None, None, verdict.guess)
+
+
+@pytest.fixture
+def other_hand(write_move, tmp_path):
+    """A wave with the left hand; all waves of the library are with the right."""
+    wave = read_motion(write_move(tmp_path / "right.bvh", "wave", 77))
+    return mirror_canonical(canonicalise(compute_trajectories(wave)))
+
+
+def test_the_mirror_image_is_searched_too(library, other_hand):
+    result = library.search(other_hand, 5, mirror=True)
+    assert result.mirrored is not None
+    assert result.mirrored.guess == "wave"
+    assert result.mirrored.fits_better_than(result.verdict)
+    assert [(hit.category, hit.mirrored) for hit in result.results] == [("wave", True)] * 5
+    answer = json.loads(json.dumps(result.to_json()))
+    assert answer["mirrored"]["fits_better"] is True
+    assert answer["results"][0]["mirrored"] is True
+    assert "mirrored" not in library.search(other_hand, 1).to_json()
+
+
+def test_a_motion_that_fits_as_it_is_is_not_mirrored(library, moves):
+    result = library.search(moves / "wave" / "wave_p0.bvh", 5, mirror=True)
+    assert not any(hit.mirrored for hit in result.results)
+    assert result.results == library.search(moves / "wave" / "wave_p0.bvh", 5).results
+    assert not result.mirrored.fits_better_than(result.verdict)
+
+
+def test_classify_mirrored(library, other_hand, moves, tmp_path):
+    path = tmp_path / "left.trc"
+    write_motion(other_hand.to_trajectories(), path)
+    first, second = library.classify([path, moves / "wave" / "wave_p0.bvh"], mirror=True)
+    assert first.mirrored.guess == "wave" and first.mirrored.fits_better_than(first.verdict)
+    assert not second.mirrored.fits_better_than(second.verdict)
+    assert library.classify(path)[0].mirrored is None
+
+
+def test_reasons_are_given_for_the_category_and_each_hit(library, moves, tmp_path):
+    path = shutil.copy(moves / "bow" / "bow_p0.bvh", tmp_path / "q.bvh")
+    result = library.search(path, 3, explain=True)
+    why = result.verdict.explanation
+    assert why is not None and why.category == "bow" and why.reasons
+    for reason in why.reasons:
+        assert reason.vote_without < reason.vote_before
+        assert 0 <= reason.start < reason.end <= 24 / 30 + 1e-6
+    assert any(hit.likeness is not None and hit.likeness.reasons for hit in result.results)
+    answer = json.loads(json.dumps(result.to_json()))
+    assert answer["explanation"]["reasons"][0]["text"] == why.reasons[0].text
+    assert "likeness" in answer["results"][0]
+    (same,) = library.classify(path, explain=True)
+    assert same.verdict.explanation == why
+    assert library.search(path).verdict.explanation is None
+
+
+def test_reasons_for_a_mirror_image_are_its_own(library, other_hand):
+    result = library.search(other_hand, 2, mirror=True, explain=True)
+    assert result.mirrored.explanation.category == "wave"
+    assert result.verdict.explanation.category == result.verdict.guess
+    assert all(hit.likeness.alike == pytest.approx(hit.leaf_share) for hit in result.results)
