@@ -8,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-__all__ = ["count_leaves", "find_leaves", "measure_spread", "measure_trend"]
+__all__ = ["count_leaves", "find_leaves", "measure_spread", "measure_trend", "run_down", "run_down_means"]
 
 
 @njit(cache=True, nogil=True)
@@ -38,7 +38,7 @@ def _value_of(integral, later, sooner, partner, width):
 
 
 @njit(cache=True, nogil=True)
-def _run_down_means(integral, nodes, cuts, roots, places, trees, leaves):
+def run_down_means(integral, nodes, cuts, roots, places, trees, leaves):
     """The leaf of one clip in each tree, from its integrals (F * (T + 1),), where every node asks for a mean."""
     # One step down all trees at a time: the steps do not wait for each other's memory.
     n_active = len(roots)
@@ -58,8 +58,8 @@ def _run_down_means(integral, nodes, cuts, roots, places, trees, leaves):
 
 
 @njit(cache=True, nogil=True)
-def _run_down(integral, width, nodes, cuts, roots, places, trees, leaves):
-    """``_run_down_means`` for nodes of all kinds: it takes a tenth longer."""
+def run_down(integral, width, nodes, cuts, roots, places, trees, leaves):
+    """``run_down_means`` for nodes of all kinds: it takes a tenth longer."""
     # One step down all trees at a time: the steps do not wait for each other's memory.
     n_active = len(roots)
     for tree in range(n_active):
@@ -99,9 +99,9 @@ def find_leaves(features, nodes, cuts, roots, only_means, leaves):
         if finite != 0.0:
             return clip
         if only_means:
-            _run_down_means(integral, nodes, cuts, roots, places, trees, leaves[clip])
+            run_down_means(integral, nodes, cuts, roots, places, trees, leaves[clip])
         else:
-            _run_down(integral, n_frames + 1, nodes, cuts, roots, places, trees, leaves[clip])
+            run_down(integral, n_frames + 1, nodes, cuts, roots, places, trees, leaves[clip])
     return -1
 
 

@@ -11,7 +11,6 @@ taken, 12 of 3,080, which recognised as much as the square root (55) or more, an
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
@@ -19,6 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from dousa.errors import InvalidMotionError, NotTrainedError, OptionError, TrainingError
 from dousa.retrieval import _descent_kernels as kernels
+from dousa.retrieval._decision import Decision
 from dousa.retrieval._forest_checks import (
     check_features,
     check_names,
@@ -27,6 +27,7 @@ from dousa.retrieval._forest_checks import (
     is_whole,
     number_categories,
 )
+from dousa.retrieval._track_kernels import find_window_leaves
 from dousa.retrieval._trees import KIND_NAMES, Trees, TreesSpec, evaluate_test, grow_trees, read_test
 from dousa.retrieval.integral import integrate, list_tests
 
@@ -42,38 +43,7 @@ Histogram = Literal["votes", "leaves"]
 _PARAMETERS = ("n_trees", "n_trials", "max_entropy", "bootstrap", "thresholds", "random_state", "n_jobs")
 _TRIALS = ("sqrt", "all")
 _THRESHOLDS = ("best", "random")
-_WINDOWS_AT_ONCE = 64  # their features stay in the processor's cache
 _LARGEST_VALUE = 1e100  # sums and differences of larger ones could overflow
-
-
-@dataclass(frozen=True, slots=True)
-class Decision:
-    """One question that a tree asked about a clip, and the answer.
-
-    Parameters
-    ----------
-    tree : which tree, from 0.
-    node : number of the node that asked, through all trees.
-    feature : name of the pose feature, or channel.
-    kind : ``"mean"``, ``"spread"`` (standard deviation) or ``"trend"`` (change along the fitted line).
-    start, stop : the interval, frames ``start ... stop - 1`` of the thinned clip, counted from 0.
-    threshold : of the mean, spread or trend of the feature over the interval.
-    value : that of this clip.
-    """
-
-    tree: int
-    node: int
-    feature: str
-    kind: str
-    start: int
-    stop: int
-    threshold: float
-    value: float
-
-    @property
-    def above(self) -> bool:
-        """Whether the clip lies above the threshold."""
-        return self.value > self.threshold
 
 
 class MotionForest:
@@ -294,9 +264,18 @@ class MotionForest:
             )
         first, last = np.atleast_1d(starts), np.atleast_1d(stops)
         leaves = np.empty((len(first), len(trees.roots)), np.int64)
-        for begin in range(0, len(first), _WINDOWS_AT_ONCE):
-            some = slice(begin, begin + _WINDOWS_AT_ONCE)
-            _run_down(track.describe(first[some], last[some]), trees, self._cuts, leaves[some])
+        find_window_leaves(
+            track.integrals,
+            track.times,
+            track.find_edges(first, last),
+            track.frame_rate,
+            len(track.feature_set.channels),
+            trees.nodes,
+            self._cuts,
+            trees.roots,
+            trees.only_means,
+            leaves,
+        )
         return leaves
 
     def decisions(self, clip: ArrayLike) -> list[Decision]:
