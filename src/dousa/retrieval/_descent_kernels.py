@@ -25,16 +25,20 @@ def measure_trend(difference, moment_difference, length, middle):
 
 
 @njit(cache=True, nogil=True)
-def _value_of(integral, later, sooner, partner, width):
-    """What a node asks about a clip, whatever its kind."""
-    value = integral[later] - integral[sooner]
-    if partner > 0:
+def _is_above(integral, later, sooner, partner, cut, width):
+    """Whether a clip lies above the threshold of a node, whatever its kind; nothing is divided, nor a root taken."""
+    difference = integral[later] - integral[sooner]
+    if partner == 0:
+        return difference > cut
+    length = float(later - sooner)
+    bar = cut * length * length
+    if partner > 0:  # measure_spread > cut, which is not below 0
         other = integral[later + partner] - integral[sooner + partner]
-        return measure_spread(value, other, float(later - sooner))
-    if partner < 0:
-        other = integral[later - partner] - integral[sooner - partner]
-        return measure_trend(value, other, float(later - sooner), 0.5 * (later % width + sooner % width))
-    return value
+        return other * length - difference * difference > cut * bar
+    # measure_trend > cut; times are counted from the column's first place
+    first = int((later + 0.5) / width) * width
+    other = integral[later - partner] - integral[sooner - partner]
+    return 12.0 * other - 6.0 * (later + sooner - 2 * first) * difference > bar
 
 
 @njit(cache=True, nogil=True)
@@ -69,8 +73,7 @@ def run_down(integral, width, nodes, cuts, roots, places, trees, leaves):
         for k in range(n_active):
             node, tree = places[k], trees[k]
             child = np.int64(nodes[node, 2])
-            value = _value_of(integral, nodes[node, 0], nodes[node, 1], nodes[node, 3], width)
-            above = value > cuts[node, 2]
+            above = _is_above(integral, nodes[node, 0], nodes[node, 1], nodes[node, 3], cuts[node, 2], width)
             leaves[tree] = -1 - child  # the last one written is the leaf
             places[n_kept], trees[n_kept] = child + above, tree
             n_kept += child >= 0
