@@ -94,6 +94,9 @@ def test_what_cannot_be_is_said(dousa, folder, words, problem):
         (("--unknown", "--figure", "table.png"), "--figure has nothing to do with --unknown"),
         (("--unknown", "--system", "dtw"), "--system has nothing to do with --unknown"),
         (("--takes",), "performer"),
+        (("--ranking", "--train-share", 0.3), "--train-share has nothing to do with --ranking"),
+        (("--train-share", 0.3, *PERFORMERS), "--train-share needs a split by halves"),
+        (("--train-share", 1.5), "between 0 and 1"),
     ],
 )
 def test_options_that_would_be_ignored_are_refused(dousa, folder, options, problem):

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from dousa.errors import TrainingError
+from dousa.errors import OptionError, TrainingError
 from dousa.retrieval.splits import leave_performer_out, split_half
 
 
@@ -63,3 +63,18 @@ def test_performers_must_be_known_and_several() -> None:
         leave_performer_out(["al", "al"])
     with pytest.raises(TrainingError, match="got none"):
         leave_performer_out([])
+
+
+@pytest.mark.parametrize(("share", "counts"), [(0.3, (3, 1)), (0.5, (5, 1)), (0.9, (9, 1)), (0.31, (4, 1))])
+def test_another_share_of_each_category_trains(share, counts):
+    labels = ["a"] * 10 + ["b"] * 1
+    split = split_half(labels, 0, share)
+    trained = [labels[k] for k in split.train]
+    assert (trained.count("a"), trained.count("b")) == counts
+    assert sorted([*split.train, *split.test]) == list(range(11))
+
+
+@pytest.mark.parametrize("share", [0.0, 1.0, -0.5, float("nan")])
+def test_shares_out_of_range_are_refused(share):
+    with pytest.raises(OptionError, match="share of training clips between 0 and 1"):
+        split_half(["a"] * 4, 0, share)

@@ -61,6 +61,10 @@ def experiment(
     split: Annotated[
         SplitName | None, typer.Option("--split", help="How PATH is split.", show_default="half")
     ] = None,
+    train_share: Annotated[
+        float | None,
+        typer.Option("--train-share", help="Of every category trains, instead of half.", show_default="0.5"),
+    ] = None,
     repeats: Annotated[
         int, typer.Option("--repeats", min=1, help="How often, with other random numbers.")
     ] = 1,
@@ -129,6 +133,7 @@ def experiment(
     kind = _choose_kind(ranking=ranking, takes=takes, unknown=unknown)
     _check_split(split, bool(test), performer_from)
     given = {
+        "--train-share": train_share is not None,
         "--repeats": repeats != 1,
         "--samples": samples != _SAMPLES,
         "--figure": figure is not None,
@@ -137,6 +142,8 @@ def experiment(
         "--system": bool(system),
     }
     _refuse_ignored(kind, given)
+    if train_share is not None and (test or split is SplitName.LEAVE_PERFORMER_OUT):
+        raise OptionError("--train-share needs a split by halves; leave it out, or --split and --test")
     systems = _choose_systems(system, ranking)
     options = ReadOptions(o.load_joint_map(joint_map), unit, up, skeleton)
     with progress_bar() as progress:
@@ -158,7 +165,9 @@ def experiment(
             clips, tested, None if test else (split or SplitName.HALF).value, systems, seed, trees, jobs or -1
         )
         if kind is _Kind.RECOGNITION:
-            answer = trial.recognise(features or o.FeatureSetName.PAPER, repeats, samples, progress)
+            answer = trial.recognise(
+                features or o.FeatureSetName.PAPER, train_share or 0.5, (repeats, samples), progress
+            )
         else:
             answer = trial.go_beyond(kind, features or o.FeatureSetName.EXTENDED, repeats, progress)
     skipped += more
@@ -171,9 +180,12 @@ class _Kind(enum.Enum):
     """What an experiment asks, and the options that have nothing to do with it."""
 
     RECOGNITION = ("", ())
-    RANKING = ("--ranking", ("--repeats", "--samples", "--figure"))
-    TAKES = ("--takes", ("--repeats", "--samples", "--figure", "--split", "--test", "--system"))
-    UNKNOWN = ("--unknown", ("--samples", "--figure", "--split", "--test", "--system"))
+    RANKING = ("--ranking", ("--train-share", "--repeats", "--samples", "--figure"))
+    TAKES = (
+        "--takes",
+        ("--train-share", "--repeats", "--samples", "--figure", "--split", "--test", "--system"),
+    )
+    UNKNOWN = ("--unknown", ("--train-share", "--samples", "--figure", "--split", "--test", "--system"))
 
 
 def _choose_kind(*, ranking: bool, takes: bool, unknown: bool) -> _Kind:
@@ -206,20 +218,21 @@ class _Trial:
     jobs: int
 
     def recognise(
-        self, features: o.FeatureSetName, repeats: int, samples: int, progress: ProgressCallback
+        self, features: o.FeatureSetName, share: float, counts: tuple[int, int], progress: ProgressCallback
     ) -> dict[str, Any]:
-        """Tell categories apart."""
+        """Tell categories apart; ``counts`` are the repeats and the poses averaged for a frame."""
         from dousa.retrieval.experiment import run_experiment
 
         return run_experiment(
             self.clips,
             test_clips=self.tested,
             split=self.split,
-            repeats=repeats,
+            train_share=share,
+            repeats=counts[0],
             random_state=self.seed,
             systems=self.systems,
             feature_set=features.value,
-            samples_per_frame=samples,
+            samples_per_frame=counts[1],
             n_trees=self.trees,
             n_jobs=self.jobs,
             progress=progress,

@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dousa.errors import OptionError, TrainingError
+from dousa.retrieval._experiment_progress import Progress, Reporter
 from dousa.retrieval._experiment_result import ExperimentResult, FoldResult, LabelledClip, SystemResult
 from dousa.retrieval.feature_sets import FeatureSet, get_feature_set
 from dousa.retrieval.metrics import Scores, compute_scores, list_confusions
@@ -35,8 +36,6 @@ __all__ = [
 SYSTEMS: tuple[str, ...] = ("full_tree", "random_tree", "forest", "motion_templates")
 SPLITS: tuple[str, ...] = ("half", "leave-performer-out")
 
-Progress = Callable[[int, int, str], None]
-
 _WITHOUT_RANDOMNESS = ("full_tree", "motion_templates")
 _LISTED_CONFUSIONS = 20
 
@@ -46,6 +45,7 @@ def run_experiment(
     *,
     test_clips: Sequence[LabelledClip] | None = None,
     split: str | None = None,
+    train_share: float = 0.5,
     repeats: int = 1,
     random_state: int = 0,
     systems: Sequence[str] = SYSTEMS,
@@ -65,6 +65,7 @@ def run_experiment(
     test_clips : clips to test on; nothing is split then.
     split : ``"half"`` (default: half of every category trains, drawn anew in each repeat) or
         ``"leave-performer-out"`` (the predictions of all folds are pooled before they are scored).
+    train_share : of every category, with ``"half"``.
     repeats : how often, 1 or more.
     random_state : seed; the same seed gives the same scores.
     systems : which, of ``SYSTEMS``.
@@ -95,7 +96,7 @@ def run_experiment(
     tested = list(clips) + list(test_clips or ())
     _check_clips(clips, test_clips)
     split = "given" if test_clips is not None else split or "half"
-    rounds = _make_rounds(clips, tested, split, repeats=repeats, random_state=random_state)
+    rounds = _make_rounds(clips, tested, split, (repeats, random_state, train_share))
     material = _describe(
         tested,
         systems,
@@ -106,7 +107,7 @@ def run_experiment(
     )
     workers = _Workers(features_of, n_trees, sampling_rate, template_threshold, n_jobs)
     compile_seconds = workers.warm_up(systems)
-    report = _Reporter(progress, len(systems) * sum(len(folds) for folds in rounds))
+    report = Reporter(progress, len(systems) * sum(len(folds) for folds in rounds))
     results = {
         system: _run_system(
             workers,
@@ -157,20 +158,6 @@ class _Trial:
     predicted: list[NDArray[Any]]
     fit_seconds: float
     query_seconds: float
-
-
-class _Reporter:
-    """Counts trainings for the progress callback."""
-
-    def __init__(self, progress: Progress | None, total: int) -> None:
-        self.progress, self.total, self.done = progress, total, 0
-
-    def __call__(self, doing: str) -> None:
-        if self.progress is not None:
-            self.progress(self.done, self.total, doing)
-
-    def skip(self, count: int) -> None:
-        self.done += count
 
 
 class _Workers:
@@ -269,11 +256,10 @@ def _make_rounds(
     clips: Sequence[LabelledClip],
     tested: Sequence[LabelledClip],
     split: str,
-    *,
-    repeats: int,
-    random_state: int,
+    draws: tuple[int, int, float],
 ) -> list[tuple[Split, ...]]:
-    """The folds of every repeat."""
+    """The folds of every repeat; ``draws`` are the repeats, the seed and the share that trains."""
+    repeats, random_state, share = draws
     if split == "given":
         given = Split(np.arange(len(clips)), np.arange(len(clips), len(tested)))
         return [(given,)] * repeats
@@ -288,7 +274,8 @@ def _make_rounds(
                 )
         return [folds] * repeats
     labels = [clip.category for clip in clips]
-    return [(split_half(labels, np.random.default_rng([random_state, repeat])),) for repeat in range(repeats)]
+    generators = (np.random.default_rng([random_state, repeat]) for repeat in range(repeats))
+    return [(split_half(labels, generator, share),) for generator in generators]
 
 
 def _describe(
@@ -327,7 +314,7 @@ def _run_system(
     *,
     redrawn: bool,
     random_state: int,
-    report: _Reporter,
+    report: Reporter,
 ) -> SystemResult:
     """All repeats of one system; a system without randomness runs once where the splits are not redrawn."""
     once = not redrawn and system in _WITHOUT_RANDOMNESS
@@ -346,7 +333,7 @@ def _run_folds(
     folds: tuple[Split, ...],
     *,
     seeds: tuple[int, int],
-    report: _Reporter,
+    report: Reporter,
 ) -> _Trial:
     predicted, fit_seconds, query_seconds = [], 0.0, 0.0
     for number, fold in enumerate(folds):

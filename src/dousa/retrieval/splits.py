@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from dousa.errors import TrainingError
+from dousa.errors import OptionError, TrainingError
 
 __all__ = ["Split", "leave_performer_out", "split_half"]
 
@@ -28,24 +29,32 @@ class Split:
     name: str = "given"
 
 
-def split_half(categories: Sequence[str], random_state: int | np.random.Generator | None = None) -> Split:
-    """Draw half of the clips of every category for training.
+def split_half(
+    categories: Sequence[str],
+    random_state: int | np.random.Generator | None = None,
+    train_share: float = 0.5,
+) -> Split:
+    """Draw half of the clips of every category, or another share, for training.
 
     Parameters
     ----------
     categories : (N,) label of every clip.
     random_state : seed, or a generator to draw from.
+    train_share : of the clips of each category, above 0 and below 1.
 
     Returns
     -------
-    Split. Of an odd number of clips the greater half trains; so a category with one clip trains only.
+    Split. What is no whole number of clips is rounded up; so a category with one clip trains only.
 
     Raises
     ------
-    TrainingError : no clips, or one in every category, so that nothing is left to test.
+    TrainingError : no clips, or so few in every category that nothing is left to test.
+    OptionError : a share out of range.
 
     Source: Hamada, Kuriyama, Mukai, section 4.1.
     """
+    if not 0.0 < train_share < 1.0:
+        raise OptionError(f"expected a share of training clips between 0 and 1, got {train_share}")
     labels = np.asarray(categories, dtype=object)
     if not len(labels):
         raise TrainingError("expected clips to split into training and test, got none")
@@ -53,12 +62,13 @@ def split_half(categories: Sequence[str], random_state: int | np.random.Generato
     train: list[int] = []
     for category in sorted(set(labels)):
         members = np.flatnonzero(labels == category)
-        train.extend(generator.permutation(members)[: (len(members) + 1) // 2])
+        count = math.ceil(len(members) * train_share - 1e-9)
+        train.extend(generator.permutation(members)[:count])
     chosen = np.zeros(len(labels), bool)
     chosen[train] = True
     if chosen.all():
         raise TrainingError(
-            "every category has one clip, so none is left to test; add clips, or give test clips of their own"
+            "every category has so few clips that none is left to test; add clips, or give test clips of their own"
         )
     return Split(np.flatnonzero(chosen), np.flatnonzero(~chosen), "half")
 
