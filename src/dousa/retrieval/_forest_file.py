@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-import io
 import json
-import tokenize
-import zipfile
 from dataclasses import dataclass
 from typing import Any
 
@@ -13,10 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dousa.errors import DousaError
+from dousa.retrieval._npz_bytes import check, pack_arrays, unpack_arrays
 from dousa.retrieval._trees import Trees
 
 __all__ = ["ForestFile", "pack_forest", "unpack_forest"]
 
+_WHAT = "a dousa forest"
 _VERSION = 2
 _WITHOUT_KINDS = (
     1  # of a version whose every test was a mean, which is what its nodes say in version 2 as well
@@ -48,26 +47,24 @@ def pack_forest(file: ForestFile) -> bytes:
         key: value.item() if isinstance(value, np.generic) else value
         for key, value in file.parameters.items()
     }
-    buffer = io.BytesIO()
-    np.savez(
-        buffer,
-        version=np.int64(_VERSION),
-        parameters=np.array(json.dumps(parameters)),
-        classes=file.classes,
-        feature_names=np.array(file.feature_names, dtype=np.str_),
-        nodes=trees.nodes,
-        roots=trees.roots,
-        leaf_starts=trees.leaf_starts,
-        leaf_classes=trees.leaf_classes,
-        leaf_counts=trees.leaf_counts,
-        sizes=np.array([trees.n_features, trees.n_frames, trees.n_classes], np.int64),
-    )
-    return buffer.getvalue()
+    arrays = {
+        "version": np.array(_VERSION, np.int64),
+        "parameters": np.array(json.dumps(parameters)),
+        "classes": file.classes,
+        "feature_names": np.array(file.feature_names, dtype=np.str_),
+        "nodes": trees.nodes,
+        "roots": trees.roots,
+        "leaf_starts": trees.leaf_starts,
+        "leaf_classes": trees.leaf_classes,
+        "leaf_counts": trees.leaf_counts,
+        "sizes": np.array([trees.n_features, trees.n_frames, trees.n_classes], np.int64),
+    }
+    return pack_arrays(arrays)
 
 
 def unpack_forest(data: bytes) -> ForestFile:
     """The forest in the bytes; DousaError if they are damaged, something else, or of a newer version."""
-    arrays = _read_arrays(data)
+    arrays = unpack_arrays(data, {"version", "parameters", "classes", "feature_names", *_ARRAYS}, _WHAT)
     _check(arrays["version"].shape == () and arrays["version"].dtype.kind in "iu", "no version")
     version = int(arrays["version"])
     if version not in (_WITHOUT_KINDS, _VERSION):
@@ -96,37 +93,7 @@ def unpack_forest(data: bytes) -> ForestFile:
 
 
 def _check(condition: bool | np.bool_, problem: str) -> None:
-    if not condition:
-        raise DousaError(f"expected a dousa forest, got damaged or other data: {problem}; train again")
-
-
-def _read_arrays(data: bytes) -> dict[str, NDArray[Any]]:
-    wanted = {"version", "parameters", "classes", "feature_names", *_ARRAYS}
-    try:
-        with zipfile.ZipFile(io.BytesIO(data)) as archive:
-            entries = archive.infolist()
-            _check(
-                {entry.filename for entry in entries} == {f"{name}.npy" for name in wanted}, "other arrays"
-            )
-            # We store plainly, so nothing that unpacks to more than it weighs can be ours.
-            plain = all(entry.compress_type == zipfile.ZIP_STORED for entry in entries)
-            _check(plain and sum(entry.file_size for entry in entries) <= len(data), "it is compressed")
-        with np.load(io.BytesIO(data), allow_pickle=False) as archive:
-            return {name: archive[name] for name in wanted}
-    except (
-        ValueError,
-        TypeError,
-        OSError,
-        EOFError,
-        KeyError,
-        zipfile.BadZipFile,
-        NotImplementedError,
-    ) as error:
-        raise DousaError(
-            f"expected a dousa forest, got damaged or other data: {error}; train again"
-        ) from error
-    except (MemoryError, OverflowError, RuntimeError, SyntaxError, tokenize.TokenError) as error:
-        raise DousaError("expected a dousa forest, got damaged data; train again") from error
+    check(condition, _WHAT, problem)
 
 
 def _read_parameters(text: NDArray[Any]) -> dict[str, Any]:

@@ -15,7 +15,8 @@ from dousa.retrieval.ranking import RANKINGS
 if TYPE_CHECKING:
     from dousa.retrieval._experiment_result import LabelledClip
     from dousa.retrieval.experiment import Progress
-    from dousa.retrieval.feature_sets import FeatureSet, PosedMotion
+    from dousa.retrieval.feature_sets import FeatureSet
+    from dousa.retrieval.posed_motion import PosedMotion
 
 __all__ = ["RankingMaterial", "compute_body_poses", "describe_clips"]
 

@@ -12,7 +12,7 @@ of the values times the time.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal, Protocol
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,27 +21,12 @@ from dousa.errors import OptionError
 from dousa.retrieval.channels import CHANNELS, Channel
 from dousa.retrieval.features import FEATURES
 from dousa.retrieval.integral import MEAN, SPREAD, TREND, list_interval_tests
+from dousa.retrieval.posed_motion import PosedMotion
 
-__all__ = ["DEFAULT_FEATURE_SET", "FEATURE_SETS", "FeatureSet", "PosedMotion", "get_feature_set"]
+__all__ = ["DEFAULT_FEATURE_SET", "FEATURE_SETS", "FeatureSet", "get_feature_set"]
 
 N_CELLS = 10
 DURATION = Channel("duration", "duration", "s")
-
-
-class PosedMotion(Protocol):
-    """A motion on canonical joints: a ``CanonicalMotion``, a ``LabelledClip`` or anything like them."""
-
-    @property
-    def positions(self) -> NDArray[np.float64]:
-        """(n, 20, 3) m, Y up, finite."""
-
-    @property
-    def frame_rate(self) -> float:
-        """Hz."""
-
-    @property
-    def height(self) -> float:
-        """m, of the performer."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

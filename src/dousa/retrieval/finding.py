@@ -16,11 +16,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dousa.errors import InvalidMotionError, OptionError
-from dousa.retrieval.takes import N_PARTS, TAKE_RATE, TakeWindows, check_motion, compute_small_poses
+from dousa.retrieval.posed_motion import check_motion
+from dousa.retrieval.takes import N_PARTS, TAKE_RATE, TakeWindows, compute_small_poses
 
 if TYPE_CHECKING:
-    from dousa.retrieval.feature_sets import FeatureSet, PosedMotion
+    from dousa.retrieval.feature_sets import FeatureSet
     from dousa.retrieval.forest import MotionForest
+    from dousa.retrieval.posed_motion import PosedMotion
 
 __all__ = ["Found", "TakeQuery", "describe_query", "find_in_takes"]
 

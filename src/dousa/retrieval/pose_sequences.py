@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike, NDArray
 from dousa.errors import InvalidMotionError, OptionError
 
 if TYPE_CHECKING:
-    from dousa.retrieval.feature_sets import PosedMotion
+    from dousa.retrieval.posed_motion import PosedMotion
     from dousa.retrieval.tracks import FeatureTrack
 
 __all__ = ["POSE_CELLS", "POSE_COLUMNS", "compute_pose_sequence", "compute_window_poses"]

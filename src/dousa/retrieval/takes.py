@@ -17,11 +17,13 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from dousa.errors import InvalidMotionError, OptionError
-from dousa.motion.joints import CANONICAL_JOINTS, JOINT_INDEX
+from dousa.motion.joints import JOINT_INDEX
+from dousa.retrieval.posed_motion import check_motion
 
 if TYPE_CHECKING:
-    from dousa.retrieval.feature_sets import FeatureSet, PosedMotion
+    from dousa.retrieval.feature_sets import FeatureSet
     from dousa.retrieval.forest import MotionForest
+    from dousa.retrieval.posed_motion import PosedMotion
 
 __all__ = [
     "TAKE_RATE",
@@ -272,18 +274,6 @@ def compute_small_poses(sampled: NDArray[np.float64], height: float) -> NDArray[
     body = turn_to_body((sampled - sampled[:, :1]) / height)
     # A joint that a recording has in the next town still has a place in half precision.
     return np.clip(body[:, _SMALL_INDEX].reshape(len(body), -1), -_FARTHEST, _FARTHEST).astype(np.float16)
-
-
-def check_motion(motion: PosedMotion) -> NDArray[np.float64]:
-    """The positions of a motion, if they can be described; InvalidMotionError otherwise."""
-    points = np.asarray(motion.positions, np.float64)
-    if points.ndim != 3 or points.shape[1:] != (len(CANONICAL_JOINTS), 3) or not len(points):
-        raise InvalidMotionError(f"expected canonical positions (frames, 20, 3), got shape {points.shape}")
-    if not (np.isfinite(motion.height) and motion.height > 0):
-        raise InvalidMotionError(f"expected a body height above 0 m, got {motion.height}")
-    if not np.isfinite(points).all():
-        raise InvalidMotionError("expected finite positions, got NaN or infinity; canonicalise fills gaps")
-    return points
 
 
 @dataclass(frozen=True, slots=True, eq=False)

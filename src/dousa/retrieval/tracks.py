@@ -14,11 +14,11 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from dousa.errors import InvalidMotionError
-from dousa.motion.joints import CANONICAL_JOINTS
 from dousa.retrieval._track_kernels import read_cells
 from dousa.retrieval.channels import CHANNEL_RATE, compute_channels, integrate_channels, sample_positions
-from dousa.retrieval.feature_sets import FeatureSet, PosedMotion
+from dousa.retrieval.feature_sets import FeatureSet
 from dousa.retrieval.features import compute_pose_features
+from dousa.retrieval.posed_motion import PosedMotion, check_motion
 
 __all__ = ["FeatureTrack", "compute_track"]
 
@@ -109,14 +109,7 @@ def compute_track(motion: PosedMotion, feature_set: FeatureSet) -> FeatureTrack:
 
     Source: Hamada et al., eq. 4, with the integrals of squares and of moments beside it.
     """
-    points = np.asarray(motion.positions, np.float64)
-    if points.ndim != 3 or points.shape[1:] != (len(CANONICAL_JOINTS), 3) or not len(points):
-        raise InvalidMotionError(f"expected canonical positions (frames, 20, 3), got shape {points.shape}")
-    if not (np.isfinite(motion.height) and motion.height > 0):
-        raise InvalidMotionError(f"expected a body height above 0 m, got {motion.height}")
-    if not np.isfinite(points).all():
-        raise InvalidMotionError("expected finite positions, got NaN or infinity; canonicalise fills gaps")
-    sampled = sample_positions(points, motion.frame_rate)
+    sampled = sample_positions(check_motion(motion), motion.frame_rate)
     if not feature_set.has_banks:
         poses = compute_pose_features(sampled, motion.height)
         return FeatureTrack(feature_set, np.arange(len(poses) + 1.0), _integrate(poses))
