@@ -1,7 +1,8 @@
-"""Draw the pictures of the documents again, and print the table of features: ``make figures``.
+"""Draw the pictures of the documents again, and print the tables of features: ``make figures``.
 
-Everything shown is made by the package itself: no recording is needed. `make_estimation_figures` and
-`make_evaluation_figures` do the same for docs/estimation.md and docs/evaluation.md.
+Everything shown is made by the package itself: no recording is needed. `make_retrieval_figures`,
+`make_estimation_figures` and `make_evaluation_figures` do the same for docs/retrieval.md, docs/estimation.md and
+docs/evaluation.md.
 """
 
 from __future__ import annotations
@@ -14,6 +15,7 @@ from rich.console import Console
 from dousa.app.demo import run_demo
 from dousa.app.pictures import draw_contact_sheet
 from dousa.motion.synthetic import draw_performer, make_motion
+from dousa.retrieval.channels import CHANNELS, Channel
 from dousa.retrieval.features import FEATURES, Feature
 
 DOCS = Path(__file__).parent
@@ -27,27 +29,57 @@ def draw_sheet() -> None:
 
 
 def draw_demo() -> None:
-    """The two pictures of ``dousa demo``."""
+    """The three pictures of the first act of ``dousa demo``."""
     with TemporaryDirectory() as folder:
         run_demo(Console(), None, Path(folder), seed=0)
-        for name in ("search.png", "experiment.png"):
+        for name in ("search.png", "timeline.png", "experiment.png"):
             (FIGURES / name).write_bytes((Path(folder) / name).read_bytes())
 
 
 def describe_features() -> str:
-    """The table of pose features in Markdown."""
+    """The tables of pose features and of channels in Markdown."""
     lines = [
-        "# The 56 pose features",
+        "# What a forest looks at",
         "",
-        "Made from `dousa.retrieval.FEATURES` by `make figures`. Lengths are divided by the body height (eq. 2),",
-        "angles are radians; the body-fixed system has its origin in the pelvis, its lateral axis along the hips,",
-        "its vertical axis along gravity.",
+        "Made from `dousa.retrieval` by `make figures`. Lengths are divided by the body height (eq. 2), angles are",
+        "radians; the body-fixed system has its origin in the pelvis, its lateral axis along the hips, its vertical",
+        "axis along gravity. How they are used is told in [retrieval](retrieval.md).",
+        "",
+        f"## `paper`: {len(FEATURES)} pose features",
+        "",
+        "Of each the means over the 55 intervals of a clip that is thinned to 10 frames.",
         "",
         "| | feature | kind | joints | unit |",
         "| --- | --- | --- | --- | --- |",
     ]
     lines += [_row(number, feature) for number, feature in enumerate(FEATURES, 1)]
+    lines += [
+        "",
+        f"## `extended`: {len(CHANNELS)} channels",
+        "",
+        "Of each the mean, the spread and the trend over the 55 intervals of a clip that is cut into 10 cells of equal",
+        "movement; and the duration of the clip in seconds. Channels that say the same thing in other directions stand",
+        "in one row, with their numbers: they are one relation, and a reason is about a relation.",
+        "",
+        "| | relation | channels | unit |",
+        "| --- | --- | --- | --- |",
+    ]
+    lines += _channel_rows()
     return "\n".join(lines) + "\n"
+
+
+def _channel_rows() -> list[str]:
+    """One row a relation; channels of one relation stand side by side."""
+    relations: dict[str, list[tuple[int, Channel]]] = {}
+    for number, channel in enumerate(CHANNELS, 1):
+        relations.setdefault(channel.relation, []).append((number, channel))
+    rows = []
+    for relation, members in relations.items():
+        first, last = members[0][0], members[-1][0]
+        numbers = f"{first}" if first == last else f"{first} to {last}"
+        names = "; ".join(channel.name for _, channel in members) if len(members) > 1 else "the same"
+        rows.append(f"| {numbers} | {relation} | {names} | {members[0][1].unit} |")
+    return rows
 
 
 def _row(number: int, feature: Feature) -> str:
@@ -58,10 +90,12 @@ def _row(number: int, feature: Feature) -> str:
 if __name__ == "__main__":
     import make_estimation_figures
     import make_evaluation_figures
+    import make_retrieval_figures
 
     FIGURES.mkdir(exist_ok=True)
     draw_sheet()
     draw_demo()
     (DOCS / "features.md").write_text(describe_features(), encoding="utf-8")
+    make_retrieval_figures.make_all()
     make_estimation_figures.make_all()
     make_evaluation_figures.make_all()

@@ -48,10 +48,12 @@ def test_demo_can_be_run_again_and_tells_the_same(tmp_path, console, capsys):
     assert "were there already" in text
     assert "Of all 3 queries" in text
     assert "forest" in capsys.readouterr().out + text
-    for name in ("search.png", "experiment.png"):
+    assert text.count("Why: the ") == 2
+    for name in ("search.png", "experiment.png", "timeline.png"):
         assert (output / name).stat().st_size > 10_000
     with Library.open(output / "demo.dousa", read_only=True) as library:
-        clips = library.clips()
+        clips = [clip for clip in library.clips() if clip.kind == "clip"]
+        assert [clip.path for clip in library.clips() if clip.kind == "take"] == [str(output / "take.bvh")]
     assert len(clips) == 9
     assert {clip.performer for clip in clips} == {"performer00", "performer01", "performer02"}
 
@@ -64,7 +66,7 @@ def test_demo_on_other_data_holds_out_a_clip(tmp_path, console):
     assert "one clip held out" in told(console)
     with Library.open(output / "demo.dousa", read_only=True) as library:
         paths = {clip.path for clip in library.clips()}
-    assert len(paths) == 11  # the query and the motions of the run before are not there
+    assert len(paths) == 11  # the query, the motions and the take of the run before are not there
     assert all(path.startswith(str(data)) for path in paths)
 
 
@@ -73,8 +75,9 @@ def test_demo_holds_out_a_performer_where_they_are_known(tmp_path, console):
     write_library(data, 4, 1, 0, CATEGORIES)
     run_demo(console, data, tmp_path / "out", n_jobs=1, performer_from=r"name:(performer\d+)")
     assert "all clips of performer performer0" in told(console)
+    assert "Joined 3 motions of the same performer" in told(console)
     with Library.open(tmp_path / "out" / "demo.dousa", read_only=True) as library:
-        assert len(library.clips()) == 9
+        assert [clip.kind for clip in library.clips()].count("clip") == 9
 
 
 def test_demo_says_what_data_it_needs(tmp_path, console):

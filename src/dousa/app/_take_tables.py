@@ -25,7 +25,8 @@ def print_places(out: Console, answer: FindResult, *, mirrored: bool) -> None:
     )
     out.print(one_line(f"{answer.query} ({answer.duration:.1f} s) in {takes}:"), markup=False, soft_wrap=True)
     if not answer.results:
-        warn("nothing was found: the takes are shorter than half of the query")
+        short = "nothing was found: the takes are shorter than half of the query"
+        warn(short if answer.n_takes else "there are no takes to look into")
         return
     table = Table(box=None)
     for name in ("rank", "score", "start", "end", "tempo"):

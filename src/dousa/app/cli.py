@@ -75,6 +75,9 @@ def main() -> None:
         # Files are looked after where they are read and written; what is left is mostly the output itself.
         fail(f"{error.filename or 'the answer cannot be written'}: {error.strerror or error}")
         sys.exit(2)
+    except MemoryError:
+        fail("the motions do not fit into the memory of this machine; give fewer or shorter ones")
+        sys.exit(2)
     except (KeyboardInterrupt, SystemExit) as stop:
         # Typer turns Ctrl-C into this exit code and says nothing.
         if isinstance(stop, SystemExit) and stop.code != INTERRUPTED:

@@ -6,6 +6,7 @@ import io
 import json as json_module
 import sys
 from collections.abc import Iterator
+from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -14,11 +15,12 @@ import typer
 from dousa.app import _options as o
 from dousa.app._libraries import Mirror, Query, clip_or_path, open_library, open_to_read
 from dousa.app._output import console, print_json, progress_bar, warn
-from dousa.errors import OptionError
+from dousa.errors import InvalidMotionError, OptionError
 
 if TYPE_CHECKING:
     from dousa.library import LabelledTake, Library
-    from dousa.retrieval.streaming import LiveAnswer
+    from dousa.retrieval.live_frames import LiveFrame
+    from dousa.retrieval.streaming import LiveAnswer, LiveLabeller
 
 __all__ = ["register"]
 
@@ -173,19 +175,38 @@ def _label_live(library: Library, height: float | None, threshold: float | None,
     from dousa.retrieval.live_frames import LiveFrameParser, read_live_frames
 
     # Before the first frame: what takes are labelled with may still have to be learned.
-    labeller = library.live(height=height, threshold=threshold, n_jobs=jobs)
+    with progress_bar() as progress:
+        labeller = library.live(height=height, threshold=threshold, n_jobs=jobs, progress=progress)
     parser = LiveFrameParser()
-    for frame in read_live_frames(_read_lines(), parser):
-        if labeller.height is None:
-            labeller.height = parser.height
-        answer = labeller.push(frame.positions, frame.time)
-        if answer is not None:
-            _say(answer)
-    last = labeller.finish()
-    if last is None:
+    try:
+        for frame in read_live_frames(_read_lines(), parser):
+            if labeller.height is None:
+                labeller.height = parser.height
+            answer = _push(labeller, frame, parser.line)
+            if answer is not None:
+                _say(answer)
+    except (InvalidMotionError, KeyboardInterrupt):
+        # The usual end of a live session: what was seen so far is told all the same.
+        with suppress(InvalidMotionError):
+            _finish(labeller)
+        raise
+    if not _finish(labeller):
         warn("no frames came on standard input")
-    else:
+
+
+def _push(labeller: LiveLabeller, frame: LiveFrame, line: int) -> LiveAnswer | None:
+    try:
+        return labeller.push(frame.positions, frame.time)
+    except InvalidMotionError as error:
+        raise InvalidMotionError(f"line {line}: {error}") from error
+
+
+def _finish(labeller: LiveLabeller) -> bool:
+    """Tell what was not settled yet; whether there was a frame at all."""
+    last = labeller.finish()
+    if last is not None:
         _say(last)
+    return last is not None
 
 
 def _read_lines() -> Iterator[str]:

@@ -1,4 +1,7 @@
-"""The demonstration: a library of motions is made, trained, searched and measured before your eyes."""
+"""The demonstration: a library of motions is made, trained, searched and measured before your eyes.
+
+What it shows of uncut recordings is in `demo_takes`.
+"""
 
 from __future__ import annotations
 
@@ -10,6 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from dousa.app._output import make_folder, progress_bar
+from dousa.app.demo_takes import show_take, write_dance_figure
 from dousa.errors import TrainingError
 
 if TYPE_CHECKING:
@@ -90,7 +94,8 @@ def run_demo(
     ----------
     console : where to tell about it.
     data : folder of motion files to do it with; synthetic motions by default.
-    output : folder for ``demo.dousa``, ``search.png``, ``experiment.png`` and the synthetic motions.
+    output : folder for ``demo.dousa``, ``search.png``, ``take.bvh`` with ``timeline.png``, ``experiment.png`` and the
+        synthetic motions.
     seed : of the synthetic performers, the choice of the query and the forest.
     n_jobs : workers; every core by default.
     category_from, performer_from : rules for the labels of ``data``, see `dousa.library.labels`.
@@ -109,6 +114,9 @@ def run_demo(
     library_path = output / "demo.dousa"
     _build(console, library_path, plan, seed, n_jobs)
     _ask(console, library_path, plan, output / "search.png")
+    show_take(
+        console, library_path, plan.queries, plan.example, plan.strange, output, seed=seed, n_jobs=n_jobs
+    )
     _measure(console, plan, output / "experiment.png", seed, n_jobs)
     console.print(f"Done in {time.perf_counter() - started:.0f} s. Now try your own query:")
     console.print(f"  dousa search {library_path} {plan.example}", markup=False, soft_wrap=True)
@@ -124,6 +132,7 @@ class _Plan:
     queries : files that the library must not know, with their true categories.
     example : the query whose answer is shown.
     who : what the queries have in common, in words.
+    strange : file of something that is of no category, by the same performer.
     category_from, performer_from : rules for the labels.
     """
 
@@ -131,6 +140,7 @@ class _Plan:
     queries: dict[Path, str]
     example: Path
     who: str
+    strange: Path | None
     category_from: str
     performer_from: str | None
 
@@ -159,8 +169,11 @@ def _plan_synthetic(
         soft_wrap=True,
     )
     example = next((path for path, category in queries.items() if category == _EXAMPLE), min(queries))
+    strange = output / "queries" / "dance" / f"{stranger.name}_1.bvh"
+    make_folder(strange.parent)
+    write_dance_figure(stranger, strange, seed)
     who = "a performer the library has never seen"
-    return _Plan(output / "motions", queries, example, who, "folder", _PERFORMER_RULE)
+    return _Plan(output / "motions", queries, example, who, strange, "folder", _PERFORMER_RULE)
 
 
 def _plan_data(data: Path, seed: int, category_from: str, performer_from: str | None) -> _Plan:
@@ -187,7 +200,9 @@ def _plan_data(data: Path, seed: int, category_from: str, performer_from: str | 
     if len(held) == len(known):
         held = [example]
     who = "one clip held out" if len(held) == 1 else f"all clips of performer {people[example]}, held out"
-    return _Plan(data, {path: known[path] for path in held}, example, who, category_from, performer_from)
+    return _Plan(
+        data, {path: known[path] for path in held}, example, who, None, category_from, performer_from
+    )
 
 
 def _build(console: Console, path: Path, plan: _Plan, seed: int, n_jobs: int | None) -> None:
@@ -243,7 +258,7 @@ def _ask(console: Console, path: Path, plan: _Plan, picture: Path) -> None:
 
     truth = plan.queries[plan.example]
     with Library.open(path, read_only=True) as library:
-        result = library.search(plan.example, _N_RESULTS)
+        result = library.search(plan.example, _N_RESULTS, explain=True)
         draw_search_result(library, plan.example, result, picture, truth=truth)
         _print_answer(console, plan, result)
         if len(plan.queries) > 1:
@@ -266,6 +281,9 @@ def _print_answer(console: Console, plan: _Plan, result: SearchResult) -> None:
         f"In truth {truth}; the forest says {result.category or 'unknown'} ({describe_votes(result.histogram)})",
         markup=False,
     )
+    for reason in result.verdict.explanation.reasons[:1] if result.verdict.explanation else ():
+        without = f"without that {reason.vote_without:.0%} of the trees would say so"
+        console.print(f"Why: {reason.text}; {without}", markup=False, soft_wrap=True)
     table = Table(box=None)
     table.add_column("rank", justify="right")
     table.add_column("distance", justify="right")

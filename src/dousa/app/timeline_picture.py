@@ -31,7 +31,8 @@ _ROW, _BAR = 0.3, 0.8  # inches; share of a row that a bar of full confidence fi
 _TALLEST_POSE, _MOST_POSES = 1.3, 18
 _GAP = 0.14  # inches between the floor and the rows
 _LEAST_BAR = 0.03  # inches: a segment of a fraction of a second in a long take still shows
-_PERCENT = 0.34  # inches that "100%" needs inside a bar
+_SHORT_NAME = 20  # characters that fit in large letters
+_PERCENT = 0.36  # inches that "100%" needs inside a bar
 _MINUTES_FROM = 180.0  # s; longer takes are read in minutes
 _STEPS = (0.1, 0.2, 0.5, 1, 2, 5, 10, 15, 30, 60, 120, 300, 600, 900, 1800, 3600, 7200, 21600, 86400)
 
@@ -177,10 +178,11 @@ def _draw_rows(figure: Any, segments: Sequence[_Segment], rows: Sequence[str], s
         middle = (bottom + (count - number - 0.5) * _ROW - 0.045) / height
         weight = "normal" if category == _UNKNOWN else "bold"
         name = category if len(category) <= 34 else f"{category[:31]} …"
-        write(figure, (_MARGIN + _NAMES - 0.1) / width, middle, name, 9, ha="right", weight=weight)
+        size = 10.5 if len(name) <= _SHORT_NAME else 9.0
+        write(figure, (_MARGIN + _NAMES - 0.1) / width, middle, name, size, ha="right", weight=weight)
         total = sum(segment.end - segment.start for segment in mine)
         text = _say_time(total, 0.1)
-        write(figure, (_WIDTH - _MARGIN - _TOTALS + 0.1) / width, middle, text, 8.5, color=GREY)
+        write(figure, (_WIDTH - _MARGIN - _TOTALS + 0.1) / width, middle, text, 9.5, color=GREY)
     _draw_time_axis(axes, seconds)
 
 
@@ -204,14 +206,14 @@ def _draw_segment(axes: Any, segment: _Segment, row: int, per_inch: float) -> No
         plate = {"facecolor": "white", "edgecolor": "none", "pad": 0.6} if unknown else None
         middle = segment.start + 0.5 * length
         text = f"{segment.confidence:.0%}"
-        write(axes, middle, row + 0.02, text, 7.5, ha="center", va="center", bbox=plate, color=INK)
+        write(axes, middle, row + 0.02, text, 8.5, ha="center", va="center", bbox=plate, color=INK)
 
 
 def _draw_time_axis(axes: Any, seconds: float) -> None:
     step = next((step for step in _STEPS if seconds / step <= 12.5), seconds)
     ticks = np.arange(0.0, seconds + 1e-9 * step, step)
-    axes.set_xticks(ticks, [_say_tick(float(tick), step, seconds) for tick in ticks], fontsize=8.5)
-    axes.set_xlabel("minutes:seconds" if seconds >= _MINUTES_FROM else "seconds", fontsize=9, color=GREY)
+    axes.set_xticks(ticks, [_say_tick(float(tick), step, seconds) for tick in ticks], fontsize=10)
+    axes.set_xlabel("minutes:seconds" if seconds >= _MINUTES_FROM else "seconds", fontsize=10, color=GREY)
     axes.set_yticks([])
     axes.grid(axis="x", color=FAINT, lw=0.6)
     axes.set_axisbelow(True)
@@ -244,8 +246,8 @@ def _draw_head(figure: Any, title: str, segments: Sequence[_Segment], seconds: f
     else:
         facts += "nothing was found"
     shown = title if len(title) <= 90 else f"{title[:70]} ... {title[-15:]}"
-    write(figure, _MARGIN / width, 1 - 0.36 / height, shown, 14, weight="bold")
-    write(figure, _MARGIN / width, 1 - 0.62 / height, facts, 9.5, color=GREY)
+    write(figure, _MARGIN / width, 1 - 0.36 / height, shown, 15, weight="bold")
+    write(figure, _MARGIN / width, 1 - 0.63 / height, facts, 10.5, color=GREY)
 
 
 def _draw_key(figure: Any) -> None:
@@ -259,7 +261,12 @@ def _draw_key(figure: Any) -> None:
     ]
     corner = (1 - _MARGIN / width, 1 - 0.08 / height)
     figure.legend(
-        handles=handles, loc="upper right", bbox_to_anchor=corner, frameon=False, fontsize=9, handlelength=3.4
+        handles=handles,
+        loc="upper right",
+        bbox_to_anchor=corner,
+        frameon=False,
+        fontsize=10,
+        handlelength=3.4,
     )
 
 

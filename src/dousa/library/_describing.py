@@ -19,6 +19,7 @@ from dousa.library import schema
 from dousa.library._arrays import unpack
 from dousa.library.selection import portions
 from dousa.motion import CANONICAL_JOINTS
+from dousa.retrieval._rates import SLOWEST_RATE
 
 if TYPE_CHECKING:
     from dousa.motion import CanonicalMotion
@@ -149,7 +150,7 @@ def load_motions(connection: sa.Connection, ids: Sequence[int]) -> Iterator[Stor
 def _unpack(row: Any) -> StoredMotion:
     positions = unpack(row.positions, "<f4", (row.n_frames, len(CANONICAL_JOINTS), 3), row.path)
     numbers = row.height, 1 / row.height if row.height else np.inf, row.frame_rate, np.abs(positions).max()
-    if not (max(numbers) < BEYOND_MEASURE and min(numbers) >= 0 and row.frame_rate > 0):
+    if not (max(numbers) < BEYOND_MEASURE and min(numbers) >= 0 and row.frame_rate >= SLOWEST_RATE):
         raise LibraryDamagedError(
             f"{row.path}: {row.height} m tall, at {row.frame_rate} Hz; the library is damaged, remove the clip and "
             "add its file again"

@@ -15,7 +15,7 @@ from dousa.library._forests import StoredForest
 from dousa.library._labelling import LabellerShelf, LearnProgress
 from dousa.library._queries import name_query, read_query
 from dousa.library._querying import Querying
-from dousa.library._taking import Describing, ReadTake, TakeShelf
+from dousa.library._taking import Describing, ReadTake, TakeShelf, check_single
 from dousa.library.ingest import ReadOptions
 from dousa.library.reports import Skipped
 from dousa.library.take_answers import FindResult, LabelledTake, Place
@@ -89,13 +89,13 @@ class Finding:
         """What happens in a take."""
         from dousa.retrieval.labelling import label_take
 
+        check_single(take)
         stored, labeller = self._labeller(n_jobs, progress)
         with reading(self._engine, self._where) as connection:
             describing = Describing(stored, labeller.grid, options, n_jobs)
             chosen, skipped = self._shelf.chosen(connection, describing, [take])
-        if len(chosen) != 1:
-            problem = skipped[0].reason if skipped else f"expected one take, found {len(chosen)} files there"
-            raise MotionFileError(os.fspath(take), problem)
+        if not chosen:
+            raise MotionFileError(os.fspath(take), skipped[0].reason)
         timeline = label_take(labeller, chosen[0].windows, threshold=threshold)
         return LabelledTake(chosen[0].path, chosen[0].clip_id, timeline)
 

@@ -62,7 +62,7 @@ class Managing:
         query = sa.select(clips.path, clips.n_frames, clips.frame_rate, arrays.positions)
         query = query.join(schema.clip_trajectories, arrays.clip_id == clips.id).where(clips.id == clip_id)
         with reading(self._engine, self._where) as connection:
-            row = connection.execute(query).one_or_none()
+            row = connection.execute(query).one_or_none() if schema.is_id(clip_id) else None
         if row is None:
             raise LibraryError(f"{self._where}: no clip {clip_id}; see: dousa list")
         positions = unpack(row.positions, "<f4", (row.n_frames, len(CANONICAL_JOINTS), 3), row.path)

@@ -156,7 +156,7 @@ class Querying:
     def path_of(self, connection: sa.Connection, number: int) -> str:
         """The file of a clip or take; LibraryError if there is none of this number."""
         query = sa.select(schema.clips.c.path).where(schema.clips.c.id == number)
-        path = connection.execute(query).scalar_one_or_none()
+        path = connection.execute(query).scalar_one_or_none() if schema.is_id(number) else None
         if path is None:
             raise LibraryError(f"{self._where}: no clip or take {number}; see: dousa list")
         return str(path)

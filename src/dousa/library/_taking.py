@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import sqlalchemy as sa
 
-from dousa.errors import DousaError, LibraryDamagedError, LibraryError
+from dousa.errors import DousaError, LibraryDamagedError, LibraryError, MotionFileError
 from dousa.library import schema
 from dousa.library._describing import StoredMotion, load_motions, round_positions
 from dousa.library._forests import StoredForest
@@ -30,7 +30,7 @@ from dousa.library.selection import portions
 if TYPE_CHECKING:
     from dousa.retrieval.takes import TakeWindows, WindowGrid
 
-__all__ = ["Describing", "ReadTake", "TakeShelf"]
+__all__ = ["Describing", "ReadTake", "TakeShelf", "check_single"]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -105,7 +105,7 @@ class TakeShelf:
     def chosen(
         self, connection: sa.Connection, describing: Describing, wanted: Sequence[Any]
     ) -> tuple[list[ReadTake], list[Skipped]]:
-        """Takes by number, file or folder, or as motions; and the files that cannot be used.
+        """Takes by number, file or folder, or as motions, each once; and the files that cannot be used.
 
         A file that is in the library, and has not changed since, is not read: its windows are kept.
 
@@ -115,22 +115,26 @@ class TakeShelf:
         """
         takes: list[ReadTake] = []
         skipped: list[Skipped] = []
+        seen: set[str] = set()
         for item in wanted:
+            some: Sequence[ReadTake]
             if isinstance(item, int):
-                takes.append(self._by_number(connection, describing, item))
+                some = (self._by_number(connection, describing, item),)
             elif isinstance(item, str | os.PathLike):
                 some, missing = self._by_path(connection, describing, item)
-                takes += some
                 skipped += missing
             else:
                 motion = round_positions(read_query(item, describing.options))
                 takes.append(ReadTake(name_query(item), None, describing.describe(motion)))
+                continue  # motions may have one name
+            takes += [take for take in some if take.path not in seen]
+            seen.update(take.path for take in some)
         return takes, skipped
 
     def _by_number(self, connection: sa.Connection, describing: Describing, number: int) -> ReadTake:
         table = schema.clips.c
         query = sa.select(table.path, table.kind).where(table.id == number)
-        row = connection.execute(query).one_or_none()
+        row = connection.execute(query).one_or_none() if schema.is_id(number) else None
         if row is None:
             raise LibraryError(f"{self._where}: no clip or take {number}; see: dousa list")
         if row.kind == schema.TAKE:
@@ -203,6 +207,14 @@ class TakeShelf:
             raise LibraryDamagedError(
                 f"{self._where}: take {clip_id} has windows of another forest; run: dousa train {self._where}"
             )
+
+
+def check_single(take: Any) -> None:
+    """MotionFileError for a folder of other than one recording, before any of them is read."""
+    if isinstance(take, str | os.PathLike) and os.path.isdir(take):
+        files, _ = find_motion_files([take])
+        if len(files) != 1:
+            raise MotionFileError(os.fspath(take), f"expected one take, found {len(files)} files there")
 
 
 def _is_as_stored(row: Any, options: ReadOptions) -> bool:

@@ -31,6 +31,7 @@ from dousa.library._jobs import check_jobs, choose_jobs
 from dousa.library.reports import Skipped
 from dousa.library.schema import CLIP
 from dousa.motion.joints import CANONICAL_JOINTS
+from dousa.retrieval._rates import check_frame_rate
 
 if TYPE_CHECKING:
     from dousa.motion import CanonicalMotion
@@ -321,6 +322,7 @@ def _derive(task: ReadTask, state: SourceState, content_hash: str) -> ClipRecord
     rounded = round_positions(motion)
     if not ((np.abs(rounded.positions) < BEYOND_MEASURE).all() and motion.height * BEYOND_MEASURE > 1):
         return Skipped(task.path, _BEYOND)
+    check_frame_rate(motion.frame_rate)
     return ClipRecord(
         path=task.path,
         content_hash=content_hash,

@@ -19,6 +19,7 @@ __all__ = [
     "clip_trajectories",
     "clips",
     "forests",
+    "is_id",
     "library_state",
     "metadata",
     "migrations",
@@ -30,6 +31,8 @@ APPLICATION_ID = 0x444F5553
 
 CLIP, TAKE = "clip", "take"
 """The kinds of motion in a library: one thing that is done, cut out; and an uncut recording."""
+
+_IDS = range(1, 2**31)  # beyond them a database stops with an error of its own
 
 metadata = sa.MetaData()
 
@@ -151,3 +154,8 @@ forests = sa.Table(
     # ``TakeLabeller.to_bytes``: learned when a take is first labelled
     sa.Column("labeller", sa.LargeBinary),
 )
+
+
+def is_id(number: int) -> bool:
+    """Whether a clip or take can have this number."""
+    return number in _IDS

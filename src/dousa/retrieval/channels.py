@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from dousa.motion.joints import JOINT_INDEX
 from dousa.retrieval import _channel_kernels as kernels
+from dousa.retrieval._rates import check_frame_rate
 from dousa.retrieval.features import find_lateral_axis
 
 __all__ = [
@@ -145,7 +146,12 @@ def sample_positions(positions: FloatArray, frame_rate: float) -> FloatArray:
     Returns
     -------
     (m, J, 3), m = the duration times ``CHANNEL_RATE``, rounded, at least 1.
+
+    Raises
+    ------
+    InvalidMotionError : a frame rate below 1 Hz.
     """
+    check_frame_rate(frame_rate)
     count = max(1, round(len(positions) * CHANNEL_RATE / frame_rate))
     if count == len(positions):
         return np.asarray(positions, np.float64)

@@ -147,7 +147,8 @@ def find_in_takes(
     shares = np.concatenate([np.zeros(0), *(some.shares for some in candidates)])
     wanted = 2 * limit + 20
     places = _different_places(costs, owners, rows, takes, wanted)
-    found = [_refine(query, takes[owners[k]], int(rows[k]), float(shares[k])) for k in places]
+    tempos = (slowest, fastest)
+    found = [_refine(query, takes[owners[k]], int(rows[k]), float(shares[k]), tempos) for k in places]
     found.sort(key=lambda one: (-one.score, one.take, one.start))
     return _drop_same(found)[:limit]
 
@@ -228,7 +229,13 @@ def overlap(one: tuple[float, float], other: tuple[float, float]) -> float:
     return max(shared, 0.0) / union if union > 0 else 0.0
 
 
-def _refine(query: TakeQuery, named: tuple[str, TakeWindows], row: int, share: float) -> Found:
+def _refine(
+    query: TakeQuery,
+    named: tuple[str, TakeWindows],
+    row: int,
+    share: float,
+    tempos: tuple[float, float],
+) -> Found:
     """Move the edges of a window until the poses of its parts fit best, then align it pose by pose."""
     from dousa.retrieval._takes_kernels import compare_poses
 
@@ -241,6 +248,10 @@ def _refine(query: TakeQuery, named: tuple[str, TakeWindows], row: int, share: f
     starts, stops = np.append(start, starts), np.append(stop, stops)
     inside = (starts >= 0) & (stops <= take.n_frames) & (stops - starts >= N_PARTS)
     starts, stops = starts[inside], stops[inside]
+    # Windows lie a little beyond the tempos, as the grid has gaps; the answers do not, if they can be moved.
+    tempo = len(query.poses) / (stops - starts)
+    off = np.maximum(tempo / tempos[1], tempos[0] / tempo).clip(1.0)
+    starts, stops = starts[off == off.min()], stops[off == off.min()]
     distances = np.empty(len(starts))
     compare_poses(take.sums, starts, stops, _cut(query.poses), distances)
     best = int(np.argmin(distances))

@@ -10,8 +10,10 @@ needs all.
 from __future__ import annotations
 
 import json
+import reprlib
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
+from math import isnan
 from typing import Any
 
 import numpy as np
@@ -81,13 +83,18 @@ class LiveFrameParser:
         self._frames += 1
         return frame
 
+    @property
+    def line(self) -> int:
+        """Number of the last line that was read, from 1."""
+        return self._line
+
     def _wrong(self, problem: str) -> InvalidMotionError:
         return InvalidMotionError(f"line {self._line}: {problem}")
 
     def _take_header(self, said: dict[str, Any]) -> None:
         strange = sorted(set(said) - {"height", "frame_rate"})
         if strange or not said or self._frames:
-            names = ", ".join(sorted(said)) or "nothing"
+            names = reprlib.repr(", ".join(sorted(said))) if said else "nothing"
             raise self._wrong(f"expected a frame with 'joints' or 'positions', got {names}")
         if "height" in said:
             self.height = self._read_number(said["height"], "height in m", 0.1, 10.0)
@@ -97,7 +104,7 @@ class LiveFrameParser:
     def _read_number(self, value: object, what: str, least: float, most: float) -> float:
         right = isinstance(value, int | float) and not isinstance(value, bool)
         if not right or not least <= float(value) <= most:  # type: ignore[arg-type]
-            raise self._wrong(f"expected {what} from {least:g} to {most:g}, got {value!r}")
+            raise self._wrong(f"expected {what} from {least:g} to {most:g}, got {reprlib.repr(value)}")
         return float(value)  # type: ignore[arg-type]
 
     def _read_time(self, said: dict[str, Any]) -> float:
@@ -119,7 +126,9 @@ class LiveFrameParser:
             raise self._wrong(f"expected 'joints' as an object of names, got {type(named).__name__}")
         strange = sorted(set(named) - set(JOINT_INDEX))
         if strange:
-            raise self._wrong(f"no joint '{strange[0]}'; the joints are: {', '.join(CANONICAL_JOINTS)}")
+            raise self._wrong(
+                f"no joint {reprlib.repr(strange[0])}; the joints are: {', '.join(CANONICAL_JOINTS)}"
+            )
         positions = np.full((_N_JOINTS, 3), np.nan)
         for name, place in named.items():
             if place is not None:
@@ -128,14 +137,12 @@ class LiveFrameParser:
 
     def _read_place(self, name: str, place: object) -> list[float]:
         if not isinstance(place, list) or len(place) != 3:
-            raise self._wrong(f"expected [x, y, z] for {name}, got {place!r}")
-        if any(value is None for value in place):
+            raise self._wrong(f"expected [x, y, z] for {name}, got {reprlib.repr(place)}")
+        # NaN, which JSON does not have but Python writes, is a joint not seen, as null is.
+        if any(value is None or (isinstance(value, float) and isnan(value)) for value in place):
             return [np.nan] * 3
-        if not all(isinstance(value, int | float) and abs(value) < 1e9 for value in place):
-            # NaN, which JSON does not have but Python writes, is a joint not seen.
-            if all(isinstance(value, float) and not np.isinf(value) for value in place):
-                return [np.nan] * 3
-            raise self._wrong(f"expected [x, y, z] in m for {name}, got {place!r}")
+        if not all(type(value) in (int, float) and abs(value) < 1e9 for value in place):
+            raise self._wrong(f"expected [x, y, z] in m for {name}, got {reprlib.repr(place)}")
         return [float(value) for value in place]
 
     def _hold(self, positions: NDArray[np.float64]) -> tuple[NDArray[np.float64], tuple[str, ...]]:

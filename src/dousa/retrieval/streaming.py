@@ -291,7 +291,7 @@ class _Sampler:
         elif not 0 < time - self._time <= _LONGEST_GAP:
             raise InvalidMotionError(
                 f"expected frames in the order of time and at most {_LONGEST_GAP:g} s apart, got {time:g} s after "
-                f"{self._time:g} s; start a new labeller after a longer gap"
+                f"{self._time:g} s; start anew after a longer gap"
             )
         self._time = time
         # A rate of 30 Hz that is written with few digits must not fall beside its thirtieths.
