@@ -239,6 +239,47 @@ def test_bad_frames_are_told_with_their_line(dousa, library, monkeypatch, text, 
     assert says in err and len(err.splitlines()) == 1
 
 
+def test_what_was_seen_is_told_when_a_live_session_breaks_off(dousa, library, recordings, monkeypatch):
+    lines = frames(recordings).splitlines(keepends=True)
+    cut = len(lines) // 2
+    late = json.dumps({**json.loads(lines[cut]), "time": -1})
+    pipe(monkeypatch, "".join([*lines[:cut], late, "\n"]))
+    code, out, err = dousa("label", library, "-")
+    assert code == 2
+    assert f"line {cut + 1}: expected frames in the order of time" in err
+    settled = [segment for line in out.splitlines() for segment in json.loads(line)["settled"]]
+    assert settled[0]["start_s"] == 0
+    assert settled[-1]["end_s"] == json.loads(out.splitlines()[-1])["time_s"]
+
+
+def test_ctrl_c_ends_a_live_session_with_all_that_was_seen(dousa, library, recordings, monkeypatch):
+    lines = frames(recordings).splitlines(keepends=True)
+
+    def stop():
+        yield from lines[: len(lines) // 2]
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("dousa.app.cli_takes._read_lines", stop)
+    code, out, _ = dousa("label", library, "-")
+    assert code == 130
+    last = json.loads(out.splitlines()[-1])
+    assert last["settled"][-1]["end_s"] == last["time_s"]
+
+
+def test_a_motion_too_large_for_the_memory_is_one_line(dousa, library, monkeypatch):
+    def fill(*words, **named):
+        raise MemoryError
+
+    monkeypatch.setattr(Library, "find", fill)
+    code, _, err = dousa("find", library, "1")
+    assert code == 2 and "memory" in err and len(err.splitlines()) == 1
+
+
+def test_a_folder_without_recordings_is_said_so(dousa, library, tmp_path):
+    _, _, err = dousa("find", library, "1", tmp_path)
+    assert "no takes to look into" in err
+
+
 def test_no_frames_are_no_error(dousa, library, monkeypatch):
     for nothing in (io.TextIOWrapper(io.BytesIO(b"")), None):
         monkeypatch.setattr(sys, "stdin", nothing)
@@ -252,6 +293,8 @@ def test_no_frames_are_no_error(dousa, library, monkeypatch):
         (("find", "{lib}", "{tmp}/none.bvh"), "no such file"),
         (("find", "{lib}", "999"), "no clip or take 999"),
         (("find", "{lib}", "1", "999"), "no clip or take 999"),
+        (("find", "{lib}", "9" * 25), "no clip or take 999"),
+        (("label", "{lib}", "9" * 5000), "no such file"),
         (("find", "{tmp}/none.dousa", "1"), "no library at"),
         (("find", "{lib}", "1", "-k", "0"), "-k"),
         (("label", "{lib}", "{tmp}/none.bvh"), "no such file"),

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import sqlite3
 from contextlib import closing
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from dousa.errors import (
+    DousaError,
     InvalidMotionError,
     LibraryDamagedError,
     LibraryError,
@@ -205,6 +207,39 @@ def test_bad_takes_are_told_and_the_others_are_looked_into(library, take_file, t
     assert result.n_takes == 1
     assert {Path(item.path).name for item in result.skipped} == {"bad.bvh", "none.bvh"}
     assert library.find(1, [bad]).results == ()
+
+
+def test_a_take_named_twice_is_looked_into_once(library, take_file):
+    (number,) = (clip.id for clip in library.clips() if clip.kind == "take")
+    once = library.find(1, take_file)
+    twice = library.find(1, [take_file, number, str(take_file)])
+    assert (twice.n_takes, twice.results) == (1, once.results)
+
+
+def test_a_rate_near_zero_is_refused(library, tmp_path):
+    slow = replace(one_frame(30), frame_rate=1e-6)
+    path = tmp_path / "slow.npz"
+    write_motion(slow, path)
+    (skipped,) = library.add(path, kind="take").skipped
+    assert "1 Hz or more" in skipped.reason
+    for ask in (library.find, library.label, library.search):
+        with pytest.raises(DousaError, match="1 Hz or more"):
+            ask(path)
+
+
+def test_a_stored_rate_near_zero_is_damage(path_with_take):
+    change(path_with_take, "UPDATE clips SET frame_rate = 1e-9")
+    with Library.open(path_with_take) as library, pytest.raises(LibraryDamagedError, match="at 1e-09 Hz"):
+        library.find(1)
+
+
+@pytest.mark.parametrize("number", [2**31, 10**30, 0, -(10**30)])
+def test_numbers_that_no_database_holds(library, number):
+    for ask in (library.find, library.label, library.search, library.trajectories):
+        with pytest.raises(LibraryError, match="no clip"):
+            ask(number)
+    with pytest.raises(LibraryError, match="no clip"):
+        library.find(1, number)
 
 
 def test_bad_questions(library, long_moves, tmp_path):

@@ -64,6 +64,15 @@ def test_other_tempos_are_found(tempo):
     assert found[0].tempo == pytest.approx(tempo, rel=0.3)
 
 
+def test_no_answer_is_faster_or_slower_than_the_range():
+    take = take_of([make_clip(category, 5) for category in ("kick", "bow", "wave", "kick", "bow")])
+    for seconds in (0.8, 2.0, 4.0):
+        query = describe_query(FOREST, SET, make_clip("raise left", 1, 0, seconds=seconds))
+        found = find_in_takes(query, [("one", describe(take))], limit=50)
+        assert found
+        assert all(0.5 <= one.tempo <= 2.0 for one in found)
+
+
 def test_all_takes_are_searched_and_named():
     takes = [take_of([make_clip(a, 5) for a in order]) for order in (ACTIONS, ACTIONS[::-1])]
     query = describe_query(FOREST, SET, make_clip("spread", 0))

@@ -52,5 +52,5 @@ def open_to_read(library: str) -> Library:
 
 def clip_or_path(text: str) -> int | str:
     """The number of a clip, unless a file is called so."""
-    is_number = text.isascii() and text.isdigit() and len(text) < 20  # Python reads no number of many digits
+    is_number = text.isascii() and text.isdigit() and len(text) < 1000  # Python reads no more than some 4,000
     return int(text) if is_number and not os.path.exists(text) else text

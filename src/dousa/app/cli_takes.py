@@ -55,7 +55,7 @@ def find(
 ) -> None:
     """Find where in uncut recordings something like a motion happens, at half to twice its tempo.
 
-    The score is about the probability that a person would call both the same.
+    The score is 1 for the very same motion and near 0 for another; how sure a score is depends on the recordings.
 
     Example: dousa find moves.dousa kick.bvh
     """
@@ -108,7 +108,7 @@ def label(
             "--height",
             min=0.1,
             max=10,
-            help="Of the performer in m; only with -.",
+            help="Of the performer in m, as dousa info tells it; only with -.",
             show_default="estimated from the first second",
         ),
     ] = None,

@@ -28,7 +28,7 @@ __all__ = ["Found", "TakeQuery", "describe_query", "find_in_takes"]
 
 FloatArray = NDArray[np.float64]
 
-# Chosen on joined takes of UTD-MHAD and HDM05 with people and some of the categories left out (docs/retrieval.md).
+# Chosen on joined takes of UTD-MHAD and HDM05 with people and some of the categories left out (docs/takes.md).
 _POSE_WEIGHT, _LEAF_WEIGHT, _ALIGNED_WEIGHT = 3.0, 0.05, 2.0
 _LEAST_SHARE = 0.02
 # Where the score is one half, and how fast it falls, for costs in units of how much the query moves.

@@ -11,7 +11,7 @@ that order behind them.
 
 ``fused`` the sum ``histogram / sqrt(2) + leaves / 2 + 8 pose``: each distance on a scale of its own that is the same
 for every query, so that the sums of two queries can be compared. An eighth of a body height between the poses counts as
-much as votes that disagree altogether. The weights are in docs/retrieval.md with what they were chosen by.
+much as votes that disagree altogether. The weights are in docs/ranking.md with what they were chosen by.
 """
 
 from __future__ import annotations

@@ -3,7 +3,7 @@
 A query is a clip that the gallery does not hold; with performers left out, its performer is nowhere in the gallery. The
 clips of the gallery are put in order for every query; a clip is relevant if it is of the query's category. Forests and
 templates learn from the gallery and its labels; Euclidean distance and DTW need no labels. Nothing is published for
-retrieving whole clips by a clip on the sets used here, so the protocol is written down in docs/retrieval.md.
+retrieving whole clips by a clip on the sets used here, so the protocol is written down in docs/ranking.md.
 """
 
 from __future__ import annotations
