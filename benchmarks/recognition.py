@@ -1,9 +1,8 @@
 """How many motions of a person never seen are recognised: a dousa forest against time series classifiers of aeon.
 
 UTD-MHAD, 27 actions, one of four people left out at a time: the same splits, in one run. aeon's classifiers see the
-joint positions from the pelvis over the body height at 64 equally spaced instants (turned to the body, MiniRocket is
-half a point worse). aeon needs an older NumPy than ours, so it has an environment of its own: ``make peers``, which
-runs this.
+joint positions from the pelvis over the body height at 64 equally spaced instants (turning them to the body changes
+nothing). aeon needs an older NumPy than ours, so it has an environment of its own: ``make peers``, which runs this.
 """
 
 from __future__ import annotations
