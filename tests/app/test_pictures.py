@@ -115,7 +115,7 @@ def test_characters_without_a_glyph_are_spelled_out(monkeypatch):
             return 1 if code < 128 else 0
 
     monkeypatch.setattr(_canvas, "_fonts", lambda: (("DejaVu Sans",), (OnlyLetters,)))
-    assert _canvas._drawable("a動\t") == "a\\u52d5\\t"
+    assert _canvas.drawable("a動\t") == "a\\u52d5\\t"
 
 
 def test_the_viewer_sees_the_front_and_then_the_right_side(walk):

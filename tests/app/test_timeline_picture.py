@@ -74,6 +74,20 @@ def test_every_category_has_a_row(tmp_path):
     assert heights[1] - heights[0] == pytest.approx(26 * 33, abs=2)
 
 
+def test_a_name_spelled_by_its_codes_stays_on_the_picture(monkeypatch, tmp_path):
+    names, fonts = _canvas._fonts()
+
+    class OnlyLetters:
+        @staticmethod
+        def get_char_index(code):
+            return fonts[0].get_char_index(code) if code < 128 else 0
+
+    monkeypatch.setattr(_canvas, "_fonts", lambda: (names, (OnlyLetters,)))
+    timeline = {"segments": [segment(0, 2, "ボクシング" * 4)], "duration_s": 2.0}
+    draw_timeline(timeline, tmp_path / "a.png")
+    assert (ink(tmp_path / "a.png")[:, :5] == 1.0).all()
+
+
 @pytest.mark.parametrize("kind", ["motion", "canonical", "markers"])
 def test_poses_stand_above_their_times(kind, walk, tmp_path):
     positions = np.random.default_rng(0).uniform(-1, 1, (20, 9, 3))

@@ -21,6 +21,7 @@ __all__ = [
     "INK",
     "PURPLE",
     "VERMILLION",
+    "drawable",
     "new_figure",
     "save_figure",
     "write",
@@ -81,7 +82,7 @@ def _fonts() -> tuple[tuple[str, ...], tuple[Any, ...]]:
     return tuple(names), opened
 
 
-def _drawable(text: str) -> str:
+def drawable(text: str) -> str:
     """The text with every character that no font can draw spelled as its code, such as \\u52d5."""
     _, fonts = _fonts()
     out = []
@@ -98,7 +99,7 @@ def write(target: Any, x: float, y: float, text: str, size: float = 9.0, **style
     """Write on a figure or axes; dollar signs are dollar signs, and what cannot be drawn is spelled out."""
     names, _ = _fonts()
     options = {"color": INK, "ha": "left", "va": "baseline", **style}
-    target.text(x, y, _drawable(text), fontsize=size, family=list(names), parse_math=False, **options)
+    target.text(x, y, drawable(text), fontsize=size, family=list(names), parse_math=False, **options)
 
 
 def save_figure(figure: Figure, path: str | os.PathLike[str]) -> None:

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 
-from dousa.app._canvas import BLUE, FAINT, GREY, INK, new_figure, save_figure, write
+from dousa.app._canvas import BLUE, FAINT, GREY, INK, drawable, new_figure, save_figure, write
 from dousa.app._poses import LIMBS, THREE_QUARTER, Figurine, draw_poses, extent, to_figurine
 from dousa.errors import OptionError
 
@@ -177,7 +177,8 @@ def _draw_rows(figure: Any, segments: Sequence[_Segment], rows: Sequence[str], s
             _draw_segment(axes, segment, number, seconds / room)
         middle = (bottom + (count - number - 0.5) * _ROW - 0.045) / height
         weight = "normal" if category == _UNKNOWN else "bold"
-        name = category if len(category) <= 34 else f"{category[:31]} …"
+        spelled = drawable(category)  # as long as it will be drawn
+        name = spelled if len(spelled) <= 28 else f"{spelled[:25]} …"
         size = 10.5 if len(name) <= _SHORT_NAME else 9.0
         write(figure, (_MARGIN + _NAMES - 0.1) / width, middle, name, size, ha="right", weight=weight)
         total = sum(segment.end - segment.start for segment in mine)
