@@ -80,7 +80,7 @@ def test_a_name_spelled_by_its_codes_stays_on_the_picture(monkeypatch, tmp_path)
     class OnlyLetters:
         @staticmethod
         def get_char_index(code):
-            return fonts[0].get_char_index(code) if code < 128 else 0
+            return fonts[0].get_char_index(code) if code < 0x3000 else 0
 
     monkeypatch.setattr(_canvas, "_fonts", lambda: (names, (OnlyLetters,)))
     timeline = {"segments": [segment(0, 2, "ボクシング" * 4)], "duration_s": 2.0}

@@ -178,7 +178,7 @@ def _draw_rows(figure: Any, segments: Sequence[_Segment], rows: Sequence[str], s
         middle = (bottom + (count - number - 0.5) * _ROW - 0.045) / height
         weight = "normal" if category == _UNKNOWN else "bold"
         spelled = drawable(category)  # as long as it will be drawn
-        name = spelled if len(spelled) <= 28 else f"{spelled[:25]} …"
+        name = spelled if len(spelled) <= 30 else f"{spelled[:27]} …"
         size = 10.5 if len(name) <= _SHORT_NAME else 9.0
         write(figure, (_MARGIN + _NAMES - 0.1) / width, middle, name, size, ha="right", weight=weight)
         total = sum(segment.end - segment.start for segment in mine)
