@@ -344,8 +344,8 @@ def demo(
     seed: Annotated[int, typer.Option("--seed", min=0, help="Other performers and motions.")] = 0,
     jobs: o.Jobs = None,
 ) -> None:
-    """Show the main jobs with nothing but the package: make a library of motions, train it and search it;
-    make a dance and a pupil who gets parts of it wrong, and tell them; see a performer with four cameras,
+    """Show the main jobs with nothing but the package: make a library of motions, train it, search it and look
+    into an uncut take; make a dance and a pupil who gets parts of it wrong, and tell them; see a performer with four cameras,
     estimate the motion from the silhouettes, and find and judge it (the last two not with --data).
 
     Example: dousa demo --output demo-output
