@@ -345,8 +345,8 @@ def demo(
     jobs: o.Jobs = None,
 ) -> None:
     """Show the main jobs with nothing but the package: make a library of motions, train it, search it and look
-    into an uncut take; make a dance and a pupil who gets parts of it wrong, and tell them; see a performer with four cameras,
-    estimate the motion from the silhouettes, and find and judge it (the last two not with --data).
+    into an uncut take; make a dance and a pupil who gets parts of it wrong, and tell them; see a performer with four
+    cameras, estimate the motion from the silhouettes, and find and judge it (the last two not with --data).
 
     Example: dousa demo --output demo-output
     """
