@@ -19,7 +19,7 @@ from dousa.library import schema
 from dousa.library._arrays import unpack
 from dousa.library.selection import portions
 from dousa.motion import CANONICAL_JOINTS
-from dousa.retrieval._rates import SLOWEST_RATE
+from dousa.retrieval.posed_motion import SLOWEST_RATE
 
 if TYPE_CHECKING:
     from dousa.motion import CanonicalMotion

@@ -31,7 +31,7 @@ from dousa.library._jobs import check_jobs, choose_jobs
 from dousa.library.reports import Skipped
 from dousa.library.schema import CLIP
 from dousa.motion.joints import CANONICAL_JOINTS
-from dousa.retrieval._rates import check_frame_rate
+from dousa.retrieval.posed_motion import check_frame_rate
 
 if TYPE_CHECKING:
     from dousa.motion import CanonicalMotion

@@ -19,8 +19,8 @@ from numpy.typing import NDArray
 
 from dousa.motion.joints import JOINT_INDEX
 from dousa.retrieval import _channel_kernels as kernels
-from dousa.retrieval._rates import check_frame_rate
 from dousa.retrieval.features import find_lateral_axis
+from dousa.retrieval.posed_motion import check_frame_rate
 
 __all__ = [
     "CHANNELS",

@@ -183,7 +183,8 @@ def compute_clip_features(
             f"expected n_frames and samples_per_frame of at least 1, got {n_frames!r} and {samples_per_frame!r}"
         )
     wanted = n_frames * samples_per_frame
-    middles = ((np.arange(wanted) + 0.5) * (len(canonical.positions) / wanted)).astype(np.intp)
+    # In whole numbers: a middle that falls between two frames is that of the later one, however division rounds.
+    middles = (2 * np.arange(wanted) + 1) * len(canonical.positions) // (2 * wanted)
     poses = compute_pose_features(canonical.positions[middles], canonical.height)
     return poses.reshape(n_frames, samples_per_frame, -1).mean(axis=1)
 

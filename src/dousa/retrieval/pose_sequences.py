@@ -2,9 +2,9 @@
 
 A clip is cut into 16 cells that are equally long in motion time (see ``tracks``). Each cell holds the mean, over its
 time, of the places of 12 joints in the body-fixed system, and of how fast the body moves and turns, all in body heights
-and seconds. The numbers are scaled so that the
-Euclidean distance of two cells is the root mean square over the joints of how far apart they are, in body heights; a
-movement counts by how far it goes in 0.3 s, a turn by its radians in that time.
+and seconds. The numbers are scaled so that the Euclidean distance of two cells is the root mean square over the joints
+of how far apart they are, in body heights; a movement counts by how far it goes in 0.3 s, a turn by its radians in that
+time.
 
 All of it is read from the integrals of a ``FeatureTrack``, so a window of a long recording costs no more than a clip.
 """
@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from dousa.errors import InvalidMotionError, OptionError
+from dousa.errors import OptionError
 
 if TYPE_CHECKING:
     from dousa.retrieval.posed_motion import PosedMotion
@@ -76,16 +76,8 @@ def compute_window_poses(track: FeatureTrack, starts: ArrayLike, stops: ArrayLik
     InvalidMotionError : a window outside the recording or without length.
     """
     columns = _find_columns(track)
-    first = np.atleast_1d(np.asarray(starts, np.float64))
-    last = np.atleast_1d(np.asarray(stops, np.float64))
-    if first.ndim != 1 or first.shape != last.shape:
-        raise InvalidMotionError(f"expected as many starts as stops, got {first.shape} and {last.shape}")
-    if not ((first >= 0) & (first < last) & (last <= track.n_frames)).all():
-        raise InvalidMotionError(f"expected windows within 0 ... {track.n_frames} frames, got others")
-    frames = np.arange(track.n_frames + 1.0)
-    begin, end = np.interp(first, frames, track.times), np.interp(last, frames, track.times)
-    times = begin[:, None] + (end - begin)[:, None] * np.linspace(0.0, 1.0, POSE_CELLS + 1)
-    edges = np.interp(times, track.times, frames)
+    edges = track.find_edges(starts, stops, POSE_CELLS)
+    begin, end = np.interp(edges[:, [0, -1]], np.arange(track.n_frames + 1.0), track.times).T
     below = np.minimum(edges.astype(np.intp), track.n_frames - 1)[:, :, None]
     share = edges[:, :, None] - below
     summed = track.integrals[below, columns] * (1.0 - share) + track.integrals[below + 1, columns] * share

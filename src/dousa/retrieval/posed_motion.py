@@ -10,7 +10,10 @@ from numpy.typing import NDArray
 from dousa.errors import InvalidMotionError
 from dousa.motion.joints import CANONICAL_JOINTS
 
-__all__ = ["PosedMotion", "check_motion"]
+__all__ = ["SLOWEST_RATE", "PosedMotion", "check_frame_rate", "check_motion"]
+
+SLOWEST_RATE = 1.0
+"""Hz: everything is brought to 30 Hz, so a rate near zero would fill the memory."""
 
 
 class PosedMotion(Protocol):
@@ -44,3 +47,11 @@ def check_motion(motion: PosedMotion) -> NDArray[np.float64]:
     if not np.isfinite(points).all():
         raise InvalidMotionError("expected finite positions, got NaN or infinity; canonicalise fills gaps")
     return points
+
+
+def check_frame_rate(frame_rate: float) -> None:
+    """Raise InvalidMotionError for a frame rate below ``SLOWEST_RATE``."""
+    if not frame_rate >= SLOWEST_RATE:
+        raise InvalidMotionError(
+            f"expected a frame rate of {SLOWEST_RATE:g} Hz or more, got {frame_rate:g} Hz; is it right?"
+        )

@@ -138,9 +138,8 @@ def _compare_histograms(query: ArrayLike, histograms: ArrayLike) -> FloatArray:
         raise InvalidMotionError(
             f"expected a histogram (C,) and histograms (N, C), got shapes {asked.shape} and {stored.shape}"
         )
-    kind = (
-        np.int32 if stored.dtype == np.int32 else np.float64
-    )  # votes stay as they are: no copy of a whole library
+    # Votes stay as they are: no copy of a whole library.
+    kind = np.int32 if stored.dtype == np.int32 else np.float64
     distances = np.empty(len(stored))
     measure_distances(np.ascontiguousarray(asked), np.ascontiguousarray(stored, kind), distances)
     if not np.isfinite(distances).all():

@@ -51,18 +51,30 @@ class FeatureTrack:
         """Hz."""
         return CHANNEL_RATE
 
-    def find_edges(self, starts: ArrayLike, stops: ArrayLike) -> FloatArray:
-        """Where the cells of windows begin and end: (N, T + 1) in frames; parameters and errors as ``describe``."""
+    def find_edges(self, starts: ArrayLike, stops: ArrayLike, n_cells: int | None = None) -> FloatArray:
+        """Where the cells of windows begin and end, in frames.
+
+        Parameters
+        ----------
+        starts, stops : as in ``describe``, which raises the same errors.
+        n_cells : as many as the feature set has, if it is None.
+
+        Returns
+        -------
+        (N, n_cells + 1)
+        """
         first, last = (
             np.atleast_1d(np.asarray(starts, np.float64)),
             np.atleast_1d(np.asarray(stops, np.float64)),
         )
         inside = (first >= 0) & (first < last) & (last <= self.n_frames)
         if first.shape != last.shape or first.ndim != 1 or not inside.all():
-            raise InvalidMotionError(f"expected windows within 0 ... {self.n_frames} frames, got others")
+            raise InvalidMotionError(
+                f"expected windows within 0 ... {self.n_frames} frames, and as many starts as stops, got others"
+            )
         frames = np.arange(self.n_frames + 1.0)
         begin, end = np.interp(first, frames, self.times), np.interp(last, frames, self.times)
-        parts = np.linspace(0.0, 1.0, self.feature_set.n_frames + 1)
+        parts = np.linspace(0.0, 1.0, (n_cells or self.feature_set.n_frames) + 1)
         edges = np.interp(begin[:, None] + (end - begin)[:, None] * parts, self.times, frames)
         edges[:, 0], edges[:, -1] = first, last
         return edges
