@@ -19,6 +19,7 @@ from dousa.app import (
     cli_evaluation,
     cli_files,
     cli_library,
+    cli_studio,
     cli_takes,
     cli_trials,
 )
@@ -39,7 +40,8 @@ app = typer.Typer(
     context_settings={"help_option_names": ["-h", "--help"]},
 )
 for group in (
-    cli_files, cli_library, cli_takes, cli_estimation, cli_estimation_trials, cli_evaluation, cli_trials
+    cli_files, cli_library, cli_takes, cli_estimation, cli_estimation_trials, cli_evaluation, cli_studio,
+    cli_trials,
 ):  # fmt: skip
     group.register(app)
 

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from dousa._lazy import load_when_used
 
-__all__ = ["write_report"]
+_HOME = {"find_font": "_fonts", "write_report": "_writing"}
 
-__getattr__ = load_when_used(__name__, {"write_report": "dousa.app.report._writing"})
+__all__ = sorted(_HOME)  # noqa: PLE0605
+
+__getattr__ = load_when_used(__name__, {name: f"{__name__}.{module}" for name, module in _HOME.items()})

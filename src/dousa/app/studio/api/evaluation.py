@@ -1,0 +1,9 @@
+"""Judging a performance."""
+
+from __future__ import annotations
+
+from fastapi import APIRouter
+
+__all__ = ["router"]
+
+router = APIRouter(tags=["evaluation"])

@@ -1,0 +1,99 @@
+"""Work under way: watch, stop, take up, forget; adding and training."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+from fastapi import APIRouter, Query
+from pydantic import BaseModel, ConfigDict, Field
+
+from dousa.app.studio.answers import Answer
+from dousa.app.studio.studio import StudioNow
+
+__all__ = ["router"]
+
+router = APIRouter(tags=["jobs"])
+
+
+class AddRequest(BaseModel):
+    """Which uploaded files, and what is said about them."""
+
+    model_config = ConfigDict(extra="forbid")
+
+    batch: str = Field(pattern="^[0-9a-f]{16}$")
+    kind: Literal["clip", "take"] = "clip"
+    category_from: str | None = Field("folder", max_length=300, description="as dousa add --category-from")
+    performer_from: str | None = Field(None, max_length=300, description="as dousa add --performer-from")
+    unit: str | None = Field(None, max_length=20)
+    up: str | None = Field(None, max_length=2)
+    joint_map: dict[str, str | list[str]] | None = None
+
+
+class TrainRequest(BaseModel):
+    """How the forest is trained."""
+
+    model_config = ConfigDict(extra="forbid")
+
+    feature_set: Literal["paper", "extended"] | None = None
+    n_trees: Annotated[int, Field(ge=1, le=2000)] = 100
+    random_state: Annotated[int, Field(ge=0, le=2**32 - 1)] = 0
+
+
+@router.post("/jobs/add", status_code=202, summary="Add uploaded files to the library")
+def add(studio: StudioNow, wanted: AddRequest) -> Answer:
+    """A job; its result says what was added and what was refused, and why."""
+    files = studio.workspace.files(wanted.batch)
+    studio.workspace.keep(wanted.batch)
+    job = studio.jobs.submit("add", wanted.model_dump(), f"{len(files)} files")
+    return Answer(job.to_json(), 202)
+
+
+@router.post("/jobs/train", status_code=202, summary="Train the forest of the library")
+def train(studio: StudioNow, wanted: TrainRequest) -> Answer:
+    """A job; the library keeps its old forest until the new one is there."""
+    return Answer(
+        studio.jobs.submit("train", wanted.model_dump(), studio.settings.library.name).to_json(), 202
+    )
+
+
+@router.get("/jobs", summary="All jobs, the newest first")
+def list_jobs(
+    studio: StudioNow,
+    kind: Annotated[str | None, Query(max_length=20)] = None,
+    active: Annotated[bool | None, Query(description="only those under way, or only the others")] = None,
+    limit: Annotated[int, Query(ge=1, le=500)] = 50,
+) -> Answer:
+    """Without requests and results."""
+    from dousa.app.studio.jobs import ACTIVE
+
+    chosen = [
+        job.to_json(brief=True)
+        for job in studio.jobs.all()
+        if (kind is None or job.kind == kind) and (active is None or (job.state in ACTIVE) == active)
+    ]
+    return Answer({"jobs": chosen[:limit]})
+
+
+@router.get("/jobs/{job_id}", summary="One job, with its result when it is done")
+def get_job(studio: StudioNow, job_id: str) -> Answer:
+    """State, progress, notes, result or problem."""
+    return Answer(studio.jobs.get(job_id).to_json())
+
+
+@router.post("/jobs/{job_id}/stop", summary="Stop a job")
+def stop_job(studio: StudioNow, job_id: str) -> Answer:
+    """What it has done stays."""
+    return Answer(studio.jobs.stop(job_id).to_json(brief=True))
+
+
+@router.post("/jobs/{job_id}/resume", summary="Take up a stopped job where it was")
+def resume_job(studio: StudioNow, job_id: str) -> Answer:
+    """Adding, training and estimation can be taken up."""
+    return Answer(studio.jobs.resume(job_id).to_json(brief=True))
+
+
+@router.delete("/jobs/{job_id}", summary="Forget a finished job and its files")
+def forget_job(studio: StudioNow, job_id: str) -> Answer:
+    """A job under way is stopped first, by its own request."""
+    studio.jobs.remove(job_id)
+    return Answer({"id": job_id})

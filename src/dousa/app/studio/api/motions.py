@@ -1,0 +1,9 @@
+"""Motions as figures and files."""
+
+from __future__ import annotations
+
+from fastapi import APIRouter
+
+__all__ = ["router"]
+
+router = APIRouter(tags=["motions"])

@@ -1,0 +1,9 @@
+"""Labels of long recordings."""
+
+from __future__ import annotations
+
+from fastapi import APIRouter
+
+__all__ = ["router"]
+
+router = APIRouter(tags=["takes"])

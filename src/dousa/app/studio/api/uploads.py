@@ -1,0 +1,76 @@
+"""Files from elsewhere: one a request, the body is its bytes; zip archives are unpacked."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any
+
+from fastapi import APIRouter, Query, Request
+
+from dousa.app.studio.answers import Answer
+from dousa.app.studio.problems import RefusedError
+from dousa.app.studio.studio import StudioNow
+from dousa.app.studio.uploads import MOTIONS, receive
+
+__all__ = ["router"]
+
+router = APIRouter(tags=["uploads"])
+
+_BODY: dict[str, Any] = {
+    "requestBody": {
+        "required": True,
+        "content": {"application/octet-stream": {"schema": {"type": "string", "format": "binary"}}},
+    }
+}
+
+
+@router.post("/uploads", status_code=201, summary="Upload a file", openapi_extra=_BODY)
+async def upload(
+    request: Request,
+    studio: StudioNow,
+    name: Annotated[str, Query(max_length=1000, description="relative path, such as kick/anna_1.bvh")],
+    batch: Annotated[
+        str | None, Query(pattern="^[0-9a-f]{16}$", description="of an earlier upload, to put files together")
+    ] = None,
+) -> Answer:
+    """Keep a file, or the files of a zip archive, in a batch.
+
+    Files that belong together (AMC with ASF; masks of one view; a folder for the library) go into one batch: give the
+    ``batch`` of the first answer with the others.
+    """
+    if request.headers.get("content-type", "").startswith("multipart/"):
+        raise RefusedError(
+            415, "expected the bytes of the file as the body, not a form: curl --data-binary @walk.bvh"
+        )
+    came = await receive(request.stream(), name, batch, studio.workspace, studio.settings)
+    return Answer(
+        {
+            "batch": came.batch,
+            "files": [_describe(came.batch, file, size) for file, size in came.files],
+            "refused": [{"name": file, "reason": reason} for file, reason in came.refused],
+        },
+        201,
+    )
+
+
+def _describe(batch: str, name: str, size: int) -> dict[str, Any]:
+    is_motion = name[name.rfind(".") :].lower() in MOTIONS
+    return {"name": name, "bytes": size, "motion": f"file:{batch}/{name}" if is_motion else None}
+
+
+@router.get("/uploads/{batch}", summary="The files of a batch")
+def list_files(studio: StudioNow, batch: str) -> Answer:
+    """Names and sizes."""
+    folder = studio.workspace.batch_folder(batch)
+    files = [
+        _describe(batch, path.relative_to(folder).as_posix(), path.stat().st_size)
+        for path in studio.workspace.files(batch)
+    ]
+    return Answer({"batch": batch, "files": files})
+
+
+@router.delete("/uploads/{batch}", status_code=200, summary="Take away a batch that is not in use")
+def discard(studio: StudioNow, batch: str) -> Answer:
+    """Files that the library or a job lives from stay."""
+    studio.workspace.batch_folder(batch)
+    studio.workspace.discard(batch)
+    return Answer({"batch": batch})

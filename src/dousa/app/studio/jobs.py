@@ -1,0 +1,293 @@
+"""Work that outlives a request: queued, watched, stopped, taken up again, and still there after a reload.
+
+Long work (adding, training, estimating) runs in a process of its own, which gives its memory back, can be stopped
+at any moment and leaves the page quick. Short work (labelling, evaluating) runs in a thread beside the kernels that
+are loaded already. Each lane does one thing at a time, in the order asked for.
+"""
+
+from __future__ import annotations
+
+import json
+import queue
+import secrets
+import shutil
+import threading
+import time
+from collections.abc import Callable, Mapping
+from contextlib import suppress
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from dousa.app.studio.problems import RefusedError
+
+if TYPE_CHECKING:
+    from dousa.app.studio.workspace import Workspace
+
+__all__ = ["ACTIVE", "Job", "JobBoard", "JobStopped", "Lane"]
+
+ACTIVE = frozenset({"queued", "running", "stopping"})
+_MOST_WAITING, _MOST_KEPT = 50, 200
+_SAVE_EVERY = 2.0  # s between writes of the progress of a running job
+
+
+class JobStopped(Exception):  # noqa: N818 - not an error
+    """Raised inside work that somebody has stopped."""
+
+
+@dataclass(slots=True)
+class Job:
+    """One piece of work and how far it is.
+
+    Parameters
+    ----------
+    id : 16 hexadecimal digits.
+    kind : name of the work, see `dousa.app.studio.work`.
+    title : for people.
+    request : what was asked for.
+    state : ``queued``, ``running``, ``stopping``, ``done``, ``failed``, ``stopped``.
+    done, total, what : progress.
+    notes : what a person should know, in sentences.
+    result : the answer; None until it is done.
+    problem : why it failed.
+    created_s, started_s, finished_s : Unix times.
+    version : counts changes.
+    """
+
+    id: str
+    kind: str
+    title: str
+    request: dict[str, Any]
+    state: str = "queued"
+    done: int = 0
+    total: int = 0
+    what: str = ""
+    notes: list[str] = field(default_factory=list)
+    result: dict[str, Any] | None = None
+    problem: str | None = None
+    resumable: bool = False
+    created_s: float = field(default_factory=time.time)
+    started_s: float | None = None
+    finished_s: float | None = None
+    version: int = 0
+
+    def to_json(self, *, brief: bool = False) -> dict[str, Any]:
+        """The job as a plain dictionary; brief: without request and result."""
+        names = [name for name in self.__slots__ if not (brief and name in ("request", "result"))]
+        return {name: getattr(self, name) for name in names}
+
+
+@dataclass(frozen=True, slots=True)
+class Lane:
+    """A kind of work.
+
+    Parameters
+    ----------
+    name : jobs of the same lane wait for each other.
+    run : does the work of a job; told whether to stop by ``stop``; returns the result.
+    resumable : a stopped job can be taken up where it was.
+    """
+
+    name: str
+    run: Callable[[Job, JobBoard, threading.Event], dict[str, Any]]
+    resumable: bool = False
+
+
+class JobBoard:
+    """All jobs of a studio, safe to be used from any thread.
+
+    Parameters
+    ----------
+    workspace : where jobs keep their files.
+    kinds : the lane of each kind of work.
+    """
+
+    def __init__(self, workspace: Workspace, kinds: Mapping[str, Lane]) -> None:
+        self._workspace = workspace
+        self._kinds = dict(kinds)
+        self._lock = threading.RLock()
+        self._jobs: dict[str, Job] = {}
+        self._stops: dict[str, threading.Event] = {}
+        self._queues: dict[str, queue.SimpleQueue[str | None]] = {}
+        self._threads: list[threading.Thread] = []
+        self._saved: dict[str, float] = {}
+        self._closing = False
+        self._load()
+
+    # --- asking for work
+
+    def submit(self, kind: str, request: Mapping[str, Any], title: str) -> Job:
+        """Queue some work.
+
+        Raises
+        ------
+        RefusedError : too much is waiting.
+        """
+        with self._lock:
+            if sum(job.state in ACTIVE for job in self._jobs.values()) >= _MOST_WAITING:
+                raise RefusedError(
+                    429, f"{_MOST_WAITING} jobs are waiting already; wait for some, or stop them"
+                )
+            job = Job(secrets.token_hex(8), kind, title, dict(request), resumable=self._kinds[kind].resumable)
+            self._workspace.job_folder(job.id).mkdir(parents=True)
+            self._jobs[job.id] = job
+            self._forget_old()
+            self._enqueue(job)
+            return job
+
+    def resume(self, job_id: str) -> Job:
+        """Take up a job that was stopped or failed.
+
+        Raises
+        ------
+        RefusedError : no such job, or not one that can be taken up.
+        """
+        with self._lock:
+            job = self.get(job_id)
+            if job.state in ACTIVE:
+                raise RefusedError(409, "this job is under way already")
+            if job.state == "done" or not job.resumable:
+                raise RefusedError(409, f"a job that is {job.state} cannot be taken up; ask for it again")
+            self.change(job, state="queued", problem=None, finished_s=None)
+            self._enqueue(job)
+            return job
+
+    def stop(self, job_id: str) -> Job:
+        """Ask a job to stop; what it has done stays."""
+        with self._lock:
+            job = self.get(job_id)
+            if job.state == "queued":
+                self.change(job, state="stopped", finished_s=time.time())
+            elif job.state == "running":
+                self.change(job, state="stopping")
+            self._stops[job_id].set()
+            return job
+
+    def remove(self, job_id: str) -> None:
+        """Forget a finished job and its files.
+
+        Raises
+        ------
+        RefusedError : no such job, or it is under way.
+        """
+        with self._lock:
+            job = self.get(job_id)
+            if job.state in ACTIVE:
+                raise RefusedError(409, "this job is under way; stop it first")
+            del self._jobs[job_id]
+            self._stops.pop(job_id, None)
+        shutil.rmtree(self.folder(job), ignore_errors=True)
+
+    # --- looking
+
+    def get(self, job_id: str) -> Job:
+        """A job.
+
+        Raises
+        ------
+        RefusedError : there is none of this number.
+        """
+        with self._lock:
+            if job_id not in self._jobs:
+                raise RefusedError(404, f"no job {job_id[:40]!r}; see GET /api/jobs")
+            return self._jobs[job_id]
+
+    def all(self) -> list[Job]:
+        """All jobs, the newest first."""
+        with self._lock:
+            return sorted(self._jobs.values(), key=lambda job: -job.created_s)
+
+    def folder(self, job: Job) -> Path:
+        """Where a job writes."""
+        return self._workspace.job_folder(job.id)
+
+    def change(self, job: Job, **values: Any) -> None:
+        """Say what is new of a job; used by the lanes."""
+        with self._lock:
+            for name, value in values.items():
+                setattr(job, name, value)
+            job.version += 1
+            settled = "state" in values
+            if settled or time.monotonic() - self._saved.get(job.id, 0) > _SAVE_EVERY:
+                self._save(job)
+
+    def close(self) -> None:
+        """Stop all work and wait for it; the studio ends."""
+        self._closing = True
+        with self._lock:
+            for job in self._jobs.values():
+                if job.state in ACTIVE:
+                    self._stops[job.id].set()
+            for waiting in self._queues.values():
+                waiting.put(None)
+            threads = list(self._threads)
+        for thread in threads:
+            thread.join(timeout=15)
+
+    # --- doing
+
+    def _enqueue(self, job: Job) -> None:
+        lane = self._kinds[job.kind].name
+        self._stops[job.id] = threading.Event()
+        self._save(job)
+        if lane not in self._queues:
+            self._queues[lane] = queue.SimpleQueue()
+            thread = threading.Thread(target=self._serve, args=(lane,), name=f"jobs-{lane}", daemon=True)
+            self._threads.append(thread)
+            thread.start()
+        self._queues[lane].put(job.id)
+
+    def _serve(self, lane: str) -> None:
+        while (job_id := self._queues[lane].get()) is not None:
+            with self._lock:
+                job = self._jobs.get(job_id)
+                if job is None or job.state != "queued" or self._closing:
+                    continue
+                self.change(job, state="running", started_s=time.time(), done=0, total=0, what="")
+                stop = self._stops[job_id]
+            self._run(job, stop)
+
+    def _run(self, job: Job, stop: threading.Event) -> None:
+        from dousa.errors import DousaError
+
+        try:
+            result = self._kinds[job.kind].run(job, self, stop)
+            self.change(job, state="done", result=result, finished_s=time.time())
+        except JobStopped:
+            self.change(job, state="stopped", finished_s=time.time())
+        except DousaError as error:
+            self.change(job, state="failed", problem=str(error), finished_s=time.time())
+        except Exception as error:  # a fault of ours must not end the lane
+            import traceback
+
+            log = self.folder(job) / "log.txt"
+            with suppress(OSError):
+                log.write_text(traceback.format_exc(), encoding="utf-8")
+            text = f"unexpected: {type(error).__name__}: {error} (see {log})"
+            self.change(job, state="failed", problem=text, finished_s=time.time())
+
+    # --- keeping
+
+    def _save(self, job: Job) -> None:
+        from dousa._files import atomic_write
+        from dousa.app.studio.answers import Answer
+
+        self._saved[job.id] = time.monotonic()
+        with suppress(Exception), atomic_write(self.folder(job) / "job.json") as file:
+            file.write(Answer(None).render(job.to_json()))
+
+    def _load(self) -> None:
+        for path in (self._workspace.root / "jobs").glob("*/job.json"):
+            with suppress(OSError, ValueError, TypeError, KeyError, RefusedError):
+                job = Job(**json.loads(path.read_bytes()))
+                if job.kind not in self._kinds or self.folder(job) != path.parent:
+                    continue
+                if job.state in ACTIVE:  # the studio ended under it
+                    job.state, job.finished_s = "stopped", time.time()
+                self._jobs[job.id] = job
+                self._stops[job.id] = threading.Event()
+
+    def _forget_old(self) -> None:
+        finished = [job for job in self.all() if job.state not in ACTIVE]
+        for job in finished[_MOST_KEPT:]:
+            self.remove(job.id)

@@ -1,0 +1,68 @@
+"""Running the studio until somebody stops it."""
+
+from __future__ import annotations
+
+import socket
+import sys
+import threading
+import webbrowser
+from dataclasses import replace
+
+from dousa.app.studio.settings import Settings
+from dousa.errors import MissingExtraError, OptionError
+
+__all__ = ["serve"]
+
+_TRIES = 20  # ports after the one asked for
+
+
+def serve(settings: Settings, *, opens_browser: bool = True) -> None:
+    """Listen on this machine and show the address, until Ctrl-C.
+
+    Parameters
+    ----------
+    settings : where, and for which library; a port that is taken is replaced by the next free one.
+    opens_browser : show the page in the browser of this machine.
+
+    Raises
+    ------
+    MissingExtraError : FastAPI or uvicorn is not installed.
+    OptionError : no port is free.
+    """
+    try:
+        import uvicorn
+
+        from dousa.app.studio.server import create_app
+    except ImportError as error:
+        raise MissingExtraError(f"the studio needs {error.name}: pip install 'dousa[studio]'") from error
+    listener, port = _listen(settings)
+    with listener:
+        settings = replace(settings, port=port)
+        app = create_app(settings)
+        config = uvicorn.Config(
+            app, log_level="warning", access_log=False, server_header=False, timeout_keep_alive=30,
+            timeout_graceful_shutdown=3, limit_concurrency=200,
+        )  # fmt: skip
+        server = uvicorn.Server(config)
+        sys.stderr.write(f"dousa studio of {settings.library}: {settings.address}\n(Ctrl-C stops it)\n")
+        sys.stderr.flush()
+        if opens_browser:
+            threading.Timer(0.5, webbrowser.open, [settings.address]).start()
+        server.run(sockets=[listener])
+
+
+def _listen(settings: Settings) -> tuple[socket.socket, int]:
+    """A socket that waits for calls, and its port."""
+    for port in range(settings.port, min(settings.port + _TRIES, 65536)):
+        listener = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
+        listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        try:
+            listener.bind((settings.host, port))
+        except OSError:
+            listener.close()
+            continue
+        listener.listen(128)
+        return listener, listener.getsockname()[1]
+    raise OptionError(
+        f"no free port from {settings.port} to {settings.port + _TRIES - 1}; choose another with --port"
+    )

@@ -1,0 +1,73 @@
+// The interface of the studio, as any program would use it.
+
+import { t } from "./dom.js";
+
+export class Problem extends Error {
+  constructor(message, status) {
+    super(message);
+    this.status = status;
+  }
+}
+
+async function call(method, path, { body, headers, signal, params } = {}) {
+  const query = params ? `?${new URLSearchParams(Object.entries(params).filter(([, value]) => value != null && value !== ""))}` : "";
+  let response;
+  try {
+    response = await fetch(`/api${path}${query}`, { method, body, headers, signal, credentials: "same-origin" });
+  } catch (error) {
+    if (error.name === "AbortError") throw error;
+    throw new Problem(t("unreachable"), 0);
+  }
+  if (response.ok) return response;
+  const text = await response.text();
+  let problem = text;
+  try {
+    problem = JSON.parse(text).problem ?? text;
+  } catch {
+    // not from us: the text says what there is to say
+  }
+  throw new Problem(problem || `${response.status}`, response.status);
+}
+
+const asJson = (value) => ({ body: JSON.stringify(value ?? {}), headers: { "content-type": "application/json" } });
+
+export const get = async (path, params, signal) => (await call("GET", path, { params, signal })).json();
+export const getBytes = async (path, params, signal) => (await call("GET", path, { params, signal })).arrayBuffer();
+export const post = async (path, value, signal) => (await call("POST", path, { ...asJson(value), signal })).json();
+export const postForBytes = async (path, value, signal) => (await call("POST", path, { ...asJson(value), signal })).arrayBuffer();
+export const put = async (path, value) => (await call("PUT", path, asJson(value))).json();
+export const patch = async (path, value) => (await call("PATCH", path, asJson(value))).json();
+export const remove = async (path) => (await call("DELETE", path)).json();
+
+/** Upload one file; -> {batch, files: [{name, bytes, motion}], refused: [{name, reason}]}. */
+export async function upload(file, { name = file.name, batch, signal } = {}) {
+  return (await call("POST", "/uploads", { body: file, params: { name, batch }, signal })).json();
+}
+
+const AT_ONCE = 4;
+
+/** Upload entries [{file, path}] into one batch, some at a time; refused files do not stop the others.
+ *  onProgress(done, total) -> {batch (null if nothing was taken), files, refused: [{name, reason}]} */
+export async function uploadAll(entries, { batch = null, onProgress = () => {}, signal } = {}) {
+  const answer = { batch, files: [], refused: [] };
+  let [next, done] = [0, 0];
+  const take = async () => {
+    const { file, path } = entries[next++];
+    try {
+      const came = await upload(file, { name: path, batch: answer.batch, signal });
+      answer.batch = came.batch;
+      answer.files.push(...came.files);
+      answer.refused.push(...came.refused);
+    } catch (error) {
+      if (!(error instanceof Problem) || error.status === 0) throw error;
+      answer.refused.push({ name: path, reason: error.message });
+    }
+    onProgress(++done, entries.length);
+  };
+  while (next < entries.length && answer.batch === null) await take(); // the first one taken makes the batch
+  const lane = async () => {
+    while (next < entries.length) await take();
+  };
+  await Promise.all(Array.from({ length: AT_ONCE }, lane));
+  return answer;
+}

@@ -1,0 +1,93 @@
+// Dropping and choosing files and folders.
+
+import { h, icon, t } from "./dom.js";
+
+async function readEntry(entry, prefix, found) {
+  if (entry.isFile) {
+    const file = await new Promise((resolve, reject) => entry.file(resolve, reject));
+    if (!file.name.startsWith(".")) found.push({ file, path: prefix + file.name });
+    return;
+  }
+  const reader = entry.createReader();
+  for (;;) {
+    // A reader gives a hundred entries at a time.
+    const some = await new Promise((resolve, reject) => reader.readEntries(resolve, reject));
+    if (!some.length) return;
+    for (const inner of some) await readEntry(inner, `${prefix}${entry.name}/`, found);
+  }
+}
+
+async function entriesOf(transfer) {
+  const items = [...transfer.items].map((item) => item.webkitGetAsEntry?.()).filter(Boolean);
+  const found = [];
+  if (items.length) for (const item of items) await readEntry(item, "", found);
+  else for (const file of transfer.files) found.push({ file, path: file.name });
+  return found;
+}
+
+const chosen = (input) => [...input.files].map((file) => ({ file, path: file.webkitRelativePath || file.name }));
+
+/** Let files be dropped on an element; onEntries([{file, path}]). */
+export function acceptDrops(element, onEntries) {
+  let depth = 0;
+  const mark = () => element.classList.toggle("over", depth > 0);
+  element.addEventListener("dragenter", (event) => {
+    if (![...event.dataTransfer.types].includes("Files")) return;
+    event.preventDefault();
+    depth += 1;
+    mark();
+  });
+  element.addEventListener("dragleave", () => {
+    depth = Math.max(depth - 1, 0);
+    mark();
+  });
+  element.addEventListener("dragover", (event) => {
+    if ([...event.dataTransfer.types].includes("Files")) event.preventDefault();
+  });
+  element.addEventListener("drop", async (event) => {
+    event.preventDefault();
+    event.stopPropagation();
+    depth = 0;
+    mark();
+    const entries = await entriesOf(event.dataTransfer);
+    if (entries.length) onEntries(entries);
+  });
+}
+
+/** A zone with words and buttons. options: {text, hint, accept, multiple, folders, id} -> element */
+export function dropZone(onEntries, { text = t("drop_here"), hint, accept, multiple = true, folders = false, id } = {}) {
+  const pick = (folder) => {
+    const input = h("input", { type: "file", class: "sr", tabindex: "-1", "aria-hidden": "true", accept, multiple, id: id && (folder ? `${id}-folder` : id) });
+    if (folder) input.webkitdirectory = true;
+    input.addEventListener("change", () => {
+      const entries = chosen(input);
+      input.value = "";
+      if (entries.length) onEntries(entries);
+    });
+    const button = h("button", { type: "button", onclick: () => input.click() }, icon(folder ? "folder" : "upload"), t(folder ? "choose_folder" : "choose_files"));
+    return [input, button];
+  };
+  const zone = h(
+    "div",
+    { class: "drop" },
+    h("p", {}, text),
+    h("div", { class: "row" }, ...pick(false), ...(folders ? pick(true) : [])),
+    hint ? h("p", { class: "note" }, hint) : null,
+  );
+  acceptDrops(zone, onEntries);
+  return zone;
+}
+
+/** The list of files that were not taken, and why; null if there are none. */
+export function refusedList(refused) {
+  if (!refused.length) return null;
+  return h(
+    "details",
+    { class: "refused", open: true },
+    h("summary", {}, t("refused_title", { count: refused.length })),
+    h("div", { class: "scroll" }, h("table", {}, h("tbody", {}, ...refused.map(({ name, reason }) => h("tr", {}, h("th", { scope: "row" }, name), h("td", {}, reason)))))),
+  );
+}
+
+// A file that misses every zone would replace the page.
+for (const name of ["dragover", "drop"]) window.addEventListener(name, (event) => event.preventDefault());

@@ -1,0 +1,89 @@
+// What every page has: language, light and dark, the tray of jobs.
+
+import { $, h, icon, language, t } from "./dom.js";
+import { forgetJob, isActive, resumeJob, stopJob, watchJobs } from "./jobs.js";
+import { attempt } from "./notices.js";
+
+const YEAR = 31536000;
+const keep = (name, value) => {
+  document.cookie = `${name}=${value}; path=/; max-age=${value ? YEAR : 0}; samesite=lax`;
+};
+
+$("#language-button").addEventListener("click", () => {
+  keep("dousa_lang", language === "en" ? "ja" : "en");
+  const address = new URL(location.href);
+  address.searchParams.delete("lang");
+  location.assign(address);
+});
+
+const THEMES = ["system", "light", "dark"];
+const THEME_ICONS = { system: "half", light: "sun", dark: "moon" };
+
+function showTheme() {
+  const theme = document.documentElement.dataset.theme ?? "system";
+  const button = $("#theme-button");
+  button.replaceChildren(icon(THEME_ICONS[theme]));
+  button.setAttribute("aria-label", `${t("theme")}: ${t(`theme_${theme}`)}`);
+  button.title = `${t("theme")}: ${t(`theme_${theme}`)}`;
+  return theme;
+}
+
+$("#theme-button").addEventListener("click", () => {
+  const next = THEMES[(THEMES.indexOf(showTheme()) + 1) % THEMES.length];
+  if (next === "system") delete document.documentElement.dataset.theme;
+  else document.documentElement.dataset.theme = next;
+  keep("dousa_theme", next === "system" ? "" : next);
+  showTheme();
+});
+showTheme();
+
+// --- the tray
+
+const tray = $("#jobs-tray");
+const trayButton = $("#jobs-button");
+const PLACES = { evaluate: "evaluate", estimate: "estimate", label: "takes", add: "library", train: "library" };
+
+function toggleTray(open) {
+  tray.hidden = !open;
+  trayButton.setAttribute("aria-expanded", String(open));
+}
+
+trayButton.addEventListener("click", () => toggleTray(tray.hidden));
+document.addEventListener("keydown", (event) => {
+  if (event.key === "Escape" && !tray.hidden) {
+    toggleTray(false);
+    trayButton.focus();
+  }
+});
+document.addEventListener("pointerdown", (event) => {
+  if (!tray.hidden && !tray.contains(event.target) && !trayButton.contains(event.target)) toggleTray(false);
+});
+
+function describeJob(job) {
+  const act = (name, action, kind = "") => h("button", { type: "button", class: `small ${kind}`, onclick: () => attempt(action) }, t(name));
+  const actions = [];
+  if (isActive(job)) actions.push(act("stop", () => stopJob(job.id)));
+  else actions.push(act("forget", () => forgetJob(job.id), "quiet"));
+  if (job.resumable && (job.state === "stopped" || job.state === "failed")) actions.unshift(act("resume", () => resumeJob(job.id)));
+  const shows = ["evaluate", "estimate", "label"].includes(job.kind) && job.state !== "failed";
+  if (shows) actions.unshift(h("a", { class: "button small", href: `/${PLACES[job.kind]}?job=${job.id}` }, t("show")));
+  return h(
+    "article",
+    { class: "job", dataset: { job: job.id, state: job.state } },
+    h("header", {}, h("b", {}, `${t(`kind_${job.kind}`)}: ${job.title}`), h("span", { class: "state" }, t(`state_${job.state}`))),
+    isActive(job) ? h("progress", { max: String(Math.max(job.total, 1)), value: job.total ? String(job.done) : null, "aria-label": t(`kind_${job.kind}`) }) : null,
+    isActive(job) && job.what ? h("p", { class: "what" }, job.total ? `${job.what} (${job.done}/${job.total})` : job.what) : null,
+    job.problem ? h("p", { class: "problem-box" }, job.problem) : null,
+    h("div", { class: "actions" }, ...actions),
+  );
+}
+
+watchJobs((jobs) => {
+  const active = jobs.filter(isActive).length;
+  trayButton.classList.toggle("busy", active > 0);
+  $("#jobs-count").hidden = !active;
+  $("#jobs-count").textContent = String(active);
+  const focused = tray.contains(document.activeElement) ? document.activeElement.closest(".job")?.dataset.job : null;
+  tray.replaceChildren(...(jobs.length ? jobs.slice(0, 30).map(describeJob) : [h("p", {}, t("jobs_none"))]));
+  if (focused) tray.querySelector(`[data-job="${focused}"] button`)?.focus();
+});

@@ -1,0 +1,77 @@
+// Work under way: one poll for the whole page tells everybody who follows a job.
+
+import { get, post, remove } from "./api.js";
+
+const [QUICK, SLOW] = [350, 4000]; // ms between looks
+const ACTIVE = new Set(["queued", "running", "stopping"]);
+const followers = new Map(); // job id -> set of functions
+const watchers = new Set();
+const versions = new Map();
+let timer = 0;
+let jobs = [];
+
+export const isActive = (job) => ACTIVE.has(job.state);
+export const stopJob = (id) => post(`/jobs/${id}/stop`).then(look);
+export const resumeJob = (id) => post(`/jobs/${id}/resume`).then(look);
+export const forgetJob = (id) => remove(`/jobs/${id}`).then(look);
+
+/** onChange(job) now and after every change, with its result once it is done. -> function that ends it. */
+export function followJob(id, onChange) {
+  if (!followers.has(id)) followers.set(id, new Set());
+  followers.get(id).add(onChange);
+  get(`/jobs/${id}`).then(onChange, () => {});
+  look();
+  return () => followers.get(id)?.delete(onChange);
+}
+
+/** The job when it is over. */
+export function finished(id) {
+  return new Promise((resolve) => {
+    const end = followJob(id, (job) => {
+      if (!isActive(job)) {
+        end();
+        resolve(job);
+      }
+    });
+  });
+}
+
+/** onChange(jobs) now and after every change of any job, without their results. */
+export function watchJobs(onChange) {
+  watchers.add(onChange);
+  look();
+  return () => watchers.delete(onChange);
+}
+
+let looking = false;
+
+async function look() {
+  if (looking) return;
+  looking = true;
+  clearTimeout(timer);
+  try {
+    jobs = (await get("/jobs")).jobs;
+    await tell();
+  } catch {
+    // the studio is away; the next look may find it again
+  }
+  looking = false;
+  const hurry = jobs.some(isActive) && !document.hidden;
+  timer = setTimeout(look, hurry ? QUICK : SLOW);
+}
+
+async function tell() {
+  const changed = jobs.filter((job) => versions.get(job.id) !== job.version);
+  const gone = [...versions.keys()].filter((id) => !jobs.some((job) => job.id === id));
+  for (const id of gone) versions.delete(id);
+  for (const job of changed) {
+    versions.set(job.id, job.version);
+    const listeners = [...(followers.get(job.id) ?? [])];
+    if (!listeners.length) continue;
+    const whole = isActive(job) ? job : await get(`/jobs/${job.id}`);
+    for (const listener of listeners) listener(whole);
+  }
+  if (changed.length || gone.length || !versions.size) for (const watcher of [...watchers]) watcher(jobs);
+}
+
+document.addEventListener("visibilitychange", () => document.hidden || look());

@@ -1,0 +1,30 @@
+// Short messages at the foot of the page, read out by screen readers.
+
+import { $, h, icon, t } from "./dom.js";
+
+const SHOWN_FOR = 6000; // ms; problems stay until they are closed
+
+/** kind: "note" or "problem". */
+export function notify(text, kind = "note") {
+  const close = () => notice.remove();
+  const notice = h(
+    "div",
+    { class: `notice ${kind}`, role: kind === "problem" ? "alert" : null },
+    h("span", { class: "mark" }, kind === "problem" ? t("problem") : t("done")),
+    h("p", {}, text),
+    h("button", { class: "quiet small icon", type: "button", "aria-label": t("close"), onclick: close }, icon("close")),
+  );
+  $("#notices").append(notice);
+  while ($("#notices").children.length > 4) $("#notices").firstChild.remove();
+  if (kind !== "problem") setTimeout(close, SHOWN_FOR);
+}
+
+/** Run something asynchronous; what goes wrong is told, not thrown. -> its value, or undefined. */
+export async function attempt(action) {
+  try {
+    return await action();
+  } catch (error) {
+    if (error.name !== "AbortError") notify(error.message, "problem");
+    return undefined;
+  }
+}

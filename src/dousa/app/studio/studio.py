@@ -1,0 +1,85 @@
+"""What all requests share: settings, folder, jobs, the open library."""
+
+from __future__ import annotations
+
+import threading
+from typing import TYPE_CHECKING, Annotated
+
+from fastapi import Depends, Request
+
+from dousa.app.studio.jobs import JobBoard, Lane
+from dousa.app.studio.motions import Motions
+from dousa.app.studio.processes import run_in_process
+from dousa.app.studio.threads import run_in_thread
+from dousa.app.studio.workspace import Workspace
+
+if TYPE_CHECKING:
+    from dousa.app.studio.settings import Settings
+    from dousa.library import Library
+
+__all__ = ["Studio", "StudioNow"]
+
+
+class Studio:
+    """One library and everything that happens to it.
+
+    Parameters
+    ----------
+    settings : of the studio.
+
+    Raises
+    ------
+    LibraryError : the file is not a library, or cannot be made.
+    OptionError : the folder cannot be made.
+    """
+
+    def __init__(self, settings: Settings) -> None:
+        self.settings = settings
+        self.workspace = Workspace(settings.folder)
+        self._opening = threading.Lock()
+        self._library: Library | None = None
+        process = run_in_process(settings)
+        thread = run_in_thread(settings, self.get_library)
+        self.jobs = JobBoard(
+            self.workspace,
+            {
+                "add": Lane("library", process, resumable=True),
+                "train": Lane("library", process, resumable=True),
+                "estimate": Lane("estimation", process, resumable=True),
+                "label": Lane("asking", thread),
+                "evaluate": Lane("asking", thread),
+            },
+        )
+        self.motions = Motions(self.get_library, self.workspace, self.jobs)
+        self.get_library()
+
+    def get_library(self) -> Library:
+        """The library, opened once; it is made if it is not there."""
+        from dousa.library import Library
+
+        with self._opening:
+            if self._library is None:
+                self._library = Library.open(self.settings.library, create=True, timeout=20.0)
+            return self._library
+
+    @property
+    def library(self) -> Library:
+        """The library."""
+        return self.get_library()
+
+    def close(self) -> None:
+        """Stop all work and let go of the library."""
+        self.jobs.close()
+        with self._opening:
+            if self._library is not None:
+                self._library.close()
+                self._library = None
+
+
+def _of_request(request: Request) -> Studio:
+    studio: Studio = request.app.state.studio
+    return studio
+
+
+StudioNow = Annotated[Studio, Depends(_of_request)]
+"""Type of a parameter that is the studio."""

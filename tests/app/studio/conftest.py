@@ -1,0 +1,145 @@
+"""Studios for tests: one asked directly, one that listens for a real browser; each on a library of its own."""
+
+from __future__ import annotations
+
+import shutil
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+pytest.importorskip("fastapi", reason="the studio is not installed: pip install 'dousa[studio]'")
+
+from app.browser import Page
+from dousa.app.studio import Settings, create_app
+
+TOKEN = "the-token-of-the-tests"
+CATEGORIES = ("kick_left", "squat", "wave_right", "walk")
+
+
+@pytest.fixture(scope="session")
+def trained_library(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A trained library of 24 synthetic clips in four categories; never changed, copied for every test."""
+    from dousa.app.demo import write_library
+    from dousa.library import Library
+
+    folder = tmp_path_factory.mktemp("studio-library")
+    write_library(folder / "motions", n_performers=6, categories=CATEGORIES)
+    with Library.open(folder / "moves.dousa", create=True) as library:
+        library.add([folder / "motions"], performer_from=r"name:^(performer\d+)_")
+        library.train(n_trees=30)
+    return folder / "moves.dousa"
+
+
+@pytest.fixture
+def library_copy(trained_library: Path, tmp_path: Path) -> Path:
+    """That library, to be changed at will."""
+    return Path(shutil.copy(trained_library, tmp_path / "moves.dousa"))
+
+
+@pytest.fixture
+def bvh(trained_library: Path) -> Path:
+    """A BVH file of the library: somebody kicks."""
+    return next((trained_library.parent / "motions" / "kick_left").glob("*.bvh"))
+
+
+@pytest.fixture
+def studio(library_copy: Path) -> Iterator[Any]:
+    """A client that asks a studio without a network; its headers hold the token. ``.app.state.studio`` is inside."""
+    from starlette.testclient import TestClient
+
+    app = create_app(Settings(library_copy, token=TOKEN))
+    with TestClient(app, "http://127.0.0.1:8765", raise_server_exceptions=False) as client:
+        client.headers["authorization"] = f"Bearer {TOKEN}"
+        yield client
+
+
+def wait_for(client: Any, job_id: str, seconds: float = 120.0) -> dict[str, Any]:
+    """A job of a client when it is over."""
+    end = time.monotonic() + seconds
+    while time.monotonic() < end:
+        job: dict[str, Any] = client.get(f"/api/jobs/{job_id}").json()
+        if job["state"] not in ("queued", "running", "stopping"):
+            return job
+        time.sleep(0.05)
+    raise AssertionError(f"job {job_id} is not over after {seconds} s")
+
+
+@pytest.fixture(scope="session")
+def wait_job() -> Callable[..., dict[str, Any]]:
+    """``wait_job(client, job_id)``: the job when it is over."""
+    return wait_for
+
+
+@dataclass(frozen=True, slots=True)
+class Running:
+    """A studio that listens.
+
+    Parameters
+    ----------
+    url : where, without a slash at its end.
+    token : its secret.
+    app : the application, for a look inside.
+    """
+
+    url: str
+    token: str
+    app: Any
+
+
+@contextmanager
+def listening(settings: Settings) -> Iterator[Running]:
+    """A studio in a thread, on a free port."""
+    import socket
+    from dataclasses import replace
+
+    import uvicorn
+
+    with socket.socket() as listener:
+        listener.bind(("127.0.0.1", 0))
+        settings = replace(settings, port=listener.getsockname()[1])
+        app = create_app(settings)
+        server = uvicorn.Server(uvicorn.Config(app, log_level="warning", access_log=False))
+        thread = threading.Thread(target=server.run, kwargs={"sockets": [listener]}, daemon=True)
+        thread.start()
+        while not server.started:
+            time.sleep(0.01)
+        try:
+            yield Running(f"http://127.0.0.1:{settings.port}", settings.token, app)
+        finally:
+            server.should_exit = True
+            thread.join(timeout=20)
+
+
+@pytest.fixture
+def running(library_copy: Path) -> Iterator[Running]:
+    """A studio for the browser."""
+    with listening(Settings(library_copy, token=TOKEN)) as found:
+        yield found
+
+
+@pytest.fixture
+def show(browser: Page, running: Running) -> Callable[..., Page]:
+    """``show("/library?x=1", width=1280, height=720, scheme="light", language="en")``: a page of that studio."""
+
+    def open_page(
+        path: str, width: int = 1280, height: int = 720, scheme: str = "light", language: str = "en"
+    ) -> Page:
+        browser.resize(width, height)
+        features = [
+            {"name": "prefers-color-scheme", "value": scheme},
+            {"name": "prefers-reduced-motion", "value": "no-preference"},
+        ]
+        browser.driver.execute_cdp_cmd("Emulation.setEmulatedMedia", {"features": features})
+        browser.driver.get_log("browser")
+        joint = "&" if "?" in path else "?"
+        browser.driver.get(f"{running.url}{path}{joint}token={running.token}&lang={language}")
+        browser.wait("return document.readyState === 'complete'")
+        return browser
+
+    return open_page
