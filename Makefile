@@ -4,10 +4,14 @@ VENV := .venv
 BIN := $(VENV)/bin
 JOBS ?= 2
 
-.PHONY: demo test lint fuzz bench peers figures lock clean
+.PHONY: demo studio test lint fuzz bench peers figures lock clean
 
 demo: $(VENV)/.installed
 	$(BIN)/dousa demo
+
+# The demo's library in the browser; makes the demo first if need be.
+studio: $(VENV)/.studio
+	$(BIN)/dousa demo --studio
 
 test: $(VENV)/.dev lint
 	$(BIN)/pytest -n $(JOBS)
@@ -35,6 +39,10 @@ figures: $(VENV)/.dev
 $(VENV)/.installed: pyproject.toml constraints.txt
 	test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e .
+	touch $@
+
+$(VENV)/.studio: $(VENV)/.installed
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[studio]'
 	touch $@
 
 $(VENV)/.dev: $(VENV)/.installed

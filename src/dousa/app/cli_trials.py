@@ -343,17 +343,33 @@ def demo(
     performer_from: o.PerformerFrom = None,
     seed: Annotated[int, typer.Option("--seed", min=0, help="Other performers and motions.")] = 0,
     jobs: o.Jobs = None,
+    studio: Annotated[
+        bool,
+        typer.Option(
+            "--studio",
+            help="Then open the studio on the demo library; at once if the folder has one already.",
+        ),
+    ] = False,
+    no_browser: Annotated[
+        bool, typer.Option("--no-browser", help="With --studio: only print the address.")
+    ] = False,
 ) -> None:
     """Show the main jobs with nothing but the package: make a library of motions, train it, search it and look
     into an uncut take; make a dance and a pupil who gets parts of it wrong, and tell them; see a performer with four
     cameras, estimate the motion from the silhouettes, and find and judge it (the last two not with --data).
 
     Example: dousa demo --output demo-output
+
+    Example: dousa demo --studio
     """
     from dousa.app.demo import run_demo
     from dousa.app.demo_estimation import run_estimation_demo
     from dousa.app.demo_evaluation import run_dance_demo
+    from dousa.app.demo_studio import LIBRARY, open_demo_studio
 
+    if studio and (output / LIBRARY).is_file():
+        open_demo_studio(console(), output, opens_browser=not no_browser)
+        return
     run_demo(
         console(),
         data,
@@ -366,3 +382,5 @@ def demo(
     if data is None:
         run_dance_demo(console(), output, seed=seed)
         run_estimation_demo(console(), output, seed=seed)
+    if studio:
+        open_demo_studio(console(), output, opens_browser=not no_browser)

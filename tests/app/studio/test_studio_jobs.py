@@ -1,0 +1,190 @@
+"""Jobs: queued in lanes, stopped, taken up again, kept over a restart; and processes that end badly."""
+
+from __future__ import annotations
+
+import os
+import signal
+import threading
+import time
+
+import pytest
+
+from dousa.app.studio.jobs import JobBoard, JobStopped, Lane
+from dousa.app.studio.problems import RefusedError
+from dousa.app.studio.workspace import Workspace
+from dousa.errors import OptionError
+
+
+class Work:
+    """Work that goes on until it is let go or stopped."""
+
+    def __init__(self) -> None:
+        self.go = threading.Event()
+        self.ran: list[str] = []
+
+    def run(self, job, board, stop):
+        self.ran.append(job.title)
+        board.change(job, done=1, total=2, what="half")
+        while not self.go.wait(0.005):
+            if stop.is_set():
+                raise JobStopped
+        return {"title": job.title}
+
+
+@pytest.fixture
+def work():
+    return Work()
+
+
+@pytest.fixture
+def board(tmp_path, work):
+    def fail(job, board, stop):
+        raise OptionError("one clear sentence")
+
+    def crash(job, board, stop):
+        raise ZeroDivisionError("a fault")
+
+    kinds = {
+        "slow": Lane("one", work.run, resumable=True),
+        "other": Lane("two", work.run),
+        "bad": Lane("three", fail),
+        "crash": Lane("three", crash),
+    }
+    made = JobBoard(Workspace(tmp_path / "home"), kinds)
+    yield made
+    work.go.set()
+    made.close()
+
+
+def until(condition, seconds=10.0):
+    end = time.monotonic() + seconds
+    while not condition():
+        assert time.monotonic() < end
+        time.sleep(0.005)
+
+
+def test_a_lane_does_one_thing_at_a_time_and_lanes_do_not_wait_for_each_other(board, work):
+    first, second, other = (
+        board.submit(kind, {}, kind + str(k)) for k, kind in enumerate(("slow", "slow", "other"))
+    )
+    until(lambda: first.state == other.state == "running")
+    assert second.state == "queued"
+    work.go.set()
+    until(lambda: second.state == "done")
+    assert second.result == {"title": "slow1"}
+    assert work.ran.index("slow0") < work.ran.index("slow1")
+
+
+def test_stopping_and_taking_up(board, work):
+    job = board.submit("slow", {}, "slow")
+    until(lambda: job.state == "running")
+    board.stop(job.id)
+    until(lambda: job.state == "stopped")
+    board.resume(job.id)
+    work.go.set()
+    until(lambda: job.state == "done")
+    with pytest.raises(RefusedError, match="cannot be taken up"):
+        board.resume(job.id)
+
+
+def test_what_cannot_be_taken_up_says_so(board):
+    job = board.submit("other", {}, "other")
+    until(lambda: job.state == "running")
+    board.stop(job.id)
+    until(lambda: job.state == "stopped")
+    with pytest.raises(RefusedError, match="ask for it again"):
+        board.resume(job.id)
+
+
+def test_problems_are_sentences_and_faults_do_not_end_the_lane(board):
+    bad, crash, again = (board.submit(kind, {}, kind) for kind in ("bad", "crash", "bad"))
+    until(lambda: again.state == "failed")
+    assert bad.problem == "one clear sentence"
+    assert "ZeroDivisionError" in crash.problem
+    assert "a fault" in (board.folder(crash) / "log.txt").read_text()
+
+
+def test_jobs_are_there_after_a_restart(board, work, tmp_path):
+    running, waiting = board.submit("slow", {"a": 1}, "first"), board.submit("slow", {}, "second")
+    until(lambda: running.state == "running")
+    later = JobBoard(Workspace(tmp_path / "home"), {"slow": Lane("one", work.run, resumable=True)})
+    assert {job.id: job.state for job in later.all()} == {running.id: "stopped", waiting.id: "stopped"}
+    assert later.get(running.id).request == {"a": 1}
+    work.go.set()
+    later.resume(running.id)
+    until(lambda: later.get(running.id).state == "done")
+    later.close()
+
+
+@pytest.mark.parametrize(
+    "content", [b"", b"{", b"[]", b"null", b'{"id": "x"}', b'{"id": 3, "kind": "slow", "title": ""}']
+)
+def test_damaged_records_are_left_out(board, tmp_path, work, content):
+    folder = tmp_path / "home" / "jobs" / ("ab" * 8)
+    folder.mkdir()
+    (folder / "job.json").write_bytes(content)
+    later = JobBoard(Workspace(tmp_path / "home"), {"slow": Lane("one", work.run)})
+    assert later.all() == []
+
+
+def test_not_more_jobs_than_anybody_can_mean(board):
+    with pytest.raises(RefusedError, match="jobs are waiting"):
+        for _ in range(60):
+            board.submit("slow", {}, "slow")
+
+
+def test_removing(board, work):
+    job = board.submit("slow", {}, "slow")
+    with pytest.raises(RefusedError, match="stop it first"):
+        board.remove(job.id)
+    work.go.set()
+    until(lambda: job.state == "done")
+    board.remove(job.id)
+    assert board.all() == []
+    assert not board.folder(job).exists()
+    with pytest.raises(RefusedError, match="no job"):
+        board.get(job.id)
+
+
+def worker_of(studio):
+    """The process that works for a studio of this test."""
+    import subprocess
+
+    found = subprocess.run(
+        ["pgrep", "-P", str(os.getpid()), "-f", "dousa.app.studio.worker"],
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    return [int(line) for line in found.stdout.split()]
+
+
+@pytest.mark.skipif(os.name != "posix", reason="looks for processes by pgrep")
+def test_a_process_that_dies_is_told_and_the_work_can_be_taken_up(studio, wait_job):
+    job = studio.post("/api/jobs/train", json={}).json()
+    until(lambda: worker_of(studio))
+    os.kill(worker_of(studio)[0], signal.SIGKILL)
+    job = wait_job(studio, job["id"])
+    assert job["state"] == "failed"
+    assert "ended unexpectedly" in job["problem"]
+    assert studio.post(f"/api/jobs/{job['id']}/resume").status_code == 200
+    assert wait_job(studio, job["id"])["state"] == "done"
+
+
+@pytest.mark.skipif(os.name != "posix", reason="looks for processes by pgrep")
+def test_a_stopped_process_is_gone_and_the_library_is_as_it_was(studio, wait_job):
+    before = studio.get("/api/info").json()["library"]
+    job = studio.post("/api/jobs/train", json={"n_trees": 2000}).json()
+    until(lambda: studio.get(f"/api/jobs/{job['id']}").json()["total"] > 0, 60)
+    studio.post(f"/api/jobs/{job['id']}/stop")
+    assert wait_job(studio, job["id"])["state"] == "stopped"
+    assert worker_of(studio) == []
+    assert studio.get("/api/info").json()["library"] == before
+
+
+def test_training_fails_with_a_sentence(studio, wait_job):
+    ids = [clip.id for clip in studio.app.state.studio.library.clips()]
+    studio.app.state.studio.library.remove(ids)
+    job = wait_job(studio, studio.post("/api/jobs/train", json={}).json()["id"])
+    assert job["state"] == "failed"
+    assert "categor" in job["problem"]
