@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from app.fake_assessment import HOSTILE_WORDS, make_assessment
+from app.player_pages import picture, write_player_page
 from dousa.app.player import encode_player_data, format_player_data, read_player_script, read_player_style
 from dousa.app.player._assets import SCRIPT_PARTS
 from dousa.app.player._texts import KIND_LETTERS, PLAYER_TEXTS
@@ -177,45 +178,9 @@ def test_data_may_stand_inside_a_page():
 
 # --- in the browser
 
-_PAGE = """<!doctype html>
-<html lang="{language}"><head><meta charset="utf-8">
-<meta http-equiv="Content-Security-Policy"
- content="default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'; img-src data:">
-<meta name="viewport" content="width=device-width,initial-scale=1"><link rel="icon" href="data:,">
-<style>body {{ margin: 12px; font-family: sans-serif; background: Canvas; color-scheme: light dark }}
-{style}</style></head>
-<body><input id="field" aria-label="field"><div id="here"></div>
-<script type="application/json" id="data">{data}</script>
-<script>{script}</script>
-<script>
-const data = JSON.parse(document.getElementById("data").textContent);
-window.player = dousa.createPlayer(document.getElementById("here"), data);
-window.heard = [];
-player.onTime((time) => heard.push(time));
-window.pixels = (side) => {{ // of both halves, or of one
-  const from = document.querySelector("canvas");
-  const width = side === undefined ? from.width : Math.floor(from.width / 2);
-  const copy = Object.assign(document.createElement("canvas"), {{width, height: from.height}});
-  const context = copy.getContext("2d", {{willReadFrequently: true}});
-  context.drawImage(from, side === 1 ? -width : 0, 0);
-  return context.getImageData(0, 0, width, from.height).data;
-}};
-</script></body></html>
-"""
-
-_PICTURE = """
-const data = pixels();
-let sum = 0;
-for (let k = 0; k < data.length; k += 4) sum = (sum * 31 + data[k] + 256 * data[k + 1] + 7 * data[k + 2]) % 4294967291;
-return sum;
-"""
-
 
 def write_page(assessment, path, language="en"):
-    data = format_player_data(encode_player_data(assessment, language))
-    page = _PAGE.format(language=language, style=read_player_style(), data=data, script=read_player_script())
-    path.write_text(page, encoding="utf-8")
-    return path
+    return write_player_page(encode_player_data(assessment, language), path)
 
 
 @pytest.fixture(scope="module")
@@ -239,11 +204,6 @@ def page(browser, pages):
     assert browser.messages() == []
 
 
-def picture(page):
-    page.settle()
-    return page.run(_PICTURE)
-
-
 def time_of(page):
     return page.run("return player.time")
 
@@ -254,7 +214,9 @@ def click(page, label):
 
 
 def test_one_global_name_and_the_figures_are_drawn(page):
-    assert page.run("return Object.keys(dousa).join()") == "createPlayer"
+    assert (
+        page.run("return Object.keys(dousa).join()") == "createPlayer,createMiniature,createClock,miniatures"
+    )
     ink = page.run(
         """const share = (side) => {
           const data = pixels(side);

@@ -9,7 +9,18 @@ from typing import Any
 
 __all__ = ["SCRIPT_PARTS", "format_player_data", "read_player_script", "read_player_style"]
 
-SCRIPT_PARTS: tuple[str, ...] = ("geometry.js", "figure.js", "stage.js", "controls.js", "player.js")
+SCRIPT_PARTS: tuple[str, ...] = (
+    "theme.js",
+    "geometry.js",
+    "figure.js",
+    "stage.js",
+    "controls.js",
+    "player.js",
+    "clock.js",
+    "miniature_figure.js",
+    "miniatures.js",
+    "api.js",
+)
 """In the order in which they use each other."""
 
 # Inside a script element "</script" and "<!--" end or bend the page; U+2028 and U+2029 end lines of old scripts.
@@ -21,13 +32,13 @@ def _read(name: str) -> str:
 
 
 def read_player_script() -> str:
-    """The whole script of the player; it makes ``window.dousa.createPlayer`` and no other global name."""
+    """The whole script of the player; it makes ``window.dousa`` and no other global name."""
     parts = "\n".join(_read(name) for name in SCRIPT_PARTS)
     return f'(() => {{\n"use strict";\n{parts}\n}})();\n'
 
 
 def read_player_style() -> str:
-    """The style sheet of the player; every rule is below ``.dousa-player``."""
+    """The style sheet of player and miniatures; elsewhere it sets only variables that say which theme is on."""
     return _read("player.css")
 
 

@@ -1,32 +1,30 @@
-"""What the player is fed: both figures as short integers, which moments belong together, events and words."""
+"""What the player is fed of an assessment: both figures, which moments belong together, events and words."""
 
 from __future__ import annotations
 
-import base64
 import math
 from typing import Any
 
 import numpy as np
 
+from dousa.app.player._figures import (
+    MILLIMETRES,
+    Placed,
+    check_max_rate,
+    choose_rate,
+    encode_array,
+    encode_figure,
+    encode_match,
+    frames_at,
+    mean_heading,
+)
+from dousa.app.player._in_step import find_turn
 from dousa.app.player._texts import KIND_LETTERS, PLAYER_TEXTS
-from dousa.errors import OptionError
-from dousa.evaluation._types import Assessment, PostureSequence
-from dousa.motion._types import FloatArray
-from dousa.motion.geometry import chain_height
+from dousa.evaluation._types import Assessment
 from dousa.motion.joints import CANONICAL_JOINTS, CANONICAL_PARENTS
 from dousa.motion.joints import JOINT_INDEX as J
-from dousa.motion.sides import compute_forward
 
-__all__ = ["encode_player_data"]
-
-# Both figures together: 120 B a frame, a third more as base64. 13,500 frames are 2.2 MB; a longer take is thinned
-# (the player draws between frames), but never below 10 Hz, where fast limbs would cut corners.
-_MOST_FRAMES = 13_500
-_LOWEST_RATE = 10.0
-_MILLIMETRES = 1000.0
-_HIPS = [J["left_hip"], J["right_hip"]]
-_FEET = [J[f"{side}_{end}"] for side in ("left", "right") for end in ("ankle", "toe")]
-_LOWEST_SHARE = 0.5  # percent of frames whose feet may lie below the floor: single bad frames lift nobody
+__all__ = ["describe_body", "encode_player_data"]
 
 
 def encode_player_data(
@@ -56,65 +54,31 @@ def encode_player_data(
     from dousa.evaluation.words import check_language
 
     check_language(language)
-    if not (math.isfinite(max_rate) and max_rate > 0):
-        raise OptionError(f"max_rate: expected Hz above 0, got {max_rate}")
+    check_max_rate(max_rate)
     performance, reference = assessment.performance, assessment.reference
-    rate = _choose_rate(assessment, max_rate)
-    frames = _frames_at(performance, rate)
+    rate = choose_rate(performance.frame_rate, performance.duration + reference.duration, max_rate)
+    frames = frames_at(performance, rate)
     end = (reference.n_frames - 1) / reference.frame_rate
-    step = _match(assessment.matched_time, frames, end)
-    same = _match(assessment.same_time, frames, end)
-    turn = -_mean_heading(performance.positions)
+    step = encode_match(assessment.matched_time, frames, end)
+    same = encode_match(assessment.same_time, frames, end)
+    turn = -mean_heading(performance.positions)
     reference_turn = turn + _relative_heading(assessment)
     start = step[0] if step[0] >= 0 else -1 - step[0]
-    first = round(start / _MILLIMETRES * reference.frame_rate)
+    first = round(start / MILLIMETRES * reference.frame_rate)
     return {
         "version": 1,
         "language": language,
         "rate": rate,
-        "reference": _encode_figure(reference, rate, reference_turn, first),
-        "performance": _encode_figure(performance, rate, turn, 0),
-        "step": _encode(step, "<i4"),
-        "time": _encode(same, "<i4"),
-        "joints": list(CANONICAL_JOINTS),
-        "parents": list(CANONICAL_PARENTS),
-        "segments": _describe_segments(language),
+        "reference": encode_figure(reference, reference.name, rate, Placed(reference_turn, origin=first)),
+        "performance": encode_figure(performance, performance.name, rate, Placed(turn)),
+        "step": encode_array(step, "<i4"),
+        "time": encode_array(same, "<i4"),
+        **describe_body(language),
         "events": _describe_events(assessment),
         "furi": _describe_furi(assessment),
         "kinds": _describe_kinds(language),
         "texts": dict(PLAYER_TEXTS[language]),
     }
-
-
-def _choose_rate(assessment: Assessment, max_rate: float) -> float:
-    seconds = assessment.performance.duration + assessment.reference.duration
-    affordable = max(_MOST_FRAMES / seconds, _LOWEST_RATE)
-    return float(min(max_rate, assessment.performance.frame_rate, affordable))
-
-
-def _frames_at(sequence: PostureSequence, rate: float) -> FloatArray:
-    """Positions (n,) on the sequence's own frames of the frames that are stored."""
-    # A hair more, so that rounding does not lose the last frame.
-    last = math.floor((sequence.n_frames - 1) / sequence.frame_rate * rate + 1e-6)
-    frames = np.arange(last + 1) * (sequence.frame_rate / rate)
-    return np.minimum(frames, sequence.n_frames - 1)
-
-
-def _match(times: FloatArray, frames: FloatArray, end: float) -> np.ndarray:
-    """Reference times (n,) ms of stored frames; -1 - the nearest valid one's where there is none."""
-    times = np.asarray(times, dtype=float)
-    good = np.flatnonzero(np.isfinite(times) & (times >= 0) & (times <= end))
-    if len(good) == 0:
-        nearest = np.clip(frames / max(len(times) - 1, 1) * end, 0, end)
-        return (-1 - np.rint(nearest * _MILLIMETRES)).astype(np.int64)
-    wanted = np.rint(frames).astype(int)
-    valid = np.isin(wanted, good)
-    middles = (good[1:] + good[:-1]) / 2
-    nearest = times[good[np.searchsorted(middles, wanted)]]
-    # Between frames the curve is straight, unless a gap lies there.
-    smooth = np.where(valid, np.interp(frames, good, times[good]), nearest)
-    milliseconds = np.rint(np.clip(smooth, 0, end) * _MILLIMETRES).astype(np.int64)
-    return np.where(valid, milliseconds, -1 - milliseconds)
 
 
 def _relative_heading(assessment: Assessment) -> float:
@@ -125,76 +89,29 @@ def _relative_heading(assessment: Assessment) -> float:
         if seen.any():
             ours = assessment.performance.segments[seen]
             theirs = assessment.reference.segments[frames[seen].astype(int)]
-            here, there = (part[..., 2] + 1j * part[..., 0] for part in (ours, theirs))
-            turn = np.nansum(here * there.conj())
-            if abs(turn) > 0:
-                return float(np.angle(turn))
-    return _mean_heading(assessment.performance.positions) - _mean_heading(assessment.reference.positions)
-
-
-def _mean_heading(positions: FloatArray) -> float:
-    """Heading, rad about +Y from +Z, that the body has on average."""
-    forward = compute_forward(positions)
-    total = np.nansum(forward[:, 2] + 1j * forward[:, 0])
-    return float(np.angle(total)) if abs(total) > 0 else 0.0
-
-
-def _encode_figure(sequence: PostureSequence, rate: float, turn: float, origin: int) -> dict[str, Any]:
-    """Positions turned about +Y, over the floor; the path starts at the frame `origin`."""
-    positions = _stand_on_floor(np.nan_to_num(np.asarray(sequence.positions, dtype=float)))
-    cos, sin = math.cos(turn), math.sin(turn)
-    x, z = positions[..., 0], positions[..., 2]
-    positions[..., 0], positions[..., 2] = cos * x + sin * z, cos * z - sin * x
-    path = positions[:, _HIPS][..., [0, 2]].mean(axis=1)
-    positions[..., [0, 2]] -= path[:, None]
-    path = path - path[min(max(origin, 0), len(path) - 1)]
-    frames = _frames_at(sequence, rate)
-    stored = _MILLIMETRES * _interpolate(positions, frames)
-    return {
-        "name": sequence.name,
-        "n_frames": len(frames),
-        "shape": [len(frames), len(CANONICAL_JOINTS), 3],
-        "positions": _encode(np.clip(np.rint(stored), -32767, 32767), "<i2"),
-        "path": _encode(np.rint(np.clip(_MILLIMETRES * _interpolate(path, frames), -2e9, 2e9)), "<i4"),
-        "stature": round(_finite_or(chain_height(positions), 1.6), 4),
-    }
-
-
-def _stand_on_floor(positions: FloatArray) -> FloatArray:
-    lowest = positions[:, _FEET, 1].min(axis=1)
-    lifted = positions.copy()
-    lifted[..., 1] -= np.percentile(lowest, _LOWEST_SHARE)
-    return lifted
-
-
-def _interpolate(values: FloatArray, frames: FloatArray) -> FloatArray:
-    before = np.minimum(frames.astype(int), len(values) - 1)
-    after = np.minimum(before + 1, len(values) - 1)
-    share = (frames - before).reshape(-1, *[1] * (values.ndim - 1))
-    mixed: FloatArray = (1 - share) * values[before] + share * values[after]
-    return mixed
-
-
-def _encode(values: np.ndarray, kind: str) -> str:
-    return base64.b64encode(np.ascontiguousarray(values.astype(kind)).tobytes()).decode("ascii")
-
-
-def _finite_or(value: float, otherwise: float) -> float:
-    return float(value) if math.isfinite(value) and value > 0 else otherwise
+            turn = find_turn(ours, theirs)
+            if turn is not None:
+                return turn
+    return mean_heading(assessment.performance.positions) - mean_heading(assessment.reference.positions)
 
 
 def _seconds(value: float) -> float | None:
     return round(float(value), 4) if math.isfinite(value) else None
 
 
-def _describe_segments(language: str) -> list[dict[str, Any]]:
+def describe_body(language: str) -> dict[str, Any]:
+    """``joints``, ``parents`` and ``segments`` of the data."""
     from dousa.evaluation.posture import SEGMENT_JOINTS, SEGMENTS
     from dousa.evaluation.words import SEGMENT_WORDS
 
-    return [
-        {"name": name, "label": SEGMENT_WORDS[language][name], "joints": [J[start], J[end]]}
-        for name, (start, end) in zip(SEGMENTS, SEGMENT_JOINTS, strict=True)
-    ]
+    return {
+        "joints": list(CANONICAL_JOINTS),
+        "parents": list(CANONICAL_PARENTS),
+        "segments": [
+            {"name": name, "label": SEGMENT_WORDS[language][name], "joints": [J[start], J[end]]}
+            for name, (start, end) in zip(SEGMENTS, SEGMENT_JOINTS, strict=True)
+        ],
+    }
 
 
 def _describe_kinds(language: str) -> dict[str, dict[str, str]]:

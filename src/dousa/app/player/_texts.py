@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-__all__ = ["KIND_LETTERS", "PLAYER_TEXTS"]
+__all__ = ["KIND_LETTERS", "PAIR_TEXTS", "PLAYER_TEXTS", "SINGLE_TEXTS"]
 
 KIND_LETTERS: dict[str, dict[str, str]] = {
     "en": {"global": "G", "partial": "P", "incomplete": "I", "shift": "S"},
@@ -113,3 +113,39 @@ PLAYER_TEXTS: dict[str, dict[str, str]] = {
     },
 }
 """Language -> key in the script -> words. Both languages have the same keys."""
+
+SINGLE_TEXTS: dict[str, dict[str, str]] = {
+    "en": {
+        "player": "Player of the motion",
+        "figures": "Figure; drag to turn, wheel or pinch to zoom",
+        "performance": "",
+        "loop": "Loop",
+        "keyLoop": "loop",
+    },
+    "ja": {
+        "player": "動きの再生",
+        "figures": "姿。ドラッグで回転、ホイールまたはピンチで拡大",
+        "performance": "",
+        "loop": "繰り返す",
+        "keyLoop": "繰り返す",
+    },
+}
+"""What is said otherwise where there is one figure, and no assessment."""
+
+PAIR_TEXTS: dict[str, dict[str, str]] = {
+    "en": {
+        "player": "Player of both motions",
+        "figures": "Figures of both motions; drag to turn, wheel or pinch to zoom",
+        "timing": "Timing of both motions",
+        "loop": "Loop",
+        "keyLoop": "loop",
+    },
+    "ja": {
+        "player": "二つの動きの再生",
+        "figures": "二つの動きの姿。ドラッグで回転、ホイールまたはピンチで拡大",
+        "timing": "二つの動きの時間",
+        "loop": "繰り返す",
+        "keyLoop": "繰り返す",
+    },
+}
+"""What is said otherwise where there are two figures, and no assessment."""

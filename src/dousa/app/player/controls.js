@@ -59,11 +59,9 @@ function formatTime(seconds, decimals) {
 class Controls {
   // act: what the buttons do, by name; see player.js.
   constructor(root, data, act) {
-    this.root = root;
-    this.data = data;
-    this.act = act;
-    this.duration = data.duration;
-    this.words = data.texts;
+    Object.assign(this, { root, data, act, duration: data.duration, words: data.texts });
+    this.assessed = isAssessed(data);
+    this.figures = data.reference ? ["reference", "performance"] : ["performance"];
     this.makeStage();
     this.makeTrack();
     this.makeTransport();
@@ -81,47 +79,73 @@ class Controls {
     this.canvas.setAttribute("aria-label", this.words.figures);
     const names = make("div", "dp-names", this.stage);
     this.labels = {};
-    for (const who of ["reference", "performance"]) {
+    this.names = {};
+    for (const who of this.figures) {
       const label = make("p", `dp-name dp-name-${who}`, names);
       make("span", "dp-swatch", label).setAttribute("aria-hidden", "true");
       make("span", "dp-who", label, this.words[who]);
+      this.names[who] = make("span", "dp-what", label);
       this.labels[who] = make("span", "dp-when", label);
     }
+    this.nameFigures();
     this.says = make("ul", "dp-says", this.root);
+    this.says.hidden = !this.assessed;
+  }
+
+  // A report names its recordings at its head; where nobody is judged the names stand over the figures.
+  nameFigures() {
+    for (const who of this.figures) {
+      const name = this.assessed ? "" : this.data[who].name;
+      this.names[who].textContent = name;
+      this.names[who].title = name;
+    }
+  }
+
+  // Other data for the same buttons.
+  replace(data) {
+    Object.assign(this, { data, duration: data.duration, shownEvents: null });
+    this.nameFigures();
+    this.scrub.max = this.duration;
+    const focused = this.markButtons.indexOf(document.activeElement);
+    this.fillTrack();
+    this.layMarks();
+    if (focused >= 0) (this.markButtons[focused] ?? this.root).focus({ preventScroll: true });
   }
 
   makeTrack() {
     const track = make("div", "dp-track", this.root);
     this.furi = make("div", "dp-furi", track);
     this.furi.setAttribute("aria-hidden", "true");
-    const place = (seconds) => Math.min(Math.max(seconds / this.duration, 0), 1);
-    const lay = (element, start, end) => {
-      element.style.left = `${(100 * place(start)).toFixed(3)}%`;
-      element.style.width = `${(100 * (place(end) - place(start))).toFixed(3)}%`;
-    };
-    this.data.furi.forEach((furi, index) => {
-      const part = make("span", index % 2 ? "dp-odd" : "", this.furi, furi.label);
-      lay(part, furi.start, furi.end);
-    });
     const rail = make("div", "dp-rail", track);
+    this.spanBox = make("div", "dp-spans", rail);
     this.loopBar = make("span", "dp-loopbar", rail);
-    this.spans = this.data.events.map((event) => {
-      const span = make("span", `dp-span dp-${event.kind in SHAPES ? event.kind : "global"}`, rail);
-      lay(span, event.start, event.end);
-      return span;
-    });
     this.scrub = make("input", "dp-scrub", rail);
     Object.assign(this.scrub, { type: "range", min: 0, max: this.duration, step: "any", value: 0 });
     this.scrub.setAttribute("aria-label", this.words.time);
     this.scrub.addEventListener("input", () => this.act.seek(Number(this.scrub.value)));
-    this.places = this.data.events.map((event) => place(event.worst ?? event.start));
-    this.makeMarks(track);
-  }
-
-  makeMarks(track) {
     this.marks = make("div", "dp-marks", track);
     this.marks.setAttribute("role", "group");
     this.marks.setAttribute("aria-label", this.words.events);
+    this.fillTrack();
+  }
+
+  fillTrack() {
+    const place = (seconds) => Math.min(Math.max(seconds / this.duration, 0), 1);
+    const lay = (element, { start, end }) => {
+      element.style.left = `${(100 * place(start)).toFixed(3)}%`;
+      element.style.width = `${(100 * (place(end) - place(start))).toFixed(3)}%`;
+      return element;
+    };
+    for (const box of [this.furi, this.spanBox, this.marks]) box.replaceChildren();
+    this.data.furi.forEach((furi, index) => lay(make("span", index % 2 ? "dp-odd" : "", this.furi, furi.label), furi));
+    this.spans = this.data.events.map((event) =>
+      lay(make("span", `dp-span dp-${event.kind in SHAPES ? event.kind : "global"}`, this.spanBox), event),
+    );
+    this.places = this.data.events.map((event) => place(event.worst ?? event.start));
+    this.makeMarks();
+  }
+
+  makeMarks() {
     this.markButtons = this.data.events.map((event, index) => {
       const button = make("button", "dp-event", this.marks);
       button.type = "button";
@@ -134,6 +158,7 @@ class Controls {
       return button;
     });
     this.marks.hidden = this.markButtons.length === 0;
+    this.enableEvents();
   }
 
   // Marks that would hide each other go to rows below, three at most.
@@ -189,7 +214,13 @@ class Controls {
       return button;
     });
     this.loop = this.button(bar, "loop", "L", act.toggleLoop, { icon: "loop", text: words.loop });
-    for (const button of [this.previous, this.next, this.loop]) button.disabled = this.data.events.length === 0;
+    for (const button of [this.previous, this.next]) button.hidden = !this.assessed;
+    this.enableEvents();
+  }
+
+  enableEvents() {
+    const none = this.assessed && this.data.events.length === 0;
+    for (const button of [this.previous, this.next, this.loop]) if (button) button.disabled = none;
   }
 
   choice(bar, name, entries) {
@@ -213,6 +244,7 @@ class Controls {
       ["step", "S", () => act.setView({ sync: "step" }), "step"],
       ["real", "S", () => act.setView({ sync: "time" }), "time"],
     ]);
+    for (const choice of [this.modes, this.syncs]) choice[0].parentElement.hidden = !this.data.reference;
     const toggles = this.group(bar, "");
     this.mirror = this.button(toggles, "mirror", "M", () => act.flip("mirror"), { text: words.mirror });
     this.place = this.button(toggles, "place", "I", () => act.flip("inPlace"), { text: words.place });
@@ -229,9 +261,10 @@ class Controls {
     make("summary", "", details, words.keys);
     const list = make("dl", "", details);
     const rows = [
-      [words.space, "keyPlay"], ["← →", "keyFrame"], ["[ ]", "keySpeed"], ["N P", "keyEvent"], ["L", "keyLoop"],
-      ["O", "keySide"], ["S", "keyStep"], ["M", "keyMirror"], ["I", "keyPlace"], ["1 2 3", "keyView"],
-      ["0", "keyReset"], ["Home End", "keyHome"],
+      [words.space, "keyPlay"], ["← →", "keyFrame"], ["[ ]", "keySpeed"],
+      ...(this.assessed ? [["N P", "keyEvent"]] : []), ["L", "keyLoop"],
+      ...(this.data.reference ? [["O", "keySide"], ["S", "keyStep"]] : []),
+      ["M", "keyMirror"], ["I", "keyPlace"], ["1 2 3", "keyView"], ["0", "keyReset"], ["Home End", "keyHome"],
     ];
     for (const [keys, name] of rows) {
       const row = make("div", "", list);
@@ -252,7 +285,9 @@ class Controls {
     this.scrub.style.setProperty("--dp-done", `${((100 * state.time) / this.duration).toFixed(3)}%`);
     this.scrub.setAttribute("aria-valuetext", formatTime(state.time, 1));
     this.labels.performance.textContent = formatTime(state.time, 1);
-    this.labels.reference.textContent = state.seen ? formatTime(state.referenceTime, 1) : words.absent;
+    if (this.labels.reference) {
+      this.labels.reference.textContent = state.seen ? formatTime(state.referenceTime, 1) : words.absent;
+    }
     this.updateButtons(state);
     this.updateEvents(state);
     const { loopBar } = this;
@@ -278,7 +313,7 @@ class Controls {
     press(this.mirror, state.view.mirror);
     press(this.place, state.view.inPlace);
     press(this.loop, Boolean(state.looped));
-    this.root.dataset.mode = state.view.mode;
+    this.root.dataset.mode = this.data.reference ? state.view.mode : "single";
     this.root.classList.toggle("dp-absent", !state.seen);
   }
 

@@ -58,6 +58,13 @@ class Clip {
     this.bounds = { low, high };
   }
 
+  // The same recording grew: what the picture shows of the floor does not become less.
+  keepRoom(before) {
+    if (!before) return;
+    this.reach = Math.max(this.reach, before.reach);
+    this.top = Math.max(this.top, before.top);
+  }
+
   sample(time, out) {
     const place = Math.min(Math.max(time * this.rate, 0), this.nFrames - 1);
     const before = Math.floor(place);

@@ -1,39 +1,74 @@
-// dousa.createPlayer(element, data) -> player
+// dousa.createPlayer(element, data, options) -> player
 //
-// Two figures, a reference and a performance, on one canvas. Times are seconds of the performance.
+// Two figures, a reference and a performance, or the performance alone, on one canvas. Times are seconds of the
+// performance. options.pageKeys false: keys are taken only inside the player, not from the bare page.
 //   player.seek(seconds) .play() .pause() .loop(start, end) .loop(null) .setSpeed(factor)
 //   player.setView({mode: "side" | "over", sync: "step" | "time", mirror: bool, inPlace: bool}), each optional
 //   player.onTime(callback) -> function that stops the calls; callback(seconds) after every change
+//   player.replace(data, {live: bool}): other data in the same player; view, time, speed and playing stay. With live a
+//     recording has grown: the room never shrinks, and who stands at the end stays there
 //   player.destroy(); and to read: player.time .duration .playing .speed .view .looped
 
 const SPEEDS = [0.25, 0.5, 1, 2];
 const LONGEST_STEP = 0.25; // s: after the page slept, play goes on from where it stood
 const QUIET = 400; // ms without change before a screen reader is told the time
 
+const ALONE = { time: 0, seen: true }; // the match where there is nobody to match
+
 const players = []; // the one used last comes first: it gets the keys that nobody else wants
 
+function isAssessed(data) {
+  return data.assessed !== false;
+}
+
+// Equal for data that need the same words and buttons.
+function describeFurniture(data) {
+  return JSON.stringify([data.language, data.texts, data.kinds, isAssessed(data), Boolean(data.reference)]);
+}
+
 class Player {
-  constructor(element, data) {
-    this.data = data;
-    this.clips = {
-      reference: new Clip(data.reference, data.rate),
-      performance: new Clip(data.performance, data.rate),
-    };
-    this.matches = { step: new Match(data.step, data.rate), time: new Match(data.time, data.rate) };
-    this.duration = Math.max((data.performance.n_frames - 1) / data.rate, 1e-3);
+  constructor(element, data, options) {
     this.joints = { reference: new Float64Array(VALUES), performance: new Float64Array(VALUES) };
     Object.assign(this, { time: 0, playing: false, speed: 1, looped: null, listeners: new Set(), waiting: 0 });
     this.view = { mode: "side", sync: "step", mirror: false, inPlace: true };
-    this.measureTravel();
+    this.pageKeys = options.pageKeys !== false;
+    this.load(data);
     this.build(element);
     players.unshift(this);
     this.request();
+  }
+
+  load(data) {
+    const clips = { performance: new Clip(data.performance, data.rate) };
+    if (data.reference) {
+      clips.reference = new Clip(data.reference, data.rate);
+      this.matches = { step: new Match(data.step, data.rate), time: new Match(data.time, data.rate) };
+    }
+    this.data = data;
+    this.clips = clips;
+    this.duration = Math.max((data.performance.n_frames - 1) / data.rate, 1e-3);
+    this.measureTravel();
   }
 
   build(element) {
     this.root = make("div", "dousa-player", element);
     this.root.tabIndex = 0;
     this.root.setAttribute("role", "group");
+    this.onKey = (event) => {
+      if (players.find((player) => player.root.isConnected && player.takes(event)) === this) this.press(event);
+    };
+    document.addEventListener("keydown", this.onKey);
+    this.root.addEventListener("pointerdown", () => this.comeFirst());
+    this.root.addEventListener("focusin", () => this.comeFirst());
+    this.furnish();
+  }
+
+  // Everything inside; done anew when other data need other words or other buttons.
+  furnish() {
+    const camera = this.stage?.camera;
+    const held = this.root.contains(document.activeElement);
+    this.stage?.destroy();
+    this.root.replaceChildren();
     this.root.setAttribute("aria-label", this.data.texts.player);
     if (this.data.language) this.root.lang = this.data.language;
     this.controls = new Controls(this.root, { ...this.data, duration: this.duration }, this.actions());
@@ -41,12 +76,22 @@ class Player {
       this.controls.layMarks();
       this.request();
     });
-    this.onKey = (event) => {
-      if (players.find((player) => player.root.isConnected && player.takes(event)) === this) this.press(event);
-    };
-    document.addEventListener("keydown", this.onKey);
-    this.root.addEventListener("pointerdown", () => this.comeFirst());
-    this.root.addEventListener("focusin", () => this.comeFirst());
+    if (camera) this.stage.camera = camera;
+    if (held) this.root.focus({ preventScroll: true });
+    this.furniture = describeFurniture(this.data);
+  }
+
+  replace(data, { live = false } = {}) {
+    if (this.dead) return;
+    const { clips, duration } = this;
+    const whole = this.looped && this.looped[0] === 0 && this.looped[1] >= duration - 1e-6;
+    const atEnd = this.time >= duration - 1e-6;
+    this.load(data);
+    if (live) for (const [name, clip] of Object.entries(this.clips)) clip.keepRoom(clips[name]);
+    if (describeFurniture(data) === this.furniture) this.controls.replace({ ...data, duration: this.duration });
+    else this.furnish();
+    if (this.looped) this.loop(this.looped[0], whole ? this.duration : this.looped[1]);
+    this.seek(live && atEnd ? this.duration : this.time);
   }
 
   comeFirst() {
@@ -73,9 +118,9 @@ class Player {
 
   // A little travel fits the picture; a camera that stands still shows it best. Far travel is followed.
   measureTravel() {
-    const [a, b] = [this.clips.reference.bounds, this.clips.performance.bounds];
-    const low = [0, 1].map((k) => Math.min(a.low[k], b.low[k]));
-    const high = [0, 1].map((k) => Math.max(a.high[k], b.high[k]));
+    const bounds = Object.values(this.clips).map((clip) => clip.bounds);
+    const low = [0, 1].map((k) => Math.min(...bounds.map((each) => each.low[k])));
+    const high = [0, 1].map((k) => Math.max(...bounds.map((each) => each.high[k])));
     this.middle = [0, 1].map((k) => (low[k] + high[k]) / 2);
     this.travel = Math.hypot(high[0] - low[0], high[1] - low[1]) / 2;
     this.follow = this.travel > 1.6;
@@ -120,6 +165,10 @@ class Player {
   toggleLoop() {
     if (this.looped) {
       this.loop(null);
+      return;
+    }
+    if (!isAssessed(this.data)) {
+      this.loop(0, this.duration);
       return;
     }
     const index = this.currentEvents()[0] ?? this.nearestEvent();
@@ -194,7 +243,7 @@ class Player {
     if (event.defaultPrevented || event.ctrlKey || event.metaKey || event.altKey) return false;
     const { target } = event;
     const free = target === document.body || target === document.documentElement;
-    return free || this.root.contains(target);
+    return (free && this.pageKeys) || this.root.contains(target);
   }
 
   press(event) {
@@ -273,7 +322,7 @@ class Player {
   }
 
   render() {
-    const match = this.matches[this.view.sync].at(this.time);
+    const match = this.clips.reference ? this.matches[this.view.sync].at(this.time) : ALONE;
     const current = this.currentEvents();
     const wrong = new Set(current.flatMap((index) => this.data.events[index].segments));
     const figure = (name, time) => {
@@ -283,7 +332,7 @@ class Player {
       const home = this.follow ? clip.smoothPlace(time) : this.middle;
       return { clip, place, home, body: buildBody(this.joints[name], clip.scale) };
     };
-    const reference = figure("reference", match.time);
+    const reference = this.clips.reference ? figure("reference", match.time) : null;
     const performance = figure("performance", this.time);
     const { view, follow, travel } = this;
     this.stage.draw({ reference, performance, seen: match.seen, view, follow, travel, wrong });
@@ -327,41 +376,3 @@ class Player {
     players.splice(players.indexOf(this), 1);
   }
 }
-
-function createPlayer(element, data) {
-  const inner = new Player(element, data);
-  return Object.freeze({
-    seek: (seconds) => inner.seek(seconds),
-    play: () => inner.play(),
-    pause: () => inner.pause(),
-    loop: (start, end) => inner.loop(start, end),
-    setSpeed: (speed) => inner.setSpeed(speed),
-    setView: (view) => inner.setView(view),
-    onTime(callback) {
-      inner.listeners.add(callback);
-      return () => inner.listeners.delete(callback);
-    },
-    destroy: () => inner.destroy(),
-    element: inner.root,
-    get time() {
-      return inner.time;
-    },
-    get duration() {
-      return inner.duration;
-    },
-    get playing() {
-      return inner.playing;
-    },
-    get speed() {
-      return inner.speed;
-    },
-    get view() {
-      return { ...inner.view };
-    },
-    get looped() {
-      return inner.looped ? [...inner.looped] : null;
-    },
-  });
-}
-
-window.dousa = Object.assign(window.dousa ?? {}, { createPlayer });

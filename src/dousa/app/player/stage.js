@@ -48,12 +48,11 @@ class Stage {
     const observer = new ResizeObserver(() => this.resize());
     observer.observe(this.canvas);
     this.stops.push(() => observer.disconnect());
-    for (const query of ["(prefers-color-scheme: dark)", "(prefers-contrast: more)"]) {
-      this.on(window.matchMedia(query), "change", () => {
-        this.readColours();
-        this.changed();
-      });
-    }
+    const recolour = () => {
+      this.readColours();
+      this.changed();
+    };
+    this.stops.push(onTheme(recolour));
     this.listenToHands();
   }
 
@@ -148,19 +147,20 @@ class Stage {
     return this.hatch;
   }
 
-  // scene: reference and performance {body, place, home, clip}, seen, view, wrong.
+  // scene: reference (or null) and performance {body, place, home, clip}, seen, view, wrong.
   draw(scene) {
     if (pixelRatio() !== this.ratio) this.resize(); // another screen, another zoom of the page
     const { context, canvas } = this;
     context.setTransform(1, 0, 0, 1, 0, 0);
     context.clearRect(0, 0, canvas.width, canvas.height);
-    const figures = [scene.reference, scene.performance];
+    const figures = [scene.reference, scene.performance].filter(Boolean);
     const room = this.roomOf(scene, figures);
-    if (scene.view.mode === "over") {
+    if (figures.length === 1 || scene.view.mode === "over") {
       const rect = { x: 0, y: 0, width: canvas.width, height: canvas.height };
       this.aim(scene, this.homeOf(scene, figures), room, rect);
       this.drawFloor(scene, room.reach, figures);
-      this.drawOver(scene);
+      if (scene.reference) this.drawOver(scene);
+      else this.drawAlone(scene, scene.performance);
       return;
     }
     const half = canvas.width / 2;

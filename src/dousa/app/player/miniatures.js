@@ -1,0 +1,212 @@
+// dousa.createMiniature(canvas, bytes, options) -> miniature
+//
+// A motion as a small moving figure, from the bytes (ArrayBuffer or Uint8Array) of encode_miniature.
+//   options: clock (of dousa.createClock: the miniature shows its share and does not run by itself),
+//     tone ("performance" or "reference": which colour), longest (s; a longer loop runs faster, default 10),
+//     host (element whose hover and focus wake it where motion is reduced; default the link or button around it)
+//   miniature.play() .pause() .seek(share 0..1) .replace(bytes) .destroy(); to read: .share .playing .visible .duration
+// It runs by itself while it is visible. Where less motion is wished for, it shows its most telling pose until its
+// host is hovered or focused. Its size is that of the element. `dousa.miniatures.alive` says how many run now.
+
+const FRAME_MS = 1000 / 31; // thirty pictures a second are enough for small ones
+const REST = 0.4; // s a loop rests at its end before it begins anew
+const DIM = 0.18; // s of fading at either end of a loop
+const MINIATURE_COLOURS = ["--dp-mini", "--dp-mini-far", "--dp-mini-shadow"];
+
+const lessMotion = window.matchMedia("(prefers-reduced-motion: reduce)");
+
+// One loop of frames, one observer of each kind, for all miniatures of the page.
+const gallery = {
+  all: new Set(),
+  byCanvas: new Map(),
+  waiting: 0,
+  last: -Infinity,
+  drawn: 0,
+
+  add(miniature) {
+    if (!this.seen) this.start();
+    this.all.add(miniature);
+    this.byCanvas.set(miniature.canvas, miniature);
+    this.seen.observe(miniature.canvas);
+    this.sizes.observe(miniature.canvas);
+  },
+
+  remove(miniature) {
+    this.all.delete(miniature);
+    this.byCanvas.delete(miniature.canvas);
+    this.seen.unobserve(miniature.canvas);
+    this.sizes.unobserve(miniature.canvas);
+  },
+
+  start() {
+    this.seen = new IntersectionObserver((entries) => {
+      for (const entry of entries) this.byCanvas.get(entry.target)?.show(entry.isIntersecting);
+    });
+    this.sizes = new ResizeObserver((entries) => {
+      for (const entry of entries) this.byCanvas.get(entry.target)?.resize(entry.contentRect);
+    });
+    onTheme(() => {
+      for (const miniature of this.all) miniature.recolour();
+    });
+    lessMotion.addEventListener("change", () => {
+      for (const miniature of this.all) miniature.settle();
+    });
+  },
+
+  get alive() {
+    let count = 0;
+    for (const miniature of this.all) count += miniature.moves;
+    return count;
+  },
+
+  request() {
+    if (!this.waiting) this.waiting = requestAnimationFrame((now) => this.tick(now));
+  },
+
+  tick(now) {
+    this.waiting = 0;
+    const due = now - this.last >= FRAME_MS;
+    const passed = Math.min(now - this.last, 1000 * LONGEST_STEP) / 1000;
+    if (due) this.last = now;
+    let moving = false;
+    for (const miniature of this.all) {
+      if (miniature.moves) {
+        moving = true;
+        if (due) miniature.advance(passed);
+      }
+      if (miniature.stale && miniature.visible) {
+        miniature.draw();
+        this.drawn += 1;
+      }
+    }
+    if (moving) this.request();
+  },
+};
+
+class Miniature {
+  constructor(canvas, bytes, options) {
+    this.canvas = canvas;
+    this.context = canvas.getContext("2d");
+    this.painter = new LoopPainter(this.context);
+    this.longest = options.longest > 0 ? options.longest : 10;
+    Object.assign(this, { visible: false, stale: true, colours: null, wanted: null, awake: false, time: 0, share: 0 });
+    this.load(bytes);
+    canvas.classList.add("dousa-miniature");
+    if (options.tone === "reference") canvas.classList.add("dp-mini-reference");
+    // Whoever puts it on a page says in words what it is; without them it is an ornament.
+    if (!canvas.hasAttribute("aria-label")) canvas.setAttribute("aria-hidden", "true");
+    this.stops = [];
+    this.listen(options.host ?? canvas.closest("a, button, [tabindex]") ?? canvas);
+    this.clock = options.clock ?? null;
+    if (this.clock) this.stops.push(this.clock.onChange((share) => this.set(share)));
+    this.settle();
+    gallery.add(this);
+  }
+
+  load(bytes) {
+    this.loop = new Loop(bytes);
+    // A loop shorter than a blink would flicker, a very long one would seem to stand.
+    this.duration = Math.min(Math.max(this.loop.duration, 0.3), this.longest);
+    this.stale = true;
+  }
+
+  listen(host) {
+    const on = (name, awake) => {
+      const action = () => {
+        this.awake = awake;
+        this.settle();
+      };
+      host.addEventListener(name, action);
+      this.stops.push(() => host.removeEventListener(name, action));
+    };
+    on("pointerenter", true);
+    on("pointerleave", false);
+    on("focusin", true);
+    on("focusout", false);
+  }
+
+  // Whether it runs: as was asked for, else unless less motion is wished for and nobody looks.
+  get playing() {
+    if (this.clock) return this.clock.playing;
+    return this.wanted ?? (!lessMotion.matches || this.awake);
+  }
+
+  get moves() {
+    return this.visible && this.playing && this.loop.duration > 0;
+  }
+
+  // After anything that may start or stop it.
+  settle() {
+    if (this.clock) this.set(this.clock.share);
+    else if (this.wanted === null && !this.playing) this.set(this.loop.still);
+    else if (this.loop.duration === 0) this.set(0);
+    if (this.moves || this.stale) gallery.request();
+  }
+
+  set(share) {
+    this.share = Math.min(Math.max(share, 0), 1);
+    this.time = this.share * this.duration;
+    this.fade = 1;
+    this.touch();
+  }
+
+  touch() {
+    this.stale = true;
+    if (this.visible) gallery.request();
+  }
+
+  advance(seconds) {
+    if (this.clock) return;
+    const round = this.duration + REST;
+    this.time = (this.time + seconds) % round;
+    this.share = Math.min(this.time / this.duration, 1);
+    const near = Math.min(this.time, round - this.time) / DIM;
+    this.fade = Math.min(0.3 + 0.7 * near, 1);
+    this.stale = true;
+  }
+
+  show(visible) {
+    this.visible = visible;
+    if (visible) this.settle();
+  }
+
+  resize({ width, height }) {
+    const ratio = pixelRatio();
+    const [wide, high] = [width, height].map((size) => Math.max(Math.round(size * ratio), 1));
+    if (this.canvas.width === wide && this.canvas.height === high) return;
+    [this.canvas.width, this.canvas.height] = [wide, high];
+    // The canvas is empty now; the page must not show it like that.
+    if (this.visible) this.draw();
+    else this.stale = true;
+  }
+
+  recolour() {
+    this.colours = null;
+    this.touch();
+  }
+
+  readColours() {
+    const style = getComputedStyle(this.canvas);
+    const [near, far] = MINIATURE_COLOURS.map((name) => hexColour(this.context, style, name));
+    const shadow = this.context.createRadialGradient(0, 0, 0, 0, 0, 1);
+    const dark = style.getPropertyValue(MINIATURE_COLOURS[2]).trim() || "transparent";
+    shadow.addColorStop(0, dark);
+    shadow.addColorStop(0.45, dark);
+    shadow.addColorStop(1, "transparent");
+    this.colours = { tones: depthTones(near, far), shadow };
+  }
+
+  draw() {
+    if (!this.canvas.isConnected) return; // taken off the page: no size and no colours
+    if (!this.colours) this.readColours();
+    this.stale = false;
+    this.painter.draw(this.loop, this.share, this.colours, this.fade);
+  }
+
+  destroy() {
+    if (!gallery.all.has(this)) return;
+    gallery.remove(this);
+    for (const stop of this.stops) stop();
+    this.visible = false;
+  }
+}
