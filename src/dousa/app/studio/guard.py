@@ -75,7 +75,7 @@ class Guard:
         try:
             self._check_names(scope["method"], headers)
             asked = dict(parse_qsl(scope["query_string"].decode("latin-1"), keep_blank_values=True))
-            if scope["method"] == "GET" and "token" in asked and not scope["path"].startswith("/api"):
+            if scope["method"] == "GET" and "token" in asked and not scope["path"].startswith("/api/"):
                 await self._welcome(asked, scope, receive, guarded)
                 return
             self._check_token(headers)
@@ -185,7 +185,7 @@ def _cookies(lines: Iterable[str], name: str) -> list[str]:
 
 
 async def _refuse(error: RefusedError, scope: Scope, receive: Receive, send: Send) -> None:
-    if scope["method"] == "GET" and not scope["path"].startswith(("/api", "/static")):
+    if scope["method"] == "GET" and not scope["path"].startswith(("/api/", "/static/")):
         from starlette.responses import HTMLResponse
 
         page = HTMLResponse(

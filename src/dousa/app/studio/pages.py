@@ -73,12 +73,24 @@ def _make_page(page: str) -> Any:
                 dousa_version=dousa.__version__,
                 library=request.app.state.studio.settings.library.name,
                 words_json=Markup(format_player_data(words)),
-                app=request.app,
+                **_more(page, request),
             )
         )
         return HTMLResponse(text, headers={"vary": "cookie, accept-language"})
 
     return show
+
+
+def _more(page: str, request: Request) -> dict[str, Any]:
+    """What only some pages show."""
+    if page != "api":
+        return {}
+    from dousa.app.studio.guide import describe_interface
+
+    return {
+        "interface": describe_interface(request.app.openapi()),
+        "address": str(request.base_url).rstrip("/"),
+    }
 
 
 def _choose_language(request: Request) -> str:

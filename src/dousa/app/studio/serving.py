@@ -34,7 +34,7 @@ def serve(settings: Settings, *, opens_browser: bool = True) -> None:
 
         from dousa.app.studio.server import create_app
     except ImportError as error:
-        raise MissingExtraError(f"the studio needs {error.name}: pip install 'dousa[studio]'") from error
+        raise MissingExtraError(str(error.name), "studio") from error
     listener, port = _listen(settings)
     with listener:
         settings = replace(settings, port=port)
