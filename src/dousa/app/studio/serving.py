@@ -6,6 +6,7 @@ import socket
 import sys
 import threading
 import webbrowser
+from contextlib import suppress
 from dataclasses import replace
 
 from dousa.app.studio.settings import Settings
@@ -48,7 +49,11 @@ def serve(settings: Settings, *, opens_browser: bool = True) -> None:
         sys.stderr.flush()
         if opens_browser:
             threading.Timer(0.5, webbrowser.open, [settings.address]).start()
-        server.run(sockets=[listener])
+        with suppress(KeyboardInterrupt):  # the usual end
+            server.run(sockets=[listener])
+        sys.stderr.write(
+            "the studio has stopped; jobs that were under way can be taken up again in the next one\n"
+        )
 
 
 def _listen(settings: Settings) -> tuple[socket.socket, int]:

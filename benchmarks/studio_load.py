@@ -1,0 +1,230 @@
+"""An hour of mixed use: does the studio's memory grow?
+
+The studio runs in a process of its own on a copy of a library; programs ask it all the time for everything that its
+pages ask for: lists, thumbnails, searches of clips and of uploaded files, pairs, labels, evaluations, uploads, now and
+then a training. Its resident memory is read every 10 s; the claim is about the second half, when everything that is
+kept has been kept.
+
+    python benchmarks/studio_load.py --minutes 60
+"""
+
+from __future__ import annotations
+
+import argparse
+import http.client
+import json
+import os
+import random
+import re
+import shutil
+import signal
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+from collections import Counter
+from pathlib import Path
+from typing import Any
+
+N_CLIENTS = 3
+REST = 0.02  # s between the requests of one client: a machine that is used, not one that is stormed
+
+
+class Client:
+    """One program that asks, over one connection."""
+
+    def __init__(self, port: int, token: str) -> None:
+        self.port, self.token = port, token
+        self.connection = http.client.HTTPConnection("127.0.0.1", port, timeout=120)
+
+    def ask(self, method: str, path: str, body: Any = None) -> tuple[int, bytes]:
+        headers = {"authorization": f"Bearer {self.token}"}
+        if isinstance(body, dict):
+            body, headers["content-type"] = json.dumps(body).encode(), "application/json"
+        try:
+            self.connection.request(method, path, body, headers)
+            answer = self.connection.getresponse()
+            return answer.status, answer.read()
+        except (OSError, http.client.HTTPException):
+            self.connection.close()
+            raise
+
+
+def use(
+    client: Client, ids: list[int], takes: list[int], motion: bytes, chance: random.Random
+) -> tuple[str, int]:
+    """One thing that somebody does; its name and the status of the answer."""
+    one, other = chance.choice(ids), chance.choice(ids)
+    some = chance.sample(ids, min(24, len(ids)))
+    search = {"query": {"motion": f"clip:{one}"}, "k": 12, "explain": chance.random() < 0.3}
+    deeds: dict[str, tuple[float, Any]] = {
+        "search": (30, lambda: client.ask("POST", "/api/search", search)),
+        "list": (15, lambda: client.ask("GET", f"/api/clips?offset={chance.randrange(200)}&limit=60")),
+        "thumbnails": (15, lambda: client.ask("POST", "/api/clips/thumbnails", {"clips": some})),
+        "player": (10, lambda: client.ask("GET", f"/api/motions/player?motion=clip:{one}")),
+        "pair": (10, lambda: client.ask("GET", f"/api/motions/pair?motion=clip:{one}&other=clip:{other}")),
+        "bvh": (2, lambda: client.ask("GET", f"/api/motions/bvh?motion=clip:{one}")),
+        "page": (
+            5,
+            lambda: client.ask("GET", f"/{chance.choice(['library', 'search', 'takes', 'evaluate'])}"),
+        ),
+        "upload": (3, lambda: upload_and_search(client, motion, chance)),
+        "evaluate": (1, lambda: evaluate(client, one, other)),
+        "label": (1, lambda: label(client, takes, chance)),
+        "jobs": (10, lambda: client.ask("GET", "/api/jobs")),
+    }
+    name = chance.choices(list(deeds), [weight for weight, _ in deeds.values()])[0]
+    return name, deeds[name][1]()[0]
+
+
+def upload_and_search(client: Client, motion: bytes, chance: random.Random) -> tuple[int, bytes]:
+    """A file comes, is asked for, and goes again."""
+    status, answer = client.ask("POST", f"/api/uploads?name=query{chance.randrange(10**6)}.bvh", motion)
+    if status != 201:
+        return status, answer
+    came = json.loads(answer)
+    said = client.ask("POST", "/api/search", {"query": {"motion": came["files"][0]["motion"]}, "k": 5})
+    client.ask("DELETE", f"/api/uploads/{came['batch']}")
+    return said
+
+
+def evaluate(client: Client, one: int, other: int) -> tuple[int, bytes]:
+    wanted = {"references": [{"motion": f"clip:{other}"}], "performance": {"motion": f"clip:{one}"}}
+    return follow(client, client.ask("POST", "/api/jobs/evaluate", wanted))
+
+
+def label(client: Client, takes: list[int], chance: random.Random) -> tuple[int, bytes]:
+    if not takes:
+        return 200, b""
+    wanted = {"take": {"motion": f"clip:{chance.choice(takes)}"}}
+    return follow(client, client.ask("POST", "/api/jobs/label", wanted))
+
+
+def follow(client: Client, said: tuple[int, bytes]) -> tuple[int, bytes]:
+    """Wait for a job and forget it."""
+    if said[0] != 202:
+        return said
+    job = json.loads(said[1])
+    while job["state"] in ("queued", "running", "stopping"):
+        time.sleep(0.05)
+        job = json.loads(client.ask("GET", f"/api/jobs/{job['id']}")[1])
+    client.ask("DELETE", f"/api/jobs/{job['id']}")
+    return (200 if job["state"] == "done" else 599), json.dumps(job).encode()
+
+
+def resident(pid: int) -> float:
+    """MB of a process."""
+    return int(Path(f"/proc/{pid}/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE") / 1e6
+
+
+def start(library: Path) -> tuple[subprocess.Popen[str], int, str]:
+    """A studio; process, port, token."""
+    process = subprocess.Popen(
+        [sys.executable, "-m", "dousa.app.cli", "studio", str(library), "--no-browser", "--port", "8900"],
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    assert process.stderr is not None
+    for line in process.stderr:
+        if found := re.search(r":(\d+)/\?token=(\S+)", line):
+            return process, int(found[1]), found[2]
+    raise SystemExit("the studio did not start")
+
+
+def make_library(folder: Path) -> tuple[Path, bytes]:
+    """The demo's library with a take, trained; and a motion file to upload."""
+    from dousa.app.demo import write_library
+    from dousa.app.demo_evaluation import write_dance
+    from dousa.library import Library
+
+    files = write_library(folder / "motions", n_performers=10)
+    reference, pupil, _ = write_dance(folder)
+    path = folder / "load.dousa"
+    with Library.open(path, create=True) as library:
+        library.add([folder / "motions"])
+        library.add([reference, pupil], kind="take")
+        library.train(n_trees=50)
+    return path, files[7].read_bytes()
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--minutes", type=float, default=60.0)
+    parser.add_argument("--library", type=Path, help="a trained library to copy; made by default")
+    parser.add_argument("--motion", type=Path, help="a BVH to upload, with --library")
+    parser.add_argument("--curve", type=Path, help="write the memory over time as CSV")
+    chosen = parser.parse_args()
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        if chosen.library is None:
+            library, motion = make_library(folder)
+        else:
+            library = Path(shutil.copy(chosen.library, folder / "load.dousa"))
+            motion = chosen.motion.read_bytes()
+        run(library, motion, chosen.minutes * 60, chosen.curve)
+
+
+def run(library: Path, motion: bytes, seconds: float, curve: Path | None) -> None:
+    process, port, token = start(library)
+    try:
+        measure(process, Client(port, token), motion, seconds, curve)
+    finally:
+        process.send_signal(signal.SIGINT)
+        process.wait(timeout=30)
+
+
+def measure(
+    process: subprocess.Popen[str], first: Client, motion: bytes, seconds: float, curve: Path | None
+) -> None:
+    items = json.loads(first.ask("GET", "/api/clips?limit=500")[1])["items"]
+    ids = [item["id"] for item in items if item["kind"] == "clip"]
+    takes = [item["id"] for item in items if item["kind"] == "take"]
+    statuses: Counter[tuple[str, int]] = Counter()
+    stop, begun = threading.Event(), time.monotonic()
+
+    def work(seed: int) -> None:
+        chance, client = random.Random(seed), Client(first.port, first.token)
+        while not stop.wait(REST):
+            statuses[use(client, ids, takes, motion, chance)] += 1
+
+    threads = [threading.Thread(target=work, args=(seed,), daemon=True) for seed in range(N_CLIENTS)]
+    for thread in threads:
+        thread.start()
+    samples: list[tuple[float, float]] = []
+    while (now := time.monotonic() - begun) < seconds:
+        samples.append((now, resident(process.pid)))
+        if len(samples) % 30 == 0:
+            print(
+                f"{now / 60:6.1f} min  {samples[-1][1]:7.1f} MB  {sum(statuses.values())} requests",
+                flush=True,
+            )
+        time.sleep(min(10.0, seconds / 20))
+    stop.set()
+    for thread in threads:
+        thread.join(timeout=60)
+    tell(samples, statuses, seconds)
+    if curve is not None:
+        curve.write_text("seconds,megabytes\n" + "".join(f"{a:.1f},{b:.2f}\n" for a, b in samples))
+
+
+def tell(samples: list[tuple[float, float]], statuses: Counter[tuple[str, int]], seconds: float) -> None:
+    import numpy as np
+
+    at, size = np.array(samples).T
+    half = at >= seconds / 2
+    slope = np.polyfit(at[half] / 3600, size[half], 1)[0] if half.sum() > 2 else float("nan")
+    total = sum(statuses.values())
+    print(f"requests: {total} ({total / seconds:.0f} a second)")
+    for (name, status), count in sorted(statuses.items()):
+        print(f"  {name:<11} {status}  {count}")
+    print(f"memory: {size[0]:.0f} MB at the start, {size[len(size) // 2]:.0f} half way, {size[-1]:.0f} at the end, "
+          f"most {size.max():.0f}; second half {slope:+.1f} MB an hour")  # fmt: skip
+    bad = sum(count for (_, status), count in statuses.items() if status >= 400)
+    print(f"refused or failed: {bad}")
+
+
+if __name__ == "__main__":
+    main()
