@@ -2,7 +2,7 @@
 
 Everything shown is made by the package itself: no recording is needed. `make_retrieval_figures`,
 `make_estimation_figures` and `make_evaluation_figures` do the same for docs/retrieval.md, docs/estimation.md and
-docs/evaluation.md.
+docs/evaluation.md. Only `make_chain_figures`, for docs/tutorial.md, shows real people, and does nothing without them.
 """
 
 from __future__ import annotations
@@ -88,6 +88,7 @@ def _row(number: int, feature: Feature) -> str:
 
 
 if __name__ == "__main__":
+    import make_chain_figures
     import make_estimation_figures
     import make_evaluation_figures
     import make_retrieval_figures
@@ -99,3 +100,4 @@ if __name__ == "__main__":
     make_retrieval_figures.make_all()
     make_estimation_figures.make_all()
     make_evaluation_figures.make_all()
+    make_chain_figures.make_all()
