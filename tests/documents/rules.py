@@ -1,0 +1,189 @@
+"""How each command of the documents is tried: one table. A command that no row fits fails the tests."""
+
+from __future__ import annotations
+
+import enum
+import functools
+import re
+import shlex
+from dataclasses import dataclass
+from typing import Any
+
+from documents.commands import ROOT, Command
+
+__all__ = ["BENCHMARKS", "How", "check_options", "choose_rule", "fill_in", "is_mention", "make_small"]
+
+
+class How(enum.Enum):
+    """What is done with a command."""
+
+    FOLLOWED = (
+        "run as it is written, in the order of the page, on files that dousa makes or on ../shared/data"
+    )
+    SMALL = "run on a few files of each kind of ../shared/data, once instead of --repeats N, with less of the rest"
+    BENCHMARK = "its program is run on as little as its options allow"
+    DRY = "not run: make -n says what it would do, and what it names must be there"
+    INSTALLED = "not run, it needs the net: what it installs must be this project and its extras"
+    SERVED = "not run here: tests/app/studio starts the server; its options must exist"
+    ASKED = "run by tests/app/studio/test_studio_curl.py, which asks a running studio"
+    MENTIONED = "spoken of in prose without what it needs to run: its name and its options must exist"
+
+
+@dataclass(frozen=True, slots=True)
+class _Rule:
+    pattern: str
+    how: How
+
+
+# From above; the first row that fits the whole command counts.
+_RULES = (
+    _Rule(r"make (?:demo|studio|test|lint|fuzz|bench|peers|figures|lock|clean)", How.DRY),
+    _Rule(r"pip install .*", How.INSTALLED),
+    _Rule(r"(?:python )?benchmarks/\w+\.py", How.BENCHMARK),
+    _Rule(r"(?:python )?benchmarks/\w+\.py .*", How.SMALL),
+    _Rule(r"python docs/measure_\w+\.py .*", How.SMALL),
+    _Rule(r"dousa experiment(?:-\w+)? .*\.\./shared/data/.*", How.SMALL),
+    _Rule(r"dousa studio(?: .*)?|dousa demo --studio", How.SERVED),
+    _Rule(r"curl .*|[A-Z]+=\$\(python3 -c .*\)", How.ASKED),
+    _Rule(r"dousa .*", How.FOLLOWED),
+    _Rule(r"tracker \| dousa label .*", How.FOLLOWED),
+    _Rule(r"printf .* > [\w.-]+", How.FOLLOWED),
+    _Rule(r"(?:.*\n)?(?:import|from) .*", How.FOLLOWED),  # a piece of Python
+)
+
+# Words in capitals that stand for a reader's own.
+_PLACEHOLDERS = {
+    "FILE": "walk.bvh",
+    "DATA": "recordings",
+    "RULE": "'name:HDM_(..)_'",
+    "FOLDER": "../shared/data/silhouette_bench",
+}
+
+# What a command of `How.SMALL` gets besides, by how it begins.
+_LESS = {
+    "dousa experiment-estimation ../shared/data/silhouette_bench --views 1,2,4": "--variant noisy",
+    "dousa experiment-estimation ../shared/data/silhouette_bench/cmu86": "--frames 40:42 --views 2",
+    r"dousa experiment .* --takes": "--trees 10",
+    "dousa experiment-estimation FOLDER": "--variant noisy --views 2",
+    "python docs/measure_estimation.py kinect": "--quick --cache kept",
+    "python docs/measure_estimation.py retrieval": "--quick --subjects 1,3 --cache kept",
+    "python docs/measure_estimation.py video": "--views 1,2",
+    "python docs/measure_evaluation.py furi": "--dances 1",
+    "python docs/measure_chain.py": "--wrong 1",
+    "python benchmarks/ranking_weights.py": "--repeats 1",
+    "benchmarks/label.py": "--minutes 1",
+    "benchmarks/find.py": "--minutes 1",
+    "benchmarks/correspondence.py --full 12000": "--frames 400 --full 200 --memory",
+}
+
+# Injecting errors takes long: one category stands for a folder.
+_INJECTED = r"dousa experiment-errors|python docs/measure_evaluation.py sweep"
+_ONE_CATEGORY = {
+    "/bandai": "/bandai/walk",
+    "/hdm05": "/hdm05/squat1Reps",
+    "/utd_mhad/skeleton": "/utd_mhad/skeleton/squat",
+}
+
+# The least that each benchmark can do. Those with --memory, --length or --first do a part of themselves in a process
+# of its own, which is what is run here; the whole compiles everything anew for half a minute.
+BENCHMARKS = {
+    "assess.py": "--memory --minutes 0.2 --rate 30",
+    "correlation_matrix.py": "--frames 200 --repeats 1",
+    "correspondence.py": "--memory --frames 400",
+    "estimate.py": "--length 4 --threads 1",
+    "few_clips.py": "../shared/data/bandai --share 0.5",
+    "forest.py": "--clips 60 --classes 3 --repeats 1",
+    "forest_query.py": "--clips 60 --classes 3",
+    "label.py": "../shared/data/utd_mhad/skeleton --minutes 1",
+    "label_corrections.py": "../shared/data/utd_mhad/skeleton --performer-from name:_s(.)_ --trials 1",
+    "library_add.py": "../shared/data/bandai/run --jobs 1 --repeats 1 --peer-files 1",
+    "ranking.py": "../shared/data/utd_mhad/skeleton --performer-from name:_s(.)_ --queries 1",
+    "read_amc.py": "../shared/data",
+    "read_bvh.py": "../shared/data",
+    "recognition.py": "",
+    "search.py": "--clips 60 --categories 3",
+    # These start a server and ask it, as tests/app/studio does: only their options are read.
+    **{path.name: "--help" for path in sorted((ROOT / "benchmarks").glob("studio_*.py"))},
+    "silhouette_candidates.py": "--candidates 100 --limbs left_forearm",
+}
+
+
+def fill_in(text: str) -> str:
+    """The command with files in the place of words in capitals."""
+    words = text.split(" ")
+    return " ".join(_PLACEHOLDERS.get(word, word) for word in words)
+
+
+def choose_rule(command: Command) -> How | None:
+    """The way a command is tried; None where no row fits."""
+    if command.place == "prose" and is_mention(command.text):
+        return How.MENTIONED
+    text = fill_in(command.text)
+    for rule in _RULES:
+        if re.fullmatch(rule.pattern, text, re.DOTALL):
+            return rule.how
+    return None
+
+
+def is_mention(text: str) -> bool:
+    """Whether a command of dousa in running prose lacks what it needs, or leaves something out."""
+    program, *words = shlex.split(text)
+    if program != "dousa":
+        return False
+    return words == ["demo"] or "..." in words or _count_values(words) < _count_needed(words[0])
+
+
+@functools.cache
+def _parameters(name: str) -> list[Any]:
+    from typer.main import get_command
+
+    from dousa.app.cli import app
+
+    commands = get_command(app).commands  # type: ignore[attr-defined]
+    assert name in commands, f"there is no command 'dousa {name}'"
+    return list(commands[name].params)
+
+
+def check_options(text: str) -> None:
+    """Fail if a command of dousa has an option that the command line does not know."""
+    _, name, *words = shlex.split(text)
+    known = {option for part in _parameters(name) for option in (*part.opts, *part.secondary_opts)}
+    for word in words:
+        if word.startswith("-") and word not in ("-", "--help"):
+            assert word.split("=")[0] in known, f"dousa {name} has no {word}"
+
+
+def _count_needed(name: str) -> int:
+    """How many arguments a command cannot do without."""
+    return sum(part.param_type_name == "argument" and part.required for part in _parameters(name))
+
+
+def _count_values(words: list[str]) -> int:
+    """How many words of a call are arguments and not options or their values."""
+    options = {name: part for part in _parameters(words[0]) for name in part.opts}
+    count, skipped = 0, False
+    for word in words[1:]:
+        if skipped:
+            skipped = False
+        elif word in options:
+            skipped = not options[word].is_flag
+        else:
+            count += 1
+    return count
+
+
+def make_small(text: str) -> str:
+    """A long command as it is tried: the same with one repeat and less of the rest."""
+    small = re.sub(r"--repeats [1-9]\d*", "--repeats 1", fill_in(text))
+    if re.match(_INJECTED, text):
+        for whole, part in _ONE_CATEGORY.items():
+            small = re.sub(rf"{whole}(?= |$)", part, small)
+    if text.startswith(
+        "python docs/measure_chain.py"
+    ):  # renders and estimates every skeleton: only those filmed
+        small = small.replace("/data/utd_mhad", "/data/filmed/utd_mhad").replace(
+            "--people 1,3,5,7", "--people 1"
+        )
+    added = [more for begin, more in _LESS.items() if re.match(begin, text)]
+    assert len(added) <= 1, f"two rows for {text}"
+    return " ".join((small if text.startswith(("dousa", "python")) else f"python {small}", *added))
