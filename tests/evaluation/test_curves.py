@@ -12,7 +12,8 @@ from hypothesis import strategies as st
 from oracles import yamane_eigenspace as oracle
 from oracles.wandering import make_wandering_motion
 
-from dousa.evaluation._curves import Curves, compare_poses, compute_curves
+from dousa.evaluation._beside import compare_poses
+from dousa.evaluation._curves import Curves, compute_curves
 from dousa.evaluation._turned import turn_reference
 from dousa.evaluation._types import PostureSequence
 from dousa.evaluation._working import interpolate_segments

@@ -10,6 +10,7 @@ from __future__ import annotations
 from dousa._lazy import load_when_used
 
 _HOME = {
+    "AdjustableAssessment": "adjusting",
     "Assessment": "_types",
     "Eigenspace": "eigenspace",
     "ErrorEvent": "_types",
@@ -40,6 +41,7 @@ _HOME = {
     "estimate_robust_yaw": "yaw",
     "estimate_yaw": "yaw",
     "find_furi": "furi",
+    "format_furi": "furi_file",
     "find_lines": "correspondence",
     "find_path": "correspondence",
     "fit_eigenspace": "eigenspace",

@@ -13,9 +13,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from dousa.evaluation._beside import Beside, lay_beside, turn_takes
 from dousa.evaluation._turned import Turned, turn_reference
 from dousa.evaluation._types import PostureSequence
-from dousa.evaluation._working import interpolate_segments
 from dousa.evaluation.eigenspace import (
     Eigenspace,
     compute_distance_from_space,
@@ -24,20 +24,14 @@ from dousa.evaluation.eigenspace import (
 )
 from dousa.evaluation.furi import Furi
 from dousa.evaluation.posture import SEGMENTS
-from dousa.evaluation.yaw import estimate_robust_yaw, rotate_yaw
+from dousa.evaluation.yaw import rotate_yaw
 from dousa.motion._types import FloatArray
 
-__all__ = ["Curves", "compare_poses", "compute_curves", "take_off_median"]
+__all__ = ["Curves", "compute_curves", "take_off_median"]
 
-_YAW_WINDOW_S = 0.5
-_YAW_ROUNDS = 3
-_WRONG = (
-    0.35  # chord (20 deg) from which a segment loses its say in the common yaw, as in estimate_robust_yaw
-)
 _PATH_RATE = 60.0  # Hz, of the poses of the reference that the nearest one is chosen from
 _RANGE_WINDOW_S = 0.1
 _RANGE_RATE = 30.0  # Hz, after that smoothing
-_ROUNDING = 1e-6  # frames
 _SMALLEST_RANGE = np.radians(15.0)
 _N_DIRECTIONS = 32  # along which the extreme poses of a segment are looked for: 64 candidates
 
@@ -83,6 +77,7 @@ def compute_curves(
     matched_time: FloatArray,
     furi: Sequence[Furi],
     spaces: Mapping[str, Eigenspace],
+    beside: Beside | None = None,
 ) -> Curves:
     """All curves of a performance.
 
@@ -96,29 +91,25 @@ def compute_curves(
     matched_time : (T,) s, reference time that each frame resembles.
     furi : in frames of the reference.
     spaces : by label.
+    beside : of `lay_beside` with the same motions and times, where that is known already.
 
     Source: Yamane and Shakunaga, eq. 7 to 14. They turn every pose by itself; here the reference is turned onto the
     mean by an angle that changes slowly, the performance by that less the yaw from the reference to it, which one
     wrong limb cannot bend. A pose with a segment that is not seen has no distance; its other segments keep their
     residuals.
     """
-    frames = _find_frames(same_time, reference)
-    inside = (frames >= -0.5) & (frames <= reference.n_frames - 0.5)
-    frames = np.where(inside, np.clip(frames, 0.0, reference.n_frames - 1.0), 0.0)
-    index = _find_furi_index(frames, inside, furi, reference.n_frames)
-    judged = performance.seen & _look_up_seen(reference, frames) & inside[:, None]
-    there = interpolate_segments(reference.segments, frames)
-    residual, yaw = compare_poses(there, performance.segments, judged, performance.frame_rate)
+    if beside is None:
+        takes = turn_takes(reference, more_references)
+        beside = lay_beside(reference, takes, performance, same_time, matched_time)
+    frames, there, yaw = beside.frames, beside.there, beside.yaw
+    index = _find_furi_index(frames, beside.inside, furi, reference.n_frames)
     distances = np.full((3, len(frames)), np.nan)
     turn = np.full(len(frames), np.nan)
     references = np.full((2, reference.n_frames), np.nan)
-    whole: NDArray[np.bool_] = np.all(judged, axis=1)
-    late_frames, late_yaw = _find_resembled(reference, performance, matched_time, frames, yaw)
-    takes = [_turn_take(reference, take) for take in more_references]
     for number, figure in enumerate(furi):
         space = spaces[figure.label]
         turned = turn_reference(reference, figure, space)
-        here = np.flatnonzero((index == number) & whole)
+        here = np.flatnonzero((index == number) & beside.whole)
         angle = turned.find_turn(frames[here])
         turn[here] = angle - yaw[here]
         distances[:, here] = _measure_distances(
@@ -126,17 +117,17 @@ def compute_curves(
             turned,
             rotate_yaw(there[here], angle),
             rotate_yaw(performance.segments[here], turn[here]),
-            turned.find_turn(late_frames[here]) - late_yaw[here] - turn[here],
+            turned.find_turn(beside.late_frames[here]) - beside.late_yaw[here] - turn[here],
             reference.frame_rate,
         )
-        references[:, figure.start : figure.end] = _measure_takes(space, turned, figure, takes)
+        references[:, figure.start : figure.end] = _measure_takes(space, turned, figure, beside.takes)
     lag_by_furi = _take_medians(np.asarray(same_time) - matched_time, index, len(furi))
     return Curves(
         d_space=distances[0],
         d_within=distances[1],
         d_path=distances[2],
         facing=take_off_median(yaw),
-        residual=residual,
+        residual=beside.residual,
         gain=_measure_gains(reference, performance, same_time, lag_by_furi, furi, spaces),
         lag_by_furi=lag_by_furi,
         furi_index=index,
@@ -144,57 +135,6 @@ def compute_curves(
         d_within_reference=references[1],
         turn=turn,
     )
-
-
-def compare_poses(
-    reference: FloatArray, performance: FloatArray, judged: NDArray[np.bool_], frame_rate: float
-) -> tuple[FloatArray, FloatArray]:
-    """Angles between segments after a common yaw that changes slowly.
-
-    Parameters
-    ----------
-    reference, performance : (T, 9, 3) poses of the same moments.
-    judged : (T, 9) where both are seen.
-    frame_rate : Hz.
-
-    Returns
-    -------
-    residual : (T, 9) rad, nan where not judged.
-    yaw : (T,) rad that turns the reference onto the performance, nan where nothing is judged.
-    """
-    some: NDArray[np.bool_] = np.any(judged, axis=1)
-    residual = np.full(judged.shape, np.nan)
-    yaw = np.full(len(judged), np.nan)
-    if not some.any():
-        return residual, yaw
-    # Where nothing is seen the weights are 0, so that the neighbours tell the yaw.
-    trust = estimate_robust_yaw(performance, reference, np.where(some[:, None], judged, 1.0), n_rounds=0)[1]
-    trust = trust * judged
-    products = _horizontal(performance) * _horizontal(reference).conj()
-    half = max(0, round(0.5 * _YAW_WINDOW_S * frame_rate))
-    turn = _smooth_turn((products * trust).sum(axis=1), half)
-    fixed = 2.0 - 2.0 * performance[..., 1] * reference[..., 1]
-    for _ in range(_YAW_ROUNDS):
-        squared = np.maximum(fixed - 2.0 * (products * turn.conj()[:, None]).real, 0.0)
-        trust = judged / (1.0 + squared / _WRONG**2) ** 2
-        turn = _smooth_turn((products * trust).sum(axis=1), half)
-    angle = np.angle(turn)
-    chord = np.linalg.norm(performance - rotate_yaw(reference, angle), axis=2)
-    residual[judged] = 2.0 * np.arcsin(np.minimum(0.5 * chord[judged], 1.0))
-    yaw[some] = angle[some]
-    return residual, yaw
-
-
-def _horizontal(segments: FloatArray) -> NDArray[np.complex128]:
-    return segments[..., 2] + 1j * segments[..., 0]
-
-
-def _smooth_turn(values: NDArray[np.complex128], half: int) -> NDArray[np.complex128]:
-    """Correlations summed over a window, of modulus 1."""
-    total = np.cumsum(np.pad(values, (half + 1, half)))
-    summed = total[2 * half + 1 :] - total[: len(values)]
-    size = np.abs(summed)
-    return np.divide(summed, size, out=np.ones_like(summed), where=size > 1e-9)
 
 
 def take_off_median(yaw: FloatArray) -> FloatArray:
@@ -208,19 +148,6 @@ def take_off_median(yaw: FloatArray) -> FloatArray:
     return np.angle(np.exp(1j * (around - np.median(around[known]))))
 
 
-def _find_frames(times: FloatArray, reference: PostureSequence) -> FloatArray:
-    """Fractional frames; those that are whole but for rounding are whole."""
-    frames = np.asarray(times, np.float64) * reference.frame_rate
-    near = np.rint(frames)
-    return np.where(np.abs(frames - near) < _ROUNDING, near, frames)
-
-
-def _look_up_seen(reference: PostureSequence, frames: FloatArray) -> NDArray[np.bool_]:
-    """(T, 9) whether both frames that each lies between are seen."""
-    low, high = np.floor(frames).astype(np.intp), np.ceil(frames).astype(np.intp)
-    return reference.seen[low] & reference.seen[high]
-
-
 def _find_furi_index(
     frames: FloatArray, inside: NDArray[np.bool_], furi: Sequence[Furi], n_frames: int
 ) -> NDArray[np.intp]:
@@ -229,26 +156,6 @@ def _find_furi_index(
     for number, figure in enumerate(furi):
         of_frame[figure.start : figure.end] = number
     return np.where(inside, of_frame[np.rint(frames).astype(np.intp)], -1)
-
-
-def _find_resembled(
-    reference: PostureSequence,
-    performance: PostureSequence,
-    matched_time: FloatArray,
-    frames: FloatArray,
-    yaw: FloatArray,
-) -> tuple[FloatArray, FloatArray]:
-    """(T,) reference frames that are resembled, and (T,) rad that turn them onto the performance.
-
-    Where nothing is resembled, those of the same time.
-    """
-    matched = _find_frames(matched_time, reference)
-    matched = np.clip(np.where(np.isfinite(matched), matched, frames), 0.0, reference.n_frames - 1.0)
-    there = interpolate_segments(reference.segments, matched)
-    judged = performance.seen & _look_up_seen(reference, matched)
-    found = compare_poses(there, performance.segments, judged, performance.frame_rate)[1]
-    known = np.isfinite(found)
-    return np.where(known, matched, frames), np.where(known, found, yaw)
 
 
 def _measure_distances(
@@ -355,13 +262,6 @@ def _spread_directions(count: int) -> FloatArray:
 
 
 _DIRECTIONS = _spread_directions(_N_DIRECTIONS)
-
-
-def _turn_take(first: PostureSequence, take: PostureSequence) -> tuple[FloatArray, NDArray[np.bool_]]:
-    """A further take turned onto the first (T, 9, 3), and (T,) where both are seen."""
-    judged = first.seen & take.seen
-    yaw = compare_poses(first.segments, take.segments, judged, first.frame_rate)[1]
-    return rotate_yaw(take.segments, -np.nan_to_num(yaw)), np.all(judged, axis=1)
 
 
 def _measure_takes(

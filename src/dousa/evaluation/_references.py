@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -25,6 +25,7 @@ __all__ = [
     "compare",
     "find_errors",
     "prepare_references",
+    "reweigh_references",
 ]
 
 _DOUBT = 1.2  # few takes show little of what may still be done: 2.2 times with two takes, 1.3 times with five
@@ -48,6 +49,7 @@ class ReferenceTakes:
     tolerance : learned from the takes; None if there is one only.
     deviations : degrees, mean deviation of each of the further ones from the first.
     left_out : numbers, from 1, of takes that are not like the first.
+    from_first : (U, 9) rad of each of the further ones, from the first take at the same time; nan where unseen.
     """
 
     postures: PostureSequence
@@ -56,6 +58,7 @@ class ReferenceTakes:
     tolerance: Tolerance | None
     deviations: tuple[float, ...]
     left_out: tuple[int, ...] = ()
+    from_first: tuple[FloatArray, ...] = ()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -98,7 +101,14 @@ def prepare_references(takes: Sequence[PostureSequence], tempo: str, weights: Fl
     tolerance = _learn(working, [unwarped[i] for i in like], tempo, weights) if like else None
     deviations = tuple(apart[i] for i in like)
     left_out = tuple(i + 2 for i in range(len(unwarped)) if i not in like)
-    return ReferenceTakes(first, working, warped, tolerance, deviations, left_out)
+    from_first = tuple(alone[i].from_first for i in like)
+    return ReferenceTakes(first, working, warped, tolerance, deviations, left_out, from_first)
+
+
+def reweigh_references(references: ReferenceTakes, weights: FloatArray) -> ReferenceTakes:
+    """The same takes, held to each other with other weights (9,); what is tolerated of a segment stays as it is."""
+    apart = tuple(compute_deviation(one, weights) for one in references.from_first)
+    return replace(references, deviations=apart)
 
 
 def _warp(first: PostureSequence, take: PostureSequence, weights: FloatArray) -> PostureSequence:

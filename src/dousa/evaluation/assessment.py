@@ -7,12 +7,14 @@ postures -> lines -> deviations over time and lag -> stretches that differ -> wh
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
+from dousa.evaluation._beside import Beside, find_resembled, lay_beside, turn_takes
 from dousa.evaluation._curves import Curves, compute_curves
 from dousa.evaluation._evidence import Evidence, at_lag, gather_evidence, refine_lag, runs_of
-from dousa.evaluation._explain import explain_all
+from dousa.evaluation._explain import Finding, explain_all
 from dousa.evaluation._inputs import check_seen, check_takes, pool_takes, scale_furi, spread_weights
 from dousa.evaluation._lapses import find_lapses
 from dousa.evaluation._references import Comparison, ReferenceTakes, compare, prepare_references
@@ -29,7 +31,7 @@ from dousa.evaluation.words import check_language
 from dousa.motion import CanonicalMotion
 from dousa.motion._types import FloatArray
 
-__all__ = ["assess", "judge"]
+__all__ = ["Weighed", "assess", "compute_all_postures", "judge", "look_at_figures", "reweigh", "weigh"]
 
 _ABOVE = 1.05  # rounding, and frames between frames
 _UNLIKE, _FAILING_S = 2.0, 0.3  # mean squared multiple of what is tolerated, and for how long
@@ -75,8 +77,28 @@ def assess(
     """
     takes = [reference] if isinstance(reference, CanonicalMotion) else list(reference)
     check_language(language)
-    check_takes(takes, performance, side, tempo)
     shares = spread_weights(weights)
+    postures, played = compute_all_postures(takes, performance, side=side, tempo=tempo, names=names)
+    references = prepare_references(postures, tempo, shares)
+    figures = scale_furi(furi, takes[0], references.postures) if furi else find_furi(references.postures)
+    return judge(references, figures, played, side=side, tempo=tempo, weights=shares, language=language)
+
+
+def compute_all_postures(
+    takes: Sequence[CanonicalMotion],
+    performance: CanonicalMotion,
+    *,
+    side: str,
+    tempo: str,
+    names: Sequence[str] = (),
+) -> tuple[list[PostureSequence], PostureSequence]:
+    """Postures of the takes of the reference and of the performance, at its rate, mirrored if that is asked for.
+
+    Raises
+    ------
+    InvalidMotionError, OptionError : as `assess`.
+    """
+    check_takes(takes, performance, side, tempo)
     titles = [*names, *[""] * (len(takes) + 1 - len(names))]
     played = compute_postures(performance, name=titles[len(takes)])
     if side == "mirrored":
@@ -86,9 +108,7 @@ def assess(
     postures = [compute_postures(take, rate, name) for take, name in zip(takes, titles, strict=False)]
     for take in postures:
         check_seen(take, "reference")
-    references = prepare_references(postures, tempo, shares)
-    figures = scale_furi(furi, takes[0], references.postures) if furi else find_furi(references.postures)
-    return judge(references, figures, played, side=side, tempo=tempo, weights=shares, language=language)
+    return postures, played
 
 
 def judge(
@@ -103,15 +123,87 @@ def judge(
 ) -> Assessment:
     """Assess a performance against references that are ready; weights (9,), those above 0 of mean 1."""
     working = thin_postures(performance)
-    comparison = compare(references.working, working, tempo, weights)
+    weighed = weigh(references, performance, compare(references.working, working, tempo, weights), weights)
+    spaces = fit_furi_eigenspaces(references.postures, furi, more=pool_takes(references.warped, furi))
+    return look_at_figures(
+        references, furi, spaces, performance, weighed, side=side, tempo=tempo, language=language
+    )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Weighed:
+    """What a performance has been found to do wrong before its figures are looked at.
+
+    Parameters
+    ----------
+    comparison : with the takes of the reference.
+    weights : (9,) of the segments, those above 0 of mean 1.
+    tolerance : of angles and lags.
+    findings : errors, in frames at the working rate.
+    same, matched, lag : (T,) s, reference time if the tempo is kept, that is resembled, and the difference.
+    beside : both motions at the same moments.
+    """
+
+    comparison: Comparison
+    weights: FloatArray
+    tolerance: Tolerance
+    findings: tuple[Finding, ...]
+    same: FloatArray
+    matched: FloatArray
+    lag: FloatArray
+    beside: Beside
+
+
+def weigh(
+    references: ReferenceTakes, performance: PostureSequence, comparison: Comparison, weights: FloatArray
+) -> Weighed:
+    """Tell the errors of a performance from how it compares with the takes; weights (9,), those above 0 of mean 1."""
+    working = thin_postures(performance)
     tolerance = choose_tolerance(references, comparison)
     evidence = gather_evidence(comparison.deviations, tolerance.angle, tolerance.lag_s, weights)
-    same, matched, lag = _make_clocks(comparison, evidence, working, performance, references.postures)
-    spaces = fit_furi_eigenspaces(references.postures, furi, more=pool_takes(references.warped, furi))
-    curves = compute_curves(references.postures, references.warped, performance, same, matched, furi, spaces)
+    first = references.postures
+    same, matched, lag = _make_clocks(comparison, evidence, working, performance, first)
+    beside = lay_beside(first, turn_takes(first, references.warped), performance, same, matched)
+    findings = tuple(explain_all(evidence))
+    return Weighed(comparison, weights, tolerance, findings, same, matched, lag, beside)
+
+
+def reweigh(
+    before: Weighed, references: ReferenceTakes, performance: PostureSequence, weights: FloatArray
+) -> Weighed:
+    """The same with other weights (9,), the bodies laid beside each other as they were before: quick, nearly right."""
+    comparison, tolerance = before.comparison, before.tolerance
+    evidence = gather_evidence(comparison.deviations, tolerance.angle, tolerance.lag_s, weights)
+    first, working = references.postures, thin_postures(performance)
+    same, matched, lag = _make_clocks(comparison, evidence, working, performance, first)
+    beside = before.beside
+    late_frames, late_yaw = find_resembled(first, performance, matched, beside.frames, beside.yaw)
+    beside = replace(beside, late_frames=late_frames, late_yaw=late_yaw)
+    findings = tuple(explain_all(evidence))
+    return Weighed(comparison, weights, tolerance, findings, same, matched, lag, beside)
+
+
+def look_at_figures(
+    references: ReferenceTakes,
+    furi: Sequence[Furi],
+    spaces: Mapping[str, Eigenspace],
+    performance: PostureSequence,
+    weighed: Weighed,
+    *,
+    side: str,
+    tempo: str,
+    language: str,
+) -> Assessment:
+    """The assessment of a performance whose errors are known; ``spaces`` are those of the figures, by label."""
+    working = thin_postures(performance)
+    comparison, tolerance, weights = weighed.comparison, weighed.tolerance, weighed.weights
+    same, matched = weighed.same, weighed.matched
+    curves = compute_curves(
+        references.postures, references.warped, performance, same, matched, furi, spaces, weighed.beside
+    )
     lapses = find_lapses(comparison.alignment, references.working[0], working, language)
     events = describe_findings(
-        explain_all(evidence),
+        weighed.findings,
         lapses,
         working=working,
         same_time=same,
@@ -127,7 +219,7 @@ def judge(
         performance=performance,
         same_time=same,
         matched_time=matched,
-        lag=lag,
+        lag=weighed.lag,
         facing=curves.facing,
         d_space=curves.d_space,
         d_within=curves.d_within,

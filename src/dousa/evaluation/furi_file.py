@@ -22,7 +22,7 @@ from itertools import pairwise
 from dousa.errors import MotionFileError, MotionWriteError, OptionError
 from dousa.evaluation.furi import Furi, name_label
 
-__all__ = ["read_furi", "uncovered", "write_furi"]
+__all__ = ["can_hold", "format_furi", "read_furi", "uncovered", "write_furi"]
 
 _MOST_BYTES = 1_000_000
 _SLACK_S = 0.1  # people round: the last figure may end so much after the dance
@@ -163,19 +163,12 @@ def write_furi(path: str | os.PathLike[str], furi: Sequence[Furi], frame_rate: f
         longer than 100 letters.
     MotionWriteError : the folder is missing or read-only, or the disk is full.
     """
-    lines = [f"# start-end label, frames from 1, last one included, {frame_rate:g} frames/s"]
-    for figure in furi:
-        if not _can_hold(figure.label):
-            raise OptionError(
-                f"furi: the label {figure.label!r} cannot be written to a furi file; choose plain words"
-            )
-        times = f"{_clock(figure.start / frame_rate)} to {_clock(figure.end / frame_rate)}"
-        lines.append(f"{figure.start + 1}-{figure.end} {figure.label}  # {times}")
+    text = format_furi(furi, frame_rate)
     target = os.path.realpath(path)
     part = os.path.join(os.path.dirname(target), f".{os.path.basename(target)}.{os.getpid()}.part")
     try:
         with open(part, "w", encoding="utf-8", newline="\n") as file:
-            file.write("\n".join(lines) + "\n")
+            file.write(text)
         os.replace(part, target)
     except OSError as error:
         with suppress(OSError):
@@ -183,7 +176,26 @@ def write_furi(path: str | os.PathLike[str], furi: Sequence[Furi], frame_rate: f
         raise MotionWriteError(path, f"the furi file cannot be written: {error.strerror or error}") from error
 
 
-def _can_hold(label: str) -> bool:
+def format_furi(furi: Sequence[Furi], frame_rate: float) -> str:
+    """The text of a furi file.
+
+    Raises
+    ------
+    OptionError : a label that a furi file cannot hold.
+    """
+    lines = [f"# start-end label, frames from 1, last one included, {frame_rate:g} frames/s"]
+    for figure in furi:
+        if not can_hold(figure.label):
+            raise OptionError(
+                f"furi: the label {figure.label[:_SHOWN]!r} cannot be written to a furi file; choose plain words"
+            )
+        times = f"{_clock(figure.start / frame_rate)} to {_clock(figure.end / frame_rate)}"
+        lines.append(f"{figure.start + 1}-{figure.end} {figure.label}  # {times}")
+    return "\n".join(lines) + "\n"
+
+
+def can_hold(label: str) -> bool:
+    """Whether a furi file can hold a label."""
     match = _LINE.fullmatch(f"1-2 {label}")
     plain = label.isprintable() and "#" not in label
     whole = match is not None and match[3] == label == _clean(label)

@@ -13,7 +13,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from dousa.errors import InvalidMotionError, OptionError
-from dousa.evaluation._curves import Curves, compare_poses, take_off_median
+from dousa.evaluation._beside import compare_poses
+from dousa.evaluation._curves import Curves, take_off_median
 from dousa.evaluation._explain import Finding
 from dousa.evaluation._inputs import (
     FEWEST_FRAMES,

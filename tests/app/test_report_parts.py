@@ -1,0 +1,77 @@
+"""The report by parts, for a page that shows it live: the same markup, a style that ends where the report ends."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from app.fake_assessment import make_assessment
+from dousa.app.report import (
+    QUICK_PARTS,
+    build_frame,
+    build_page,
+    build_parts,
+    collect_data,
+    read_report_style,
+    write_report,
+)
+
+
+@pytest.mark.parametrize("language", ["en", "ja"])
+def test_the_page_is_made_of_the_parts(language: str) -> None:
+    assessment = make_assessment(language=language)
+    page, parts = build_page(assessment, language), build_parts(assessment, language)
+    frame = build_frame(language)
+    assert sorted(re.findall(r'data-part="(\w+)"', frame)) == sorted([*parts, "files"])
+    for name, markup in parts.items():
+        if name == "header" and language == "ja":
+            continue  # the page may say there that the font is missing
+        assert markup in page, name
+
+
+def test_quick_parts_are_some_of_all() -> None:
+    assessment = make_assessment(seconds=6.0)
+    quick, whole = build_parts(assessment, "en", QUICK_PARTS), build_parts(assessment, "en")
+    assert set(quick) == set(QUICK_PARTS) < set(whole)
+    assert all(whole[name] == markup for name, markup in quick.items())
+
+
+def test_the_style_ends_at_the_report() -> None:
+    style = re.sub(r"/\*.*?\*/", "", read_report_style(), flags=re.DOTALL)
+    depth, selectors, text = 0, [], ""
+    for character in style:
+        if character == "{":
+            if depth == 0:
+                selectors.append(text.strip())
+            depth, text = depth + 1, ""
+        elif character == "}":
+            depth, text = depth - 1, ""
+        else:
+            text += character
+    assert depth == 0
+    assert selectors == [".dousa-report", "@media print", ":where(.dousa-report)"]
+
+
+def test_a_report_can_be_bound_anew(browser: Any, tmp_path: Path) -> None:
+    browser.open(write_report(make_assessment(), tmp_path), 1280, 900)
+    browser.wait("return document.querySelector('#readout b')?.textContent === '0:00.0'")
+    browser.run(
+        """window.calls = [];
+        const player = {time: 0, looped: null, onTime: () => () => calls.push("ended"), seek: (s) => calls.push(s)};
+        window.bound = dousa.bindReport(document.body, arguments[0], player);""",
+        collect_data(make_assessment(), "en"),
+    )
+    press = "document.querySelector('#lanes').dispatchEvent(new KeyboardEvent('keydown', {key: 'End', bubbles: true}))"
+    browser.run(press)
+    assert len(browser.run("return window.calls")) == 1
+    shorter = collect_data(make_assessment(seconds=6.0), "en")
+    browser.run("window.bound.update(arguments[0])", shorter)
+    browser.run(press)
+    assert browser.run("return window.calls")[1] == pytest.approx(shorter["duration"])
+    browser.run("window.bound.unbind()")
+    browser.run(press)
+    assert browser.run("return window.calls.slice(2)") == ["ended"]
+    assert browser.messages() == []
