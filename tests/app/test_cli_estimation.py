@@ -134,7 +134,16 @@ def tracked(monkeypatch):
     calls = SimpleNamespace(asked=[], stop_at=None, iou=0.8, lost=[])
 
     def estimate(
-        views, cameras, body, start=None, *, settings, resume=None, on_checkpoint=None, progress=None
+        views,
+        cameras,
+        body,
+        start=None,
+        *,
+        settings,
+        resume=None,
+        on_checkpoint=None,
+        progress=None,
+        on_frame=None,
     ):
         calls.asked.append(
             SimpleNamespace(
@@ -177,6 +186,10 @@ class Partial:
     """Stands in for what the tracker keeps."""
 
     poses: np.ndarray
+
+    @property
+    def n_tracked(self) -> int:
+        return len(self.poses)
 
 
 class TestEstimateAround:

@@ -105,3 +105,28 @@ def test_odd_names_are_kept(library_file, write_move, tmp_path):
         library.relabel(tmp_path / odd, category=odd)
         library.train(n_trees=5)
         assert odd in library.search(path).histogram
+
+
+def test_the_revision_counts_the_writes_of_everybody(library):
+    before = library.revision
+    assert library.revision == before
+    with Library.open(library.name) as other:
+        other.relabel(1, performer="x")
+    assert library.revision == before + 1 == library.stats().revision
+
+
+def test_many_motions_are_read_at_once_and_missing_ones_left_out(library):
+    found = dict(library.iterate_trajectories([3, 1, 999, -5, 2**40]))
+    assert sorted(found) == [1, 3]
+    alone = library.trajectories(3)
+    assert (found[3].positions == alone.positions).all()
+    assert found[3].frame_rate == alone.frame_rate
+    assert list(library.iterate_trajectories([])) == []
+
+
+def test_the_content_of_a_clip_has_a_name_that_its_labels_do_not_change(library):
+    before = library.contents([1, 2, 999])
+    assert sorted(before) == [1, 2]
+    assert before[1] != before[2]
+    library.relabel(1, category="other")
+    assert library.contents([1, 2]) == before

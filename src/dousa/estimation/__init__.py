@@ -20,6 +20,7 @@ _HOME = {
     "PartialTrack": "tracker",
     "READINGS": "_types",
     "Silhouettes": "silhouettes",
+    "TrackedFrame": "_types",
     "TrackerSettings": "_types",
     "body_from_motion": "_body_from_skeleton",
     "cameras_to_arrays": "camera_files",

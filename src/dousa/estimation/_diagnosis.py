@@ -46,6 +46,16 @@ class Diary:
         cover_views(pose, self.workshop.model, self.workshop.views(frame), self._scratch, overlap, visible)
         return overlap, visible
 
+    def look(self, pose: FloatArray, frame: Frame) -> tuple[FloatArray, NDArray[np.bool_]]:
+        """Overlap (V,) of a pose with the silhouettes, NaN where there is none, and hidden parts (P,)."""
+        overlap, visible = self._cover(pose, frame)
+        return overlap, visible < _HIDDEN
+
+    @property
+    def latest(self) -> tuple[FloatArray, NDArray[np.bool_]]:
+        """Overlap (V,) and hidden parts (P,) of the pose noted down last."""
+        return self._overlap[-1], self._occluded[-1]
+
     def write(self, pose: FloatArray, frame: Frame) -> None:
         """Note down a settled pose."""
         overlap, visible = self._cover(pose, frame)

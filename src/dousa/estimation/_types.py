@@ -22,6 +22,7 @@ __all__ = [
     "Estimate",
     "Evidence",
     "Reading",
+    "TrackedFrame",
     "TrackerSettings",
 ]
 
@@ -144,6 +145,30 @@ PAPER = TrackerSettings(
 """The method as published: dR = 6 degrees, s = 1 degree, one pass from the root to the leaves.
 
 Of the root's place the paper says nothing: it moves by at most 3 % of the stature beyond the prediction."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TrackedFrame:
+    """A frame on the way to an `Estimate`.
+
+    Parameters
+    ----------
+    frame : its number, from 0.
+    pose : (7 + A,), not smoothed yet.
+    overlap : (V,) as `Estimate.iou`.
+    occluded : (P,) as `Estimate.occluded`.
+    lost : the model does not cover the silhouettes.
+    settled : whether the search is done with it; a later frame may still change the pose of one that is not.
+    body : the body that is tracked, its girths fitted.
+    """
+
+    frame: int
+    pose: FloatArray
+    overlap: FloatArray
+    occluded: NDArray[np.bool_]
+    lost: bool
+    settled: bool
+    body: BodyModel
 
 
 @dataclass(frozen=True, slots=True, eq=False)

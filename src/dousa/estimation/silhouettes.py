@@ -12,9 +12,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from dousa.errors import SilhouetteError
 
-__all__ = ["Mask", "PackedSilhouettes", "Silhouettes"]
+__all__ = ["Image", "Mask", "PackedSilhouettes", "Silhouettes"]
 
 Mask = NDArray[np.bool_]
+Image = NDArray[np.uint8]
 PackedMasks = NDArray[np.uint8]
 
 _HIGHEST_RATE = 100_000.0
@@ -48,6 +49,13 @@ class Silhouettes(ABC):
         ------
         SilhouetteError : no such frame, or its image is damaged.
         """
+
+    def look(self, frame: int) -> tuple[Image | None, ...]:
+        """The pictures (height, width, 3) blue, green, red behind the masks; None where there is none.
+
+        Costs little right after the masks of the same frame were read.
+        """
+        return (None,) * self.n_views
 
     def close(self) -> None:  # noqa: B027 - most kinds hold nothing open
         """Let go of open files; reading again opens them again."""

@@ -18,12 +18,12 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from dousa.errors import BodyModelError, CalibrationError, OptionError, SilhouetteError
+from dousa.errors import OptionError
 from dousa.estimation._beam import Beam, BeamState
+from dousa.estimation._beginning import check_cameras, checked_start, find_first
 from dousa.estimation._diagnosis import Diary
-from dousa.estimation._types import PAPER, Estimate, TrackerSettings
+from dousa.estimation._types import PAPER, Estimate, TrackedFrame, TrackerSettings
 from dousa.estimation._working import Frame, Workshop
-from dousa.estimation.cleaning import NEARLY_FULL
 from dousa.estimation.shrinking import Shrinker
 
 if TYPE_CHECKING:
@@ -37,7 +37,6 @@ FloatArray = NDArray[np.float64]
 Progress = Callable[[int, int, str], None]
 
 _CHECKPOINT_FRAMES = 32
-_FIRST_FRAMES = 150  # looked through for the first one with somebody in it
 _LOST_FRAMES = 5  # after so many in a row the track is looked for anew
 _DOUBTFUL, _CLEARLY = 0.75, 0.08  # overlap below which a given start is held against a found one; by how much
 
@@ -75,6 +74,11 @@ class PartialTrack:
     pending_poses: FloatArray
     pending_parents: NDArray[np.int64]
 
+    @property
+    def n_tracked(self) -> int:
+        """Frames looked at so far, settled or not: where the work goes on."""
+        return len(self.poses) + len(self.pending_poses)
+
 
 def estimate(
     silhouettes: Silhouettes,
@@ -88,6 +92,7 @@ def estimate(
     resume: PartialTrack | None = None,
     on_checkpoint: Callable[[PartialTrack], None] | None = None,
     progress: Progress | None = None,
+    on_frame: Callable[[TrackedFrame], None] | None = None,
 ) -> Estimate:
     """Estimate a motion from silhouettes.
 
@@ -104,6 +109,7 @@ def estimate(
     resume : what an interrupted call with the same arguments had done.
     on_checkpoint : called now and then with what is done so far.
     progress : called with frames done, frames in all and what is being done.
+    on_frame : called with every frame as soon as it has a pose, and again when that is settled.
 
     Returns
     -------
@@ -118,8 +124,9 @@ def estimate(
     settings = TrackerSettings() if settings is None else settings
     if girths not in ("fit", "keep"):
         raise OptionError(f"girths: expected fit or keep, got '{girths}'")
-    _check_cameras(silhouettes, cameras)
-    job = _Job(silhouettes, cameras, body, settings, n_threads or min(2, os.cpu_count() or 1), progress)
+    check_cameras(silhouettes, cameras)
+    n_threads = n_threads or min(2, os.cpu_count() or 1)
+    job = _Job(silhouettes, cameras, body, settings, n_threads, progress, on_frame)
     try:
         if resume is None:
             job.begin(start, girths)
@@ -129,36 +136,6 @@ def estimate(
     finally:
         job.close()
     return job.finish()
-
-
-def _check_cameras(silhouettes: Silhouettes, cameras: Sequence[Camera]) -> None:
-    if len(cameras) != silhouettes.n_views:
-        raise CalibrationError(
-            f"expected one camera for each of the {silhouettes.n_views} views, got {len(cameras)}"
-        )
-    for camera, size, name in zip(cameras, silhouettes.sizes, silhouettes.names, strict=True):
-        if (camera.width, camera.height) != tuple(size):
-            raise CalibrationError(
-                f"view '{name}': expected a camera for {size[0]} x {size[1]} pixels, got one for "
-                f"{camera.width} x {camera.height}; see fit_cameras"
-            )
-
-
-def _checked_start(body: BodyModel, start: ArrayLike) -> FloatArray:
-    pose = np.array(start, np.float64)
-    if pose.shape != (7 + body.n_angles,) or not np.isfinite(pose).all():
-        raise BodyModelError(
-            f"start: expected a pose of {7 + body.n_angles} finite numbers, got shape {pose.shape}"
-        )
-    length = float(np.linalg.norm(pose[3:7]))
-    if not 0.99 < length < 1.01:
-        raise BodyModelError(
-            f"start: expected a unit quaternion as the root's orientation, got length {length:g}"
-        )
-    pose[3:7] /= length
-    limits = body.angle_limits
-    pose[7:] = np.clip(pose[7:], limits[:, 0], limits[:, 1])
-    return pose
 
 
 class _Job:
@@ -172,9 +149,11 @@ class _Job:
         settings: TrackerSettings,
         n_threads: int,
         progress: Progress | None,
+        on_frame: Callable[[TrackedFrame], None] | None,
     ) -> None:
         self.silhouettes, self.body, self.settings, self.n_threads = silhouettes, body, settings, n_threads
         self.progress = progress or (lambda done, total, what: None)
+        self.on_frame = on_frame
         self.cameras = tuple(cameras)
         self.poses: list[FloatArray] = []
         self.restarts: list[int] = []
@@ -187,7 +166,7 @@ class _Job:
         self.progress(
             0, self.silhouettes.n_frames, "getting ready (the first time compiles for half a minute)"
         )
-        self.first, masks = _find_first(self.silhouettes)
+        self.first, masks = find_first(self.silhouettes)
         self.area = float(np.mean([mask.sum() for mask in masks if mask is not None and mask.any()]))
         self._set_up()
         small = self.shrinker.shrink(masks)
@@ -198,7 +177,7 @@ class _Job:
             self.progress(0, self.silhouettes.n_frames, "looking for the first pose")
             pose = find_start(self.workshop, frame, small)[0].pose
         else:
-            pose = _checked_start(self.body, start)
+            pose = checked_start(self.body, start)
         if girths == "fit":
             self._fit_girths(pose, small)
         self.beam = Beam(self.workshop, pose, self.n_threads)
@@ -210,6 +189,7 @@ class _Job:
             self._doubt_start(frame, small, covered)
         for _ in range(self.first):
             self._keep(pose, self.workshop.pack([None] * len(self.cameras)))
+        self._show_newest(frame)
 
     def _doubt_start(self, frame: Frame, masks: Sequence[NDArray[np.bool_] | None], covered: float) -> None:
         """Say so if a pose that is found without the start covers the silhouettes clearly better."""
@@ -277,6 +257,7 @@ class _Job:
             frame = self._read()
             self.beam.step(frame)
             self._watch(frame)
+            self._show_newest(frame)
             for settled in self.beam.settle(self.settings.lag):
                 self._keep(settled.pose, settled.frame)
             self.progress(self.at, n_frames, "tracking")
@@ -313,6 +294,28 @@ class _Job:
     def _keep(self, pose: FloatArray, frame: Frame) -> None:
         self.poses.append(pose)
         self.diary.write(pose, frame)
+        if self.on_frame is not None:
+            overlap, occluded = self.diary.latest
+            self._show(len(self.poses) - 1, pose, overlap, occluded, settled=True)
+
+    def _show_newest(self, frame: Frame) -> None:
+        """Show the newest frame with the best pose so far, which may still change."""
+        if self.on_frame is not None:
+            pose = self.beam.best
+            self._show(self.at - 1, pose, *self.diary.look(pose, frame), settled=False)
+
+    def _show(
+        self,
+        number: int,
+        pose: FloatArray,
+        overlap: FloatArray,
+        occluded: NDArray[np.bool_],
+        *,
+        settled: bool,
+    ) -> None:
+        assert self.on_frame is not None
+        lost = bool(self.diary.find_lost(overlap[None], self.usual)[0])
+        self.on_frame(TrackedFrame(number, pose, overlap, occluded, lost, settled, self.body))
 
     def _save(self) -> PartialTrack:
         state = self.beam.save()
@@ -376,23 +379,3 @@ class _Job:
                 f"in {int(lost.sum())} of {len(lost)} frames the model does not cover the silhouettes"
             )
         return notes
-
-
-def _find_first(silhouettes: Silhouettes) -> tuple[int, tuple[NDArray[np.bool_] | None, ...]]:
-    """The first frame with somebody in it: in as many views as any of the first frames has."""
-    best, best_count, best_masks, full = -1, 0, None, 0
-    for frame in range(min(silhouettes.n_frames, _FIRST_FRAMES)):
-        masks = silhouettes.read(frame)
-        good = [mask is not None and 0 < mask.mean() < NEARLY_FULL for mask in masks]
-        full += any(mask is not None and mask.mean() >= NEARLY_FULL for mask in masks)
-        if sum(good) > best_count:
-            kept = tuple(mask if fine else None for mask, fine in zip(masks, good, strict=True))
-            best, best_count, best_masks = frame, sum(good), kept
-        if best_count and (best_count == len(masks) or frame >= best + 5):
-            break
-    if best_masks is None:
-        what = "every mask is full: is black foreground, white background?" if full else "every mask is empty"
-        raise SilhouetteError(
-            f"expected a person in the first {min(silhouettes.n_frames, _FIRST_FRAMES)} frames, but {what}"
-        )
-    return best, best_masks

@@ -317,6 +317,11 @@ class VideoView(_VideoBased):
                 "wrong camera?"
             )
 
+    def look(self, frame: int) -> Image | None:
+        """The picture (height, width, 3) behind the mask of a frame; None where the data are damaged."""
+        image = self._file.read(frame)
+        return None if image is None else self._resize(image[self._part])
+
     def _resize(self, image: Image) -> Image:
         import cv2
 
@@ -341,10 +346,9 @@ class VideoView(_VideoBased):
 
     def read(self, frame: int) -> Mask | None:
         """The mask (height, width) of a frame; None where the data are damaged."""
-        image = self._file.read(frame)
+        image = self.look(frame)
         if image is None:
             return None
-        image = self._resize(image[self._part])
         found = subtract_background(image, self._background)
         if not self._several and count_people(found) > 1:
             self._several = True

@@ -7,7 +7,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Sequence
 
 from dousa.errors import SilhouetteError
-from dousa.estimation.silhouettes import Mask, Silhouettes, checked_frame, checked_rate
+from dousa.estimation.silhouettes import Image, Mask, Silhouettes, checked_frame, checked_rate
 
 __all__ = ["View", "synchronise"]
 
@@ -35,6 +35,10 @@ class View(ABC):
     @abstractmethod
     def read(self, frame: int) -> Mask | None:
         """The mask (height, width) of a frame; None where there is no image."""
+
+    def look(self, frame: int) -> Image | None:
+        """The picture (height, width, 3) behind the mask of a frame; None where there is none."""
+        return None
 
     def close(self) -> None:  # noqa: B027 - most kinds hold nothing open
         """Let go of open files; reading again opens them again."""
@@ -67,11 +71,19 @@ class _ViewsOnOneClock(Silhouettes):
 
     def read(self, frame: int) -> tuple[Mask | None, ...]:
         """The masks (height, width) of all views in one frame; None where a view has no image then."""
+        return tuple(view.read(place) for view, place in self._places(frame))
+
+    def look(self, frame: int) -> tuple[Image | None, ...]:
+        """The pictures (height, width, 3) behind the masks; None where there is none."""
+        return tuple(view.look(place) for view, place in self._places(frame))
+
+    def _places(self, frame: int) -> list[tuple[View, int]]:
+        """Each view, and which of its own frames is nearest."""
         moment = (checked_frame(frame, self.n_frames) + self._first) / self.frame_rate
-        return tuple(
-            view.read(min(_nearest((moment + start) * view.frame_rate), view.n_frames - 1))
+        return [
+            (view, min(_nearest((moment + start) * view.frame_rate), view.n_frames - 1))
             for view, start in zip(self._views, self._starts, strict=True)
-        )
+        ]
 
     def close(self) -> None:
         """Let go of open files; reading again opens them again."""
@@ -170,6 +182,9 @@ class _OneRate(View):
 
     def read(self, frame: int) -> Mask | None:
         return self._view.read(frame)
+
+    def look(self, frame: int) -> Image | None:
+        return self._view.look(frame)
 
     def close(self) -> None:
         self._view.close()

@@ -163,6 +163,7 @@ class Asking:
         take: Query,
         *,
         threshold: float | None = None,
+        examples: Iterable[int] = (),
         joint_map: JointMap | None = None,
         unit: float | str | None = None,
         up: str | None = None,
@@ -179,6 +180,8 @@ class Asking:
         ----------
         take : number, file, or motion.
         threshold : confidence from which a category is said, 0 to 1; None for what was learned.
+        examples : numbers of clips that were cut out of takes and named by hand. What a take is labelled with learns
+            from each at once, far more than from a clip that is only added.
         joint_map, unit, up, skeleton : what the file does not say.
         n_jobs : parts described at a time, as in ``add``.
         progress : of the learning; called with (steps done, steps, what comes now).
@@ -191,7 +194,7 @@ class Asking:
         OptionError : a threshold outside 0 to 1.
         """
         options = ReadOptions(joint_map, unit, up, skeleton)
-        return self._finding.label(take, threshold, options, n_jobs, progress)
+        return self._finding.label(take, threshold, options, n_jobs, progress, tuple(examples))
 
     def live(
         self,

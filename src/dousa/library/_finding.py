@@ -85,12 +85,13 @@ class Finding:
         options: ReadOptions,
         n_jobs: int | None,
         progress: LearnProgress | None,
+        examples: Sequence[int] = (),
     ) -> LabelledTake:
         """What happens in a take."""
         from dousa.retrieval.labelling import label_take
 
         check_single(take)
-        stored, labeller = self._labeller(n_jobs, progress)
+        stored, labeller = self._labeller(n_jobs, progress, examples)
         with reading(self._engine, self._where) as connection:
             describing = Describing(stored, labeller.grid, options, n_jobs)
             chosen, skipped = self._shelf.chosen(connection, describing, [take])
@@ -114,11 +115,11 @@ class Finding:
         return LiveLabeller(stored.forest, kind, labeller, height=height, threshold=threshold)
 
     def _labeller(
-        self, n_jobs: int | None, progress: LearnProgress | None
+        self, n_jobs: int | None, progress: LearnProgress | None, examples: Sequence[int] = ()
     ) -> tuple[StoredForest, TakeLabeller]:
         with reading(self._engine, self._where) as connection:
             stored = self._querying.load(connection)
-        return stored, self._labellers.get(stored, n_jobs, progress)
+        return stored, self._labellers.get(stored, n_jobs, progress, examples)
 
     def _read(self, connection: sa.Connection, query: Any, options: ReadOptions) -> tuple[str, StoredMotion]:
         """The name and the motion of a query."""

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from collections.abc import Iterator, Sequence
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import sqlalchemy as sa
@@ -11,9 +12,9 @@ from dousa.errors import LibraryError, OptionError
 from dousa.library import _contents, schema
 from dousa.library._arrays import unpack
 from dousa.library._engine import reading, writing
-from dousa.library._revision import next_revision
+from dousa.library._revision import next_revision, read_revision
 from dousa.library.reports import ClipInfo, LibraryStats
-from dousa.library.selection import UNCHANGED, Selection, Unchanged, select_ids
+from dousa.library.selection import UNCHANGED, Selection, Unchanged, portions, select_ids
 
 if TYPE_CHECKING:
     from dousa.motion import Trajectories
@@ -49,6 +50,29 @@ class Managing:
                 connection, select_ids(connection, self._where, chosen, category, performer)
             )
 
+    @property
+    def revision(self) -> int:
+        """Number of the last write, of this program or another; while it is the same, nothing has changed."""
+        with reading(self._engine, self._where) as connection:
+            return read_revision(connection)
+
+    def contents(self, clip_ids: Sequence[int]) -> dict[int, str]:
+        """What stands for the content of clips, by number: whoever keeps something made of a clip knows it by this.
+
+        Parameters
+        ----------
+        clip_ids : of clips and takes; numbers that are not there are left out.
+        """
+        clips = schema.clips.c
+        query = sa.select(clips.id, clips.content_hash, clips.read_options)
+        wanted = [number for number in clip_ids if schema.is_id(number)]
+        with reading(self._engine, self._where) as connection:
+            return {
+                row.id: f"{row.content_hash} {row.read_options}"
+                for some in portions(wanted)
+                for row in connection.execute(query.where(clips.id.in_(some)))
+            }
+
     def trajectories(self, clip_id: int) -> Trajectories:
         """The canonical joints of a clip, in metres.
 
@@ -56,18 +80,30 @@ class Managing:
         ------
         LibraryError : no such clip; LibraryDamagedError: its numbers are damaged.
         """
-        from dousa.motion import CANONICAL_JOINTS, CANONICAL_PARENTS, Trajectories
-
-        clips, arrays = schema.clips.c, schema.clip_trajectories.c
-        query = sa.select(clips.path, clips.n_frames, clips.frame_rate, arrays.positions)
-        query = query.join(schema.clip_trajectories, arrays.clip_id == clips.id).where(clips.id == clip_id)
-        with reading(self._engine, self._where) as connection:
-            row = connection.execute(query).one_or_none() if schema.is_id(clip_id) else None
-        if row is None:
+        found = dict(self.iterate_trajectories([clip_id]))
+        if clip_id not in found:
             raise LibraryError(f"{self._where}: no clip {clip_id}; see: dousa list")
-        positions = unpack(row.positions, "<f4", (row.n_frames, len(CANONICAL_JOINTS), 3), row.path)
-        parents = np.array(CANONICAL_PARENTS)
-        return Trajectories(CANONICAL_JOINTS, positions.astype(np.float64), row.frame_rate, parents)
+        return found[clip_id]
+
+    def iterate_trajectories(self, clip_ids: Sequence[int]) -> Iterator[tuple[int, Trajectories]]:
+        """Numbers and canonical joints of many clips, in any order; one at a time is in memory.
+
+        Parameters
+        ----------
+        clip_ids : of clips and takes; numbers that are not there are left out.
+
+        Raises
+        ------
+        LibraryDamagedError : the numbers of one are damaged.
+        """
+        clips, arrays = schema.clips.c, schema.clip_trajectories.c
+        query = sa.select(clips.id, clips.path, clips.n_frames, clips.frame_rate, arrays.positions)
+        query = query.join(schema.clip_trajectories, arrays.clip_id == clips.id)
+        wanted = [number for number in clip_ids if schema.is_id(number)]
+        with reading(self._engine, self._where) as connection:
+            for some in portions(wanted):
+                for row in connection.execute(query.where(clips.id.in_(some))):
+                    yield row.id, _unpack(row)
 
     def remove(
         self, selection: Selection = (), *, category: str | None = None, performer: str | None = None
@@ -144,3 +180,11 @@ class Managing:
         """The library in numbers."""
         with reading(self._engine, self._where) as connection:
             return _contents.summarise(connection)
+
+
+def _unpack(row: Any) -> Trajectories:
+    from dousa.motion import CANONICAL_JOINTS, CANONICAL_PARENTS, Trajectories
+
+    positions = unpack(row.positions, "<f4", (row.n_frames, len(CANONICAL_JOINTS), 3), row.path)
+    parents = np.array(CANONICAL_PARENTS)
+    return Trajectories(CANONICAL_JOINTS, positions.astype(np.float64), row.frame_rate, parents)

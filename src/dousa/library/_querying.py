@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import sqlalchemy as sa
+from numpy.typing import NDArray
 
 from dousa.errors import DousaError, LibraryError, NotTrainedError
 from dousa.library import schema
@@ -34,6 +35,8 @@ from dousa.library.reports import Skipped
 from dousa.library.search import Asked, SearchIndex, load_index, search_index
 
 __all__ = ["ClassifyOptions", "Querying", "SearchOptions"]
+
+_MOST_POSES = 16_384  # kept in memory; some 4 kB each
 
 
 @dataclass(frozen=True, slots=True)
@@ -90,6 +93,7 @@ class Querying:
         self._engine = engine
         self._where = where
         self._index: SearchIndex | None = None
+        self._poses: dict[int, NDArray[np.float32]] = {}
         self.forest: StoredForest | None = None
 
     def search(self, query: Any, wanted: SearchOptions, options: ReadOptions) -> SearchResult:
@@ -103,16 +107,22 @@ class Querying:
                 motion = round_positions(read_query(query, options))
                 asked = [_ask(stored, motion)]
             else:
-                (motion,) = load_motions(connection, [clip_id])
+                if wanted.mirror or wanted.explain:
+                    (motion,) = load_motions(connection, [clip_id])
                 features = load_features(connection, stored.feature_set, [clip_id]).features
-                poses = load_poses(connection, [clip_id])[0]
+                poses = self._read_poses(connection, [clip_id])[0]
                 asked = [Asked(index.answers_of(clip_id), features, poses)]
             if wanted.mirror:
                 asked.append(_ask(stored, motion.mirror(), mirrored=True))
             verdicts = [judge(stored, one.answers, one.features, wanted.unknown)[0] for one in asked]
             category = verdicts[0].guess if wanted.same_category else None
             hits = search_index(
-                index, asked, wanted.k, wanted.ranking, category, lambda ids: load_poses(connection, ids)
+                index,
+                asked,
+                wanted.k,
+                wanted.ranking,
+                category,
+                lambda ids: self._read_poses(connection, ids),
             )
             if wanted.explain:
                 explaining = Explaining(stored)
@@ -165,7 +175,19 @@ class Querying:
         revision = read_revision(connection)
         if self._index is None or self._index.revision != revision:
             self._index = load_index(connection, revision, stored)
+            self._poses = {}
         return self._index
+
+    def _read_poses(self, connection: sa.Connection, ids: Sequence[int]) -> NDArray[np.float32]:
+        """(N, cells, columns) pose sequences of clips; those that were read stay, as others ask for them too."""
+        kept = self._poses  # the same in all that follows: another thread may begin anew
+        missing = [clip_id for clip_id in ids if clip_id not in kept]
+        if len(kept) + len(missing) > _MOST_POSES:
+            kept, missing = {}, list(ids)
+            self._poses = kept
+        if missing:
+            kept.update(zip(missing, load_poses(connection, missing), strict=True))
+        return np.stack([kept[clip_id] for clip_id in ids]) if len(ids) else load_poses(connection, ids)
 
     def _find_clip(
         self, connection: sa.Connection, index: SearchIndex, query: Any, options: ReadOptions

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import enum
 import os
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Sequence, Set
 from typing import Any, TypeVar
 
 import sqlalchemy as sa
@@ -66,9 +66,10 @@ def select_ids(
         raise LibraryError(f"{where}: no clip of {values}; see: dousa list")
     if not items:
         return sorted(row.id for row in rows)
+    known = {row.id for row in rows}
     chosen: set[int] = set()
     for item in items:
-        chosen |= _matching(rows, item, where)
+        chosen |= _numbered(known, item, where) if isinstance(item, int) else _below(rows, item, where)
     return sorted(chosen)
 
 
@@ -78,17 +79,18 @@ def _as_items(selection: Selection) -> list[int | str | os.PathLike[str]]:
     return list(selection)
 
 
-def _matching(rows: Sequence[Any], item: int | str | os.PathLike[str], where: str) -> set[int]:
-    if isinstance(item, int):
-        found = {row.id for row in rows if row.id == item}
-        what = f"clip {item}"
-    else:
-        path = os.path.abspath(item)
-        below = path.rstrip(os.sep) + os.sep
-        found = {row.id for row in rows if row.path == path or row.path.startswith(below)}
-        what = f"clip of '{os.fspath(item)}'"
+def _numbered(known: Set[int], number: int, where: str) -> set[int]:
+    if number not in known:
+        raise LibraryError(f"{where}: no clip {number}; see: dousa list")
+    return {number}
+
+
+def _below(rows: Sequence[Any], item: str | os.PathLike[str], where: str) -> set[int]:
+    path = os.path.abspath(item)
+    below = path.rstrip(os.sep) + os.sep
+    found = {row.id for row in rows if row.path == path or row.path.startswith(below)}
     if not found:
-        raise LibraryError(f"{where}: no {what}; see: dousa list")
+        raise LibraryError(f"{where}: no clip of '{os.fspath(item)}'; see: dousa list")
     return found
 
 
