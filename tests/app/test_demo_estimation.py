@@ -45,7 +45,7 @@ def tracked(monkeypatch, tmp_path, undrawn):
     from dousa.estimation._types import Estimate
     from dousa.estimation.posing import fit_poses
 
-    def estimate(views, cameras, body, start, *, settings, resume, on_checkpoint, progress):
+    def estimate(views, cameras, body, start, *, settings, resume, on_checkpoint, progress, on_frame):
         assert start is None  # the demonstration shows that it is found
         names, truth = read_true_joints(tmp_path / "seen.npz")
         poses, _ = fit_poses(body, truth, names)

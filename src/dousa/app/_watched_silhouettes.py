@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
 from dousa.errors import OptionError
-from dousa.estimation.silhouettes import Mask, Silhouettes
+from dousa.estimation.silhouettes import Image, Mask, Silhouettes
 
 __all__ = ["MirroredSilhouettes", "WatchedSilhouettes", "parse_frames"]
+
+Masks = Sequence[Mask | None]
+Pictures = Sequence[Image | None]
 
 _FULL = 0.9  # share of the image that no person fills and is still seen whole
 _EMPTY = 2e-4  # share of the image below which a silhouette is a few specks
@@ -83,6 +87,13 @@ class MirroredSilhouettes(Silhouettes):
             None if mask is None else np.ascontiguousarray(mask[:, ::-1]) for mask in self._inner.read(frame)
         )
 
+    def look(self, frame: int) -> tuple[Image | None, ...]:
+        """The pictures (height, width, 3) behind the masks; None where there is none."""
+        return tuple(
+            None if picture is None else np.ascontiguousarray(picture[:, ::-1])
+            for picture in self._inner.look(frame)
+        )
+
     def close(self) -> None:
         """Let go of open files."""
         self._inner.close()
@@ -106,6 +117,12 @@ class WatchedSilhouettes(Silhouettes):
         self._kept: dict[int, tuple[NDArray[np.uint8] | None, ...]] = {}
         each = sum(((width + 7) // 8) * height for width, height in inner.sizes)
         self._most_kept = most_kept // each
+        self._show: Callable[[int, Masks, Pictures], None] | None = None
+        self._shown: set[int] = set()
+
+    def show(self, see: Callable[[int, Masks, Pictures], None] | None) -> None:
+        """Show somebody masks and pictures (V,) of every frame read for the first time from now on; None: nobody."""
+        self._show = see
 
     @property
     def warnings(self) -> tuple[str, ...]:  # type: ignore[override]
@@ -114,6 +131,17 @@ class WatchedSilhouettes(Silhouettes):
 
     def read(self, frame: int) -> tuple[Mask | None, ...]:
         """The masks (height, width) of all views in one frame; None where a view has no image then."""
+        masks = self._read(frame)
+        if self._show is not None and frame not in self._shown:
+            self._shown.add(frame)
+            self._show(frame, masks, self.look(frame))
+        return masks
+
+    def look(self, frame: int) -> tuple[Image | None, ...]:
+        """The pictures (height, width, 3) behind the masks; None where there is none."""
+        return self._inner.look(self._start + frame)
+
+    def _read(self, frame: int) -> tuple[Mask | None, ...]:
         if frame in self._kept:
             return tuple(
                 None if bits is None else np.unpackbits(bits, axis=1, count=width).view(bool)

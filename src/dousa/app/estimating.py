@@ -15,6 +15,7 @@ from dousa.app._estimation_doubts import describe_doubts
 from dousa.app._estimation_output import Outputs, check_outputs, write_outputs
 from dousa.app._estimation_start import StartPose, check_start, read_start
 from dousa.app._estimation_views import choose_cameras, open_views, read_known_stature
+from dousa.app._estimation_watch import Scene, Watcher
 from dousa.app._partial_track import PartialFile, describe_files, fingerprint
 from dousa.app._video_pictures import pictures_of
 from dousa.app._watched_silhouettes import WatchedSilhouettes, parse_frames
@@ -25,6 +26,7 @@ if TYPE_CHECKING:
     from dousa.app._output import ProgressCallback
     from dousa.estimation import BodyModel, Camera, Silhouettes
     from dousa.estimation._types import Estimate, TrackerSettings
+    from dousa.estimation.tracker import PartialTrack
 
 __all__ = ["Estimation", "Request", "estimate_files"]
 
@@ -33,6 +35,7 @@ FloatArray = NDArray[np.float64]
 _KEPT_BYTES = (
     200_000_000  # of masks for the drawings; to find those of a video again costs as much as tracking
 )
+_WATCHED_EVERY_S = 0.5  # between two states kept: who looks on stops the work when they have seen enough
 
 
 @dataclass(frozen=True, slots=True)
@@ -135,6 +138,7 @@ def estimate_files(
     request: Request,
     progress: ProgressCallback | None = None,
     tell: Callable[[str], None] | None = None,
+    watcher: Watcher | None = None,
 ) -> Estimation:
     """Read silhouettes, cameras, body and start, track, and write what was asked for.
 
@@ -143,6 +147,7 @@ def estimate_files(
     request : from what, how, and where to.
     progress : called with (done, total, what is being done).
     tell : called with what a person should know before the work begins, such as that it goes on where it stopped.
+    watcher : is shown every frame as soon as it has a pose.
 
     Raises
     ------
@@ -163,9 +168,15 @@ def estimate_files(
             body, body_words, more = choose_body(request, said, known)
         start, start_words, start_notes = _choose_start(said, body, views, cameras)
         notes = [*notes, *more, *start_notes]
-        kept = PartialFile(request.outputs.first, _fingerprint(request, cameras, body, start))
+        every = None if watcher is None else _WATCHED_EVERY_S
+        kept = PartialFile(request.outputs.first, _fingerprint(request, cameras, body, start), every)
         try:
-            estimate, resumed = _track(request, views, cameras, body, start, kept, report, tell)
+            done = _take_up(kept, views, tell)
+            if watcher is not None:
+                n_done = 0 if done is None else done.n_tracked
+                watcher.begin(Scene(views.names, cameras, views.frame_rate, views.n_frames, n_done))
+                views.show(watcher.see)
+            estimate = _track(request, views, cameras, body, start, kept, done, report, watcher)
         except SilhouetteError as error:
             if not views.is_blank:
                 raise  # an unreadable image, whose file is named
@@ -187,7 +198,14 @@ def estimate_files(
         )
     kept.remove()
     return Estimation(
-        estimate, views.names, body_words, start_words, first, resumed, written, tuple(dict.fromkeys(notes))
+        estimate,
+        views.names,
+        body_words,
+        start_words,
+        first,
+        0 if done is None else len(done.poses),
+        written,
+        tuple(dict.fromkeys(notes)),
     )
 
 
@@ -232,6 +250,20 @@ def _fingerprint(
     )
 
 
+def _take_up(
+    kept: PartialFile, views: WatchedSilhouettes, tell: Callable[[str], None] | None
+) -> PartialTrack | None:
+    """What an earlier run left of the same work; says so."""
+    from dousa.estimation.tracker import PartialTrack
+
+    done, note = kept.load(PartialTrack)
+    if done is not None:
+        note = f"going on at frame {done.n_tracked} of {views.n_frames}, where an earlier run was interrupted"
+    if note is not None and tell is not None:
+        tell(note)
+    return done
+
+
 def _track(
     request: Request,
     views: WatchedSilhouettes,
@@ -239,18 +271,13 @@ def _track(
     body: BodyModel,
     start: FloatArray | None,
     kept: PartialFile,
+    done: PartialTrack | None,
     report: ProgressCallback,
-    tell: Callable[[str], None] | None,
-) -> tuple[Estimate, int]:
-    """Track, keeping now and then what is done; the estimate, and the number of frames of an earlier run."""
-    from dousa.estimation.tracker import PartialTrack, estimate
+    watcher: Watcher | None,
+) -> Estimate:
+    """Track, keeping now and then what is done."""
+    from dousa.estimation.tracker import estimate
 
-    done, note = kept.load(PartialTrack)
-    resumed = 0 if done is None else len(done.poses)
-    if done is not None:
-        note = f"going on at frame {resumed} of {views.n_frames}, where an earlier run was interrupted"
-    if note is not None and tell is not None:
-        tell(note)
     answer = estimate(
         views,
         cameras,
@@ -260,5 +287,9 @@ def _track(
         resume=done,
         on_checkpoint=kept.save,
         progress=report,
+        on_frame=None if watcher is None else watcher.follow,
     )
-    return answer, resumed
+    if watcher is not None:
+        views.show(None)
+        watcher.end(answer)
+    return answer

@@ -100,7 +100,7 @@ def listening(settings: Settings) -> Iterator[Running]:
 
     import uvicorn
 
-    with socket.socket() as listener:
+    with socket.socket(proto=socket.IPPROTO_TCP) as listener:
         listener.bind(("127.0.0.1", 0))
         settings = replace(settings, port=listener.getsockname()[1])
         app = create_app(settings)
@@ -124,7 +124,7 @@ def running(library_copy: Path) -> Iterator[Running]:
 
 
 @pytest.fixture
-def show(browser: Page, running: Running) -> Callable[..., Page]:
+def show(browser: Page, running: Running) -> Iterator[Callable[..., Page]]:
     """``show("/library?x=1", width=1280, height=720, scheme="light", language="en")``: a page of that studio."""
 
     def open_page(
@@ -142,4 +142,6 @@ def show(browser: Page, running: Running) -> Callable[..., Page]:
         browser.wait("return document.readyState === 'complete'")
         return browser
 
-    return open_page
+    yield open_page
+    # A page that is left open would ask a studio that is gone, and complain in the next test.
+    browser.driver.get("about:blank")

@@ -110,6 +110,7 @@ class LoopPainter {
     const { context } = this;
     context.globalCompositeOperation = "destination-in";
     context.globalAlpha = fade;
+    context.fillStyle = "#000"; // opaque: the shadow's gradient would take everything away
     context.fillRect(0, 0, width, height);
     context.globalAlpha = 1;
   }

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import hmac
 import html
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from http.cookies import CookieError, SimpleCookie
 from typing import TYPE_CHECKING
 from urllib.parse import parse_qsl, urlencode
@@ -74,8 +74,8 @@ class Guard:
         guarded = _with_headers(send)
         try:
             self._check_names(scope["method"], headers)
-            asked = dict(parse_qsl(scope["query_string"].decode("latin-1"), keep_blank_values=True))
-            if scope["method"] == "GET" and "token" in asked and not scope["path"].startswith("/api/"):
+            asked = parse_qsl(scope["query_string"].decode("latin-1"), keep_blank_values=True)
+            if scope["method"] == "GET" and "token" in dict(asked) and not scope["path"].startswith("/api/"):
                 await self._welcome(asked, scope, receive, guarded)
                 return
             self._check_token(headers)
@@ -119,13 +119,15 @@ class Guard:
     def _limit(self, path: str) -> int:
         return self._settings.most_bytes if path.startswith(UPLOAD_PATH) else _MOST_BODY
 
-    async def _welcome(self, asked: Mapping[str, str], scope: Scope, receive: Receive, send: Send) -> None:
+    async def _welcome(
+        self, asked: list[tuple[str, str]], scope: Scope, receive: Receive, send: Send
+    ) -> None:
         """The token goes from the address into a cookie, so that it is in no history and no screenshot."""
-        if not self._is_token(asked["token"]):
+        if not self._is_token(dict(asked)["token"]):
             raise RefusedError(
                 401, "the token in this address is not the one of this studio; was it started again?"
             )
-        rest = urlencode([(name, value) for name, value in asked.items() if name != "token"])
+        rest = urlencode([(name, value) for name, value in asked if name != "token"])
         answer = Answer(None, 303)
         path = "/" + scope["path"].lstrip("/\\")  # "//evil.example" would be another machine
         answer.headers["location"] = path + (f"?{rest}" if rest else "")

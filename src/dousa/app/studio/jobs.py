@@ -176,6 +176,7 @@ class JobBoard:
                 raise RefusedError(409, "this job is under way; stop it first")
             del self._jobs[job_id]
             self._stops.pop(job_id, None)
+            self._saved.pop(job_id, None)
         shutil.rmtree(self.folder(job), ignore_errors=True)
 
     # --- looking

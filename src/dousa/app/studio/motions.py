@@ -44,12 +44,14 @@ class MotionRef(BaseModel):
     model_config = ConfigDict(extra="forbid")
 
     motion: MotionName
-    start_s: _Seconds | None = Field(None, description="s; the beginning if left out")
-    end_s: _Seconds | None = Field(None, description="s; the end if left out")
-    unit: str | None = Field(None, max_length=20, description="length unit of an uploaded file, such as cm")
-    up: str | None = Field(None, max_length=2, description="up axis of an uploaded file: x, y or z")
+    start_s: _Seconds | None = Field(default=None, description="s; the beginning if left out")
+    end_s: _Seconds | None = Field(default=None, description="s; the end if left out")
+    unit: str | None = Field(
+        default=None, max_length=20, description="length unit of an uploaded file, such as cm"
+    )
+    up: str | None = Field(default=None, max_length=2, description="up axis of an uploaded file: x, y or z")
     joint_map: dict[str, str | list[str]] | None = Field(
-        None, description="canonical joint -> joint of the file"
+        default=None, description="canonical joint -> joint of the file"
     )
 
     @property

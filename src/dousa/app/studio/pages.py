@@ -17,6 +17,7 @@ from starlette.responses import HTMLResponse, RedirectResponse, Response
 
 import dousa
 from dousa.app.player import format_player_data, read_player_script, read_player_style
+from dousa.app.report import read_report_script, read_report_style
 from dousa.app.studio.problems import RefusedError
 
 if TYPE_CHECKING:
@@ -135,6 +136,8 @@ def _load_static() -> Mapping[str, tuple[bytes, str]]:
     known = {
         "player.js": (read_player_script().encode(), "text/javascript"),
         "player.css": (read_player_style().encode(), "text/css"),
+        "report.js": (read_report_script().encode(), "text/javascript"),
+        "report.css": (read_report_style().encode(), "text/css"),
         _FONT: (_read_font(), "font/ttf"),
     }
     _collect(files(_HERE) / "static", "", known)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import socket
 import sys
 import threading
@@ -30,10 +31,13 @@ def serve(settings: Settings, *, opens_browser: bool = True) -> None:
     MissingExtraError : FastAPI or uvicorn is not installed.
     OptionError : no port is free.
     """
+    # Many small products for each request: threads of the linear algebra cost twice what they save.
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     try:
         import uvicorn
 
         from dousa.app.studio.server import create_app
+        from dousa.app.studio.warming import warm
     except ImportError as error:
         raise MissingExtraError(str(error.name), "studio") from error
     listener, port = _listen(settings)
@@ -47,6 +51,7 @@ def serve(settings: Settings, *, opens_browser: bool = True) -> None:
         server = uvicorn.Server(config)
         sys.stderr.write(f"dousa studio of {settings.library}: {settings.address}\n(Ctrl-C stops it)\n")
         sys.stderr.flush()
+        threading.Thread(target=warm, args=(app.state.studio,), daemon=True).start()
         if opens_browser:
             threading.Timer(0.5, webbrowser.open, [settings.address]).start()
         with suppress(KeyboardInterrupt):  # the usual end
@@ -59,7 +64,8 @@ def serve(settings: Settings, *, opens_browser: bool = True) -> None:
 def _listen(settings: Settings) -> tuple[socket.socket, int]:
     """A socket that waits for calls, and its port."""
     for port in range(settings.port, min(settings.port + _TRIES, 65536)):
-        listener = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
+        # The protocol is named, else asyncio does not switch Nagle off, and small answers wait 40 ms.
+        listener = socket.socket(socket.AF_INET, socket.SOCK_STREAM, socket.IPPROTO_TCP)
         listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         try:
             listener.bind((settings.host, port))

@@ -7,10 +7,13 @@ from typing import TYPE_CHECKING, Annotated
 
 from fastapi import Depends, Request
 
+from dousa.app.studio.evaluations import Evaluations
 from dousa.app.studio.jobs import JobBoard, Lane
+from dousa.app.studio.listing import Listing
 from dousa.app.studio.motions import Motions
 from dousa.app.studio.processes import run_in_process
 from dousa.app.studio.threads import run_in_thread
+from dousa.app.studio.thumbnails import Thumbnails
 from dousa.app.studio.workspace import Workspace
 
 if TYPE_CHECKING:
@@ -35,11 +38,12 @@ class Studio:
 
     def __init__(self, settings: Settings) -> None:
         self.settings = settings
-        self.workspace = Workspace(settings.folder)
         self._opening = threading.Lock()
         self._library: Library | None = None
+        self.get_library()  # first: what is no library gets no folder beside it
+        self.workspace = Workspace(settings.folder)
         process = run_in_process(settings)
-        thread = run_in_thread(settings, self.get_library)
+        thread = run_in_thread(settings, self)
         self.jobs = JobBoard(
             self.workspace,
             {
@@ -51,7 +55,9 @@ class Studio:
             },
         )
         self.motions = Motions(self.get_library, self.workspace, self.jobs)
-        self.get_library()
+        self.evaluations = Evaluations(self.motions, self.jobs)
+        self.listing = Listing(self.get_library, self.workspace.root / "files")
+        self.thumbnails = Thumbnails.of(self.workspace.root)
 
     def get_library(self) -> Library:
         """The library, opened once; it is made if it is not there."""

@@ -12,13 +12,13 @@ if TYPE_CHECKING:
 
     from dousa.app.studio.jobs import Job, JobBoard
     from dousa.app.studio.settings import Settings
-    from dousa.library import Library
+    from dousa.app.studio.studio import Studio
 
 __all__ = ["run_in_thread"]
 
 
 def run_in_thread(
-    settings: Settings, library: Callable[[], Library]
+    settings: Settings, studio: Studio
 ) -> Callable[[Job, JobBoard, threading.Event], dict[str, Any]]:
     """What does jobs of any kind of `dousa.app.studio.work` in the thread of their lane."""
 
@@ -36,7 +36,8 @@ def run_in_thread(
             folder=board.folder(job),
             progress=progress,
             tell=lambda text: board.change(job, notes=[*job.notes, text]),
-            shared=library(),
+            shared=studio.library,
+            studio=studio,
         )
         return WORK[job.kind](job.request, context)
 

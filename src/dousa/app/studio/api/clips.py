@@ -2,8 +2,170 @@
 
 from __future__ import annotations
 
-from fastapi import APIRouter
+from collections.abc import Sequence
+from typing import Annotated, Any, Literal
+
+from fastapi import APIRouter, Depends, Query, Response
+from pydantic import BaseModel, ConfigDict, Field, model_validator
+
+from dousa.app.studio.answers import Answer
+from dousa.app.studio.listing import Asked, Snapshot
+from dousa.app.studio.problems import RefusedError
+from dousa.app.studio.studio import StudioNow
 
 __all__ = ["router"]
 
 router = APIRouter(tags=["library"])
+
+_Number = Annotated[int, Field(ge=1, le=2**31 - 1)]
+_LINE = r"^[^\x00-\x1f\x7f]*[^\s\x00-\x1f\x7f][^\x00-\x1f\x7f]*$"  # one line, not only of spaces
+_Label = Annotated[str, Field(min_length=1, max_length=200, pattern=_LINE)]
+_Names = Annotated[list[Annotated[str, Query(max_length=1000)]], Query(max_length=500)]
+_Seconds = Annotated[float | None, Query(ge=0, le=1e7, allow_inf_nan=False)]
+
+
+class Clips(BaseModel):
+    """Some clips or takes."""
+
+    model_config = ConfigDict(extra="forbid")
+
+    clips: Annotated[list[_Number], Field(min_length=1, max_length=200_000)]
+
+
+class Pictured(BaseModel):
+    """Clips whose figures are wanted at once."""
+
+    model_config = ConfigDict(extra="forbid")
+
+    clips: Annotated[list[_Number], Field(max_length=500)]
+
+
+class Relabelling(Clips):
+    """Clips and their new labels."""
+
+    category: _Label | None = Field(None, description="null takes the label away; left out, it stays")
+    performer: _Label | None = Field(None, description="likewise")
+
+    @model_validator(mode="after")
+    def _says_something(self) -> Relabelling:
+        if not self.labels:
+            raise ValueError("expected a new category or performer, got neither")
+        return self
+
+    @property
+    def labels(self) -> dict[str, str | None]:
+        """The labels that change."""
+        given = {
+            name: getattr(self, name) for name in ("category", "performer") if name in self.model_fields_set
+        }
+        return {name: value.strip() if value else None for name, value in given.items()}
+
+
+def _read_asked(
+    text: Annotated[str, Query(max_length=300, description="words; all must occur in names or labels")] = "",
+    category: Annotated[
+        _Names | None, Query(description="any of these; an empty one: without a label")
+    ] = None,
+    performer: Annotated[_Names | None, Query(description="likewise")] = None,
+    kind: Literal["clip", "take"] | None = None,
+    min_s: _Seconds = None,
+    max_s: _Seconds = None,
+    batch: Annotated[str | None, Query(pattern="^[0-9a-f]{16}$", description="of an upload")] = None,
+    sort: Literal["path", "-path", "duration", "-duration", "category", "-id"] = "path",
+) -> Asked:
+    labels: dict[str, Sequence[str]] = {"category": category or (), "performer": performer or ()}
+    labels["kind"] = () if kind is None else (kind,)
+    return Asked(text, labels, min_s, max_s, batch, sort)
+
+
+_AskedNow = Annotated[Asked, Depends(_read_asked)]
+_Offset = Annotated[int, Query(ge=0, le=10**9)]
+
+
+@router.get("/clips", summary="Clips and takes, filtered, a part at a time, with facets")
+def list_clips(
+    studio: StudioNow,
+    asked: _AskedNow,
+    offset: _Offset = 0,
+    limit: Annotated[int, Query(ge=0, le=500)] = 60,
+) -> Answer:
+    """Facets count what would fit if that facet were left open; ``""`` in them stands for no label."""
+    snapshot = studio.listing.now()
+    found = snapshot.find(asked)
+    return Answer(
+        {
+            "total": len(found.rows),
+            "offset": offset,
+            "items": [snapshot.describe(row) for row in found.rows[offset : offset + limit]],
+            "facets": found.facets,
+            "revision": snapshot.revision,
+            "library": snapshot.summarise(),
+        }
+    )
+
+
+@router.get("/clips/ids", summary="The numbers of clips and takes, filtered")
+def list_ids(
+    studio: StudioNow,
+    asked: _AskedNow,
+    offset: _Offset = 0,
+    limit: Annotated[int, Query(ge=1, le=200_000)] = 200_000,
+) -> Answer:
+    """As GET /clips, numbers only: to choose many at once."""
+    snapshot = studio.listing.now()
+    rows = snapshot.find(asked).rows
+    chosen = rows[offset : offset + limit]
+    return Answer(
+        {
+            "total": len(rows),
+            "offset": offset,
+            "ids": snapshot.ids[chosen].tolist(),
+            "revision": snapshot.revision,
+        }
+    )
+
+
+_FIGURES: dict[int | str, dict[str, Any]] = {
+    200: {"content": {"application/octet-stream": {"schema": {"type": "string", "format": "binary"}}}}
+}
+
+
+@router.post(
+    "/clips/thumbnails", summary="Small moving figures of clips", response_class=Response, responses=_FIGURES
+)
+def get_thumbnails(studio: StudioNow, wanted: Pictured) -> Response:
+    """1,456 bytes for each number, in their order; zeros for a clip that is not there."""
+    content = studio.thumbnails.get(studio.library, wanted.clips)
+    return Response(content, media_type="application/octet-stream")
+
+
+@router.get("/clips/{clip_id}", summary="One clip or take")
+def get_clip(studio: StudioNow, clip_id: int) -> Answer:
+    """What the list says of it."""
+    snapshot = studio.listing.now()
+    _check_there(snapshot, [clip_id])
+    return Answer(snapshot.describe(snapshot.row_of(clip_id)))
+
+
+@router.post("/clips/relabel", summary="Give clips another category or performer")
+def relabel(studio: StudioNow, wanted: Relabelling) -> Answer:
+    """The forest learns of it in the next training. Clips that are gone meanwhile are left out."""
+    there = _check_there(studio.listing.now(), wanted.clips)
+    changed = studio.library.relabel(there, **wanted.labels)
+    return Answer({"changed": len(changed), "missing": len(set(wanted.clips)) - len(there)})
+
+
+@router.post("/clips/remove", summary="Take clips out of the library")
+def remove(studio: StudioNow, wanted: Clips) -> Answer:
+    """Their files stay. Clips that are gone already are left out."""
+    there = _check_there(studio.listing.now(), wanted.clips)
+    removed = studio.library.remove(there)
+    return Answer({"removed": len(removed), "missing": len(set(wanted.clips)) - len(there)})
+
+
+def _check_there(snapshot: Snapshot, clip_ids: list[int]) -> list[int]:
+    """Those that the library holds; RefusedError if it holds none of them."""
+    there = sorted({clip_id for clip_id in clip_ids if clip_id in snapshot})
+    if not there:
+        raise RefusedError(404, f"no clip {clip_ids[0]} in the library; was it removed? Load the list again")
+    return there

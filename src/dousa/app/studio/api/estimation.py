@@ -2,8 +2,236 @@
 
 from __future__ import annotations
 
-from fastapi import APIRouter
+import shutil
+from typing import Annotated, Any, Literal
+
+from fastapi import APIRouter, Path, Query
+from pydantic import BaseModel, ConfigDict, Field, field_validator
+from starlette.responses import FileResponse, Response
+
+from dousa.app.studio.answers import Answer
+from dousa.app.studio.asides import ask_process
+from dousa.app.studio.footage_reading import footage_of
+from dousa.app.studio.motions import MotionName, MotionRef
+from dousa.app.studio.problems import RefusedError
+from dousa.app.studio.studio import StudioNow
+from dousa.app.studio.workspace import safe_parts
 
 __all__ = ["router"]
 
 router = APIRouter(tags=["estimation"])
+
+FILES = {
+    "motion.bvh": "application/octet-stream",
+    "joints.trc": "text/plain",
+    "angles.csv": "text/csv",
+    "overlay.mp4": "video/mp4",
+}
+"""What can be fetched of an estimation."""
+
+_PREVIEW_S, _EXAMPLE_S = 180.0, 180.0  # s; backgrounds of long films take a while, kernels compile at first
+_Name = Annotated[str, Field(min_length=1, max_length=1000, description="name in the batch")]
+_JobId = Annotated[str, Path(pattern="^[0-9a-f]{16}$")]
+
+
+class BodyRequest(BaseModel):
+    """Whose body is tracked."""
+
+    model_config = ConfigDict(extra="forbid")
+
+    stature_m: Annotated[float, Field(ge=0.2, le=3.0)] | None = Field(
+        None, description="told by the silhouettes if left out"
+    )
+    sex: Literal["average", "female", "male"] = "average"
+    file: _Name | None = Field(None, description="body file (TOML), or a motion with the person's bones")
+
+
+class StartRequest(BaseModel):
+    """The pose of the first frame with somebody in it, in the world of the cameras."""
+
+    model_config = ConfigDict(extra="forbid")
+
+    motion: MotionName
+    frame: int = Field(0, ge=0, le=10_000_000)
+    unit: str | None = Field(None, max_length=20)
+    up: str | None = Field(None, max_length=2)
+    joint_map: dict[str, str | list[str]] | None = None
+
+
+class EstimateRequest(BaseModel):
+    """What `dousa estimate` is told. Where no sources are named, every file of the batch finds its own part."""
+
+    model_config = ConfigDict(extra="forbid")
+
+    batch: str = Field(pattern="^[0-9a-f]{16}$")
+    sources: list[_Name] | None = Field(
+        None, max_length=100, description="one npz; or per view a folder of masks or a video"
+    )
+    cameras: _Name | None = Field(None, description="calibration; an npz of silhouettes may have its own")
+    backgrounds: list[_Name] | None = Field(None, max_length=100, description="pictures of the empty scene")
+    background_method: Literal["plate", "median", "mog2"] | None = None
+    kind: Literal["mask", "video"] | None = None
+    rate: Annotated[float, Field(gt=0, le=10_000, allow_inf_nan=False)] | None = None
+    frames: Annotated[str, Field(pattern=r"^-?\d{0,9}:-?\d{0,9}$")] | None = None
+    mirrored: bool = Field(False, description="the images are mirror images")
+    body: BodyRequest | _Name | None = None
+    start: StartRequest | None = Field(None, description="found if left out")
+    bones: Literal["auto", "tables", "start"] = "auto"
+    method: Literal["default", "paper"] = "default"
+    reading: Literal["masked", "residual", "union", "plain", "literal"] | None = None
+    evidence: Literal["log", "local", "global"] | None = None
+    smoothing: Annotated[float, Field(ge=0, le=1000, allow_inf_nan=False)] | None = None
+    beam: Annotated[int, Field(ge=1, le=64)] | None = None
+    overlay_video: bool = Field(True, description="write overlay.mp4 at the end")
+
+    @field_validator("sources", "backgrounds")
+    @classmethod
+    def _inside(cls, names: list[str] | None) -> list[str] | None:
+        for name in names or ():
+            if name != ".":
+                _check_name(name)
+        return names
+
+    @field_validator("body")
+    @classmethod
+    def _whose(cls, body: BodyRequest | str | None) -> BodyRequest | None:
+        if isinstance(body, str):
+            body = BodyRequest.model_validate({"file": body})
+        if body is not None and body.file is not None:
+            _check_name(body.file)
+        return body
+
+    @field_validator("cameras")
+    @classmethod
+    def _calibration(cls, name: str | None) -> str | None:
+        if name is not None:
+            _check_name(name)
+        return name
+
+
+class AddEstimate(BaseModel):
+    """How an estimated motion is put into the library."""
+
+    model_config = ConfigDict(extra="forbid")
+
+    name: str = Field("estimated", min_length=1, max_length=80)
+    category: Annotated[str, Field(min_length=1, max_length=80)] | None = None
+
+
+def _check_name(name: str) -> None:
+    try:
+        safe_parts(name)
+    except RefusedError as error:
+        raise ValueError(str(error)) from error
+
+
+@router.post("/jobs/estimate", status_code=202, summary="Estimate a motion from silhouettes or videos")
+def estimate(studio: StudioNow, wanted: EstimateRequest) -> Answer:
+    """A job. Watch it by ``/estimations/{job}``; its motion is ``job:ID`` when it is done."""
+    files = studio.workspace.files(wanted.batch)
+    if not files:
+        raise RefusedError(422, "this batch is empty; upload silhouettes or videos first")
+    studio.workspace.keep(wanted.batch)
+    names = wanted.sources or [path.name for path in files]
+    title = names[0].rsplit("/", 1)[-1] + (f" + {len(names) - 1}" if len(names) > 1 else "")
+    return Answer(studio.jobs.submit("estimate", wanted.model_dump(), title).to_json(), 202)
+
+
+@router.post("/estimations/preview", summary="Look at what would be estimated")
+def preview(studio: StudioNow, wanted: EstimateRequest) -> Answer:
+    """What each file is for, the views with their cameras and first silhouettes, and what is missing."""
+    folder = studio.workspace.batch_folder(wanted.batch)
+    return Answer(ask_process(studio.settings, "preview", wanted.model_dump(), folder.parent, _PREVIEW_S))
+
+
+@router.post("/estimations/example", status_code=201, summary="Make a short example to estimate")
+def make_example(studio: StudioNow) -> Answer:
+    """A batch with the silhouettes of a synthetic person who kicks, as four cameras see it."""
+    batch = studio.workspace.new_batch()
+    folder = studio.workspace.root / "files"
+    try:
+        made = ask_process(studio.settings, "example", {"batch": batch}, folder, _EXAMPLE_S)
+    except BaseException:
+        studio.workspace.discard(batch)
+        raise
+    return Answer(made, 201)
+
+
+@router.get("/estimations/{job_id}/frames", summary="Frames that are new since the last time")
+def get_frames(
+    studio: StudioNow,
+    job_id: _JobId,
+    since: Annotated[int, Query(alias="from", ge=0, description="``next`` of the last answer")] = 0,
+    joints: Annotated[bool, Query(description="with the 20 canonical joints of each frame, base64")] = False,
+) -> Answer:
+    """A frame comes when it has a pose, and again when it is settled (stage 1) and smoothed (stage 2)."""
+    return Answer(footage_of(studio, job_id).frames_since(since, joints=joints))
+
+
+@router.get("/estimations/{job_id}/player", summary="The figure as far as it is")
+def get_player(studio: StudioNow, job_id: _JobId, language: Literal["en", "ja"] = "en") -> Answer:
+    """Data of the player."""
+    return Answer(footage_of(studio, job_id).player(language))
+
+
+_JPEG: dict[int | str, dict[str, Any]] = {
+    200: {"content": {"image/jpeg": {"schema": {"type": "string", "format": "binary"}}}}
+}
+_BYTES: dict[int | str, dict[str, Any]] = {
+    200: {"content": {"application/octet-stream": {"schema": {"type": "string", "format": "binary"}}}}
+}
+
+
+@router.get(
+    "/estimations/{job_id}/overlay/{view}/{frame}",
+    summary="One view of one frame: silhouette and model",
+    response_class=Response,
+    responses=_JPEG,
+)
+def get_overlay(
+    studio: StudioNow,
+    job_id: _JobId,
+    view: Annotated[int, Path(ge=0, le=1000)],
+    frame: Annotated[int, Path(ge=0, le=10_000_000)],
+) -> Response:
+    """JPEG, at most 480 pixels wide and high."""
+    image = footage_of(studio, job_id).overlay(view, frame)
+    return Response(image, media_type="image/jpeg", headers={"cache-control": "private, no-cache"})
+
+
+@router.get(
+    "/estimations/{job_id}/files/{name}",
+    summary="A file that was estimated",
+    response_class=FileResponse,
+    responses=_BYTES,
+)
+def get_file(studio: StudioNow, job_id: _JobId, name: str) -> Response:
+    """``motion.bvh``, ``joints.trc``, ``angles.csv`` or ``overlay.mp4``."""
+    job = studio.jobs.get(job_id)
+    if name not in FILES or job.kind != "estimate":
+        raise RefusedError(404, f"expected one of {', '.join(FILES)} of an estimation")
+    path = studio.jobs.folder(job) / name
+    if job.state != "done" or not path.is_file():
+        raise RefusedError(404, f"there is no {name}: the estimation is {job.state}")
+    return FileResponse(path, media_type=FILES[name], filename=name)
+
+
+@router.post("/estimations/{job_id}/add", status_code=202, summary="Add the estimated motion to the library")
+def add_to_library(studio: StudioNow, job_id: _JobId, wanted: AddEstimate) -> Answer:
+    """A job, as ``POST /jobs/add``."""
+    motion = studio.motions.path(MotionRef.model_validate({"motion": f"job:{job_id}"}))
+    batch = studio.workspace.new_batch()
+    try:
+        place = studio.workspace.place(batch, f"{wanted.category or 'estimated'}/{wanted.name}.bvh")
+        shutil.copyfile(motion, place)
+        studio.workspace.keep(batch)
+    except BaseException:
+        studio.workspace.discard(batch)
+        raise
+    request = {
+        "batch": batch,
+        "kind": "clip",
+        "category_from": "folder" if wanted.category else None,
+        "performer_from": None,
+    }
+    return Answer(studio.jobs.submit("add", request, f"{wanted.name}.bvh").to_json(), 202)

@@ -2,8 +2,146 @@
 
 from __future__ import annotations
 
-from fastapi import APIRouter
+from typing import Annotated, Any, Literal
+from urllib.parse import quote
+
+from fastapi import APIRouter, Query
+from pydantic import Field
+from starlette.responses import Response
+
+from dousa.app.studio.answers import Answer
+from dousa.app.studio.evaluations import Adjustment, EvaluationRequest, Language, describe, format_weights
+from dousa.app.studio.studio import Studio, StudioNow
 
 __all__ = ["router"]
 
 router = APIRouter(tags=["evaluation"])
+
+
+class AdjustRequest(Adjustment):
+    """Other figures and weights."""
+
+    language: Language = "en"
+    precision: Literal["quick", "exact"] = Field(
+        "exact",
+        description="quick: while something is being dragged; with new weights the bodies stay laid beside each other "
+        "as they were, and nothing is kept. exact: as `dousa evaluate`, and kept for the files and other pages",
+    )
+
+
+_Language = Annotated[Language, Query(description="of the words")]
+
+
+@router.post("/jobs/evaluate", status_code=202, summary="Judge a performance against takes of a reference")
+def evaluate(studio: StudioNow, wanted: EvaluationRequest) -> Answer:
+    """A job; its result is that of `dousa evaluate --json` with names, figures and weights."""
+    for ref in (*wanted.references, wanted.performance):
+        kind, _, rest = ref.motion.partition(":")
+        if kind == "file":
+            studio.workspace.keep(rest.partition("/")[0])
+        studio.motions.path(ref)  # is it there?
+    title = studio.motions.path(wanted.performance).name
+    return Answer(studio.jobs.submit("evaluate", wanted.model_dump(), title).to_json(), 202)
+
+
+@router.get("/evaluations/{job_id}/report", summary="The parts of the report")
+def get_report(studio: StudioNow, job_id: str, language: _Language = "en") -> Answer:
+    """Assessment, the parts of the report as markup, the frame around them, and what its scripts need."""
+    from dousa.app.report import build_frame
+
+    ready = studio.evaluations.get(job_id)
+    adjustment = studio.evaluations.read_adjustment(job_id)
+    assessment = ready.assess(adjustment, language)
+    return Answer(
+        {
+            "exact": True,
+            "assessment": describe(ready, assessment, adjustment),
+            "frame": build_frame(language),
+            **_show(assessment, language),
+        }
+    )
+
+
+@router.post("/evaluations/{job_id}/adjust", summary="Change the figures and weights of an evaluation")
+def adjust(studio: StudioNow, job_id: str, wanted: AdjustRequest) -> Answer:
+    """The new assessment and the parts of the report that follow; a quick answer leaves out those with figures."""
+    from dousa.app.report import QUICK_PARTS, build_parts, collect_data
+
+    ready, language = studio.evaluations.get(job_id), wanted.language
+    if wanted.precision == "exact":
+        assessment = ready.assess(wanted, language)
+        studio.evaluations.write_adjustment(job_id, wanted)
+        said = describe(ready, assessment, wanted)
+        return Answer({"exact": True, "assessment": said, **_show(assessment, language)})
+    assessment, is_exact = ready.preview(wanted, language)
+    return Answer(
+        {
+            "exact": is_exact,
+            "assessment": describe(ready, assessment, wanted),
+            "parts": build_parts(assessment, language, QUICK_PARTS),
+            "data": collect_data(assessment, language),
+        }
+    )
+
+
+def _show(assessment: Any, language: str) -> dict[str, Any]:
+    from dousa.app.player import encode_player_data
+    from dousa.app.report import build_parts, collect_data
+
+    return {
+        "parts": build_parts(assessment, language),
+        "data": collect_data(assessment, language),
+        "player": encode_player_data(assessment, language),
+    }
+
+
+_FILES: dict[str, tuple[str, str]] = {
+    "report.html": ("text/html", "the whole report as one page that opens anywhere"),
+    "curves.csv": ("text/csv", "all curves, a row a frame"),
+    "events.csv": ("text/csv", "errors and lapses"),
+    "furi.txt": ("text/plain", "the figures, for `dousa evaluate --furi`"),
+    "weights.toml": ("text/plain", "the weights, for `dousa evaluate --weights`"),
+}
+
+
+def _make_download(name: str) -> Any:
+    def download(studio: StudioNow, job_id: str, language: _Language = "en") -> Response:
+        content = _write(name, studio, job_id, language)
+        stem = studio.evaluations.get(job_id).names[-1].rpartition(".")[0] or "performance"
+        plain, full = f"{job_id}-{name}", quote(f"{stem} {name}", safe="", errors="replace")
+        return Response(
+            content,
+            media_type=f"{_FILES[name][0]}; charset=utf-8",
+            headers={"content-disposition": f"attachment; filename=\"{plain}\"; filename*=UTF-8''{full}"},
+        )
+
+    return download
+
+
+def _write(name: str, studio: Studio, job_id: str, language: Language) -> str | bytes:
+    from dousa.app.report import build_page, to_curves_csv, to_events_csv
+    from dousa.evaluation import format_furi
+
+    ready = studio.evaluations.get(job_id)
+    adjustment = studio.evaluations.read_adjustment(job_id)
+    if name == "furi.txt":
+        figures = ready.to_furi(adjustment.furi) or ready.assessment.found
+        return format_furi(figures, ready.assessment.frame_rate)
+    if name == "weights.toml":
+        return format_weights(adjustment.weights)
+    assessment = ready.assess(adjustment, language)
+    if name == "report.html":
+        return build_page(assessment, language).encode("utf-8", "replace")
+    return to_curves_csv(assessment) if name == "curves.csv" else to_events_csv(assessment)
+
+
+for _name, (_kind, _what) in _FILES.items():
+    router.add_api_route(
+        f"/evaluations/{{job_id}}/{_name}",
+        _make_download(_name),
+        methods=["GET"],
+        response_class=Response,
+        responses={200: {"content": {_kind: {"schema": {"type": "string"}}}}},
+        summary=f"Download {_what}",
+        operation_id=f"download_{_name.replace('.', '_')}",
+    )

@@ -2,8 +2,144 @@
 
 from __future__ import annotations
 
-from fastapi import APIRouter
+from typing import Annotated, Any, Literal
+
+from fastapi import APIRouter, Query
+from pydantic import BaseModel, ConfigDict, Field
+from starlette.responses import Response
+
+from dousa.app.studio.answers import Answer
+from dousa.app.studio.downloads import attachment
+from dousa.app.studio.motions import MotionName, MotionRef, Named
+from dousa.app.studio.studio import Studio, StudioNow
 
 __all__ = ["router"]
 
 router = APIRouter(tags=["motions"])
+
+_Seconds = Annotated[float, Field(ge=0, le=1e6, allow_inf_nan=False)]
+_Language = Literal["en", "ja"]
+_BYTES: dict[int | str, dict[str, Any]] = {
+    200: {"content": {"application/octet-stream": {"schema": {"type": "string", "format": "binary"}}}}
+}
+
+
+class _Part(BaseModel):
+    """A motion, or a part of one, in the address of a request."""
+
+    model_config = ConfigDict(extra="forbid")
+
+    motion: MotionName
+    start_s: _Seconds | None = Field(default=None, description="s; the beginning if left out")
+    end_s: _Seconds | None = Field(default=None, description="s; the end if left out")
+    unit: str | None = Field(
+        default=None, max_length=20, description="length unit of an uploaded file, such as cm"
+    )
+    up: str | None = Field(default=None, max_length=2, description="up axis of an uploaded file: x, y or z")
+
+    def ref(self) -> MotionRef:
+        """The same in the form that everything else uses."""
+        return MotionRef(
+            motion=self.motion, start_s=self.start_s, end_s=self.end_s, unit=self.unit, up=self.up
+        )
+
+
+class _Shown(_Part):
+    language: _Language = Field(default="en", description="of the words in the data")
+
+
+class _Pair(_Shown):
+    other: MotionName = Field(description="what is shown beside it")
+    other_start_s: _Seconds | None = None
+    other_end_s: _Seconds | None = None
+    mirror: bool = Field(default=False, description="show the mirror image of the other")
+
+
+@router.get("/motions/info", summary="A motion in numbers")
+def get_info(studio: StudioNow, asked: Annotated[_Part, Query()]) -> Answer:
+    """Name, length, category, and doubts that came up when it was read."""
+    named = studio.motions.get(asked.ref())
+    motion = named.motion
+    clip = studio.motions.clip_id(asked.ref())
+    return Answer(
+        {
+            "motion": asked.motion,
+            "name": named.name,
+            "duration_s": motion.duration,
+            "frame_rate": motion.frame_rate,
+            "n_frames": motion.n_frames,
+            "height_m": motion.height,
+            "joint_table": motion.mapping.table,
+            "category": named.category,
+            "notes": list(motion.warnings),
+            **_describe_clip(studio, clip),
+        }
+    )
+
+
+def _describe_clip(studio: Studio, clip: int | None) -> dict[str, Any]:
+    """What the library says of a clip; nothing of other motions."""
+    if clip is None:
+        return {"clip_id": None, "kind": None, "performer": None, "path": None}
+    info = studio.library.clips([clip])[0]
+    return {"clip_id": clip, "kind": info.kind, "performer": info.performer, "path": info.path}
+
+
+@router.get("/motions/player", summary="A figure for the 3D player")
+def get_player(studio: StudioNow, asked: Annotated[_Shown, Query()]) -> Answer:
+    """What ``dousa.createPlayer`` of the pages is given."""
+    from dousa.app.player import encode_motion
+
+    named = studio.motions.get(asked.ref())
+    return Answer(encode_motion(named.motion, named.name, language=asked.language))
+
+
+_LABELS = {"en": ("match", "query"), "ja": ("見つかった動き", "元の動き")}
+
+
+@router.get("/motions/pair", summary="Two figures in step for the 3D player")
+def get_pair(studio: StudioNow, asked: Annotated[_Pair, Query()]) -> Answer:
+    """The motion and the other, which is brought into step with it; times are those of the motion."""
+    from dousa.app.player import encode_pair
+    from dousa.motion.mirroring import mirror_canonical
+
+    named = studio.motions.get(asked.ref())
+    other_ref = MotionRef(motion=asked.other, start_s=asked.other_start_s, end_s=asked.other_end_s)
+    other = studio.motions.get(other_ref)
+    beside = mirror_canonical(other.motion) if asked.mirror else other.motion
+    return Answer(
+        encode_pair(
+            beside,
+            named.motion,
+            names=(other.name, named.name),
+            labels=_LABELS[asked.language],
+            language=asked.language,
+        )
+    )
+
+
+@router.get("/motions/miniature", summary="A small moving figure", response_class=Response, responses=_BYTES)
+def get_miniature(studio: StudioNow, asked: Annotated[_Part, Query()]) -> Response:
+    """Bytes for ``dousa.createMiniature`` of the pages."""
+    from dousa.app.player import encode_miniature
+
+    content = encode_miniature(studio.motions.get(asked.ref()).motion)
+    return Response(content, media_type="application/octet-stream")
+
+
+@router.get("/motions/bvh", summary="Download as BVH", response_class=Response, responses=_BYTES)
+def get_bvh(studio: StudioNow, asked: Annotated[_Part, Query()]) -> Response:
+    """With every joint of the file it came from, if that is still there; else the joints that dousa compares."""
+    from dousa.app.studio.bvh_files import make_bvh
+
+    ref = asked.ref()
+    named = studio.motions.get(ref)
+    content = make_bvh(named, studio.motions.path(ref), ref)
+    headers = {"content-disposition": attachment(_file_name(named, ref))}
+    return Response(content, media_type="application/octet-stream", headers=headers)
+
+
+def _file_name(named: Named, ref: MotionRef) -> str:
+    stem = named.name.rpartition(".")[0] or named.name
+    part = "" if ref.is_whole else f"_{ref.start_s or 0:.2f}s"
+    return f"{stem}{part}.bvh"

@@ -1,9 +1,128 @@
-"""Searching."""
+"""Searching: what is this, what is like it, where in takes does it happen."""
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
 from fastapi import APIRouter
+from pydantic import BaseModel, ConfigDict, Field
+
+from dousa.app.studio.answers import Answer
+from dousa.app.studio.motions import MotionRef
+from dousa.app.studio.studio import Studio, StudioNow
+from dousa.errors import DousaError, InvalidMotionError
+
+if TYPE_CHECKING:
+    from dousa.library import SearchResult
 
 __all__ = ["router"]
 
 router = APIRouter(tags=["search"])
+
+_Share = Annotated[float, Field(ge=0, le=1, allow_inf_nan=False)]
+_MOST_PLACES = 20
+_MOST_MOTIONS = 100
+
+
+class SearchRequest(BaseModel):
+    """What is searched for, and how."""
+
+    model_config = ConfigDict(extra="forbid")
+
+    query: MotionRef
+    k: int = Field(default=10, ge=1, le=200, description="how many clips")
+    ranking: Literal["fused", "pose", "leaves", "histogram"] | None = Field(
+        default=None, description="what clips are ordered by"
+    )
+    same_category: bool = Field(
+        default=False, description="only clips of the category that the query is taken for"
+    )
+    mirror: bool = Field(default=False, description="search for the mirror image too")
+    explain: bool = Field(default=False, description="say why")
+    threshold: _Share | None = Field(
+        default=None,
+        description="probability of being known below which the query is unknown; learned if left out",
+    )
+    inside_takes: bool = Field(default=False, description="look into takes too")
+
+
+class ClassifyRequest(BaseModel):
+    """Motions to name."""
+
+    model_config = ConfigDict(extra="forbid")
+
+    motions: list[MotionRef] = Field(min_length=1, max_length=_MOST_MOTIONS)
+    mirror: bool = False
+    explain: bool = False
+    threshold: _Share | None = None
+
+
+@router.post("/search", summary="The clips most like a motion")
+def search(studio: StudioNow, wanted: SearchRequest) -> Answer:
+    """What the motion is taken for, and the most similar clips, the most similar first.
+
+    ``category`` is null where the motion is of no category that the library knows; ``guess`` is the nearest one.
+    """
+    query = studio.motions.query(wanted.query)
+    answer = _name_hits(
+        studio.library.search(
+            query,
+            wanted.k,
+            ranking=wanted.ranking,
+            same_category=wanted.same_category,
+            mirror=wanted.mirror,
+            explain=wanted.explain,
+            threshold=wanted.threshold,
+        )
+    )
+    if wanted.inside_takes:
+        answer["places"] = _find_places(studio, wanted)
+    return Answer(answer)
+
+
+def _name_hits(result: SearchResult) -> dict[str, Any]:
+    answer = result.to_json()
+    for hit in answer["results"]:
+        hit["motion"] = f"clip:{hit['clip_id']}"
+    return answer
+
+
+def _find_places(studio: Studio, wanted: SearchRequest) -> list[dict[str, Any]]:
+    """Places in takes like the query; none where there are no takes, or the query is too short to be found."""
+    library = studio.library
+    if not library.stats().n_takes:
+        return []
+    try:
+        found = library.find(studio.motions.query(wanted.query), k=_MOST_PLACES, mirror=wanted.mirror)
+    except InvalidMotionError:
+        return []
+    return [{**place.to_json(), "motion": f"clip:{place.clip_id}"} for place in found.results]
+
+
+@router.post("/classify", summary="What motions are")
+def classify(studio: StudioNow, wanted: ClassifyRequest) -> Answer:
+    """One answer for each motion; one that cannot be used has a ``problem``."""
+    return Answer({"answers": [_classify(studio, ref, wanted) for ref in wanted.motions]})
+
+
+def _classify(studio: Studio, ref: MotionRef, wanted: ClassifyRequest) -> dict[str, Any]:
+    from dousa.errors import NotTrainedError
+
+    try:
+        result = studio.library.search(
+            studio.motions.query(ref),
+            1,
+            ranking="histogram",  # the quickest: only the verdict is looked at
+            mirror=wanted.mirror,
+            explain=wanted.explain,
+            threshold=wanted.threshold,
+        )
+    except NotTrainedError:
+        raise
+    except DousaError as error:
+        return {"motion": ref.motion, "category": None, "guess": None, "histogram": {}, "problem": str(error)}
+    answer = result.to_json()
+    return {
+        "motion": ref.motion,
+        **{name: answer[name] for name in answer if name not in ("results", "ranking")},
+    }

@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from dousa.app.studio.studio import Studio
     from dousa.library import Library
 
 __all__ = ["WORK", "Context"]
@@ -31,6 +32,7 @@ class Context:
     progress : called with (done, total, what is being done); raises when the job was stopped.
     tell : called with what a person should know, a sentence.
     shared : the library that the studio has open, for work in a thread.
+    studio : the studio itself, for work in a thread.
     """
 
     library: Path
@@ -39,6 +41,7 @@ class Context:
     progress: Callable[[int, int, str], None]
     tell: Callable[[str], None]
     shared: Library | None = None
+    studio: Studio | None = None
 
     def open_library(self) -> Library:
         """The library: the studio's own, or one of this process."""
@@ -56,6 +59,8 @@ class _Work(Mapping[str, Callable[[dict[str, Any], Context], dict[str, Any]]]):
         "label": "labelling",
         "evaluate": "evaluating",
         "estimate": "estimating",
+        "preview": "previewing",
+        "example": "exampling",
     }
 
     def __getitem__(self, kind: str) -> Callable[[dict[str, Any], Context], dict[str, Any]]:

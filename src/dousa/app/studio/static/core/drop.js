@@ -52,6 +52,11 @@ export function acceptDrops(element, onEntries) {
     const entries = await entriesOf(event.dataTransfer);
     if (entries.length) onEntries(entries);
   });
+  // A drop on a zone inside this one does not come up to it, but it ends the dragging.
+  window.addEventListener("drop", () => {
+    depth = 0;
+    mark();
+  }, true);
 }
 
 /** A zone with words and buttons. options: {text, hint, accept, multiple, folders, id} -> element */
@@ -78,6 +83,9 @@ export function dropZone(onEntries, { text = t("drop_here"), hint, accept, multi
   return zone;
 }
 
+/** A reason that begins with the name of the file, without it. */
+export const withoutName = (reason, name) => (reason.startsWith(`${name}: `) ? reason.slice(name.length + 2) : reason);
+
 /** The list of files that were not taken, and why; null if there are none. */
 export function refusedList(refused) {
   if (!refused.length) return null;
@@ -85,7 +93,7 @@ export function refusedList(refused) {
     "details",
     { class: "refused", open: true },
     h("summary", {}, t("refused_title", { count: refused.length })),
-    h("div", { class: "scroll" }, h("table", {}, h("tbody", {}, ...refused.map(({ name, reason }) => h("tr", {}, h("th", { scope: "row" }, name), h("td", {}, reason)))))),
+    h("div", { class: "scroll" }, h("table", {}, h("tbody", {}, ...refused.map(({ name, reason }) => h("tr", {}, h("th", { scope: "row" }, name), h("td", {}, withoutName(reason, name))))))),
   );
 }
 

@@ -16,6 +16,11 @@ $("#language-button").addEventListener("click", () => {
   location.assign(address);
 });
 
+// Chromium may have drawn these letters before the font was there, and does not draw them again by itself.
+document.fonts.load('16px "dousa-ja"', t("other_language")).then(() => {
+  $("#language-button").textContent = t("other_language");
+});
+
 const THEMES = ["system", "light", "dark"];
 const THEME_ICONS = { system: "half", light: "sun", dark: "moon" };
 
@@ -65,7 +70,7 @@ function describeJob(job) {
   if (isActive(job)) actions.push(act("stop", () => stopJob(job.id)));
   else actions.push(act("forget", () => forgetJob(job.id), "quiet"));
   if (job.resumable && (job.state === "stopped" || job.state === "failed")) actions.unshift(act("resume", () => resumeJob(job.id)));
-  const shows = ["evaluate", "estimate", "label"].includes(job.kind) && job.state !== "failed";
+  const shows = ["evaluate", "estimate", "label", "add", "train"].includes(job.kind) && job.state !== "failed";
   if (shows) actions.unshift(h("a", { class: "button small", href: `/${PLACES[job.kind]}?job=${job.id}` }, t("show")));
   return h(
     "article",

@@ -1,1 +1,202 @@
-// The page.
+// The library: its clips in a grid, what they are filtered by, what is done with them.
+
+import { get } from "../core/api.js";
+import { $, h, icon, language, later, t } from "../core/dom.js";
+import { acceptDrops } from "../core/drop.js";
+import { isActive, watchJobs } from "../core/jobs.js";
+import { attempt } from "../core/notices.js";
+import { Actions } from "./actions.js";
+import { showFacets } from "./facets.js";
+import { Filter } from "./filter.js";
+import { Grid } from "./grid.js";
+import { fromAddress } from "./places.js";
+import { Selection } from "./selection.js";
+import { Source } from "./source.js";
+import { readForest, showForest } from "./training.js";
+
+const LOOK_AGAIN = 8000; // ms between looks whether somebody else has changed the library
+const count = new Intl.NumberFormat(language);
+const many = (thing, number) => t(`n_${thing}_${number === 1 ? "one" : "many"}`, { count: count.format(number) });
+const problem = (error) => attempt(() => Promise.reject(error));
+
+const source = new Source({ reset: show, arrived: () => grid.renew(), failed: problem });
+const filter = new Filter(() => {
+  selection.clear();
+  window.scrollTo({ top: Math.min(window.scrollY, listTop()), behavior: "instant" });
+  attempt(() => source.ask(filter.query));
+});
+const selection = new Selection({
+  changed: () => {
+    actions.show();
+    grid.renew();
+  },
+  known: (index) => source.item(index),
+  idsBetween: (first, last) => idsOf({ offset: first, limit: last - first + 1 }),
+});
+const grid = new Grid($("#grid"), source, {
+  chosen: (id) => selection.has(id),
+  click: (index, event) => choose(index, event),
+  open: (index) => look(source.item(index)),
+  key: (event, index) => press(event, index),
+});
+const actions = new Actions(selection, {
+  // Suggestions are all labels there are, not only those of the filter.
+  facets: async () => (await get("/clips", { limit: 0 })).facets,
+  open: (clip) => look(clip),
+  changed: reload,
+});
+
+const listTop = () => $("#browse").getBoundingClientRect().top + window.scrollY - 70;
+
+async function idsOf(part = {}) {
+  const query = new URLSearchParams(filter.query);
+  for (const [name, value] of Object.entries(part)) query.set(name, String(value));
+  return (await get(`/clips/ids?${query}`)).ids;
+}
+
+// --- what is shown
+
+function show({ total, facets, library }) {
+  const empty = library.n_clips + library.n_takes === 0;
+  $("#browse").hidden = empty;
+  $("#start").hidden = !empty;
+  if (empty) showStart();
+  const minutes = library.seconds / 60;
+  const parts = [many("clip", library.n_clips)];
+  if (library.n_takes) parts.push(many("take", library.n_takes));
+  parts.push(t("n_minutes", { count: minutes < 10 ? minutes.toFixed(1) : count.format(Math.round(minutes)) }), many("category", library.n_categories));
+  $("#numbers").textContent = empty ? t("empty_head") : parts.join(" · ");
+  $("#count").textContent = filter.narrows ? t("found_some", { count: count.format(total), total: count.format(library.n_clips + library.n_takes) }) : t("found_all", { count: count.format(total) });
+  $("#nothing").hidden = total > 0 || empty;
+  $("#all-button").hidden = total === 0;
+  $("#all-button").textContent = t("choose_all", { count: count.format(total) });
+  showChips();
+  showFacets($("#facet-form"), facets, filter);
+  grid.setTotal(total);
+}
+
+function showChips() {
+  const chip = (text, clear) => h("button", { type: "button", class: "small chip", onclick: clear }, text, icon("close"));
+  const chips = [];
+  if (filter.get("batch")) chips.push(chip(t("only_batch"), () => filter.set({ batch: null })));
+  if (filter.narrows) chips.push(h("button", { type: "button", class: "quiet small", onclick: clearFilter }, t("clear_filter")));
+  $("#chips").replaceChildren(...chips);
+}
+
+async function showStart() {
+  if ($("#start").children.length) return;
+  const { zone } = await import("./adding.js");
+  $("#start").replaceChildren(
+    h("div", { class: "start-words" }, h("h2", {}, t("start_title")), h("p", { class: "lead" }, t("start_text"))),
+    zone((entries) => add({ entries }), "start-files"),
+    h("p", { class: "note" }, t("start_demo"), " ", h("code", {}, "dousa demo --studio")),
+  );
+}
+
+function clearFilter() {
+  $("#text").value = "";
+  filter.clear();
+}
+
+function reload() {
+  return attempt(async () => {
+    await source.ask();
+    showForest(await readForest());
+  });
+}
+
+// --- choosing
+
+function choose(index, event) {
+  if (event.shiftKey) attempt(() => selection.extend(index));
+  else if (event.ctrlKey || event.metaKey || event.pointerType === "touch" || event.target.closest?.(".tick")) selection.toggle(index);
+  else selection.only(index);
+}
+
+/** Keys besides the arrows; true if it was one of ours. */
+function press(event, index) {
+  const clip = source.item(index);
+  if (event.key === "a" && (event.ctrlKey || event.metaKey)) chooseAll();
+  else if (event.key === " ") event.shiftKey ? attempt(() => selection.extend(index)) : selection.toggle(index);
+  else if (event.key === "Enter" && clip) look(clip);
+  else if (event.key === "Escape" && selection.size) selection.clear();
+  else if (event.key === "Delete" && selection.size) actions.remove();
+  else return false;
+  return true;
+}
+
+const chooseAll = () => attempt(async () => selection.all(await idsOf()));
+
+async function look(clip) {
+  if (!clip) return;
+  const { openDetail } = await import("./detail.js");
+  const indexOf = (one) => {
+    const near = grid.active;
+    for (let away = 0; away < 400; away += 1) for (const at of [near + away, near - away]) if (source.item(at)?.id === one.id) return at;
+    return near;
+  };
+  openDetail(clip, {
+    neighbour: (one, step) => {
+      const at = indexOf(one) + step;
+      if (at >= 0 && at < source.total) grid.activate(at);
+      source.need(Math.max(at - 40, 0), Math.min(at + 40, source.total));
+      return source.item(at);
+    },
+    relabel: (one) => actions.relabel([one.id]),
+    remove: (one) => actions.remove([one], [one.id]),
+    closed: (one) => grid.focus(indexOf(one)),
+  });
+}
+
+// --- adding and training
+
+const addHooks = {
+  changed: reload,
+  showBatch: (batch) => {
+    clearFilter();
+    filter.set({ batch });
+  },
+  relabelBatch: (batch) => attempt(async () => actions.relabel((await get("/clips/ids", { batch })).ids)),
+};
+
+const add = async (what) => (await import("./adding.js")).openAdding({ ...what, hooks: addHooks });
+const train = async (jobId) => (await import("./training.js")).openTraining(jobId, reload);
+
+async function openJob(id) {
+  const job = await attempt(() => get(`/jobs/${id}`));
+  if (job?.kind === "add") add({ jobId: id });
+  if (job?.kind === "train") train(id);
+}
+
+// --- wiring
+
+$("#text").value = filter.get("text");
+$("#sort").value = filter.get("sort") || "path";
+$("#text").addEventListener("input", later(() => filter.set({ text: $("#text").value.trim() }), 160));
+$("#sort").addEventListener("change", () => filter.set({ sort: $("#sort").value === "path" ? null : $("#sort").value }));
+$("#facet-form").addEventListener("submit", (event) => event.preventDefault());
+$("#facets").open = !window.matchMedia("(max-width: 860px)").matches;
+$("#clear-filter").addEventListener("click", clearFilter);
+$("#all-button").addEventListener("click", chooseAll);
+$("#add-button").addEventListener("click", () => add({}));
+$("#train-button").addEventListener("click", () => train(null));
+document.documentElement.dataset.dropText = t("drop_page");
+acceptDrops(document.documentElement, (entries) => add({ entries }));
+
+// Another tab or program may have written, and jobs of ours end.
+const ended = new Map();
+watchJobs((jobs) => {
+  const over = jobs.filter((job) => ["add", "train"].includes(job.kind) && !isActive(job) && ended.get(job.id) === true);
+  for (const job of jobs) ended.set(job.id, isActive(job));
+  if (over.length) reload();
+});
+const refresh = () => document.hidden || source.refresh().catch(() => {}); // the next look may find it
+document.addEventListener("visibilitychange", refresh);
+setInterval(refresh, LOOK_AGAIN);
+
+attempt(async () => {
+  await source.ask(filter.query);
+  showForest(await readForest());
+});
+if (fromAddress("clip")) attempt(async () => look(await get(`/clips/${encodeURIComponent(fromAddress("clip"))}`)));
+if (fromAddress("job")) openJob(fromAddress("job"));

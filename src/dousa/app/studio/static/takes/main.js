@@ -1,1 +1,240 @@
-// The page.
+// The page of takes: the labels of a long recording over its figure; corrections are learned.
+
+import { get, post, remove, uploadAll } from "../core/api.js";
+import { $, baseName, formatSeconds, h, icon, language, t } from "../core/dom.js";
+import { acceptDrops, dropZone } from "../core/drop.js";
+import { followJob, finished, isActive, stopJob } from "../core/jobs.js";
+import { attempt, notify } from "../core/notices.js";
+import { pickClips } from "../core/pick.js";
+import { createTimeline } from "../core/timeline.js";
+import { makeLegend } from "../core/timeline_parts.js";
+import { Desk } from "./desk.js";
+import { drawSegments, markSegment } from "./segments.js";
+
+const [LONG, SEEN] = [150, 75]; // s: of a longer take so much is shown at first
+const ACCEPT = ".bvh,.amc,.asf,.c3d,.trc,.npz,.zip";
+
+let library = null;
+let motion = null; // the take that is shown
+let info = null;
+let player = null;
+let timeline = null;
+let labels = []; // stretches with corrections
+let jobShown = null;
+
+const desk = new Desk($("#now"), {
+  onCorrect: (part, category) => correct(part, category),
+  onUndo: (id) => undo(id),
+  onStretch: (segment) => choose(segment),
+});
+
+// --- one take
+
+async function show(name, at) {
+  motion = name;
+  $("#start").hidden = true;
+  $("#take").hidden = $("#change").hidden = false;
+  const asked = { motion: name, language };
+  const [facts, data] = await Promise.all([get("/motions/info", { motion: name }), get("/motions/player", asked)]);
+  if (motion !== name) return;
+  info = facts;
+  makeTimeline();
+  if (player) player.replace(data);
+  else makePlayer(data);
+  $("#take-name").textContent = info.name;
+  document.title = `${info.name} - ${t("page_takes")} - dousa`;
+  drawTools();
+  seek(at ?? 0);
+  if (info.duration_s > LONG) timeline.show(Math.max((at ?? 0) - 10, 0), Math.max((at ?? 0) - 10, 0) + SEEN);
+  const known = await load();
+  if (!known.labels || !known.is_current) label();
+}
+
+function makeTimeline() {
+  timeline?.destroy();
+  labels = [];
+  timeline = createTimeline($("#timeline"), { duration: info.duration_s, selectable: true, label: t("labels") });
+  timeline.onSeek((seconds) => {
+    player.pause();
+    player.seek(seconds);
+  });
+  timeline.onSelect((part) => desk.setPart(part));
+  timeline.element.addEventListener("keydown", (event) => {
+    if (event.key !== " " || event.target.closest("button")) return;
+    event.preventDefault();
+    player.playing ? player.pause() : player.play();
+  });
+  desk.setPart(null);
+}
+
+function makePlayer(data) {
+  player = window.dousa.createPlayer($("#player"), data);
+  player.onTime((seconds) => {
+    timeline.setCursor(seconds);
+    const place = labels.findIndex((one) => one.start_s <= seconds && seconds < one.end_s);
+    markSegment($("#segments"), place);
+    desk.setNow(labels[place] ?? null, timeline.tones);
+  });
+}
+
+function seek(seconds) {
+  player.seek(seconds);
+  timeline.setCursor(seconds);
+}
+
+function choose(segment) {
+  timeline.setSelection(segment.start_s, segment.end_s);
+  desk.setPart({ start: segment.start_s, end: segment.end_s });
+}
+
+const kindOf = (one) => (one.corrected ? "corrected" : one.unknown ? "unknown" : "known");
+
+async function load() {
+  const name = motion;
+  const answer = await get("/takes/labels", { motion: name });
+  if (name !== motion) return answer;
+  labels = answer.labels?.segments ?? [];
+  const shown = labels.length ? labels : answer.corrections.map((one) => ({ ...one, corrected: one.id, confidence: 1 }));
+  const segments = shown.map((one) => ({ start: one.start_s, end: one.end_s, label: one.category, kind: kindOf(one), confidence: one.confidence }));
+  timeline.setSegments(segments);
+  $("#legend").replaceChildren(makeLegend(segments, timeline.tones));
+  drawSegments($("#segments"), labels, { motion, tones: timeline.tones, onGo: (one) => seek(one.start_s), onChoose: (one) => { seek(one.start_s); choose(one); } });
+  desk.setCorrections(answer.corrections);
+  const unknown = labels.reduce((sum, one) => sum + (one.unknown ? one.end_s - one.start_s : 0), 0);
+  const facts = { duration: formatSeconds(info.duration_s), count: labels.length, unknown: Math.round((100 * unknown) / info.duration_s) };
+  $("#take-facts").textContent = labels.length ? t("facts", facts) : formatSeconds(info.duration_s);
+  player.seek(player.time); // tells what is now
+  return answer;
+}
+
+// --- labelling
+
+async function label() {
+  const name = motion;
+  const job = await attempt(() => post("/jobs/label", { take: { motion: name } }));
+  if (job) await watch(job.id, name);
+}
+
+async function watch(id, name) {
+  jobShown = id;
+  const end = followJob(id, (job) => jobShown === id && drawProgress(job));
+  const job = await finished(id);
+  end();
+  if (jobShown === id) $("#progress").replaceChildren();
+  if (job.state === "failed") notify(job.problem, "problem");
+  if (name === motion && job.state === "done") await attempt(load);
+}
+
+function drawProgress(job) {
+  if (!isActive(job)) return;
+  const bar = h("progress", { max: String(Math.max(job.total, 1)), value: job.total > 1 ? String(job.done) : null, "aria-label": t("labelling") });
+  const stop = h("button", { type: "button", class: "small", onclick: () => attempt(() => stopJob(job.id)) }, t("stop"));
+  $("#progress").replaceChildren(h("div", { class: "progress-row" }, h("span", { class: "note" }, job.total > 1 ? `${t("learning")} (${job.done}/${job.total})` : t("labelling")), bar, stop));
+}
+
+// --- correcting
+
+const placesOf = (category) => labels.filter((one) => one.category === category && !one.corrected).length;
+
+async function correct(part, category) {
+  const before = placesOf(category);
+  const answer = await attempt(() => post("/takes/correct", { motion, start_s: part.start, end_s: part.end, category }));
+  if (!answer) return false;
+  library.categories[category] = (library.categories[category] ?? 0) + 1;
+  desk.setCategories(Object.keys(library.categories));
+  timeline.setSelection(null);
+  desk.setPart(null);
+  await attempt(load);
+  await label();
+  const more = placesOf(category) - before;
+  notify(t(more > 1 ? "learned_more" : more === 1 ? "learned_one" : "learned_here", { category, count: more }));
+  return true;
+}
+
+async function undo(id) {
+  if (!(await attempt(() => remove(`/takes/corrections/${id}`)))) return;
+  notify(t("undone"));
+  await attempt(load);
+  await label();
+}
+
+// --- choosing a take
+
+function drawTools() {
+  const download = (kind) => h("a", { class: "button small", href: `/api/takes/export?${new URLSearchParams({ motion, format: kind })}`, download: "", title: t("export_title", { kind: kind.toUpperCase() }), id: `export-${kind}` }, icon("download"), t(`export_${kind}`));
+  const add = motion.startsWith("file:") ? h("button", { type: "button", class: "small", id: "add-take", onclick: () => attempt(addTake) }, icon("folder"), t("add_take")) : null;
+  $("#take-tools").replaceChildren(...[add, h("button", { type: "button", class: "small", id: "label-again", onclick: () => label() }, t("label_again")), download("csv"), download("json")].filter(Boolean));
+}
+
+async function addTake() {
+  const [batch, name] = [motion.slice(5, 21), motion.slice(22)];
+  const job = await finished((await post("/jobs/add", { batch, kind: "take", category_from: null })).id);
+  if (job.state !== "done") throw new Error(job.problem ?? t(`state_${job.state}`));
+  const refused = job.result.skipped?.find((item) => item.path.endsWith(name));
+  if (refused) throw new Error(refused.reason);
+  const { items } = await get("/clips", { kind: "take", text: baseName(name), limit: 20 });
+  const found = items.find((item) => item.path.endsWith(`${batch}/${name}`)) ?? items[0];
+  notify(t("add_take_done", { name: baseName(name) }));
+  if (found) open(found.motion, null, player.time);
+}
+
+function open(name, job = null, at = null) {
+  const asked = new URLSearchParams({ motion: name });
+  if (at) asked.set("at_s", at.toFixed(2));
+  history.pushState(null, "", `/takes?${asked}`);
+  attempt(() => show(name, at));
+}
+
+async function take(entries) {
+  const came = await attempt(() => uploadAll(entries));
+  if (!came) return;
+  for (const { name, reason } of came.refused) notify(`${name}: ${reason}`, "problem");
+  const found = came.files.find((file) => file.motion);
+  if (found) open(found.motion);
+}
+
+async function pick() {
+  const [clip] = await pickClips({ kind: "take", title: t("pick_take") });
+  if (clip) open(clip.motion ?? `clip:${clip.id}`);
+}
+
+async function drawStart() {
+  $("#start").hidden = false;
+  $("#take").hidden = $("#change").hidden = true;
+  const { items } = await get("/clips", { kind: "take", limit: 100 });
+  const row = (clip) => h("li", {}, h("a", { class: "take-row", href: `/takes?motion=clip:${clip.id}` }, h("b", {}, baseName(clip.path)), h("span", { class: "note" }, formatSeconds(clip.duration)), h("span", { class: "note" }, clip.performer ?? "")));
+  const list = items.length ? h("ul", { class: "take-list" }, ...items.map(row)) : h("p", { class: "note" }, t("start_no_takes"));
+  const zone = dropZone(take, { text: t("start_drop"), hint: t("start_hint"), accept: ACCEPT, id: "take-file" });
+  $("#start").replaceChildren(h("div", { class: "choose" }, zone, h("h2", {}, t("start_takes")), list));
+}
+
+function drawChange() {
+  const input = h("input", { type: "file", class: "sr", tabindex: "-1", "aria-hidden": "true", accept: ACCEPT, multiple: true, id: "change-file" });
+  input.addEventListener("change", () => take([...input.files].map((file) => ({ file, path: file.name }))).then(() => (input.value = "")));
+  $("#change").replaceChildren(input, h("button", { type: "button", onclick: () => input.click() }, icon("upload"), t("change_file")), h("button", { type: "button", id: "change-pick", onclick: pick }, t("change_pick")));
+  acceptDrops($("#main"), take);
+}
+
+async function followAddress() {
+  const asked = new URLSearchParams(location.search);
+  let name = asked.get("motion");
+  if (asked.get("job")) name = (await get(`/jobs/${encodeURIComponent(asked.get("job"))}`)).request.take.motion;
+  const at = Number(asked.get("at_s"));
+  if (name) await show(name, Number.isFinite(at) ? at : 0);
+  else await drawStart();
+}
+
+async function start() {
+  library = (await get("/info")).library;
+  if (!library.trained_at) {
+    $("#start").hidden = false;
+    $("#start").replaceChildren(h("div", { class: "card empty" }, h("p", {}, t("not_trained")), h("a", { class: "button primary", href: "/library" }, t("to_library"))));
+    return;
+  }
+  desk.setCategories(Object.keys(library.categories));
+  drawChange();
+  window.addEventListener("popstate", () => attempt(followAddress));
+  await followAddress();
+}
+
+attempt(start);

@@ -1,0 +1,139 @@
+"""How much a labeller learns from one correction: a motion that the library does not know is named once.
+
+    python benchmarks/label_corrections.py [FOLDER] [--performer-from RULE] [--trials N] [--quick]
+
+Each trial leaves out one performer and one category, trains on the rest, and joins a take of the performer's clips
+and three of the unknown category, by different people where there are some. The first of the three is corrected. Told
+are the shares of frames of the other two that get the new name, and of all other frames that are right, and the time.
+Ours teaches the labeller the example; the peer adds the clip to the forest like ours and learns the labeller anew.
+"""
+
+from __future__ import annotations
+
+import argparse
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from _take_material import FEATURE_SET, read_or_make_clips, train_forest
+from _timing import timed
+
+from dousa.retrieval import MotionForest, TakeLabeller, describe_take, label_take, train_labeller
+from dousa.retrieval._joined_takes import JoinedTake, join_clips
+from dousa.retrieval.experiment import LabelledClip
+from dousa.retrieval.growth import StandingClips, grow_forest
+from dousa.retrieval.labeller_teaching import Example, carry_labeller, teach_labeller
+from dousa.retrieval.takes import TAKE_RATE
+
+PLACES = 3  # of the unknown category in a take
+MOST_OTHERS = 12  # clips of known categories in a take
+
+
+@dataclass(frozen=True, slots=True)
+class Score:
+    """Shares of frames with the right name, 0 to 1: of the unknown category, of all others; and s to learn."""
+
+    named: float
+    others: float
+    seconds: float
+
+
+def choose_take(
+    clips: list[LabelledClip], strange: str, performer: str, generator: np.random.Generator
+) -> JoinedTake:
+    """A take of one performer with three motions of a category, the first by him or her if there is one."""
+    own = [clip for clip in clips if clip.performer == performer and clip.category != strange]
+    shown = sorted(
+        (clip for clip in clips if clip.category == strange), key=lambda clip: clip.performer != performer
+    )
+    chosen = [own[k] for k in generator.permutation(len(own))[:MOST_OTHERS]]
+    for number, clip in enumerate(shown[:PLACES]):
+        chosen.insert(min((number * (len(chosen) + 1)) // PLACES + 1, len(chosen)), clip)
+    return join_clips(chosen, generator)
+
+
+def score(
+    labeller: TakeLabeller, forest: MotionForest, take: JoinedTake, strange: str, skipped: int, seconds: float
+) -> Score:
+    """How well a take is labelled, without the piece that was corrected."""
+    windows = describe_take(forest, FEATURE_SET, take, labeller.grid, n_jobs=2)
+    timeline = label_take(labeller, windows)
+    named, others = [], []
+    for number, piece in enumerate(take.pieces):
+        for frame in np.arange(piece.start, piece.stop) if number != skipped else ():
+            right = timeline.category_at(float(frame) / TAKE_RATE) == piece.category
+            (named if piece.category == strange else others).append(right)
+    return Score(float(np.mean(named)), float(np.mean(others)), seconds)
+
+
+def run_trial(
+    clips: list[LabelledClip], strange: str, performer: str, generator: np.random.Generator
+) -> list[Score]:
+    """Before the correction, ours, the peer."""
+    known = [clip for clip in clips if clip.category != strange and clip.performer != performer]
+    take = choose_take(clips, strange, performer, generator)
+    features = np.stack([FEATURE_SET.compute(clip) for clip in known])
+    forest = train_forest(known)
+    labeller = train_labeller(forest, FEATURE_SET, known, features=features, n_jobs=2)
+    number = next(k for k, piece in enumerate(take.pieces) if piece.category == strange)
+    start, stop = round(take.pieces[number].start), round(take.pieces[number].stop)
+    part = LabelledClip("part", strange, None, take.positions[start:stop], take.frame_rate, take.height)
+    standing = StandingClips(
+        [clip.category for clip in known], forest.apply(features), lambda rows: features[rows]
+    )
+    new = FEATURE_SET.compute(part)[None]
+    grown = grow_forest(forest, standing, new, [strange], feature_set=FEATURE_SET).forest
+
+    def teach() -> TakeLabeller:
+        carried = carry_labeller(labeller, forest.trees_, grown.trees_)
+        windows = describe_take(grown, FEATURE_SET, part, carried.grid, n_jobs=2)
+        return teach_labeller(carried, [Example(windows, strange)], grown.apply(features))
+
+    def learn_anew() -> TakeLabeller:
+        both = np.concatenate([features, new])
+        return train_labeller(grown, FEATURE_SET, [*known, part], features=both, n_jobs=2)
+
+    took, taught = timed(teach)
+    took_anew, anew = timed(learn_anew)
+    return [
+        score(labeller, forest, take, strange, number, 0.0),
+        score(taught, grown, take, strange, number, took),
+        score(anew, grown, take, strange, number, took_anew),
+    ]
+
+
+def main() -> None:
+    """Measure and print."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
+    parser.add_argument("folder", type=Path, nargs="?")
+    parser.add_argument("--performer-from")
+    parser.add_argument("--trials", type=int, default=10)
+    parser.add_argument("--quick", action="store_true", help="two trials of six performers")
+    options = parser.parse_args()
+    clips = read_or_make_clips(options.folder, options.performer_from)
+    performers = sorted({str(clip.performer) for clip in clips})
+    if options.quick:
+        performers, options.trials = performers[:6], 2
+        clips = [clip for clip in clips if clip.performer in performers]
+    usable = sorted({c.category for c in clips if sum(d.category == c.category for d in clips) >= PLACES})
+    generator = np.random.default_rng(0)
+    names = generator.permutation(usable)[: options.trials]
+    trials = [
+        run_trial(clips, str(name), performers[number % len(performers)], generator)
+        for number, name in enumerate(names)
+    ]
+    print(f"{len(clips)} clips, {len(performers)} performers, {len(trials)} trials; means over the trials")
+    print(f"{'':28}{'named':>8}{'others':>8}{'seconds':>9}")
+    for title, column in zip(
+        ("before the correction", "ours: taught one example", "peer: added, learned anew"),
+        zip(*trials, strict=True),
+        strict=True,
+    ):
+        means = [np.mean([getattr(one, field) for one in column]) for field in ("named", "others", "seconds")]
+        print(f"{title:28}{means[0]:8.2f}{means[1]:8.3f}{means[2]:9.2f}")
+    ours, peer = (np.mean([trial[k].seconds for trial in trials]) for k in (1, 2))
+    print(f"ratio of the times: {peer / ours:.0f}")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,192 @@
+"""The pages of the studio on a large library, in a real Chromium: how long until they show, how smoothly they move.
+
+    python benchmarks/studio_page.py [--library FILE] [--clips N] [--loads N]
+
+Without ``--library`` one of 10,000 made clips is made first, as in ``benchmarks/search.py``. Prints for the Library
+page at 1280 x 720: from the click to the last small figure of the first screen, warm; frames while it stands and while
+it scrolls; how many figures run and how many cells exist then; memory of the page before and after.
+Goal: first page within 1 s warm, 16.7 ms a frame, no more than a screenful of figures alive. There is no peer: what is
+measured is a page. ``MEASUREMENTS`` takes further ones.
+"""
+
+from __future__ import annotations
+
+import argparse
+import socket
+import statistics
+import sys
+import tempfile
+import threading
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import uvicorn
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
+
+from app.browser import Page, open_browser
+from dousa.app.studio import Settings, create_app
+
+TOKEN = "benchmark"
+WIDTH, HEIGHT = 1280, 720
+SPEEDS = (300, 1000, 4000, 40000)  # px/s
+SECONDS = 5.0  # of each scroll
+
+# The time when every cell that can be seen shows its figure, ms since the navigation began; null before.
+DRAWN = """
+const seen = [...document.querySelectorAll('.cell')].filter((cell) => {
+  const { top, bottom } = cell.getBoundingClientRect();
+  return top < innerHeight && bottom > 0 && cell.style.visibility !== 'hidden';
+});
+const drawn = seen.filter((cell) => !cell.querySelector('canvas').hidden);
+const ready = seen.length > 0 && drawn.length === seen.length && dousa.miniatures.drawn >= seen.length;
+return ready ? performance.now() : null;
+"""
+SCROLL = """
+const [speed, seconds, done] = arguments;
+const [frames, start, from] = [[], performance.now(), scrollY];
+let [last, alive, cells] = [null, 0, 0];
+const tick = (now) => {
+  if (last !== null) frames.push(now - last);
+  last = now;
+  alive = Math.max(alive, dousa.miniatures.alive);
+  cells = Math.max(cells, document.querySelectorAll('.cell').length);
+  const passed = (now - start) / 1000;
+  if (passed > seconds) done({ frames, alive, cells });
+  else {
+    scrollTo({ top: from + passed * speed, behavior: 'instant' });
+    requestAnimationFrame(tick);
+  }
+};
+requestAnimationFrame(tick);
+"""
+
+
+@dataclass(frozen=True, slots=True)
+class Studio:
+    """A running studio and a browser that looks at it.
+
+    Parameters
+    ----------
+    url : without a slash at its end.
+    page : the browser.
+    """
+
+    url: str
+    page: Page
+
+    def show(self, path: str) -> None:
+        """Open a page of the studio."""
+        self.page.driver.get(f"{self.url}{path}")
+
+    def metrics(self) -> dict[str, float]:
+        """What the browser counts of the page: seconds of work and bytes."""
+        answer = self.page.driver.execute_cdp_cmd("Performance.getMetrics", {})
+        return {item["name"]: item["value"] for item in answer["metrics"]}
+
+    def script_bytes(self) -> float:
+        """Memory of the page's scripts without what nobody needs any more."""
+        self.page.driver.execute_cdp_cmd("HeapProfiler.collectGarbage", {})
+        return self.metrics()["JSHeapUsedSize"]
+
+
+@contextmanager
+def running(library: Path, home: Path) -> Iterator[Studio]:
+    """A studio on a free port, and a fresh browser that knows its token."""
+    with socket.socket(proto=socket.IPPROTO_TCP) as listener:
+        listener.bind(("127.0.0.1", 0))
+        port = listener.getsockname()[1]
+        app = create_app(Settings(library, port=port, token=TOKEN, home=home / "studio"))
+        server = uvicorn.Server(uvicorn.Config(app, log_level="warning", access_log=False))
+        thread = threading.Thread(target=server.run, kwargs={"sockets": [listener]}, daemon=True)
+        thread.start()
+        while not server.started:
+            time.sleep(0.01)
+        try:
+            with open_browser(home / "profile") as page:
+                page.resize(WIDTH, HEIGHT)
+                page.driver.set_script_timeout(60)
+                page.driver.execute_cdp_cmd("Performance.enable", {})
+                studio = Studio(f"http://127.0.0.1:{port}", page)
+                studio.show(f"/library?token={TOKEN}")
+                yield studio
+        finally:
+            server.should_exit = True
+            thread.join(timeout=20)
+
+
+def measure_first_page(studio: Studio, loads: int) -> None:
+    """Navigation until all figures of the first screen are drawn."""
+    cold = studio.page.wait(DRAWN, seconds=60)
+    print(f"library, first page, cold (list read, figures made): {cold:.0f} ms")
+    times = []
+    for _ in range(loads):
+        studio.show("/library")
+        times.append(studio.page.wait(DRAWN))
+    print(f"library, first page, warm: median {statistics.median(times):.0f} ms, worst {max(times):.0f} ms")
+
+
+def measure_scrolling(studio: Studio, loads: int) -> None:
+    """Frames at several speeds, from the top each time."""
+    studio.show("/library")
+    studio.page.wait(DRAWN)
+    before = studio.script_bytes()
+    for speed in (0, *SPEEDS):
+        studio.page.run("scrollTo(0, 0)")
+        studio.page.wait(DRAWN)
+        start = studio.metrics()
+        seen = studio.page.driver.execute_async_script(SCROLL, speed, SECONDS)
+        end = studio.metrics()
+        work = 1e3 * (end["ThreadTime"] - start["ThreadTime"]) / len(seen["frames"])
+        print(
+            f"library, {speed} px/s: {describe(seen['frames'])}; main thread {work:.1f} ms of CPU a frame; "
+            f"{seen['alive']} figures run, {seen['cells']} cells"
+        )
+    after = studio.script_bytes()
+    print(f"library, memory of scripts: {before / 1e6:.1f} MB before, {after / 1e6:.1f} MB after scrolling")
+
+
+def describe(frames: Sequence[float]) -> str:
+    """Frame times in words."""
+    ordered = sorted(frames)
+    late = sum(frame > 17.5 for frame in frames)
+    return (
+        f"median {statistics.median(ordered):.1f} ms, 99 of 100 within {ordered[int(0.99 * len(ordered))]:.1f} ms, "
+        f"{late} of {len(ordered)} frames late"
+    )
+
+
+MEASUREMENTS: tuple[Callable[[Studio, int], None], ...] = (measure_first_page, measure_scrolling)
+"""What is measured, one after the other, on the same studio."""
+
+
+def make_library(path: Path, n_clips: int) -> None:
+    from search import make_library as make
+
+    make(path, n_clips, 40)
+
+
+def main(arguments: Sequence[str] | None = None) -> Any:
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--library", type=Path, help="a trained library; nothing is changed in it")
+    parser.add_argument("--clips", type=int, default=10_000, help="of the library that is made")
+    parser.add_argument("--loads", type=int, default=9, help="of the first page")
+    options = parser.parse_args(arguments)
+    with tempfile.TemporaryDirectory() as folder:
+        library = options.library
+        if library is None:
+            library = Path(folder, "large.dousa")
+            make_library(library, options.clips)
+        with running(library, Path(folder)) as studio:
+            for measure in MEASUREMENTS:
+                measure(studio, options.loads)
+
+
+if __name__ == "__main__":
+    main()

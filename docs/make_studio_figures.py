@@ -1,0 +1,182 @@
+"""Pictures of the pages of the studio, from a real Chromium on the demo's library: `docs/make_studio_figures.py`.
+
+The demonstration is made first (``--demo DIR`` takes one that is there). Needs chromium with chromedriver; without them
+the pictures stay as they are.
+"""
+
+from __future__ import annotations
+
+import argparse
+import io
+import json
+import sys
+import tempfile
+import threading
+import time
+import urllib.request
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+DOCS = Path(__file__).parent
+FIGURES = DOCS / "figures"
+sys.path.insert(0, str(DOCS.parent / "tests"))
+
+SETTLE = 2.5  # s: figures move, so that a picture has somebody in the middle of something
+COLOURS = 256  # of a picture: few bytes, and shades without steps
+
+
+@dataclass(frozen=True, slots=True)
+class Studio:
+    """A studio that listens.
+
+    Parameters
+    ----------
+    url, token : of its address.
+    """
+
+    url: str
+    token: str
+
+    def ask(self, path: str, body: Any = None) -> Any:
+        """The answer of an address below /api; bytes are sent as they are, the rest as JSON."""
+        headers = {"authorization": f"Bearer {self.token}"}
+        if body is not None and not isinstance(body, bytes):
+            body, headers["content-type"] = json.dumps(body).encode(), "application/json"
+        request = urllib.request.Request(f"{self.url}/api{path}", body, headers)
+        with urllib.request.urlopen(request, timeout=60) as answer:
+            return json.load(answer)
+
+    def finish(self, job: dict[str, Any]) -> str:
+        """Wait for a job; its number."""
+        while (now := self.ask(f"/jobs/{job['id']}"))["state"] in ("queued", "running"):
+            time.sleep(0.2)
+        if now["state"] != "done":
+            raise SystemExit(f"{now['kind']}: {now['state']}: {now['problem']}")
+        return str(job["id"])
+
+    def clip(self, **filters: str) -> str:
+        """The first clip or take of a filter, as other addresses name it."""
+        query = "&".join(f"{name}={value}" for name, value in filters.items())
+        return str(self.ask(f"/clips?limit=1&{query}")["items"][0]["motion"])
+
+
+@contextmanager
+def listening(library: Path) -> Iterator[Studio]:
+    """A studio in a thread."""
+    import socket
+
+    import uvicorn
+
+    from dousa.app.studio import Settings, create_app
+
+    with socket.socket(proto=socket.IPPROTO_TCP) as listener:
+        listener.bind(("127.0.0.1", 0))
+        settings = replace(Settings(library), port=listener.getsockname()[1])
+        server = uvicorn.Server(uvicorn.Config(create_app(settings), log_level="warning", access_log=False))
+        thread = threading.Thread(target=server.run, kwargs={"sockets": [listener]})
+        thread.start()
+        while not server.started:
+            time.sleep(0.01)
+        try:
+            yield Studio(f"http://127.0.0.1:{settings.port}", settings.token)
+        finally:
+            server.should_exit = True
+            thread.join()
+
+
+def addresses(studio: Studio, demo: Path) -> dict[str, tuple[str, str]]:
+    """Page and, in CSS, what is there once it shows what it should; by the name of the picture."""
+    upload = studio.ask("/uploads?name=seen.npz", (demo / "seen.npz").read_bytes())
+    estimated = studio.finish(
+        studio.ask("/jobs/estimate", {"batch": upload["batch"], "body": {"stature_m": 1.77}})
+    )
+    pupil = studio.clip(kind="take", text="dance_pupil")
+    model = studio.clip(kind="take", text="dance_reference")
+    wanted = {"references": [{"motion": model}], "performance": {"motion": pupil}}
+    judged = studio.finish(studio.ask("/jobs/evaluate", wanted))
+    studio.finish(studio.ask("/jobs/label", {"take": {"motion": studio.clip(kind="take", text="take.bvh")}}))
+    take = studio.clip(kind="take", text="take.bvh")
+    return {
+        "library": ("/library", ".cell canvas"),
+        "search": (f"/search?motion=job:{estimated}", "canvas.dousa-miniature"),
+        "takes": (f"/takes?motion={take}&at_s=6", ".dousa-player canvas"),
+        "evaluate": (f"/evaluate?job={judged}", ".dousa-player canvas"),
+        "estimate": (f"/estimate?job={estimated}", ".dousa-player canvas"),
+    }
+
+
+def save(picture: bytes, path: Path) -> None:
+    """As a PNG of few colours."""
+    from PIL import Image
+
+    with Image.open(io.BytesIO(picture)) as image:
+        image.convert("RGB").quantize(COLOURS).save(path, optimize=True)
+    print(f"{path.name}: {path.stat().st_size / 1000:.0f} kB")
+
+
+def take_pictures(studio: Studio, demo: Path, page: Any) -> None:
+    """Every page in light; the library as a phone shows it, dark and in Japanese."""
+    for name, (address, shown) in addresses(studio, demo).items():
+        save(shoot(studio, page, address, shown), FIGURES / f"studio_{name}.png")
+    phone = shoot(studio, page, "/library?lang=ja", ".cell canvas", 390, 844, "dark")
+    save(phone, FIGURES / "studio_phone.png")
+
+
+def shoot(
+    studio: Studio,
+    page: Any,
+    address: str,
+    shown: str,
+    width: int = 1280,
+    height: int = 800,
+    scheme: str = "light",
+) -> bytes:
+    """What the browser shows of a page."""
+    page.resize(width, height)
+    features = [{"name": "prefers-color-scheme", "value": scheme}]
+    page.driver.execute_cdp_cmd("Emulation.setEmulatedMedia", {"features": features})
+    page.driver.get(f"{studio.url}{address}{'&' if '?' in address else '?'}token={studio.token}")
+    page.wait("return document.querySelector(arguments[0]) !== null", shown, seconds=60)
+    time.sleep(SETTLE)
+    with tempfile.TemporaryDirectory() as folder:
+        return bytes(page.screenshot(Path(folder) / "page.png").read_bytes())
+
+
+def make_demo(folder: Path) -> None:
+    """What ``dousa demo`` leaves behind."""
+    from rich.console import Console
+
+    from dousa.app.demo import run_demo
+    from dousa.app.demo_estimation import run_estimation_demo
+    from dousa.app.demo_evaluation import run_dance_demo
+
+    for act in (lambda: run_demo(Console(), None, folder), lambda: run_dance_demo(Console(), folder)):
+        act()
+    run_estimation_demo(Console(), folder)
+
+
+def main() -> None:
+    import pytest
+
+    from app.browser import open_browser
+    from dousa.app.demo_studio import prepare_studio
+
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--demo", type=Path, help="folder of a demonstration that was run already")
+    chosen = parser.parse_args([] if __name__ != "__main__" else None)
+    with tempfile.TemporaryDirectory() as name:
+        demo = chosen.demo or Path(name)
+        if chosen.demo is None:
+            make_demo(demo)
+        try:
+            with listening(prepare_studio(demo)) as studio, open_browser(Path(name) / "profile") as page:
+                take_pictures(studio, demo, page)
+        except pytest.skip.Exception as reason:
+            print(f"no pictures of the studio: {reason}")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,400 @@
+// createTimeline(element, options) -> timeline: a stretch of time with labels, a cursor, a part, cuts.
+//
+//   options: {duration (s), segments: [{start, end, label, kind: "known" | "unknown" | "corrected", confidence}],
+//     cuts: [s], selectable: a part can be chosen, editable: cuts can be moved, added and taken away,
+//     label: what it shows (for screen readers), texts: {name: word} instead of the words timeline_* of the page}
+//   timeline.setCursor(s) .setSegments(segments) .setSelection(start, end) .setSelection(null) .setCuts([s])
+//     .setDuration(s) .show(start, end): zoom there, .destroy()
+//   timeline.onSeek(callback(s)) .onSelect(callback({start, end} or null, done)) .onCuts(callback([s], done)): -> function
+//     that ends it. Called for what people do, not for the setters; done is false while something is being dragged.
+//   to read: .cursor .selection .cuts .duration .element .tones (for makeLegend of timeline_parts.js)
+//
+// Keys on the cursor: arrows (with Shift a part is chosen), Page Up/Down, Home/End, [ and ] set the ends of the part,
+// Escape lets it go, + and - zoom, C cuts. On a cut or an end: arrows move, Delete takes a cut away.
+
+import { formatSeconds, h, t } from "./dom.js";
+import { Overview } from "./timeline_overview.js";
+import { Tones, describeSegment, makeSegment, makeTicks, place } from "./timeline_parts.js";
+
+const STEP = 0.1; // s of an arrow key
+const LEAST = 0.1; // s of a part, and between cuts
+const CLICK = 5; // px that a click may move
+const MOST_PIXELS_A_SECOND = 240;
+
+const clamp = (value, low, high) => Math.min(Math.max(value, low), high);
+
+class Timeline {
+  constructor(element, options) {
+    const { duration, segments = [], cuts = [], selectable = false, editable = false, texts = {}, label } = options;
+    Object.assign(this, { duration: Math.max(duration, 1e-3), segments, selectable, editable, texts, zoom: 1 });
+    Object.assign(this, { cursor: 0, selection: null, cuts: [...cuts], tones: new Tones(), dragging: false });
+    this.listeners = { seek: new Set(), select: new Set(), cuts: new Set() };
+    this.name = label ?? this.word("timeline");
+    this.build(element);
+    this.watcher = new ResizeObserver(() => this.measure());
+    this.watcher.observe(this.scroll);
+    this.draw();
+  }
+
+  word(name, values) {
+    const word = this.texts[name];
+    return word ? word.replace(/\{(\w+)\}/g, (whole, key) => values?.[key] ?? whole) : t(name, values);
+  }
+
+  build(element) {
+    this.ruler = h("div", { class: "tl-ruler", "aria-hidden": "true" });
+    this.track = h("div", { class: "tl-track", "aria-hidden": "true" });
+    this.part = h("div", { class: "tl-part", hidden: true });
+    this.ends = ["start", "end"].map((name) => this.makeEnd(name));
+    this.marks = h("div", { class: "tl-cuts" });
+    this.hand = h("div", { class: "tl-cursor", tabindex: "0", role: "slider", "aria-label": this.name, "aria-keyshortcuts": "[ ] Escape + -" });
+    this.hand.addEventListener("keydown", (event) => this.pressCursor(event));
+    this.inner = h("div", { class: "tl-inner" }, this.ruler, this.track, this.part, this.marks, ...this.ends, this.hand);
+    this.scroll = h("div", { class: "tl-scroll" }, this.inner);
+    this.overview = new Overview(this.scroll, (share) => (this.scroll.scrollLeft = share * this.scroll.scrollWidth - this.scroll.clientWidth / 2));
+    this.element = h("div", { class: "tl", role: "group", "aria-label": this.name }, this.overview.element, this.scroll, this.makeBar());
+    element.replaceChildren(this.element);
+    this.inner.addEventListener("pointerdown", (event) => this.grab(event));
+    this.track.addEventListener("dblclick", (event) => this.chooseSegment(event));
+    this.scroll.addEventListener("wheel", (event) => this.wheel(event), { passive: false });
+  }
+
+  makeBar() {
+    const button = (name, action, text) => h("button", { type: "button", class: "small quiet", onclick: action, title: this.word(name), "aria-label": text ? this.word(name) : null, dataset: { act: name } }, text ?? this.word(name));
+    const zoom = [
+      button("timeline_out", () => this.setZoom(this.zoom / 2), "−"),
+      button("timeline_in", () => this.setZoom(this.zoom * 2), "+"),
+      button("timeline_fit", () => this.setZoom(1)),
+    ];
+    const part = this.selectable
+      ? [
+          button("timeline_start_here", () => this.setEndHere(0)),
+          button("timeline_end_here", () => this.setEndHere(1)),
+          button("timeline_clear", () => this.select(null, true)),
+        ]
+      : [];
+    const cuts = this.editable ? [button("timeline_cut", () => this.addCut(this.cursor))] : [];
+    this.says = h("output", { class: "tl-says" });
+    return h("div", { class: "tl-bar" }, ...part, ...cuts, this.says, h("span", { class: "push" }), ...zoom);
+  }
+
+  makeEnd(name) {
+    const at = name === "start" ? 0 : 1;
+    const end = h("div", { class: `tl-end tl-end-${name}`, tabindex: "0", role: "slider", "aria-label": this.word(`timeline_${name}`), hidden: true });
+    end.addEventListener("keydown", (event) => this.pressMark(event, (by) => this.setEnd(at, this.selectionEnds()[at] + by), null));
+    this.drag(end, (seconds, done) => this.setEnd(at, seconds, done));
+    return end;
+  }
+
+  // --- drawing
+
+  draw() {
+    this.inner.style.width = `${100 * this.zoom}%`;
+    this.measure();
+    this.drawSegments();
+    this.drawCuts();
+    this.drawSelection();
+    this.drawCursor();
+  }
+
+  /** What depends on the width. */
+  measure() {
+    this.overview.place();
+    const width = this.inner.clientWidth;
+    const key = `${width} ${this.duration}`;
+    if (!width || key === this.drawn) return;
+    this.drawn = key;
+    this.ruler.replaceChildren(...makeTicks(this.duration, width));
+  }
+
+  drawSegments() {
+    this.track.replaceChildren(...this.segments.map((one) => makeSegment(one, this.duration, this.tones)));
+    this.overview.draw(this.segments, this.duration, this.tones);
+  }
+
+  drawCuts() {
+    const focused = [...this.marks.children].indexOf(document.activeElement);
+    this.marks.replaceChildren(...this.cuts.map((seconds, number) => this.makeCut(seconds, number)));
+    if (focused >= 0) this.marks.children[Math.min(focused, this.cuts.length - 1)]?.focus();
+  }
+
+  makeCut(seconds, number) {
+    const cut = h("div", { class: `tl-cut${this.editable ? "" : " tl-fixed"}`, title: formatSeconds(seconds) });
+    this.setSlider(cut, seconds, formatSeconds(seconds));
+    cut.setAttribute("aria-label", this.word("timeline_cut_number", { number: number + 1 }));
+    if (!this.editable) return cut;
+    cut.tabIndex = 0;
+    cut.setAttribute("role", "slider");
+    cut.addEventListener("keydown", (event) => this.pressMark(event, (by) => this.moveCut(number, this.cuts[number] + by, true), () => this.removeCut(number)));
+    cut.addEventListener("dblclick", () => this.removeCut(number));
+    this.drag(cut, (where, done) => this.moveCut(number, where, done));
+    return cut;
+  }
+
+  setSlider(element, seconds, text) {
+    const values = { valuemin: 0, valuemax: this.duration.toFixed(2), valuenow: seconds.toFixed(2), valuetext: text };
+    for (const [name, value] of Object.entries(values)) element.setAttribute(`aria-${name}`, value);
+    element.style.left = `${(100 * seconds) / this.duration}%`;
+  }
+
+  drawSelection() {
+    const { selection } = this;
+    for (const element of [this.part, ...this.ends]) element.hidden = !selection;
+    this.element.classList.toggle("tl-chosen", Boolean(selection));
+    if (selection) {
+      Object.assign(this.part.style, place(selection.start, selection.end, this.duration));
+      this.selectionEnds().forEach((seconds, at) => this.setSlider(this.ends[at], seconds, formatSeconds(seconds)));
+    }
+    this.say();
+  }
+
+  drawCursor() {
+    const segment = this.segmentAt(this.cursor);
+    const text = [formatSeconds(this.cursor), segment ? describeSegment(segment) : null].filter(Boolean).join(", ");
+    this.setSlider(this.hand, this.cursor, text);
+    this.say();
+  }
+
+  say() {
+    const { selection } = this;
+    const span = selection ? this.word("timeline_part", { start: formatSeconds(selection.start), end: formatSeconds(selection.end) }) : "";
+    const text = span || (this.selectable ? this.word("timeline_hint") : "");
+    if (this.says.textContent !== text) this.says.textContent = text;
+  }
+
+  // --- what people do
+
+  seconds({ clientX }) {
+    const { left, width } = this.inner.getBoundingClientRect();
+    return clamp(((clientX - left) / width) * this.duration, 0, this.duration);
+  }
+
+  tell(what, ...values) {
+    for (const callback of [...this.listeners[what]]) callback(...values);
+  }
+
+  seek(seconds) {
+    this.setCursor(clamp(seconds, 0, this.duration));
+    this.tell("seek", this.cursor);
+  }
+
+  select(part, done) {
+    this.selection = part;
+    this.drawSelection();
+    this.tell("select", part, done);
+  }
+
+  selectionEnds() {
+    return this.selection ? [this.selection.start, this.selection.end] : [0, this.duration];
+  }
+
+  setEnd(at, seconds, done = true) {
+    const ends = this.selectionEnds();
+    ends[at] = at === 0 ? clamp(seconds, 0, ends[1] - LEAST) : clamp(seconds, ends[0] + LEAST, this.duration);
+    this.select({ start: ends[0], end: ends[1] }, done);
+  }
+
+  /** The part begins or ends at the cursor; where its other end lies on the wrong side, that goes. */
+  setEndHere(at) {
+    const [start, end] = this.selectionEnds();
+    if (at === 0 ? this.cursor > end - LEAST : this.cursor < start + LEAST) this.selection = null;
+    this.setEnd(at, this.cursor);
+  }
+
+  /** Anything on the timeline: a click seeks, dragging over the labels chooses, dragging along the ruler seeks. */
+  grab(event) {
+    if (event.button !== 0 || event.target.closest(".tl-end, .tl-cut:not(.tl-fixed)")) return;
+    const from = this.seconds(event);
+    const chooses = this.selectable && event.pointerType !== "touch" && !event.target.closest(".tl-ruler, .tl-cursor");
+    let moved = false;
+    this.follow(event, (now, done) => {
+      moved ||= Math.abs(now.clientX - event.clientX) > CLICK;
+      const to = this.seconds(now);
+      if (!moved || !chooses) {
+        this.seek(to);
+      } else if (Math.abs(to - from) >= LEAST) {
+        this.select({ start: Math.min(from, to), end: Math.max(from, to) }, done);
+      }
+    });
+    if (event.pointerType !== "touch") this.hand.focus({ preventScroll: true });
+  }
+
+  /** onMove(event, done) until the pointer is let go. */
+  follow(event, onMove) {
+    this.dragging = true;
+    const id = event.pointerId;
+    if (event.pointerType !== "touch") event.preventDefault();
+    const move = (now) => now.pointerId === id && onMove(now, false);
+    const end = (now) => {
+      if (now.pointerId !== id) return;
+      this.dragging = false;
+      for (const [name, action] of handlers) window.removeEventListener(name, action);
+      if (now.type === "pointerup") onMove(now, true);
+    };
+    const handlers = [["pointermove", move], ["pointerup", end], ["pointercancel", end]];
+    for (const [name, action] of handlers) window.addEventListener(name, action);
+  }
+
+  drag(element, act) {
+    element.addEventListener("pointerdown", (event) => {
+      if (event.button !== 0) return;
+      event.stopPropagation();
+      event.preventDefault();
+      element.focus({ preventScroll: true });
+      this.follow(event, (now, done) => act(this.seconds(now), done));
+    });
+  }
+
+  chooseSegment(event) {
+    const segment = this.segmentAt(this.seconds(event));
+    if (this.selectable && segment) this.select({ start: segment.start, end: segment.end }, true);
+  }
+
+  segmentAt(seconds) {
+    // Corrections lie over labels, and come last.
+    return this.segments.findLast((one) => one.start <= seconds && seconds < one.end);
+  }
+
+  wheel(event) {
+    if (!event.ctrlKey && !event.metaKey) return;
+    event.preventDefault();
+    this.setZoom(this.zoom * (event.deltaY < 0 ? 1.25 : 0.8), this.seconds(event));
+  }
+
+  // --- keys
+
+  pressCursor(event) {
+    const page = this.duration / this.zoom / 10;
+    const moves = { ArrowLeft: -STEP, ArrowRight: STEP, ArrowDown: -STEP, ArrowUp: STEP, PageDown: -page, PageUp: page, Home: -Infinity, End: Infinity };
+    const acts = {
+      "[": () => this.selectable && this.setEndHere(0),
+      "]": () => this.selectable && this.setEndHere(1),
+      Escape: () => this.selection && this.select(null, true),
+      "+": () => this.setZoom(this.zoom * 2),
+      "-": () => this.setZoom(this.zoom / 2),
+      c: () => this.editable && this.addCut(this.cursor),
+    };
+    if (event.ctrlKey || event.metaKey || event.altKey) return;
+    if (event.key in moves) this.step(moves[event.key], event.shiftKey && this.selectable);
+    else if (event.key in acts) acts[event.key]();
+    else return;
+    event.preventDefault();
+    event.stopPropagation();
+  }
+
+  step(by, chooses) {
+    const from = this.cursor;
+    this.seek(clamp(from + by, 0, this.duration));
+    if (!chooses || !this.selection) this.anchor = from;
+    if (!chooses) return;
+    const [start, end] = [this.anchor, this.cursor].sort((a, b) => a - b);
+    this.select(end - start < LEAST / 2 ? null : { start, end }, true);
+  }
+
+  pressMark(event, move, remove) {
+    const moves = { ArrowLeft: -STEP, ArrowRight: STEP, ArrowDown: -STEP, ArrowUp: STEP, PageDown: -1, PageUp: 1 };
+    if (event.key in moves) move(moves[event.key]);
+    else if (remove && (event.key === "Delete" || event.key === "Backspace")) remove();
+    else if (event.key === "Escape" && this.selection) this.select(null, true);
+    else return;
+    event.preventDefault();
+    event.stopPropagation();
+  }
+
+  // --- cuts
+
+  moveCut(number, seconds, done) {
+    const [low, high] = [(this.cuts[number - 1] ?? 0) + LEAST, (this.cuts[number + 1] ?? this.duration) - LEAST];
+    this.cuts[number] = clamp(seconds, low, high);
+    const mark = this.marks.children[number];
+    this.setSlider(mark, this.cuts[number], formatSeconds(this.cuts[number]));
+    this.tell("cuts", [...this.cuts], done);
+  }
+
+  addCut(seconds) {
+    const edges = [0, ...this.cuts, this.duration];
+    if (edges.some((edge) => Math.abs(edge - seconds) < LEAST)) return;
+    this.cuts = [...this.cuts, seconds].sort((a, b) => a - b);
+    this.drawCuts();
+    this.tell("cuts", [...this.cuts], true);
+  }
+
+  removeCut(number) {
+    this.cuts.splice(number, 1);
+    this.drawCuts();
+    if (!this.cuts.length) this.hand.focus({ preventScroll: true });
+    this.tell("cuts", [...this.cuts], true);
+  }
+
+  // --- setters
+
+  setCursor(seconds) {
+    this.cursor = clamp(seconds, 0, this.duration);
+    this.drawCursor();
+    if (this.zoom > 1 && !this.dragging) this.bringIntoView();
+  }
+
+  bringIntoView() {
+    const [x, width] = [(this.cursor / this.duration) * this.inner.clientWidth, this.scroll.clientWidth];
+    const left = this.scroll.scrollLeft;
+    if (x < left + 8 || x > left + width - 8) this.scroll.scrollLeft = x - width / 4;
+  }
+
+  setZoom(zoom, around = this.cursor) {
+    const width = this.scroll.clientWidth || 1;
+    const most = Math.max((this.duration * MOST_PIXELS_A_SECOND) / width, 1);
+    const before = (around / this.duration) * this.inner.clientWidth - this.scroll.scrollLeft;
+    this.zoom = clamp(zoom, 1, most);
+    this.inner.style.width = `${100 * this.zoom}%`;
+    this.scroll.scrollLeft = (around / this.duration) * width * this.zoom - clamp(before, 0, width);
+    this.measure();
+  }
+
+  show(start, end) {
+    this.setZoom(this.duration / Math.max(end - start, LEAST), start);
+    this.scroll.scrollLeft = (start / this.duration) * this.inner.clientWidth;
+  }
+}
+
+export function createTimeline(element, options) {
+  const inner = new Timeline(element, options);
+  const listen = (what) => (callback) => {
+    inner.listeners[what].add(callback);
+    return () => inner.listeners[what].delete(callback);
+  };
+  return Object.freeze({
+    element: inner.element,
+    tones: inner.tones,
+    setCursor: (seconds) => inner.setCursor(seconds),
+    setSegments(segments) {
+      inner.segments = segments;
+      inner.drawSegments();
+      inner.drawCursor();
+    },
+    setSelection(start, end) {
+      const inside = (seconds) => clamp(seconds, 0, inner.duration);
+      inner.selection = start == null ? null : { start: inside(start), end: inside(end) };
+      inner.drawSelection();
+    },
+    setCuts(cuts) {
+      inner.cuts = [...cuts];
+      inner.drawCuts();
+    },
+    setDuration(duration) {
+      inner.duration = Math.max(duration, 1e-3);
+      inner.draw();
+    },
+    show: (start, end) => inner.show(start, end),
+    onSeek: listen("seek"),
+    onSelect: listen("select"),
+    onCuts: listen("cuts"),
+    destroy() {
+      inner.watcher.disconnect();
+      inner.element.remove();
+    },
+    get cursor() { return inner.cursor; },
+    get selection() { return inner.selection ? { ...inner.selection } : null; },
+    get cuts() { return [...inner.cuts]; },
+    get duration() { return inner.duration; },
+  });
+}

@@ -1,0 +1,113 @@
+// The overlap of every frame as a curve; lost frames are hatched, frames that may still change are dashed.
+
+import { h, t } from "../core/dom.js";
+
+const SVG = "http://www.w3.org/2000/svg";
+const [WIDE, HIGH] = [1000, 100];
+const MOST_POINTS = 800; // of the curve; of more frames the worst of each column is drawn
+const LEAST_LOST = 3; // units: one lost frame of a long recording still shows
+
+function svg(tag, properties = {}, ...children) {
+  const element = document.createElementNS(SVG, tag);
+  for (const [name, value] of Object.entries(properties)) element.setAttribute(name, value);
+  element.append(...children);
+  return element;
+}
+
+export class Chart {
+  /** onSeek(frame) when the curve is touched. */
+  constructor(place, onSeek) {
+    this.total = 1;
+    this.spans = svg("g");
+    this.lines = svg("g");
+    this.cursor = svg("line", { class: "cursor", y1: 0, y2: HIGH, x1: 0, x2: 0 });
+    const grid = [0.25, 0.5, 0.75].map((value) => svg("line", { class: "grid", x1: 0, x2: WIDE, y1: HIGH * value, y2: HIGH * value }));
+    this.drawing = svg("svg", { viewBox: `0 0 ${WIDE} ${HIGH}`, preserveAspectRatio: "none", "aria-hidden": "true" }, hatching(), ...grid, this.spans, this.lines, this.cursor);
+    place.replaceChildren(...["1", "0.5", "0"].map((text, index) => h("span", { class: "scale", style: { top: `${6 + 44 * index}%` }, "aria-hidden": "true" }, text)), this.drawing);
+    const seek = (event) => {
+      const box = this.drawing.getBoundingClientRect();
+      onSeek(Math.round(Math.min(Math.max((event.clientX - box.left) / box.width, 0), 1) * (this.total - 1)));
+    };
+    this.drawing.addEventListener("pointerdown", (event) => {
+      this.drawing.setPointerCapture(event.pointerId);
+      seek(event);
+    });
+    this.drawing.addEventListener("pointermove", (event) => event.buttons && seek(event));
+  }
+
+  column(frame) {
+    return (WIDE * frame) / Math.max(this.total - 1, 1);
+  }
+
+  /** frames: Map frame -> {overlap (mean or null), lost, stage} */
+  draw(frames, total) {
+    this.total = Math.max(total, 1);
+    const known = [...frames.keys()].sort((a, b) => a - b);
+    this.lines.replaceChildren(...this.curves(known, frames));
+    this.spans.replaceChildren(...this.lostSpans(known, frames));
+  }
+
+  curves(known, frames) {
+    const step = Math.max(1, Math.ceil(this.total / MOST_POINTS));
+    const pieces = [];
+    let piece = null;
+    let last = null;
+    for (const frame of thin(known, frames, step)) {
+      const { overlap, stage } = frames.get(frame);
+      if (overlap === null) {
+        piece = null;
+        continue;
+      }
+      const open = stage === 0;
+      const point = `${this.column(frame).toFixed(1)},${(HIGH * (1 - 0.94 * overlap - 0.03)).toFixed(1)}`;
+      if (!piece || piece.open !== open || frame - last > 2 * step) {
+        const joined = piece && frame - last <= 2 * step ? [piece.points.at(-1)] : [];
+        pieces.push((piece = { open, points: joined }));
+      }
+      piece.points.push(point);
+      last = frame;
+    }
+    return pieces.map(({ open, points }) => svg("polyline", { class: open ? "curve open" : "curve", points: (points.length > 1 ? points : [points[0], points[0]]).join(" ") }));
+  }
+
+  lostSpans(known, frames) {
+    const spans = [];
+    for (const frame of known.filter((number) => frames.get(number).lost)) {
+      const newest = spans.at(-1);
+      if (newest && newest[1] === frame - 1) newest[1] = frame;
+      else spans.push([frame, frame]);
+    }
+    return spans.flatMap(([first, last]) => {
+      const left = this.column(first - 0.5);
+      const width = Math.max(this.column(last + 0.5) - left, LEAST_LOST);
+      const title = svg("title");
+      title.textContent = t("chart_lost");
+      return [svg("rect", { class: "lost-span", x: left, y: 0, width, height: HIGH }, title)];
+    });
+  }
+
+  point(frame) {
+    for (const end of ["x1", "x2"]) this.cursor.setAttribute(end, this.column(frame).toFixed(2));
+  }
+}
+
+function thin(known, frames, step) {
+  if (step === 1) return known;
+  const worst = new Map();
+  for (const frame of known) {
+    const column = Math.floor(frame / step);
+    const best = worst.get(column);
+    if (best === undefined || (frames.get(frame).overlap ?? 2) < (frames.get(best).overlap ?? 2)) worst.set(column, frame);
+  }
+  return [...worst.values()];
+}
+
+function hatching() {
+  const pattern = svg(
+    "pattern",
+    { id: "lost-hatch", width: 8, height: 8, patternUnits: "userSpaceOnUse", patternTransform: "rotate(45)" },
+    svg("rect", { class: "hatch-back", width: 8, height: 8 }),
+    svg("line", { class: "hatch-line", x1: 0, y1: 0, x2: 0, y2: 8 }),
+  );
+  return svg("defs", {}, pattern);
+}

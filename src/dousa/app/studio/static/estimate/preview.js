@@ -1,0 +1,53 @@
+// What would be estimated: silhouettes, cameras, body, and what is missing.
+
+import { $, formatSeconds, h, t } from "../core/dom.js";
+import { say } from "./sentences.js";
+
+export function showEmpty() {
+  $("#start").disabled = true;
+  $("#preview").replaceChildren(h("p", { class: "note" }, t("preview_empty")));
+}
+
+export function showLooking(what = t("preview_looking")) {
+  $("#start").disabled = true;
+  $("#preview .looking")?.remove();
+  $("#preview").prepend(h("p", { class: "looking" }, h("i", { "aria-hidden": "true" }), what));
+}
+
+/** found: the answer of POST /estimations/preview */
+export function showPreview(found) {
+  const ready = !found.missing && found.views.length > 0;
+  $("#start").disabled = !ready;
+  $("#preview").replaceChildren(
+    ...[
+      found.missing ? h("p", { class: "problem-box", id: "missing" }, say(found.missing)) : null,
+      found.views.length ? h("div", { class: "pictures" }, ...found.views.map(picture)) : null,
+      found.views.length ? facts(found) : null,
+      found.notes.length ? h("ul", { class: "says" }, ...found.notes.map((note) => h("li", {}, say(note)))) : null,
+    ].filter(Boolean),
+  );
+}
+
+function picture(view) {
+  const inside = view.picture
+    ? h("img", { src: view.picture, alt: t("preview_picture", { name: view.name }) })
+    : t("preview_no_picture");
+  return h(
+    "figure",
+    {},
+    h("div", { class: "frame" }, inside),
+    h("figcaption", {}, h("b", {}, view.name), h("span", { class: "note" }, view.camera ? t("preview_camera", { name: view.camera }) : t("preview_no_camera"))),
+  );
+}
+
+function facts(found) {
+  const seconds = found.frame_rate ? formatSeconds(found.n_frames / found.frame_rate) : "";
+  const rate = found.frame_rate ? +found.frame_rate.toFixed(2) : "?";
+  const pairs = found.body ? [[t("preview_body"), say(found.body)], [t("preview_start"), found.start ?? t("preview_start_found")]] : [];
+  return h(
+    "div",
+    { class: "stack" },
+    h("p", { class: "counted" }, t("preview_facts", { views: found.views.length, frames: found.n_frames, rate, seconds })),
+    pairs.length ? h("dl", { class: "facts" }, ...pairs.flatMap(([name, value]) => [h("dt", {}, name), h("dd", {}, value)])) : null,
+  );
+}

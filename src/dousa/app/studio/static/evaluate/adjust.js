@@ -1,0 +1,84 @@
+// The panel in which figures and weights are changed, and what it says of the grade.
+
+import { h, t } from "../core/dom.js";
+import { Cuts } from "./cuts.js";
+import { isSameFigures } from "./figures.js";
+import { Weights, describeWeights, gather, spread } from "./weights.js";
+
+/** onChange({weights, furi}, done), onSeek(s of the reference); names: of the nine segments */
+export class Adjust {
+  constructor(assessment, names, { onChange, onSeek }) {
+    Object.assign(this, { found: assessment.furi_found, names, onChange, first: null });
+    this.score = h("b", { class: "adjust-score", id: "adjust-score" });
+    this.before = h("span", { class: "note" });
+    this.state = h("span", { class: "badge", id: "adjust-state" });
+    this.changed = h("p", { class: "changed", id: "adjust-changed" });
+    this.problem = h("p", { class: "problem-box", role: "alert", hidden: true });
+    const [cuts, weights] = [h("section", { class: "cuts", "aria-label": t("cuts") }), h("section", { class: "weights", "aria-label": t("weights") })];
+    const says = h("div", { class: "adjust-now", "aria-live": "polite" }, h("span", { class: "note" }, t("now")), this.score, this.before, this.state);
+    this.element = h("section", { class: "card adjust", id: "adjust", "aria-label": t("adjust") }, h("header", { class: "adjust-head" }, h("div", {}, h("h2", {}, t("adjust")), h("p", { class: "note" }, t("adjust_hint"))), says), this.changed, this.problem, h("div", { class: "adjust-body" }, cuts, weights));
+    this.cuts = new Cuts(cuts, {
+      duration: assessment.reference_duration_s,
+      onSeek,
+      onChange: (_, done) => this.tell(done),
+      onReset: () => this.cuts.take(this.found.map((one) => ({ ...one })), true),
+    });
+    this.weights = new Weights(weights, { names, onChange: (_, done) => this.tell(done) });
+    this.cuts.show(assessment.furi_used);
+    this.weights.show(spread(assessment.weights));
+    this.take({ assessment, exact: true, kept: true });
+  }
+
+  values() {
+    const { figures } = this.cuts;
+    return { weights: gather(this.weights.values), furi: isSameFigures(figures, this.found) ? null : figures };
+  }
+
+  tell(done) {
+    this.sayChanged();
+    this.setState("working");
+    this.onChange(this.values(), done);
+  }
+
+  /** What the studio answered. */
+  take({ assessment, exact, kept }) {
+    this.problem.hidden = true;
+    const score = assessment.score;
+    this.first ??= score;
+    this.score.textContent = score == null ? "–" : score.toFixed(1);
+    this.before.textContent = score !== this.first ? t("before_change", { score: this.first?.toFixed(1) ?? "–" }) : "";
+    this.setState(exact && kept ? "exact" : exact ? "working" : "approximate");
+    this.cuts.showScores(assessment.furi);
+    this.sayChanged();
+  }
+
+  setState(name) {
+    this.state.textContent = t(name);
+    this.state.dataset.state = name;
+    this.state.className = `badge ${name === "exact" ? "good" : "unsure"}`;
+  }
+
+  refuse(error) {
+    this.setState("refused");
+    this.problem.textContent = t("not_taken", { reason: error.message });
+    this.problem.hidden = false;
+  }
+
+  sayChanged() {
+    const { figures } = this.cuts;
+    const said = [];
+    if (!isSameFigures(figures, this.found)) {
+      const moved = figures.length !== this.found.length || figures.some((one, k) => Math.abs(one.start_s - this.found[k].start_s) > 0.002);
+      said.push(moved ? t("changed_furi", { now: figures.length, found: this.found.length }) : t("changed_labels"));
+    }
+    const list = describeWeights(this.weights.values, this.names);
+    if (list) said.push(t("changed_weights", { list }));
+    this.changed.textContent = said.join(" · ") || t("as_found");
+    this.changed.classList.toggle("is-changed", said.length > 0);
+    this.cuts.reset.disabled = isSameFigures(figures, this.found);
+  }
+
+  destroy() {
+    this.cuts.destroy();
+  }
+}

@@ -1,0 +1,97 @@
+// The figures of the reference: a timeline whose cuts can be dragged, and a table of the same for the keyboard.
+
+import { h, icon, t } from "../core/dom.js";
+import { createTimeline } from "../core/timeline.js";
+import { LEAST, cutsOf, recut } from "./figures.js";
+
+/** onChange(figures, done), onSeek(s of the reference) */
+export class Cuts {
+  constructor(element, { duration, onChange, onSeek, onReset }) {
+    Object.assign(this, { duration, onChange, onSeek, figures: [] });
+    const place = h("div", { id: "cuts-timeline" });
+    this.rows = h("tbody");
+    const head = ["figure", "name", "from", "to", "figure_grade"].map((name) => h("th", { scope: "col" }, t(name)));
+    const table = h("table", { class: "cuts-table" }, h("thead", {}, h("tr", {}, ...head, h("th", {}))), this.rows);
+    this.reset = h("button", { type: "button", class: "small", id: "reset-cuts", onclick: onReset }, t("reset_cuts"));
+    element.append(h("header", { class: "row" }, h("h3", {}, t("cuts")), h("span", { class: "push" }), this.reset), place, h("p", { class: "note" }, t("cuts_hint")), h("div", { class: "scroll cuts-scroll", tabindex: "0" }, table));
+    this.timeline = createTimeline(place, { duration, editable: true, label: t("cuts_timeline") });
+    this.timeline.onSeek(onSeek);
+    this.timeline.onCuts((cuts, done) => this.take(recut(this.figures, cuts), done, false));
+  }
+
+  take(figures, done, fresh = true) {
+    this.figures = figures;
+    this.draw(fresh);
+    this.onChange(figures, done);
+  }
+
+  /** Show other figures; nobody is told. */
+  show(figures) {
+    this.figures = figures.map((one) => ({ ...one }));
+    this.draw(true);
+  }
+
+  draw(fresh) {
+    const segments = this.figures.map(({ start_s, end_s, label }) => ({ start: start_s, end: end_s, label, kind: "known" }));
+    this.timeline.setSegments(segments);
+    if (fresh) this.timeline.setCuts(cutsOf(this.figures));
+    while (this.rows.children.length > this.figures.length) this.rows.lastChild.remove();
+    while (this.rows.children.length < this.figures.length) this.rows.append(this.makeRow(this.rows.children.length));
+    this.figures.forEach((figure, place) => this.fillRow(this.rows.children[place], figure));
+  }
+
+  makeRow(place) {
+    const number = place + 1;
+    const name = h("input", { type: "text", class: "figure-name", maxlength: "100", "aria-label": t("name_of", { number }) });
+    name.addEventListener("input", () => {
+      const label = name.value.trim();
+      if (label) this.change(place, { label }, false);
+    });
+    name.addEventListener("change", () => this.change(place, { label: name.value.trim() || this.figures[place].label }, true));
+    const start = h("input", { type: "number", class: "figure-start", step: "0.1", min: "0", disabled: place === 0, "aria-label": t("start_of", { number }) });
+    start.addEventListener("change", () => this.moveStart(place, Number(start.value)));
+    const join = place ? h("button", { type: "button", class: "quiet small icon", title: t("join", { number }), "aria-label": t("join", { number }), onclick: () => this.join(place) }, icon("close")) : null;
+    const go = h("button", { type: "button", class: "quiet small", "aria-label": t("go_to", { number }), onclick: () => this.onSeek(this.figures[place].start_s + 0.01) }, String(number));
+    return h("tr", {}, h("td", {}, go), h("td", {}, name), h("td", {}, start), h("td", { class: "to" }), h("td", { class: "figure-score" }), h("td", {}, join));
+  }
+
+  fillRow(row, { start_s, end_s, label }) {
+    const [name, start] = [row.querySelector(".figure-name"), row.querySelector(".figure-start")];
+    if (document.activeElement !== name) name.value = label;
+    if (document.activeElement !== start || Number(start.value) !== start_s) start.value = start_s.toFixed(2);
+    row.querySelector(".to").textContent = end_s.toFixed(2);
+  }
+
+  change(place, values, done) {
+    this.take(this.figures.map((one, other) => (other === place ? { ...one, ...values } : one)), done);
+  }
+
+  moveStart(place, seconds) {
+    const cuts = cutsOf(this.figures);
+    const [low, high] = [this.figures[place - 1].start_s + LEAST, this.figures[place].end_s - LEAST];
+    if (Number.isFinite(seconds)) cuts[place - 1] = Math.min(Math.max(seconds, low), high);
+    this.take(recut(this.figures, cuts), true);
+  }
+
+  join(place) {
+    const cuts = cutsOf(this.figures).filter((_, other) => other !== place - 1);
+    this.take(recut(this.figures, cuts), true);
+    this.rows.children[Math.min(place, this.rows.children.length) - 1]?.querySelector("input").focus();
+  }
+
+  /** The grade of each figure, as the assessment says. */
+  showScores(furi) {
+    [...this.rows.children].forEach((row, place) => {
+      const score = furi[place]?.score;
+      row.querySelector(".figure-score").textContent = score == null ? "–" : score.toFixed(0);
+    });
+  }
+
+  setCursor(seconds) {
+    this.timeline.setCursor(seconds);
+  }
+
+  destroy() {
+    this.timeline.destroy();
+  }
+}

@@ -1,0 +1,90 @@
+// The report of an evaluation, live: its parts, the player, the panel to adjust, files to take away.
+
+import { get } from "../core/api.js";
+import { $, h, icon, language, t } from "../core/dom.js";
+import { Adjust } from "./adjust.js";
+import { Asking } from "./asking.js";
+import { putParts } from "./parts.js";
+
+const FILES = { "report.html": "report", "curves.csv": "curves", "events.csv": "events", "furi.txt": "furi", "weights.toml": "weights" };
+
+/** Links to the files of an evaluation, as somebody has adjusted it. */
+export function downloadLinks(job) {
+  return Object.entries(FILES).map(([file, word]) => h("a", { class: "button small", href: `/api/evaluations/${job}/${file}?language=${language}`, download: "", dataset: { file } }, icon("download"), t(`download_${word}`)));
+}
+
+export class Result {
+  constructor(root) {
+    this.root = root;
+  }
+
+  /** Show the evaluation of a job; onArrival() before it is drawn. -> whether it is there */
+  async show(job, onArrival) {
+    this.clear();
+    const mine = (this.turn = Symbol(job));
+    const answer = await get(`/evaluations/${job}/report`, { language });
+    if (mine !== this.turn) return false;
+    onArrival();
+    this.root.innerHTML = answer.frame;
+    putParts(this.root, answer.parts);
+    this.foldForPhones();
+    $("[data-part='files']", this.root).replaceChildren(h("span", { class: "row" }, ...downloadLinks(job)));
+    this.data = answer.data;
+    this.player = window.dousa.createPlayer($("#player", this.root), answer.player);
+    this.report = window.dousa.bindReport(this.root, answer.data, this.player);
+    this.adjust = new Adjust(answer.assessment, answer.data.segments, {
+      onChange: (values, done) => this.asking.change({ ...values, language }, done),
+      onSeek: (seconds) => this.seekReference(seconds),
+    });
+    this.asking = new Asking(`/evaluations/${job}/adjust`, {
+      onAnswer: (now) => this.take(now),
+      onProblem: (error) => this.adjust.refuse(error),
+      onBusy: (busy) => this.root.setAttribute("aria-busy", String(busy)),
+    });
+    $("#watch", this.root).after(this.adjust.element);
+    this.endTime = this.player.onTime((seconds) => this.followPlayer(seconds));
+    this.followPlayer(this.player.time);
+    return true;
+  }
+
+  take(answer) {
+    putParts(this.root, answer.parts);
+    this.data = answer.data;
+    if (answer.player) this.player.replace(answer.player);
+    this.report.update(answer.data);
+    this.adjust.take(answer);
+  }
+
+  // On a phone the pictures of all figures would be a long way to scroll: the first one stays open.
+  foldForPhones() {
+    if (window.innerWidth >= 700) return;
+    for (const card of [...this.root.querySelectorAll(".shape-card[open]")].slice(1)) card.open = false;
+  }
+
+  followPlayer(seconds) {
+    const { matched, step } = this.data;
+    const there = matched[Math.min(Math.round(seconds / step), matched.length - 1)];
+    if (there != null) this.adjust.cuts.setCursor(there);
+  }
+
+  /** The moment of the performance that resembles a moment of the reference. */
+  seekReference(seconds) {
+    const { matched, step } = this.data;
+    let best = -1;
+    matched.forEach((there, place) => {
+      if (there !== null && (best < 0 || Math.abs(there - seconds) < Math.abs(matched[best] - seconds))) best = place;
+    });
+    if (best >= 0) this.player.seek(best * step);
+  }
+
+  clear() {
+    this.turn = null;
+    this.asking?.end();
+    this.endTime?.();
+    this.report?.unbind();
+    this.adjust?.destroy();
+    this.player?.destroy();
+    Object.assign(this, { asking: null, endTime: null, report: null, adjust: null, player: null });
+    this.root.replaceChildren();
+  }
+}

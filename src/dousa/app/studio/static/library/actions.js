@@ -1,0 +1,62 @@
+// What can be done with the chosen clips: a bar at the foot of the page.
+
+import { $, h, icon, language, t } from "../core/dom.js";
+import { attempt } from "../core/notices.js";
+import { openRelabel, openRemove } from "./dialogs.js";
+
+const MOST_REFERENCES = 20;
+const count = new Intl.NumberFormat(language);
+
+/** Addresses of other pages that take these clips. */
+export function placesFor(clips) {
+  const [clip] = clips;
+  const known = clips.length && clips.every(Boolean);
+  const places = [];
+  if (clips.length === 1 && clip.kind !== "take") places.push(["search_with", `/search?motion=${clip.motion}`, "search"]);
+  if (clips.length === 1 && clip.kind === "take") places.push(["open_take", `/takes?motion=${clip.motion}`, "play"]);
+  if (known && clips.length <= MOST_REFERENCES) places.push(["evaluate_with", `/evaluate?references=${clips.map((one) => one.motion).join(",")}`, "mark"]);
+  return places;
+}
+
+export const link = ([word, href, shape]) => h("a", { class: "button", href }, icon(shape), t(word));
+
+/** hooks: facets(), open(clip), changed() */
+export class Actions {
+  constructor(selection, hooks) {
+    Object.assign(this, { selection, hooks, element: $("#actions") });
+  }
+
+  show() {
+    const { selection, element } = this;
+    const focused = element.contains(document.activeElement) ? document.activeElement.dataset.word : null;
+    element.hidden = selection.size === 0;
+    document.body.classList.toggle("choosing", selection.size > 0);
+    if (element.hidden) {
+      element.replaceChildren();
+      return;
+    }
+    const act = (word, shape, action, kind = "") => h("button", { type: "button", class: kind, dataset: { word }, onclick: action }, icon(shape), t(word));
+    const { single } = selection;
+    element.replaceChildren(
+      h("b", { class: "chosen-count" }, t("chosen", { count: count.format(selection.size) })),
+      ...(single ? [act("look", "play", () => this.hooks.open(single))] : []),
+      ...placesFor([...selection.clips.values()]).map(link),
+      act("relabel", "tag", () => this.relabel()),
+      act("remove", "trash", () => this.remove(), "danger"),
+      h("button", { type: "button", class: "quiet icon", "aria-label": t("choose_none"), title: t("choose_none"), dataset: { word: "none" }, onclick: () => selection.clear() }, icon("close")),
+    );
+    if (focused) element.querySelector(`[data-word="${focused}"]`)?.focus();
+  }
+
+  relabel(ids = this.selection.ids) {
+    attempt(async () => openRelabel(ids, await this.hooks.facets(), () => this.hooks.changed()));
+  }
+
+  remove(clips = [...this.selection.clips.values()], ids = this.selection.ids) {
+    const done = () => {
+      this.selection.clear();
+      this.hooks.changed();
+    };
+    openRemove(ids, clips.filter(Boolean).map((clip) => clip.name), done);
+  }
+}

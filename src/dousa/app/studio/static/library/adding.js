@@ -1,0 +1,141 @@
+// Adding files: upload, a few questions, the job, the report. The job outlives the page: its report is found again by
+// its number in the address.
+
+import { post, uploadAll } from "../core/api.js";
+import { dropZone, refusedList } from "../core/drop.js";
+import { h, language, t } from "../core/dom.js";
+import { followJob, isActive, stopJob } from "../core/jobs.js";
+import { attempt, notify } from "../core/notices.js";
+import { foot, openDialog } from "./dialogs.js";
+import { inAddress } from "./places.js";
+import { askHow } from "./rules.js";
+import { report } from "./report.js";
+
+const count = new Intl.NumberFormat(language);
+const ACCEPT = ".bvh,.amc,.asf,.c3d,.trc,.npz,.zip";
+const remembered = (id) => `dousa-refused-${id}`; // what an upload refused, for the report of its job
+let open = null;
+
+/** hooks: changed() when the library is another, showBatch(batch), relabelBatch(batch), train() */
+export function openAdding({ entries, jobId, hooks }) {
+  if (open) {
+    if (entries) open.take(entries);
+    return;
+  }
+  const body = h("div", { class: "stack adding" });
+  let end = () => {};
+  const stop = new AbortController();
+  const { close } = openDialog(t("add_title"), body, {
+    onClose: () => {
+      open = null;
+      end();
+      stop.abort();
+      inAddress({ job: null });
+    },
+  });
+  const follow = (id) => {
+    inAddress({ job: id });
+    end = followJob(id, (job) => {
+      show(body, job, { close, hooks });
+      if (!isActive(job)) hooks.changed();
+    });
+  };
+  open = { batch: null, refused: [], files: [], busy: false, body, close, follow, stop };
+  open.take = (more) => attempt(() => receive(open, more));
+  if (jobId) follow(jobId);
+  else if (entries) open.take(entries);
+  else body.replaceChildren(zone((more) => open.take(more)));
+}
+
+export const zone = (onEntries, id = "add-files") => dropZone(onEntries, { accept: ACCEPT, folders: true, hint: t("add_hint"), id });
+
+// --- upload
+
+async function receive(state, entries) {
+  if (state.busy || state.job) {
+    notify(t("one_at_a_time"), "problem");
+    return;
+  }
+  state.busy = true;
+  const bar = h("progress", { max: String(entries.length), value: "0", "aria-label": t("uploading", { done: 0, total: entries.length }) });
+  const text = h("p", { role: "status" }, t("uploading", { done: 0, total: count.format(entries.length) }));
+  state.body.replaceChildren(text, bar, foot(h("button", { type: "button", class: "danger", onclick: state.close }, t("stop"))));
+  const onProgress = (done, total) => {
+    bar.value = done;
+    text.textContent = t("uploading", { done: count.format(done), total: count.format(total) });
+  };
+  try {
+    const came = await uploadAll(entries, { batch: state.batch, onProgress, signal: state.stop.signal });
+    state.batch = came.batch;
+    state.files.push(...came.files);
+    state.refused.push(...came.refused);
+  } finally {
+    state.busy = false;
+    if (!state.stop.signal.aborted) question(state);
+  }
+}
+
+// --- questions
+
+function question(state) {
+  const motions = state.files.filter((file) => file.motion);
+  const others = state.files.length - motions.length;
+  if (!motions.length) {
+    state.body.replaceChildren(h("p", { role: "status" }, t("no_motions")), refusedList(state.refused) ?? "", zone((more) => state.take(more)));
+    return;
+  }
+  const how = askHow(motions.map((file) => file.name));
+  const go = h("button", { type: "submit", class: "primary", id: "add-go" }, t("add_go", { count: count.format(motions.length) }));
+  const form = h(
+    "form",
+    { class: "stack" },
+    h("p", { role: "status", id: "came" }, t("came", { count: count.format(motions.length) }), others ? ` ${t("came_others", { count: count.format(others) })}` : ""),
+    refusedList(state.refused) ?? "",
+    how.element,
+    foot(h("button", { type: "button", onclick: state.close }, t("cancel")), go),
+  );
+  form.addEventListener("submit", (event) => {
+    event.preventDefault();
+    go.disabled = true;
+    attempt(async () => {
+      state.job = (await post("/jobs/add", { batch: state.batch, ...how.value })).id;
+      keepRefused(state);
+      state.follow(state.job);
+    }).finally(() => (go.disabled = false));
+  });
+  state.body.replaceChildren(form);
+  go.focus();
+}
+
+function keepRefused({ job, refused }) {
+  try {
+    sessionStorage.setItem(remembered(job), JSON.stringify(refused.slice(0, 2000)));
+  } catch {
+    // no room: the report lists what the job refused
+  }
+}
+
+function refusedOf(id) {
+  try {
+    return JSON.parse(sessionStorage.getItem(remembered(id)) ?? "[]");
+  } catch {
+    return [];
+  }
+}
+
+// --- the job
+
+function show(body, job, { close, hooks }) {
+  if (!isActive(job)) {
+    body.replaceChildren(...report(job, refusedOf(job.id), { close, hooks }));
+    body.querySelector(".foot .primary")?.focus();
+    return;
+  }
+  body.replaceChildren(
+    h("p", { role: "status" }, job.state === "queued" ? t("waits") : !job.total ? t("adding_begins") : t("adding_now", { done: count.format(job.done), total: count.format(job.total) })),
+    h("progress", { max: String(Math.max(job.total, 1)), value: job.total ? String(job.done) : null, "aria-label": t("kind_add") }),
+    h("p", { class: "note one-line" }, job.what || " "),
+    h("p", { class: "note" }, t("add_close_note")),
+    foot(h("button", { type: "button", class: "danger", disabled: job.state === "stopping", onclick: () => attempt(() => stopJob(job.id)) }, t("stop")), h("button", { type: "button", onclick: close }, t("close"))),
+  );
+}

@@ -1,0 +1,73 @@
+// One clip in the grid: its figure, its label, its name. Cells are used again for other clips as the page scrolls.
+
+import { formatSeconds, h, icon, t } from "../core/dom.js";
+
+export class Cell {
+  constructor() {
+    this.canvas = h("canvas", {});
+    this.badge = h("span", { class: "badge" });
+    this.kind = h("span", { class: "kind" }, t("take"));
+    this.name = h("span", { class: "name" });
+    this.meta = h("span", { class: "meta" });
+    this.length = h("span", { class: "length" });
+    this.tick = h("span", { class: "tick", "aria-hidden": "true" }, icon("mark"));
+    this.lack = h("span", { class: "lack" }, t("no_picture"));
+    this.element = h(
+      "div",
+      { class: "cell", role: "gridcell", tabindex: "-1" },
+      h("span", { class: "stage" }, this.canvas, this.lack, this.kind, this.length, this.tick),
+      h("span", { class: "text" }, this.name, h("span", { class: "below" }, this.badge, this.meta)),
+    );
+    this.shown = "";
+    this.bytes = undefined;
+  }
+
+  /** Show a clip (undefined: not here yet), or nothing (index null: behind the end of the list). */
+  show(index, clip, bytes) {
+    this.index = index;
+    this.id = clip?.id ?? null;
+    const key = clip ? `${clip.id} ${clip.category} ${clip.performer} ${clip.predicted_category}` : `${index === null}`;
+    if (key !== this.shown) this.write(index, clip);
+    this.shown = key;
+    if (bytes !== this.bytes) this.draw(bytes);
+  }
+
+  write(index, clip) {
+    const { element } = this;
+    element.classList.toggle("waiting", !clip);
+    element.style.visibility = index === null ? "hidden" : "";
+    element.title = clip ? [clip.folder, clip.name].filter(Boolean).join("/") : "";
+    this.name.textContent = clip?.name ?? "";
+    this.kind.hidden = clip?.kind !== "take";
+    const guessed = clip && !clip.category && clip.kind !== "take" && clip.predicted_category;
+    this.badge.className = `badge${guessed ? " unsure" : ""}${clip && !clip.category && !guessed ? " none" : ""}`;
+    this.badge.textContent = clip ? label(clip, guessed) : "";
+    this.badge.hidden = !clip || (clip.kind === "take" && !clip.category);
+    this.meta.textContent = clip?.performer ?? "";
+    this.length.textContent = clip ? formatSeconds(clip.duration) : "";
+    const said = [clip?.name, this.badge.hidden ? t("take") : this.badge.textContent, this.length.textContent, clip?.performer];
+    if (clip) element.setAttribute("aria-label", said.filter(Boolean).join(", "));
+    else element.removeAttribute("aria-label");
+  }
+
+  draw(bytes) {
+    this.bytes = bytes;
+    this.canvas.hidden = !bytes;
+    this.lack.hidden = bytes !== null;
+    if (!bytes) return;
+    if (this.miniature) this.miniature.replace(bytes);
+    else this.miniature = window.dousa.createMiniature(this.canvas, bytes, { host: this.element });
+  }
+
+  mark(selected, active) {
+    // Even an attribute that stays the same costs a look at the styles.
+    if (this.element.getAttribute("aria-selected") !== String(selected)) this.element.setAttribute("aria-selected", String(selected));
+    if (this.element.tabIndex !== (active ? 0 : -1)) this.element.tabIndex = active ? 0 : -1;
+  }
+
+  destroy() {
+    this.miniature?.destroy();
+  }
+}
+
+const label = (clip, guessed) => clip.category ?? (guessed ? t("guess", { name: guessed }) : t("no_label"));

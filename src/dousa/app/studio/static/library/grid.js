@@ -1,0 +1,196 @@
+// A grid of which only the rows near the window exist. The page scrolls, not the grid: it has the height of all rows.
+// Arrow keys move between the cells, one of which can be reached by Tab.
+
+import { h } from "../core/dom.js";
+import { Cell } from "./cell.js";
+
+const GAP = 12;
+const NARROWEST = 158;
+const ROW = 226; // px with the gap; the style sheet draws cells of this height
+const BEYOND = 1; // rows kept ready above and below what is seen
+const AHEAD = 3; // rows whose figures are asked for ahead
+
+export class Grid {
+  /** hooks: chosen(id) -> bool, acts on click(index, event), open(index), key(event, index) -> true if it was used */
+  constructor(element, source, hooks) {
+    Object.assign(this, { element, source, hooks, total: 0, columns: 0, active: 0, rows: new Map(), spare: [] });
+    const wake = () => this.request();
+    window.addEventListener("scroll", wake, { passive: true }); // rows that stay are not looked at
+    new ResizeObserver(() => this.layout()).observe(element);
+    window.addEventListener("resize", wake);
+    element.addEventListener("click", (event) => this.withCell(event, (cell) => this.click(cell, event)));
+    element.addEventListener("dblclick", (event) => event.target.closest(".tick") || this.withCell(event, (cell) => hooks.open(cell.index)));
+    element.addEventListener("keydown", (event) => this.keydown(event));
+    element.addEventListener("focusin", (event) => this.withCell(event, (cell) => this.activate(cell.index)));
+    this.layout();
+  }
+
+  layout() {
+    const columns = Math.max(Math.floor((this.element.clientWidth + GAP) / (NARROWEST + GAP)), 1);
+    if (columns !== this.columns) {
+      const focused = this.element.contains(document.activeElement);
+      this.columns = columns;
+      this.element.style.setProperty("--columns", String(columns));
+      this.element.setAttribute("aria-colcount", String(columns));
+      for (const row of [...this.rows.values(), ...this.spare]) for (const cell of row.cells) cell.destroy();
+      this.element.replaceChildren();
+      this.rows.clear();
+      this.spare = [];
+      this.measure();
+      if (focused) this.focus(this.active);
+    }
+    this.request();
+  }
+
+  setTotal(total) {
+    this.total = total;
+    this.active = Math.min(this.active, Math.max(total - 1, 0));
+    this.measure();
+    this.stale = true;
+    this.render();
+  }
+
+  measure() {
+    this.rowCount = Math.ceil(this.total / this.columns);
+    this.element.style.height = `${Math.max(this.rowCount * ROW - GAP, 0)}px`;
+    this.element.setAttribute("aria-rowcount", String(this.rowCount));
+  }
+
+  /** Draw with the next frame; `renew` when what the rows show may have changed. */
+  request({ renew = false } = {}) {
+    this.stale ||= renew;
+    this.waiting ??= requestAnimationFrame(() => this.render());
+  }
+
+  renew() {
+    this.request({ renew: true });
+  }
+
+  /** Rows that can be seen, first and behind the last. */
+  seen() {
+    const top = -this.element.getBoundingClientRect().top;
+    const first = Math.max(Math.floor(top / ROW), 0);
+    return [Math.min(first, this.rowCount), Math.max(Math.min(Math.ceil((top + window.innerHeight) / ROW), this.rowCount), 0)];
+  }
+
+  render() {
+    cancelAnimationFrame(this.waiting);
+    this.waiting = undefined;
+    const [first, last] = this.seen();
+    const wanted = new Set();
+    for (let row = Math.max(first - BEYOND, 0); row < Math.min(last + BEYOND, this.rowCount); row += 1) wanted.add(row);
+    // The focus must not fall into nothing, nor onto another clip.
+    if (this.element.contains(document.activeElement) && this.total) wanted.add(Math.floor(this.active / this.columns));
+    for (const [number, row] of this.rows) {
+      if (wanted.has(number)) continue;
+      this.rows.delete(number);
+      this.spare.push(row);
+      row.element.hidden = true;
+    }
+    for (const number of wanted) {
+      const row = this.rows.get(number);
+      if (!row || this.stale) this.fill(row ?? this.place(number), number);
+    }
+    this.stale = false;
+    while (this.spare.length > 2 * BEYOND + 2) this.drop(this.spare.pop());
+    this.source.need(Math.max(first - AHEAD, 0) * this.columns, Math.min((last + AHEAD) * this.columns, this.total));
+  }
+
+  place(number) {
+    const row = this.spare.pop() ?? this.make();
+    row.element.hidden = false;
+    row.element.style.transform = `translateY(${number * ROW}px)`;
+    row.element.setAttribute("aria-rowindex", String(number + 1));
+    this.rows.set(number, row);
+    return row;
+  }
+
+  make() {
+    const cells = Array.from({ length: this.columns }, () => new Cell());
+    const element = h("div", { class: "grid-row", role: "row" }, ...cells.map((cell) => cell.element));
+    cells.forEach((cell, column) => {
+      cell.element.cell = cell;
+      cell.element.setAttribute("aria-colindex", String(column + 1));
+    });
+    this.element.append(element);
+    return { element, cells };
+  }
+
+  drop(row) {
+    for (const cell of row.cells) cell.destroy();
+    row.element.remove();
+  }
+
+  fill(row, number) {
+    row.cells.forEach((cell, column) => {
+      const index = number * this.columns + column;
+      if (index >= this.total) {
+        cell.show(null, undefined, undefined);
+        return;
+      }
+      const clip = this.source.item(index);
+      cell.show(index, clip, clip && this.source.figure(clip.id));
+      cell.mark(Boolean(clip) && this.hooks.chosen(clip.id), index === this.active);
+    });
+  }
+
+  withCell(event, action) {
+    const cell = event.target.closest(".cell")?.cell;
+    if (cell && cell.index !== null) action(cell);
+  }
+
+  click(cell, event) {
+    if (cell.id === null) return;
+    this.activate(cell.index);
+    this.hooks.click(cell.index, event);
+  }
+
+  activate(index) {
+    if (index === this.active) return;
+    this.cellAt(this.active)?.element.setAttribute("tabindex", "-1");
+    this.active = index;
+    this.cellAt(index)?.element.setAttribute("tabindex", "0");
+  }
+
+  cellAt(index) {
+    return this.rows.get(Math.floor(index / this.columns))?.cells[index % this.columns];
+  }
+
+  keydown(event) {
+    const page = Math.max(Math.floor((window.innerHeight - 140) / ROW), 1);
+    const rowStart = this.active - (this.active % this.columns);
+    const steps = {
+      ArrowLeft: this.active - 1,
+      ArrowRight: this.active + 1,
+      ArrowUp: this.active - this.columns,
+      ArrowDown: this.active + this.columns,
+      PageUp: this.active - page * this.columns,
+      PageDown: this.active + page * this.columns,
+      Home: event.ctrlKey ? 0 : rowStart,
+      End: event.ctrlKey ? this.total - 1 : rowStart + this.columns - 1,
+    };
+    if (!this.total) return;
+    if (event.key in steps) {
+      event.preventDefault();
+      const to = Math.min(Math.max(steps[event.key], 0), this.total - 1);
+      this.focus(to);
+      if (event.shiftKey) this.hooks.click(to, event);
+      return;
+    }
+    if (this.hooks.key(event, this.active)) event.preventDefault();
+  }
+
+  /** Bring a cell into sight and give it the focus. */
+  focus(index) {
+    if (!this.total) return;
+    this.activate(index);
+    const top = this.element.getBoundingClientRect().top + Math.floor(index / this.columns) * ROW;
+    const [above, below] = [132, window.innerHeight - 84]; // the head of the page and the bar at its foot
+    if (top < above) window.scrollBy({ top: top - above, behavior: "instant" });
+    else if (top + ROW > below) window.scrollBy({ top: top + ROW - below, behavior: "instant" });
+    const row = Math.floor(index / this.columns);
+    if (!this.rows.has(row)) this.fill(this.place(row), row);
+    this.cellAt(index).element.focus({ preventScroll: true });
+    this.render();
+  }
+}

@@ -1,0 +1,85 @@
+// How the files are added: as what, and where their labels come from, with a look at what comes of it.
+
+import { h, t } from "../core/dom.js";
+
+const SHOWN = 5;
+const RULES = { folder: "folder", first_folder: "path:^([^/]+)/", none: "none" };
+
+/** names: of the files that came -> {element, value: for POST /jobs/add} */
+export function askHow(names) {
+  const folders = names.some((name) => name.includes("/"));
+  const kind = choice("add-kind", ["clip", "take"].map((name) => [name, t(`add_as_${name}`)]), "clip");
+  const category = rule("category", ["folder", "name", "none"], folders ? "folder" : "none", "^([A-Za-z]+)");
+  const performer = rule("performer", ["none", "first_folder", "name"], "none", "_([A-Za-z]+[0-9]*)");
+  const unit = h("select", { id: "add-unit" }, ...["", "m", "cm", "mm", "inch", "cmu"].map((name) => h("option", { value: name }, t(`unit_${name || "file"}`))));
+  const preview = h("div", { class: "preview" });
+  const element = h(
+    "div",
+    { class: "stack" },
+    kind.element,
+    h("div", { class: "option-row" }, category.element, performer.element),
+    preview,
+    h("details", {}, h("summary", {}, t("options")), h("label", { class: "field narrow" }, t("unit"), unit)),
+  );
+  const renew = () => {
+    category.element.hidden = kind.value === "take";
+    preview.replaceChildren(...look(names, kind.value === "take" ? null : category, performer));
+  };
+  element.addEventListener("input", renew);
+  renew();
+  return {
+    element,
+    get value() {
+      const said = { kind: kind.value, performer_from: performer.value, category_from: kind.value === "take" ? "none" : category.value };
+      return unit.value ? { ...said, unit: unit.value } : said;
+    },
+  };
+}
+
+function choice(name, options, chosen) {
+  const inputs = options.map(([value]) => h("input", { type: "radio", name, value, id: `${name}-${value}`, checked: value === chosen }));
+  const element = h("div", { class: "row", role: "radiogroup", "aria-label": t("add_as") }, ...options.map(([, text], number) => h("label", { class: "check" }, inputs[number], text)));
+  return { element, get value() {
+    return inputs.find((input) => input.checked).value;
+  } };
+}
+
+function rule(name, kinds, chosen, pattern) {
+  const select = h("select", { id: `add-${name}` }, ...kinds.map((kind) => h("option", { value: kind, selected: kind === chosen }, t(`from_${kind}`))));
+  const text = h("input", { type: "text", id: `add-${name}-pattern`, value: pattern, maxlength: "200", spellcheck: "false", "aria-label": t("pattern_of", { name: t(`facet_${name}`) }) });
+  const more = h("span", { class: "pattern" }, text, h("span", { class: "note" }, t("pattern_note")));
+  const settle = () => (more.hidden = select.value !== "name");
+  select.addEventListener("input", settle);
+  settle();
+  const element = h("label", { class: "field" }, t(`facet_${name}`), select, more);
+  return {
+    element,
+    get value() {
+      return select.value === "name" ? `name:${text.value}` : RULES[select.value];
+    },
+    /** The label of a file as the rule will very likely find it; null for none. */
+    guess(file) {
+      const at = file.lastIndexOf("/");
+      if (select.value === "none") return null;
+      if (select.value === "folder") return at < 0 ? null : file.slice(0, at);
+      if (select.value === "first_folder") return at < 0 ? null : file.slice(0, file.indexOf("/"));
+      const found = new RegExp(text.value, "u").exec(file.slice(at + 1));
+      return found?.[1]?.trim() || null;
+    },
+  };
+}
+
+function look(names, category, performer) {
+  const label = (from, name) => {
+    try {
+      return from?.guess(name) ?? "–";
+    } catch {
+      return t("pattern_bad");
+    }
+  };
+  const step = Math.max(Math.floor(names.length / SHOWN), 1);
+  const some = names.filter((_, number) => number % step === 0).slice(0, SHOWN);
+  const head = ["file", ...(category ? ["facet_category"] : []), "facet_performer"];
+  const row = (name) => h("tr", {}, h("td", {}, name), category ? h("td", {}, label(category, name)) : null, h("td", {}, label(performer, name)));
+  return [h("table", { "aria-label": t("preview") }, h("thead", {}, h("tr", {}, ...head.map((word) => h("th", { scope: "col" }, t(word))))), h("tbody", {}, ...some.map(row)))];
+}

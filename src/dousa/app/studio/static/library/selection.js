@@ -1,0 +1,69 @@
+// Which clips are chosen: by number, whether they are on the page or far below.
+
+export class Selection {
+  /** hooks: changed(), idsBetween(first, last) -> promise of numbers, known(index) -> clip or undefined */
+  constructor(hooks) {
+    this.hooks = hooks;
+    this.clips = new Map(); // number -> clip, or null where only the number is known
+    this.anchor = 0;
+  }
+
+  get size() {
+    return this.clips.size;
+  }
+
+  get ids() {
+    return [...this.clips.keys()];
+  }
+
+  has(id) {
+    return this.clips.has(id);
+  }
+
+  /** The clip if it is the only one. */
+  get single() {
+    return this.size === 1 ? [...this.clips.values()][0] : null;
+  }
+
+  only(index) {
+    const clip = this.hooks.known(index);
+    if (!clip) return;
+    this.anchor = index;
+    this.clips = new Map([[clip.id, clip]]);
+    this.hooks.changed();
+  }
+
+  toggle(index) {
+    const clip = this.hooks.known(index);
+    if (!clip) return;
+    this.anchor = index;
+    if (!this.clips.delete(clip.id)) this.clips.set(clip.id, clip);
+    this.hooks.changed();
+  }
+
+  /** Everything from the last one chosen to this one. */
+  async extend(index) {
+    const [first, last] = [Math.min(this.anchor, index), Math.max(this.anchor, index)];
+    const known = Array.from({ length: last - first + 1 }, (_, step) => this.hooks.known(first + step));
+    const wish = (this.wish = Symbol("extend"));
+    const pairs = known.every(Boolean) ? known.map((clip) => [clip.id, clip]) : await this.fetched(first, last);
+    if (wish !== this.wish) return; // another key was pressed meanwhile
+    this.clips = new Map(pairs);
+    this.hooks.changed();
+  }
+
+  async fetched(first, last) {
+    return (await this.hooks.idsBetween(first, last)).map((id) => [id, this.clips.get(id) ?? null]);
+  }
+
+  all(ids) {
+    this.clips = new Map(ids.map((id) => [id, this.clips.get(id) ?? null]));
+    this.hooks.changed();
+  }
+
+  clear() {
+    if (!this.size) return;
+    this.clips = new Map();
+    this.hooks.changed();
+  }
+}

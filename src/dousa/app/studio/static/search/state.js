@@ -1,0 +1,55 @@
+// What is searched for and how, as it stands in the address: reload and back show the same again.
+
+const NUMBERS = ["start_s", "end_s", "k", "threshold", "other_start_s", "other_end_s"];
+const TEXTS = ["motion", "hit", "ranking", "unit", "up"];
+const SWITCHES = ["mirror", "same_category"];
+
+export function readState() {
+  const asked = new URLSearchParams(location.search);
+  const state = {};
+  for (const name of TEXTS) state[name] = asked.get(name) || null;
+  for (const name of NUMBERS) {
+    const value = asked.get(name);
+    state[name] = value === null || value === "" || !Number.isFinite(Number(value)) ? null : Number(value);
+  }
+  for (const name of SWITCHES) state[name] = asked.get(name) === "1";
+  return state;
+}
+
+function addressOf(state) {
+  const asked = new URLSearchParams();
+  for (const [name, value] of Object.entries(state)) {
+    if (value === null || value === false || value === undefined) continue;
+    asked.set(name, value === true ? "1" : typeof value === "number" ? String(Number(value.toFixed(3))) : value);
+  }
+  return `/search?${asked}`;
+}
+
+export function keepState(state, { replace = false } = {}) {
+  const address = addressOf(state);
+  if (address === location.pathname + location.search) return;
+  if (replace) history.replaceState(null, "", address);
+  else history.pushState(null, "", address);
+}
+
+/** Whether both stand for the same search, whatever is shown of it. */
+export function isSameSearch(a, b) {
+  return ["motion", "start_s", "end_s", "unit", "up", "ranking", "k", "same_category", "mirror", "threshold"].every((name) => a[name] === b[name]);
+}
+
+export const isSameMotion = (a, b) => ["motion", "unit", "up"].every((name) => a[name] === b[name]);
+
+/** The query as the interface wants it. */
+export function queryOf({ motion, start_s, end_s, unit, up }) {
+  const query = { motion };
+  for (const [name, value] of Object.entries({ start_s, end_s, unit, up })) if (value !== null) query[name] = value;
+  return query;
+}
+
+/** Body of POST /search. */
+export function askOf(state) {
+  const asked = { query: queryOf(state), k: state.k ?? 12, mirror: state.mirror, same_category: state.same_category };
+  if (state.ranking) asked.ranking = state.ranking;
+  if (state.threshold !== null) asked.threshold = state.threshold;
+  return asked;
+}

@@ -1,0 +1,42 @@
+// What the query is taken for, in words and bars; unknown is said.
+
+import { h, t } from "../core/dom.js";
+import { listReasons } from "./reasons.js";
+
+const MOST_BARS = 5;
+const percent = (share) => Math.round(100 * share);
+
+function headline(answer) {
+  if (answer.category === null) {
+    return [h("span", { class: "badge unsure" }, "? ", t("unknown")), h("p", { class: "verdict-words" }, t("verdict_unknown")), h("p", { class: "note" }, t("verdict_guess", { category: answer.guess }))];
+  }
+  const sure = answer.confidence ?? null;
+  const words = sure === null ? t("verdict_known", { category: answer.category }) : t("verdict_sure", { category: answer.category, percent: percent(sure) });
+  return [h("p", { class: "verdict-words" }, words)];
+}
+
+function bars(histogram) {
+  const shares = Object.entries(histogram).filter(([, share]) => share > 0);
+  const rest = shares.slice(MOST_BARS);
+  const row = (name, share) =>
+    h("div", { class: "bar-row" }, h("span", { class: "name", title: name }, name), h("span", { class: "track", "aria-hidden": "true" }, h("i", { style: { width: `${100 * share}%` } })), h("span", { class: "value" }, `${percent(share)} %`));
+  const others = rest.length ? [row(t("votes_rest", { count: rest.length }), rest.reduce((sum, [, share]) => sum + share, 0))] : [];
+  return h("div", { class: "bars" }, ...shares.slice(0, MOST_BARS).map(([name, share]) => row(name, share)), ...others);
+}
+
+/** explain() -> the answer with reasons; onGo(start, end) plays a moment. */
+export function drawVerdict(element, answer, { explain, onGo }) {
+  const why = h("details", { class: "why" }, h("summary", {}, t("why")));
+  why.addEventListener("toggle", async () => {
+    if (!why.open || why.children.length > 1) return;
+    const place = why.appendChild(h("p", { class: "note" }, t("loading")));
+    const explained = await explain();
+    if (explained) place.replaceWith(listReasons(explained.explanation?.reasons, onGo));
+    else place.remove();
+  });
+  const mirrored = answer.mirrored?.fits_better ? h("p", { class: "badge unsure" }, t("verdict_mirrored", { category: answer.mirrored.category ?? answer.mirrored.guess })) : null;
+  const known = answer.known == null || answer.category !== null ? null : h("p", { class: "note" }, t("verdict_known_share", { percent: percent(answer.known) }));
+  element.classList.toggle("is-unknown", answer.category === null);
+  const words = h("div", { class: "verdict-head" }, ...headline(answer), mirrored, known, why);
+  element.replaceChildren(words, h("div", { class: "votes" }, h("h3", {}, t("votes")), bars(answer.histogram)));
+}

@@ -1,0 +1,73 @@
+// What is under the cursor, and where a part gets its name.
+
+import { formatSeconds, h, t } from "../core/dom.js";
+
+export class Desk {
+  /** tools: {onCorrect(part, category) -> whether it was learned, onUndo(id), onStretch(segment)} */
+  constructor(element, tools) {
+    Object.assign(this, { tools, part: null, now: null });
+    this.what = h("p", { class: "now-what" });
+    this.sure = h("p", { class: "note" });
+    this.stretch = h("button", { type: "button", class: "small", id: "choose-stretch", onclick: () => this.now && tools.onStretch(this.now) }, t("correct_stretch"));
+    this.options = h("datalist", { id: "categories" });
+    this.input = h("input", { type: "text", id: "category", list: "categories", autocomplete: "off", maxlength: "200", placeholder: t("correct_placeholder"), oninput: () => this.settle() });
+    this.button = h("button", { type: "submit", class: "primary", id: "correct" }, t("correct_button"));
+    this.span = h("p", { class: "part" });
+    this.form = h("form", { class: "correct", onsubmit: (event) => this.submit(event) }, this.span, h("div", { class: "row" }, h("label", { class: "field" }, t("correct_category"), this.input), this.options, this.button));
+    this.list = h("ul", { class: "corrections" });
+    element.replaceChildren(h("div", { class: "now-head" }, h("div", {}, h("h2", { class: "sr" }, t("now")), this.what, this.sure), this.stretch), h("h2", {}, t("correct_title")), this.form, this.list);
+    this.setNow(null);
+    this.setPart(null);
+  }
+
+  setNow(segment, tones) {
+    if (segment === this.now && segment) return;
+    this.now = segment;
+    this.stretch.disabled = !segment;
+    if (!segment) {
+      this.what.replaceChildren("–");
+      this.sure.textContent = "";
+      return;
+    }
+    const tone = segment.unknown ? null : tones.of(segment.category);
+    const swatch = h("b", { class: `tl-swatch ${tone ? `tl-pattern-${tone.pattern}` : "tl-unknown"}` }, tone ? tone.letter : "?");
+    if (tone) swatch.style.setProperty("--hue", tone.hue);
+    this.what.replaceChildren(swatch, segment.unknown ? t("unknown") : segment.category);
+    const percent = Math.round(100 * segment.confidence);
+    this.sure.textContent = segment.corrected ? t("timeline_corrected") : t(segment.unknown ? "sure_unknown" : "sure", { percent });
+  }
+
+  setPart(part) {
+    this.part = part;
+    this.span.textContent = part ? t("timeline_part", { start: formatSeconds(part.start), end: formatSeconds(part.end) }) : t("correct_hint");
+    this.span.classList.toggle("chosen", Boolean(part));
+    this.settle();
+  }
+
+  setCategories(names) {
+    this.options.replaceChildren(...names.sort().map((name) => h("option", { value: name })));
+  }
+
+  setCorrections(corrections) {
+    const row = (one) =>
+      h("li", {}, h("span", {}, "✎ ", h("b", {}, one.category)), h("span", { class: "note" }, `${formatSeconds(one.start_s)} – ${formatSeconds(one.end_s)}`), h("button", { type: "button", class: "small undo", onclick: () => this.tools.onUndo(one.id), "aria-label": `${t("undo")}: ${one.category}, ${formatSeconds(one.start_s)}` }, t("undo")));
+    this.list.replaceChildren(...corrections.map(row));
+  }
+
+  settle() {
+    this.button.disabled = this.busy || !this.part || !this.input.value.trim();
+  }
+
+  async submit(event) {
+    event.preventDefault();
+    if (this.button.disabled) return;
+    this.busy = true;
+    this.button.textContent = t("learning");
+    this.settle();
+    const learned = await this.tools.onCorrect(this.part, this.input.value.trim());
+    this.busy = false;
+    this.button.textContent = t("correct_button");
+    if (learned) this.input.value = "";
+    this.settle();
+  }
+}

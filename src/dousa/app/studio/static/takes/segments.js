@@ -1,0 +1,48 @@
+// The stretches of a take as a table.
+
+import { formatSeconds, h, icon, t } from "../core/dom.js";
+
+function swatchOf(one, tones) {
+  const tone = one.unknown ? null : tones.of(one.category);
+  const swatch = h("b", { class: `tl-swatch ${tone ? `tl-pattern-${tone.pattern}` : "tl-unknown"}`, "aria-hidden": "true" }, tone ? tone.letter : "?");
+  if (tone) swatch.style.setProperty("--hue", tone.hue);
+  return swatch;
+}
+
+function confidence(one) {
+  if (one.corrected) return h("span", {}, "✎ ", t("by_hand"));
+  const percent = Math.round(100 * one.confidence);
+  return h("span", { class: "sure" }, h("span", { class: "track", "aria-hidden": "true" }, h("i", { style: { width: `${percent}%` } })), `${percent} %`);
+}
+
+/** tools: {motion, tones, onGo(segment), onChoose(segment)} */
+export function drawSegments(element, segments, { motion, tones, onGo, onChoose }) {
+  const scrolled = element.querySelector(".scroll")?.scrollTop ?? 0;
+  const row = (one) => {
+    const asked = new URLSearchParams({ motion, start_s: one.start_s.toFixed(2), end_s: one.end_s.toFixed(2) });
+    return h(
+      "tr",
+      { dataset: { start: String(one.start_s) } },
+      h("td", {}, h("button", { type: "button", class: "small quiet go", onclick: () => onGo(one), ondblclick: () => onChoose(one) }, `${formatSeconds(one.start_s)} – ${formatSeconds(one.end_s)}`)),
+      h("th", { scope: "row" }, h("span", { class: "what" }, swatchOf(one, tones), one.unknown ? h("i", {}, t("unknown")) : one.category)),
+      h("td", {}, confidence(one)),
+      h("td", { class: "acts" }, h("button", { type: "button", class: "small quiet", onclick: () => onChoose(one), title: t("correct_title") }, icon("tag"), h("span", { class: "word" }, t("correct_title"))), h("a", { class: "button small quiet", href: `/search?${asked}`, title: t("search_segment") }, icon("search"), h("span", { class: "word" }, t("search_word")))),
+    );
+  };
+  const head = ["time", "what", "sure", "act"].map((name) => h("th", { scope: "col" }, name === "act" ? h("span", { class: "sr" }, t("column_act")) : t(`column_${name}`)));
+  const table = h("table", {}, h("thead", {}, h("tr", {}, ...head)), h("tbody", {}, ...segments.map(row)));
+  element.replaceChildren(h("h2", {}, t("segments")), segments.length ? h("div", { class: "scroll" }, table) : h("p", { class: "note" }, t("not_labelled")));
+  if (segments.length) element.querySelector(".scroll").scrollTop = scrolled;
+}
+
+/** Which stretch is under the cursor; -1 for none. */
+export function markSegment(element, place) {
+  const before = element.querySelector("tr[aria-current]");
+  const row = place < 0 ? null : element.querySelectorAll("tbody tr")[place];
+  if (before === row) return;
+  before?.removeAttribute("aria-current");
+  if (!row) return;
+  row.setAttribute("aria-current", "true");
+  const [box, inside] = [element.querySelector(".scroll"), row.offsetTop];
+  if (inside < box.scrollTop + 30 || inside > box.scrollTop + box.clientHeight - 40) box.scrollTop = inside - box.clientHeight / 3;
+}

@@ -1,0 +1,34 @@
+"""A dance for the tests of the evaluation page: takes of a teacher, and a pupil who makes known errors."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+__all__ = ["upload", "write_dances"]
+
+_TAKES = 3
+
+
+def write_dances(folder: Path) -> tuple[list[Path], Path]:
+    """Write three takes and a performance with one error of each class as BVH files."""
+    from dousa.app.demo_evaluation import write_dance
+    from dousa.formats import write_motion
+    from dousa.motion.synthetic import Performer
+    from dousa.motion.synthetic_dance import make_dance
+
+    first, pupil, _ = write_dance(folder, 0)
+    takes = [first]
+    for seed in range(1, _TAKES):
+        takes.append(folder / f"dance_reference_{seed}.bvh")
+        write_motion(make_dance(Performer(name="teacher", seed=0), seed).motion, takes[-1])
+    return takes, pupil
+
+
+def upload(client: Any, *paths: Path) -> list[dict[str, str]]:
+    """Send files to a studio; motions for its interface."""
+    found = []
+    for path in paths:
+        answer = client.post(f"/api/uploads?name={path.name}", content=path.read_bytes())
+        found.append({"motion": answer.json()["files"][0]["motion"]})
+    return found

@@ -1,0 +1,266 @@
+"""The evaluation page in a real Chromium: choose, grade, look, adjust; reload, two tabs, both languages, a phone."""
+
+from __future__ import annotations
+
+import json
+import urllib.request
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from app.studio.evaluation_cases import write_dances
+
+
+@pytest.fixture(scope="module")
+def dances(tmp_path_factory):
+    return write_dances(tmp_path_factory.mktemp("dances"))
+
+
+class _Client:
+    """Asks the running studio as a program would."""
+
+    def __init__(self, running: Any) -> None:
+        self.running = running
+
+    def ask(self, method: str, path: str, body: Any = None) -> Any:
+        data = body if isinstance(body, bytes) else None if body is None else json.dumps(body).encode()
+        kind = "application/octet-stream" if isinstance(body, bytes) else "application/json"
+        headers = {"authorization": f"Bearer {self.running.token}", "content-type": kind}
+        request = urllib.request.Request(self.running.url + path, data, headers, method=method)
+        with urllib.request.urlopen(request) as answer:
+            return json.loads(answer.read())
+
+    def upload(self, path: Path) -> str:
+        return self.ask("POST", f"/api/uploads?name={path.name}", path.read_bytes())["files"][0]["motion"]
+
+
+@pytest.fixture
+def client(running):
+    return _Client(running)
+
+
+@pytest.fixture
+def address(client, dances):
+    """The page with the motions chosen."""
+    takes, pupil = dances
+    references = ",".join(client.upload(path) for path in takes)
+    return f"/evaluate?performance={client.upload(pupil)}&references={references}"
+
+
+def _grade(page: Any) -> str:
+    page.wait("return document.querySelector('#grade') && !document.querySelector('#grade').disabled")
+    page.find("#grade").click()
+    return _wait_report(page)
+
+
+def _wait_report(page: Any) -> str:
+    page.wait("return document.querySelector('#adjust-score')?.textContent", seconds=90)
+    return page.run("return new URLSearchParams(location.search).get('job')")
+
+
+def _score(page: Any) -> float:
+    return float(page.run("return document.querySelector('#adjust-score').textContent"))
+
+
+def _settled(page: Any) -> None:
+    page.wait(
+        "return document.querySelector('#adjust-state').dataset.state === 'exact' && "
+        "document.querySelector('#report').getAttribute('aria-busy') === 'false'",
+        seconds=60,
+    )
+
+
+def _slide(page: Any, name: str, value: float) -> None:
+    page.run(
+        "const one = document.querySelector(`[data-weight='${arguments[0]}']`); one.value = arguments[1];"
+        "for (const name of ['input', 'change']) one.dispatchEvent(new Event(name, {bubbles: true}));",
+        name,
+        str(value),
+    )
+
+
+def test_from_files_to_a_grade(show, dances):
+    takes, pupil = dances
+    page = show("/evaluate")
+    assert page.run("return document.querySelector('#grade').disabled")
+    page.find("#performance-file").send_keys(str(pupil))
+    page.wait("return document.querySelector('#performance .motion-name')?.textContent === 'dance_pupil.bvh'")
+    page.find("#reference-file").send_keys("\n".join(map(str, takes)))
+    page.wait("return document.querySelectorAll('#reference-list .motion').length === 3")
+    _grade(page)
+    assert page.run("return document.querySelectorAll('#events [data-event]').length") >= 2
+    assert "calibrated" in page.run("return document.querySelector('.grade .badge').textContent")
+    # A press on an error goes there.
+    page.run("document.querySelector('#events [data-event]').click()")
+    page.wait("return document.querySelector('#events [data-event]').getAttribute('aria-current') === 'true'")
+    assert float(page.run("return document.querySelector('#lanes').getAttribute('aria-valuenow')")) > 0.5
+    assert page.messages() == []
+
+
+def test_the_report_follows_cuts_and_weights(show, address):
+    from selenium.webdriver import ActionChains
+
+    page = show(address)
+    _grade(page)
+    count = page.run("return document.querySelectorAll('.furi-table tbody tr').length")
+    # A cut is moved by keyboard, and one is taken away by mouse.
+    page.run("document.querySelectorAll('.tl-cut')[1].focus()")
+    page.press("\ue014", "\ue014", "\ue014")
+    page.wait("return document.querySelector('#adjust-changed').classList.contains('is-changed')")
+    _settled(page)
+    cut = page.find("#cuts-timeline .tl-cut:nth-child(3)")
+    page.run("arguments[0].scrollIntoView({block: 'center', behavior: 'instant'})", cut)
+    ActionChains(page.driver).double_click(cut).perform()
+    page.wait(f"return document.querySelectorAll('.furi-table tbody tr').length === {count - 1}", seconds=60)
+    _settled(page)
+    assert page.run("return document.querySelectorAll('#lanes .band').length") == count - 1
+    page.find("#reset-cuts").click()
+    page.wait(f"return document.querySelectorAll('.furi-table tbody tr').length === {count}", seconds=60)
+    # What does not count does not count.
+    before = _score(page)
+    _slide(page, "limb-arms", 0)
+    page.wait(f"return Number(document.querySelector('#adjust-score').textContent) !== {before}", seconds=60)
+    _settled(page)
+    assert "Arms 0" in page.run("return document.querySelector('#adjust-changed').textContent")
+    shown = float(page.run("return document.querySelector('.grade .number').textContent"))
+    assert shown == pytest.approx(_score(page), abs=0.6)
+    # Nothing that counts is refused in words, and the report stays.
+    for limb in ("trunk", "legs"):
+        _slide(page, f"limb-{limb}", 0)
+    page.wait("return !document.querySelector('.adjust .problem-box').hidden", seconds=60)
+    assert "at least one weight above 0" in page.run(
+        "return document.querySelector('.adjust .problem-box').textContent"
+    )
+    page.find("#reset-weights").click()
+    page.wait(f"return Number(document.querySelector('#adjust-score').textContent) === {before}", seconds=60)
+    _settled(page)
+    # Chromium notes the answer that refused; it was asked for.
+    assert [text for text in page.messages() if "422" not in text] == []
+
+
+def test_what_is_open_and_playing_stays(show, address):
+    page = show(address)
+    _grade(page)
+    page.run("document.querySelectorAll('[data-part=tables] details')[0].open = true")
+    page.run("document.querySelectorAll('.shape-card')[1].open = false")
+    page.run("window.scrollTo({top: 900, behavior: 'instant'})")
+    page.run("const lanes = document.querySelector('#lanes'); lanes.focus({preventScroll: true});")
+    page.press("\ue00f", "\ue00f")
+    page.run("document.querySelector('#zoom-in').click()")
+    at = page.run("return document.querySelector('#lanes').getAttribute('aria-valuenow')")
+    _slide(page, "segment-trunk", 2)
+    _settled(page)
+    page.wait("return document.querySelector('#adjust-changed').textContent.includes('Trunk 2')")
+    assert page.run("return document.querySelectorAll('[data-part=tables] details')[0].open")
+    assert not page.run("return document.querySelectorAll('.shape-card')[1].open")
+    assert page.run("return document.querySelector('#lanes').getAttribute('aria-valuenow')") == at
+    assert page.run("return document.querySelector('#zoom-now').textContent") == "2×"
+    assert page.run("return document.querySelector('#lanes').style.getPropertyValue('--zoom')") == "2"
+    assert page.run("return window.scrollY") == pytest.approx(900, abs=60)
+    assert page.run("return document.activeElement.id") == "lanes"
+    assert page.messages() == []
+
+
+def test_reload_keeps_everything_and_two_tabs_do_no_harm(show, address, running):
+    page = show(address)
+    first = _grade(page)
+    _slide(page, "limb-legs", 0.5)
+    _settled(page)
+    kept = _score(page)
+    page.driver.refresh()
+    assert _wait_report(page) == first
+    assert _score(page) == kept
+    assert page.run("return document.querySelector('[data-weight=limb-legs]').value") == "0.5"
+    # Another evaluation in another tab, the other way round.
+    mine = page.driver.current_window_handle
+    page.driver.switch_to.new_window("tab")
+    page.resize(1280, 720)
+    page.driver.get(f"{running.url}{address}&mirror=1")
+    page.wait("return document.querySelector('#mirrored')?.checked")
+    second = _grade(page)
+    assert second != first
+    other = _score(page)
+    assert "left and right are the reference's" in page.run(
+        "return document.querySelector('.warnings').textContent"
+    )
+    page.driver.switch_to.window(mine)
+    _slide(page, "limb-legs", 0.6)
+    _settled(page)
+    page.driver.switch_to.window(next(name for name in page.driver.window_handles if name != mine))
+    page.driver.refresh()
+    assert _wait_report(page) == second and _score(page) == other
+    assert page.messages() == []
+    page.driver.close()
+    page.driver.switch_to.window(mine)
+    assert page.messages() == []
+
+
+def test_takes_are_suggested(show, client):
+    walk = client.ask("GET", "/api/clips?category=walk")["items"][0]["motion"]
+    page = show(f"/evaluate?performance={walk}")
+    page.wait("return document.querySelector('#suggest') && !document.querySelector('#suggest').disabled")
+    page.find("#suggest").click()
+    page.wait("return document.querySelectorAll('#reference-list .motion').length === 5")
+    names = page.run(
+        "return [...document.querySelectorAll('#reference-list .motion')].map((one) => one.dataset.motion)"
+    )
+    assert walk not in names
+    page.find("#reference-list .motion:nth-child(2) .quiet").click()
+    again = page.run(
+        "return [...document.querySelectorAll('#reference-list .motion')].map((one) => one.dataset.motion)"
+    )
+    assert again[0] == names[1] and sorted(again) == sorted(names)
+    page.driver.refresh()
+    page.wait("return document.querySelectorAll('#reference-list .motion').length === 5")
+    assert page.messages() == []
+
+
+def test_problems_are_told_and_the_choice_stays(show, client, dances):
+    takes, pupil = dances
+    motion = client.upload(pupil)
+    page = show(f"/evaluate?performance={motion}&references={client.upload(takes[0])}&start_s=3&end_s=3.2")
+    page.wait("return document.querySelector('#grade') && !document.querySelector('#grade').disabled")
+    page.find("#grade").click()
+    page.wait("return !document.querySelector('#problem').hidden", seconds=60)
+    said = page.run("return document.querySelector('#problem').textContent")
+    assert "dance_pupil.bvh: performance: expected a motion of at least 0.5 s" in said
+    page.wait("return document.querySelector('#performance .part input')?.value === '3'")
+    assert page.messages() == []
+    page = show("/evaluate?job=00000000000000ff")
+    page.wait("return !document.querySelector('#problem').hidden")
+    assert all("404" in text for text in page.messages())
+
+
+@pytest.mark.parametrize(
+    ("width", "height", "scheme", "language"),
+    [
+        (1280, 720, "light", "en"),
+        (1280, 720, "dark", "ja"),
+        (390, 844, "light", "ja"),
+        (390, 844, "dark", "en"),
+    ],
+)
+def test_looks(show, client, width, height, scheme, language, tmp_path):
+    clips = [one["motion"] for one in client.ask("GET", "/api/clips?category=kick_left")["items"]]
+    request = {"references": [{"motion": one} for one in clips[1:4]], "performance": {"motion": clips[0]}}
+    job = client.ask("POST", "/api/jobs/evaluate", request)["id"]
+    page = show(f"/evaluate?job={job}", width, height, scheme, language)
+    _wait_report(page)
+    page.settle()
+    assert page.screenshot(tmp_path / "page.png", whole=True).stat().st_size > 20_000
+    assert page.run("return document.documentElement.scrollWidth") <= width
+    text = page.run("return document.querySelector('#report').textContent")
+    assert ("評価点" in text) == (language == "ja")
+    missing = page.run(
+        "const words = JSON.parse(document.querySelector('#words').textContent);"
+        "return [...document.querySelectorAll('button, a, summary, h2, h3, th')].map((one) => one.textContent.trim())"
+        ".filter((text) => /^[a-z]+_[a-z_]+$/.test(text) && !(text in words))"
+    )
+    assert missing == []
+    nameless = page.run(
+        "return [...document.querySelectorAll('main button, main input, main a')].filter((one) => one.offsetParent && "
+        "!(one.textContent.trim() || one.getAttribute('aria-label') || one.labels?.length)).map((one) => one.outerHTML)"
+    )
+    assert nameless == []
+    assert page.messages() == []

@@ -1,0 +1,328 @@
+"""The list of clips with its facets, small figures, labels and removal, asked as a program would."""
+
+from __future__ import annotations
+
+import sqlite3
+from concurrent.futures import ThreadPoolExecutor
+
+import numpy as np
+import pytest
+
+from dousa.app.player import MINIATURE_BYTES, encode_miniature
+from dousa.app.studio.listing import LENGTHS
+from dousa.app.studio.thumbnails import Thumbnails
+from dousa.library import Library
+
+N = 24
+
+
+def ids_of(answer):
+    return [item["id"] for item in answer.json()["items"]]
+
+
+def open_library(studio):
+    return studio.app.state.studio.library
+
+
+# --- the list
+
+
+def test_the_list_comes_in_parts_and_in_order(studio):
+    whole = studio.get("/api/clips", params={"limit": 500}).json()
+    assert whole["total"] == N
+    assert [item["path"] for item in whole["items"]] == sorted(item["path"] for item in whole["items"])
+    parts = [studio.get("/api/clips", params={"offset": start, "limit": 7}) for start in range(0, 28, 7)]
+    assert [number for part in parts for number in ids_of(part)] == [item["id"] for item in whole["items"]]
+    assert studio.get("/api/clips", params={"offset": 999}).json()["items"] == []
+
+
+def test_items_say_what_the_library_says_and_a_name_without_the_folders_of_this_machine(studio):
+    (item,) = studio.get("/api/clips", params={"limit": 1}).json()["items"]
+    clip = open_library(studio).clips([item["id"]])[0]
+    assert {name: item[name] for name in clip.to_json()} == clip.to_json()
+    assert item["motion"] == f"clip:{clip.id}"
+    assert item["name"] == "performer00_1.bvh"
+    assert item["folder"] == "motions/kick_left"
+
+
+@pytest.mark.parametrize(
+    ("asked", "count"),
+    [
+        ({"category": "squat"}, 6),
+        ({"category": ["squat", "walk"]}, 12),
+        ({"category": ""}, 0),
+        ({"performer": "performer03"}, 4),
+        ({"category": "squat", "performer": "performer03"}, 1),
+        ({"kind": "clip"}, N),
+        ({"kind": "take"}, 0),
+        ({"text": "SQUAT performer03"}, 1),
+        ({"text": "ｓｑｕａｔ"}, 6),
+        ({"text": "nothing of the kind"}, 0),
+        ({"min_s": 0, "max_s": 10000}, N),
+        ({"min_s": 10000}, 0),
+        ({"max_s": 0}, 0),
+        ({"batch": "0" * 16}, 0),
+    ],
+)
+def test_filters(studio, asked, count):
+    answer = studio.get("/api/clips", params=asked)
+    assert answer.json()["total"] == len(answer.json()["items"]) == count
+    assert studio.get("/api/clips/ids", params=asked).json()["ids"] == ids_of(answer)
+
+
+def test_lengths_are_cut_where_the_facet_says(studio):
+    counts = studio.get("/api/clips").json()["facets"]["length"]
+    assert sum(counts.values()) == N
+    for name, (low, high) in LENGTHS.items():
+        limits = {"min_s": low} if high == np.inf else {"min_s": low, "max_s": high}
+        assert studio.get("/api/clips", params=limits).json()["total"] == counts.get(name, 0)
+
+
+def test_a_facet_counts_what_would_fit_if_it_were_open(studio):
+    facets = studio.get("/api/clips", params={"category": "squat", "performer": "performer03"}).json()[
+        "facets"
+    ]
+    assert facets["category"] == {"kick_left": 1, "squat": 1, "walk": 1, "wave_right": 1}
+    assert facets["performer"] == {f"performer{number:02}": 1 for number in range(6)}
+    assert facets["kind"] == {"clip": 1}
+
+
+@pytest.mark.parametrize("sort", ["duration", "-duration", "category", "-id"])
+def test_orders(studio, sort):
+    items = studio.get("/api/clips", params={"sort": sort, "limit": 500}).json()["items"]
+    keys = [item[sort.removeprefix("-")] for item in items]
+    assert len(items) == N
+    assert keys == sorted(keys, reverse=sort.startswith("-"))
+
+
+@pytest.mark.parametrize(
+    "query",
+    [
+        "limit=501",
+        "limit=-1",
+        "offset=-1",
+        "kind=dance",
+        "min_s=nan",
+        "max_s=inf",
+        "sort=path;drop",
+        "batch=..",
+    ],
+)
+def test_questions_that_mean_nothing_are_refused(studio, query):
+    answer = studio.get(f"/api/clips?{query}")
+    assert answer.status_code == 422
+    assert answer.json()["problem"]
+
+
+@pytest.mark.parametrize(
+    "text", ["'; DROP TABLE clips; --", "%", "\\", "((((", "\x00", "𝕊𝕢𝕦𝕒𝕥" * 40, "<script>", "../.."]
+)
+def test_hostile_texts_find_nothing_and_break_nothing(studio, text):
+    assert studio.get("/api/clips", params={"text": text}).status_code in (200, 422)
+    assert studio.get("/api/clips", params={"category": text, "performer": text}).json()["total"] == 0
+    assert studio.get("/api/clips").json()["total"] == N
+
+
+def test_what_another_program_writes_is_seen(studio, library_copy):
+    before = studio.get("/api/clips").json()
+    with Library.open(library_copy) as library:
+        library.remove(category="walk")
+    after = studio.get("/api/clips").json()
+    assert after["total"] == N - 6
+    assert after["revision"] > before["revision"]
+    assert after["library"]["n_categories"] == 3
+
+
+def test_the_empty_library(studio):
+    studio.post("/api/clips/remove", json={"clips": studio.get("/api/clips/ids").json()["ids"]})
+    answer = studio.get("/api/clips").json()
+    assert answer["total"] == 0
+    assert answer["facets"] == {"category": {}, "performer": {}, "kind": {}, "length": {}}
+    assert answer["library"]["n_clips"] == 0
+    assert studio.get("/api/clips", params={"category": "x", "text": "y"}).json()["total"] == 0
+
+
+def test_an_address_with_the_token_keeps_every_category_it_asks_for(studio):
+    address = "/library?category=a&token=the-token-of-the-tests&category=b+c"
+    answer = studio.get(address, follow_redirects=False)
+    assert answer.headers["location"] == "/library?category=a&category=b+c"
+
+
+def test_one_clip(studio):
+    assert studio.get("/api/clips/3").json()["id"] == 3
+    for number in (0, -1, 999, 10**30):
+        assert studio.get(f"/api/clips/{number}").status_code == 404
+
+
+# --- figures
+
+
+def test_figures_are_those_of_the_clips_in_the_order_asked_for(studio):
+    answer = studio.post("/api/clips/thumbnails", json={"clips": [5, 999, 2, 5]})
+    assert answer.headers["content-type"] == "application/octet-stream"
+    parts = [
+        answer.content[at : at + MINIATURE_BYTES] for at in range(0, len(answer.content), MINIATURE_BYTES)
+    ]
+    five, two = (encode_miniature(open_library(studio).trajectories(number)) for number in (5, 2))
+    assert parts == [five, bytes(MINIATURE_BYTES), two, five]
+
+
+def test_figures_are_made_once(studio, monkeypatch):
+    first = studio.post("/api/clips/thumbnails", json={"clips": [1, 2, 3]}).content
+    monkeypatch.setattr("dousa.app.studio.thumbnails.encode_miniature", None)
+    assert studio.post("/api/clips/thumbnails", json={"clips": [1, 2, 3]}).content == first
+
+
+def test_a_figure_is_made_anew_when_the_clip_of_its_number_is_another(studio):
+    """As when the file of the library was made again: its numbers begin at one."""
+    right = studio.post("/api/clips/thumbnails", json={"clips": [1]}).content
+    path = studio.app.state.studio.workspace.root / "thumbnails.sqlite"
+    with sqlite3.connect(path) as kept:
+        kept.execute(
+            "UPDATE figures SET content = 'of another clip', record = zeroblob(?)", (MINIATURE_BYTES,)
+        )
+    kept.close()
+    assert studio.post("/api/clips/thumbnails", json={"clips": [1]}).content == right
+
+
+@pytest.mark.parametrize("damage", [b"this is not a database" * 100, b""])
+def test_a_damaged_file_of_figures_is_made_again(studio, damage):
+    path = studio.app.state.studio.workspace.root / "thumbnails.sqlite"
+    path.write_bytes(damage)
+    first = studio.post("/api/clips/thumbnails", json={"clips": [1, 2]}).content
+    assert any(first)
+    assert studio.post("/api/clips/thumbnails", json={"clips": [1, 2]}).content == first
+    with sqlite3.connect(path) as kept:
+        assert kept.execute("SELECT count(*) FROM figures").fetchone() in ((2,), (0,))
+    kept.close()
+
+
+def test_a_damaged_clip_does_not_take_the_others_with_it(studio, library_copy):
+    with sqlite3.connect(library_copy) as library:
+        library.execute("UPDATE clip_trajectories SET positions = x'00' WHERE clip_id = 2")
+    library.close()
+    content = studio.post("/api/clips/thumbnails", json={"clips": [1, 2, 3]}).content
+    parts = [any(content[at : at + MINIATURE_BYTES]) for at in range(0, len(content), MINIATURE_BYTES)]
+    assert parts == [True, False, True]
+
+
+def test_figures_of_clips_that_are_gone_do_not_pile_up(studio, monkeypatch):
+    monkeypatch.setattr("dousa.app.studio.thumbnails._SPARE", 2)
+    studio.post("/api/clips/thumbnails", json={"clips": list(range(1, 21))})
+    studio.post("/api/clips/remove", json={"clips": list(range(1, 21))})
+    studio.post("/api/clips/thumbnails", json={"clips": [21, 22]})
+    path = studio.app.state.studio.workspace.root / "thumbnails.sqlite"
+    with sqlite3.connect(path) as kept:
+        assert kept.execute("SELECT clip_id FROM figures ORDER BY clip_id").fetchall() == [(21,), (22,)]
+    kept.close()
+
+
+@pytest.mark.parametrize(
+    "clips", [[0], [-1], [2**31], [1.5], ["x"], [None], list(range(1, 502)), "1", {"1": 1}]
+)
+def test_bad_numbers_are_refused(studio, clips):
+    assert studio.post("/api/clips/thumbnails", json={"clips": clips}).status_code == 422
+
+
+def test_several_programs_may_make_figures_at_once(studio):
+    library, home = open_library(studio), studio.app.state.studio.workspace.root
+    numbers = list(range(1, N + 1))
+    with ThreadPoolExecutor(6) as pool:
+        found = list(pool.map(lambda _: Thumbnails.of(home).get(library, numbers), range(12)))
+    assert len(set(found)) == 1
+    assert len(found[0]) == N * MINIATURE_BYTES
+
+
+# --- labels and removal
+
+
+def test_relabelling(studio):
+    answer = studio.post("/api/clips/relabel", json={"clips": [1, 2, 999], "category": "  hop  "})
+    assert answer.json() == {"changed": 2, "missing": 1}
+    items = studio.get("/api/clips", params={"category": "hop"}).json()["items"]
+    assert sorted(item["id"] for item in items) == [1, 2]
+    assert items[0]["performer"] is not None
+    studio.post("/api/clips/relabel", json={"clips": [1], "category": None, "performer": "Anna"})
+    clip = studio.get("/api/clips/1").json()
+    assert (clip["category"], clip["performer"]) == (None, "Anna")
+    assert studio.get("/api/clips", params={"category": ""}).json()["total"] == 1
+    assert studio.get("/api/clips").json()["facets"]["category"][""] == 1
+
+
+@pytest.mark.parametrize(
+    "body",
+    [
+        {"clips": [1]},
+        {"clips": [], "category": "x"},
+        {"clips": [1], "category": ""},
+        {"clips": [1], "category": "  "},
+        {"clips": [1], "category": 5},
+        {"clips": [1], "category": "a\nb"},
+        {"clips": [1], "performer": "a\x00b"},
+        {"clips": [1], "category": "x" * 201},
+        {"clips": [1], "category": "x", "path": "/etc/passwd"},
+        {"category": "x"},
+    ],
+)
+def test_labels_that_cannot_be_are_refused(studio, body):
+    revision = open_library(studio).revision
+    assert studio.post("/api/clips/relabel", json=body).status_code == 422
+    assert open_library(studio).revision == revision
+
+
+def test_hostile_labels_are_kept_as_they_are(studio):
+    label = "<img src=x onerror=alert(1)>'\"; --"
+    studio.post("/api/clips/relabel", json={"clips": [1], "category": label})
+    assert studio.get("/api/clips", params={"category": label}).json()["total"] == 1
+
+
+def test_removal_is_the_same_twice(studio):
+    assert studio.post("/api/clips/remove", json={"clips": [1, 2]}).json() == {"removed": 2, "missing": 0}
+    assert studio.post("/api/clips/remove", json={"clips": [2, 3]}).json() == {"removed": 1, "missing": 1}
+    answer = studio.post("/api/clips/remove", json={"clips": [1]})
+    assert answer.status_code == 404
+    assert "clip 1" in answer.json()["problem"]
+    assert studio.get("/api/clips").json()["total"] == N - 3
+
+
+def test_many_clips_at_once(studio):
+    ids = studio.get("/api/clips/ids").json()["ids"]
+    assert (
+        studio.post("/api/clips/relabel", json={"clips": ids * 100, "performer": "all"}).json()["changed"]
+        == N
+    )
+
+
+# --- adding
+
+
+def test_added_clips_can_be_listed_together_and_have_their_figures(studio, bvh, wait_job):
+    content = bvh.read_bytes()
+    batch = studio.post("/api/uploads?name=hop/new.bvh", content=content + b"\n").json()["batch"]
+    studio.post(f"/api/uploads?name=plain.bvh&batch={batch}", content=content + b"\n\n")
+    job = wait_job(studio, studio.post("/api/jobs/add", json={"batch": batch}).json()["id"])
+    assert job["state"] == "done", job
+    items = studio.get("/api/clips", params={"batch": batch}).json()["items"]
+    assert [(item["folder"], item["name"], item["category"]) for item in items] == [
+        ("hop", "new.bvh", "hop"),
+        ("", "plain.bvh", None),
+    ]
+    path = studio.app.state.studio.workspace.root / "thumbnails.sqlite"
+    with sqlite3.connect(path) as kept:
+        assert kept.execute("SELECT count(*) FROM figures").fetchone() == (2,)
+    kept.close()
+
+
+def test_a_table_of_labels_must_come_with_the_files(studio, bvh, wait_job, tmp_path):
+    table = tmp_path / "labels.csv"
+    table.write_text("file,category\nnew.bvh,secret\n")
+    batch = studio.post("/api/uploads?name=new.bvh", content=bvh.read_bytes() + b"\n").json()["batch"]
+    asked = {"batch": batch, "category_from": f"csv:{table}"}
+    job = wait_job(studio, studio.post("/api/jobs/add", json=asked).json()["id"])
+    assert job["state"] == "failed"
+    assert "secret" not in str(job)
+    studio.post(f"/api/uploads?name=labels.csv&batch={batch}", content=table.read_bytes())
+    asked = {"batch": batch, "category_from": "csv:labels.csv"}
+    job = wait_job(studio, studio.post("/api/jobs/add", json=asked).json()["id"])
+    assert job["state"] == "done", job
+    assert studio.get("/api/clips", params={"category": "secret"}).json()["total"] == 1

@@ -1,0 +1,300 @@
+"""The Library page in a real browser: looking, choosing, labelling, removing, adding, training."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+KEYS = pytest.importorskip(
+    "selenium.webdriver", reason="selenium is not installed: pip install selenium"
+).Keys
+DATA = Path(__file__).resolve().parents[4] / "shared" / "data" / "bandai"
+N = 24
+
+CELLS = "return [...document.querySelectorAll('.cell')].filter((cell) => cell.cell.id && cell.offsetParent)"
+DRAWN = f"{CELLS}.filter((cell) => !cell.querySelector('canvas').hidden).length"
+CHOSEN = "return [...document.querySelectorAll('.cell[aria-selected=true]')].map((cell) => cell.cell.id)"
+COUNT = "return document.querySelector('#count').textContent"
+DIALOG = "return document.querySelector('dialog[open]')"
+
+
+@pytest.fixture
+def library_page(show):
+    """``library_page(path, ...)``: the page when its first figures are drawn."""
+
+    def open_page(path="/library", **look):
+        page = show(path, **look)
+        page.wait(f"{DRAWN} > 0")
+        return page
+
+    return open_page
+
+
+def click(page, selector):
+    page.wait("return document.querySelector(arguments[0])", selector)
+    page.run("document.querySelector(arguments[0]).click()", selector)
+    page.settle()
+
+
+def wait_count(page, number):
+    page.wait(f"{COUNT}.startsWith(arguments[0])", str(number))
+    page.settle()
+
+
+def no_messages(page):
+    """Nothing on the console but the answers to files that are refused, which the browser itself notes down."""
+    return [text for text in page.messages() if "/api/uploads" not in text]
+
+
+# --- looking
+
+
+@pytest.mark.parametrize(
+    "look",
+    [
+        {"width": 1280, "height": 720},
+        {"width": 390, "height": 844},
+        {"scheme": "dark"},
+        {"language": "ja"},
+    ],
+    ids=["desk", "phone", "dark", "japanese"],
+)
+def test_the_grid_shows_moving_figures(library_page, tmp_path, look):
+    page = library_page(**look)
+    assert page.wait("return window.dousa.miniatures.alive") > 0
+    assert page.run("return document.documentElement.scrollWidth <= innerWidth")
+    name = page.run("return document.querySelector('.cell .name').textContent")
+    assert name == "performer00_1.bvh"
+    heading = page.run("return document.querySelector('h1').textContent")
+    assert heading == ("ライブラリー" if look.get("language") == "ja" else "Library")
+    assert page.screenshot(tmp_path / "library.png").stat().st_size > 20_000
+    assert page.messages() == []
+
+
+def test_only_what_is_seen_is_there(library_page):
+    page = library_page(width=390, height=500)
+    assert page.run("return document.querySelector('#grid').getAttribute('aria-rowcount')") == "12"
+    assert page.run(f"{CELLS}.length") < N
+    page.run("window.scrollTo(0, document.body.scrollHeight)")
+    page.wait(f"{CELLS}.some((cell) => cell.cell.index === {N - 1} && !cell.querySelector('canvas').hidden)")
+    assert page.run(f"{CELLS}.length") < N
+    page.settle()
+    assert page.wait("return window.dousa.miniatures.alive") <= 8
+    assert page.messages() == []
+
+
+def test_filters_and_words_narrow_the_list_and_stand_in_the_address(library_page):
+    page = library_page()
+    click(page, "[data-key='category squat']")
+    wait_count(page, 6)
+    page.find("#text").send_keys("performer03")
+    wait_count(page, 1)
+    assert page.run("return [...new URLSearchParams(location.search).getAll('category')]") == ["squat"]
+    page.driver.refresh()
+    wait_count(page, 1)
+    page.find("#text").send_keys("no such thing")
+    page.wait("return !document.querySelector('#nothing').hidden")
+    click(page, "#clear-filter")
+    wait_count(page, N)
+    assert page.messages() == []
+
+
+def test_a_clip_is_shown_large_and_the_focus_comes_back(library_page):
+    page = library_page()
+    page.find(".cell").click()
+    page.press(KEYS.ENTER)
+    page.wait("return document.querySelector('dialog .detail-stage canvas')")
+    assert "performer00_1.bvh" in page.run(f"{DIALOG}.textContent")
+    click(page, "dialog button[aria-label='The next one']")
+    page.wait(f"{DIALOG}.querySelector('h2').textContent === 'performer01_1.bvh'")
+    page.press(KEYS.ESCAPE)
+    page.wait("return document.activeElement.classList.contains('cell')")
+    assert page.run("return document.activeElement.cell.index") == 1
+    assert page.messages() == []
+
+
+# --- choosing
+
+
+def test_choosing_with_the_keyboard(library_page):
+    page = library_page()
+    page.run("document.querySelector('.cell[tabindex=\"0\"]').focus()")
+    page.press(" ")
+    assert page.run(CHOSEN) == [1]
+    page.press(KEYS.ARROW_RIGHT, KEYS.ARROW_RIGHT, held=KEYS.SHIFT)
+    assert page.run(CHOSEN) == [1, 2, 3]
+    page.press(KEYS.ARROW_DOWN, " ")
+    assert len(page.run(CHOSEN)) == 4
+    page.press(KEYS.END, held=KEYS.CONTROL)
+    assert page.run("return document.activeElement.cell.index") == N - 1
+    page.press("a", held=KEYS.CONTROL)
+    page.wait("return document.querySelector('.chosen-count')?.textContent.startsWith('24')")
+    page.press(KEYS.ESCAPE)
+    assert page.run("return document.querySelector('#actions').hidden")
+    assert page.messages() == []
+
+
+def test_chosen_clips_lead_to_the_other_pages(library_page):
+    page = library_page()
+    links = "return [...document.querySelectorAll('#actions a')].map((a) => a.getAttribute('href'))"
+    page.find(".cell").click()
+    assert page.run(links) == ["/search?motion=clip:1", "/evaluate?references=clip:1"]
+    page.press(KEYS.ARROW_RIGHT, held=KEYS.SHIFT)
+    assert page.run(links) == ["/evaluate?references=clip:1,clip:2"]
+    assert page.messages() == []
+
+
+def test_relabelling_by_keyboard(library_page, running):
+    page = library_page()
+    page.find(".cell").click()
+    page.press(KEYS.ARROW_RIGHT, held=KEYS.SHIFT)
+    click(page, "[data-word=relabel]")
+    page.find("#relabel-category").send_keys("<b>hop</b>", KEYS.ENTER)
+    page.wait("return document.querySelector('.cell .badge').textContent === '<b>hop</b>'")
+    assert page.run("return document.querySelector('.cell .badge b')") is None
+    page.wait("return document.querySelector('#forest-state').textContent.includes('changed')")
+    clips = running.app.state.studio.library.clips([1, 2, 3])
+    assert [clip.category for clip in clips] == ["<b>hop</b>", "<b>hop</b>", "kick_left"]
+    assert page.messages() == []
+
+
+def test_taking_a_label_away_shows_what_the_forest_thinks(library_page):
+    page = library_page()
+    page.find(".cell").click()
+    click(page, "[data-word=relabel]")
+    click(page, "#relabel-no-category")
+    click(page, "#relabel-save")
+    page.wait("return document.querySelector('.cell .badge.unsure')?.textContent === 'kick_left?'")
+    assert page.messages() == []
+
+
+def test_removal_asks_first(library_page, running):
+    page = library_page()
+    page.find(".cell").click()
+    page.press(KEYS.DELETE)
+    page.wait(DIALOG)
+    page.press(KEYS.ENTER)  # the harmless button has the focus
+    assert not page.run(DIALOG)
+    page.find(".cell").click()
+    page.press(KEYS.DELETE)
+    click(page, "#remove-go")
+    wait_count(page, N - 1)
+    assert len(running.app.state.studio.library.clips()) == N - 1
+    assert page.messages() == []
+
+
+def test_what_another_tab_removed_is_gone_here_too(library_page, running):
+    page = library_page()
+    page.find(".cell").click()
+    running.app.state.studio.library.remove([1, 2, 3, 4, 5, 6])
+    page.run("document.dispatchEvent(new Event('visibilitychange'))")
+    wait_count(page, N - 6)
+    assert page.run("return document.querySelector('.cell .name').textContent") == "performer00_1.bvh"
+    assert page.messages() == []
+
+
+def test_an_empty_library_invites(library_page):
+    page = library_page()
+    click(page, "#all-button")
+    page.wait("return document.querySelector('.chosen-count')?.textContent.startsWith('24')")
+    click(page, "[data-word=remove]")
+    click(page, "#remove-go")
+    page.wait("return document.querySelector('#start .drop')")
+    assert page.run("return document.querySelector('#browse').hidden")
+    assert page.find("#start-files") is not None
+    assert page.messages() == []
+
+
+# --- adding and training
+
+
+@pytest.fixture
+def motions(bvh, tmp_path):
+    """Two motions to add: real ones where they are, else made ones; and files that cannot be used."""
+    good = sorted(DATA.rglob("*.bvh"))[:2]
+    if not good:
+        good = [tmp_path / "one.bvh", tmp_path / "two.bvh"]
+        for number, path in enumerate(good, 1):
+            path.write_bytes(bvh.read_bytes() + b"\n" * number)
+    bad = [tmp_path / "broken.bvh", tmp_path / "letter.docx", tmp_path / "fake.bvh"]
+    for path, text in zip(bad, ["HIERARCHY\nROOT a\n{\n", "Dear all", "hello"], strict=True):
+        path.write_text(text)
+    return good, bad
+
+
+def test_files_are_added_and_what_was_refused_is_listed_also_after_a_reload(library_page, motions):
+    good, bad = motions
+    page = library_page()
+    click(page, "#add-button")
+    page.wait("return document.querySelector('#add-files')")
+    page.find("#add-files").send_keys("\n".join(map(str, [*good, *bad])))
+    page.wait("return document.querySelector('#add-go')")
+    refused = page.run(f"{DIALOG}.querySelector('.refused').textContent")
+    assert "letter.docx" in refused
+    assert "fake.bvh" in refused
+    assert page.run("return document.querySelector('#add-category').value") == "none"
+    click(page, "#add-go")
+    for _ in range(2):
+        page.wait(
+            "return document.querySelector('#add-report')?.textContent.startsWith('2 added')", seconds=90
+        )
+        refused = page.run(f"{DIALOG}.querySelector('.refused').textContent")
+        assert all(path.name in refused for path in bad)
+        page.driver.refresh()
+    page.wait("return document.querySelector('#add-report')")
+    click(page, "dialog .foot button")  # show them
+    wait_count(page, 2)
+    page.wait(f"{DRAWN} === 2")
+    assert no_messages(page) == []
+
+
+def test_labels_from_folders_are_shown_before_they_are_given(library_page, bvh, tmp_path, wait_job):
+    folder = tmp_path / "hop"
+    folder.mkdir()
+    (folder / "anna_1.bvh").write_bytes(bvh.read_bytes() + b"\n")
+    page = library_page()
+    click(page, "#add-button")
+    page.wait("return document.querySelector('#add-files')")
+    page.find("#add-files-folder").send_keys(str(folder))
+    page.wait("return document.querySelector('#add-go')")
+    cells = "return [...document.querySelectorAll('.preview td')].map((cell) => cell.textContent)"
+    assert page.run(cells) == ["hop/anna_1.bvh", "hop", "–"]
+    page.run(
+        "const select = document.querySelector('#add-performer'); select.value = 'name';"
+        "const text = document.querySelector('#add-performer-pattern'); text.value = '^([a-z]+)';"
+        "for (const one of [select, text]) one.dispatchEvent(new Event('input', {bubbles: true}));"
+    )
+    assert page.run(cells) == ["hop/anna_1.bvh", "hop", "anna"]
+    click(page, "#add-go")
+    page.wait("return document.querySelector('#add-report')", seconds=90)
+    page.press(KEYS.ESCAPE)
+    page.wait("return document.querySelector('[data-key=\"performer anna\"]')")
+    assert page.run("return document.querySelector('[data-key=\"category hop\"]') !== null")
+    assert page.messages() == []
+
+
+def test_files_dropped_anywhere_are_taken(library_page, bvh):
+    page = library_page()
+    page.run(
+        "const files = new DataTransfer(); files.items.add(new File([arguments[0]], 'dropped.bvh'));"
+        "for (const kind of ['dragenter', 'drop']) document.querySelector('#grid').dispatchEvent("
+        "new DragEvent(kind, {bubbles: true, cancelable: true, dataTransfer: files}));",
+        bvh.read_text() + "\n",
+    )
+    page.wait("return document.querySelector('#came')")
+    assert not page.run("return document.documentElement.classList.contains('over')")
+    assert page.messages() == []
+
+
+def test_training_shows_how_far_it_is_and_what_came_of_it(library_page):
+    page = library_page()
+    click(page, "#train-button")
+    page.wait("return document.querySelector('#train-trees')")
+    page.run("document.querySelector('#train-trees').value = '20'")
+    click(page, "#train-go")
+    page.wait("return document.querySelector('#train-result')", seconds=120)
+    assert "20 trees on 24 clips of 4 categories" in page.run(f"{DIALOG}.textContent")
+    page.driver.refresh()
+    page.wait("return document.querySelector('#train-result')")
+    assert page.messages() == []

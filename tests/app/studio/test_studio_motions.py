@@ -1,0 +1,136 @@
+"""Motions as figures and files."""
+
+from __future__ import annotations
+
+import base64
+
+import numpy as np
+import pytest
+
+from dousa.formats import read_motion
+from dousa.motion import canonicalise
+
+
+def clip_of(studio, category, n=0):
+    """Number of a clip of a category."""
+    return studio.app.state.studio.library.clips(category=category)[n].id
+
+
+@pytest.fixture
+def kick(studio):
+    return clip_of(studio, "kick_left")
+
+
+def test_a_clip_is_described(studio, kick):
+    answer = studio.get(f"/api/motions/info?motion=clip:{kick}")
+    assert answer.status_code == 200, answer.text
+    found = answer.json()
+    assert found["category"] == "kick_left"
+    assert found["kind"] == "clip"
+    assert found["duration_s"] == pytest.approx(found["n_frames"] / found["frame_rate"])
+
+
+def test_a_part_is_as_long_as_asked(studio, kick):
+    found = studio.get(f"/api/motions/info?motion=clip:{kick}&start_s=0.5&end_s=1").json()
+    assert found["n_frames"] == round(0.5 * found["frame_rate"]) + 1
+
+
+@pytest.mark.parametrize(
+    ("query", "status"),
+    [
+        ("motion=clip:999999", 404),
+        ("motion=clip:12345678901234", 404),
+        ("motion=job:0123456789abcdef", 404),
+        ("motion=file:0123456789abcdef/x.bvh", 404),
+        ("motion=walk.bvh", 422),
+        ("motion=file:0123456789abcdef/../../x.bvh", 422),
+        ("motion=clip:1&start_s=5&end_s=1", 422),
+        ("motion=clip:1&start_s=nan", 422),
+        ("motion=clip:1&surprise=1", 422),
+    ],
+)
+@pytest.mark.parametrize("what", ["info", "player", "miniature", "bvh"])
+def test_what_is_not_there_is_refused(studio, what, query, status):
+    answer = studio.get(f"/api/motions/{what}?{query}")
+    assert answer.status_code in (status, 404), answer.text
+    assert answer.json()["problem"]
+
+
+def test_the_player_is_fed(studio, kick):
+    data = studio.get(f"/api/motions/player?motion=clip:{kick}&language=ja").json()
+    assert data["language"] == "ja"
+    assert data["performance"]["n_frames"] > 10
+    assert data["reference"] is None
+
+
+def test_a_pair_is_in_step(studio, kick):
+    other = clip_of(studio, "kick_left", 1)
+    data = studio.get(f"/api/motions/pair?motion=clip:{kick}&other=clip:{other}").json()
+    assert data["reference"]["n_frames"] > 10
+    assert len(base64.b64decode(data["step"])) == 4 * data["performance"]["n_frames"]
+    mirrored = studio.get(f"/api/motions/pair?motion=clip:{kick}&other=clip:{other}&mirror=true").json()
+    assert mirrored["reference"] != data["reference"]
+
+
+def test_a_miniature_has_its_size(studio, kick):
+    from dousa.app.player import MINIATURE_BYTES
+
+    assert len(studio.get(f"/api/motions/miniature?motion=clip:{kick}").content) == MINIATURE_BYTES
+
+
+def test_a_download_has_all_joints_of_its_file(studio, kick, tmp_path):
+    source = studio.app.state.studio.library.clips([kick])[0].path
+    answer = studio.get(f"/api/motions/bvh?motion=clip:{kick}&start_s=0.5&end_s=1")
+    assert 'filename="' in answer.headers["content-disposition"]
+    (tmp_path / "part.bvh").write_bytes(answer.content)
+    part, whole = read_motion(tmp_path / "part.bvh"), read_motion(source)
+    assert part.skeleton.names == whole.skeleton.names
+    first = round(0.5 * whole.frame_rate)
+    expected = canonicalise(whole).positions[first : first + part.n_frames]
+    np.testing.assert_allclose(canonicalise(part).positions, expected, atol=1e-4)
+
+
+def test_a_download_without_its_file_is_fitted(studio, kick, tmp_path):
+    library = studio.app.state.studio.library
+    source = library.clips([kick])[0].path
+    from pathlib import Path
+
+    kept = Path(source).read_bytes()
+    try:
+        Path(source).unlink()
+        answer = studio.get(f"/api/motions/bvh?motion=clip:{kick}")
+    finally:
+        Path(source).write_bytes(kept)
+    assert answer.status_code == 200, answer.text
+    (tmp_path / "fitted.bvh").write_bytes(answer.content)
+    fitted = canonicalise(read_motion(tmp_path / "fitted.bvh")).positions
+    assert np.abs(fitted - library.trajectories(kick).positions).mean() < 0.02
+
+
+def test_a_file_that_became_another_is_not_handed_out(studio, kick, tmp_path):
+    """The library remembers a kick; what lies in its place now is no business of a download."""
+    library = studio.app.state.studio.library
+    from pathlib import Path
+
+    source, other = (Path(library.clips(category=name)[0].path) for name in ("kick_left", "squat"))
+    kept = source.read_bytes()
+    try:
+        source.write_bytes(other.read_bytes())
+        answer = studio.get(f"/api/motions/bvh?motion=clip:{kick}")
+    finally:
+        source.write_bytes(kept)
+    (tmp_path / "kick.bvh").write_bytes(answer.content)
+    found = canonicalise(read_motion(tmp_path / "kick.bvh")).positions
+    assert np.abs(found - library.trajectories(kick).positions).mean() < 0.02
+
+
+def test_names_in_any_script_can_be_downloaded(studio, bvh):
+    content = bvh.read_bytes()
+    file = studio.post(
+        "/api/uploads", params={"name": '蹴り "1".bvh'.replace('"', "'")}, content=content
+    ).json()
+    answer = studio.get("/api/motions/bvh", params={"motion": file["files"][0]["motion"]})
+    assert answer.status_code == 200, answer.text
+    header = answer.headers["content-disposition"]
+    assert "filename*=UTF-8''%E8%B9%B4" in header
+    assert header.isascii()

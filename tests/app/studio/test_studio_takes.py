@@ -1,0 +1,323 @@
+"""Takes: labels, corrections that are learned and taken back, and the page."""
+
+from __future__ import annotations
+
+import csv
+import io
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+STRANGE = "lunge"
+ORDER = ("walk", STRANGE, "squat", STRANGE, "kick_left")
+
+
+@pytest.fixture(scope="session")
+def recording(tmp_path_factory):
+    """A take of somebody whom the library does not know, with two motions that it does not know; and what is when."""
+    from dousa.app.demo_takes import write_take
+    from dousa.motion import canonicalise
+    from dousa.motion.synthetic import make_library
+    from dousa.retrieval import LabelledClip
+
+    made = {}
+    for category, performer, _, moving in make_library(2, seed=7, categories=sorted(set(ORDER))):
+        motion = canonicalise(moving)
+        made[category, performer.name] = LabelledClip(
+            category, category, None, motion.positions, motion.frame_rate, motion.height
+        )
+    first, second = sorted({name for _, name in made})
+    clips = [made[category, second if place == 3 else first] for place, category in enumerate(ORDER)]
+    path = tmp_path_factory.mktemp("take") / "session.bvh"
+    truth = write_take(clips, ORDER, path).truth
+    return path, [(piece.start, piece.stop) for piece in truth]
+
+
+@pytest.fixture
+def strange(recording):
+    """Where the unknown motions are, s."""
+    return [span for span, category in zip(recording[1], ORDER, strict=True) if category == STRANGE]
+
+
+def upload(client, recording):
+    """Name of the take."""
+    answer = client.post("/api/uploads?name=session.bvh", content=recording[0].read_bytes())
+    return answer.json()["files"][0]["motion"]
+
+
+def label(client, motion, wait_job):
+    """Labels of a take with corrections."""
+    job = client.post("/api/jobs/label", json={"take": {"motion": motion}})
+    assert job.status_code == 202, job.text
+    done = wait_job(client, job.json()["id"])
+    assert done["state"] == "done", done
+    answer = client.get("/api/takes/labels", params={"motion": motion}).json()
+    assert answer["is_current"]
+    return answer["labels"]["segments"]
+
+
+def said_at(segments, spans):
+    """Category in the middle of parts, and whether somebody said so."""
+    found = []
+    for start, end in spans:
+        middle = 0.5 * (start + end)
+        own = next(one for one in segments if one["start_s"] <= middle < one["end_s"])
+        found.append((own["category"], own["corrected"] is not None))
+    return found
+
+
+def test_a_dropped_take_is_labelled_without_being_added(studio, recording, wait_job):
+    motion = upload(studio, recording)
+    segments = label(studio, motion, wait_job)
+    assert segments[0]["start_s"] == 0
+    assert all(one["corrected"] is None for one in segments)
+    assert studio.get("/api/info").json()["library"]["n_takes"] == 0
+
+
+def test_a_correction_is_learned_for_the_similar_stretch(studio, recording, strange, wait_job):
+    """One of two unknown motions is named; the other one, of another person, then has that name too."""
+    motion = upload(studio, recording)
+    before = label(studio, motion, wait_job)
+    assert STRANGE not in [category for category, _ in said_at(before, strange)]
+    start, end = strange[0]
+    asked = {"motion": motion, "start_s": start, "end_s": end, "category": STRANGE}
+    learned = studio.post("/api/takes/correct", json=asked)
+    assert learned.status_code == 201, learned.text
+    assert learned.json()["is_learned"]
+    assert learned.json()["is_new_category"]
+    assert studio.get("/api/info").json()["library"]["categories"][STRANGE] == 1
+    after = label(studio, motion, wait_job)
+    assert said_at(after, strange) == [(STRANGE, True), (STRANGE, False)]
+    known = [span for span in recording[1] if span not in strange]
+    assert [one for one, _ in said_at(after, known)] == [one for one, _ in said_at(before, known)]
+
+
+def test_a_correction_is_taken_back(studio, recording, strange, wait_job):
+    motion = upload(studio, recording)
+    start, end = strange[0]
+    asked = {"motion": motion, "start_s": start, "end_s": end, "category": STRANGE}
+    number = studio.post("/api/takes/correct", json=asked).json()["correction"]["id"]
+    assert studio.delete(f"/api/takes/corrections/{number}").status_code == 200
+    assert studio.delete(f"/api/takes/corrections/{number}").status_code == 404
+    assert STRANGE not in studio.get("/api/info").json()["library"]["categories"]
+    assert STRANGE not in [category for category, _ in said_at(label(studio, motion, wait_job), strange)]
+    assert studio.get("/api/takes/labels", params={"motion": motion}).json()["corrections"] == []
+
+
+def test_the_last_word_on_a_part_counts(studio, recording, strange):
+    motion = upload(studio, recording)
+    start, end = strange[0]
+    for category in ("hop", STRANGE):
+        asked = {"motion": motion, "start_s": start, "end_s": end, "category": category}
+        assert studio.post("/api/takes/correct", json=asked).status_code == 201
+    known = studio.get("/api/takes/labels", params={"motion": motion}).json()["corrections"]
+    assert [one["category"] for one in known] == [STRANGE]
+    assert "hop" not in studio.get("/api/info").json()["library"]["categories"]
+
+
+def test_corrections_survive_a_new_start_and_the_way_into_the_library(
+    library_copy, recording, strange, wait_job
+):
+    from starlette.testclient import TestClient
+
+    from dousa.app.studio import Settings, create_app
+
+    def client():
+        made = TestClient(create_app(Settings(library_copy, token="t")), "http://127.0.0.1:8765")
+        made.headers["authorization"] = "Bearer t"
+        return made
+
+    with client() as first:
+        motion = upload(first, recording)
+        asked = {"motion": motion, "start_s": strange[0][0], "end_s": strange[0][1], "category": STRANGE}
+        assert first.post("/api/takes/correct", json=asked).status_code == 201
+    with client() as second:
+        job = second.post(
+            "/api/jobs/add", json={"batch": motion[5:21], "kind": "take", "category_from": None}
+        )
+        assert wait_job(second, job.json()["id"])["result"]["added"]
+        take = next(clip for clip in second.app.state.studio.library.clips() if clip.kind == "take")
+        segments = label(second, f"clip:{take.id}", wait_job)
+        assert said_at(segments, strange) == [(STRANGE, True), (STRANGE, False)]
+
+
+@pytest.mark.parametrize(
+    ("changes", "status"),
+    [
+        ({"category": " "}, 422),
+        ({"category": "a\nb"}, 422),
+        ({"category": ""}, 422),
+        ({"start_s": 5, "end_s": 1}, 422),
+        ({"end_s": 0.0}, 422),
+        ({"end_s": 0.1}, 422),
+        ({"motion": "file:0123456789abcdef/x.bvh"}, 404),
+        ({"motion": "clip:99999"}, 404),
+        ({"surprise": 1}, 422),
+    ],
+)
+def test_corrections_that_make_no_sense_are_refused(studio, recording, changes, status):
+    asked = {"motion": upload(studio, recording), "start_s": 0, "end_s": 1.0, "category": "hop", **changes}
+    answer = studio.post("/api/takes/correct", json=asked)
+    assert answer.status_code == status, answer.text
+    assert "hop" not in studio.get("/api/info").json()["library"]["categories"]
+
+
+def test_names_with_slashes_and_quotes_stay_names(studio, recording, strange):
+    motion = upload(studio, recording)
+    name = '../"kick", 蹴り'
+    asked = {"motion": motion, "start_s": strange[0][0], "end_s": strange[0][1], "category": name}
+    assert studio.post("/api/takes/correct", json=asked).status_code == 201
+    assert name in studio.get("/api/info").json()["library"]["categories"]
+
+
+def test_labels_are_exported_with_corrections(studio, recording, strange, wait_job):
+    motion = upload(studio, recording)
+    assert studio.get("/api/takes/export", params={"motion": motion}).status_code == 409
+    asked = {"motion": motion, "start_s": strange[0][0], "end_s": strange[0][1], "category": STRANGE}
+    studio.post("/api/takes/correct", json=asked)
+    segments = label(studio, motion, wait_job)
+    table = studio.get("/api/takes/export", params={"motion": motion})
+    assert "session_labels.csv" in table.headers["content-disposition"]
+    rows = list(csv.DictReader(io.StringIO(table.text)))
+    assert len(rows) == len(segments)
+    assert [row["category"] for row in rows if row["corrected"]] == [STRANGE]
+    whole = studio.get("/api/takes/export", params={"motion": motion, "format": "json"}).json()
+    assert whole["segments"] == segments
+
+
+def test_a_part_of_a_take_is_not_labelled_alone(studio, recording):
+    asked = {"take": {"motion": upload(studio, recording), "start_s": 1, "end_s": 2}}
+    assert studio.post("/api/jobs/label", json=asked).status_code == 422
+
+
+def test_corrections_are_laid_over_labels():
+    from dousa.app.studio.corrections import Correction, lay_over
+
+    def segment(start, end, category):
+        return {
+            "start_s": start,
+            "end_s": end,
+            "category": category,
+            "unknown": category is None,
+            "confidence": 0.9,
+        }
+
+    labels = [segment(0, 4, "walk"), segment(4, 6, None), segment(6, 9, "kick")]
+    first = Correction("clip:1", 3.0, 7.0, "hop", 5, "b", made_s=1.0)
+    second = Correction("clip:1", 6.5, 6.8, "skip", 6, "b", made_s=2.0)
+    spans = [(one["start_s"], one["end_s"], one["category"]) for one in lay_over(labels, [second, first])]
+    assert spans == [
+        (0, 3.0, "walk"),
+        (3.0, 6.5, "hop"),
+        (6.5, 6.8, "skip"),
+        (6.8, 7.0, "hop"),
+        (7.0, 9, "kick"),
+    ]
+
+
+# --- the page
+
+LABELLED = "return document.querySelectorAll('#segments tbody tr').length > 2"
+
+
+def test_a_take_is_labelled_corrected_learned_and_taken_back(show, running, recording, strange):
+    page = show("/takes")
+    page.wait("return document.querySelector('#take-file') !== null")
+    page.find("#take-file").send_keys(str(recording[0]))
+    page.wait(LABELLED, seconds=60)
+    assert page.run("return document.querySelector('.tl-segment') !== null")
+    inside = 0.5 * sum(strange[0])
+    page.run(
+        """
+        const inner = document.querySelector('.tl-inner').getBoundingClientRect();
+        const x = inner.left + inner.width * arguments[0];
+        const place = {clientX: x, clientY: inner.top + 50};
+        const event = {...place, bubbles: true, pointerId: 1, pointerType: 'mouse', button: 0};
+        document.querySelector('.tl-track').dispatchEvent(new PointerEvent('pointerdown', event));
+        window.dispatchEvent(new PointerEvent('pointerup', event));
+        """,
+        inside / sum(end - start for start, end in recording[1]),
+    )
+    time = float(page.run("return document.querySelector('.tl-cursor').getAttribute('aria-valuenow')"))
+    assert time == pytest.approx(inside, abs=0.2)
+    page.run("document.querySelector('#choose-stretch').click()")
+    page.find("#category").send_keys(STRANGE)
+    page.run("document.querySelector('#correct').click()")
+    page.wait("return document.querySelectorAll('.corrections li').length === 1", seconds=60)
+    page.wait("return document.querySelector('.tl-corrected') !== null")
+    page.wait(
+        "return [...document.querySelectorAll('.notice')].some((one) => one.textContent.includes('Learned'))",
+        seconds=60,
+    )
+    names = page.run(
+        "return [...document.querySelectorAll('#segments tbody th')].map((one) => one.innerText)"
+    )
+    assert sum(STRANGE in name for name in names) >= 2, names
+    page.run("document.querySelector('.undo').click()")
+    page.wait("return document.querySelectorAll('.corrections li').length === 0", seconds=60)
+    page.wait("return document.querySelector('.tl-corrected') === null", seconds=60)
+    assert page.messages() == []
+
+
+def test_a_stretch_leads_to_a_search(show, running, recording):
+    library = running.app.state.studio.library
+    library.add(recording[0], kind="take")
+    take = next(clip for clip in library.clips() if clip.kind == "take")
+    page = show(f"/takes?motion=clip:{take.id}&at_s=3")
+    page.wait(LABELLED, seconds=60)
+    assert float(page.run("return document.querySelector('.tl-cursor').getAttribute('aria-valuenow')")) == 3
+    page.run("document.querySelector('.acts a').click()")
+    page.wait("return location.pathname === '/search'")
+    page.wait("return document.querySelector('.verdict-words') !== null")
+    assert "start_s=" in page.run("return location.search")
+    assert page.messages() == []
+
+
+def test_a_dropped_take_is_added(show, running, recording):
+    page = show("/takes")
+    page.wait("return document.querySelector('#take-file') !== null")
+    page.find("#take-file").send_keys(str(recording[0]))
+    page.wait("return document.querySelector('#add-take') !== null")
+    page.wait(LABELLED, seconds=60)
+    page.run("document.querySelector('#add-take').click()")
+    page.wait("return location.search.includes('motion=clip')", seconds=60)
+    page.wait(LABELLED, seconds=60)
+    assert page.messages() == []
+
+
+@pytest.mark.parametrize(
+    ("width", "height", "scheme", "language"),
+    [(1280, 720, "light", "en"), (1280, 720, "dark", "ja"), (390, 844, "light", "ja")],
+)
+def test_it_fits(show, running, recording, tmp_path, width, height, scheme, language):
+    library = running.app.state.studio.library
+    library.add(recording[0], kind="take")
+    take = next(clip for clip in library.clips() if clip.kind == "take")
+    page = show(f"/takes?motion=clip:{take.id}", width, height, scheme, language)
+    page.wait(LABELLED, seconds=60)
+    page.screenshot(tmp_path / "takes.png")
+    assert page.run("return document.documentElement.scrollWidth") <= width
+    nameless = page.run("""
+        return [...document.querySelectorAll('main button, main a, main [role=slider], main input')]
+          .filter((one) => !one.hidden && one.getAttribute('aria-hidden') !== 'true')
+          .filter((one) => !(one.textContent.trim() || one.getAttribute('aria-label') || one.labels?.length))
+          .map((one) => one.outerHTML.slice(0, 120))
+    """)
+    assert nameless == []
+    assert page.messages() == []
+
+
+def test_the_clip_of_a_correction_moves_as_the_take_did(studio, recording, strange):
+    motion = upload(studio, recording)
+    start, end = strange[0]
+    asked = {"motion": motion, "start_s": start, "end_s": end, "category": STRANGE}
+    clip = studio.post("/api/takes/correct", json=asked).json()["clip"]
+    library = studio.app.state.studio.library
+    from dousa.formats import read_motion
+    from dousa.motion import canonicalise
+
+    whole = canonicalise(read_motion(Path(recording[0])))
+    first = round(start * whole.frame_rate)
+    kept = library.trajectories(int(clip[5:])).positions
+    np.testing.assert_allclose(kept, whole.positions[first : first + len(kept)], atol=1e-3)
