@@ -16,9 +16,9 @@ from starlette.testclient import TestClient
 from app.studio.conftest import TOKEN, wait_for
 from app.studio.estimating_scenes import write_scene
 from dousa.app.studio import Settings, create_app
-from dousa.app.studio.footage import FootageWriter
-from dousa.app.studio.footage_reading import Footage
-from dousa.app.studio.materials import sort_materials
+from dousa.app.studio.footage.materials import sort_materials
+from dousa.app.studio.footage.reading import Footage
+from dousa.app.studio.footage.recording import FootageWriter
 from dousa.app.studio.work import Context, previewing
 from dousa.app.studio.work._estimation_request import plain_words
 

@@ -157,7 +157,7 @@ def test_hostile_changes_are_refused_in_one_sentence(studio, ready, values, prec
 @pytest.fixture
 def ready(studio):
     """An evaluation of two clips of the library that is done, without the waiting."""
-    from dousa.app.studio.jobs import Job
+    from dousa.app.studio.jobs.board import Job
 
     board = studio.app.state.studio.jobs
     clips = [item["motion"] for item in studio.get("/api/clips?category=walk").json()["items"][:2]]

@@ -9,7 +9,7 @@ import time
 
 import pytest
 
-from dousa.app.studio.jobs import JobBoard, JobStopped, Lane
+from dousa.app.studio.jobs.board import JobBoard, JobStopped, Lane
 from dousa.app.studio.problems import RefusedError
 from dousa.app.studio.workspace import Workspace
 from dousa.errors import OptionError
@@ -151,7 +151,7 @@ def worker_of(studio):
     import subprocess
 
     found = subprocess.run(
-        ["pgrep", "-P", str(os.getpid()), "-f", "dousa.app.studio.worker"],
+        ["pgrep", "-P", str(os.getpid()), "-f", "dousa.app.studio.jobs.worker"],
         capture_output=True,
         text=True,
         check=False,

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from dousa.app.player import MINIATURE_BYTES, encode_miniature
-from dousa.app.studio.listing import LENGTHS
-from dousa.app.studio.thumbnails import Thumbnails
+from dousa.app.studio.shelf.listing import LENGTHS
+from dousa.app.studio.shelf.thumbnails import Thumbnails
 from dousa.library import Library
 
 N = 24
@@ -169,7 +169,7 @@ def test_figures_are_those_of_the_clips_in_the_order_asked_for(studio):
 
 def test_figures_are_made_once(studio, monkeypatch):
     first = studio.post("/api/clips/thumbnails", json={"clips": [1, 2, 3]}).content
-    monkeypatch.setattr("dousa.app.studio.thumbnails.encode_miniature", None)
+    monkeypatch.setattr("dousa.app.studio.shelf.thumbnails.encode_miniature", None)
     assert studio.post("/api/clips/thumbnails", json={"clips": [1, 2, 3]}).content == first
 
 
@@ -207,7 +207,7 @@ def test_a_damaged_clip_does_not_take_the_others_with_it(studio, library_copy):
 
 
 def test_figures_of_clips_that_are_gone_do_not_pile_up(studio, monkeypatch):
-    monkeypatch.setattr("dousa.app.studio.thumbnails._SPARE", 2)
+    monkeypatch.setattr("dousa.app.studio.shelf.thumbnails._SPARE", 2)
     studio.post("/api/clips/thumbnails", json={"clips": list(range(1, 21))})
     studio.post("/api/clips/remove", json={"clips": list(range(1, 21))})
     studio.post("/api/clips/thumbnails", json={"clips": [21, 22]})

@@ -15,7 +15,7 @@ import pytest
 
 from app.studio.conftest import TOKEN, wait_for
 from dousa.app.studio import Settings, create_app
-from dousa.app.studio.jobs import JobBoard, Lane
+from dousa.app.studio.jobs.board import JobBoard, Lane
 
 schemathesis = pytest.importorskip("schemathesis", reason="schemathesis is not installed")
 EXAMPLES = int(os.environ.get("DOUSA_FUZZ_EXAMPLES", "40"))

@@ -24,6 +24,8 @@ function pixelRatio() {
   return Math.min(window.devicePixelRatio || 1, 3);
 }
 
+const LEAST_ROOM = 48; // px, below which there is nothing to see
+
 class Stage {
   constructor(root, canvas, changed) {
     this.root = root;
@@ -153,6 +155,7 @@ class Stage {
     const { context, canvas } = this;
     context.setTransform(1, 0, 0, 1, 0, 0);
     context.clearRect(0, 0, canvas.width, canvas.height);
+    if (Math.min(canvas.width, canvas.height) < LEAST_ROOM * this.ratio) return; // hidden, or not laid out yet
     const figures = [scene.reference, scene.performance].filter(Boolean);
     const room = this.roomOf(scene, figures);
     if (figures.length === 1 || scene.view.mode === "over") {

@@ -16,7 +16,7 @@ from dousa.app.studio.motions import MotionRef
 from dousa.app.studio.problems import RefusedError
 
 if TYPE_CHECKING:
-    from dousa.app.studio.jobs import Job, JobBoard
+    from dousa.app.studio.jobs.board import Job, JobBoard
     from dousa.app.studio.motions import Motions, Named
     from dousa.evaluation import AdjustableAssessment, Assessment, Furi
 

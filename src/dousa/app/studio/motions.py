@@ -19,7 +19,7 @@ from pydantic import BaseModel, ConfigDict, Field
 from dousa.app.studio.problems import RefusedError
 
 if TYPE_CHECKING:
-    from dousa.app.studio.jobs import JobBoard
+    from dousa.app.studio.jobs.board import JobBoard
     from dousa.app.studio.workspace import Workspace
     from dousa.library import Library
     from dousa.motion import CanonicalMotion

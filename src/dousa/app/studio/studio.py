@@ -8,12 +8,12 @@ from typing import TYPE_CHECKING, Annotated
 from fastapi import Depends, Request
 
 from dousa.app.studio.evaluations import Evaluations
-from dousa.app.studio.jobs import JobBoard, Lane
-from dousa.app.studio.listing import Listing
+from dousa.app.studio.jobs.board import JobBoard, Lane
+from dousa.app.studio.jobs.processes import run_in_process
+from dousa.app.studio.jobs.threads import run_in_thread
 from dousa.app.studio.motions import Motions
-from dousa.app.studio.processes import run_in_process
-from dousa.app.studio.threads import run_in_thread
-from dousa.app.studio.thumbnails import Thumbnails
+from dousa.app.studio.shelf.listing import Listing
+from dousa.app.studio.shelf.thumbnails import Thumbnails
 from dousa.app.studio.workspace import Workspace
 
 if TYPE_CHECKING:

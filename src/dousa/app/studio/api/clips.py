@@ -9,8 +9,8 @@ from fastapi import APIRouter, Depends, Query, Response
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from dousa.app.studio.answers import Answer
-from dousa.app.studio.listing import Asked, Snapshot
 from dousa.app.studio.problems import RefusedError
+from dousa.app.studio.shelf.listing import Asked, Snapshot
 from dousa.app.studio.studio import StudioNow
 
 __all__ = ["router"]

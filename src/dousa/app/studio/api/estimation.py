@@ -10,8 +10,8 @@ from pydantic import BaseModel, ConfigDict, Field, field_validator
 from starlette.responses import FileResponse, Response
 
 from dousa.app.studio.answers import Answer
-from dousa.app.studio.asides import ask_process
-from dousa.app.studio.footage_reading import footage_of
+from dousa.app.studio.footage.reading import footage_of
+from dousa.app.studio.jobs.asides import ask_process
 from dousa.app.studio.motions import MotionName, MotionRef
 from dousa.app.studio.problems import RefusedError
 from dousa.app.studio.studio import StudioNow

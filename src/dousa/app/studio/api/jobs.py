@@ -64,7 +64,7 @@ def list_jobs(
     limit: Annotated[int, Query(ge=1, le=500)] = 50,
 ) -> Answer:
     """Without requests and results."""
-    from dousa.app.studio.jobs import ACTIVE
+    from dousa.app.studio.jobs.board import ACTIVE
 
     chosen = [
         job.to_json(brief=True)

@@ -13,7 +13,7 @@ from starlette.responses import Response
 
 from dousa.app.studio.answers import Answer
 from dousa.app.studio.downloads import attachment
-from dousa.app.studio.jobs import Job
+from dousa.app.studio.jobs.board import Job
 from dousa.app.studio.motions import MotionName, MotionRef
 from dousa.app.studio.problems import RefusedError
 from dousa.app.studio.studio import Studio, StudioNow

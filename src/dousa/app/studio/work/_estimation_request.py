@@ -9,7 +9,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from dousa.app.studio.materials import Material, pair_backgrounds, sort_materials
+from dousa.app.studio.footage.materials import Material, pair_backgrounds, sort_materials
 from dousa.app.studio.problems import RefusedError
 from dousa.app.studio.work import Context
 from dousa.app.studio.workspace import safe_parts

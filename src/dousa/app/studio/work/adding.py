@@ -46,7 +46,7 @@ def _inside(rule: str | None, folder: Path) -> str | None:
 
 def _draw_ahead(library: Library, before: set[int], context: Context) -> None:
     """Make the small figures of what is new, so that the page shows them at once."""
-    from dousa.app.studio.thumbnails import Thumbnails
+    from dousa.app.studio.shelf.thumbnails import Thumbnails
 
     fresh = [clip.id for clip in library.clips() if clip.id not in before][:_MOST_DRAWN]
     Thumbnails.of(context.home).make_ahead(library, fresh)

@@ -19,7 +19,7 @@ def run(request: dict[str, Any], context: Context) -> dict[str, Any]:
     """
     from dousa.app._estimation_output import Outputs
     from dousa.app.estimating import estimate_files
-    from dousa.app.studio.footage import FootageWriter
+    from dousa.app.studio.footage.recording import FootageWriter
 
     folder = context.folder
     outputs = Outputs(

@@ -5,12 +5,12 @@ from __future__ import annotations
 import threading
 from typing import TYPE_CHECKING, Any
 
-from dousa.app.studio.jobs import JobStopped
+from dousa.app.studio.jobs.board import JobStopped
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from dousa.app.studio.jobs import Job, JobBoard
+    from dousa.app.studio.jobs.board import Job, JobBoard
     from dousa.app.studio.settings import Settings
     from dousa.app.studio.studio import Studio
 

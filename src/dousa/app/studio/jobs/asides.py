@@ -66,7 +66,7 @@ def ask_process(
 
 def _run(key: str, task: bytes, seconds: float) -> list[bytes]:
     process = subprocess.Popen(
-        [sys.executable, "-m", "dousa.app.studio.worker"],
+        [sys.executable, "-m", "dousa.app.studio.jobs.worker"],
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
         stderr=subprocess.DEVNULL,

@@ -12,7 +12,7 @@ from weakref import WeakKeyDictionary
 import numpy as np
 from numpy.typing import NDArray
 
-from dousa.app.studio.footage import MASK, PICTURE, SEEN, canonical_indices, pose_record
+from dousa.app.studio.footage.recording import MASK, PICTURE, SEEN, canonical_indices, pose_record
 from dousa.app.studio.problems import RefusedError
 
 if TYPE_CHECKING:

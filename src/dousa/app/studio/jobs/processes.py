@@ -11,13 +11,13 @@ import threading
 from contextlib import suppress
 from typing import IO, TYPE_CHECKING, Any
 
-from dousa.app.studio.jobs import JobStopped
+from dousa.app.studio.jobs.board import JobStopped
 from dousa.errors import DousaError
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from dousa.app.studio.jobs import Job, JobBoard
+    from dousa.app.studio.jobs.board import Job, JobBoard
     from dousa.app.studio.settings import Settings
 
 __all__ = ["WorkError", "run_in_process"]
@@ -43,7 +43,7 @@ def run_in_process(settings: Settings) -> Callable[[Job, JobBoard, threading.Eve
         }
         with open(folder / "log.txt", "ab") as log:
             process = subprocess.Popen(
-                [sys.executable, "-m", "dousa.app.studio.worker"],
+                [sys.executable, "-m", "dousa.app.studio.jobs.worker"],
                 stdin=subprocess.PIPE,
                 stdout=subprocess.PIPE,
                 stderr=log,
