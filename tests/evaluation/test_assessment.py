@@ -277,3 +277,17 @@ def test_a_free_tempo_is_no_error() -> None:
     strict = judge(slow)
     assert strict.score < found.score
     assert any("--tempo free" in warning for warning in strict.warnings)
+
+
+def test_a_grade_of_a_part_says_so():
+    """Sitting down shares its standing with kicks, and is graded for that; nobody should believe it unwarned."""
+    from dousa.motion import canonicalise
+    from dousa.motion.synthetic import draw_performer, make_motion
+
+    def perform(category: str, performer: int) -> CanonicalMotion:
+        return canonicalise(make_motion(category, draw_performer(performer), seed=performer))
+
+    takes = [perform("kick_left", number) for number in range(5)]
+    other, same = (assess(takes, perform(category, 7), tempo="free") for category in ("sit_down", "kick_left"))
+    assert any("has a place in the reference" in warning for warning in other.warnings)
+    assert not any("has a place in the reference" in warning for warning in same.warnings)

@@ -23,6 +23,7 @@ from dousa.motion._types import FloatArray
 __all__ = ["describe_findings", "describe_gaps", "describe_warnings"]
 
 _JOIN_S = 0.35
+_MOSTLY = 0.5  # share of the performance that has a place in the reference, below which the grade is about a part
 _ALIKE = 0.3  # mismatch along the lines
 _MIRROR_BETTER = 0.6
 _TEMPO_OFF, _TEMPO_BETTER = 0.04, 0.8
@@ -179,6 +180,9 @@ def describe_warnings(
         # What was never seen is drawn as standing.
         if postures.seen.any() and _moves(postures) < _STILL:
             keys.append((key, 0.0))
+    compared = float(np.isfinite(comparison.from_first).any(axis=1).mean())
+    if compared < _MOSTLY:
+        keys.append(("compared", 100.0 * compared))
     if not performance.seen.all():
         keys.append(("gaps", 100.0 * float(np.mean(~performance.seen))))
     if not references.postures.seen.all():
