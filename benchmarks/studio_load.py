@@ -1,9 +1,9 @@
 """An hour of mixed use: does the studio's memory grow?
 
 The studio runs in a process of its own on a copy of a library; programs ask it all the time for everything that its
-pages ask for: lists, thumbnails, searches of clips and of uploaded files, pairs, labels, evaluations, uploads, now and
-then a training. Its resident memory is read every 10 s; the claim is about the second half, when everything that is
-kept has been kept.
+pages ask for: lists, thumbnails, searches of clips and of uploaded files, pairs, labels, evaluations that are adjusted,
+now and then an estimation. Its resident memory is read every 10 s; the claim is about the second half, when everything
+that is kept has been kept.
 
     python benchmarks/studio_load.py --minutes 60
 """
@@ -24,6 +24,7 @@ import tempfile
 import threading
 import time
 from collections import Counter
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -72,6 +73,7 @@ def use(
         "upload": (3, lambda: upload_and_search(client, motion, chance)),
         "evaluate": (1, lambda: evaluate(client, one, other)),
         "label": (1, lambda: label(client, takes, chance)),
+        "estimate": (0.03, lambda: estimate(client)),
         "jobs": (10, lambda: client.ask("GET", "/api/jobs")),
     }
     name = chance.choices(list(deeds), [weight for weight, _ in deeds.values()])[0]
@@ -91,7 +93,24 @@ def upload_and_search(client: Client, motion: bytes, chance: random.Random) -> t
 
 def evaluate(client: Client, one: int, other: int) -> tuple[int, bytes]:
     wanted = {"references": [{"motion": f"clip:{other}"}], "performance": {"motion": f"clip:{one}"}}
-    return follow(client, client.ask("POST", "/api/jobs/evaluate", wanted))
+    look = [
+        ("GET", "/api/evaluations/{id}/report", None),
+        ("POST", "/api/evaluations/{id}/adjust", {"weights": {"left_leg": 0.5}, "furi": None}),
+    ]
+    return follow(client, client.ask("POST", "/api/jobs/evaluate", wanted), look)
+
+
+def estimate(client: Client) -> tuple[int, bytes]:
+    """The example of the page, some frames of it."""
+    status, answer = client.ask("POST", "/api/estimations/example", {})
+    if status != 201:
+        return status, answer
+    wanted = {"batch": json.loads(answer)["batch"], "frames": "0:8"}
+    look = [
+        (method, f"/api/estimations/{{id}}/{what}", None)
+        for method, what in (("GET", "player"), ("GET", "frames"))
+    ]
+    return follow(client, client.ask("POST", "/api/jobs/estimate", wanted), look)
 
 
 def label(client: Client, takes: list[int], chance: random.Random) -> tuple[int, bytes]:
@@ -101,14 +120,21 @@ def label(client: Client, takes: list[int], chance: random.Random) -> tuple[int,
     return follow(client, client.ask("POST", "/api/jobs/label", wanted))
 
 
-def follow(client: Client, said: tuple[int, bytes]) -> tuple[int, bytes]:
-    """Wait for a job and forget it."""
+def follow(
+    client: Client, said: tuple[int, bytes], look: Sequence[tuple[str, str, Any]] = ()
+) -> tuple[int, bytes]:
+    """Wait for a job, look at what came of it, and forget it."""
     if said[0] != 202:
         return said
     job = json.loads(said[1])
     while job["state"] in ("queued", "running", "stopping"):
         time.sleep(0.05)
         job = json.loads(client.ask("GET", f"/api/jobs/{job['id']}")[1])
+    for method, path, body in look:
+        status, answer = client.ask(method, path.format(id=job["id"]), body)
+        if status >= 400:
+            print(path, status, answer[:300], flush=True)
+            return status, answer
     client.ask("DELETE", f"/api/jobs/{job['id']}")
     return (200 if job["state"] == "done" else 599), json.dumps(job).encode()
 

@@ -4,7 +4,8 @@
 
 Without ``--library`` one of 10,000 made clips is made first, as in ``benchmarks/search.py``. Prints for the Library
 page at 1280 x 720: from the click to the last small figure of the first screen, warm; frames while it stands and while
-it scrolls; how many figures run and how many cells exist then; memory of the page before and after.
+it scrolls; how many figures run and how many cells exist then; memory of the page before and after; and from the
+address of a search to its hits.
 Goal: first page within 1 s warm, 16.7 ms a frame, no more than a screenful of figures alive. There is no peer: what is
 measured is a page. ``MEASUREMENTS`` takes further ones.
 """
@@ -45,6 +46,11 @@ const seen = [...document.querySelectorAll('.cell')].filter((cell) => {
 const drawn = seen.filter((cell) => !cell.querySelector('canvas').hidden);
 const ready = seen.length > 0 && drawn.length === seen.length && dousa.miniatures.drawn >= seen.length;
 return ready ? performance.now() : null;
+"""
+# The time when the hits stand there, and their figures are drawn, ms since the navigation began; null before.
+FOUND = """
+const hits = [...document.querySelectorAll('.hit')];
+return hits.length ? performance.now() : null;
 """
 SCROLL = """
 const [speed, seconds, done] = arguments;
@@ -150,6 +156,21 @@ def measure_scrolling(studio: Studio, loads: int) -> None:
     print(f"library, memory of scripts: {before / 1e6:.1f} MB before, {after / 1e6:.1f} MB after scrolling")
 
 
+def measure_search(studio: Studio, loads: int) -> None:
+    """Navigation to a search until the hits stand there: the page, the question and the answer."""
+    ids = studio.page.run("return fetch('/api/clips?limit=200').then((answer) => answer.json())")
+    clips = [item["motion"] for item in ids["items"] if item["kind"] == "clip"]
+    times = []
+    for number in range(loads + 1):
+        studio.show(f"/search?motion={clips[17 * number % len(clips)]}")
+        times.append(studio.page.wait(FOUND, seconds=60))
+    first, later = times[0], times[1:]
+    print(
+        f"search, from the address to the hits: first {first:.0f} ms, then median {statistics.median(later):.0f} ms, "
+        f"worst {max(later):.0f} ms"
+    )
+
+
 def describe(frames: Sequence[float]) -> str:
     """Frame times in words."""
     ordered = sorted(frames)
@@ -160,7 +181,11 @@ def describe(frames: Sequence[float]) -> str:
     )
 
 
-MEASUREMENTS: tuple[Callable[[Studio, int], None], ...] = (measure_first_page, measure_scrolling)
+MEASUREMENTS: tuple[Callable[[Studio, int], None], ...] = (
+    measure_first_page,
+    measure_scrolling,
+    measure_search,
+)
 """What is measured, one after the other, on the same studio."""
 
 

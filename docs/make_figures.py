@@ -2,7 +2,8 @@
 
 Everything shown is made by the package itself: no recording is needed. `make_retrieval_figures`,
 `make_estimation_figures` and `make_evaluation_figures` do the same for docs/retrieval.md, docs/estimation.md and
-docs/evaluation.md. Only `make_chain_figures`, for docs/tutorial.md, shows real people, and does nothing without them.
+docs/evaluation.md. `make_studio_figures` takes pictures of the studio's
+pages. Only `make_chain_figures`, for docs/tutorial.md, shows real people, and does nothing without them.
 """
 
 from __future__ import annotations
@@ -92,6 +93,7 @@ if __name__ == "__main__":
     import make_estimation_figures
     import make_evaluation_figures
     import make_retrieval_figures
+    import make_studio_figures
 
     FIGURES.mkdir(exist_ok=True)
     draw_sheet()
@@ -100,4 +102,5 @@ if __name__ == "__main__":
     make_retrieval_figures.make_all()
     make_estimation_figures.make_all()
     make_evaluation_figures.make_all()
+    make_studio_figures.make_all()
     make_chain_figures.make_all()

@@ -26,6 +26,7 @@ sys.path.insert(0, str(DOCS.parent / "tests"))
 
 SETTLE = 2.5  # s: figures move, so that a picture has somebody in the middle of something
 COLOURS = 256  # of a picture: few bytes, and shades without steps
+SCROLLED = {"evaluate": 560}  # px: the figures and the errors say more than the grade
 
 
 @dataclass(frozen=True, slots=True)
@@ -120,8 +121,9 @@ def save(picture: bytes, path: Path) -> None:
 def take_pictures(studio: Studio, demo: Path, page: Any) -> None:
     """Every page in light; the library as a phone shows it, dark and in Japanese."""
     for name, (address, shown) in addresses(studio, demo).items():
-        save(shoot(studio, page, address, shown), FIGURES / f"studio_{name}.png")
-    phone = shoot(studio, page, "/library?lang=ja", ".cell canvas", 390, 844, "dark")
+        from_top = SCROLLED.get(name, 0)
+        save(shoot(studio, page, address, shown, from_top=from_top), FIGURES / f"studio_{name}.png")
+    phone = shoot(studio, page, "/library?lang=ja", ".cell canvas", 0, (390, 844), "dark")
     save(phone, FIGURES / "studio_phone.png")
 
 
@@ -130,17 +132,19 @@ def shoot(
     page: Any,
     address: str,
     shown: str,
-    width: int = 1280,
-    height: int = 800,
+    from_top: int = 0,
+    size: tuple[int, int] = (1280, 800),
     scheme: str = "light",
 ) -> bytes:
     """What the browser shows of a page."""
-    page.resize(width, height)
+    page.resize(*size)
     features = [{"name": "prefers-color-scheme", "value": scheme}]
     page.driver.execute_cdp_cmd("Emulation.setEmulatedMedia", {"features": features})
     page.driver.get(f"{studio.url}{address}{'&' if '?' in address else '?'}token={studio.token}")
     page.wait("return document.querySelector(arguments[0]) !== null", shown, seconds=60)
-    time.sleep(SETTLE)
+    time.sleep(SETTLE / 2)
+    page.run("scrollTo({top: arguments[0], behavior: 'instant'})", from_top)
+    time.sleep(SETTLE / 2)
     with tempfile.TemporaryDirectory() as folder:
         return bytes(page.screenshot(Path(folder) / "page.png").read_bytes())
 
@@ -158,18 +162,16 @@ def make_demo(folder: Path) -> None:
     run_estimation_demo(Console(), folder)
 
 
-def main() -> None:
+def make_all(demo: Path | None = None) -> None:
+    """Take all pictures, of a demonstration that was run into a folder or of a new one."""
     import pytest
 
     from app.browser import open_browser
     from dousa.app.demo_studio import prepare_studio
 
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--demo", type=Path, help="folder of a demonstration that was run already")
-    chosen = parser.parse_args([] if __name__ != "__main__" else None)
     with tempfile.TemporaryDirectory() as name:
-        demo = chosen.demo or Path(name)
-        if chosen.demo is None:
+        if demo is None:
+            demo = Path(name)
             make_demo(demo)
         try:
             with listening(prepare_studio(demo)) as studio, open_browser(Path(name) / "profile") as page:
@@ -179,4 +181,6 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--demo", type=Path, help="folder of a demonstration that was run already")
+    make_all(parser.parse_args().demo)

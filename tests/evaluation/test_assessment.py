@@ -288,6 +288,8 @@ def test_a_grade_of_a_part_says_so():
         return canonicalise(make_motion(category, draw_performer(performer), seed=performer))
 
     takes = [perform("kick_left", number) for number in range(5)]
-    other, same = (assess(takes, perform(category, 7), tempo="free") for category in ("sit_down", "kick_left"))
+    other, same = (
+        assess(takes, perform(category, 7), tempo="free") for category in ("sit_down", "kick_left")
+    )
     assert any("has a place in the reference" in warning for warning in other.warnings)
     assert not any("has a place in the reference" in warning for warning in same.warnings)

@@ -230,3 +230,11 @@ def test_what_is_named_more_exactly_weighs_in_any_order() -> None:
     for wrong in ("2", None, float("nan"), -1.0, 1e308):
         with pytest.raises(OptionError, match="left_arm: expected a number"):
             spread_weights({"left_arm": wrong})
+
+
+def test_arms_and_legs_are_names_of_weights_everywhere():
+    from dousa.evaluation._inputs import spread_weights
+
+    both = spread_weights({"arms": 2.0, "left_forearm": 0.5})
+    spelled = spread_weights({"left_arm": 2.0, "right_arm": 2.0, "left_forearm": 0.5})
+    assert both.tolist() == spelled.tolist()

@@ -9,7 +9,8 @@ import numpy as np
 from dousa.errors import InvalidMotionError, OptionError
 from dousa.evaluation._types import PostureSequence
 from dousa.evaluation.furi import Furi
-from dousa.evaluation.posture import LIMBS, SEGMENTS
+from dousa.evaluation.posture import SEGMENTS
+from dousa.evaluation.weights_file import LEVELS
 from dousa.motion import CanonicalMotion
 from dousa.motion._types import FloatArray
 
@@ -58,14 +59,17 @@ def check_seen(postures: PostureSequence, what: str) -> None:
 
 def spread_weights(weights: Mapping[str, float] | None) -> FloatArray:
     """(9,) weights; those above 0 have a mean of 1, so that leaving limbs out makes nobody stricter with the rest."""
-    shares = np.ones(len(SEGMENTS))
-    # What is named more exactly counts, in whatever order it comes: limbs first, then segments.
-    for name, value in sorted((weights or {}).items(), key=lambda item: item[0] in SEGMENTS):
-        if name not in SEGMENTS and name not in LIMBS:
-            raise OptionError(f"weights: expected names of {', '.join((*SEGMENTS, *LIMBS))}, got {name!r}")
+    given = dict(weights or {})
+    known = [name for level in LEVELS for name in level]
+    for name, value in given.items():
+        if name not in known:
+            raise OptionError(f"weights: expected names of {', '.join(known)}, got {name!r}")
         if not isinstance(value, int | float) or not 0.0 <= value <= _LARGEST_WEIGHT:
             raise OptionError(f"weights: {name}: expected a number from 0 to a million, got {value!r}")
-        shares[[SEGMENTS.index(name)] if name in SEGMENTS else list(LIMBS[name])] = value
+    shares = np.ones(len(SEGMENTS))
+    for level in LEVELS:  # what is named more exactly counts, in whatever order it comes
+        for name in level.keys() & given.keys():
+            shares[[SEGMENTS.index(segment) for segment in level[name]]] = given[name]
     if shares.sum() <= 0.0:
         raise OptionError("weights: expected at least one weight above 0")
     return shares / shares[shares > 0.0].mean()

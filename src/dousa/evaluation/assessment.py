@@ -59,7 +59,7 @@ def assess(
     side : ``"mirrored"`` for a pupil who dances facing the teacher, left for right.
     tempo : ``"same"``: to the same music, being late is an error; ``"free"``: only hurrying and lagging within a
         few seconds is.
-    weights : of segments or limbs, 1 for those not named.
+    weights : of segments, limbs, ``arms`` or ``legs``; 1 for those not named.
     language : ``"en"`` or ``"ja"``, of the sentences.
     names : of the references and, last, of the performance.
 

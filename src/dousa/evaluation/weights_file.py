@@ -19,14 +19,14 @@ from typing import Any
 from dousa.errors import OptionError
 from dousa.evaluation.posture import LIMBS, SEGMENTS
 
-__all__ = ["read_weights"]
+__all__ = ["LEVELS", "read_weights"]
 
 _MOST_BYTES = 1_000_000
 _LARGEST = 1e6
 _SHOWN = 40  # letters of a wrong value in a message
 
 # From the coarse names to the exact ones, which are laid over them.
-_LEVELS: tuple[dict[str, tuple[str, ...]], ...] = (
+LEVELS: tuple[dict[str, tuple[str, ...]], ...] = (
     {
         "arms": tuple(SEGMENTS[i] for i in (*LIMBS["left_arm"], *LIMBS["right_arm"])),
         "legs": tuple(SEGMENTS[i] for i in (*LIMBS["left_leg"], *LIMBS["right_leg"])),
@@ -59,13 +59,13 @@ def read_weights(path: str | os.PathLike[str]) -> dict[str, float]:
         if _plain(given) in entries:
             raise OptionError(f"{where}: '{given}' is given a second time")
         entries[_plain(given)] = value
-    known = [name for level in _LEVELS for name in level]
+    known = [name for level in LEVELS for name in level]
     weights = dict.fromkeys(SEGMENTS, 1.0)
     for name, value in entries.items():
         if name not in known:
             raise OptionError(f"{where}: '{name}' is no segment; there are: {', '.join(known)}")
         _check(value, name, where)
-    for level in _LEVELS:
+    for level in LEVELS:
         for name in level.keys() & entries.keys():
             weights.update(dict.fromkeys(level[name], float(entries[name])))
     if not any(weights.values()):

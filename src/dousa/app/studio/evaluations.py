@@ -73,7 +73,7 @@ class Adjustment(BaseModel):
 
     model_config = ConfigDict(extra="forbid")
 
-    weights: Annotated[dict[_Name, _Weight], Field(max_length=14)] = Field(
+    weights: Annotated[dict[_Name, _Weight], Field(max_length=20)] = Field(
         default_factory=dict, description="of segments or limbs; 1 for those not named"
     )
     furi: Annotated[list[Cut], Field(min_length=1, max_length=400)] | None = Field(

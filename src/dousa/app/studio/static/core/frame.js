@@ -16,11 +16,6 @@ $("#language-button").addEventListener("click", () => {
   location.assign(address);
 });
 
-// Chromium may have drawn these letters before the font was there, and does not draw them again by itself.
-document.fonts.load('16px "dousa-ja"', t("other_language")).then(() => {
-  $("#language-button").textContent = t("other_language");
-});
-
 const THEMES = ["system", "light", "dark"];
 const THEME_ICONS = { system: "half", light: "sun", dark: "moon" };
 
