@@ -29,8 +29,10 @@ bench: $(VENV)/.bench
 # aeon needs an older NumPy and numba than our constraints: the comparison with it has an environment of its own.
 peers:
 	test -x $(VENV)-peers/bin/python || $(PYTHON) -m venv $(VENV)-peers
-	$(VENV)-peers/bin/python -m pip install --quiet --disable-pip-version-check -e . 'aeon>=1.6'
+	$(VENV)-peers/bin/python -m pip install --quiet --disable-pip-version-check -e '.[studio]' 'aeon>=1.6' 'nicegui>=3' \
+	  selenium pytest
 	$(VENV)-peers/bin/python benchmarks/recognition.py
+	$(VENV)-peers/bin/python benchmarks/studio_framework.py
 
 figures: $(VENV)/.dev
 	$(BIN)/python docs/make_figures.py

@@ -108,8 +108,13 @@ def main() -> None:
     found = {}
     with tempfile.TemporaryDirectory() as name, open_browser(Path(name) / "profile") as page:
         page.resize(1280, 720)
+        library = chosen.library or Path(name) / "large.dousa"
+        if chosen.library is None:
+            from search import make_library
+
+            make_library(library, 10_000, 40)
         for who in ("NiceGUI", "dousa"):
-            start = run_peer(8890, Path(name)) if who == "NiceGUI" else run_ours(chosen.library)
+            start = run_peer(8890, Path(name)) if who == "NiceGUI" else run_ours(library)
             process, address = start
             try:
                 found[who] = measure(page, address, SHOWN[who], process.pid, chosen.loads)
