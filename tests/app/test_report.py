@@ -121,7 +121,7 @@ def test_contents_in_japanese(japanese: str) -> None:
     text = " ".join(_read(japanese).texts)
     assert '<html lang="ja">' in japanese
     for words in (
-        "未較正",
+        "未校正",
         "全体振りミス",
         "部分振りミス",
         "不完全動作",

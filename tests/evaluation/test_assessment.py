@@ -110,6 +110,13 @@ def test_who_is_mirrored_unasked_is_told() -> None:
     assert any("--mirror" in warning for warning in judge(mirror(MOTION), language="ja").warnings)
 
 
+def test_who_is_mirrored_needlessly_is_told_to_leave_it_out() -> None:
+    found = judge(MOTION, side="mirrored")
+    assert any("without --mirror" in warning for warning in found.warnings)
+    assert not any("--mirror compares" in warning for warning in found.warnings)
+    assert any("--mirror を外す" in warning for warning in judge(MOTION, side="mirrored", language="ja").warnings)
+
+
 def test_performers_who_waver_are_hardly_ever_wrong() -> None:
     found = [judge(simulate_performer(MOTION, seed)) for seed in range(6)]
     assert sum(len(one.events) for one in found) <= 2

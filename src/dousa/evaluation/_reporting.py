@@ -23,7 +23,9 @@ from dousa.motion._types import FloatArray
 __all__ = ["describe_findings", "describe_gaps", "describe_warnings"]
 
 _JOIN_S = 0.35
-_MOSTLY = 0.5  # share of the performance that has a place in the reference, below which the grade is about a part
+_MOSTLY = (
+    0.5  # share of the performance that has a place in the reference, below which the grade is about a part
+)
 _ALIKE = 0.3  # mismatch along the lines
 _MIRROR_BETTER = 0.6
 _TEMPO_OFF, _TEMPO_BETTER = 0.04, 0.8
@@ -159,6 +161,7 @@ def describe_warnings(
     curves: Curves,
     tempo: str,
     weights: FloatArray,
+    side: str,
     language: str,
 ) -> tuple[str, ...]:
     """What a person should know before believing the grade."""
@@ -171,7 +174,7 @@ def describe_warnings(
     if mismatch > _ALIKE:
         mirrored = align(first, thin_postures(mirror_postures(performance)), tempo, weights)
         if mirrored.mismatch < _MIRROR_BETTER * mismatch:
-            keys.append(("mirrored", 0.0))
+            keys.append(("unmirrored" if side == "mirrored" else "mirrored", 0.0))
     if tempo == "same" and mismatch > 0.5 * _ALIKE:
         free = align(first, working, "free", weights)
         if abs(free.tempo - 1.0) > _TEMPO_OFF and free.mismatch < _TEMPO_BETTER * mismatch:

@@ -9,6 +9,7 @@ _WORDS: dict[str, dict[str, str]] = {
         "unlike": "the performance resembles the reference hardly anywhere (mismatch {0:.2f} of 1); is it the same "
         "dance?",
         "mirrored": "mirrored, left for right, the performance fits far better; --mirror compares it so",
+        "unmirrored": "as it is, not mirrored, the performance fits far better; compare it without --mirror",
         "tempo": "the performance takes {0:.2f} times as long as the reference; --tempo free does not count that as "
         "being late",
         "sides": "mirrored: left and right are the reference's; the pupil's own are the other way round",
@@ -23,6 +24,7 @@ _WORDS: dict[str, dict[str, str]] = {
     "ja": {
         "unlike": "入力動作は手本とほとんど似ていません（不一致 {0:.2f}／1）。同じ舞踊でしょうか。",
         "mirrored": "左右を反転すると手本とよく一致します。--mirror を付けると反転して比較します。",
+        "unmirrored": "左右を反転しないほうが手本とよく一致します。--mirror を外すとそのまま比較します。",
         "tempo": "入力動作は手本の {0:.2f} 倍の時間がかかっています。--tempo free を付けると遅れとして数えません。",
         "sides": "左右反転して比較：左右は手本の側です。演者自身の左右は逆になります。",
         "left out": "手本の {0:.0f} 回目は1回目と似ていないため、除外しました。",

@@ -241,7 +241,7 @@ def look_at_figures(
         warnings=(
             *((describe_warning("sides", 0.0, language),) if side == "mirrored" else ()),
             *describe_warnings(
-                references, furi, performance, working, comparison, curves, tempo, weights, language
+                references, furi, performance, working, comparison, curves, tempo, weights, side, language
             ),
         ),
         side=side,

@@ -110,7 +110,7 @@ _UNCALIBRATED = {
     "en": "{sum}. The performance is {own} deg from the reference on average; not calibrated: with fewer than three "
     "takes of the reference, {spread} deg stand for the standard deviation between clean takes ({points} points "
     "each)",
-    "ja": "{sum}。演技と手本の差は平均{own}度。未校正:手本が3テイクに満たないため、"
+    "ja": "{sum}。演技と手本の差は平均{own}度。未校正：手本が3テイクに満たないため、"
     "標準偏差を{spread}度とみなしています(1標準偏差につき{points}点減点)",
 }
 

@@ -124,6 +124,6 @@ def test_what_is_missing_is_said_and_put_right(show, seen, tmp_path):
 def test_a_job_that_is_not_there(show):
     page = show("/estimate?job=0123456789abcdef")
     page.wait("return document.querySelector('#watch-problem .problem-box')")
-    assert "no job" in text(page, "#watch-problem")
+    assert "not there any more" in text(page, "#watch-problem")
     page.find("#watch-actions button").click()
     page.wait("return !document.querySelector('#setup').hidden")

@@ -224,7 +224,7 @@ def test_problems_are_told_and_the_choice_stays(show, client, dances):
     page.find("#grade").click()
     page.wait("return !document.querySelector('#problem').hidden", seconds=60)
     said = page.run("return document.querySelector('#problem').textContent")
-    assert "dance_pupil.bvh: performance: expected a motion of at least 0.5 s" in said
+    assert "dance_pupil.bvh: The motion is too short: it takes 0.5 s at least." in said
     page.wait("return document.querySelector('#performance .part input')?.value === '3'")
     assert page.messages() == []
     page = show("/evaluate?job=00000000000000ff")

@@ -14,10 +14,10 @@ JAPANESE: dict[str, str] = {
     "unnamed_performance": "演技",
     "grade": "評価点",
     "out_of": "100点満点",
-    "calibrated": "手本{count}回分の踊りで較正済み",
-    "uncalibrated": "未較正",
+    "calibrated": "手本{count}回分の踊りで校正済み",
+    "uncalibrated": "未校正",
     "uncalibrated_note": "手本は{count}回分です。許容範囲は目安にすぎません。"
-    "この点数は、同じ手本で付けた点数どうしでのみ比べてください。手本を3回以上（できれば5回）用意すると較正できます。",
+    "この点数は、同じ手本で付けた点数どうしでのみ比べてください。手本を3回以上（できれば5回）用意すると校正できます。",
     "facts": "概要",
     "fact_length": "長さ",
     "fact_length_value": "{performance}（手本 {reference}）",

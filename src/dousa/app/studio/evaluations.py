@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
+from dousa.app.studio.gates import Gate
 from dousa.app.studio.motions import MotionRef
 from dousa.app.studio.problems import RefusedError
 
@@ -38,7 +39,9 @@ _Weight = Annotated[float, Field(ge=0, le=1000, allow_inf_nan=False)]
 _Name = Annotated[str, Field(max_length=40)]
 
 _MOST_READY, _MOST_BYTES = 6, 300_000_000  # evaluations in memory
-_LONGEST_S = 600.0  # s of a motion; every further take is compared with every other one
+_LONGEST_S = 600.0  # s of a motion
+_MOST_WORK = 1.5e6  # s^2 of all pairs, since every take is compared with every other one: half a minute
+_WAIT = 120.0  # s for others whose evaluation is made again
 _SLACK_S = 0.1  # s that the last figure may end after the dance: people round
 _ADJUSTED = "adjusted.json"
 
@@ -47,6 +50,7 @@ _OPTIONS = {
     "en": {"--mirror": "'Mirrored'", "--tempo free": "'Any tempo'"},
     "ja": {
         "--mirror を付けると": "「左右反転」を選ぶと",
+        "--mirror を外すと": "「左右反転」を外すと",
         "--tempo free を付けると": "「テンポは自由」を選ぶと",
     },
 }
@@ -185,6 +189,7 @@ class Evaluations:
     def __init__(self, motions: Motions, board: JobBoard) -> None:
         self._motions, self._board = motions, board
         self._lock = threading.Lock()
+        self._gate = Gate(2, 8, "other evaluations are being made again; try again in a moment")
         self._making: dict[str, threading.Lock] = {}
         self._ready: OrderedDict[str, Ready] = OrderedDict()
 
@@ -209,15 +214,21 @@ class Evaluations:
         RefusedError : no such evaluation, or it is not done; a motion of it is gone.
         """
         job = self._done(job_id)
-        with self._lock:
-            making = self._making.setdefault(job_id, threading.Lock())
-        with making:
-            ready = self._ready.get(job_id)
-            if ready is None:
-                ready = make_ready(EvaluationRequest.model_validate(job.request), self._motions.get)
-        with self._lock:
-            self._making.pop(job_id, None)
+        ready = self._ready.get(job_id) or self._make_again(job)
         self.put(job_id, ready)
+        return ready
+
+    def _make_again(self, job: Job) -> Ready:
+        with self._gate.enter(_WAIT):
+            with self._lock:
+                making = self._making.setdefault(job.id, threading.Lock())
+            with making:
+                ready = self._ready.get(job.id)
+                if ready is None:
+                    ready = make_ready(EvaluationRequest.model_validate(job.request), self._motions.get)
+                    self.put(job.id, ready)
+            with self._lock:
+                self._making.pop(job.id, None)
         return ready
 
     def read_adjustment(self, job_id: str) -> Adjustment:
@@ -269,6 +280,7 @@ def make_ready(
     for number, ref in enumerate(refs):
         progress(number, len(refs) + 1, "reading")
         named.append(_check(find(ref)))
+    _check_work([one.motion.duration for one in named])
     progress(len(refs), len(refs) + 1, "comparing")
     names = _tell_apart(named)
     *takes, performance = (one.motion for one in named)
@@ -298,6 +310,17 @@ def _check(named: Named) -> Named:
             "choose a part of it",
         )
     return named
+
+
+def _check_work(durations: Sequence[float]) -> None:
+    """A comparison cannot be stopped in the middle, so it must not take for ever."""
+    total, squares = sum(durations), sum(one * one for one in durations)
+    if (total * total - squares) / 2 > _MOST_WORK:
+        raise RefusedError(
+            422,
+            f"{len(durations)} motions of {total / 60:.0f} minutes together are too much to compare each with each; "
+            "choose fewer takes, or parts of them",
+        )
 
 
 def describe(ready: Ready, assessment: Assessment, adjustment: Adjustment) -> dict[str, Any]:

@@ -10,12 +10,13 @@ import dataclasses
 import threading
 from collections import OrderedDict
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path, PurePath
 from typing import TYPE_CHECKING, Annotated, Any
 
 from pydantic import BaseModel, ConfigDict, Field
 
+from dousa.app.studio.gates import Gate
 from dousa.app.studio.problems import RefusedError
 
 if TYPE_CHECKING:
@@ -36,6 +37,8 @@ MotionName = Annotated[
 ]
 _Seconds = Annotated[float, Field(ge=0, le=1e6, allow_inf_nan=False)]
 _KEPT_BYTES = 200_000_000  # of motions that were read from files
+_WAIT = 60.0  # s for others that read
+_LONGEST_S, _MOST_FRAMES = 3 * 3600.0, 1_500_000  # of a motion that is looked at as one
 
 
 class MotionRef(BaseModel):
@@ -93,6 +96,7 @@ class Motions:
     def __init__(self, library: Callable[[], Library], workspace: Workspace, board: JobBoard) -> None:
         self._library, self._workspace, self._board = library, workspace, board
         self._lock = threading.Lock()
+        self._reading = Gate(2, 12, "many files are being read; try again in a moment")
         self._kept: OrderedDict[tuple[Any, ...], Named] = OrderedDict()
 
     def get(self, ref: MotionRef) -> Named:
@@ -139,21 +143,40 @@ class Motions:
         clip = self.clip_id(ref)
         if clip is not None:
             return _stored(self._library(), clip)
-        return self._from_file(self.path(ref), ref)
+        found = self._from_file(self.path(ref), ref)
+        kind, _, rest = ref.motion.partition(":")
+        if kind == "job":  # all estimates lie in a motion.bvh: they are called as what they were made of
+            return replace(found, name=f"{PurePath(self._board.get(rest).title).stem}.bvh")
+        return found
 
     def _from_file(self, path: Path, ref: MotionRef) -> Named:
         joints = tuple((name, str(value)) for name, value in (ref.joint_map or {}).items())
-        key = (str(path), path.stat().st_mtime_ns, ref.unit, ref.up, joints)
+        try:
+            changed = path.stat().st_mtime_ns
+        except OSError:
+            raise RefusedError(404, f"{path.name} is not there any more; make or upload it again") from None
+        key = (str(path), changed, ref.unit, ref.up, joints)
+        kept = self._look(key)
+        if kept is not None:
+            return kept
+        with self._reading.enter(_WAIT):
+            kept = self._look(key)  # somebody else asked for the same file
+            if kept is None:
+                kept = _read(path, ref.unit, ref.up, ref.joint_map, self._short(path))
+                self._keep(key, kept)
+        return kept
+
+    def _look(self, key: tuple[Any, ...]) -> Named | None:
         with self._lock:
             if key in self._kept:
                 self._kept.move_to_end(key)
-                return self._kept[key]
-        read = _read(path, ref.unit, ref.up, ref.joint_map, self._short(path))
+            return self._kept.get(key)
+
+    def _keep(self, key: tuple[Any, ...], read: Named) -> None:
         with self._lock:
             self._kept[key] = read
             while len(self._kept) > 1 and sum(item.n_bytes for item in self._kept.values()) > _KEPT_BYTES:
                 self._kept.popitem(last=False)
-        return read
 
     def _short(self, path: Path) -> str:
         """What takes the place of the studio's folder in messages."""
@@ -180,7 +203,21 @@ def _read(
         motion, _ = read_canonical(str(path), ReadOptions(joint_map, unit, up, None))
     except DousaError as error:
         raise RefusedError(422, str(error).replace(folder, "")) from error
+    _check_size(path.name, motion.n_frames, motion.frame_rate)
     return Named(path.name, motion)
+
+
+def _check_size(name: str, n_frames: int, frame_rate: float) -> None:
+    """A file of a few frames that says it lasts a year would fill the memory when it is shown."""
+    from dousa.retrieval.posed_motion import check_frame_rate
+
+    check_frame_rate(frame_rate)
+    if n_frames > _MOST_FRAMES or n_frames / frame_rate > _LONGEST_S:
+        raise RefusedError(
+            422,
+            f"{name}: expected at most {_LONGEST_S / 3600:g} hours and {_MOST_FRAMES:,} frames, got "
+            f"{n_frames / frame_rate / 3600:.1f} hours and {n_frames:,} frames; cut it into parts",
+        )
 
 
 def _stored(library: Library, clip: int) -> Named:
@@ -188,6 +225,7 @@ def _stored(library: Library, clip: int) -> Named:
     from dousa.motion.canonical import JointMapping
 
     info = library.clips([clip])[0]
+    _check_size(PurePath(info.path).name, info.n_frames, info.frame_rate)
     positions = library.trajectories(clip).positions
     mapping = JointMapping(info.joint_table, {}, (), "agree")
     motion = CanonicalMotion(positions, info.frame_rate, info.height, "library", mapping, info.warnings)

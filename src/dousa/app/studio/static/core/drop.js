@@ -1,6 +1,7 @@
 // Dropping and choosing files and folders.
 
 import { h, icon, t } from "./dom.js";
+import { inWords } from "./problems.js";
 
 async function readEntry(entry, prefix, found) {
   if (entry.isFile) {
@@ -84,7 +85,10 @@ export function dropZone(onEntries, { text = t("drop_here"), hint, accept, multi
 }
 
 /** A reason that begins with the name of the file, without it. */
-export const withoutName = (reason, name) => (reason.startsWith(`${name}: `) ? reason.slice(name.length + 2) : reason);
+export function withoutName(reason, name) {
+  const said = inWords(reason);
+  return said.startsWith(`${name}: `) ? said.slice(name.length + 2) : said;
+}
 
 /** The list of files that were not taken, and why; null if there are none. */
 export function refusedList(refused) {

@@ -3,6 +3,7 @@
 import { $, h, icon, language, t } from "./dom.js";
 import { forgetJob, isActive, resumeJob, stopJob, watchJobs } from "./jobs.js";
 import { attempt } from "./notices.js";
+import { inWords } from "./problems.js";
 
 const YEAR = 31536000;
 const keep = (name, value) => {
@@ -46,18 +47,31 @@ const PLACES = { evaluate: "evaluate", estimate: "estimate", label: "takes", add
 function toggleTray(open) {
   tray.hidden = !open;
   trayButton.setAttribute("aria-expanded", String(open));
+  if (open) tray.focus({ preventScroll: true });
 }
 
 trayButton.addEventListener("click", () => toggleTray(tray.hidden));
 document.addEventListener("keydown", (event) => {
-  if (event.key === "Escape" && !tray.hidden) {
+  if (event.key !== "Escape") return;
+  const menu = $("details.menu[open]");
+  if (!tray.hidden) {
     toggleTray(false);
     trayButton.focus();
+  } else if (menu) {
+    menu.open = false;
+    $("summary", menu).focus();
   }
 });
 document.addEventListener("pointerdown", (event) => {
   if (!tray.hidden && !tray.contains(event.target) && !trayButton.contains(event.target)) toggleTray(false);
+  for (const menu of document.querySelectorAll("details.menu[open]")) if (!menu.contains(event.target)) menu.open = false;
 });
+
+/** The title of a job is a name, except where files were added: there it counts them. */
+function titleOf({ kind, title }) {
+  const count = kind === "add" && /^(\d+) files$/.exec(title)?.[1];
+  return count ? t(count === "1" ? "n_file_one" : "n_file_many", { count }) : title;
+}
 
 function describeJob(job) {
   const act = (name, action, kind = "") => h("button", { type: "button", class: `small ${kind}`, onclick: () => attempt(action) }, t(name));
@@ -70,10 +84,10 @@ function describeJob(job) {
   return h(
     "article",
     { class: "job", dataset: { job: job.id, state: job.state } },
-    h("header", {}, h("b", {}, `${t(`kind_${job.kind}`)}: ${job.title}`), h("span", { class: "state" }, t(`state_${job.state}`))),
+    h("header", {}, h("b", {}, t("job_title", { kind: t(`kind_${job.kind}`), title: titleOf(job) })), h("span", { class: "state" }, t(`state_${job.state}`))),
     isActive(job) ? h("progress", { max: String(Math.max(job.total, 1)), value: job.total ? String(job.done) : null, "aria-label": t(`kind_${job.kind}`) }) : null,
     isActive(job) && job.what ? h("p", { class: "what" }, job.total ? `${job.what} (${job.done}/${job.total})` : job.what) : null,
-    job.problem ? h("p", { class: "problem-box" }, job.problem) : null,
+    job.problem ? h("p", { class: "problem-box" }, inWords(job.problem)) : null,
     h("div", { class: "actions" }, ...actions),
   );
 }
@@ -83,7 +97,18 @@ watchJobs((jobs) => {
   trayButton.classList.toggle("busy", active > 0);
   $("#jobs-count").hidden = !active;
   $("#jobs-count").textContent = String(active);
-  const focused = tray.contains(document.activeElement) ? document.activeElement.closest(".job")?.dataset.job : null;
+  const place = focusedPlace();
   tray.replaceChildren(...(jobs.length ? jobs.slice(0, 30).map(describeJob) : [h("p", {}, t("jobs_none"))]));
-  if (focused) tray.querySelector(`[data-job="${focused}"] button`)?.focus();
+  if (place) focusAgain(place);
 });
+
+/** Which job of the tray has the focus, and which of its buttons; the tray itself has none. */
+function focusedPlace() {
+  const job = tray.contains(document.activeElement) ? document.activeElement.closest(".job") : null;
+  return job && { id: job.dataset.job, at: [...job.querySelectorAll("a, button")].indexOf(document.activeElement) };
+}
+
+function focusAgain({ id, at }) {
+  const acts = [...tray.querySelectorAll(`[data-job="${id}"] :is(a, button)`)];
+  (acts[Math.min(at, acts.length - 1)] ?? tray).focus();
+}

@@ -1,6 +1,7 @@
 // Work under way: one poll for the whole page tells everybody who follows a job.
 
 import { get, post, remove } from "./api.js";
+import { notify, withdraw } from "./notices.js";
 
 const [QUICK, SLOW] = [350, 4000]; // ms between looks
 const ACTIVE = new Set(["queued", "running", "stopping"]);
@@ -44,6 +45,8 @@ export function watchJobs(onChange) {
 }
 
 let looking = false;
+let missed = 0; // looks one after the other that failed
+let said = null; // what was said about that
 
 async function look() {
   if (looking) return;
@@ -51,13 +54,28 @@ async function look() {
   clearTimeout(timer);
   try {
     jobs = (await get("/jobs")).jobs;
-    await tell();
-  } catch {
-    // the studio is away; the next look may find it again
+    back();
+    await tell().catch(() => {}); // a job that is gone since; the next look knows
+  } catch (error) {
+    away(error.message); // the next look may find it again
   }
   looking = false;
   const hurry = jobs.some(isActive) && !document.hidden;
   timer = setTimeout(look, hurry ? QUICK : SLOW);
+}
+
+/** Whoever looks at a page of a studio that is gone should not have to guess. */
+function away(problem) {
+  missed += 1;
+  if (missed < 2 || said === problem) return;
+  if (said) withdraw(said);
+  said = problem;
+  notify(problem, "problem");
+}
+
+function back() {
+  if (said) withdraw(said);
+  [missed, said] = [0, null];
 }
 
 async function tell() {

@@ -1,11 +1,12 @@
 // Short messages at the foot of the page, read out by screen readers.
 
-import { $, h, icon, t } from "./dom.js";
+import { $, $$, h, icon, t } from "./dom.js";
 
 const SHOWN_FOR = 6000; // ms; problems stay until they are closed
 
 /** kind: "note" or "problem". */
 export function notify(text, kind = "note") {
+  if (kind === "problem") withdraw(text); // two requests that fail for one reason say it once
   const close = () => notice.remove();
   const notice = h(
     "div",
@@ -17,6 +18,11 @@ export function notify(text, kind = "note") {
   $("#notices").append(notice);
   while ($("#notices").children.length > 4) $("#notices").firstChild.remove();
   if (kind !== "problem") setTimeout(close, SHOWN_FOR);
+}
+
+/** Take a problem back that is none any more. */
+export function withdraw(text) {
+  for (const notice of $$(".problem", $("#notices"))) if ($("p", notice).textContent === text) notice.remove();
 }
 
 /** Run something asynchronous; what goes wrong is told, not thrown. -> its value, or undefined. */

@@ -33,7 +33,6 @@ export function pickClips({ kind, multiple = false, title = t("pick_title") } = 
       if (chosen.has(clip.id)) chosen.delete(clip.id);
       else chosen.set(clip.id, clip);
       item.setAttribute("aria-selected", String(chosen.has(clip.id)));
-      item.setAttribute("aria-pressed", String(chosen.has(clip.id)));
       use.disabled = chosen.size === 0;
     });
     return item;

@@ -4,6 +4,7 @@ import { get, post } from "../core/api.js";
 import { $, h, language, t } from "../core/dom.js";
 import { followJob, isActive, stopJob } from "../core/jobs.js";
 import { attempt } from "../core/notices.js";
+import { inWords } from "../core/problems.js";
 import { Result, downloadLinks } from "./result.js";
 import { Setup } from "./setup.js";
 import { keepChoice, readAddress, showJob } from "./state.js";
@@ -58,7 +59,7 @@ function drawProgress(job) {
 async function over(job) {
   if (job.state !== "done") {
     setup.show(choiceOf(job));
-    show("setup", job.state === "failed" ? `${t("failed")}: ${job.problem}` : t("was_stopped"));
+    show("setup", job.state === "failed" ? `${t("failed")}: ${inWords(job.problem)}` : t("was_stopped"));
     return;
   }
   places.progress.replaceChildren(h("p", {}, t("loading")));

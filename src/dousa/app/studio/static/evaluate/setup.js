@@ -1,9 +1,10 @@
 // The three steps before a grade: performance, takes of the reference, options.
 
-import { get, post, uploadAll } from "../core/api.js";
+import { get, post } from "../core/api.js";
 import { $, h, t } from "../core/dom.js";
 import { dropZone } from "../core/drop.js";
-import { attempt, notify } from "../core/notices.js";
+import { takeMotions } from "../core/incoming.js";
+import { attempt } from "../core/notices.js";
 import { pickClips } from "../core/pick.js";
 import { describeMotion, motionRow } from "./motions.js";
 import { keepChoice, plain, whole } from "./state.js";
@@ -13,12 +14,7 @@ const MOST = 50;
 
 const isSame = (a, b) => JSON.stringify(plain(a)) === JSON.stringify(plain(b));
 
-async function upload(entries) {
-  const came = await attempt(() => uploadAll(entries));
-  if (!came) return [];
-  for (const { name, reason } of came.refused) notify(`${name}: ${reason}`, "problem");
-  return came.files.filter((file) => file.motion).map((file) => whole(file.motion));
-}
+const upload = async (entries) => (await takeMotions(entries)).map(whole);
 
 /** onGrade(request) when somebody wants the grade. */
 export class Setup {

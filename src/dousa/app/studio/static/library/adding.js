@@ -13,6 +13,7 @@ import { report } from "./report.js";
 
 const count = new Intl.NumberFormat(language);
 const ACCEPT = ".bvh,.amc,.asf,.c3d,.trc,.npz,.zip";
+const MOTION = /\.(bvh|amc|c3d|trc|npz)$/i;
 const remembered = (id) => `dousa-refused-${id}`; // what an upload refused, for the report of its job
 let open = null;
 
@@ -51,6 +52,15 @@ export const zone = (onEntries, id = "add-files") => dropZone(onEntries, { accep
 
 // --- upload
 
+/** A folder that only holds the folders of the categories says nothing: files come as from inside of it. */
+function withoutOutermost(entries) {
+  const [first] = entries[0].path.split("/");
+  const inside = entries.every(({ path }) => path.startsWith(`${first}/`));
+  const motions = entries.filter(({ path }) => MOTION.test(path));
+  if (!inside || !motions.length || motions.some(({ path }) => path.split("/").length < 3)) return entries;
+  return entries.map(({ file, path }) => ({ file, path: path.slice(first.length + 1) }));
+}
+
 async function receive(state, entries) {
   if (state.busy || state.job) {
     notify(t("one_at_a_time"), "problem");
@@ -65,7 +75,7 @@ async function receive(state, entries) {
     text.textContent = t("uploading", { done: count.format(done), total: count.format(total) });
   };
   try {
-    const came = await uploadAll(entries, { batch: state.batch, onProgress, signal: state.stop.signal });
+    const came = await uploadAll(withoutOutermost(entries), { batch: state.batch, onProgress, signal: state.stop.signal });
     state.batch = came.batch;
     state.files.push(...came.files);
     state.refused.push(...came.refused);

@@ -4,6 +4,7 @@ import { h, icon, language, t } from "../core/dom.js";
 import { withoutName } from "../core/drop.js";
 import { resumeJob } from "../core/jobs.js";
 import { attempt } from "../core/notices.js";
+import { inWords } from "../core/problems.js";
 import { foot } from "./dialogs.js";
 
 const count = new Intl.NumberFormat(language);
@@ -13,7 +14,7 @@ export function report(job, refused, { close, hooks }) {
   const done = h("button", { type: "button", class: "primary", onclick: close }, t("close"));
   if (!job.result) {
     const again = job.resumable ? h("button", { type: "button", onclick: () => attempt(() => resumeJob(job.id)) }, t("resume")) : null;
-    return [h("p", { class: "problem-box" }, job.problem ?? t("adding_stopped")), lost(refused, []), foot(...[again, done].filter(Boolean))].filter(Boolean);
+    return [h("p", { class: "problem-box" }, job.problem ? inWords(job.problem) : t("adding_stopped")), lost(refused, []), foot(...[again, done].filter(Boolean))].filter(Boolean);
   }
   const { result, request } = job;
   const fresh = result.added.length + result.replaced.length;
