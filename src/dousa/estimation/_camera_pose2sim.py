@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import json
 import re
-import tomllib
 from collections.abc import Sequence
 from typing import Any
 
@@ -24,6 +23,7 @@ from dousa.estimation._camera_raw import (
     rotation_from_vector,
     to_y_up,
 )
+from dousa.estimation._safe_toml import parse_toml
 from dousa.estimation.camera import Camera
 from dousa.motion.rotations import from_matrix, to_axis_angle
 
@@ -34,7 +34,7 @@ _LIKE_TOML = re.compile(rb"^[ \t]*(matrix|rotation|translation)[ \t]*=", re.MULT
 
 def _parse(content: bytes, _stem: str) -> list[RawCamera] | None:
     try:
-        tree = tomllib.loads(content.decode("utf-8-sig").replace("\r\n", "\n"))
+        tree = parse_toml(content.decode("utf-8-sig"))
     except (ValueError, RecursionError) as error:
         if _LIKE_TOML.search(content):
             raise CalibrationError(f"not whole TOML ({error}); is the file truncated?") from error

@@ -44,6 +44,7 @@ from numpy.typing import NDArray
 
 from dousa._files import atomic_write, read_bytes
 from dousa.errors import BodyModelError
+from dousa.estimation._safe_toml import parse_toml
 from dousa.estimation.body import BodyModel
 from dousa.estimation.human import make_human
 
@@ -91,13 +92,13 @@ def read_body(path: str | os.PathLike[str]) -> BodyModel:
         raise BodyModelError(f"{os.fspath(path)}: expected text in UTF-8: {error}") from error
     source = _Source(os.fspath(path), text)
     try:
-        content = tomllib.loads(text.replace("\r\n", "\n"))
+        content = parse_toml(text)
     except tomllib.TOMLDecodeError as error:
         place = _AT_LINE.search(str(error))
         problem = _AT_LINE.sub("", str(error))
         raise source.error(f"expected TOML: {problem}", int(place[1]) if place else None) from error
     except RecursionError:
-        raise source.error("expected TOML, got brackets nested too deep") from None
+        raise source.error("expected TOML, got brackets or keys nested too deep") from None
     return _read_tree(source, content) if "part" in content else _read_person(source, content)
 
 

@@ -19,7 +19,10 @@ from dousa.formats._channels import FileUnits, build_motion
 from dousa.formats._numbers import scannable
 from dousa.motion._types import Motion, Provenance
 
-__all__ = ["AsfBone", "AsfSkeleton", "find_skeleton", "read_amc", "read_asf"]
+__all__ = ["TOP", "AsfBone", "AsfSkeleton", "find_skeleton", "read_amc", "read_asf"]
+
+TOP = ".dousa-top"
+"""A file of this name in a folder: what lies above does not belong to the motions here, and is not looked at."""
 
 _USUAL_RATE = 120.0
 _LEVELS = 4  # folders looked at: that of the motion and three above
@@ -38,7 +41,8 @@ def read_amc(
     ----------
     path : the ``.amc`` file.
     skeleton : its ``.asf``; by default the one of the same name or of the actor part of the name (``HDM_bd.asf`` for
-        ``HDM_bd_squat.amc``, ``86.asf`` for ``86_01.amc``), else the only one, in the same folder or up to three above.
+        ``HDM_bd_squat.amc``, ``86.asf`` for ``86_01.amc``), else the only one, in the same folder or up to three above,
+        no further than a folder that holds a file `TOP`.
     unit : metres per unit of the file; by default what the ASF says if the body is then 0.4 to 3 m tall, else inferred.
     up : axis of the file that points up; by default y unless the body stands along another.
 
@@ -73,6 +77,8 @@ def find_skeleton(path: str) -> str:
     folders: list[str] = []
     while len(folders) < _LEVELS and folder not in folders:
         folders.append(folder)
+        if os.path.exists(os.path.join(folder, TOP)):
+            break
         folder = os.path.dirname(folder)
     stems = _shorter_names(os.path.splitext(name)[0].lower())
     for folder in folders:

@@ -23,6 +23,7 @@ from dousa.motion._types import FloatArray, Motion, Provenance
 
 __all__ = ["BvhLayout", "read_bvh", "write_bvh"]
 
+_LONGEST_HIERARCHY = 10_000_000  # bytes searched for an unusual spelling; a skeleton takes some thousand
 _HIERARCHY = re.compile(rb"(?:\xef\xbb\xbf)?\s*HIERARCHY\b", re.IGNORECASE)
 _MOTION = re.compile(rb"(?:^|(?<=[\r\n}]))[ \t]*MOTION\b", re.IGNORECASE)
 _FRAMES = re.compile(rb"\s*Frames[ \t]*:?[ \t]*(\S*)", re.IGNORECASE)
@@ -77,7 +78,7 @@ def _find_motion(data: bytes, start: int) -> re.Match[bytes]:
     quick = data.find(b"\nMOTION", start)
     found = _MOTION.match(data, quick + 1) if quick >= 0 else None
     # The usual spelling may stand behind an unusual one only in a damaged file, which fails later anyway.
-    found = found or _MOTION.search(data, start)
+    found = found or _MOTION.search(data, start, start + _LONGEST_HIERARCHY)
     if found is None:
         raise BvhSyntaxError(
             "expected MOTION after the HIERARCHY, found none; is the file truncated?", len(data)

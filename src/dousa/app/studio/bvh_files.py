@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from dousa.app.studio.gates import Gate
 from dousa.errors import DousaError
 
 if TYPE_CHECKING:
@@ -17,6 +18,8 @@ if TYPE_CHECKING:
 __all__ = ["make_bvh"]
 
 _SAME = 1e-3  # m: joints of the library are rounded
+_WAIT = 60.0  # s
+_gate = Gate(2, 6, "other motions are being written; try again in a moment")  # an hour takes half a minute
 
 
 def make_bvh(named: Named, source: Path, ref: MotionRef) -> bytes:
@@ -32,10 +35,14 @@ def make_bvh(named: Named, source: Path, ref: MotionRef) -> bytes:
     -------
     Bytes. Where the source still holds this very motion as rotations, all its joints are in them; else a body of
     the canonical joints is fitted.
+
+    Raises
+    ------
+    RefusedError : many others wait.
     """
     from dousa.formats import write_motion
 
-    with tempfile.TemporaryDirectory(prefix="dousa-") as folder:
+    with _gate.enter(_WAIT), tempfile.TemporaryDirectory(prefix="dousa-") as folder:
         path = Path(folder) / "motion.bvh"
         original = _read_original(named, source, ref)
         if original is None:

@@ -12,7 +12,7 @@ import html
 from collections.abc import Iterable
 from http.cookies import CookieError, SimpleCookie
 from typing import TYPE_CHECKING
-from urllib.parse import parse_qsl, urlencode
+from urllib.parse import parse_qsl, quote, urlencode
 
 from starlette.datastructures import Headers, MutableHeaders
 
@@ -68,8 +68,9 @@ class Guard:
         if scope["type"] == "lifespan":
             await self._app(scope, receive, send)
             return
-        if scope["type"] != "http":
-            return  # there are no web sockets here
+        if scope["type"] != "http":  # there are no web sockets here
+            await send({"type": "websocket.close"})
+            return
         headers = Headers(scope=scope)
         guarded = _with_headers(send)
         try:
@@ -89,6 +90,9 @@ class Guard:
 
     def _check_names(self, method: str, headers: Headers) -> None:
         hosts = self._settings.hosts
+        for name in ("host", "origin", "sec-fetch-site"):
+            if len(headers.getlist(name)) > 1:  # which one counts, others may see differently
+                raise RefusedError(400, f"expected one header {name.title()}, got several")
         if headers.get("host", "") not in hosts:
             raise RefusedError(
                 421, f"this studio answers to {sorted(hosts)[0]} only, not to {headers.get('host', '')!r}"
@@ -129,7 +133,8 @@ class Guard:
             )
         rest = urlencode([(name, value) for name, value in asked if name != "token"])
         answer = Answer(None, 303)
-        path = "/" + scope["path"].lstrip("/\\")  # "//evil.example" would be another machine
+        # "//evil.example" would be another machine, and browsers leave out tabs and line ends between the slashes.
+        path = "/" + quote(scope["path"].lstrip("/\\"), errors="replace")
         answer.headers["location"] = path + (f"?{rest}" if rest else "")
         answer.set_cookie(self._cookie, self._settings.token, httponly=True, samesite="lax", path="/")
         await answer(scope, receive, send)
@@ -187,15 +192,17 @@ def _cookies(lines: Iterable[str], name: str) -> list[str]:
 
 
 async def _refuse(error: RefusedError, scope: Scope, receive: Receive, send: Send) -> None:
+    # What a stranger goes on to send is not waited for.
+    headers = {"connection": "close"} if error.status in (401, 403, 421) else None
     if scope["method"] == "GET" and not scope["path"].startswith(("/api/", "/static/")):
         from starlette.responses import HTMLResponse
 
         page = HTMLResponse(
-            _CLOSED.format(status=error.status, problem=html.escape(error.problem)), error.status
+            _CLOSED.format(status=error.status, problem=html.escape(error.problem)), error.status, headers
         )
         await page(scope, receive, send)
         return
-    await Answer({"problem": error.problem}, error.status)(scope, receive, send)
+    await Answer({"problem": error.problem}, error.status, headers)(scope, receive, send)
 
 
 _CLOSED = """<!doctype html><html lang="en"><meta charset="utf-8"><title>dousa studio</title>

@@ -9,11 +9,12 @@ from typing import TYPE_CHECKING, Any
 from fastapi import FastAPI, Request
 from fastapi.exceptions import RequestValidationError
 from starlette.exceptions import HTTPException
+from starlette.requests import ClientDisconnect
 
 import dousa
 from dousa.app.studio.answers import Answer
 from dousa.app.studio.guard import Guard
-from dousa.app.studio.problems import status_of
+from dousa.app.studio.problems import describe_disk, status_of
 from dousa.app.studio.studio import Studio
 from dousa.errors import DousaError
 
@@ -75,6 +76,17 @@ def _answer_problems(app: FastAPI) -> None:
     @app.exception_handler(DousaError)
     async def tell(request: Request, error: DousaError) -> Answer:
         return Answer({"problem": str(error)}, status_of(error))
+
+    @app.exception_handler(OSError)
+    async def tell_disk(request: Request, error: OSError) -> Answer:
+        problem = describe_disk(error)
+        if problem is None:
+            raise error
+        return Answer({"problem": problem}, 507)
+
+    @app.exception_handler(ClientDisconnect)
+    async def let_go(request: Request, error: ClientDisconnect) -> Answer:
+        return Answer({"problem": "the request broke off before its end"}, 400)  # nobody reads it
 
     @app.exception_handler(RequestValidationError)
     async def explain(request: Request, error: RequestValidationError) -> Answer:

@@ -15,6 +15,7 @@ from dousa.errors import MissingExtraError, OptionError
 
 __all__ = ["serve"]
 
+_ARENA_MAX, _MMAP_THRESHOLD = -8, -3  # names of malloc.h
 _TRIES = 20  # ports after the one asked for
 
 
@@ -31,11 +32,13 @@ def serve(settings: Settings, *, opens_browser: bool = True) -> None:
     MissingExtraError : FastAPI or uvicorn is not installed.
     OptionError : no port is free.
     """
+    _tame_memory()
     # Many small products for each request: threads of the linear algebra cost twice what they save.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     try:
         import uvicorn
 
+        from dousa.app.studio.connections import PatientProtocol
         from dousa.app.studio.server import create_app
         from dousa.app.studio.warming import warm
     except ImportError as error:
@@ -45,8 +48,9 @@ def serve(settings: Settings, *, opens_browser: bool = True) -> None:
         settings = replace(settings, port=port)
         app = create_app(settings)
         config = uvicorn.Config(
-            app, log_level="warning", access_log=False, server_header=False, timeout_keep_alive=30,
-            timeout_graceful_shutdown=3, limit_concurrency=200,
+            app, http=PatientProtocol, ws="none", proxy_headers=False, server_header=False, access_log=False,
+            log_level="error",  # what others send that is no HTTP is nothing for the terminal
+            timeout_keep_alive=30, timeout_graceful_shutdown=3, limit_concurrency=200,
         )  # fmt: skip
         server = uvicorn.Server(config)
         sys.stderr.write(f"dousa studio of {settings.library}: {settings.address}\n(Ctrl-C stops it)\n")
@@ -59,6 +63,18 @@ def serve(settings: Settings, *, opens_browser: bool = True) -> None:
         sys.stderr.write(
             "the studio has stopped; jobs that were under way can be taken up again in the next one\n"
         )
+
+
+def _tame_memory() -> None:
+    """Let memory go back to the system: glibc keeps a heap for every thread, and what is freed in it stays there."""
+    if not sys.platform.startswith("linux"):
+        return
+    import ctypes
+
+    with suppress(OSError, AttributeError):  # another C library
+        libc = ctypes.CDLL("libc.so.6")
+        libc.mallopt(_ARENA_MAX, 2)
+        libc.mallopt(_MMAP_THRESHOLD, 256 * 1024)
 
 
 def _listen(settings: Settings) -> tuple[socket.socket, int]:

@@ -50,7 +50,8 @@ class Settings:
     @property
     def folder(self) -> Path:
         """The folder for everything that the studio writes besides the library."""
-        return self.home or self.library.with_name(f"{self.library.stem}.studio")
+        home = self.home or self.library.with_name(f"{self.library.stem}.studio")
+        return home.absolute()  # what is read and added is named by whole paths
 
     @property
     def hosts(self) -> frozenset[str]:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import os
 import threading
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 from fastapi import Depends, Request
@@ -15,6 +17,7 @@ from dousa.app.studio.motions import Motions
 from dousa.app.studio.shelf.listing import Listing
 from dousa.app.studio.shelf.thumbnails import Thumbnails
 from dousa.app.studio.workspace import Workspace
+from dousa.errors import LibraryError
 
 if TYPE_CHECKING:
     from dousa.app.studio.settings import Settings
@@ -40,6 +43,7 @@ class Studio:
         self.settings = settings
         self._opening = threading.Lock()
         self._library: Library | None = None
+        self._file: tuple[int, int] | None = None
         self.get_library()  # first: what is no library gets no folder beside it
         self.workspace = Workspace(settings.folder)
         process = run_in_process(settings)
@@ -60,12 +64,27 @@ class Studio:
         self.thumbnails = Thumbnails.of(self.workspace.root)
 
     def get_library(self) -> Library:
-        """The library, opened once; it is made if it is not there."""
+        """The library, opened once; it is made if it is not there when the studio starts.
+
+        Raises
+        ------
+        LibraryError : it is no library, or it was taken away. What were written into a file that has no name any more
+            would be lost when the studio ends.
+        """
         from dousa.library import Library
 
         with self._opening:
+            found = _identify(self.settings.library)
             if self._library is None:
                 self._library = Library.open(self.settings.library, create=True, timeout=20.0)
+                self._file = _identify(self.settings.library)
+            elif found is None:
+                raise LibraryError(
+                    f"{self.settings.library}: the library is gone; put it back where it was, or start the studio again"
+                )
+            elif found != self._file:  # another one has its name; who still asks the old one may end
+                self._library = Library.open(self.settings.library, timeout=20.0)
+                self._file = found
             return self._library
 
     @property
@@ -80,6 +99,15 @@ class Studio:
             if self._library is not None:
                 self._library.close()
                 self._library = None
+
+
+def _identify(path: Path) -> tuple[int, int] | None:
+    """Which file has this name now."""
+    try:
+        status = os.stat(path)
+    except OSError:
+        return None
+    return status.st_dev, status.st_ino
 
 
 def _of_request(request: Request) -> Studio:

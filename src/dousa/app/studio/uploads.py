@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
+import io
+import lzma
 import os
 import secrets
 import stat
 import zipfile
+import zlib
 from collections.abc import AsyncIterator, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import IO
 
-from dousa.app.studio.problems import RefusedError
+from dousa.app.studio.problems import RefusedError, describe_disk
 from dousa.app.studio.settings import Settings
 from dousa.app.studio.workspace import Workspace, safe_parts
 
@@ -25,8 +28,19 @@ PICTURES = frozenset({".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff"})
 TABLES = frozenset({".toml", ".xml", ".yaml", ".yml", ".json", ".csv", ".txt"})
 _ARCHIVE = ".zip"
 
+_BOXES = frozenset(
+    {b"ftyp", b"moov", b"mdat", b"free", b"skip", b"wide", b"pnot"}
+)  # the first one of MP4 and MOV
+_MATROSKA = b"\x1a\x45\xdf\xa3"
+_TIFF = frozenset({b"II*\0", b"MM\0*", b"II+\0", b"MM\0+"})
+
 _TIMES_LARGER, _SMALL = 200, 20_000_000  # an honest archive of motions shrinks them ten times at most
 _CHUNK = 1 << 20
+_MOST_AT_ONCE = 25_000_000  # bytes; 20,000 files with the longest names that are taken
+_LONGEST_NAME = 1_000  # letters, of a name that is told
+_DAMAGE = (
+    zipfile.BadZipFile, zlib.error, lzma.LZMAError, NotImplementedError, RuntimeError, EOFError, OSError, ValueError,
+)  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,37 +91,43 @@ async def receive(
                 file.write(chunk)
             file.close()
             room = _Room(workspace, made, settings)
-            if suffix == _ARCHIVE:
-                return await run_in_threadpool(_unpack, path, made, workspace, room)
-            _check_content(path, name)
-            room.take(name, size)
-            os.replace(path, workspace.place(made, name))
+            take_in = _unpack if suffix == _ARCHIVE else _put
+            return await run_in_threadpool(take_in, path, name, workspace, room)
     except BaseException:
         if batch is None:
             workspace.discard(made)
         raise
-    return Received(made, (("/".join(safe_parts(name)), size),), ())
+
+
+def _put(path: Path, name: str, workspace: Workspace, room: _Room) -> Received:
+    _check_content(path, name)
+    size = path.stat().st_size
+    room.take(name, size)
+    try:
+        os.replace(path, workspace.place(room.batch, name))
+    except BaseException:
+        room.give_back(size)
+        raise
+    return Received(room.batch, (("/".join(safe_parts(name)), size),), ())
 
 
 class _Room:
     """What still fits into a batch."""
 
     def __init__(self, workspace: Workspace, batch: str, settings: Settings) -> None:
-        self._most_files, self._most_bytes = settings.most_files, settings.most_unpacked_bytes
-        there = workspace.files(batch)
-        self._files, self._bytes = len(there), sum(path.stat().st_size for path in there)
+        self.batch, self._workspace = batch, workspace
+        self.most = settings.most_files, settings.most_unpacked_bytes
 
     def take(self, name: str, size: int) -> None:
-        self._files += 1
-        self._bytes += size
-        if self._files > self._most_files:
+        if not self._workspace.grow(self.batch, 1, size, self.most):
             raise RefusedError(
-                413, f"{name}: expected at most {self._most_files} files at a time; send them in parts"
+                413,
+                f"{name}: expected at most {self.most[0]} files and {self.most[1] / 1e6:g} MB at a time; "
+                "send them in parts",
             )
-        if self._bytes > self._most_bytes:
-            raise RefusedError(
-                413, f"{name}: expected at most {self._most_bytes / 1e6:g} MB at a time; send them in parts"
-            )
+
+    def give_back(self, size: int) -> None:
+        self._workspace.grow(self.batch, -1, -size, self.most)
 
 
 def _check_suffix(name: str) -> str:
@@ -138,6 +158,18 @@ def _check_content(path: Path, name: str) -> None:
         ".c3d": len(head) == 512 and head[1] == 0x50,
         ".npz": head[:2] == b"PK",
         ".png": head[:4] == b"\x89PNG",
+        ".jpg": head[:2] == b"\xff\xd8",
+        ".jpeg": head[:2] == b"\xff\xd8",
+        ".bmp": head[:2] == b"BM",
+        ".tif": head[:4] in _TIFF,
+        ".tiff": head[:4] in _TIFF,
+        # A list of addresses that calls itself a film would be followed by the decoder.
+        ".mp4": head[4:8] in _BOXES,
+        ".m4v": head[4:8] in _BOXES,
+        ".mov": head[4:8] in _BOXES,
+        ".avi": head[:4] == b"RIFF" and head[8:12] == b"AVI ",
+        ".mkv": head[:4] == _MATROSKA,
+        ".webm": head[:4] == _MATROSKA,
     }
     if not fits.get(suffix, is_text or suffix not in TABLES):
         raise RefusedError(415, f"{name}: the content is not that of a {suffix} file")
@@ -154,38 +186,54 @@ def _temporary(workspace: Workspace) -> Iterator[tuple[IO[bytes], Path]]:
             path.unlink()
 
 
-def _unpack(archive: Path, batch: str, workspace: Workspace, room: _Room) -> Received:
+class _Archive(io.FileIO):
+    """The file of an archive, of which no more is read at once than an honest list of contents takes."""
+
+    def read(self, size: int | None = -1) -> bytes:
+        if size is None or size < 0:  # all that is left
+            size = max(0, os.fstat(self.fileno()).st_size - self.tell())
+        if size > _MOST_AT_ONCE:
+            raise RefusedError(413, "this archive says it holds more files than fit into it; unpack it first")
+        return super().read(size) or b""
+
+
+def _unpack(archive: Path, _name: str, workspace: Workspace, room: _Room) -> Received:
     kept: list[tuple[str, int]] = []
     refused: list[tuple[str, str]] = []
     try:
-        with zipfile.ZipFile(archive) as packed:
+        with _Archive(archive) as file, zipfile.ZipFile(file) as packed:
             members = [member for member in packed.infolist() if not member.is_dir()]
             _check_archive(members, archive.stat().st_size, room)
             for member in members:
                 try:
-                    kept.append(_unpack_one(packed, member, batch, workspace, room))
+                    kept.append(_unpack_one(packed, member, workspace, room))
                 except RefusedError as error:
-                    if (
-                        error.status == 413
-                    ):  # there is no more room: what lies about its size is not searched on
+                    if error.status == 413:  # no more room: what lies about its size is not searched on
                         raise
-                    refused.append((member.filename, error.problem))
-    except (zipfile.BadZipFile, NotImplementedError, RuntimeError, EOFError, OSError, ValueError) as error:
-        raise RefusedError(415, f"the zip archive cannot be read: {error}") from error
-    except RefusedError:
-        for name, _ in kept:
-            with suppress(OSError):
-                workspace.find(batch, name).unlink()
+                    refused.append((member.filename[:_LONGEST_NAME], error.problem[:_LONGEST_NAME]))
+    except BaseException as error:
+        for name, size in kept:
+            room.give_back(size)
+            with suppress(OSError, RefusedError):
+                workspace.find(room.batch, name).unlink()
+        if isinstance(error, _DAMAGE) and not _is_disk(error):
+            raise RefusedError(415, f"the zip archive cannot be read: {error}") from error
         raise
     if not kept and refused:
         raise RefusedError(415, f"nothing in this archive can be used; the first: {refused[0][1]}")
-    return Received(batch, tuple(kept), tuple(refused))
+    return Received(room.batch, tuple(kept), tuple(refused))
+
+
+def _is_disk(error: BaseException) -> bool:
+    return isinstance(error, OSError) and describe_disk(error) is not None
 
 
 def _check_archive(members: list[zipfile.ZipInfo], packed_bytes: int, room: _Room) -> None:
     """What the archive says of itself; whether that is true is seen while it is unpacked."""
     if not members:
         raise RefusedError(415, "the zip archive is empty")
+    if len(members) > room.most[0]:
+        raise RefusedError(413, f"expected at most {room.most[0]} files in an archive, got {len(members)}")
     total = sum(member.file_size for member in members)
     if total > max(_TIMES_LARGER * packed_bytes, _SMALL):
         raise RefusedError(
@@ -195,7 +243,7 @@ def _check_archive(members: list[zipfile.ZipInfo], packed_bytes: int, room: _Roo
 
 
 def _unpack_one(
-    packed: zipfile.ZipFile, member: zipfile.ZipInfo, batch: str, workspace: Workspace, room: _Room
+    packed: zipfile.ZipFile, member: zipfile.ZipInfo, workspace: Workspace, room: _Room
 ) -> tuple[str, int]:
     parts = safe_parts(member.filename)
     name = "/".join(parts)
@@ -206,15 +254,19 @@ def _unpack_one(
     if _check_suffix(name) == _ARCHIVE:
         raise RefusedError(415, f"{name}: an archive inside an archive; unpack it first")
     room.take(name, member.file_size)
-    with _temporary(workspace) as (file, path):
-        left = member.file_size
-        with packed.open(member) as source:
-            while chunk := source.read(_CHUNK):
-                left -= len(chunk)
-                if left < 0:
-                    raise RefusedError(413, f"{name}: larger than the archive says it is")
-                file.write(chunk)
-        file.close()
-        _check_content(path, name)
-        os.replace(path, workspace.place(batch, name))
+    try:
+        with _temporary(workspace) as (file, path):
+            left = member.file_size
+            with packed.open(member) as source:
+                while chunk := source.read(_CHUNK):
+                    left -= len(chunk)
+                    if left < 0:
+                        raise RefusedError(413, f"{name}: larger than the archive says it is")
+                    file.write(chunk)
+            file.close()
+            _check_content(path, name)
+            os.replace(path, workspace.place(room.batch, name))
+    except BaseException:
+        room.give_back(member.file_size)
+        raise
     return name, member.file_size

@@ -5,19 +5,23 @@ from __future__ import annotations
 import re
 import secrets
 import shutil
+import threading
 import time
 import unicodedata
+from collections import OrderedDict
 from contextlib import suppress
 from pathlib import Path
 
 from dousa.app.studio.problems import RefusedError
 from dousa.errors import OptionError
+from dousa.formats.asf_amc import TOP
 
 __all__ = ["Workspace", "safe_parts"]
 
 _BATCH = re.compile(r"[0-9a-f]{16}")
 _DEEPEST, _LONGEST, _LONGEST_PATH = 12, 200, 1_000  # folders; bytes of a name; bytes of all
 _KEPT = ".kept"  # marks a batch that a library or a job lives from
+_MOST_COUNTED = 1_000  # batches whose size is remembered
 _STALE = 7 * 86_400.0  # s after which other batches are cleared away when a studio starts
 
 
@@ -66,9 +70,12 @@ class Workspace:
 
     def __init__(self, root: Path) -> None:
         self.root = root.absolute()
+        self._counting = threading.Lock()
+        self._sizes: OrderedDict[str, tuple[int, int]] = OrderedDict()
         try:
             for name in ("files", "jobs"):
                 (self.root / name).mkdir(parents=True, exist_ok=True)
+            (self.root / "files" / TOP).touch()  # skeletons of uploads are not looked for further up
         except OSError as error:
             raise OptionError(
                 f"{self.root}: the studio needs this folder and cannot make it: {error.strerror}; "
@@ -127,6 +134,25 @@ class Workspace:
         """All files of a batch, by name."""
         folder = self.batch_folder(batch)
         return sorted(path for path in folder.rglob("*") if path.is_file() and not path.name.startswith("."))
+
+    def grow(self, batch: str, n_files: int, n_bytes: int, most: tuple[int, int]) -> bool:
+        """Count what is about to be put into a batch; whether it fits below so many files and bytes.
+
+        The files are looked at only the first time: a folder that comes file by file would take ever longer.
+        """
+        with self._counting:
+            if batch not in self._sizes:
+                there = [path.stat().st_size for path in self.files(batch)]
+                self._sizes[batch] = len(there), sum(there)
+            files, size = self._sizes[batch]
+            files, size = files + n_files, size + n_bytes
+            self._sizes.move_to_end(batch)
+            while len(self._sizes) > _MOST_COUNTED:
+                self._sizes.popitem(last=False)
+            fits = n_files <= 0 or (files <= most[0] and size <= most[1])
+            if fits:
+                self._sizes[batch] = files, size
+        return fits
 
     def keep(self, batch: str) -> Path:
         """Say that a batch is in use, so that it is never cleared away; its folder."""

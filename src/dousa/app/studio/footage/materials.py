@@ -74,9 +74,14 @@ def _look_at(folder: Path, name: str, suffix: str) -> Material:
     if suffix == ".asf":
         return Material(name, "unused", "motion")
     if suffix in _CALIBRATIONS:
-        is_body = suffix == ".toml" and _PERSON.search((folder / name).read_bytes()[:200_000]) is not None
+        is_body = suffix == ".toml" and _describes_person(folder / name)
         return Material(name, "body" if is_body else "cameras", "table")
     return Material(name, "unused", "other")
+
+
+def _describes_person(path: Path) -> bool:
+    with open(path, "rb") as file:
+        return _PERSON.search(file.read(200_000)) is not None
 
 
 def _look_into_npz(path: Path, name: str) -> Material:

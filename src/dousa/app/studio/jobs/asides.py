@@ -10,12 +10,14 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
+from dousa.app.studio.gates import Gate
+from dousa.app.studio.jobs.processes import kill
 from dousa.app.studio.problems import RefusedError
 from dousa.app.studio.settings import Settings
 
 __all__ = ["ask_process"]
 
-_room = threading.BoundedSemaphore(2)  # at a time; others wait
+_gate = Gate(2, 6, "other files are being looked at; try again in a moment")
 _lock = threading.Lock()
 _under_way: dict[str, subprocess.Popen[bytes]] = {}
 
@@ -47,13 +49,9 @@ def ask_process(
     with _lock:
         older = _under_way.get(key)
         if older is not None:
-            older.kill()
-    if not _room.acquire(timeout=seconds):
-        raise RefusedError(429, "other files are being looked at; try again in a moment")
-    try:
+            kill(older)
+    with _gate.enter(seconds):
         lines = _run(key, json.dumps(task).encode() + b"\n", seconds)
-    finally:
-        _room.release()
     for line in reversed(lines):
         message = json.loads(line)
         if "result" in message:
@@ -78,7 +76,7 @@ def _run(key: str, task: bytes, seconds: float) -> list[bytes]:
 
     def end() -> None:
         ran_out.set()
-        process.kill()
+        kill(process)
 
     timer = threading.Timer(seconds, end)
     timer.start()

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from dousa.app.studio.jobs.board import Job, JobBoard
     from dousa.app.studio.settings import Settings
 
-__all__ = ["WorkError", "run_in_process"]
+__all__ = ["WorkError", "kill", "run_in_process"]
 
 _PATIENCE = 10.0  # s between asking a process to stop and ending it
 
@@ -78,8 +78,9 @@ def _listen(
         raise JobStopped
     if "problem" in last:
         raise WorkError(last["problem"])
+    why = ", perhaps for want of memory" if process.returncode == -9 else ""
     raise WorkError(
-        f"the work ended unexpectedly (code {process.returncode}); see {board.folder(job) / 'log.txt'}"
+        f"the work ended unexpectedly{why} (code {process.returncode}); see {board.folder(job) / 'log.txt'}"
     )
 
 
@@ -100,10 +101,26 @@ def _take_messages(stdout: IO[bytes], job: Job, board: JobBoard) -> dict[str, An
 
 
 def _end_when(stop: threading.Event, process: subprocess.Popen[bytes]) -> None:
+    """Ctrl-C, and the end for what does not hear it: a decoder or a product of matrices looks up late."""
     stop.wait()
     if process.poll() is None:
         with suppress(OSError):
             process.send_signal(signal.SIGINT if os.name == "posix" else signal.SIGTERM)
+        with suppress(subprocess.TimeoutExpired):
+            process.wait(timeout=_PATIENCE)
+        if process.poll() is None:
+            kill(process)
+
+
+def kill(process: subprocess.Popen[bytes]) -> None:
+    """End a process that was started in a session of its own, and what it started itself."""
+    if process.poll() is not None:
+        return
+    with suppress(OSError):
+        if os.name == "posix":
+            os.killpg(process.pid, signal.SIGKILL)
+        else:
+            process.kill()
 
 
 def _end(process: subprocess.Popen[bytes]) -> None:
@@ -114,5 +131,5 @@ def _end(process: subprocess.Popen[bytes]) -> None:
     try:
         process.wait(timeout=_PATIENCE)
     except subprocess.TimeoutExpired:
-        process.kill()
+        kill(process)
         process.wait()

@@ -7,12 +7,15 @@ import os
 import sys
 import threading
 import time
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
 __all__ = ["main"]
 
 _TELL_EVERY = 0.1  # s
+_PATIENCE = 15.0  # s to end after the studio has ended
+_MOST_PIXELS = 200_000_000  # of a picture; small files can say that they are larger
 
 
 def main() -> None:
@@ -20,15 +23,24 @@ def main() -> None:
     # What libraries print must not come between our lines: they get standard error.
     out = os.fdopen(os.dup(1), "w", encoding="utf-8", errors="replace", buffering=1)
     os.dup2(2, 1)
-    if hasattr(os, "nice"):
-        os.nice(5)  # the page goes first
+    os.environ.setdefault("OPENCV_IO_MAX_IMAGE_PIXELS", str(_MOST_PIXELS))  # read when OpenCV is loaded
+    _stand_back()
     task = json.loads(sys.stdin.readline())
     threading.Thread(target=_end_with_studio, daemon=True).start()
     answer = _do(task, out)
     _say(out, answer)
 
 
+def _stand_back() -> None:
+    """The studio goes first: with the processor, and where the memory runs out."""
+    if hasattr(os, "nice"):
+        os.nice(5)
+    with suppress(OSError):  # Linux
+        Path("/proc/self/oom_score_adj").write_text("800", encoding="ascii")
+
+
 def _do(task: dict[str, Any], out: Any) -> dict[str, Any]:
+    from dousa.app.studio.problems import describe_disk
     from dousa.app.studio.work import WORK, Context
     from dousa.errors import DousaError
 
@@ -54,6 +66,11 @@ def _do(task: dict[str, Any], out: Any) -> dict[str, Any]:
         return {"problem": str(error)}
     except KeyboardInterrupt:
         return {"stopped": True}
+    except OSError as error:
+        problem = describe_disk(error)
+        if problem is None:
+            raise
+        return {"problem": problem}
     except MemoryError:
         return {
             "problem": "the motions do not fit into the memory of this machine; give fewer or shorter ones"
@@ -77,6 +94,8 @@ def _end_with_studio() -> None:
 
     sys.stdin.read()
     os.kill(os.getpid(), signal.SIGINT if os.name == "posix" else signal.SIGTERM)
+    time.sleep(_PATIENCE)
+    os._exit(1)  # what does not look up ends without a word
 
 
 if __name__ == "__main__":

@@ -204,15 +204,16 @@ class Listing:
         self._library, self._uploads = library, uploads
         self._lock = threading.Lock()
         self._snapshot: Snapshot | None = None
+        self._of: Library | None = None  # another file may have taken the library's place
 
     def now(self) -> Snapshot:
         """All clips as they are now; read only if something has changed since the last time."""
         library = self._library()
         with self._lock:  # when many ask at once, one reads
             revision = library.revision
-            if self._snapshot is None or self._snapshot.revision != revision:
+            if self._snapshot is None or self._of is not library or self._snapshot.revision != revision:
                 # The number was read before the clips: at worst they are newer, and are read once more.
-                self._snapshot = Snapshot(library.clips(), revision, self._uploads)
+                self._snapshot, self._of = Snapshot(library.clips(), revision, self._uploads), library
             return self._snapshot
 
 

@@ -47,7 +47,8 @@ class Context:
         """The library: the studio's own, or one of this process."""
         from dousa.library import Library
 
-        return Library.open(self.library, create=True) if self.shared is None else self.shared
+        # The studio made it when it started: one that is not there was taken away, and no empty one takes its place.
+        return Library.open(self.library) if self.shared is None else self.shared
 
 
 class _Work(Mapping[str, Callable[[dict[str, Any], Context], dict[str, Any]]]):

@@ -1,0 +1,288 @@
+"""Files that lie, work that does not end, disks that are full, libraries that go away."""
+
+from __future__ import annotations
+
+import errno
+import io
+import json
+import os
+import shutil
+import struct
+import time
+import zipfile
+
+import numpy as np
+import pytest
+
+from app.studio.conftest import TOKEN
+from dousa.app.studio import Settings, uploads
+from dousa.app.studio.jobs import processes
+from dousa.app.studio.problems import status_of
+from dousa.app.studio.work import WORK
+from dousa.errors import DousaError, LibraryError
+from dousa.motion import CANONICAL_JOINTS
+
+GOOD = b"HIERARCHY\nROOT Hips\n"
+
+
+def below(folder):
+    return {str(path.relative_to(folder)) for path in folder.rglob("*")}
+
+
+def take(rate: float, n_frames: int = 50) -> bytes:
+    """A motion of dousa's own kind."""
+    buffer = io.BytesIO()
+    np.savez(
+        buffer,
+        format=np.array("dousa motion"),
+        version=np.array(1),
+        kind=np.array("trajectories"),
+        names=np.array(CANONICAL_JOINTS),
+        frame_rate=np.array(rate),
+        positions=np.random.default_rng(0).random((n_frames, 20, 3)),
+    )
+    return buffer.getvalue()
+
+
+def send(studio, name, content, batch=None):
+    answer = studio.post(
+        "/api/uploads", params={"name": name} | ({"batch": batch} if batch else {}), content=content
+    )
+    assert answer.status_code == 201, answer.text
+    return answer.json()
+
+
+# --- files
+
+
+def test_an_archive_whose_list_is_endless_is_refused(studio, monkeypatch, tmp_path):
+    monkeypatch.setattr(uploads, "_MOST_AT_ONCE", 2_000)
+    buffer = io.BytesIO()
+    with zipfile.ZipFile(buffer, "w") as packed:
+        for number in range(100):
+            packed.writestr(f"{number}.bvh", GOOD)
+    before = below(tmp_path)
+    assert studio.post("/api/uploads?name=a.zip", content=buffer.getvalue()).status_code == 413
+    assert below(tmp_path) == before
+
+
+@pytest.mark.parametrize("suffix", ["mp4", "avi", "mov", "mkv", "webm", "jpg", "bmp", "tif"])
+@pytest.mark.parametrize(
+    "content", [b"#EXTM3U\n#EXTINF:1,\nfile:///etc/passwd\n", b"ffconcat version 1.0\nfile x\n"]
+)
+def test_lists_of_addresses_are_no_films(studio, suffix, content):
+    assert studio.post(f"/api/uploads?name=v.{suffix}", content=content).status_code == 415
+
+
+@pytest.mark.parametrize("rate", [1e-6, 0.001, 1e-300])
+def test_a_motion_of_years_is_refused_before_it_fills_the_memory(studio, rate):
+    motion = send(studio, "slow.npz", take(rate))["files"][0]["motion"]
+    for path in ("info", "player", "miniature", "bvh"):
+        answer = studio.get(f"/api/motions/{path}", params={"motion": motion})
+        assert answer.status_code == 422, answer.text
+    pair = {"motion": "clip:1", "other": motion}
+    assert studio.get("/api/motions/pair", params=pair).status_code == 422
+
+
+def test_a_motion_of_many_hours_is_refused(studio):
+    motion = send(studio, "long.npz", take(1.0, 11_000))["files"][0]["motion"]
+    answer = studio.get("/api/motions/player", params={"motion": motion})
+    assert answer.status_code == 422
+    assert "hours" in answer.json()["problem"]
+
+
+def test_evaluations_that_would_take_for_ever_are_refused(studio, wait_job):
+    motion = send(studio, "long.npz", take(5.0, 2_990))["files"][0]["motion"]
+    wanted = {"references": [{"motion": motion}] * 4, "performance": {"motion": motion}}
+    job = wait_job(studio, studio.post("/api/jobs/evaluate", json=wanted).json()["id"])
+    assert job["state"] == "failed"
+    assert "fewer takes" in job["problem"]
+
+
+def test_skeletons_are_not_taken_from_outside(studio, tmp_path):
+    """An AMC looks for its ASF in the folders above, but not in those above the studio's files."""
+    (tmp_path / "private.asf").write_text(":version 1.10\n:name private\n")
+    motion = send(studio, "walk.amc", b"#!OML:ASF x\n:FULLY-SPECIFIED\n:DEGREES\n1\nroot 0 0 0 0 0 0\n")[
+        "files"
+    ][0]
+    answer = studio.get("/api/motions/info", params={"motion": motion["motion"]})
+    assert answer.status_code == 422
+    assert "private" not in answer.text
+    assert "no .asf skeleton" in answer.json()["problem"]
+
+
+def test_a_key_of_thousands_of_parts_is_refused(tmp_path):
+    from dousa.errors import BodyModelError, CalibrationError
+    from dousa.estimation.body_file import read_body
+    from dousa.estimation.camera_files import read_cameras
+
+    path = tmp_path / "deep.toml"
+    path.write_text("stature = 1.7\n" + "a." * 50_000 + "b = 1\n")
+    with pytest.raises(BodyModelError, match="too deep"):
+        read_body(path)
+    with pytest.raises(CalibrationError):
+        read_cameras(path)
+
+
+def test_tables_of_this_machine_are_not_read(studio, wait_job, tmp_path):
+    (tmp_path / "secret.csv").write_text("file,category\na.bvh,secret\n")
+    batch = send(studio, "a.bvh", GOOD)["batch"]
+    for rule in ("csv:/etc/passwd", f"csv:{tmp_path}/secret.csv", "csv:../../../secret.csv", "csv:~/x.csv"):
+        job = studio.post("/api/jobs/add", json={"batch": batch, "category_from": rule}).json()
+        assert wait_job(studio, job["id"])["state"] == "failed"
+
+
+@pytest.mark.skipif(os.name != "posix", reason="stops processes by signals")
+def test_an_expression_without_end_can_be_stopped(studio, bvh, wait_job):
+    batch = send(studio, "a" * 40 + "!.bvh", bvh.read_bytes() + b"\n")["batch"]
+    job = studio.post("/api/jobs/add", json={"batch": batch, "category_from": "name:(a+)+$"}).json()
+    while studio.get(f"/api/jobs/{job['id']}").json()["total"] == 0:
+        time.sleep(0.05)
+    studio.post(f"/api/jobs/{job['id']}/stop")
+    assert wait_job(studio, job["id"])["state"] == "stopped"
+
+
+@pytest.mark.skipif(os.name != "posix", reason="stops processes by signals")
+def test_work_that_does_not_hear_ctrl_c_is_ended(studio, wait_job, monkeypatch):
+    import sys
+
+    deaf = (
+        "import signal, sys, time; signal.signal(signal.SIGINT, signal.SIG_IGN); "
+        'print(\'{"progress": [0, 1, "deaf"]}\', flush=True); time.sleep(600)'
+    )
+    real = processes.subprocess.Popen
+    monkeypatch.setattr(processes, "_PATIENCE", 0.3)
+    monkeypatch.setattr(
+        processes.subprocess, "Popen", lambda words, **options: real([sys.executable, "-c", deaf], **options)
+    )
+    job = studio.post("/api/jobs/train", json={}).json()
+    while studio.get(f"/api/jobs/{job['id']}").json()["total"] == 0:
+        time.sleep(0.05)
+    studio.post(f"/api/jobs/{job['id']}/stop")
+    assert wait_job(studio, job["id"], 30)["state"] == "stopped"
+
+
+def test_names_of_a_relative_library_are_told_without_folders(library_copy, bvh, wait_job, monkeypatch):
+    from pathlib import Path
+
+    from starlette.testclient import TestClient
+
+    from dousa.app.studio import create_app
+
+    monkeypatch.chdir(library_copy.parent)
+    app = create_app(Settings(Path(library_copy.name), token=TOKEN))
+    with TestClient(app, "http://127.0.0.1:8765", headers={"authorization": f"Bearer {TOKEN}"}) as client:
+        batch = send(client, "kick/bad.bvh", GOOD + b"nonsense")["batch"]
+        job = wait_job(client, client.post("/api/jobs/add", json={"batch": batch}).json()["id"])
+        assert job["result"]["skipped"][0]["path"] == "kick/bad.bvh"
+
+
+# --- the disk and the library
+
+
+class FullDisk:
+    """A file that takes no byte."""
+
+    def __init__(self, file):
+        self._file = file
+
+    def __getattr__(self, name):
+        return getattr(self._file, name)
+
+    def write(self, content):
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+
+def test_a_full_disk_is_one_sentence_and_nothing_stays(studio, monkeypatch, tmp_path):
+    from contextlib import contextmanager
+
+    real = uploads._temporary
+
+    @contextmanager
+    def full(workspace):
+        with real(workspace) as (file, path):
+            yield FullDisk(file), path
+
+    buffer = io.BytesIO()
+    with zipfile.ZipFile(buffer, "w") as packed:
+        packed.writestr("a.bvh", GOOD)
+    before = below(tmp_path)
+    monkeypatch.setattr(uploads, "_temporary", full)
+    for name, content in (("a.bvh", GOOD), ("a.zip", buffer.getvalue())):
+        answer = studio.post(f"/api/uploads?name={name}", content=content)
+        assert answer.status_code == 507
+        assert "disk is full" in answer.json()["problem"]
+    assert below(tmp_path) == before
+
+
+def test_a_full_disk_of_the_library_is_told_as_such():
+    assert (
+        status_of(LibraryError("a.dousa: the disk is full; free some space and run the command again")) == 507
+    )
+
+
+def test_a_library_that_is_taken_away_is_not_written_to(studio, library_copy, bvh, wait_job):
+    moved = library_copy.with_name("moved")
+    library_copy.rename(moved)
+    wanted = {"clips": [1], "category": "lost"}
+    for answer in (
+        studio.get("/api/info"),
+        studio.get("/api/clips"),
+        studio.post("/api/clips/relabel", json=wanted),
+    ):
+        assert answer.status_code == 404
+        assert "gone" in answer.json()["problem"]
+    batch = send(studio, "x/a.bvh", bvh.read_bytes() + b"\n")["batch"]
+    job = studio.post("/api/jobs/add", json={"batch": batch}).json()
+    assert wait_job(studio, job["id"])["state"] == "failed"
+    assert not library_copy.exists()  # no empty one in its place
+    moved.rename(library_copy)
+    assert studio.post("/api/clips/relabel", json=wanted).json()["changed"] == 1
+
+
+def test_a_library_that_is_replaced_is_the_one_that_is_shown(studio, library_copy, trained_library):
+    assert studio.post("/api/clips/remove", json={"clips": [1, 2]}).json()["removed"] == 2
+    assert studio.get("/api/clips").json()["total"] == 22
+    other = shutil.copy(trained_library, library_copy.with_name("other"))
+    os.replace(other, library_copy)
+    for name in ("-wal", "-shm"):
+        library_copy.with_name(library_copy.name + name).unlink(missing_ok=True)
+    assert studio.get("/api/clips").json()["total"] == 24
+
+
+def test_a_motion_whose_file_is_gone_is_told(studio):
+    motions = studio.app.state.studio.motions
+    from dousa.app.studio.motions import MotionRef
+
+    with pytest.raises(DousaError, match="not there any more"):
+        motions._from_file(
+            library_gone := studio.app.state.studio.workspace.root / "x.bvh", MotionRef(motion="clip:1")
+        )
+    assert not library_gone.exists()
+
+
+def test_every_kind_of_work_is_there():
+    assert all(callable(WORK[kind]) for kind in WORK)
+
+
+def test_markup_in_names_stays_text(studio, wait_job):
+    """The parts of a report are set into the page as they are: names and labels in them must be escaped."""
+    label = '</script><img src=x onerror="alert(1)">'
+    wanted = {"references": [{"motion": "clip:1"}], "performance": {"motion": "clip:2"}}
+    wanted["furi"] = [{"start_s": 0, "end_s": 0.5, "label": label}]
+    studio.post("/api/clips/relabel", json={"clips": [1, 2], "category": "<img src=x onerror=alert(2)>"})
+    job = wait_job(studio, studio.post("/api/jobs/evaluate", json=wanted).json()["id"])
+    assert job["state"] == "done", job["problem"]
+    report = studio.get(f"/api/evaluations/{job['id']}/report").json()
+    markup = json.dumps(report["parts"]) + json.dumps(report["frame"])
+    assert "<img src=x" not in markup
+    page = studio.get(f"/api/evaluations/{job['id']}/report.html").text
+    assert "<img src=x" not in page
+    assert "</script><img" not in page
+
+
+def test_c3d_that_points_at_itself_ends(studio):
+    head = struct.pack("<BBHHHHHfHHf", 2, 0x50, 20, 0, 1, 50, 0, -0.001, 3, 0, 100.0).ljust(512, b"\0")
+    loop = bytes([1, 0x50, 255, 84, 5, 255]) + b"POINT" + struct.pack("<h", -7)
+    motion = send(studio, "loop.c3d", head + loop.ljust(512, b"\0"))["files"][0]["motion"]
+    assert studio.get("/api/motions/info", params={"motion": motion}).status_code == 422
