@@ -114,7 +114,9 @@ def test_who_is_mirrored_needlessly_is_told_to_leave_it_out() -> None:
     found = judge(MOTION, side="mirrored")
     assert any("without --mirror" in warning for warning in found.warnings)
     assert not any("--mirror compares" in warning for warning in found.warnings)
-    assert any("--mirror を外す" in warning for warning in judge(MOTION, side="mirrored", language="ja").warnings)
+    assert any(
+        "--mirror を外す" in warning for warning in judge(MOTION, side="mirrored", language="ja").warnings
+    )
 
 
 def test_performers_who_waver_are_hardly_ever_wrong() -> None:

@@ -321,3 +321,30 @@ def test_the_clip_of_a_correction_moves_as_the_take_did(studio, recording, stran
     first = round(start * whole.frame_rate)
     kept = library.trajectories(int(clip[5:])).positions
     np.testing.assert_allclose(kept, whole.positions[first : first + len(kept)], atol=1e-3)
+
+
+BACK_AT_START = """
+    const problem = document.querySelector('#problem');
+    return !problem.hidden && problem.textContent !== '' && document.querySelector('#take').hidden
+      && document.querySelector('#take-file') !== null
+"""
+
+
+@pytest.mark.parametrize("asked", ["motion=clip:99999", "job=0123456789abcdef"])
+def test_a_take_that_is_gone_leads_back_to_the_start(show, running, asked):
+    page = show(f"/takes?{asked}")
+    page.wait(BACK_AT_START)
+    page.messages()  # the browser tells of the refused requests itself
+
+
+def test_files_that_are_no_takes_are_told(show, running, recording, tmp_path):
+    text, damaged = tmp_path / "notes.txt", tmp_path / "damaged.bvh"
+    text.write_text("hello")
+    damaged.write_text("\n".join(recording[0].read_text().splitlines()[:-3]))
+    page = show("/takes")
+    page.wait("return document.querySelector('#take-file') !== null")
+    page.find("#take-file").send_keys(str(text))
+    page.wait("return document.querySelector('.notice.problem') !== null")
+    page.find("#take-file").send_keys(str(damaged))
+    page.wait(BACK_AT_START)
+    page.messages()  # the browser tells of the refused requests itself

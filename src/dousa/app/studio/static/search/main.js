@@ -1,31 +1,35 @@
 // The search page: choose a motion, see what it is and what is like it.
 
-import { get, post, uploadAll } from "../core/api.js";
+import { get, post } from "../core/api.js";
 import { $, h, icon, t } from "../core/dom.js";
 import { acceptDrops, dropZone } from "../core/drop.js";
+import { takeMotions } from "../core/incoming.js";
 import { attempt, notify } from "../core/notices.js";
 import { pickClips } from "../core/pick.js";
 import { Hits } from "./hits.js";
 import { drawOptions } from "./options.js";
 import { drawPlaces } from "./places.js";
 import { Stage } from "./stage.js";
-import { askOf, isSameMotion, isSameSearch, keepState, readState } from "./state.js";
-import { drawVerdict } from "./verdict.js";
+import { askOf, isSameMotion, isSameSearch, keepState, readState, wholeOf } from "./state.js";
+import { drawAskPart, drawNoVerdict, drawVerdict } from "./verdict.js";
 
 const ACCEPT = ".bvh,.amc,.asf,.c3d,.trc,.npz,.zip";
+const TITLE = document.title;
 const NO_HIT = { hit: null, other_start_s: null, other_end_s: null };
 const NO_PART = { start_s: null, end_s: null };
 
 const clock = window.dousa.createClock();
 const stage = new Stage(clock, { onPart: (part) => go({ ...part, ...NO_HIT }), onAlone: () => go(NO_HIT) });
 const hits = new Hits($("#hits"), clock, {
-  onChoose: (hit) => go({ ...NO_HIT, hit: hit.motion }),
+  onChoose: (hit) => compare({ ...NO_HIT, hit: hit.motion }),
   explain: () => explain(),
   onGo: (start, end) => stage.go(start, end),
 });
 
 let state = {};
 let library = null;
+let known = null; // {state, info} of the motion that is shown
+let sought = null; // the state that was searched for last
 let found = null; // the answer that is shown
 let explained = null; // promise of the same with reasons
 let places = [];
@@ -39,17 +43,74 @@ function go(changes, { replace = false } = {}) {
   apply(next);
 }
 
-function apply(next) {
-  const [before, searched] = [state, Boolean(found)];
+/** Put a match beside the query, where it is seen. */
+function compare(changes) {
+  go(changes);
+  stage.reveal();
+}
+
+async function apply(next) {
   state = next;
-  $("#start").hidden = Boolean(state.motion);
-  $("#search").hidden = $("#change").hidden = !state.motion;
-  if (!state.motion) return;
-  const again = !searched || !isSameSearch(before, state);
-  if (again) search(!isSameMotion(before, state));
+  showFrame(Boolean(state.motion));
+  if (!state.motion) {
+    leave();
+    return;
+  }
   drawOptions($("#options"), state, (changes) => go({ ...changes, ...NO_HIT }));
-  attempt(() => stage.show(state, hitOf(state)));
+  if (!known || !isSameMotion(known.state, state)) {
+    const mine = state;
+    clearAnswer();
+    $("#results-note").textContent = t("loading");
+    try {
+      const info = await get("/motions/info", wholeOf(state));
+      if (state !== mine) return;
+      known = { state, info };
+    } catch (error) {
+      if (state === mine) giveUp(error);
+      return;
+    }
+  }
+  if (isWholeTake()) askForPart();
+  else if (!sought || !isSameSearch(sought, state)) search();
+  showStage();
   drawMatch();
+}
+
+function showFrame(shown, problem = "") {
+  $("#start").hidden = shown;
+  $("#search").hidden = $("#change").hidden = !shown;
+  $("#problem").textContent = problem;
+  $("#problem").hidden = !problem;
+}
+
+/** Nothing is searched for any more. */
+function leave() {
+  asking?.abort();
+  asking = known = sought = null;
+  stage.leave();
+  document.title = TITLE;
+}
+
+/** A motion that cannot be shown: back to the start, with the reason. */
+function giveUp(error) {
+  state = { ...state, motion: null, unit: null, up: null, ...NO_PART, ...NO_HIT };
+  leave();
+  showFrame(false, error.message);
+}
+
+async function showStage() {
+  const mine = state;
+  try {
+    await stage.show(state, hitOf(state), known.info);
+  } catch (error) {
+    if (state !== mine) return;
+    if (!state.hit) {
+      giveUp(error);
+      return;
+    }
+    notify(error.message, "problem"); // the match is gone, the query is not
+    go(NO_HIT, { replace: true });
+  }
 }
 
 /** What the search said of the match that is shown. */
@@ -66,23 +127,45 @@ function drawMatch() {
 
 // --- searching
 
-async function search(fresh) {
+function clearAnswer() {
+  asking?.abort();
+  asking = sought = found = explained = null;
+  places = [];
+  hits.clear();
+  $("#verdict").replaceChildren();
+  $("#places").hidden = true;
+  $("#results-note").textContent = "";
+}
+
+/** A part that is all of it counts as whole: so it begins when one end is set by key. */
+function isWholeTake() {
+  const { kind, duration_s } = known.info;
+  return kind === "take" && (state.end_s ?? duration_s) - (state.start_s ?? 0) > duration_s - 0.05;
+}
+
+function askForPart() {
+  clearAnswer();
+  drawAskPart($("#verdict"), state.motion);
+}
+
+async function search() {
   asking?.abort();
   const mine = (asking = new AbortController());
   const began = performance.now();
+  sought = state;
   explained = null;
-  if (fresh) {
-    hits.clear();
-    $("#verdict").replaceChildren();
-  }
   $("#places").hidden = true;
   $("#results-note").textContent = t("searching");
-  const answer = await attempt(() => post("/search", askOf(state), mine.signal));
-  if (mine !== asking) return;
-  if (!answer) {
-    $("#results-note").textContent = "";
+  let answer;
+  try {
+    answer = await post("/search", askOf(state), mine.signal);
+  } catch (error) {
+    if (mine !== asking || error.name === "AbortError") return;
+    clearAnswer();
+    drawNoVerdict($("#verdict"), error.message);
     return;
   }
+  if (mine !== asking) return;
   found = answer;
   const others = answer.results.filter((hit) => !isQuery(hit));
   hits.draw(others.map((hit, place) => ({ ...hit, rank: place + 1 })));
@@ -90,7 +173,7 @@ async function search(fresh) {
   const count = hits.cards.size;
   $("#results-note").textContent = count ? t("hits_found", { count, ms: Math.round(performance.now() - began) }) : t("hits_none");
   drawMatch();
-  if (state.hit) attempt(() => stage.show(state, hitOf(state)));
+  if (state.hit) showStage();
   if (library.n_takes) searchTakes(mine);
 }
 
@@ -101,7 +184,7 @@ async function searchTakes(mine) {
   const answer = await attempt(() => post("/search", { ...askOf(state), k: 1, inside_takes: true }, mine.signal));
   if (mine !== asking || !answer) return;
   places = answer.places.filter((place) => !isQueryPlace(place));
-  drawPlaces($("#places"), places, (place) => go({ hit: place.motion, other_start_s: place.start_s, other_end_s: place.end_s }));
+  drawPlaces($("#places"), places, (place) => compare({ hit: place.motion, other_start_s: place.start_s, other_end_s: place.end_s }));
   drawMatch();
 }
 
@@ -117,10 +200,7 @@ function explain() {
 // --- choosing what is searched for
 
 async function take(entries) {
-  const came = await attempt(() => uploadAll(entries));
-  if (!came) return;
-  for (const { name, reason } of came.refused) notify(`${name}: ${reason}`, "problem");
-  const motion = came.files.find((file) => file.motion)?.motion;
+  const [motion] = await takeMotions(entries);
   if (motion) go({ ...state, motion, ...NO_PART, ...NO_HIT, unit: null, up: null });
 }
 

@@ -23,7 +23,7 @@ const ALONG = {
 };
 const WAYS = { "to the left": ALONG.side, "left of": ALONG.side, left: ALONG.side, "right of": ALONG.other, upwards: ALONG.up, above: ALONG.up, forwards: ALONG.front, forward: ALONG.front, "in front of": ALONG.front };
 const SEEN = { front: "正面", side: "右横", above: "上" };
-const TURNS = { front: ["反時計回りに", "時計回りに"], side: ["時計回りに", "反時計回りに"], above: ["反時計回りに", "時計回りに"] };
+const TURNS = { front: ["反時計回り", "時計回り"], side: ["時計回り", "反時計回り"], above: ["反時計回り", "時計回り"] };
 
 const along = (noun, way) => ({ noun: noun(WAYS[way].name), signs: WAYS[way].signs, degrees: WAYS[way].degrees });
 
@@ -33,7 +33,7 @@ function place(one, way, from) {
 }
 
 function curve(one, plane) {
-  return { noun: `${part(one)}の曲がり方（${SEEN[plane]}から見て）`, signs: TURNS[plane], degrees: [`より${TURNS[plane][0]}`, `より${TURNS[plane][1]}`] };
+  return { noun: `${part(one)}の曲がり方（${SEEN[plane]}から見て）`, signs: TURNS[plane].map((turn) => `${turn}に`), degrees: TURNS[plane].map((turn) => `${turn}寄りに`) };
 }
 
 const CHANNELS = [
@@ -77,10 +77,13 @@ function measureOf({ unit, value, other_value, threshold }) {
   return { write: (number) => written(number, digits + (close ? 1 : 0)), before, after };
 }
 
+/** A space before a bare number. */
+const spaced = (text) => (/^\d/.test(text) ? ` ${text}` : text);
+
 function sayValues({ value, other_value }, signs, { write, before, after }) {
   const say = (number) => `${signs[number < 0 ? 1 : 0]}${before}${write(number)}${after}`;
-  const there = other_value === undefined || say(other_value) === say(value) ? "" : `（相手は${say(other_value)}）`;
-  return say(value) + there;
+  const there = other_value === undefined || say(other_value) === say(value) ? "" : `（相手は${spaced(say(other_value))}）`;
+  return spaced(say(value)) + there;
 }
 
 /** Where the others are: beyond the bound. */

@@ -4,8 +4,10 @@ import { get } from "../core/api.js";
 import { $, baseName, formatSeconds, h, icon, language, t } from "../core/dom.js";
 import { createTimeline } from "../core/timeline.js";
 import { nameOf } from "./hits.js";
-import { isSameMotion, queryOf } from "./state.js";
+import { isSameMotion, queryOf, wholeOf } from "./state.js";
 
+const [LONG, SEEN] = [150, 75]; // s: of a longer take so much is shown at first
+const [BAR, ENOUGH] = [64, 0.75]; // px that the bar of the page covers; share of the player that has to be seen
 const calm = window.matchMedia("(prefers-reduced-motion: reduce)");
 
 export class Stage {
@@ -15,15 +17,13 @@ export class Stage {
     this.match = $("#match");
   }
 
-  /** Show the query of a state; its match if it has one. */
-  async show(state, hit) {
+  /** Show the query of a state, its match if it has one; info: of the query. */
+  async show(state, hit, info) {
     const run = ++this.run;
     const fresh = !this.shown || !isSameMotion(this.shown, state);
-    const whole = { motion: state.motion, unit: state.unit, up: state.up };
-    const asked = state.hit ? get("/motions/pair", this.pairOf(state, hit)) : get("/motions/player", { ...whole, language });
-    const [data, info] = await Promise.all([asked, fresh ? get("/motions/info", whole) : this.info]);
+    const data = await (state.hit ? get("/motions/pair", this.pairOf(state, hit)) : get("/motions/player", { ...wholeOf(state), language }));
     if (run !== this.run) return;
-    Object.assign(this, { shown: { ...state }, info, offset: state.hit ? (state.start_s ?? 0) : 0 });
+    Object.assign(this, { shown: { ...state }, offset: state.hit ? (state.start_s ?? 0) : 0 });
     if (fresh) this.describe(info);
     if (fresh) this.makeTimeline(info);
     this.timeline.setSelection(state.start_s ?? (state.end_s === null ? null : 0), state.end_s ?? info.duration_s);
@@ -53,6 +53,7 @@ export class Stage {
   makeTimeline(info) {
     this.timeline?.destroy();
     this.timeline = createTimeline($("#timeline"), { duration: info.duration_s, selectable: true, label: t("query") });
+    if (info.kind === "take" && info.duration_s > LONG) this.timeline.show(0, SEEN);
     this.timeline.onSeek((seconds) => {
       this.player?.pause();
       this.player?.seek(seconds - this.offset);
@@ -93,7 +94,22 @@ export class Stage {
     this.clock.seek((time - start) / Math.max(end - start, 1e-3));
   }
 
+  /** Bring the player into the window if it is not there: on a phone it is far above the hits. */
+  reveal() {
+    const { top, bottom, height } = $("#player").getBoundingClientRect();
+    const seen = Math.min(bottom, window.innerHeight) - Math.max(top, BAR);
+    if (seen >= ENOUGH * height) return;
+    $(".stage").scrollIntoView({ block: "start", behavior: calm.matches ? "auto" : "smooth" });
+  }
+
+  /** Nothing is looked at any more. */
+  leave() {
+    this.run += 1;
+    this.player?.pause();
+  }
+
   go(start, end) {
+    this.reveal();
     const shift = this.wasPair ? 0 : (this.shown.start_s ?? 0);
     this.player.loop(start + shift, Math.min(end + shift, this.player.duration));
     this.looped = [start + shift, Math.min(end + shift, this.player.duration)];

@@ -39,6 +39,9 @@ export function isSameSearch(a, b) {
 
 export const isSameMotion = (a, b) => ["motion", "unit", "up"].every((name) => a[name] === b[name]);
 
+/** The whole motion, as the interface names it. */
+export const wholeOf = ({ motion, unit, up }) => ({ motion, unit, up });
+
 /** The query as the interface wants it. */
 export function queryOf({ motion, start_s, end_s, unit, up }) {
   const query = { motion };

@@ -8,11 +8,11 @@ const percent = (share) => Math.round(100 * share);
 
 function headline(answer) {
   if (answer.category === null) {
-    return [h("span", { class: "badge unsure" }, "? ", t("unknown")), h("p", { class: "verdict-words" }, t("verdict_unknown")), h("p", { class: "note" }, t("verdict_guess", { category: answer.guess }))];
+    return [h("span", { class: "badge unsure" }, "? ", t("unknown")), h("h2", { class: "verdict-words" }, t("verdict_unknown")), h("p", { class: "note" }, t("verdict_guess", { category: answer.guess }))];
   }
   const sure = answer.confidence ?? null;
   const words = sure === null ? t("verdict_known", { category: answer.category }) : t("verdict_sure", { category: answer.category, percent: percent(sure) });
-  return [h("p", { class: "verdict-words" }, words)];
+  return [h("h2", { class: "verdict-words" }, words)];
 }
 
 function bars(histogram) {
@@ -22,6 +22,19 @@ function bars(histogram) {
     h("div", { class: "bar-row" }, h("span", { class: "name", title: name }, name), h("span", { class: "track", "aria-hidden": "true" }, h("i", { style: { width: `${100 * share}%` } })), h("span", { class: "value" }, `${percent(share)} %`));
   const others = rest.length ? [row(t("votes_rest", { count: rest.length }), rest.reduce((sum, [, share]) => sum + share, 0))] : [];
   return h("div", { class: "bars" }, ...shares.slice(0, MOST_BARS).map(([name, share]) => row(name, share)), ...others);
+}
+
+/** Instead of the answer: why there is none. */
+export function drawNoVerdict(element, sentence) {
+  element.classList.remove("is-unknown");
+  element.replaceChildren(h("p", { class: "problem-box" }, sentence));
+}
+
+/** Instead of the answer: a take as a whole is no query; a part of it is. */
+export function drawAskPart(element, motion) {
+  element.classList.remove("is-unknown");
+  const link = h("a", { class: "button", href: `/takes?${new URLSearchParams({ motion })}` }, t("open_take"));
+  element.replaceChildren(h("div", { class: "verdict-head", id: "ask-part" }, h("h2", { class: "verdict-words" }, t("ask_part")), h("p", {}, t("ask_part_how")), link));
 }
 
 /** explain() -> the answer with reasons; onGo(start, end) plays a moment. */

@@ -1,9 +1,10 @@
 // The page of takes: the labels of a long recording over its figure; corrections are learned.
 
-import { get, post, remove, uploadAll } from "../core/api.js";
+import { get, post, remove } from "../core/api.js";
 import { $, baseName, formatSeconds, h, icon, language, t } from "../core/dom.js";
 import { acceptDrops, dropZone } from "../core/drop.js";
 import { followJob, finished, isActive, stopJob } from "../core/jobs.js";
+import { takeMotions } from "../core/incoming.js";
 import { attempt, notify } from "../core/notices.js";
 import { pickClips } from "../core/pick.js";
 import { createTimeline } from "../core/timeline.js";
@@ -13,6 +14,8 @@ import { drawSegments, markSegment } from "./segments.js";
 
 const [LONG, SEEN] = [150, 75]; // s: of a longer take so much is shown at first
 const ACCEPT = ".bvh,.amc,.asf,.c3d,.trc,.npz,.zip";
+
+const TITLE = document.title;
 
 let library = null;
 let motion = null; // the take that is shown
@@ -32,10 +35,14 @@ const desk = new Desk($("#now"), {
 
 async function show(name, at) {
   motion = name;
-  $("#start").hidden = true;
-  $("#take").hidden = $("#change").hidden = false;
-  const asked = { motion: name, language };
-  const [facts, data] = await Promise.all([get("/motions/info", { motion: name }), get("/motions/player", asked)]);
+  showFrame(true);
+  let facts, data;
+  try {
+    [facts, data] = await Promise.all([get("/motions/info", { motion: name }), get("/motions/player", { motion: name, language })]);
+  } catch (error) {
+    if (motion === name) await drawStart(error.message);
+    return;
+  }
   if (motion !== name) return;
   info = facts;
   makeTimeline();
@@ -47,7 +54,14 @@ async function show(name, at) {
   seek(at ?? 0);
   if (info.duration_s > LONG) timeline.show(Math.max((at ?? 0) - 10, 0), Math.max((at ?? 0) - 10, 0) + SEEN);
   const known = await load();
-  if (!known.labels || !known.is_current) label();
+  if (motion === name && (!known.labels || !known.is_current)) label();
+}
+
+function showFrame(shown, problem = "") {
+  $("#start").hidden = shown;
+  $("#take").hidden = $("#change").hidden = !shown;
+  $("#problem").textContent = problem;
+  $("#problem").hidden = !problem;
 }
 
 function makeTimeline() {
@@ -186,11 +200,8 @@ function open(name, job = null, at = null) {
 }
 
 async function take(entries) {
-  const came = await attempt(() => uploadAll(entries));
-  if (!came) return;
-  for (const { name, reason } of came.refused) notify(`${name}: ${reason}`, "problem");
-  const found = came.files.find((file) => file.motion);
-  if (found) open(found.motion);
+  const [found] = await takeMotions(entries);
+  if (found) open(found);
 }
 
 async function pick() {
@@ -198,9 +209,13 @@ async function pick() {
   if (clip) open(clip.motion ?? `clip:${clip.id}`);
 }
 
-async function drawStart() {
-  $("#start").hidden = false;
-  $("#take").hidden = $("#change").hidden = true;
+/** Where a take is chosen; problem: why one that was asked for is not shown. */
+async function drawStart(problem = "") {
+  motion = jobShown = null;
+  player?.pause();
+  document.title = TITLE;
+  $("#progress").replaceChildren();
+  showFrame(false, problem);
   const { items } = await get("/clips", { kind: "take", limit: 100 });
   const row = (clip) => h("li", {}, h("a", { class: "take-row", href: `/takes?motion=clip:${clip.id}` }, h("b", {}, baseName(clip.path)), h("span", { class: "note" }, formatSeconds(clip.duration)), h("span", { class: "note" }, clip.performer ?? "")));
   const list = items.length ? h("ul", { class: "take-list" }, ...items.map(row)) : h("p", { class: "note" }, t("start_no_takes"));
@@ -218,7 +233,12 @@ function drawChange() {
 async function followAddress() {
   const asked = new URLSearchParams(location.search);
   let name = asked.get("motion");
-  if (asked.get("job")) name = (await get(`/jobs/${encodeURIComponent(asked.get("job"))}`)).request.take.motion;
+  try {
+    if (asked.get("job")) name = (await get(`/jobs/${encodeURIComponent(asked.get("job"))}`)).request.take.motion;
+  } catch (error) {
+    await drawStart(error.message);
+    return;
+  }
   const at = Number(asked.get("at_s"));
   if (name) await show(name, Number.isFinite(at) ? at : 0);
   else await drawStart();

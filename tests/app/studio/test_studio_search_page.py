@@ -1,0 +1,323 @@
+"""The page of searching in a browser."""
+
+from __future__ import annotations
+
+import itertools
+import json
+import urllib.parse
+from pathlib import Path
+
+import pytest
+
+from app.studio.test_studio_search import add_take
+
+SHARED = Path(__file__).resolve().parents[4] / "shared" / "data"
+
+BACK_AT_START = """
+    const problem = document.querySelector('#problem');
+    return !problem.hidden && problem.textContent !== '' && document.querySelector('#search').hidden
+      && document.querySelector('#query-file') !== null
+"""
+DRAWN = (
+    "return document.querySelectorAll('.hit').length > 3 && document.querySelector('.verdict-words') !== null"
+)
+FIGURES = "return dousa.miniatures.count"
+
+
+def first_clip(running, category="kick_left"):
+    return f"clip:{running.app.state.studio.library.clips(category=category)[0].id}"
+
+
+def find_query_file(bvh):
+    """A real recording if there is one here, else a made one."""
+    if SHARED.is_dir():
+        real = sorted((SHARED / "bandai").rglob("*.bvh")) or sorted(SHARED.rglob("*.bvh"))
+        if real:
+            return real[0]
+    return bvh
+
+
+def test_a_dropped_file_is_searched_for_and_plays_in_step(show, running, bvh):
+    page = show("/search")
+    page.wait("return document.querySelector('#query-file') !== null")
+    page.find("#query-file").send_keys(str(find_query_file(bvh)))
+    page.wait(DRAWN)
+    page.wait(f"{FIGURES} > 3")
+    assert "motion=file" in page.run("return location.search")
+    drawn = page.run("return dousa.miniatures.drawn")
+    page.wait("return dousa.miniatures.drawn > arguments[0] + 10", drawn)
+    before = page.run("return document.querySelector('.tl-cursor').getAttribute('aria-valuenow')")
+    page.wait(
+        "return document.querySelector('.tl-cursor').getAttribute('aria-valuenow') !== arguments[0]", before
+    )
+    assert page.messages() == []
+
+
+def test_a_hit_is_shown_beside_the_query_and_can_be_downloaded(show, running, tmp_path):
+    page = show(f"/search?motion={first_clip(running)}")
+    page.wait(DRAWN)
+    page.run("document.querySelector('.hit-open').click()")
+    page.wait("return document.querySelector('.dousa-player[data-mode=side]') !== null")
+    page.wait("return document.querySelector('#download') !== null")
+    assert "hit=clip" in page.run("return location.search")
+    address = page.run("return document.querySelector('#download').getAttribute('href')")
+    text = page.driver.execute_async_script(
+        "const done = arguments[1]; fetch(arguments[0]).then((answer) => answer.text()).then(done);", address
+    )
+    assert text.startswith("HIERARCHY")
+    page.driver.refresh()
+    page.wait("return document.querySelector('.dousa-player[data-mode=side]') !== null")
+    page.driver.back()
+    page.wait("return document.querySelector('#match').hidden")
+    assert page.messages() == []
+
+
+def test_reasons_are_told_when_asked_for(show, running):
+    page = show(f"/search?motion={first_clip(running, 'squat')}")
+    page.wait(DRAWN)
+    page.run("document.querySelector('.hit .why summary').click()")
+    page.wait(
+        "return document.querySelector('.hit .why .reasons li, .hit .why .note:not(:only-child)') !== null"
+    )
+    page.run("document.querySelector('#verdict .why summary').focus()")
+    page.press("\ue007")  # Enter
+    page.wait("return document.querySelectorAll('#verdict .reasons li').length > 0")
+    assert page.messages() == []
+
+
+def test_a_part_is_chosen_by_keyboard_and_by_mouse(show, running):
+    page = show(f"/search?motion={first_clip(running)}")
+    page.wait(DRAWN)
+    page.run("document.querySelector('.tl-cursor').focus()")
+    page.press("\ue011", *["\ue014"] * 4)  # home, right
+    page.press("[")
+    page.press(*["\ue014"] * 6)
+    page.press("]")
+    page.wait("return location.search.includes('start_s=0') && location.search.includes('end_s=')")
+    page.press("\ue00c")  # Escape
+    page.wait("return !location.search.includes('start_s')")
+    page.run("""
+        const inner = document.querySelector('.tl-inner'), box = inner.getBoundingClientRect();
+        const at = (share) => ({clientX: box.left + share * box.width, clientY: box.top + 50, bubbles: true,
+          pointerId: 1, pointerType: 'mouse', button: 0, cancelable: true});
+        document.querySelector('.tl-track').dispatchEvent(new PointerEvent('pointerdown', at(0.25)));
+        for (const share of [0.3, 0.5, 0.75]) window.dispatchEvent(new PointerEvent('pointermove', at(share)));
+        window.dispatchEvent(new PointerEvent('pointerup', at(0.75)));
+    """)
+    page.wait("return location.search.includes('start_s')")
+    page.wait(DRAWN)
+    page.driver.back()
+    page.wait("return !location.search.includes('start_s')")
+    assert page.messages() == []
+
+
+def test_places_inside_takes_open_at_their_moment(show, running):
+    take = add_take(running.app.state.studio.library)
+    page = show(f"/search?motion={first_clip(running)}")
+    page.wait("return document.querySelector('.place-open') !== null")
+    link = page.run("return document.querySelector('.place a').getAttribute('href')")
+    assert link.startswith(f"/takes?motion=clip:{take}&at_s=")
+    page.run("document.querySelector('.place-open').click()")
+    page.wait("return document.querySelector('.dousa-player[data-mode=side]') !== null")
+    assert f"hit=clip%3A{take}" in page.run("return location.search")
+    assert "other_start_s=" in page.run("return location.search")
+    assert page.messages() == []
+
+
+def test_unknown_is_said_in_words(show, running):
+    """With the highest bar nothing is known; the nearest guess is told all the same."""
+    page = show(f"/search?motion={first_clip(running)}&threshold=1")
+    page.wait("return document.querySelector('.verdict-words') !== null")
+    known = page.run("return document.querySelector('#verdict').textContent")
+    answer = running.app.state.studio.library.search(int(first_clip(running)[5:]), threshold=1)
+    if answer.verdict.known is not None:
+        assert "Unknown" in known
+        assert "kick_left" in known
+    assert page.messages() == []
+
+
+def test_options_are_kept_in_the_address(show, running):
+    page = show(f"/search?motion={first_clip(running)}")
+    page.wait(DRAWN)
+    page.run("""
+        const select = document.querySelector('select[name=ranking]');
+        select.value = 'pose';
+        select.dispatchEvent(new Event('change'));
+    """)
+    page.wait("return location.search.includes('ranking=pose')")
+    page.run("document.querySelector('input[name=mirror]').click()")
+    page.wait("return location.search.includes('mirror=1')")
+    page.wait(DRAWN)
+    assert page.messages() == []
+
+
+def test_an_untrained_library_points_to_training(browser, tmp_path):
+    from app.studio.conftest import listening
+    from dousa.app.studio import Settings
+
+    with listening(Settings(tmp_path / "new.dousa", token="t")) as found:
+        browser.driver.get_log("browser")
+        browser.driver.get(f"{found.url}/search?token=t&lang=en")
+        browser.wait("return document.querySelector('#start .empty a') !== null")
+        assert (
+            browser.run("return document.querySelector('#start .empty a').getAttribute('href')") == "/library"
+        )
+        assert browser.messages() == []
+
+
+@pytest.mark.parametrize(
+    ("width", "height", "scheme", "language"),
+    [(1280, 720, "light", "en"), (1280, 720, "dark", "ja"), (390, 844, "light", "ja")],
+)
+def test_it_fits_and_every_word_is_there(show, running, tmp_path, width, height, scheme, language):
+    page = show(f"/search?motion={first_clip(running)}", width, height, scheme, language)
+    page.wait(DRAWN)
+    page.wait(f"{FIGURES} > 3")
+    page.run("document.querySelector('.hit-open').click()")
+    page.wait("return document.querySelector('#download') !== null")
+    page.screenshot(tmp_path / "search.png")
+    assert page.run("return document.documentElement.scrollWidth") <= width
+    text = page.run("return document.querySelector('main').innerText")
+    words = json.loads(page.run("return document.getElementById('words').textContent"))
+    left = [name for name in words if "_" in name and name in text.split()]
+    assert left == []
+    nameless = page.run("""
+        return [...document.querySelectorAll('main button, main a, main [role=slider], main input, main select')]
+          .filter((one) => !one.hidden && one.getAttribute('aria-hidden') !== 'true')
+          .filter((one) => !(one.textContent.trim() || one.ariaLabel || one.title || one.labels?.length))
+          .map((one) => one.outerHTML.slice(0, 120))
+    """)
+    assert nameless == []
+    assert page.messages() == []
+
+
+def test_the_address_names_its_motion_safely(show, running):
+    page = show("/search?" + urllib.parse.urlencode({"motion": "file:0123456789abcdef/<img src=x>.bvh"}))
+    page.wait(BACK_AT_START)
+    assert page.run("return document.querySelector('main img')") is None
+
+
+def test_a_clip_that_is_gone_leads_back_to_the_start(show, running):
+    page = show("/search?motion=clip:99999")
+    page.wait(BACK_AT_START)
+    assert "not in the library any more" in page.run("return document.querySelector('#problem').textContent")
+    page.messages()  # the browser tells of the 404 itself
+
+
+def test_files_that_are_no_motions_are_told(show, running, bvh, tmp_path):
+    """A text file is said to be none; a damaged one leads back to the start; then a good one is searched for."""
+    text, damaged = tmp_path / "notes.txt", tmp_path / "damaged.bvh"
+    text.write_text("hello")
+    damaged.write_text("\n".join(bvh.read_text().splitlines()[:-3]))
+    page = show("/search")
+    page.wait("return document.querySelector('#query-file') !== null")
+    page.find("#query-file").send_keys(str(text))
+    page.wait("return document.querySelector('.notice.problem') !== null")
+    page.find("#query-file").send_keys(str(damaged))
+    page.wait(BACK_AT_START)
+    page.find("#query-file").send_keys(str(bvh))
+    page.wait(DRAWN)
+    assert page.run("return document.querySelector('#problem').hidden")
+    page.messages()  # the browser tells of the refused requests itself
+
+
+def test_a_whole_take_asks_for_a_part(show, running):
+    take = add_take(running.app.state.studio.library)
+    page = show(f"/search?motion=clip:{take}")
+    page.wait("return document.querySelector('#ask-part') !== null")
+    page.wait("return document.querySelector('.dousa-player canvas') !== null")
+    page.wait("return document.querySelector('.tl-cursor') !== null")
+    page.run("document.querySelector('.tl-cursor').focus()")
+    page.press("\ue011", "[", *["\ue00f"] * 2, "]")  # home, page down
+    page.wait("return location.search.includes('end_s=')")
+    page.wait(DRAWN)
+    page.driver.back()
+    page.wait("return document.querySelector('#ask-part') !== null")
+    assert page.messages() == []
+
+
+def test_on_a_phone_a_chosen_hit_is_seen(show, running):
+    page = show(f"/search?motion={first_clip(running)}", 390, 844)
+    page.wait(DRAWN)
+    page.run("[...document.querySelectorAll('.hit-open')].at(-1).scrollIntoView()")
+    page.run("[...document.querySelectorAll('.hit-open')].at(-1).click()")
+    page.wait("return document.querySelector('.dousa-player[data-mode=side]') !== null")
+    page.wait("""
+        const { top, bottom } = document.querySelector('#player').getBoundingClientRect();
+        return top >= 0 && bottom <= innerHeight;
+    """)
+    assert page.messages() == []
+
+
+def test_headings_come_in_order(show, running):
+    page = show(f"/search?motion={first_clip(running)}")
+    page.wait(DRAWN)
+    levels = page.run("""
+        return [...document.querySelectorAll('h1, h2, h3, h4')].filter((one) => one.checkVisibility())
+          .map((one) => Number(one.tagName[1]))
+    """)
+    assert levels[0] == 1
+    assert all(below - above <= 1 for above, below in itertools.pairwise(levels)), levels
+
+
+@pytest.mark.parametrize(
+    ("changes", "sentence"),
+    [
+        (
+            {},
+            "左肘の高さ（骨盤から）は、1.5〜3.5 秒の平均が身長の 0.29 倍で、"
+            "多くの動き（身長の 0.20 倍未満）より高くなっています。",
+        ),
+        (
+            {"channel": "right foot left of pelvis", "above": False, "value": -0.1, "threshold": 0.05},
+            "右足の左右の位置（骨盤から）は、1.5〜3.5 秒の平均が右へ身長の 0.10 倍で、"
+            "多くの動き（左へ身長の 0.05 倍超）より右寄りになっています。",
+        ),
+        (
+            {
+                "channel": "trunk away from upright",
+                "unit": "radians",
+                "other_value": 0.4,
+                "other_start": 1,
+                "other_end": 3,
+            },
+            "胴の傾きは、1.5〜3.5 秒（相手は 1.0〜3.0 秒）の平均が 17 度（相手は 23 度）で、"
+            "多くの動き（11 度未満）より大きくなっています。",
+        ),
+        (
+            {
+                "channel": "speed of the left hand",
+                "unit": "body heights a second",
+                "kind": "spread",
+                "away": 3,
+            },
+            "左手の速さは、1.5〜3.5 秒の変わり幅が毎秒身長の 0.29 倍で、"
+            "かなりの動き（毎秒身長の 0.20 倍未満）より大きくなっています。",
+        ),
+    ],
+)
+def test_reasons_are_japanese_sentences(show, running, changes, sentence):
+    reason = {
+        "text": "",
+        "channel": "left elbow above pelvis",
+        "kind": "mean",
+        "unit": "body heights",
+        "start": 1.5,
+        "end": 3.5,
+        "value": 0.29,
+        "threshold": 0.2,
+        "above": True,
+        "others": 8,
+        "away": 8,
+    }
+    page = show("/search", language="ja")
+    page.wait("return document.querySelector('#query-file') !== null")
+    said = page.driver.execute_async_script(
+        """
+        const [reason, done] = arguments;
+        const folder = document.querySelector('script[src*="/search/main.js"]').src.replace('main.js', '');
+        import(`${folder}reasons_ja.js`).then((one) => done(one.sayJapanese(reason)), (error) => done(String(error)));
+        """,
+        {**reason, **changes},
+    )
+    assert said == sentence
