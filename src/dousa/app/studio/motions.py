@@ -36,7 +36,7 @@ MotionName = Annotated[
     ),
 ]
 _Seconds = Annotated[float, Field(ge=0, le=1e6, allow_inf_nan=False)]
-_KEPT_BYTES = 200_000_000  # of motions that were read from files
+_KEPT, _KEPT_BYTES = 24, 60_000_000  # motions that were read from files last
 _WAIT = 60.0  # s for others that read
 _LONGEST_S, _MOST_FRAMES = 3 * 3600.0, 1_500_000  # of a motion that is looked at as one
 
@@ -175,8 +175,11 @@ class Motions:
     def _keep(self, key: tuple[Any, ...], read: Named) -> None:
         with self._lock:
             self._kept[key] = read
-            while len(self._kept) > 1 and sum(item.n_bytes for item in self._kept.values()) > _KEPT_BYTES:
+            while len(self._kept) > 1 and (len(self._kept) > _KEPT or self._n_bytes() > _KEPT_BYTES):
                 self._kept.popitem(last=False)
+
+    def _n_bytes(self) -> int:
+        return sum(item.n_bytes for item in self._kept.values())
 
     def _short(self, path: Path) -> str:
         """What takes the place of the studio's folder in messages."""
