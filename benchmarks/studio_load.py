@@ -214,7 +214,10 @@ def measure(
     def work(seed: int) -> None:
         chance, client = random.Random(seed), Client(first.port, first.token)
         while not stop.wait(REST):
-            statuses[use(client, ids, takes, motion, chance)] += 1
+            try:
+                statuses[use(client, ids, takes, motion, chance)] += 1
+            except (OSError, http.client.HTTPException):  # the next request makes a new connection
+                statuses["lost", 0] += 1
 
     threads = [threading.Thread(target=work, args=(seed,), daemon=True) for seed in range(N_CLIENTS)]
     for thread in threads:
