@@ -210,7 +210,11 @@ def test_what_is_mentioned_exists(command: Command):
 @pytest.mark.parametrize("text", sorted({command.text for command in find_commands(How.DRY)}))
 def test_targets_of_make_exist(text: str):
     told = subprocess.run(
-        ["make", "--no-print-directory", "-n", text.split()[1]], cwd=ROOT, capture_output=True, text=True, check=False
+        ["make", "--no-print-directory", "-n", text.split()[1]],
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
+        check=False,
     )
     assert told.returncode == 0, told.stderr
     for name in re.findall(r"\b(?:benchmarks|docs)/[a-z]\w*\.py", told.stdout):
