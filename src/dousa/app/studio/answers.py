@@ -8,7 +8,12 @@ from typing import Any
 
 from starlette.responses import JSONResponse
 
-__all__ = ["Answer"]
+__all__ = ["BYTES", "Answer"]
+
+BYTES: dict[int | str, dict[str, Any]] = {
+    200: {"content": {"application/octet-stream": {"schema": {"type": "string", "format": "binary"}}}}
+}
+"""What the description of the interface says of an answer that is no JSON."""
 
 
 class Answer(JSONResponse):

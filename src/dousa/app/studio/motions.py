@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from dousa.library import Library
     from dousa.motion import CanonicalMotion
 
-__all__ = ["MotionName", "MotionRef", "Motions", "Named"]
+__all__ = ["MotionName", "MotionPart", "MotionRef", "Motions", "Named", "Seconds"]
 
 MotionName = Annotated[
     str,
@@ -35,24 +35,35 @@ MotionName = Annotated[
         examples=["clip:12"],
     ),
 ]
-_Seconds = Annotated[float, Field(ge=0, le=1e6, allow_inf_nan=False)]
+Seconds = Annotated[float, Field(ge=0, le=1e6, allow_inf_nan=False)]
 _KEPT, _KEPT_BYTES = 24, 60_000_000  # motions that were read from files last
 _WAIT = 60.0  # s for others that read
 _LONGEST_S, _MOST_FRAMES = 3 * 3600.0, 1_500_000  # of a motion that is looked at as one
 
 
-class MotionRef(BaseModel):
-    """A motion, or a part of one."""
+class MotionPart(BaseModel):
+    """A motion, or a part of one, as it stands in an address."""
 
     model_config = ConfigDict(extra="forbid")
 
     motion: MotionName
-    start_s: _Seconds | None = Field(default=None, description="s; the beginning if left out")
-    end_s: _Seconds | None = Field(default=None, description="s; the end if left out")
+    start_s: Seconds | None = Field(default=None, description="s; the beginning if left out")
+    end_s: Seconds | None = Field(default=None, description="s; the end if left out")
     unit: str | None = Field(
         default=None, max_length=20, description="length unit of an uploaded file, such as cm"
     )
     up: str | None = Field(default=None, max_length=2, description="up axis of an uploaded file: x, y or z")
+
+    def ref(self) -> MotionRef:
+        """The same in the form that everything else uses."""
+        return MotionRef(
+            motion=self.motion, start_s=self.start_s, end_s=self.end_s, unit=self.unit, up=self.up
+        )
+
+
+class MotionRef(MotionPart):
+    """A motion, or a part of one."""
+
     joint_map: dict[str, str | list[str]] | None = Field(
         default=None, description="canonical joint -> joint of the file"
     )

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 from fastapi import APIRouter, Depends, Query, Response
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
-from dousa.app.studio.answers import Answer
+from dousa.app.studio.answers import BYTES, Answer
 from dousa.app.studio.problems import RefusedError
 from dousa.app.studio.shelf.listing import Asked, Snapshot
 from dousa.app.studio.studio import StudioNow
@@ -125,13 +125,8 @@ def list_ids(
     )
 
 
-_FIGURES: dict[int | str, dict[str, Any]] = {
-    200: {"content": {"application/octet-stream": {"schema": {"type": "string", "format": "binary"}}}}
-}
-
-
 @router.post(
-    "/clips/thumbnails", summary="Small moving figures of clips", response_class=Response, responses=_FIGURES
+    "/clips/thumbnails", summary="Small moving figures of clips", response_class=Response, responses=BYTES
 )
 def get_thumbnails(studio: StudioNow, wanted: Pictured) -> Response:
     """1,456 bytes for each number, in their order; zeros for a clip that is not there."""

@@ -5,58 +5,34 @@ from __future__ import annotations
 from typing import Annotated, Any, Literal
 
 from fastapi import APIRouter, Query
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 from starlette.responses import Response
 
-from dousa.app.studio.answers import Answer
+from dousa.app.studio.answers import BYTES, Answer
 from dousa.app.studio.downloads import attachment
-from dousa.app.studio.motions import MotionName, MotionRef, Named
+from dousa.app.studio.motions import MotionName, MotionPart, MotionRef, Named, Seconds
 from dousa.app.studio.studio import Studio, StudioNow
 
 __all__ = ["router"]
 
 router = APIRouter(tags=["motions"])
 
-_Seconds = Annotated[float, Field(ge=0, le=1e6, allow_inf_nan=False)]
 _Language = Literal["en", "ja"]
-_BYTES: dict[int | str, dict[str, Any]] = {
-    200: {"content": {"application/octet-stream": {"schema": {"type": "string", "format": "binary"}}}}
-}
 
 
-class _Part(BaseModel):
-    """A motion, or a part of one, in the address of a request."""
-
-    model_config = ConfigDict(extra="forbid")
-
-    motion: MotionName
-    start_s: _Seconds | None = Field(default=None, description="s; the beginning if left out")
-    end_s: _Seconds | None = Field(default=None, description="s; the end if left out")
-    unit: str | None = Field(
-        default=None, max_length=20, description="length unit of an uploaded file, such as cm"
-    )
-    up: str | None = Field(default=None, max_length=2, description="up axis of an uploaded file: x, y or z")
-
-    def ref(self) -> MotionRef:
-        """The same in the form that everything else uses."""
-        return MotionRef(
-            motion=self.motion, start_s=self.start_s, end_s=self.end_s, unit=self.unit, up=self.up
-        )
-
-
-class _Shown(_Part):
+class _Shown(MotionPart):
     language: _Language = Field(default="en", description="of the words in the data")
 
 
 class _Pair(_Shown):
     other: MotionName = Field(description="what is shown beside it")
-    other_start_s: _Seconds | None = None
-    other_end_s: _Seconds | None = None
+    other_start_s: Seconds | None = None
+    other_end_s: Seconds | None = None
     mirror: bool = Field(default=False, description="show the mirror image of the other")
 
 
 @router.get("/motions/info", summary="A motion in numbers")
-def get_info(studio: StudioNow, asked: Annotated[_Part, Query()]) -> Answer:
+def get_info(studio: StudioNow, asked: Annotated[MotionPart, Query()]) -> Answer:
     """Name, length, category, and doubts that came up when it was read."""
     named = studio.motions.get(asked.ref())
     motion = named.motion
@@ -118,8 +94,8 @@ def get_pair(studio: StudioNow, asked: Annotated[_Pair, Query()]) -> Answer:
     )
 
 
-@router.get("/motions/miniature", summary="A small moving figure", response_class=Response, responses=_BYTES)
-def get_miniature(studio: StudioNow, asked: Annotated[_Part, Query()]) -> Response:
+@router.get("/motions/miniature", summary="A small moving figure", response_class=Response, responses=BYTES)
+def get_miniature(studio: StudioNow, asked: Annotated[MotionPart, Query()]) -> Response:
     """Bytes for ``dousa.createMiniature`` of the pages."""
     from dousa.app.player import encode_miniature
 
@@ -127,8 +103,8 @@ def get_miniature(studio: StudioNow, asked: Annotated[_Part, Query()]) -> Respon
     return Response(content, media_type="application/octet-stream")
 
 
-@router.get("/motions/bvh", summary="Download as BVH", response_class=Response, responses=_BYTES)
-def get_bvh(studio: StudioNow, asked: Annotated[_Part, Query()]) -> Response:
+@router.get("/motions/bvh", summary="Download as BVH", response_class=Response, responses=BYTES)
+def get_bvh(studio: StudioNow, asked: Annotated[MotionPart, Query()]) -> Response:
     """With every joint of the file it came from, if that is still there; else the joints that dousa compares."""
     from dousa.app.studio.bvh_files import make_bvh
 

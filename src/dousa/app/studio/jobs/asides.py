@@ -4,14 +4,15 @@ from __future__ import annotations
 
 import json
 import subprocess
-import sys
 import threading
+from collections.abc import Callable
 from contextlib import suppress
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 from dousa.app.studio.gates import Gate
-from dousa.app.studio.jobs.processes import kill
+from dousa.app.studio.jobs.processes import kill, start_worker
 from dousa.app.studio.problems import RefusedError
 from dousa.app.studio.settings import Settings
 
@@ -38,20 +39,14 @@ def ask_process(
     ------
     RefusedError : it told a problem, took too long or ended without an answer.
     """
-    task = {
-        "kind": kind,
-        "request": request,
-        "folder": str(folder),
-        "library": str(settings.library),
-        "home": str(settings.folder),
-    }
     key = f"{settings.folder} {kind} {request.get('batch')}"
     with _lock:
         older = _under_way.get(key)
         if older is not None:
             kill(older)
     with _gate.enter(seconds):
-        lines = _run(key, json.dumps(task).encode() + b"\n", seconds)
+        start = partial(start_worker, settings, kind, request, folder, subprocess.DEVNULL)
+        lines = _run(key, start, seconds)
     for line in reversed(lines):
         message = json.loads(line)
         if "result" in message:
@@ -62,14 +57,8 @@ def ask_process(
     raise RefusedError(422, "these files could not be read to the end; are they what their names say?")
 
 
-def _run(key: str, task: bytes, seconds: float) -> list[bytes]:
-    process = subprocess.Popen(
-        [sys.executable, "-m", "dousa.app.studio.jobs.worker"],
-        stdin=subprocess.PIPE,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.DEVNULL,
-        start_new_session=True,
-    )
+def _run(key: str, start: Callable[[], tuple[subprocess.Popen[bytes], bytes]], seconds: float) -> list[bytes]:
+    process, task = start()
     with _lock:
         _under_way[key] = process
     ran_out = threading.Event()

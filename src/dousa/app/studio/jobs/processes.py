@@ -15,12 +15,13 @@ from dousa.app.studio.jobs.board import JobStopped
 from dousa.errors import DousaError
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Mapping
+    from pathlib import Path
 
     from dousa.app.studio.jobs.board import Job, JobBoard
     from dousa.app.studio.settings import Settings
 
-__all__ = ["WorkError", "kill", "run_in_process"]
+__all__ = ["WorkError", "kill", "run_in_process", "start_worker"]
 
 _PATIENCE = 10.0  # s between asking a process to stop and ending it
 
@@ -29,26 +30,42 @@ class WorkError(DousaError):
     """The work of a process ended with a problem that it told."""
 
 
+def start_worker(
+    settings: Settings, kind: str, request: Mapping[str, Any], folder: Path, errors: IO[bytes] | int
+) -> tuple[subprocess.Popen[bytes], bytes]:
+    """A process that does work, and the line that it waits for on its standard input.
+
+    Parameters
+    ----------
+    settings : of the studio.
+    kind, request : of the work, see `dousa.app.studio.work`.
+    folder : where it may write.
+    errors : where its standard error goes.
+    """
+    task = {
+        "kind": kind,
+        "request": dict(request),
+        "folder": str(folder),
+        "library": str(settings.library),
+        "home": str(settings.folder),
+    }
+    process = subprocess.Popen(
+        [sys.executable, "-m", "dousa.app.studio.jobs.worker"],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        stderr=errors,
+        start_new_session=True,  # Ctrl-C in the terminal reaches the studio, which stops its work itself
+    )
+    return process, json.dumps(task).encode() + b"\n"
+
+
 def run_in_process(settings: Settings) -> Callable[[Job, JobBoard, threading.Event], dict[str, Any]]:
     """What does jobs of any kind of `dousa.app.studio.work` in a new process each."""
 
     def run(job: Job, board: JobBoard, stop: threading.Event) -> dict[str, Any]:
         folder = board.folder(job)
-        task = {
-            "kind": job.kind,
-            "request": job.request,
-            "folder": str(folder),
-            "library": str(settings.library),
-            "home": str(settings.folder),
-        }
         with open(folder / "log.txt", "ab") as log:
-            process = subprocess.Popen(
-                [sys.executable, "-m", "dousa.app.studio.jobs.worker"],
-                stdin=subprocess.PIPE,
-                stdout=subprocess.PIPE,
-                stderr=log,
-                start_new_session=True,  # Ctrl-C in the terminal reaches the studio, which stops its work itself
-            )
+            process, task = start_worker(settings, job.kind, job.request, folder, log)
         watcher = threading.Thread(target=_end_when, args=(stop, process), daemon=True)
         watcher.start()
         try:
@@ -62,12 +79,12 @@ def run_in_process(settings: Settings) -> Callable[[Job, JobBoard, threading.Eve
 
 
 def _listen(
-    process: subprocess.Popen[bytes], task: dict[str, Any], job: Job, board: JobBoard, stop: threading.Event
+    process: subprocess.Popen[bytes], task: bytes, job: Job, board: JobBoard, stop: threading.Event
 ) -> dict[str, Any]:
     stdin, stdout = process.stdin, process.stdout
     assert stdin is not None and stdout is not None
     with suppress(OSError):
-        stdin.write(json.dumps(task).encode() + b"\n")
+        stdin.write(task)
         stdin.flush()  # stays open: its end tells the process that the studio is gone
     last = _take_messages(stdout, job, board)
     process.wait()
