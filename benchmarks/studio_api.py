@@ -13,7 +13,6 @@ import argparse
 import http.client
 import json
 import os
-import re
 import signal
 import subprocess
 import sys
@@ -25,6 +24,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
+from _studio import start_studio
 from search import make_library
 
 from dousa.library import Library
@@ -36,21 +36,12 @@ DOUSA = (sys.executable, "-c", "from dousa.app.cli import main; main()")
 @contextmanager
 def running_studio(library: Path, home: Path) -> Iterator[tuple[int, str]]:
     """Port and token of a studio in another process."""
-    command = [*DOUSA, "studio", str(library), "--no-browser", "--port", "9400"]
-    with subprocess.Popen(command, stderr=subprocess.PIPE, text=True, cwd=home) as process:
-        assert process.stderr is not None
-        try:
-            for line in process.stderr:
-                found = re.search(r"http://127\.0\.0\.1:(\d+)/\?token=(\S+)", line)
-                if found:
-                    break
-            else:
-                raise SystemExit("the studio did not start")
-            threading.Thread(target=process.stderr.read, daemon=True).start()
-            yield int(found[1]), found[2]
-        finally:
-            process.send_signal(signal.SIGINT)
-            process.wait(timeout=30)
+    process, port, token = start_studio(library, "--port", "9400", folder=home)
+    try:
+        yield port, token
+    finally:
+        process.send_signal(signal.SIGINT)
+        process.wait(timeout=30)
 
 
 class Asker(threading.Thread):

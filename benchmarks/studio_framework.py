@@ -12,7 +12,6 @@ from __future__ import annotations
 
 import argparse
 import os
-import re
 import statistics
 import subprocess
 import sys
@@ -22,6 +21,8 @@ from pathlib import Path
 from typing import Any
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
+
+from _studio import start_studio
 
 from app.browser import open_browser
 
@@ -86,13 +87,8 @@ def run_peer(port: int, folder: Path) -> tuple[subprocess.Popen[str], str]:
 
 
 def run_ours(library: Path) -> tuple[subprocess.Popen[str], str]:
-    command = [sys.executable, "-m", "dousa.app.cli", "studio", str(library), "--no-browser"]
-    process = subprocess.Popen(command, stderr=subprocess.PIPE, text=True)
-    assert process.stderr is not None
-    for line in process.stderr:
-        if found := re.search(r"http://\S+", line):
-            return process, found[0].replace("/?", "/library?")
-    raise SystemExit("the studio did not start")
+    process, port, token = start_studio(library)
+    return process, f"http://127.0.0.1:{port}/library?token={token}"
 
 
 def main() -> None:

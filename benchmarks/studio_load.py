@@ -15,11 +15,9 @@ import http.client
 import json
 import os
 import random
-import re
 import shutil
 import signal
 import subprocess
-import sys
 import tempfile
 import threading
 import time
@@ -27,6 +25,8 @@ from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
+
+from _studio import start_studio
 
 N_CLIENTS = 3
 REST = 0.02  # s between the requests of one client: a machine that is used, not one that is stormed
@@ -144,20 +144,6 @@ def resident(pid: int) -> float:
     return int(Path(f"/proc/{pid}/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE") / 1e6
 
 
-def start(library: Path) -> tuple[subprocess.Popen[str], int, str]:
-    """A studio; process, port, token."""
-    process = subprocess.Popen(
-        [sys.executable, "-m", "dousa.app.cli", "studio", str(library), "--no-browser", "--port", "8900"],
-        stderr=subprocess.PIPE,
-        text=True,
-    )
-    assert process.stderr is not None
-    for line in process.stderr:
-        if found := re.search(r":(\d+)/\?token=(\S+)", line):
-            return process, int(found[1]), found[2]
-    raise SystemExit("the studio did not start")
-
-
 def make_library(folder: Path) -> tuple[Path, bytes]:
     """The demo's library with a take, trained; and a motion file to upload."""
     from dousa.app.demo import write_library
@@ -194,7 +180,7 @@ def main() -> None:
 
 
 def run(library: Path, motion: bytes, seconds: float, curve: Path | None) -> None:
-    process, port, token = start(library)
+    process, port, token = start_studio(library, "--port", "8900")
     try:
         measure(process, Client(port, token), motion, seconds, curve)
     finally:
