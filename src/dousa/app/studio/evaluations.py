@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 from pydantic import BaseModel, ConfigDict, Field
 
 from dousa.app.studio.gates import Gate
-from dousa.app.studio.motions import MotionRef
+from dousa.app.studio.motions import MotionRef, Seconds
 from dousa.app.studio.problems import RefusedError
 
 if TYPE_CHECKING:
@@ -34,7 +34,6 @@ __all__ = [
 ]
 
 Language = Literal["en", "ja"]
-_Seconds = Annotated[float, Field(ge=0, le=1e6, allow_inf_nan=False)]
 _Weight = Annotated[float, Field(ge=0, le=1000, allow_inf_nan=False)]
 _Name = Annotated[str, Field(max_length=40)]
 
@@ -67,8 +66,8 @@ class Cut(BaseModel):
 
     model_config = ConfigDict(extra="forbid")
 
-    start_s: _Seconds = Field(description="s of the first reference")
-    end_s: _Seconds
+    start_s: Seconds = Field(description="s of the first reference")
+    end_s: Seconds
     label: str = Field(min_length=1, max_length=100, description="equal figures have equal labels")
 
 

@@ -14,7 +14,7 @@ from starlette.responses import Response
 from dousa.app.studio.answers import Answer
 from dousa.app.studio.downloads import attachment
 from dousa.app.studio.jobs.board import Job
-from dousa.app.studio.motions import MotionName, MotionRef
+from dousa.app.studio.motions import MotionName, MotionRef, Seconds
 from dousa.app.studio.problems import RefusedError
 from dousa.app.studio.studio import Studio, StudioNow
 
@@ -23,7 +23,6 @@ __all__ = ["router"]
 router = APIRouter(tags=["takes"])
 
 _Share = Annotated[float, Field(ge=0, le=1, allow_inf_nan=False)]
-_Seconds = Annotated[float, Field(ge=0, le=1e6, allow_inf_nan=False)]
 _Motion = Annotated[MotionName, Query()]
 
 
@@ -44,8 +43,8 @@ class CorrectRequest(BaseModel):
     model_config = ConfigDict(extra="forbid")
 
     motion: MotionName
-    start_s: _Seconds
-    end_s: _Seconds
+    start_s: Seconds
+    end_s: Seconds
     category: str = Field(min_length=1, max_length=200)
 
 
