@@ -4,21 +4,45 @@ VENV := .venv
 BIN := $(VENV)/bin
 JOBS ?= 2
 
-.PHONY: demo studio test lint fuzz bench peers figures lock clean
+# Left to `make test-slow`: pages in a browser, commands of the documents, long properties.
+SLOW := browser or documents or slow
+# `make test COVERAGE=1` adds what it ran to the data that `make coverage` prints.
+COVERED := $(if $(COVERAGE),--cov --cov-append --cov-report=)
 
-demo: $(VENV)/.installed
+.PHONY: demo studio test test-slow test-all lint types coverage wheel fuzz bench peers figures docs lock clean
+
+demo: $(VENV)/.demo
 	$(BIN)/dousa demo
 
 # The demo's library in the browser; makes the demo first if need be.
-studio: $(VENV)/.studio
+studio: $(VENV)/.demo
 	$(BIN)/dousa demo --studio
 
 test: $(VENV)/.dev lint
-	$(BIN)/pytest -n $(JOBS)
+	$(BIN)/pytest -n $(JOBS) -m "not ($(SLOW))" $(COVERED)
+
+test-slow: $(VENV)/.dev
+	$(BIN)/pytest -n $(JOBS) -m "$(SLOW)" $(COVERED)
+
+test-all: test test-slow
 
 lint: $(VENV)/.dev
-	$(BIN)/ruff check src tests benchmarks docs
-	$(BIN)/ruff format --check src tests benchmarks docs
+	$(BIN)/ruff check src tests benchmarks docs .ci
+	$(BIN)/ruff format --check src tests benchmarks docs .ci
+	$(BIN)/mypy
+
+types: $(VENV)/.dev
+	$(BIN)/mypy
+
+# Lines and branches by rooms, of the tests that were run with COVERAGE=1.
+coverage: $(VENV)/.dev
+	$(BIN)/python .ci/print_coverage.py
+
+# The packages as they are released, and the wheel tried in an environment of its own.
+wheel: $(VENV)/.dev
+	rm -rf dist
+	$(BIN)/python -m build --outdir dist .
+	$(BIN)/python .ci/try_wheel.py dist
 
 fuzz: $(VENV)/.dev
 	DOUSA_FUZZ_SECONDS=300 $(BIN)/pytest -m fuzz
@@ -37,26 +61,30 @@ peers:
 figures: $(VENV)/.dev
 	$(BIN)/python docs/make_figures.py
 
+# The documentation site, in build/site; the examples of its gallery are run, broken links fail.
+docs: $(VENV)/.docs
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build
+
 # Versions that were tested together; `make lock` writes them anew from the present environment.
-$(VENV)/.installed: pyproject.toml constraints.txt
+$(VENV)/.demo: pyproject.toml constraints.txt
 	test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e .
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[all]'
 	touch $@
 
-$(VENV)/.studio: $(VENV)/.installed
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[studio]'
-	touch $@
-
-$(VENV)/.dev: $(VENV)/.installed
+$(VENV)/.dev: $(VENV)/.demo
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[dev]'
+	touch $@
+
+$(VENV)/.docs: $(VENV)/.demo
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[docs]'
 	touch $@
 
 $(VENV)/.bench: $(VENV)/.dev
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[bench]'
 	touch $@
 
-lock: $(VENV)/.bench
+lock: $(VENV)/.bench $(VENV)/.docs
 	$(BIN)/python -m pip freeze --exclude-editable --exclude dousa | grep -v '^-e' > constraints.txt
 
 clean:
-	rm -rf $(VENV) $(VENV)-peers demo-output .pytest_cache .hypothesis .ruff_cache
+	rm -rf $(VENV) $(VENV)-peers build demo-output dist htmlcov .coverage* .pytest_cache .hypothesis .ruff_cache .mypy_cache

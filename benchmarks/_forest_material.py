@@ -12,7 +12,7 @@ from dousa.retrieval import compute_clip_features, integrate, list_tests
 
 def read_clips(folder: Path) -> tuple[NDArray[np.float64], NDArray[np.str_]]:
     """Features (N, 10, 56) and categories of all BVH, AMC and C3D files below a folder."""
-    from dousa.formats import read_motion
+    from dousa.formats.registry import read_motion
     from dousa.motion import canonicalise
 
     files = sorted(path for path in folder.rglob("*") if path.suffix.lower() in (".bvh", ".amc", ".c3d"))

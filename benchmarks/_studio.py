@@ -11,9 +11,7 @@ from pathlib import Path
 __all__ = ["start_studio"]
 
 
-def start_studio(
-    library: Path, *words: str, folder: Path | None = None
-) -> tuple[subprocess.Popen[str], int, str]:
+def start_studio(library: Path, *words: str, folder: Path | None = None) -> tuple[subprocess.Popen[str], int, str]:
     """Start ``dousa studio`` without a browser; its process, port and token.
 
     Parameters
@@ -22,7 +20,7 @@ def start_studio(
     words : further options.
     folder : to start it in.
     """
-    command = [sys.executable, "-m", "dousa.app.cli", "studio", str(library), "--no-browser", *words]
+    command = [sys.executable, "-m", "dousa.app.cli.main", "studio", str(library), "--no-browser", *words]
     process = subprocess.Popen(command, stderr=subprocess.PIPE, text=True, cwd=folder)
     assert process.stderr is not None
     for line in process.stderr:

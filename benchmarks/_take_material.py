@@ -7,9 +7,9 @@ from pathlib import Path
 import numpy as np
 
 from dousa.retrieval import MotionForest
-from dousa.retrieval._joined_takes import JoinedTake, join_clips
-from dousa.retrieval.experiment import LabelledClip
-from dousa.retrieval.feature_sets import DEFAULT_FEATURE_SET, FEATURE_SETS, FeatureSet
+from dousa.retrieval.features.feature_sets import DEFAULT_FEATURE_SET, FEATURE_SETS, FeatureSet
+from dousa.retrieval.features.posed_motion import LabelledClip
+from dousa.retrieval.takes.leaf_weights import JoinedTake, join_clips
 
 __all__ = ["FEATURE_SET", "make_takes", "read_or_make_clips", "train_forest"]
 
@@ -19,15 +19,13 @@ FEATURE_SET: FeatureSet = FEATURE_SETS[DEFAULT_FEATURE_SET]
 def read_or_make_clips(folder: Path | None, performer_from: str | None) -> list[LabelledClip]:
     """Labelled clips below a folder, or 20 synthetic performers with one motion of every category."""
     if folder is not None:
-        from dousa.app.trials import read_labelled_clips
-        from dousa.library import ReadOptions
+        from dousa.app.pipelines.experiment_clips import read_labelled_clips
+        from dousa.formats import ReadOptions
 
         options = ReadOptions()
-        return read_labelled_clips(
-            [folder], category_from="folder", performer_from=performer_from, options=options
-        )[0]
+        return read_labelled_clips([folder], category_from="folder", performer_from=performer_from, options=options)[0]
     from dousa.motion import canonicalise, compute_trajectories
-    from dousa.motion.synthetic import CATEGORIES, draw_performer, make_motion
+    from dousa.motion.synthetic.performers import CATEGORIES, draw_performer, make_motion
 
     clips = []
     for number in range(20):
@@ -35,17 +33,13 @@ def read_or_make_clips(folder: Path | None, performer_from: str | None) -> list[
         for category in CATEGORIES:
             motion = canonicalise(compute_trajectories(make_motion(category, performer)))
             name = f"{category} {number}"
-            clips.append(
-                LabelledClip(name, category, str(number), motion.positions, motion.frame_rate, motion.height)
-            )
+            clips.append(LabelledClip(name, category, str(number), motion.positions, motion.frame_rate, motion.height))
     return clips
 
 
 def train_forest(clips: list[LabelledClip]) -> MotionForest:
     """The forest that `dousa train` makes."""
-    forest = MotionForest(
-        thresholds=FEATURE_SET.thresholds, n_trials=FEATURE_SET.n_trials, random_state=0, n_jobs=2
-    )
+    forest = MotionForest(thresholds=FEATURE_SET.thresholds, n_trials=FEATURE_SET.n_trials, random_state=0, n_jobs=2)
     features = np.stack([FEATURE_SET.compute(clip) for clip in clips])
     return forest.fit(features, [clip.category for clip in clips], feature_set=FEATURE_SET)
 

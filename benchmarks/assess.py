@@ -27,10 +27,11 @@ from pathlib import Path
 import numpy as np
 from _timing import timed
 
-from dousa.evaluation import IncrementalAssessor, assess, inject_many, simulate_performer
+from dousa.evaluation import IncrementalAssessor, assess
+from dousa.experiments import inject_many, simulate_performer
 from dousa.motion import CanonicalMotion, canonicalise
-from dousa.motion.synthetic import Performer
-from dousa.motion.synthetic_dance import make_dance
+from dousa.motion.synthetic.dance import make_dance
+from dousa.motion.synthetic.performers import Performer
 
 KINDS = ("shift", "incomplete", "partial", "global")
 
@@ -38,7 +39,7 @@ KINDS = ("shift", "incomplete", "partial", "global")
 def read_dance(name: str | None) -> CanonicalMotion:
     if name is None:
         return canonicalise(make_dance(Performer(), 0, 30.0).motion)
-    from dousa.formats import read_motion
+    from dousa.formats.registry import read_motion
 
     return canonicalise(read_motion(name))
 
@@ -82,9 +83,7 @@ def measure_memory(name: str | None, seconds: float, rate: float) -> None:
             reset.write("5")
         before = read_status("VmRSS")
         assess(*pair)
-        print(
-            f"peak of memory: {read_status('VmHWM') - before:.0f} MB beyond the {before:.0f} MB held before"
-        )
+        print(f"peak of memory: {read_status('VmHWM') - before:.0f} MB beyond the {before:.0f} MB held before")
     except OSError:
         print("peak of memory: not measured, as this system does not tell it")
 
@@ -149,9 +148,7 @@ def measure_running(options: argparse.Namespace, rate: float, seconds: float = 9
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--minutes", type=float, default=5.0)
     parser.add_argument("--rate", type=float, default=120.0)
     parser.add_argument("--file")

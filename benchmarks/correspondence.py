@@ -26,7 +26,7 @@ import numpy as np
 from _timing import timed
 
 from dousa.evaluation import compute_correlation_matrix, compute_postures, find_lines, find_path
-from dousa.evaluation import correspondence as module
+from dousa.evaluation.alignment import correspondence as module
 
 
 def unit(vectors: np.ndarray) -> np.ndarray:
@@ -121,9 +121,7 @@ def compare_paths(n_frames: int) -> None:
         print("peers: librosa or dtaidistance is not installed; run: pip install 'dousa[bench]'")
         return
     librosa.sequence.dtw(C=np.ones((3, 3)))
-    seconds, (_, peer) = timed(
-        lambda: librosa.sequence.dtw(C=1.0 - compute_correlation_matrix(a, b).astype(float))
-    )
+    seconds, (_, peer) = timed(lambda: librosa.sequence.dtw(C=1.0 - compute_correlation_matrix(a, b).astype(float)))
     print(f"peer, librosa (full, same costs): {seconds:.3f} s; ratio peer / ours: {seconds / ours:.1f}")
     say_difference("ours to librosa", path, peer[::-1])
     first, second = (np.ascontiguousarray(s.reshape(n_frames, 27)) for s in (a, b))
@@ -149,13 +147,11 @@ def compare_lines(n_frames: int) -> None:
     channels = np.ascontiguousarray(a[::12].reshape(-1, 27).T)
     stumpy.mstump(channels[:2, :60].copy(), m=20)
     seconds, _ = timed(lambda: stumpy.mstump(channels, m=20))
-    print(
-        f"peer, stumpy.mstump at 10 Hz (the motion with itself): {seconds:.3f} s; ratio: {seconds / ours:.1f}"
-    )
+    print(f"peer, stumpy.mstump at 10 Hz (the motion with itself): {seconds:.3f} s; ratio: {seconds / ours:.1f}")
 
 
 def compare_files(files: list[str]) -> None:
-    from dousa.formats import read_motion
+    from dousa.formats.registry import read_motion
     from dousa.motion import canonicalise
 
     motions = [canonicalise(read_motion(name)) for name in files]
@@ -168,9 +164,7 @@ def compare_files(files: list[str]) -> None:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--frames", type=int, default=36_000)
     parser.add_argument("--full", type=int, default=4_000)
     parser.add_argument("--files", nargs=2, metavar=("REFERENCE", "PERFORMANCE"))

@@ -36,9 +36,9 @@ from dousa.estimation import (
     render,
     standing_state,
 )
-from dousa.estimation._bench_clips import choose_views, first_frame_body, read_clip
-from dousa.estimation._working import Workshop
-from dousa.estimation.silhouettes import PackedSilhouettes, Silhouettes
+from dousa.estimation.silhouettes.silhouettes import PackedSilhouettes, Silhouettes
+from dousa.estimation.tracking.search_setup import SearchSetup
+from dousa.experiments.pose_clips import choose_views, first_frame_body, read_clip
 
 RECORDED = Path(__file__).parents[2] / "shared/data/silhouette_bench/cmu86_walk_clean.npz"
 
@@ -115,9 +115,7 @@ def run_length(material: Material, n_frames: int, n_threads: int) -> None:
         before = float("nan")
     seconds, _ = timed(lambda: material.track(4, n_frames, n_threads))
     peak = read_status("VmHWM") - before if np.isfinite(before) else float("nan")
-    print(
-        f"{n_frames} frames: {1000 * seconds / n_frames:.1f} ms a frame, {peak:.1f} MB beyond what was held"
-    )
+    print(f"{n_frames} frames: {1000 * seconds / n_frames:.1f} ms a frame, {peak:.1f} MB beyond what was held")
 
 
 def run_first(material: Material, n_threads: int) -> None:
@@ -137,20 +135,20 @@ def tell_parts(material: Material) -> None:
     masks = material.silhouettes.read(0)
     area = float(np.mean([mask.sum() for mask in masks if mask is not None]))
     settings = TrackerSettings()
-    shop = Workshop(material.body, material.cameras, settings, material.silhouettes.frame_rate, area)
-    frame, scratch = shop.pack(masks), shop.make_scratch()
+    setup = SearchSetup(material.body, material.cameras, settings, material.silhouettes.frame_rate, area)
+    frame, scratch = setup.pack(masks), setup.make_scratch()
 
     def spend(order: np.ndarray) -> float:
-        shop.order = order
+        setup.order = order
         times = []
         for _ in range(15):
-            pose, shift = material.start.copy(), np.zeros(shop.n_axes)
+            pose, shift = material.start.copy(), np.zeros(setup.n_axes)
             start = time.thread_time()
-            shop.sweep(pose, shift, 1.0, frame, scratch)
+            setup.sweep(pose, shift, 1.0, frame, scratch)
             times.append(time.thread_time() - start)
         return 1000 * min(times)
 
-    n_first, n_later = shop.beam * len(settings.damping), shop.beam * (len(settings.passes) - 1)
+    n_first, n_later = setup.beam * len(settings.damping), setup.beam * (len(settings.passes) - 1)
     print(f"-- a first pass over the body, {spend(np.arange(material.body.n_parts)):.2f} ms of one thread;")
     print(f"   a frame takes up to {n_first} of them and {n_later} finer ones")
     shares = {name: spend(np.array([part])) for part, name in enumerate(material.body.names)}
@@ -158,10 +156,8 @@ def tell_parts(material: Material) -> None:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("--clip", help="an npz file with the truth, see dousa.estimation.mask_npz")
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--clip", help="an npz file with the truth, see dousa.estimation.silhouettes.mask_npz")
     parser.add_argument("--threads", type=int, default=2)
     parser.add_argument("--length", type=int, help=argparse.SUPPRESS)
     parser.add_argument("--first", action="store_true", help=argparse.SUPPRESS)

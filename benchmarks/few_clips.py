@@ -15,10 +15,10 @@ from typing import Any
 import numpy as np
 from _timing import timed
 
-from dousa.app.trials import read_labelled_clips
-from dousa.library import ReadOptions
+from dousa.app.pipelines.experiment_clips import read_labelled_clips
+from dousa.experiments.metrics import compute_scores
+from dousa.formats import ReadOptions
 from dousa.retrieval import FEATURE_SETS, MotionForest
-from dousa.retrieval.metrics import compute_scores
 
 DATA = Path(__file__).parents[2] / "shared" / "data" / "bandai"
 SEEDS = range(6)
@@ -58,9 +58,7 @@ def main() -> None:
     if not asked.folder.exists():
         print(f"skipped: no recordings at {asked.folder}")
         return
-    clips, _ = read_labelled_clips(
-        [asked.folder], category_from="folder", performer_from=None, options=ReadOptions()
-    )
+    clips, _ = read_labelled_clips([asked.folder], category_from="folder", performer_from=None, options=ReadOptions())
     categories = np.array([clip.category for clip in clips])
     cells = {name: np.stack([spec.compute(clip) for clip in clips]) for name, spec in FEATURE_SETS.items()}
     systems = {
@@ -68,9 +66,7 @@ def main() -> None:
         "dousa, paper": ("paper", lambda *given: fit_ours("paper", *given)),
         "scikit-learn extra trees": ("extended", fit_peer),
     }
-    print(
-        f"{len(set(categories))} categories, {asked.share:.0%} of {len(clips)} clips train, {len(SEEDS)} draws"
-    )
+    print(f"{len(set(categories))} categories, {asked.share:.0%} of {len(clips)} clips train, {len(SEEDS)} draws")
     print(f"{'system':26s} {'F':>15s} {'accuracy':>9s} {'train s':>8s}")
     for name, (features, fit) in systems.items():
         rows = []

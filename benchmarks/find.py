@@ -17,8 +17,8 @@ import numpy as np
 from _take_material import FEATURE_SET, make_takes, read_or_make_clips, train_forest
 from _timing import best_of
 
-from dousa.retrieval.finding import describe_query, find_in_takes
-from dousa.retrieval.takes import TakeWindows, choose_grid, describe_take
+from dousa.retrieval.takes.find import describe_query, find_in_takes
+from dousa.retrieval.takes.windows import TakeWindows, choose_grid, describe_take
 
 
 def time_peer(poses: np.ndarray, takes: list[tuple[str, TakeWindows]]) -> float | None:
@@ -44,9 +44,7 @@ def time_peer(poses: np.ndarray, takes: list[tuple[str, TakeWindows]]) -> float 
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("folder", type=Path, nargs="?")
     parser.add_argument("--performer-from", default=None)
     parser.add_argument("--minutes", type=float, default=100.0)

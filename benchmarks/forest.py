@@ -24,9 +24,7 @@ from sklearn.metrics import f1_score
 from dousa.retrieval import MotionForest
 
 
-def measure(
-    create: Callable[[int], Any], train: Any, test: Any, truth: Any, repeats: int
-) -> tuple[float, float]:
+def measure(create: Callable[[int], Any], train: Any, test: Any, truth: Any, repeats: int) -> tuple[float, float]:
     """Fastest training in seconds and mean macro F-measure."""
     seconds, scores = [], []
     for seed in range(repeats):
@@ -65,9 +63,7 @@ def compare(name: str, features: Any, categories: Any, repeats: int) -> None:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("folders", nargs="*", type=Path)
     parser.add_argument("--clips", type=int, default=5000, help="training clips made at random; 0 for none")
     parser.add_argument("--classes", type=int, default=50)

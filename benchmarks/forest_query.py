@@ -30,19 +30,13 @@ def microseconds(ask: Callable[[int], object], n_clips: int, queries: int) -> fl
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("folder", nargs="?", type=Path)
-    parser.add_argument(
-        "--clips", type=int, default=5000, help="training clips made at random, without FOLDER"
-    )
+    parser.add_argument("--clips", type=int, default=5000, help="training clips made at random, without FOLDER")
     parser.add_argument("--classes", type=int, default=50)
     options = parser.parse_args()
     made = options.folder is None
-    features, categories = (
-        make_clips(2 * options.clips, options.classes) if made else read_clips(options.folder)
-    )
+    features, categories = make_clips(2 * options.clips, options.classes) if made else read_clips(options.folder)
     train = split_half(categories)
     forest = MotionForest(random_state=0, n_jobs=2).fit(features[train], categories[train])
     columns = materialise(features)
@@ -50,9 +44,7 @@ def main() -> None:
     peer.fit(columns[train], categories[train])
     clips, rows = features[~train], columns[~train]
     n = len(clips)
-    print(
-        f"{train.sum()} training clips, {len(forest.classes_)} categories, {len(forest.trees_.nodes)} nodes"
-    )
+    print(f"{train.sum()} training clips, {len(forest.classes_)} categories, {len(forest.trees_.nodes)} nodes")
     low = microseconds(lambda k: forest.count_votes(clips[k]), n, 20_000)
     high = microseconds(lambda k: forest.predict_proba(clips[k : k + 1]), n, 20_000)
     integral = microseconds(lambda k: integrate(clips[k : k + 1]), n, 20_000)
@@ -67,9 +59,7 @@ def main() -> None:
     start = time.perf_counter()
     peer.predict_proba(rows)
     batch = time.perf_counter() - start
-    print(
-        f"  {n} clips at once: ours {ours * 1e3:.1f} ms, scikit-learn {batch * 1e3:.1f} ms, ratio {batch / ours:.1f}"
-    )
+    print(f"  {n} clips at once: ours {ours * 1e3:.1f} ms, scikit-learn {batch * 1e3:.1f} ms, ratio {batch / ours:.1f}")
 
 
 if __name__ == "__main__":

@@ -17,13 +17,13 @@ import numpy as np
 from _take_material import FEATURE_SET, make_takes, read_or_make_clips, train_forest
 from _timing import timed
 
-from dousa.retrieval._joined_takes import JoinedTake
-from dousa.retrieval.experiment import LabelledClip
-from dousa.retrieval.forest import MotionForest
-from dousa.retrieval.labeller_training import train_labeller
-from dousa.retrieval.labelling import label_take
-from dousa.retrieval.takes import Sampled, TakeWindows, describe_take
-from dousa.retrieval.tracks import compute_track
+from dousa.retrieval.features.feature_sets import compute_track
+from dousa.retrieval.features.posed_motion import LabelledClip
+from dousa.retrieval.forest.forest import MotionForest
+from dousa.retrieval.takes.label import label_take
+from dousa.retrieval.takes.labeller_training import train_labeller
+from dousa.retrieval.takes.leaf_weights import JoinedTake
+from dousa.retrieval.takes.windows import Sampled, TakeWindows, describe_take
 
 _SAMPLE = 4000  # windows that a peer is timed on
 
@@ -36,9 +36,7 @@ def time_sklearn(clips: list[LabelledClip], take: JoinedTake, windows: TakeWindo
         print("peer: scikit-learn is not installed; run: pip install 'dousa[bench]'")
         return None
     features = np.stack([FEATURE_SET.compute(clip) for clip in clips]).reshape(len(clips), -1)
-    peer = ExtraTreesClassifier(100, random_state=0, n_jobs=2).fit(
-        features, [clip.category for clip in clips]
-    )
+    peer = ExtraTreesClassifier(100, random_state=0, n_jobs=2).fit(features, [clip.category for clip in clips])
     some = np.random.default_rng(0).permutation(len(windows.starts))[:_SAMPLE]
     cells = compute_track(take, FEATURE_SET).describe(windows.starts[some], windows.stops[some])
     rows = cells.reshape(len(some), -1)
@@ -59,9 +57,7 @@ def time_anew(forest: MotionForest, take: JoinedTake, windows: TakeWindows) -> f
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("folder", type=Path, nargs="?")
     parser.add_argument("--performer-from", default=None)
     parser.add_argument("--minutes", type=float, default=20.0)

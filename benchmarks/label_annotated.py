@@ -15,12 +15,12 @@ from pathlib import Path
 
 from _take_material import FEATURE_SET, read_or_make_clips, train_forest
 
-from dousa.formats import read_motion
+from dousa.experiments.metrics import TrueSegment, compare_timeline
+from dousa.formats.registry import read_motion
 from dousa.motion import canonicalise
-from dousa.retrieval.labeller_training import train_labeller
-from dousa.retrieval.labelling import label_take
-from dousa.retrieval.takes import describe_take
-from dousa.retrieval.timeline_metrics import TrueSegment, compare_timeline
+from dousa.retrieval.takes.label import label_take
+from dousa.retrieval.takes.labeller_training import train_labeller
+from dousa.retrieval.takes.windows import describe_take
 
 
 def read_truth(path: Path, take: str, frame_rate: float, same: dict[str, str]) -> list[TrueSegment]:
@@ -42,18 +42,14 @@ def read_truth(path: Path, take: str, frame_rate: float, same: dict[str, str]) -
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("take", type=Path)
     parser.add_argument("truth", type=Path)
     parser.add_argument("folders", type=Path, nargs="+")
     parser.add_argument("--same", action="append", default=[], metavar="ACTION=CATEGORY")
     parser.add_argument("--performer-from", default=None)
     options = parser.parse_args()
-    clips = [
-        clip for folder in options.folders for clip in read_or_make_clips(folder, options.performer_from)
-    ]
+    clips = [clip for folder in options.folders for clip in read_or_make_clips(folder, options.performer_from)]
     forest = train_forest(clips)
     labeller = train_labeller(forest, FEATURE_SET, clips, n_jobs=2)
     motion = canonicalise(read_motion(options.take))

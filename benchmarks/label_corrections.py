@@ -19,11 +19,11 @@ from _take_material import FEATURE_SET, read_or_make_clips, train_forest
 from _timing import timed
 
 from dousa.retrieval import MotionForest, TakeLabeller, describe_take, label_take, train_labeller
-from dousa.retrieval._joined_takes import JoinedTake, join_clips
-from dousa.retrieval.experiment import LabelledClip
-from dousa.retrieval.growth import StandingClips, grow_forest
-from dousa.retrieval.labeller_teaching import Example, carry_labeller, teach_labeller
-from dousa.retrieval.takes import TAKE_RATE
+from dousa.retrieval.features.posed_motion import LabelledClip
+from dousa.retrieval.forest.growth import StandingClips, grow_forest
+from dousa.retrieval.takes.labeller_training import Example, carry_labeller, teach_labeller
+from dousa.retrieval.takes.leaf_weights import JoinedTake, join_clips
+from dousa.retrieval.takes.windows import TAKE_RATE
 
 PLACES = 3  # of the unknown category in a take
 MOST_OTHERS = 12  # clips of known categories in a take
@@ -38,14 +38,10 @@ class Score:
     seconds: float
 
 
-def choose_take(
-    clips: list[LabelledClip], strange: str, performer: str, generator: np.random.Generator
-) -> JoinedTake:
+def choose_take(clips: list[LabelledClip], strange: str, performer: str, generator: np.random.Generator) -> JoinedTake:
     """A take of one performer with three motions of a category, the first by him or her if there is one."""
     own = [clip for clip in clips if clip.performer == performer and clip.category != strange]
-    shown = sorted(
-        (clip for clip in clips if clip.category == strange), key=lambda clip: clip.performer != performer
-    )
+    shown = sorted((clip for clip in clips if clip.category == strange), key=lambda clip: clip.performer != performer)
     chosen = [own[k] for k in generator.permutation(len(own))[:MOST_OTHERS]]
     for number, clip in enumerate(shown[:PLACES]):
         chosen.insert(min((number * (len(chosen) + 1)) // PLACES + 1, len(chosen)), clip)
@@ -66,9 +62,7 @@ def score(
     return Score(float(np.mean(named)), float(np.mean(others)), seconds)
 
 
-def run_trial(
-    clips: list[LabelledClip], strange: str, performer: str, generator: np.random.Generator
-) -> list[Score]:
+def run_trial(clips: list[LabelledClip], strange: str, performer: str, generator: np.random.Generator) -> list[Score]:
     """Before the correction, ours, the peer."""
     known = [clip for clip in clips if clip.category != strange and clip.performer != performer]
     take = choose_take(clips, strange, performer, generator)
@@ -78,9 +72,7 @@ def run_trial(
     number = next(k for k, piece in enumerate(take.pieces) if piece.category == strange)
     start, stop = round(take.pieces[number].start), round(take.pieces[number].stop)
     part = LabelledClip("part", strange, None, take.positions[start:stop], take.frame_rate, take.height)
-    standing = StandingClips(
-        [clip.category for clip in known], forest.apply(features), lambda rows: features[rows]
-    )
+    standing = StandingClips([clip.category for clip in known], forest.apply(features), lambda rows: features[rows])
     new = FEATURE_SET.compute(part)[None]
     grown = grow_forest(forest, standing, new, [strange], feature_set=FEATURE_SET).forest
 

@@ -14,7 +14,8 @@ from pathlib import Path
 
 import numpy as np
 
-from dousa.library import AddReport, Library, ReadOptions, ingest
+from dousa.formats import ReadOptions
+from dousa.library import AddReport, Library, ingest
 from dousa.motion import CanonicalMotion, Trajectories, canonicalise
 
 BANDAI = Path(__file__).resolve().parents[2] / "shared" / "data" / "bandai"
@@ -43,9 +44,7 @@ def read_with_pymotion(path: str, options: ReadOptions) -> tuple[CanonicalMotion
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("folder", nargs="?", type=Path, default=BANDAI)
     parser.add_argument("--jobs", type=int, default=None)
     parser.add_argument("--repeats", type=int, default=3)
@@ -72,9 +71,7 @@ def main() -> None:
     finally:
         ingest.read_canonical = ours
     peer = peer_report.bytes / 1e6 / peer_report.seconds
-    print(
-        f"peer: upc-pymotion as the reader, {len(peer_report.added)} files, {len(peer_report.skipped)} skipped"
-    )
+    print(f"peer: upc-pymotion as the reader, {len(peer_report.added)} files, {len(peer_report.skipped)} skipped")
     print(f"peer: {peer:.2f} MB/s")
     print(f"ratio: {max(speeds) / peer:.1f}")
 

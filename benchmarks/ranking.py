@@ -24,13 +24,11 @@ from pathlib import Path
 
 import numpy as np
 
-from dousa.app.trials import read_labelled_clips
-from dousa.library import ReadOptions
-from dousa.retrieval._ranking_material import RankingMaterial, describe_clips
-from dousa.retrieval._ranking_systems import RankingSettings, make_rankers
-from dousa.retrieval.feature_sets import FEATURE_SETS
-from dousa.retrieval.ranking_metrics import score_ranking
-from dousa.retrieval.splits import leave_performer_out
+from dousa.app.pipelines.experiment_clips import read_labelled_clips
+from dousa.experiments import leave_performer_out, score_ranking
+from dousa.experiments.ranking_systems import RankingMaterial, RankingSettings, describe_clips, make_rankers
+from dousa.formats import ReadOptions
+from dousa.retrieval.features.feature_sets import FEATURE_SETS
 
 Ranker = Callable[[int], np.ndarray]
 
@@ -66,9 +64,7 @@ def measure(
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("folder", type=Path)
     parser.add_argument("--performer-from", required=True)
     parser.add_argument("--queries", type=int, default=0, help="of each performer; 0 for all")

@@ -23,16 +23,14 @@ from pathlib import Path
 
 import numpy as np
 
-from dousa.app.trials import read_labelled_clips
-from dousa.library import ReadOptions
+from dousa.app.pipelines.experiment_clips import read_labelled_clips
+from dousa.experiments import Split, leave_performer_out, score_ranking, split_half
+from dousa.experiments.ranking_systems import describe_clips
+from dousa.formats import ReadOptions
 from dousa.retrieval import MotionForest
-from dousa.retrieval._pose_distance_kernels import warp_distances
-from dousa.retrieval._ranking_material import describe_clips
-from dousa.retrieval.experiment import LabelledClip
-from dousa.retrieval.feature_sets import FEATURE_SETS
-from dousa.retrieval.ranking import RankedClips, RankingQuery, rank_by_fusion
-from dousa.retrieval.ranking_metrics import score_ranking
-from dousa.retrieval.splits import Split, leave_performer_out, split_half
+from dousa.retrieval.features.feature_sets import FEATURE_SETS
+from dousa.retrieval.features.posed_motion import LabelledClip
+from dousa.retrieval.ranking.ranking import RankedClips, RankingQuery, rank_by_fusion, warp_distances
 
 WEIGHTS = (
     (1, 0, 0), (0, 1, 0), (0, 0, 1), (1, 0.5, 0), (1, 0, 8), (1, 0.25, 8), (1, 0.5, 4), (1, 0.5, 8), (1, 0.5, 12),
@@ -63,18 +61,16 @@ class Trials:
         if len(set(labels[train])) < 2:
             return
         spec, features = self.spec, self.material.features
-        forest = MotionForest(
-            n_trials=spec.n_trials, thresholds=spec.thresholds, random_state=seed, n_jobs=-1
-        ).fit(features[train], labels[train], feature_set=spec)
+        forest = MotionForest(n_trials=spec.n_trials, thresholds=spec.thresholds, random_state=seed, n_jobs=-1).fit(
+            features[train], labels[train], feature_set=spec
+        )
         leaves = forest.apply(features).astype(np.int32)
         votes, poses = forest.histograms_of(leaves), self.material.sequences
         gallery = np.random.default_rng(seed).permutation(gallery)
         clips = RankedClips(votes[gallery], leaves[gallery], poses[gallery].__getitem__)
         for query in queries:
             relevant = self.categories[gallery] == self.categories[query]
-            answer = rank_by_fusion(
-                RankingQuery(votes[query], leaves[query], poses[query]), clips, len(gallery)
-            )
+            answer = rank_by_fusion(RankingQuery(votes[query], leaves[query], poses[query]), clips, len(gallery))
             distances = np.stack([answer.histogram / np.sqrt(2), answer.leaves, answer.pose])
             orders = np.argsort(np.array(WEIGHTS) @ distances, axis=1, kind="stable")
             if self.warped is not None:
@@ -107,9 +103,7 @@ def make_folds(clips: Sequence[LabelledClip], seed: int) -> tuple[Split, ...]:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("folder", type=Path)
     parser.add_argument("--performer-from")
     parser.add_argument("--repeats", type=int, default=3)

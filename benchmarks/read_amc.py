@@ -16,10 +16,10 @@ from pathlib import Path
 
 import numpy as np
 
-from dousa._files import read_bytes
-from dousa.formats._amc_frames import parse_frames, parse_header
-from dousa.formats._numbers import scannable
-from dousa.formats.asf_amc import AsfSkeleton, read_amc, read_asf
+from dousa.files.disk import read_bytes
+from dousa.formats.asf_amc.reading import parse_frames, parse_header, read_amc
+from dousa.formats.asf_amc.skeleton import AsfSkeleton, read_asf
+from dousa.formats.numbers import scannable
 
 
 def read_plainly(path: Path) -> list[dict[str, list[float]]]:
@@ -41,9 +41,7 @@ def read_plainly(path: Path) -> list[dict[str, list[float]]]:
 
 def find_skeleton(path: Path, folder: Path) -> AsfSkeleton:
     """The .asf of one of our takes."""
-    return read_asf(
-        folder / "cmu86/86.asf" if "cmu86" in path.parts else folder / "hdm05" / f"{path.name[:6]}.asf"
-    )
+    return read_asf(folder / "cmu86/86.asf" if "cmu86" in path.parts else folder / "hdm05" / f"{path.name[:6]}.asf")
 
 
 def check_values(files: list[Path], folder: Path) -> None:
@@ -52,9 +50,7 @@ def check_values(files: list[Path], folder: Path) -> None:
         asf, data = find_skeleton(path, folder), scannable(read_bytes(path))
         ours = parse_frames(str(path), data, parse_header(str(path), data).first_frame_at, asf)
         names = ["root", *(bone.name for bone in asf.bones if bone.dof)]
-        wanted = np.array(
-            [[value for name in names for value in frame[name]] for frame in read_plainly(path)]
-        )
+        wanted = np.array([[value for name in names for value in frame[name]] for frame in read_plainly(path)])
         if ours.tobytes() != wanted.tobytes():
             sys.exit(f"{path}: values differ from float()")
 
@@ -79,9 +75,7 @@ def main() -> None:
     megabytes = sum(path.stat().st_size for path in files) / 1e6
     start = time.perf_counter()
     read_amc(files[0])
-    print(
-        f"{len(files)} files, {megabytes:.1f} MB; first file of this process {time.perf_counter() - start:.2f} s"
-    )
+    print(f"{len(files)} files, {megabytes:.1f} MB; first file of this process {time.perf_counter() - start:.2f} s")
     check_values(files[:: max(1, len(files) // 20)], folder)
     print("values equal to float() to the last bit")
     ours, theirs = seconds_for([read_amc, read_plainly], files, 4)

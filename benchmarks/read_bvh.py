@@ -16,7 +16,7 @@ from pathlib import Path
 
 import numpy as np
 
-from dousa.formats.bvh import read_bvh
+from dousa.formats.bvh.reading import read_bvh
 
 N_FILES = 200
 
@@ -73,9 +73,7 @@ def main() -> None:
     megabytes = sum(path.stat().st_size for path in files) / 1e6
     start = time.perf_counter()
     read_bvh(files[0])
-    print(
-        f"{len(files)} files, {megabytes:.1f} MB; first file of this process {time.perf_counter() - start:.2f} s"
-    )
+    print(f"{len(files)} files, {megabytes:.1f} MB; first file of this process {time.perf_counter() - start:.2f} s")
     check_values(files[:: max(1, len(files) // 10)])
     print("values equal to float() to the last bit")
     peers = find_peers()

@@ -17,10 +17,10 @@ from collections import Counter
 
 import numpy as np
 
-from dousa.app.trials import read_labelled_clips
-from dousa.library import ReadOptions
+from dousa.app.pipelines.experiment_clips import read_labelled_clips
+from dousa.formats import ReadOptions
 from dousa.retrieval import Explainer, MotionForest
-from dousa.retrieval.feature_sets import FEATURE_SETS, FeatureSet
+from dousa.retrieval.features.feature_sets import FEATURE_SETS, FeatureSet
 
 SWAPS = 20
 
@@ -77,9 +77,7 @@ class Trial:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("folder")
     parser.add_argument("--performer-from", required=True)
     parser.add_argument("--features", choices=sorted(FEATURE_SETS), default="extended")

@@ -14,9 +14,10 @@ from typing import Any
 
 import numpy as np
 
-from dousa.app.trials import read_labelled_clips
-from dousa.library import ReadOptions
-from dousa.retrieval import FEATURE_SETS, LabelledClip, MotionForest, leave_performer_out
+from dousa.app.pipelines.experiment_clips import read_labelled_clips
+from dousa.experiments import leave_performer_out
+from dousa.formats import ReadOptions
+from dousa.retrieval import FEATURE_SETS, LabelledClip, MotionForest
 
 DATA = Path(__file__).parents[2] / "shared" / "data" / "utd_mhad" / "skeleton"
 INSTANTS = 64

@@ -23,15 +23,14 @@ import numpy as np
 import sqlalchemy as sa
 from _timing import best_of
 
-from dousa.formats import write_motion
+from dousa.formats.registry import write_motion
 from dousa.library import Library, schema
-from dousa.library._arrays import pack
-from dousa.library._engine import writing
-from dousa.library._forests import load_forest
-from dousa.library._revision import next_revision, take_clip_ids
+from dousa.library.engine import next_revision, take_clip_ids
+from dousa.library.forests import load_forest
+from dousa.library.schema import pack
 from dousa.library.search import load_index
 from dousa.motion import canonicalise, compute_trajectories
-from dousa.motion.synthetic import CATEGORIES, draw_performer, make_motion
+from dousa.motion.synthetic.performers import CATEGORIES, draw_performer, make_motion
 
 N_FRAMES = 60
 MOVED = 0.03  # m, standard deviation of each of three waves in the way of every joint
@@ -48,7 +47,7 @@ def make_library(path: Path, n_clips: int, n_categories: int) -> None:
     waves = np.sin(np.pi * np.outer(np.linspace(0, 1, N_FRAMES), np.arange(1, 4)))
     now = datetime.now(UTC).isoformat(timespec="seconds")
     with Library.open(path, create=True) as library:
-        with writing(library._engine, str(path)) as connection:
+        with library.database.writing() as connection:
             next_revision(connection)
             rows, positions = [], []
             for number, clip_id in enumerate(take_clip_ids(connection, n_clips)):
@@ -74,9 +73,7 @@ def make_library(path: Path, n_clips: int, n_categories: int) -> None:
             connection.execute(sa.insert(schema.clips), rows)
             connection.execute(sa.insert(schema.clip_trajectories), positions)
         report = library.train()
-        print(
-            f"made: {report.n_clips} clips of {len(report.categories)} categories, trained in {report.seconds:.1f} s"
-        )
+        print(f"made: {report.n_clips} clips of {len(report.categories)} categories, trained in {report.seconds:.1f} s")
 
 
 def time_warm(path: Path, query: Path) -> tuple[float, np.ndarray]:
@@ -89,7 +86,7 @@ def time_warm(path: Path, query: Path) -> tuple[float, np.ndarray]:
         read = best_of(lambda: library.search(query), 20)
         print(f"ours, warm, a stored clip: {1e3 * warm:.2f} ms")
         print(f"ours, warm, a file (read, features, forest, ranking): {1e3 * read:.2f} ms")
-        with library._engine.begin() as connection:
+        with library.database.engine.begin() as connection:
             stored = load_forest(connection, str(path))
             assert stored is not None
             votes = load_index(connection, 0, stored).answers.shares()
@@ -122,9 +119,7 @@ def time_cold(path: Path, query: str) -> float:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--clips", type=int, default=10_000)
     parser.add_argument("--categories", type=int, default=70)
     options = parser.parse_args()

@@ -26,14 +26,12 @@ from _timing import best_of, timed
 from numba import njit
 
 from dousa.estimation import TrackerSettings, make_human, make_ring, standing_state
-from dousa.estimation._borrowing import borrow
-from dousa.estimation._raster_kernels import outline_part
-from dousa.estimation._search_kernels import count_parts, fill_evidence, move_axis
-from dousa.estimation._search_kernels import place_parts as hang_parts
-from dousa.estimation._types import READINGS
-from dousa.estimation._working import Workshop
-from dousa.estimation.kinematics import place_parts
-from dousa.estimation.rasteriser import draw_body
+from dousa.estimation.body.kinematics import place_parts
+from dousa.estimation.raster.rasteriser import borrow, draw_body, outline_part
+from dousa.estimation.tracking.search_kernels import count_parts, fill_evidence, move_axis
+from dousa.estimation.tracking.search_kernels import place_parts as hang_parts
+from dousa.estimation.tracking.search_setup import SearchSetup
+from dousa.estimation.tracking.settings import READINGS
 
 SIZE = (320, 240)
 LIMBS = ("left_forearm", "left_upper_arm", "left_thigh", "trunk")
@@ -63,26 +61,24 @@ class Limb:
         away = self.pose.copy()
         away[7:] += 0.1
         self.mask = draw_body(self.body, away, self.camera)[0]
-        self.shop = Workshop(
-            self.body, [self.camera], TrackerSettings(candidates="part"), 30.0, self.mask.sum()
-        )
-        self.frame = self.shop.pack([self.mask])
+        self.setup = SearchSetup(self.body, [self.camera], TrackerSettings(candidates="part"), 30.0, self.mask.sum())
+        self.frame = self.setup.pack([self.mask])
         self.axis = 6 + int(self.body.angle_starts[self.part])
         self.amounts = np.linspace(-0.5, 0.5, n_candidates)
 
     def count_ours(self) -> np.ndarray:
-        shop, scratch, counts = self.shop, self.shop.make_scratch(), np.empty(len(self.amounts), np.int64)
+        setup, scratch, counts = self.setup, self.setup.make_scratch(), np.empty(len(self.amounts), np.int64)
         scratch[5][:], scratch[6][:] = place_parts(self.body, self.pose)
-        views, parts = shop.views(self.frame), np.array([self.part])
+        views, parts = setup.views(self.frame), np.array([self.part])
         fill_evidence(READINGS.index("plain"), self.frame.bits, scratch[4], scratch[2], scratch[3])
-        count_all(self.pose, self.axis, self.amounts, parts, shop.model, views, scratch, counts)
+        count_all(self.pose, self.axis, self.amounts, parts, setup.model, views, scratch, counts)
         return counts + int(self.mask.sum())
 
     def search_axes(self, repeats: int) -> None:
-        shop, scratch = self.shop, self.shop.make_scratch()
-        shop.order = np.array([self.part])
+        setup, scratch = self.setup, self.setup.make_scratch()
+        setup.order = np.array([self.part])
         for _ in range(repeats):
-            shop.sweep(self.pose.copy(), np.zeros(shop.n_axes), 1.0, self.frame, scratch)
+            setup.sweep(self.pose.copy(), np.zeros(setup.n_axes), 1.0, self.frame, scratch)
 
     def make_polygon(self, amount: float) -> np.ndarray:
         """Corners of the hull of the limb's discs, whole numbers of 1 / 16 px, as OpenCV takes them."""
@@ -136,9 +132,7 @@ class Limb:
     def check(self, ours: np.ndarray, opencv: np.ndarray, boxed: np.ndarray) -> float:
         """Largest difference as a share of the outline's length, which it must not exceed."""
         np.testing.assert_array_equal(opencv, boxed)
-        outlines = [
-            cv2.arcLength(self.make_polygon(a).astype(np.float32) / 2**SHIFT, True) for a in self.amounts
-        ]
+        outlines = [cv2.arcLength(self.make_polygon(a).astype(np.float32) / 2**SHIFT, True) for a in self.amounts]
         share = float((np.abs(ours - opencv) / outlines).max())
         assert share <= 1.0, f"ours and OpenCV differ by {share:.2f} of the outline"
         return share
@@ -147,10 +141,8 @@ class Limb:
 def count_boxes(limb: Limb) -> float:
     """Mean number of pixels of the limb."""
     rotations, positions = place_parts(limb.body, limb.pose)
-    work = limb.shop.make_scratch()[0]
-    first, last = outline_part(
-        limb.part, limb.camera.to_row(), *SIZE, limb.shop.model[1], rotations, positions, work
-    )
+    work = limb.setup.make_scratch()[0]
+    first, last = outline_part(limb.part, limb.camera.to_row(), *SIZE, limb.setup.model[1], rotations, positions, work)
     return float(np.maximum(0, work[3][first:last] - work[2][first:last] + 1).sum())
 
 
@@ -164,13 +156,11 @@ def compare(name: str, n_candidates: int) -> None:
     share = limb.check(counted, theirs, in_box)
     repeats = max(1, n_candidates // 50)
     n_axes = int(limb.body.n_axes[limb.part])
-    tried = repeats * n_axes * (limb.shop.half + 3)  # every other one of 2 half + 1, and two neighbours
+    tried = repeats * n_axes * (limb.setup.half + 3)  # every other one of 2 half + 1, and two neighbours
     limb.search_axes(1)
     searched = best_of(lambda: limb.search_axes(repeats), 3)
     rate = n_candidates / ours
-    print(
-        f"-- {name}, {count_boxes(limb):.0f} px; counts differ by at most {share:.2f} of the outline's length"
-    )
+    print(f"-- {name}, {count_boxes(limb):.0f} px; counts differ by at most {share:.2f} of the outline's length")
     print(f"ours: {rate / 1e6:.2f} million candidates/s")
     print(f"ours, the tracker's pass over this limb: {tried / searched / 1e6:.2f} million candidates/s")
     for what, seconds in (
@@ -185,9 +175,7 @@ def compare(name: str, n_candidates: int) -> None:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--candidates", type=int, default=20_000)
     parser.add_argument("--limbs", nargs="+", default=LIMBS)
     options = parser.parse_args()

@@ -30,7 +30,7 @@ from search import make_library
 from dousa.library import Library
 
 GOAL = 100.0  # requests a second
-DOUSA = (sys.executable, "-c", "from dousa.app.cli import main; main()")
+DOUSA = (sys.executable, "-c", "from dousa.app.cli.main import main; main()")
 
 
 @contextmanager

@@ -92,12 +92,8 @@ def run_ours(library: Path) -> tuple[subprocess.Popen[str], str]:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument(
-        "--library", type=Path, required=True, help="of some 10,000 clips; see studio_page.py"
-    )
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--library", type=Path, required=True, help="of some 10,000 clips; see studio_page.py")
     parser.add_argument("--loads", type=int, default=40)
     chosen = parser.parse_args()
     print(f"{'':8} scripts MB  shown s  server kB a load")

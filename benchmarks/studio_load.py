@@ -52,9 +52,7 @@ class Client:
             raise
 
 
-def use(
-    client: Client, ids: list[int], takes: list[int], motion: bytes, chance: random.Random
-) -> tuple[str, int]:
+def use(client: Client, ids: list[int], takes: list[int], motion: bytes, chance: random.Random) -> tuple[str, int]:
     """One thing that somebody does; its name and the status of the answer."""
     one, other = chance.choice(ids), chance.choice(ids)
     some = chance.sample(ids, min(24, len(ids)))
@@ -107,8 +105,7 @@ def estimate(client: Client) -> tuple[int, bytes]:
         return status, answer
     wanted = {"batch": json.loads(answer)["batch"], "frames": "0:8"}
     look = [
-        (method, f"/api/estimations/{{id}}/{what}", None)
-        for method, what in (("GET", "player"), ("GET", "frames"))
+        (method, f"/api/estimations/{{id}}/{what}", None) for method, what in (("GET", "player"), ("GET", "frames"))
     ]
     return follow(client, client.ask("POST", "/api/jobs/estimate", wanted), look)
 
@@ -120,9 +117,7 @@ def label(client: Client, takes: list[int], chance: random.Random) -> tuple[int,
     return follow(client, client.ask("POST", "/api/jobs/label", wanted))
 
 
-def follow(
-    client: Client, said: tuple[int, bytes], look: Sequence[tuple[str, str, Any]] = ()
-) -> tuple[int, bytes]:
+def follow(client: Client, said: tuple[int, bytes], look: Sequence[tuple[str, str, Any]] = ()) -> tuple[int, bytes]:
     """Wait for a job, look at what came of it, and forget it."""
     if said[0] != 202:
         return said
@@ -146,8 +141,8 @@ def resident(pid: int) -> float:
 
 def make_library(folder: Path) -> tuple[Path, bytes]:
     """The demo's library with a take, trained; and a motion file to upload."""
-    from dousa.app.demo import write_library
-    from dousa.app.demo_evaluation import write_dance
+    from dousa.app.demo.demo import write_library
+    from dousa.app.demo.evaluation import write_dance
     from dousa.library import Library
 
     files = write_library(folder / "motions", n_performers=10)
@@ -161,9 +156,7 @@ def make_library(folder: Path) -> tuple[Path, bytes]:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--minutes", type=float, default=60.0)
     parser.add_argument("--library", type=Path, help="a trained library to copy; made by default")
     parser.add_argument("--motion", type=Path, help="a BVH to upload, with --library")
@@ -188,9 +181,7 @@ def run(library: Path, motion: bytes, seconds: float, curve: Path | None) -> Non
         process.wait(timeout=30)
 
 
-def measure(
-    process: subprocess.Popen[str], first: Client, motion: bytes, seconds: float, curve: Path | None
-) -> None:
+def measure(process: subprocess.Popen[str], first: Client, motion: bytes, seconds: float, curve: Path | None) -> None:
     items = json.loads(first.ask("GET", "/api/clips?limit=500")[1])["items"]
     ids = [item["id"] for item in items if item["kind"] == "clip"]
     takes = [item["id"] for item in items if item["kind"] == "take"]

@@ -196,9 +196,7 @@ def make_library(path: Path, n_clips: int) -> None:
 
 
 def main(arguments: Sequence[str] | None = None) -> Any:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--library", type=Path, help="a trained library; nothing is changed in it")
     parser.add_argument("--clips", type=int, default=10_000, help="of the library that is made")
     parser.add_argument("--loads", type=int, default=9, help="of the first page")

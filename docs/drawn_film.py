@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dousa.estimation import BodyModel, Camera
-from dousa.estimation.kinematics import compute_points
-from dousa.estimation.rasteriser import draw_parts
+from dousa.estimation.body.kinematics import compute_points
+from dousa.estimation.raster.rasteriser import draw_parts
 
 __all__ = ["draw_film", "draw_plate"]
 
@@ -58,9 +58,7 @@ def draw_film(body: BodyModel, poses: NDArray[np.float64], camera: Camera, seed:
         yield np.clip(frame, 0, 255).astype(np.uint8)
 
 
-def _layers(
-    body: BodyModel, pose: NDArray[np.float64], camera: Camera
-) -> Iterator[tuple[tuple[int, ...], Image]]:
+def _layers(body: BodyModel, pose: NDArray[np.float64], camera: Camera) -> Iterator[tuple[tuple[int, ...], Image]]:
     """Colour and mask of each part from far to near."""
     masks = draw_parts(body, pose, camera)[0]
     places = compute_points(body, pose)[: body.n_parts]
@@ -82,9 +80,7 @@ def _paint_part(frame: NDArray[np.float32], mask: Image, colour: tuple[int, ...]
     depth = cv2.distanceTransform(inner, cv2.DIST_L2, 5)
     radius = float(depth.max()) + 0.5
     bulge = cv2.GaussianBlur(np.sqrt(np.maximum(depth * (2.0 * radius - depth), 0.0)), (0, 0), 1.0)
-    normal = np.dstack(
-        (-cv2.Sobel(bulge, cv2.CV_32F, 1, 0) / 8, -cv2.Sobel(bulge, cv2.CV_32F, 0, 1) / 8, inner * 1.0)
-    )
+    normal = np.dstack((-cv2.Sobel(bulge, cv2.CV_32F, 1, 0) / 8, -cv2.Sobel(bulge, cv2.CV_32F, 0, 1) / 8, inner * 1.0))
     normal /= np.maximum(np.linalg.norm(normal, axis=2, keepdims=True), 1e-6)
     shade = (0.55 + 0.55 * np.maximum(normal @ _LIGHT, 0.0))[2:-2, 2:-2, None]
     window = frame[top : top + height, left : left + width]

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from dousa.app._canvas import BLUE, VERMILLION
+from dousa.app.pictures.canvas import BLUE, VERMILLION
 from dousa.estimation import READINGS
 
 __all__ = ["count_mismatch", "draw_readings"]
@@ -46,8 +46,7 @@ def draw_readings(path: Path) -> None:
             parts.append(_say(left, top - 8, says, "small"))
             parts.append(f'<g transform="translate({left:g} {top:g})">{body}</g>')
         slid, held = (
-            int(count_mismatch(reading, silhouette, placed, draw_limb(true, out)).sum())
-            for out in (_SLIDE, 0)
+            int(count_mismatch(reading, silhouette, placed, draw_limb(true, out)).sum()) for out in (_SLIDE, 0)
         )
         text = f"true angle, slid {_SLIDE} pixels outward: {slid - held:+d}"
         parts.append(_say(left, 112 + 2 * high + 62, text, "small"))
@@ -60,9 +59,7 @@ def draw_readings(path: Path) -> None:
     )
     width, height = 8 + 5 * wide, 112 + 2 * high + 76
     head = f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {width:g} {height:g}" width="{width:g}">'
-    text = (
-        f'{head}<style>{style}</style><rect width="100%" height="100%" fill="white"/>{"".join(parts)}</svg>\n'
-    )
+    text = f'{head}<style>{style}</style><rect width="100%" height="100%" fill="white"/>{"".join(parts)}</svg>\n'
     path.write_text(text, encoding="utf-8")
 
 
@@ -110,14 +107,10 @@ def _draw_cell(silhouette: Mask, placed: Mask, candidate: Mask, wrong: Mask) -> 
 def _trace(mask: Mask) -> str:
     """The outline of a mask without holes along the edges of its pixels: right side of each row down, left side up."""
     rows = np.flatnonzero(mask.any(axis=1))
-    if (
-        len(rows)
-        and (np.abs(np.diff(np.pad(mask, ((0, 0), (1, 1))).astype(int), axis=1)).sum(axis=1) > 2).any()
-    ):
+    if len(rows) and (np.abs(np.diff(np.pad(mask, ((0, 0), (1, 1))).astype(int), axis=1)).sum(axis=1) > 2).any():
         runs = [(i, *span) for i in rows for span in _runs(mask[i])]
         return "".join(
-            f"M{_PIXEL * a:g} {_PIXEL * i:g}h{_PIXEL * (b - a):g}v{_PIXEL:g}h{_PIXEL * (a - b):g}z"
-            for i, a, b in runs
+            f"M{_PIXEL * a:g} {_PIXEL * i:g}h{_PIXEL * (b - a):g}v{_PIXEL:g}h{_PIXEL * (a - b):g}z" for i, a, b in runs
         )
     spans = [_runs(mask[i])[0] for i in rows]
     right = [(b, i + k) for i, (_, b) in zip(rows, spans, strict=True) for k in (0, 1)]

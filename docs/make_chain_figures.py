@@ -23,10 +23,9 @@ from measured_chain import PEOPLE, Chain, read_one, read_takes, run_estimate
 from measured_kinect import CAMERA, LAG, Clip
 from numpy.typing import NDArray
 
-from dousa.app._canvas import BLUE, FAINT, GREEN, GREY, PURPLE, new_figure, save_figure, write
-from dousa.app._estimation_output import Outputs
-from dousa.app._overlay_paint import to_rgb
-from dousa.app._overlay_view import ViewPainter
+from dousa.app.pictures.canvas import BLUE, FAINT, GREEN, GREY, PURPLE, new_figure, save_figure, write
+from dousa.app.pictures.overlay_view import ViewPainter, to_rgb
+from dousa.app.pipelines.estimation_request import Outputs
 from dousa.estimation import Estimate
 from dousa.evaluation import assess
 from dousa.motion import CANONICAL_JOINTS, CANONICAL_PARENTS
@@ -217,9 +216,7 @@ def draw_off(figure: Any, chain: Chain, shown: Shown) -> None:
         off = np.degrees(np.sqrt((judged.residual**2).mean(axis=1)))  # nan where there is nothing to compare
         axes.plot(judged.times, off, color=colour, linestyle=style, linewidth=1.8)
         top = 0.215 - 0.019 * row
-        figure.add_artist(
-            Line2D([0.765, 0.787], [top + 0.005] * 2, color=colour, linestyle=style, linewidth=1.8)
-        )
+        figure.add_artist(Line2D([0.765, 0.787], [top + 0.005] * 2, color=colour, linestyle=style, linewidth=1.8))
         write(figure, 0.815, top, f"{judged.score:.0f}", 8.5, ha="right", weight="bold")
         write(figure, 0.821, top, words, 8.5, color=GREY)
     axes.set(ylim=(0.0, 75.0), xlim=(0.0, None), yticks=[0, 30, 60])

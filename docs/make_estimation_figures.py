@@ -17,7 +17,7 @@ from drawn_film import draw_film, draw_plate
 from drawn_readings import draw_readings
 from numpy.typing import NDArray
 
-from dousa.app._canvas import (
+from dousa.app.pictures.canvas import (
     BLUE,
     FAINT,
     GREEN,
@@ -29,11 +29,10 @@ from dousa.app._canvas import (
     save_figure,
     write,
 )
-from dousa.app._overlay_paint import to_rgb
-from dousa.app._overlay_view import ViewPainter
-from dousa.app._poses import THREE_QUARTER, draw_poses, extent, to_figurine
-from dousa.app.overlay import draw_overlay_sheet
-from dousa.app.rendering_files import ring_around
+from dousa.app.pictures.overlay_sheet import draw_overlay_sheet
+from dousa.app.pictures.overlay_view import ViewPainter, to_rgb
+from dousa.app.pictures.stick_figures import THREE_QUARTER, draw_poses, extent, to_figurine
+from dousa.app.pipelines.render import ring_around
 from dousa.estimation import (
     PAPER,
     BodyModel,
@@ -43,7 +42,6 @@ from dousa.estimation import (
     TrackerSettings,
     body_from_motion,
     clean_mask,
-    compare_with_truth,
     estimate,
     fit_poses,
     make_human,
@@ -51,13 +49,14 @@ from dousa.estimation import (
     render,
     spoil,
 )
-from dousa.estimation._baselines import constant_velocity, frozen_first_pose
-from dousa.estimation.background import learn_background, subtract_background
-from dousa.estimation.kinematics import compute_points, point_names
-from dousa.estimation.rasteriser import draw_parts
+from dousa.estimation.body.kinematics import compute_points, point_names
+from dousa.estimation.raster.rasteriser import draw_parts
+from dousa.estimation.silhouettes.background import learn_background, subtract_background
+from dousa.experiments import compare_with_truth
+from dousa.experiments.pose_clips import constant_velocity, frozen_first_pose
 from dousa.motion import Motion, canonicalise
-from dousa.motion.synthetic import Performer, make_motion
-from dousa.motion.synthetic_dance import make_dance
+from dousa.motion.synthetic.dance import make_dance
+from dousa.motion.synthetic.performers import Performer, make_motion
 
 DOCS = Path(__file__).parent
 FIGURES = DOCS / "figures"
@@ -122,9 +121,7 @@ def _make_small(path: Path, width: int) -> None:
 
     picture = Image.open(path).convert("RGB")
     if picture.width > width:
-        picture = picture.resize(
-            (width, round(picture.height * width / picture.width)), Image.Resampling.LANCZOS
-        )
+        picture = picture.resize((width, round(picture.height * width / picture.width)), Image.Resampling.LANCZOS)
     few = picture.quantize(256, Image.Quantize.MAXCOVERAGE, kmeans=3, dither=Image.Dither.NONE)
     few.save(path, optimize=True)
 
@@ -135,9 +132,7 @@ def _make_small(path: Path, width: int) -> None:
 def draw_dance(act: Act) -> None:
     """estimation_sheet.png and estimation_curve.png: one estimate, the start found by itself."""
     cameras = ring_around(act.points, 4, (320, 240))
-    masks = [
-        spoil(view, np.random.default_rng(k)) for k, view in enumerate(render(act.body, act.poses, cameras))
-    ]
+    masks = [spoil(view, np.random.default_rng(k)) for k, view in enumerate(render(act.body, act.poses, cameras))]
     seen = PackedSilhouettes(masks, act.frame_rate)
     model = make_human(act.stature)
     found = estimate(seen, cameras, model)
@@ -158,9 +153,7 @@ def draw_dance(act: Act) -> None:
     draw_curves(act, curves, found)
 
 
-def draw_curves(
-    act: Act, curves: Sequence[tuple[str, str, str, BodyModel, FloatArray]], found: Estimate
-) -> None:
+def draw_curves(act: Act, curves: Sequence[tuple[str, str, str, BodyModel, FloatArray]], found: Estimate) -> None:
     """Mean joint error over time above the overlap."""
     figure = new_figure(10.4, 5.4)
     times = np.arange(len(act.poses)) / act.frame_rate
@@ -168,9 +161,7 @@ def draw_curves(
     ends = []
     for name, colour, style, body, poses in curves:
         joints = compute_points(body, poses)
-        off = 1000.0 * np.nanmean(
-            compare_with_truth(point_names(body), joints, act.names, act.points).errors, axis=1
-        )
+        off = 1000.0 * np.nanmean(compare_with_truth(point_names(body), joints, act.names, act.points).errors, axis=1)
         axes.plot(times, off, color=colour, linestyle=style, linewidth=2.2 if colour == INK else 1.5)
         ends.append((name, colour, float(off[-1]), float(off.mean())))
     axes.set(
@@ -368,9 +359,7 @@ def cut_out(film: NDArray[np.uint8], plate: NDArray[np.uint8]) -> Mask:
     background = learn_background(film[::2], "plate", plate)
     masks: list[Mask] = []
     for frame in film:
-        masks.append(
-            clean_mask(subtract_background(frame, background), previous=masks[-1] if masks else None)
-        )
+        masks.append(clean_mask(subtract_background(frame, background), previous=masks[-1] if masks else None))
     return np.stack(masks)
 
 

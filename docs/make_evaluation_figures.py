@@ -19,19 +19,30 @@ from typing import Any
 import numpy as np
 from rich.console import Console
 
-from dousa.app._canvas import FAINT, GREY, INK, VERMILLION, new_figure, save_figure, write
-from dousa.app._evaluation_tables import print_assessment
-from dousa.app.demo_evaluation import write_dance
-from dousa.app.evaluating import evaluate_files
-from dousa.app.player import encode_player_data, format_player_data, read_player_script, read_player_style
+from dousa.app.demo.evaluation import write_dance
+from dousa.app.pictures.canvas import FAINT, GREY, INK, VERMILLION, new_figure, save_figure, write
+from dousa.app.pipelines.evaluate import evaluate_files
+from dousa.app.player.data import (
+    encode_player_data,
+    format_player_data,
+    read_player_script,
+    read_player_style,
+)
 from dousa.app.report import write_report
-from dousa.app.report._moments import draw_moment, pick_worst, view_moment
-from dousa.app.report._shapes import compute_swings, draw_shapes, estimate_mean_heading
-from dousa.app.report._texts import TEXTS
+from dousa.app.report.figures import (
+    compute_swings,
+    draw_moment,
+    draw_shapes,
+    estimate_mean_heading,
+    pick_worst,
+    view_moment,
+)
+from dousa.app.tables.answers import print_assessment
 from dousa.evaluation import Assessment, ErrorEvent, compute_correlation_matrix
-from dousa.evaluation.injection import Error
-from dousa.evaluation.words import KIND_WORDS, describe_segments
-from dousa.library import ReadOptions
+from dousa.evaluation.words import KINDS, describe_segments
+from dousa.experiments.injection.injection import Error
+from dousa.formats import ReadOptions
+from dousa.messages import load_section
 
 DOCS = Path(__file__).parent
 FIGURES = DOCS / "figures"
@@ -158,11 +169,9 @@ def _draw_spans(axes: Any, errors: Sequence[Error], events: Sequence[ErrorEvent]
             axes.barh(lane, item.end_s - item.start_s, left=item.start_s, height=0.7, **style)
             middle = 0.5 * (item.start_s + item.end_s)
             write(axes, middle, lane, _LETTERS[item.kind], 9.0, ha="center", va="center")
-    key = "   ".join(f"{letter} {KIND_WORDS['en'][kind]}" for kind, letter in _LETTERS.items())
+    key = "   ".join(f"{letter} {KINDS[kind]}" for kind, letter in _LETTERS.items())
     write(axes, end, 2.05, key, 8.5, ha="right", color=GREY)
-    axes.set(
-        xlim=(0.0, end), ylim=(-0.6, 1.6), yticks=[0.0, 1.0], yticklabels=["found", "injected"], xticks=[]
-    )
+    axes.set(xlim=(0.0, end), ylim=(-0.6, 1.6), yticks=[0.0, 1.0], yticklabels=["found", "injected"], xticks=[])
     axes.tick_params(left=False)
     axes.spines[:].set_visible(False)
 
@@ -174,7 +183,7 @@ def draw_axes(assessment: Assessment) -> None:
     """Mean posture and first eigen axes of the furi that is danced most often, front above side."""
     labels = [one.label for one in assessment.furi]
     furi = assessment.furi[labels.index(max(labels, key=labels.count))]
-    cells = draw_shapes(furi, estimate_mean_heading(assessment, furi), TEXTS["en"], "en")
+    cells = draw_shapes(furi, estimate_mean_heading(assessment, furi), load_section("report", "en"), "en")
     width, height, head = 200, 180, 40
     parts = []
     for column, views in enumerate(cells):
@@ -191,17 +200,15 @@ def draw_axes(assessment: Assessment) -> None:
 
 def draw_worst(assessment: Assessment) -> None:
     """Reference and performance at the worst moment of the two most severe errors of form."""
-    formal = [
-        k for k in pick_worst(assessment, len(assessment.events)) if assessment.events[k].kind != "shift"
-    ]
+    formal = [k for k in pick_worst(assessment, len(assessment.events)) if assessment.events[k].kind != "shift"]
     parts = []
     for column, k in enumerate(sorted(formal[:2])):
         event = assessment.events[k]
-        picture = draw_moment(assessment, event, view_moment(assessment, event), TEXTS["en"], "en")
+        picture = draw_moment(assessment, event, view_moment(assessment, event), load_section("report", "en"), "en")
         left = column * 440
-        who, _, what = re.sub(r" \(furi \d+\)$", "", event.says).rpartition(": ")
+        who, _, what = str(event.message).rpartition(": ")
         parts += [
-            _text(left + 210, 18, who or KIND_WORDS["en"][event.kind], "name"),
+            _text(left + 210, 18, who or str(KINDS[event.kind]), "name"),
             _text(left + 210, 36, what),
         ]
         parts.append(_nest(picture, left, 44, 420, 250))
@@ -295,7 +302,7 @@ def paste_output(assessment: Assessment) -> None:
     out = io.StringIO()
     print_assessment(Console(file=out, width=4000), assessment)
     lines = [line.rstrip() for line in out.getvalue().splitlines()]
-    short = [line for line in lines if line != assessment.score_formula]
+    short = [line for line in lines if line != str(assessment.score_formula)]
     _paste(DOCS / "evaluation.md", "table", f"```\n$ {COMMAND}\n" + "\n".join(lines) + "\n```")
     _paste(DOCS.parent / "README.md", "table", "```\n" + "\n".join(short) + "\n```")
     _paste(DOCS / "evaluation.md", "json", f"```json\n{_shorten(assessment.to_json())}\n```")

@@ -13,11 +13,11 @@ from tempfile import TemporaryDirectory
 
 from rich.console import Console
 
-from dousa.app.demo import run_demo
-from dousa.app.pictures import draw_contact_sheet
-from dousa.motion.synthetic import draw_performer, make_motion
-from dousa.retrieval.channels import CHANNELS, Channel
-from dousa.retrieval.features import FEATURES, Feature
+from dousa.app.demo.demo import run_demo
+from dousa.app.pictures.sheets import draw_contact_sheet
+from dousa.motion.synthetic.performers import draw_performer, make_motion
+from dousa.retrieval.features.channels import CHANNELS, Channel
+from dousa.retrieval.features.pose_features import FEATURES, Feature
 
 DOCS = Path(__file__).parent
 FIGURES = DOCS / "figures"
@@ -40,15 +40,15 @@ def draw_demo() -> None:
 def describe_features() -> str:
     """The tables of pose features and of channels in Markdown."""
     lines = [
-        "# What a forest looks at",
+        "# Features",
         "",
-        "Made from `dousa.retrieval` by `make figures`. Lengths are divided by the body height (eq. 2), angles are",
-        "radians; the body-fixed system has its origin in the pelvis, its lateral axis along the hips, its vertical",
-        "axis along gravity. How they are used is told in [retrieval](retrieval.md).",
+        "Generated from `dousa.retrieval` by `make figures`. Lengths are divided by the body height (eq. 2), angles",
+        "are radians; the body-fixed frame has its origin in the pelvis, its lateral axis along the hips, its",
+        "vertical axis along gravity. Their use is described in [retrieval](retrieval.md).",
         "",
         f"## `paper`: {len(FEATURES)} pose features",
         "",
-        "Of each the means over the 55 intervals of a clip that is thinned to 10 frames.",
+        "For each the means over the 55 intervals of a clip that is downsampled to 10 frames.",
         "",
         "| | feature | kind | joints | unit |",
         "| --- | --- | --- | --- | --- |",
@@ -58,9 +58,9 @@ def describe_features() -> str:
         "",
         f"## `extended`: {len(CHANNELS)} channels",
         "",
-        "Of each the mean, the spread and the trend over the 55 intervals of a clip that is cut into 10 cells of equal",
-        "movement; and the duration of the clip in seconds. Channels that say the same thing in other directions stand",
-        "in one row, with their numbers: they are one relation, and a reason is about a relation.",
+        "For each the mean, the spread and the trend over the 55 intervals of a clip that is divided into 10 cells of",
+        "equal movement; and the duration of the clip in seconds. Channels that measure the same thing in other",
+        "directions share a row, with their numbers: they form one relation, and a reason is about a relation.",
         "",
         "| | relation | channels | unit |",
         "| --- | --- | --- | --- |",
@@ -70,7 +70,7 @@ def describe_features() -> str:
 
 
 def _channel_rows() -> list[str]:
-    """One row a relation; channels of one relation stand side by side."""
+    """One row per relation; channels of one relation share a row."""
     relations: dict[str, list[tuple[int, Channel]]] = {}
     for number, channel in enumerate(CHANNELS, 1):
         relations.setdefault(channel.relation, []).append((number, channel))
@@ -94,6 +94,7 @@ if __name__ == "__main__":
     import make_evaluation_figures
     import make_retrieval_figures
     import make_studio_figures
+    import translated_tutorial
 
     FIGURES.mkdir(exist_ok=True)
     draw_sheet()
@@ -104,3 +105,4 @@ if __name__ == "__main__":
     make_evaluation_figures.make_all()
     make_studio_figures.make_all()
     make_chain_figures.make_all()
+    translated_tutorial.update_translation()

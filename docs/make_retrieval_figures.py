@@ -10,12 +10,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from dousa.app._canvas import BLUE, FAINT, GREY, INK, new_figure, save_figure, write
-from dousa.app._poses import THREE_QUARTER, Figurine, draw_poses, extent, to_figurine
+from dousa.app.pictures.canvas import BLUE, FAINT, GREY, INK, new_figure, save_figure, write
+from dousa.app.pictures.stick_figures import THREE_QUARTER, Figurine, draw_poses, extent, to_figurine
 from dousa.motion import canonicalise
-from dousa.motion.synthetic import draw_performer, make_motion
-from dousa.retrieval.feature_sets import FEATURE_SETS
-from dousa.retrieval.tracks import compute_track
+from dousa.motion.synthetic.performers import draw_performer, make_motion
+from dousa.retrieval.features.feature_sets import FEATURE_SETS, compute_track
 
 FIGURES = Path(__file__).parent / "figures"
 FloatArray = NDArray[np.float64]
@@ -115,9 +114,7 @@ def draw_row_of_poses(figure: Any, take: Shown, bottom: float, tallest: float) -
     for number in range(len(take.frames)):
         low = -0.6 * NUMBERS * tallest / POSES
         write(axes, number * spacing, low, str(number + 1), 10, ha="center", va="center")
-    name_row(
-        figure, bottom + 0.5 * POSES, "cells of equal", "movement:", "left side solid,", "right side dashed"
-    )
+    name_row(figure, bottom + 0.5 * POSES, "cells of equal", "movement:", "left side solid,", "right side dashed")
 
 
 def draw_speed(figure: Any, take: Shown, bottom: float) -> None:

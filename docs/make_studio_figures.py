@@ -91,9 +91,7 @@ def listening(library: Path) -> Iterator[Studio]:
 def addresses(studio: Studio, demo: Path) -> dict[str, tuple[str, str]]:
     """Page and, in CSS, what is there once it shows what it should; by the name of the picture."""
     upload = studio.ask("/uploads?name=seen.npz", (demo / "seen.npz").read_bytes())
-    estimated = studio.finish(
-        studio.ask("/jobs/estimate", {"batch": upload["batch"], "body": {"stature_m": 1.77}})
-    )
+    estimated = studio.finish(studio.ask("/jobs/estimate", {"batch": upload["batch"], "body": {"stature_m": 1.77}}))
     pupil = studio.clip(kind="take", text="dance_pupil")
     model = studio.clip(kind="take", text="dance_reference")
     wanted = {"references": [{"motion": model}], "performance": {"motion": pupil}}
@@ -153,9 +151,9 @@ def make_demo(folder: Path) -> None:
     """What ``dousa demo`` leaves behind."""
     from rich.console import Console
 
-    from dousa.app.demo import run_demo
-    from dousa.app.demo_estimation import run_estimation_demo
-    from dousa.app.demo_evaluation import run_dance_demo
+    from dousa.app.demo.demo import run_demo
+    from dousa.app.demo.estimation import run_estimation_demo
+    from dousa.app.demo.evaluation import run_dance_demo
 
     for act in (lambda: run_demo(Console(), None, folder), lambda: run_dance_demo(Console(), folder)):
         act()
@@ -167,7 +165,7 @@ def make_all(demo: Path | None = None) -> None:
     import pytest
 
     from app.browser import open_browser
-    from dousa.app.demo_studio import prepare_studio
+    from dousa.app.cli.studio import prepare_studio
 
     with tempfile.TemporaryDirectory() as name:
         if demo is None:

@@ -22,7 +22,7 @@ import numpy as np
 from measured_chain import LIBRARIES, PEOPLE, STARTS, Chain, list_steps, measure_clip
 from scipy.stats import spearmanr
 
-from dousa.app._output import progress_bar
+from dousa.app.output import progress_bar
 
 Row = dict[str, Any]
 
@@ -38,9 +38,7 @@ _QUERIES = {"estimate": "**estimated from one view**", "skeleton": "the Kinect's
 
 def main() -> None:
     """Read the command line, measure, print."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("folder", type=Path, help="with the folders silhouette and skeleton")
     parser.add_argument("-o", "--output", type=Path, default=Path("chain-output"), metavar="FOLDER")
     parser.add_argument("--people", default="1", help="with commas; default: 1")
@@ -50,9 +48,7 @@ def main() -> None:
     parser.add_argument("--wrong", type=int, default=8, help="other actions each motion is graded against")
     given = parser.parse_args()
     actions = given.actions or ",".join(sorted(path.name for path in (given.folder / "silhouette").glob("*")))
-    chain = Chain(
-        given.folder, given.output, tuple(given.trials.split(",")), tuple(actions.split(",")), given.wrong
-    )
+    chain = Chain(given.folder, given.output, tuple(given.trials.split(",")), tuple(actions.split(",")), given.wrong)
     people = [one for one in PEOPLE if one in given.people.split(",")]
     if not chain.clips(people):
         raise SystemExit(
@@ -135,9 +131,7 @@ def print_tendencies(rows: Sequence[Row]) -> None:
         guesses = Counter(row["estimate"][kind]["guess"] for row in rows).most_common(1)[0]
         ways = [(name, [row["moves"][name] for row in rows]) for name in ("across", "depth", "travel")]
         cells = ", ".join(f"{name} {correlate(way, places[kind]):+.2f}" for name, way in ways)
-        print(
-            f"{kind}: said most often {guesses[0]} ({guesses[1]}); rank correlation of the place with {cells}"
-        )
+        print(f"{kind}: said most often {guesses[0]} ({guesses[1]}); rank correlation of the place with {cells}")
     leans = [f"{np.mean([row[query]['lean'] for row in rows]):.0f}" for query in _QUERIES]
     print(f"leaning towards or away from the camera, degrees: estimates {leans[0]}, skeletons {leans[1]}\n")
 
@@ -160,9 +154,7 @@ def print_actions(rows: Sequence[Row]) -> None:
     grouped.sort(key=lambda own: np.mean([np.log(row["estimate"]["rendered"]["rank"]) for row in own]))
     for own in grouped:
         places = [" ".join(str(row["estimate"][kind]["rank"]) for row in own) for kind in LIBRARIES]
-        off = [
-            np.mean([row[query]["grades"]["skeletons"]["right"]["off"] for row in own]) for query in _QUERIES
-        ]
+        off = [np.mean([row[query]["grades"]["skeletons"]["right"]["off"] for row in own]) for query in _QUERIES]
         ways = [np.mean([row["moves"][name] for row in own]) for name in ("across", "depth", "travel")]
         cells = [*places, *(f"{value:.0f}" for value in off), " ".join(f"{way:.2f}" for way in ways)]
         print(f"| {own[0]['action']} |", " | ".join(cells), "|")

@@ -14,12 +14,14 @@ from pathlib import Path
 
 import numpy as np
 
-from dousa.app.evaluating import read_takes
-from dousa.evaluation import compute_postures, find_furi, is_held_out, run_severity_sweep
-from dousa.library import ReadOptions, parse_label_rule
+from dousa.app.pipelines.evaluate import read_takes
+from dousa.evaluation import compute_postures, find_furi
+from dousa.experiments import is_held_out, run_severity_sweep
+from dousa.formats import ReadOptions
+from dousa.library import parse_label_rule
 from dousa.motion import canonicalise
-from dousa.motion.synthetic import draw_performer
-from dousa.motion.synthetic_dance import make_dance
+from dousa.motion.synthetic.dance import make_dance
+from dousa.motion.synthetic.performers import draw_performer
 
 NEAR_S = 0.5  # a cut found so near to a true one is that one
 
@@ -75,9 +77,7 @@ def measure_sweep(paths: list[Path], which: str, repeats: int, jobs: int) -> Non
 
 def main() -> None:
     """Read the command line."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     commands = parser.add_subparsers(dest="command", required=True)
     furi = commands.add_parser("furi")
     furi.add_argument("--dances", type=int, default=20)

@@ -16,15 +16,15 @@ from typing import Any
 import numpy as np
 from measured_kinect import LAG, RATE, Clip, list_clips
 
-from dousa._files import atomic_write
-from dousa.app._estimation_output import Outputs
-from dousa.app.estimating import Estimation, Request, estimate_files
-from dousa.app.rendering_files import RenderRequest, render_file
+from dousa.app.pipelines.estimate import Estimation, estimate_files
+from dousa.app.pipelines.estimation_request import EstimationRequest, Outputs
+from dousa.app.pipelines.render import RenderRequest, render_file
 from dousa.estimation import TrackerSettings, fit_body, make_human
 from dousa.evaluation import assess
-from dousa.evaluation.scoring import compute_deviation
-from dousa.library import Library, ReadOptions
-from dousa.library.ingest import read_canonical
+from dousa.evaluation.grade.score import compute_deviation
+from dousa.files.disk import atomic_write
+from dousa.formats import ReadOptions, read_canonical
+from dousa.library import Library
 from dousa.motion import JOINT_INDEX, CanonicalMotion
 
 PEOPLE = ("1", "3", "5", "7")
@@ -90,7 +90,7 @@ def run_estimate(chain: Chain, clip: Clip, start: str, outputs: Outputs) -> Esti
     start : ``"told"``: the first pose and the limbs are those of the Kinect; ``"found"``: only the stature is told.
     """
     told = start == "told"
-    request = Request(
+    request = EstimationRequest(
         (clip.masks,),
         TrackerSettings(),
         outputs,
@@ -111,7 +111,7 @@ def render_clip(chain: Chain, clip: Clip) -> Path:
         path.parent.mkdir(parents=True, exist_ok=True)
         seen = path.with_suffix(".npz")
         render_file(RenderRequest(clip.skeleton, seen, cameras=CAMERA_FILE))
-        request = Request((seen,), TrackerSettings(), Outputs(motion=path), start=f"{clip.skeleton}:0")
+        request = EstimationRequest((seen,), TrackerSettings(), Outputs(motion=path), start=f"{clip.skeleton}:0")
         estimate_files(request)
         seen.unlink()
     return path

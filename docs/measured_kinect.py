@@ -18,21 +18,19 @@ from dousa.estimation import (
     BodyModel,
     Camera,
     PackedSilhouettes,
-    compare_in_images,
-    compare_with_truth,
-    compute_iou,
     estimate,
     fit_body,
     fit_pose,
     fit_poses,
     make_human,
 )
-from dousa.estimation._baselines import constant_velocity, frozen_first_pose
-from dousa.estimation.kinematics import compute_points, point_names
-from dousa.estimation.rasteriser import draw_body
-from dousa.formats import read_motion
+from dousa.estimation.body.kinematics import compute_points, point_names
+from dousa.estimation.raster.rasteriser import draw_body
+from dousa.experiments import compare_in_images, compare_with_truth, compute_iou, run_experiment
+from dousa.experiments.pose_clips import constant_velocity, frozen_first_pose
+from dousa.formats.registry import read_motion
 from dousa.motion import CANONICAL_JOINTS, Trajectories, canonicalise
-from dousa.retrieval import LabelledClip, run_experiment
+from dousa.retrieval import LabelledClip
 
 LAG = 2  # frames: image i belongs to skeleton frame i - LAG
 RATE = 30.0
@@ -108,9 +106,7 @@ class Row:
     track: Track
 
 
-def list_clips(
-    folder: Path, subjects: Sequence[str], trials: Sequence[str], actions: str | None = None
-) -> list[Clip]:
+def list_clips(folder: Path, subjects: Sequence[str], trials: Sequence[str], actions: str | None = None) -> list[Clip]:
     """The recordings of which there are silhouettes."""
     clips = []
     for masks in sorted((folder / "silhouette").glob("*/*.npz")):
@@ -165,9 +161,7 @@ def make_track(clip: Clip, start: str) -> Track:
     points = {
         "estimate": order_points(found.body, found.poses),
         "frozen": order_points(body, frozen_first_pose(first, n_frames)),
-        "constant velocity": order_points(
-            body, constant_velocity(first, second, n_frames, body.angle_limits)
-        ),
+        "constant velocity": order_points(body, constant_velocity(first, second, n_frames, body.angle_limits)),
     }
     masks = np.stack([silhouettes.read(frame)[0] for frame in range(n_frames)])
     of_kinect = draw_body(found.body, fit_poses(found.body, truth)[0], CAMERA)
@@ -248,12 +242,9 @@ def _print_means(rows: Sequence[Row]) -> None:
 
 def _print_actions(rows: Sequence[Row]) -> None:
     """Best gain first."""
-    print(
-        "action                    n  image %: est., frozen, const.  hands %: est., frozen  mm: est., frozen  IoU"
-    )
+    print("action                    n  image %: est., frozen, const.  hands %: est., frozen  mm: est., frozen  IoU")
     actions = {
-        action: [row for row in rows if row.clip.action == action]
-        for action in {row.clip.action for row in rows}
+        action: [row for row in rows if row.clip.action == action] for action in {row.clip.action for row in rows}
     }
     for action, own in sorted(actions.items(), key=lambda pair: _gain(pair[1])):
         mean = np.mean([row.track.iou.mean() for row in own])
@@ -296,15 +287,11 @@ def measure_retrieval(folder: Path, clips: Sequence[Clip], start: str, cache: Pa
     ``Kinect`` trains on all skeletons of the other subjects, ``same clips`` on those that have an estimate too.
     ``flat``: skeletons and estimates with all joints at the depth of the pelvis. ``frozen``: the first pose held.
     """
-    skeletons = [
-        _label(clip, canonicalise(read_motion(clip.skeleton)).positions) for clip in _list_skeletons(folder)
-    ]
+    skeletons = [_label(clip, canonicalise(read_motion(clip.skeleton)).positions) for clip in _list_skeletons(folder)]
     tracks = [track_clip(clip, start, cache) for clip in clips]
     tested = {
         "Kinect": [_label(clip, clip.read()[1]) for clip in clips],
-        "estimated": [
-            _label(clip, track.points["estimate"]) for clip, track in zip(clips, tracks, strict=True)
-        ],
+        "estimated": [_label(clip, track.points["estimate"]) for clip, track in zip(clips, tracks, strict=True)],
         "frozen": [_label(clip, track.points["frozen"]) for clip, track in zip(clips, tracks, strict=True)],
     }
     tested["flat"] = [_flattened(clip) for clip in tested["estimated"]]
@@ -347,9 +334,7 @@ def _print_accuracy(
         scores.append([result.systems[system].scores.accuracy for system in systems])
     for column, system in zip(np.array(scores).T, systems, strict=True):
         cells = " ".join(f"{value:.2f}" for value in column)
-        print(
-            f"{training:10s} {what:10s} {features:9s} {system:17s} {cells}   {column.mean():.3f}", flush=True
-        )
+        print(f"{training:10s} {what:10s} {features:9s} {system:17s} {cells}   {column.mean():.3f}", flush=True)
 
 
 def _list_skeletons(folder: Path) -> list[Clip]:

@@ -15,9 +15,6 @@ from dousa.estimation import (
     BodyModel,
     Camera,
     PackedSilhouettes,
-    compare_in_images,
-    compare_with_truth,
-    compute_iou,
     estimate,
     fit_body,
     fit_cameras,
@@ -28,11 +25,12 @@ from dousa.estimation import (
     open_silhouettes,
     read_cameras,
 )
-from dousa.estimation._baselines import constant_velocity, frozen_first_pose
-from dousa.estimation._types import Estimate
-from dousa.estimation.kinematics import compute_points, point_names
-from dousa.estimation.rasteriser import draw_body
-from dousa.formats import read_motion
+from dousa.estimation.body.kinematics import compute_points, point_names
+from dousa.estimation.raster.rasteriser import draw_body
+from dousa.estimation.tracking.settings import Estimate
+from dousa.experiments import compare_in_images, compare_with_truth, compute_iou
+from dousa.experiments.pose_clips import constant_velocity, frozen_first_pose
+from dousa.formats.registry import read_motion
 from dousa.motion import CANONICAL_JOINTS, CanonicalMotion, canonicalise
 
 LAGS = range(-4, 5)
@@ -41,9 +39,7 @@ FloatArray = NDArray[np.float64]
 Reference = dict[str, FloatArray]
 
 
-def measure_video(
-    folder: Path, start: str, views: Sequence[int], cache: Path | None, pictures: Path | None
-) -> None:
+def measure_video(folder: Path, start: str, views: Sequence[int], cache: Path | None, pictures: Path | None) -> None:
     """Print lag, errors, overlap and speed of one way to start."""
     videos = [folder / "videos" / f"cam{view:02d}.mp4" for view in views]
     everything = read_masks(folder, cache)
@@ -55,9 +51,7 @@ def measure_video(
     read = [everything.read(frame) for frame in range(everything.n_frames)]
     every_mask = [np.stack(masks) for masks in zip(*read, strict=True)]  # type: ignore[arg-type]
     reference = align_reference(motion, every_mask, every_camera)
-    videos, cameras, masks = (
-        [some[view - 1] for view in views] for some in (videos, every_camera, every_mask)
-    )
+    videos, cameras, masks = ([some[view - 1] for view in views] for some in (videos, every_camera, every_mask))
     silhouettes = PackedSilhouettes(masks, everything.frame_rate, [video.stem for video in videos])
     body = make_human(motion.height)
     if start == "reference":
@@ -155,9 +149,7 @@ def print_overlap(
     poses = fit_poses(found.body, places, tuple(reference))[0]
     for camera, view in zip(cameras, masks, strict=True):
         ours, theirs = (compute_iou(draw_body(found.body, p, camera), view) for p in (found.poses, poses))
-        print(
-            f"  {camera.name}: IoU {ours.mean():.3f} (least {ours.min():.3f}), of the reference {theirs.mean():.3f}"
-        )
+        print(f"  {camera.name}: IoU {ours.mean():.3f} (least {ours.min():.3f}), of the reference {theirs.mean():.3f}")
 
 
 def draw_pictures(
@@ -168,8 +160,9 @@ def draw_pictures(
     target: Path,
 ) -> None:
     """An overlay video and a contact sheet."""
-    from dousa.app._video_pictures import pictures_of
-    from dousa.app.overlay import draw_overlay_sheet, write_overlay
+    from dousa.app.pictures.overlay import write_overlay
+    from dousa.app.pictures.overlay_sheet import draw_overlay_sheet
+    from dousa.app.pipelines.estimation_views import pictures_of
 
     target.parent.mkdir(parents=True, exist_ok=True)
     images = pictures_of(videos, silhouettes, 0)

@@ -35,7 +35,7 @@ def test_commands_and_options_exist(page):
     """Every ``dousa COMMAND --option`` of the documents is one that the command line knows."""
     from typer.main import get_command
 
-    from dousa.app.cli import app
+    from dousa.app.cli.main import app
 
     commands = get_command(app).commands
     text = re.sub(r"\\\n\s*", " ", page.read_text(encoding="utf-8"))
@@ -51,8 +51,6 @@ def test_commands_and_options_exist(page):
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
 def test_named_files_exist(page):
     """Paths such as ``benchmarks/forest.py`` in the documents are real."""
-    for name in re.findall(
-        r"`((?:benchmarks|docs|tests|src)/[\w/.]+\.\w+)`", page.read_text(encoding="utf-8")
-    ):
+    for name in re.findall(r"`((?:benchmarks|docs|tests|src)/[\w/.]+\.\w+)`", page.read_text(encoding="utf-8")):
         if "NAME" not in name:
             assert (ROOT / name).exists(), f"{page.name} names {name}"

@@ -1,4 +1,4 @@
-"""Imports run as the diagrams of docs/architecture.md say, and `import dousa` loads nothing heavy."""
+"""Imports run as the diagrams of docs/architecture.md say, in no circle, and `import dousa` loads nothing heavy."""
 
 from __future__ import annotations
 
@@ -16,112 +16,141 @@ import dousa
 
 SOURCE = Path(dousa.__file__).parent
 PAGE = Path(__file__).resolve().parents[1] / "docs" / "architecture.md"
-HELPERS = ("errors", "_files", "_lazy")  # of any room; they import nothing but each other
-_COMMANDS = ("cli", "demo_studio")  # of app, by how they begin
+MOST_FILES = 15  # in a folder: more are two rooms that nobody separated
+MOST_PRIVATE = 60
 
-Pair = tuple[str, str]
-
-
-def read_diagrams() -> list[list[list[str]]]:
-    """The blocks of arrows of the page: lines of rooms, from the one that knows nobody to the one that nobody knows."""
-    blocks = re.findall(r"^```\n(.*?)^```$", PAGE.read_text(encoding="utf-8"), re.MULTILINE | re.DOTALL)
-    return [[re.split(r" +<-+ +", line) for line in block.splitlines()] for block in blocks if "<-" in block]
+Way = tuple[str, str]
 
 
-ROOMS, APP_ROOMS = read_diagrams()
+def read_diagrams() -> dict[str, list[list[str]]]:
+    """Per folder the lines of its diagram, from what knows nobody to what nobody knows.
+
+    A diagram is a block whose first line names the folder below ``src/dousa`` (``.`` is the package itself); names in
+    one place of a line, separated by commas, do not know each other.
+    """
+    found = {}
+    for block in re.findall(r"^```\n(.*?)^```$", PAGE.read_text(encoding="utf-8"), re.MULTILINE | re.DOTALL):
+        folder, *lines = block.splitlines()
+        if "<-" in block and "<-" not in folder:
+            places = [re.split(r" +<-+ +", line.strip()) for line in lines if "<-" in line]
+            found[folder.strip().rstrip("/:")] = places
+    return found
 
 
-def allowed(lines: list[list[str]]) -> set[Pair]:
-    """(room, what it may import): what stands to its left in a line."""
-    return {(there, here) for line in lines for here, there in itertools.combinations(line, 2)}
+def list_ways(lines: list[list[str]]) -> set[Way]:
+    """(who, what it may import): all that stands to its left in a line, and what these may import."""
+    ways = {
+        (one, other)
+        for line in lines
+        for left, right in itertools.combinations(line, 2)
+        for one in right.split(", ")
+        for other in left.split(", ")
+    }
+    while more := {(one, last) for one, other in ways for here, last in ways if here == other} - ways:
+        ways |= more
+    return ways
 
 
-def arrows(lines: list[list[str]]) -> set[Pair]:
-    return {(there, here) for line in lines for here, there in itertools.pairwise(line)}
+def list_modules() -> dict[str, Path]:
+    """The modules of dousa by their full names."""
+    modules = {}
+    for path in SOURCE.rglob("*.py"):
+        parts = ("dousa", *path.relative_to(SOURCE).with_suffix("").parts)
+        modules[".".join(parts).removesuffix(".__init__")] = path
+    return modules
 
 
-def list_imports(path: Path) -> Iterator[list[str]]:
-    """The modules of dousa that a file imports, each as its parts below dousa."""
+MODULES = list_modules()
+DIAGRAMS = read_diagrams()
+
+
+def list_imports(path: Path) -> Iterator[str]:
+    """Modules of dousa that a file imports, for types alone too."""
     for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
-        names: list[str] = []
         if isinstance(node, ast.ImportFrom):
             assert node.level == 0 and node.module, f"{path}: imports are written in full"
-            names = [f"{node.module}.{alias.name}" for alias in node.names]
+            for name in node.names:
+                whole = f"{node.module}.{name.name}"
+                yield whole if whole in MODULES else node.module
         elif isinstance(node, ast.Import):
-            names = [alias.name for alias in node.names]
-        yield from (name.split(".")[1:] for name in names if name.startswith("dousa."))
+            yield from (name.name for name in node.names)
 
 
-def room_of(parts: list[str]) -> str:
-    return parts[0]
+IMPORTS = {
+    name: sorted({there for there in list_imports(path) if there in MODULES and there != name})
+    for name, path in MODULES.items()
+}
 
 
-def app_room_of(parts: list[str]) -> str:
-    """Room within app, of the parts below app."""
-    if parts[0] in ("player", "report", "studio"):
-        return parts[0]
-    if parts[0].startswith(_COMMANDS):
-        return "cli"
-    return "demo" if parts[0].startswith("demo") else "work"
-
-
-def find_pairs() -> dict[Pair, str]:
-    """Every import from one room into another, with a file that does it."""
-    pairs: dict[Pair, str] = {}
-    for path in SOURCE.rglob("*.py"):
-        here = path.relative_to(SOURCE).with_suffix("").parts
-        if here == ("__init__",):
+def find_ways(folder: str) -> dict[Way, str]:
+    """Imports between the parts of a folder, files and sub-folders, each with a file that does it."""
+    home = SOURCE / folder
+    ways: dict[Way, str] = {}
+    for name, there in ((name, there) for name, all_there in IMPORTS.items() for there in all_there):
+        here_path, there_path = MODULES[name], MODULES[there]
+        if home not in here_path.parents or home not in there_path.parents:
             continue
-        for there in list_imports(path):
-            if there and (SOURCE / f"{there[0]}.py").exists() | (SOURCE / there[0]).is_dir():
-                pairs.setdefault((room_of(list(here)), room_of(there)), "/".join(here))
-    return {pair: file for pair, file in pairs.items() if len(set(pair)) == 2}
+        parts = [path.relative_to(home).parts[0].removesuffix(".py") for path in (here_path, there_path)]
+        if parts[0] != parts[1] and "__init__" not in parts:
+            ways.setdefault((parts[0], parts[1]), name)
+    return ways
 
 
-def find_app_pairs() -> dict[Pair, str]:
-    pairs: dict[Pair, str] = {}
-    for path in (SOURCE / "app").rglob("*.py"):
-        here = path.relative_to(SOURCE / "app").with_suffix("").parts
-        for there in list_imports(path):
-            if there[0] == "app" and len(there) > 1 and here != ("__init__",):
-                pairs.setdefault((app_room_of(list(here)), app_room_of(there[1:])), "/".join(here))
-    return {pair: file for pair, file in pairs.items() if len(set(pair)) == 2}
+@pytest.mark.parametrize("folder", DIAGRAMS)
+def test_imports_run_one_way(folder: str):
+    may = list_ways(DIAGRAMS[folder])
+    assert not {(there, here) for here, there in may} & may, "the diagram itself has a circle"
+    for (here, there), name in find_ways(folder).items():
+        assert (here, there) in may, f"{name} imports {there}; the diagram of {folder} has no such way"
 
 
-def test_the_diagram_has_every_room():
-    folders = {path.name for path in SOURCE.iterdir() if (path / "__init__.py").exists()}
-    assert {room for line in ROOMS for room in line} == folders | {"errors"}
-    inside = {path.name for path in (SOURCE / "app").iterdir() if (path / "__init__.py").exists()}
-    assert {room for line in APP_ROOMS for room in line} == inside | {"work", "demo", "cli"}
+@pytest.mark.parametrize("folder", DIAGRAMS)
+def test_the_diagram_is_of_this_house(folder: str):
+    home = SOURCE / folder
+    named = {name for line in DIAGRAMS[folder] for place in line for name in place.split(", ")}
+    there = {path.name for path in home.iterdir() if (path / "__init__.py").exists()}
+    there |= {path.stem for path in home.glob("*.py")}
+    assert named <= there, "the diagram names what is not there"
+    folders = {path.name for path in home.iterdir() if (path / "__init__.py").exists()}
+    assert folders <= named, "a folder is missing in the diagram"
+    ways = set(find_ways(folder))
+    for line in DIAGRAMS[folder]:
+        for left, right in itertools.pairwise(line):
+            pairs = set(itertools.product(right.split(", "), left.split(", ")))
+            assert pairs & ways, f"{left} <- {right}: no import goes this way"
 
 
-def test_imports_run_one_way():
-    may = allowed(ROOMS)
-    for (here, there), file in find_pairs().items():
-        if there in HELPERS:
-            continue
-        assert (here, there) in may, f"{file}.py imports dousa.{there}; the diagram has no such way"
+def test_every_folder_with_rooms_inside_has_a_diagram():
+    with_rooms = {path.parent.parent for path in SOURCE.rglob("__init__.py")} - {SOURCE.parent}
+    assert {path.relative_to(SOURCE).as_posix() for path in with_rooms} == set(DIAGRAMS)
 
 
-def test_imports_inside_app_run_one_way():
-    may = allowed(APP_ROOMS)
-    for (here, there), file in find_app_pairs().items():
-        assert (here, there) in may, f"app/{file}.py ({here}) imports {there}; the diagram has no such way"
+def test_no_circle_between_files():
+    """Files are taken away whose imports are all gone; those of a circle are left."""
+    left = {name: set(there) for name, there in IMPORTS.items()}
+    while free := [name for name, there in left.items() if not there & left.keys()]:
+        for name in free:
+            del left[name]
+    assert not left, f"in a circle, or behind one: {sorted(left)}"
 
 
-def test_every_arrow_of_the_diagrams_is_an_import():
-    assert arrows(ROOMS) <= set(find_pairs())
-    assert arrows(APP_ROOMS) <= set(find_app_pairs())
+def test_folders_are_small_and_private_files_are_few():
+    for folder in {path.parent for path in MODULES.values()}:
+        assert len(list(folder.glob("*.py"))) <= MOST_FILES, f"{folder}: more than {MOST_FILES} files"
+    private = [name for name in MODULES if name.rpartition(".")[2].startswith("_")]
+    assert len(private) <= MOST_PRIVATE
 
 
-@pytest.mark.parametrize("lines", [ROOMS, APP_ROOMS], ids=["dousa", "app"])
-def test_the_diagrams_have_no_circle(lines: list[list[str]]):
-    assert not {(there, here) for here, there in allowed(lines)} & allowed(lines)
+def test_private_files_are_used_by_their_own_folder_alone():
+    for name, all_there in IMPORTS.items():
+        for there in all_there:
+            if there.rpartition(".")[2].startswith("_"):
+                assert MODULES[there].parent in MODULES[name].parents, f"{name} imports {there}"
 
 
 @pytest.mark.parametrize("statement", ["import dousa", "import dousa.app.cli"])
-def test_start_up_is_light(statement):
-    heavy = "numpy numba scipy sklearn sqlalchemy matplotlib joblib ezc3d fastapi uvicorn jinja2 cv2".split()
+def test_start_up_is_light(statement: str):
+    heavy = "numpy numba scipy sklearn sqlalchemy matplotlib joblib ezc3d fastapi uvicorn jinja2 cv2 yaml".split()
     code = f"import sys; {statement}; print([m for m in {heavy} if m in sys.modules])"
     out = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert out.stdout.strip() == "[]"

@@ -25,30 +25,59 @@ Messages say what was expected, what came, where, and the remedy:
 from __future__ import annotations
 
 import os
+from typing import Any, Self
 
-__all__ = [
-    "BodyModelError",
-    "CalibrationError",
-    "DousaError",
-    "InvalidMotionError",
-    "JointMappingError",
-    "LibraryDamagedError",
-    "LibraryError",
-    "LibraryLockedError",
-    "LibraryVersionError",
-    "MissingExtraError",
-    "MotionFileError",
-    "MotionWriteError",
-    "NotTrainedError",
-    "OptionError",
-    "SilhouetteError",
-    "TrainingError",
-    "UnknownFormatError",
-]
+from dousa.messages import Message
 
 
 class DousaError(Exception):
-    """Base of all errors that a person can put right."""
+    """Base of all errors that a person can put right: a code with values, in words where it is read.
+
+    Parameters
+    ----------
+    code : of the tables of `dousa.messages`, or a whole message.
+    values : what its sentence names.
+    """
+
+    def __init__(self, code: str | Message, /, **values: Any) -> None:
+        self.message = code if isinstance(code, Message) else Message(code, **values)
+        super().__init__(self.message)
+
+    @property
+    def code(self) -> str:
+        """Which error it is, among those of all rooms."""
+        return self.message.code
+
+    @property
+    def located(self) -> Message:
+        """The message with the file and the line that it is about, where they are known."""
+        path, line = getattr(self, "path", None), getattr(self, "line", None)
+        if not path:
+            return self.message
+        if line is None:
+            return Message("text.in_file", path=path, problem=self.message)
+        return Message("text.in_line", path=path, line=line, problem=self.message)
+
+    def render(self, language: str | None = None) -> str:
+        """The sentence, in a language of `dousa.messages.LANGUAGES` or in the one in use."""
+        return self.located.render(language)
+
+    def to_json(self) -> dict[str, Any]:
+        """Code and values, as `Message.to_json` gives them."""
+        return self.message.to_json()
+
+    def __str__(self) -> str:
+        return self.render()
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return _rebuild, (type(self), self.__dict__)
+
+
+def _rebuild(kind: type[DousaError], state: dict[str, Any]) -> DousaError:
+    error = kind.__new__(kind)
+    error.__dict__.update(state)
+    error.args = (state["message"],)
+    return error
 
 
 class MotionFileError(DousaError):
@@ -57,19 +86,25 @@ class MotionFileError(DousaError):
     Parameters
     ----------
     path : the file.
-    problem : what was expected, what came and what to do.
+    code : what was expected, what came and what to do.
     line : 1-based line of a text file, where known.
+    values : what the sentence names.
     """
 
-    def __init__(self, path: str | os.PathLike[str], problem: str, line: int | None = None) -> None:
+    def __init__(
+        self, path: str | os.PathLike[str], code: str | Message, /, line: int | None = None, **values: Any
+    ) -> None:
+        super().__init__(code, **values)
         self.path = os.fspath(path)
-        self.problem = problem
         self.line = line
-        where = self.path if line is None else f"{self.path}:{line}"
-        super().__init__(f"{where}: {problem}")
 
-    def __reduce__(self) -> tuple[type, tuple[str, str, int | None]]:
-        return type(self), (self.path, self.problem, self.line)
+    @property
+    def problem(self) -> str:
+        """The sentence without the place."""
+        return self.message.render()
+
+    def to_json(self) -> dict[str, Any]:
+        return {**super().to_json(), "path": self.path, "line": self.line}
 
 
 class UnknownFormatError(MotionFileError):
@@ -89,18 +124,23 @@ class JointMappingError(DousaError):
 
     Parameters
     ----------
-    problem : what is missing.
+    code : what is missing.
     joints : the names the motion has, so that a joint map can be written.
+    values : what the sentence names.
+
+    ``path`` is the file, set by whoever read it.
     """
 
-    def __init__(self, problem: str, joints: tuple[str, ...] = ()) -> None:
-        self.problem = problem
+    def __init__(self, code: str | Message, /, joints: tuple[str, ...] = (), **values: Any) -> None:
+        super().__init__(code, **values)
+        self.path: str | None = None
+        self.problem = self.message
         self.joints = tuple(joints)
-        has = f"; the joints are: {', '.join(self.joints)}" if self.joints else ""
-        super().__init__(f"{problem}{has}")
+        if self.joints:
+            self.message = Message("joints.has", problem=self.message, joints=self.joints)
 
-    def __reduce__(self) -> tuple[type, tuple[str, tuple[str, ...]]]:
-        return type(self), (self.problem, self.joints)
+    def to_json(self) -> dict[str, Any]:
+        return {**super().to_json(), "path": self.path}
 
 
 class LibraryError(DousaError):
@@ -127,15 +167,31 @@ class NotTrainedError(DousaError):
     """The forest is asked before it was trained."""
 
 
-class SilhouetteError(DousaError, ValueError):
+class _LocatableError(DousaError, ValueError):
+    """An error that gets its place where the file is known; what is rendered begins with it."""
+
+    path: str = ""
+    line: int | None = None
+
+    def at(self, path: str | os.PathLike[str] = "", line: int | None = None) -> Self:
+        """The same error with the place that it does not have yet: the file, the 1-based line."""
+        self.path = self.path or os.fspath(path)
+        self.line = line if self.line is None else self.line
+        return self
+
+    def to_json(self) -> dict[str, Any]:
+        return {**super().to_json(), "path": self.path or None, "line": self.line}
+
+
+class SilhouetteError(_LocatableError):
     """Masks or videos that no silhouettes can be had from."""
 
 
-class CalibrationError(DousaError, ValueError):
+class CalibrationError(_LocatableError):
     """A camera that cannot be: its file, its numbers, or views that disagree with it."""
 
 
-class BodyModelError(DousaError, ValueError):
+class BodyModelError(_LocatableError):
     """A body model that cannot be: its file, its measures, or its tree."""
 
 
@@ -153,4 +209,4 @@ class MissingExtraError(DousaError, ImportError):
     """
 
     def __init__(self, package: str, extra: str) -> None:
-        super().__init__(f"{package} is not installed; run: pip install 'dousa[{extra}]'")
+        super().__init__("extras.missing", package=package, extra=extra)

@@ -99,9 +99,7 @@ class Page:
 @contextmanager
 def open_browser(profile: Path) -> Iterator[Page]:
     """A Chromium with a fresh profile folder; skips the test where there is none."""
-    webdriver = pytest.importorskip(
-        "selenium.webdriver", reason="selenium is not installed: pip install selenium"
-    )
+    webdriver = pytest.importorskip("selenium.webdriver", reason="selenium is not installed: pip install selenium")
     chromium = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
     chromedriver = shutil.which("chromedriver")
     if not chromium or not chromedriver:

@@ -7,7 +7,8 @@ import sys
 import pytest
 
 from app.browser import Page, open_browser
-from dousa.app.cli import main
+from dousa.app.cli.main import main
+from dousa.messages import use_language
 
 
 @pytest.fixture(scope="session")
@@ -28,6 +29,8 @@ def dousa(monkeypatch, capsys):
             code = 0
         except SystemExit as stop:
             code = stop.code or 0
+        finally:
+            use_language("en")  # whatever the command spoke
         out = capsys.readouterr()
         return code, out.out, out.err
 

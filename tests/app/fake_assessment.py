@@ -12,10 +12,11 @@ from typing import Any
 
 import numpy as np
 
-from dousa.evaluation._types import Assessment, ErrorEvent, FuriAssessment, Lapse, PostureSequence
+from dousa.evaluation import Assessment, ErrorEvent, FuriAssessment, Lapse, PostureSequence
+from dousa.messages import Message
 from dousa.motion import JOINT_INDEX, canonicalise
-from dousa.motion.joints import CANONICAL_PARENTS
-from dousa.motion.synthetic import draw_performer, make_motion
+from dousa.motion.canonical.joints import CANONICAL_PARENTS
+from dousa.motion.synthetic.performers import draw_performer, make_motion
 
 __all__ = ["HOSTILE_WORDS", "make_assessment"]
 
@@ -23,8 +24,7 @@ HOSTILE_WORDS = '</script><img src=x onerror="window.hacked=1"> & \u2028 \' " ${
 
 _FIGURES = ("raise_hands", "squat", "wave_right", "side_bend", "raise_hands", "kick_left", "arm_circles")
 _SEGMENTS = (
-    "trunk left_upper_arm left_forearm right_upper_arm right_forearm "
-    "left_thigh left_shank right_thigh right_shank"
+    "trunk left_upper_arm left_forearm right_upper_arm right_forearm left_thigh left_shank right_thigh right_shank"
 ).split()
 _JOINTS = (
     *("left_shoulder left_elbow", "left_elbow left_wrist"),
@@ -33,22 +33,18 @@ _JOINTS = (
 )
 _KINDS = ("partial", "incomplete", "shift", "global")
 _LAG_S = 0.2
-_SAYS = {
-    "en": {
-        "partial": "right arm differs from the reference by 41°",
-        "incomplete": "left arm 24° short, 62 % of the range",
-        "shift": "200 ms late",
-        "global": "the whole body does something else",
-        "skip": "leaves out 1.0 s of the reference",
-    },
-    "ja": {
-        "partial": "右腕の動きが手本と41°違います",
-        "incomplete": "左腕が24°足りません(可動域の62 %)",
-        "shift": "200 ミリ秒遅れています",
-        "global": "全身が別の動きをしています",
-        "skip": "手本の1.0秒を抜かしました",
-    },
-}
+
+
+class _Worded(ErrorEvent):
+    """An event that says something of its own."""
+
+    words = ""
+
+    @property
+    def message(self) -> Message:
+        return Message("text.verbatim", text=self.words)
+
+    says_in_furi = says = message
 
 
 @dataclass(frozen=True)
@@ -147,20 +143,18 @@ def _perform(dance: np.ndarray, frame_rate: float, windows: list[tuple[str, floa
     return scale * _keep_lengths(positions, model) @ turn.T + [0.8, 0, -0.4], lag
 
 
-def _make_events(windows: Any, language: str, furi_of: Any, words: str | None) -> tuple[ErrorEvent, ...]:
+def _make_events(windows: Any, furi_of: Any, words: str | None) -> tuple[ErrorEvent, ...]:
+    kind_of_event = ErrorEvent if words is None else type("Worded", (_Worded,), {"words": words})
     events = []
     for kind, start, end in windows:
         lag = 1000 * _LAG_S if kind == "shift" else None
         short = kind == "incomplete"
         segments = _ARMS[kind][1] if kind in _ARMS else tuple(_SEGMENTS)
         worst = (start + end) / 2
-        says = words if words is not None else _SAYS[language][kind]
-        minutes, rest = divmod(worst, 60)
-        says = f"{minutes:.0f}:{rest:02.0f}, {says}" if words is None else says
         severity = {"partial": 2.6, "incomplete": 1.8, "shift": 1.4, "global": 3.9}[kind]
         events.append(
-            ErrorEvent(kind, start, end, segments, lag, 24.0 if short else None, 38.0 if short else None,
-                       severity, worst, worst - (lag or 0) / 1000, furi_of(worst), says)
+            kind_of_event(kind, start, end, segments, lag, 24.0 if short else None, 38.0 if short else None,
+                       severity, worst, worst - (lag or 0) / 1000, furi_of(worst))
         )  # fmt: skip
     return tuple(events)
 
@@ -185,16 +179,13 @@ def _make_furi(dance: _Dance, segments: np.ndarray, frame_rate: float) -> tuple[
         gain[(number + 4) % 9] = np.nan
         span = (start / frame_rate, end / frame_rate)
         furi.append(
-            FuriAssessment(
-                *span, *span, label, _make_space(segments[start:end]), gain, 0.03 * (number % 4), 90.0
-            )
+            FuriAssessment(*span, *span, label, _make_space(segments[start:end]), gain, 0.03 * (number % 4), 90.0)
         )
     return tuple(furi)
 
 
 def make_assessment(
     seconds: float = 20.0,
-    language: str = "en",
     frame_rate: float = 30.0,
     events_per_kind: int = 1,
     words: str | None = None,
@@ -204,7 +195,6 @@ def make_assessment(
     Parameters
     ----------
     seconds : length of reference and performance, s; 4 or more.
-    language : ``"en"`` or ``"ja"``, of the sentences.
     frame_rate : Hz.
     events_per_kind : how many events each of the four classes has; times are `assessment.events`.
     words : what every event says, instead of a fitting sentence; `HOSTILE_WORDS` for example.
@@ -233,11 +223,11 @@ def make_assessment(
         residual=_make_residual(wrong, ripple), residual_limit=np.full(9, 0.3),
         path=np.stack([np.arange(frames), np.clip(np.rint((times - lag) * frame_rate), 0, None)], 1).astype(int),
         furi=furi,
-        events=_make_events(windows, language, lambda t: int(np.searchsorted(cuts, t, "right")), words),
-        lapses=(Lapse("skip", 0.95 * seconds, 0.95 * seconds, 0.9 * seconds, 0.95 * seconds,
-                      _SAYS[language]["skip"]),),
-        score=71.0, score_formula="100 - 10 x 2.9 = 71", calibrated=False, n_references=1, tempo=1.0,
-        gaps=(gap,), warnings=("one take of the reference: the limits are guessed",),
+        events=_make_events(windows, lambda t: int(np.searchsorted(cuts, t, "right")), words),
+        lapses=(Lapse("skip", 0.95 * seconds, 0.95 * seconds, 0.9 * seconds, 0.95 * seconds),),
+        score=71.0, score_formula=Message("text.verbatim", text="100 - 10 x 2.9 = 71"), calibrated=False,
+        n_references=1, tempo=1.0,
+        gaps=(gap,), warnings=(Message("text.verbatim", text="one take of the reference: the limits are guessed"),),
     )  # fmt: skip
 
 

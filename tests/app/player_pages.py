@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from app.browser import Page
-from dousa.app.player import format_player_data, read_player_script, read_player_style
+from dousa.app.player.data import format_player_data, read_player_script, read_player_style
 
 __all__ = ["picture", "write_miniatures_page", "write_player_page"]
 

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from dousa.evaluation._types import Assessment
+from dousa.evaluation import Assessment
 
 __all__ = ["UNUSUAL", "change", "page_data"]
 

@@ -12,16 +12,16 @@ import typer
 from oracles.made_clips import write_clip
 from typer.testing import CliRunner
 
-from dousa.app import cli_estimation_trials
+from dousa.app.cli import experiments as cli_estimation_trials
 from dousa.errors import BodyModelError, OptionError
-from dousa.estimation._types import PAPER, Estimate
-from dousa.estimation.kinematics import point_names
+from dousa.estimation.body.kinematics import point_names
+from dousa.estimation.tracking.settings import PAPER, Estimate
 
 
 def hold_start(silhouettes, cameras, body, start=None, *, settings, girths="fit", n_threads=None):
     """A tracker that finds nothing of its own."""
     if start is None:
-        raise BodyModelError("no start was found")
+        raise BodyModelError("text.verbatim", text="no start was found")
     n_frames = silhouettes.n_frames
     nothing = np.zeros((n_frames, len(point_names(body))))
     hidden = np.zeros((n_frames, body.n_parts), bool)
@@ -33,13 +33,11 @@ def hold_start(silhouettes, cameras, body, start=None, *, settings, girths="fit"
 @pytest.fixture
 def run(monkeypatch):
     module = SimpleNamespace(estimate=hold_start, PAPER=PAPER)
-    monkeypatch.setitem(sys.modules, "dousa.estimation.tracker", module)
+    monkeypatch.setitem(sys.modules, "dousa.estimation.tracking.tracker", module)
     app = typer.Typer()
     app.callback()(lambda: None)  # one command alone would need no name
     cli_estimation_trials.register(app)
-    return lambda *words: CliRunner().invoke(
-        app, ["experiment-estimation", *map(str, words)], catch_exceptions=True
-    )
+    return lambda *words: CliRunner().invoke(app, ["experiment-estimation", *map(str, words)], catch_exceptions=True)
 
 
 @pytest.fixture(scope="module")
@@ -100,10 +98,10 @@ def test_the_papers_experiment_is_a_table_of_readings(run, clip):
         (("--views", "none"), "such as 1,2,4"),
         (("--views", "0"), "such as 1,2,4"),
         (("--views", "9"), "at most 3, got 9"),
-        (("--frames", "0:4"), "belongs to --paper"),
+        (("--frames", "0:4"), "requires --paper"),
         (("--paper", "--frames", "4"), "such as 40:76"),
         (("--paper", "--frames", "2:99"), "some of 0 to 6"),
-        (("--paper", "--start", "auto"), "leave --start"),
+        (("--paper", "--start", "auto"), "cannot be combined with --start"),
         (("--reading", "plain", "--reading", "masked"), "with --paper only"),
     ],
 )
@@ -114,4 +112,4 @@ def test_what_cannot_be_is_said(run, clip, words, problem):
 
 
 def test_the_paper_takes_one_file(run, clip):
-    assert "give one .npz file" in str(run(clip.parent, "--paper").exception)
+    assert "name one .npz file" in str(run(clip.parent, "--paper").exception)

@@ -6,9 +6,9 @@ import json
 
 import pytest
 
-from dousa.formats import write_motion
-from dousa.motion.synthetic import draw_performer, make_motion
-from dousa.retrieval.ranking_experiment import RANKING_SYSTEMS
+from dousa.experiments.ranking_systems import RANKING_SYSTEMS
+from dousa.formats.registry import write_motion
+from dousa.motion.synthetic.performers import draw_performer, make_motion
 
 
 @pytest.fixture(scope="module")
@@ -71,10 +71,10 @@ def test_a_folder_of_queries(dousa, folder, tmp_path):
 @pytest.mark.parametrize(
     ("words", "problem"),
     [
-        (("--ranking", "--repeats", 2), "--repeats has nothing to do with --ranking"),
-        (("--ranking", "--samples", 1), "--samples has nothing to do with --ranking"),
-        (("--ranking", "--figure", "a.png"), "--figure has nothing to do with --ranking"),
-        (("--ranking", "--system", "forest"), "leave --ranking out?"),
+        (("--ranking", "--repeats", 2), "--repeats cannot be combined with --ranking"),
+        (("--ranking", "--samples", 1), "--samples cannot be combined with --ranking"),
+        (("--ranking", "--figure", "a.png"), "--figure cannot be combined with --ranking"),
+        (("--ranking", "--system", "forest"), "omit --ranking?"),
         (("--system", "dtw"), "add --ranking?"),
         (("--ranking", "--split", "leave-performer-out"), "--performer-from"),
         (("--ranking", "--system", "best"), "best"),
@@ -90,12 +90,12 @@ def test_what_cannot_be_is_said(dousa, folder, words, problem):
     [
         (("--ranking", "--takes"), "one kind of experiment, got --ranking and --takes"),
         (("--takes", "--unknown"), "one kind of experiment, got --takes and --unknown"),
-        (("--takes", "--split", "half"), "--split has nothing to do with --takes"),
-        (("--unknown", "--figure", "table.png"), "--figure has nothing to do with --unknown"),
-        (("--unknown", "--system", "dtw"), "--system has nothing to do with --unknown"),
+        (("--takes", "--split", "half"), "--split cannot be combined with --takes"),
+        (("--unknown", "--figure", "table.png"), "--figure cannot be combined with --unknown"),
+        (("--unknown", "--system", "dtw"), "--system cannot be combined with --unknown"),
         (("--takes",), "performer"),
-        (("--ranking", "--train-share", 0.3), "--train-share has nothing to do with --ranking"),
-        (("--train-share", 0.3, *PERFORMERS), "--train-share needs a split by halves"),
+        (("--ranking", "--train-share", 0.3), "--train-share cannot be combined with --ranking"),
+        (("--train-share", 0.3, *PERFORMERS), "--train-share requires a split by halves"),
         (("--train-share", 1.5), "between 0 and 1"),
     ],
 )
@@ -110,5 +110,5 @@ def test_unknown_motions_answer_with_tables(dousa, shared_data):
     options = ("--performer-from", r"name:HDM_(..)_", "--trees", 10, "--jobs", 1)
     code, out, err = dousa("experiment", shared_data("hdm05"), "--unknown", *options)
     assert code == 0, err
-    for words in ("AUROC", "189 clips of 11 categories", "grown", "trained anew"):
+    for words in ("AUROC", "189 clips of 11 categories", "grown", "retrained"):
         assert words in out

@@ -7,7 +7,7 @@ import io
 import pytest
 from rich.console import Console
 
-from dousa.app.demo import run_demo, write_library
+from dousa.app.demo.demo import run_demo, write_library
 from dousa.errors import OptionError, TrainingError
 from dousa.library import Library
 
@@ -26,8 +26,7 @@ def told(console):
 def test_a_library_on_the_disk_is_the_same_each_time(tmp_path):
     seen = []
     first, second = (
-        write_library(tmp_path / name, 2, 2, 3, ("walk", "bow"), lambda *step: seen.append(step[:2]))
-        for name in "ab"
+        write_library(tmp_path / name, 2, 2, 3, ("walk", "bow"), lambda *step: seen.append(step[:2])) for name in "ab"
     )
     assert [path.relative_to(tmp_path / "a").as_posix() for path in first[:3]] == [
         "walk/performer00_1.bvh",

@@ -12,12 +12,12 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-import dousa.app.overlay
-from dousa.app.demo_estimation import run_estimation_demo, write_performance
+import dousa.app.pictures.overlay
+from dousa.app.demo.estimation import run_estimation_demo, write_performance
 from dousa.errors import OptionError
-from dousa.estimation.human import make_human
-from dousa.estimation.mask_npz import read_silhouettes, read_stature, read_true_joints
-from dousa.formats import read_motion
+from dousa.estimation.body.human import make_human
+from dousa.estimation.silhouettes.mask_npz import read_silhouettes, read_stature, read_true_joints
+from dousa.formats.registry import read_motion
 from dousa.motion import canonicalise
 
 
@@ -35,15 +35,15 @@ def undrawn(monkeypatch):
     def write(estimate, views, cameras, path, **options):
         path.write_bytes(b"drawn")
 
-    monkeypatch.setattr(dousa.app.overlay, "write_overlay", write)
-    monkeypatch.setattr(dousa.app.overlay, "draw_overlay_sheet", write)
+    monkeypatch.setattr(dousa.app.pictures.overlay, "write_overlay", write)
+    monkeypatch.setattr(dousa.app.pictures.overlay, "draw_overlay_sheet", write)
 
 
 @pytest.fixture
 def tracked(monkeypatch, tmp_path, undrawn):
     """A tracker that fits the true joints."""
-    from dousa.estimation._types import Estimate
-    from dousa.estimation.posing import fit_poses
+    from dousa.estimation.body.posing import fit_poses
+    from dousa.estimation.tracking.settings import Estimate
 
     def estimate(views, cameras, body, start, *, settings, resume, on_checkpoint, progress, on_frame):
         assert start is None  # the demonstration shows that it is found
@@ -56,7 +56,9 @@ def tracked(monkeypatch, tmp_path, undrawn):
         return Estimate(body, poses, views.frame_rate, iou, uncertainty, flags, flags[:, 0], (), 50.0)
 
     monkeypatch.setitem(
-        sys.modules, "dousa.estimation.tracker", SimpleNamespace(estimate=estimate, PartialTrack=Partial)
+        sys.modules,
+        "dousa.estimation.tracking.tracker",
+        SimpleNamespace(estimate=estimate, PartialTrack=Partial),
     )
 
 
@@ -76,9 +78,7 @@ def test_the_chain_writes_its_files_and_says_how_good_it_is(tracked, tmp_path):
         "report_estimated",
     } <= names
     assert not [name for name in names if name.startswith(".")]
-    assert (
-        read_motion(tmp_path / "estimated.bvh").n_frames == read_silhouettes(tmp_path / "seen.npz").n_frames
-    )
+    assert read_motion(tmp_path / "estimated.bvh").n_frames == read_silhouettes(tmp_path / "seen.npz").n_frames
 
 
 def test_the_tracker_itself_does_it(undrawn, tmp_path):
@@ -114,5 +114,5 @@ def _by_joint(path):
 
 def test_a_folder_that_cannot_be_made(tmp_path):
     (tmp_path / "file").write_text("")
-    with pytest.raises(OptionError, match="cannot make this folder"):
+    with pytest.raises(OptionError, match="cannot create this folder"):
         run_estimation_demo(Console(file=io.StringIO()), tmp_path / "file" / "out")

@@ -14,11 +14,11 @@ from rich.console import Console
 
 import dousa.evaluation
 from app.fake_assessment import make_assessment
-from dousa.app.demo_evaluation import compare_with_truth, run_dance_demo, write_dance
+from dousa.app.demo.evaluation import compare_with_truth, run_dance_demo, write_dance
 from dousa.errors import OptionError
 from dousa.evaluation import ErrorEvent
-from dousa.evaluation.injection import Error
-from dousa.formats import read_motion
+from dousa.experiments.injection.injection import Error
+from dousa.formats.registry import read_motion
 from dousa.motion import canonicalise
 
 KINDS = ["global", "incomplete", "partial", "shift"]
@@ -59,9 +59,7 @@ def test_the_pupil_is_somebody_else_but_dances_this_dance(written):
     reference, pupil = (canonicalise(read_motion(path)) for path in written[:2])
     assert reference.n_frames == pupil.n_frames
     assert abs(reference.height / pupil.height - 1) > 0.01
-    bones = [
-        np.diff(motion.positions[:, [4, 5]], axis=1)[:, 0, 1] / motion.height for motion in (reference, pupil)
-    ]
+    bones = [np.diff(motion.positions[:, [4, 5]], axis=1)[:, 0, 1] / motion.height for motion in (reference, pupil)]
     assert np.corrcoef(*bones)[0, 1] > 0.8  # how the left upper arm rises and falls
 
 

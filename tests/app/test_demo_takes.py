@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from dousa.app.demo_takes import _choose_clips, show_take, write_dance_figure, write_take
-from dousa.formats import read_motion, write_motion
+from dousa.app.demo.takes import _choose_clips, show_take, write_dance_figure, write_take
+from dousa.formats.registry import read_motion, write_motion
 from dousa.library import Library
 from dousa.motion import canonicalise
-from dousa.motion.synthetic import draw_performer, make_library, make_motion
+from dousa.motion.synthetic.performers import draw_performer, make_library, make_motion
 from dousa.retrieval import LabelledClip
 
 CATEGORIES = ("bow", "clap", "jumping_jack", "kick_left", "squat", "walk")

@@ -3,23 +3,27 @@
 from __future__ import annotations
 
 import dataclasses
+import json
 import os
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from dousa.app._estimation_output import Outputs, check_outputs
-from dousa.app._estimation_start import parse_start, read_start
-from dousa.app._estimation_tables import describe_frames
-from dousa.app._partial_track import PartialFile, describe_files, fingerprint
-from dousa.app._watched_silhouettes import WatchedSilhouettes, parse_frames
+from dousa.app.pipelines.doubts import WatchedSilhouettes, parse_frames
+from dousa.app.pipelines.estimation_body import read_start
+from dousa.app.pipelines.estimation_output import check_outputs
+from dousa.app.pipelines.estimation_request import EstimationRequest, Outputs, parse_start
+from dousa.app.pipelines.track_log import PartialFile, describe_files, fingerprint
+from dousa.app.tables.answers import describe_frames
 from dousa.errors import MotionWriteError, OptionError
-from dousa.estimation.silhouettes import PackedSilhouettes
-from dousa.formats import write_motion
-from dousa.library import ReadOptions
+from dousa.estimation.silhouettes.silhouettes import PackedSilhouettes
+from dousa.estimation.tracking.settings import PAPER, TrackerSettings
+from dousa.formats import ReadOptions
+from dousa.formats.registry import write_motion
+from dousa.messages import Message
 from dousa.motion import CANONICAL_JOINTS, canonicalise, compute_trajectories
-from dousa.motion.synthetic import draw_performer, make_motion
+from dousa.motion.synthetic.performers import draw_performer, make_motion
 
 
 @dataclasses.dataclass(frozen=True)
@@ -53,20 +57,20 @@ class TestStart:
         assert parse_start(f"{odd}:4") == (odd, 4)
 
     def test_a_drive_letter_is_no_file(self):
-        with pytest.raises(OptionError, match=r"there is no file C:\\takes\\walk\.bvh;"):
+        with pytest.raises(OptionError, match=r"no file C:\\takes\\walk\.bvh;"):
             parse_start(r"C:\takes\walk.bvh:7")
         with pytest.raises(OptionError, match=r"no file C:7"):
             parse_start("C:7")
 
     @pytest.mark.parametrize("tail", [":", ":-1", ":x", ":1.5"])
     def test_what_is_no_frame_is_named(self, walk, tail):
-        with pytest.raises(OptionError, match="expected the number of a frame"):
+        with pytest.raises(OptionError, match="expected a frame number"):
             parse_start(f"{walk}{tail}")
 
     def test_folders_and_missing_files(self, tmp_path):
         with pytest.raises(OptionError, match="is a folder"):
             parse_start(str(tmp_path))
-        with pytest.raises(OptionError, match="there is no file"):
+        with pytest.raises(OptionError, match="no file"):
             parse_start(str(tmp_path / "none.bvh:3"))
 
     def test_the_joints_are_those_of_the_frame(self, walk):
@@ -117,6 +121,42 @@ class TestStart:
             read_start(f"{path}:0", ReadOptions())
 
 
+class TestRequest:
+    def test_plain_values_make_the_same_request_again(self, walk):
+        given = {
+            "sources": [str(walk)],
+            "motion": "out.bvh",
+            "overlay": None,
+            "backgrounds": ["a.png", "b.png"],
+            "background_method": "plate",
+            "stature": 1.7,
+            "start": f"{walk}:3",
+            "method": "paper",
+            "beam": 2,
+            "up": "z",
+            "joint_map": {"head": "Head"},
+            "json": True,
+        }
+        request = EstimationRequest.from_dict(given)
+        assert request.settings == dataclasses.replace(PAPER, beam=2)
+        assert request.outputs == Outputs(motion=Path("out.bvh"))
+        assert request.options == ReadOptions(joint_map={"head": "Head"}, up="z")
+        assert request.inputs == (walk, Path("a.png"), Path("b.png"), walk)
+        plain = json.loads(json.dumps(request.to_dict()))
+        assert EstimationRequest.from_dict(plain) == request
+
+    def test_nothing_said_is_the_default(self):
+        request = EstimationRequest.from_dict({"sources": ["a.npz"], "sex": None})
+        assert request == EstimationRequest((Path("a.npz"),)) and request.settings == TrackerSettings()
+
+    @pytest.mark.parametrize(
+        ("name", "value"), [("sex", "x"), ("kind", "film"), ("bones", ""), ("background_method", "guess")]
+    )
+    def test_a_choice_that_there_is_not(self, name, value):
+        with pytest.raises(OptionError, match=f"{name}: expected .*, got '{value}'"):
+            EstimationRequest.from_dict({"sources": ["a.npz"], name: value})
+
+
 class TestOutputs:
     @pytest.mark.parametrize(
         ("outputs", "words"),
@@ -129,7 +169,7 @@ class TestOutputs:
             ({"overlay": "a.png"}, r"--overlay .*\.mp4"),
             ({"sheet": "a.mp4"}, r"--sheet .*\.png"),
             ({"motion": "a.trc", "trc": "a.trc"}, "same file"),
-            ({"motion": "in.npz"}, "is read from"),
+            ({"motion": "in.npz"}, "is an input"),
         ],
     )
     def test_what_makes_no_sense_is_said_before_the_work(self, tmp_path, outputs, words):
@@ -180,7 +220,7 @@ class TestPartialFile:
     def test_other_inputs_start_anew_and_say_so(self, tmp_path):
         PartialFile(tmp_path / "out.bvh", "key", every=0.0).save(self.track)
         found, note = PartialFile(tmp_path / "out.bvh", "other").load(Track)
-        assert found is None and "other inputs or settings" in note
+        assert found is None and note.code == "track_log.other_work" and "other inputs or settings" in str(note)
 
     @pytest.mark.parametrize("damage", ["cut", "text", "empty", "bits", "lacking"])
     def test_damaged_files_start_anew_and_say_so(self, tmp_path, damage):
@@ -192,11 +232,9 @@ class TestPartialFile:
         if damage == "lacking":
             np.savez(kept.path, fingerprint=np.array("key"), poses=np.zeros(3))
         else:
-            kept.path.write_bytes(
-                {"cut": whole[: len(whole) // 2], "text": b"no", "empty": b"", "bits": bits}[damage]
-            )
+            kept.path.write_bytes({"cut": whole[: len(whole) // 2], "text": b"no", "empty": b"", "bits": bits}[damage])
         found, note = kept.load(Track)
-        assert found is None and "starting anew" in note
+        assert found is None and note.code == "track_log.unusable" and "starting from the beginning" in str(note)
 
     def test_it_is_written_now_and_then_only(self, tmp_path):
         kept = PartialFile(tmp_path / "out.bvh", "key")
@@ -206,7 +244,7 @@ class TestPartialFile:
     def test_a_full_disk_does_not_end_the_work(self, tmp_path):
         kept = PartialFile(tmp_path / "none" / "out.bvh", "key", every=0.0)
         kept.save(self.track)
-        assert "could not be continued" in kept.problem
+        assert kept.problem.code == "track_log.not_kept" and "could not be resumed" in str(kept.problem)
 
     def test_nothing_is_kept_without_an_output(self):
         kept = PartialFile(None, "key", every=0.0)
@@ -243,12 +281,12 @@ class TestFrames:
         [(None, (0, 9)), ("2:5", (2, 5)), (":5", (0, 5)), ("4:", (4, 9)), ("-3:", (6, 9)), ("0:99", (0, 9))],
     )
     def test_ranges(self, text, expected):
-        assert parse_frames(text, 9, "it") == expected
+        assert parse_frames(text, 9, Message("frames.recording")) == expected
 
     @pytest.mark.parametrize("text", ["5", "a:b", "1:2:3", "5:5", "20:30", "", "3:1"])
     def test_what_is_none(self, text):
         with pytest.raises(OptionError, match="--frames"):
-            parse_frames(text, 9, "it")
+            parse_frames(text, 9, Message("frames.recording"))
 
     def test_frames_as_stretches(self):
         assert describe_frames([3, 4, 5, 9]) == "3-5, 9"
@@ -290,9 +328,9 @@ class TestWatched:
             masks = self.blob()
             change(masks)
             (said,) = self.watch(masks).describe()
-            assert words in said and "view1" in said
+            assert words in str(said) and "view1" in str(said)
         (said,) = self.watch(self.blob(), missing=np.arange(20)[None] < 2).describe()
-        assert "2 of 20 frames have no image" in said
+        assert "2 of 20 frames have no image" in str(said)
 
     def test_masks_are_kept_as_far_as_there_is_room(self):
         masks = np.random.default_rng(0).random((2, 9, 10, 13)) > 0.5

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import json
 import os
 import subprocess
@@ -10,14 +11,14 @@ from pathlib import Path
 
 import pytest
 
-from dousa.app import cli
 from dousa.errors import MotionFileError, OptionError
 from dousa.evaluation import read_furi, read_weights, write_furi
-from dousa.evaluation.furi import Furi
-from dousa.formats import write_motion
-from dousa.motion.synthetic import draw_performer, make_motion
+from dousa.evaluation.figures.furi import Furi
+from dousa.formats.registry import write_motion
+from dousa.motion.synthetic.performers import draw_performer, make_motion
 
-_COMMAND = "from dousa.app.cli import main; main()"
+cli = importlib.import_module("dousa.app.cli.main")  # the package gives the function of this name
+_COMMAND = "from dousa.app.cli.main import main; main()"
 
 
 @pytest.fixture(scope="module")
@@ -44,9 +45,7 @@ def test_a_pipe_is_as_good_as_a_file():
             os.close(reader)
 
 
-@pytest.mark.parametrize(
-    "text", ["arms = " + "9" * 400, "arms = " + "9" * 5000, "[" * 2000, "arms = 'x'" + "x" * 3000]
-)
+@pytest.mark.parametrize("text", ["arms = " + "9" * 400, "arms = " + "9" * 5000, "[" * 2000, "arms = 'x'" + "x" * 3000])
 def test_absurd_weights_are_one_short_line(tmp_path, text):
     path = tmp_path / "weights"
     path.write_text(text)
@@ -60,16 +59,14 @@ def test_a_label_is_no_longer_than_a_line_of_the_page(tmp_path):
     path.write_text("1-20 " + "x" * 100 + "\n")
     assert read_furi(path, 30.0, 100)[0].label == "x" * 100
     path.write_text("1-10 a\n11-20 " + "x" * 5000 + "\n")
-    with pytest.raises(
-        MotionFileError, match=r"furi.txt:2: expected a label of at most 100 letters, got 5000"
-    ):
+    with pytest.raises(MotionFileError, match=r"furi.txt:2: expected a label of at most 100 letters, got 5000"):
         read_furi(path, 30.0, 100)
     with pytest.raises(OptionError, match="label"):
         write_furi(path, [Furi(0, 10, "x" * 101)], 30.0)
 
 
 def test_ctrl_c_in_a_compiled_loop_is_an_interruption(monkeypatch, capsys):
-    def interrupted():
+    def interrupted(standalone_mode):
         try:
             try:
                 raise KeyboardInterrupt
@@ -87,7 +84,7 @@ def test_ctrl_c_in_a_compiled_loop_is_an_interruption(monkeypatch, capsys):
 
 
 def test_other_system_errors_are_not_hidden(monkeypatch):
-    def broken():
+    def broken(standalone_mode):
         raise SystemError("a fault of the interpreter")
 
     monkeypatch.setattr(cli, "app", broken)
@@ -99,9 +96,7 @@ def test_other_system_errors_are_not_hidden(monkeypatch):
 def test_a_closed_standard_output_is_an_error_in_one_line(motion, words):
     done = _start(motion, *words, closed=1)
     assert done.returncode == 2
-    assert (
-        done.stderr.startswith("dousa: the answer cannot be written") and len(done.stderr.splitlines()) == 1
-    )
+    assert done.stderr.startswith("dousa: the answer cannot be written") and len(done.stderr.splitlines()) == 1
 
 
 def test_a_closed_standard_error_does_not_cost_the_answer(motion):
@@ -118,9 +113,7 @@ def _start(motion: Path, *words: str, closed: int) -> subprocess.CompletedProces
     return subprocess.run(command, capture_output=True, text=True, check=False, timeout=120)
 
 
-@pytest.mark.parametrize(
-    "words", [("--noise", "inf"), ("--noise", "1e9"), ("--timing", "inf"), ("--noise", "nan")]
-)
+@pytest.mark.parametrize("words", [("--noise", "inf"), ("--noise", "1e9"), ("--timing", "inf"), ("--noise", "nan")])
 def test_a_performer_beyond_all_measure_is_refused(motion, monkeypatch, capsys, words):
     monkeypatch.setattr(sys, "argv", ["dousa", "experiment-errors", str(motion), *words])
     with pytest.raises(SystemExit) as stop:

@@ -12,18 +12,23 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from dousa.app._overlay_paint import ALARM, LEFT, RIGHT, draw_dashed, draw_line
-from dousa.app._overlay_sheet import choose_frames
-from dousa.app._overlay_timeline import Timeline, find_spans, mean_overlap
-from dousa.app._overlay_view import ViewPainter
-from dousa.app.overlay import _Page, draw_overlay_sheet, lay_out, write_overlay
+from dousa.app.pictures.overlay import _Page, lay_out, write_overlay
+from dousa.app.pictures.overlay_sheet import (
+    Timeline,
+    choose_frames,
+    draw_overlay_sheet,
+    find_spans,
+    mean_overlap,
+)
+from dousa.app.pictures.overlay_view import ALARM, LEFT, RIGHT, ViewPainter, draw_dashed, draw_line
 from dousa.errors import MotionWriteError, OptionError
-from dousa.estimation._types import Estimate
-from dousa.estimation.camera import Camera
-from dousa.estimation.human import make_human
-from dousa.estimation.posing import standing_state
-from dousa.estimation.rendering import render
-from dousa.estimation.silhouettes import PackedSilhouettes, Silhouettes
+from dousa.estimation.body.human import make_human
+from dousa.estimation.body.posing import standing_state
+from dousa.estimation.cameras.camera import Camera
+from dousa.estimation.raster.rendering import render
+from dousa.estimation.silhouettes.silhouettes import PackedSilhouettes, Silhouettes
+from dousa.estimation.tracking.settings import Estimate
+from dousa.messages import Message
 
 N_FRAMES = 6
 
@@ -85,7 +90,7 @@ def test_the_video_has_every_frame_and_an_even_size(made, tmp_path, suffix):
     assert len(frames) == N_FRAMES and rate == pytest.approx(25.0)
     height, width, _ = frames[0].shape
     assert height % 2 == width % 2 == 0 and width <= 1920
-    assert told[-1] == (N_FRAMES, N_FRAMES, "overlay video")
+    assert told[-1] == (N_FRAMES, N_FRAMES, Message("pictures.overlay_video"))
     assert os.listdir(tmp_path) == [path.name]
 
 
@@ -124,7 +129,7 @@ def test_a_video_that_is_broken_off_leaves_the_old_one(made, tmp_path):
 @pytest.mark.parametrize("draw", [write_overlay, draw_overlay_sheet])
 def test_a_folder_that_is_not_there_is_one_clear_line(made, tmp_path, draw):
     path = tmp_path / "none" / ("a.mp4" if draw is write_overlay else "a.png")
-    with pytest.raises(MotionWriteError, match="the folder does not exist; make it first") as caught:
+    with pytest.raises(MotionWriteError, match="the folder does not exist; create it first") as caught:
         draw(*made, path)
     assert "\n" not in str(caught.value)
 
@@ -172,7 +177,7 @@ def test_other_suffixes_are_refused(made, tmp_path, draw, name):
 def test_views_that_disagree_are_refused(made, tmp_path):
     estimate, silhouettes, cameras = made
     for draw, name in ((write_overlay, "a.mp4"), (draw_overlay_sheet, "a.png")):
-        with pytest.raises(OptionError, match="expected as many cameras"):
+        with pytest.raises(OptionError, match="expected the same number of cameras"):
             draw(estimate, silhouettes, cameras[:1], tmp_path / name)
     assert os.listdir(tmp_path) == []
 
@@ -286,9 +291,7 @@ def test_every_failure_can_be_drawn(made, body, tmp_path, damage):
         missing[:], iou[:] = True, np.nan
     if damage == "no overlap known":
         iou[:] = np.nan
-    poses[:, :3] += {"elsewhere": (90, 90, 0), "behind": (0, 0, 9), "inside": (0, 0, 2.8)}.get(
-        damage, (0, 0, 0)
-    )
+    poses[:, :3] += {"elsewhere": (90, 90, 0), "behind": (0, 0, 9), "inside": (0, 0, 2.8)}.get(damage, (0, 0, 0))
     count = 1 if damage == "one frame" else N_FRAMES
     broken = make_estimate(body, poses[:count], iou[:count], np.ones(count, bool))
     views = PackedSilhouettes([mask[:count] for mask in masks], 25.0, ["a $x$ 正", "b"], missing[:, :count])

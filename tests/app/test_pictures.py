@@ -4,15 +4,18 @@ from __future__ import annotations
 
 import errno
 import os
+import re
 
 import numpy as np
 import pytest
+from matplotlib.image import imread
 
-from dousa.app import _canvas, _poses
-from dousa.app.pictures import Strip, draw_contact_sheet, draw_experiment_figure, draw_search_sheet
+from dousa.app.pictures import canvas as _canvas
+from dousa.app.pictures import stick_figures as _poses
+from dousa.app.pictures.sheets import Strip, draw_contact_sheet, draw_experiment_figure, draw_search_sheet
 from dousa.errors import InvalidMotionError, MotionWriteError, OptionError
 from dousa.motion import CANONICAL_JOINTS, JOINT_INDEX, Trajectories, canonicalise, compute_trajectories
-from dousa.motion.synthetic import draw_performer, make_motion
+from dousa.motion.synthetic.performers import draw_performer, make_motion
 
 
 @pytest.fixture(scope="module")
@@ -27,8 +30,6 @@ def markers(n_frames=20, n_points=9, **fields):
 
 
 def pixels(path):
-    from matplotlib.image import imread
-
     image = imread(path)
     assert 700 < image.shape[1] < 2500
     assert 250 < image.shape[0] < 6000
@@ -45,15 +46,13 @@ def is_near(image, colour):
 
 def test_points_beyond_any_measure_are_not_drawn(tmp_path):
     far = markers()
-    with pytest.raises(InvalidMotionError, match="beyond any measure"):
+    with pytest.raises(InvalidMotionError, match="too far apart to be drawn"):
         draw_contact_sheet(far.replace(positions=far.positions * 1e300), tmp_path / "far.png")
 
 
 @pytest.mark.parametrize("kind", ["motion", "trajectories", "canonical"])
 def test_contact_sheet_of_every_kind_of_motion(kind, walk, tmp_path):
-    drawn = {"motion": walk, "trajectories": compute_trajectories(walk), "canonical": canonicalise(walk)}[
-        kind
-    ]
+    drawn = {"motion": walk, "trajectories": compute_trajectories(walk), "canonical": canonicalise(walk)}[kind]
     path = tmp_path / "sheet.png"
     draw_contact_sheet(drawn, path, title="walk.bvh")
     image = pixels(path)
@@ -70,16 +69,40 @@ def test_format_follows_the_suffix_and_the_same_picture_gives_the_same_bytes(suf
     assert first.read_bytes() == second.read_bytes()
 
 
+@pytest.fixture
+def written(monkeypatch):
+    """What is written on the pictures of sheets, one list a picture."""
+    found = []
+
+    def keep(figure, path):
+        found.append([text.get_text() for part in (figure, *figure.axes) for text in part.texts])
+        _canvas.save_figure(figure, path)
+
+    monkeypatch.setattr("dousa.app.pictures.sheets.save_figure", keep)
+    return found
+
+
+def times(texts):
+    return [text for text in texts if re.fullmatch(r"\d+\.\d\d s", text)]
+
+
+@pytest.mark.slow
 @pytest.mark.parametrize("n_poses", [1, 2, 10, 25, 60])
-def test_any_number_of_poses(n_poses, walk, tmp_path):
+def test_any_number_of_poses(n_poses, walk, tmp_path, written):
     draw_contact_sheet(walk, tmp_path / "sheet.png", n_poses=n_poses)
     pixels(tmp_path / "sheet.png")
+    shown = times(written[0])
+    assert len(shown) == min(n_poses, walk.n_frames) and shown[0] == "0.00 s"
+    assert shown == sorted(shown, key=lambda text: float(text[:-2]))
+    if n_poses > 1:
+        assert shown[-1] == f"{(walk.n_frames - 1) / walk.frame_rate:.2f} s"
 
 
-def test_one_frame(walk, tmp_path):
+def test_one_frame(walk, tmp_path, written):
     one = walk.replace(rotations=walk.rotations[:1], translations=walk.translations[:1])
     draw_contact_sheet(one, tmp_path / "one.png")
     pixels(tmp_path / "one.png")
+    assert times(written[0]) == ["0.00 s"] and any("1 frame at" in text for text in written[0])
 
 
 @pytest.mark.parametrize("parents", [None, np.array([-1, 0, 1, 2, 3, 0, 5, 6, 7])])
@@ -95,17 +118,23 @@ def test_missing_points_leave_gaps_only(tmp_path):
     positions[3:9, 2] = np.nan
     positions[5] = np.nan
     draw_contact_sheet(markers().replace(positions=positions), tmp_path / "gaps.png", n_poses=20)
+    draw_contact_sheet(markers(), tmp_path / "whole.png", n_poses=20)
     draw_contact_sheet(markers().replace(positions=np.full_like(positions, np.nan)), tmp_path / "none.png")
-    pixels(tmp_path / "gaps.png")
+    dots = {
+        name: int(is_near(imread(tmp_path / f"{name}.png"), _canvas.BLUE).sum()) for name in ("gaps", "whole", "none")
+    }
+    assert dots["none"] == 0 < dots["gaps"] < dots["whole"]
 
 
 @pytest.mark.parametrize(
     "title", ["動作_歩く.bvh", "$\\frac{1}{$_a^b$", "tab\tnew\nline", "\u200f\ufffe😀", "x" * 400, ""]
 )
-def test_titles_in_any_script_draw_without_warnings(title, walk, tmp_path, caplog):
+def test_titles_in_any_script_draw_without_warnings(title, walk, tmp_path, caplog, written):
     draw_contact_sheet(walk, tmp_path / "sheet.png", n_poses=2, title=title)
     pixels(tmp_path / "sheet.png")
     assert not caplog.records
+    shown = _canvas.drawable(title or "motion")
+    assert any(text == shown or text.startswith(shown[:60] + "x") for text in written[0])
 
 
 def test_characters_without_a_glyph_are_spelled_out(monkeypatch):
@@ -135,7 +164,7 @@ def test_a_person_facing_anywhere_is_turned_to_face_the_viewer(walk):
     np.testing.assert_allclose(_poses._face_viewer(turned), _poses._face_viewer(moved), atol=1e-9)
 
 
-def test_search_sheet_says_match_and_differs(walk, tmp_path):
+def test_search_sheet_says_match_and_differs(walk, tmp_path, written):
     hits = [
         Strip(walk, "walk", "/a/b/walk_1.bvh", "rank 1, distance 0.010", "match"),
         Strip(markers(), "run", "/a/b/走る.c3d", "rank 2, distance 0.500", "differs"),
@@ -143,8 +172,12 @@ def test_search_sheet_says_match_and_differs(walk, tmp_path):
     draw_search_sheet(Strip(walk, "walk", "query.bvh"), hits, tmp_path / "search.png")
     image = pixels(tmp_path / "search.png")
     assert is_near(image, _canvas.GREEN).sum() > 20
+    assert {"match", "differs"} <= {word for text in written[0] for word in text.split()}
     draw_search_sheet(Strip(walk, "walk", "query.bvh"), hits, tmp_path / "search.svg")
+    assert b"<svg" in (tmp_path / "search.svg").read_bytes() and written[1] == written[0]
     draw_search_sheet(Strip(walk, "walk", "query.bvh"), [], tmp_path / "nothing.png")
+    assert not is_near(pixels(tmp_path / "nothing.png"), _canvas.GREEN).any()
+    assert "rank" not in " ".join(written[2])
 
 
 def _scores(value, spread=None):
@@ -152,7 +185,7 @@ def _scores(value, spread=None):
     return {**dict.fromkeys(measures, value), **{f"{name}_std": spread for name in measures}}
 
 
-def test_experiment_figure(tmp_path):
+def test_experiment_figure(tmp_path, written):
     systems = {
         "full_tree": _scores(0.71),
         "random_tree": _scores(0.8, 0.05),
@@ -161,9 +194,13 @@ def test_experiment_figure(tmp_path):
     }
     result = {"systems": systems, "n_train": 50, "n_test": 50, "categories": ["a", "b"]}
     draw_experiment_figure(result, tmp_path / "figure.png")
-    pixels(tmp_path / "figure.png")
+    image = pixels(tmp_path / "figure.png")
+    assert is_near(image, _canvas.BLUE).sum() > 1000 and is_near(image, _canvas.PURPLE).any()
     draw_experiment_figure({"systems": {"forest": _scores(0.9)}}, tmp_path / "one.png")
-    with pytest.raises(OptionError, match="expected results of full_tree"):
+    image = pixels(tmp_path / "one.png")
+    assert is_near(image, _canvas.BLUE).sum() > 1000 and not is_near(image, _canvas.PURPLE).any()
+    assert len(written[0]) > len(written[1]) > 0
+    with pytest.raises(OptionError, match="expected results of full_tree, random_tree"):
         draw_experiment_figure({"systems": {}}, tmp_path / "none.png")
 
 

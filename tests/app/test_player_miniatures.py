@@ -5,9 +5,10 @@ from __future__ import annotations
 import pytest
 
 from app.player_pages import picture, write_miniatures_page
-from dousa.app.player import encode_miniature, encode_motion, format_player_data
+from dousa.app.player.data import encode_motion, format_player_data
+from dousa.app.player.figures import encode_miniature
 from dousa.motion import canonicalise
-from dousa.motion.synthetic import draw_performer, make_motion
+from dousa.motion.synthetic.performers import draw_performer, make_motion
 
 
 @pytest.fixture(scope="module")
@@ -199,9 +200,7 @@ def test_its_pixels_are_those_of_the_screen_and_its_size_stays(browser, page):
     page.run("window.mini = add(loops[0])")
     page.wait("return document.querySelector('canvas').width === 240")
     page.settle()
-    box = page.run(
-        "const c = document.querySelector('canvas'); return [c.width, c.clientWidth, c.clientHeight]"
-    )
+    box = page.run("const c = document.querySelector('canvas'); return [c.width, c.clientWidth, c.clientHeight]")
     assert box == [240, 120, 120]
     page.run("document.querySelector('canvas').style.width = '60px'")
     page.wait("return document.querySelector('canvas').width === 120")

@@ -9,22 +9,16 @@ import struct
 import numpy as np
 import pytest
 
-from dousa.app.player import (
-    MINIATURE_BYTES,
-    MINIATURE_FRAMES,
-    encode_miniature,
-    encode_motion,
-    encode_pair,
-    format_player_data,
-)
-from dousa.app.player._in_step import _find_steps
-from dousa.app.player._texts import PAIR_TEXTS, PLAYER_TEXTS, SINGLE_TEXTS
+from dousa.app.player.data import encode_motion, encode_pair, format_player_data
+from dousa.app.player.figures import MINIATURE_BYTES, MINIATURE_FRAMES, encode_miniature
+from dousa.app.player.in_step import _find_steps
 from dousa.errors import InvalidMotionError, OptionError
+from dousa.messages import load_section
 from dousa.motion import JOINT_INDEX as J
 from dousa.motion import canonicalise
-from dousa.motion.sides import compute_forward
-from dousa.motion.synthetic import draw_performer, make_motion
-from dousa.motion.synthetic_dance import make_dance
+from dousa.motion.canonical.tree_shape import compute_forward
+from dousa.motion.synthetic.dance import make_dance
+from dousa.motion.synthetic.performers import draw_performer, make_motion
 
 _HIPS = [J["left_hip"], J["right_hip"]]
 _FEET = [J[f"{side}_{end}"] for side in ("left", "right") for end in ("ankle", "toe")]
@@ -131,9 +125,7 @@ def test_long_recordings_are_thinned_not_cut(dance):
     assert len(data["performance"]["positions"]) < 2.5e6
 
 
-@pytest.mark.parametrize(
-    "make", [encode_motion, encode_miniature, lambda motion: encode_pair(motion, motion)]
-)
+@pytest.mark.parametrize("make", [encode_motion, encode_miniature, lambda motion: encode_pair(motion, motion)])
 @pytest.mark.parametrize("shape", [(0, 20, 3), (5, 19, 3), (20, 3)])
 def test_other_shapes_are_refused_in_words(make, shape):
     with pytest.raises(InvalidMotionError, match=r"shape \(frames, 20, 3\)"):
@@ -150,9 +142,10 @@ def test_wrong_options_are_named(wave, options, says):
 
 def test_other_words_replace_known_ones():
     for language in ("en", "ja"):
-        for table in (SINGLE_TEXTS, PAIR_TEXTS):
-            assert table["en"].keys() == table["ja"].keys()
-            assert table[language].keys() <= PLAYER_TEXTS[language].keys()
+        for section in ("player_single", "player_pair"):
+            others = load_section(section, language).keys()
+            assert others == load_section(section, "en").keys()
+            assert others and others <= load_section("player", language).keys()
 
 
 # --- two in step
@@ -172,16 +165,12 @@ def test_a_known_warp_is_found(dance):
     moving = np.abs(np.diff(warped(dance, wanted), axis=0)).max(axis=(1, 2)) > 0.01  # who stands has no time
     assert np.median(np.abs(step - wanted)[1:][moving]) < 0.05
     assert np.percentile(np.abs(step - wanted)[1:][moving], 95) < 0.2
-    assert (
-        abs(heading_of(positions_of(data["reference"])) - heading_of(positions_of(data["performance"]))) < 0.1
-    )
+    assert abs(heading_of(positions_of(data["reference"])) - heading_of(positions_of(data["performance"]))) < 0.1
     assert (data["texts"]["reference"], data["texts"]["performance"]) == ("query", "match")
     assert (data["reference"]["name"], data["performance"]["name"]) == ("a", "b")
 
 
-@pytest.mark.parametrize(
-    ("a", "b"), [("wave_right", "kick_left"), ("squat", "raise_hands"), ("walk", "walk")]
-)
+@pytest.mark.parametrize(("a", "b"), [("wave_right", "kick_left"), ("squat", "raise_hands"), ("walk", "walk")])
 def test_steps_go_from_start_to_end_at_a_bounded_tempo(a, b):
     reference = canonicalise(make_motion(a, draw_performer(1)))
     performance = canonicalise(make_motion(b, draw_performer(5)))

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from app.player_pages import picture, write_player_page
-from dousa.app.player import encode_motion, encode_pair, format_player_data
+from dousa.app.player.data import encode_motion, encode_pair, format_player_data
 from dousa.motion import canonicalise
-from dousa.motion.synthetic import draw_performer, make_motion
+from dousa.motion.synthetic.performers import draw_performer, make_motion
 
 
 @dataclasses.dataclass(frozen=True)
@@ -206,9 +206,7 @@ def test_one_figure_becomes_two_and_one_again(one, motions):
     one.run("player.element.focus(); player.setView({mirror: true}); player.seek(0.4); player.replace(both)")
     one.settle()
     assert "In step" in visible_buttons(one)
-    assert one.run(
-        "return [player.time, player.view.mirror, document.querySelectorAll('canvas').length]"
-    ) == [
+    assert one.run("return [player.time, player.view.mirror, document.querySelectorAll('canvas').length]") == [
         0.4,
         True,
         1,

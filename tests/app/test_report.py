@@ -11,6 +11,7 @@ import math
 import re
 import zlib
 from html.parser import HTMLParser
+from importlib import resources
 from pathlib import Path
 
 import numpy as np
@@ -18,15 +19,14 @@ import pytest
 
 from app.fake_assessment import HOSTILE_WORDS, make_assessment
 from app.report_cases import UNUSUAL, change, page_data
-from dousa.app.report import _fonts, write_report
-from dousa.app.report._curves import thin_curve
-from dousa.app.report._header import strip_time
-from dousa.app.report._page import build_page
-from dousa.app.report._plots import choose_ticks, time_ticks
-from dousa.app.report._png import encode_map, viridis_table
-from dousa.app.report._svg import element, format_number, trace
-from dousa.app.report._texts import TEXTS
+from dousa.app.report import fonts as _fonts
+from dousa.app.report import write_report
+from dousa.app.report.curves import thin_curve
+from dousa.app.report.markup import element, format_number, trace
+from dousa.app.report.page import build_page
+from dousa.app.report.timeline import choose_ticks, encode_map, time_ticks, viridis_table
 from dousa.errors import OptionError
+from dousa.messages import Message, load_section
 
 _VOID = {"meta", "img", "br", "link", "input", "col", "hr"}
 _SHAPES = {"path", "polygon", "circle", "rect", "line"}
@@ -72,7 +72,7 @@ def english() -> str:
 
 @pytest.fixture(scope="module")
 def japanese() -> str:
-    return build_page(make_assessment(language="ja"), "ja")
+    return build_page(make_assessment(), "ja")
 
 
 def test_three_files_are_written(tmp_path: Path) -> None:
@@ -134,9 +134,24 @@ def test_contents_in_japanese(japanese: str) -> None:
 
 
 def test_both_languages_have_the_same_texts_and_slots() -> None:
-    assert list(TEXTS["en"]) == list(TEXTS["ja"])
-    for name, text in TEXTS["en"].items():
-        assert sorted(re.findall(r"\{\w+\}", text)) == sorted(re.findall(r"\{\w+\}", TEXTS["ja"][name])), name
+    english, japanese = load_section("report", "en"), load_section("report", "ja")
+    assert english.keys() == japanese.keys()
+    for name, text in english.items():
+        assert sorted(re.findall(r"\{\w+\}", text)) == sorted(re.findall(r"\{\w+\}", japanese[name])), name
+
+
+def test_every_text_of_the_report_is_used() -> None:
+    folder = resources.files("dousa.app.report")
+    sources = "".join(
+        file.read_text(encoding="utf-8") for file in folder.iterdir() if file.name.endswith((".py", ".js", ".html"))
+    )
+    made = tuple("col_ d_ fact_ furi_ kind_short_ letter_ matrix_ read_ seen_from_ view_ row_".split())
+    unused = [
+        name
+        for name in load_section("report", "en")
+        if not name.startswith(made) and not re.search(rf"\b(text_)?{name}\b", sources)
+    ]
+    assert unused == []
 
 
 @pytest.mark.parametrize("language", ["en", "ja"])
@@ -150,8 +165,8 @@ def test_hostile_words_stay_words(language: str) -> None:
         reference=sequences[0],
         performance=sequences[1],
         furi=furi,
-        warnings=(bad,),
-        score_formula=bad,
+        warnings=(Message("text.verbatim", text=bad),),
+        score_formula=Message("text.verbatim", text=bad),
     )
     page = build_page(assessment, language)
     reader = _read(page)
@@ -179,7 +194,7 @@ def _embedded_characters(page: str) -> set[str]:
 
 @pytest.mark.parametrize("language", ["en", "ja"])
 def test_every_character_has_a_glyph(language: str) -> None:
-    assessment = make_assessment(language="ja")
+    assessment = make_assessment()
     named = dataclasses.replace(assessment.performance, name="牛深ハイヤ節\u3000動作１.bvh")
     page = build_page(change(assessment, performance=named), language)
     reader = _read(page)
@@ -198,9 +213,9 @@ def test_an_english_page_carries_no_font(english: str) -> None:
 
 def test_a_missing_font_is_said_and_nothing_else_breaks(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(_fonts, "find_font", lambda: None)
-    page = build_page(make_assessment(language="ja"), "ja")
+    page = build_page(make_assessment(), "ja")
     assert "@font-face" not in page
-    assert "pip install matplotlib-fontja" in page
+    assert "pip install &#x27;dousa[pictures]&#x27;" in page
 
 
 def test_every_picture_has_words_and_a_table(english: str) -> None:
@@ -232,11 +247,12 @@ def test_unusual_assessments(case: str, language: str, tmp_path: Path) -> None:
     page = path.read_text(encoding="utf-8")
     test_no_number_is_nan(page)
     page_data(page)
+    words = load_section("report", language)
     if case == "nothing found":
-        assert TEXTS[language]["worst_none"] in page and TEXTS[language]["events_none"] in page
+        assert words["worst_none"] in page and words["events_none"] in page
     if case == "calibrated":
-        assert TEXTS[language]["calibrated"].format(count=5) in page
-        assert TEXTS[language]["uncalibrated"] not in " ".join(_read(page).texts)
+        assert words["calibrated"].format(count=5) in page
+        assert words["uncalibrated"] not in " ".join(_read(page).texts)
 
 
 def test_curves_csv_is_whole(tmp_path: Path) -> None:
@@ -257,7 +273,7 @@ def test_curves_csv_is_whole(tmp_path: Path) -> None:
 
 
 def test_events_csv_holds_events_and_lapses(tmp_path: Path) -> None:
-    assessment = make_assessment(language="ja")
+    assessment = make_assessment()
     write_report(assessment, tmp_path, language="ja")
     data = (tmp_path / "events.csv").read_bytes()
     assert data.startswith(b"\xef\xbb\xbf")  # spreadsheets guess another encoding without it
@@ -265,7 +281,7 @@ def test_events_csv_holds_events_and_lapses(tmp_path: Path) -> None:
     assert len(rows) == len(assessment.events) + len(assessment.lapses)
     assert {row["kind"] for row in rows} == {"global", "partial", "incomplete", "shift", "skip"}
     assert [row["says"] for row in rows if row["kind"] == "shift"] == [
-        event.says for event in assessment.events if event.kind == "shift"
+        event.says.render("ja") for event in assessment.events if event.kind == "shift"
     ]
 
 
@@ -333,4 +349,3 @@ def test_small_parts() -> None:
     assert trace(np.array([0.0, 1.0, np.nan, 2.0]), np.array([0.0, 1.0, 1.0, 3.0])) == "M0 0L1 1M2 3"
     assert choose_ticks(0.0, 1.08, 3) == (0.0, 0.5, 1.0) and choose_ticks(math.nan, 1.0) == ()
     assert time_ticks(0.1)[0] == 0.0 and len(time_ticks(300.0)) <= 12
-    assert strip_time("1:12.0, right arm", 72.0) == "right arm" and strip_time("late", 1.0) == "late"

@@ -90,15 +90,13 @@ def test_the_timeline_widens(opened: Any) -> None:
     before = opened.run("return document.getElementById('lanes').clientWidth")
     opened.run("document.getElementById('zoom-in').click()")
     opened.settle()
-    assert opened.run("return document.getElementById('lanes').clientWidth") == pytest.approx(
-        2 * before, abs=3
-    )
+    assert opened.run("return document.getElementById('lanes').clientWidth") == pytest.approx(2 * before, abs=3)
     assert opened.run("return document.documentElement.scrollWidth") <= 1280
 
 
 @pytest.mark.parametrize("language", ["en", "ja"])
 def test_the_embedded_font_draws_the_japanese(language: str, browser: Any, tmp_path: Path) -> None:
-    assessment = make_assessment(language="ja")
-    browser.open(write_report(assessment, tmp_path, language=language), 1280, 900)
+    assessment = make_assessment()
+    browser.open(write_report(assessment, tmp_path, language=language, title="扇の舞"), 1280, 900)
     browser.wait("return document.fonts.status === 'loaded' && document.fonts.size === 1")
     assert browser.run("return [...document.fonts][0].status") == "loaded"

@@ -22,7 +22,7 @@ from dousa.app.report import (
 
 @pytest.mark.parametrize("language", ["en", "ja"])
 def test_the_page_is_made_of_the_parts(language: str) -> None:
-    assessment = make_assessment(language=language)
+    assessment = make_assessment()
     page, parts = build_page(assessment, language), build_parts(assessment, language)
     frame = build_frame(language)
     assert sorted(re.findall(r'data-part="(\w+)"', frame)) == sorted([*parts, "files"])

@@ -7,15 +7,15 @@ import io
 from oracles.short_actions import make_library
 from rich.console import Console
 
-from dousa.app._takes_trial_tables import print_takes_trial
-from dousa.retrieval.takes_experiment import run_takes_experiment
+from dousa.app.tables.answers import print_tables
+from dousa.experiments.takes import run_takes_experiment
 
 
 def test_the_answer_is_shown_in_full():
     clips = make_library((0, 1), 2)
-    answer = run_takes_experiment(clips, n_trees=10, random_state=0, n_jobs=1).to_json()
+    answer = run_takes_experiment(clips, n_trees=10, random_state=0, n_jobs=1)
     out = io.StringIO()
-    print_takes_trial(Console(file=out, width=160), answer)
+    print_tables(Console(file=out, width=160), answer.to_tables())
     text = out.getvalue()
     for words in (
         "as recorded",
@@ -26,4 +26,4 @@ def test_the_answer_is_shown_in_full():
         "seed 0",
     ):
         assert words in text
-    assert f"{answer['labelled']['as recorded']['leaf weights, best sequence']['f_measure']:.3f}" in text
+    assert f"{answer.labelled['as recorded']['leaf weights, best sequence'].f_measure:.3f}" in text

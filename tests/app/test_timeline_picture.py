@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from dousa.app import _canvas
-from dousa.app.timeline_picture import draw_timeline
+from dousa.app.pictures import canvas as _canvas
+from dousa.app.pictures.timeline import draw_timeline
 from dousa.errors import MotionWriteError, OptionError
 from dousa.motion import Trajectories, canonicalise
-from dousa.motion.synthetic import draw_performer, make_motion
-from dousa.retrieval.labelling import Segment, Timeline
+from dousa.motion.synthetic.performers import draw_performer, make_motion
+from dousa.retrieval.takes.label import Segment, Timeline
 
 
 @pytest.fixture(scope="module")
@@ -157,7 +157,7 @@ def test_what_is_no_timeline_is_told(bad, told, tmp_path):
 
 
 def test_no_duration_and_no_segments(tmp_path):
-    with pytest.raises(OptionError, match="some seconds"):
+    with pytest.raises(OptionError, match="a duration above 0 s"):
         draw_timeline({}, tmp_path / "take.png")
 
 

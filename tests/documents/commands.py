@@ -10,17 +10,17 @@ from pathlib import Path
 __all__ = ["PAGES", "ROOT", "Command", "collect", "read_page", "unread_lines"]
 
 ROOT = Path(__file__).resolve().parents[2]
-PAGES = tuple(
-    path.relative_to(ROOT).as_posix() for path in sorted([*ROOT.glob("*.md"), *(ROOT / "docs").glob("*.md")])
+PAGES = tuple(  # a translation (tutorial.ja.md) has the commands of its original: test_site.py
+    path.relative_to(ROOT).as_posix()
+    for path in sorted([*ROOT.glob("*.md"), *(ROOT / "docs").glob("*.md")])
+    if path.suffixes == [".md"]
 )
 
 _PROGRAMS = ("dousa", "python", "python3", "make", "pip", "tracker")  # a block that begins so holds commands
 _SHELLS = ("console", "sh", "bash", "shell")
 _BLOCK = re.compile(r"^```([^\n]*)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 _SPAN = re.compile(r"`([^`]+)`")
-_INLINE = re.compile(
-    r"(?:dousa [a-z]|make [a-z]|pip [a-z]|python [\w/]+\.py|(?:benchmarks|docs)/[a-z]\w*\.py)"
-)
+_INLINE = re.compile(r"(?:dousa [a-z]|make [a-z]|pip [a-z]|python [\w/]+\.py|(?:benchmarks|docs)/[a-z]\w*\.py)")
 
 
 @dataclass(frozen=True, slots=True)

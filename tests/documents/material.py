@@ -14,17 +14,17 @@ from typing import Any
 
 import numpy as np
 
-from dousa.app.demo_evaluation import write_dance
-from dousa.app.rendering_files import ring_around
+from dousa.app.demo.evaluation import write_dance
+from dousa.app.pipelines.render import ring_around
 from dousa.estimation import write_cameras
-from dousa.estimation._body_from_skeleton import body_from_motion
-from dousa.estimation.kinematics import compute_points, point_names
-from dousa.estimation.mask_npz import write_silhouettes
-from dousa.estimation.posing import fit_poses
-from dousa.estimation.rendering import render
-from dousa.formats import write_motion
+from dousa.estimation.body.kinematics import compute_points, point_names
+from dousa.estimation.body.posing import fit_poses
+from dousa.estimation.body.skeleton_body import body_from_motion
+from dousa.estimation.raster.rendering import render
+from dousa.estimation.silhouettes.mask_npz import write_silhouettes
+from dousa.formats.registry import write_motion
 from dousa.motion import CANONICAL_JOINTS, canonicalise, compute_trajectories
-from dousa.motion.synthetic import draw_performer, make_motion
+from dousa.motion.synthetic.performers import draw_performer, make_motion
 
 __all__ = ["DONE_BEFORE", "MATERIAL", "RECORDED", "make_material", "make_readme_libraries"]
 
@@ -68,7 +68,7 @@ def _text(text: str) -> Callable[[Path], None]:
 
 
 def _tracker(path: Path) -> None:
-    """A program that says the frames of a walk, as the module `dousa.retrieval.live_frames` wants them."""
+    """A program that says the frames of a walk, as the module `dousa.retrieval.takes.live` wants them."""
     motion = canonicalise(make_motion("walk", draw_performer(7)))
     lines = [
         json.dumps({"time": number / motion.frame_rate, "positions": frame.round(4).tolist()})
@@ -102,9 +102,7 @@ def _see() -> _Seen:
 
 def _silhouettes(path: Path) -> None:
     seen = _see()
-    write_silhouettes(
-        path, seen.masks, seen.cameras, 30.0, stature=_FILM_STATURE, truth=(CANONICAL_JOINTS, seen.truth)
-    )
+    write_silhouettes(path, seen.masks, seen.cameras, 30.0, stature=_FILM_STATURE, truth=(CANONICAL_JOINTS, seen.truth))
 
 
 def _calibration(path: Path) -> None:

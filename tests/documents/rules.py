@@ -17,9 +17,7 @@ __all__ = ["BENCHMARKS", "How", "check_options", "choose_rule", "fill_in", "is_m
 class How(enum.Enum):
     """What is done with a command."""
 
-    FOLLOWED = (
-        "run as it is written, in the order of the page, on files that dousa makes or on ../shared/data"
-    )
+    FOLLOWED = "run as it is written, in the order of the page, on files that dousa makes or on ../shared/data"
     SMALL = "run on a few files of each kind of ../shared/data, once instead of --repeats N, with less of the rest"
     BENCHMARK = "its program is run on as little as its options allow"
     DRY = "not run: make -n says what it would do, and what it names must be there"
@@ -37,7 +35,11 @@ class _Rule:
 
 # From above; the first row that fits the whole command counts.
 _RULES = (
-    _Rule(r"make (?:demo|studio|test|lint|fuzz|bench|peers|figures|lock|clean)", How.DRY),
+    _Rule(
+        r"make (?:demo|studio|test|test-slow|test-all|types|coverage|wheel|lint|fuzz|bench|peers|figures|docs|lock"
+        r"|clean)",
+        How.DRY,
+    ),
     _Rule(r"pip install .*", How.INSTALLED),
     _Rule(r"(?:python )?benchmarks/\w+\.py", How.BENCHMARK),
     _Rule(r"(?:python )?benchmarks/\w+\.py .*", How.SMALL),
@@ -88,12 +90,14 @@ _ONE_CATEGORY = {
 # of its own, which is what is run here; the whole compiles everything anew for half a minute.
 BENCHMARKS = {
     "assess.py": "--memory --minutes 0.2 --rate 30",
+    "compare_versions.py": f"--before '{ROOT}' --only features",
     "correlation_matrix.py": "--frames 200 --repeats 1",
     "correspondence.py": "--memory --frames 400",
     "estimate.py": "--length 4 --threads 1",
     "few_clips.py": "../shared/data/bandai --share 0.5",
     "forest.py": "--clips 60 --classes 3 --repeats 1",
     "forest_query.py": "--clips 60 --classes 3",
+    "in_turns.py": f"--before '{ROOT}' --rounds 1 --command 'forest_query.py --clips 60 --classes 3'",
     "label.py": "../shared/data/utd_mhad/skeleton --minutes 1",
     "label_corrections.py": "../shared/data/utd_mhad/skeleton --performer-from name:_s(.)_ --trials 1",
     "library_add.py": "../shared/data/bandai/run --jobs 1 --repeats 1 --peer-files 1",
@@ -105,6 +109,7 @@ BENCHMARKS = {
     # These start a server and ask it, as tests/app/studio does: only their options are read.
     **{path.name: "--help" for path in sorted((ROOT / "benchmarks").glob("studio_*.py"))},
     "silhouette_candidates.py": "--candidates 100 --limbs left_forearm",
+    "weigh_install.py": "--help",  # it needs the package index
 }
 
 
@@ -137,7 +142,7 @@ def is_mention(text: str) -> bool:
 def _parameters(name: str) -> list[Any]:
     from typer.main import get_command
 
-    from dousa.app.cli import app
+    from dousa.app.cli.main import app
 
     commands = get_command(app).commands  # type: ignore[attr-defined]
     assert name in commands, f"there is no command 'dousa {name}'"
@@ -178,12 +183,8 @@ def make_small(text: str) -> str:
     if re.match(_INJECTED, text):
         for whole, part in _ONE_CATEGORY.items():
             small = re.sub(rf"{whole}(?= |$)", part, small)
-    if text.startswith(
-        "python docs/measure_chain.py"
-    ):  # renders and estimates every skeleton: only those filmed
-        small = small.replace("/data/utd_mhad", "/data/filmed/utd_mhad").replace(
-            "--people 1,3,5,7", "--people 1"
-        )
+    if text.startswith("python docs/measure_chain.py"):  # renders and estimates every skeleton: only those filmed
+        small = small.replace("/data/utd_mhad", "/data/filmed/utd_mhad").replace("--people 1,3,5,7", "--people 1")
     added = [more for begin, more in _LESS.items() if re.match(begin, text)]
     assert len(added) <= 1, f"two rows for {text}"
     return " ".join((small if text.startswith(("dousa", "python")) else f"python {small}", *added))

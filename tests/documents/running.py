@@ -46,7 +46,7 @@ def run_line(text: str, folder: Path) -> Outcome:
     program, *words = shlex.split(text)
     words = [found for word in words for found in _match(word, folder)]
     if program == "dousa":
-        from dousa.app.cli import main
+        from dousa.app.cli.main import main
 
         return _call(main, [program, *words], folder)
     assert program == "python", f"no way to run {text}"
@@ -107,8 +107,5 @@ def _standing_in(folder: Path, words: list[str], imports: Path | None) -> Iterat
         sys.argv, sys.path[:] = kept
         if imports is not None:  # modules beside a script have plain names: another script may have its own
             for name in set(sys.modules) - modules:
-                if (
-                    getattr(sys.modules[name], "__file__", None)
-                    and Path(sys.modules[name].__file__).parent == imports
-                ):
+                if getattr(sys.modules[name], "__file__", None) and Path(sys.modules[name].__file__).parent == imports:
                     del sys.modules[name]

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from dousa.formats import read_motion, write_motion
+from dousa.formats.registry import read_motion, write_motion
 from dousa.motion import Trajectories
 
 __all__ = ["make_small_data"]

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from dousa.motion import canonicalise
-from dousa.motion.synthetic import draw_performer, make_motion
+from dousa.motion.synthetic.performers import draw_performer, make_motion
 
 DOCS = Path(__file__).resolve().parents[2] / "docs"
 SCRIPTS = ("measured_chain", "measure_chain", "make_chain_figures")

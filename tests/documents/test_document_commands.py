@@ -81,9 +81,7 @@ def test_every_command_has_a_rule(page: str):
 
 
 def test_every_benchmark_is_run():
-    from_pages = {
-        Path(word).name for command in find_commands(How.SMALL) for word in command.text.split()[:2]
-    }
+    from_pages = {Path(word).name for command in find_commands(How.SMALL) for word in command.text.split()[:2]}
     assert {path.name for path in (ROOT / "benchmarks").glob("[a-z]*.py")} == set(BENCHMARKS) | {
         name for name in from_pages if (ROOT / "benchmarks" / name).exists()
     }
@@ -114,11 +112,7 @@ def follow(steps: list[Command], folder: Path) -> int:
 
 
 def prepare(step: Command) -> tuple[str, ...]:
-    found = [
-        lines
-        for (page, begin), lines in DONE_BEFORE.items()
-        if page == step.page and step.text.startswith(begin)
-    ]
+    found = [lines for (page, begin), lines in DONE_BEFORE.items() if page == step.page and step.text.startswith(begin)]
     return found[0] if found else ()
 
 
@@ -136,9 +130,7 @@ def compare_answer(step: Command, said: str, folder: Path) -> None:
     answers += [line.partition(": ")[2] for line in answers]  # where the page leaves out the name of the file
     for shown in step.shown:
         begin = mask(shown, folder).partition("...")[0].strip()
-        assert any(line.startswith(begin) for line in answers), (
-            f"{step} shows\n{shown}\nbut the answer is\n{said}"
-        )
+        assert any(line.startswith(begin) for line in answers), f"{step} shows\n{shown}\nbut the answer is\n{said}"
 
 
 def mask(line: str, folder: Path) -> str:

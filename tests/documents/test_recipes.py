@@ -78,6 +78,4 @@ def test_named_functions_and_tables_are_there(section: str):
 def test_names_stand_in_the_file_that_is_told(name: str, file: str):
     homes = [home / file for home in (ROOT, SOURCE, SOURCE / "app") if (home / file).exists()]
     homes = homes or list((ROOT / "src").rglob(Path(file).name))
-    assert any(re.search(rf"\b{name}\b", path.read_text(encoding="utf-8")) for path in homes), (
-        f"{name}: {file}"
-    )
+    assert any(re.search(rf"\b{name}\b", path.read_text(encoding="utf-8")) for path in homes), f"{name}: {file}"

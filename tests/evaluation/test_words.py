@@ -9,21 +9,23 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from dousa.errors import OptionError
+from dousa.evaluation import ErrorEvent, Lapse
 from dousa.evaluation.words import (
-    KIND_WORDS,
-    LANGUAGES,
-    LAPSE_WORDS,
-    SEGMENT_WORDS,
+    KINDS,
+    LAPSE_KINDS,
+    SEGMENT_NAMES,
     check_language,
     describe_event,
-    describe_facing,
+    describe_heading,
     describe_lapse,
     describe_segments,
     format_time,
+    name_all,
 )
+from dousa.messages import LANGUAGES
 
 ARM = ("right_upper_arm", "right_forearm")
-ALL = tuple(SEGMENT_WORDS["en"])
+ALL = tuple(SEGMENT_NAMES)
 
 
 @pytest.mark.parametrize(
@@ -49,10 +51,10 @@ def test_time(seconds: float, text: str) -> None:
         (("right_forearm",), "right forearm", "右前腕"),
         (ALL, "whole body", "全身"),
         ((), "whole body", "全身"),
-        ((*ARM, "trunk"), "trunk and right arm", "胴体・右腕"),
-        (ALL[1:], "both arms and both legs", "両腕・両脚"),
+        ((*ARM, "trunk"), "trunk and right arm", "胴体と右腕"),
+        (ALL[1:], "both arms and both legs", "両腕と両脚"),
         (("left_thigh", "right_thigh", "trunk", "left_forearm"), "trunk, left forearm and both thighs", None),
-        (("left_upper_arm", "left_forearm", "right_forearm"), "left arm and right forearm", "左腕・右前腕"),
+        (("left_upper_arm", "left_forearm", "right_forearm"), "left arm and right forearm", "左腕と右前腕"),
     ],
 )
 def test_segments_become_limbs(segments: tuple[str, ...], english: str, japanese: str | None) -> None:
@@ -68,60 +70,66 @@ def test_any_segments_have_words_in_any_order(segments: set[str], language: str)
     assert words == describe_segments(tuple(reversed(sorted(segments))), language)
 
 
+def make_event(kind: str, start_s: float, segments: tuple[str, ...], **values: object) -> ErrorEvent:
+    numbers = {"lag_ms": None, "shortfall_deg": None, "shortfall_percent": None, "furi": None} | values
+    return ErrorEvent(kind, start_s, start_s + 1.0, segments, severity=2.0, worst_s=0.0, reference_s=0.0, **numbers)  # type: ignore[arg-type]
+
+
 def test_events_say_the_number_that_belongs_to_them() -> None:
-    assert (
-        describe_event("incomplete", 72, ARM, shortfall_deg=24.2, shortfall_percent=38)
-        == "1:12.0, right arm: 24 deg short, reaches 62 % of the range"
+    short = make_event("incomplete", 72, ARM, shortfall_deg=24.2, shortfall_percent=38)
+    assert str(short.says) == "1:12.0, right arm: 24 deg short, reaches 62 % of the range"
+    assert str(short.message) == "right arm: 24 deg short, reaches 62 % of the range"
+    late = make_event("shift", 31, ALL, lag_ms=180, furi=2)
+    assert str(late.says) == "0:31.0, whole body: 180 ms late (furi 3)"
+    assert str(late.says_in_furi) == "whole body: 180 ms late (furi 3)"
+    assert str(make_event("shift", 31, ARM, lag_ms=-90).says) == "0:31.0, right arm: 90 ms early"
+    partial = make_event("partial", 12, ("left_forearm", "left_upper_arm"))
+    assert str(partial.says) == "0:12.0, left arm: a different movement from the reference's"
+    assert str(make_event("partial", 12, ARM, shortfall_deg=-21.0).message) == (
+        "right arm: goes 21 deg further than the reference"
     )
-    assert describe_event("shift", 31, ALL, lag_ms=180, furi=2) == "0:31.0, whole body: 180 ms late (furi 3)"
-    assert describe_event("shift", 31, ARM, lag_ms=-90) == "0:31.0, right arm: 90 ms early"
-    assert (
-        describe_event("partial", 12, ("left_forearm", "left_upper_arm"))
-        == "0:12.0, left arm: another movement than the reference's"
-    )
-    assert describe_event("global", 40, ALL) == "0:40.0, the whole figure is another one"
+    assert str(make_event("partial", 12, ARM, deviation_deg=41.0).message).endswith("by up to 41 deg")
+    assert str(make_event("global", 40, ALL).says) == "0:40.0, a different figure from the reference's"
 
 
 def test_events_in_japanese() -> None:
-    ja = describe_event("incomplete", 72, ARM, shortfall_deg=24, shortfall_percent=38, language="ja", furi=0)
-    assert ja == "1:12.0 右腕：24度足りません、手本の振れ幅の62 %まで（振り1）"
-    assert (
-        describe_event("shift", 31, ALL, lag_ms=180, language="ja", furi=2)
-        == "0:31.0 全身：180ミリ秒遅れています（振り3）"
-    )
+    short = make_event("incomplete", 72, ARM, shortfall_deg=24, shortfall_percent=38, furi=0)
+    assert short.says.render("ja") == "1:12.0 右腕：24度足りません、手本の振れ幅の62 %まで（振り1）"
+    late = make_event("shift", 31, ALL, lag_ms=180, furi=2)
+    assert late.says.render("ja") == "0:31.0 全身：180ミリ秒遅れています（振り3）"
 
 
 @pytest.mark.parametrize("language", LANGUAGES)
-@pytest.mark.parametrize("kind", list(KIND_WORDS["en"]))
+@pytest.mark.parametrize("kind", list(KINDS))
 @pytest.mark.parametrize("value", [None, math.nan])
 def test_missing_numbers_are_left_out(language: str, kind: str, value: float | None) -> None:
-    says = describe_event(
-        kind, 1.0, ARM, lag_ms=value, shortfall_deg=value, shortfall_percent=value, language=language
-    )
-    assert "nan" not in says and "None" not in says and "  " not in says
+    message = describe_event(kind, ARM, lag_ms=value, shortfall_deg=value, shortfall_percent=value)
+    says = message.render(language)
+    assert says and "nan" not in says and "None" not in says and "  " not in says
 
 
 @pytest.mark.parametrize("language", LANGUAGES)
-@pytest.mark.parametrize("kind", list(LAPSE_WORDS["en"]))
+@pytest.mark.parametrize("kind", list(LAPSE_KINDS))
 def test_lapses(language: str, kind: str) -> None:
-    says = describe_lapse(kind, 31.0, 32.2, 30.0, 32.0, language)
+    says = Lapse(kind, 31.0, 32.2, 30.0, 32.0).says.render(language)
     assert says.startswith("0:31.0")
     assert ("1.2" in says) != ("2.0" in says.removeprefix("0:31.0").replace("0:32.0", ""))
-    assert "nan" not in describe_lapse(kind, math.nan, math.nan, math.nan, math.nan, language)
+    assert "nan" not in Lapse(kind, math.nan, math.nan, math.nan, math.nan).says.render(language)
 
 
-def test_facing() -> None:
-    assert describe_facing(math.radians(25)) == "turned 25 deg to the left"
-    assert describe_facing(math.radians(-25), "ja") == "右に25度向いている"
-    assert describe_facing(math.radians(350)) == "turned 10 deg to the right"
-    assert describe_facing(0.0) == "faces as the reference does"
-    assert describe_facing(math.nan) == "facing unknown"
+def test_headings() -> None:
+    assert str(describe_heading(math.radians(25))) == "turned 25 deg to the left"
+    assert describe_heading(math.radians(-25)).render("ja") == "右に25度向いている"
+    assert str(describe_heading(math.radians(350))) == "turned 10 deg to the right"
+    assert str(describe_heading(0.0)) == "faces the same way as the reference"
+    assert str(describe_heading(math.nan)) == "heading unknown"
 
 
 def test_both_languages_have_the_same_words() -> None:
-    for table in (SEGMENT_WORDS, KIND_WORDS, LAPSE_WORDS):
-        assert set(table) == set(LANGUAGES)
-        assert list(table["en"]) == list(table["ja"])
+    for table in (SEGMENT_NAMES, KINDS, LAPSE_KINDS):
+        english, japanese = (name_all(table, language) for language in ("en", "ja"))
+        assert list(english) == list(japanese) == list(table)
+        assert all(english[key] != japanese[key] for key in table)
 
 
 def test_unknown_words_are_refused() -> None:
@@ -130,6 +138,6 @@ def test_unknown_words_are_refused() -> None:
     with pytest.raises(OptionError, match="left_ear"):
         describe_segments(("left_ear",))
     with pytest.raises(OptionError, match="kind"):
-        describe_event("bad", 0.0, ARM)
+        describe_event("bad", ARM)
     with pytest.raises(OptionError, match="kind"):
         describe_lapse("bad", 0, 0, 0, 0)

@@ -11,8 +11,10 @@ from hypothesis import strategies as st
 from oracles import plain_amc
 
 from dousa.errors import MotionFileError
-from dousa.formats.asf_amc import read_amc, read_asf
-from dousa.formats.bvh import read_bvh, write_bvh
+from dousa.formats.asf_amc.reading import read_amc
+from dousa.formats.asf_amc.skeleton import read_asf
+from dousa.formats.bvh.reading import read_bvh
+from dousa.formats.bvh.writing import write_bvh
 from dousa.motion import compute_trajectories
 from dousa.motion.rotations import to_matrix
 
@@ -149,9 +151,7 @@ def test_radians(take):
         return " ".join(words[:keep] + [repr(math.radians(float(word))) for word in words[keep:]])
 
     text = "\n".join(map(in_radians, AMC.splitlines()))
-    np.testing.assert_allclose(
-        read_amc(take(text.replace(":DEGREES", ":RADIANS"))).rotations, wanted, atol=1e-14
-    )
+    np.testing.assert_allclose(read_amc(take(text.replace(":DEGREES", ":RADIANS"))).rotations, wanted, atol=1e-14)
     asf = ASF.replace("angle deg", "angle rad").replace("0 0 20 XYZ", f"0 0 {math.radians(20)!r} XYZ")
     asf = asf.replace("10 20 30 ZXY", " ".join(repr(math.radians(angle)) for angle in (10, 20, 30)) + " ZXY")
     path = take(text.replace(":DEGREES\n", ""), asf, "b.amc", "b.asf")
@@ -188,10 +188,7 @@ def test_frame_rates(take):
 
 def test_any_first_frame_number_and_nan(take):
     text = (
-        AMC.replace("\n3\n", "\n1003\n")
-        .replace("\n2\n", "\n1002\n")
-        .replace("\n1\n", "\n1001\n")
-        .replace("41", "nan")
+        AMC.replace("\n3\n", "\n1003\n").replace("\n2\n", "\n1002\n").replace("\n1\n", "\n1001\n").replace("41", "nan")
     )
     motion = read_amc(take(text))
     assert motion.n_frames == 3
@@ -203,9 +200,7 @@ def test_bones_that_move_and_stretch(take):
     asf = ASF.replace("dof rx\n", "dof tz rx l tx\n").replace("axis 0 0 0 XYZ", "axis 0 90 0 XYZ", 1)
     asf = asf.replace("position 0 0 0", "position 1 2 3")
     text = (
-        AMC.replace("shin 40", "shin 1 40 0.5 2")
-        .replace("shin 41", "shin 0 0 0 0")
-        .replace("shin 42", "shin 0 0 1 0")
+        AMC.replace("shin 40", "shin 1 40 0.5 2").replace("shin 41", "shin 0 0 0 0").replace("shin 42", "shin 0 0 1 0")
     )
     motion = read_amc(take(text, asf), unit=1.0)
     np.testing.assert_allclose(motion.translations[0, 0], [2, 17, 5])
@@ -247,9 +242,7 @@ def test_the_skeleton_is_found(tmp_path, motion, skeletons, wanted):
 def test_no_or_several_skeletons(take):
     path = take(skeleton="other.asf")
     (path.parent / "third.asf").write_text(ASF)
-    with pytest.raises(
-        MotionFileError, match=r"several skeletons may fit: other\.asf, third\.asf .*--skeleton"
-    ):
+    with pytest.raises(MotionFileError, match=r"several skeletons may fit: other\.asf, third\.asf .*--skeleton"):
         read_amc(path)
     assert read_amc(path, skeleton=path.parent / "third.asf").n_frames == 3
     deep = path.parent / "1" / "2" / "3" / "4"
@@ -287,9 +280,7 @@ AMC_DAMAGE = [
 ]
 
 
-@pytest.mark.parametrize(
-    ("damage", "line", "problem"), AMC_DAMAGE, ids=[problem for _, _, problem in AMC_DAMAGE]
-)
+@pytest.mark.parametrize(("damage", "line", "problem"), AMC_DAMAGE, ids=[problem for _, _, problem in AMC_DAMAGE])
 @pytest.mark.parametrize("line_end", ["\n", "\r\n"])
 def test_a_damaged_motion_is_named_with_its_line(take, damage, line, problem, line_end):
     path = take(damage(AMC).replace("\n", line_end))
@@ -302,9 +293,7 @@ def test_a_damaged_motion_is_named_with_its_line(take, damage, line, problem, li
 ASF_DAMAGE = [
     (lambda t: t.replace("thigh shin\n", "thigh shin\n    shin thigh\n"), 54, "bone 'thigh' has two parents"),
     (
-        lambda t: t.replace("root thigh trunk", "root trunk").replace(
-            "thigh shin\n", "thigh shin\n shin thigh\n"
-        ),
+        lambda t: t.replace("root thigh trunk", "root trunk").replace("thigh shin\n", "thigh shin\n shin thigh\n"),
         54,
         "a cycle",
     ),
@@ -333,9 +322,7 @@ ASF_DAMAGE = [
 ]
 
 
-@pytest.mark.parametrize(
-    ("damage", "line", "problem"), ASF_DAMAGE, ids=[problem for _, _, problem in ASF_DAMAGE]
-)
+@pytest.mark.parametrize(("damage", "line", "problem"), ASF_DAMAGE, ids=[problem for _, _, problem in ASF_DAMAGE])
 def test_a_damaged_skeleton_is_named_with_its_line(take, damage, line, problem):
     path = take(asf=damage(ASF)).parent / "a.asf"
     with pytest.raises(MotionFileError) as caught:
@@ -353,9 +340,7 @@ def test_missing_files(take, tmp_path):
 
 def test_a_long_chain_of_bones(take):
     count = 3000
-    bones = "".join(
-        f"begin\nname b{k}\ndirection 0 1 0\nlength 1\naxis 0 0 0 XYZ\ndof rx\nend\n" for k in range(count)
-    )
+    bones = "".join(f"begin\nname b{k}\ndirection 0 1 0\nlength 1\naxis 0 0 0 XYZ\ndof rx\nend\n" for k in range(count))
     tree = "root b0\n" + "".join(f"b{k} b{k + 1}\n" for k in range(count - 1))
     asf = ASF[: ASF.index(":bonedata")] + ":bonedata\n" + bones + ":hierarchy\nbegin\n" + tree + "end\n"
     text = "1\nroot 0 0 0 0 0 0\n" + "".join(f"b{k} 0.5\n" for k in range(count))
@@ -443,6 +428,7 @@ def test_joints_are_where_the_rendered_truth_has_them(shared_data, truth, take_p
     np.testing.assert_allclose(found[:count], wanted[:count], atol=1e-6)
 
 
+@pytest.mark.slow
 @settings(deadline=None, max_examples=300)
 @given(st.data())
 def test_random_damage_gives_a_motion_or_an_error(tmp_path_factory, data):
@@ -454,9 +440,7 @@ def test_random_damage_gives_a_motion_or_an_error(tmp_path_factory, data):
         content[start:end] = data.draw(
             st.binary(max_size=6) | st.sampled_from([b"root", b"nan", b"1e400", b"\n", b"9" * 30])
         )
-    folder = (
-        tmp_path_factory.getbasetemp() / "damaged"
-    )  # the readers of other tests look for an .asf above them
+    folder = tmp_path_factory.getbasetemp() / "damaged"  # the readers of other tests look for an .asf above them
     folder.mkdir(exist_ok=True)
     (folder / "damaged.amc").write_bytes(bytes(texts[0]) or b"x")
     (folder / "damaged.asf").write_bytes(bytes(texts[1]) or b"x")

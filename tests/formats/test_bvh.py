@@ -11,8 +11,8 @@ from hypothesis import strategies as st
 from oracles import plain_bvh
 
 from dousa.errors import MotionFileError, MotionWriteError
-from dousa.formats._bvh_hierarchy import CHANNEL_NAMES, BvhLayout
-from dousa.formats.bvh import read_bvh, write_bvh
+from dousa.formats.bvh.reading import CHANNEL_NAMES, BvhLayout, read_bvh
+from dousa.formats.bvh.writing import write_bvh
 from dousa.motion import Motion, Provenance, Skeleton, compute_trajectories
 from dousa.motion.rotations import from_euler
 
@@ -64,9 +64,7 @@ def bvh(tmp_path):
 def same_numbers(first, second):
     """Equal to the last bit; any NaN equals any NaN."""
     a, b = np.ascontiguousarray(first), np.ascontiguousarray(second)
-    return a.shape == b.shape and bool(
-        ((a.view(np.uint64) == b.view(np.uint64)) | (np.isnan(a) & np.isnan(b))).all()
-    )
+    return a.shape == b.shape and bool(((a.view(np.uint64) == b.view(np.uint64)) | (np.isnan(a) & np.isnan(b))).all())
 
 
 def assert_same_rotations(first, second, tolerance=1e-9):
@@ -79,9 +77,7 @@ def test_the_parts_of_a_file(bvh):
     assert motion.skeleton.parents.tolist() == [-1, 0, 1, 0, 3]
     assert motion.skeleton.end_sites.tolist() == [False, False, True, False, True]
     np.testing.assert_allclose(motion.skeleton.offsets[2], [0, 0.55, 1e-5])
-    np.testing.assert_allclose(
-        motion.translations[:, 0], [[0.01, 0.9, 0], [0.02, 0.91, 0.005], [0.03, 0.92, 0.01]]
-    )
+    np.testing.assert_allclose(motion.translations[:, 0], [[0.01, 0.9, 0], [0.02, 0.91, 0.005], [0.03, 0.92, 0.01]])
     assert motion.frame_rate == 30.0
     wanted = from_euler(np.radians([11, 21, 31]), "ZXY")
     assert_same_rotations(motion.rotations[1, 0], wanted)
@@ -208,9 +204,7 @@ def test_up_axis_and_unit_can_be_given(bvh, tmp_path):
     write_bvh(motion.replace(translations=motion.translations + 0), tmp_path / "out.bvh")
     again = read_bvh(tmp_path / "out.bvh", unit=1.0, up="z")
     np.testing.assert_allclose(again.translations, motion.translations, atol=1e-9)
-    np.testing.assert_allclose(
-        again.provenance.values[:, :3], [[1, 90, 0], [2, 91, 0.5], [3, 92, 1]], atol=1e-9
-    )
+    np.testing.assert_allclose(again.provenance.values[:, :3], [[1, 90, 0], [2, 91, 0.5], [3, 92, 1]], atol=1e-9)
 
 
 DAMAGE = [
@@ -356,11 +350,10 @@ def _text(names, parents, offsets, channels, rows):
         return [*lines, indent + "}"]
 
     values = "\n".join(" ".join(map(repr, row)) for row in rows)
-    return "\n".join(
-        ["HIERARCHY", *block(0, ""), "MOTION", f"Frames: {len(rows)}", "Frame Time: 0.01", values, ""]
-    )
+    return "\n".join(["HIERARCHY", *block(0, ""), "MOTION", f"Frames: {len(rows)}", "Frame Time: 0.01", values, ""])
 
 
+@pytest.mark.slow
 @settings(deadline=None, max_examples=150)
 @given(bvh_files())
 def test_any_file_is_read_and_written_without_loss(tmp_path_factory, content):
@@ -417,9 +410,7 @@ def test_a_motion_without_numbers_of_its_own(tmp_path_factory, seed, up):
         again = read_bvh(path, unit=0.0254 if provenance else 0.01, up=up if provenance else "y")
         first, second = compute_trajectories(motion), compute_trajectories(again)
         np.testing.assert_allclose(second.select(first.names[:4]), first.positions[:, :4], atol=1e-8)
-        np.testing.assert_allclose(
-            second.positions[:, again.skeleton.end_sites], first.positions[:, 4:], atol=1e-8
-        )
+        np.testing.assert_allclose(second.positions[:, again.skeleton.end_sites], first.positions[:, 4:], atol=1e-8)
         assert again.frame_rate == 100.0
         if provenance is not None:
             assert again.provenance.layout.channels[1] == ("Xrotation",)
@@ -427,9 +418,7 @@ def test_a_motion_without_numbers_of_its_own(tmp_path_factory, seed, up):
 
 def test_default_layout_and_continuous_angles(tmp_path):
     angle = np.linspace(0, 6 * math.pi, 200)
-    skeleton = Skeleton(
-        ("root", "arm", "hand"), [-1, 0, 1], [[0, 1, 0], [0, 1, 0], [1, 0, 0]], [False, False, True]
-    )
+    skeleton = Skeleton(("root", "arm", "hand"), [-1, 0, 1], [[0, 1, 0], [0, 1, 0], [1, 0, 0]], [False, False, True])
     rotations = np.zeros((200, 3, 4))
     rotations[:, :2] = from_euler(np.stack((0 * angle, angle, 0.1 + 0 * angle), -1), "ZXY")[:, None]
     rotations[:, 2, 0] = 1
@@ -479,9 +468,7 @@ def test_bandai_values_and_kinematics(shared_data):
 
 
 def test_bandai_round_trips(shared_data, tmp_path):
-    files = sorted(shared_data("bandai").rglob("*.bvh"))[::70] + sorted(
-        shared_data("bandai_dance").glob("*.bvh")
-    )
+    files = sorted(shared_data("bandai").rglob("*.bvh"))[::70] + sorted(shared_data("bandai_dance").glob("*.bvh"))
     for path in files:
         motion = read_bvh(path)
         write_bvh(motion, tmp_path / "out.bvh")
@@ -497,6 +484,7 @@ def test_bandai_round_trips(shared_data, tmp_path):
         assert_same_rotations(again.rotations, motion.rotations)
 
 
+@pytest.mark.slow
 @settings(deadline=None, max_examples=300)
 @given(st.data())
 def test_random_damage_gives_a_motion_or_an_error(tmp_path_factory, data):

@@ -36,9 +36,7 @@ def test_every_storage(saved, processor, scale, n_analog):
     points = random_points()
     missing = np.zeros((5, 3), bool)
     missing[2, 1] = True
-    path = saved(
-        make_c3d(points, LABELS, processor=processor, scale=scale, missing=missing, n_analog=n_analog)
-    )
+    path = saved(make_c3d(points, LABELS, processor=processor, scale=scale, missing=missing, n_analog=n_analog))
     got = read_c3d(path, up="y")
     expected = points * (0.001 if scale < 0 else 0.0005)
     expected[missing] = np.nan

@@ -23,7 +23,7 @@ import pytest
 from oracles.c3d_file import DEC, MIPS, make_c3d, random_points
 
 from dousa.errors import DousaError
-from dousa.formats import SUFFIXES, read_motion, write_motion
+from dousa.formats.registry import SUFFIXES, read_motion, write_motion
 from dousa.motion import Motion, Skeleton, Trajectories, compute_trajectories
 from dousa.motion.rotations import normalise
 
@@ -82,8 +82,7 @@ ASF = """# AST/ASF file
 """
 
 AMC = "#!OML:ASF made.asf\n:FULLY-SPECIFIED\n:DEGREES\n" + "".join(
-    f"{frame}\nroot 1.5 {frame}.25 -3e-1 1 2 3\nlfemur -10.5 2 {frame}\nltibia 4{frame}.0\n"
-    for frame in range(1, 6)
+    f"{frame}\nroot 1.5 {frame}.25 -3e-1 1 2 3\nlfemur -10.5 2 {frame}\nltibia 4{frame}.0\n" for frame in range(1, 6)
 )
 
 BVH = """HIERARCHY

@@ -126,7 +126,7 @@ CHANGES = [
     ({"rotations": np.zeros((3, 4, 4))}, "unit quaternions"),
     ({"rotations": np.zeros((3, 4, 3))}, "rotations: expected shape"),
     ({"rotations": np.zeros((0, 4, 4))}, "at least one frame"),
-    ({"rotations": np.zeros((3, 16))}, "'rotations': expected 3 axes"),
+    ({"rotations": np.zeros((3, 16))}, "'rotations': expected 3 axes, got 2"),
     ({"translations": np.full((3, 4, 3), np.inf)}, "finite"),
     ({"translations": np.zeros((2, 4, 3))}, "translations: expected shape"),
     ({"translations": np.zeros((3, 4, 3), complex)}, "translations"),
@@ -138,7 +138,7 @@ CHANGES = [
     ({"names": np.array([b"a", b"b", b"c", b"d"])}, "names"),
     ({"frame_rate": np.array(0.0)}, "frame rate"),
     ({"frame_rate": np.array(np.nan)}, "frame rate"),
-    ({"frame_rate": np.array([1.0, 2.0])}, "'frame_rate': expected 0 axes"),
+    ({"frame_rate": np.array([1.0, 2.0])}, "'frame_rate': expected 0 axes, got 1"),
     ({"kind": np.array("movie")}, "'movie'"),
     ({"format": np.array("other")}, "not a motion file"),
     ({"version": np.array(2)}, "update dousa"),
@@ -168,9 +168,7 @@ def test_units_that_are_none(tmp_path, unit):
         read_npz(tmp_path / "bad.npz")
 
 
-@pytest.mark.parametrize(
-    "missing", ["format", "version", "kind", "names", "rotations", "parents", "end_sites"]
-)
+@pytest.mark.parametrize("missing", ["format", "version", "kind", "names", "rotations", "parents", "end_sites"])
 def test_missing_arrays(tmp_path, missing):
     arrays = saved_arrays(tmp_path / "x.npz", make_motion())
     del arrays[missing]

@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from dousa.formats._numbers import (
+from dousa.formats.numbers import (
     DONE,
     FULL,
     LONG,
@@ -30,9 +30,7 @@ def scan(tokens, columns=1, room=None, between=b"\n"):
     data = scannable(between.join(tokens))
     out = np.full(len(tokens) if room is None else room, 777.0)
     notes = np.empty((len(out), 2), np.int64)
-    status, position, filled, noted = scan_rows(
-        np.frombuffer(data, np.uint8), 0, len(data), columns, out, notes
-    )
+    status, position, filled, noted = scan_rows(np.frombuffer(data, np.uint8), 0, len(data), columns, out, notes)
     return status, position, filled, out, settle(data, notes[:noted], out)
 
 
@@ -83,9 +81,7 @@ def test_numbers_half_way_between_two_floats():
 
 def test_every_power_of_ten():
     tokens = [
-        f"{digits}e{power}".encode()
-        for power in range(-345, 309)
-        for digits in (1, 5, 9007199254740993, "1" * 19)
+        f"{digits}e{power}".encode() for power in range(-345, 309) for digits in (1, 5, 9007199254740993, "1" * 19)
     ]
     assert_equal_to_float(tokens)
 
@@ -120,13 +116,13 @@ def test_what_is_no_number_is_refused(token):
     with_number = [b"1.5", token.encode(), b"2.5"]
     position, problem = scan(with_number)[4]
     assert position == 4
-    assert problem.startswith("expected a number, got '")
+    assert problem.code == "numbers.number"
     assert parse_number(token.encode()) is None
 
 
 @pytest.mark.parametrize("token", [b"inf", b"-Infinity", b"1e400", b"1.#INF", b"9" * 400])
 def test_infinite_values_are_refused(token):
-    assert scan([token])[4][1].startswith("expected a finite number")
+    assert scan([token])[4][1].code == "numbers.finite"
 
 
 def test_the_nan_of_c_libraries():

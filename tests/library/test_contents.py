@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import pytest
+import sqlalchemy as sa
 
 from dousa.errors import LibraryError, OptionError
-from dousa.library import Library
+from dousa.formats import read_canonical
+from dousa.library import Library, schema
+from dousa.messages import Message
 
 
 def test_clips_are_chosen_by_label_number_file_and_folder(library, moves):
@@ -130,3 +135,30 @@ def test_the_content_of_a_clip_has_a_name_that_its_labels_do_not_change(library)
     assert before[1] != before[2]
     library.relabel(1, category="other")
     assert library.contents([1, 2]) == before
+
+
+def test_doubts_are_kept_as_codes_and_old_sentences_as_they_are(library, moves):
+    doubtful = replace(
+        read_canonical(moves / "bow/bow_p1.bvh")[0],
+        warnings=(Message("canonical.made_toes"),),
+        frame_rate=25.0,
+    )
+    report = library.add_motion(doubtful, "a", "bow")
+    assert report.warnings == (("a", Message("canonical.made_toes")),)
+    (clip,) = library.clips("a")
+    assert clip.warnings == (Message("canonical.made_toes"),)
+    assert clip.warnings[0].render("ja") != clip.warnings[0].render("en") == clip.to_json()["warnings"][0]
+    with library.database.writing() as connection:  # as an older dousa wrote it
+        old = sa.update(schema.clips).where(schema.clips.c.id == clip.id)
+        connection.execute(old.values(warnings=["toes were made up"]))
+    (clip,) = library.clips("a")
+    assert clip.warnings == (Message("text.verbatim", text="toes were made up"),)
+    assert clip.to_json()["warnings"] == ["toes were made up"]
+
+
+def test_every_error_of_a_selection_is_said_in_japanese(library):
+    for wanted in ({"selection": [99]}, {"selection": ["nowhere"]}, {"category": "dance", "performer": "p0"}):
+        with pytest.raises(LibraryError) as caught:
+            library.clips(**wanted)
+        assert caught.value.code.startswith("library_clips.")
+        assert "ありません" in caught.value.render("ja")

@@ -13,7 +13,7 @@ STRANGE = "lunge"
 def read(category, performer, seed=5):
     """A made motion as a clip."""
     from dousa.motion import canonicalise
-    from dousa.motion.synthetic import draw_performer, make_motion
+    from dousa.motion.synthetic.performers import draw_performer, make_motion
     from dousa.retrieval import LabelledClip
 
     motion = canonicalise(make_motion(category, draw_performer(1000 * seed + performer)))
@@ -23,8 +23,8 @@ def read(category, performer, seed=5):
 @pytest.fixture(scope="module")
 def material(tmp_path_factory):
     """A library, and a take with a motion twice that the library does not know; the middles of both."""
-    from dousa.app.demo import write_library
-    from dousa.app.demo_takes import write_take
+    from dousa.app.demo.demo import write_library
+    from dousa.app.demo.takes import write_take
 
     root = tmp_path_factory.mktemp("examples")
     write_library(root / "motions", n_performers=5, categories=KNOWN)

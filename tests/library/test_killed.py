@@ -41,11 +41,12 @@ def check(path: Path) -> None:
             assert library.find(clips[0].id, k=1).n_takes == 1
         if stats.trained_at and clips:
             assert len(library.search(clips[0].id, 100).results) == len(clips)
-        with library._engine.connect() as connection:
+        with library.database.engine.connect() as connection:
             assert connection.exec_driver_sql("PRAGMA integrity_check").scalar_one() == "ok"
             assert connection.exec_driver_sql("PRAGMA foreign_key_check").all() == []
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not hasattr(signal, "SIGKILL"), reason="this system cannot kill programs outright")
 def test_a_killed_program_leaves_a_whole_library(tmp_path, moves, write_move):
     path, take = tmp_path / "m.dousa", write_move(tmp_path / "take.bvh", "bow", 90, n_frames=120)

@@ -60,7 +60,7 @@ def test_bad_rules_are_option_errors(rule):
     if rule == "":
         assert label(rule, "a.bvh") is None  # an empty text is no rule
     else:
-        with pytest.raises(OptionError, match="--category-from"):
+        with pytest.raises(OptionError, match="rule for the category"):
             parse_label_rule(rule, "category")
 
 

@@ -11,7 +11,8 @@ import numpy as np
 import pytest
 
 from dousa.errors import LibraryDamagedError
-from dousa.library import Library, _learning
+from dousa.library import Library
+from dousa.library import train as _learning
 
 
 @pytest.fixture
@@ -26,9 +27,7 @@ def nods(write_move, tmp_path) -> Path:
 def two_categories(moves, tmp_path):
     """A library that knows how to wave and to bow."""
     with Library.open(tmp_path / "two.dousa", create=True) as library:
-        library.add(
-            [moves / "wave", moves / "bow"], category_from=r"name:([a-z]+)_", performer_from=r"name:_(p\d)"
-        )
+        library.add([moves / "wave", moves / "bow"], category_from=r"name:([a-z]+)_", performer_from=r"name:_(p\d)")
         library.train(n_trees=20)
         yield library
 
@@ -40,9 +39,7 @@ def answers(path: Path) -> list[tuple]:
 
 def forest_row(path: Path) -> tuple:
     with closing(sqlite3.connect(path)) as connection:
-        return connection.execute(
-            "SELECT revision, learned, n_learned, categories, data FROM forests"
-        ).fetchone()
+        return connection.execute("SELECT revision, learned, n_learned, categories, data FROM forests").fetchone()
 
 
 def test_a_new_category_is_known_at_once(two_categories, nods, write_move, tmp_path):
@@ -111,7 +108,7 @@ def test_interrupted_while_it_learns_nothing_has_changed(library, library_file, 
 
     with monkeypatch.context() as patch:
         if moment == "grow":
-            patch.setattr("dousa.retrieval.growth.grow_forest", stop)
+            patch.setattr("dousa.retrieval.forest.growth.grow_forest", stop)
         else:
             patch.setattr(_learning, "_update_answers", stop)
         with pytest.raises(KeyboardInterrupt):

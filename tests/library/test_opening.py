@@ -21,7 +21,8 @@ from dousa.errors import (
     LibraryVersionError,
     OptionError,
 )
-from dousa.library import Library, _engine, migrations, schema
+from dousa.library import Library, schema
+from dousa.library import engine as _engine
 
 
 def change(path: Path, *statements: str) -> None:
@@ -42,9 +43,7 @@ def test_create_makes_a_library_and_opens_it_again(tmp_path):
 
 
 def test_a_missing_library_says_how_to_make_one(tmp_path):
-    with pytest.raises(
-        LibraryError, match=r"no library at .*m\.dousa; make one with: dousa add m\.dousa PATH"
-    ):
+    with pytest.raises(LibraryError, match=r"no library at .*m\.dousa; make one with: dousa add m\.dousa PATH"):
         Library.open(tmp_path / "m.dousa")
     assert os.listdir(tmp_path) == []
 
@@ -109,6 +108,7 @@ def test_a_file_that_was_cut_short(library_file, moves, share):
         use(library, moves)
 
 
+@pytest.mark.slow
 def test_flipped_bytes_give_library_errors_or_nothing(library_file, moves):
     data = library_file.read_bytes()
     step = len(data) // 40
@@ -153,14 +153,12 @@ def test_damaged_content(library_file, moves, statement, ask):
 
 def test_a_newer_library_names_both_versions(library_file):
     change(library_file, "INSERT INTO dousa_migrations VALUES (99, 'future', '2030', '9.9.9')")
-    with pytest.raises(
-        LibraryVersionError, match=r"dousa 9\.9\.9 \(tables 99\).*pip install --upgrade dousa"
-    ):
+    with pytest.raises(LibraryVersionError, match=r"dousa 9\.9\.9 \(tables 99\).*pip install --upgrade dousa"):
         Library.open(library_file)
 
 
 def test_a_forest_of_other_features_is_not_asked(library_file, moves, monkeypatch):
-    from dousa.retrieval.feature_sets import FEATURE_SETS
+    from dousa.retrieval.features.feature_sets import FEATURE_SETS
 
     def classify_fails(message: str) -> None:
         with Library.open(library_file) as library, pytest.raises(LibraryVersionError, match=message):
@@ -172,8 +170,8 @@ def test_a_forest_of_other_features_is_not_asked(library_file, moves, monkeypatc
     classify_fails(r"'extended', this dousa knows paper.*--upgrade dousa")
 
 
-NEXT = len(migrations.MIGRATIONS) + 1
-STEPS = [(step.number, step.name) for step in migrations.MIGRATIONS]
+NEXT = len(_engine.MIGRATIONS) + 1
+STEPS = [(step.number, step.name) for step in _engine.MIGRATIONS]
 
 
 @pytest.fixture
@@ -181,9 +179,8 @@ def next_migration(monkeypatch) -> None:
     def add_table(connection: sa.Connection) -> None:
         connection.execute(sa.text("CREATE TABLE notes (id INTEGER)"))
 
-    steps = (*migrations.MIGRATIONS, migrations.Migration(NEXT, "notes", add_table))
-    monkeypatch.setattr(migrations, "MIGRATIONS", steps)
-    monkeypatch.setattr("dousa.library._opening.MIGRATIONS", steps)
+    steps = (*_engine.MIGRATIONS, _engine.Migration(NEXT, "notes", add_table))
+    monkeypatch.setattr(_engine, "MIGRATIONS", steps)
 
 
 def applied(path: Path) -> list[tuple[int, str]]:
@@ -206,9 +203,8 @@ def test_a_step_that_fails_leaves_the_library_as_it_was(library_file, monkeypatc
         connection.execute(sa.text("CREATE TABLE notes (id INTEGER)"))
         connection.execute(sa.text("CREATE TABLE notes (id INTEGER)"))
 
-    steps = (*migrations.MIGRATIONS, migrations.Migration(NEXT, "fails", fail))
-    monkeypatch.setattr(migrations, "MIGRATIONS", steps)
-    monkeypatch.setattr("dousa.library._opening.MIGRATIONS", steps)
+    steps = (*_engine.MIGRATIONS, _engine.Migration(NEXT, "fails", fail))
+    monkeypatch.setattr(_engine, "MIGRATIONS", steps)
     with pytest.raises(LibraryError):
         Library.open(library_file)
     assert applied(library_file) == STEPS
@@ -216,7 +212,7 @@ def test_a_step_that_fails_leaves_the_library_as_it_was(library_file, monkeypatc
 
 
 def test_the_numbers_of_the_migrations_have_no_gaps():
-    assert [step.number for step in migrations.MIGRATIONS] == list(range(1, len(migrations.MIGRATIONS) + 1))
+    assert [step.number for step in _engine.MIGRATIONS] == list(range(1, len(_engine.MIGRATIONS) + 1))
 
 
 @contextmanager
@@ -324,11 +320,11 @@ def test_a_full_disk_keeps_what_was_there(library_file, write_move, tmp_path):
             connection.execute(f"PRAGMA max_page_count = {pages}")
 
         library.close()
-        event.listen(library._engine, "connect", limit)
+        event.listen(library.database.engine, "connect", limit)
         with pytest.raises(LibraryError, match="the disk is full"):
             library.add(new)
         assert len(library.clips()) == 15
-        event.remove(library._engine, "connect", limit)
+        event.remove(library.database.engine, "connect", limit)
         library.close()
         assert len(library.add(new).added) == 8
 

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import pytest
 from sqlalchemy import event
 from sqlalchemy.dialects import postgresql
 from sqlalchemy.schema import CreateIndex, CreateTable
 
+from dousa import library as library_room
 from dousa.library import Library, schema
 
 
@@ -22,7 +25,7 @@ def test_the_tables_can_be_made_in_postgresql():
 def test_every_question_can_be_asked_in_postgresql(tmp_path, moves, write_move):
     asked = []
     with Library.open(tmp_path / "m.dousa", create=True) as library:
-        event.listen(library._engine, "before_execute", lambda c, element, *rest: asked.append(element))
+        event.listen(library.database.engine, "before_execute", lambda c, element, *rest: asked.append(element))
         library.add(moves)
         library.train(n_trees=3)
         library.add(write_move(tmp_path / "a.bvh", seed=50))
@@ -48,8 +51,7 @@ def test_every_question_can_be_asked_in_postgresql(tmp_path, moves, write_move):
 
 @pytest.mark.parametrize(
     "module",
-    "schema store adding training search selection migrations _contents _features _finding _forests _inserting "
-    "_labelling _learning _managing _querying _take_windows _taking".split(),
+    sorted({path.stem for path in Path(library_room.__file__).parent.glob("*.py")} - {"engine", "__init__"}),
 )
 def test_only_the_engine_speaks_sqlite(module):
     import importlib

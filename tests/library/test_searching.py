@@ -17,7 +17,7 @@ from dousa.errors import (
     OptionError,
     TrainingError,
 )
-from dousa.formats import read_motion
+from dousa.formats.registry import read_motion
 from dousa.library import Library
 from dousa.motion import Trajectories, canonicalise, compute_trajectories
 
@@ -152,7 +152,7 @@ def test_classify_answers_for_every_file(library, write_move, tmp_path):
     bad.write_text("nothing")
     first, second, third = library.classify([tmp_path / "none.bvh", tmp_path / "in"])
     assert (first.category, second.category, third.category) == (None, None, "wave")
-    assert "no such file" in (first.problem or "")
+    assert "no such file" in str(first.problem)
     assert (second.path, third.path) == (str(bad), str(good))
     assert third.histogram["wave"] > 0.5
     assert "problem" not in third.to_json() and "problem" in first.to_json()
@@ -195,9 +195,7 @@ def test_clips_that_change_while_the_trees_grow(library, library_file, write_mov
 def test_real_gestures_find_their_kind(empty_library, shared_data):
     root = shared_data("hdm05")
     kinds = sorted(folder for folder in root.iterdir() if folder.is_dir())[:3]
-    files = [
-        file for kind in kinds for actor in ("bd", "bk") for file in sorted(kind.glob(f"*_{actor}_*"))[:3]
-    ]
+    files = [file for kind in kinds for actor in ("bd", "bk") for file in sorted(kind.glob(f"*_{actor}_*"))[:3]]
     empty_library.add(files, category_from="none")
     for kind in kinds:
         empty_library.relabel(kind, category=kind.name)

@@ -19,7 +19,7 @@ from dousa.errors import (
     NotTrainedError,
     OptionError,
 )
-from dousa.formats import read_motion, write_motion
+from dousa.formats.registry import read_motion, write_motion
 from dousa.library import Library
 from dousa.motion import CANONICAL_JOINTS, Trajectories, compute_trajectories
 
@@ -187,11 +187,9 @@ def test_a_take_whose_file_is_gone_is_still_looked_into(library, write_move, tmp
 
 def test_a_mirrored_motion_is_found(library, write_move, tmp_path):
     from dousa.motion import canonicalise
-    from dousa.motion.mirroring import mirror_canonical
+    from dousa.motion.canonical.canonicalise import mirror_canonical
 
-    wave = canonicalise(
-        compute_trajectories(read_motion(write_move(tmp_path / "w.bvh", "wave", 71, n_frames=60)))
-    )
+    wave = canonicalise(compute_trajectories(read_motion(write_move(tmp_path / "w.bvh", "wave", 71, n_frames=60))))
     mirrored = mirror_canonical(wave)
     plain = library.find(mirrored, k=1).results[0]
     better = library.find(mirrored, k=1, mirror=True).results[0]
@@ -221,7 +219,7 @@ def test_a_rate_near_zero_is_refused(library, tmp_path):
     path = tmp_path / "slow.npz"
     write_motion(slow, path)
     (skipped,) = library.add(path, kind="take").skipped
-    assert "1 Hz or more" in skipped.reason
+    assert "1 Hz or more" in str(skipped.reason)
     for ask in (library.find, library.label, library.search):
         with pytest.raises(DousaError, match="1 Hz or more"):
             ask(path)
@@ -284,7 +282,7 @@ def test_without_a_forest_takes_wait(empty_library, long_moves, take_file, path_
             ask()
     empty_library.add(long_moves)
     calls = []
-    empty_library.train(n_trees=10, progress=lambda *call: calls.append(call[2]))
+    empty_library.train(n_trees=10, progress=lambda *call: calls.append(str(call[2])))
     assert "describing takes (1 of 1)" in calls
     assert len(empty_library.find(2, k=2).results) == 2
 
@@ -370,7 +368,7 @@ def test_damaged_windows(path_with_take, statement):
     change(path_with_take, statement)
     with (
         Library.open(path_with_take) as library,
-        pytest.raises(LibraryDamagedError, match=r"dousa train|train again"),
+        pytest.raises(LibraryDamagedError, match=r"dousa train|retrain"),
     ):
         library.find(1)
 
@@ -395,6 +393,7 @@ def test_windows_of_another_forest_are_not_compared(path_with_take, take_file):
         library.find(1)
 
 
+@pytest.mark.slow
 def test_flipped_bytes_give_library_errors_or_nothing(path_with_take, take_file):
     with Library.open(path_with_take) as library:
         library.label(take_file)

@@ -103,9 +103,7 @@ def test_slerp_turns_evenly(fraction):
     end = r.from_axis_angle(axis * 2.5)
     expected = r.from_axis_angle(axis * 2.5 * fraction)
     assert same_rotation(r.slerp(r.identity(), end, fraction), expected)
-    assert same_rotation(
-        r.slerp(r.identity(), -end, fraction), expected
-    )  # the same rotation, written negated
+    assert same_rotation(r.slerp(r.identity(), -end, fraction), expected)  # the same rotation, written negated
 
 
 def test_slerp_of_equal_and_nearly_equal():

@@ -11,9 +11,7 @@ from dousa.motion.rotations import identity
 
 
 def skeleton() -> Skeleton:
-    return Skeleton(
-        ("hips", "spine", "head"), np.array([-1, 0, 1]), np.array([[0.0, 1, 0], [0, 0.5, 0], [0, 0.3, 0]])
-    )
+    return Skeleton(("hips", "spine", "head"), np.array([-1, 0, 1]), np.array([[0.0, 1, 0], [0, 0.5, 0], [0, 0.3, 0]]))
 
 
 def motion(**changes) -> Motion:

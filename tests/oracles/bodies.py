@@ -62,9 +62,7 @@ def walking_body(n_frames: int = 20, frame_rate: float = 30.0) -> Trajectories:
             arm = below[f"{side}Arm"]
             shoulder = pose[names.index(f"{side}Arm")]
             local = pose[arm] - shoulder
-            pose[arm] = shoulder + np.stack(
-                [0.2 * local[:, 0], -0.98 * np.abs(local[:, 0]), local[:, 2]], axis=1
-            )
+            pose[arm] = shoulder + np.stack([0.2 * local[:, 0], -0.98 * np.abs(local[:, 0]), local[:, 2]], axis=1)
             swing = 0.5 * sign * np.sin(phase)
             for joint, angle in (
                 (f"{side}Arm", -swing),
@@ -73,9 +71,7 @@ def walking_body(n_frames: int = 20, frame_rate: float = 30.0) -> Trajectories:
             ):
                 pose[below[joint]] = _turn_x(pose[below[joint]], pose[names.index(joint)], angle)
             knee = 0.5 + 0.3 * sign * np.cos(phase)
-            pose[below[f"{side}Leg"]] = _turn_x(
-                pose[below[f"{side}Leg"]], pose[names.index(f"{side}Leg")], -knee
-            )
+            pose[below[f"{side}Leg"]] = _turn_x(pose[below[f"{side}Leg"]], pose[names.index(f"{side}Leg")], -knee)
         positions[t] = pose + np.array([0.0, 0.0, 0.04 * t])
     return Trajectories(names, positions, frame_rate, parents, rest)
 

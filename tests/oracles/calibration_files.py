@@ -5,7 +5,7 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
-from dousa.estimation.camera import Camera
+from dousa.estimation.cameras.camera import Camera
 from dousa.motion.rotations import from_axis_angle, to_matrix
 
 Z_FROM_Y = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])  # (x, y, z) -> (z, x, y)
@@ -101,9 +101,7 @@ def write_opencv(path, view, pose="RT", size=True):
         storage.write("rvec", vector)
         storage.write("tvec", np.array(view.translation).reshape(3, 1))
     elif pose == "matrix":
-        storage.write(
-            "extrinsic_matrix", np.block([[view.rotation, view.translation[:, None]], [0, 0, 0, 1]])
-        )
+        storage.write("extrinsic_matrix", np.block([[view.rotation, view.translation[:, None]], [0, 0, 0, 1]]))
     elif pose == "board":
         storage.write("extrinsic_parameters", np.concatenate((vector.ravel(), view.translation))[None])
     elif pose == "boards":

@@ -31,9 +31,7 @@ def worth_of_switching(score: np.ndarray, price: float, states: Sequence[bool]) 
 
 def best_switching(score: np.ndarray, price: float) -> float:
     """Worth of the best of all on/off sequences."""
-    return max(
-        worth_of_switching(score, price, states) for states in product((False, True), repeat=len(score))
-    )
+    return max(worth_of_switching(score, price, states) for states in product((False, True), repeat=len(score)))
 
 
 def price_of_lines(cost: np.ndarray, jump: float, pause: float, outside: float, path: Sequence[int]) -> float:

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from dousa.estimation.camera import Camera
-from dousa.estimation.human import make_human
-from dousa.estimation.kinematics import compute_points, point_names
-from dousa.estimation.posing import standing_state
-from dousa.estimation.rasteriser import draw_body
+from dousa.estimation.body.human import make_human
+from dousa.estimation.body.kinematics import compute_points, point_names
+from dousa.estimation.body.posing import standing_state
+from dousa.estimation.cameras.camera import Camera
+from dousa.estimation.raster.rasteriser import draw_body
 from dousa.motion import rotations as rot
 
 STATURE = 1.7

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from dousa.motion.joints import CANONICAL_JOINTS
+from dousa.motion.canonical.joints import CANONICAL_JOINTS
 
 
 def seen(*points):
@@ -20,9 +20,7 @@ def mean(values):
 
 def common_joints(names, truth_names):
     both = [name for name in truth_names if name in names]
-    return [name for name in CANONICAL_JOINTS if name in both] + [
-        name for name in both if name not in CANONICAL_JOINTS
-    ]
+    return [name for name in CANONICAL_JOINTS if name in both] + [name for name in both if name not in CANONICAL_JOINTS]
 
 
 def angle(one, other):

@@ -59,9 +59,7 @@ def xyz(angles: list[float]) -> np.ndarray:
     return turn("Z", z) @ turn("Y", y) @ turn("X", x)
 
 
-def bone_tips(
-    bones: dict[str, dict], parents: dict[str, str], frame: dict[str, list[float]]
-) -> dict[str, np.ndarray]:
+def bone_tips(bones: dict[str, dict], parents: dict[str, str], frame: dict[str, list[float]]) -> dict[str, np.ndarray]:
     """Where every bone ends in the world, in the file's unit, and ``root``."""
     rotation = {"root": xyz(frame["root"][3:])}
     tip = {"root": np.array(frame["root"][:3])}

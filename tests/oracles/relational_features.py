@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from dousa.motion.joints import JOINT_INDEX
+from dousa.motion.canonical.joints import JOINT_INDEX
 
 
 def hysteresis(weak: list[bool], strong: list[bool]) -> list[bool]:

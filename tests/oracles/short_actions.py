@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from oracles.standing import standing
 
-from dousa.motion.joints import JOINT_INDEX as J
-from dousa.retrieval.experiment import LabelledClip
+from dousa.motion.canonical.joints import JOINT_INDEX as J
+from dousa.retrieval.features.posed_motion import LabelledClip
 
 ACTIONS = ("bow", "kick", "raise left", "raise right", "spread", "wave")
 RATE = 30.0

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from dousa.retrieval._trees import evaluate_test, read_test
-from dousa.retrieval.integral import integrate
+from dousa.retrieval.features.integral import integrate
+from dousa.retrieval.forest.trees import evaluate_test, read_test
 
 
 def count_clips(trees, node):
@@ -25,10 +25,7 @@ def expect(trees, node, clips, is_removed, worth):
     test = read_test(trees, node)
     if is_removed(test.column):
         sizes = [sum(count_clips(trees, child + side)) for side in (0, 1)]
-        return sum(
-            sizes[side] / sum(sizes) * expect(trees, child + side, clips, is_removed, worth)
-            for side in (0, 1)
-        )
+        return sum(sizes[side] / sum(sizes) * expect(trees, child + side, clips, is_removed, worth) for side in (0, 1))
     answers = {bool(evaluate_test(integrals, test) > test.threshold) for integrals in clips}
     return expect(trees, child + answers.pop(), clips, is_removed, worth) if len(answers) == 1 else 0.0
 
@@ -51,7 +48,5 @@ def alike_without(forest, one, other, removed):
 def _mean(forest, clips, removed, worth):
     trees = forest.trees_
     integrals = [integrate(clip[None])[0] for clip in clips]
-    values = [
-        expect(trees, int(root), integrals, lambda column: column in removed, worth) for root in trees.roots
-    ]
+    values = [expect(trees, int(root), integrals, lambda column: column in removed, worth) for root in trees.roots]
     return sum(values) / len(values)

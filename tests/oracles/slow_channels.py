@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from scipy.ndimage import gaussian_filter1d
 
-from dousa.motion.joints import JOINT_INDEX
-from dousa.retrieval.features import find_lateral_axis
+from dousa.motion.canonical.joints import JOINT_INDEX
+from dousa.retrieval.features.pose_features import find_lateral_axis
 
 RATE = 30.0
 _POSE_SMOOTHING, _HEADING_SMOOTHING, _SLOW = 1.0, 8.0, 0.3

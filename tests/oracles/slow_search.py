@@ -7,10 +7,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from dousa.estimation.body import BodyModel
-from dousa.estimation.camera import Camera
-from dousa.estimation.kinematics import place_parts
-from dousa.estimation.rasteriser import draw_parts
+from dousa.estimation.body.body import BodyModel
+from dousa.estimation.body.kinematics import place_parts
+from dousa.estimation.cameras.camera import Camera
+from dousa.estimation.raster.rasteriser import draw_parts
 from dousa.motion import rotations as rot
 
 LEAST_WEIGHT = 1e-3
@@ -105,8 +105,7 @@ class SlowSearch:
         scores = {}
         for k, masks in drawn.items():
             wrong = sum(
-                mismatch(reading, s, f, p, r)
-                for (_, s), f, p, r in zip(self.views, fixed, masks, reach, strict=True)
+                mismatch(reading, s, f, p, r) for (_, s), f, p, r in zip(self.views, fixed, masks, reach, strict=True)
             )
             scores[k] = -self.per_pixel * wrong if evidence == "log" else -np.log(1.0 + wrong)
         return scores

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from dousa.motion import CanonicalMotion, canonicalise
-from dousa.motion.joints import CANONICAL_PARENTS
-from dousa.motion.synthetic import draw_performer, make_motion
+from dousa.motion.canonical.joints import CANONICAL_PARENTS
+from dousa.motion.synthetic.performers import draw_performer, make_motion
 
 
 def make_wandering_motion(

@@ -9,11 +9,11 @@ from itertools import pairwise
 
 import numpy as np
 
-from dousa.evaluation.posture import MIRRORED_JOINTS
 from dousa.motion import CanonicalMotion, canonicalise
-from dousa.motion.joints import JOINT_INDEX as J
-from dousa.motion.synthetic import draw_performer
-from dousa.motion.synthetic_dance import make_dance
+from dousa.motion.canonical.joints import JOINT_INDEX as J
+from dousa.motion.canonical.joints import MIRRORED_JOINTS
+from dousa.motion.synthetic.dance import make_dance
+from dousa.motion.synthetic.performers import draw_performer
 
 ARM = ("shoulder", "elbow", "wrist", "hand")
 
@@ -63,14 +63,10 @@ def be_late(motion: CanonicalMotion, lag_s: float, start_s: float, end_s: float)
     frames = np.clip(np.arange(motion.n_frames) - delay, 0, motion.n_frames - 1)
     low = np.minimum(frames.astype(int), motion.n_frames - 2)
     share = (frames - low)[:, None, None]
-    return replace(
-        motion, positions=motion.positions[low] * (1.0 - share) + motion.positions[low + 1] * share
-    )
+    return replace(motion, positions=motion.positions[low] * (1.0 - share) + motion.positions[low + 1] * share)
 
 
-def shrink_arm(
-    motion: CanonicalMotion, side: str, gain: float, start_s: float, end_s: float
-) -> CanonicalMotion:
+def shrink_arm(motion: CanonicalMotion, side: str, gain: float, start_s: float, end_s: float) -> CanonicalMotion:
     """An arm that moves less about the mean of its directions between two times."""
     inside = fade(motion, start_s, end_s)
     positions = motion.positions.copy()

@@ -72,9 +72,7 @@ def best_mean_cosine(a: Sequence[Vector], b: Sequence[Vector], n_angles: int = 3
     best = -1.0
     for number in range(n_angles):
         theta = 2.0 * math.pi * number / n_angles
-        cosines = [
-            sum(p * q for p, q in zip(x, turn(y, theta), strict=True)) for x, y in zip(a, b, strict=True)
-        ]
+        cosines = [sum(p * q for p, q in zip(x, turn(y, theta), strict=True)) for x, y in zip(a, b, strict=True)]
         best = max(best, sum(cosines) / len(cosines))
     return best
 

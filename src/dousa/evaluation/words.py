@@ -1,4 +1,4 @@
-"""Sentences about a performance, in English and Japanese: what a teacher would say, with its numbers.
+"""Names of segments, errors and lapses, and what a teacher would say of them with their numbers.
 
 The Japanese names of the four errors are those of Yamane and Shakunaga, section 2.3.
 """
@@ -6,136 +6,81 @@ The Japanese names of the four errors are those of Yamane and Shakunaga, section
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping
 from typing import TypeGuard
 
 from dousa.errors import OptionError
+from dousa.messages import LANGUAGES, Message
 
-__all__ = [
-    "KIND_WORDS",
-    "LANGUAGES",
-    "LAPSE_WORDS",
-    "SEGMENT_WORDS",
-    "check_language",
-    "describe_event",
-    "describe_facing",
-    "describe_lapse",
-    "describe_segments",
-    "format_time",
-]
-
-LANGUAGES: tuple[str, ...] = ("en", "ja")
-
-SEGMENT_WORDS: dict[str, dict[str, str]] = {
-    "en": {
-        "trunk": "trunk",
-        "left_upper_arm": "left upper arm",
-        "left_forearm": "left forearm",
-        "right_upper_arm": "right upper arm",
-        "right_forearm": "right forearm",
-        "left_thigh": "left thigh",
-        "left_shank": "left shank",
-        "right_thigh": "right thigh",
-        "right_shank": "right shank",
-    },
-    "ja": {
-        "trunk": "胴体",
-        "left_upper_arm": "左上腕",
-        "left_forearm": "左前腕",
-        "right_upper_arm": "右上腕",
-        "right_forearm": "右前腕",
-        "left_thigh": "左太もも",
-        "left_shank": "左すね",
-        "right_thigh": "右太もも",
-        "right_shank": "右すね",
-    },
+SEGMENT_NAMES: Mapping[str, Message] = {
+    "trunk": Message("body_segments.trunk"),
+    "left_upper_arm": Message("body_segments.left_upper_arm"),
+    "left_forearm": Message("body_segments.left_forearm"),
+    "right_upper_arm": Message("body_segments.right_upper_arm"),
+    "right_forearm": Message("body_segments.right_forearm"),
+    "left_thigh": Message("body_segments.left_thigh"),
+    "left_shank": Message("body_segments.left_shank"),
+    "right_thigh": Message("body_segments.right_thigh"),
+    "right_shank": Message("body_segments.right_shank"),
 }
-"""Language -> segment -> its name."""
+"""Segment -> its name."""
 
-KIND_WORDS: dict[str, dict[str, str]] = {
-    "en": {
-        "global": "global motion error",
-        "partial": "partial motion error",
-        "incomplete": "incomplete motion",
-        "shift": "time shift",
-    },
-    "ja": {
-        "global": "全体振りミス",
-        "partial": "部分振りミス",
-        "incomplete": "不完全動作",
-        "shift": "時間ズレ",
-    },
+KINDS: Mapping[str, Message] = {
+    "global": Message("error_kinds.global"),
+    "partial": Message("error_kinds.partial"),
+    "incomplete": Message("error_kinds.incomplete"),
+    "shift": Message("error_kinds.shift"),
 }
-"""Language -> kind of error -> its name."""
+"""Kind of error -> its name."""
 
-LAPSE_WORDS: dict[str, dict[str, str]] = {
-    "en": {
-        "stop": "stop",
-        "skip": "skip",
-        "repeat": "repeat",
-        "late start": "late start",
-        "early end": "early end",
-        "lead-in": "lead-in",
-        "lead-out": "lead-out",
-    },
-    "ja": {
-        "stop": "停止",
-        "skip": "抜け",
-        "repeat": "繰り返し",
-        "late start": "途中から開始",
-        "early end": "途中で終了",
-        "lead-in": "前置き",
-        "lead-out": "後置き",
-    },
+LAPSE_KINDS: Mapping[str, Message] = {
+    "stop": Message("lapse_kinds.stop"),
+    "skip": Message("lapse_kinds.skip"),
+    "repeat": Message("lapse_kinds.repeat"),
+    "late start": Message("lapse_kinds.late_start"),
+    "early end": Message("lapse_kinds.early_end"),
+    "lead-in": Message("lapse_kinds.lead_in"),
+    "lead-out": Message("lapse_kinds.lead_out"),
 }
-"""Language -> kind of lapse -> its name."""
+"""Kind of lapse -> its name."""
 
-# The larger whole first: name, the segments that it takes, English, Japanese.
-_WHOLES: tuple[tuple[tuple[str, ...], str, str], ...] = (
+# The larger whole first, and the segments that it takes.
+_WHOLES: tuple[tuple[Message, tuple[str, ...]], ...] = (
     (
+        Message("body_segments.both_arms"),
         ("left_upper_arm", "left_forearm", "right_upper_arm", "right_forearm"),
-        "both arms",
-        "両腕",
     ),
-    (("left_upper_arm", "left_forearm"), "left arm", "左腕"),
-    (("right_upper_arm", "right_forearm"), "right arm", "右腕"),
-    (("left_upper_arm", "right_upper_arm"), "both upper arms", "両上腕"),
-    (("left_forearm", "right_forearm"), "both forearms", "両前腕"),
-    (("left_thigh", "left_shank", "right_thigh", "right_shank"), "both legs", "両脚"),
-    (("left_thigh", "left_shank"), "left leg", "左脚"),
-    (("right_thigh", "right_shank"), "right leg", "右脚"),
-    (("left_thigh", "right_thigh"), "both thighs", "両太もも"),
-    (("left_shank", "right_shank"), "both shanks", "両すね"),
+    (Message("body_segments.left_arm"), ("left_upper_arm", "left_forearm")),
+    (Message("body_segments.right_arm"), ("right_upper_arm", "right_forearm")),
+    (Message("body_segments.both_upper_arms"), ("left_upper_arm", "right_upper_arm")),
+    (Message("body_segments.both_forearms"), ("left_forearm", "right_forearm")),
+    (Message("body_segments.both_legs"), ("left_thigh", "left_shank", "right_thigh", "right_shank")),
+    (Message("body_segments.left_leg"), ("left_thigh", "left_shank")),
+    (Message("body_segments.right_leg"), ("right_thigh", "right_shank")),
+    (Message("body_segments.both_thighs"), ("left_thigh", "right_thigh")),
+    (Message("body_segments.both_shanks"), ("left_shank", "right_shank")),
 )
-_WHOLE_BODY = {"en": "whole body", "ja": "全身"}
 
 
 def check_language(language: str) -> str:
     """The language itself, if there are words for it.
 
-    Parameters
-    ----------
-    language : ``"en"`` or ``"ja"``.
-
     Raises
     ------
-    OptionError : another one.
+    OptionError : another one than those of `dousa.messages.LANGUAGES`.
     """
     if language not in LANGUAGES:
-        raise OptionError(
-            f"language: expected one of {', '.join(LANGUAGES)}, got {language!r}; "
-            "choose en for English, ja for Japanese"
-        )
+        raise OptionError("language.unknown", known=LANGUAGES, language=language)
     return language
 
 
-def format_time(seconds: float) -> str:
-    """A moment as ``m:ss.s``.
+def name_all(names: Mapping[str, Message], language: str | None = None) -> dict[str, str]:
+    """A table of names in a language: ``name_all(KINDS, "ja")["shift"]``."""
+    return {key: message.render(language) for key, message in names.items()}
 
-    Parameters
-    ----------
-    seconds : s; nan or infinite gives a dash.
-    """
+
+def format_time(seconds: float) -> str:
+    """A moment as ``m:ss.s``; a dash for one that is nan or infinite."""
     if not math.isfinite(seconds):
         return "–"
     tenths = round(abs(seconds) * 10)
@@ -143,217 +88,156 @@ def format_time(seconds: float) -> str:
     return f"{sign}{tenths // 600}:{tenths % 600 / 10:04.1f}"
 
 
-def describe_segments(segments: Iterable[str], language: str = "en") -> str:
+def describe_segments(segments: Iterable[str], language: str | None = None) -> str:
     """Segments in words, grouped to limbs: ``"right arm"``, ``"trunk and both legs"``, ``"whole body"``.
 
     Parameters
     ----------
-    segments : names out of `SEGMENT_WORDS`, any order; none at all is the whole body.
-    language : ``"en"`` or ``"ja"``.
+    segments : names out of `SEGMENT_NAMES`, any order; none at all is the whole body.
+    language : of `dousa.messages.LANGUAGES`; None for the one in use.
 
     Raises
     ------
-    OptionError : a segment or language that there is not.
+    OptionError : a segment that there is not.
     """
-    words = SEGMENT_WORDS[check_language(language)]
+    return Message("body_segments.several", names=_group(segments)).render(language)
+
+
+def _group(segments: Iterable[str]) -> tuple[Message, ...]:
     left = set(segments)
-    unknown = sorted(left - set(words))
-    if unknown:
-        raise OptionError(f"segments: expected names out of {', '.join(words)}, got {', '.join(unknown)}")
-    if not left or len(left) == len(words):
-        return _WHOLE_BODY[language]
+    if unknown := left - set(SEGMENT_NAMES):
+        raise OptionError("body_segments.unknown", known=tuple(SEGMENT_NAMES), names=unknown)
+    if not left or len(left) == len(SEGMENT_NAMES):
+        return (Message("body_segments.whole_body"),)
     # Each word stands where its first segment stands, so that the trunk comes before arms and legs.
-    order = list(words)
-    found: list[tuple[int, str]] = []
-    for members, english, japanese in _WHOLES:
+    order = list(SEGMENT_NAMES)
+    found: list[tuple[int, Message]] = []
+    for name, members in _WHOLES:
         if left.issuperset(members):
             left.difference_update(members)
-            found.append((order.index(members[0]), japanese if language == "ja" else english))
-    found.extend((order.index(name), words[name]) for name in left)
-    return _join([word for _, word in sorted(found)], language)
-
-
-def _join(words: Sequence[str], language: str) -> str:
-    if language == "ja":
-        return "・".join(words)
-    return words[0] if len(words) == 1 else f"{', '.join(words[:-1])} and {words[-1]}"
+            found.append((order.index(members[0]), name))
+    found.extend((order.index(segment), SEGMENT_NAMES[segment]) for segment in left)
+    return tuple(name for _, name in sorted(found, key=lambda pair: pair[0]))
 
 
 def describe_event(
     kind: str,
-    start_s: float,
     segments: Iterable[str],
     *,
     lag_ms: float | None = None,
     shortfall_deg: float | None = None,
     shortfall_percent: float | None = None,
     deviation_deg: float | None = None,
-    language: str = "en",
-    furi: int | None = None,
-) -> str:
-    """One error in a sentence, such as ``"1:12.0, right arm: 24 deg short, reaches 62 % of the range"``.
+) -> Message:
+    """What is wrong, such as ``"right arm: 24 deg short, reaches 62 % of the range"``.
 
     Parameters
     ----------
-    kind : ``"global"``, ``"partial"``, ``"incomplete"`` or ``"shift"``.
-    start_s : performance seconds.
+    kind : of `KINDS`.
     segments : names of the wrong segments.
     lag_ms : how late, negative is early; of a shift.
     shortfall_deg, shortfall_percent : missing range of motion, in degrees and percent of the reference's; negative
         if it goes further than the reference.
     deviation_deg : largest lasting angle from the reference, of a partial error.
-    language : ``"en"`` or ``"ja"``.
-    furi : number of the furi, from 0; None to leave it out.
 
     Raises
     ------
-    OptionError : a kind, segment or language that there is not.
+    OptionError : a kind or segment that there is not.
     """
-    who = describe_segments(segments, language)
-    if kind not in KIND_WORDS[language]:
-        raise OptionError(f"kind: expected one of {', '.join(KIND_WORDS['en'])}, got {kind!r}")
-    numbers = (lag_ms, shortfall_deg, shortfall_percent, deviation_deg)
-    if language == "ja":
-        where = "" if furi is None else f"（振り{furi + 1}）"
-        return f"{format_time(start_s)} {_say_ja(kind, who, *numbers)}{where}"
-    where = "" if furi is None else f" (furi {furi + 1})"
-    return f"{format_time(start_s)}, {_say_en(kind, who, *numbers)}{where}"
-
-
-def _say_en(
-    kind: str, who: str, lag: float | None, degrees: float | None, percent: float | None, off: float | None
-) -> str:
+    who = _group(segments)
     if kind == "global":
-        return "the whole figure is another one"
+        return Message("error_event.global")
     if kind == "partial":
-        if _is_number(degrees) and degrees < 0:
-            return f"{who}: goes {-degrees:.0f} deg further than the reference"
-        far = f", up to {off:.0f} deg away" if _is_number(off) else ""
-        return f"{who}: another movement than the reference's{far}"
+        return _describe_partial(who, shortfall_deg, deviation_deg)
     if kind == "shift":
-        if not _is_number(lag):
-            return f"{who}: out of time"
-        return f"{who}: {abs(lag):.0f} ms {'late' if lag > 0 else 'early'}"
-    parts = []
-    if _is_number(degrees):
-        parts.append(f"{degrees:.0f} deg short")
-    if _is_number(percent):
-        parts.append(f"reaches {_reached(percent)} % of the range")
-    return f"{who}: {', '.join(parts) or 'not danced to the full'}"
+        return _describe_shift(who, lag_ms)
+    if kind == "incomplete":
+        return _describe_incomplete(who, shortfall_deg, shortfall_percent)
+    raise OptionError("error_kinds.unknown", known=tuple(KINDS), kind=kind)
 
 
-def _say_ja(
-    kind: str, who: str, lag: float | None, degrees: float | None, percent: float | None, off: float | None
-) -> str:
-    if kind == "global":
-        return "全身：手本とは別の振りになっています"
-    if kind == "partial":
-        if _is_number(degrees) and degrees < 0:
-            return f"{who}：手本より{-degrees:.0f}度大きく動いています"
-        far = f"（最大{off:.0f}度）" if _is_number(off) else ""
-        return f"{who}：手本と動きが違います{far}"
-    if kind == "shift":
-        if not _is_number(lag):
-            return f"{who}：タイミングがずれています"
-        return f"{who}：{abs(lag):.0f}ミリ秒{'遅れています' if lag > 0 else '早くなっています'}"
-    parts = []
-    if _is_number(degrees):
-        parts.append(f"{degrees:.0f}度足りません")
-    if _is_number(percent):
-        parts.append(f"手本の振れ幅の{_reached(percent)} %まで")
-    return f"{who}：{'、'.join(parts) or '振りが最後まで伸びていません'}"
+def _describe_partial(who: tuple[Message, ...], missing_deg: float | None, away_deg: float | None) -> Message:
+    if _is_number(missing_deg) and missing_deg < 0:
+        return Message("error_event.further", who=who, degrees=-missing_deg)
+    if _is_number(away_deg):
+        return Message("error_event.partial_by", who=who, degrees=away_deg)
+    return Message("error_event.partial", who=who)
+
+
+def _describe_shift(who: tuple[Message, ...], lag_ms: float | None) -> Message:
+    if not _is_number(lag_ms):
+        return Message("error_event.out_of_time", who=who)
+    return Message("error_event.late" if lag_ms > 0 else "error_event.early", who=who, lag_ms=abs(lag_ms))
+
+
+def _describe_incomplete(who: tuple[Message, ...], degrees: float | None, missing: float | None) -> Message:
+    if not _is_number(missing):
+        if not _is_number(degrees):
+            return Message("error_event.incomplete", who=who)
+        return Message("error_event.short", who=who, degrees=degrees)
+    percent = round(min(100.0, max(0.0, 100.0 - missing)))
+    if not _is_number(degrees):
+        return Message("error_event.reaching", who=who, percent=percent)
+    return Message("error_event.short_reaching", who=who, degrees=degrees, percent=percent)
 
 
 def _is_number(value: float | None) -> TypeGuard[float]:
     return value is not None and math.isfinite(value)
 
 
-def _reached(percent: float) -> int:
-    return round(min(100.0, max(0.0, 100.0 - percent)))
-
-
 def describe_lapse(
-    kind: str,
-    start_s: float,
-    end_s: float,
-    reference_start_s: float,
-    reference_end_s: float,
-    language: str = "en",
-) -> str:
-    """One lapse of order in a sentence, such as ``"0:31.0, leaves out 2.0 s of the reference (0:30.0 to 0:32.0)"``.
+    kind: str, start_s: float, end_s: float, reference_start_s: float, reference_end_s: float
+) -> Message:
+    """One lapse of order, such as ``"leaves out 2.0 s of the reference (0:30.0 to 0:32.0)"``.
 
     Parameters
     ----------
-    kind : ``"stop"``, ``"skip"``, ``"repeat"``, ``"late start"``, ``"early end"``, ``"lead-in"`` or ``"lead-out"``.
+    kind : of `LAPSE_KINDS`.
     start_s, end_s : performance seconds.
     reference_start_s, reference_end_s : reference seconds left out, done again or not reached.
-    language : ``"en"`` or ``"ja"``.
 
     Raises
     ------
-    OptionError : a kind or language that there is not.
+    OptionError : a kind that there is not.
     """
-    check_language(language)
-    if kind not in LAPSE_WORDS[language]:
-        raise OptionError(f"kind: expected one of {', '.join(LAPSE_WORDS['en'])}, got {kind!r}")
-    own = _seconds(end_s - start_s, language)
-    missed = _seconds(reference_end_s - reference_start_s, language)
-    span = (
-        f"{format_time(reference_start_s)}{'–' if language == 'ja' else ' to '}{format_time(reference_end_s)}"
-    )
-    when = format_time(start_s)
-    if language == "ja":
-        return (
-            f"{when} "
-            + {
-                "stop": f"{own}止まってから、続きを踊っています",
-                "skip": f"手本の{missed}（{span}）が抜けています",
-                "repeat": f"手本の{missed}（{span}）を繰り返しています",
-                "late start": f"手本の始めの{missed}を踊っていません",
-                "early end": f"手本の終わりの{missed}を踊っていません",
-                "lead-in": f"始めの{own}は手本にない動きです",
-                "lead-out": f"ここからの{own}は手本にない動きです",
-            }[kind]
-        )
-    return (
-        f"{when}, "
-        + {
-            "stop": f"stands still for {own}, then goes on",
-            "skip": f"leaves out {missed} of the reference ({span})",
-            "repeat": f"does {missed} of the reference again ({span})",
-            "late start": f"begins late: the first {missed} of the reference are not danced",
-            "early end": f"ends early: the last {missed} of the reference are not danced",
-            "lead-in": f"the first {own} are not in the reference",
-            "lead-out": f"the last {own} are not in the reference",
-        }[kind]
-    )
+    own, missed = _say_seconds(end_s - start_s), _say_seconds(reference_end_s - reference_start_s)
+    start, end = format_time(reference_start_s), format_time(reference_end_s)
+    said = {
+        "stop": Message("lapse.stop", own=own),
+        "skip": Message("lapse.skip", missed=missed, start=start, end=end),
+        "repeat": Message("lapse.repeat", missed=missed, start=start, end=end),
+        "late start": Message("lapse.late_start", missed=missed),
+        "early end": Message("lapse.early_end", missed=missed),
+        "lead-in": Message("lapse.lead_in", own=own),
+        "lead-out": Message("lapse.lead_out", own=own),
+    }
+    if kind not in said:
+        raise OptionError("error_kinds.unknown", known=tuple(said), kind=kind)
+    return said[kind]
 
 
-def _seconds(duration: float, language: str) -> str:
+def _say_seconds(duration: float) -> Message:
     if not math.isfinite(duration):
-        return "一部" if language == "ja" else "a part"
-    return f"{abs(duration):.1f}{'秒' if language == 'ja' else ' s'}"
+        return Message("lapse.a_part")
+    return Message("lapse.seconds", seconds=abs(duration))
 
 
-def describe_facing(angle: float, language: str = "en") -> str:
-    """A heading in words, such as ``"turned 25 deg to the left"``.
+def date(what: Message, start_s: float) -> Message:
+    """What happens with its moment before it: ``"0:31.0, stands still for 1.2 s, then goes on"``."""
+    return Message("error_event.dated", time=format_time(start_s), what=what)
+
+
+def describe_heading(angle: float) -> Message:
+    """A heading, such as ``"turned 25 deg to the left"``.
 
     Parameters
     ----------
     angle : rad about the vertical, positive is to the dancer's own left; nan is unknown.
-    language : ``"en"`` or ``"ja"``.
-
-    Raises
-    ------
-    OptionError : a language that there is not.
     """
-    check_language(language)
     if not math.isfinite(angle):
-        return "向きは不明" if language == "ja" else "facing unknown"
-    degrees = round(math.degrees(abs(math.remainder(angle, 2.0 * math.pi))))
-    to_left = math.remainder(angle, 2.0 * math.pi) > 0
+        return Message("dance_heading.unknown")
+    turned = math.degrees(math.remainder(angle, 2.0 * math.pi))
+    degrees = round(abs(turned))
     if degrees == 0:
-        return "手本と同じ向き" if language == "ja" else "faces as the reference does"
-    if language == "ja":
-        return f"{'左' if to_left else '右'}に{degrees}度向いている"
-    return f"turned {degrees} deg to the {'left' if to_left else 'right'}"
+        return Message("dance_heading.same")
+    return Message("dance_heading.left" if turned > 0 else "dance_heading.right", degrees=degrees)

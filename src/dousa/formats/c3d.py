@@ -11,35 +11,349 @@ parameter section, or cut off; memory limited to 2 GB):
 - c3d 0.6.0 (Python): no crash, but it refuses sound files on which header and parameters disagree in what does not
   matter here (analog rate, scale), or in which a parameter occurs twice, and takes one Python step per frame.
 
-So the two sections are taken apart here with every pointer checked (``_c3d_sections.py``) and the data in one numpy
+So the two sections are taken apart here with every pointer checked and the data in one numpy
 view; the tests compare with ezc3d, value by value.
 """
 
 from __future__ import annotations
 
 import os
+import struct
+from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from dousa._files import read_bytes
-from dousa.errors import MotionFileError
-from dousa.formats._c3d_sections import BLOCK, Sections, decode_floats, parse_sections
-from dousa.formats._c3d_writer import write_c3d
-from dousa.formats._markers import declared_unit, settle_trajectories
+from dousa.arrays import FloatArray, IndexArray
+from dousa.errors import MotionFileError, MotionWriteError
+from dousa.files.disk import atomic_write, read_bytes
+from dousa.formats.markers import declared_unit, settle_trajectories
 from dousa.motion import Trajectories
-from dousa.motion._types import FloatArray
 
-__all__ = ["read_c3d", "write_c3d"]
+BLOCK = 512
+_MAGIC = 0x50
+_MOST_PARAMETERS = 20_000  # 127 groups of real files hold some hundreds
+_INTEL, _DEC, _MIPS = 84, 85, 86
+
+
+@dataclass(frozen=True, slots=True)
+class Parameter:
+    """One parameter: its raw data and how to take them.
+
+    Parameters
+    ----------
+    item_size : bytes per item, -1 for text.
+    shape : Fortran order, text length first.
+    data : raw bytes; None if the file's sizes point outside the section.
+    processor : 84 Intel, 85 DEC, 86 MIPS.
+    """
+
+    item_size: int
+    shape: tuple[int, ...]
+    data: bytes | None
+    processor: int
+
+    def texts(self) -> list[str]:
+        """The texts, without the blanks and zero bytes that pad them."""
+        data = self.data or b""
+        length = self.shape[0] if len(self.shape) > 1 else len(data)
+        if length == 0:
+            return []
+        pieces = [data[start : start + length] for start in range(0, len(data), length)]
+        return [_decode_text(piece) for piece in pieces]
+
+    def numbers(self) -> FloatArray:
+        """All values in file order; 16-bit integers unsigned, as counts may exceed 32,767."""
+        data = self.data or b""
+        if self.item_size == 4:
+            with np.errstate(invalid="ignore"):  # a signalling NaN
+                return decode_floats(data, self.processor).astype(np.float64)
+        if self.item_size == 2:
+            return np.frombuffer(data, ">u2" if self.processor == _MIPS else "<u2").astype(np.float64)
+        return np.frombuffer(data, np.uint8).astype(np.float64)
+
+
+@dataclass(frozen=True, slots=True)
+class Header:
+    """The numbers of the first block that matter here; word numbers as in the user guide."""
+
+    n_points: int
+    n_analog: int
+    """Analog samples per frame, all channels together."""
+    first_frame: int
+    last_frame: int
+    scale: float
+    data_block: int
+    frame_rate: float
+
+
+@dataclass(frozen=True, slots=True)
+class Sections:
+    """What precedes the data: header and parameters by ``"GROUP:NAME"``, upper case."""
+
+    path: str
+    header: Header
+    parameters: dict[str, Parameter]
+    processor: int
+
+    def number(self, key: str) -> float | None:
+        """First value of a numeric parameter, None if there is none."""
+        values = self.numbers(key)
+        return float(values[0]) if len(values) else None
+
+    def numbers(self, key: str) -> FloatArray:
+        """All values of a numeric parameter."""
+        return np.zeros(0) if key not in self.parameters else self._checked(key).numbers()
+
+    def texts(self, key: str) -> list[str]:
+        """The texts of a parameter, together with those of its continuations NAME2, NAME3 ..."""
+        texts: list[str] = []
+        number, name = 1, key
+        while name in self.parameters:
+            texts += self._checked(name).texts()
+            number += 1
+            name = f"{key}{number}"
+        return texts
+
+    def _checked(self, key: str) -> Parameter:
+        parameter = self.parameters[key]
+        if parameter.data is None:
+            raise MotionFileError(self.path, "c3d.parameter_size", name=key)
+        return parameter
+
+    @property
+    def big_endian(self) -> bool:
+        """Whether the high byte comes first."""
+        return self.processor == _MIPS
+
+
+def _decode_text(data: bytes) -> str:
+    data = data.split(b"\0", 1)[0].strip()
+    try:
+        return data.decode("utf-8")
+    except UnicodeDecodeError:
+        return data.decode("latin-1")
+
+
+def decode_floats(data: bytes, processor: int) -> NDArray[np.float32]:
+    """32-bit floats of any of the three processors as native ones; DEC's exponents are two higher."""
+    usable = len(data) // 4 * 4
+    with np.errstate(invalid="ignore"):  # damaged bytes may be a signalling NaN
+        if processor == _DEC:
+            words = np.ascontiguousarray(np.frombuffer(data[:usable], "<u2").reshape(-1, 2)[:, ::-1])
+            return (words.view("<f4")[:, 0] / np.float32(4)).astype(np.float32)
+        return np.frombuffer(data[:usable], ">f4" if processor == _MIPS else "<f4").astype(np.float32)
+
+
+def parse_sections(path: str | os.PathLike[str], data: bytes) -> Sections:
+    """Header and parameters of a whole file.
+
+    Raises
+    ------
+    MotionFileError : not a C3D file, cut off, or a parameter section that points outside.
+    """
+    if len(data) < 2 or data[1] != _MAGIC:
+        raise MotionFileError(path, "c3d.magic")
+    if len(data) < 2 * BLOCK:
+        raise MotionFileError(path, "c3d.short", found=len(data))
+    start = (max(data[0], 2) - 1) * BLOCK  # a pointer of 0 or 1 means the usual place
+    if start + 4 > len(data):
+        raise MotionFileError(path, "c3d.parameters_beyond")
+    processor = data[start + 3]
+    if processor not in (_INTEL, _DEC, _MIPS):
+        raise MotionFileError(path, "c3d.processor", found=processor)
+    header = _parse_header(data, processor)
+    # The section's own block count is one byte, too small for the largest files: the data section ends it.
+    data_start = (header.data_block - 1) * BLOCK
+    end = min(data_start, len(data)) if data_start > start else len(data)
+    return Sections(os.fspath(path), header, _parse_parameters(path, data[start + 4 : end], processor), processor)
+
+
+def _parse_header(data: bytes, processor: int) -> Header:
+    words = np.frombuffer(data[:BLOCK], ">u2" if processor == _MIPS else "<u2")
+    scale, rate = decode_floats(data[12:16], processor)[0], decode_floats(data[20:24], processor)[0]
+    return Header(
+        n_points=int(words[1]),
+        n_analog=int(words[2]),
+        first_frame=int(words[3]),
+        last_frame=int(words[4]),
+        scale=float(scale),
+        data_block=int(words[8]),
+        frame_rate=float(rate),
+    )
+
+
+def _parse_parameters(path: str | os.PathLike[str], section: bytes, processor: int) -> dict[str, Parameter]:
+    groups: dict[int, str] = {}
+    found: list[tuple[int, str, Parameter]] = []
+    order = "big" if processor == _MIPS else "little"
+    place = 0
+    while place + 2 <= len(section):
+        # A negative length marks a locked entry, a negative number a group.
+        length = abs(int.from_bytes(section[place : place + 1], signed=True))
+        number = int.from_bytes(section[place + 1 : place + 2], signed=True)
+        if length == 0 or number == 0:
+            break
+        name = _decode_text(section[place + 2 : place + 2 + length]).upper()
+        link = place + 2 + length
+        offset = int.from_bytes(section[link : link + 2], order)  # type: ignore[arg-type]
+        if number < 0:
+            groups.setdefault(-number, name)
+        else:
+            stop = link + offset if offset else len(section)
+            found.append((number, name, _parse_parameter(section[link + 2 : stop], processor)))
+        if offset == 0:
+            break
+        if len(found) > _MOST_PARAMETERS:
+            raise MotionFileError(path, "c3d.too_many_parameters", most=_MOST_PARAMETERS)
+        if offset < 2 or link + offset > len(section):
+            raise MotionFileError(path, "c3d.parameter_place", name=name)
+        place = link + offset
+    parameters: dict[str, Parameter] = {}
+    for number, name, parameter in found:
+        parameters.setdefault(f"{groups.get(number, number)}:{name}", parameter)
+    return parameters
+
+
+def _parse_parameter(entry: bytes, processor: int) -> Parameter:
+    """A parameter from the bytes after its link, which may hold more than it."""
+    if len(entry) < 2:
+        return Parameter(1, (), None, processor)
+    item_size = int.from_bytes(entry[:1], signed=True)
+    n_axes = entry[1]
+    shape = tuple(entry[2 : 2 + n_axes])
+    size = abs(item_size)
+    for length in shape:
+        size *= length
+    start = 2 + n_axes
+    whole = len(shape) == n_axes and start + size <= len(entry) and item_size in (-1, 1, 2, 4)
+    return Parameter(item_size, shape, entry[start : start + size] if whole else None, processor)
+
+
+_MOST_LABELS = 255  # of one parameter, whose sizes are bytes
+_FULL_COUNTER = 65_535
+_CHUNK_FRAMES = 4096
+
+
+def write_c3d(motion: Trajectories, path: str | os.PathLike[str]) -> None:
+    """Write trajectories as a C3D file, in mm with Y up, as 32-bit floats.
+
+    Missing positions get the residual -1. Names are kept; the tree and the rest pose have no place in C3D.
+
+    Parameters
+    ----------
+    motion : trajectories.
+    path : the file to write.
+
+    Raises
+    ------
+    MotionWriteError : names that C3D cannot hold, too many points, positions too large, a disk that refuses.
+    """
+    names = [_check_name(path, name) for name in motion.names]
+    # The place of the data is in the parameters, whose size does not depend on it.
+    blocks = -(-len(_parameter_section(motion, names, 0)) // BLOCK)
+    if len(names) > _FULL_COUNTER or blocks > 255:
+        raise MotionWriteError(path, "c3d.too_many_points", count=len(names))
+    section = _parameter_section(motion, names, 2 + blocks).ljust(blocks * BLOCK, b"\0")
+    section = section[:2] + bytes([blocks]) + section[3:]
+    with atomic_write(path) as file:
+        file.write(_header(motion, 2 + blocks))
+        file.write(section)
+        for start in range(0, motion.n_frames, _CHUNK_FRAMES):
+            file.write(_encode_frames(path, motion.positions[start : start + _CHUNK_FRAMES]))
+        file.write(bytes(-file.tell() % BLOCK))
+
+
+def _check_name(path: str | os.PathLike[str], name: str) -> bytes:
+    try:
+        text = name.encode("utf-8")
+    except UnicodeEncodeError:
+        text = b""
+    if not text.strip() or len(text) > 255 or text.startswith(b"*") or b"\0" in text:
+        raise MotionWriteError(path, "c3d.point_name", name=name[:40])
+    return text
+
+
+def _encode_frames(path: str | os.PathLike[str], positions: np.ndarray) -> bytes:
+    words = np.zeros((*positions.shape[:2], 4), "<f4")
+    missing = np.isnan(positions).any(axis=2)
+    with np.errstate(over="ignore"):
+        words[..., :3] = positions * 1000.0
+    words[missing] = (0.0, 0.0, 0.0, -1.0)
+    if not np.isfinite(words).all():
+        raise MotionWriteError(path, "c3d.range")
+    return words.tobytes()
+
+
+def _header(motion: Trajectories, data_block: int) -> bytes:
+    last = min(motion.n_frames, _FULL_COUNTER)
+    start = struct.pack(
+        "<BBHHHHHfHHf", 2, _MAGIC, len(motion.names), 0, 1, last, 0, -1.0, data_block, 0, motion.frame_rate
+    )
+    return start.ljust(BLOCK, b"\0")
+
+
+def _parameter_section(motion: Trajectories, names: list[bytes], data_block: int) -> bytes:
+    frames = motion.n_frames
+    point = [
+        _integers("USED", [len(names)]),
+        _floats("SCALE", [-1.0]),
+        _floats("RATE", [motion.frame_rate]),
+        _integers("DATA_START", [data_block]),
+        _integers("FRAMES", [min(frames, _FULL_COUNTER)]),
+        _floats("LONG_FRAMES", [frames]),
+        _texts("UNITS", [b"mm"]),
+        _texts("X_SCREEN", [b"+X"]),
+        _texts("Y_SCREEN", [b"+Y"]),
+    ]
+    for number, start in enumerate(range(0, len(names), _MOST_LABELS), 1):
+        part, suffix = names[start : start + _MOST_LABELS], "" if number == 1 else str(number)
+        point += [_texts(f"LABELS{suffix}", part), _texts(f"DESCRIPTIONS{suffix}", [b""] * len(part))]
+    groups = {
+        "POINT": point,
+        "ANALOG": [_integers("USED", [0]), _floats("RATE", [0.0]), _floats("GEN_SCALE", [1.0])],
+        "FORCE_PLATFORM": [_integers("USED", [0])],
+        "TRIAL": [
+            _integers("ACTUAL_START_FIELD", [1, 0]),
+            _integers("ACTUAL_END_FIELD", [frames % 65_536, frames // 65_536]),
+        ],
+    }
+    section = bytes([1, _MAGIC, 0, _INTEL])
+    for group_id, (name, parameters) in enumerate(groups.items(), 1):
+        section += struct.pack("bb", len(name), -group_id) + name.encode() + b"\3\0\0"
+        for parameter_name, content in parameters:
+            section += struct.pack("bb", len(parameter_name), group_id) + parameter_name.encode()
+            section += struct.pack("<H", len(content) + 3) + content + b"\0"
+    return section + b"\0\0"
+
+
+def _integers(name: str, values: Sequence[int]) -> tuple[str, bytes]:
+    return name, _array(2, values, "<u2")
+
+
+def _floats(name: str, values: Sequence[float]) -> tuple[str, bytes]:
+    return name, _array(4, values, "<f4")
+
+
+def _array(item_size: int, values: Sequence[float], dtype: str) -> bytes:
+    """One value is a scalar, more are a list."""
+    axes = [] if len(values) == 1 else [len(values)]
+    return struct.pack("bB", item_size, len(axes)) + bytes(axes) + np.array(values, dtype).tobytes()
+
+
+def _texts(name: str, values: list[bytes]) -> tuple[str, bytes]:
+    """One text is a string, more are a table of strings of equal length."""
+    length = max(1, *map(len, values)) if len(values) > 1 else max(1, len(values[0]))
+    content = b"".join(value.ljust(length) for value in values)
+    return name, struct.pack("bBBB", -1, 2, length, len(values)) + content
+
 
 # Parameters of the POINT group that list the points which are no positions.
 _NOT_POSITIONS = ("ANGLES", "FORCES", "MOMENTS", "POWERS", "REACTIONS", "SCALARS")
-_FULL_COUNTER = 65_535
 
 
-def read_c3d(
-    path: str | os.PathLike[str], *, unit: float | str | None = None, up: str | None = None
-) -> Trajectories:
+def read_c3d(path: str | os.PathLike[str], *, unit: float | str | None = None, up: str | None = None) -> Trajectories:
     """Read the points of a C3D file.
 
     Unlabelled points (no name, or one that starts with ``*``) and computed angles, forces, moments and powers are
@@ -82,11 +396,11 @@ def _n_points(sections: Sections) -> int:
     used = sections.number("POINT:USED")
     count = sections.header.n_points if used is None or not np.isfinite(used) else int(used)
     if count <= 0:
-        raise MotionFileError(sections.path, "the file has no points, only analog channels at best")
+        raise MotionFileError(sections.path, "c3d.no_points")
     return count
 
 
-def _choose_points(sections: Sections) -> tuple[NDArray[np.intp], tuple[str, ...]]:
+def _choose_points(sections: Sections) -> tuple[IndexArray, tuple[str, ...]]:
     """Indices and names of the points that are labelled positions; of all points if none has a label."""
     count = _n_points(sections)
     labels = sections.texts("POINT:LABELS")[:count]
@@ -94,11 +408,9 @@ def _choose_points(sections: Sections) -> tuple[NDArray[np.intp], tuple[str, ...
     if not any(labels):
         return np.arange(count), tuple(f"point{number + 1}" for number in range(count))
     left_out = {name for group in _NOT_POSITIONS for name in sections.texts(f"POINT:{group}")}
-    chosen = [
-        number for number, label in enumerate(labels) if label and label[0] != "*" and label not in left_out
-    ]
+    chosen = [number for number, label in enumerate(labels) if label and label[0] != "*" and label not in left_out]
     if not chosen:
-        raise MotionFileError(sections.path, "the file has no labelled markers; label them first")
+        raise MotionFileError(sections.path, "c3d.no_labels")
     return np.array(chosen), tuple(labels[number] for number in chosen)
 
 
@@ -107,7 +419,7 @@ def _frame_rate(sections: Sections) -> float:
     if rate is None or not rate > 0:
         rate = sections.header.frame_rate
     if not 0 < rate <= 1e6:
-        raise MotionFileError(sections.path, f"expected a POINT:RATE in Hz above 0, got {rate:g}")
+        raise MotionFileError(sections.path, "c3d.rate", rate=rate)
     return float(str(np.float32(rate)))  # 29.97, not 29.969999313354492
 
 
@@ -117,11 +429,11 @@ def _up_axis(sections: Sections) -> str | None:
     return axis if axis.removeprefix("-") in ("x", "y", "z") else None
 
 
-def _read_positions(sections: Sections, data: bytes, chosen: NDArray[np.intp]) -> FloatArray:
+def _read_positions(sections: Sections, data: bytes, chosen: IndexArray) -> FloatArray:
     """Positions (T, K, 3) of the chosen points in file units, NaN where the residual is negative."""
     scale = sections.number("POINT:SCALE") or sections.header.scale
     if scale == 0 or not np.isfinite(scale):
-        raise MotionFileError(sections.path, f"expected a POINT:SCALE other than 0, got {scale:g}")
+        raise MotionFileError(sections.path, "c3d.scale", scale=scale)
     width = 4 * _n_points(sections)
     row = width + _n_analog(sections)
     item_size = 4 if scale < 0 else 2
@@ -158,9 +470,7 @@ def _data_start(sections: Sections) -> int:
     if block < 2:
         block = sections.number("POINT:DATA_START") or 0
     if not 2 <= block <= _FULL_COUNTER:
-        raise MotionFileError(
-            sections.path, f"expected the data after the header, got block {block:g}; damaged?"
-        )
+        raise MotionFileError(sections.path, "c3d.data_start", block=block)
     return (int(block) - 1) * BLOCK
 
 
@@ -183,11 +493,8 @@ def _count_frames(sections: Sections, held: int) -> int:
         declared = [count for count in declared if count > _FULL_COUNTER]  # the others overflowed
     declared = [count for count in declared if count > 0]
     if not declared:
-        raise MotionFileError(sections.path, "the file has no frames")
+        raise MotionFileError(sections.path, "c3d.no_frames")
     fitting = [count for count in declared if count <= held]
     if not fitting:
-        raise MotionFileError(
-            sections.path,
-            f"the header declares {min(declared)} frames, the file holds {held}; is it truncated?",
-        )
+        raise MotionFileError(sections.path, "c3d.frame_count", declared=min(declared), held=held)
     return max(fitting)

@@ -22,36 +22,26 @@ array must fill its member exactly, so memory is bounded by the size of the file
 
 from __future__ import annotations
 
-import io
 import json
 import os
-import re
-import zipfile
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from dousa._files import atomic_write, read_bytes
 from dousa.errors import InvalidMotionError, MotionFileError, MotionWriteError
+from dousa.files.disk import atomic_write, read_bytes
+from dousa.files.npz_arrays import NpzFile, open_npz
+from dousa.messages import Message
 from dousa.motion import Motion, Provenance, Skeleton, Trajectories
-from dousa.motion.reference_frame import parse_unit, parse_up
-
-__all__ = ["read_npz", "write_npz"]
+from dousa.motion.canonical.reference_frame import parse_unit, parse_up
 
 _FORMAT, _VERSION = "dousa motion", 1
-_MAGIC = b"\x93NUMPY"
+
 _MOST_MEMBERS = 64
-_LAST_CODE_POINT = 0x10FFFF
-# The header that numpy writes, taken apart without evaluating it.
-_HEADER = re.compile(
-    r"\{'descr': '([<>|=]?[bifuU]\d{1,9})', 'fortran_order': (True|False), 'shape': \(([\d, ]{0,200})\), ?\}\s*"
-)
+
 _PROVENANCE_TEXTS = ("path", "format", "unit_source", "up", "up_source")
-
-
-class _DamagedError(Exception):
-    """A member that is not what it should be; never leaves this module."""
 
 
 def read_npz(
@@ -74,135 +64,70 @@ def read_npz(
     MotionFileError : missing, damaged, not dousa's own, written by a newer version, or another unit asked for.
     """
     if (unit is not None and parse_unit(unit) != 1.0) or (up is not None and parse_up(up) != "y"):
-        raise MotionFileError(path, "dousa's own files are in metres with Y up; leave out unit and up axis")
+        raise MotionFileError(path, "dousa_npz.unit")
     data = read_bytes(path)
+
+    def fail(message: Message) -> MotionFileError:
+        return MotionFileError(path, message)
+
     try:
-        arrays = _read_members(data)
-        return _build(arrays)
-    except _DamagedError as error:
-        raise MotionFileError(path, str(error)) from error
+        with open_npz(data, fail) as file:
+            return _build(_Reader(file, len(data), fail))
     except InvalidMotionError as error:
-        raise MotionFileError(path, f"damaged: {error}") from error
-    # What zipfile raises on damaged archives, found by fuzzing and in its source.
-    except (
-        zipfile.BadZipFile,
-        NotImplementedError,
-        RuntimeError,
-        OSError,
-        EOFError,
-        ValueError,
-        OverflowError,
-    ) as error:
-        raise MotionFileError(path, f"damaged, or not an .npz file: {error}") from error
+        raise MotionFileError(path, "dousa_npz.damaged", reason=error) from error
 
 
-def _read_members(data: bytes) -> dict[str, NDArray[Any]]:
-    arrays: dict[str, NDArray[Any]] = {}
-    with zipfile.ZipFile(io.BytesIO(data)) as archive:
-        members = archive.infolist()
-        if len(members) > _MOST_MEMBERS:
-            raise _DamagedError(f"expected a motion file of dousa, got an archive of {len(members)} files")
-        for member in members:
-            name = member.filename.removesuffix(".npy")
-            if member.compress_type != zipfile.ZIP_STORED:
-                raise _DamagedError(
-                    f"'{name}' is compressed; dousa writes uncompressed files, write it again"
-                )
-            if member.file_size > len(data):
-                raise _DamagedError(f"'{name}' claims {member.file_size} bytes, the file has {len(data)}")
-            arrays[name] = _parse_array(name, archive.read(member))
-    return arrays
+class _Reader:
+    """The arrays of a motion file of dousa; none may be compressed or larger than the file."""
+
+    def __init__(self, file: NpzFile, size: int, fail: Callable[[Message], MotionFileError]) -> None:
+        self.file, self._size, self.fail = file, size, fail
+        if len(file.names) > _MOST_MEMBERS:
+            raise fail(Message("dousa_npz.many", found=len(file.names)))
+        if file.compressed:
+            raise fail(Message("dousa_npz.compressed", array=file.compressed[0]))
+
+    def take(self, name: str, kinds: str, ndim: int) -> NDArray[Any]:
+        """An array of the wanted kinds of dtype and number of axes."""
+        if name not in self.file:
+            raise self.fail(Message("dousa_npz.lacks", array=name))
+        return self.file.read(name, kinds, ndim, self._size)
 
 
-def _parse_array(name: str, data: bytes) -> NDArray[Any]:
-    """The array in the bytes of an .npy file; its size must match to the byte."""
-    if data[:6] != _MAGIC or len(data) < 12:
-        raise _DamagedError(f"'{name[:40]}' is not a numpy array")
-    wide = data[6] >= 2
-    start = 12 if wide else 10
-    end = start + int.from_bytes(data[8:start], "little")
-    found = _HEADER.fullmatch(data[start:end].decode("latin-1"))
-    if found is None:
-        raise _DamagedError(f"'{name[:40]}' is not a plain numpy array of numbers or text")
-    dtype = _parse_dtype(found[1])
-    shape = tuple(int(size) for size in found[3].replace(" ", "").split(",") if size)
-    count = 1
-    for size in shape:
-        count *= size
-    if count * dtype.itemsize != len(data) - end or len(shape) > 4:
-        raise _DamagedError(
-            f"'{name[:40]}' declares shape {shape}, {count * dtype.itemsize} bytes, and holds {len(data) - end}"
-        )
-    if count == 0:
-        return np.empty(shape, dtype)
-    flat = np.frombuffer(data, dtype, count, end)
-    if dtype.kind == "U" and flat.astype(dtype.newbyteorder("=")).view(np.uint32).max() > _LAST_CODE_POINT:
-        raise _DamagedError(f"'{name[:40]}' is not text")
-    return flat.reshape(shape, order="F" if found[2] == "True" else "C")
-
-
-def _parse_dtype(text: str) -> np.dtype[Any]:
-    try:
-        dtype = np.dtype(text)
-    except TypeError as error:
-        raise _DamagedError(f"no such kind of number: '{text}'") from error
-    if dtype.itemsize == 0:  # a thousand million empty texts would take no room in the file
-        raise _DamagedError("an array of items without size")
-    return dtype
-
-
-def _take(arrays: dict[str, NDArray[Any]], name: str, kinds: str, ndim: int) -> NDArray[Any]:
-    """An array of the wanted kinds of dtype and number of axes."""
-    if name not in arrays:
-        raise _DamagedError(f"not a motion file of dousa: no array '{name}'")
-    array = arrays[name]
-    if array.dtype.kind not in kinds or array.ndim != ndim:
-        raise _DamagedError(
-            f"'{name}': expected {ndim} axes of kind '{kinds}', got {array.ndim} of '{array.dtype.kind}'"
-        )
-    return array
-
-
-def _build(arrays: dict[str, NDArray[Any]]) -> Motion | Trajectories:
-    if str(_take(arrays, "format", "U", 0)) != _FORMAT:
-        raise _DamagedError("not a motion file of dousa")
-    version = int(_take(arrays, "version", "iu", 0))
+def _build(reader: _Reader) -> Motion | Trajectories:
+    take = reader.take
+    if str(take("format", "U", 0)) != _FORMAT:
+        raise reader.fail(Message("dousa_npz.other"))
+    version = int(take("version", "iu", 0))
     if version != _VERSION:
-        raise _DamagedError(
-            f"written by another version of dousa (layout {version}, known: {_VERSION}); update dousa"
-        )
-    names = tuple(str(name) for name in _take(arrays, "names", "U", 1))
-    rate = float(_take(arrays, "frame_rate", "f", 0))
-    provenance = _read_provenance(arrays)
-    kind = str(_take(arrays, "kind", "U", 0))
+        raise reader.fail(Message("dousa_npz.version", found=str(version), known=_VERSION))
+    names = tuple(str(name) for name in take("names", "U", 1))
+    rate = float(take("frame_rate", "f", 0))
+    provenance = _read_provenance(reader)
+    kind = str(take("kind", "U", 0))
     if kind == "motion":
-        skeleton = Skeleton(
-            names,
-            _take(arrays, "parents", "iu", 1).astype(np.int64),
-            _take(arrays, "offsets", "f", 2),
-            _take(arrays, "end_sites", "b", 1),
-        )
-        rotations, translations = _take(arrays, "rotations", "f", 3), _take(arrays, "translations", "f", 3)
-        return Motion(skeleton, rotations, translations, rate, provenance)
+        parents = take("parents", "iu", 1).astype(np.int64)
+        skeleton = Skeleton(names, parents, take("offsets", "f", 2), take("end_sites", "b", 1))
+        return Motion(skeleton, take("rotations", "f", 3), take("translations", "f", 3), rate, provenance)
     if kind != "trajectories":
-        raise _DamagedError(f"kind: expected 'motion' or 'trajectories', got '{kind[:40]}'")
-    parents = _take(arrays, "parents", "iu", 1).astype(np.int64) if "parents" in arrays else None
-    rest = _take(arrays, "rest_positions", "f", 2) if "rest_positions" in arrays else None
-    return Trajectories(names, _take(arrays, "positions", "f", 3), rate, parents, rest, provenance)
+        raise reader.fail(Message("dousa_npz.kind", found=kind[:40]))
+    tree = take("parents", "iu", 1).astype(np.int64) if "parents" in reader.file else None
+    rest = take("rest_positions", "f", 2) if "rest_positions" in reader.file else None
+    return Trajectories(names, take("positions", "f", 3), rate, tree, rest, provenance)
 
 
-def _read_provenance(arrays: dict[str, NDArray[Any]]) -> Provenance | None:
-    if "provenance" not in arrays:
+def _read_provenance(reader: _Reader) -> Provenance | None:
+    if "provenance" not in reader.file:
         return None
     try:
-        fields = json.loads(str(_take(arrays, "provenance", "U", 0)))
+        fields = json.loads(str(reader.take("provenance", "U", 0)))
     except (ValueError, RecursionError) as error:
-        raise _DamagedError("provenance: not JSON") from error
+        raise reader.fail(Message("dousa_npz.no_json")) from error
     if not isinstance(fields, dict) or not all(isinstance(fields.get(key), str) for key in _PROVENANCE_TEXTS):
-        raise _DamagedError(f"provenance: expected the texts {', '.join(_PROVENANCE_TEXTS)}")
+        raise reader.fail(Message("dousa_npz.provenance", texts=_PROVENANCE_TEXTS))
     unit = fields.get("unit")
     if not isinstance(unit, float) or not 0 < unit < float("inf"):
-        raise _DamagedError(f"provenance: expected metres per unit above 0, got {unit!r}")
+        raise reader.fail(Message("dousa_npz.metres", found=repr(unit)))
     return Provenance(unit=unit, **{key: fields[key] for key in _PROVENANCE_TEXTS})
 
 
@@ -218,10 +143,10 @@ def write_npz(motion: Motion | Trajectories, path: str | os.PathLike[str]) -> No
     ------
     MotionWriteError : a name with a zero byte, a disk that refuses.
     """
-    arrays = _motion_arrays(motion) if isinstance(motion, Motion) else _trajectory_arrays(motion)
+    arrays = _list_arrays(motion)
     names = motion.skeleton.names if isinstance(motion, Motion) else motion.names
     if any("\0" in name for name in names):
-        raise MotionWriteError(path, "a joint name holds a zero byte; rename it")
+        raise MotionWriteError(path, "dousa_npz.zero_byte")
     arrays |= {
         "format": np.array(_FORMAT),
         "version": np.array(_VERSION),
@@ -236,21 +161,12 @@ def write_npz(motion: Motion | Trajectories, path: str | os.PathLike[str]) -> No
         np.savez(file, allow_pickle=False, **arrays)
 
 
-def _motion_arrays(motion: Motion) -> dict[str, NDArray[Any]]:
-    return {
-        "kind": np.array("motion"),
-        "parents": motion.skeleton.parents,
-        "offsets": motion.skeleton.offsets,
-        "end_sites": motion.skeleton.end_sites,
-        "rotations": motion.rotations,
-        "translations": motion.translations,
-    }
-
-
-def _trajectory_arrays(motion: Trajectories) -> dict[str, NDArray[Any]]:
-    arrays: dict[str, NDArray[Any]] = {"kind": np.array("trajectories"), "positions": motion.positions}
-    if motion.parents is not None:
-        arrays["parents"] = motion.parents
-    if motion.rest_positions is not None:
-        arrays["rest_positions"] = motion.rest_positions
-    return arrays
+def _list_arrays(motion: Motion | Trajectories) -> dict[str, NDArray[Any]]:
+    if isinstance(motion, Motion):
+        skeleton = motion.skeleton
+        fields = {name: getattr(skeleton, name) for name in ("parents", "offsets", "end_sites")}
+        fields |= {"rotations": motion.rotations, "translations": motion.translations}
+        return {"kind": np.array("motion"), **fields}
+    fields = {name: getattr(motion, name) for name in ("positions", "parents", "rest_positions")}
+    given = {name: array for name, array in fields.items() if array is not None}
+    return {"kind": np.array("trajectories"), **given}

@@ -16,24 +16,18 @@ import re
 
 import numpy as np
 
-from dousa._files import atomic_write, read_bytes
+from dousa.arrays import FloatArray
 from dousa.errors import MotionFileError, MotionWriteError
-from dousa.formats._markers import declared_unit, settle_trajectories
+from dousa.files.disk import atomic_write, read_bytes
+from dousa.formats.markers import declared_unit, settle_trajectories
 from dousa.motion import Trajectories
-from dousa.motion._types import FloatArray
-
-__all__ = ["read_trc", "write_trc"]
 
 _HEADER_LINES = 20  # where the header must have appeared
 _CHUNK_CELLS = 200_000  # cells held as text at a time
-_NUMBER = re.compile(
-    r"\s*[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?\s*|\s*[+-]?(nan|inf|infinity)\s*", re.IGNORECASE
-)
+_NUMBER = re.compile(r"\s*[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?\s*|\s*[+-]?(nan|inf|infinity)\s*", re.IGNORECASE)
 
 
-def read_trc(
-    path: str | os.PathLike[str], *, unit: float | str | None = None, up: str | None = None
-) -> Trajectories:
+def read_trc(path: str | os.PathLike[str], *, unit: float | str | None = None, up: str | None = None) -> Trajectories:
     """Read the markers of a TRC file.
 
     Parameters
@@ -56,17 +50,12 @@ def read_trc(
     fields, fields_line = _read_fields(path, lines)
     rate = _field_number(path, fields, "datarate", fields_line)
     if not 0 < rate <= 1e6:
-        raise MotionFileError(path, f"expected a DataRate in Hz above 0, got {rate:g}", fields_line)
+        raise MotionFileError(path, "trc.rate", fields_line, rate=rate)
     names, body = _read_names(path, lines)
     positions = _read_rows(path, lines, body, names)
     declared = _field_number(path, fields, "numframes", fields_line) if "numframes" in fields else 0.0
     if declared > len(positions) and lines[-1].strip():
-        raise MotionFileError(
-            path,
-            f"the header declares {declared:.0f} frames, the file breaks off in frame {len(positions)}; "
-            "is it truncated? If the last line is whole, end it with a line break",
-            len(lines),
-        )
+        raise MotionFileError(path, "trc.frame_count", len(lines), declared=declared, found=len(positions))
     return settle_trajectories(
         path,
         "trc",
@@ -95,13 +84,13 @@ def _read_fields(path: str | os.PathLike[str], lines: list[str]) -> tuple[dict[s
                 break
             keys, values = _cells(line), _cells(lines[number + 1])
             return {key.lower(): value for key, value in zip(keys, values, strict=False)}, number + 2
-    raise MotionFileError(path, "expected a header line starting with DataRate; is this a TRC file?")
+    raise MotionFileError(path, "trc.no_header")
 
 
 def _field_number(path: str | os.PathLike[str], fields: dict[str, str], key: str, line: int) -> float:
     text = fields.get(key, "").replace(",", ".")
     if not _NUMBER.fullmatch(text):
-        raise MotionFileError(path, f"expected a number for {key} in the header, got '{text}'", line)
+        raise MotionFileError(path, "trc.header_number", line, key=key, found=text)
     return float(text)
 
 
@@ -118,18 +107,16 @@ def _read_names(path: str | os.PathLike[str], lines: list[str]) -> tuple[tuple[s
         spaced = all(not cell for index, cell in enumerate(cells) if index % 3)
         columns = cells[::3] if spaced else [cell for cell in cells if cell]
         if not columns:
-            raise MotionFileError(path, "expected marker names after Frame# and Time, got none", number + 1)
+            raise MotionFileError(path, "trc.empty_names", number + 1)
         names = tuple(name or f"point{index + 1}" for index, name in enumerate(columns))
         body = number + 1
         while body < len(lines) and lines[body].strip()[:1] in ("", "X", "x"):
             body += 1
         return names, body
-    raise MotionFileError(path, "expected a line of marker names starting with Frame#; is this a TRC file?")
+    raise MotionFileError(path, "trc.no_names")
 
 
-def _read_rows(
-    path: str | os.PathLike[str], lines: list[str], body: int, names: tuple[str, ...]
-) -> FloatArray:
+def _read_rows(path: str | os.PathLike[str], lines: list[str], body: int, names: tuple[str, ...]) -> FloatArray:
     """Positions (T, K, 3) in file units."""
     width = 2 + 3 * len(names)
     rows = lines[body:]
@@ -137,7 +124,7 @@ def _read_rows(
         rows = [row.replace(",", ".") for row in rows]
     numbered = [(number, row) for number, row in enumerate(rows, body + 1) if row and not row.isspace()]
     if not numbered:
-        raise MotionFileError(path, "expected at least one frame after the header, got none", body)
+        raise MotionFileError(path, "trc.no_frames", body)
     step = max(1, _CHUNK_CELLS // width)
     chunks = []
     for start in range(0, len(numbered), step):
@@ -147,7 +134,7 @@ def _read_rows(
     positions = np.concatenate(chunks)
     if np.isinf(positions).any():
         row, point, _ = np.argwhere(np.isinf(positions))[0]
-        raise MotionFileError(path, f"infinite position of marker '{names[point]}'", numbered[row][0])
+        raise MotionFileError(path, "trc.infinite", numbered[row][0], name=names[point])
     return positions
 
 
@@ -157,12 +144,7 @@ def _row_cells(path: str | os.PathLike[str], line: str, number: int, names: tupl
     cells = line.split("\t")
     if len(cells) != width:
         if any(cell.strip() for cell in cells[width:]) or len(cells) < width:
-            raise MotionFileError(
-                path,
-                f"expected {width} values ({len(names)} markers), got {len(cells)}; "
-                "is the file truncated or a marker name missing?",
-                number,
-            )
+            raise MotionFileError(path, "trc.value_count", number, expected=width, markers=len(names), found=len(cells))
         cells = cells[:width]
     return cells[2:]
 
@@ -189,9 +171,7 @@ def _parse_cell(path: str | os.PathLike[str], cell: str, number: int, name: str)
     if not cell.strip():
         return float("nan")
     if not _NUMBER.fullmatch(cell):
-        raise MotionFileError(
-            path, f"expected a number for marker '{name}', got '{cell.strip()[:40]}'", number
-        )
+        raise MotionFileError(path, "trc.number", number, name=name, found=cell.strip()[:40])
     return float(cell)
 
 
@@ -212,9 +192,7 @@ def write_trc(motion: Trajectories, path: str | os.PathLike[str]) -> None:
     """
     for name in motion.names:
         if not name.strip() or re.search(r"[\t\r\n]", name):
-            raise MotionWriteError(
-                path, f"marker name {name!r}: TRC has no place for blank names, tabs and line breaks"
-            )
+            raise MotionWriteError(path, "trc.marker_name", name=name)
     source = motion.provenance
     values, unit = motion.positions, "m"
     if source is not None and source.format == "trc" and source.values is not None:

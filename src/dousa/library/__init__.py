@@ -5,30 +5,6 @@
 
 from __future__ import annotations
 
-from dousa._lazy import load_when_used
+import lazy_loader
 
-_HOME = {
-    "AddReport": "reports",
-    "Classification": "answers",
-    "ClipInfo": "reports",
-    "Duplicate": "reports",
-    "FindResult": "take_answers",
-    "Hit": "answers",
-    "LabelledTake": "take_answers",
-    "Library": "store",
-    "LibraryStats": "reports",
-    "Place": "take_answers",
-    "ReadOptions": "ingest",
-    "SearchResult": "answers",
-    "Skipped": "reports",
-    "TrainReport": "reports",
-    "UNCHANGED": "selection",
-    "Verdict": "answers",
-    "choose_jobs": "_jobs",
-    "find_motion_files": "ingest",
-    "parse_label_rule": "labels",
-}
-
-__all__ = sorted(_HOME)  # noqa: PLE0605
-
-__getattr__ = load_when_used(__name__, {name: f"{__name__}.{module}" for name, module in _HOME.items()})
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -1,4 +1,4 @@
-"""From motion files to records: finding the files, and reading one with everything that is derived from it.
+"""From motions to records: reading a file, or taking a motion of the memory, with everything that is derived from it.
 
 ``read_clip`` is a pure function of a task, so that joblib can run it in threads here or anywhere else
 (``joblib.parallel_config("dask")`` around ``Library.add``).
@@ -7,90 +7,25 @@
 from __future__ import annotations
 
 import hashlib
-import json
 import os
 import warnings
-from collections.abc import Generator, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Generator, Sequence
 from dataclasses import dataclass
-from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 
-from dousa.errors import DousaError, JointMappingError, MotionFileError
-from dousa.formats import SUFFIXES, read_motion
-from dousa.library._arrays import pack, unpack
-from dousa.library._describing import (
-    BEYOND_MEASURE,
-    Description,
-    StoredMotion,
-    describe_clip,
-    round_positions,
-)
-from dousa.library._jobs import check_jobs, choose_jobs
-from dousa.library.reports import Skipped
-from dousa.library.schema import CLIP
-from dousa.motion.joints import CANONICAL_JOINTS
-from dousa.retrieval.posed_motion import check_frame_rate
+from dousa.errors import DousaError, InvalidMotionError
+from dousa.formats.motion_files import ReadOptions, Skipped, describe_problem, is_unicode, read_canonical
+from dousa.library.engine import check_jobs, choose_jobs
+from dousa.library.features import BEYOND_MEASURE, Description, StoredMotion, describe_clip, round_positions
+from dousa.library.schema import CLIP, pack
+from dousa.messages import Message
+from dousa.motion import CanonicalMotion, canonicalise
+from dousa.retrieval.features.posed_motion import check_frame_rate
 
 if TYPE_CHECKING:
-    from dousa.motion import CanonicalMotion
-
-__all__ = [
-    "ClipRecord",
-    "FoundFile",
-    "KnownContent",
-    "ReadOptions",
-    "ReadTask",
-    "SourceState",
-    "describe_problem",
-    "find_motion_files",
-    "is_unicode",
-    "look_at",
-    "read_canonical",
-    "read_clip",
-    "read_clips",
-]
-
-
-_BEYOND = "its joints lie beyond any measure; is the unit right?"
-
-
-@dataclass(frozen=True, slots=True)
-class ReadOptions:
-    """What a person says about files that do not say it themselves.
-
-    Parameters
-    ----------
-    joint_map : canonical joint to the name, or names, in the file.
-    unit : metres per unit of the file, or a name such as ``"cm"``.
-    up : axis of the file that points up.
-    skeleton : the ``.asf`` of ``.amc`` files.
-    """
-
-    joint_map: Mapping[str, str | Sequence[str]] | None = None
-    unit: float | str | None = None
-    up: str | None = None
-    skeleton: str | os.PathLike[str] | None = None
-
-    def describe(self) -> str:
-        """The options that change how a content is understood, as one line; empty if there are none."""
-        joints = None
-        if self.joint_map is not None:
-            joints = {
-                key: value if isinstance(value, str) else list(value) for key, value in self.joint_map.items()
-            }
-        given = {"joint_map": joints, "unit": self.unit, "up": self.up}
-        given = {key: value for key, value in given.items() if value is not None}
-        return json.dumps(given, sort_keys=True) if given else ""
-
-
-@dataclass(frozen=True, slots=True)
-class FoundFile:
-    """A motion file and the PATH it was found under, both absolute."""
-
-    root: Path
-    path: Path
+    from dousa.motion import Motion, Trajectories
 
 
 @dataclass(frozen=True, slots=True)
@@ -129,95 +64,36 @@ class ReadTask:
     feature_set: str = ""
 
 
-@dataclass(frozen=True, slots=True)
-class KnownContent:
-    """A file whose content is in the library."""
+@dataclass(frozen=True, slots=True, eq=False)
+class FileRecord:
+    """A file whose content is in the library.
 
-    path: str
-    content_hash: str
-    state: SourceState
+    Parameters
+    ----------
+    row : values of the columns of ``clips``: of the file here, of the motion too in a ``ClipRecord``.
+    """
+
+    row: dict[str, Any]
+
+    @property
+    def path(self) -> str:
+        """Of the file, or the name of a motion of the memory."""
+        return str(self.row["path"])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class ClipRecord:
-    """All that the library keeps of one file.
+class ClipRecord(FileRecord):
+    """All that the library keeps of one motion; its number, labels and date come when it is written.
 
     Parameters
     ----------
-    path, content_hash, state : the file.
-    format : short name of its format.
-    n_frames, frame_rate, duration, height : of the motion; Hz, s, m.
-    joint_table, warnings : how its joints were told apart.
-    positions : float32 bytes of (T, 20, 3) m.
-    kind : ``CLIP`` or ``TAKE``.
-    description : features and poses, if they were asked for.
+    row : values of the columns of ``clips``.
+    motion : as it is stored.
+    description : features and poses, if they were wanted.
     """
 
-    path: str
-    content_hash: str
-    state: SourceState
-    format: str
-    n_frames: int
-    frame_rate: float
-    duration: float
-    height: float
-    joint_table: str
-    warnings: tuple[str, ...]
-    positions: bytes
-    kind: str
+    motion: StoredMotion
     description: Description | None
-
-    def to_motion(self) -> StoredMotion:
-        """The motion as it is stored."""
-        positions = unpack(self.positions, "<f4", (self.n_frames, len(CANONICAL_JOINTS), 3), self.path)
-        return StoredMotion(positions.astype(np.float64), self.frame_rate, self.height)
-
-
-def find_motion_files(paths: Iterable[str | os.PathLike[str]]) -> tuple[list[FoundFile], list[Skipped]]:
-    """The motion files that are named, or lie in folders that are named, at any depth.
-
-    Folders give the files of known suffixes, in the order of their names; hidden files and folders are left
-    out, and links to folders are followed once. A file that is named is always taken, whatever its suffix.
-
-    Parameters
-    ----------
-    paths : files and folders.
-
-    Returns
-    -------
-    files : each once, under the first PATH that leads to it.
-    missing : the paths that do not exist, and the folders that cannot be looked into.
-    """
-    found: dict[Path, FoundFile] = {}
-    missing: list[Skipped] = []
-    for given in paths:
-        root = Path(os.path.abspath(given))
-        # Unlike Path.is_dir these say no, and do not raise, where a folder above cannot be looked into.
-        if os.path.isdir(root):
-            for path in _walk(root, missing):
-                found.setdefault(path, FoundFile(root, path))
-        elif os.path.exists(root):
-            found.setdefault(root, FoundFile(root, root))
-        else:
-            missing.append(Skipped(os.fspath(given), "no such file or folder; check the name"))
-    return list(found.values()), missing
-
-
-def _walk(root: Path, closed: list[Skipped]) -> Iterator[Path]:
-    def note(error: OSError) -> None:
-        closed.append(Skipped(str(error.filename), f"the folder cannot be read: {error.strerror}"))
-
-    seen: set[tuple[int, int]] = set()
-    for folder, subfolders, names in os.walk(root, followlinks=True, onerror=note):
-        place = os.stat(folder)
-        if (place.st_dev, place.st_ino) in seen:
-            subfolders.clear()
-            continue
-        seen.add((place.st_dev, place.st_ino))
-        subfolders[:] = sorted(name for name in subfolders if not name.startswith("."))
-        for name in sorted(names):
-            if not name.startswith(".") and os.path.splitext(name)[1].lower() in SUFFIXES:
-                yield Path(folder, name)
 
 
 def look_at(path: str, options: ReadOptions) -> SourceState:
@@ -230,16 +106,55 @@ def look_at(path: str, options: ReadOptions) -> SourceState:
     """
     files = [path]
     if path.lower().endswith(".amc"):
-        files.append(os.fspath(options.skeleton or _find_skeleton(path)))
+        from dousa.formats.asf_amc.reading import find_skeleton
+
+        files.append(os.fspath(options.skeleton or find_skeleton(path)))
     stats = [os.stat(file) for file in files]
     fingerprint = " ".join(f"{stat.st_size}:{stat.st_mtime_ns}" for stat in stats)
     return SourceState(tuple(files), sum(stat.st_size for stat in stats), fingerprint)
 
 
-def _find_skeleton(path: str) -> str | os.PathLike[str]:
-    from dousa.formats.asf_amc import find_skeleton
+def is_as_stored(row: Any, options: ReadOptions) -> bool:
+    """Whether a file (of a row of ``clips``) has not changed since, and would be understood in the same way."""
+    if row.read_options != options.describe():
+        return False
+    try:
+        return bool(look_at(row.path, options).fingerprint == row.fingerprint)
+    except (DousaError, OSError):
+        return False  # reading the file says what is wrong
 
-    return find_skeleton(path)
+
+def read_clip(task: ReadTask) -> ClipRecord | FileRecord | Skipped:
+    """Read one motion file and derive everything the library keeps of it.
+
+    Returns
+    -------
+    The record; that of the file alone if its content is known; or why the file cannot be used. Never raises for
+    a bad file, so that the others go on.
+    """
+    if not is_unicode(task.path):
+        printable = task.path.encode(errors="backslashreplace").decode()
+        return Skipped(printable, Message("motion_files.not_unicode"))
+    try:
+        state = look_at(task.path, task.options)
+        row = {
+            "path": task.path,
+            "content_hash": _hash_content(state, task.options),
+            "fingerprint": state.fingerprint,
+            "size": state.size,
+            "read_options": task.options.describe(),
+            "kind": task.kind,
+        }
+        if row["content_hash"] in task.known:
+            return FileRecord(row)
+        motion, form = read_canonical(task.path, task.options)
+        return _derive(motion, {**row, "format": form}, task.feature_set)
+    except DousaError as error:
+        return Skipped(task.path, describe_problem(task.path, error))
+    except OSError as error:
+        return Skipped(task.path, Message("motion_files.unreadable", reason=error))
+    except MemoryError:
+        return Skipped(task.path, Message("motion_files.too_large"))
 
 
 def _hash_content(state: SourceState, options: ReadOptions) -> str:
@@ -252,108 +167,51 @@ def _hash_content(state: SourceState, options: ReadOptions) -> str:
     return digest.hexdigest()
 
 
-def read_canonical(path: str, options: ReadOptions) -> tuple[CanonicalMotion, str]:
-    """A motion file as canonical joints, and the short name of its format.
+def make_record(motion: CanonicalMotion, name: str, kind: str) -> ClipRecord:
+    """Derive everything the library keeps of a motion of the memory.
+
+    It has no file: its fingerprint is empty, and its content is what is stored of it.
 
     Raises
     ------
-    MotionFileError : the file cannot be read.
-    JointMappingError : its joints cannot be told apart.
+    InvalidMotionError : positions or a frame rate beyond measure.
     """
-    from dousa.motion import Motion, canonicalise, compute_trajectories
-
-    skeleton = options.skeleton if path.lower().endswith(".amc") else None
-    motion = read_motion(path, unit=options.unit, up=options.up, skeleton=skeleton)
-    form = motion.provenance.format if motion.provenance else ""
-    trajectories = compute_trajectories(motion) if isinstance(motion, Motion) else motion
-    try:
-        return canonicalise(trajectories, options.joint_map), form
-    except JointMappingError as error:
-        raise JointMappingError(f"{path}: {error.problem}", error.joints) from error
-
-
-def is_unicode(path: str) -> bool:
-    """Whether a path is text: on some disks names are any bytes, which no database keeps."""
-    try:
-        path.encode()
-    except UnicodeEncodeError:
-        return False
-    return True
+    positions = pack(motion.positions, "<f4")
+    digest = hashlib.sha256(positions)
+    digest.update(np.array([motion.frame_rate, motion.height], "<f8").tobytes())
+    row = {
+        "path": name,
+        "content_hash": digest.hexdigest(),
+        "fingerprint": "",
+        "size": len(positions),
+        "read_options": "",
+        "kind": kind,
+        "format": "memory",
+    }
+    return _derive(motion, row, "")
 
 
-def read_clip(task: ReadTask) -> ClipRecord | KnownContent | Skipped:
-    """Read one motion file and derive everything the library keeps of it.
-
-    Parameters
-    ----------
-    task : which file, and how.
-
-    Returns
-    -------
-    The record; or that the content is known; or why the file cannot be used. Never raises for a bad file, so
-    that the others go on.
-    """
-    if not is_unicode(task.path):
-        printable = task.path.encode(errors="backslashreplace").decode()
-        return Skipped(printable, "its name is not valid Unicode; rename it")
-    try:
-        state = look_at(task.path, task.options)
-        content_hash = _hash_content(state, task.options)
-        if content_hash in task.known:
-            return KnownContent(task.path, content_hash, state)
-        return _derive(task, state, content_hash)
-    except DousaError as error:
-        return Skipped(task.path, describe_problem(task.path, error))
-    except OSError as error:
-        return Skipped(task.path, f"cannot be read: {error.strerror or error}")
-    except MemoryError:
-        return Skipped(task.path, "the motion does not fit into the memory of this machine")
-
-
-def describe_problem(path: str, error: DousaError) -> str:
-    """The message without the path, which is told beside it."""
-    if isinstance(error, MotionFileError) and error.path == path:
-        return error.problem if error.line is None else f"line {error.line}: {error.problem}"
-    return str(error).removeprefix(f"{path}: ")
-
-
-def _derive(task: ReadTask, state: SourceState, content_hash: str) -> ClipRecord | Skipped:
-    motion, form = read_canonical(task.path, task.options)
+def _derive(motion: CanonicalMotion, row: dict[str, Any], feature_set: str) -> ClipRecord:
     rounded = round_positions(motion)
     if not ((np.abs(rounded.positions) < BEYOND_MEASURE).all() and motion.height * BEYOND_MEASURE > 1):
-        return Skipped(task.path, _BEYOND)
+        raise InvalidMotionError("motion_files.beyond_measure")
     check_frame_rate(motion.frame_rate)
-    return ClipRecord(
-        path=task.path,
-        content_hash=content_hash,
-        state=state,
-        format=form,
-        n_frames=motion.n_frames,
-        frame_rate=motion.frame_rate,
-        duration=motion.duration,
-        height=motion.height,
-        joint_table=motion.mapping.table,
-        warnings=tuple(motion.warnings),
-        positions=pack(rounded.positions, "<f4"),
-        kind=task.kind,
-        description=describe_clip(rounded, task.feature_set) if task.feature_set else None,
-    )
+    row |= {
+        "n_frames": motion.n_frames,
+        "frame_rate": motion.frame_rate,
+        "duration": motion.duration,
+        "height": motion.height,
+        "joint_table": motion.mapping.table,
+        "warnings": [item.to_json() for item in motion.warnings],
+    }
+    description = describe_clip(rounded, feature_set) if feature_set else None
+    return ClipRecord(row, rounded, description)
 
 
 def read_clips(
     tasks: Sequence[ReadTask], n_jobs: int | None = None
-) -> Generator[ClipRecord | KnownContent | Skipped, None, None]:
-    """Read many files at the same time; answers come in the order of the tasks.
-
-    Parameters
-    ----------
-    tasks : which files, and how.
-    n_jobs : files at a time, as in joblib; by default every core, or what ``joblib.parallel_config`` says.
-
-    Raises
-    ------
-    OptionError : zero jobs.
-    """
+) -> Generator[ClipRecord | FileRecord | Skipped, None, None]:
+    """Read many files at the same time (``n_jobs`` as in ``Library.add``); answers come in the order of the tasks."""
     check_jobs(n_jobs)
     if len(tasks) <= 1 or n_jobs == 1:
         yield from map(read_clip, tasks)
@@ -371,3 +229,23 @@ def read_clips(
             # Stopped in the middle: joblib regrets the files that were read in vain.
             warnings.simplefilter("ignore", UserWarning)
             answers.close()
+
+
+Query: TypeAlias = "int | str | os.PathLike[str] | CanonicalMotion | Motion | Trajectories"
+"""What a library is asked about: a motion by its number, its file, or itself."""
+
+
+def read_query(
+    query: str | os.PathLike[str] | CanonicalMotion | Motion | Trajectories, options: ReadOptions
+) -> CanonicalMotion:
+    """A file or a motion on canonical joints."""
+    if isinstance(query, str | os.PathLike):
+        return read_canonical(query, options)[0]
+    return query if isinstance(query, CanonicalMotion) else canonicalise(query, options.joint_map)
+
+
+def name_query(query: Query) -> str:
+    """What the answer calls the query: its path, where it has one."""
+    if isinstance(query, str | os.PathLike):
+        return os.fspath(query)
+    return getattr(getattr(query, "provenance", None), "path", "motion")

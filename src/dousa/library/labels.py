@@ -23,16 +23,19 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from dousa.errors import OptionError
+from dousa.messages import Message
 
 if TYPE_CHECKING:
     from _csv import Reader
 
-__all__ = ["LabelRule", "no_label", "parse_label_rule"]
-
 LabelRule = Callable[[Path, Path], "str | None"]
 """Label of a file: called with the PATH that was given and the file found there, both absolute."""
 
-_RULES = "folder, name:REGEX, path:REGEX, csv:FILE or none"
+_WORDS = {
+    "category": Message("label_rules.category"),
+    "performer": Message("label_rules.performer"),
+    "takes": Message("label_rules.takes"),
+}
 
 
 def parse_label_rule(text: str | None, label: str) -> LabelRule:
@@ -41,7 +44,7 @@ def parse_label_rule(text: str | None, label: str) -> LabelRule:
     Parameters
     ----------
     text : see the head of this module; None is ``none``.
-    label : ``"category"`` or ``"performer"``, what the rule finds.
+    label : ``"category"``, ``"performer"`` or ``"takes"``, what the rule finds.
 
     Returns
     -------
@@ -59,7 +62,7 @@ def parse_label_rule(text: str | None, label: str) -> LabelRule:
         return _expression_rule(kind, rest, label)
     if kind == "csv" and rest:
         return _table_rule(Path(rest).expanduser(), label)
-    raise OptionError(f"--{label}-from: expected {_RULES}, got '{text}'")
+    raise OptionError("label_rules.unknown", label=_WORDS[label], text=text)
 
 
 def no_label(root: Path, file: Path) -> None:
@@ -81,11 +84,9 @@ def _expression_rule(kind: str, text: str, label: str) -> LabelRule:
     try:
         expression = re.compile(text)
     except re.error as error:
-        raise OptionError(f"--{label}-from: '{text}' is not a regular expression: {error}") from error
+        raise OptionError("label_rules.not_an_expression", label=_WORDS[label], text=text, reason=error) from error
     if label not in expression.groupindex and not expression.groups:
-        raise OptionError(
-            f"--{label}-from: '{text}' needs a group that holds the {label}, such as '([a-z]+)'"
-        )
+        raise OptionError("label_rules.no_group", label=_WORDS[label], text=text)
     group: str | int = label if label in expression.groupindex else 1
 
     def rule(root: Path, file: Path) -> str | None:
@@ -104,8 +105,15 @@ def _table_rule(path: Path, label: str) -> LabelRule:
         # Tables are often made on Windows; a name that holds a backslash itself is hardly ever met.
         relative = os.path.normpath(name.replace("\\", "/"))
         if by_text.setdefault(relative, value) != value:
+            first, word = by_text[relative], _WORDS[label]
             raise OptionError(
-                f"{path}:{line}: '{name}' has a second {label} '{value}', the first is '{by_text[relative]}'"
+                "label_rules.second_label",
+                path=path,
+                line=line,
+                name=name,
+                label=word,
+                second=value,
+                first=first,
             )
         by_place[os.path.normpath(os.path.join(base, relative))] = value
 
@@ -124,9 +132,9 @@ def _read_table(path: Path, label: str) -> tuple[str, list[tuple[int, str, str |
     try:
         text = path.read_text(encoding="utf-8-sig")
     except OSError as error:
-        raise OptionError(f"--{label}-from: {path} cannot be read: {error.strerror or error}") from error
+        raise OptionError("label_rules.unreadable", label=_WORDS[label], path=path, reason=error) from error
     except UnicodeDecodeError as error:
-        raise OptionError(f"--{label}-from: {path} is not text in UTF-8; save it as CSV UTF-8") from error
+        raise OptionError("label_rules.not_utf8", label=_WORDS[label], path=path) from error
     header = text.partition("\n")[0]
     delimiter = max(",;\t", key=header.count)
     reader = csv.reader(io.StringIO(text, newline=""), delimiter=delimiter)
@@ -134,15 +142,12 @@ def _read_table(path: Path, label: str) -> tuple[str, list[tuple[int, str, str |
         names = [name.strip().lower() for name in next(reader, [])]
         column = next((name for name in ("path", "file") if name in names), "")
         if not column or label not in names:
-            found = ", ".join(names) or "nothing"
-            raise OptionError(
-                f"{path}:1: expected a column 'path' or 'file' and a column '{label}', got {found}"
-            )
+            if not any(names):
+                raise OptionError("label_rules.empty_table", path=path, column=label)
+            raise OptionError("label_rules.no_column", path=path, column=label, found=tuple(names))
         return column, list(_rows(reader, path, names.index(column), names.index(label)))
     except csv.Error as error:
-        raise OptionError(
-            f"{path}:{reader.line_num}: not a table of comma-separated values: {error}"
-        ) from error
+        raise OptionError("label_rules.not_a_table", path=path, line=reader.line_num, reason=error) from error
 
 
 def _rows(reader: Reader, path: Path, file: int, label: int) -> Iterator[tuple[int, str, str | None]]:
@@ -151,7 +156,6 @@ def _rows(reader: Reader, path: Path, file: int, label: int) -> Iterator[tuple[i
         if not any(cell.strip() for cell in row):
             continue
         if len(row) <= max(file, label):
-            raise OptionError(
-                f"{path}:{line}: expected at least {max(file, label) + 1} columns, got {len(row)}"
-            )
+            expected = max(file, label) + 1
+            raise OptionError("label_rules.too_few_columns", path=path, line=line, expected=expected, found=len(row))
         yield line, row[file].strip(), row[label].strip() or None

@@ -7,24 +7,15 @@ they follow from the leaves and the forest, whose leaves learn from clips that a
 
 from __future__ import annotations
 
-import sqlalchemy as sa
+from collections.abc import Sequence
+from typing import Any
 
-__all__ = [
-    "APPLICATION_ID",
-    "CLIP",
-    "TAKE",
-    "clip_features",
-    "clip_leaves",
-    "clip_poses",
-    "clip_trajectories",
-    "clips",
-    "forests",
-    "is_id",
-    "library_state",
-    "metadata",
-    "migrations",
-    "take_windows",
-]
+import numpy as np
+import sqlalchemy as sa
+from numpy.typing import ArrayLike, NDArray
+
+from dousa.errors import LibraryDamagedError
+from dousa.messages import Message
 
 APPLICATION_ID = 0x444F5553
 """``DOUS``: marks an SQLite file as a library of ours."""
@@ -159,3 +150,42 @@ forests = sa.Table(
 def is_id(number: int) -> bool:
     """Whether a clip or take can have this number."""
     return number in _IDS
+
+
+def as_message(stored: Any) -> Message:
+    """A message as ``to_json()`` wrote it, or a sentence as an older dousa did."""
+    if isinstance(stored, Message):
+        return stored
+    return Message.from_json(stored) if isinstance(stored, dict) else Message("text.verbatim", text=stored)
+
+
+def pack(values: ArrayLike, dtype: str) -> bytes:
+    """The bytes of an array, C order, of a NumPy type with its byte order such as ``"<f4"``."""
+    return np.ascontiguousarray(values, dtype=dtype).tobytes()
+
+
+def unpack(data: bytes, dtype: str, shape: tuple[int, ...], what: str) -> NDArray[Any]:
+    """The array that ``pack`` wrote; LibraryDamagedError as of ``stack``."""
+    array: NDArray[Any] = stack([data], dtype, shape, what)[0]
+    return array
+
+
+def stack(blobs: Sequence[bytes], dtype: str, shape: tuple[int, ...], what: str) -> NDArray[Any]:
+    """Arrays of one shape that ``pack`` wrote, stacked to (N, *shape) with one copy.
+
+    Raises
+    ------
+    LibraryDamagedError : one has another number of bytes, or numbers that are not finite.
+    """
+    expected = int(np.prod(shape)) * np.dtype(dtype).itemsize
+    for blob in blobs:
+        if len(blob) != expected:
+            raise LibraryDamagedError("library_file.wrong_size", what=what, expected=expected, found=len(blob))
+    # A bytearray, so that the array is writable as one that was computed is: numba would compile again for another.
+    array = np.frombuffer(bytearray().join(blobs), dtype=dtype).reshape(len(blobs), *shape)
+    # A sum is finite unless a part is not (or the parts are absurd): cheaper than looking at every number.
+    with np.errstate(over="ignore", invalid="ignore"):
+        whole = array.dtype.kind != "f" or bool(np.isfinite(array.sum(dtype=np.float64)))
+    if not whole:
+        raise LibraryDamagedError("library_file.not_finite", what=what)
+    return array

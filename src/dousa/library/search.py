@@ -1,12 +1,9 @@
-"""Ranking the clips of a library by their likeness to a motion, and to its mirror image.
-
-What clips are ordered by is told in ``dousa.retrieval.ranking``; here is what the library keeps in memory for it, and
-how two orders become one. The path decides last, so that the order never depends on when a clip was added.
-"""
+"""Asking the forest of a library: searching and classifying, with the forest and the leaves kept warm."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+import os
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from operator import itemgetter
 
@@ -14,19 +11,29 @@ import numpy as np
 import sqlalchemy as sa
 from numpy.typing import NDArray
 
+from dousa.arrays import FloatArray
+from dousa.errors import LibraryError, OptionError
+from dousa.formats.motion_files import ReadOptions, Skipped, find_motion_files, is_unicode
 from dousa.library import schema
-from dousa.library._arrays import stack
-from dousa.library._forests import StoredForest, TreeAnswers, count_votes
-from dousa.library.answers import Hit
-from dousa.motion._types import FloatArray
-from dousa.retrieval.ranking import RankedClips, RankingQuery, rank_clips
+from dousa.library.engine import Database, read_revision
+from dousa.library.features import (
+    StoredMotion,
+    describe_clip,
+    load_features,
+    load_motions,
+    load_poses,
+    round_positions,
+)
+from dousa.library.forests import ForestCache, StoredForest, TreeAnswers, ask_trees, count_votes
+from dousa.library.ingest import ClipRecord, Query, ReadTask, is_as_stored, name_query, read_clips, read_query
+from dousa.library.results import MIRROR_DISTANCE, Classification, Hit, SearchResult, Verdict
+from dousa.library.schema import stack
+from dousa.library.selection import find_row
+from dousa.retrieval.ranking.ranking import RankedClips, RankingQuery, rank_clips
 
-__all__ = ["Asked", "PoseReader", "SearchIndex", "load_index", "search_index"]
+_PoseReader = Callable[[Sequence[int]], NDArray[np.float32]]
 
-PoseReader = Callable[[Sequence[int]], NDArray[np.float32]]
-"""Gives (n, cells, columns), the pose sequences of clips of these numbers."""
-
-_CLEARLY = 0.95  # of the distance: a mirror image must be nearer than that, as many motions are their own
+_MOST_POSES = 16_384  # kept in memory; some 4 kB each
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -73,13 +80,7 @@ class SearchIndex:
 
 
 def load_index(connection: sa.Connection, revision: int, stored: StoredForest) -> SearchIndex:
-    """Read what the trees say of all clips.
-
-    Parameters
-    ----------
-    connection : in a transaction.
-    revision : of the library in this transaction.
-    stored : its forest.
+    """Read what the trees say of all clips, at a revision of the library.
 
     Raises
     ------
@@ -108,7 +109,7 @@ def search_index(
     k: int,
     by: str,
     category: str | None,
-    read_poses: PoseReader,
+    read_poses: _PoseReader,
 ) -> tuple[Hit, ...]:
     """The k clips that are most like a motion, or like its mirror image.
 
@@ -117,9 +118,9 @@ def search_index(
     index : the clips.
     asked : the motion, and its mirror image if that is searched for too.
     k : how many.
-    by : one of ``dousa.retrieval.ranking.RANKINGS``.
+    by : one of ``dousa.retrieval.ranking.ranking.RANKINGS``.
     category : only clips of this category; of all if None.
-    read_poses : asked once for each motion.
+    read_poses : gives (n, cells, columns), the pose sequences of clips of these numbers; asked once for each motion.
 
     Raises
     ------
@@ -138,7 +139,12 @@ def search_index(
 
 
 def _rank(
-    index: SearchIndex, asked: Asked, k: int, by: str, places: NDArray[np.intp] | None, read_poses: PoseReader
+    index: SearchIndex,
+    asked: Asked,
+    k: int,
+    by: str,
+    places: NDArray[np.intp] | None,
+    read_poses: _PoseReader,
 ) -> list[Hit]:
     """The first k clips for one motion, among those at some places of the index."""
     votes, leaves = index.answers.votes, index.answers.leaves
@@ -148,9 +154,7 @@ def _rank(
         leaves if places is None else leaves[places],
         lambda chosen: read_poses([index.ids[row] for row in rows[chosen]]),
     )
-    ranking = rank_clips(
-        by, RankingQuery(asked.answers.votes[0], asked.answers.leaves[0], asked.poses), clips
-    )
+    ranking = rank_clips(by, RankingQuery(asked.answers.votes[0], asked.answers.leaves[0], asked.poses), clips)
     hits = []
     for place in ranking.order[:k]:
         row = int(rows[place])
@@ -178,8 +182,203 @@ def _mirrored_last(hit: Hit) -> tuple[bool, float]:
     """By the distance, where mirrored clips must be clearly nearer; clips whose poses were not compared come last."""
     far = hit.rank_distance is None
     distance = hit.distance if hit.rank_distance is None else hit.rank_distance
-    return far, distance / _CLEARLY if hit.mirrored else distance
+    return far, distance / MIRROR_DISTANCE if hit.mirrored else distance
 
 
 def _number(hits: Sequence[Hit]) -> list[Hit]:
     return [replace(hit, rank=rank) for rank, hit in enumerate(hits, start=1)]
+
+
+def check_threshold(threshold: float | None) -> None:
+    """OptionError for a probability outside 0 to 1."""
+    if threshold is not None and not 0 <= threshold <= 1:
+        raise OptionError("library_search.threshold", threshold=threshold)
+
+
+def judge(stored: StoredForest, answers: TreeAnswers, features: FloatArray, threshold: float | None) -> list[Verdict]:
+    """What the forest predicts for motions.
+
+    Parameters
+    ----------
+    stored : the forest.
+    answers, features : what its trees say of N motions, and (N, frames, columns) what they said it of.
+    threshold : probability of being known below which a motion is called unknown; None for that of the forest's
+        calibration, 0 for never.
+    """
+    guesses = answers.predicted()
+    histograms = [_order_histogram(stored.categories, own) for own in answers.shares()]
+    pairs = list(zip(guesses, histograms, strict=True))
+    if stored.assessor is None or not guesses:
+        return [Verdict(guess, guess, None, None, histogram) for guess, histogram in pairs]
+    seen = stored.assessor.assess(answers.leaves, features)
+    limit = stored.assessor.calibration.threshold if threshold is None else threshold
+    return [
+        Verdict(guess if known >= limit else None, guess, float(known), float(confidence), histogram)
+        for (guess, histogram), known, confidence in zip(pairs, seen.known, seen.confidence, strict=True)
+    ]
+
+
+def _order_histogram(categories: Sequence[str], shares: FloatArray) -> dict[str, float]:
+    """Share of each category, the largest first, then by name."""
+    order = np.argsort(-shares, kind="stable")
+    return {categories[index]: float(shares[index]) for index in order}
+
+
+class _Explaining:
+    """Explains what one forest says."""
+
+    def __init__(self, stored: StoredForest) -> None:
+        from dousa.retrieval.explain.explanation import Explainer
+
+        self._feature_set = stored.feature_set
+        self._explainer = Explainer(stored.forest)
+
+    def verdicts(self, verdicts: Sequence[Verdict], motion: StoredMotion) -> list[Verdict]:
+        """The verdict on a motion, and on its mirror image if there are two, with the reasons for their guesses."""
+        explained = []
+        for verdict, own in zip(verdicts, (motion, motion.mirror()), strict=False):
+            features = describe_clip(own, self._feature_set).features
+            reasons = self._explainer.explain(features, own.duration, verdict.guess)
+            explained.append(replace(verdict, explanation=reasons))
+        return explained
+
+    def hits(self, hits: Sequence[Hit], motion: StoredMotion, found: Iterable[StoredMotion]) -> tuple[Hit, ...]:
+        """Hits, with the reasons why they are like the query or its mirror image."""
+        explained = []
+        for hit, other in zip(hits, found, strict=True):
+            own = motion.mirror() if hit.mirrored else motion
+            likeness = self._explainer.explain_pair(
+                describe_clip(own, self._feature_set).features,
+                describe_clip(other, self._feature_set).features,
+                (own.duration, other.duration),
+            )
+            explained.append(replace(hit, likeness=likeness))
+        return tuple(explained)
+
+
+class Searcher:
+    """Answers about whole motions; what was read stays in memory until the revision of the library changes."""
+
+    def __init__(self, database: Database, forests: ForestCache) -> None:
+        self._database = database
+        self._forests = forests
+        self._index: SearchIndex | None = None
+        self._poses: dict[int, NDArray[np.float32]] = {}
+
+    def search(
+        self,
+        query: Query,
+        k: int,
+        ranking: str,
+        *,
+        same_category: bool,
+        mirror: bool,
+        explain: bool,
+        threshold: float | None,
+        options: ReadOptions,
+    ) -> SearchResult:
+        """The clips nearest to a file, a clip or a motion; as ``Library.search``."""
+        check_threshold(threshold)
+        with self._database.reading() as connection:
+            stored = self._forests.load(connection)
+            index = self._load_index(connection, stored)
+            clip_id = self._find_clip(connection, index, query, options)
+            name = index.paths[index.rows[query]] if isinstance(query, int) else name_query(query)
+            if clip_id is None:
+                assert not isinstance(query, int)
+                motion = round_positions(read_query(query, options))
+                asked = [_ask(stored, motion)]
+            else:
+                if mirror or explain:
+                    (motion,) = load_motions(connection, [clip_id])
+                features = load_features(connection, stored.feature_set, [clip_id]).features
+                poses = self._read_poses(connection, [clip_id])[0]
+                asked = [Asked(index.answers_of(clip_id), features, poses)]
+            if mirror:
+                asked.append(_ask(stored, motion.mirror(), mirrored=True))
+            verdicts = [judge(stored, one.answers, one.features, threshold)[0] for one in asked]
+            category = verdicts[0].guess if same_category else None
+            hits = search_index(index, asked, k, ranking, category, lambda ids: self._read_poses(connection, ids))
+            if explain:
+                explaining = _Explaining(stored)
+                verdicts = explaining.verdicts(verdicts, motion)
+                hits = explaining.hits(hits, motion, load_motions(connection, [hit.clip_id for hit in hits]))
+        return SearchResult(name, verdicts[0], hits, ranking, verdicts[1] if mirror else None)
+
+    def classify(
+        self,
+        paths: Sequence[str | os.PathLike[str]],
+        *,
+        mirror: bool,
+        explain: bool,
+        threshold: float | None,
+        options: ReadOptions,
+        n_jobs: int | None,
+    ) -> list[Classification]:
+        """Predict the categories of files; as ``Library.classify``."""
+        check_threshold(threshold)
+        with self._database.reading() as connection:
+            stored = self._forests.load(connection)
+        files, missing = find_motion_files(paths)
+        tasks = [ReadTask(str(file.path), options, feature_set=stored.feature_set) for file in files]
+        explaining = _Explaining(stored) if explain else None
+        answers: list[Classification] = []
+        for item in (*missing, *read_clips(tasks, n_jobs)):
+            if isinstance(item, ClipRecord):
+                described = [item.description or describe_clip(item.motion, stored.feature_set)]
+                if mirror:
+                    described.append(describe_clip(item.motion.mirror(), stored.feature_set))
+                features = np.stack([one.features for one in described])
+                verdicts = judge(stored, ask_trees(stored, features), features, threshold)
+                if explaining is not None:
+                    verdicts = explaining.verdicts(verdicts, item.motion)
+                answers.append(Classification(item.path, verdicts[0], verdicts[1] if mirror else None))
+            elif isinstance(item, Skipped):
+                answers.append(Classification(item.path, None, problem=item.reason))
+        return answers
+
+    def _load_index(self, connection: sa.Connection, stored: StoredForest) -> SearchIndex:
+        revision = read_revision(connection)
+        if self._index is None or self._index.revision != revision:
+            self._index = load_index(connection, revision, stored)
+            self._poses = {}
+        return self._index
+
+    def _read_poses(self, connection: sa.Connection, ids: Sequence[int]) -> NDArray[np.float32]:
+        """(N, cells, columns) pose sequences of clips; those that were read stay, as others ask for them too."""
+        kept = self._poses  # the same in all that follows: another thread may begin anew
+        missing = [clip_id for clip_id in ids if clip_id not in kept]
+        if len(kept) + len(missing) > _MOST_POSES:
+            kept, missing = {}, list(ids)
+            self._poses = kept
+        if missing:
+            kept.update(zip(missing, load_poses(connection, missing), strict=True))
+        return np.stack([kept[clip_id] for clip_id in ids]) if len(ids) else load_poses(connection, ids)
+
+    def _find_clip(
+        self, connection: sa.Connection, index: SearchIndex, query: Query, options: ReadOptions
+    ) -> int | None:
+        """The clip that the query is, if it has not changed since it was stored."""
+        if isinstance(query, int):
+            if query not in index.rows:
+                path = find_row(connection, self._database.where, query).path
+                raise LibraryError("library_search.is_take", library=self._database.where, number=query, path=path)
+            return query
+        if not isinstance(query, str | os.PathLike):
+            return None
+        path = os.path.abspath(query)
+        if not is_unicode(path):
+            return None  # no database can hold it, so it is not there
+        table = schema.clips.c
+        columns = sa.select(table.id, table.path, table.fingerprint, table.read_options)
+        row = connection.execute(columns.where(table.path == path)).one_or_none()
+        if row is None or row.id not in index.rows or not is_as_stored(row, options):
+            return None
+        return int(row.id)
+
+
+def _ask(stored: StoredForest, motion: StoredMotion, mirrored: bool = False) -> Asked:
+    """What the trees say of a motion that is not stored."""
+    described = describe_clip(motion, stored.feature_set)
+    features = described.features[None]
+    return Asked(ask_trees(stored, features), features, described.poses, mirrored)

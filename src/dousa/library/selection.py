@@ -4,15 +4,15 @@ from __future__ import annotations
 
 import enum
 import os
-from collections.abc import Iterable, Sequence, Set
+from collections.abc import Iterable, Iterator, Sequence
 from typing import Any, TypeVar
 
 import sqlalchemy as sa
 
 from dousa.errors import LibraryError, OptionError
 from dousa.library import schema
-
-__all__ = ["UNCHANGED", "Selection", "Unchanged", "portions", "select_ids"]
+from dousa.library.engine import note_changed_clips, read_revision
+from dousa.library.results import ClipInfo, LibraryStats
 
 _VALUES_AT_ONCE = 500  # databases limit the number of values in one query
 
@@ -39,7 +39,6 @@ def select_ids(
 
     Parameters
     ----------
-    connection, where : the library and its name for messages.
     selection : clips; nothing chosen means all clips, of the category or performer where one is given.
     category, performer : only clips of this label.
 
@@ -48,9 +47,9 @@ def select_ids(
     OptionError : nothing is chosen at all.
     LibraryError : a number or path that fits no clip.
     """
-    items = _as_items(selection)
+    items = [selection] if isinstance(selection, int | str | os.PathLike) else list(selection)
     if not items and category is None and performer is None:
-        raise OptionError("expected clips (numbers, files or folders) or a category, got nothing")
+        raise OptionError("library_clips.nothing_chosen")
     table = schema.clips.c
     query = sa.select(table.id, table.path)
     if category is not None:
@@ -59,41 +58,143 @@ def select_ids(
         query = query.where(table.performer == performer)
     rows = connection.execute(query).all()
     if not rows and not items:
-        named = [
-            text for text, value in (("category", category), ("performer", performer)) if value is not None
-        ]
-        values = " and ".join(f"{name} '{category if name == 'category' else performer}'" for name in named)
-        raise LibraryError(f"{where}: no clip of {values}; see: dousa list")
+        if performer is None:
+            raise LibraryError("library_clips.none_of_category", library=where, category=category)
+        if category is None:
+            raise LibraryError("library_clips.none_of_performer", library=where, performer=performer)
+        raise LibraryError("library_clips.none_of_both", library=where, category=category, performer=performer)
     if not items:
         return sorted(row.id for row in rows)
     known = {row.id for row in rows}
     chosen: set[int] = set()
     for item in items:
-        chosen |= _numbered(known, item, where) if isinstance(item, int) else _below(rows, item, where)
+        if not isinstance(item, int):
+            chosen |= _below(rows, item, where)
+        elif item in known:
+            chosen.add(item)
+        else:
+            raise LibraryError("library_clips.no_clip", library=where, number=item)
     return sorted(chosen)
-
-
-def _as_items(selection: Selection) -> list[int | str | os.PathLike[str]]:
-    if isinstance(selection, int | str | os.PathLike):
-        return [selection]
-    return list(selection)
-
-
-def _numbered(known: Set[int], number: int, where: str) -> set[int]:
-    if number not in known:
-        raise LibraryError(f"{where}: no clip {number}; see: dousa list")
-    return {number}
 
 
 def _below(rows: Sequence[Any], item: str | os.PathLike[str], where: str) -> set[int]:
     path = os.path.abspath(item)
     below = path.rstrip(os.sep) + os.sep
-    found = {row.id for row in rows if row.path == path or row.path.startswith(below)}
+    names = (path, os.fspath(item))  # motions that were added from memory have a name that is no path
+    found = {row.id for row in rows if row.path in names or row.path.startswith(below)}
     if not found:
-        raise LibraryError(f"{where}: no clip of '{os.fspath(item)}'; see: dousa list")
+        raise LibraryError("library_clips.no_path", library=where, path=item)
     return found
+
+
+def find_row(connection: sa.Connection, where: str, number: int) -> Any:
+    """``path`` and ``kind`` of a clip or take; LibraryError if there is none of this number."""
+    table = schema.clips.c
+    query = sa.select(table.path, table.kind).where(table.id == number)
+    row = connection.execute(query).one_or_none() if schema.is_id(number) else None
+    if row is None:
+        raise LibraryError("library_clips.no_clip_or_take", library=where, number=number)
+    return row
 
 
 def portions(ids: Sequence[Item]) -> Iterable[Sequence[Item]]:
     """Numbers, or what goes with them, in lists short enough for one query."""
     return (ids[start : start + _VALUES_AT_ONCE] for start in range(0, len(ids), _VALUES_AT_ONCE))
+
+
+def fetch_in(
+    connection: sa.Connection, query: sa.Select[Any], column: sa.ColumnElement[Any], values: Sequence[Any]
+) -> Iterator[Any]:
+    """Rows of a query whose column has one of these values."""
+    for some in portions(values):
+        yield from connection.execute(query.where(column.in_(some)))
+
+
+def list_clips(connection: sa.Connection, ids: Sequence[int] | None = None) -> list[ClipInfo]:
+    """Clips and takes without their arrays, in the order of their paths; all of them, or those of these numbers."""
+    clips, leaves = schema.clips, schema.clip_leaves
+    columns = [clips.c[name] for name in ClipInfo.__dataclass_fields__ if name in clips.c]
+    query = sa.select(*columns, leaves.c.predicted_category)
+    query = query.join(leaves, leaves.c.clip_id == clips.c.id, isouter=True)
+    rows: Iterable[Any] = connection.execute(query) if ids is None else fetch_in(connection, query, clips.c.id, ids)
+    # Sorted here: databases differ in how they order text.
+    return [
+        ClipInfo(**{**row._mapping, "warnings": tuple(map(schema.as_message, row.warnings))})
+        for row in sorted(rows, key=lambda row: row.path)
+    ]
+
+
+def count_by(connection: sa.Connection, label: str) -> dict[str, int]:
+    """Number of clips of each category, or of clips and takes of each performer, by name."""
+    column = schema.clips.c[label]
+    query = sa.select(column, sa.func.count()).where(column.is_not(None)).group_by(column)
+    if label == "category":
+        query = query.where(schema.clips.c.kind == schema.CLIP)
+    return {row[0]: int(row[1]) for row in sorted(connection.execute(query).all(), key=lambda row: row[0])}
+
+
+def summarise(connection: sa.Connection) -> LibraryStats:
+    """The library in numbers."""
+    clips, forests = schema.clips.c, schema.forests.c
+    sums = (
+        sa.func.count(),
+        sa.func.sum(clips.n_frames),
+        sa.func.sum(clips.duration),
+        sa.func.count(clips.category),
+    )
+    by_kind = {
+        kind: connection.execute(sa.select(*sums).select_from(schema.clips).where(clips.kind == kind)).one()
+        for kind in (schema.CLIP, schema.TAKE)
+    }
+    n_clips, n_frames, seconds, n_labelled = by_kind[schema.CLIP]
+    n_takes, _, take_seconds, _ = by_kind[schema.TAKE]
+    columns = (forests.trained_at, forests.n_clips, forests.n_learned, forests.parameters, forests.revision)
+    forest = connection.execute(sa.select(*columns)).one_or_none()
+    changed = connection.execute(sa.select(schema.library_state.c.clips_revision)).scalar_one_or_none()
+    revision = read_revision(connection)
+    return LibraryStats(
+        n_clips=int(n_clips),
+        n_frames=int(n_frames or 0),
+        seconds=float(seconds or 0.0),
+        n_takes=int(n_takes),
+        take_seconds=float(take_seconds or 0.0),
+        n_unlabelled=int(n_clips - n_labelled),
+        categories=count_by(connection, "category"),
+        performers=count_by(connection, "performer"),
+        trained_at=forest.trained_at if forest else None,
+        n_trained=int(forest.n_clips) if forest else 0,
+        n_learned=int(forest.n_learned) if forest else 0,
+        parameters=dict(forest.parameters) if forest else {},
+        forest_is_current=bool(forest and forest.revision >= (changed or 0)),
+        revision=revision,
+    )
+
+
+def delete_clips(connection: sa.Connection, ids: Sequence[int]) -> None:
+    """Remove clips and takes with all their arrays, after ``next_revision`` in the same transaction."""
+    if _any_clip(connection, ids):
+        note_changed_clips(connection)
+    for some in portions(ids):
+        connection.execute(sa.delete(schema.clips).where(schema.clips.c.id.in_(some)))
+
+
+def _any_clip(connection: sa.Connection, ids: Sequence[int]) -> bool:
+    """Whether clips are among clips and takes."""
+    table = schema.clips.c
+    query = sa.select(sa.func.count()).select_from(schema.clips).where(table.kind == schema.CLIP)
+    return any(connection.execute(query.where(table.id.in_(some))).scalar_one() for some in portions(ids))
+
+
+def set_labels(
+    connection: sa.Connection,
+    ids: Sequence[int],
+    category: str | Unchanged | None,
+    performer: str | Unchanged | None,
+) -> None:
+    """Change the category or performer of clips and takes, after ``next_revision`` in the same transaction."""
+    if category is not UNCHANGED and _any_clip(connection, ids):
+        note_changed_clips(connection)
+    given: dict[str, Any] = {"category": category, "performer": performer}
+    values = {name: value for name, value in given.items() if value is not UNCHANGED}
+    for some in portions(ids):
+        connection.execute(sa.update(schema.clips).where(schema.clips.c.id.in_(some)).values(**values))

@@ -6,9 +6,8 @@ import numpy as np
 from numba import njit
 from numpy.typing import ArrayLike
 
-from dousa.motion._types import FloatArray, Motion, Skeleton, Trajectories
-
-__all__ = ["compute_rest_positions", "compute_trajectories", "forward_kinematics"]
+from dousa.arrays import FloatArray
+from dousa.motion.types import Motion, Skeleton, Trajectories
 
 
 @njit(cache=True, nogil=True)
@@ -61,9 +60,7 @@ def forward_kinematics(
     q = np.ascontiguousarray(np.broadcast_to(q, (*batch, joints, 4))).reshape(-1, joints, 4)
     v = np.ascontiguousarray(np.broadcast_to(v, (*batch, joints, 3))).reshape(-1, joints, 3)
     world, positions = np.empty(q.shape), np.empty(v.shape)
-    _forward_kinematics(
-        _read_only(np.asarray(parents, np.intp)), _read_only(q), _read_only(v), world, positions
-    )
+    _forward_kinematics(_read_only(np.asarray(parents, np.intp)), _read_only(q), _read_only(v), world, positions)
     return positions.reshape(*batch, joints, 3), world.reshape(*batch, joints, 4)
 
 

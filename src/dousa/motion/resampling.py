@@ -7,11 +7,10 @@ from typing import Any, TypeVar, cast
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from dousa.arrays import BoolArray, FloatArray, IndexArray
 from dousa.errors import InvalidMotionError, OptionError
-from dousa.motion._types import FloatArray, Motion, Trajectories
 from dousa.motion.rotations import slerp
-
-__all__ = ["fill_gaps", "find_neighbours", "resample", "thin"]
+from dousa.motion.types import Motion, Trajectories, freeze
 
 _Moving = TypeVar("_Moving", Motion, Trajectories)
 
@@ -47,18 +46,12 @@ def resample(moving: _Moving, frame_rate: float) -> _Moving:
         exact = fraction == 0
         turned[exact] = moving.rotations[before[exact]]
         moved = _blend(moving.translations, before, after, fraction)
-        return cast(
-            _Moving, moving.replace(rotations=_own(turned), translations=_own(moved), frame_rate=rate)
-        )
-    return cast(
-        _Moving,
-        moving.replace(positions=_own(_blend(moving.positions, before, after, fraction)), frame_rate=rate),
-    )
+        return moving.replace(rotations=freeze(turned), translations=freeze(moved), frame_rate=rate)
+    positions = freeze(_blend(moving.positions, before, after, fraction))
+    return moving.replace(positions=positions, frame_rate=rate)
 
 
-def find_neighbours(
-    n_frames: int, old_rate: float, new_rate: float
-) -> tuple[NDArray[np.intp], NDArray[np.intp], FloatArray]:
+def find_neighbours(n_frames: int, old_rate: float, new_rate: float) -> tuple[IndexArray, IndexArray, FloatArray]:
     """Old frames before and after each frame at another rate, and where between them it falls.
 
     Parameters
@@ -71,10 +64,10 @@ def find_neighbours(
     OptionError : a frame rate that is not above 0, or that makes too many frames.
     """
     if not (np.isfinite(new_rate) and 0 < new_rate <= 1e6):
-        raise OptionError(f"frame rate: expected Hz above 0 and up to a million, got {new_rate}")
+        raise OptionError("resampling.rate", rate=new_rate)
     count = int(np.floor((n_frames - 1) / old_rate * new_rate + _FRAME_TOLERANCE)) + 1
     if count > _MOST_FRAMES:
-        raise OptionError(f"frame rate: {new_rate:g} Hz would make {count} frames; choose a lower rate")
+        raise OptionError("resampling.too_many", rate=new_rate, count=count)
     place = np.minimum(np.arange(count) * (old_rate / new_rate), n_frames - 1.0)
     nearest = np.round(place)
     # Frames that fall together but for rounding are copied, so that NaN beside them does not spread.
@@ -83,21 +76,13 @@ def find_neighbours(
     return before, np.minimum(before + 1, n_frames - 1), place - before
 
 
-def _blend(
-    values: FloatArray, before: NDArray[np.intp], after: NDArray[np.intp], fraction: FloatArray
-) -> FloatArray:
+def _blend(values: FloatArray, before: IndexArray, after: IndexArray, fraction: FloatArray) -> FloatArray:
     """Linear interpolation along the first axis of (T, n, 3)."""
     weight = fraction[:, None, None]
     mixed = values[before] * (1.0 - weight) + values[after] * weight
     exact = fraction == 0
     mixed[exact] = values[before[exact]]
-    return cast(FloatArray, mixed)
-
-
-def _own(array: FloatArray) -> FloatArray:
-    """Mark an array nobody else holds as read-only, which spares the constructor a copy."""
-    array.flags.writeable = False
-    return array
+    return mixed
 
 
 def thin(array: ArrayLike, n: int) -> NDArray[Any]:
@@ -119,9 +104,9 @@ def thin(array: ArrayLike, n: int) -> NDArray[Any]:
     """
     frames = np.asarray(array)
     if n < 1:
-        raise OptionError(f"number of frames: expected 1 or more, got {n}")
+        raise OptionError("resampling.count", count=n)
     if frames.ndim == 0 or len(frames) == 0:
-        raise InvalidMotionError("thin: expected at least one frame, got none")
+        raise InvalidMotionError("resampling.no_frames")
     places = np.linspace(0, len(frames) - 1, n)
     chosen: NDArray[Any] = frames[np.floor(places + 0.5).astype(np.intp)]
     return chosen
@@ -147,8 +132,8 @@ def fill_gaps(positions: ArrayLike) -> FloatArray:
     """
     filled = np.array(positions, np.float64)
     if filled.ndim != 3:
-        raise InvalidMotionError(f"positions: expected shape (any, any, 3), got {filled.shape}")
-    missing = cast(NDArray[np.bool_], np.isnan(filled).any(axis=2))
+        raise InvalidMotionError("resampling.shape", shape=filled.shape)
+    missing = cast(BoolArray, np.isnan(filled).any(axis=2))
     frames = np.arange(len(filled))
     for point in np.flatnonzero(missing.any(axis=0)):
         seen = frames[~missing[:, point]]
@@ -158,3 +143,26 @@ def fill_gaps(positions: ArrayLike) -> FloatArray:
         for axis in range(filled.shape[2]):
             filled[:, point, axis] = np.interp(frames, seen, filled[seen, point, axis])
     return filled
+
+
+def smooth_gaussian(values: FloatArray, deviation: float) -> FloatArray:
+    """Values over time under a Gaussian of four standard deviations to either side; the ends are repeated.
+
+    Parameters
+    ----------
+    values : (T, ...).
+    deviation : standard deviation, frames.
+
+    Returns
+    -------
+    (T, ...), bit for bit those of ``scipy.ndimage.gaussian_filter1d(values, deviation, axis=0, mode="nearest")``.
+    """
+    n_frames, reach = len(values), int(4.0 * deviation + 0.5)
+    weights = np.exp(-0.5 / (deviation * deviation) * np.arange(-reach, reach + 1) ** 2)
+    weights = weights / weights.sum()
+    padded = np.pad(values, [(reach, reach), *[(0, 0)] * (np.ndim(values) - 1)], mode="edge")
+    smooth: FloatArray = padded[reach : reach + n_frames] * weights[reach]
+    for step in range(reach, 0, -1):
+        before, after = (padded[start : start + n_frames] for start in (reach - step, reach + step))
+        smooth += (before + after) * weights[reach - step]
+    return smooth

@@ -8,28 +8,10 @@ vectors (..., 3) are axis times angle; angles are radians. Euler angles are intr
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from dousa.arrays import FloatArray
 from dousa.errors import InvalidMotionError
-
-__all__ = [
-    "between",
-    "conjugate",
-    "from_axis_angle",
-    "from_euler",
-    "from_matrix",
-    "identity",
-    "multiply",
-    "normalise",
-    "rotate",
-    "slerp",
-    "to_axis_angle",
-    "to_euler",
-    "to_matrix",
-    "unwrap_euler",
-]
-
-FloatArray = NDArray[np.float64]
 
 _AXES = {"X": 0, "Y": 1, "Z": 2}
 _GIMBAL_COSINE = 1e-7  # below this the first and third axes are parallel to double precision
@@ -69,7 +51,8 @@ def multiply(first: ArrayLike, second: ArrayLike) -> FloatArray:
 
 def conjugate(quaternions: ArrayLike) -> FloatArray:
     """The inverse rotation (..., 4) of unit quaternions (..., 4)."""
-    return np.asarray(quaternions, np.float64) * np.array([1.0, -1.0, -1.0, -1.0])
+    conjugated: FloatArray = np.asarray(quaternions, np.float64) * np.array([1.0, -1.0, -1.0, -1.0])
+    return conjugated
 
 
 def rotate(quaternions: ArrayLike, vectors: ArrayLike) -> FloatArray:
@@ -119,52 +102,26 @@ def from_matrix(matrices: ArrayLike) -> FloatArray:
     """
     m = np.asarray(matrices, np.float64)
     d0, d1, d2 = m[..., 0, 0], m[..., 1, 1], m[..., 2, 2]
+    wx, wy, wz = m[..., 2, 1] - m[..., 1, 2], m[..., 0, 2] - m[..., 2, 0], m[..., 1, 0] - m[..., 0, 1]
+    xy, xz, yz = m[..., 1, 0] + m[..., 0, 1], m[..., 0, 2] + m[..., 2, 0], m[..., 2, 1] + m[..., 1, 2]
     # Row c holds 4 q_c q: whichever q_c is largest gives the best-conditioned row.
-    rows = np.stack(
-        [
-            _row(
-                1 + d0 + d1 + d2,
-                m[..., 2, 1] - m[..., 1, 2],
-                m[..., 0, 2] - m[..., 2, 0],
-                m[..., 1, 0] - m[..., 0, 1],
-            ),
-            _row(
-                m[..., 2, 1] - m[..., 1, 2],
-                1 + d0 - d1 - d2,
-                m[..., 1, 0] + m[..., 0, 1],
-                m[..., 0, 2] + m[..., 2, 0],
-            ),
-            _row(
-                m[..., 0, 2] - m[..., 2, 0],
-                m[..., 1, 0] + m[..., 0, 1],
-                1 - d0 + d1 - d2,
-                m[..., 2, 1] + m[..., 1, 2],
-            ),
-            _row(
-                m[..., 1, 0] - m[..., 0, 1],
-                m[..., 0, 2] + m[..., 2, 0],
-                m[..., 2, 1] + m[..., 1, 2],
-                1 - d0 - d1 + d2,
-            ),
-        ],
-        axis=-2,
+    rows = (
+        (1 + d0 + d1 + d2, wx, wy, wz),
+        (wx, 1 + d0 - d1 - d2, xy, xz),
+        (wy, xy, 1 - d0 + d1 - d2, yz),
+        (wz, xz, yz, 1 - d0 - d1 + d2),
     )
-    squares = np.diagonal(rows, axis1=-2, axis2=-1)
+    stacked = np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
+    squares = np.diagonal(stacked, axis1=-2, axis2=-1)
     best = np.argmax(np.nan_to_num(squares), axis=-1)[..., None, None]
-    q = normalise(np.take_along_axis(rows, best, axis=-2)[..., 0, :])
+    q = normalise(np.take_along_axis(stacked, best, axis=-2)[..., 0, :])
     return np.where(q[..., :1] < 0, -q, q)
-
-
-def _row(*components: FloatArray) -> FloatArray:
-    return np.stack(components, axis=-1)
 
 
 def _axis_numbers(order: str) -> list[int]:
     letters = order.upper()
     if not 1 <= len(letters) <= 3 or len(set(letters)) != len(letters) or set(letters) - set(_AXES):
-        raise InvalidMotionError(
-            f"rotation order: expected one to three different letters of XYZ, got '{order}'"
-        )
+        raise InvalidMotionError("rotations.order", order=order)
     return [_AXES[letter] for letter in letters]
 
 
@@ -183,9 +140,7 @@ def from_euler(angles: ArrayLike, order: str) -> FloatArray:
     axes = _axis_numbers(order)
     half = 0.5 * np.asarray(angles, np.float64)
     if half.shape[-1] != len(axes):
-        raise InvalidMotionError(
-            f"euler angles: expected {len(axes)} for order '{order}', got {half.shape[-1]}"
-        )
+        raise InvalidMotionError("rotations.count", expected=len(axes), order=order, found=half.shape[-1])
     result = None
     for number, axis in enumerate(axes):
         turn = np.zeros((*half.shape[:-1], 4))
@@ -215,9 +170,7 @@ def to_euler(quaternions: ArrayLike, order: str) -> FloatArray:
     cosine = np.hypot(m[..., i, i], m[..., i, j])
     locked = cosine < _GIMBAL_COSINE
     first = np.where(
-        locked,
-        np.arctan2(sign * m[..., k, j], m[..., j, j]),
-        np.arctan2(-sign * m[..., j, k], m[..., k, k]),
+        locked, np.arctan2(sign * m[..., k, j], m[..., j, j]), np.arctan2(-sign * m[..., j, k], m[..., k, k])
     )
     second = np.arctan2(sign * m[..., i, k], cosine)
     third = np.where(locked, 0.0 * cosine, np.arctan2(-sign * m[..., i, j], m[..., i, i]))

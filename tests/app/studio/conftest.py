@@ -25,7 +25,7 @@ CATEGORIES = ("kick_left", "squat", "wave_right", "walk")
 @pytest.fixture(scope="session")
 def trained_library(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A trained library of 24 synthetic clips in four categories; never changed, copied for every test."""
-    from dousa.app.demo import write_library
+    from dousa.app.demo.demo import write_library
     from dousa.library import Library
 
     folder = tmp_path_factory.mktemp("studio-library")
@@ -127,9 +127,7 @@ def running(library_copy: Path) -> Iterator[Running]:
 def show(browser: Page, running: Running) -> Iterator[Callable[..., Page]]:
     """``show("/library?x=1", width=1280, height=720, scheme="light", language="en")``: a page of that studio."""
 
-    def open_page(
-        path: str, width: int = 1280, height: int = 720, scheme: str = "light", language: str = "en"
-    ) -> Page:
+    def open_page(path: str, width: int = 1280, height: int = 720, scheme: str = "light", language: str = "en") -> Page:
         browser.resize(width, height)
         features = [
             {"name": "prefers-color-scheme", "value": scheme},

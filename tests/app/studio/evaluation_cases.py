@@ -12,10 +12,10 @@ _TAKES = 3
 
 def write_dances(folder: Path) -> tuple[list[Path], Path]:
     """Write three takes and a performance with one error of each class as BVH files."""
-    from dousa.app.demo_evaluation import write_dance
-    from dousa.formats import write_motion
-    from dousa.motion.synthetic import Performer
-    from dousa.motion.synthetic_dance import make_dance
+    from dousa.app.demo.evaluation import write_dance
+    from dousa.formats.registry import write_motion
+    from dousa.motion.synthetic.dance import make_dance
+    from dousa.motion.synthetic.performers import Performer
 
     first, pupil, _ = write_dance(folder, 0)
     takes = [first]

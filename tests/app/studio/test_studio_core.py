@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import json
+import re
+from importlib import resources
+
 import pytest
 
 
@@ -59,3 +63,55 @@ def test_a_job_can_be_stopped_before_its_turn(studio, wait_job):
     assert studio.post(f"/api/jobs/{second['id']}/stop").json()["state"] == "stopped"
     assert studio.post(f"/api/jobs/{first['id']}/stop").json()["state"] in ("stopping", "stopped")
     assert wait_job(studio, first["id"])["state"] == "stopped"
+
+
+@pytest.mark.parametrize(
+    ("language", "said"),
+    [
+        ("en-GB,en;q=0.8", "is not in the library any more"),
+        ("ja,en;q=0.5", "はもうライブラリーにありません"),
+        ("fr", "not in"),
+    ],
+)
+def test_problems_are_in_the_language_of_the_request(studio, language, said):
+    answer = studio.get("/api/motions/info?motion=clip:999", headers={"accept-language": language})
+    assert answer.status_code == 404 and said in answer.json()["problem"]
+    assert answer.json()["code"] == "library_clips.no_clip" and answer.json()["values"]["number"] == 999
+
+
+def test_what_is_wrong_with_a_field_is_said_in_both_languages(studio):
+    for language, said in (("en", "k: expected 200 or less"), ("ja", "k: 200 以下にしてください")):
+        wanted = {"query": {"motion": "clip:1"}, "k": 1000}
+        answer = studio.post("/api/search", json=wanted, headers={"accept-language": language})
+        assert answer.status_code == 422 and answer.json()["problem"] == said
+
+
+def test_a_job_speaks_the_language_of_whoever_asks(studio, wait_job):
+    studio.app.state.studio.library.remove([clip.id for clip in studio.app.state.studio.library.clips()])
+    job = wait_job(studio, studio.post("/api/jobs/train", json={}).json()["id"])
+    assert job["state"] == "failed" and job["codes"]["problem"]["code"].startswith("library_training.")
+    japanese = studio.get(f"/api/jobs/{job['id']}", headers={"accept-language": "ja"}).json()
+    assert "分類" in japanese["problem"] and japanese["codes"] == job["codes"]
+
+
+def test_words_of_the_pages_are_pairs_that_name_the_same():
+    for file in resources.files("dousa.app.studio").joinpath("words").iterdir():
+        for name, (english, japanese) in json.loads(file.read_text(encoding="utf-8")).items():
+            assert bool(english) == bool(japanese), f"{file.name}: {name}"
+            assert sorted(re.findall(r"\{\w+\}", english)) == sorted(re.findall(r"\{\w+\}", japanese)), name
+
+
+def test_what_was_not_added_is_said_in_the_language_of_whoever_asks(studio, bvh, wait_job):
+    damaged = "\n".join(bvh.read_text().splitlines()[:-3]).encode()
+    batch = studio.post("/api/uploads?name=kick/short.bvh", content=damaged).json()["batch"]
+    job = wait_job(studio, studio.post("/api/jobs/add", json={"batch": batch}).json()["id"])
+    for language, said in (("en", "is it truncated or edited?"), ("ja", "フレーム")):
+        answer = studio.get(f"/api/jobs/{job['id']}", headers={"accept-language": language}).json()
+        (skipped,) = answer["result"]["skipped"]
+        assert skipped["path"] == "kick/short.bvh" and said in skipped["reason"]
+
+
+def test_pages_load_only_what_there_is(studio):
+    for page in ("library", "search", "takes", "evaluate", "estimate", "api"):
+        asked = set(re.findall(r'(?:src|href)="(/static/[^"]+)"', studio.get(f"/{page}").text))
+        assert asked and [path for path in asked if studio.get(path).status_code != 200] == []

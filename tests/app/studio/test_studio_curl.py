@@ -17,9 +17,7 @@ PAGE = Path(__file__).resolve().parents[3] / "docs" / "studio.md"
 
 def lines_of_the_page():
     """Every line of the blocks that has to do with curl, in order; dousa and pip are not for this test."""
-    blocks = re.findall(
-        r"^```console\n(.*?)^```$", PAGE.read_text(encoding="utf-8"), re.MULTILINE | re.DOTALL
-    )
+    blocks = re.findall(r"^```console\n(.*?)^```$", PAGE.read_text(encoding="utf-8"), re.MULTILINE | re.DOTALL)
     lines = [line[2:] for block in blocks for line in block.splitlines() if line.startswith("$ ")]
     return [line for line in lines if not re.match(r"(dousa|pip|make) ", line)]
 
@@ -35,12 +33,13 @@ def newest_curl():
 @pytest.fixture
 def seen(tmp_path, bvh):
     """Silhouettes of three frames."""
-    from dousa.app.rendering_files import RenderRequest, parse_size, render_file
+    from dousa.app.pipelines.render import RenderRequest, parse_size, render_file
 
     size = parse_size("80x60")
     render_file(RenderRequest(motion=bvh, output=tmp_path / "seen.npz", n_ring=2, size=size, frames="0:3"))
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not newest_curl(), reason="no curl that knows --json, or no bash")
 def test_every_call_of_the_page_is_answered(running, bvh, seen, tmp_path):
     shutil.copy(bvh, tmp_path / "query.bvh")

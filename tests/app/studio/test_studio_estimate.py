@@ -16,11 +16,12 @@ from starlette.testclient import TestClient
 from app.studio.conftest import TOKEN, wait_for
 from app.studio.estimating_scenes import write_scene
 from dousa.app.studio import Settings, create_app
-from dousa.app.studio.footage.materials import sort_materials
-from dousa.app.studio.footage.reading import Footage
-from dousa.app.studio.footage.recording import FootageWriter
-from dousa.app.studio.work import Context, previewing
-from dousa.app.studio.work._estimation_request import plain_words
+from dousa.app.studio.content.footage import Footage, FootageWriter
+from dousa.app.studio.core.words import name_error, pack, say, say_packed
+from dousa.app.studio.jobs.lanes import Context
+from dousa.app.studio.work.materials import sort_materials
+from dousa.app.studio.work.preview import preview
+from dousa.errors import MotionFileError
 
 N_FRAMES = 12
 
@@ -77,7 +78,7 @@ def look_here(client: Any, **request: Any) -> dict[str, Any]:
     """The same without a process of its own, which takes a second to begin."""
     home = client.app.state.studio.settings.folder
     context = Context(home / "x.dousa", home, home / "files", lambda *_: None, lambda _: None)
-    return previewing.run(request, context)
+    return say_packed(pack(preview(request, context)))
 
 
 def npz(**arrays: Any) -> bytes:
@@ -94,13 +95,13 @@ class TestBefore:
         assert (found["n_frames"], found["frame_rate"], found["first_frame"]) == (N_FRAMES - 2, 30.0, 2)
         assert [view["camera"] for view in found["views"]] == ["view1", "view2"]
         assert all(view["picture"].startswith("data:image/jpeg;base64,") for view in found["views"])
-        assert "said by the silhouettes' file" in found["body"]
+        assert "from the file of the silhouettes" in found["body"]
 
     def test_without_cameras_the_silhouettes_show_and_one_sentence_says_what_is_missing(self, client, seen):
         with np.load(seen) as file:
             bare = npz(**{key: file[key] for key in ("mask_packed", "width", "height")})
         found = look_here(client, batch=upload(client, ("bare.npz", bare)))
-        assert found["missing"].startswith("The calibration is missing") and len(found["views"]) == 2
+        assert found["missing"].startswith("calibration file required") and len(found["views"]) == 2
         assert found["views"][0]["picture"] and found["views"][0]["camera"] is None
 
     def test_a_calibration_beside_masks_is_found_and_matched(self, client, seen):
@@ -117,7 +118,7 @@ class TestBefore:
         }
         assert found["missing"] is None
         without = look_here(client, batch=batch, sources=["masks.npz"])
-        assert without["missing"].startswith("The calibration is missing")
+        assert without["missing"].startswith("calibration file required")
 
     @pytest.mark.parametrize(
         ("content", "said"),
@@ -131,7 +132,7 @@ class TestBefore:
     def test_what_is_no_silhouette_is_said_in_one_sentence(self, client, content, said):
         found = look_here(client, batch=upload(client, ("odd.npz", content)))
         assert found["missing"] and "Traceback" not in found["missing"] and "\n" not in found["missing"]
-        assert said in found["missing"] or found["missing"].startswith("The calibration is missing")
+        assert said in found["missing"] or found["missing"].startswith("calibration file required")
         assert "/files/" not in found["missing"]
 
     def test_an_array_that_says_it_is_huge_is_not_unpacked(self, client):
@@ -206,9 +207,7 @@ class TestAfter:
         assert "no frame 99" in late["missing"] and "/jobs/" not in late["missing"]
 
     def test_it_goes_into_the_library(self, client, done):
-        job = client.post(
-            f"/api/estimations/{done['id']}/add", json={"name": "mine", "category": "jump"}
-        ).json()
+        job = client.post(f"/api/estimations/{done['id']}/add", json={"name": "mine", "category": "jump"}).json()
         job = wait_for(client, job["id"])
         assert job["result"]["added"] == ["jump/mine.bvh"]
         assert client.get("/api/info").json()["library"]["categories"] == {"jump": 1}
@@ -217,7 +216,7 @@ class TestAfter:
 
 
 def _ref(job: dict[str, Any]) -> Any:
-    from dousa.app.studio.motions import MotionRef
+    from dousa.app.studio.content.motions import MotionRef
 
     return MotionRef(motion=f"job:{job['id']}")
 
@@ -226,9 +225,7 @@ class TestStopped:
     def test_stopped_work_goes_on_where_it_was(self, client, tmp_path):
         content = write_scene(tmp_path / "long.npz", 90).read_bytes()
         batch = upload(client, ("long.npz", content))
-        job = client.post(
-            "/api/jobs/estimate", json={"batch": batch, "overlay_video": False, "beam": 2}
-        ).json()["id"]
+        job = client.post("/api/jobs/estimate", json={"batch": batch, "overlay_video": False, "beam": 2}).json()["id"]
         seen = 0
         while seen < 34:
             found = client.get(f"/api/estimations/{job}/frames").json()
@@ -243,7 +240,7 @@ class TestStopped:
         client.post(f"/api/jobs/{job}/resume")
         done = wait_for(client, job)
         assert done["state"] == "done", done["problem"]
-        assert any(note.startswith("going on at frame ") for note in done["notes"])
+        assert any(note.startswith("resuming at frame ") for note in done["notes"])
         assert done["result"]["files"] == ["motion.bvh", "joints.trc", "angles.csv"]
         assert client.get(f"/api/estimations/{job}/frames").json()["stage"] == [2] * 90
 
@@ -292,9 +289,7 @@ class TestMaterials:
         return {item.name: item.role for item in sort_materials(tmp_path, files)}
 
     def test_films_with_plates(self, tmp_path):
-        files = dict.fromkeys(
-            ("b/cam10.mp4", "b/cam2.mp4", "plates/cam2.png", "calib.qca.txt", "first.trc"), b"x"
-        )
+        files = dict.fromkeys(("b/cam10.mp4", "b/cam2.mp4", "plates/cam2.png", "calib.qca.txt", "first.trc"), b"x")
         found = self.roles(tmp_path, files)
         assert list(found) == ["b/cam2.mp4", "b/cam10.mp4", "calib.qca.txt", "plates/cam2.png", "first.trc"]
         assert list(found.values()) == ["source", "source", "cameras", "background", "start"]
@@ -315,10 +310,12 @@ class TestMaterials:
 
 
 def test_messages_name_neither_folders_nor_options(tmp_path):
-    context = Context(tmp_path / "x.dousa", tmp_path, tmp_path / "jobs/1", lambda *_: None, lambda _: None)
-    text = f"{tmp_path}/files/abc/seen.npz: no cameras; give --cameras FILE, --frames A:B"
-    said = plain_words(text, {"batch": "abc"}, context)
-    assert said == "seen.npz: no cameras; give a calibration file, frames A:B"
+    path = tmp_path / "files" / ("a" * 16) / "seen.npz"
+    told = name_error(
+        MotionFileError(path, "amc.several_skeletons", skeletons=("a.asf",), folder=path.parent), tmp_path
+    )
+    assert told.values["path"] == "seen.npz"
+    assert str(tmp_path) not in say(told) and "--" not in say(told)
 
 
 def test_half_a_record_at_the_end_is_waited_for(client, done, tmp_path):
@@ -339,7 +336,7 @@ def test_half_a_record_at_the_end_is_waited_for(client, done, tmp_path):
 
 
 def test_a_run_from_the_beginning_leaves_nothing_of_the_one_before(tmp_path):
-    from dousa.app._estimation_watch import Scene
+    from dousa.app.pipelines.estimation_views import Scene
 
     for name in ("scene.npz", "poses.bin", "seen.idx", "seen.bin"):
         (tmp_path / name).write_bytes(b"old")

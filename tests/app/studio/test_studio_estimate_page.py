@@ -89,27 +89,21 @@ def test_from_silhouettes_to_a_search(show, seen):
 def test_what_is_missing_is_said_and_put_right(show, seen, tmp_path):
     with np.load(seen) as file:
         masks = {"mask_packed": file["mask_packed"][:, :3], "width": file["width"], "height": file["height"]}
-        cameras = {
-            key: file[key]
-            for key in file
-            if key.startswith(("camera", "world")) or key in ("width", "height")
-        }
+        cameras = {key: file[key] for key in file if key.startswith(("camera", "world")) or key in ("width", "height")}
     np.savez(tmp_path / "masks.npz", **masks)
     np.savez(tmp_path / "calib.npz", **cameras)
     (tmp_path / "notes.pdf").write_bytes(b"%PDF")
     page = show("/estimate", 390, 844)
     page.find("#material").send_keys(f"{tmp_path / 'masks.npz'}\n{tmp_path / 'notes.pdf'}")
     page.wait("return document.querySelector('#missing')")
-    assert "calibration is missing" in text(page, "#missing")
+    assert "calibration file required" in text(page, "#missing")
     assert "notes.pdf" in text(page, "#material-refused")
     assert page.run("return document.querySelector('#start').disabled") and is_within(page)
     page.messages()  # the file that was refused is an answer of 415, which browsers write down
 
     page.find("#material").send_keys(str(tmp_path / "calib.npz"))
     page.wait(CAN_START)
-    roles = page.run(
-        "return [...document.querySelectorAll('.files select')].map((s) => [s.dataset.name, s.value])"
-    )
+    roles = page.run("return [...document.querySelectorAll('.files select')].map((s) => [s.dataset.name, s.value])")
     assert dict(roles) == {"masks.npz": "source", "calib.npz": "cameras"}
     page.run(
         "const s = document.querySelector('[data-name=\"calib.npz\"]'); s.value = 'unused';"
@@ -124,6 +118,6 @@ def test_what_is_missing_is_said_and_put_right(show, seen, tmp_path):
 def test_a_job_that_is_not_there(show):
     page = show("/estimate?job=0123456789abcdef")
     page.wait("return document.querySelector('#watch-problem .problem-box')")
-    assert "not there any more" in text(page, "#watch-problem")
+    assert "removed from the list" in text(page, "#watch-problem")
     page.find("#watch-actions button").click()
     page.wait("return !document.querySelector('#setup').hidden")

@@ -52,8 +52,8 @@ def test_the_errors_are_found_and_the_figures_told(job):
 
 
 def test_it_is_what_the_command_says(job, dances):
-    from dousa.app.evaluating import evaluate_files
-    from dousa.library import ReadOptions
+    from dousa.app.pipelines.evaluate import evaluate_files
+    from dousa.formats import ReadOptions
 
     takes, pupil = dances
     said = evaluate_files(takes, pupil, options=ReadOptions()).assessment.to_json()
@@ -62,8 +62,7 @@ def test_it_is_what_the_command_says(job, dances):
 
 def test_the_report_comes_by_parts_in_both_languages(studio, job):
     english, japanese = (
-        studio.get(f"/api/evaluations/{job['id']}/report?language={language}").json()
-        for language in ("en", "ja")
+        studio.get(f"/api/evaluations/{job['id']}/report?language={language}").json() for language in ("en", "ja")
     )
     assert set(english["parts"]) == {
         *("header", "events", "timeline", "matrix", "furi", "moments", "reading", "tables")
@@ -90,10 +89,7 @@ def test_a_moved_cut_changes_the_figures_at_once(studio, job):
     assert exact["assessment"] == quick["assessment"]
     assert "moments" in exact["parts"]
     # A quick answer is a try, an exact one is kept.
-    assert (
-        _adjust(studio, job, precision="quick").json()["assessment"]["furi_used"]
-        == job["result"]["furi_found"]
-    )
+    assert _adjust(studio, job, precision="quick").json()["assessment"]["furi_used"] == job["result"]["furi_found"]
     kept = studio.get(f"/api/evaluations/{job['id']}/report").json()["assessment"]
     assert kept["furi_used"] == furi and kept["furi_found"] == job["result"]["furi_found"]
 
@@ -236,11 +232,11 @@ def test_another_figure_altogether_is_said(studio, evaluate, motions):
     clip = studio.get("/api/clips?category=squat").json()["items"][0]["motion"]
     done = evaluate({**motions, "performance": {"motion": clip}})
     assert done["state"] == "done"
-    assert "another figure than the reference: is it the same dance?" in done["result"]["warnings"][0]
+    assert "a different figure from the reference's: is it the same dance?" in done["result"]["warnings"][0]
 
 
 def test_warnings_name_what_the_page_has(studio, evaluate, dances, tmp_path):
-    from dousa.formats import read_motion, write_motion
+    from dousa.formats.registry import read_motion, write_motion
     from dousa.motion import canonicalise, fit_motion
 
     takes, _ = dances
@@ -250,13 +246,13 @@ def test_warnings_name_what_the_page_has(studio, evaluate, dances, tmp_path):
     reference, performance = upload(studio, takes[0], tmp_path / "facing.bvh")
     done = evaluate({"references": [reference], "performance": performance})
     said = " ".join(done["result"]["warnings"])
-    assert "'Mirrored' compares it so" in said and "--mirror" not in said
+    assert "compare it with 'Mirrored'" in said and "--mirror" not in said
     better = evaluate({"references": [reference], "performance": performance, "side": "mirrored"})
     assert better["result"]["score"] > done["result"]["score"] + 20
 
 
 def _mirror(positions):
-    from dousa.motion.joints import MIRRORED_JOINTS
+    from dousa.motion.canonical.joints import MIRRORED_JOINTS
 
     return positions[:, list(MIRRORED_JOINTS)] * [-1.0, 1.0, 1.0]
 

@@ -181,9 +181,7 @@ def test_reload_keeps_everything_and_two_tabs_do_no_harm(show, address, running)
     second = _grade(page)
     assert second != first
     other = _score(page)
-    assert "left and right are the reference's" in page.run(
-        "return document.querySelector('.warnings').textContent"
-    )
+    assert "left and right are the reference's" in page.run("return document.querySelector('.warnings').textContent")
     page.driver.switch_to.window(mine)
     _slide(page, "limb-legs", 0.6)
     _settled(page)
@@ -224,7 +222,7 @@ def test_problems_are_told_and_the_choice_stays(show, client, dances):
     page.find("#grade").click()
     page.wait("return !document.querySelector('#problem').hidden", seconds=60)
     said = page.run("return document.querySelector('#problem').textContent")
-    assert "dance_pupil.bvh: The motion is too short: it takes 0.5 s at least." in said
+    assert "dance_pupil.bvh: performance: expected a motion of at least 0.5 s" in said
     page.wait("return document.querySelector('#performance .part input')?.value === '3'")
     assert page.messages() == []
     page = show("/evaluate?job=00000000000000ff")

@@ -14,9 +14,8 @@ import pytest
 
 from app.studio.conftest import TOKEN
 from dousa.app.studio import Settings
-from dousa.app.studio.gates import Gate
-from dousa.app.studio.jobs import asides
-from dousa.app.studio.problems import RefusedError, status_of
+from dousa.app.studio.core.answers import Gate, RefusedError, status_of
+from dousa.app.studio.jobs import lanes
 
 GOOD = b"HIERARCHY\nROOT Hips\n"
 
@@ -26,9 +25,7 @@ def below(folder):
 
 
 def send(studio, name, content, batch=None):
-    answer = studio.post(
-        "/api/uploads", params={"name": name} | ({"batch": batch} if batch else {}), content=content
-    )
+    answer = studio.post("/api/uploads", params={"name": name} | ({"batch": batch} if batch else {}), content=content)
     assert answer.status_code == 201, answer.text
     return answer.json()
 
@@ -98,7 +95,7 @@ def caller(library_copy):
     import uvicorn
 
     from dousa.app.studio import create_app
-    from dousa.app.studio.connections import PatientProtocol
+    from dousa.app.studio.server import PatientProtocol
 
     with socket.socket(proto=socket.IPPROTO_TCP) as listener:
         listener.bind(("127.0.0.1", 0))
@@ -123,7 +120,7 @@ def read_all(connection) -> bytes:
 
 
 def test_a_request_that_is_not_ended_is_given_up(caller, monkeypatch):
-    from dousa.app.studio import connections
+    from dousa.app.studio import server as connections
 
     monkeypatch.setattr(connections, "_PATIENCE", 0.3)
     call, port = caller
@@ -209,7 +206,7 @@ def test_a_gate_sends_away_whom_it_cannot_hold():
 
 def test_many_previews_do_not_take_all_threads(studio, monkeypatch):
     go = threading.Event()
-    monkeypatch.setattr(asides, "_run", lambda *_: (go.wait(20), [json.dumps({"result": {}}).encode()])[1])
+    monkeypatch.setattr(lanes, "_run", lambda *_: (go.wait(20), [json.dumps({"result": {}}).encode()])[1])
     batch = send(studio, "a.bvh", GOOD)["batch"]
     codes = []
 
@@ -258,8 +255,6 @@ def test_what_was_refused_takes_no_room(library_copy):
         for _ in range(3):
             answer = client.post(f"/api/uploads?name=a.zip&batch={batch}", content=buffer.getvalue())
             assert answer.status_code == 413
-            assert (
-                client.post(f"/api/uploads?name=0.bvh/x.bvh&batch={batch}", content=GOOD).status_code == 422
-            )
+            assert client.post(f"/api/uploads?name=0.bvh/x.bvh&batch={batch}", content=GOOD).status_code == 422
         for number in (1, 2):
             send(client, f"{number}.bvh", GOOD, batch)

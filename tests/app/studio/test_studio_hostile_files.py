@@ -15,11 +15,12 @@ import numpy as np
 import pytest
 
 from app.studio.conftest import TOKEN
-from dousa.app.studio import Settings, uploads
-from dousa.app.studio.jobs import processes
-from dousa.app.studio.problems import status_of
-from dousa.app.studio.work import WORK
-from dousa.errors import DousaError, LibraryError
+from dousa.app.studio import Settings
+from dousa.app.studio.core import uploads
+from dousa.app.studio.core.answers import status_of
+from dousa.app.studio.jobs import lanes
+from dousa.app.studio.work.worker import IN_PROCESS, load_work
+from dousa.errors import DousaError, LibraryError, MotionWriteError
 from dousa.motion import CANONICAL_JOINTS
 
 GOOD = b"HIERARCHY\nROOT Hips\n"
@@ -45,9 +46,7 @@ def take(rate: float, n_frames: int = 50) -> bytes:
 
 
 def send(studio, name, content, batch=None):
-    answer = studio.post(
-        "/api/uploads", params={"name": name} | ({"batch": batch} if batch else {}), content=content
-    )
+    answer = studio.post("/api/uploads", params={"name": name} | ({"batch": batch} if batch else {}), content=content)
     assert answer.status_code == 201, answer.text
     return answer.json()
 
@@ -67,9 +66,7 @@ def test_an_archive_whose_list_is_endless_is_refused(studio, monkeypatch, tmp_pa
 
 
 @pytest.mark.parametrize("suffix", ["mp4", "avi", "mov", "mkv", "webm", "jpg", "bmp", "tif"])
-@pytest.mark.parametrize(
-    "content", [b"#EXTM3U\n#EXTINF:1,\nfile:///etc/passwd\n", b"ffconcat version 1.0\nfile x\n"]
-)
+@pytest.mark.parametrize("content", [b"#EXTM3U\n#EXTINF:1,\nfile:///etc/passwd\n", b"ffconcat version 1.0\nfile x\n"])
 def test_lists_of_addresses_are_no_films(studio, suffix, content):
     assert studio.post(f"/api/uploads?name=v.{suffix}", content=content).status_code == 415
 
@@ -102,9 +99,7 @@ def test_evaluations_that_would_take_for_ever_are_refused(studio, wait_job):
 def test_skeletons_are_not_taken_from_outside(studio, tmp_path):
     """An AMC looks for its ASF in the folders above, but not in those above the studio's files."""
     (tmp_path / "private.asf").write_text(":version 1.10\n:name private\n")
-    motion = send(studio, "walk.amc", b"#!OML:ASF x\n:FULLY-SPECIFIED\n:DEGREES\n1\nroot 0 0 0 0 0 0\n")[
-        "files"
-    ][0]
+    motion = send(studio, "walk.amc", b"#!OML:ASF x\n:FULLY-SPECIFIED\n:DEGREES\n1\nroot 0 0 0 0 0 0\n")["files"][0]
     answer = studio.get("/api/motions/info", params={"motion": motion["motion"]})
     assert answer.status_code == 422
     assert "private" not in answer.text
@@ -113,8 +108,8 @@ def test_skeletons_are_not_taken_from_outside(studio, tmp_path):
 
 def test_a_key_of_thousands_of_parts_is_refused(tmp_path):
     from dousa.errors import BodyModelError, CalibrationError
-    from dousa.estimation.body_file import read_body
-    from dousa.estimation.camera_files import read_cameras
+    from dousa.estimation.body.body_file import read_body
+    from dousa.estimation.cameras.camera_files import read_cameras
 
     path = tmp_path / "deep.toml"
     path.write_text("stature = 1.7\n" + "a." * 50_000 + "b = 1\n")
@@ -150,10 +145,10 @@ def test_work_that_does_not_hear_ctrl_c_is_ended(studio, wait_job, monkeypatch):
         "import signal, sys, time; signal.signal(signal.SIGINT, signal.SIG_IGN); "
         'print(\'{"progress": [0, 1, "deaf"]}\', flush=True); time.sleep(600)'
     )
-    real = processes.subprocess.Popen
-    monkeypatch.setattr(processes, "_PATIENCE", 0.3)
+    real = lanes.subprocess.Popen
+    monkeypatch.setattr(lanes, "_PATIENCE", 0.3)
     monkeypatch.setattr(
-        processes.subprocess, "Popen", lambda words, **options: real([sys.executable, "-c", deaf], **options)
+        lanes.subprocess, "Popen", lambda words, **options: real([sys.executable, "-c", deaf], **options)
     )
     job = studio.post("/api/jobs/train", json={}).json()
     while studio.get(f"/api/jobs/{job['id']}").json()["total"] == 0:
@@ -216,9 +211,8 @@ def test_a_full_disk_is_one_sentence_and_nothing_stays(studio, monkeypatch, tmp_
 
 
 def test_a_full_disk_of_the_library_is_told_as_such():
-    assert (
-        status_of(LibraryError("a.dousa: the disk is full; free some space and run the command again")) == 507
-    )
+    assert status_of(LibraryError("library_file.disk_full", library="a.dousa")) == 507
+    assert status_of(MotionWriteError("a.bvh", "disk.full")) == 507
 
 
 def test_a_library_that_is_taken_away_is_not_written_to(studio, library_copy, bvh, wait_job):
@@ -252,17 +246,15 @@ def test_a_library_that_is_replaced_is_the_one_that_is_shown(studio, library_cop
 
 def test_a_motion_whose_file_is_gone_is_told(studio):
     motions = studio.app.state.studio.motions
-    from dousa.app.studio.motions import MotionRef
+    from dousa.app.studio.content.motions import MotionRef
 
     with pytest.raises(DousaError, match="not there any more"):
-        motions._from_file(
-            library_gone := studio.app.state.studio.workspace.root / "x.bvh", MotionRef(motion="clip:1")
-        )
+        motions._from_file(library_gone := studio.app.state.studio.workspace.root / "x.bvh", MotionRef(motion="clip:1"))
     assert not library_gone.exists()
 
 
 def test_every_kind_of_work_is_there():
-    assert all(callable(WORK[kind]) for kind in WORK)
+    assert all(callable(load_work(kind)) for kind in IN_PROCESS)
 
 
 def test_markup_in_names_stays_text(studio, wait_job):

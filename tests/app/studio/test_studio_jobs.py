@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
+import json
 import os
 import signal
+import subprocess
 import threading
 import time
 
 import pytest
 
+from dousa.app.studio.core.answers import RefusedError
+from dousa.app.studio.core.workspace import Workspace
 from dousa.app.studio.jobs.board import JobBoard, JobStopped, Lane
-from dousa.app.studio.problems import RefusedError
-from dousa.app.studio.workspace import Workspace
+from dousa.app.studio.jobs.lanes import start_worker
 from dousa.errors import OptionError
+from dousa.messages import Message
 
 
 class Work:
@@ -24,7 +28,7 @@ class Work:
 
     def run(self, job, board, stop):
         self.ran.append(job.title)
-        board.change(job, done=1, total=2, what="half")
+        board.change(job, done=1, total=2, what=Message("text.verbatim", text="half"))
         while not self.go.wait(0.005):
             if stop.is_set():
                 raise JobStopped
@@ -39,7 +43,7 @@ def work():
 @pytest.fixture
 def board(tmp_path, work):
     def fail(job, board, stop):
-        raise OptionError("one clear sentence")
+        raise OptionError("text.verbatim", text="one clear sentence")
 
     def crash(job, board, stop):
         raise ZeroDivisionError("a fault")
@@ -64,9 +68,7 @@ def until(condition, seconds=10.0):
 
 
 def test_a_lane_does_one_thing_at_a_time_and_lanes_do_not_wait_for_each_other(board, work):
-    first, second, other = (
-        board.submit(kind, {}, kind + str(k)) for k, kind in enumerate(("slow", "slow", "other"))
-    )
+    first, second, other = (board.submit(kind, {}, kind + str(k)) for k, kind in enumerate(("slow", "slow", "other")))
     until(lambda: first.state == other.state == "running")
     assert second.state == "queued"
     work.go.set()
@@ -83,7 +85,7 @@ def test_stopping_and_taking_up(board, work):
     board.resume(job.id)
     work.go.set()
     until(lambda: job.state == "done")
-    with pytest.raises(RefusedError, match="cannot be taken up"):
+    with pytest.raises(RefusedError, match="cannot be resumed"):
         board.resume(job.id)
 
 
@@ -92,15 +94,15 @@ def test_what_cannot_be_taken_up_says_so(board):
     until(lambda: job.state == "running")
     board.stop(job.id)
     until(lambda: job.state == "stopped")
-    with pytest.raises(RefusedError, match="ask for it again"):
+    with pytest.raises(RefusedError, match="start a new one"):
         board.resume(job.id)
 
 
 def test_problems_are_sentences_and_faults_do_not_end_the_lane(board):
     bad, crash, again = (board.submit(kind, {}, kind) for kind in ("bad", "crash", "bad"))
     until(lambda: again.state == "failed")
-    assert bad.problem == "one clear sentence"
-    assert "ZeroDivisionError" in crash.problem
+    assert str(bad.problem) == "one clear sentence"
+    assert "ZeroDivisionError" in str(crash.problem)
     assert "a fault" in (board.folder(crash) / "log.txt").read_text()
 
 
@@ -114,6 +116,18 @@ def test_jobs_are_there_after_a_restart(board, work, tmp_path):
     later.resume(running.id)
     until(lambda: later.get(running.id).state == "done")
     later.close()
+
+
+def test_sentences_that_older_versions_stored_are_read(board, tmp_path, work):
+    job = board.submit("slow", {}, "slow")
+    work.go.set()
+    until(lambda: job.state == "done")
+    path = board.folder(job) / "job.json"
+    stored = json.loads(path.read_bytes())
+    del stored["language"]
+    path.write_text(json.dumps({**stored, "what": "half", "notes": ["one", "two"], "problem": "a sentence"}))
+    read = JobBoard(Workspace(tmp_path / "home"), {"slow": Lane("one", work.run)}).get(job.id).to_json()
+    assert (read["what"], read["notes"], read["problem"]) == ("half", ["one", "two"], "a sentence")
 
 
 @pytest.mark.parametrize(
@@ -148,10 +162,8 @@ def test_removing(board, work):
 
 def worker_of(studio):
     """The process that works for a studio of this test."""
-    import subprocess
-
     found = subprocess.run(
-        ["pgrep", "-P", str(os.getpid()), "-f", "dousa.app.studio.jobs.worker"],
+        ["pgrep", "-P", str(os.getpid()), "-f", "dousa.app.studio.work.worker"],
         capture_output=True,
         text=True,
         check=False,
@@ -180,6 +192,26 @@ def test_a_stopped_process_is_gone_and_the_library_is_as_it_was(studio, wait_job
     assert wait_job(studio, job["id"])["state"] == "stopped"
     assert worker_of(studio) == []
     assert studio.get("/api/info").json()["library"] == before
+
+
+@pytest.fixture
+def deaf():
+    """Ctrl-C is ignored here, as in what a script starts in the background; processes inherit that."""
+    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    yield
+    signal.signal(signal.SIGINT, before)
+
+
+@pytest.mark.skipif(os.name != "posix", reason="other systems have no such signal")
+def test_work_can_be_stopped_where_ctrl_c_is_ignored(deaf, studio, tmp_path):
+    settings = studio.app.state.studio.settings
+    process, task = start_worker(settings, "train", {"n_trees": 2000}, tmp_path, subprocess.DEVNULL)
+    with process:
+        process.stdin.write(task)
+        process.stdin.flush()
+        assert "progress" in json.loads(process.stdout.readline())
+        process.send_signal(signal.SIGINT)
+        assert json.loads(process.stdout.readlines()[-1]) == {"stopped": True}
 
 
 def test_training_fails_with_a_sentence(studio, wait_job):

@@ -8,9 +8,8 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 import pytest
 
-from dousa.app.player import MINIATURE_BYTES, encode_miniature
-from dousa.app.studio.shelf.listing import LENGTHS
-from dousa.app.studio.shelf.thumbnails import Thumbnails
+from dousa.app.player.figures import MINIATURE_BYTES, encode_miniature
+from dousa.app.studio.content.clips import LENGTHS, Thumbnails
 from dousa.library import Library
 
 N = 24
@@ -79,9 +78,7 @@ def test_lengths_are_cut_where_the_facet_says(studio):
 
 
 def test_a_facet_counts_what_would_fit_if_it_were_open(studio):
-    facets = studio.get("/api/clips", params={"category": "squat", "performer": "performer03"}).json()[
-        "facets"
-    ]
+    facets = studio.get("/api/clips", params={"category": "squat", "performer": "performer03"}).json()["facets"]
     assert facets["category"] == {"kick_left": 1, "squat": 1, "walk": 1, "wave_right": 1}
     assert facets["performer"] == {f"performer{number:02}": 1 for number in range(6)}
     assert facets["kind"] == {"clip": 1}
@@ -160,16 +157,14 @@ def test_one_clip(studio):
 def test_figures_are_those_of_the_clips_in_the_order_asked_for(studio):
     answer = studio.post("/api/clips/thumbnails", json={"clips": [5, 999, 2, 5]})
     assert answer.headers["content-type"] == "application/octet-stream"
-    parts = [
-        answer.content[at : at + MINIATURE_BYTES] for at in range(0, len(answer.content), MINIATURE_BYTES)
-    ]
+    parts = [answer.content[at : at + MINIATURE_BYTES] for at in range(0, len(answer.content), MINIATURE_BYTES)]
     five, two = (encode_miniature(open_library(studio).trajectories(number)) for number in (5, 2))
     assert parts == [five, bytes(MINIATURE_BYTES), two, five]
 
 
 def test_figures_are_made_once(studio, monkeypatch):
     first = studio.post("/api/clips/thumbnails", json={"clips": [1, 2, 3]}).content
-    monkeypatch.setattr("dousa.app.studio.shelf.thumbnails.encode_miniature", None)
+    monkeypatch.setattr("dousa.app.player.figures.encode_miniature", None)
     assert studio.post("/api/clips/thumbnails", json={"clips": [1, 2, 3]}).content == first
 
 
@@ -178,9 +173,7 @@ def test_a_figure_is_made_anew_when_the_clip_of_its_number_is_another(studio):
     right = studio.post("/api/clips/thumbnails", json={"clips": [1]}).content
     path = studio.app.state.studio.workspace.root / "thumbnails.sqlite"
     with sqlite3.connect(path) as kept:
-        kept.execute(
-            "UPDATE figures SET content = 'of another clip', record = zeroblob(?)", (MINIATURE_BYTES,)
-        )
+        kept.execute("UPDATE figures SET content = 'of another clip', record = zeroblob(?)", (MINIATURE_BYTES,))
     kept.close()
     assert studio.post("/api/clips/thumbnails", json={"clips": [1]}).content == right
 
@@ -207,7 +200,7 @@ def test_a_damaged_clip_does_not_take_the_others_with_it(studio, library_copy):
 
 
 def test_figures_of_clips_that_are_gone_do_not_pile_up(studio, monkeypatch):
-    monkeypatch.setattr("dousa.app.studio.shelf.thumbnails._SPARE", 2)
+    monkeypatch.setattr("dousa.app.studio.content.clips._SPARE", 2)
     studio.post("/api/clips/thumbnails", json={"clips": list(range(1, 21))})
     studio.post("/api/clips/remove", json={"clips": list(range(1, 21))})
     studio.post("/api/clips/thumbnails", json={"clips": [21, 22]})
@@ -217,9 +210,7 @@ def test_figures_of_clips_that_are_gone_do_not_pile_up(studio, monkeypatch):
     kept.close()
 
 
-@pytest.mark.parametrize(
-    "clips", [[0], [-1], [2**31], [1.5], ["x"], [None], list(range(1, 502)), "1", {"1": 1}]
-)
+@pytest.mark.parametrize("clips", [[0], [-1], [2**31], [1.5], ["x"], [None], list(range(1, 502)), "1", {"1": 1}])
 def test_bad_numbers_are_refused(studio, clips):
     assert studio.post("/api/clips/thumbnails", json={"clips": clips}).status_code == 422
 
@@ -287,10 +278,7 @@ def test_removal_is_the_same_twice(studio):
 
 def test_many_clips_at_once(studio):
     ids = studio.get("/api/clips/ids").json()["ids"]
-    assert (
-        studio.post("/api/clips/relabel", json={"clips": ids * 100, "performer": "all"}).json()["changed"]
-        == N
-    )
+    assert studio.post("/api/clips/relabel", json={"clips": ids * 100, "performer": "all"}).json()["changed"] == N
 
 
 # --- adding

@@ -6,9 +6,7 @@ from pathlib import Path
 
 import pytest
 
-KEYS = pytest.importorskip(
-    "selenium.webdriver", reason="selenium is not installed: pip install selenium"
-).Keys
+KEYS = pytest.importorskip("selenium.webdriver", reason="selenium is not installed: pip install selenium").Keys
 DATA = Path(__file__).resolve().parents[4] / "shared" / "data" / "bandai"
 N = 24
 
@@ -236,9 +234,7 @@ def test_files_are_added_and_what_was_refused_is_listed_also_after_a_reload(libr
     assert page.run("return document.querySelector('#add-category').value") == "none"
     click(page, "#add-go")
     for _ in range(2):
-        page.wait(
-            "return document.querySelector('#add-report')?.textContent.startsWith('2 added')", seconds=90
-        )
+        page.wait("return document.querySelector('#add-report')?.textContent.startsWith('2 added')", seconds=90)
         refused = page.run(f"{DIALOG}.querySelector('.refused').textContent")
         assert all(path.name in refused for path in bad)
         page.driver.refresh()

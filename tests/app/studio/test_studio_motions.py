@@ -7,7 +7,7 @@ import base64
 import numpy as np
 import pytest
 
-from dousa.formats import read_motion
+from dousa.formats.registry import read_motion
 from dousa.motion import canonicalise
 
 
@@ -73,7 +73,7 @@ def test_a_pair_is_in_step(studio, kick):
 
 
 def test_a_miniature_has_its_size(studio, kick):
-    from dousa.app.player import MINIATURE_BYTES
+    from dousa.app.player.figures import MINIATURE_BYTES
 
     assert len(studio.get(f"/api/motions/miniature?motion=clip:{kick}").content) == MINIATURE_BYTES
 
@@ -126,9 +126,7 @@ def test_a_file_that_became_another_is_not_handed_out(studio, kick, tmp_path):
 
 def test_names_in_any_script_can_be_downloaded(studio, bvh):
     content = bvh.read_bytes()
-    file = studio.post(
-        "/api/uploads", params={"name": '蹴り "1".bvh'.replace('"', "'")}, content=content
-    ).json()
+    file = studio.post("/api/uploads", params={"name": '蹴り "1".bvh'.replace('"', "'")}, content=content).json()
     answer = studio.get("/api/motions/bvh", params={"motion": file["files"][0]["motion"]})
     assert answer.status_code == 200, answer.text
     header = answer.headers["content-disposition"]

@@ -93,6 +93,7 @@ def operations():
     return [(method, path) for path, methods in paths.items() for method in methods]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("method", "path"), operations(), ids=" ".join)
 def test_no_request_is_answered_with_a_server_error(fuzzed, method, path):
     from hypothesis import HealthCheck, Phase, given, settings

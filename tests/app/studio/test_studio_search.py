@@ -16,7 +16,7 @@ def add_take(library):
     """A take of two clips of the library, one after the other; its number."""
     import numpy as np
 
-    from dousa.app.demo_takes import write_take
+    from dousa.app.demo.takes import write_take
     from dousa.retrieval import LabelledClip
 
     parts = []
@@ -84,7 +84,7 @@ def test_a_take_as_a_whole_is_no_query(studio):
     take = add_take(studio.app.state.studio.library)
     answer = studio.post("/api/search", json={"query": {"motion": f"clip:{take}"}})
     assert answer.status_code == 404
-    assert "is the take" in answer.json()["problem"]
+    assert "is a whole take" in answer.json()["problem"]
 
 
 @pytest.mark.parametrize(
@@ -120,9 +120,7 @@ def test_an_untrained_library_says_so(tmp_path):
 
     from dousa.app.studio import Settings, create_app
 
-    with TestClient(
-        create_app(Settings(tmp_path / "new.dousa", token="t")), "http://127.0.0.1:8765"
-    ) as client:
+    with TestClient(create_app(Settings(tmp_path / "new.dousa", token="t")), "http://127.0.0.1:8765") as client:
         client.headers["authorization"] = "Bearer t"
         for path, body in (
             ("search", {"query": {"motion": "clip:1"}}),

@@ -13,14 +13,14 @@ from contextlib import contextmanager
 
 import pytest
 
-from dousa.app.demo_studio import prepare_studio
+from dousa.app.cli.studio import prepare_studio
 
 
 @contextmanager
 def started(*words):
     """A program that serves; what it says first, address and token."""
     process = subprocess.Popen(
-        [sys.executable, "-m", "dousa.app.cli", *map(str, words)],
+        [sys.executable, "-m", "dousa.app.cli.main", *map(str, words)],
         stderr=subprocess.PIPE,
         stdout=subprocess.PIPE,
         text=True,

@@ -16,9 +16,9 @@ ORDER = ("walk", STRANGE, "squat", STRANGE, "kick_left")
 @pytest.fixture(scope="session")
 def recording(tmp_path_factory):
     """A take of somebody whom the library does not know, with two motions that it does not know; and what is when."""
-    from dousa.app.demo_takes import write_take
+    from dousa.app.demo.takes import write_take
     from dousa.motion import canonicalise
-    from dousa.motion.synthetic import make_library
+    from dousa.motion.synthetic.performers import make_library
     from dousa.retrieval import LabelledClip
 
     made = {}
@@ -116,9 +116,7 @@ def test_the_last_word_on_a_part_counts(studio, recording, strange):
     assert "hop" not in studio.get("/api/info").json()["library"]["categories"]
 
 
-def test_corrections_survive_a_new_start_and_the_way_into_the_library(
-    library_copy, recording, strange, wait_job
-):
+def test_corrections_survive_a_new_start_and_the_way_into_the_library(library_copy, recording, strange, wait_job):
     from starlette.testclient import TestClient
 
     from dousa.app.studio import Settings, create_app
@@ -133,9 +131,7 @@ def test_corrections_survive_a_new_start_and_the_way_into_the_library(
         asked = {"motion": motion, "start_s": strange[0][0], "end_s": strange[0][1], "category": STRANGE}
         assert first.post("/api/takes/correct", json=asked).status_code == 201
     with client() as second:
-        job = second.post(
-            "/api/jobs/add", json={"batch": motion[5:21], "kind": "take", "category_from": None}
-        )
+        job = second.post("/api/jobs/add", json={"batch": motion[5:21], "kind": "take", "category_from": None})
         assert wait_job(second, job.json()["id"])["result"]["added"]
         take = next(clip for clip in second.app.state.studio.library.clips() if clip.kind == "take")
         segments = label(second, f"clip:{take.id}", wait_job)
@@ -192,7 +188,7 @@ def test_a_part_of_a_take_is_not_labelled_alone(studio, recording):
 
 
 def test_corrections_are_laid_over_labels():
-    from dousa.app.studio.corrections import Correction, lay_over
+    from dousa.app.studio.content.corrections import Correction, lay_over
 
     def segment(start, end, category):
         return {
@@ -250,9 +246,7 @@ def test_a_take_is_labelled_corrected_learned_and_taken_back(show, running, reco
         "return [...document.querySelectorAll('.notice')].some((one) => one.textContent.includes('Learned'))",
         seconds=60,
     )
-    names = page.run(
-        "return [...document.querySelectorAll('#segments tbody th')].map((one) => one.innerText)"
-    )
+    names = page.run("return [...document.querySelectorAll('#segments tbody th')].map((one) => one.innerText)")
     assert sum(STRANGE in name for name in names) >= 2, names
     page.run("document.querySelector('.undo').click()")
     page.wait("return document.querySelectorAll('.corrections li').length === 0", seconds=60)
@@ -314,7 +308,7 @@ def test_the_clip_of_a_correction_moves_as_the_take_did(studio, recording, stran
     asked = {"motion": motion, "start_s": start, "end_s": end, "category": STRANGE}
     clip = studio.post("/api/takes/correct", json=asked).json()["clip"]
     library = studio.app.state.studio.library
-    from dousa.formats import read_motion
+    from dousa.formats.registry import read_motion
     from dousa.motion import canonicalise
 
     whole = canonicalise(read_motion(Path(recording[0])))

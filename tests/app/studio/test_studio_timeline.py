@@ -138,9 +138,7 @@ def test_cuts_are_moved_added_and_taken_away(timeline):
     assert page.run("return heard.cuts.at(-1)") == [pytest.approx(1), 6]
     page.press(LEFT)
     assert page.run("return heard.cuts.at(-1)") == [pytest.approx(1), pytest.approx(5.9)]
-    names = page.run(
-        "return [...document.querySelectorAll('.tl-cut')].map((one) => one.getAttribute('aria-label'))"
-    )
+    names = page.run("return [...document.querySelectorAll('.tl-cut')].map((one) => one.getAttribute('aria-label'))")
     assert names == ["Cut 1", "Cut 2"]
     assert page.messages() == []
 
@@ -165,8 +163,6 @@ def test_a_long_take_is_zoomed_and_overlooked(timeline):
     assert page.run("return document.querySelector('.tl-scroll').scrollLeft") > left
     page.run("document.querySelector('[data-act=timeline_fit]').click()")
     page.wait("return document.querySelector('.tl-overview').hidden")
-    letters = page.run(
-        "return new Set([...document.querySelectorAll('.tl-segment b')].map((b) => b.textContent)).size"
-    )
+    letters = page.run("return new Set([...document.querySelectorAll('.tl-segment b')].map((b) => b.textContent)).size")
     assert letters == 30
     assert page.messages() == []

@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 
 from dousa.app.studio import Settings, create_app
-from dousa.app.studio.workspace import safe_parts
+from dousa.app.studio.core.workspace import safe_parts
 from dousa.errors import DousaError
 
 GOOD = b"HIERARCHY\nROOT Hips\n"
@@ -81,9 +81,7 @@ def test_an_upload_over_the_limit_is_refused_while_it_comes(library_copy, tmp_pa
     from starlette.testclient import TestClient
 
     settings = Settings(library_copy, token="x", most_bytes=1000)
-    with TestClient(
-        create_app(settings), "http://127.0.0.1:8765", headers={"authorization": "Bearer x"}
-    ) as client:
+    with TestClient(create_app(settings), "http://127.0.0.1:8765", headers={"authorization": "Bearer x"}) as client:
         before = everything_below(tmp_path)
         said = client.post("/api/uploads?name=a.bvh", content=GOOD + b" " * 2000)
         assert said.status_code == 413
@@ -147,14 +145,9 @@ def test_a_batch_holds_only_so_many_files(library_copy, tmp_path):
     from starlette.testclient import TestClient
 
     settings = replace(Settings(library_copy, token="x"), most_files=3)
-    with TestClient(
-        create_app(settings), "http://127.0.0.1:8765", headers={"authorization": "Bearer x"}
-    ) as client:
+    with TestClient(create_app(settings), "http://127.0.0.1:8765", headers={"authorization": "Bearer x"}) as client:
         batch = client.post("/api/uploads?name=0.bvh", content=GOOD).json()["batch"]
-        codes = [
-            client.post(f"/api/uploads?name={k}.bvh&batch={batch}", content=GOOD).status_code
-            for k in (1, 2, 3)
-        ]
+        codes = [client.post(f"/api/uploads?name={k}.bvh&batch={batch}", content=GOOD).status_code for k in (1, 2, 3)]
         assert codes == [201, 201, 413]
         packed = make_zip([(f"{k}.bvh", GOOD) for k in range(4)])
         before = everything_below(tmp_path)
@@ -165,9 +158,7 @@ def test_a_batch_holds_only_so_many_files(library_copy, tmp_path):
 @pytest.mark.parametrize("batch", ["0" * 16, "../../../../etc", "0" * 15, "G" * 16, "%2e%2e"])
 def test_batches_that_are_not_there(studio, batch):
     assert studio.get(f"/api/uploads/{batch}").status_code == 404
-    assert studio.post(
-        "/api/uploads", params={"name": "a.bvh", "batch": batch}, content=GOOD
-    ).status_code in (404, 422)
+    assert studio.post("/api/uploads", params={"name": "a.bvh", "batch": batch}, content=GOOD).status_code in (404, 422)
     assert studio.post("/api/jobs/add", json={"batch": batch}).status_code in (404, 422)
 
 

@@ -10,19 +10,6 @@ them. A page needs an element, the style, the script and the data::
 
 from __future__ import annotations
 
-from dousa.app.player._assets import format_player_data, read_player_script, read_player_style
-from dousa.app.player._data import encode_player_data
-from dousa.app.player._miniature import MINIATURE_BYTES, MINIATURE_FRAMES, encode_miniature
-from dousa.app.player._motions import encode_motion, encode_pair
+import lazy_loader
 
-__all__ = [
-    "MINIATURE_BYTES",
-    "MINIATURE_FRAMES",
-    "encode_miniature",
-    "encode_motion",
-    "encode_pair",
-    "encode_player_data",
-    "format_player_data",
-    "read_player_script",
-    "read_player_style",
-]
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

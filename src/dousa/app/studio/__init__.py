@@ -6,10 +6,16 @@ scripts of ours in the browser, with the player of the report as the one viewer.
 
 from __future__ import annotations
 
-from dousa._lazy import load_when_used
+from typing import Any
 
-_HOME = {"Settings": "settings", "create_app": "server", "serve": "serving"}
+import lazy_loader
 
-__all__ = sorted(_HOME)  # noqa: PLE0605
+from dousa.extras import require
 
-__getattr__ = load_when_used(__name__, {name: f"{__name__}.{module}" for name, module in _HOME.items()})
+_load, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
+
+
+def __getattr__(name: str) -> Any:
+    for package in ("fastapi", "uvicorn", "jinja2"):
+        require(package, "studio")
+    return _load(name)

@@ -1,31 +1,109 @@
-"""The application: guard in front, the interface below /api, the pages, what pages are made of."""
+"""Running the studio until somebody stops it."""
 
 from __future__ import annotations
 
-from collections.abc import AsyncIterator
-from contextlib import asynccontextmanager
-from typing import TYPE_CHECKING, Any
+import asyncio
+import os
+import socket
+import sys
+import threading
+import webbrowser
+from collections.abc import AsyncIterator, Mapping
+from contextlib import asynccontextmanager, suppress
+from dataclasses import replace
+from typing import Any
 
+import h11
 from fastapi import FastAPI, Request
 from fastapi.exceptions import RequestValidationError
 from starlette.exceptions import HTTPException
 from starlette.requests import ClientDisconnect
+from uvicorn.protocols.http.h11_impl import H11Protocol
 
 import dousa
-from dousa.app.studio.answers import Answer
-from dousa.app.studio.guard import Guard
-from dousa.app.studio.problems import describe_disk, status_of
-from dousa.app.studio.studio import Studio
-from dousa.errors import DousaError
+from dousa.app.studio.content.studio import Studio
+from dousa.app.studio.core.answers import Answer, describe_disk, status_of, to_answer
+from dousa.app.studio.core.guard import Guard
+from dousa.app.studio.core.words import name_error
+from dousa.app.studio.core.workspace import Settings
+from dousa.app.studio.work.worker import make_lanes
+from dousa.errors import DousaError, OptionError
+from dousa.extras import require
+from dousa.messages import Message
 
-if TYPE_CHECKING:
-    from dousa.app.studio.settings import Settings
+_ARENA_MAX, _MMAP_THRESHOLD = -8, -3  # names of malloc.h
+_TRIES = 20  # ports after the one asked for
 
-__all__ = ["create_app"]
+
+def serve(settings: Settings, *, opens_browser: bool = True) -> None:
+    """Listen on this machine and show the address, until Ctrl-C.
+
+    Parameters
+    ----------
+    settings : where, and for which library; a port that is taken is replaced by the next free one.
+    opens_browser : show the page in the browser of this machine.
+
+    Raises
+    ------
+    OptionError : no port is free.
+    """
+    _tame_memory()
+    # Many small products for each request: threads of the linear algebra cost twice what they save.
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    uvicorn = require("uvicorn", "studio")
+
+    listener, port = _listen(settings)
+    with listener:
+        settings = replace(settings, port=port)
+        app = create_app(settings)
+        config = uvicorn.Config(
+            app, http=PatientProtocol, ws="none", proxy_headers=False, server_header=False, access_log=False,
+            log_level="error",  # what others send that is no HTTP is nothing for the terminal
+            timeout_keep_alive=30, timeout_graceful_shutdown=3, limit_concurrency=200,
+        )  # fmt: skip
+        server = uvicorn.Server(config)
+        sys.stderr.write(f"{Message('studio.serving', library=settings.library, address=settings.address)}\n")
+        sys.stderr.flush()
+        threading.Thread(target=warm_up, args=(app.state.studio,), daemon=True).start()
+        if opens_browser:
+            threading.Timer(0.5, webbrowser.open, [settings.address]).start()
+        with suppress(KeyboardInterrupt):  # the usual end
+            server.run(sockets=[listener])
+        sys.stderr.write(f"{Message('studio.stopped')}\n")
+
+
+def _tame_memory() -> None:
+    """Let memory go back to the system: glibc keeps a heap for every thread, and what is freed in it stays there."""
+    if not sys.platform.startswith("linux"):
+        return
+    import ctypes
+
+    with suppress(OSError, AttributeError):  # another C library
+        libc = ctypes.CDLL("libc.so.6")
+        libc.mallopt(_ARENA_MAX, 2)
+        libc.mallopt(_MMAP_THRESHOLD, 256 * 1024)
+
+
+def _listen(settings: Settings) -> tuple[socket.socket, int]:
+    """A socket that waits for calls, and its port."""
+    for port in range(settings.port, min(settings.port + _TRIES, 65536)):
+        # The protocol is named, else asyncio does not switch Nagle off, and small answers wait 40 ms.
+        listener = socket.socket(socket.AF_INET, socket.SOCK_STREAM, socket.IPPROTO_TCP)
+        listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        try:
+            listener.bind((settings.host, port))
+        except OSError:
+            listener.close()
+            continue
+        listener.listen(128)
+        return listener, listener.getsockname()[1]
+    raise OptionError("studio.no_port", first=settings.port, last=settings.port + _TRIES - 1)
+
 
 _DESCRIPTION = """Motion retrieval, evaluation and estimation over HTTP, on this machine only. Every request carries
 `Authorization: Bearer TOKEN`, the token of the address that `dousa studio` prints. Problems are answered with a status
-of 400 or above and `{"problem": "one sentence"}`."""
+of 400 or above and `{"problem": "one sentence", "code": ..., "values": ...}`; sentences are in the language of the
+header `Accept-Language`, English or Japanese."""
 
 
 def create_app(settings: Settings) -> FastAPI:
@@ -38,7 +116,7 @@ def create_app(settings: Settings) -> FastAPI:
     from dousa.app.studio import pages
     from dousa.app.studio.api import ROUTERS
 
-    studio = Studio(settings)
+    studio = Studio(settings, make_lanes)
 
     @asynccontextmanager
     async def lifespan(app: FastAPI) -> AsyncIterator[None]:
@@ -74,28 +152,127 @@ _PROBLEM_CONTENT: dict[str, Any] = {
 
 def _answer_problems(app: FastAPI) -> None:
     @app.exception_handler(DousaError)
-    async def tell(request: Request, error: DousaError) -> Answer:
-        return Answer({"problem": str(error)}, status_of(error))
+    async def answer_error(request: Request, error: DousaError) -> Answer:
+        home = request.app.state.studio.workspace.root
+        return Answer(to_answer(name_error(error, home)), status_of(error))
 
     @app.exception_handler(OSError)
-    async def tell_disk(request: Request, error: OSError) -> Answer:
+    async def answer_disk(request: Request, error: OSError) -> Answer:
         problem = describe_disk(error)
         if problem is None:
             raise error
-        return Answer({"problem": problem}, 507)
+        return Answer(to_answer(problem), 507)
 
     @app.exception_handler(ClientDisconnect)
-    async def let_go(request: Request, error: ClientDisconnect) -> Answer:
-        return Answer({"problem": "the request broke off before its end"}, 400)  # nobody reads it
+    async def answer_nobody(request: Request, error: ClientDisconnect) -> Answer:
+        return Answer(to_answer(Message("studio.broken_off")), 400)
 
     @app.exception_handler(RequestValidationError)
-    async def explain(request: Request, error: RequestValidationError) -> Answer:
-        parts = []
-        for item in error.errors():
-            where = ".".join(str(step) for step in item["loc"][1:]) or str(item["loc"][0])
-            parts.append(f"{where}: {item['msg']}")
-        return Answer({"problem": "; ".join(parts)[:2000]}, 422)
+    async def answer_invalid(request: Request, error: RequestValidationError) -> Answer:
+        fields = tuple(_describe_field(item) for item in error.errors()[:_MOST_FIELDS])
+        return Answer(to_answer(Message("studio.invalid", fields=fields)), 422)
 
     @app.exception_handler(HTTPException)
-    async def refuse(request: Request, error: HTTPException) -> Answer:
-        return Answer({"problem": f"{error.detail}"}, error.status_code, error.headers)
+    async def answer_other(request: Request, error: HTTPException) -> Answer:
+        known = {404: "studio.no_address", 405: "studio.other_method"}
+        code = known.get(error.status_code)
+        problem = Message("text.verbatim", text=error.detail) if code is None else Message(code)
+        return Answer(to_answer(problem), error.status_code, error.headers)
+
+
+_MOST_FIELDS, _LONGEST_VALUE = 20, 80
+
+
+def _describe_field(item: Mapping[str, Any]) -> Message:
+    """What is wrong with a field of a request: where, what was expected, what came."""
+    where = ".".join(str(step) for step in item["loc"][1:]) or str(item["loc"][0])
+    context = item.get("ctx", {})
+    cause = context.get("error")
+    if isinstance(cause, ValueError) and cause.args and isinstance(cause.args[0], DousaError):
+        problem = cause.args[0].message
+    elif item["type"] in _FIELD_CODES:
+        limits = {name: value for name, value in context.items() if isinstance(value, str | int | float)}
+        problem = Message(_FIELD_CODES[item["type"]], **limits)
+    else:
+        problem = Message("text.verbatim", text=item["msg"])
+    return Message("studio.field", field=where, problem=problem)
+
+
+# Kinds of problems of pydantic -> codes; their values are pydantic's.
+_FIELD_CODES = {
+    "missing": "studio.field_missing",
+    "extra_forbidden": "studio.field_unknown",
+    "greater_than": "studio.field_greater_than",
+    "greater_than_equal": "studio.field_at_least",
+    "less_than": "studio.field_less_than",
+    "less_than_equal": "studio.field_at_most",
+    "finite_number": "studio.field_finite",
+    "float_parsing": "studio.field_number",
+    "float_type": "studio.field_number",
+    "int_parsing": "studio.field_integer",
+    "int_type": "studio.field_integer",
+    "int_from_float": "studio.field_integer",
+    "bool_parsing": "studio.field_boolean",
+    "bool_type": "studio.field_boolean",
+    "string_type": "studio.field_text",
+    "string_too_short": "studio.field_short",
+    "string_too_long": "studio.field_long",
+    "string_pattern_mismatch": "studio.field_pattern",
+    "literal_error": "studio.field_choice",
+    "too_short": "studio.field_few",
+    "too_long": "studio.field_many",
+    "json_invalid": "studio.field_json",
+}
+
+
+_PATIENCE = 10.0  # s for the first line and the headers of a request; uvicorn itself waits for ever
+
+
+class PatientProtocol(H11Protocol):
+    """HTTP of uvicorn that closes a connection whose next request is not there in time."""
+
+    _deadline: asyncio.TimerHandle | None = None
+
+    def connection_made(self, transport: Any) -> None:
+        """Somebody calls; from now on the time counts."""
+        super().connection_made(transport)
+        self._watch()
+
+    def data_received(self, data: bytes) -> None:
+        """More of a request: single bytes now and then do not win time."""
+        super().data_received(data)
+        self._watch()
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        """Nobody is there any more."""
+        self._rest()
+        super().connection_lost(exc)
+
+    def _watch(self) -> None:
+        waits = self.conn.their_state is h11.IDLE
+        if not waits:
+            self._rest()
+        elif self._deadline is None:
+            self._deadline = self.loop.call_later(_PATIENCE, self._give_up)
+
+    def _rest(self) -> None:
+        if self._deadline is not None:
+            self._deadline.cancel()
+            self._deadline = None
+
+    def _give_up(self) -> None:
+        self._deadline = None
+        if self.conn.their_state is h11.IDLE:
+            self.transport.close()
+
+
+def warm_up(studio: Studio) -> None:
+    """Load kernels, the forest and the index by one search and one pair; a library without a forest has none."""
+    from dousa.app.player.data import encode_pair
+
+    with suppress(DousaError):
+        clips = [clip for clip in studio.library.clips() if clip.kind == "clip"]
+        if clips:
+            motion = studio.library.trajectories(clips[0].id)
+            encode_pair(motion, motion)
+            studio.library.search(motion, 1)

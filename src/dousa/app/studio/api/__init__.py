@@ -2,21 +2,9 @@
 
 from __future__ import annotations
 
-from dousa.app.studio.api import (
-    clips,
-    estimation,
-    evaluation,
-    general,
-    jobs,
-    motions,
-    search,
-    takes,
-    uploads,
-)
+from dousa.app.studio.api import clips, estimation, evaluation, jobs, motions, search, takes, uploads
 
 __all__ = ["ROUTERS"]
 
-ROUTERS = tuple(
-    module.router
-    for module in (general, uploads, clips, search, motions, takes, evaluation, estimation, jobs)
-)
+_MODULES = (uploads, clips, search, motions, takes, evaluation, estimation, jobs)
+ROUTERS = (uploads.general, *(module.router for module in _MODULES))

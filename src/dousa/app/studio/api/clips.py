@@ -8,12 +8,9 @@ from typing import Annotated, Literal
 from fastapi import APIRouter, Depends, Query, Response
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
-from dousa.app.studio.answers import BYTES, Answer
-from dousa.app.studio.problems import RefusedError
-from dousa.app.studio.shelf.listing import Asked, Snapshot
-from dousa.app.studio.studio import StudioNow
-
-__all__ = ["router"]
+from dousa.app.studio.content.clips import Asked, Snapshot
+from dousa.app.studio.content.studio import StudioNow
+from dousa.app.studio.core.answers import BYTES, Answer, RefusedError
 
 router = APIRouter(tags=["library"])
 
@@ -49,23 +46,19 @@ class Relabelling(Clips):
     @model_validator(mode="after")
     def _says_something(self) -> Relabelling:
         if not self.labels:
-            raise ValueError("expected a new category or performer, got neither")
+            raise ValueError(RefusedError(422, "studio.no_labels"))
         return self
 
     @property
     def labels(self) -> dict[str, str | None]:
         """The labels that change."""
-        given = {
-            name: getattr(self, name) for name in ("category", "performer") if name in self.model_fields_set
-        }
+        given = {name: getattr(self, name) for name in ("category", "performer") if name in self.model_fields_set}
         return {name: value.strip() if value else None for name, value in given.items()}
 
 
 def _read_asked(
     text: Annotated[str, Query(max_length=300, description="words; all must occur in names or labels")] = "",
-    category: Annotated[
-        _Names | None, Query(description="any of these; an empty one: without a label")
-    ] = None,
+    category: Annotated[_Names | None, Query(description="any of these; an empty one: without a label")] = None,
     performer: Annotated[_Names | None, Query(description="likewise")] = None,
     kind: Literal["clip", "take"] | None = None,
     min_s: _Seconds = None,
@@ -84,10 +77,7 @@ _Offset = Annotated[int, Query(ge=0, le=10**9)]
 
 @router.get("/clips", summary="Clips and takes, filtered, a part at a time, with facets")
 def list_clips(
-    studio: StudioNow,
-    asked: _AskedNow,
-    offset: _Offset = 0,
-    limit: Annotated[int, Query(ge=0, le=500)] = 60,
+    studio: StudioNow, asked: _AskedNow, offset: _Offset = 0, limit: Annotated[int, Query(ge=0, le=500)] = 60
 ) -> Answer:
     """Facets count what would fit if that facet were left open; ``""`` in them stands for no label."""
     snapshot = studio.listing.now()
@@ -125,9 +115,7 @@ def list_ids(
     )
 
 
-@router.post(
-    "/clips/thumbnails", summary="Small moving figures of clips", response_class=Response, responses=BYTES
-)
+@router.post("/clips/thumbnails", summary="Small moving figures of clips", response_class=Response, responses=BYTES)
 def get_thumbnails(studio: StudioNow, wanted: Pictured) -> Response:
     """1,456 bytes for each number, in their order; zeros for a clip that is not there."""
     content = studio.thumbnails.get(studio.library, wanted.clips)
@@ -162,5 +150,5 @@ def _check_there(snapshot: Snapshot, clip_ids: list[int]) -> list[int]:
     """Those that the library holds; RefusedError if it holds none of them."""
     there = sorted({clip_id for clip_id in clip_ids if clip_id in snapshot})
     if not there:
-        raise RefusedError(404, f"no clip {clip_ids[0]} in the library; was it removed? Load the list again")
+        raise RefusedError(404, "studio_motions.no_clip", clip=clip_ids[0])
     return there

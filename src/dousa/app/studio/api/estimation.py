@@ -9,15 +9,12 @@ from fastapi import APIRouter, Path, Query
 from pydantic import BaseModel, ConfigDict, Field, field_validator
 from starlette.responses import FileResponse, Response
 
-from dousa.app.studio.answers import Answer
-from dousa.app.studio.footage.reading import footage_of
-from dousa.app.studio.jobs.asides import ask_process
-from dousa.app.studio.motions import MotionName, MotionRef
-from dousa.app.studio.problems import RefusedError
-from dousa.app.studio.studio import StudioNow
-from dousa.app.studio.workspace import safe_parts
-
-__all__ = ["router"]
+from dousa.app.pipelines.estimation_request import BackgroundMethod, Bones, Preset, Sex, SourceKind
+from dousa.app.studio.content.motions import Address, MotionName, MotionRef
+from dousa.app.studio.content.studio import StudioNow
+from dousa.app.studio.core.answers import BYTES, Answer, RefusedError
+from dousa.app.studio.core.workspace import safe_parts
+from dousa.app.studio.jobs.lanes import ask_process
 
 router = APIRouter(tags=["estimation"])
 
@@ -40,9 +37,9 @@ class BodyRequest(BaseModel):
     model_config = ConfigDict(extra="forbid")
 
     stature_m: Annotated[float, Field(ge=0.2, le=3.0)] | None = Field(
-        None, description="told by the silhouettes if left out"
+        None, description="found from the silhouettes if left out"
     )
-    sex: Literal["average", "female", "male"] = "average"
+    sex: Sex = "average"
     file: _Name | None = Field(None, description="body file (TOML), or a motion with the person's bones")
 
 
@@ -59,7 +56,7 @@ class StartRequest(BaseModel):
 
 
 class EstimateRequest(BaseModel):
-    """What `dousa estimate` is told. Where no sources are named, every file of the batch finds its own part."""
+    """The options of `dousa estimate`. Where no sources are named, every file of the batch finds its own part."""
 
     model_config = ConfigDict(extra="forbid")
 
@@ -69,15 +66,15 @@ class EstimateRequest(BaseModel):
     )
     cameras: _Name | None = Field(None, description="calibration; an npz of silhouettes may have its own")
     backgrounds: list[_Name] | None = Field(None, max_length=100, description="pictures of the empty scene")
-    background_method: Literal["plate", "median", "mog2"] | None = None
-    kind: Literal["mask", "video"] | None = None
+    background_method: BackgroundMethod | None = None
+    kind: SourceKind | None = None
     rate: Annotated[float, Field(gt=0, le=10_000, allow_inf_nan=False)] | None = None
     frames: Annotated[str, Field(pattern=r"^-?\d{0,9}:-?\d{0,9}$")] | None = None
     mirrored: bool = Field(False, description="the images are mirror images")
     body: BodyRequest | _Name | None = None
     start: StartRequest | None = Field(None, description="found if left out")
-    bones: Literal["auto", "tables", "start"] = "auto"
-    method: Literal["default", "paper"] = "default"
+    bones: Bones = "auto"
+    method: Preset = "default"
     reading: Literal["masked", "residual", "union", "plain", "literal"] | None = None
     evidence: Literal["log", "local", "global"] | None = None
     smoothing: Annotated[float, Field(ge=0, le=1000, allow_inf_nan=False)] | None = None
@@ -122,7 +119,7 @@ def _check_name(name: str) -> None:
     try:
         safe_parts(name)
     except RefusedError as error:
-        raise ValueError(str(error)) from error
+        raise ValueError(error) from error
 
 
 @router.post("/jobs/estimate", status_code=202, summary="Estimate a motion from silhouettes or videos")
@@ -130,7 +127,7 @@ def estimate(studio: StudioNow, wanted: EstimateRequest) -> Answer:
     """A job. Watch it by ``/estimations/{job}``; its motion is ``job:ID`` when it is done."""
     files = studio.workspace.files(wanted.batch)
     if not files:
-        raise RefusedError(422, "this batch is empty; upload silhouettes or videos first")
+        raise RefusedError(422, "studio_estimation.empty_batch")
     studio.workspace.keep(wanted.batch)
     names = wanted.sources or [path.name for path in files]
     title = names[0].rsplit("/", 1)[-1] + (f" + {len(names) - 1}" if len(names) > 1 else "")
@@ -165,20 +162,17 @@ def get_frames(
     joints: Annotated[bool, Query(description="with the 20 canonical joints of each frame, base64")] = False,
 ) -> Answer:
     """A frame comes when it has a pose, and again when it is settled (stage 1) and smoothed (stage 2)."""
-    return Answer(footage_of(studio, job_id).frames_since(since, joints=joints))
+    return Answer(studio.footage.get(job_id).frames_since(since, joints=joints))
 
 
 @router.get("/estimations/{job_id}/player", summary="The figure as far as it is")
 def get_player(studio: StudioNow, job_id: _JobId, language: Literal["en", "ja"] = "en") -> Answer:
     """Data of the player."""
-    return Answer(footage_of(studio, job_id).player(language))
+    return Answer(studio.footage.get(job_id).player(language))
 
 
 _JPEG: dict[int | str, dict[str, Any]] = {
     200: {"content": {"image/jpeg": {"schema": {"type": "string", "format": "binary"}}}}
-}
-_BYTES: dict[int | str, dict[str, Any]] = {
-    200: {"content": {"application/octet-stream": {"schema": {"type": "string", "format": "binary"}}}}
 }
 
 
@@ -195,7 +189,7 @@ def get_overlay(
     frame: Annotated[int, Path(ge=0, le=10_000_000)],
 ) -> Response:
     """JPEG, at most 480 pixels wide and high."""
-    image = footage_of(studio, job_id).overlay(view, frame)
+    image = studio.footage.get(job_id).overlay(view, frame)
     return Response(image, media_type="image/jpeg", headers={"cache-control": "private, no-cache"})
 
 
@@ -203,23 +197,23 @@ def get_overlay(
     "/estimations/{job_id}/files/{name}",
     summary="A file that was estimated",
     response_class=FileResponse,
-    responses=_BYTES,
+    responses=BYTES,
 )
 def get_file(studio: StudioNow, job_id: _JobId, name: str) -> Response:
     """``motion.bvh``, ``joints.trc``, ``angles.csv`` or ``overlay.mp4``."""
     job = studio.jobs.get(job_id)
     if name not in FILES or job.kind != "estimate":
-        raise RefusedError(404, f"expected one of {', '.join(FILES)} of an estimation")
+        raise RefusedError(404, "studio_estimation.other_file", names=tuple(FILES))
     path = studio.jobs.folder(job) / name
     if job.state != "done" or not path.is_file():
-        raise RefusedError(404, f"there is no {name}: the estimation is {job.state}")
+        raise RefusedError(404, "studio_estimation.no_result", name=name)
     return FileResponse(path, media_type=FILES[name], filename=name)
 
 
 @router.post("/estimations/{job_id}/add", status_code=202, summary="Add the estimated motion to the library")
 def add_to_library(studio: StudioNow, job_id: _JobId, wanted: AddEstimate) -> Answer:
     """A job, as ``POST /jobs/add``."""
-    motion = studio.motions.path(MotionRef.model_validate({"motion": f"job:{job_id}"}))
+    motion = studio.motions.path(MotionRef(motion=str(Address(job=job_id))))
     batch = studio.workspace.new_batch()
     try:
         place = studio.workspace.place(batch, f"{wanted.category or 'estimated'}/{wanted.name}.bvh")

@@ -9,11 +9,15 @@ from fastapi import APIRouter, Query
 from pydantic import Field
 from starlette.responses import Response
 
-from dousa.app.studio.answers import Answer
-from dousa.app.studio.evaluations import Adjustment, EvaluationRequest, Language, describe, format_weights
-from dousa.app.studio.studio import Studio, StudioNow
-
-__all__ = ["router"]
+from dousa.app.studio.content.evaluations import (
+    Adjustment,
+    EvaluationRequest,
+    Language,
+    describe,
+    format_weights,
+)
+from dousa.app.studio.content.studio import Studio, StudioNow
+from dousa.app.studio.core.answers import Answer
 
 router = APIRouter(tags=["evaluation"])
 
@@ -36,9 +40,8 @@ _Language = Annotated[Language, Query(description="of the words")]
 def evaluate(studio: StudioNow, wanted: EvaluationRequest) -> Answer:
     """A job; its result is that of `dousa evaluate --json` with names, figures and weights."""
     for ref in (*wanted.references, wanted.performance):
-        kind, _, rest = ref.motion.partition(":")
-        if kind == "file":
-            studio.workspace.keep(rest.partition("/")[0])
+        if ref.address.batch:
+            studio.workspace.keep(ref.address.batch)
         studio.motions.path(ref)  # is it there?
     title = studio.motions.path(wanted.performance).name
     return Answer(studio.jobs.submit("evaluate", wanted.model_dump(), title).to_json(), 202)
@@ -51,11 +54,11 @@ def get_report(studio: StudioNow, job_id: str, language: _Language = "en") -> An
 
     ready = studio.evaluations.get(job_id)
     adjustment = studio.evaluations.read_adjustment(job_id)
-    assessment = ready.assess(adjustment, language)
+    assessment = ready.assess(adjustment)
     return Answer(
         {
             "exact": True,
-            "assessment": describe(ready, assessment, adjustment),
+            "assessment": describe(ready, assessment, adjustment, language),
             "frame": build_frame(language),
             **_show(assessment, language),
         }
@@ -69,15 +72,15 @@ def adjust(studio: StudioNow, job_id: str, wanted: AdjustRequest) -> Answer:
 
     ready, language = studio.evaluations.get(job_id), wanted.language
     if wanted.precision == "exact":
-        assessment = ready.assess(wanted, language)
+        assessment = ready.assess(wanted)
         studio.evaluations.write_adjustment(job_id, wanted)
-        said = describe(ready, assessment, wanted)
+        said = describe(ready, assessment, wanted, language)
         return Answer({"exact": True, "assessment": said, **_show(assessment, language)})
-    assessment, is_exact = ready.preview(wanted, language)
+    assessment, is_exact = ready.preview(wanted)
     return Answer(
         {
             "exact": is_exact,
-            "assessment": describe(ready, assessment, wanted),
+            "assessment": describe(ready, assessment, wanted, language),
             "parts": build_parts(assessment, language, QUICK_PARTS),
             "data": collect_data(assessment, language),
         }
@@ -85,7 +88,7 @@ def adjust(studio: StudioNow, job_id: str, wanted: AdjustRequest) -> Answer:
 
 
 def _show(assessment: Any, language: str) -> dict[str, Any]:
-    from dousa.app.player import encode_player_data
+    from dousa.app.player.data import encode_player_data
     from dousa.app.report import build_parts, collect_data
 
     return {
@@ -129,10 +132,10 @@ def _write(name: str, studio: Studio, job_id: str, language: Language) -> str | 
         return format_furi(figures, ready.assessment.frame_rate)
     if name == "weights.toml":
         return format_weights(adjustment.weights)
-    assessment = ready.assess(adjustment, language)
+    assessment = ready.assess(adjustment)
     if name == "report.html":
         return build_page(assessment, language).encode("utf-8", "replace")
-    return to_curves_csv(assessment) if name == "curves.csv" else to_events_csv(assessment)
+    return to_curves_csv(assessment) if name == "curves.csv" else to_events_csv(assessment, language)
 
 
 for _name, (_kind, _what) in _FILES.items():

@@ -1,4 +1,4 @@
-"""Work under way: watch, stop, take up, forget; adding and training."""
+"""Work under way: watch, stop, resume, forget; adding and training."""
 
 from __future__ import annotations
 
@@ -7,10 +7,10 @@ from typing import Annotated, Literal
 from fastapi import APIRouter, Query
 from pydantic import BaseModel, ConfigDict, Field
 
-from dousa.app.studio.answers import Answer
-from dousa.app.studio.studio import StudioNow
-
-__all__ = ["router"]
+from dousa.app.studio.content.studio import StudioNow
+from dousa.app.studio.core.answers import Answer
+from dousa.app.studio.jobs.board import ACTIVE
+from dousa.messages import Message
 
 router = APIRouter(tags=["jobs"])
 
@@ -44,16 +44,14 @@ def add(studio: StudioNow, wanted: AddRequest) -> Answer:
     """A job; its result says what was added and what was refused, and why."""
     files = studio.workspace.files(wanted.batch)
     studio.workspace.keep(wanted.batch)
-    job = studio.jobs.submit("add", wanted.model_dump(), f"{len(files)} files")
+    job = studio.jobs.submit("add", wanted.model_dump(), Message("studio_jobs.files", count=len(files)))
     return Answer(job.to_json(), 202)
 
 
 @router.post("/jobs/train", status_code=202, summary="Train the forest of the library")
 def train(studio: StudioNow, wanted: TrainRequest) -> Answer:
     """A job; the library keeps its old forest until the new one is there."""
-    return Answer(
-        studio.jobs.submit("train", wanted.model_dump(), studio.settings.library.name).to_json(), 202
-    )
+    return Answer(studio.jobs.submit("train", wanted.model_dump(), studio.settings.library.name).to_json(), 202)
 
 
 @router.get("/jobs", summary="All jobs, the newest first")
@@ -64,8 +62,6 @@ def list_jobs(
     limit: Annotated[int, Query(ge=1, le=500)] = 50,
 ) -> Answer:
     """Without requests and results."""
-    from dousa.app.studio.jobs.board import ACTIVE
-
     chosen = [
         job.to_json(brief=True)
         for job in studio.jobs.all()
@@ -86,9 +82,9 @@ def stop_job(studio: StudioNow, job_id: str) -> Answer:
     return Answer(studio.jobs.stop(job_id).to_json(brief=True))
 
 
-@router.post("/jobs/{job_id}/resume", summary="Take up a stopped job where it was")
+@router.post("/jobs/{job_id}/resume", summary="Resume a stopped job where it was")
 def resume_job(studio: StudioNow, job_id: str) -> Answer:
-    """Adding, training and estimation can be taken up."""
+    """Adding, training and estimation can be resumed."""
     return Answer(studio.jobs.resume(job_id).to_json(brief=True))
 
 

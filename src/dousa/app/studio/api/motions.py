@@ -8,14 +8,15 @@ from fastapi import APIRouter, Query
 from pydantic import Field
 from starlette.responses import Response
 
-from dousa.app.studio.answers import BYTES, Answer
-from dousa.app.studio.downloads import attachment
-from dousa.app.studio.motions import MotionName, MotionPart, MotionRef, Named, Seconds
-from dousa.app.studio.studio import Studio, StudioNow
-
-__all__ = ["router"]
+from dousa.app.studio.content.motions import MotionName, MotionPart, MotionRef, Named, Seconds
+from dousa.app.studio.content.studio import Studio, StudioNow
+from dousa.app.studio.core.answers import BYTES, Answer, attachment
+from dousa.app.studio.core.words import say
+from dousa.messages import Message
 
 router = APIRouter(tags=["motions"])
+
+_MATCH, _QUERY = Message("studio_motions.match"), Message("studio_motions.query")
 
 _Language = Literal["en", "ja"]
 
@@ -36,7 +37,7 @@ def get_info(studio: StudioNow, asked: Annotated[MotionPart, Query()]) -> Answer
     """Name, length, category, and doubts that came up when it was read."""
     named = studio.motions.get(asked.ref())
     motion = named.motion
-    clip = studio.motions.clip_id(asked.ref())
+    clip = asked.address.clip
     return Answer(
         {
             "motion": asked.motion,
@@ -47,7 +48,7 @@ def get_info(studio: StudioNow, asked: Annotated[MotionPart, Query()]) -> Answer
             "height_m": motion.height,
             "joint_table": motion.mapping.table,
             "category": named.category,
-            "notes": list(motion.warnings),
+            "notes": [say(note) for note in motion.warnings],
             **_describe_clip(studio, clip),
         }
     )
@@ -64,20 +65,17 @@ def _describe_clip(studio: Studio, clip: int | None) -> dict[str, Any]:
 @router.get("/motions/player", summary="A figure for the 3D player")
 def get_player(studio: StudioNow, asked: Annotated[_Shown, Query()]) -> Answer:
     """What ``dousa.createPlayer`` of the pages is given."""
-    from dousa.app.player import encode_motion
+    from dousa.app.player.data import encode_motion
 
     named = studio.motions.get(asked.ref())
     return Answer(encode_motion(named.motion, named.name, language=asked.language))
 
 
-_LABELS = {"en": ("match", "query"), "ja": ("見つかった動き", "元の動き")}
-
-
 @router.get("/motions/pair", summary="Two figures in step for the 3D player")
 def get_pair(studio: StudioNow, asked: Annotated[_Pair, Query()]) -> Answer:
     """The motion and the other, which is brought into step with it; times are those of the motion."""
-    from dousa.app.player import encode_pair
-    from dousa.motion.mirroring import mirror_canonical
+    from dousa.app.player.data import encode_pair
+    from dousa.motion.canonical.canonicalise import mirror_canonical
 
     named = studio.motions.get(asked.ref())
     other_ref = MotionRef(motion=asked.other, start_s=asked.other_start_s, end_s=asked.other_end_s)
@@ -88,7 +86,7 @@ def get_pair(studio: StudioNow, asked: Annotated[_Pair, Query()]) -> Answer:
             beside,
             named.motion,
             names=(other.name, named.name),
-            labels=_LABELS[asked.language],
+            labels=(_MATCH.render(asked.language), _QUERY.render(asked.language)),
             language=asked.language,
         )
     )
@@ -97,7 +95,7 @@ def get_pair(studio: StudioNow, asked: Annotated[_Pair, Query()]) -> Answer:
 @router.get("/motions/miniature", summary="A small moving figure", response_class=Response, responses=BYTES)
 def get_miniature(studio: StudioNow, asked: Annotated[MotionPart, Query()]) -> Response:
     """Bytes for ``dousa.createMiniature`` of the pages."""
-    from dousa.app.player import encode_miniature
+    from dousa.app.player.figures import encode_miniature
 
     content = encode_miniature(studio.motions.get(asked.ref()).motion)
     return Response(content, media_type="application/octet-stream")
@@ -106,7 +104,7 @@ def get_miniature(studio: StudioNow, asked: Annotated[MotionPart, Query()]) -> R
 @router.get("/motions/bvh", summary="Download as BVH", response_class=Response, responses=BYTES)
 def get_bvh(studio: StudioNow, asked: Annotated[MotionPart, Query()]) -> Response:
     """With every joint of the file it came from, if that is still there; else the joints that dousa compares."""
-    from dousa.app.studio.bvh_files import make_bvh
+    from dousa.app.studio.content.motions import make_bvh
 
     ref = asked.ref()
     named = studio.motions.get(ref)

@@ -7,15 +7,14 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 from fastapi import APIRouter
 from pydantic import BaseModel, ConfigDict, Field
 
-from dousa.app.studio.answers import Answer
-from dousa.app.studio.motions import MotionRef
-from dousa.app.studio.studio import Studio, StudioNow
+from dousa.app.studio.content.motions import Address, MotionRef
+from dousa.app.studio.content.studio import Studio, StudioNow
+from dousa.app.studio.core.answers import Answer, to_answer
+from dousa.app.studio.core.words import name_error
 from dousa.errors import DousaError, InvalidMotionError
 
 if TYPE_CHECKING:
     from dousa.library import SearchResult
-
-__all__ = ["router"]
 
 router = APIRouter(tags=["search"])
 
@@ -34,9 +33,7 @@ class SearchRequest(BaseModel):
     ranking: Literal["fused", "pose", "leaves", "histogram"] | None = Field(
         default=None, description="what clips are ordered by"
     )
-    same_category: bool = Field(
-        default=False, description="only clips of the category that the query is taken for"
-    )
+    same_category: bool = Field(default=False, description="only clips of the category that the query is taken for")
     mirror: bool = Field(default=False, description="search for the mirror image too")
     explain: bool = Field(default=False, description="say why")
     threshold: _Share | None = Field(
@@ -83,7 +80,7 @@ def search(studio: StudioNow, wanted: SearchRequest) -> Answer:
 def _name_hits(result: SearchResult) -> dict[str, Any]:
     answer = result.to_json()
     for hit in answer["results"]:
-        hit["motion"] = f"clip:{hit['clip_id']}"
+        hit["motion"] = str(Address(clip=hit["clip_id"]))
     return answer
 
 
@@ -96,7 +93,7 @@ def _find_places(studio: Studio, wanted: SearchRequest) -> list[dict[str, Any]]:
         found = library.find(studio.motions.query(wanted.query), k=_MOST_PLACES, mirror=wanted.mirror)
     except InvalidMotionError:
         return []
-    return [{**place.to_json(), "motion": f"clip:{place.clip_id}"} for place in found.results]
+    return [{**place.to_json(), "motion": str(Address(clip=place.clip_id))} for place in found.results]
 
 
 @router.post("/classify", summary="What motions are")
@@ -120,7 +117,8 @@ def _classify(studio: Studio, ref: MotionRef, wanted: ClassifyRequest) -> dict[s
     except NotTrainedError:
         raise
     except DousaError as error:
-        return {"motion": ref.motion, "category": None, "guess": None, "histogram": {}, "problem": str(error)}
+        problem = to_answer(name_error(error, studio.workspace.root))
+        return {"motion": ref.motion, "category": None, "guess": None, "histogram": {}, **problem}
     answer = result.to_json()
     return {
         "motion": ref.motion,

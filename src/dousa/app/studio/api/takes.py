@@ -11,14 +11,10 @@ from fastapi import APIRouter, Query
 from pydantic import BaseModel, ConfigDict, Field
 from starlette.responses import Response
 
-from dousa.app.studio.answers import Answer
-from dousa.app.studio.downloads import attachment
+from dousa.app.studio.content.motions import MotionName, MotionRef, Seconds
+from dousa.app.studio.content.studio import Studio, StudioNow
+from dousa.app.studio.core.answers import Answer, RefusedError, attachment
 from dousa.app.studio.jobs.board import Job
-from dousa.app.studio.motions import MotionName, MotionRef, Seconds
-from dousa.app.studio.problems import RefusedError
-from dousa.app.studio.studio import Studio, StudioNow
-
-__all__ = ["router"]
 
 router = APIRouter(tags=["takes"])
 
@@ -55,7 +51,7 @@ def label(studio: StudioNow, wanted: LabelRequest) -> Answer:
     The first time after a training what takes are labelled with is learned, which takes seconds.
     """
     if not wanted.take.is_whole:
-        raise RefusedError(422, "take: a whole take is labelled; leave start_s and end_s out")
+        raise RefusedError(422, "studio_takes.whole_take")
     named = studio.motions.get(wanted.take)
     return Answer(studio.jobs.submit("label", wanted.model_dump(), named.name).to_json(), 202)
 
@@ -67,10 +63,9 @@ def get_labels(studio: StudioNow, motion: _Motion) -> Answer:
 
 
 def _describe(studio: Studio, ref: MotionRef) -> dict[str, Any]:
-    from dousa.app.studio.correcting import corrections_of
-    from dousa.app.studio.corrections import lay_over
+    from dousa.app.studio.content.corrections import lay_over, list_corrections
 
-    corrections = corrections_of(studio, ref)
+    corrections = list_corrections(studio, ref)
     job = _last_label(studio, ref)
     labels = None if job is None else job.result
     segments = [] if labels is None else lay_over(labels["segments"], corrections)
@@ -97,7 +92,7 @@ def export(studio: StudioNow, motion: _Motion, format: Literal["csv", "json"] = 
     """Labels with corrections: a table with a row for each stretch, or JSON."""
     answer = _describe(studio, MotionRef(motion=motion))
     if answer["labels"] is None:
-        raise RefusedError(409, "this take has not been labelled yet; see POST /api/jobs/label")
+        raise RefusedError(409, "studio_takes.not_labelled")
     headers = {"content-disposition": attachment(f"{PurePath(answer['name']).stem}_labels.{format}")}
     if format == "json":
         kept = {name: answer["labels"][name] for name in ("duration_s", "threshold", "segments")}
@@ -125,15 +120,15 @@ def correct(studio: StudioNow, wanted: CorrectRequest) -> Answer:
 
     A correction of mostly the same part of this take is replaced. Label the take again to see what has changed.
     """
-    from dousa.app.studio.correcting import learn
+    from dousa.app.studio.content.corrections import learn_correction
 
     ref = MotionRef(motion=wanted.motion, start_s=wanted.start_s, end_s=wanted.end_s)
-    return Answer(learn(studio, ref, wanted.category), 201)
+    return Answer(learn_correction(studio, ref, wanted.category), 201)
 
 
 @router.delete("/takes/corrections/{number}", summary="Take a correction back")
 def undo(studio: StudioNow, number: str) -> Answer:
     """Its clip leaves the library; what the forest learned from it stays until the next training."""
-    from dousa.app.studio.correcting import forget
+    from dousa.app.studio.content.corrections import forget_correction
 
-    return Answer({"removed": forget(studio, number).to_json()})
+    return Answer({"removed": forget_correction(studio, number).to_json()})

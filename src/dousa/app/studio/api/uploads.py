@@ -1,4 +1,4 @@
-"""Files from elsewhere: one a request, the body is its bytes; zip archives are unpacked."""
+"""What this studio is; and files from elsewhere: one a request, the body is its bytes, zip archives are unpacked."""
 
 from __future__ import annotations
 
@@ -6,14 +6,34 @@ from typing import Annotated, Any
 
 from fastapi import APIRouter, Query, Request
 
-from dousa.app.studio.answers import Answer
-from dousa.app.studio.problems import RefusedError
-from dousa.app.studio.studio import StudioNow
-from dousa.app.studio.uploads import MOTIONS, receive
+import dousa
+from dousa.app.studio.content.motions import Address
+from dousa.app.studio.content.studio import StudioNow
+from dousa.app.studio.core.answers import Answer, RefusedError
+from dousa.app.studio.core.uploads import MOTIONS, receive
+from dousa.app.studio.core.words import say
 
-__all__ = ["router"]
-
+general = APIRouter(tags=["general"])
 router = APIRouter(tags=["uploads"])
+
+
+@general.get("/info", summary="The library in numbers, and the limits of this studio")
+def get_info(studio: StudioNow) -> Answer:
+    """Version, library, categories with their numbers of clips, whether it is trained, limits."""
+    settings = studio.settings
+    return Answer(
+        {
+            "version": dousa.__version__,
+            "library": {"name": settings.library.name, **studio.library.stats().to_json()},
+            "limits": {
+                "file_bytes": settings.most_bytes,
+                "batch_bytes": settings.most_unpacked_bytes,
+                "batch_files": settings.most_files,
+            },
+            "motion_suffixes": sorted(MOTIONS),
+        }
+    )
+
 
 _BODY: dict[str, Any] = {
     "requestBody": {
@@ -38,15 +58,13 @@ async def upload(
     ``batch`` of the first answer with the others.
     """
     if request.headers.get("content-type", "").startswith("multipart/"):
-        raise RefusedError(
-            415, "expected the bytes of the file as the body, not a form: curl --data-binary @walk.bvh"
-        )
+        raise RefusedError(415, "studio_files.form")
     came = await receive(request.stream(), name, batch, studio.workspace, studio.settings)
     return Answer(
         {
             "batch": came.batch,
             "files": [_describe(came.batch, file, size) for file, size in came.files],
-            "refused": [{"name": file, "reason": reason} for file, reason in came.refused],
+            "refused": [{"name": file, "reason": say(reason), "code": reason.code} for file, reason in came.refused],
         },
         201,
     )
@@ -54,7 +72,11 @@ async def upload(
 
 def _describe(batch: str, name: str, size: int) -> dict[str, Any]:
     is_motion = name[name.rfind(".") :].lower() in MOTIONS
-    return {"name": name, "bytes": size, "motion": f"file:{batch}/{name}" if is_motion else None}
+    return {
+        "name": name,
+        "bytes": size,
+        "motion": str(Address(batch=batch, name=name)) if is_motion else None,
+    }
 
 
 @router.get("/uploads/{batch}", summary="The files of a batch")

@@ -1,4 +1,4 @@
-"""Work that outlives a request: queued, watched, stopped, taken up again, and still there after a reload.
+"""Work that outlives a request: queued, watched, stopped, resumed, and still there after a reload.
 
 Long work (adding, training, estimating) runs in a process of its own, which gives its memory back, can be stopped
 at any moment and leaves the page quick. Short work (labelling, evaluating) runs in a thread beside the kernels that
@@ -15,16 +15,17 @@ import threading
 import time
 from collections.abc import Callable, Mapping
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from dousa.app.studio.problems import RefusedError
+from dousa.app.studio.core.answers import Answer, RefusedError
+from dousa.app.studio.core.words import name_error, pack, read_message, say, say_packed
+from dousa.errors import DousaError
+from dousa.messages import Message, get_language, use_language
 
 if TYPE_CHECKING:
-    from dousa.app.studio.workspace import Workspace
-
-__all__ = ["ACTIVE", "Job", "JobBoard", "JobStopped", "Lane"]
+    from dousa.app.studio.core.workspace import Workspace
 
 ACTIVE = frozenset({"queued", "running", "stopping"})
 _MOST_WAITING, _MOST_KEPT = 50, 200
@@ -42,12 +43,13 @@ class Job:
     Parameters
     ----------
     id : 16 hexadecimal digits.
-    kind : name of the work, see `dousa.app.studio.work`.
-    title : for people.
+    kind : name of the work, see `dousa.app.studio.work.worker`.
+    title : for people: a name, or a message.
     request : what was asked for.
+    language : of the result.
     state : ``queued``, ``running``, ``stopping``, ``done``, ``failed``, ``stopped``.
     done, total, what : progress.
-    notes : what a person should know, in sentences.
+    notes : what a person should know.
     result : the answer; None until it is done.
     problem : why it failed.
     created_s, started_s, finished_s : Unix times.
@@ -56,15 +58,16 @@ class Job:
 
     id: str
     kind: str
-    title: str
+    title: str | Message
     request: dict[str, Any]
+    language: str = "en"
     state: str = "queued"
     done: int = 0
     total: int = 0
-    what: str = ""
-    notes: list[str] = field(default_factory=list)
+    what: Message | None = None
+    notes: list[Message] = field(default_factory=list)
     result: dict[str, Any] | None = None
-    problem: str | None = None
+    problem: Message | None = None
     resumable: bool = False
     created_s: float = field(default_factory=time.time)
     started_s: float | None = None
@@ -72,9 +75,44 @@ class Job:
     version: int = 0
 
     def to_json(self, *, brief: bool = False) -> dict[str, Any]:
-        """The job as a plain dictionary; brief: without request and result."""
-        names = [name for name in self.__slots__ if not (brief and name in ("request", "result"))]
-        return {name: getattr(self, name) for name in names}
+        """The job as a plain dictionary in the language in use; brief: without request and result.
+
+        ``codes`` has what the sentences ``title``, ``what``, ``notes`` and ``problem`` are made of.
+        """
+        answer = {one.name: getattr(self, one.name) for one in fields(self)}
+        if brief:
+            del answer["request"], answer["result"]
+        else:
+            answer["result"] = say_packed(self.result)
+        said = {name: answer[name] for name in _SAID if isinstance(answer[name], list | Message)}
+        codes = {name: _each(value, Message.to_json) for name, value in said.items()}
+        answer |= {name: _each(answer[name], say) for name in _SAID}
+        return {**answer, "what": answer["what"] or "", "codes": codes}
+
+    def to_file(self) -> dict[str, Any]:
+        """The job as a plain dictionary for a file, in no language."""
+        answer = {one.name: getattr(self, one.name) for one in fields(self)}
+        return answer | {name: _each(answer[name], Message.to_json) for name in _SAID}
+
+    @classmethod
+    def from_file(cls, stored: Mapping[str, Any]) -> Job:
+        """The job whose ``to_file()`` this is; older versions stored sentences."""
+        title = stored["title"] if isinstance(stored["title"], str) else read_message(stored["title"])
+        read = {
+            "what": read_message(stored["what"]) if stored["what"] else None,
+            "notes": [read_message(note) for note in stored["notes"]],
+            "problem": read_message(stored["problem"]) if stored["problem"] else None,
+        }
+        return cls(**{**stored, "title": title, **read})
+
+
+_SAID = ("title", "what", "notes", "problem")
+
+
+def _each(value: Any, change: Callable[[Message], Any]) -> Any:
+    if isinstance(value, list):
+        return [change(one) for one in value]
+    return change(value) if isinstance(value, Message) else value
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,7 +123,7 @@ class Lane:
     ----------
     name : jobs of the same lane wait for each other.
     run : does the work of a job; told whether to stop by ``stop``; returns the result.
-    resumable : a stopped job can be taken up where it was.
+    resumable : a stopped job can be resumed where it was.
     """
 
     name: str
@@ -116,7 +154,7 @@ class JobBoard:
 
     # --- asking for work
 
-    def submit(self, kind: str, request: Mapping[str, Any], title: str) -> Job:
+    def submit(self, kind: str, request: Mapping[str, Any], title: str | Message) -> Job:
         """Queue some work.
 
         Raises
@@ -125,10 +163,9 @@ class JobBoard:
         """
         with self._lock:
             if sum(job.state in ACTIVE for job in self._jobs.values()) >= _MOST_WAITING:
-                raise RefusedError(
-                    429, f"{_MOST_WAITING} jobs are waiting already; wait for some, or stop them"
-                )
-            job = Job(secrets.token_hex(8), kind, title, dict(request), resumable=self._kinds[kind].resumable)
+                raise RefusedError(429, "studio_jobs.too_many", most=_MOST_WAITING)
+            resumable = self._kinds[kind].resumable
+            job = Job(secrets.token_hex(8), kind, title, dict(request), get_language(), resumable=resumable)
             self._workspace.job_folder(job.id).mkdir(parents=True)
             self._jobs[job.id] = job
             self._forget_old()
@@ -136,18 +173,20 @@ class JobBoard:
             return job
 
     def resume(self, job_id: str) -> Job:
-        """Take up a job that was stopped or failed.
+        """Resume a job that was stopped or failed.
 
         Raises
         ------
-        RefusedError : no such job, or not one that can be taken up.
+        RefusedError : no such job, or not one that can be resumed.
         """
         with self._lock:
             job = self.get(job_id)
             if job.state in ACTIVE:
-                raise RefusedError(409, "this job is under way already")
-            if job.state == "done" or not job.resumable:
-                raise RefusedError(409, f"a job that is {job.state} cannot be taken up; ask for it again")
+                raise RefusedError(409, "studio_jobs.under_way")
+            if job.state == "done":
+                raise RefusedError(409, "studio_jobs.resume_done")
+            if not job.resumable:
+                raise RefusedError(409, "studio_jobs.not_resumable")
             self.change(job, state="queued", problem=None, finished_s=None)
             self._enqueue(job)
             return job
@@ -173,7 +212,7 @@ class JobBoard:
         with self._lock:
             job = self.get(job_id)
             if job.state in ACTIVE:
-                raise RefusedError(409, "this job is under way; stop it first")
+                raise RefusedError(409, "studio_jobs.stop_first")
             del self._jobs[job_id]
             self._stops.pop(job_id, None)
             self._saved.pop(job_id, None)
@@ -190,7 +229,7 @@ class JobBoard:
         """
         with self._lock:
             if job_id not in self._jobs:
-                raise RefusedError(404, f"no job {job_id[:40]!r}; see GET /api/jobs")
+                raise RefusedError(404, "studio_jobs.no_job", job=job_id[:40])
             return self._jobs[job_id]
 
     def all(self) -> list[Job]:
@@ -244,43 +283,41 @@ class JobBoard:
                 job = self._jobs.get(job_id)
                 if job is None or job.state != "queued" or self._closing:
                     continue
-                self.change(job, state="running", started_s=time.time(), done=0, total=0, what="")
+                self.change(job, state="running", started_s=time.time(), done=0, total=0, what=None)
                 stop = self._stops[job_id]
             self._run(job, stop)
 
     def _run(self, job: Job, stop: threading.Event) -> None:
-        from dousa.errors import DousaError
-
+        use_language(job.language)  # of what the result says
         try:
             result = self._kinds[job.kind].run(job, self, stop)
-            self.change(job, state="done", result=result, finished_s=time.time())
+            self.change(job, state="done", result=pack(result), finished_s=time.time())
         except JobStopped:
             self.change(job, state="stopped", finished_s=time.time())
         except DousaError as error:
-            self.change(job, state="failed", problem=str(error), finished_s=time.time())
+            self.change(job, state="failed", problem=name_error(error, self._workspace.root), finished_s=time.time())
         except Exception as error:  # a fault of ours must not end the lane
             import traceback
 
             log = self.folder(job) / "log.txt"
             with suppress(OSError):
                 log.write_text(traceback.format_exc(), encoding="utf-8")
-            text = f"unexpected: {type(error).__name__}: {error} (see {log})"
-            self.change(job, state="failed", problem=text, finished_s=time.time())
+            problem = Message("studio_jobs.fault", kind=type(error).__name__, text=str(error), log=log)
+            self.change(job, state="failed", problem=problem, finished_s=time.time())
 
     # --- keeping
 
     def _save(self, job: Job) -> None:
-        from dousa._files import atomic_write
-        from dousa.app.studio.answers import Answer
+        from dousa.files.disk import atomic_write
 
         self._saved[job.id] = time.monotonic()
         with suppress(Exception), atomic_write(self.folder(job) / "job.json") as file:
-            file.write(Answer(None).render(job.to_json()))
+            file.write(Answer(None).render(job.to_file()))
 
     def _load(self) -> None:
         for path in (self._workspace.root / "jobs").glob("*/job.json"):
             with suppress(OSError, ValueError, TypeError, KeyError, RefusedError):
-                job = Job(**json.loads(path.read_bytes()))
+                job = Job.from_file(json.loads(path.read_bytes()))
                 if job.kind not in self._kinds or self.folder(job) != path.parent:
                     continue
                 if job.state in ACTIVE:  # the studio ended under it

@@ -1,7 +1,6 @@
 // The interface of the studio, as any program would use it.
 
-import { t } from "./dom.js";
-import { inWords } from "./problems.js";
+import { language, t } from "./dom.js";
 
 export class Problem extends Error {
   constructor(message, status) {
@@ -14,7 +13,7 @@ async function call(method, path, { body, headers, signal, params } = {}) {
   const query = params ? `?${new URLSearchParams(Object.entries(params).filter(([, value]) => value != null && value !== ""))}` : "";
   let response;
   try {
-    response = await fetch(`/api${path}${query}`, { method, body, headers, signal, credentials: "same-origin" });
+    response = await fetch(`/api${path}${query}`, { method, body, headers: { "accept-language": language, ...headers }, signal, credentials: "same-origin" });
   } catch (error) {
     if (error.name === "AbortError") throw error;
     throw new Problem(t("unreachable"), 0);
@@ -27,7 +26,7 @@ async function call(method, path, { body, headers, signal, params } = {}) {
   } catch {
     // not from us: the text says what there is to say
   }
-  throw new Problem(problem ? inWords(problem) : `${response.status}`, response.status);
+  throw new Problem(problem || `${response.status}`, response.status);
 }
 
 const asJson = (value) => ({ body: JSON.stringify(value ?? {}), headers: { "content-type": "application/json" } });
@@ -47,12 +46,6 @@ export async function upload(file, { name = file.name, batch, signal } = {}) {
 
 const AT_ONCE = 4;
 
-/** Why a file was not taken, in the words of the page and without its name. */
-function refusal(name, reason) {
-  const said = inWords(reason);
-  return { name, reason: said.startsWith(`${name}: `) ? said.slice(name.length + 2) : said };
-}
-
 /** Upload entries [{file, path}] into one batch, some at a time; refused files do not stop the others.
  *  onProgress(done, total) -> {batch (null if nothing was taken), files, refused: [{name, reason}]} */
 export async function uploadAll(entries, { batch = null, onProgress = () => {}, signal } = {}) {
@@ -64,10 +57,10 @@ export async function uploadAll(entries, { batch = null, onProgress = () => {}, 
       const came = await upload(file, { name: path, batch: answer.batch, signal });
       answer.batch = came.batch;
       answer.files.push(...came.files);
-      answer.refused.push(...came.refused.map((one) => refusal(one.name, one.reason)));
+      answer.refused.push(...came.refused);
     } catch (error) {
       if (!(error instanceof Problem) || error.status === 0) throw error;
-      answer.refused.push(refusal(path, error.message));
+      answer.refused.push({ name: path, reason: error.message });
     }
     onProgress(++done, entries.length);
   };

@@ -1,7 +1,6 @@
 // Dropping and choosing files and folders.
 
 import { h, icon, t } from "./dom.js";
-import { inWords } from "./problems.js";
 
 async function readEntry(entry, prefix, found) {
   if (entry.isFile) {
@@ -84,12 +83,6 @@ export function dropZone(onEntries, { text = t("drop_here"), hint, accept, multi
   return zone;
 }
 
-/** A reason that begins with the name of the file, without it. */
-export function withoutName(reason, name) {
-  const said = inWords(reason);
-  return said.startsWith(`${name}: `) ? said.slice(name.length + 2) : said;
-}
-
 /** The list of files that were not taken, and why; null if there are none. */
 export function refusedList(refused) {
   if (!refused.length) return null;
@@ -97,7 +90,7 @@ export function refusedList(refused) {
     "details",
     { class: "refused", open: true },
     h("summary", {}, t("refused_title", { count: refused.length })),
-    h("div", { class: "scroll" }, h("table", {}, h("tbody", {}, ...refused.map(({ name, reason }) => h("tr", {}, h("th", { scope: "row" }, name), h("td", {}, withoutName(reason, name))))))),
+    h("div", { class: "scroll" }, h("table", {}, h("tbody", {}, ...refused.map(({ name, reason }) => h("tr", {}, h("th", { scope: "row" }, name), h("td", {}, reason)))))),
   );
 }
 

@@ -3,7 +3,6 @@
 import { $, h, icon, language, t } from "./dom.js";
 import { forgetJob, isActive, resumeJob, stopJob, watchJobs } from "./jobs.js";
 import { attempt } from "./notices.js";
-import { inWords } from "./problems.js";
 
 const YEAR = 31536000;
 const keep = (name, value) => {
@@ -67,12 +66,6 @@ document.addEventListener("pointerdown", (event) => {
   for (const menu of document.querySelectorAll("details.menu[open]")) if (!menu.contains(event.target)) menu.open = false;
 });
 
-/** The title of a job is a name, except where files were added: there it counts them. */
-function titleOf({ kind, title }) {
-  const count = kind === "add" && /^(\d+) files$/.exec(title)?.[1];
-  return count ? t(count === "1" ? "n_file_one" : "n_file_many", { count }) : title;
-}
-
 function describeJob(job) {
   const act = (name, action, kind = "") => h("button", { type: "button", class: `small ${kind}`, onclick: () => attempt(action) }, t(name));
   const actions = [];
@@ -84,10 +77,10 @@ function describeJob(job) {
   return h(
     "article",
     { class: "job", dataset: { job: job.id, state: job.state } },
-    h("header", {}, h("b", {}, t("job_title", { kind: t(`kind_${job.kind}`), title: titleOf(job) })), h("span", { class: "state" }, t(`state_${job.state}`))),
+    h("header", {}, h("b", {}, t("job_title", { kind: t(`kind_${job.kind}`), title: job.title })), h("span", { class: "state" }, t(`state_${job.state}`))),
     isActive(job) ? h("progress", { max: String(Math.max(job.total, 1)), value: job.total ? String(job.done) : null, "aria-label": t(`kind_${job.kind}`) }) : null,
     isActive(job) && job.what ? h("p", { class: "what" }, job.total ? `${job.what} (${job.done}/${job.total})` : job.what) : null,
-    job.problem ? h("p", { class: "problem-box" }, inWords(job.problem)) : null,
+    job.problem ? h("p", { class: "problem-box" }, job.problem) : null,
     h("div", { class: "actions" }, ...actions),
   );
 }

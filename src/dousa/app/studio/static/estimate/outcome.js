@@ -4,14 +4,12 @@ import { post } from "../core/api.js";
 import { $, formatSeconds, h, icon, t } from "../core/dom.js";
 import { finished } from "../core/jobs.js";
 import { attempt, notify } from "../core/notices.js";
-import { inWords } from "../core/problems.js";
-import { say } from "./sentences.js";
 
 /** job: a finished estimation with its result. */
 export function showOutcome(job) {
   const result = job.result;
   const motion = encodeURIComponent(`job:${job.id}`);
-  const says = result.warnings.map((text) => h("li", {}, say(text)));
+  const says = result.warnings.map((text) => h("li", {}, text));
   const place = $("#outcome");
   place.replaceChildren(
     h("h2", { id: "outcome-title" }, t("outcome_title")),
@@ -74,5 +72,5 @@ async function add(job, name, category) {
   const report = done.result;
   const taken = report && report.added.length + report.replaced.length + report.unchanged.length + report.duplicates.length > 0;
   if (taken) notify(t("added", { name }));
-  else notify(t("add_refused", { reason: inWords(done.problem ?? report?.skipped[0]?.reason ?? done.state) }), "problem");
+  else notify(t("add_refused", { reason: done.problem ?? report?.skipped[0]?.reason ?? t(`state_${done.state}`) }), "problem");
 }

@@ -1,7 +1,6 @@
 // What would be estimated: silhouettes, cameras, body, and what is missing.
 
 import { $, formatSeconds, h, t } from "../core/dom.js";
-import { say } from "./sentences.js";
 
 export function showEmpty() {
   $("#start").disabled = true;
@@ -20,10 +19,10 @@ export function showPreview(found) {
   $("#start").disabled = !ready;
   $("#preview").replaceChildren(
     ...[
-      found.missing ? h("p", { class: "problem-box", id: "missing" }, say(found.missing)) : null,
+      found.missing ? h("p", { class: "problem-box", id: "missing" }, found.missing) : null,
       found.views.length ? h("div", { class: "pictures" }, ...found.views.map(picture)) : null,
       found.views.length ? facts(found) : null,
-      found.notes.length ? h("ul", { class: "says" }, ...found.notes.map((note) => h("li", {}, say(note)))) : null,
+      found.notes.length ? h("ul", { class: "says" }, ...found.notes.map((note) => h("li", {}, note))) : null,
     ].filter(Boolean),
   );
 }
@@ -43,7 +42,7 @@ function picture(view) {
 function facts(found) {
   const seconds = found.frame_rate ? formatSeconds(found.n_frames / found.frame_rate) : "";
   const rate = found.frame_rate ? +found.frame_rate.toFixed(2) : "?";
-  const pairs = found.body ? [[t("preview_body"), say(found.body)], [t("preview_start"), found.start ?? t("preview_start_found")]] : [];
+  const pairs = found.body ? [[t("preview_body"), found.body], [t("preview_start"), found.start ?? t("preview_start_found")]] : [];
   return h(
     "div",
     { class: "stack" },

@@ -7,10 +7,15 @@ import { attempt } from "../core/notices.js";
 import { Chart } from "./chart.js";
 import { Figure } from "./figure.js";
 import { showOutcome } from "./outcome.js";
-import { say, sayStep } from "./sentences.js";
 import { Views } from "./views.js";
 
 const LOOK_EVERY = 350; // ms
+
+/** What a job is doing. */
+function describeStep(job) {
+  if (job.state === "queued") return t("what_waiting");
+  return job.what && job.total > 1 ? t("what_step", { what: job.what, done: job.done, total: job.total }) : job.what;
+}
 
 /** Show a job; -> function that ends the watching. */
 export function watchEstimation(id, { startOver }) {
@@ -70,7 +75,7 @@ class Watching {
     badge.className = `badge ${{ done: "good", failed: "bad", stopped: "unsure" }[job.state] ?? ""}`;
     this.showProgress();
     if (before?.state !== job.state) this.showActions();
-    $("#watch-problem").replaceChildren(...(job.problem ? [h("p", { class: "problem-box" }, say(job.problem))] : []));
+    $("#watch-problem").replaceChildren(...(job.problem ? [h("p", { class: "problem-box" }, job.problem)] : []));
     $("#follow").hidden = !isActive(job);
     $(".watch-columns").hidden = job.state === "failed" && !this.total; // it failed before the first frame
     if (before && isActive(before) !== isActive(job)) this.look();
@@ -82,13 +87,13 @@ class Watching {
     const { job } = this;
     const bar = $("#watch-bar");
     bar.hidden = job.state === "done";
-    const tracking = job.what.startsWith("tracking") || !isActive(job);
+    const tracking = !isActive(job) || this.frames.size < this.total;
     const [done, total] = tracking ? [Math.max(this.frames.size, job.done), this.total] : [job.done, job.total];
     if (total > 1 && job.state !== "queued") Object.assign(bar, { max: total, value: Math.min(done, total) });
     else if (isActive(job)) bar.removeAttribute("value");
-    const note = job.notes.length ? say(job.notes.at(-1)) : "";
+    const note = job.notes.length ? job.notes.at(-1) : "";
     const stopped = this.total ? t("what_stopped", { done: this.frames.size, total: this.total }) : "";
-    const step = isActive(job) ? sayStep(job) : job.state === "stopped" ? stopped : "";
+    const step = isActive(job) ? describeStep(job) : job.state === "stopped" ? stopped : "";
     const text = [step, isActive(job) ? note : ""].filter(Boolean).join(". ");
     if ($("#watch-what").textContent !== text) $("#watch-what").textContent = text;
   }

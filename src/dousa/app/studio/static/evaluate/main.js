@@ -4,7 +4,6 @@ import { get, post } from "../core/api.js";
 import { $, h, language, t } from "../core/dom.js";
 import { followJob, isActive, stopJob } from "../core/jobs.js";
 import { attempt } from "../core/notices.js";
-import { inWords } from "../core/problems.js";
 import { Result, downloadLinks } from "./result.js";
 import { Setup } from "./setup.js";
 import { keepChoice, readAddress, showJob } from "./state.js";
@@ -52,14 +51,14 @@ function follow(id) {
 
 function drawProgress(job) {
   const bar = h("progress", { max: String(Math.max(job.total, 1)), value: String(job.done), "aria-label": t("under_way") });
-  const what = job.what ? t(job.what) : t(`state_${job.state}`);
+  const what = job.what || t(`state_${job.state}`);
   places.progress.replaceChildren(h("h2", {}, `${t("under_way")}: ${job.title}`), bar, h("div", { class: "row" }, h("p", { class: "note" }, what), h("span", { class: "push" }), h("button", { type: "button", class: "small", onclick: () => attempt(() => stopJob(job.id)) }, t("stop"))));
 }
 
 async function over(job) {
   if (job.state !== "done") {
     setup.show(choiceOf(job));
-    show("setup", job.state === "failed" ? `${t("failed")}: ${inWords(job.problem)}` : t("was_stopped"));
+    show("setup", job.state === "failed" ? `${t("failed")}: ${job.problem}` : t("was_stopped"));
     return;
   }
   places.progress.replaceChildren(h("p", {}, t("loading")));

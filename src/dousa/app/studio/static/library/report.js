@@ -1,10 +1,8 @@
 // What became of the files: added, known already, not taken and why.
 
 import { h, icon, language, t } from "../core/dom.js";
-import { withoutName } from "../core/drop.js";
 import { resumeJob } from "../core/jobs.js";
 import { attempt } from "../core/notices.js";
-import { inWords } from "../core/problems.js";
 import { foot } from "./dialogs.js";
 
 const count = new Intl.NumberFormat(language);
@@ -14,7 +12,7 @@ export function report(job, refused, { close, hooks }) {
   const done = h("button", { type: "button", class: "primary", onclick: close }, t("close"));
   if (!job.result) {
     const again = job.resumable ? h("button", { type: "button", onclick: () => attempt(() => resumeJob(job.id)) }, t("resume")) : null;
-    return [h("p", { class: "problem-box" }, job.problem ? inWords(job.problem) : t("adding_stopped")), lost(refused, []), foot(...[again, done].filter(Boolean))].filter(Boolean);
+    return [h("p", { class: "problem-box" }, job.problem ?? t("adding_stopped")), lost(refused, []), foot(...[again, done].filter(Boolean))].filter(Boolean);
   }
   const { result, request } = job;
   const fresh = result.added.length + result.replaced.length;
@@ -53,6 +51,6 @@ const pairs = (title, items, cells) => table(title, items.map(cells), "");
 
 function table(title, rows, kind) {
   if (!rows.length) return null;
-  const lines = rows.map(([name, text]) => h("tr", {}, h("th", { scope: "row" }, name), h("td", {}, withoutName(text, name))));
+  const lines = rows.map(([name, text]) => h("tr", {}, h("th", { scope: "row" }, name), h("td", {}, text)));
   return h("details", { class: kind, open: kind === "refused" }, h("summary", {}, t(title, { count: count.format(rows.length) })), h("div", { class: "scroll" }, h("table", {}, h("tbody", {}, ...lines))));
 }

@@ -1,7 +1,6 @@
-// Reasons in words: they come in English; in Japanese the sentence is made of their numbers.
+// Reasons in words.
 
-import { formatSeconds, h, language, t } from "../core/dom.js";
-import { sayJapanese } from "./reasons_ja.js";
+import { formatSeconds, h, t } from "../core/dom.js";
 
 /** A list of reasons; a click on one goes to its moment: onGo(start, end). */
 export function listReasons(reasons, onGo) {
@@ -10,7 +9,7 @@ export function listReasons(reasons, onGo) {
     h(
       "li",
       {},
-      h("span", {}, language === "ja" ? sayJapanese(reason) : reason.text),
+      h("span", {}, reason.text),
       h("button", { type: "button", class: "small quiet", onclick: () => onGo(reason.start, reason.end), "aria-label": `${t("play")} ${formatSeconds(reason.start)}` }, "▶ ", formatSeconds(reason.start)),
     );
   return h("ol", { class: "reasons" }, ...reasons.map(item));

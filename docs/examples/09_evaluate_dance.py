@@ -1,0 +1,36 @@
+"""Evaluate a dance and see its worst moments.
+
+The pupil's dance is the teacher's with one error of each of the four classes put in, danced by another body that faces
+elsewhere. Five takes of the teacher say how much may differ.
+"""
+
+import matplotlib.pyplot as plt
+
+from dousa.evaluation import assess
+from dousa.experiments import inject_many, simulate_performer
+from dousa.motion import canonicalise
+from dousa.motion.synthetic import Performer, make_dance
+
+teacher = Performer("teacher")
+takes = [canonicalise(make_dance(teacher, seed=take).motion) for take in range(5)]
+wrong = inject_many(takes[0], ("shift", "incomplete", "partial", "global"), rng=1)
+pupil = simulate_performer(wrong.motion, rng=1)
+
+judged = assess(takes, pupil)
+print(f"grade {judged.score:.0f} of 100; errors, worst first:")
+for event in sorted(judged.events, key=lambda event: -event.severity):
+    where = ", ".join(event.segments) if len(event.segments) < 9 else "whole body"
+    print(f"{event.start_s:5.1f} s  {event.kind:10}  {event.severity:.1f} times the limit  {where}")
+
+figure, axes = plt.subplots(figsize=(9, 3.6), layout="constrained")
+axes.plot(judged.times, judged.d_space, color="#0072b2", label="distance from the teacher's eigenspace, d#")
+axes.plot(judged.times, judged.d_space_limit, color="#333333", ls="--", lw=1, label="limit")
+for number, event in enumerate(judged.events):
+    label = None if number else "found"
+    axes.axvspan(event.start_s, event.end_s, color="#d55e00", alpha=0.25, label=label)
+    axes.text((event.start_s + event.end_s) / 2, -0.1, event.kind, ha="center", va="center")
+for number, error in enumerate(wrong.errors):
+    axes.plot([error.start_s, error.end_s], [0, 0], color="#333333", lw=5, label=None if number else "put in")
+axes.set(xlabel="s", ylim=(-0.2, None), title=f"Grade {judged.score:.0f}: where the pupil differs")
+axes.legend(loc="upper right")
+figure.savefig("dance.png", dpi=120)

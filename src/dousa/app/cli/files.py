@@ -1,0 +1,190 @@
+"""Commands for single files: info, convert, plot."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from dousa.app.cli import options as o
+from dousa.app.output import console, fail, print_json, warn
+from dousa.errors import DousaError
+from dousa.messages import Message
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from dousa.app.pictures.stick_figures import Drawable
+    from dousa.motion import Motion, Trajectories
+
+
+def register(app: typer.Typer) -> None:
+    """Register this module's commands with the application."""
+    app.command(rich_help_panel="Files")(info)
+    app.command(rich_help_panel="Files")(convert)
+    app.command(rich_help_panel="Files")(plot)
+
+
+def info(
+    files: Annotated[list[Path], typer.Argument(metavar="FILE...", help="Motion files: BVH, AMC, C3D, TRC, NPZ.")],
+    unit: o.Unit = None,
+    up: o.Up = None,
+    skeleton: o.SkeletonFile = None,
+    joint_map: o.JointMap = None,
+    json: o.Json = False,
+) -> None:
+    """Show what is in a motion file: length, rate, unit, up axis, joints and how they were identified.
+
+    Example: dousa info walk.bvh take01.amc
+    """
+    mapping = o.load_joint_map(joint_map)
+    answers, failed = [], 0
+    for path in files:
+        try:
+            answers.append(_describe(path, unit, up, skeleton, mapping))
+        except DousaError as error:
+            failed += 1
+            fail(error)
+    if json:
+        print_json(answers)
+    else:
+        for answer in answers:
+            from dousa.app.tables import answers as _tables
+
+            _tables.print_info(console(), answer)
+    if failed:
+        raise typer.Exit(2)
+
+
+def _read(path: Path, unit: str | None, up: str | None, skeleton: Path | None) -> Motion | Trajectories:
+    from dousa.formats.registry import read_motion
+
+    return read_motion(path, unit=unit, up=up, skeleton=skeleton)
+
+
+def _describe(
+    path: Path, unit: str | None, up: str | None, skeleton: Path | None, joint_map: Mapping[str, Any] | None
+) -> dict[str, Any]:
+    from dousa.errors import JointMappingError
+    from dousa.motion import Motion, canonicalise
+
+    motion = _read(path, unit, up, skeleton)
+    origin = motion.provenance
+    if isinstance(motion, Motion):
+        names, ends = motion.skeleton.names, list(motion.skeleton.end_sites)
+    else:
+        names, ends = motion.names, [False] * len(motion.names)
+    answer: dict[str, Any] = {
+        "path": str(path),
+        "format": origin.format if origin else None,
+        "holds": "rotations" if isinstance(motion, Motion) else "positions",
+        "n_frames": motion.n_frames,
+        "frame_rate": motion.frame_rate,
+        "duration_s": motion.duration,
+        "n_joints": sum(not end for end in ends),
+        "unit_m": origin.unit if origin else 1.0,
+        "unit_source": origin.unit_source if origin else None,
+        "up": origin.up if origin else "y",
+        "up_source": origin.up_source if origin else None,
+        "joints": [name for name, end in zip(names, ends, strict=True) if not end],
+    }
+    try:
+        canonical = canonicalise(motion, joint_map)
+    except JointMappingError as error:
+        return {**answer, "mapping": None, "height_m": None, "warnings": [str(error.problem)]}
+    found = canonical.mapping
+    answer["mapping"] = {
+        "table": found.table,
+        "sides": found.sides,
+        "derived": list(found.derived),
+        "sources": {joint: list(sources) for joint, sources in found.sources.items()},
+    }
+    answer["height_m"] = canonical.height
+    answer["height_source"] = canonical.height_source
+    answer["warnings"] = list(map(str, canonical.warnings))
+    return answer
+
+
+def convert(
+    source: Annotated[Path, typer.Argument(metavar="IN", help="Motion file to read.")],
+    target: Annotated[Path, typer.Argument(metavar="OUT", help="File to write: .bvh, .trc, .c3d or .npz.")],
+    frame_rate: Annotated[float | None, typer.Option("--frame-rate", help="Resample to this rate in Hz.")] = None,
+    unit: o.Unit = None,
+    up: o.Up = None,
+    skeleton: o.SkeletonFile = None,
+    json: o.Json = False,
+) -> None:
+    """Convert a motion file to another format; nothing the target can hold is lost.
+
+    Positions alone (C3D, TRC) become BVH by fitting a skeleton of rigid bones; the mean error is said.
+
+    Example: dousa convert take.amc take.bvh --frame-rate 30
+    """
+    from dousa.formats.registry import write_motion
+    from dousa.motion import Motion, resample
+
+    motion = _read(source, unit, up, skeleton)
+    if frame_rate is not None:
+        motion = resample(motion, frame_rate)  # type: ignore[type-var]  # either, not both
+    fit_error = None
+    if target.suffix.lower() == ".bvh" and not isinstance(motion, Motion):
+        motion, fit_error = _fit(motion)
+        warn(Message("files_cli.fitted", path=source, error=1000 * fit_error))
+    write_motion(motion, target)
+    if json:
+        print_json(
+            {
+                "in": str(source),
+                "out": str(target),
+                "n_frames": motion.n_frames,
+                "frame_rate": motion.frame_rate,
+                "fit_error_m": fit_error,
+            }
+        )
+    else:
+        words = Message("files_cli.converted", path=target, n=motion.n_frames, rate=motion.frame_rate)
+        console().print(str(words), markup=False)
+
+
+def _fit(positions: Trajectories) -> tuple[Motion, float]:
+    """A motion with rigid bones near the positions, and its mean joint error in m."""
+    import numpy as np
+
+    from dousa.motion import CANONICAL_JOINTS, canonicalise, compute_trajectories, fit_motion
+
+    canonical = canonicalise(positions)
+    fitted = fit_motion(canonical)
+    reached = compute_trajectories(fitted).select(CANONICAL_JOINTS)
+    return fitted, float(np.linalg.norm(reached - canonical.positions, axis=-1).mean())
+
+
+def plot(
+    file: Annotated[Path, typer.Argument(metavar="FILE", help="Motion file.")],
+    output: Annotated[Path, typer.Option("--output", "-o", help="Picture to write: .png, .svg or .pdf.")],
+    poses: Annotated[int, typer.Option("--poses", min=1, max=60, help="How many poses to draw.")] = 10,
+    unit: o.Unit = None,
+    up: o.Up = None,
+    skeleton: o.SkeletonFile = None,
+    joint_map: o.JointMap = None,
+    json: o.Json = False,
+) -> None:
+    """Draw a contact sheet: the poses of a motion from the front and from the side.
+
+    Example: dousa plot walk.bvh -o walk.png
+    """
+    from dousa.app.pictures.sheets import draw_contact_sheet
+    from dousa.errors import JointMappingError
+    from dousa.motion import canonicalise
+
+    motion = _read(file, unit, up, skeleton)
+    try:
+        drawn: Drawable = canonicalise(motion, o.load_joint_map(joint_map))
+    except JointMappingError as error:
+        warn(Message("files_cli.drawn_as_points", path=file, problem=error.problem))
+        drawn = motion
+    draw_contact_sheet(drawn, output, n_poses=poses, title=file.name)
+    if json:
+        print_json({"path": str(file), "picture": str(output), "poses": min(poses, motion.n_frames)})
+    else:
+        console().print(f"{output}: {file.name}", markup=False)

@@ -1,0 +1,384 @@
+"""Commands for motion libraries: add, train, search, classify, list, remove, relabel."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal
+
+import typer
+
+from dousa.app.cli import options as o
+from dousa.app.output import console, print_json, progress_bar, warn
+from dousa.errors import LibraryVersionError, OptionError
+from dousa.extras import require
+from dousa.messages import Message
+
+if TYPE_CHECKING:
+    from dousa.library import Library
+
+Query = Annotated[str, typer.Argument(metavar="QUERY", help="A motion file, or the number of a clip (see dousa list).")]
+Mirror = Annotated[bool, typer.Option("--mirror", help="Also search for the mirror image of the motion.")]
+Explain = Annotated[bool, typer.Option("--explain", help="Explain the answer in words, with times.")]
+
+Threshold = Annotated[
+    float | None,
+    typer.Option(
+        "--threshold",
+        min=0,
+        max=1,
+        help="Probability of being known below which a motion is unknown; 0: never.",
+        show_default="0.5",
+    ),
+]
+
+
+def open_library(library: str, *, create: bool = False) -> Library:
+    """A library that can be changed."""
+    from dousa.library import Library
+
+    return Library.open(library, create=create)
+
+
+def open_to_read(library: str) -> Library:
+    """A library that will only be asked; one that an older dousa made is brought up to date first."""
+    from dousa.library import Library
+
+    try:
+        return Library.open(library, read_only=True)
+    except LibraryVersionError:
+        Library.open(library).close()
+        return Library.open(library, read_only=True)
+
+
+def clip_or_path(text: str) -> int | str:
+    """The number of a clip, unless a file is called so."""
+    is_number = text.isascii() and text.isdigit() and len(text) < 1000  # Python reads no more than some 4,000
+    return int(text) if is_number and not os.path.exists(text) else text
+
+
+RankingName = Literal["fused", "histogram", "leaves", "pose"]
+"""What clips are ordered by."""
+
+Clips = Annotated[
+    list[str] | None,
+    typer.Argument(metavar="[CLIP...]", help="Files, folders or clip numbers (see dousa list)."),
+]
+
+
+def register(app: typer.Typer) -> None:
+    """Register this module's commands with the application."""
+    for command in (add, train, search, classify, remove, relabel):
+        app.command(rich_help_panel="Library")(command)
+    app.command("list", rich_help_panel="Library")(list_clips)
+
+
+def add(
+    library: o.LibraryPath,
+    paths: Annotated[list[Path], typer.Argument(metavar="PATH...", help="Motion files, or folders of them.")],
+    takes: Annotated[
+        bool,
+        typer.Option("--takes", help="These are uncut recordings: to search with dousa find, not to train on."),
+    ] = False,
+    category_from: o.CategoryFrom = "folder",
+    performer_from: o.PerformerFrom = None,
+    unit: o.Unit = None,
+    up: o.Up = None,
+    skeleton: o.SkeletonFile = None,
+    joint_map: o.JointMap = None,
+    jobs: o.Jobs = None,
+    json: o.Json = False,
+) -> None:
+    """Add motion files to a library, which is created if necessary. Files already in it are skipped.
+
+    The category of a file is its folder below PATH, such as 'squat' or 'walk/active', or what --category-from says;
+    takes have none. If the library is trained, the forest learns from the new clips at once; dousa train makes a new
+    one. Can be interrupted and run again.
+
+    Example: dousa add moves.dousa recordings/ --performer-from 'name:HDM_(..)_'
+    """
+    if takes and category_from != "folder":
+        raise OptionError("library_cli.takes_without_category")
+    from dousa.formats.motion_files import ReadOptions
+
+    options = ReadOptions(o.load_joint_map(joint_map), unit, up, skeleton)
+    _check_before_making(paths, category_from, performer_from, unit, up)
+    with open_library(library, create=True) as opened, progress_bar() as progress:
+        report = opened.add(
+            paths,
+            kind="take" if takes else "clip",
+            category_from=category_from,
+            performer_from=performer_from,
+            options=options,
+            n_jobs=jobs,
+            progress=lambda done, total, path: progress(done, total, Message("library_cli.adding")),
+        )
+    if json:
+        print_json(report.to_json())
+    else:
+        from dousa.app.tables import answers as _tables
+
+        _tables.print_add(console(), report)
+    used = (report.added, report.replaced, report.moved, report.unchanged, report.duplicates)
+    if report.skipped and not any(used):
+        raise typer.Exit(2)
+
+
+def _check_before_making(
+    paths: list[Path], category_from: str, performer_from: str | None, unit: str | None, up: str | None
+) -> None:
+    """Find mistakes in the words of a command before it leaves an empty library behind."""
+    from dousa.library import parse_label_rule
+    from dousa.motion.canonical.reference_frame import parse_unit, parse_up
+
+    if unit is not None:
+        parse_unit(unit)
+    if up is not None:
+        parse_up(up)
+
+    parse_label_rule(category_from, "category")
+    parse_label_rule(performer_from, "performer")
+    if not any(os.path.lexists(path) for path in paths):
+        raise OptionError("library_cli.no_such_path", path=paths[0])
+
+
+def train(
+    library: o.LibraryPath,
+    features: Annotated[
+        o.FeatureSetName | None,
+        typer.Option(
+            "--features",
+            help="Features of the trees: the 56 pose features of the paper, or also speeds, spreads and trends.",
+            show_default="extended",
+        ),
+    ] = None,
+    trees: Annotated[int, typer.Option("--trees", min=1, help="Number of trees.")] = 100,
+    trials: Annotated[
+        int | None,
+        typer.Option(
+            "--trials",
+            min=1,
+            help="Tests drawn at a node; default: 12 of 3,080 (paper), the square root (extended).",
+        ),
+    ] = None,
+    max_entropy: Annotated[
+        float, typer.Option("--max-entropy", min=0, help="Bits; nodes at or below are leaves.")
+    ] = 0.0,
+    bootstrap: Annotated[bool, typer.Option("--bootstrap", help="Each tree draws its clips with replacement.")] = False,
+    seed: Annotated[int, typer.Option("--seed", min=0, help="The same seed gives the same forest.")] = 0,
+    jobs: o.Jobs = None,
+    json: o.Json = False,
+) -> None:
+    """Train a forest on the categories of a library; clips get their histograms, takes their features.
+
+    Example: dousa train moves.dousa
+    """
+    with open_library(library) as opened, progress_bar() as progress:
+        report = opened.train(
+            feature_set=features.value if features else None,
+            n_trees=trees,
+            n_trials=trials,
+            max_entropy=max_entropy,
+            bootstrap=bootstrap,
+            random_state=seed,
+            n_jobs=jobs or -1,
+            progress=progress,
+        )
+    if json:
+        print_json(report.to_json())
+        return
+    learned = {"trees": report.n_trees, "clips": report.n_clips, "seconds": report.seconds}
+    console().print(str(Message("library_cli.trained", categories=len(report.categories), **learned)))
+    calibration = report.calibration
+    if calibration is None:
+        warn(Message("library_cli.no_calibration"))
+    else:
+        shares = {"known": calibration.false_alarms, "others": 1 - calibration.misses}
+        console().print(str(Message("library_cli.calibrated", **shares)))
+    if report.n_unlabelled:
+        warn(Message("library_cli.unlabelled", n=report.n_unlabelled))
+    if report.single:
+        warn(Message("library_cli.single_clips", categories=report.single))
+
+
+def search(
+    library: o.LibraryPath,
+    query: Query,
+    k: Annotated[int, typer.Option("-k", min=1, help="How many results.")] = 10,
+    rank: Annotated[
+        RankingName,
+        typer.Option("--rank", help="Rank by votes, leaves, poses, or all three."),
+    ] = "fused",
+    mirror: Mirror = False,
+    explain: Explain = False,
+    threshold: Threshold = None,
+    same_category: Annotated[
+        bool, typer.Option("--same-category", help="Only clips of the category predicted for the query.")
+    ] = False,
+    picture: Annotated[
+        Path | None, typer.Option("--picture", help="Draw query and results: .png, .svg or .pdf.")
+    ] = None,
+    unit: o.Unit = None,
+    up: o.Up = None,
+    skeleton: o.SkeletonFile = None,
+    joint_map: o.JointMap = None,
+    json: o.Json = False,
+) -> None:
+    """Find the clips most similar to a motion, and classify it.
+
+    Clips are put in order by the distance of the forest's votes, by the share of trees that lead query and clip to the
+    same leaf, and by the distance of their poses aligned in time.
+
+    Example: dousa search moves.dousa kick.bvh -k 5
+    """
+    from dousa.formats.motion_files import ReadOptions
+
+    if picture:
+        require("matplotlib", "pictures")
+    with open_to_read(library) as opened:
+        wanted = clip_or_path(query)
+        options = ReadOptions(o.load_joint_map(joint_map), unit, up, skeleton)
+        result = opened.search(
+            wanted,
+            k,
+            ranking=rank,
+            same_category=same_category,
+            mirror=mirror,
+            explain=explain,
+            threshold=threshold,
+            options=options,
+        )
+        if picture:
+            from dousa.app.pictures.sheets import draw_search_result
+
+            draw_search_result(opened, wanted, result, picture, options)
+    if json:
+        print_json(result.to_json())
+    else:
+        from dousa.app.tables import answers as _tables
+
+        _tables.print_search(console(), result)
+
+
+def classify(
+    library: o.LibraryPath,
+    files: Annotated[list[Path], typer.Argument(metavar="FILE...", help="Motion files, or folders of them.")],
+    mirror: Mirror = False,
+    explain: Explain = False,
+    threshold: Threshold = None,
+    unit: o.Unit = None,
+    up: o.Up = None,
+    skeleton: o.SkeletonFile = None,
+    joint_map: o.JointMap = None,
+    jobs: o.Jobs = None,
+    json: o.Json = False,
+) -> None:
+    """Classify each file, or call it unknown, without adding it.
+
+    Example: dousa classify moves.dousa new/*.bvh
+    """
+    from dousa.formats.motion_files import ReadOptions
+
+    with open_to_read(library) as opened:
+        options = ReadOptions(o.load_joint_map(joint_map), unit, up, skeleton)
+        answers = opened.classify(
+            files, mirror=mirror, explain=explain, threshold=threshold, options=options, n_jobs=jobs
+        )
+    if json:
+        print_json([answer.to_json() for answer in answers])
+    else:
+        from dousa.app.tables import answers as _tables
+
+        _tables.print_classes(console(), answers)
+    problems = [answer for answer in answers if answer.problem is not None]
+    for answer in problems:
+        warn(Message("cli.file_problem", path=answer.path, reason=answer.problem))
+    if problems:
+        raise typer.Exit(2)
+
+
+def list_clips(
+    library: o.LibraryPath,
+    category: Annotated[str | None, typer.Option("--category", help="Only clips of this category.")] = None,
+    performer: Annotated[str | None, typer.Option("--performer", help="Only clips of this performer.")] = None,
+    clips: Annotated[bool, typer.Option("--clips", help="List every clip and take, not only the categories.")] = False,
+    json: o.Json = False,
+) -> None:
+    """List what is in a library: its categories, or with --clips (or a category or performer) every clip and take.
+
+    Example: dousa list moves.dousa --category walk
+    """
+    with open_to_read(library) as opened:
+        stats = opened.stats()
+        chosen = category is not None or performer is not None
+        rows = opened.clips(category=category, performer=performer) if chosen or clips or json else []
+    if json:
+        print_json({**stats.to_json(), "clips": [clip.to_json() for clip in rows]})
+    elif rows:
+        from dousa.app.tables import answers as _tables
+
+        _tables.print_clips(console(), [clip.to_json() for clip in rows])
+    else:
+        from dousa.app.tables import answers as _tables
+
+        _tables.print_stats(console(), library, stats.to_json())
+
+
+def _selection(clips: list[str] | None) -> list[int | str]:
+    return [clip_or_path(clip) for clip in clips or []]
+
+
+def remove(
+    library: o.LibraryPath,
+    clips: Clips = None,
+    category: Annotated[str | None, typer.Option("--category", help="Only clips of this category.")] = None,
+    performer: Annotated[str | None, typer.Option("--performer", help="Only clips of this performer.")] = None,
+    json: o.Json = False,
+) -> None:
+    """Remove clips or takes from a library; the files themselves are not touched.
+
+    Example: dousa remove moves.dousa recordings/broken.bvh
+    """
+    with open_library(library) as opened:
+        removed = opened.remove(_selection(clips), category=category, performer=performer)
+    if json:
+        print_json({"removed": removed})
+    else:
+        from dousa.app.tables import answers as _tables
+
+        _tables.print_some(console(), Message("library_cli.removed", n=len(removed)), list(removed))
+
+
+def relabel(
+    library: o.LibraryPath,
+    clips: Clips = None,
+    category: Annotated[str | None, typer.Option("--category", help="The new category; '' for none.")] = None,
+    performer: Annotated[str | None, typer.Option("--performer", help="The new performer; '' for none.")] = None,
+    where_category: Annotated[str | None, typer.Option("--where-category", help="Only clips of this category.")] = None,
+    where_performer: Annotated[
+        str | None, typer.Option("--where-performer", help="Only clips of this performer.")
+    ] = None,
+    json: o.Json = False,
+) -> None:
+    """Change the category or performer of clips or takes; run dousa train to retrain the forest.
+
+    Example: dousa relabel moves.dousa 12 13 --category kick
+    """
+    from dousa.library import UNCHANGED
+
+    if category is None and performer is None:
+        raise OptionError("library_cli.nothing_to_change")
+    with open_library(library) as opened:
+        changed = opened.relabel(
+            _selection(clips),
+            category=UNCHANGED if category is None else category or None,
+            performer=UNCHANGED if performer is None else performer or None,
+            where_category=where_category,
+            where_performer=where_performer,
+        )
+    if json:
+        print_json({"relabelled": changed})
+    else:
+        from dousa.app.tables import answers as _tables
+
+        _tables.print_some(console(), Message("library_cli.relabelled", n=len(changed)), list(changed))

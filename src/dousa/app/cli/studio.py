@@ -1,0 +1,92 @@
+"""The command that opens the studio."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from dousa.app.demo.evaluation import PUPIL, REFERENCE
+from dousa.app.demo.takes import TAKE
+from dousa.errors import OptionError
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+
+def register(app: typer.Typer) -> None:
+    """Register this module's command with the application."""
+    app.command(rich_help_panel="Studio")(studio)
+
+
+def studio(
+    library: Annotated[
+        Path, typer.Argument(metavar="[LIB]", help="The motion library; created if it does not exist.")
+    ] = Path("motions.dousa"),
+    port: Annotated[
+        int,
+        typer.Option("--port", min=0, max=65535, help="Port to listen on; the next free one if it is in use."),
+    ] = 8765,
+    home: Annotated[
+        Path | None,
+        typer.Option("--home", metavar="DIR", help="Folder for uploads and results. Default: NAME.studio next to LIB."),
+    ] = None,
+    max_upload: Annotated[
+        int,
+        typer.Option("--max-upload", min=1, max=100_000, metavar="MB", help="Maximum size of an uploaded file."),
+    ] = 500,
+    no_browser: Annotated[
+        bool, typer.Option("--no-browser", help="Only print the address; do not open a browser.")
+    ] = False,
+) -> None:
+    """Open the studio: library, search, takes, evaluation and estimation in the browser of this machine.
+
+    The page and its interface for programs listen on 127.0.0.1 only, behind a token that is part of the printed
+    address. Needs: pip install 'dousa[studio]'
+
+    Example: dousa studio moves.dousa
+    """
+    from dousa.app.studio import Settings, serve
+
+    settings = Settings(library, port=port, home=home, most_bytes=max_upload * 1_000_000)
+    serve(settings, opens_browser=not no_browser)
+
+
+LIBRARY = "demo.dousa"
+_TAKES = (TAKE, REFERENCE, PUPIL, "teacher_*.bvh")
+
+
+def prepare_studio(output: Path) -> Path:
+    """Put the recordings of the demonstration that are no clips into its library, as takes; the library.
+
+    Raises
+    ------
+    OptionError : the demonstration was not run into this folder.
+    """
+    from dousa.library import Library
+
+    path = output / LIBRARY
+    if not path.is_file():
+        raise OptionError("demo.no_library", path=path, output=output)
+    takes = sorted(found for name in _TAKES for found in output.glob(name))
+    with Library.open(path) as library:
+        library.add(takes, kind="take")
+    return path
+
+
+def open_demo_studio(console: Console, output: Path, *, opens_browser: bool = True) -> None:
+    """Open the studio on the demo library, until Ctrl-C.
+
+    Raises
+    ------
+    OptionError : the demonstration was not run into this folder, or no port is free.
+    MissingExtraError : the studio is not installed.
+    """
+    from dousa.app.studio import Settings, serve
+
+    library = prepare_studio(output)
+    seen = output / "seen.npz"
+    if seen.is_file():
+        console.print(f"silhouettes for the page Estimate: {seen}", markup=False, soft_wrap=True)
+    serve(Settings(library), opens_browser=opens_browser)

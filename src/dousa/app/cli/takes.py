@@ -1,0 +1,216 @@
+"""Commands for uncut recordings: find, label."""
+
+from __future__ import annotations
+
+import io
+import json as json_module
+import sys
+from collections.abc import Iterator
+from contextlib import suppress
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from dousa.app.cli import options as o
+from dousa.app.cli.library import Mirror, Query, clip_or_path, open_library, open_to_read
+from dousa.app.output import console, print_json, progress_bar, warn, warn_skipped
+from dousa.errors import InvalidMotionError, OptionError
+from dousa.extras import require
+from dousa.messages import Message
+
+if TYPE_CHECKING:
+    from dousa.formats.motion_files import ReadOptions
+    from dousa.library import LabelledTake, Library
+    from dousa.retrieval.takes.live import LiveAnswer, LiveFrame, LiveLabeller
+
+_STANDARD_INPUT = "-"
+
+
+def register(app: typer.Typer) -> None:
+    """Register this module's commands with the application."""
+    for command in (find, label):
+        app.command(rich_help_panel="Library")(command)
+
+
+def find(
+    library: o.LibraryPath,
+    query: Query,
+    takes: Annotated[
+        list[str] | None,
+        typer.Argument(
+            metavar="[TAKE...]",
+            help="Recordings to search: files, folders or numbers.",
+            show_default="all takes of the library",
+        ),
+    ] = None,
+    k: Annotated[int, typer.Option("-k", min=1, help="Number of hits.")] = 10,
+    mirror: Mirror = False,
+    unit: o.Unit = None,
+    up: o.Up = None,
+    skeleton: o.SkeletonFile = None,
+    joint_map: o.JointMap = None,
+    jobs: o.Jobs = None,
+    json: o.Json = False,
+) -> None:
+    """Find where a motion occurs in uncut recordings, at half to twice its tempo.
+
+    The score is 1 for the very same motion and near 0 for another; how sure a score is depends on the recordings.
+
+    Example: dousa find moves.dousa kick.bvh
+    """
+    from dousa.formats.motion_files import ReadOptions
+
+    with open_to_read(library) as opened:
+        answer = opened.find(
+            clip_or_path(query),
+            None if not takes else [clip_or_path(take) for take in takes],
+            k,
+            mirror=mirror,
+            options=ReadOptions(o.load_joint_map(joint_map), unit, up, skeleton),
+            n_jobs=jobs,
+        )
+    if json:
+        print_json(answer.to_json())
+    else:
+        from dousa.app.tables import answers as _take_tables
+
+        _take_tables.print_places(console(), answer, mirrored=mirror)
+    warn_skipped(answer.skipped)
+    if answer.skipped and not answer.n_takes:
+        raise typer.Exit(2)
+
+
+def label(
+    library: o.LibraryPath,
+    take: Annotated[
+        str,
+        typer.Argument(
+            metavar="TAKE",
+            help="A recording: a file, the number of a take, or - for frames as JSON lines on standard input.",
+        ),
+    ],
+    threshold: Annotated[
+        float | None,
+        typer.Option("--threshold", min=0, max=1, help="Minimum confidence of a label.", show_default="learned"),
+    ] = None,
+    csv: Annotated[Path | None, typer.Option("--csv", help="Write the timeline as a table.")] = None,
+    picture: Annotated[Path | None, typer.Option("--picture", help="Draw the timeline: .png, .svg or .pdf.")] = None,
+    height: Annotated[
+        float | None,
+        typer.Option(
+            "--height",
+            min=0.1,
+            max=10,
+            help="Body height in m, as shown by dousa info; only with -.",
+            show_default="estimated from the first second",
+        ),
+    ] = None,
+    unit: o.Unit = None,
+    up: o.Up = None,
+    skeleton: o.SkeletonFile = None,
+    joint_map: o.JointMap = None,
+    jobs: o.Jobs = None,
+    json: o.Json = False,
+) -> None:
+    """Label an uncut recording from beginning to end, including unknown segments.
+
+    With - frames come as JSON lines, {"time": s, "joints": {"left_hand": [x, y, z], ...}} in m with Y up, and answers
+    go as JSON lines, some eight a second. The first time after dousa train, what takes are labelled with is learned.
+
+    Example: dousa label moves.dousa recordings/session.bvh --picture session.png
+    """
+    from dousa.formats.motion_files import ReadOptions
+
+    options = ReadOptions(o.load_joint_map(joint_map), unit, up, skeleton)
+    if take == _STANDARD_INPUT:
+        if csv or picture or options != ReadOptions():
+            raise OptionError("takes_cli.live_options")
+        with open_library(library) as opened:
+            _label_live(opened, height, threshold, jobs)
+        return
+    if height is not None:
+        raise OptionError("takes_cli.height_of_recording")
+    if picture:
+        require("matplotlib", "pictures")
+    with open_library(library) as opened:
+        with progress_bar() as progress:
+            answer = opened.label(
+                clip_or_path(take), threshold=threshold, options=options, n_jobs=jobs, progress=progress
+            )
+        if json:
+            print_json(answer.to_json())
+        else:
+            from dousa.app.tables import answers as _take_tables
+
+            _take_tables.print_timeline(console(), answer)
+        # Last, so that an answer is not lost where a file cannot be written.
+        if csv:
+            from dousa.retrieval.takes.label import write_timeline_csv
+
+            write_timeline_csv(answer.timeline, csv)
+        if picture:
+            _draw(opened, answer, picture, options)
+
+
+def _draw(library: Library, answer: LabelledTake, picture: Path, options: ReadOptions) -> None:
+    """The picture of a timeline, with the poses of the take."""
+    from dousa.app.pictures.timeline import draw_timeline
+    from dousa.formats.motion_files import read_canonical
+
+    if answer.clip_id is not None:
+        motion = library.trajectories(answer.clip_id)
+    else:
+        motion = read_canonical(answer.take, options)[0].to_trajectories()
+    draw_timeline(answer.to_json(), picture, motion)
+
+
+def _label_live(library: Library, height: float | None, threshold: float | None, jobs: int | None) -> None:
+    """Answer frames on standard input as they come, a line of JSON each time there is something to say."""
+    from dousa.retrieval.takes.live import LiveFrameParser, read_live_frames
+
+    # Before the first frame: what takes are labelled with may still have to be learned.
+    with progress_bar() as progress:
+        labeller = library.live(height=height, threshold=threshold, n_jobs=jobs, progress=progress)
+    parser = LiveFrameParser()
+    try:
+        for frame in read_live_frames(_read_lines(), parser):
+            if labeller.height is None:
+                labeller.height = parser.height
+            answer = _push(labeller, frame, parser.line)
+            if answer is not None:
+                _say(answer)
+    except (InvalidMotionError, KeyboardInterrupt):
+        # The usual end of a live session: what was seen so far is told all the same.
+        with suppress(InvalidMotionError):
+            _finish(labeller)
+        raise
+    if not _finish(labeller):
+        warn(Message("takes_cli.no_frames"))
+
+
+def _push(labeller: LiveLabeller, frame: LiveFrame, line: int) -> LiveAnswer | None:
+    try:
+        return labeller.push(frame.positions, frame.time)
+    except InvalidMotionError as error:
+        raise InvalidMotionError("takes_cli.line", number=line, problem=error) from error
+
+
+def _finish(labeller: LiveLabeller) -> bool:
+    """Tell what was not settled yet; whether there was a frame at all."""
+    last = labeller.finish()
+    if last is not None:
+        _say(last)
+    return last is not None
+
+
+def _read_lines() -> Iterator[str]:
+    """The lines of standard input as they come; none where it is closed."""
+    if isinstance(sys.stdin, io.TextIOWrapper):
+        sys.stdin.reconfigure(encoding="utf-8", errors="backslashreplace")
+    yield from sys.stdin or ()
+
+
+def _say(answer: LiveAnswer) -> None:
+    sys.stdout.write(json_module.dumps(answer.to_json(), ensure_ascii=False, allow_nan=False) + "\n")
+    sys.stdout.flush()

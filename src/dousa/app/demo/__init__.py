@@ -1,0 +1,1 @@
+"""The demonstration: every capability on synthetic people, before your eyes."""

@@ -1,0 +1,268 @@
+"""Success and failure at a glance: the model drawn over the silhouettes, as a video and as a contact sheet.
+
+Every view shows the video's image or the silhouette in grey, the outline of the silhouette, and the model with its
+skeleton; left and right differ by colour, line and letter; what is lost or missing is said in words.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from tempfile import TemporaryDirectory
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dousa.app.pictures.overlay_sheet import Timeline, draw_overlay_sheet
+from dousa.app.pictures.overlay_view import (
+    ALARM,
+    DARK,
+    HALF_DARK,
+    SIDE_COLOURS,
+    WHITE,
+    ViewPainter,
+    draw_dashed,
+    draw_line,
+    measure_text,
+    write_text,
+)
+from dousa.arrays import Image
+from dousa.errors import MotionWriteError, OptionError
+from dousa.files.disk import atomic_write
+from dousa.messages import Message
+
+if TYPE_CHECKING:
+    from dousa.app.output import ProgressCallback
+    from dousa.estimation.cameras.camera import Camera
+    from dousa.estimation.silhouettes.silhouettes import Silhouettes
+    from dousa.estimation.tracking.settings import Estimate
+
+__all__ = ["draw_overlay_sheet", "write_overlay"]
+
+ReadImages = Callable[[int], Sequence[Image | None]]
+
+_WIDEST, _HIGHEST = 1920, 960  # px, all views together
+_COMMON_HEIGHT = 480  # px, what small images are enlarged to
+_CAPTION, _FOOT, _TIMELINE, _BORDER = 30, 30, 76, 4  # px
+_CODECS = {".mp4": "mp4v", ".mkv": "mp4v", ".avi": "MJPG"}
+_REPORT_EVERY = 5  # frames
+
+
+def write_overlay(
+    estimate: Estimate,
+    silhouettes: Silhouettes,
+    cameras: Sequence[Camera],
+    path: str | os.PathLike[str],
+    *,
+    images: ReadImages | None = None,
+    progress: ProgressCallback | None = None,
+) -> None:
+    """Write a video of the estimate over the silhouettes, all views side by side.
+
+    Parameters
+    ----------
+    estimate : of T frames.
+    silhouettes : what it was made from, V views; at least T frames.
+    cameras : (V,) the views.
+    path : of the video, .mp4, .mkv or .avi.
+    images : frame -> (V,) images (H, W, 3) blue, green, red, or None; without, the silhouettes are shown.
+    progress : called with (frames done, frames, what).
+
+    Raises
+    ------
+    OptionError : another suffix; cameras, silhouettes and estimate of different numbers of views.
+    MotionWriteError : the folder is missing or the disk refuses; the target is left as it was.
+    """
+    suffix = os.path.splitext(os.fspath(path))[1].lower()
+    if suffix not in _CODECS:
+        raise OptionError("pictures.video_suffix", path=path, expected=tuple(_CODECS), found=suffix)
+    n_frames = min(estimate.n_frames, silhouettes.n_frames)
+    page = _Page(estimate, silhouettes, cameras)
+    with (
+        atomic_write(path) as file,
+        TemporaryDirectory(prefix=".overlay", dir=os.path.dirname(file.name)) as folder,
+    ):
+        video = os.path.join(folder, f"overlay{suffix}")
+        writer = _open_video(path, video, _CODECS[suffix], estimate.frame_rate, page.size)
+        try:
+            for frame in range(n_frames):
+                pictures = images(frame) if images is not None else (None,) * len(cameras)
+                writer.write(page.paint(frame, pictures))
+                if progress is not None and (frame % _REPORT_EVERY == 0 or frame == n_frames - 1):
+                    progress(frame + 1, n_frames, Message("pictures.overlay_video"))
+        finally:
+            writer.release()
+        _copy_whole(path, video, n_frames, file)
+
+
+def _open_video(path, video: str, codec: str, frame_rate: float, size: tuple[int, int]):  # type: ignore[no-untyped-def]
+    from dousa.extras import cv2
+
+    # Containers keep the rate as a fraction of small numbers: beyond this encoders refuse.
+    rate = float(np.clip(frame_rate, 1.0, 240.0))
+    writer = cv2.VideoWriter(video, cv2.VideoWriter_fourcc(*codec), rate, size)  # type: ignore[attr-defined]
+    if not writer.isOpened():
+        raise MotionWriteError(path, "pictures.no_codec", codec=codec)
+    return writer
+
+
+def _copy_whole(path, video: str, n_frames: int, file) -> None:  # type: ignore[no-untyped-def]
+    """OpenCV does not say that a disk was full: the frames are counted before the video is handed out."""
+    import shutil
+
+    from dousa.extras import cv2
+
+    reader = cv2.VideoCapture(video)
+    found = int(reader.get(cv2.CAP_PROP_FRAME_COUNT)) if reader.isOpened() else 0
+    reader.release()
+    if found < n_frames - 1:  # Matroska tells a duration, which may round to one frame less
+        raise MotionWriteError(path, "pictures.video_cut_off", found=found, expected=n_frames)
+    with open(video, "rb") as made:
+        shutil.copyfileobj(made, file, 1 << 20)
+
+
+@dataclass(frozen=True, slots=True)
+class _Cell:
+    left: int
+    top: int
+    width: int
+    height: int
+
+
+class _Page:
+    """Where everything goes in the video's picture, and how it is painted."""
+
+    def __init__(self, estimate: Estimate, silhouettes: Silhouettes, cameras: Sequence[Camera]) -> None:
+        if not len(cameras) == silhouettes.n_views == estimate.iou.shape[1]:
+            raise OptionError(
+                "pictures.views_differ",
+                cameras=len(cameras),
+                silhouettes=silhouettes.n_views,
+                estimate=estimate.iou.shape[1],
+            )
+        self._estimate, self._silhouettes = estimate, silhouettes
+        self._cells, width, height = lay_out([(camera.width, camera.height) for camera in cameras])
+        self._legend = _make_legend(width, bool(estimate.occluded.any()))
+        self.size = (width, height + len(self._legend) + _TIMELINE)
+        self._grid_height = height
+        self._timeline = Timeline(estimate, width, _TIMELINE)
+        self._painters = [
+            ViewPainter(estimate.body, camera, cell.width, cell.height)
+            for camera, cell in zip(cameras, self._cells, strict=True)
+        ]
+
+    def paint(self, frame: int, images: Sequence[Image | None]) -> Image:
+        """The whole picture of one frame."""
+        estimate = self._estimate
+        canvas = np.full((self.size[1], self.size[0], 3), 255, np.uint8)
+        lost = bool(estimate.lost[frame])
+        masks = self._silhouettes.read(frame)
+        for view, (cell, painter) in enumerate(zip(self._cells, self._painters, strict=True)):
+            picture = painter.paint(estimate.poses[frame], masks[view], images[view], estimate.occluded[frame])
+            rows, columns = slice(cell.top, cell.top + cell.height), slice(cell.left, cell.left + cell.width)
+            canvas[rows, columns] = picture
+            if lost:
+                _frame_in_alarm(canvas, cell)
+            overlap = None if masks[view] is None else float(estimate.iou[frame, view])
+            _write_caption(canvas, cell, self._silhouettes.names[view], overlap, lost)
+        foot = self._grid_height + len(self._legend)
+        canvas[self._grid_height : foot] = self._legend
+        time = f"frame {frame + 1} / {estimate.n_frames}   {frame / estimate.frame_rate:.2f} s"
+        left = self.size[0] - measure_text(time, 16, bold=True) - 14
+        write_text(canvas, time, (left, foot - 9), DARK, 16, bold=True)
+        canvas[foot:] = self._timeline.paint(frame)
+        return canvas
+
+
+def lay_out(sizes: Sequence[tuple[int, int]]) -> tuple[list[_Cell], int, int]:
+    """Views of one height in the grid that shows them largest.
+
+    Parameters
+    ----------
+    sizes : (V,) width and height of the views in px.
+
+    Returns
+    -------
+    (V,) cells, and the even width and height of the whole.
+    """
+    widest = max(width / height for width, height in sizes)
+    tallest = max(_COMMON_HEIGHT, *(height for _, height in sizes))
+    best, best_columns = 0, 1
+    for columns in range(1, len(sizes) + 1):
+        lines = -(-len(sizes) // columns)
+        high = min(tallest, int((_WIDEST / columns - _BORDER) / widest), _HIGHEST // lines - _CAPTION)
+        if high > best:
+            best, best_columns = high, columns
+    height = max(best, 16)
+    step_x, step_y = round(height * widest) + _BORDER, height + _CAPTION
+    cells = [
+        _Cell(
+            (k % best_columns) * step_x + (step_x - _BORDER - max(1, round(height * w / h))) // 2 + _BORDER // 2,
+            (k // best_columns) * step_y + _CAPTION,
+            max(1, round(height * w / h)),
+            height,
+        )
+        for k, (w, h) in enumerate(sizes)
+    ]
+    lines = -(-len(sizes) // best_columns)
+    width = max(best_columns * step_x, 320)
+    return cells, width + width % 2, lines * step_y + (lines * step_y) % 2
+
+
+def _frame_in_alarm(canvas: Image, cell: _Cell) -> None:
+    from dousa.extras import cv2
+
+    corner = (cell.left + cell.width - 3, cell.top + cell.height - 3)
+    cv2.rectangle(canvas, (cell.left + 2, cell.top + 2), corner, ALARM, 5)
+
+
+def _write_caption(canvas: Image, cell: _Cell, name: str, overlap: float | None, lost: bool) -> None:
+    base = cell.top - 9
+    known = overlap is not None and np.isfinite(overlap)
+    said = f"IoU {overlap:.2f}" if known else "no image" if overlap is None else "IoU -"
+    right = cell.left + cell.width - measure_text(said, 16, bold=True) - 6
+    write_text(canvas, said, (right, base), DARK if known else HALF_DARK, 16, bold=True)
+    if lost:
+        width = measure_text("LOST", 16, bold=True)
+        right -= width + 26
+        canvas[cell.top - _CAPTION + 4 : cell.top - 3, right : right + width + 14] = ALARM
+        write_text(canvas, "LOST", (right + 7, base), WHITE, 16, bold=True)
+    room = right - cell.left - 10
+    while len(name) > 1 and measure_text(name, 16) > room:
+        name = name[:-2] + "~" if name.endswith("~") else name[:-1] + "~"
+    write_text(canvas, name, (cell.left + 4, base), DARK, 16)
+
+
+def _make_legend(width: int, hidden: bool) -> Image:
+    """What the lines mean, in as many rows as it takes; the last leaves room for the time."""
+    entries: list[tuple[Callable[[Image, NDArray[np.float64]], None], tuple[int, int, int], str]] = [
+        (lambda c, p: draw_line(c, p, DARK, 2), DARK, "silhouette"),
+        (lambda c, p: draw_line(c, p, SIDE_COLOURS["left"], 3), SIDE_COLOURS["left"], "left (L)"),
+        (
+            lambda c, p: draw_dashed(c, p, SIDE_COLOURS["right"], 3),
+            SIDE_COLOURS["right"],
+            "right (R), dashed",
+        ),
+        (lambda c, p: draw_line(c, p, SIDE_COLOURS[""], 3), SIDE_COLOURS[""], "middle"),
+    ]
+    texts = [text for _, _, text in entries] + (["no fill: hidden, placed by inertia"] if hidden else [])
+    places, row, left = [], 0, 12
+    for text in texts:
+        need = 44 + measure_text(text, 14) + 22
+        if left > 12 and left + need > width:
+            row, left = row + 1, 12
+        places.append((row, left))
+        left += need
+    if left + 240 > width:
+        row += 1
+    canvas = np.full(((row + 1) * _FOOT, width, 3), 255, np.uint8)
+    for k, (line, left) in enumerate(places):
+        base = line * _FOOT + 21
+        if k < len(entries):
+            entries[k][0](canvas, np.array([[left, base - 5.0], [left + 34.0, base - 5.0]]))
+            write_text(canvas, texts[k], (left + 42, base), DARK, 14)
+        else:
+            write_text(canvas, texts[k], (left, base), HALF_DARK, 14)
+    return canvas

@@ -1,0 +1,380 @@
+"""Pictures: the contact sheet of a motion, the answer to a search, the figures of the experiment.
+
+Left and right, match and mismatch and the systems of the experiment differ by colour and by line, marker,
+hatching or word, so that every picture can be read without colour.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from dousa.app.pictures.canvas import (
+    BLUE,
+    FAINT,
+    GREEN,
+    GREY,
+    INK,
+    PURPLE,
+    VERMILLION,
+    new_figure,
+    save_figure,
+    write,
+)
+from dousa.app.pictures.stick_figures import (
+    FRONT,
+    LIMBS,
+    SIDE,
+    THREE_QUARTER,
+    Figurine,
+    draw_poses,
+    extent,
+    to_figurine,
+)
+from dousa.errors import OptionError
+
+if TYPE_CHECKING:
+    from dousa.app.pictures.stick_figures import Drawable
+    from dousa.formats.motion_files import ReadOptions
+    from dousa.library import Library, SearchResult
+
+
+_WIDTH = 13.0  # inches
+_POSES_PER_LINE = 10
+_MARGIN, _HEAD, _TIMES = 0.25, 0.85, 0.3  # inches
+_VIEW_LABEL, _CAPTION = 0.75, 2.6  # inches
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Strip:
+    """One row of a search sheet.
+
+    Parameters
+    ----------
+    motion : what to draw.
+    category : of the clip; for the query the one that the forest names.
+    path : of the clip.
+    note : one more line, such as the rank and distance.
+    verdict : ``"match"``, ``"differs"`` or nothing.
+    """
+
+    motion: Drawable
+    category: str
+    path: str
+    note: str = ""
+    verdict: str = ""
+
+
+def draw_contact_sheet(
+    motion: Drawable, path: str | os.PathLike[str], n_poses: int = 10, title: str | None = None
+) -> None:
+    """Draw poses at equal times, each from the front and from the right side, over the floor.
+
+    Parameters
+    ----------
+    motion : any motion; points that are no human joints are drawn as dots, with the lines of their tree.
+    path : .png, .svg or .pdf.
+    n_poses : how many; fewer if the motion has fewer frames.
+    title : the file's name, for instance.
+
+    Raises
+    ------
+    OptionError : fewer than one pose, or another suffix.
+    MotionWriteError : the picture cannot be written.
+    """
+    if n_poses < 1:
+        raise OptionError("pictures.no_poses", found=n_poses)
+    figurine = to_figurine(motion)
+    frames = _spread(len(figurine.positions), n_poses)
+    lines = [frames[k : k + _POSES_PER_LINE] for k in range(0, len(frames), _POSES_PER_LINE)]
+    spacing, top = np.max([extent(figurine, line, view) for line in lines for view in (FRONT, SIDE)], axis=0)
+    scale = _fit(spacing, top, columns=max(len(lines[0]), 4), label=_VIEW_LABEL, tallest=2.6)
+    row = top * scale.per_metre + 0.12
+    height = _HEAD + len(lines) * (2 * row + _TIMES) + _MARGIN
+    figure = new_figure(_WIDTH, height)
+    for number, line in enumerate(lines):
+        bottom = height - _HEAD - number * (2 * row + _TIMES)
+        for view, name in ((FRONT, "front"), (SIDE, "right side")):
+            bottom -= row
+            corner = (_MARGIN + _VIEW_LABEL, bottom)
+            _strip(figure, figurine, line, view=view, scale=scale, corner=corner)
+            write(figure, _MARGIN / _WIDTH, (bottom + 0.4 * row) / height, name, 9, color=GREY)
+        for column, frame in enumerate(line):
+            x = _MARGIN + _VIEW_LABEL + (column + 0.5) * scale.spacing * scale.per_metre
+            seconds = f"{frame / figurine.frame_rate:.2f} s"
+            write(figure, x / _WIDTH, (bottom - 0.17) / height, seconds, 8, ha="center", color=GREY)
+    _head(figure, height, title or "motion", _facts(figurine), figurine.canonical)
+    save_figure(figure, path)
+
+
+@dataclass(frozen=True, slots=True)
+class _Scale:
+    """Distance of neighbouring poses in metres, and inches on paper per metre."""
+
+    spacing: float
+    per_metre: float
+
+
+def _fit(spacing: float, top: float, *, columns: int, label: float, tallest: float) -> _Scale:
+    """The largest scale at which the columns fit the page beside a label, and rows are not taller (inches)."""
+    room = (_WIDTH - 2 * _MARGIN - label) / columns
+    wide = max(spacing, 0.35 * top) * 1.04
+    per_metre = min(room / wide, tallest / top)
+    return _Scale(min(room / per_metre, 1.5 * wide), per_metre)
+
+
+def _spread(n_frames: int, n_poses: int) -> list[int]:
+    """At most n_poses different frames at equal spacing, the first and the last among them."""
+    return [int(frame) for frame in np.unique(np.round(np.linspace(0, n_frames - 1, n_poses)))]
+
+
+def _facts(figurine: Figurine) -> str:
+    n_frames = len(figurine.positions)
+    frames = "1 frame" if n_frames == 1 else f"{n_frames} frames"
+    facts = f"{n_frames / figurine.frame_rate:.2f} s, {frames} at {figurine.frame_rate:g} Hz"
+    if figurine.canonical:
+        return f"{facts}, height {figurine.height:.2f} m"
+    points = f"{facts}, {figurine.positions.shape[1]} points over {figurine.height:.2f} m in height"
+    return f"{points}; joints not told apart, drawn as they are"
+
+
+def _strip(
+    figure: Any,
+    figurine: Figurine,
+    frames: Sequence[int],
+    *,
+    view: float,
+    scale: _Scale,
+    corner: tuple[float, float],
+) -> None:
+    """Axes with metres of equal length in both directions, lower left corner in inches."""
+    width, height = figure.get_size_inches()
+    spacing, per_metre = scale.spacing, scale.per_metre
+    _, top = extent(figurine, frames, view)
+    across, up = len(frames) * spacing, top + 0.06 / per_metre
+    x, y = corner
+    box = (x / width, y / height, across * per_metre / width, (up + 0.03 / per_metre) * per_metre / height)
+    axes = figure.add_axes(box, frameon=False)
+    axes.set_xlim(-0.5 * spacing, (len(frames) - 0.5) * spacing)
+    axes.set_ylim(-0.03 / per_metre, up)
+    axes.set_axis_off()
+    draw_poses(axes, figurine, frames, view, spacing)
+    for artist in axes.get_children():
+        artist.set_clip_on(False)
+
+
+def _head(figure: Any, height: float, title: str, facts: str, legend: bool) -> None:
+    """Title, one line of facts and the key to left and right."""
+    write(figure, _MARGIN / _WIDTH, 1 - 0.36 / height, _shorten(title, 90), 14, weight="bold")
+    write(figure, _MARGIN / _WIDTH, 1 - 0.62 / height, _shorten(facts, 150), 9.5, color=GREY)
+    if not legend:
+        return
+    from matplotlib.lines import Line2D
+
+    handles = [Line2D([], [], color=limb.colour, ls=limb.line, lw=2.0, marker=limb.marker, ms=5) for limb in LIMBS]
+    figure.legend(
+        handles,
+        [limb.label for limb in LIMBS],
+        loc="upper right",
+        bbox_to_anchor=(1 - _MARGIN / _WIDTH, 1 - 0.08 / height),
+        frameon=False,
+        fontsize=9,
+        handlelength=3.4,
+        labelcolor=INK,
+    )
+
+
+def _short_path(path: str) -> str:
+    """File and folder, enough for a person to know which."""
+    return "/".join(os.path.normpath(path).split(os.sep)[-2:])
+
+
+def _shorten(text: str, length: int) -> str:
+    return text if len(text) <= length else f"{text[: length - 20]} ... {text[-15:]}"
+
+
+def draw_search_result(
+    library: Library,
+    query: int | str | os.PathLike[str],
+    result: SearchResult,
+    path: str | os.PathLike[str],
+    options: ReadOptions | None = None,
+    truth: str | None = None,
+) -> None:
+    """Draw the answer of `Library.search` as a search sheet.
+
+    Parameters
+    ----------
+    library : the one that was searched.
+    query : what it was asked for: a motion file or the number of a clip.
+    result : its answer.
+    path : .png, .svg or .pdf.
+    options : what the query file does not say.
+    truth : category of the query, if it is known; a result of another category "differs". By default the
+        category that the forest takes the query for.
+
+    Raises
+    ------
+    OptionError : another suffix.
+    MotionWriteError : the picture cannot be written.
+    """
+    from dousa.formats.motion_files import read_canonical
+
+    expected = truth or result.verdict.guess
+    if isinstance(query, int):
+        motion: Drawable = library.trajectories(query)
+    else:
+        motion, _ = read_canonical(query, options)
+    share = max(result.histogram.values(), default=0.0)
+    asked = Strip(
+        motion,
+        result.category or "unknown",
+        str(result.query),
+        f"so say {share:.0%} of the trees" + (f"; in truth: {truth}" if truth else ""),
+    )
+    hits = [
+        Strip(
+            library.trajectories(hit.clip_id),
+            hit.category,
+            hit.path,
+            f"rank {hit.rank}, distance {hit.distance:.3f}{', mirrored' if hit.mirrored else ''}",
+            "match" if hit.category == expected else "differs",
+        )
+        for hit in result.results
+    ]
+    draw_search_sheet(asked, hits, path, title=f"What is like {_short_path(result.query)}?")
+
+
+def draw_search_sheet(
+    query: Strip,
+    hits: Sequence[Strip],
+    path: str | os.PathLike[str],
+    n_poses: int = 10,
+    title: str = "Search",
+) -> None:
+    """Draw a query and, below it, the motions found, best first, as rows of poses.
+
+    Parameters
+    ----------
+    query, hits : the rows.
+    path : .png, .svg or .pdf.
+    n_poses : poses in a row, at equal times from start to end.
+    title : of the sheet.
+
+    Raises
+    ------
+    OptionError : fewer than one pose, or another suffix.
+    MotionWriteError : the picture cannot be written.
+    """
+    if n_poses < 1:
+        raise OptionError("pictures.no_poses", found=n_poses)
+    strips = [query, *hits]
+    figurines = [to_figurine(strip.motion) for strip in strips]
+    chosen = [_spread(len(figurine.positions), n_poses) for figurine in figurines]
+    pairs = list(zip(figurines, chosen, strict=True))
+    spacing, top = np.max([extent(figurine, frames, THREE_QUARTER) for figurine, frames in pairs], axis=0)
+    scale = _fit(spacing, top, columns=n_poses, label=_CAPTION, tallest=1.2)
+    row = max(top * scale.per_metre + 0.16, 0.9)
+    height = _HEAD + len(strips) * row + 2 * _MARGIN
+    figure = new_figure(_WIDTH, height)
+    for number, (figurine, frames) in enumerate(pairs):
+        bottom = height - _HEAD - (number + 1) * row - (_MARGIN if number else 0.0)
+        corner = (_MARGIN + _CAPTION, bottom)
+        _strip(figure, figurine, frames, view=THREE_QUARTER, scale=scale, corner=corner)
+        _caption(figure, strips[number], bottom + 0.5 * row, is_query=number == 0)
+    _rule(figure, height - _HEAD - row - 0.6 * _MARGIN)
+    facts = "the query on top, then the most similar motions, best first; every row from its start to its end"
+    _head(figure, height, title, facts, any(figurine.canonical for figurine in figurines))
+    save_figure(figure, path)
+
+
+def _caption(figure: Any, strip: Strip, middle: float, *, is_query: bool) -> None:
+    """What stands at the left of a row of the search sheet."""
+    width, height = figure.get_size_inches()
+    x = _MARGIN / width
+    name = f"query: {strip.category}" if is_query else strip.category
+    write(figure, x, (middle + 0.16) / height, _shorten(name, 32), 10.5, weight="bold")
+    write(figure, x, (middle - 0.03) / height, _shorten(_short_path(strip.path), 46), 8, color=GREY)
+    if strip.note:
+        write(figure, x, (middle - 0.2) / height, strip.note, 8, color=GREY)
+    if strip.verdict:
+        colour, sign = (GREEN, "✓") if strip.verdict == "match" else (VERMILLION, "✗")
+        write(figure, x, (middle - 0.38) / height, f"{sign} {strip.verdict}", 9, color=colour, weight="bold")
+
+
+def _rule(figure: Any, y: float) -> None:
+    from matplotlib.lines import Line2D
+
+    width, height = figure.get_size_inches()
+    figure.add_artist(Line2D([_MARGIN / width, 1 - _MARGIN / width], [y / height] * 2, color=FAINT, lw=0.8))
+
+
+_SYSTEMS = (
+    ("full_tree", "single tree, every test", "#56B4E9", "//"),
+    ("random_tree", "single random tree", PURPLE, ".."),
+    ("forest", "random forest", BLUE, ""),
+    ("motion_templates", "motion templates", "#E69F00", "\\\\"),
+)
+_MEASURES = (("recall", "recall"), ("precision", "precision"), ("f_measure", "F-measure"))
+
+
+def draw_experiment_figure(
+    result: Mapping[str, Any], path: str | os.PathLike[str], title: str = "Recall, precision and F-measure"
+) -> None:
+    """Draw figures 4 and 5 of Hamada, Kuriyama and Mukai: macro scores of the systems as grouped bars.
+
+    Parameters
+    ----------
+    result : what ``dousa experiment --json`` prints: ``systems`` -> name -> measure; measures whose name ends
+        in ``_std`` (standard deviation over the repeats) become error bars.
+    path : .png, .svg or .pdf.
+    title : of the figure.
+
+    Raises
+    ------
+    OptionError : none of the four systems in the result, or another suffix.
+    MotionWriteError : the picture cannot be written.
+    """
+    systems = [entry for entry in _SYSTEMS if entry[0] in result.get("systems", {})]
+    if not systems:
+        raise OptionError("pictures.no_systems", expected=[name for name, *_ in _SYSTEMS])
+    width, height = 9.0, 4.6
+    figure = new_figure(width, height)
+    axes = figure.add_axes((0.075, 0.08, 0.9, 0.65))
+    bar = 0.8 / len(systems)
+    for number, (key, label, colour, hatch) in enumerate(systems):
+        numbers = result["systems"][key]
+        values = [float(numbers[measure]) for measure, _ in _MEASURES]
+        spread = [float(numbers.get(f"{measure}_std") or 0.0) for measure, _ in _MEASURES]
+        x = np.arange(len(_MEASURES)) + (number - 0.5 * (len(systems) - 1)) * bar
+        axes.bar(x, values, 0.92 * bar, color=colour, hatch=hatch, edgecolor="white", lw=0.6, label=label)
+        if any(spread):
+            axes.errorbar(x, values, spread, fmt="none", ecolor=INK, elinewidth=1.0, capsize=3)
+        for position, value, error in zip(x, values, spread, strict=True):
+            plate = {"facecolor": "white", "edgecolor": "none", "pad": 0.8}
+            write(axes, position, value + error + 0.014, f"{value:.3f}", 8, ha="center", bbox=plate)
+    axes.set_xticks(range(len(_MEASURES)), [label for _, label in _MEASURES], fontsize=10)
+    axes.set_ylim(0.0, 1.09)
+    axes.set_yticks(np.linspace(0, 1, 6))
+    axes.grid(axis="y", color=FAINT, lw=0.6)
+    axes.set_axisbelow(True)
+    axes.spines[["top", "right", "left"]].set_visible(False)
+    axes.tick_params(length=0, labelsize=9)
+    axes.legend(loc="lower left", bbox_to_anchor=(0.0, 1.02), ncols=4, frameon=False, fontsize=9, columnspacing=1.4)
+    write(figure, 0.03, 1 - 0.36 / height, title, 13, weight="bold")
+    write(figure, 0.03, 1 - 0.6 / height, _experiment_facts(result), 9, color=GREY)
+    save_figure(figure, path)
+
+
+def _experiment_facts(result: Mapping[str, Any]) -> str:
+    categories = result.get("categories", ())
+    facts = f"{len(categories)} categories, {result.get('n_train', '?')} clips train, "
+    facts += f"{result.get('n_test', '?')} are tested"
+    if result.get("split"):
+        facts += f" ({result['split']}, {result.get('repeats', 1)} x)"
+    spread = any(system.get("f_measure_std") for system in result["systems"].values())
+    return f"{facts}; whiskers: standard deviation over the repeats" if spread else facts

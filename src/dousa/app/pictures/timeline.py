@@ -1,0 +1,266 @@
+"""The picture of a labelled take: which category when, how sure, and what the body looked like then.
+
+Every category has a row of its own with its name beside it, so nothing hangs on colour. A bar is as high as its
+confidence; what is unknown is grey and hatched, in the last row.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from dousa.app.pictures.canvas import BLUE, FAINT, GREY, INK, drawable, new_figure, save_figure, write
+from dousa.app.pictures.stick_figures import LIMBS, THREE_QUARTER, Figurine, draw_poses, extent, to_figurine
+from dousa.errors import OptionError
+
+if TYPE_CHECKING:
+    from dousa.app.pictures.stick_figures import Drawable
+
+
+_UNKNOWN = "unknown"
+_WIDTH, _MARGIN = 13.0, 0.25  # inches
+_HEAD, _NAMES, _TOTALS, _TICKS = 0.85, 2.3, 0.75, 0.5
+_ROW, _BAR = 0.3, 0.8  # inches; share of a row that a bar of full confidence fills
+_TALLEST_POSE, _MOST_POSES = 1.3, 18
+_GAP = 0.14  # inches between the floor and the rows
+_LEAST_BAR = 0.03  # inches: a segment of a fraction of a second in a long take still shows
+_SHORT_NAME = 20  # characters that fit in large letters
+_PERCENT = 0.36  # inches that "100%" needs inside a bar
+_MINUTES_FROM = 180.0  # s; longer takes are read in minutes
+_STEPS = (0.1, 0.2, 0.5, 1, 2, 5, 10, 15, 30, 60, 120, 300, 600, 900, 1800, 3600, 7200, 21600, 86400)
+
+
+@dataclass(frozen=True, slots=True)
+class _Segment:
+    """From ``start`` to ``end`` (s) the take is taken for ``category``, with a confidence of 0 to 1 or None."""
+
+    start: float
+    end: float
+    category: str
+    confidence: float | None
+
+
+def draw_timeline(
+    timeline: Any, path: str | os.PathLike[str], motion: Drawable | None = None, title: str | None = None
+) -> None:
+    """Draw the categories of a take over time.
+
+    Parameters
+    ----------
+    timeline : a `dousa.retrieval.Timeline` or its JSON: ``segments``, each with its start and end in s, its
+        ``category`` (none, or ``"unknown"``, where the take is like no category) and ``confidence`` of 0 to 1; the
+        duration in s, by default the end of the last segment.
+    path : .png, .svg or .pdf.
+    motion : the take; its poses are drawn above their times.
+    title : of the take, by default its ``take`` or ``path`` in the timeline.
+
+    Raises
+    ------
+    OptionError : a timeline without these fields, with a segment that ends before it starts or a confidence
+        beyond 0 to 1, or another suffix.
+    MotionWriteError : the picture cannot be written.
+    """
+    segments = [_read_segment(item) for item in _get(timeline, "segments") or ()]
+    seconds = _read_duration(timeline, segments, motion)
+    rows = _list_rows(segments)
+    figurine = None if motion is None else to_figurine(motion)
+    poses = 0.0 if figurine is None else _TALLEST_POSE + _GAP
+    height = _HEAD + poses + max(len(rows), 1) * _ROW + _TICKS + _MARGIN
+    figure = new_figure(_WIDTH, height)
+    if figurine is not None:
+        _draw_thumbnails(figure, figurine, height - _HEAD - poses + _GAP)
+    _draw_rows(figure, segments, rows, seconds)
+    name = title or str(_get(timeline, "take") or _get(timeline, "path") or "take")
+    _draw_head(figure, name, segments, seconds)
+    save_figure(figure, path)
+
+
+_SPELLINGS = {"start": ("start", "start_s"), "end": ("stop", "end_s"), "duration": ("duration", "duration_s")}
+"""Names of times in the object and in its JSON."""
+
+
+def _get(source: Any, name: str) -> Any:
+    for spelling in _SPELLINGS.get(name, (name,)):
+        found = source.get(spelling) if isinstance(source, Mapping) else getattr(source, spelling, None)
+        if found is not None:
+            return found
+    return None
+
+
+def _read_segment(item: Any) -> _Segment:
+    start, end, category, confidence = (_get(item, name) for name in ("start", "end", "category", "confidence"))
+    try:
+        segment = _Segment(
+            float(start),
+            float(end),
+            _UNKNOWN if category is None else str(category),
+            None if confidence is None else float(confidence),
+        )
+    except (TypeError, ValueError):
+        raise OptionError("pictures.not_a_segment", found=repr(item)) from None
+    sure = 0.0 if segment.confidence is None else segment.confidence
+    if not (0.0 <= segment.start <= segment.end < np.inf and 0.0 <= sure <= 1.0):
+        raise OptionError("pictures.bad_segment", found=repr(item))
+    return segment
+
+
+def _read_duration(timeline: Any, segments: Sequence[_Segment], motion: Drawable | None) -> float:
+    """Seconds on the axis: never less than the segments need, never 0."""
+    told = _get(timeline, "duration")
+    seconds = 0.0 if told is None else float(told)
+    if motion is not None:
+        frames = motion.translations if hasattr(motion, "translations") else motion.positions
+        seconds = len(frames) / motion.frame_rate  # the poses stand above their times
+    seconds = max([seconds, *(segment.end for segment in segments)])
+    if not 0.0 < seconds < np.inf:
+        raise OptionError("pictures.no_duration", found=told)
+    return seconds
+
+
+def _list_rows(segments: Sequence[_Segment]) -> list[str]:
+    """The categories in the order in which they first come, unknown last."""
+    ordered = sorted(segments, key=lambda segment: segment.start)
+    rows = list(dict.fromkeys(segment.category for segment in ordered if segment.category != _UNKNOWN))
+    return rows + [_UNKNOWN] * any(segment.category == _UNKNOWN for segment in segments)
+
+
+def _draw_thumbnails(figure: Any, figurine: Figurine, bottom: float) -> None:
+    """Stick figures, each in the middle of its part of the take, on the scale of the time axis."""
+    width, height = figure.get_size_inches()
+    room = _WIDTH - 2 * _MARGIN - _NAMES - _TOTALS
+    n_frames = len(figurine.positions)
+    samples = [int(frame) for frame in np.unique(np.linspace(0, n_frames - 1, 4 * _MOST_POSES).round())]
+    apart, top = extent(figurine, samples, THREE_QUARTER)
+    per_metre = _TALLEST_POSE / top
+    count = int(np.clip(room / (max(apart, 0.35 * top) * per_metre), 1, min(_MOST_POSES, n_frames)))
+    per_metre = min(per_metre, room / (count * max(apart, 0.35 * top)))
+    frames = [int((number + 0.5) * n_frames / count) for number in range(count)]
+    spacing = room / per_metre / count
+    box = ((_MARGIN + _NAMES) / width, bottom / height, room / width, _TALLEST_POSE / height)
+    axes = figure.add_axes(box, frameon=False)
+    axes.set_xlim(-0.5 * spacing, (count - 0.5) * spacing)
+    axes.set_ylim(0.0, _TALLEST_POSE / per_metre)
+    axes.set_axis_off()
+    if figurine.canonical:
+        _draw_key(figure)
+    draw_poses(axes, figurine, frames, THREE_QUARTER, spacing)
+    for artist in axes.get_children():
+        artist.set_clip_on(False)
+
+
+def _draw_rows(figure: Any, segments: Sequence[_Segment], rows: Sequence[str], seconds: float) -> None:
+    width, height = figure.get_size_inches()
+    room, count = _WIDTH - 2 * _MARGIN - _NAMES - _TOTALS, max(len(rows), 1)
+    bottom = _MARGIN + _TICKS
+    box = ((_MARGIN + _NAMES) / width, bottom / height, room / width, count * _ROW / height)
+    axes = figure.add_axes(box)
+    axes.set_xlim(0.0, seconds)
+    axes.set_ylim(count - 0.5, -0.5)
+    for number, category in enumerate(rows):
+        if number % 2 == 0:
+            axes.axhspan(number - 0.5, number + 0.5, color="#f4f4f4", lw=0, zorder=0)
+        mine = [segment for segment in segments if segment.category == category]
+        for segment in mine:
+            _draw_segment(axes, segment, number, seconds / room)
+        middle = (bottom + (count - number - 0.5) * _ROW - 0.045) / height
+        weight = "normal" if category == _UNKNOWN else "bold"
+        spelled = drawable(category)  # as long as it will be drawn
+        name = spelled if len(spelled) <= 30 else f"{spelled[:27]} …"
+        size = 10.5 if len(name) <= _SHORT_NAME else 9.0
+        write(figure, (_MARGIN + _NAMES - 0.1) / width, middle, name, size, ha="right", weight=weight)
+        total = sum(segment.end - segment.start for segment in mine)
+        text = _say_time(total, 0.1)
+        write(figure, (_WIDTH - _MARGIN - _TOTALS + 0.1) / width, middle, text, 9.5, color=GREY)
+    _draw_time_axis(axes, seconds)
+
+
+def _draw_segment(axes: Any, segment: _Segment, row: int, per_inch: float) -> None:
+    """A frame of full height, filled from below to the confidence; ``per_inch`` is in s."""
+    from matplotlib.patches import Rectangle
+
+    unknown = segment.category == _UNKNOWN
+    colour = GREY if unknown else BLUE
+    length = max(segment.end - segment.start, _LEAST_BAR * per_inch)
+    floor = row + 0.5 * _BAR
+    axes.add_patch(Rectangle((segment.start, floor - _BAR), length, _BAR, facecolor="white", lw=0.0))
+    share = 1.0 if segment.confidence is None else segment.confidence
+    style: dict[str, Any] = {"facecolor": "#e4e4e4", "hatch": "////"} if unknown else {"facecolor": "#9cc7e4"}
+    corner = (segment.start, floor - share * _BAR)
+    axes.add_patch(Rectangle(corner, length, share * _BAR, edgecolor=colour, lw=0.0, **style))
+    axes.add_patch(Rectangle((segment.start, floor - _BAR), length, _BAR, fill=False, edgecolor=colour, lw=0.8))
+    if segment.confidence is not None and length > _PERCENT * per_inch:
+        plate = {"facecolor": "white", "edgecolor": "none", "pad": 0.6} if unknown else None
+        middle = segment.start + 0.5 * length
+        text = f"{segment.confidence:.0%}"
+        write(axes, middle, row + 0.02, text, 8.5, ha="center", va="center", bbox=plate, color=INK)
+
+
+def _draw_time_axis(axes: Any, seconds: float) -> None:
+    step = next((step for step in _STEPS if seconds / step <= 12.5), seconds)
+    ticks = np.arange(0.0, seconds + 1e-9 * step, step)
+    axes.set_xticks(ticks, [_say_tick(float(tick), step, seconds) for tick in ticks], fontsize=10)
+    axes.set_xlabel("minutes:seconds" if seconds >= _MINUTES_FROM else "seconds", fontsize=10, color=GREY)
+    axes.set_yticks([])
+    axes.grid(axis="x", color=FAINT, lw=0.6)
+    axes.set_axisbelow(True)
+    axes.tick_params(length=3, colors=INK)
+    axes.spines[["top", "right", "left"]].set_visible(False)
+
+
+def _say_tick(second: float, step: float, seconds: float) -> str:
+    if seconds >= _MINUTES_FROM:
+        return f"{int(second) // 60}:{int(second) % 60:02d}"
+    return f"{second:.1f}" if step < 1 else f"{second:.0f}"
+
+
+def _say_time(seconds: float, least: float) -> str:
+    if seconds >= _MINUTES_FROM:
+        return f"{int(seconds) // 60}:{int(seconds) % 60:02d} min"
+    return f"{max(seconds, least):.1f} s"
+
+
+def _draw_head(figure: Any, title: str, segments: Sequence[_Segment], seconds: float) -> None:
+    """Title, and how to read the picture, with the totals."""
+    width, height = figure.get_size_inches()
+    known = [segment for segment in segments if segment.category != _UNKNOWN]
+    categories = len({segment.category for segment in known})
+    stretches = sum(segment.end - segment.start for segment in known)
+    facts = f"{_say_time(seconds, 0.1)}, "
+    if segments:
+        facts += f"{_count(len(known), 'segment')} of {_count(categories, 'category')} "
+        facts += f"over {stretches / seconds:.0%} of it; bars are as high as the confidence"
+    else:
+        facts += "nothing was found"
+    shown = title if len(title) <= 90 else f"{title[:70]} ... {title[-15:]}"
+    write(figure, _MARGIN / width, 1 - 0.36 / height, shown, 15, weight="bold")
+    write(figure, _MARGIN / width, 1 - 0.63 / height, facts, 10.5, color=GREY)
+
+
+def _draw_key(figure: Any) -> None:
+    """Which limbs are left and which are right."""
+    from matplotlib.lines import Line2D
+
+    width, height = figure.get_size_inches()
+    handles = [
+        Line2D([], [], color=limb.colour, ls=limb.line, lw=2.0, marker=limb.marker, ms=5, label=limb.label)
+        for limb in LIMBS
+    ]
+    corner = (1 - _MARGIN / width, 1 - 0.08 / height)
+    figure.legend(
+        handles=handles,
+        loc="upper right",
+        bbox_to_anchor=corner,
+        frameon=False,
+        fontsize=10,
+        handlelength=3.4,
+    )
+
+
+def _count(number: int, noun: str) -> str:
+    if number == 1:
+        return f"1 {noun}"
+    return f"{number or 'no'} {noun[:-1]}ies" if noun.endswith("y") else f"{number or 'no'} {noun}s"

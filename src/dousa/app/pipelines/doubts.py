@@ -1,0 +1,291 @@
+"""What the overlap of model and silhouettes says about calibration, body and start."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dousa.arrays import Image, Mask
+from dousa.errors import OptionError
+from dousa.estimation.silhouettes.silhouettes import Silhouettes
+from dousa.messages import Message
+
+if TYPE_CHECKING:
+    from dousa.estimation import BodyModel, Camera
+    from dousa.estimation.tracking.settings import Estimate
+
+_BAD_OVERLAP = 0.5  # mean of all frames
+_DOUBTFUL_OVERLAP = 0.7  # real people tracked right lie above 0.72, wrong lenses and exchanged cameras at 0.62 to 0.69
+_ODD_VIEW = 0.25  # below the mean of the others
+_TOUCHING = 0.05  # m: nearer to a camera nothing is drawn
+_MOST_POSES = 200
+_THIN, _THICK = 0.8, 1.4  # girth fitted over girth of the model; real people in clothes have 0.9 to 1.2
+
+
+def describe_doubts(
+    estimate: Estimate, body: BodyModel, names: Sequence[str], cameras: Sequence[Camera]
+) -> list[Message]:
+    """What the result says about calibration, body and start; ``body`` is the one before its girths were fitted."""
+    return [
+        *_weigh_overlaps(estimate, names),
+        *_weigh_girths(estimate.body, body),
+        *_cameras_inside(estimate, cameras),
+    ]
+
+
+def _weigh_girths(fitted: BodyModel, body: BodyModel) -> list[Message]:
+    """A wrong stature shows in a person who is far thicker or thinner than people are."""
+    if fitted.spheres.shape != body.spheres.shape:
+        return []
+    share = float(np.median(fitted.spheres[:, 3] / body.spheres[:, 3]))
+    if _THIN <= share <= _THICK:
+        return []
+    return [Message("doubts.girth", share=share)]
+
+
+def _weigh_overlaps(estimate: Estimate, names: Sequence[str]) -> list[Message]:
+    seen = [view for view in range(len(names)) if np.isfinite(estimate.iou[:, view]).any()]
+    means = {names[view]: float(np.nanmean(estimate.iou[:, view])) for view in seen}
+    said = []
+    if len(means) == 1:
+        said.append(Message("doubts.one_view"))
+    mean = float(np.mean(list(means.values()))) if means else 1.0
+    if mean < _BAD_OVERLAP:
+        return [*said, Message("doubts.bad_overlap", overlap=mean)]
+    if mean < _DOUBTFUL_OVERLAP:
+        said.append(Message("doubts.low_overlap", overlap=mean))
+    for name, value in means.items():
+        others = float(np.mean([other for key, other in means.items() if key != name] or [value]))
+        if value < others - _ODD_VIEW:
+            said.append(Message("doubts.odd_view", view=name, overlap=value, others=others))
+    return said
+
+
+def _cameras_inside(estimate: Estimate, cameras: Sequence[Camera]) -> list[Message]:
+    from dousa.estimation.body.kinematics import place_parts
+
+    body = estimate.body
+    poses = estimate.poses[:: max(1, len(estimate.poses) // _MOST_POSES)]
+    rotations, positions = place_parts(body, poses)
+    inside = set()
+    for part in range(body.n_parts):
+        balls = _fill(body.spheres[body.sphere_starts[part] : body.sphere_starts[part + 1]])
+        for number, camera in enumerate(cameras):
+            if camera.kind == "pinhole":
+                local = np.einsum("tji,tj->ti", rotations[:, part], camera.position - positions[:, part])
+                off = np.linalg.norm(local[:, None] - balls[:, :3], axis=2) - balls[:, 3]
+                if off.min() < _TOUCHING:
+                    inside.add(number)
+    return [Message("doubts.camera_inside", camera=cameras[number].name) for number in sorted(inside)]
+
+
+def _fill(spheres: NDArray[np.float64]) -> NDArray[np.float64]:
+    """The spheres of a part and some between each two of them, which fill most of its solid."""
+    first, second = np.triu_indices(len(spheres))
+    return np.concatenate(
+        [(1.0 - share) * spheres[first] + share * spheres[second] for share in (0.0, 0.25, 0.5, 0.75, 1.0)]
+    )
+
+
+Masks = Sequence[Mask | None]
+Pictures = Sequence[Image | None]
+
+_FULL = 0.9  # share of the image that no person fills and is still seen whole
+_EMPTY = 2e-4  # share of the image below which a silhouette is a few specks
+_SECOND = 0.3  # of the largest region: another region of this size is another person, or a part cut off
+_EVERY = 7  # frames between two looks for regions, which cost more than the rest
+_OFTEN = 0.2  # share of the frames from which something is said
+_EDGE = 0.02  # of the outline's pixels lying on the border of the image
+
+
+def parse_frames(text: str | None, n_frames: int, what: Message) -> tuple[int, int]:
+    """``A:B`` as the frames from A to before B; either may be left out, negative numbers count from the end.
+
+    Raises
+    ------
+    OptionError : not two numbers, or no frame between them.
+    """
+    if text is None:
+        return 0, n_frames
+    words = text.split(":")
+    try:
+        if len(words) != 2:
+            raise ValueError
+        first, last = (int(word) if word.strip() else None for word in words)
+    except ValueError:
+        raise OptionError("frames.not_a_range", found=text) from None
+    start, stop, _ = slice(first, last).indices(n_frames)
+    if start >= stop:
+        raise OptionError("frames.none_left", found=text, what=what, last=n_frames - 1)
+    return start, stop
+
+
+@dataclass(slots=True)
+class _ViewCount:
+    seen: int = 0
+    missing: int = 0
+    empty: int = 0
+    full: int = 0
+    cut: int = 0
+    looked: int = 0
+    several: int = 0
+
+
+@dataclass(slots=True)
+class _Counts:
+    views: list[_ViewCount] = field(default_factory=list)
+    frames: set[int] = field(default_factory=set)
+
+
+class MirroredSilhouettes(Silhouettes):
+    """Silhouettes with left and right of every image exchanged.
+
+    Parameters
+    ----------
+    inner : where the masks come from.
+    """
+
+    def __init__(self, inner: Silhouettes) -> None:
+        self.names, self.sizes, self.frame_rate = inner.names, inner.sizes, inner.frame_rate
+        self.n_frames = inner.n_frames
+        self._inner = inner
+
+    @property
+    def warnings(self) -> tuple[Message, ...]:  # type: ignore[override]
+        """What the source says."""
+        return self._inner.warnings
+
+    def read(self, frame: int) -> tuple[Mask | None, ...]:
+        """The masks (height, width) of all views in one frame; None where a view has no image then."""
+        return tuple(None if mask is None else np.ascontiguousarray(mask[:, ::-1]) for mask in self._inner.read(frame))
+
+    def look(self, frame: int) -> tuple[Image | None, ...]:
+        """The pictures (height, width, 3) behind the masks; None where there is none."""
+        return tuple(
+            None if picture is None else np.ascontiguousarray(picture[:, ::-1]) for picture in self._inner.look(frame)
+        )
+
+    def close(self) -> None:
+        """Let go of open files."""
+        self._inner.close()
+
+
+class WatchedSilhouettes(Silhouettes):
+    """Some frames of silhouettes; counts while reading what spoils an estimate.
+
+    Parameters
+    ----------
+    inner : where the masks come from.
+    start, stop : the frames of it, from start to before stop.
+    most_kept : bytes of masks that are kept, one bit a pixel, so that drawings need not find them again.
+    """
+
+    def __init__(self, inner: Silhouettes, start: int, stop: int, most_kept: int = 0) -> None:
+        self.names, self.sizes, self.frame_rate = inner.names, inner.sizes, inner.frame_rate
+        self.n_frames = stop - start
+        self._inner, self._start = inner, start
+        self._counts = _Counts([_ViewCount() for _ in inner.names])
+        self._kept: dict[int, tuple[NDArray[np.uint8] | None, ...]] = {}
+        each = sum(((width + 7) // 8) * height for width, height in inner.sizes)
+        self._most_kept = most_kept // each
+        self._show: Callable[[int, Masks, Pictures], None] | None = None
+        self._shown: set[int] = set()
+
+    def show(self, see: Callable[[int, Masks, Pictures], None] | None) -> None:
+        """Show somebody masks and pictures (V,) of every frame read for the first time from now on; None: nobody."""
+        self._show = see
+
+    @property
+    def warnings(self) -> tuple[Message, ...]:  # type: ignore[override]
+        """What the source says; see `describe` for what was seen."""
+        return self._inner.warnings
+
+    def read(self, frame: int) -> tuple[Mask | None, ...]:
+        """The masks (height, width) of all views in one frame; None where a view has no image then."""
+        masks = self._read(frame)
+        if self._show is not None and frame not in self._shown:
+            self._shown.add(frame)
+            self._show(frame, masks, self.look(frame))
+        return masks
+
+    def look(self, frame: int) -> tuple[Image | None, ...]:
+        """The pictures (height, width, 3) behind the masks; None where there is none."""
+        return self._inner.look(self._start + frame)
+
+    def _read(self, frame: int) -> tuple[Mask | None, ...]:
+        if frame in self._kept:
+            return tuple(
+                None if bits is None else np.unpackbits(bits, axis=1, count=width).view(bool)
+                for bits, (width, _) in zip(self._kept[frame], self.sizes, strict=True)
+            )
+        masks = self._inner.read(self._start + frame)
+        if len(self._kept) < self._most_kept:
+            self._kept[frame] = tuple(None if mask is None else np.packbits(mask, axis=1) for mask in masks)
+        if frame not in self._counts.frames:
+            self._counts.frames.add(frame)
+            for count, mask in zip(self._counts.views, masks, strict=True):
+                _look(count, mask, len(self._counts.frames) % _EVERY == 1)
+        return masks
+
+    def close(self) -> None:
+        """Let go of open files."""
+        self._inner.close()
+
+    @property
+    def is_blank(self) -> bool:
+        """Whether no frame that was read shows anything in any view."""
+        return all(count.seen == count.empty + count.full for count in self._counts.views)
+
+    def describe(self) -> tuple[Message, ...]:
+        """What was seen in the frames read so far."""
+        return tuple(
+            Message("doubts.view", view=name, problem=problem)
+            for name, count in zip(self.names, self._counts.views, strict=True)
+            for problem in _describe(count)
+        )
+
+
+def _look(count: _ViewCount, mask: Mask | None, closely: bool) -> None:
+    if mask is None:
+        count.missing += 1
+        return
+    count.seen += 1
+    share = np.count_nonzero(mask) / mask.size
+    if share <= _EMPTY:
+        count.empty += 1
+        return
+    if share >= _FULL:
+        count.full += 1
+        return
+    border = sum(int(np.count_nonzero(line)) for line in (mask[0], mask[-1], mask[:, 0], mask[:, -1]))
+    count.cut += border > _EDGE * 4.0 * np.sqrt(share * mask.size)
+    if closely:
+        count.looked += 1
+        count.several += _has_second_region(mask)
+
+
+def _has_second_region(mask: Mask) -> bool:
+    from dousa.extras import cv2
+
+    _, _, stats, _ = cv2.connectedComponentsWithStats(mask.view(np.uint8), connectivity=8)
+    areas: NDArray[np.int32] = np.sort(stats[1:, cv2.CC_STAT_AREA])
+    return len(areas) > 1 and bool(areas[-2] > _SECOND * areas[-1])
+
+
+def _describe(count: _ViewCount) -> list[Message]:
+    total, said = max(count.seen, 1), []
+    if count.missing:
+        said.append(Message("doubts.no_image", count=count.missing, total=count.seen + count.missing))
+    if count.empty:
+        said.append(Message("doubts.empty", count=count.empty, total=count.seen))
+    if count.full:
+        said.append(Message("doubts.full", count=count.full, total=count.seen))
+    if count.cut > _OFTEN * total:
+        said.append(Message("doubts.cut_off", count=count.cut, total=count.seen))
+    if count.several > _OFTEN * max(count.looked, 1):
+        said.append(Message("doubts.second_region"))
+    return said

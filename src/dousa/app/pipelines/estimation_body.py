@@ -1,0 +1,295 @@
+"""``--body``, ``--stature`` and ``--sex``: whose body is tracked or drawn."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dousa.app.pipelines.estimation_request import parse_start
+from dousa.errors import BodyModelError, JointMappingError, MotionFileError, OptionError, SilhouetteError
+from dousa.messages import Message
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from dousa.app.output import ProgressCallback
+    from dousa.app.pipelines.estimation_request import EstimationRequest
+    from dousa.arrays import Mask
+    from dousa.estimation import BodyModel, Camera
+    from dousa.formats.motion_files import ReadOptions
+
+
+_USUAL = 1.72  # m
+
+GivenBody: TypeAlias = "tuple[BodyModel, Message, tuple[Message, ...]]"
+"""A body, what it was made from, and what a person should know."""
+
+_AGREES = 0.07  # of the stature: a start further off is of somebody else, or of a skeleton with other joints
+
+
+def choose_body(request: EstimationRequest, said: StartPose | None, known_stature: float | None) -> GivenBody:
+    """The body to be tracked: of ``--body`` or the tables, with the limbs of the start where ``--bones`` asks for it.
+
+    Parameters
+    ----------
+    request : its ``body``, ``stature``, ``sex`` and ``bones`` count.
+    said : the joints of the start.
+    known_stature : m, what the silhouettes' file says.
+
+    Returns
+    -------
+    The body, what it was made from in words, and what a person should know.
+
+    Raises
+    ------
+    OptionError : bones of a start that is not given.
+    DousaError : see `load_body`.
+    """
+    from dousa.estimation.body.skeleton_body import fit_body
+
+    if request.bones == "start" and said is None:
+        raise OptionError("estimate.bones_without_start")
+    body, words, notes = load_body(
+        request.body, request.stature, request.sex, known_stature=known_stature, options=request.options
+    )
+    if said is None or request.bones == "tables" or (request.bones == "auto" and request.body is not None):
+        return body, words, notes
+    try:
+        fitted = fit_body(body, said.positions)
+    except BodyModelError:
+        if request.bones == "start":
+            raise
+        return body, Message("body.tables_start_unusable", body=words), notes
+    if request.body is None and request.stature is None and known_stature is None:
+        return fitted, Message("body.of_start", stature=fitted.stature), ()
+    if request.bones == "auto" and abs(fitted.stature / body.stature - 1.0) > _AGREES:
+        return body, Message("body.tables_start_differs", body=words, stature=fitted.stature), notes
+    return fitted, Message("body.with_start", body=words), notes
+
+
+def measure_body(
+    sex: str, cameras: Sequence[Camera], masks: Sequence[Mask | None], progress: ProgressCallback
+) -> GivenBody:
+    """The body where nobody says how tall it is: several views of the first frame tell it, one does not.
+
+    Returns
+    -------
+    As `choose_body`.
+    """
+    from dousa.errors import SilhouetteError
+    from dousa.estimation.body.human import make_human
+    from dousa.estimation.tracking.measures import fit_scale
+
+    try:
+        scale = fit_scale(cameras, masks, make_body=lambda stature: make_human(stature, sex), progress=progress)
+    except SilhouetteError:  # nobody in the first frame
+        return _assume_body(sex)
+    if not scale.told:
+        return _assume_body(sex)
+    return make_human(scale.stature, sex), Message("body.measured", stature=scale.stature), ()
+
+
+def _assume_body(sex: str) -> GivenBody:
+    from dousa.estimation.body.human import make_human
+
+    notes = (Message("body.stature_assumed", stature=_USUAL),)
+    return make_human(_USUAL, sex), Message("body.assumed", stature=_USUAL), notes
+
+
+def load_body(
+    file: Path | None,
+    stature: float | None,
+    sex: str,
+    *,
+    known_stature: float | None,
+    options: ReadOptions,
+) -> GivenBody:
+    """The body that the options ask for.
+
+    Parameters
+    ----------
+    file : a body file (TOML), or a motion file with the person's bones.
+    stature : m.
+    sex : for the proportions, where there is no file.
+    known_stature : m, what the silhouettes' file says; used when neither is given.
+    options : how a motion file is read.
+
+    Returns
+    -------
+    The body, what it was made from in words, and what a person should know.
+
+    Raises
+    ------
+    OptionError : both a file and a stature.
+    DousaError : a file that is no body, a stature no person has.
+    """
+    if file is not None and stature is not None:
+        raise OptionError("estimate.body_and_stature")
+    if file is not None:
+        body, notes = load_given_body(file, options)
+        return body, Message("text.verbatim", text=file), notes
+    from dousa.estimation.body.human import make_human
+
+    chosen = stature if stature is not None else known_stature
+    if chosen is not None:
+        code = "body.stature_given" if stature is not None else "body.stature_of_file"
+        return make_human(chosen, sex), Message(code, stature=chosen), ()
+    return _assume_body(sex)
+
+
+def load_given_body(file: Path, options: ReadOptions) -> tuple[BodyModel, tuple[Message, ...]]:
+    """The body of a TOML file, or with the bones of a motion file.
+
+    Raises
+    ------
+    DousaError : the file is no body.
+    """
+    from dousa.formats.registry import SUFFIXES, read_motion
+
+    if file.suffix.lower() not in SUFFIXES:
+        from dousa.estimation.body.body_file import read_body
+
+        return read_body(file), ()
+    from dousa.estimation.body.skeleton_body import body_from_motion
+
+    skeleton = options.skeleton if file.suffix.lower() == ".amc" else None
+    motion = read_motion(file, unit=options.unit, up=options.up, skeleton=skeleton)
+    body = body_from_motion(motion)
+    return body, (Message("body.of_motion", path=file, stature=body.stature),)
+
+
+_FAR_OFF = 0.2  # overlap below which a given start is doubted: 30 degrees off in every joint still have more
+_LEAST_JOINTS = 8  # of the file's own, so that the made ones may be left out
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class StartPose:
+    """Where the joints of a person are in one frame.
+
+    Parameters
+    ----------
+    file, frame : where that is said.
+    positions : canonical joint -> (3,) m in the world of the cameras.
+    warnings : what a person should know.
+    """
+
+    file: Path
+    frame: int
+    positions: dict[str, NDArray[np.float64]]
+    warnings: tuple[Message, ...] = ()
+
+
+def read_start(text: str, options: ReadOptions) -> StartPose:
+    """The joints of ``--start``.
+
+    Parameters
+    ----------
+    text : ``FILE:FRAME``; a motion file, or silhouettes with their true joints.
+    options : how the file is read.
+
+    Raises
+    ------
+    DousaError : no such file or frame, a file whose joints cannot be told.
+    """
+    path, frame = parse_start(text)
+    true_joints = _read_true_joints(path)
+    if true_joints is not None:
+        names, places = true_joints
+        _check_frame(text, frame, len(places))
+        return StartPose(path, frame, dict(zip(names, places[frame], strict=True)))
+    return _read_motion(text, path, frame, options)
+
+
+def _read_true_joints(path: Path) -> tuple[tuple[str, ...], NDArray[np.float64]] | None:
+    """What an npz of silhouettes says about the true joints; None for every other file."""
+    if path.suffix.lower() != ".npz":
+        return None
+    from dousa.estimation.silhouettes.mask_npz import read_true_joints
+
+    try:
+        return read_true_joints(path)
+    except SilhouetteError:
+        return None  # the reader of motion files says what is wrong
+
+
+def _check_frame(text: str, frame: int, n_frames: int) -> None:
+    if frame >= n_frames:
+        raise OptionError("start.no_such_frame", text=text, last=n_frames - 1, frame=frame)
+
+
+def _read_motion(text: str, path: Path, frame: int, options: ReadOptions) -> StartPose:
+    from dousa.formats.motion_files import read_canonical
+    from dousa.motion import CANONICAL_JOINTS
+
+    try:
+        motion, _ = read_canonical(os.fspath(path), options)
+    except (MotionFileError, JointMappingError) as error:
+        raise OptionError("start.unusable", text=text, problem=error.located) from error
+    _check_frame(text, frame, motion.n_frames)
+    unseen = (
+        set()
+        if motion.missing is None
+        else {CANONICAL_JOINTS[joint] for joint in np.flatnonzero(motion.missing[frame])}
+    )
+    made = set(motion.mapping.derived)
+    known = {
+        name: place for name, place in zip(CANONICAL_JOINTS, motion.positions[frame], strict=True) if name not in unseen
+    }
+    # Joints that the file lacks are guesses by tables; the body model has its own.
+    own = {name: place for name, place in known.items() if name not in made}
+    if len(own) >= _LEAST_JOINTS:
+        known = own
+    if len(known) < _LEAST_JOINTS:
+        raise OptionError("start.too_few_joints", text=text, n=len(known), frame=frame)
+    notes = tuple(Message("start.note", path=path, note=warning) for warning in motion.warnings)
+    return StartPose(path, frame, known, notes)
+
+
+def check_start(
+    body: BodyModel,
+    pose: NDArray[np.float64],
+    cameras: Sequence[Camera],
+    masks: Sequence[Mask | None],
+    text: str,
+) -> Message | None:
+    """Whether a given start can be that of the silhouettes.
+
+    Parameters
+    ----------
+    body, pose : the start; (7 + A,).
+    cameras, masks : of the first frame.
+    text : ``--start`` as it was given.
+
+    Returns
+    -------
+    A warning if it covers them badly.
+
+    Raises
+    ------
+    OptionError : it does not touch the silhouette of any view.
+    """
+    from dousa.estimation.raster.rasteriser import draw_body
+
+    overlaps, outside = {}, []
+    for camera, mask in zip(cameras, masks, strict=True):
+        if mask is None or not mask.any():
+            continue
+        drawn = draw_body(body, pose[None], camera)[0]
+        if not drawn.any():
+            outside.append(camera.name)
+        overlaps[camera.name] = float((drawn & mask).sum() / (drawn | mask).sum())
+    if not overlaps:
+        return None
+    if max(overlaps.values()) == 0.0:
+        code = "start.outside" if len(outside) == len(overlaps) else "start.beside"
+        raise OptionError(code, text=text, place=pose[:3])
+    mean = sum(overlaps.values()) / len(overlaps)
+    if mean >= _FAR_OFF:
+        return None
+    views = [Message("start.overlap", view=name, overlap=value) for name, value in overlaps.items()]
+    return Message("start.far_off", text=text, place=pose[:3], views=views)

@@ -1,0 +1,214 @@
+"""The views of ``dousa estimate``: silhouettes, a camera and pictures for each, and somebody who looks on."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Protocol
+
+import numpy as np
+
+from dousa.app.pipelines.doubts import MirroredSilhouettes
+from dousa.arrays import Image
+from dousa.errors import CalibrationError, OptionError
+from dousa.estimation.silhouettes.silhouettes import Silhouettes
+from dousa.messages import Message
+
+if TYPE_CHECKING:
+    from dousa.app.output import ProgressCallback
+    from dousa.app.pipelines.estimation_request import EstimationRequest
+    from dousa.arrays import Image, Mask
+    from dousa.estimation import Camera, Silhouettes
+    from dousa.estimation.tracking.settings import Estimate, TrackedFrame
+
+
+def open_views(request: EstimationRequest, report: ProgressCallback) -> Silhouettes:
+    """Open the sources; backgrounds of videos are learnt, which takes a while.
+
+    Raises
+    ------
+    DousaError : sources that cannot be read, or whose cameras nobody tells.
+    """
+    from dousa.estimation.silhouettes.silhouette_files import open_silhouettes
+
+    if request.cameras is None and not _is_npz(request.sources) and all(map(Path.exists, request.sources)):
+        raise OptionError("estimate.no_cameras")
+    opened: Silhouettes = open_silhouettes(
+        request.sources,
+        backgrounds=request.backgrounds,
+        method=request.background_method,
+        kind=request.kind,
+        frame_rate=request.rate,
+        sizes=_find_sizes(request),
+        progress=report,
+    )
+    return MirroredSilhouettes(opened) if request.mirrored else opened
+
+
+def _find_sizes(request: EstimationRequest) -> list[tuple[int, int]] | None:
+    """Sizes for the masks of videos: the proportions of the cameras', which may differ from those of the files."""
+    from dousa.estimation.cameras.camera_files import read_cameras
+    from dousa.estimation.cameras.camera_sets import match_cameras
+    from dousa.estimation.silhouettes.video import LONGEST_SIDE, reduce_size
+
+    if request.cameras is None or not all(path.is_file() and path.suffix.lower() != ".npz" for path in request.sources):
+        return None
+    cameras, _ = match_cameras(read_cameras(request.cameras), [path.stem for path in request.sources])
+    return [reduce_size((camera.width, camera.height), LONGEST_SIDE) for camera in cameras]
+
+
+def _is_npz(sources: Sequence[Path]) -> bool:
+    return all(path.suffix.lower() == ".npz" for path in sources)
+
+
+def read_known_stature(sources: Sequence[Path]) -> float | None:
+    """What the files of the silhouettes say about the person."""
+    from dousa.estimation.silhouettes.mask_npz import read_stature
+
+    for path in sources:
+        if path.suffix.lower() == ".npz":
+            stature = read_stature(path)
+            if stature is not None:
+                return stature
+    return None
+
+
+def choose_cameras(request: EstimationRequest, views: Silhouettes) -> tuple[tuple[Camera, ...], list[Message]]:
+    """A camera for each view, of the size of its images."""
+    from dousa.estimation.cameras.camera_files import read_cameras
+    from dousa.estimation.cameras.camera_sets import fit_cameras, match_cameras
+
+    if request.cameras is not None:
+        found = read_cameras(request.cameras)
+        if len(found) < views.n_views:
+            raise CalibrationError(
+                "estimate.too_few_cameras", path=request.cameras, found=len(found), views=views.names
+            )
+        matched, notes = match_cameras(found, views.names)
+    elif _is_npz(request.sources):
+        matched, notes = _read_own_cameras(request.sources, views.n_views), ()
+    else:
+        raise OptionError("estimate.no_cameras")
+    cameras, more = fit_cameras(matched, views.sizes)
+    return cameras, [*notes, *more]
+
+
+def _read_own_cameras(sources: Sequence[Path], n_views: int) -> tuple[Camera, ...]:
+    """The cameras in the npz files of the silhouettes."""
+    from dousa.estimation.cameras.camera_files import read_cameras
+
+    try:
+        cameras = tuple(camera for path in sources for camera in read_cameras(path))
+    except CalibrationError as error:
+        raise CalibrationError("estimate.own_cameras_unusable", problem=error.located) from error
+    if len(cameras) != n_views:
+        raise CalibrationError("estimate.own_cameras_count", path=sources[0], found=len(cameras), expected=n_views)
+    return cameras
+
+
+def pictures_of(
+    sources: Sequence[Path], views: Silhouettes, first_frame: int, mirrored: bool = False
+) -> VideoPictures | None:
+    """The pictures behind silhouettes; None where the sources are not a video for each view.
+
+    Parameters
+    ----------
+    sources : files of the views.
+    views : silhouettes made from them.
+    first_frame : of the sources, the first of the silhouettes.
+    mirrored : left and right of the images are exchanged.
+    """
+    files = all(path.is_file() and path.suffix.lower() != ".npz" for path in sources)
+    if not files or len(sources) != views.n_views:
+        return None
+    return VideoPictures(sources, views.sizes, views.frame_rate, first_frame, mirrored)
+
+
+class VideoPictures:
+    """Pictures of one video for each view, cut and resized as their silhouettes are.
+
+    Parameters
+    ----------
+    sources : (V,) videos.
+    sizes : (V,) width and height of the silhouettes.
+    frame_rate : Hz, of the silhouettes.
+    first_frame : at this rate, the first wanted.
+    mirrored : left and right are exchanged.
+    """
+
+    def __init__(
+        self,
+        sources: Sequence[Path],
+        sizes: Sequence[tuple[int, int]],
+        frame_rate: float,
+        first_frame: int,
+        mirrored: bool = False,
+    ) -> None:
+        from dousa.estimation.silhouettes.images import fit_frame
+        from dousa.estimation.silhouettes.video import VideoFile
+
+        self._files = [VideoFile(path) for path in sources]
+        self._sizes, self._rate, self._first, self._mirrored = sizes, frame_rate, first_frame, mirrored
+        self._parts = []
+        for file, size in zip(self._files, sizes, strict=True):
+            sample = file.read(0)
+            whole = (slice(None), slice(None))
+            same = sample is None or file.size == size
+            self._parts.append(whole if same else fit_frame(file.size, size, np.asarray(sample)))
+
+    def __call__(self, frame: int) -> tuple[Image | None, ...]:
+        """The pictures (height, width, 3) blue, green, red of all views; None where there is none."""
+        return tuple(self._read(view, frame) for view in range(len(self._files)))
+
+    def _read(self, view: int, frame: int) -> Image | None:
+        from dousa.extras import cv2
+
+        file = self._files[view]
+        place = math.floor((frame + self._first) / self._rate * file.frame_rate + 0.5)
+        image = file.read(min(place, file.n_frames - 1))
+        if image is None:
+            return None
+        return np.asarray(cv2.resize(image[self._parts[view]], self._sizes[view], interpolation=cv2.INTER_AREA))
+
+    def close(self) -> None:
+        """Let go of the files."""
+        for file in self._files:
+            file.close()
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Scene:
+    """What is tracked.
+
+    Parameters
+    ----------
+    names : (V,) of the views.
+    cameras : (V,) of the size of the masks.
+    frame_rate : Hz.
+    n_frames : T.
+    resumed : frames that an earlier run had looked at.
+    """
+
+    names: tuple[str, ...]
+    cameras: Sequence[Camera]
+    frame_rate: float
+    n_frames: int
+    resumed: int
+
+
+class Watcher(Protocol):
+    """Is told what happens, in the order of these methods."""
+
+    def begin(self, scene: Scene) -> None:
+        """Tracking is about to begin, or to go on."""
+
+    def see(self, frame: int, masks: Sequence[Mask | None], pictures: Sequence[Image | None]) -> None:
+        """Masks and pictures (V,) of a frame were read for the first time in this run."""
+
+    def follow(self, tracked: TrackedFrame) -> None:
+        """A frame has a pose, or its pose is settled."""
+
+    def end(self, estimate: Estimate) -> None:
+        """All frames are settled and smoothed."""

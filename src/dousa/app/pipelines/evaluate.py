@@ -1,0 +1,217 @@
+"""From motion files to an assessment, and to the takes of an experiment: the commands without their options."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from dousa.errors import DousaError, InvalidMotionError, OptionError
+from dousa.formats.motion_files import (
+    ReadOptions,
+    Skipped,
+    describe_problem,
+    find_motion_files,
+    read_canonical,
+)
+from dousa.library import choose_jobs
+from dousa.messages import Message
+
+if TYPE_CHECKING:
+    from dousa.app.output import ProgressCallback
+    from dousa.evaluation import Assessment, Furi
+    from dousa.experiments.errors import NamedMotion
+    from dousa.formats.motion_files import FoundFile
+    from dousa.library.labels import LabelRule
+    from dousa.motion import CanonicalMotion
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Evaluation:
+    """An assessment and the files that it is about.
+
+    Parameters
+    ----------
+    assessment : the answer.
+    references : files of the reference takes, the first is the model.
+    performance : the file judged.
+    notes : (file, warning) what reading the files said.
+    """
+
+    assessment: Assessment
+    references: tuple[Path, ...]
+    performance: Path
+    notes: tuple[tuple[Path, Message], ...]
+
+
+def find_references(paths: Sequence[Path]) -> list[Path]:
+    """The files given, folders replaced by the motion files below them; each once, in this order.
+
+    Raises
+    ------
+    OptionError : a path that does not exist, a folder without motion files.
+    """
+    found: list[Path] = []
+    for path in paths:
+        files, missing = find_motion_files([path])
+        if missing:
+            raise OptionError("cli.file_problem", path=missing[0].path, reason=missing[0].reason)
+        if not files:
+            raise OptionError("evaluate.no_motion_files", path=path)
+        single = path if not path.is_dir() else None
+        found.extend(single or file.path for file in files)
+    by_place: dict[str, Path] = {}
+    for path in found:
+        by_place.setdefault(os.path.realpath(path), path)
+    return list(by_place.values())
+
+
+def evaluate_files(
+    references: Sequence[Path],
+    performance: Path,
+    *,
+    options: ReadOptions,
+    furi_file: Path | None = None,
+    side: str = "same",
+    tempo: str = "same",
+    weights: Mapping[str, float] | None = None,
+    progress: ProgressCallback | None = None,
+) -> Evaluation:
+    """Read the takes of the reference and the performance, and assess.
+
+    Parameters
+    ----------
+    references : files, see `find_references`.
+    performance : file.
+    options : what is said about all of them.
+    furi_file : cuts of the figures, in frames of the first reference; by default they are found.
+    side, tempo, weights : as in `dousa.evaluation.assess`.
+    progress : called with (steps done, steps, what is being done).
+
+    Raises
+    ------
+    DousaError : a file, furi file or motion that cannot be used; the message says which.
+    """
+    steps = len(references) + 2
+    report = progress or (lambda done, total, what: None)
+    notes: list[tuple[Path, Message]] = []
+    takes: list[CanonicalMotion] = []
+    for number, path in enumerate((*references, performance)):
+        report(number, steps, Message("progress.reading"))
+        takes.append(_read(path, options, notes))
+    furi = None if furi_file is None else _read_furi(furi_file, takes[0])
+    report(steps - 1, steps, Message("progress.comparing"))
+    from dousa.evaluation import ABOUT_REFERENCES, assess
+
+    try:
+        assessment = assess(
+            takes[:-1],
+            takes[-1],
+            furi=furi,
+            side=side,
+            tempo=tempo,
+            weights=weights,
+            names=[path.name for path in (*references, performance)],
+        )
+    except InvalidMotionError as error:
+        # The person wants the name of the file.
+        shortest = min(range(len(references)), key=lambda number: takes[number].duration)
+        where = references[shortest] if error.code in ABOUT_REFERENCES else performance
+        raise InvalidMotionError("cli.file_problem", path=where, reason=error.located) from error
+    return Evaluation(assessment, tuple(references), performance, tuple(notes))
+
+
+def _read(path: Path, options: ReadOptions, notes: list[tuple[Path, Message]]) -> CanonicalMotion:
+    if path.is_dir():
+        raise OptionError("evaluate.performance_is_folder", path=path)
+    motion, _ = read_canonical(os.fspath(path), options)
+    notes.extend((path, warning) for warning in motion.warnings)
+    return motion
+
+
+def _read_furi(path: Path, take: CanonicalMotion) -> Sequence[Furi]:
+    from dousa.evaluation import read_furi
+
+    furi: Sequence[Furi] = read_furi(path, take.frame_rate, take.n_frames)
+    return furi
+
+
+def check_folder(folder: Path) -> None:
+    """Whether a folder can be made or written, without doing it: to be known before the long work.
+
+    Raises
+    ------
+    OptionError : it cannot.
+    """
+    place = Path(os.path.abspath(folder))
+    while not os.path.lexists(place) and place != place.parent:
+        place = place.parent
+    if not place.is_dir():
+        raise OptionError("evaluate.folder_below_file", folder=folder, place=place)
+    if not os.access(place, os.W_OK | os.X_OK):
+        raise OptionError("evaluate.folder_not_writable", folder=folder, place=place)
+
+
+def read_takes(
+    paths: Sequence[Path],
+    group_of: LabelRule,
+    *,
+    options: ReadOptions,
+    n_jobs: int | None = None,
+    progress: ProgressCallback | None = None,
+) -> tuple[list[tuple[NamedMotion, str | None]], list[Skipped]]:
+    """Read all motion files below some paths for an experiment.
+
+    Parameters
+    ----------
+    paths : files and folders.
+    group_of : tells which files are takes of one thing.
+    options : what is said about the files.
+    n_jobs : files at a time; None for every core.
+    progress : called with (done, total, "reading").
+
+    Returns
+    -------
+    takes : motions and their groups, in the order of the files.
+    skipped : the other files, and why.
+
+    Raises
+    ------
+    OptionError : no motion could be read.
+    """
+    import joblib
+
+    files, skipped = find_motion_files(paths)
+    parallel = joblib.Parallel(n_jobs=choose_jobs(n_jobs), prefer="threads", return_as="generator")
+    takes: list[tuple[NamedMotion, str | None]] = []
+    answers = parallel(joblib.delayed(_read_take)(file, options) for file in files)
+    for done, (file, answer) in enumerate(zip(files, answers, strict=True), 1):
+        if isinstance(answer, Skipped):
+            skipped.append(answer)
+        else:
+            takes.append((answer, group_of(file.root, file.path)))
+        if progress is not None:
+            progress(done, len(files), Message("progress.reading"))
+    if not takes:
+        if not skipped:
+            raise OptionError("evaluate.nothing_found", paths=paths)
+        raise OptionError(
+            "evaluate.nothing_readable",
+            paths=paths,
+            n=len(skipped),
+            first=skipped[0].path,
+            reason=skipped[0].reason,
+        )
+    return takes, skipped
+
+
+def _read_take(file: FoundFile, options: ReadOptions) -> NamedMotion | Skipped:
+    from dousa.experiments.errors import NamedMotion
+
+    path = str(file.path)
+    try:
+        return NamedMotion(path, read_canonical(path, options)[0])
+    except DousaError as error:
+        return Skipped(path, describe_problem(path, error))

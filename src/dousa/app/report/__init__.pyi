@@ -1,0 +1,26 @@
+from .curves import to_curves_csv, to_events_csv
+from .fonts import find_font
+from .page import (
+    QUICK_PARTS,
+    build_frame,
+    build_page,
+    build_parts,
+    collect_data,
+    read_report_script,
+    read_report_style,
+    write_report,
+)
+
+__all__ = [
+    "QUICK_PARTS",
+    "build_frame",
+    "build_page",
+    "build_parts",
+    "collect_data",
+    "find_font",
+    "read_report_script",
+    "read_report_style",
+    "to_curves_csv",
+    "to_events_csv",
+    "write_report",
+]

@@ -1,0 +1,292 @@
+"""Curves for the eye and for spreadsheets: thinned without losing a peak, summed up by the second, as CSV."""
+
+from __future__ import annotations
+
+import csv
+import io
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from dousa.app.report.markup import element, format_number
+from dousa.arrays import FloatArray
+from dousa.evaluation.grade.result import Assessment
+from dousa.evaluation.posture.posture import SEGMENTS
+from dousa.evaluation.words import KINDS, LAPSE_KINDS, SEGMENT_NAMES, describe_segments, format_time, name_all
+
+_COLUMNS = (
+    "time_s reference_s matched_s furi lag_ms facing_deg d_space d_space_limit d_within d_within_limit d_path"
+).split()
+
+
+def thin_curve(times: FloatArray, values: FloatArray, n_points: int = 2000) -> tuple[FloatArray, FloatArray]:
+    """At most so many points of a curve, with the least and greatest value of every stretch among them.
+
+    Parameters
+    ----------
+    times : (T,) s.
+    values : (T,); nan where there is none.
+    n_points : at most so many points come back, 2 or more.
+
+    Returns
+    -------
+    Times and values (N,); a stretch without any value is one nan.
+    """
+    if len(values) <= n_points:
+        return times, values
+    size = -(-len(values) // (n_points // 2))
+    n_bins = -(-len(values) // size)
+    padded = np.full(n_bins * size, np.nan)
+    padded[: len(values)] = values
+    table = padded.reshape(n_bins, size)
+    known = np.isfinite(table)
+    first = np.where(known, table, np.inf).argmin(axis=1)
+    last = np.where(known, table, -np.inf).argmax(axis=1)
+    picks = np.sort(np.stack([first, last], axis=1), axis=1) + size * np.arange(n_bins)[:, None]
+    keep = np.minimum(picks, len(values) - 1).ravel()
+    return times[keep], np.where(np.repeat(known.any(axis=1), 2), values[keep], np.nan)
+
+
+def furi_numbers(assessment: Assessment) -> np.ndarray:
+    """(T,) number of the furi of each frame, from 0; -1 outside all."""
+    numbers = np.full(assessment.performance.n_frames, -1)
+    times = assessment.times
+    for number, furi in enumerate(assessment.furi):
+        numbers[(times >= furi.start_s) & (times < furi.end_s)] = number
+    return numbers
+
+
+@dataclass(frozen=True, slots=True)
+class SecondRow:
+    """One second of the performance: the greatest distances, the median lag, the worst segment.
+
+    Parameters
+    ----------
+    start_s : s.
+    matched_s : reference time at its start, s.
+    d_space, d_within, lag_ms : over the second; nan if there is nothing.
+    segment : the worst one; empty if there is nothing.
+    residual_deg : its greatest angle.
+    """
+
+    start_s: float
+    matched_s: float
+    d_space: float
+    d_within: float
+    lag_ms: float
+    segment: str
+    residual_deg: float
+
+
+def summarise_seconds(assessment: Assessment) -> tuple[SecondRow, ...]:
+    """The curves second by second."""
+    whole = np.floor(assessment.times + 1e-9).astype(int)
+    rows = []
+    for second in range(int(whole[-1]) + 1 if len(whole) else 0):
+        first, end = np.searchsorted(whole, [second, second + 1])
+        if first == end:
+            continue
+        span = slice(first, end)
+        worst = np.fmax.reduce(assessment.residual[span], axis=0)
+        known = np.isfinite(worst)
+        index = int(np.argmax(np.where(known, worst, -1.0)))
+        rows.append(
+            SecondRow(
+                float(second),
+                float(assessment.matched_time[first]),
+                float(np.fmax.reduce(assessment.d_space[span])),
+                float(np.fmax.reduce(assessment.d_within[span])),
+                1000.0 * _median(assessment.lag[span]),
+                SEGMENTS[index] if known.any() else "",
+                float(np.degrees(worst[index])),
+            )
+        )
+    return tuple(rows)
+
+
+def _median(values: FloatArray) -> float:
+    known = values[np.isfinite(values)]
+    return float(np.median(known)) if len(known) else float("nan")
+
+
+def to_curves_csv(assessment: Assessment) -> bytes:
+    """All curves at the full frame rate; what there is none of stays empty."""
+    numbers = furi_numbers(assessment)
+    table = np.column_stack(
+        [
+            assessment.times,
+            assessment.same_time,
+            assessment.matched_time,
+            np.where(numbers < 0, np.nan, numbers + 1.0),
+            1000.0 * assessment.lag,
+            np.degrees(assessment.facing),
+            assessment.d_space,
+            assessment.d_space_limit,
+            assessment.d_within,
+            assessment.d_within_limit,
+            assessment.d_path,
+            np.degrees(assessment.residual),
+        ]
+    )
+    formats = ["%.4f"] * 3 + ["%.0f"] + ["%.1f"] * 2 + ["%.5f"] * 5 + ["%.2f"] * len(SEGMENTS)
+    line = ",".join(formats)
+    body = "\n".join([line % tuple(row) for row in table.tolist()])
+    head = ",".join([*_COLUMNS, *(f"{name}_deg" for name in SEGMENTS)])
+    return f"{head}\n{body}\n".replace("nan", "").replace("inf", "").encode("ascii")
+
+
+def to_events_csv(assessment: Assessment, language: str | None = None) -> bytes:
+    """Events and lapses in order of time; marked as UTF-8, which spreadsheets need for Japanese."""
+    rows: list[tuple[float, list[str]]] = []
+    for event in assessment.events:
+        furi = "" if event.furi is None else str(event.furi + 1)
+        numbers = (event.lag_ms, event.shortfall_deg, event.shortfall_percent, event.severity)
+        rows.append(
+            (
+                event.start_s,
+                [event.kind, _decimal(event.start_s), _decimal(event.end_s), furi, " ".join(event.segments)]
+                + [_decimal(value) for value in numbers]
+                + [_decimal(event.worst_s), _decimal(event.reference_s), "", event.says.render(language)],
+            )
+        )
+    for lapse in assessment.lapses:
+        span = [_decimal(lapse.reference_start_s), _decimal(lapse.reference_end_s)]
+        rows.append(
+            (
+                lapse.start_s,
+                [
+                    lapse.kind,
+                    _decimal(lapse.start_s),
+                    _decimal(lapse.end_s),
+                    *[""] * 7,
+                    *span,
+                    lapse.says.render(language),
+                ],
+            )
+        )
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(
+        (
+            "kind start_s end_s furi segments lag_ms shortfall_deg shortfall_percent severity worst_s reference_s "
+            "reference_end_s says"
+        ).split()
+    )
+    writer.writerows(row for _, row in sorted(rows, key=_when))
+    return text.getvalue().encode("utf-8-sig")
+
+
+def _when(row: tuple[float, list[str]]) -> float:
+    return row[0] if np.isfinite(row[0]) else np.inf
+
+
+def _decimal(value: float | None) -> str:
+    return "" if value is None or not np.isfinite(value) else f"{value:.3f}"
+
+
+def format_optional(value: float | None, decimals: int = 0) -> str:
+    """A number, or a dash if there is none."""
+    return "–" if value is None else format_number(value, decimals)
+
+
+def build_table(head: Sequence[str], rows: Iterable[Sequence[str]], caption: str) -> str:
+    """A table whose first column names the row; a caption for screen readers."""
+    top = "".join(element("th", {"scope": "col"}, text) for text in head)
+    body = []
+    for row in rows:
+        cells = [element("th", {"scope": "row"}, row[0]), *(element("td", None, text) for text in row[1:])]
+        body.append(element("tr", None, inner="".join(cells)))
+    inner = (
+        element("caption", {"class": "sr"}, caption)
+        + element("thead", None, inner=element("tr", None, inner=top))
+        + element("tbody", None, inner="".join(body))
+    )
+    return element("div", {"class": "table-wrap", "tabindex": "0"}, inner=element("table", None, inner=inner))
+
+
+def build_details(title: str, content: str, count: int | None = None) -> str:
+    """Something that opens when asked for."""
+    number = "" if count is None else element("span", {"class": "amount"}, str(count))
+    return element("details", None, inner=element("summary", None, title, number) + content)
+
+
+def build_tables(assessment: Assessment, words: Mapping[str, str], language: str) -> str:
+    """Errors, lapses, curves by the second, and what was not seen."""
+    none = element("p", None, words["none"])
+    events = _events(assessment, words, language)
+    lapses = _lapses(assessment, words, language)
+    seconds = _seconds(assessment, words, language)
+    gaps = [
+        (format_time(start), format_time(end), SEGMENT_NAMES[name].render(language))
+        for start, end, name in assessment.gaps
+    ]
+    parts = []
+    for name, head, rows in (
+        (
+            "events_table",
+            _heads(words, "start end kind segments furi lag short_deg short_percent severity says"),
+            events,
+        ),
+        ("lapses_table", _heads(words, "start end kind says"), lapses),
+        ("seconds_table", _seconds_head(words), seconds),
+        ("gaps_table", _heads(words, "start end segment"), gaps),
+    ):
+        content = build_table(head, rows, words[name]) if rows else none
+        parts.append(build_details(words[name], content, len(rows)))
+    return "".join(parts)
+
+
+def _heads(words: Mapping[str, str], names: str) -> list[str]:
+    return [words[f"col_{name}"] for name in names.split()]
+
+
+def _events(assessment: Assessment, words: Mapping[str, str], language: str) -> list[tuple[str, ...]]:
+    return [
+        (
+            format_time(event.start_s),
+            format_time(event.end_s),
+            KINDS[event.kind].render(language),
+            describe_segments(event.segments, language),
+            "–" if event.furi is None else str(event.furi + 1),
+            format_optional(event.lag_ms),
+            format_optional(event.shortfall_deg),
+            format_optional(event.shortfall_percent),
+            format_optional(event.severity, 1),
+            event.says.render(language),
+        )
+        for event in assessment.events
+    ]
+
+
+def _lapses(assessment: Assessment, words: Mapping[str, str], language: str) -> list[tuple[str, ...]]:
+    return [
+        (
+            format_time(lapse.start_s),
+            format_time(lapse.end_s),
+            LAPSE_KINDS[lapse.kind].render(language),
+            lapse.says.render(language),
+        )
+        for lapse in assessment.lapses
+    ]
+
+
+def _seconds_head(words: Mapping[str, str]) -> list[str]:
+    return [words["col_time"], words["col_matched"], "d#", "d*", *_heads(words, "lag worst off")]
+
+
+def _seconds(assessment: Assessment, words: Mapping[str, str], language: str) -> list[tuple[str, ...]]:
+    names = name_all(SEGMENT_NAMES, language)
+    return [
+        (
+            format_time(row.start_s).removesuffix(".0"),
+            format_time(row.matched_s),
+            format_number(row.d_space, 3),
+            format_number(row.d_within, 3),
+            format_number(row.lag_ms, 0),
+            names.get(row.segment, "–"),
+            format_number(row.residual_deg, 0) if math.isfinite(row.residual_deg) else "–",
+        )
+        for row in summarise_seconds(assessment)
+    ]

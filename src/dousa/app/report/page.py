@@ -1,0 +1,250 @@
+"""The whole page in one string: markup, style, scripts, data and font."""
+
+from __future__ import annotations
+
+import html
+import math
+import os
+import re
+from collections.abc import Callable, Collection, Mapping
+from importlib import resources
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any
+
+from dousa.app.report.curves import build_tables, furi_numbers, to_curves_csv, to_events_csv
+from dousa.app.report.fonts import embed_font, font_rule
+from dousa.app.report.markup import element, escape
+from dousa.app.report.sections import (
+    build_events,
+    build_furi,
+    build_header,
+    build_moments,
+    build_reading,
+    make_title,
+)
+from dousa.app.report.timeline import draw_matrix, draw_timeline
+from dousa.arrays import FloatArray
+from dousa.errors import MotionWriteError, OptionError
+from dousa.evaluation.grade.result import Assessment
+from dousa.evaluation.words import SEGMENT_NAMES, check_language, name_all
+from dousa.files.disk import atomic_write
+from dousa.messages import load_section
+
+_READOUTS = 2000  # values of each curve that the page can say beside the cursor
+
+PARTS: Mapping[str, Callable[[Assessment, Mapping[str, str], str], str]] = MappingProxyType(
+    {
+        "events": build_events,
+        "timeline": draw_timeline,
+        "matrix": lambda assessment, words, language: draw_matrix(assessment, words),
+        "furi": build_furi,
+        "moments": build_moments,
+        "reading": build_reading,
+        "tables": build_tables,
+    }
+)
+"""What builds each part, besides the header."""
+
+QUICK_PARTS = ("header", "events", "timeline", "tables")
+"""Parts without figures of people: what follows while somebody is still changing something."""
+
+
+def build_parts(assessment: Assessment, language: str, names: Collection[str] | None = None) -> dict[str, str]:
+    """Parts of the report by name.
+
+    Parameters
+    ----------
+    assessment : what they show.
+    language : ``"en"`` or ``"ja"``.
+    names : which; all if None.
+    """
+    words = load_section("report", language)
+    found = {
+        name: build(assessment, words, language) for name, build in PARTS.items() if names is None or name in names
+    }
+    if names is None or "header" in names:
+        title = make_title(assessment, words)
+        found["header"] = build_header(assessment, title, _say_warnings(assessment, language), words, language)
+    return found
+
+
+def build_frame(language: str) -> str:
+    """The markup around the parts, which are empty: elements with ``data-part``."""
+    slots = dict.fromkeys((*PARTS, "header", "files"), "")
+    slots |= {f"text_{name}": escape(text) for name, text in load_section("report", language).items()}
+    return fill_slots(read_file("report.html"), slots)
+
+
+def read_report_script() -> str:
+    """The script that makes ``dousa.bindReport``; the player's comes before it."""
+    return read_file("report.js")
+
+
+def read_report_style() -> str:
+    """The style of the report for a page that shows other things as well: it ends at ``.dousa-report``."""
+    return f"{read_file('colours.css')}:where(.dousa-report) {{\n{read_file('report.css')}}}\n"
+
+
+def read_file(name: str) -> str:
+    """A file of this package."""
+    return resources.files("dousa.app.report").joinpath(name).read_text(encoding="utf-8")
+
+
+def fill_slots(template: str, slots: Mapping[str, str]) -> str:
+    """The template with its slots filled, in one pass: what is filled in is not looked at again."""
+    return re.sub(r"\{\{(\w+)\}\}", lambda match: slots[match.group(1)], template)
+
+
+def collect_data(assessment: Assessment, language: str) -> dict[str, Any]:
+    """What report.js needs: events to go to, and values to say beside the cursor."""
+    words = load_section("report", language)
+    step = max(-(-assessment.performance.n_frames // _READOUTS), 1)
+    worst = [_worst_segment(row) for row in assessment.residual[::step]]
+    numbers = furi_numbers(assessment)[::step]
+    return {
+        "duration": assessment.performance.duration,
+        "step": step / assessment.frame_rate,
+        "events": [_moments(event.start_s, event.end_s, event.worst_s) for event in assessment.events],
+        "lapses": [_moments(lapse.start_s, lapse.end_s, lapse.start_s) for lapse in assessment.lapses],
+        "space": _round(assessment.d_space[::step], 3),
+        "within": _round(assessment.d_within[::step], 3),
+        "lag": _round(1000.0 * assessment.lag[::step], 0),
+        "matched": _round(assessment.matched_time[::step], 2),
+        "furi": [int(number) for number in numbers],
+        "worst": [segment for segment, _ in worst],
+        "off": [angle for _, angle in worst],
+        "segments": list(name_all(SEGMENT_NAMES, language).values()),
+        "texts": {name: words[name] for name in ("furi", "lag_title", "now_reference", "now_worst")},
+    }
+
+
+def _moments(start: float, end: float, worst: float) -> list[float]:
+    first = start if math.isfinite(start) else 0.0
+    last = end if math.isfinite(end) else first
+    return [round(v if math.isfinite(v) else first, 3) for v in (first, last, worst)]
+
+
+def _round(values: FloatArray, decimals: int) -> list[float | int | None]:
+    rounded = [round(v, decimals) if math.isfinite(v) else None for v in values.tolist()]
+    return [int(v) if v is not None and decimals == 0 else v for v in rounded]
+
+
+def _worst_segment(row: FloatArray) -> tuple[int | None, int | None]:
+    known = [(float(angle), k) for k, angle in enumerate(row) if math.isfinite(angle)]
+    if not known:
+        return None, None
+    angle, k = max(known)
+    return k, round(math.degrees(angle))
+
+
+CURVES_NAME, EVENTS_NAME = "curves.csv", "events.csv"
+
+
+def _say_warnings(assessment: Assessment, language: str) -> tuple[str, ...]:
+    return tuple(message.render(language) for message in assessment.warnings)
+
+
+def build_page(assessment: Assessment, language: str, title: str | None = None) -> str:
+    """The page.
+
+    Parameters
+    ----------
+    assessment : what it shows.
+    language : ``"en"`` or ``"ja"``.
+    title : its title; None for who against whom.
+
+    Returns
+    -------
+    HTML that needs no other file.
+    """
+    from dousa.app.player.data import (
+        encode_player_data,
+        format_player_data,
+        read_player_script,
+        read_player_style,
+    )
+
+    words = load_section("report", language)
+    title = title or make_title(assessment, words)
+    slots = {name: build(assessment, words, language) for name, build in PARTS.items()}
+    slots |= {
+        "language": language,
+        "title": escape(title),
+        "files": _files(words),
+        "data": format_player_data(collect_data(assessment, language)),
+        "player_data": format_player_data(encode_player_data(assessment, language)),
+        "player_style": read_player_style(),
+        "player_script": read_player_script(),
+        "style": "".join(read_file(name) for name in ("colours.css", "page.css", "report.css")),
+        "script": read_file("report.js") + read_file("page.js"),
+    }
+    slots.update({f"text_{name}": escape(text) for name, text in words.items()})
+    shown = _collect_text(
+        *slots.values(), build_header(assessment, title, _say_warnings(assessment, language), words, language)
+    )
+    font = embed_font(shown)
+    warnings = _say_warnings(assessment, language)
+    if font.problem:
+        warnings = (*warnings, words["font_missing"].format(reason=font.problem))
+    slots["header"] = build_header(assessment, title, warnings, words, language)
+    slots["font"] = font_rule(font)
+    slots["report"] = fill_slots(read_file("report.html"), slots)
+    return fill_slots(read_file("page.html"), slots)
+
+
+def _collect_text(*markup: str) -> str:
+    """Every character that may be shown; tags and codes do no harm."""
+    text = "".join(markup)
+    text = re.sub(r"\\u([0-9a-fA-F]{4})", lambda match: chr(int(match.group(1), 16)), text)
+    text = text.encode("utf-16", "surrogatepass").decode("utf-16", "replace")
+    return "".join(set(html.unescape(text)))
+
+
+def _files(words: Mapping[str, str]) -> str:
+    links = {
+        name: element("a", {"href": file}, file) for name, file in (("curves", CURVES_NAME), ("events", EVENTS_NAME))
+    }
+    return escape(words["tables_text"]).format(**links)
+
+
+_PAGE_NAME = "report.html"
+
+
+def write_report(
+    assessment: Assessment, folder: str | os.PathLike[str], *, language: str = "en", title: str | None = None
+) -> Path:
+    """Write ``report.html``, ``curves.csv`` and ``events.csv``.
+
+    Parameters
+    ----------
+    assessment : what is reported, of one frame or more.
+    folder : made if it is missing; files of these names in it are replaced.
+    language : ``"en"`` or ``"ja"``, of the page and its sentences.
+    title : of the page; None for who against whom.
+
+    Returns
+    -------
+    The path of the page. It needs no other file and no network. If the Japanese font is not installed, the
+    page says so and uses the fonts of the machine.
+
+    Raises
+    ------
+    OptionError : a language that there is not, or a folder that cannot be made or written.
+    """
+    check_language(language)
+    page = build_page(assessment, language, title)
+    home = Path(folder)
+    contents = {
+        CURVES_NAME: to_curves_csv(assessment),
+        EVENTS_NAME: to_events_csv(assessment, language),
+        _PAGE_NAME: page.encode("utf-8", "replace"),
+    }
+    try:
+        home.mkdir(parents=True, exist_ok=True)
+        for name, data in contents.items():
+            with atomic_write(home / name) as file:
+                file.write(data)
+    except (OSError, ValueError, MotionWriteError) as error:
+        raise OptionError("report_file.unwritable", folder=folder, reason=error) from error
+    return home / _PAGE_NAME

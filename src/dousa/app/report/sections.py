@@ -1,0 +1,357 @@
+"""Sections below the timeline: furi with their eigenspaces, worst moments in pictures, how to read the page."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from dousa.app.report.curves import build_details, build_table
+from dousa.app.report.figures import (
+    compute_residuals,
+    compute_swings,
+    count_axes,
+    draw_moment,
+    draw_shapes,
+    draw_strip,
+    estimate_mean_heading,
+    pick_worst,
+    view_moment,
+)
+from dousa.app.report.markup import draw_mark, element, format_number
+from dousa.evaluation.grade.result import Assessment, ErrorEvent, FuriAssessment
+from dousa.evaluation.posture.posture import SEGMENTS
+from dousa.evaluation.words import (
+    KINDS,
+    LAPSE_KINDS,
+    SEGMENT_NAMES,
+    describe_heading,
+    describe_segments,
+    format_time,
+    name_all,
+)
+
+
+def make_title(assessment: Assessment, words: Mapping[str, str]) -> str:
+    """Who against whom."""
+    return words["title"].format(
+        performance=assessment.performance.name or words["unnamed_performance"],
+        reference=assessment.reference.name or words["unnamed_reference"],
+    )
+
+
+def build_header(
+    assessment: Assessment, title: str, warnings: tuple[str, ...], words: Mapping[str, str], language: str
+) -> str:
+    """Title, grade, facts, worst moments and warnings."""
+    head = element("p", {"class": "overline"}, words["overline"]) + element("h1", None, title)
+    parts = [
+        element("div", {"class": "heading"}, inner=head),
+        _grade(assessment, words, language),
+        _worst(assessment, words, language),
+        _facts(assessment, words, language),
+        _warnings(warnings, words),
+    ]
+    return element("header", {"class": "top"}, inner="".join(parts))
+
+
+def _grade(assessment: Assessment, words: Mapping[str, str], language: str) -> str:
+    score = min(max(assessment.score, 0.0), 100.0) if math.isfinite(assessment.score) else 0.0
+    number = format_number(assessment.score, 0)
+    figure = element("span", {"class": "number"}, number) + element("span", {"class": "of"}, words["out_of"])
+    meter = element(
+        "div", {"class": "meter", "aria-hidden": "true"}, inner=element("i", {"style": f"width:{score:.1f}%"})
+    )
+    if assessment.calibrated:
+        text = words["calibrated"].format(count=assessment.n_references)
+        state = element("p", {"class": "badge sure"}, text)
+        note = ""
+    else:
+        state = element("p", {"class": "badge unsure"}, words["uncalibrated"])
+        note = element("p", {"class": "note"}, words["uncalibrated_note"].format(count=assessment.n_references))
+    inner = (
+        element("h2", None, words["grade"])
+        + element("div", {"class": "figures"}, inner=figure + state)
+        + meter
+        + element("p", {"class": "formula"}, assessment.score_formula.render(language))
+        + note
+    )
+    css = "card grade" + ("" if assessment.calibrated else " uncalibrated")
+    return element("section", {"class": css}, inner=inner)
+
+
+def build_event_button(k: int, event: ErrorEvent, words: Mapping[str, str], language: str) -> str:
+    """One error as a button: mark, time, kind, words."""
+    times = f"{format_time(event.start_s)}–{format_time(event.end_s)}"
+    inner = (
+        draw_mark(event.kind, words)
+        + element("span", {"class": "when"}, times)
+        + element("span", {"class": "kind"}, KINDS[event.kind].render(language))
+        + element("span", {"class": "says"}, event.says_in_furi.render(language))
+    )
+    return element("button", {"type": "button", "class": f"event {event.kind}", "data-event": str(k)}, inner=inner)
+
+
+def _worst(assessment: Assessment, words: Mapping[str, str], language: str) -> str:
+    picks = pick_worst(assessment, 3)
+    if picks:
+        items = "".join(
+            element("li", None, inner=build_event_button(k, assessment.events[k], words, language)) for k in picks
+        )
+        content = element("ol", {"class": "worst-list", "id": "worst"}, inner=items)
+        content += element("p", {"class": "note"}, words["worst_help"])
+    else:
+        content = element("p", {"class": "good"}, words["worst_none"])
+    return element("section", {"class": "card worst"}, inner=element("h2", None, words["worst"]) + content)
+
+
+def _tempo(tempo: float, words: Mapping[str, str]) -> str:
+    change = 100.0 * (tempo - 1.0)
+    if not math.isfinite(change):
+        return "–"
+    if abs(change) < 0.5:
+        return words["tempo_same"]
+    return words["tempo_slow" if change > 0 else "tempo_fast"].format(percent=format_number(abs(change), 0))
+
+
+def _median_lag(assessment: Assessment, words: Mapping[str, str]) -> str:
+    known = assessment.lag[np.isfinite(assessment.lag)]
+    if not len(known):
+        return "–"
+    lag = round(1000.0 * float(np.median(known)))
+    if abs(lag) < 10:
+        return words["lag_even"]
+    return words["lag_late" if lag > 0 else "lag_early"].format(ms=abs(lag))
+
+
+def _facts(assessment: Assessment, words: Mapping[str, str], language: str) -> str:
+    length = words["fact_length_value"].format(
+        performance=format_time(assessment.performance.duration),
+        reference=format_time(assessment.reference.duration),
+    )
+    pairs = [
+        (words["fact_length"], element("span", None, length)),
+        (words["fact_tempo"], element("span", None, _tempo(assessment.tempo, words))),
+        (words["fact_lag"], element("span", None, _median_lag(assessment, words))),
+        (words["fact_references"], element("span", None, str(assessment.n_references))),
+        (words["fact_furi"], element("span", None, str(len(assessment.furi)))),
+        (words["fact_errors"], _counts(assessment, words, language)),
+    ]
+    items = "".join(
+        element("div", None, inner=element("dt", None, name) + element("dd", None, inner=value))
+        for name, value in pairs
+    )
+    return element("dl", {"class": "facts", "aria-label": words["facts"]}, inner=items)
+
+
+def _counts(assessment: Assessment, words: Mapping[str, str], language: str) -> str:
+    out = []
+    for kind, name in name_all(KINDS, language).items():
+        count = sum(event.kind == kind for event in assessment.events)
+        inner = (
+            draw_mark(kind, words) + element("span", None, str(count)) + element("span", {"class": "sr"}, f" {name}; ")
+        )
+        out.append(element("span", {"class": "count", "title": name}, inner=inner))
+    inner = draw_mark("lapse", words) + element("span", None, str(len(assessment.lapses)))
+    inner += element("span", {"class": "sr"}, f" {words['lapses']}")
+    out.append(element("span", {"class": "count", "title": words["lapses"]}, inner=inner))
+    return "".join(out)
+
+
+def _warnings(warnings: tuple[str, ...], words: Mapping[str, str]) -> str:
+    if not warnings:
+        return ""
+    items = "".join(element("li", None, text) for text in warnings)
+    inner = element("h2", None, words["warnings"]) + element("ul", None, inner=items)
+    return element("aside", {"class": "warnings"}, inner=inner)
+
+
+def build_events(assessment: Assessment, words: Mapping[str, str], language: str) -> str:
+    """All errors and lapses in order of time, as buttons."""
+    items = [
+        (event.start_s, build_event_button(k, event, words, language)) for k, event in enumerate(assessment.events)
+    ]
+    for k, lapse in enumerate(assessment.lapses):
+        times = format_time(lapse.start_s)
+        if lapse.end_s - lapse.start_s >= 0.05:
+            times += f"–{format_time(lapse.end_s)}"
+        inner = (
+            draw_mark("lapse", words)
+            + element("span", {"class": "when"}, times)
+            + element("span", {"class": "kind"}, LAPSE_KINDS[lapse.kind].render(language))
+            + element("span", {"class": "says"}, lapse.message.render(language))
+        )
+        tag = {"type": "button", "class": "event lapse", "data-lapse": str(k)}
+        items.append((lapse.start_s, element("button", tag, inner=inner)))
+    if not items:
+        return element("p", {"class": "good"}, words["events_none"])
+    items.sort(key=lambda item: item[0] if math.isfinite(item[0]) else math.inf)
+    return element(
+        "ol",
+        {"class": "event-list", "id": "events"},
+        inner="".join(element("li", None, inner=i) for _, i in items),
+    )
+
+
+_MOMENTS = 6
+_SHORT = 0.8  # a segment that reaches less of the reference's range is outlined
+_FACING_WORTH_SAYING = math.radians(15.0)
+_OPEN_SHAPES = 3  # so many figures are unfolded at first
+
+
+def build_furi(assessment: Assessment, words: Mapping[str, str], language: str) -> str:
+    """Table of all furi, and pictures of each different one."""
+    if not assessment.furi:
+        return element("p", None, words["furi_none"])
+    text = element("p", {"class": "lead"}, words["furi_text"])
+    key = element("p", {"class": "note"}, words["range_key"])
+    shapes = element("h3", None, words["shapes_title"]) + element("p", {"class": "lead"}, words["shapes_text"])
+    for k, numbers in enumerate(_group(assessment.furi)):
+        shapes += _shape(assessment, numbers, k < _OPEN_SHAPES, words, language)
+    return text + _furi_table(assessment, words, language) + key + shapes
+
+
+def _group(furi: Sequence[FuriAssessment]) -> list[list[int]]:
+    """Numbers of the furi that share a label, in order of the first."""
+    groups: dict[str, list[int]] = {}
+    for number, one in enumerate(furi):
+        groups.setdefault(one.label, []).append(number)
+    return list(groups.values())
+
+
+def _furi_table(assessment: Assessment, words: Mapping[str, str], language: str) -> str:
+    fixed = ("number", "label", "span", "score", "lag", "dims", "share")
+    top = "".join(element("th", {"scope": "col", "rowspan": "2"}, words[f"furi_{name}"]) for name in fixed) + element(
+        "th", {"scope": "colgroup", "colspan": str(len(SEGMENTS))}, words["furi_range"]
+    )
+    below = "".join(
+        element("th", {"scope": "col", "class": "narrow"}, SEGMENT_NAMES[name].render(language)) for name in SEGMENTS
+    )
+    rows = "".join(_furi_row(number, furi, words) for number, furi in enumerate(assessment.furi))
+    inner = (
+        element("caption", {"class": "sr"}, words["furi_title"])
+        + element("thead", None, inner=element("tr", None, inner=top) + element("tr", None, inner=below))
+        + element("tbody", None, inner=rows)
+    )
+    table = element("table", {"class": "furi-table"}, inner=inner)
+    return element("div", {"class": "table-wrap", "tabindex": "0"}, inner=table)
+
+
+def _furi_row(number: int, furi: FuriAssessment, words: Mapping[str, str]) -> str:
+    reached = math.isfinite(furi.start_s) and math.isfinite(furi.end_s)
+    span = f"{format_time(furi.start_s)}–{format_time(furi.end_s)}" if reached else words["furi_not_reached"]
+    cells = [
+        element("th", {"scope": "row"}, str(number + 1)),
+        element("td", {"class": "label"}, furi.label),
+        element("td", {"class": "span"}, span),
+        element("td", {"class": "strong"}, format_number(furi.score, 0)),
+        element("td", None, format_number(1000.0 * furi.lag_s, 0)),
+        element("td", None, str(furi.n_dims)),
+        element("td", None, f"{format_number(100.0 * furi.contribution, 1)} %"),
+    ]
+    for gain in furi.gain.tolist():
+        if not math.isfinite(gain):
+            cells.append(element("td", {"class": "gain still", "title": words["furi_still"]}, "–"))
+            continue
+        short = " short" if gain < _SHORT else ""
+        bar = element("i", {"style": f"width:{min(max(gain, 0.0), 1.25) * 80:.0f}%"})
+        cells.append(element("td", {"class": f"gain{short}"}, inner=bar + element("span", None, f"{100 * gain:.0f}")))
+    return element("tr", {"id": f"furi-{number + 1}"}, inner="".join(cells))
+
+
+def _shape(
+    assessment: Assessment, numbers: Sequence[int], opened: bool, words: Mapping[str, str], language: str
+) -> str:
+    furi = assessment.furi[numbers[0]]
+    heading = estimate_mean_heading(assessment, furi)
+    swings = compute_swings(furi)
+    cells = ""
+    for place_in_row, pictures in enumerate(draw_shapes(furi, heading, words, language)):
+        label = element("b", None, words["mean_posture"])
+        if place_in_row:
+            swing = swings[place_in_row - 1]
+            label = element("b", None, words["axis"].format(number=place_in_row))
+            percent = 100.0 * swing.share
+            share = words["axis_share"].format(percent=format_number(percent, 0 if percent >= 9.5 else 1))
+            most = f"{describe_segments(swing.segments[:1], language)} {swing.degrees[0]:.0f}°"
+            label += element("span", None, share) + element("span", None, most)
+        caption = element("figcaption", None, inner=label)
+        cells += element("figure", {"class": "shape-cell"}, inner=caption + "".join(pictures))
+    joined = ("、" if language == "ja" else ", ").join(str(n + 1) for n in numbers)
+    title = element("b", None, words["shape_of"].format(label=furi.label)) + element(
+        "span", None, words["shape_furi"].format(numbers=joined)
+    )
+    table = ""
+    if count_axes(furi):
+        rows = [
+            (
+                words["axis"].format(number=k + 1),
+                f"{format_number(100.0 * swing.share, 1)} %",
+                ", ".join(
+                    f"{describe_segments([name], language)} {degrees:.0f}°"
+                    for name, degrees in zip(swing.segments, swing.degrees, strict=True)
+                ),
+            )
+            for k, swing in enumerate(swings)
+        ]
+        head = [words["axis"].format(number=""), words["furi_share"], words["axes_segments"]]
+        table = build_details(words["axes_table"], build_table(head, rows, words["axes_table"]))
+    summary = element("summary", None, inner=title)
+    grid = element("div", {"class": "shape-grid"}, inner=cells)
+    return element("details", {"class": "shape-card", "open": opened}, inner=summary + grid + table)
+
+
+def build_moments(assessment: Assessment, words: Mapping[str, str], language: str) -> str:
+    """Up to six of the worst moments, as pictures with words and numbers."""
+    picks = pick_worst(assessment, _MOMENTS)
+    if not picks:
+        return element("p", {"class": "good"}, words["worst_none"])
+    cards = "".join(_moment(assessment, k, words, language) for k in picks)
+    return element("p", {"class": "lead"}, words["moments_text"]) + element("div", {"class": "moments"}, inner=cards)
+
+
+def _moment(assessment: Assessment, k: int, words: Mapping[str, str], language: str) -> str:
+    event = assessment.events[k]
+    view = view_moment(assessment, event)
+    picture = draw_moment(assessment, event, view, words, language)
+    notes = [
+        words[f"seen_from_{view.azimuth:.0f}"],
+        words["severity"].format(value=format_number(event.severity, 1)),
+    ]
+    facing = _facing(assessment, event)
+    if abs(facing) > _FACING_WORTH_SAYING:
+        notes.append(words["faces"].format(who=describe_heading(facing).render(language)))
+    inner = build_event_button(k, event, words, language) + picture
+    inner += element("p", {"class": "note"}, " · ".join(notes))
+    inner += draw_strip(assessment, event, view, words, language)
+    inner += element("p", {"class": "note"}, words["strip_text"])
+    rows = [
+        (SEGMENT_NAMES[name].render(language), f"{format_number(angle, 0)}°" if math.isfinite(angle) else "–")
+        for name, angle in zip(SEGMENTS, compute_residuals(assessment, event).tolist(), strict=True)
+    ]
+    table = build_table([words["col_segment"], words["angle_off"]], rows, words["moment_table"])
+    inner += build_details(words["moment_table"], table)
+    return element("article", {"class": "card moment"}, inner=inner)
+
+
+def _facing(assessment: Assessment, event: ErrorEvent) -> float:
+    frame = round(event.worst_s * assessment.frame_rate) if math.isfinite(event.worst_s) else 0
+    value = float(assessment.facing[min(max(frame, 0), len(assessment.facing) - 1)])
+    return value if math.isfinite(value) else 0.0
+
+
+def build_reading(assessment: Assessment, words: Mapping[str, str], language: str) -> str:
+    """What the terms mean, in plain words."""
+    pairs = [
+        (element("b", None, words[f"read_{name}_term"]), words[f"read_{name}"]) for name in ("space", "within", "limit")
+    ]
+    for kind, name in name_all(KINDS, language).items():
+        pairs.append((draw_mark(kind, words) + element("b", None, name), words[f"read_{kind}"]))
+    pairs.append((draw_mark("lapse", words) + element("b", None, words["read_lapse_term"]), words["read_lapse"]))
+    items = "".join(
+        element("div", None, inner=element("dt", None, inner=term) + element("dd", None, text)) for term, text in pairs
+    )
+    return element("dl", {"class": "reading"}, inner=items) + element(
+        "p", {"class": "note"}, words["read_sides" if assessment.side == "same" else "read_sides_mirrored"]
+    )

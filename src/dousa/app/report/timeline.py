@@ -1,0 +1,468 @@
+"""The timeline and the correlation matrix, and what both share: places in percent, round ticks, colours.
+
+The timeline has furi, errors, distances with their limits, lag and the heat of nine segments on one time axis. Drawings
+are stretched to the width at hand; all that is text lies over them and keeps its size.
+"""
+
+from __future__ import annotations
+
+import base64
+import math
+import struct
+import zlib
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dousa.app.report.curves import thin_curve
+from dousa.app.report.markup import Svg, draw_mark, element, escape, format_number, trace
+from dousa.arrays import FloatArray
+from dousa.evaluation.alignment.correlation import compute_correlation_matrix
+from dousa.evaluation.grade.result import Assessment
+from dousa.evaluation.posture.posture import SEGMENTS
+from dousa.evaluation.words import KINDS, LAPSE_KINDS, SEGMENT_NAMES, format_time, name_all
+
+_CLOCK_STEPS = (0.1, 0.2, 0.5, 1, 2, 5, 10, 15, 30, 60, 120, 300, 600, 1800, 3600)
+
+
+def percent(value: float, low: float, high: float) -> str:
+    """Where a value lies between two others, as a CSS length."""
+    share = (value - low) / (high - low) if high > low else 0.0
+    return f"{format_number(100.0 * min(max(share, 0.0), 1.0), 3)}%"
+
+
+def choose_ticks(low: float, high: float, count: int = 4) -> tuple[float, ...]:
+    """Round numbers from low to high, about so many."""
+    span = high - low
+    if not math.isfinite(span) or span <= 0:
+        return (low,) if math.isfinite(low) else ()
+    raw = span / count
+    power = 10.0 ** math.floor(math.log10(raw))
+    step = next(k * power for k in (1, 2, 2.5, 5, 10) if k * power >= raw * 0.999)
+    first = math.ceil(low / step - 1e-9)
+    last = math.floor(high / step + 1e-9)
+    return tuple(k * step for k in range(first, last + 1))
+
+
+def time_ticks(duration: float, count: int = 10) -> tuple[float, ...]:
+    """Round moments from 0 to the duration, s, about so many."""
+    step = next((s for s in _CLOCK_STEPS if duration / s <= count), math.ceil(duration / count))
+    return tuple(step * k for k in range(math.floor(duration / step + 1e-9) + 1))
+
+
+def format_clock(seconds: float) -> str:
+    """A tick of time: whole seconds without their tenth."""
+    text = format_time(seconds)
+    return text.removesuffix(".0")
+
+
+def x_labels(ticks: tuple[float, ...], high: float) -> str:
+    """Times below a plot."""
+    spans = [element("span", {"style": f"left:{percent(tick, 0.0, high)}"}, format_clock(tick)) for tick in ticks]
+    return element("div", {"class": "x-labels", "aria-hidden": "true"}, inner="".join(spans))
+
+
+def y_labels(labels: tuple[tuple[float, str], ...], low: float, high: float) -> str:
+    """Labels beside a plot, low at the bottom."""
+    spans = [element("span", {"style": f"bottom:{percent(value, low, high)}"}, text) for value, text in labels]
+    return element("div", {"class": "y-labels", "aria-hidden": "true"}, inner="".join(spans))
+
+
+def robust_top(*curves: FloatArray, least: float = 0.0) -> float:
+    """A top of the axis that shows all finite values."""
+    tops = [float(np.max(curve[np.isfinite(curve)])) for curve in curves if np.isfinite(curve).any()]
+    return max([least, *(1.08 * top for top in tops)])
+
+
+# viridis (Smith and van der Walt, CC0) at 17 even places; between them it is straight enough.
+_ANCHORS = (
+    "440154 48186a 472d7b 424086 3b528b 33638d 2c728e 26828e 21918c 1fa088 28ae80 3fbc73 5ec962 84d44b addc30 d8e219 "
+    "fde725"
+).split()
+_UNKNOWN = 255  # the colour index of what is not known: transparent
+
+
+@lru_cache(maxsize=1)
+def viridis_table() -> NDArray[np.uint8]:
+    """(255, 3) uint8, dark to light."""
+    anchors = np.array([[int(text[i : i + 2], 16) for i in (0, 2, 4)] for text in _ANCHORS], float)
+    places = np.linspace(0, len(anchors) - 1, _UNKNOWN)
+    columns = [np.interp(places, np.arange(len(anchors)), anchors[:, k]) for k in range(3)]
+    return np.asarray(np.rint(np.stack(columns, axis=1)), np.uint8)
+
+
+def viridis_gradient() -> str:
+    """The stops of a CSS gradient, dark to light."""
+    return ", ".join(f"#{text}" for text in _ANCHORS)
+
+
+def encode_map(values: FloatArray, low: float, high: float) -> str:
+    """A matrix as a ``data:`` address of a PNG in viridis.
+
+    Parameters
+    ----------
+    values : (H, W), first row on top; what is not finite becomes transparent.
+    low, high : values of the darkest and the lightest colour.
+    """
+    known = np.isfinite(values)
+    share = np.clip((np.where(known, values, low) - low) / max(high - low, 1e-12), 0.0, 1.0)
+    indices = np.where(known, np.rint(share * (_UNKNOWN - 1)), _UNKNOWN).astype(np.uint8)
+    return "data:image/png;base64," + base64.b64encode(_encode_png(indices)).decode("ascii")
+
+
+def _encode_png(indices: np.ndarray) -> bytes:
+    """PNG (W3C, third edition) of colour indices (H, W)."""
+    height, width = indices.shape
+    lines = np.zeros((height, width + 1), np.uint8)  # the first byte of a line names its filter: none
+    lines[:, 1:] = indices
+    palette = np.vstack([viridis_table(), [[0, 0, 0]]]).astype(np.uint8)
+    alpha = bytes([255] * _UNKNOWN + [0])
+    chunks = (
+        (b"IHDR", struct.pack(">IIBBBBB", width, height, 8, 3, 0, 0, 0)),
+        (b"PLTE", palette.tobytes()),
+        (b"tRNS", alpha),
+        (b"IDAT", zlib.compress(lines.tobytes(), 6)),
+        (b"IEND", b""),
+    )
+    return b"\x89PNG\r\n\x1a\n" + b"".join(
+        struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data)) for kind, data in chunks
+    )
+
+
+_MOST_PIXELS = 560
+_MANY_FURI = 30
+_UNITS = 1000.0  # of the drawing along each side
+
+
+def _thin(segments: FloatArray) -> FloatArray:
+    step = -(-len(segments) // _MOST_PIXELS)
+    return np.ascontiguousarray(segments[step // 2 :: step] if len(segments) > step // 2 else segments)
+
+
+def draw_matrix(assessment: Assessment, words: Mapping[str, str]) -> str:
+    """Performance across, reference up, similarity as colour, with path, straight line and furi cuts."""
+    performance, reference = assessment.performance, assessment.reference
+    width, height = max(performance.duration, 1e-6), max(reference.duration, 1e-6)
+    values = compute_correlation_matrix(_thin(reference.segments), _thin(performance.segments))
+    low = min(math.floor(20.0 * float(np.percentile(values, 2.0))) / 20.0, 0.95) if values.size else 0.0
+    picture = element(
+        "img", {"src": encode_map(np.asarray(values, float)[::-1], low, 1.0), "alt": words["matrix_label"]}
+    ).replace("</img>", "")
+    plot = element("div", {"class": "matrix-plot"}, inner=picture + _overlay(assessment, width, height, words))
+    up = y_labels(tuple((tick, format_clock(tick)) for tick in time_ticks(height, 8)), 0.0, height)
+    ramp = element("div", {"class": "ramp", "style": f"background-image:linear-gradient(0deg,{viridis_gradient()})"})
+    ticks = tuple((v, format_number(v)) for v in choose_ticks(low, 1.0, 5))
+    bar = element("div", {"class": "matrix-bar"}, inner=ramp + y_labels(ticks, low, 1.0))
+    ratio = min(max(height / width, 0.4), 1.6)
+    return element(
+        "div",
+        {"class": "matrix", "style": f"--ratio:{format_number(ratio, 3)}"},
+        inner=element("div", {"class": "y-title"}, words["matrix_y"])
+        + up
+        + plot
+        + bar
+        + x_labels(time_ticks(width, 8), width)
+        + element("div", {"class": "x-title"}, words["matrix_x"])
+        + element("div", {"class": "bar-title"}, words["matrix_bar"]),
+    )
+
+
+def _overlay(assessment: Assessment, width: float, height: float, words: Mapping[str, str]) -> str:
+    svg = Svg(_UNITS, _UNITS, words["matrix_lines"], "", stretched=True)
+    # Many lines across would hide the picture: then the cuts are marks at its edge.
+    reach = _UNITS if len(assessment.furi) <= _MANY_FURI else 0.03 * _UNITS
+    for furi in assessment.furi:
+        for seconds in (furi.reference_start_s, furi.reference_end_s):
+            if 0.0 < seconds < height - 1e-6:
+                y = _UNITS * (1.0 - seconds / height)
+                svg.line([(0.0, y), (reach, y)], "cut")
+    times = assessment.times
+    straight = np.where((assessment.same_time >= 0) & (assessment.same_time <= height), assessment.same_time, np.nan)
+    path = assessment.path
+    step = max(-(-len(path) // 2000), 1)
+    curves = [("straight", _thin_pair(times, straight))]
+    if len(path):
+        rate = assessment.frame_rate
+        curves.append(("path", (path[::step, 0] / rate, path[::step, 1] / rate)))
+    for css_class, (across, up) in curves:
+        data = trace(_UNITS * across / width, _UNITS * (1.0 - up / height))
+        if css_class == "path":
+            svg.add("path", {"d": data, "class": "path-edge"})
+        svg.add("path", {"d": data, "class": css_class})
+    cursor = element("i", {"class": "matrix-cursor", "id": "matrix-cursor", "style": f"left:{percent(0, 0, 1)}"})
+    return svg.to_markup() + cursor
+
+
+def _thin_pair(x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray]:
+    step = max(-(-len(x) // 1000), 1)
+    return x[::step], y[::step]
+
+
+_WIDTH = 2000.0  # of the drawings' own units across the whole time
+_LANE, _CURVE, _HEAT = 26, 92, 15  # px: one lane of bars, one curve, one segment
+_NARROWEST = 0.022  # share of the time that a bar takes at least, so that its letter can be read
+_HEAT_COLUMNS = 1500
+_LEAST_HEAT = math.radians(30.0)
+
+
+@dataclass(frozen=True, slots=True)
+class _Row:
+    """One row: what stands left of it, and what stands in it.
+
+    Parameters
+    ----------
+    height : px.
+    title : name of the row.
+    note : smaller, below the title; may be empty.
+    scale : markup of labels at the edge.
+    plot : markup of the plot.
+    css_class : of the plot.
+    """
+
+    height: int
+    title: str
+    note: str
+    scale: str
+    plot: str
+    css_class: str = ""
+
+
+def draw_timeline(assessment: Assessment, words: Mapping[str, str], language: str) -> str:
+    """The whole timeline as markup.
+
+    Parameters
+    ----------
+    assessment : what is shown.
+    words : texts of the page.
+    language : ``"en"`` or ``"ja"``.
+    """
+    duration = max(assessment.performance.duration, 1e-6)
+    rows = [
+        _furi_row(assessment, duration, words),
+        *_error_rows(assessment, duration, words, language),
+        _distance_row(assessment, duration, words, "d_space"),
+        _distance_row(assessment, duration, words, "d_within"),
+        _lag_row(assessment, duration, words),
+        *_heat_rows(assessment, words, language),
+    ]
+    ticks = time_ticks(duration)
+    side = [_side(row) for row in rows]
+    plots = [
+        element("div", {"class": f"row {row.css_class}", "style": f"height:{row.height}px"}, inner=row.plot)
+        for row in rows
+    ]
+    marks = "".join(
+        element("span", {"style": f"left:{percent(tick, 0, duration)}"}, format_clock(tick)) for tick in ticks
+    )
+    lines = "".join(element("i", {"style": f"left:{percent(tick, 0, duration)}"}) for tick in ticks)
+    inner = (
+        element("div", {"class": "grid", "aria-hidden": "true"}, inner=lines)
+        + "".join(plots)
+        + element("div", {"class": "row clock", "aria-hidden": "true"}, inner=marks)
+        + element("div", {"class": "cursor", "id": "cursor"}, inner="<b></b>")
+    )
+    slider = {
+        "class": "lanes", "id": "lanes", "tabindex": "0", "role": "slider", "aria-label": words["timeline_slider"],
+        "aria-valuemin": "0", "aria-valuemax": format_number(duration), "aria-valuenow": "0",
+        "aria-valuetext": format_time(0.0), "data-duration": format_number(duration, 4),
+    }  # fmt: skip
+    scroll = element("div", {"class": "scroll", "id": "scroll"}, inner=element("div", slider, inner=inner))
+    return element("div", {"class": "timeline"}, inner=element("div", {"class": "names"}, inner="".join(side)) + scroll)
+
+
+def _side(row: _Row) -> str:
+    title = element("b", None, row.title) + (element("small", None, row.note) if row.note else "")
+    inner = element("div", {"class": "name"}, inner=title) + row.scale
+    return element("div", {"class": f"row-name {row.css_class}", "style": f"height:{row.height}px"}, inner=inner)
+
+
+def _span(start: float, end: float, duration: float) -> str:
+    """CSS place of a span; what is not finite reaches to the edge."""
+    left = start if math.isfinite(start) else 0.0
+    right = end if math.isfinite(end) else duration
+    width = max(min(right, duration) - max(left, 0.0), 0.0)
+    return f"left:{percent(left, 0, duration)};width:{percent(width, 0, duration)}"
+
+
+def _furi_row(assessment: Assessment, duration: float, words: Mapping[str, str]) -> _Row:
+    bands = []
+    for number, furi in enumerate(assessment.furi):
+        if not (math.isfinite(furi.start_s) and math.isfinite(furi.end_s)):
+            continue
+        tip = words["furi_tip"].format(
+            number=number + 1, label=furi.label, start=format_time(furi.start_s), end=format_time(furi.end_s),
+            score=format_number(furi.score, 0),
+        )  # fmt: skip
+        inner = element("b", None, str(number + 1)) + element("span", None, furi.label)
+        style = _span(furi.start_s, furi.end_s, duration)
+        bands.append(
+            element(
+                "a",
+                {"class": "band", "href": f"#furi-{number + 1}", "style": style, "title": tip},
+                inner=inner,
+            )
+        )
+    return _Row(_LANE + 4, words["furi"], "", "", "".join(bands), "bands")
+
+
+def _assign_lanes(spans: Sequence[tuple[float, float]], duration: float) -> tuple[int, ...]:
+    """The lowest lane in which each span, as wide as it is drawn, meets no earlier one."""
+    free: list[float] = []
+    lanes = [0] * len(spans)
+    for k in sorted(range(len(spans)), key=lambda k: spans[k][0]):
+        start, end = spans[k]
+        until = max(end, start + _NARROWEST * duration)
+        lane = next((n for n, at in enumerate(free) if at <= start), len(free))
+        if lane == len(free):
+            free.append(until)
+        free[lane] = until
+        lanes[k] = lane
+    return tuple(lanes)
+
+
+def _bars(items: Sequence[tuple[float, float, str, Mapping[str, object], str]], duration: float) -> tuple[str, int]:
+    """Bars (start, end, title, attributes, markup) packed into lanes; and how many lanes they take."""
+    lanes = _assign_lanes([(start, end) for start, end, *_ in items], duration)
+    out = []
+    for (start, end, title, attributes, mark), lane in zip(items, lanes, strict=True):
+        style = f"{_span(start, end, duration)};top:{lane * _LANE + 3}px"
+        if start > (1.0 - _NARROWEST) * duration:  # the least width would reach beyond the edge
+            style = f"right:0;width:{percent(duration - start, 0, duration)};top:{lane * _LANE + 3}px"
+        tag = {"type": "button", "style": style, "title": title, "aria-label": title, **attributes}
+        out.append(element("button", tag, inner=mark))
+    return "".join(out), max(lanes, default=0) + 1
+
+
+def _error_rows(assessment: Assessment, duration: float, words: Mapping[str, str], language: str) -> list[_Row]:
+    """One row for each kind of error, and one for lapses if there are any."""
+    rows = []
+    for kind, name in name_all(KINDS, language).items():
+        items = [
+            (
+                event.start_s, event.end_s, f"{name} – {event.says.render(language)}",
+                {"class": f"bar {kind}", "data-event": str(k), "tabindex": "-1"}, draw_mark(kind, words),
+            )
+            for k, event in enumerate(assessment.events)
+            if event.kind == kind
+        ]  # fmt: skip
+        bars, count = _bars(items, duration)
+        title = words[f"kind_short_{kind}"]
+        rows.append(_Row(count * _LANE + 4, title, "", "", bars, f"errors lane-{kind}"))
+    lapses = [
+        (
+            lapse.start_s if math.isfinite(lapse.start_s) else 0.0,
+            lapse.end_s if math.isfinite(lapse.end_s) else duration,
+            f"{LAPSE_KINDS[lapse.kind].render(language)} – {lapse.says.render(language)}",
+            {"class": "bar lapse", "data-lapse": str(k), "tabindex": "-1"},
+            draw_mark("lapse", words),
+        )
+        for k, lapse in enumerate(assessment.lapses)
+    ]
+    if lapses:
+        bars, count = _bars(lapses, duration)
+        rows.append(_Row(count * _LANE + 4, words["lapses"], "", "", bars, "errors lane-lapse"))
+    return rows
+
+
+def _scaled(times: FloatArray, values: FloatArray, duration: float, low: float, high: float) -> str:
+    x, y = thin_curve(times, values)
+    return trace(_WIDTH * x / duration, 100.0 * (high - y) / (high - low))
+
+
+def _distance_row(assessment: Assessment, duration: float, words: Mapping[str, str], name: str) -> _Row:
+    times = assessment.times
+    values, limit = getattr(assessment, name), getattr(assessment, f"{name}_limit")
+    top = robust_top(values, limit, least=0.1)
+    svg = Svg(_WIDTH, 100.0, words[f"{name}_label"], "curve", stretched=True)
+    over = np.where(values > limit, values, np.nan)
+    base = np.where(np.isfinite(over), np.minimum(limit, values), np.nan)
+    svg.add("path", {"d": _area(times, over, base, duration, top), "class": "over"})
+    svg.add("path", {"d": _scaled(times, values, duration, 0.0, top), "class": f"line {name}"})
+    svg.add("path", {"d": _scaled(times, limit, duration, 0.0, top), "class": "limit"})
+    ticks = tuple((tick, format_number(tick)) for tick in choose_ticks(0.0, top, 3))
+    return _Row(
+        _CURVE,
+        words[f"{name}_title"],
+        words[f"{name}_note"],
+        y_labels(ticks, 0.0, top),
+        svg.to_markup(),
+        "plot",
+    )
+
+
+def _area(times: FloatArray, over: FloatArray, base: FloatArray, duration: float, top: float) -> str:
+    """Path data of the stretches between a curve and its limit."""
+    known = np.isfinite(over)
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], known, [False]]).astype(int)))
+    parts = []
+    for start, end in zip(edges[::2], edges[1::2], strict=True):
+        share = max(2, min(end - start, 400))
+        picks = np.unique(np.linspace(start, end - 1, share).round().astype(int))
+        x = _WIDTH * np.concatenate([times[picks], times[picks][::-1]]) / duration
+        y = 100.0 * (1.0 - np.concatenate([over[picks], base[picks][::-1]]) / top)
+        if len(picks) > 1:
+            parts.append(trace(x, y) + "Z")
+    return "".join(parts)
+
+
+def _lag_row(assessment: Assessment, duration: float, words: Mapping[str, str]) -> _Row:
+    lag = 1000.0 * assessment.lag
+    known = np.abs(lag[np.isfinite(lag)])
+    reach = max(1.15 * float(known.max()) if len(known) else 0.0, 100.0)
+    svg = Svg(_WIDTH, 100.0, words["lag_label"], "curve", stretched=True)
+    svg.add("path", {"d": f"M0 50L{_WIDTH:.0f} 50", "class": "zero"})
+    svg.add("path", {"d": _scaled(assessment.times, lag, duration, -reach, reach), "class": "line lag"})
+    ticks = tuple((tick, f"{tick:+.0f}".replace("-", "−") if tick else "0") for tick in choose_ticks(-reach, reach, 4))
+    scale = y_labels(ticks, -reach, reach)
+    return _Row(_CURVE, words["lag_title"], words["lag_note"], scale, svg.to_markup(), "plot")
+
+
+def _heat_rows(assessment: Assessment, words: Mapping[str, str], language: str) -> list[_Row]:
+    height = _HEAT * len(SEGMENTS)
+    residual = _blank_gaps(assessment)
+    known = residual[np.isfinite(residual)]
+    top = max(float(np.percentile(known, 99.5)) if len(known) else 0.0, _LEAST_HEAT)
+    columns = _pool(residual, _HEAT_COLUMNS)
+    picture = element(
+        "img", {"src": encode_map(columns.T, 0.0, top), "alt": words["heat_label"], "class": "heat"}
+    ).replace("</img>", "")
+    names = "".join(
+        element("span", {"style": f"height:{_HEAT}px"}, SEGMENT_NAMES[name].render(language)) for name in SEGMENTS
+    )
+    scale = element("div", {"class": "segment-names"}, inner=names)
+    bar = element("span", {"class": "ramp", "style": f"background-image:linear-gradient(90deg,{viridis_gradient()})"})
+    patch = element("span", {"class": "patch hatched"})
+    key = f"0° {bar} {np.degrees(top):.0f}° {patch} {escape(words['heat_note'])}"
+    head = element("div", {"class": "heat-key"}, inner=key)
+    return [
+        _Row(_LANE, words["heat_title"], "", "", head, "heat-head"),
+        _Row(height, "", "", scale, picture, "heat-row hatched"),
+    ]
+
+
+def _blank_gaps(assessment: Assessment) -> FloatArray:
+    """(T, 9) residuals without what was not seen."""
+    residual = np.array(assessment.residual, float)
+    times = assessment.times
+    for start, end, name in assessment.gaps:
+        if name in SEGMENTS:
+            residual[(times >= start) & (times < end), SEGMENTS.index(name)] = np.nan
+    return residual
+
+
+def _pool(values: FloatArray, columns: int) -> FloatArray:
+    """(N, 9) greatest value of each stretch, at most so many stretches; a stretch unseen for its most part is nan."""
+    if len(values) <= columns:
+        return values
+    size = -(-len(values) // columns)
+    n_bins = -(-len(values) // size)
+    padded = np.full((n_bins * size, values.shape[1]), np.nan)
+    padded[: len(values)] = values
+    table = padded.reshape(n_bins, size, -1)
+    known = np.isfinite(table)
+    greatest = np.where(known, table, -np.inf).max(axis=1)
+    pooled: FloatArray = np.where(2 * known.sum(axis=1) >= size, greatest, np.nan)
+    return pooled

@@ -1,0 +1,390 @@
+"""The clips of a library as a page asks for them: filtered, counted by facets, a part at a time, with small moving
+figures.
+
+What `Library.clips` says is kept in memory with columns of numbers beside it, and read again when the library has
+another revision: another program may have written. A figure is kept in one file of the studio, by the number of its
+clip together with what stands for the content of the clip (`Library.contents`), so that it is never shown for another
+one. That file can be thrown away at any time; several programs may use it at once.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+import sqlite3
+import threading
+import unicodedata
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import closing, contextmanager, suppress
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dousa.app.player.figures import MINIATURE_BYTES, encode_miniature
+from dousa.app.studio.content.motions import Address
+from dousa.app.studio.core.words import say
+from dousa.arrays import Mask
+
+if TYPE_CHECKING:
+    from dousa.library import ClipInfo, Library
+
+NO_LABEL = ""
+"""Stands for clips without a label; no label is empty."""
+
+LENGTHS: dict[str, tuple[float, float]] = {
+    "0-2": (0.0, 2.0),
+    "2-5": (2.0, 5.0),
+    "5-15": (5.0, 15.0),
+    "15-60": (15.0, 60.0),
+    "60-": (60.0, np.inf),
+}
+"""The facet of lengths: name, from so many seconds on, and below so many."""
+
+SORTS = ("path", "-path", "duration", "-duration", "category", "-id")
+"""What a list may be ordered by; a minus turns it round."""
+
+_LABELS = ("category", "performer", "kind")
+_MOST_NAMES = 500  # of one facet in one answer
+_BATCH = re.compile(r"([0-9a-f]{16})/(.+)", re.DOTALL)
+
+
+@dataclass(frozen=True, slots=True)
+class Asked:
+    """Which clips are wanted.
+
+    Parameters
+    ----------
+    text : words that name, folder, category or performer must contain, all of them.
+    labels : ``category``, ``performer`` or ``kind`` to the names that fit, `NO_LABEL` for none; all if it is empty.
+    min_s, max_s : at least so long, and shorter than that; None for any.
+    batch : only what came with this batch of uploads.
+    sort : one of `SORTS`.
+    """
+
+    text: str = ""
+    labels: dict[str, Sequence[str]] = field(default_factory=dict)
+    min_s: float | None = None
+    max_s: float | None = None
+    batch: str | None = None
+    sort: str = "path"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Found:
+    """What fits.
+
+    Parameters
+    ----------
+    rows : (n,) of the snapshot, in the order asked for.
+    facets : facet to name to number of clips that would fit if this facet were left open.
+    """
+
+    rows: NDArray[np.intp]
+    facets: dict[str, dict[str, int]]
+
+
+class Snapshot:
+    """All clips of one revision of a library; never changed, so that requests share it.
+
+    Parameters
+    ----------
+    clips : in the order of their paths.
+    revision : of the library.
+    uploads : folder of the studio's batches; what lies there is named by its path in the batch.
+    """
+
+    def __init__(self, clips: Sequence[ClipInfo], revision: int, uploads: Path) -> None:
+        self.clips, self.revision = tuple(clips), revision
+        self.ids = np.array([clip.id for clip in clips], np.int64)
+        self.durations = np.array([clip.duration for clip in clips], np.float64)
+        self._rows = {clip.id: row for row, clip in enumerate(clips)}
+        self._batches, self._shorts = _shorten([clip.path for clip in clips], f"{uploads}{os.sep}")
+        self._texts = [_searchable(clip, short) for clip, short in zip(clips, self._shorts, strict=True)]
+        self._names: dict[str, list[str]] = {}
+        self._codes: dict[str, NDArray[np.intp]] = {}
+        for label in _LABELS:
+            values = [getattr(clip, label) or NO_LABEL for clip in clips]
+            self._names[label] = sorted(set(values))
+            code = {name: number for number, name in enumerate(self._names[label])}
+            self._codes[label] = np.array([code[value] for value in values], np.intp)
+        self._lengths = np.digitize(self.durations, [end for _, end in LENGTHS.values()])
+        self._orders: dict[str, NDArray[np.intp]] = {}
+
+    def __contains__(self, clip_id: int) -> bool:
+        return clip_id in self._rows
+
+    def row_of(self, clip_id: int) -> int:
+        """The row of a clip that is there."""
+        return self._rows[clip_id]
+
+    def find(self, asked: Asked) -> Found:
+        """Which rows fit, and what the facets say."""
+        masks = {label: self._labelled(label, asked.labels.get(label, ())) for label in _LABELS}
+        masks["length"] = self._long(asked.min_s, asked.max_s)
+        rest = self._matching(asked.text)
+        if asked.batch is not None:
+            rest = _both(rest, np.array([batch == asked.batch for batch in self._batches], bool))
+        fits = rest
+        for mask in masks.values():
+            fits = _both(fits, mask)
+        order = self._order(asked.sort)
+        rows = order if fits is None else order[fits[order]]
+        return Found(rows, {name: self._count(name, rest, masks) for name in masks})
+
+    def describe(self, row: int) -> dict[str, Any]:
+        """One clip as the pages know it."""
+        clip = self.clips[row]
+        folder, _, name = self._shorts[row].rpartition("/")
+        warnings = [say(warning) for warning in clip.warnings]
+        return {
+            **clip.to_json(),
+            "warnings": warnings,
+            "motion": str(Address(clip=clip.id)),
+            "name": name,
+            "folder": folder,
+        }
+
+    def summarise(self) -> dict[str, Any]:
+        """The library in numbers, whatever is asked for."""
+        takes = np.array([clip.kind == "take" for clip in self.clips], bool)
+        labelled = {clip.category for clip in self.clips if clip.kind != "take"}
+        return {
+            "n_clips": int((~takes).sum()),
+            "n_takes": int(takes.sum()),
+            "seconds": float(self.durations.sum()),
+            "n_categories": len(labelled - {None}),
+            "n_unlabelled": sum(clip.category is None and clip.kind != "take" for clip in self.clips),
+        }
+
+    def _labelled(self, label: str, wanted: Sequence[str]) -> Mask | None:
+        if not wanted:
+            return None
+        names = frozenset(wanted)
+        known = np.array([name in names for name in self._names[label]], bool)
+        return known[self._codes[label]] if len(known) else np.zeros(0, bool)
+
+    def _long(self, min_s: float | None, max_s: float | None) -> Mask | None:
+        if min_s is None and max_s is None:
+            return None
+        low, high = min_s or 0.0, np.inf if max_s is None else max_s
+        return np.asarray((self.durations >= low) & (self.durations < high))
+
+    def _matching(self, text: str) -> Mask | None:
+        words = _plain(text).split()
+        if not words:
+            return None
+        return np.array([all(word in known for word in words) for known in self._texts], bool)
+
+    def _count(self, name: str, rest: Mask | None, masks: dict[str, Mask | None]) -> dict[str, int]:
+        mask = rest
+        for other, own in masks.items():
+            if other != name:
+                mask = _both(mask, own)
+        names = list(LENGTHS) if name == "length" else self._names[name]
+        codes = self._lengths if name == "length" else self._codes[name]
+        counts = np.bincount(codes if mask is None else codes[mask], minlength=len(names))
+        chosen = np.flatnonzero(counts)
+        if len(chosen) > _MOST_NAMES:
+            chosen = np.sort(chosen[np.argsort(-counts[chosen], kind="stable")[:_MOST_NAMES]])
+        return {names[code]: int(counts[code]) for code in chosen}
+
+    def _order(self, sort: str) -> NDArray[np.intp]:
+        if sort not in self._orders:
+            key = sort.removeprefix("-")
+            values = {
+                "path": np.arange(len(self.clips)),
+                "duration": self.durations,
+                "category": self._codes["category"],
+                "id": self.ids,
+            }[key]
+            self._orders[sort] = np.argsort(-values if sort.startswith("-") else values, kind="stable")
+        return self._orders[sort]
+
+
+class Listing:
+    """The snapshot of the library as it is now.
+
+    Parameters
+    ----------
+    library : gives the library that is open.
+    uploads : folder of the studio's batches.
+    """
+
+    def __init__(self, library: Callable[[], Library], uploads: Path) -> None:
+        self._library, self._uploads = library, uploads
+        self._lock = threading.Lock()
+        self._snapshot: Snapshot | None = None
+        self._of: Library | None = None  # another file may have taken the library's place
+
+    def now(self) -> Snapshot:
+        """All clips as they are now; read only if something has changed since the last time."""
+        library = self._library()
+        with self._lock:  # when many ask at once, one reads
+            revision = library.revision
+            if self._snapshot is None or self._of is not library or self._snapshot.revision != revision:
+                # The number was read before the clips: at worst they are newer, and are read once more.
+                self._snapshot, self._of = Snapshot(library.clips(), revision, self._uploads), library
+            return self._snapshot
+
+
+def _both(first: Mask | None, second: Mask | None) -> Mask | None:
+    if first is None or second is None:
+        return second if first is None else first
+    return first & second
+
+
+def _plain(text: str) -> str:
+    """Text as it is compared: wide and narrow, large and small letters are the same."""
+    return unicodedata.normalize("NFKC", text).casefold()
+
+
+def _searchable(clip: ClipInfo, short: str) -> str:
+    words = (short, clip.category or clip.predicted_category, clip.performer)
+    return _plain("\n".join(word for word in words if word))
+
+
+def _shorten(paths: Sequence[str], uploads: str) -> tuple[list[str | None], list[str]]:
+    """Batch of each file, and its path without what says nothing: the batch's folder, or what all others share."""
+    matches = [_BATCH.fullmatch(path.removeprefix(uploads)) if path.startswith(uploads) else None for path in paths]
+    others = [os.path.dirname(path) for path, match in zip(paths, matches, strict=True) if match is None]
+    # The last folder that they share stays: it may be the only one that says something.
+    shared = os.path.dirname(_shared_folder(others)).rstrip(os.sep)
+    shorts = [
+        (match[2] if match else path.removeprefix(shared).lstrip(os.sep)).replace(os.sep, "/")
+        for path, match in zip(paths, matches, strict=True)
+    ]
+    return [match[1] if match else None for match in matches], shorts
+
+
+def _shared_folder(folders: Sequence[str]) -> str:
+    try:
+        return os.path.commonpath(folders)
+    except ValueError:  # none, or on several drives
+        return ""
+
+
+_FORM = 1  # another one empties the file; count it up when encode_miniature draws otherwise
+_WAIT = 5.0  # s for another program that writes
+_AT_ONCE = 250  # figures made between two writes
+_SPARE = 2_000  # figures of clips that are gone may stay so many
+
+
+class Thumbnails:
+    """The figures of one library.
+
+    Parameters
+    ----------
+    path : file where they are kept; made when the first are.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+
+    @classmethod
+    def of(cls, home: Path) -> Thumbnails:
+        """Those of the studio whose folder this is."""
+        return cls(home / "thumbnails.sqlite")
+
+    def get(self, library: Library, clip_ids: Sequence[int]) -> bytes:
+        """Records of `encode_miniature`, one after the other in the order of the numbers.
+
+        Parameters
+        ----------
+        library : where the clips are.
+        clip_ids : a clip that is not there, or is damaged, gets a record of zeros.
+        """
+        contents = library.contents(clip_ids)
+        records = self._read(contents)
+        lacking = [clip_id for clip_id in contents if clip_id not in records]
+        for start in range(0, len(lacking), _AT_ONCE):
+            made = _make(library, lacking[start : start + _AT_ONCE])
+            self._write({clip_id: (contents[clip_id], record) for clip_id, record in made.items()}, library)
+            records |= made
+        nothing = bytes(MINIATURE_BYTES)
+        return b"".join(records.get(clip_id, nothing) for clip_id in clip_ids)
+
+    def make_ahead(self, library: Library, clip_ids: Sequence[int]) -> None:
+        """Make those that are lacking, so that nobody waits for them."""
+        for start in range(0, len(clip_ids), _AT_ONCE):
+            self.get(library, clip_ids[start : start + _AT_ONCE])
+
+    def _read(self, contents: Mapping[int, str]) -> dict[int, bytes]:
+        found: dict[int, bytes] = {}
+        if not contents or not self._path.exists():
+            return found
+        with suppress(sqlite3.Error), self._open() as connection:
+            marks = ",".join("?" * len(contents))
+            query = f"SELECT clip_id, content, record FROM figures WHERE clip_id IN ({marks})"
+            for clip_id, content, record in connection.execute(query, list(contents)):
+                if content == contents[clip_id] and len(record) == MINIATURE_BYTES:
+                    found[clip_id] = record
+        return found
+
+    def _write(self, made: Mapping[int, tuple[str, bytes]], library: Library) -> None:
+        """Keep them; where that cannot be done they are made again next time."""
+        rows = [(clip_id, content, record) for clip_id, (content, record) in made.items()]
+        try:
+            self._insert(rows, library)
+        except sqlite3.DatabaseError as error:
+            if isinstance(error, sqlite3.OperationalError):
+                return  # somebody else writes for long, or the disk is full
+            for name in ("", "-wal", "-shm"):  # damaged
+                with suppress(OSError):
+                    Path(f"{self._path}{name}").unlink()
+
+    def _insert(self, rows: Sequence[tuple[int, str, bytes]], library: Library) -> None:
+        with self._open() as connection, connection:
+            connection.executemany("INSERT OR REPLACE INTO figures VALUES (?, ?, ?)", rows)
+            (count,) = connection.execute("SELECT count(*) FROM figures").fetchone()
+            if count > _SPARE:
+                self._forget_gone(connection, int(count), library)
+
+    def _forget_gone(self, connection: sqlite3.Connection, count: int, library: Library) -> None:
+        stats = library.stats()
+        if count <= stats.n_clips + stats.n_takes + _SPARE:
+            return
+        kept = {clip.id for clip in library.clips()}
+        known = [row[0] for row in connection.execute("SELECT clip_id FROM figures")]
+        gone = [(clip_id,) for clip_id in known if clip_id not in kept]
+        connection.executemany("DELETE FROM figures WHERE clip_id = ?", gone)
+
+    @contextmanager
+    def _open(self) -> Iterator[sqlite3.Connection]:
+        with closing(sqlite3.connect(self._path, timeout=_WAIT)) as connection:
+            if connection.execute("PRAGMA user_version").fetchone()[0] != _FORM:
+                _start(connection)
+            yield connection
+
+
+def _start(connection: sqlite3.Connection) -> None:
+    connection.execute("PRAGMA journal_mode = WAL")
+    connection.execute("PRAGMA synchronous = NORMAL")
+    with connection:
+        connection.execute("BEGIN IMMEDIATE")
+        if connection.execute("PRAGMA user_version").fetchone()[0] == _FORM:
+            return  # another program was quicker
+        connection.execute("DROP TABLE IF EXISTS figures")
+        connection.execute(
+            "CREATE TABLE figures (clip_id INTEGER PRIMARY KEY, content TEXT NOT NULL, record BLOB NOT NULL)"
+        )
+        connection.execute(f"PRAGMA user_version = {_FORM}")
+
+
+def _make(library: Library, clip_ids: Sequence[int]) -> dict[int, bytes]:
+    """Figures by number, of those clips that can be drawn."""
+    from dousa.errors import InvalidMotionError, LibraryDamagedError
+
+    made: dict[int, bytes] = {}
+    try:
+        for clip_id, motion in library.iterate_trajectories(clip_ids):
+            with suppress(InvalidMotionError):
+                made[clip_id] = encode_miniature(motion)
+    except LibraryDamagedError:
+        if len(clip_ids) == 1:
+            return {}
+        # One of them is damaged; the others are shown.
+        return {clip_id: record for one in clip_ids for clip_id, record in _make(library, [one]).items()}
+    return made

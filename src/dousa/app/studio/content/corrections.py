@@ -1,0 +1,276 @@
+"""What people corrected in takes: each correction is a clip of the library, and remembered here for its take."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+import secrets
+import shutil
+import threading
+import time
+import unicodedata
+from collections.abc import Iterable, Sequence
+from contextlib import suppress
+from dataclasses import asdict, dataclass, field
+from pathlib import Path, PurePath
+from typing import TYPE_CHECKING, Any
+
+from dousa.app.studio.content.motions import Address, MotionRef
+from dousa.app.studio.core.answers import RefusedError
+from dousa.app.studio.core.words import say
+from dousa.errors import LibraryError, LibraryLockedError
+
+if TYPE_CHECKING:
+    from dousa.app.studio.content.motions import Named
+    from dousa.app.studio.content.studio import Studio
+
+_FILE = "corrections.json"
+_LOCK = threading.Lock()  # one for all studios of a process: they seldom write
+_LEAST = 0.02  # s of a stretch that is worth telling
+
+
+@dataclass(frozen=True, slots=True)
+class Correction:
+    """A part of a take that somebody named.
+
+    Parameters
+    ----------
+    motion : name of the take, such as ``clip:7``.
+    start_s, end_s : s.
+    category : what it shows.
+    clip_id : number of the clip of the library that was made of the part.
+    batch : of the clip's file.
+    id : 16 hexadecimal digits.
+    made_s : Unix time.
+    """
+
+    motion: str
+    start_s: float
+    end_s: float
+    category: str
+    clip_id: int
+    batch: str
+    id: str = field(default_factory=lambda: secrets.token_hex(8))
+    made_s: float = field(default_factory=time.time)
+
+    def to_json(self) -> dict[str, Any]:
+        """The correction as a plain dictionary."""
+        return asdict(self)
+
+
+class Corrections:
+    """All corrections of a studio, in one small file.
+
+    Parameters
+    ----------
+    root : the studio's folder.
+    """
+
+    def __init__(self, root: Path) -> None:
+        self._path = root / _FILE
+
+    def all(self) -> list[Correction]:
+        """Every correction, the oldest first; none where the file is damaged."""
+        try:
+            rows = json.loads(self._path.read_bytes())
+            return [Correction(**row) for row in rows]
+        except (OSError, ValueError, TypeError):
+            return []
+
+    def of(self, names: Iterable[str]) -> list[Correction]:
+        """Those of one take, which may have several names, in the order of time."""
+        wanted = set(names)
+        return sorted((one for one in self.all() if one.motion in wanted), key=lambda one: one.start_s)
+
+    def add(self, correction: Correction) -> None:
+        """Remember one."""
+        with _LOCK:
+            self._write([*self.all(), correction])
+
+    def remove(self, number: str) -> Correction | None:
+        """Forget one; None if there is none of this number."""
+        with _LOCK:
+            known = self.all()
+            found = next((one for one in known if one.id == number), None)
+            if found is not None:
+                self._write([one for one in known if one.id != number])
+        return found
+
+    def _write(self, corrections: Sequence[Correction]) -> None:
+        from dousa.files.disk import atomic_write
+
+        with atomic_write(self._path) as file:
+            file.write(json.dumps([one.to_json() for one in corrections], ensure_ascii=True).encode())
+
+
+def lay_over(segments: Sequence[dict[str, Any]], corrections: Sequence[Correction]) -> list[dict[str, Any]]:
+    """Stretches of a timeline with the corrected ones in their places.
+
+    Parameters
+    ----------
+    segments : as ``Timeline.to_json`` has them, one after another.
+    corrections : of this take; where two overlap, the later made is seen.
+
+    Returns
+    -------
+    Stretches in the order of time, each with ``corrected``: the number of the correction, None for the labeller's.
+    """
+    stretches = [{**one, "corrected": None} for one in segments]
+    for own in sorted(corrections, key=lambda one: one.made_s):
+        stretches = [part for one in stretches for part in _around(one, own.start_s, own.end_s)]
+        stretches.append(
+            {
+                "start_s": own.start_s,
+                "end_s": own.end_s,
+                "category": own.category,
+                "unknown": False,
+                "confidence": 1.0,
+                "corrected": own.id,
+            }
+        )
+    return sorted(stretches, key=lambda one: (one["start_s"], one["end_s"]))
+
+
+def _around(stretch: dict[str, Any], start: float, end: float) -> list[dict[str, Any]]:
+    """What is left of a stretch outside of a part."""
+    left = {**stretch, "end_s": min(stretch["end_s"], start)}
+    right = {**stretch, "start_s": max(stretch["start_s"], end)}
+    return [one for one in (left, right) if one["end_s"] - one["start_s"] > _LEAST]
+
+
+_SAME = 0.5  # intersection over union of two corrections that mean the same part
+_SHORTEST = 0.3  # s
+_LABELS = "labels.csv"
+
+
+def list_corrections(studio: Studio, ref: MotionRef) -> list[Correction]:
+    """What was corrected in a take, under any of its names."""
+    return Corrections(studio.workspace.root).of(_names(studio, ref))
+
+
+def _names(studio: Studio, ref: MotionRef) -> set[str]:
+    """A take that was dropped has another name once it is in the library."""
+    names = {ref.motion}
+    files = studio.workspace.root / "files"
+    if ref.address.clip is not None:
+        path = studio.motions.path(ref)
+        if path.is_relative_to(files):
+            batch, *rest = path.relative_to(files).parts
+            names.add(str(Address(batch=batch, name="/".join(rest))))
+    elif ref.address.batch:
+        with suppress(LibraryError):
+            clip = studio.library.clips([str(studio.motions.path(ref))])[0]
+            names.add(str(Address(clip=clip.id)))
+    return names
+
+
+def learn_correction(studio: Studio, ref: MotionRef, category: str) -> dict[str, Any]:
+    """Make a part a clip of the library.
+
+    Parameters
+    ----------
+    ref : the part.
+    category : what it shows.
+
+    Returns
+    -------
+    The correction, and what was learned.
+
+    Raises
+    ------
+    RefusedError : the part is empty, or too short to be learned from; a name that is none.
+    DousaError : the library cannot be written.
+    """
+    name = _check_category(category)
+    named = studio.motions.get(ref)
+    if named.motion.duration < _SHORTEST:
+        raise RefusedError(422, "studio_takes.too_short", least=_SHORTEST, seconds=named.motion.duration)
+    _forget_same(studio, ref)
+    batch = studio.workspace.new_batch()
+    studio.workspace.keep(batch)
+    path = _write_clip(studio, named, ref, batch, name)
+    try:
+        report = studio.library.add([path], category_from=f"csv:{path.with_name(_LABELS)}", n_jobs=1)
+        if report.skipped or not report.added:
+            if not report.skipped:
+                raise RefusedError(422, "studio_takes.known")
+            raise RefusedError(422, "studio_takes.not_learned", reason=report.skipped[0].reason)
+    except Exception:
+        shutil.rmtree(studio.workspace.batch_folder(batch), ignore_errors=True)
+        raise
+    clip = studio.library.clips(list(report.added))[0]
+    start, end = ref.start_s or 0.0, ref.end_s if ref.end_s is not None else named.motion.duration
+    correction = Correction(ref.motion, round(start, 3), round(end, 3), name, clip.id, batch)
+    Corrections(studio.workspace.root).add(correction)
+    return {
+        "correction": correction.to_json(),
+        "clip": str(Address(clip=clip.id)),
+        "is_new_category": name in report.new_categories,
+        "is_learned": report.n_learned > 0,
+        "notes": [say(text) for _, text in report.warnings],
+    }
+
+
+def _check_category(category: str) -> str:
+    name = unicodedata.normalize("NFC", category).strip()
+    if not name or any(unicodedata.category(character) in ("Cc", "Cs") for character in name):
+        raise RefusedError(422, "studio_takes.no_category")
+    return name
+
+
+def _write_clip(studio: Studio, named: Named, ref: MotionRef, batch: str, category: str) -> Path:
+    """The part as a file, with a table beside it that says what it shows."""
+    from dousa.app.studio.content.motions import make_bvh
+
+    stem = "".join(character if character.isalnum() or character in "_-" else "_" for character in _stem(named))
+    path = studio.workspace.place(batch, f"{stem[:50]}_{ref.start_s or 0:.2f}s.bvh")
+    path.write_bytes(make_bvh(named, studio.motions.path(ref), ref))
+    table = io.StringIO()
+    csv.writer(table).writerows([("file", "category"), (path.name, category)])
+    path.with_name(_LABELS).write_text(table.getvalue(), encoding="utf-8")
+    return path
+
+
+def _stem(named: Named) -> str:
+    return PurePath(named.name).stem or "take"
+
+
+def _forget_same(studio: Studio, ref: MotionRef) -> None:
+    """Who corrects a part once more means the last one."""
+    start, end = ref.start_s or 0.0, ref.end_s if ref.end_s is not None else float("inf")
+    for one in list_corrections(studio, ref):
+        shared = min(end, one.end_s) - max(start, one.start_s)
+        if shared > 0 and shared >= _SAME * (max(end, one.end_s) - min(start, one.start_s)):
+            forget_correction(studio, one.id)
+
+
+def forget_correction(studio: Studio, number: str) -> Correction:
+    """Take a correction back: its clip leaves the library.
+
+    Raises
+    ------
+    RefusedError : there is no such correction.
+    DousaError : the library cannot be written.
+    """
+    known = {one.id: one for one in Corrections(studio.workspace.root).all()}
+    if number not in known:
+        raise RefusedError(404, "studio_takes.no_correction", number=number[:40])
+    correction = known[number]
+    if _is_ours(studio, correction):
+        studio.library.remove([correction.clip_id])
+    Corrections(studio.workspace.root).remove(number)
+    with suppress(RefusedError):
+        shutil.rmtree(studio.workspace.batch_folder(correction.batch), ignore_errors=True)
+    return correction
+
+
+def _is_ours(studio: Studio, correction: Correction) -> bool:
+    """Whether the clip is still there; somebody may have removed it on the page of the library."""
+    try:
+        path = studio.library.clips([correction.clip_id])[0].path
+    except LibraryLockedError:
+        raise
+    except LibraryError:
+        return False
+    return studio.workspace.root in PurePath(path).parents

@@ -1,0 +1,325 @@
+"""Evaluations that can be changed while somebody looks: the last ones stay ready in memory, all can be made again."""
+
+from __future__ import annotations
+
+import json
+import threading
+from collections import Counter, OrderedDict
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+from pydantic import BaseModel, ConfigDict, Field
+
+from dousa.app.studio.content.motions import MotionRef, Seconds
+from dousa.app.studio.core.answers import Gate, RefusedError
+from dousa.app.studio.core.words import reword
+from dousa.messages import Message
+
+if TYPE_CHECKING:
+    from dousa.app.studio.content.motions import Motions, Named
+    from dousa.app.studio.jobs.board import Job, JobBoard
+    from dousa.evaluation import AdjustableAssessment, Assessment, Furi
+
+Language = Literal["en", "ja"]
+_Weight = Annotated[float, Field(ge=0, le=1000, allow_inf_nan=False)]
+_Name = Annotated[str, Field(max_length=40)]
+
+_MOST_READY, _MOST_BYTES = 6, 300_000_000  # evaluations in memory
+_LONGEST_S = 600.0  # s of a motion
+_MOST_WORK = 1.5e6  # s^2 of all pairs, since every take is compared with every other one: half a minute
+_WAIT = 120.0  # s for others whose evaluation is made again
+_SLACK_S = 0.1  # s that the last figure may end after the dance: people round
+_ADJUSTED = "adjusted.json"
+_OTHER = 0.6  # of the performance
+
+
+class Cut(BaseModel):
+    """One figure of the dance."""
+
+    model_config = ConfigDict(extra="forbid")
+
+    start_s: Seconds = Field(description="s of the first reference")
+    end_s: Seconds
+    label: str = Field(min_length=1, max_length=100, description="equal figures have equal labels")
+
+
+class Adjustment(BaseModel):
+    """What a person may change of an evaluation."""
+
+    model_config = ConfigDict(extra="forbid")
+
+    weights: Annotated[dict[_Name, _Weight], Field(max_length=20)] = Field(
+        default_factory=dict, description="of segments or limbs; 1 for those not named"
+    )
+    furi: Annotated[list[Cut], Field(min_length=1, max_length=400)] | None = Field(
+        None, description="figures; those that are found if null"
+    )
+
+
+class EvaluationRequest(Adjustment):
+    """A performance and the reference that it is held against."""
+
+    references: Annotated[list[MotionRef], Field(min_length=1, max_length=50)]
+    performance: MotionRef
+    side: Literal["same", "mirrored"] = "same"
+    tempo: Literal["same", "free"] = "same"
+    language: Language = "en"
+
+
+@dataclass(slots=True, eq=False)
+class Ready:
+    """An evaluation that answers quickly.
+
+    Parameters
+    ----------
+    request : what was asked for.
+    names : of the references, and of the performance.
+    assessment : of these motions, to be asked with other figures and weights.
+    lock : it answers one question at a time.
+    last : the last answer, and to what.
+    """
+
+    request: EvaluationRequest
+    names: tuple[str, ...]
+    assessment: AdjustableAssessment
+    lock: threading.Lock = field(default_factory=threading.Lock)
+    last: tuple[str, Assessment] | None = None
+
+    def assess(self, adjustment: Adjustment) -> Assessment:
+        """The assessment with these figures and weights.
+
+        Raises
+        ------
+        RefusedError, OptionError : figures or weights that cannot be.
+        """
+        key = adjustment.model_dump_json(include={"weights", "furi"})
+        with self.lock:
+            if self.last is None or self.last[0] != key:
+                furi = self.to_furi(adjustment.furi)
+                found = self.assessment.assess(furi, adjustment.weights)
+                self.last = (key, _add_page_warnings(found))
+            return self.last[1]
+
+    def preview(self, adjustment: Adjustment) -> tuple[Assessment, bool]:
+        """The same quickly, and whether it is exactly the same; see `dousa.evaluation.AdjustableAssessment`."""
+        with self.lock:
+            furi = self.to_furi(adjustment.furi)
+            found, is_exact = self.assessment.preview(furi, adjustment.weights)
+        return _add_page_warnings(found), is_exact
+
+    def to_furi(self, cuts: Sequence[Cut] | None) -> list[Furi] | None:
+        """Figures in frames of the first reference.
+
+        Raises
+        ------
+        RefusedError : a figure without length, beyond the reference, over another one, or with a label that a file
+            cannot hold.
+        """
+        from dousa.evaluation import Furi
+        from dousa.evaluation.figures.furi import can_hold
+
+        if cuts is None:
+            return None
+        rate, n_frames = self.assessment.frame_rate, self.assessment.n_frames
+        end_s = n_frames / rate
+        found: list[Furi] = []
+        for number, cut in enumerate(sorted(cuts, key=lambda one: one.start_s), start=1):
+            where = {"number": number, "start": cut.start_s, "end": cut.end_s}
+            start, end = round(cut.start_s * rate), min(round(cut.end_s * rate), n_frames)
+            if cut.end_s > end_s + _SLACK_S:
+                raise RefusedError(422, "studio_evaluation.cut_beyond", **where, length=end_s)
+            if start >= end:
+                raise RefusedError(422, "studio_evaluation.cut_empty", **where)
+            if found and start < found[-1].end:
+                raise RefusedError(422, "studio_evaluation.cuts_overlap", **where)
+            if not can_hold(cut.label):
+                raise RefusedError(422, "studio_evaluation.cut_label", **where, label=cut.label[:40])
+            found.append(Furi(start, end, cut.label))
+        return found
+
+    def to_cuts(self) -> list[dict[str, Any]]:
+        """The figures that are found in the reference, as `Cut`."""
+        rate = self.assessment.frame_rate
+        return [
+            {"start_s": round(one.start / rate, 4), "end_s": round(one.end / rate, 4), "label": one.label}
+            for one in self.assessment.found
+        ]
+
+
+class Evaluations:
+    """The evaluations that were looked at last.
+
+    Parameters
+    ----------
+    motions : finds what is compared.
+    board : the jobs that asked for evaluations.
+    """
+
+    def __init__(self, motions: Motions, board: JobBoard) -> None:
+        self._motions, self._board = motions, board
+        self._lock = threading.Lock()
+        self._gate = Gate(2, 8, Message("studio_evaluation.busy"))
+        self._making: dict[str, threading.Lock] = {}
+        self._ready: OrderedDict[str, Ready] = OrderedDict()
+
+    def put(self, job_id: str, ready: Ready) -> None:
+        """Keep an evaluation; others that were not looked at for long go."""
+        with self._lock:
+            self._ready[job_id] = ready
+            self._ready.move_to_end(job_id)
+            while len(self._ready) > 1 and (len(self._ready) > _MOST_READY or self.n_bytes > _MOST_BYTES):
+                self._ready.popitem(last=False)
+
+    @property
+    def n_bytes(self) -> int:
+        """About how much memory is kept."""
+        return sum(one.assessment.n_bytes for one in list(self._ready.values()))
+
+    def get(self, job_id: str) -> Ready:
+        """An evaluation; made again if it is not in memory any more.
+
+        Raises
+        ------
+        RefusedError : no such evaluation, or it is not done; a motion of it is gone.
+        """
+        job = self._done(job_id)
+        ready = self._ready.get(job_id) or self._make_again(job)
+        self.put(job_id, ready)
+        return ready
+
+    def _make_again(self, job: Job) -> Ready:
+        with self._gate.enter(_WAIT):
+            with self._lock:
+                making = self._making.setdefault(job.id, threading.Lock())
+            with making:
+                ready = self._ready.get(job.id)
+                if ready is None:
+                    ready = make_ready(EvaluationRequest.model_validate(job.request), self._motions.get)
+                    self.put(job.id, ready)
+            with self._lock:
+                self._making.pop(job.id, None)
+        return ready
+
+    def read_adjustment(self, job_id: str) -> Adjustment:
+        """What somebody changed of an evaluation; else what was asked for."""
+        job = self._done(job_id)
+        with suppress(OSError, ValueError):
+            return Adjustment.model_validate_json((self._board.folder(job) / _ADJUSTED).read_bytes())
+        asked = EvaluationRequest.model_validate(job.request)
+        return Adjustment(weights=asked.weights, furi=asked.furi)
+
+    def write_adjustment(self, job_id: str, adjustment: Adjustment) -> None:
+        """Keep what somebody changed, for every page that shows the evaluation, and for the files of it."""
+        from dousa.files.disk import atomic_write
+
+        with atomic_write(self._board.folder(self._done(job_id)) / _ADJUSTED) as file:
+            file.write(json.dumps(adjustment.model_dump(include={"weights", "furi"})).encode())
+
+    def _done(self, job_id: str) -> Job:
+        job = self._board.get(job_id)
+        if job.kind != "evaluate":
+            raise RefusedError(404, "studio_evaluation.not_one", job=job_id)
+        if job.state != "done":
+            raise RefusedError(409, "studio_evaluation.not_done")
+        return job
+
+
+def make_ready(
+    request: EvaluationRequest,
+    find: Callable[[MotionRef], Named],
+    progress: Callable[[int, int, Message], None] = lambda done, total, what: None,
+) -> Ready:
+    """Read the motions of an evaluation.
+
+    Parameters
+    ----------
+    request : which.
+    find : gives a motion.
+    progress : called with (steps done, steps, what).
+
+    Raises
+    ------
+    RefusedError : a motion that cannot be used; the sentence names it.
+    """
+    from dousa.errors import InvalidMotionError
+    from dousa.evaluation import ABOUT_REFERENCES, AdjustableAssessment
+
+    refs = [*request.references, request.performance]
+    named = []
+    for number, ref in enumerate(refs):
+        progress(number, len(refs) + 1, Message("studio_evaluation.reading"))
+        named.append(_check(find(ref)))
+    _check_work([one.motion.duration for one in named])
+    progress(len(refs), len(refs) + 1, Message("studio_evaluation.comparing"))
+    names = _tell_apart(named)
+    *takes, performance = (one.motion for one in named)
+    try:
+        ready = AdjustableAssessment(takes, performance, side=request.side, tempo=request.tempo, names=names)
+    except InvalidMotionError as error:
+        shortest = min(range(len(takes)), key=lambda number: takes[number].duration)
+        name = names[shortest] if error.code in ABOUT_REFERENCES else names[-1]
+        raise RefusedError(422, Message("text.in_file", path=name, problem=error.message)) from error
+    return Ready(request, names, ready)
+
+
+def _tell_apart(named: Sequence[Named]) -> tuple[str, ...]:
+    """Names of the motions; those that several have, with their categories."""
+    count = Counter(one.name for one in named)
+    return tuple(f"{one.category}/{one.name}" if count[one.name] > 1 and one.category else one.name for one in named)
+
+
+def _check(named: Named) -> Named:
+    if named.motion.duration > _LONGEST_S:
+        raise RefusedError(
+            422,
+            "studio_evaluation.too_long",
+            name=named.name,
+            most=_LONGEST_S / 60,
+            minutes=named.motion.duration / 60,
+        )
+    return named
+
+
+def _check_work(durations: Sequence[float]) -> None:
+    """A comparison cannot be stopped in the middle, so it must not take for ever."""
+    total, squares = sum(durations), sum(one * one for one in durations)
+    if (total * total - squares) / 2 > _MOST_WORK:
+        raise RefusedError(422, "studio_evaluation.too_much", count=len(durations), minutes=total / 60)
+
+
+def describe(ready: Ready, assessment: Assessment, adjustment: Adjustment, language: str) -> dict[str, Any]:
+    """An assessment as JSON, with the names of the motions, the figures and weights, and what was found by itself."""
+    request, take = ready.request, ready.assessment
+    found = ready.to_cuts()
+    furi = found if adjustment.furi is None else [cut.model_dump() for cut in adjustment.furi]
+    return {
+        **assessment.to_json(language),
+        "names": {"references": list(ready.names[:-1]), "performance": ready.names[-1]},
+        "motions": {
+            "references": [ref.model_dump(exclude_none=True) for ref in request.references],
+            "performance": request.performance.model_dump(exclude_none=True),
+        },
+        "options": {"side": request.side, "tempo": request.tempo},
+        "reference_duration_s": round(take.n_frames / take.frame_rate, 4),
+        "furi_used": furi,
+        "furi_found": found,
+        "weights": dict(adjustment.weights),
+    }
+
+
+def _add_page_warnings(assessment: Assessment) -> Assessment:
+    """With warnings that name what the page has, and one more where motions were mixed up."""
+    warnings = [reword(warning) for warning in assessment.warnings]
+    other_s = sum(event.end_s - event.start_s for event in assessment.events if event.kind == "global")
+    share = other_s / max(assessment.performance.duration, 1e-9)
+    if share > _OTHER:
+        warnings.insert(0, Message("studio_evaluation.other_figure", share=min(share, 1.0)))
+    return replace(assessment, warnings=tuple(warnings))
+
+
+def format_weights(weights: Mapping[str, float]) -> str:
+    """The text of a file for ``dousa evaluate --weights``."""
+    lines = [f"{name} = {value:g}" for name, value in weights.items()]
+    return "\n".join(["# weights of segments and limbs; what is not named weighs 1", *lines]) + "\n"

@@ -1,0 +1,459 @@
+"""An estimation as it can be watched while it runs: small pictures and every pose, in files that only grow.
+
+The work writes, the studio reads, neither waits for the other. A frame may be written several times, as its pose
+settles and is smoothed; the last word counts. Records have one size, so that half of one at the end is known.
+
+    scene.npz   body, cameras, rate, number of frames, and the name of this run
+    poses.bin   records of `pose_record`
+    seen.idx    records of `SEEN`: where in seen.bin the mask (PNG) or picture (JPEG) of a view lies
+    seen.bin    those, one after the other
+"""
+
+from __future__ import annotations
+
+import base64
+import dataclasses
+import os
+import secrets
+import threading
+from collections import OrderedDict
+from collections.abc import Sequence
+from contextlib import suppress
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dousa.app.pipelines.estimation_views import Scene
+from dousa.app.studio.core.answers import RefusedError
+
+if TYPE_CHECKING:
+    from dousa.app.pictures.overlay_view import ViewPainter
+    from dousa.app.studio.jobs.board import JobBoard
+    from dousa.arrays import Image, Mask
+    from dousa.estimation import BodyModel
+    from dousa.estimation.tracking.settings import Estimate, TrackedFrame
+
+STAGES = ("found", "settled", "smoothed")
+"""How final a pose is; its number is written."""
+
+MASK, PICTURE = 0, 1
+SEEN = np.dtype([("frame", "<i4"), ("view", "<i2"), ("kind", "<i2"), ("offset", "<i8"), ("size", "<i4")])
+_LONGEST = 480  # px, of what is kept
+_MOST_BYTES = 1_000_000_000  # of all pictures of one estimation
+_KEPT_JPEG = 80
+
+
+def pose_record(n_numbers: int, n_views: int, n_parts: int) -> np.dtype[Any]:
+    """A pose: frame, stage, whether lost, the pose row, canonical joints in m, overlap per view, hidden parts."""
+    return np.dtype(
+        [
+            ("frame", "<i4"),
+            ("stage", "u1"),
+            ("lost", "?"),
+            ("pose", "<f4", (n_numbers,)),
+            ("joints", "<f4", (20, 3)),
+            ("overlap", "<f4", (n_views,)),
+            ("hidden", "?", (n_parts,)),
+        ]
+    )
+
+
+def canonical_indices(body: BodyModel) -> list[int] | None:
+    """Where the 20 canonical joints are among the body's points; None for a body that is no person."""
+    from dousa.estimation.body.kinematics import point_names
+    from dousa.motion import CANONICAL_JOINTS
+
+    names = point_names(body)
+    if not set(CANONICAL_JOINTS) <= set(names):
+        return None
+    return [names.index(name) for name in CANONICAL_JOINTS]
+
+
+class FootageWriter:
+    """A `dousa.app.pipelines.estimation_views.Watcher` that writes down what it is shown.
+
+    Parameters
+    ----------
+    folder : of the job.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self._folder = folder
+        self._scene: Scene | None = None
+        self._body: BodyModel | None = None
+        self._files: list[Any] = []
+        self._offset = 0
+
+    def begin(self, scene: Scene) -> None:
+        """Take up the files of an earlier run, or begin new ones."""
+        self._scene = scene
+        if scene.resumed == 0:
+            for name in ("scene.npz", "poses.bin", "seen.idx", "seen.bin"):
+                with suppress(FileNotFoundError):
+                    (self._folder / name).unlink()
+        self._index = self._append("seen.idx", SEEN.itemsize)
+        self._seen = self._append("seen.bin", 1)
+        self._offset = os.fstat(self._seen.fileno()).st_size
+
+    def _append(self, name: str, record: int) -> Any:
+        """A file to write on to, less the part of a record at its end that an interrupted run left."""
+        file = open(self._folder / name, "ab", buffering=0)  # noqa: SIM115 - open as long as the work lasts
+        file.truncate(file.tell() // record * record)
+        self._files.append(file)
+        return file
+
+    def see(self, frame: int, masks: Sequence[Mask | None], pictures: Sequence[Image | None]) -> None:
+        """Keep small masks, and small pictures where there are any."""
+        if self._offset > _MOST_BYTES:
+            return
+        records = []
+        for view, (mask, picture) in enumerate(zip(masks, pictures, strict=True)):
+            if mask is not None:
+                records.append(self._put(frame, view, MASK, _pack_mask(mask)))
+            if picture is not None:
+                records.append(self._put(frame, view, PICTURE, _pack_picture(picture)))
+        self._index.write(np.array(records, SEEN).tobytes())
+
+    def _put(self, frame: int, view: int, kind: int, content: bytes) -> tuple[int, ...]:
+        self._seen.write(content)
+        self._offset += len(content)
+        return frame, view, kind, self._offset - len(content), len(content)
+
+    def follow(self, tracked: TrackedFrame) -> None:
+        """Keep a pose."""
+        if tracked.body is not self._body:
+            self._begin_poses(tracked.body)
+        row = np.zeros(1, self._record)
+        row["frame"], row["stage"] = tracked.frame, int(tracked.settled)
+        self._fill(row, tracked.pose[None], tracked.overlap[None], tracked.occluded[None], [tracked.lost])
+
+    def end(self, estimate: Estimate) -> None:
+        """Keep all poses once more, smoothed."""
+        if estimate.body is not self._body:
+            self._begin_poses(estimate.body)
+        rows = np.zeros(estimate.n_frames, self._record)
+        rows["frame"], rows["stage"] = np.arange(estimate.n_frames), STAGES.index("smoothed")
+        self._fill(rows, estimate.poses, estimate.iou, estimate.occluded, estimate.lost)
+        self.close()
+
+    def close(self) -> None:
+        """Let go of the files."""
+        for file in self._files:
+            file.close()
+        self._files.clear()
+
+    def _fill(self, rows: Any, poses: Any, overlap: Any, hidden: Any, lost: Any) -> None:
+        from dousa.estimation.body.kinematics import compute_points
+
+        assert self._body is not None
+        rows["pose"], rows["overlap"], rows["hidden"], rows["lost"] = poses, overlap, hidden, lost
+        if self._joints is None:
+            rows["joints"] = np.nan
+        else:
+            rows["joints"] = compute_points(self._body, poses)[:, self._joints]
+        self._poses.write(rows.tobytes())
+
+    def _begin_poses(self, body: BodyModel) -> None:
+        """The body is known only when its girths are fitted."""
+        from dousa.estimation.cameras.camera_formats import cameras_to_arrays
+        from dousa.files.disk import atomic_write
+
+        assert self._scene is not None
+        self._body, self._joints = body, canonical_indices(body)
+        self._record = pose_record(7 + body.n_angles, len(self._scene.names), body.n_parts)
+        self._poses = self._append("poses.bin", self._record.itemsize)
+        fields = {f"body_{field.name}": getattr(body, field.name) for field in dataclasses.fields(body)}
+        arrays = {
+            **cameras_to_arrays(self._scene.cameras),
+            **{name: np.asarray(value) for name, value in fields.items()},
+            "names": np.array(self._scene.names),
+            "rate": np.float64(self._scene.frame_rate),
+            "n_frames": np.int64(self._scene.n_frames),
+            "run": np.array(secrets.token_hex(4)),
+        }
+        with atomic_write(self._folder / "scene.npz") as file:
+            np.savez(file, **arrays)  # type: ignore[arg-type]
+
+
+def _pack_mask(mask: Mask) -> bytes:
+    from dousa.extras import cv2
+
+    image = mask.view(np.uint8) * np.uint8(255)
+    small = _shrink(image)
+    _, content = cv2.imencode(".png", (small > 127) * np.uint8(255), [cv2.IMWRITE_PNG_BILEVEL, 1])
+    return content.tobytes()
+
+
+def _pack_picture(picture: NDArray[np.uint8]) -> bytes:
+    from dousa.extras import cv2
+
+    _, content = cv2.imencode(".jpg", _shrink(picture), [cv2.IMWRITE_JPEG_QUALITY, _KEPT_JPEG])
+    return content.tobytes()
+
+
+def _shrink(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    from dousa.extras import cv2
+
+    height, width = image.shape[:2]
+    factor = _LONGEST / max(height, width)
+    if factor >= 1.0:
+        return image
+    size = (max(1, round(width * factor)), max(1, round(height * factor)))
+    return np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), np.uint8)
+
+
+_MOST_OVERLAYS = 240  # kept, some 25 KB each
+_MOST_OPEN = 4  # estimations
+_MOST_RECORDS = 20_000  # in one answer
+_JPEG = 88
+
+
+class Footages:
+    """What can be seen of the estimations that were looked at last.
+
+    Parameters
+    ----------
+    board : their jobs.
+    """
+
+    def __init__(self, board: JobBoard) -> None:
+        self._board = board
+        self._lock = threading.Lock()
+        self._open: OrderedDict[str, Footage] = OrderedDict()
+
+    def get(self, job_id: str) -> Footage:
+        """An estimation; there may be nothing of it yet.
+
+        Raises
+        ------
+        RefusedError : no such job, or of another kind.
+        """
+        job = self._board.get(job_id)
+        if job.kind != "estimate":
+            raise RefusedError(404, "studio_estimation.not_one", job=job_id)
+        with self._lock:
+            if job_id not in self._open:
+                self._open[job_id] = Footage(self._board.folder(job))
+            self._open.move_to_end(job_id)
+            while len(self._open) > _MOST_OPEN:
+                self._open.popitem(last=False)
+            found = self._open[job_id]
+        found.refresh()
+        return found
+
+
+class Footage:
+    """One estimation as far as it is.
+
+    Parameters
+    ----------
+    folder : of its job.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self._folder = folder
+        self._lock = threading.RLock()
+        self._stamp: tuple[int, int] | None = None
+        self._clear()
+
+    def _clear(self) -> None:
+        self.total, self.frame_rate, self.run = 0, 30.0, ""
+        self.names: tuple[str, ...] = ()
+        self.sizes: tuple[tuple[int, int], ...] = ()
+        self._order: list[int] = []
+        self._seen: dict[tuple[int, int, int], tuple[int, int]] = {}
+        self._read = {"poses.bin": 0, "seen.idx": 0}
+        self._painters: dict[int, ViewPainter] = {}
+        self._overlays: OrderedDict[tuple[int, int, int], bytes] = OrderedDict()
+        self._facing: dict[str, float] | None = None
+        self._rows: Any = None
+        self._is_person = False
+
+    # --- taking in what is new
+
+    def refresh(self) -> None:
+        """Read what was written since the last look."""
+        with self._lock:
+            path = self._folder / "scene.npz"
+            try:
+                state = path.stat()
+            except FileNotFoundError:
+                if self._stamp is not None:
+                    self._stamp = None
+                    self._clear()
+                return
+            stamp = (state.st_mtime_ns, state.st_ino)
+            if stamp != self._stamp:
+                self._clear()
+                self._load_scene(path)
+                self._stamp = stamp
+            self._load_poses()
+            self._load_seen()
+
+    def _load_scene(self, path: Path) -> None:
+        from dousa.estimation.body.body import BodyModel
+        from dousa.estimation.cameras.camera_files import read_cameras
+
+        with np.load(path, allow_pickle=False) as file:
+            fields = {field.name: file[f"body_{field.name}"] for field in dataclasses.fields(BodyModel)}
+            self.names = tuple(str(name) for name in file["names"])
+            self.frame_rate, self.total = float(file["rate"]), int(file["n_frames"])
+            self.run = str(file["run"])
+        texts = {name: tuple(map(str, fields[name])) for name in ("names", "joints", "tips")}
+        self._body = BodyModel(**{**fields, **texts, "stature": float(fields["stature"])})
+        self._is_person = canonical_indices(self._body) is not None
+        self._cameras = read_cameras(path)
+        self.sizes = tuple((camera.width, camera.height) for camera in self._cameras)
+        self._record = pose_record(7 + self._body.n_angles, len(self.names), self._body.n_parts)
+        self._rows = np.zeros(self.total, self._record)
+        self._version = np.zeros(self.total, np.int64)
+
+    def _load_poses(self) -> None:
+        rows = self._new_records("poses.bin", self._record)
+        frames = rows["frame"]
+        good = (frames >= 0) & (frames < self.total)
+        for row, frame in zip(rows[good], frames[good].tolist(), strict=True):
+            self._rows[frame] = row
+            self._order.append(frame)
+            self._version[frame] = len(self._order)
+
+    def _load_seen(self) -> None:
+        for frame, view, kind, offset, size in self._new_records("seen.idx", SEEN).tolist():
+            self._seen[frame, view, kind] = (offset, size)
+
+    def _new_records(self, name: str, record: np.dtype[Any]) -> NDArray[Any]:
+        try:
+            with open(self._folder / name, "rb") as file:
+                file.seek(self._read[name])
+                content = file.read()
+        except FileNotFoundError:
+            content = b""
+        whole = len(content) // record.itemsize * record.itemsize
+        self._read[name] += whole
+        return np.frombuffer(content[:whole], record)
+
+    # --- telling
+
+    @property
+    def n_finished(self) -> int:
+        """Frames from the first on that have a pose."""
+        missing = np.flatnonzero(self._version == 0) if self.total else np.zeros(0, int)
+        return int(missing[0]) if len(missing) else self.total
+
+    def frames_since(self, count: int, *, joints: bool = False) -> dict[str, Any]:
+        """What is new after so many records: the page asks with ``next`` the next time.
+
+        Returns
+        -------
+        ``run``, ``total``, ``finished``, ``next``, ``frame_rate``, ``is_person`` (else there is no figure), ``views``
+        with names and sizes; of the frames that are new or changed ``frames`` (n,), ``stage`` (n,), ``lost`` (n,),
+        ``overlap`` (n, V), and if asked for ``joints``: base64 of (n, 20, 3) float32 in m.
+        """
+        with self._lock:
+            count = min(count, len(self._order))
+            until = min(len(self._order), count + _MOST_RECORDS)
+            frames = sorted(set(self._order[count:until]))
+            rows = self._rows[frames] if frames else np.zeros(0, pose_record(0, len(self.names), 0))
+            answer = {
+                "run": self.run,
+                "total": self.total,
+                "finished": self.n_finished,
+                "next": until,
+                "frame_rate": self.frame_rate,
+                "is_person": self._is_person,
+                "views": [
+                    {"name": name, "width": width, "height": height}
+                    for name, (width, height) in zip(self.names, self.sizes, strict=True)
+                ],
+                "frames": frames,
+                "stage": rows["stage"].tolist(),
+                "lost": rows["lost"].tolist(),
+                "overlap": np.round(rows["overlap"].astype(float), 3).tolist(),
+            }
+            return answer | {"joints": _base64(rows["joints"])} if joints else answer
+
+    def player(self, language: str) -> dict[str, Any]:
+        """The figure as far as it is, for the player.
+
+        Raises
+        ------
+        RefusedError : there is no figure yet, or the body is no person.
+        """
+        from dousa.app.player.data import encode_motion
+        from dousa.motion import CANONICAL_JOINTS, Trajectories
+
+        with self._lock:
+            n_frames = self.n_finished
+            if n_frames < 2:
+                raise RefusedError(409, "studio_estimation.no_figure_yet")
+            positions = self._rows["joints"][:n_frames].astype(np.float64)
+            if not self._is_person:
+                raise RefusedError(409, "studio_estimation.no_person")
+            motion = Trajectories(CANONICAL_JOINTS, positions, self.frame_rate)
+            data = encode_motion(motion, language=language, like=self._facing)
+            if n_frames >= self.frame_rate / 2:  # where somebody faces takes a moment to tell
+                self._facing = {"facing": data["facing"], "floor": data["floor"]}
+            return {**data, "n_tracked": n_frames, "next": len(self._order)}
+
+    def overlay(self, view: int, frame: int) -> bytes:
+        """Silhouette, picture and model of one view in one frame, as JPEG.
+
+        Raises
+        ------
+        RefusedError : there is no such view, or no pose of this frame yet.
+        """
+        with self._lock:
+            if not 0 <= view < len(self.names):
+                raise RefusedError(404, "studio_estimation.no_view", view=view, count=len(self.names))
+            if not 0 <= frame < self.total or self._version[frame] == 0:
+                raise RefusedError(404, "studio_estimation.no_pose", frame=frame, count=self.n_finished)
+            key = (view, frame, int(self._version[frame]))
+            if key in self._overlays:
+                self._overlays.move_to_end(key)
+                return self._overlays[key]
+            image = self._overlays[key] = self._paint(view, frame)
+            while len(self._overlays) > _MOST_OVERLAYS:
+                self._overlays.popitem(last=False)
+            return image
+
+    def _paint(self, view: int, frame: int) -> bytes:
+        from dousa.extras import cv2
+
+        row = self._rows[frame]
+        mask, picture = self._look(frame, view, MASK), self._look(frame, view, PICTURE)
+        drawn = self._painter(view).paint(
+            row["pose"].astype(np.float64),
+            None if mask is None else mask[..., 0] > 127,
+            picture,
+            row["hidden"],
+        )
+        _, content = cv2.imencode(".jpg", drawn, [cv2.IMWRITE_JPEG_QUALITY, _JPEG])
+        return content.tobytes()
+
+    def _painter(self, view: int) -> ViewPainter:
+        from dousa.app.pictures.overlay_view import ViewPainter
+
+        if view not in self._painters:
+            width, height = self.sizes[view]
+            factor = _LONGEST / max(width, height)
+            size = max(8, round(width * factor)), max(8, round(height * factor))
+            self._painters[view] = ViewPainter(self._body, self._cameras[view], *size)
+        return self._painters[view]
+
+    def _look(self, frame: int, view: int, kind: int) -> NDArray[np.uint8] | None:
+        from dousa.extras import cv2
+
+        if (frame, view, kind) not in self._seen:
+            return None
+        offset, size = self._seen[frame, view, kind]
+        with open(self._folder / "seen.bin", "rb") as file:
+            file.seek(offset)
+            content = file.read(size)
+        image = cv2.imdecode(np.frombuffer(content, np.uint8), cv2.IMREAD_COLOR) if content else None
+        return None if image is None else np.asarray(image, np.uint8)
+
+
+def _base64(values: NDArray[Any]) -> str:
+    return base64.b64encode(np.ascontiguousarray(values, "<f4").tobytes()).decode("ascii")

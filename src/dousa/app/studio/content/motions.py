@@ -1,0 +1,347 @@
+"""Motions by name: a clip of the library, an uploaded file, what a job estimated; whole or a part.
+
+``clip:12``, ``file:BATCH/NAME`` and ``job:ID`` stand for a motion everywhere: in the interface, in the addresses of
+pages, and between them.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import tempfile
+import threading
+from collections import OrderedDict
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path, PurePath
+from typing import TYPE_CHECKING, Annotated, Any
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field
+
+from dousa.app.studio.core.answers import Gate, RefusedError
+from dousa.errors import DousaError
+from dousa.messages import Message
+
+if TYPE_CHECKING:
+    from dousa.app.studio.core.workspace import Workspace
+    from dousa.app.studio.jobs.board import JobBoard
+    from dousa.library import Library
+    from dousa.motion import CanonicalMotion, Motion
+
+MotionName = Annotated[
+    str,
+    Field(
+        pattern=r"^(clip:[0-9]{1,15}|file:[0-9a-f]{16}/.{1,1000}|job:[0-9a-f]{16})$",
+        description="clip:NUMBER of the library, file:BATCH/NAME of an upload, or job:ID of an estimation",
+        examples=["clip:12"],
+    ),
+]
+Seconds = Annotated[float, Field(ge=0, le=1e6, allow_inf_nan=False)]
+_KEPT, _KEPT_BYTES = 24, 60_000_000  # motions that were read from files last
+_WAIT = 60.0  # s for others that read
+_LONGEST_S, _MOST_FRAMES = 3 * 3600.0, 1_500_000  # of a motion that is looked at as one
+
+
+@dataclass(frozen=True, slots=True)
+class Address:
+    """Where a motion is: one of a clip, a file of a batch, a job.
+
+    Parameters
+    ----------
+    clip : number in the library.
+    batch, name : of an upload, and of the file in it.
+    job : of an estimation.
+    """
+
+    clip: int | None = None
+    batch: str = ""
+    name: str = ""
+    job: str = ""
+
+    @classmethod
+    def parse(cls, motion: str) -> Address:
+        """The place that a `MotionName` says."""
+        kind, _, rest = motion.partition(":")
+        if kind == "clip":
+            return cls(clip=int(rest))
+        batch, _, name = rest.partition("/")
+        return cls(batch=batch, name=name) if kind == "file" else cls(job=rest)
+
+    def __str__(self) -> str:
+        if self.clip is not None:
+            return f"clip:{self.clip}"
+        return f"file:{self.batch}/{self.name}" if self.batch else f"job:{self.job}"
+
+
+class MotionPart(BaseModel):
+    """A motion, or a part of one, as it stands in an address."""
+
+    model_config = ConfigDict(extra="forbid")
+
+    motion: MotionName
+    start_s: Seconds | None = Field(default=None, description="s; the beginning if left out")
+    end_s: Seconds | None = Field(default=None, description="s; the end if left out")
+    unit: str | None = Field(default=None, max_length=20, description="length unit of an uploaded file, such as cm")
+    up: str | None = Field(default=None, max_length=2, description="up axis of an uploaded file: x, y or z")
+
+    def ref(self) -> MotionRef:
+        """The same in the form that everything else uses."""
+        return MotionRef(motion=self.motion, start_s=self.start_s, end_s=self.end_s, unit=self.unit, up=self.up)
+
+    @property
+    def address(self) -> Address:
+        """Where it is."""
+        return Address.parse(self.motion)
+
+
+class MotionRef(MotionPart):
+    """A motion, or a part of one."""
+
+    joint_map: dict[str, str | list[str]] | None = Field(
+        default=None, description="canonical joint -> joint of the file"
+    )
+
+    @property
+    def is_whole(self) -> bool:
+        """Whether it is all of the motion."""
+        return self.start_s is None and self.end_s is None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Named:
+    """A motion and what it is called.
+
+    Parameters
+    ----------
+    name : of its file, for people.
+    motion : its canonical joints, with the doubts that came up when it was read.
+    category : its label, of clips.
+    """
+
+    name: str
+    motion: CanonicalMotion
+    category: str | None = None
+
+    @property
+    def n_bytes(self) -> int:
+        """Size in memory."""
+        return int(self.motion.positions.nbytes)
+
+
+class Motions:
+    """Finds motions, and keeps those of files that were read last.
+
+    Parameters
+    ----------
+    library : gives the library that is open.
+    workspace, board : where uploads and estimates are.
+    """
+
+    def __init__(self, library: Callable[[], Library], workspace: Workspace, board: JobBoard) -> None:
+        self._library, self._workspace, self._board = library, workspace, board
+        self._lock = threading.Lock()
+        self._reading = Gate(2, 12, Message("studio_motions.busy_reading"))
+        self._kept: OrderedDict[tuple[Any, ...], Named] = OrderedDict()
+
+    def get(self, ref: MotionRef) -> Named:
+        """The motion, or the part, that is meant.
+
+        Raises
+        ------
+        RefusedError : there is no such motion, or the part is empty.
+        DousaError : its file cannot be used.
+        """
+        return _cut(self._whole(ref), ref)
+
+    def query(self, ref: MotionRef) -> int | CanonicalMotion:
+        """What `Library.search` is asked: the number of a whole clip, else a motion."""
+        clip = ref.address.clip
+        if clip is not None and ref.is_whole:
+            return clip
+        return self.get(ref).motion
+
+    def path(self, ref: MotionRef) -> Path:
+        """The file of a motion; of a clip, where it came from, whether it is there or not.
+
+        Raises
+        ------
+        RefusedError : there is no such motion.
+        """
+        address = ref.address
+        if address.clip is not None:
+            return Path(self._library().clips([address.clip])[0].path)
+        if address.batch:
+            return self._workspace.find(address.batch, address.name)
+        job = self._board.get(address.job)
+        name = (job.result or {}).get("motion")
+        if not name:
+            raise RefusedError(409, "studio_motions.no_motion_yet")
+        return self._board.folder(job) / PurePath(str(name)).name
+
+    def _whole(self, ref: MotionRef) -> Named:
+        address = ref.address
+        if address.clip is not None:
+            return _stored(self._library(), address.clip)
+        found = self._from_file(self.path(ref), ref)
+        if address.job:  # all estimates lie in a motion.bvh: they are called as what they were made of
+            return replace(found, name=f"{PurePath(str(self._board.get(address.job).title)).stem}.bvh")
+        return found
+
+    def _from_file(self, path: Path, ref: MotionRef) -> Named:
+        joints = tuple((name, str(value)) for name, value in (ref.joint_map or {}).items())
+        try:
+            changed = path.stat().st_mtime_ns
+        except OSError:
+            raise RefusedError(404, "studio_motions.gone", name=path.name) from None
+        key = (str(path), changed, ref.unit, ref.up, joints)
+        kept = self._look(key)
+        if kept is not None:
+            return kept
+        with self._reading.enter(_WAIT):
+            kept = self._look(key)  # somebody else asked for the same file
+            if kept is None:
+                kept = _read(path, ref)
+                self._keep(key, kept)
+        return kept
+
+    def _look(self, key: tuple[Any, ...]) -> Named | None:
+        with self._lock:
+            if key in self._kept:
+                self._kept.move_to_end(key)
+            return self._kept.get(key)
+
+    def _keep(self, key: tuple[Any, ...], read: Named) -> None:
+        with self._lock:
+            self._kept[key] = read
+            while len(self._kept) > 1 and (len(self._kept) > _KEPT or self._n_bytes() > _KEPT_BYTES):
+                self._kept.popitem(last=False)
+
+    def _n_bytes(self) -> int:
+        return sum(item.n_bytes for item in self._kept.values())
+
+
+def _read(path: Path, ref: MotionRef) -> Named:
+    from dousa.formats.motion_files import ReadOptions, read_canonical
+
+    motion, _ = read_canonical(str(path), ReadOptions(ref.joint_map, ref.unit, ref.up, None))
+    _check_size(path.name, motion.n_frames, motion.frame_rate)
+    return Named(path.name, motion)
+
+
+def _check_size(name: str, n_frames: int, frame_rate: float) -> None:
+    """A file of a few frames that says it lasts a year would fill the memory when it is shown."""
+    from dousa.retrieval.features.posed_motion import check_frame_rate
+
+    check_frame_rate(frame_rate)
+    if n_frames > _MOST_FRAMES or n_frames / frame_rate > _LONGEST_S:
+        raise RefusedError(
+            422,
+            "studio_motions.too_long",
+            name=name,
+            most_hours=_LONGEST_S / 3600,
+            most_frames=_MOST_FRAMES,
+            hours=n_frames / frame_rate / 3600,
+            frames=n_frames,
+        )
+
+
+def _stored(library: Library, clip: int) -> Named:
+    from dousa.motion import CanonicalMotion
+    from dousa.motion.canonical.canonicalise import JointMapping
+
+    info = library.clips([clip])[0]
+    _check_size(PurePath(info.path).name, info.n_frames, info.frame_rate)
+    positions = library.trajectories(clip).positions
+    mapping = JointMapping(info.joint_table, {}, (), "agree")
+    motion = CanonicalMotion(positions, info.frame_rate, info.height, "library", mapping, info.warnings)
+    return Named(PurePath(info.path).name, motion, info.category)
+
+
+def _cut(whole: Named, ref: MotionRef) -> Named:
+    if ref.is_whole:
+        return whole
+    motion = whole.motion
+    rate, n_frames = motion.frame_rate, motion.n_frames
+    first = round((ref.start_s or 0.0) * rate)
+    last = n_frames if ref.end_s is None else min(round(ref.end_s * rate) + 1, n_frames)
+    if last - first < 2:
+        raise RefusedError(
+            422,
+            "studio_motions.empty_part",
+            seconds=(n_frames - 1) / rate,
+            start=ref.start_s or 0.0,
+            end=(n_frames - 1) / rate if ref.end_s is None else ref.end_s,
+        )
+    missing = None if motion.missing is None else motion.missing[first:last]
+    part = dataclasses.replace(motion, positions=motion.positions[first:last], missing=missing)
+    return Named(whole.name, part, whole.category)
+
+
+_SAME = 1e-3  # m: joints of the library are rounded
+_gate = Gate(2, 6, Message("studio_motions.busy_writing"))  # an hour takes half a minute
+
+
+def make_bvh(named: Named, source: Path, ref: MotionRef) -> bytes:
+    """The motion as a BVH file.
+
+    Parameters
+    ----------
+    named : the motion, or the part.
+    source : the file it came from; it may be gone, or be something else by now.
+    ref : which part, and what was said about the file.
+
+    Returns
+    -------
+    Bytes. Where the source still holds this very motion as rotations, all its joints are in them; else a body of
+    the canonical joints is fitted.
+
+    Raises
+    ------
+    RefusedError : many others wait.
+    """
+    from dousa.formats.registry import write_motion
+
+    with _gate.enter(_WAIT), tempfile.TemporaryDirectory(prefix="dousa-") as folder:
+        path = Path(folder) / "motion.bvh"
+        original = _read_original(named, source, ref)
+        if original is None:
+            write_motion(_fit(named), path)
+        else:
+            write_motion(original, path)
+        return path.read_bytes()
+
+
+def _read_original(named: Named, source: Path, ref: MotionRef) -> Motion | None:
+    """The part of the file that is meant; None if it does not hold this motion."""
+    from dousa.formats.registry import read_motion
+    from dousa.motion import Motion
+
+    try:
+        motion = read_motion(source, unit=ref.unit, up=ref.up)
+        if not isinstance(motion, Motion):
+            return None
+        first = 0 if ref.start_s is None else round(ref.start_s * motion.frame_rate)
+        last = first + named.motion.n_frames
+        if not ref.is_whole:
+            motion = motion.replace(
+                rotations=motion.rotations[first:last], translations=motion.translations[first:last]
+            )
+        return motion if _is_same(motion, named, ref) else None
+    except (DousaError, OSError):
+        return None  # what the library keeps serves as well
+
+
+def _is_same(motion: Motion, named: Named, ref: MotionRef) -> bool:
+    """Whether a file still moves as the library remembers it: same length, rate, places and unit."""
+    from dousa.motion import canonicalise
+
+    if motion.n_frames != named.motion.n_frames or motion.frame_rate != named.motion.frame_rate:
+        return False
+    positions = canonicalise(motion, ref.joint_map).positions
+    return bool(np.abs(positions - named.motion.positions).max() <= _SAME)
+
+
+def _fit(named: Named) -> Motion:
+    from dousa.motion import fit_motion
+
+    return fit_motion(named.motion)

@@ -1,0 +1,105 @@
+"""What all requests share: settings, folder, jobs, the open library."""
+
+from __future__ import annotations
+
+import os
+import threading
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+from fastapi import Depends, Request
+
+from dousa.app.studio.content.clips import Listing, Thumbnails
+from dousa.app.studio.content.evaluations import Evaluations
+from dousa.app.studio.content.footage import Footages
+from dousa.app.studio.content.motions import Motions
+from dousa.app.studio.core.workspace import Workspace
+from dousa.app.studio.jobs.board import JobBoard, Lane
+from dousa.errors import LibraryError
+
+if TYPE_CHECKING:
+    from dousa.app.studio.core.workspace import Settings
+    from dousa.library import Library
+
+
+class Studio:
+    """One library and everything that happens to it.
+
+    Parameters
+    ----------
+    settings : of the studio.
+    make_lanes : gives the lanes of a studio by kind of job.
+
+    Raises
+    ------
+    LibraryError : the file is not a library, or cannot be made.
+    OptionError : the folder cannot be made.
+    """
+
+    def __init__(self, settings: Settings, make_lanes: Callable[[Studio], Mapping[str, Lane]]) -> None:
+        self.settings = settings
+        self._opening = threading.Lock()
+        self._library: Library | None = None
+        self._file: tuple[int, int] | None = None
+        self.get_library()  # first: what is no library gets no folder beside it
+        self.workspace = Workspace(settings.folder)
+        self.jobs = JobBoard(self.workspace, make_lanes(self))
+        self.motions = Motions(self.get_library, self.workspace, self.jobs)
+        self.evaluations = Evaluations(self.motions, self.jobs)
+        self.listing = Listing(self.get_library, self.workspace.root / "files")
+        self.footage = Footages(self.jobs)
+        self.thumbnails = Thumbnails.of(self.workspace.root)
+
+    def get_library(self) -> Library:
+        """The library, opened once; it is made if it is not there when the studio starts.
+
+        Raises
+        ------
+        LibraryError : it is no library, or it was taken away. What were written into a file that has no name any more
+            would be lost when the studio ends.
+        """
+        from dousa.library import Library
+
+        with self._opening:
+            found = _identify(self.settings.library)
+            if self._library is None:
+                self._library = Library.open(self.settings.library, create=True, timeout=20.0)
+                self._file = _identify(self.settings.library)
+            elif found is None:
+                raise LibraryError("studio.library_gone", library=self.settings.library)
+            elif found != self._file:  # another one has its name; who still asks the old one may end
+                self._library = Library.open(self.settings.library, timeout=20.0)
+                self._file = found
+            return self._library
+
+    @property
+    def library(self) -> Library:
+        """The library."""
+        return self.get_library()
+
+    def close(self) -> None:
+        """Stop all work and let go of the library."""
+        self.jobs.close()
+        with self._opening:
+            if self._library is not None:
+                self._library.close()
+                self._library = None
+
+
+def _identify(path: Path) -> tuple[int, int] | None:
+    """Which file has this name now."""
+    try:
+        status = os.stat(path)
+    except OSError:
+        return None
+    return status.st_dev, status.st_ino
+
+
+def _of_request(request: Request) -> Studio:
+    studio: Studio = request.app.state.studio
+    return studio
+
+
+StudioNow = Annotated[Studio, Depends(_of_request)]
+"""Type of a parameter that is the studio."""

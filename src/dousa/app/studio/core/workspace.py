@@ -1,0 +1,225 @@
+"""What a studio is given when it starts, and its own folder: uploaded files in batches, jobs with what they wrote; and
+no path that leads out of it."""
+
+from __future__ import annotations
+
+import re
+import secrets
+import shutil
+import threading
+import time
+import unicodedata
+from collections import OrderedDict
+from contextlib import suppress
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from dousa.app.studio.core.answers import RefusedError
+from dousa.errors import OptionError
+from dousa.formats.asf_amc.reading import TOP
+
+MEGABYTE = 1_000_000
+
+
+@dataclass(frozen=True, slots=True)
+class Settings:
+    """A studio and its limits.
+
+    Parameters
+    ----------
+    library : file of the motion library; made when the first motions are added.
+    host, port : where it listens.
+    token : the secret in its address; who does not know it gets nothing.
+    home : folder for uploads, jobs and their results; ``NAME.studio`` beside the library by default.
+    most_bytes : of one uploaded file.
+    most_unpacked_bytes : of all files of one zip archive, and of one batch of uploads.
+    most_files : of one batch of uploads.
+
+    Raises
+    ------
+    OptionError : a port outside 0 to 65535, an empty token.
+    """
+
+    library: Path
+    host: str = "127.0.0.1"
+    port: int = 8765
+    token: str = field(default_factory=lambda: secrets.token_urlsafe(24))
+    home: Path | None = None
+    most_bytes: int = 500 * MEGABYTE
+    most_unpacked_bytes: int = 4_000 * MEGABYTE
+    most_files: int = 20_000
+
+    def __post_init__(self) -> None:
+        if not 0 <= self.port <= 65535:
+            raise OptionError("studio.port", found=self.port)
+        if not self.token:
+            raise OptionError("studio.empty_token")
+
+    @property
+    def folder(self) -> Path:
+        """The folder for everything that the studio writes besides the library."""
+        home = self.home or self.library.with_name(f"{self.library.stem}.studio")
+        return home.absolute()  # what is read and added is named by whole paths
+
+    @property
+    def hosts(self) -> frozenset[str]:
+        """What a browser on this machine calls the studio; any other name is somebody else's."""
+        return frozenset(f"{name}:{self.port}" for name in {self.host, "127.0.0.1", "localhost", "[::1]"})
+
+    @property
+    def address(self) -> str:
+        """The address to open, with the token."""
+        return f"http://{self.host}:{self.port}/?token={self.token}"
+
+
+_BATCH = re.compile(r"[0-9a-f]{16}")
+_DEEPEST, _LONGEST, _LONGEST_PATH = 12, 200, 1_000  # folders; bytes of a name; bytes of all
+_KEPT = ".kept"  # marks a batch that a library or a job lives from
+_MOST_COUNTED = 1_000  # batches whose size is remembered
+_STALE = 7 * 86_400.0  # s after which other batches are cleared away when a studio starts
+
+
+def safe_parts(name: str) -> tuple[str, ...]:
+    """The folders and the file of a relative path that somebody sent, each fit to be made.
+
+    Raises
+    ------
+    RefusedError : absolute, upwards, hidden, with control characters, too long or too deep, or empty.
+    """
+    text = unicodedata.normalize("NFC", name).replace("\\", "/")
+    parts = tuple(part for part in text.split("/") if part not in ("", "."))
+    if text.startswith("/") or re.match(r"[A-Za-z]:", text) or ".." in parts:
+        raise RefusedError(422, "studio_files.not_relative", name=name)
+    if not parts:
+        raise RefusedError(422, "studio_files.no_name")
+    if len(parts) > _DEEPEST or len(text.encode("utf-8", "replace")) > _LONGEST_PATH:
+        raise RefusedError(422, "studio_files.deep_path", folders=_DEEPEST, bytes=_LONGEST_PATH)
+    for part in parts:
+        if part.startswith(".") or part == "__MACOSX":
+            raise RefusedError(422, "studio_files.hidden", name=part)
+        if any(unicodedata.category(character) in ("Cc", "Cs") or character in ':*?"<>|' for character in part):
+            raise RefusedError(422, "studio_files.bad_character", name=part)
+        if len(part.encode()) > _LONGEST or part.endswith((" ", ".")):
+            raise RefusedError(422, "studio_files.bad_name", name=part[:40])
+    return parts
+
+
+class Workspace:
+    """The folder of one studio.
+
+    Parameters
+    ----------
+    root : made if missing.
+
+    Raises
+    ------
+    OptionError : it cannot be made.
+    """
+
+    def __init__(self, root: Path) -> None:
+        self.root = root.absolute()
+        self._counting = threading.Lock()
+        self._sizes: OrderedDict[str, tuple[int, int]] = OrderedDict()
+        try:
+            for name in ("files", "jobs"):
+                (self.root / name).mkdir(parents=True, exist_ok=True)
+            (self.root / "files" / TOP).touch()  # skeletons of uploads are not looked for further up
+        except OSError as error:
+            raise OptionError("studio.no_home", folder=self.root, reason=error) from error
+        self._clear_stale()
+
+    def new_batch(self) -> str:
+        """The name of a new, empty batch of files."""
+        batch = secrets.token_hex(8)
+        (self.root / "files" / batch).mkdir()
+        return batch
+
+    def batch_folder(self, batch: str) -> Path:
+        """The folder of a batch.
+
+        Raises
+        ------
+        RefusedError : there is no such batch.
+        """
+        folder = self.root / "files" / batch
+        if not _BATCH.fullmatch(batch) or not folder.is_dir():
+            raise RefusedError(404, "studio_files.no_batch", batch=batch[:40])
+        return folder
+
+    def place(self, batch: str, name: str) -> Path:
+        """Where a file of a batch is or will be; its folder is made.
+
+        Raises
+        ------
+        RefusedError : no such batch, or a name that cannot be used.
+        """
+        folder = self.batch_folder(batch)
+        path = folder.joinpath(*safe_parts(name))
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+        except OSError:  # a file where the folder should be
+            raise RefusedError(422, "studio_files.folder_is_file", name=name) from None
+        if path.is_dir() or not path.parent.resolve().is_relative_to(folder.resolve()):
+            raise RefusedError(422, "studio_files.not_a_file", name=name)
+        return path
+
+    def find(self, batch: str, name: str) -> Path:
+        """A file of a batch.
+
+        Raises
+        ------
+        RefusedError : it is not there.
+        """
+        path = self.batch_folder(batch).joinpath(*safe_parts(name))
+        if not path.is_file() or path.is_symlink():
+            raise RefusedError(404, "studio_files.no_file", name=name, batch=batch)
+        return path
+
+    def files(self, batch: str) -> list[Path]:
+        """All files of a batch, by name."""
+        folder = self.batch_folder(batch)
+        return sorted(path for path in folder.rglob("*") if path.is_file() and not path.name.startswith("."))
+
+    def grow(self, batch: str, n_files: int, n_bytes: int, most: tuple[int, int]) -> bool:
+        """Count what is about to be put into a batch; whether it fits below so many files and bytes.
+
+        The files are looked at only the first time: a folder that comes file by file would take ever longer.
+        """
+        with self._counting:
+            if batch not in self._sizes:
+                there = [path.stat().st_size for path in self.files(batch)]
+                self._sizes[batch] = len(there), sum(there)
+            files, size = self._sizes[batch]
+            files, size = files + n_files, size + n_bytes
+            self._sizes.move_to_end(batch)
+            while len(self._sizes) > _MOST_COUNTED:
+                self._sizes.popitem(last=False)
+            fits = n_files <= 0 or (files <= most[0] and size <= most[1])
+            if fits:
+                self._sizes[batch] = files, size
+        return fits
+
+    def keep(self, batch: str) -> Path:
+        """Say that a batch is in use, so that it is never cleared away; its folder."""
+        folder = self.batch_folder(batch)
+        (folder / _KEPT).touch()
+        return folder
+
+    def discard(self, batch: str) -> None:
+        """Take away a batch that is not in use."""
+        folder = self.batch_folder(batch)
+        if not (folder / _KEPT).exists():
+            shutil.rmtree(folder, ignore_errors=True)
+
+    def job_folder(self, job: str) -> Path:
+        """The folder of a job, whether it exists or not."""
+        if not _BATCH.fullmatch(job):
+            raise RefusedError(404, "studio_jobs.no_job", job=job[:40])
+        return self.root / "jobs" / job
+
+    def _clear_stale(self) -> None:
+        for folder in (self.root / "files").iterdir():
+            with suppress(OSError):
+                old = time.time() - folder.stat().st_mtime > _STALE
+                if old and _BATCH.fullmatch(folder.name) and not (folder / _KEPT).exists():
+                    shutil.rmtree(folder, ignore_errors=True)

@@ -1,0 +1,284 @@
+"""How work is done: in a process of its own, where progress comes as lines of JSON and stopping is Ctrl-C, or in a
+thread of the studio, where the kernels and the library are loaded already."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import threading
+from collections.abc import Callable, Mapping
+from contextlib import suppress
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import IO, TYPE_CHECKING, Any
+
+from dousa.app.studio.core.answers import Gate, RefusedError
+from dousa.app.studio.core.words import read_message, say_packed, to_message
+from dousa.app.studio.jobs.board import JobStopped
+from dousa.errors import DousaError
+from dousa.messages import Message, get_language
+
+if TYPE_CHECKING:
+    from dousa.app.studio.core.workspace import Settings
+    from dousa.app.studio.jobs.board import Job, JobBoard
+    from dousa.library import Library
+
+_WORKER = "dousa.app.studio.work.worker"  # the module that a process runs
+_PATIENCE = 10.0  # s between asking a process to stop and ending it
+
+Progress = Callable[[int, int, Message | str], None]
+"""Called with (done, total, what is being done); raises when the job was stopped."""
+
+
+@dataclass(frozen=True, slots=True)
+class Context:
+    """What work is given.
+
+    Parameters
+    ----------
+    library : file of the library.
+    home : the studio's folder, see `dousa.app.studio.core.workspace.Workspace`.
+    folder : where this job writes.
+    progress : see `Progress`.
+    tell : called with what a person should know.
+    """
+
+    library: Path
+    home: Path
+    folder: Path
+    progress: Progress
+    tell: Callable[[Message | str], None]
+
+    def open_library(self) -> Library:
+        """The library; the studio made it when it started, so one that is not there was taken away."""
+        from dousa.library import Library
+
+        return Library.open(self.library)
+
+
+class WorkError(DousaError):
+    """The work of a process ended with a problem that it reported."""
+
+
+def start_worker(
+    settings: Settings, kind: str, request: Mapping[str, Any], folder: Path, errors: IO[bytes] | int
+) -> tuple[subprocess.Popen[bytes], bytes]:
+    """A process that does work, and the line that it waits for on its standard input.
+
+    Parameters
+    ----------
+    settings : of the studio.
+    kind, request : of the work, see `dousa.app.studio.work.worker`.
+    folder : where it may write.
+    errors : where its standard error goes.
+
+    What it answers is in the language in use here.
+    """
+    task = {
+        "language": get_language(),
+        "kind": kind,
+        "request": dict(request),
+        "folder": str(folder),
+        "library": str(settings.library),
+        "home": str(settings.folder),
+    }
+    process = subprocess.Popen(
+        [sys.executable, "-m", _WORKER],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        stderr=errors,
+        start_new_session=True,  # Ctrl-C in the terminal reaches the studio, which stops its work itself
+    )
+    return process, json.dumps(task).encode() + b"\n"
+
+
+def run_in_process(settings: Settings) -> Callable[[Job, JobBoard, threading.Event], dict[str, Any]]:
+    """What does jobs of any kind of `dousa.app.studio.work.worker` in a new process each."""
+
+    def run(job: Job, board: JobBoard, stop: threading.Event) -> dict[str, Any]:
+        folder = board.folder(job)
+        with open(folder / "log.txt", "ab") as log:
+            process, task = start_worker(settings, job.kind, job.request, folder, log)
+        watcher = threading.Thread(target=_end_when, args=(stop, process), daemon=True)
+        watcher.start()
+        try:
+            return _listen(process, task, job, board, stop)
+        finally:
+            _end(process)
+            stop.set()  # lets the watcher go
+            watcher.join()
+
+    return run
+
+
+def _listen(
+    process: subprocess.Popen[bytes], task: bytes, job: Job, board: JobBoard, stop: threading.Event
+) -> dict[str, Any]:
+    stdin, stdout = process.stdin, process.stdout
+    assert stdin is not None and stdout is not None
+    with suppress(OSError):
+        stdin.write(task)
+        stdin.flush()  # stays open: its end tells the process that the studio is gone
+    last = _read_lines(stdout, job, board)
+    process.wait()
+    if "result" in last:
+        result: dict[str, Any] = last["result"]
+        return result
+    if stop.is_set():
+        raise JobStopped
+    if "problem" in last:
+        raise WorkError(Message.from_json(last["problem"]))
+    code = "studio_jobs.killed" if process.returncode == -9 else "studio_jobs.ended"
+    raise WorkError(code, status=process.returncode, log=board.folder(job) / "log.txt")
+
+
+def _read_lines(stdout: IO[bytes], job: Job, board: JobBoard) -> dict[str, Any]:
+    """Pass on progress and notes; the last word of the process."""
+    last: dict[str, Any] = {}
+    for line in stdout:
+        with suppress(ValueError):
+            message = json.loads(line)
+            if "progress" in message:
+                done, total, what = message["progress"]
+                board.change(job, done=done, total=total, what=read_message(what))
+            elif "note" in message:
+                board.change(job, notes=[*job.notes, read_message(message["note"])])
+            else:
+                last = message
+    return last
+
+
+def _end_when(stop: threading.Event, process: subprocess.Popen[bytes]) -> None:
+    """Ctrl-C, and the end for what does not hear it: a decoder or a product of matrices looks up late."""
+    stop.wait()
+    if process.poll() is None:
+        with suppress(OSError):
+            process.send_signal(signal.SIGINT if os.name == "posix" else signal.SIGTERM)
+        with suppress(subprocess.TimeoutExpired):
+            process.wait(timeout=_PATIENCE)
+        if process.poll() is None:
+            kill(process)
+
+
+def kill(process: subprocess.Popen[bytes]) -> None:
+    """End a process that was started in a session of its own, and what it started itself."""
+    if process.poll() is not None:
+        return
+    with suppress(OSError):
+        if os.name == "posix":
+            os.killpg(process.pid, signal.SIGKILL)
+        else:
+            process.kill()
+
+
+def _end(process: subprocess.Popen[bytes]) -> None:
+    for pipe in (process.stdin, process.stdout):
+        if pipe is not None:
+            with suppress(OSError):
+                pipe.close()
+    try:
+        process.wait(timeout=_PATIENCE)
+    except subprocess.TimeoutExpired:
+        kill(process)
+        process.wait()
+
+
+def run_in_thread(
+    settings: Settings, work: Callable[[dict[str, Any], Context], dict[str, Any]]
+) -> Callable[[Job, JobBoard, threading.Event], dict[str, Any]]:
+    """What does jobs of one kind in the thread of their lane."""
+
+    def run(job: Job, board: JobBoard, stop: threading.Event) -> dict[str, Any]:
+        def progress(done: int, total: int, what: Message | str) -> None:
+            if stop.is_set():
+                raise JobStopped
+            board.change(job, done=int(done), total=int(total), what=to_message(what))
+
+        def tell(note: Message | str) -> None:
+            board.change(job, notes=[*job.notes, to_message(note)])
+
+        return work(job.request, Context(settings.library, settings.folder, board.folder(job), progress, tell))
+
+    return run
+
+
+_gate = Gate(2, 6, Message("studio_jobs.busy_files"))
+_lock = threading.Lock()
+_under_way: dict[str, subprocess.Popen[bytes]] = {}
+
+
+def ask_process(settings: Settings, kind: str, request: dict[str, Any], folder: Path, seconds: float) -> dict[str, Any]:
+    """The result of work of `dousa.app.studio.work.worker`.
+
+    Parameters
+    ----------
+    settings : of the studio.
+    kind, request : of the work; an older question about the same batch is dropped.
+    folder : where it may write.
+    seconds : it may take.
+
+    Raises
+    ------
+    RefusedError : it reported a problem, took too long or ended without an answer.
+    """
+    key = f"{settings.folder} {kind} {request.get('batch')}"
+    with _lock:
+        older = _under_way.get(key)
+        if older is not None:
+            kill(older)
+    with _gate.enter(seconds):
+        start = partial(start_worker, settings, kind, request, folder, subprocess.DEVNULL)
+        lines = _run(key, start, seconds)
+    for line in reversed(lines):
+        message = json.loads(line)
+        if "result" in message:
+            result: dict[str, Any] = say_packed(message["result"])
+            return result
+        if "problem" in message:
+            raise RefusedError(422, Message.from_json(message["problem"]))
+    raise RefusedError(422, "studio_jobs.no_answer")
+
+
+def _run(key: str, start: Callable[[], tuple[subprocess.Popen[bytes], bytes]], seconds: float) -> list[bytes]:
+    process, task = start()
+    with _lock:
+        _under_way[key] = process
+    ran_out = threading.Event()
+
+    def end() -> None:
+        ran_out.set()
+        kill(process)
+
+    timer = threading.Timer(seconds, end)
+    timer.start()
+    try:
+        lines = _ask(process, task)
+    finally:
+        timer.cancel()
+        with _lock:
+            replaced = _under_way.get(key) is not process
+            if not replaced:
+                del _under_way[key]
+    if ran_out.is_set():
+        raise RefusedError(422, "studio_jobs.took_long", seconds=seconds)
+    if process.returncode < 0 and replaced:
+        raise RefusedError(409, "studio_jobs.replaced")
+    return lines
+
+
+def _ask(process: subprocess.Popen[bytes], task: bytes) -> list[bytes]:
+    """What the process says; it ends when its standard input does, so that is closed only afterwards."""
+    assert process.stdin is not None and process.stdout is not None
+    lines: list[bytes] = []
+    with process.stdout, suppress(BrokenPipeError):
+        process.stdin.write(task)
+        process.stdin.flush()
+        lines = process.stdout.read().splitlines()
+    process.wait()
+    with suppress(BrokenPipeError):
+        process.stdin.close()
+    return lines

@@ -1,0 +1,107 @@
+"""Work on the library: adding uploads, training, labelling a take, judging a performance."""
+
+from __future__ import annotations
+
+from pathlib import Path, PurePath
+from typing import TYPE_CHECKING, Any
+
+from dousa.app.studio.content.motions import MotionRef
+from dousa.app.studio.core.words import shorten
+from dousa.app.studio.jobs.lanes import Context
+
+if TYPE_CHECKING:
+    from dousa.app.studio.content.studio import Studio
+    from dousa.library import Library
+
+_MOST_DRAWN = 2_000  # clips whose figures are made ahead; a longer list gets its own when it is looked at
+
+
+def add(request: dict[str, Any], context: Context) -> dict[str, Any]:
+    """Add a batch; ``request``: batch, kind, category_from, performer_from, unit, up, joint_map."""
+    from dousa.formats.motion_files import ReadOptions
+
+    folder = context.home / "files" / str(request["batch"])
+    with context.open_library() as library:
+        before = {clip.id for clip in library.clips()}
+        report = library.add(
+            [folder],
+            kind=request["kind"],
+            category_from=_inside(request.get("category_from"), folder),
+            performer_from=_inside(request.get("performer_from"), folder),
+            options=ReadOptions(request.get("joint_map"), request.get("unit"), request.get("up")),
+            progress=lambda done, total, path: context.progress(done, total, Path(str(path)).name),
+        )
+        if report.added or report.replaced:
+            _draw_ahead(library, before, context)
+        said = {
+            "skipped": [{"path": one.path, "reason": shorten(one.reason, context.home)} for one in report.skipped],
+            "warnings": [{"path": path, "warning": shorten(text, context.home)} for path, text in report.warnings],
+        }
+        answer: dict[str, Any] = _without_folder(report.to_json() | said, f"{folder}/")
+    return answer
+
+
+def _inside(rule: str | None, folder: Path) -> str | None:
+    """A rule whose table, if it names one, is a file of the batch: no other file of this machine is read."""
+    from dousa.app.studio.core.workspace import safe_parts
+
+    kind, _, name = (rule or "").partition(":")
+    return f"csv:{folder.joinpath(*safe_parts(name))}" if kind == "csv" and name else rule
+
+
+def _draw_ahead(library: Library, before: set[int], context: Context) -> None:
+    """Make the small figures of what is new, so that the page shows them at once."""
+    from dousa.app.studio.content.clips import Thumbnails
+
+    fresh = [clip.id for clip in library.clips() if clip.id not in before][:_MOST_DRAWN]
+    Thumbnails.of(context.home).make_ahead(library, fresh)
+
+
+def _without_folder(value: Any, folder: str) -> Any:
+    """Paths of a report as they were dropped; where the studio keeps them concerns nobody."""
+    if isinstance(value, dict):
+        return {key: _without_folder(item, folder) for key, item in value.items()}
+    if isinstance(value, list):
+        return [_without_folder(item, folder) for item in value]
+    return value.replace(folder, "") if isinstance(value, str) else value
+
+
+def train(request: dict[str, Any], context: Context) -> dict[str, Any]:
+    """Train the forest; ``request``: feature_set, n_trees, random_state."""
+    with context.open_library() as library:
+        report = library.train(
+            feature_set=request.get("feature_set"),
+            n_trees=request.get("n_trees", 100),
+            random_state=request.get("random_state", 0),
+            progress=context.progress,
+        )
+        return report.to_json()
+
+
+def label(studio: Studio, request: dict[str, Any], context: Context) -> dict[str, Any]:
+    """Label a take, with all that was ever corrected; ``request``: take (a `MotionRef`), threshold."""
+    from dousa.app.studio.content.corrections import Corrections
+
+    take = MotionRef.model_validate(request["take"])
+    corrections = Corrections(context.home).all()
+    context.progress(0, 1, PurePath(take.motion).name)
+    revision = studio.library.stats().revision
+    answer = studio.library.label(
+        studio.motions.query(take),
+        threshold=request.get("threshold"),
+        examples=[one.clip_id for one in corrections],
+        progress=context.progress,
+    ).to_json()
+    return {**answer, "take": take.motion, "n_examples": len(corrections), "revision": revision}
+
+
+def evaluate(studio: Studio, request: dict[str, Any], context: Context) -> dict[str, Any]:
+    """Judge a performance; ``request`` is an `EvaluationRequest`. What the page changes later is asked of what this
+    leaves ready."""
+    from dousa.app.studio.content.evaluations import EvaluationRequest, describe, make_ready
+
+    wanted = EvaluationRequest.model_validate(request)
+    ready = make_ready(wanted, studio.motions.get, context.progress)
+    assessment = ready.assess(wanted)
+    studio.evaluations.put(context.folder.name, ready)
+    return describe(ready, assessment, wanted, wanted.language)

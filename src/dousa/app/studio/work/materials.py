@@ -1,0 +1,135 @@
+"""What uploaded files are for in an estimation, found in themselves: silhouettes, calibration, background, body."""
+
+from __future__ import annotations
+
+import re
+import zipfile
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+
+from dousa.app.studio.core.uploads import PICTURES, VIDEOS
+from dousa.estimation.silhouettes.images import natural_key
+
+ROLES = ("source", "cameras", "background", "body", "start", "unused")
+_CALIBRATIONS = frozenset({".toml", ".xml", ".yaml", ".yml", ".json", ".txt"})
+_MOTIONS = frozenset({".bvh", ".amc", ".c3d", ".trc"})
+_PLATE = re.compile(r"background|backdrop|plate|empty|(^|[/_ -])bg([/_ .-]|$)|背景", re.IGNORECASE)
+_PERSON = re.compile(rb"^\s*(stature\s*=|\[\[part\]\]|\[measures\])", re.MULTILINE)
+_MOST_MEMBERS = 1000  # names of an npz looked at
+
+
+@dataclass(frozen=True, slots=True)
+class Material:
+    """A file, or a folder of images.
+
+    Parameters
+    ----------
+    name : in its batch; a folder's is without a slash at the end, ``"."`` is the batch itself.
+    role : one of `ROLES`.
+    kind : ``npz``, ``video``, ``images``, ``picture``, ``table``, ``motion``, ``other``.
+    n_files : of a folder of images; else 1.
+    """
+
+    name: str
+    role: str
+    kind: str
+    n_files: int = 1
+
+
+def sort_materials(folder: Path, names: Iterable[str]) -> tuple[Material, ...]:
+    """What each file of a batch is for.
+
+    Parameters
+    ----------
+    folder : of the batch.
+    names : of the files in it, with slashes.
+    """
+    files = sorted(names, key=natural_key)
+    pictures: dict[str, list[str]] = {}
+    found: list[Material] = []
+    for name in files:
+        suffix = Path(name).suffix.lower()
+        if suffix in PICTURES:
+            pictures.setdefault(str(Path(name).parent.as_posix()), []).append(name)
+        else:
+            found.append(_look_at(folder, name, suffix))
+    has_videos = any(item.kind == "video" for item in found)
+    for place, inside in pictures.items():
+        found += _sort_pictures(place, inside, has_videos)
+    order = {role: number for number, role in enumerate(ROLES)}
+    return tuple(sorted(_settle(found), key=lambda item: (order[item.role], natural_key(item.name))))
+
+
+def _look_at(folder: Path, name: str, suffix: str) -> Material:
+    if suffix in VIDEOS:
+        return Material(name, "background" if _PLATE.search(name) else "source", "video")
+    if suffix == ".npz":
+        return _look_into_npz(folder / name, name)
+    if suffix in _MOTIONS:
+        return Material(name, "start", "motion")
+    if suffix == ".asf":
+        return Material(name, "unused", "motion")
+    if suffix in _CALIBRATIONS:
+        is_body = suffix == ".toml" and _describes_person(folder / name)
+        return Material(name, "body" if is_body else "cameras", "table")
+    return Material(name, "unused", "other")
+
+
+def _describes_person(path: Path) -> bool:
+    with open(path, "rb") as file:
+        return _PERSON.search(file.read(200_000)) is not None
+
+
+def _look_into_npz(path: Path, name: str) -> Material:
+    """By the names of its arrays; a file that is no npz is taken for silhouettes, whose reader says what is wrong."""
+    try:
+        with zipfile.ZipFile(path) as file:
+            inside = {member.removesuffix(".npy") for member in file.namelist()[:_MOST_MEMBERS]}
+    except (zipfile.BadZipFile, OSError, ValueError, NotImplementedError):
+        return Material(name, "source", "npz")
+    if inside & {"mask_packed", "mask", "masks"}:
+        return Material(name, "source", "npz")
+    if "camera_matrix" in inside:
+        return Material(name, "cameras", "npz")
+    return Material(name, "start" if inside & {"positions", "rotations", "joint_positions"} else "source", "npz")
+
+
+def _sort_pictures(place: str, names: list[str], has_videos: bool) -> list[Material]:
+    """A folder of masks is one view; pictures beside videos, or so called, show the empty scene."""
+    plates = [name for name in names if has_videos or _PLATE.search(name)]
+    others = [name for name in names if name not in plates]
+    found = [Material(name, "background", "picture") for name in plates]
+    if others:
+        found.append(Material(place, "source", "images", len(others)))
+    return found
+
+
+def _settle(found: list[Material]) -> list[Material]:
+    """One calibration, one body, one start: the first of each; an npz with all views stands alone."""
+    taken: set[str] = set()
+    settled = []
+    for item in found:
+        role = item.role
+        if role in ("cameras", "body", "start"):
+            if role in taken:
+                role = "unused"
+            taken.add(role)
+        if role == "background" and item.kind == "video":
+            role = "unused"
+        settled.append(Material(item.name, role, item.kind, item.n_files))
+    return settled
+
+
+def pair_backgrounds(sources: list[Path], backgrounds: list[Path]) -> list[Path]:
+    """Backgrounds in the order of the sources where their names say which belongs to which; else as they are."""
+    from dousa.errors import CalibrationError
+    from dousa.estimation.cameras.camera_sets import find_views
+
+    if len(sources) != len(backgrounds):
+        return backgrounds
+    try:
+        order = find_views([path.stem for path in backgrounds], [path.stem for path in sources])
+    except CalibrationError:
+        return backgrounds
+    return [backgrounds[index] for index in order]

@@ -1,0 +1,143 @@
+"""The kinds of work, what does each and in which lane; and the process that does one long job: a task comes in as a
+line of JSON, progress and the answer go out as lines."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import sys
+import threading
+import time
+from collections.abc import Callable, Mapping
+from contextlib import suppress
+from functools import partial
+from importlib import import_module
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from dousa.app.studio.jobs.board import Lane
+from dousa.app.studio.jobs.lanes import Context, run_in_process, run_in_thread
+
+if TYPE_CHECKING:
+    from dousa.app.studio.content.studio import Studio
+
+Work = Callable[[dict[str, Any], Context], dict[str, Any]]
+
+IN_PROCESS = {
+    "add": ("library", "add"),
+    "train": ("library", "train"),
+    "estimate": ("estimation", "estimate"),
+    "preview": ("preview", "preview"),
+    "example": ("estimation", "write_example"),
+}
+"""Kind of work in a process -> module of this room and function; loaded when it is used."""
+
+
+def load_work(kind: str) -> Work:
+    """The function that does a kind of work of `IN_PROCESS`."""
+    module, name = IN_PROCESS[kind]
+    work: Work = getattr(import_module(f"dousa.app.studio.work.{module}"), name)
+    return work
+
+
+def make_lanes(studio: Studio) -> Mapping[str, Lane]:
+    """The lanes of a studio by kind of job."""
+    from dousa.app.studio.work.library import evaluate, label
+
+    process = run_in_process(studio.settings)
+    return {
+        "add": Lane("library", process, resumable=True),
+        "train": Lane("library", process, resumable=True),
+        "estimate": Lane("estimation", process, resumable=True),
+        "label": Lane("questions", run_in_thread(studio.settings, partial(label, studio))),
+        "evaluate": Lane("questions", run_in_thread(studio.settings, partial(evaluate, studio))),
+    }
+
+
+_TELL_EVERY = 0.1  # s
+_PATIENCE = 15.0  # s to end after the studio has ended
+_MOST_PIXELS = 200_000_000  # of a picture; small files can say that they are larger
+
+
+def main() -> None:
+    """Read the task, do it, answer, end."""
+    # A studio that a script started in the background ignores Ctrl-C, and so would we: it is how work is stopped.
+    signal.signal(signal.SIGINT, signal.default_int_handler)
+    # What libraries print must not come between our lines: they get standard error.
+    out = os.fdopen(os.dup(1), "w", encoding="utf-8", errors="replace", buffering=1)
+    os.dup2(2, 1)
+    os.environ.setdefault("OPENCV_IO_MAX_IMAGE_PIXELS", str(_MOST_PIXELS))  # read when OpenCV is loaded
+    _stand_back()
+    task = json.loads(sys.stdin.readline())
+    threading.Thread(target=_end_with_studio, daemon=True).start()
+    answer = _do(task, out)
+    _say(out, answer)
+
+
+def _stand_back() -> None:
+    """The studio goes first: with the processor, and where the memory runs out."""
+    if hasattr(os, "nice"):
+        os.nice(5)
+    with suppress(OSError):  # Linux
+        Path("/proc/self/oom_score_adj").write_text("800", encoding="ascii")
+
+
+def _do(task: dict[str, Any], out: Any) -> dict[str, Any]:
+    from dousa.app.studio.core.answers import describe_disk
+    from dousa.app.studio.core.words import name_error, pack, to_message
+    from dousa.app.studio.jobs.lanes import Context
+    from dousa.errors import DousaError
+    from dousa.messages import Message, use_language
+
+    use_language(task["language"])
+    told = 0.0
+
+    def progress(done: int, total: int, what: Message | str) -> None:
+        nonlocal told
+        now = time.monotonic()
+        if done == total or now - told > _TELL_EVERY:
+            told = now
+            _say(out, {"progress": [int(done), int(total), to_message(what).to_json()]})
+
+    def tell(note: Message | str) -> None:
+        _say(out, {"note": to_message(note).to_json()})
+
+    home = Path(task["home"])
+    context = Context(Path(task["library"]), home, Path(task["folder"]), progress, tell)
+    try:
+        return {"result": pack(load_work(task["kind"])(task["request"], context))}
+    except DousaError as error:
+        return {"problem": name_error(error, home).to_json()}
+    except KeyboardInterrupt:
+        return {"stopped": True}
+    except OSError as error:
+        problem = describe_disk(error)
+        if problem is None:
+            raise
+        return {"problem": problem.to_json()}
+    except MemoryError:
+        return {"problem": Message("studio_jobs.no_memory").to_json()}
+    except SystemError as error:  # Ctrl-C inside a compiled loop
+        if "KeyboardInterrupt" in repr(error.__cause__):
+            return {"stopped": True}
+        raise
+
+
+def _say(out: Any, message: dict[str, Any]) -> None:
+    from dousa.app.studio.core.answers import Answer
+
+    out.write(Answer(None).render(message).decode() + "\n")
+    out.flush()
+
+
+def _end_with_studio() -> None:
+    """The studio holds our standard input open; when it ends, by whatever cause, so do we."""
+    sys.stdin.read()
+    os.kill(os.getpid(), signal.SIGINT if os.name == "posix" else signal.SIGTERM)
+    time.sleep(_PATIENCE)
+    os._exit(1)  # what does not look up ends without a word
+
+
+if __name__ == "__main__":
+    main()

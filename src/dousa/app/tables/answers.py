@@ -1,0 +1,465 @@
+"""Answers of the commands as lines and tables for people; each prints to the console it is given."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterable
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from rich.markup import escape
+from rich.table import Table
+
+from dousa.app.output import one_line, warn
+from dousa.evaluation.words import format_time
+from dousa.messages import Message
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from rich.console import Console
+
+    from dousa.app.pipelines.estimate import Estimation
+    from dousa.evaluation import Assessment
+    from dousa.experiments.table import ResultTable
+    from dousa.library import AddReport, Classification, FindResult, LabelledTake, SearchResult, Verdict
+    from dousa.retrieval import Explanation, Likeness
+
+_SHOWN = 10
+
+
+def _cell(text: Message | str) -> str:
+    """The text as Rich shows it: square brackets are square brackets, and it is one line."""
+    return escape(one_line(str(text)))
+
+
+def _say(out: Console, code: str, /, **values: Any) -> None:
+    """One line of an answer."""
+    out.print(one_line(str(Message(code, **values))), markup=False, soft_wrap=True)
+
+
+def _make_table(right: Sequence[str] = (), left: Sequence[str] = (), folded: str | None = None) -> Table:
+    """A table without lines: codes of its columns of numbers, of words, and of a last one that may be broken."""
+    table = Table(box=None)
+    for code in (*right, *left):
+        table.add_column(str(Message(code)), justify="right" if code in right else "left", overflow="fold")
+    if folded is not None:
+        table.add_column(str(Message(folded)), overflow="fold")
+    return table
+
+
+def print_info(out: Console, answer: dict[str, Any]) -> None:
+    """One file, as `dousa info` describes it."""
+    table = Table(title=_cell(answer["path"]), title_justify="left", show_header=False, box=None, padding=(0, 2))
+
+    def add(name: str, content: Message, style: str | None = None) -> None:
+        table.add_row(str(Message(name)), _cell(str(content)), style=style)
+
+    holds = "info.rotations" if answer["holds"] == "rotations" else "info.positions"
+    add("info.format", Message(holds, format=answer["format"]))
+    length = {"n": answer["n_frames"], "rate": answer["frame_rate"], "seconds": answer["duration_s"]}
+    add("info.length", Message("info.frames", **length))
+    add("info.unit", Message("info.metres", unit=answer["unit_m"], source=answer["unit_source"]))
+    add("info.up", Message("info.axis", axis=answer["up"], source=answer["up_source"]))
+    mapping = answer["mapping"]
+    if mapping is None:
+        add("info.mapping", Message("info.not_understood"), "bold red")
+    else:
+        code = "info.table_and_derived" if mapping["derived"] else "info.table"
+        add("info.mapping", Message(code, table=mapping["table"], derived=mapping["derived"]))
+        add("info.sides", Message("info.names_and_geometry", agree=mapping["sides"]))
+        height = {"height": answer["height_m"], "source": answer["height_source"]}
+        add("info.height", Message("info.height_from", **height))
+    add("info.joints", Message("info.names", n=answer["n_joints"], joints=answer["joints"]))
+    for warning in answer["warnings"]:
+        add("info.note", Message("text.verbatim", text=warning), "yellow")
+    out.print(table)
+
+
+def print_add(out: Console, report: AddReport) -> None:
+    """What was added to a library, and what was not and why."""
+    rate = report.bytes / 1e6 / report.seconds if report.seconds > 0 else 0.0
+    _say(
+        out,
+        "adding.added",
+        n=len(report.added),
+        megabytes=report.bytes / 1e6,
+        seconds=report.seconds,
+        rate=rate,
+    )
+    for said, files in (
+        ("adding.replaced", report.replaced),
+        ("adding.moved", report.moved),
+        ("adding.unchanged", report.unchanged),
+    ):
+        if files:
+            _say(out, said, n=len(files))
+    if report.duplicates:
+        pairs = [f"{item.path} = {item.same_as}" for item in report.duplicates]
+        print_some(out, Message("adding.duplicates", n=len(pairs)), pairs)
+    if report.skipped:
+        print_some(
+            out,
+            Message("adding.skipped", n=len(report.skipped)),
+            [f"{item.path}: {item.reason}" for item in report.skipped],
+        )
+    if report.n_learned:
+        code = "adding.learned_categories" if report.new_categories else "adding.learned"
+        _say(out, code, n=report.n_learned, new=len(report.new_categories))
+    if report.other_kind:
+        warn(Message("answers.other_kind", n=len(report.other_kind)))
+    for text, count in Counter(text for _, text in report.warnings).most_common(_SHOWN):
+        warn(Message("answers.note_of_files", note=text, n=count))
+    told = (report.added, report.replaced, report.moved, report.unchanged, report.duplicates, report.skipped)
+    if not any(told):
+        warn(Message("answers.no_motion_files"))
+    if report.other_labels:
+        warn(Message("answers.other_labels", n=len(report.other_labels)))
+
+
+def print_some(out: Console, heading: Message, lines: list[str]) -> None:
+    """A heading and the first lines of a list."""
+    out.print(str(heading), markup=False)
+    for line in lines[:_SHOWN]:
+        out.print(f"  {one_line(line)}", markup=False, soft_wrap=True)
+    if len(lines) > _SHOWN:
+        _say(out, "adding.more", n=len(lines) - _SHOWN)
+
+
+def print_classes(out: Console, answers: Sequence[Classification]) -> None:
+    """What files were taken for."""
+    if not answers:
+        warn(Message("answers.no_motion_files"))
+    for answer in answers:
+        if answer.verdict is not None:
+            out.print(one_line(f"{answer.path}: {describe_verdict(answer.verdict)}"), markup=False, soft_wrap=True)
+            _print_mirrored(out, answer.verdict, answer.mirrored)
+            _print_reasons(out, answer.verdict.explanation)
+
+
+def describe_verdict(verdict: Verdict) -> str:
+    """What a motion is taken for: ``kick (kick 87%, march 5%)``."""
+    votes = describe_votes(verdict.histogram)
+    if verdict.category is not None:
+        return f"{verdict.category} ({votes})"
+    if verdict.known is None:
+        return str(Message("verdict.unknown", guess=verdict.guess, votes=votes))
+    return str(Message("verdict.unlikely", guess=verdict.guess, known=verdict.known, votes=votes))
+
+
+def _print_mirrored(out: Console, verdict: Verdict, mirrored: Verdict | None) -> None:
+    if mirrored is not None:
+        code = "verdict.mirrored_better" if mirrored.fits_better_than(verdict) else "verdict.mirrored"
+        _say(out, code, verdict=describe_verdict(mirrored))
+
+
+def _print_reasons(out: Console, reasons: Explanation | Likeness | None, indent: str = "  ") -> None:
+    for reason in reasons.reasons if reasons is not None else ():
+        out.print(one_line(f"{indent}{reason.text}"), markup=False, soft_wrap=True)
+
+
+def print_search(out: Console, answer: SearchResult) -> None:
+    """A query and the clips found."""
+    verdict = answer.verdict
+    out.print(one_line(f"{answer.query}: {describe_verdict(verdict)}"), markup=False, soft_wrap=True)
+    _print_mirrored(out, verdict, answer.mirrored)
+    _print_reasons(out, verdict.explanation)
+    if not answer.results:
+        warn(Message("answers.no_clip_found"))
+        return
+    side = () if answer.mirrored is None else ("columns.side",)
+    table = _make_table(
+        ("columns.rank", "columns.distance", "columns.same_leaf", "columns.poses"),
+        ("columns.category", *side),
+        "columns.file",
+    )
+    for hit in answer.results:
+        poses = "-" if hit.pose_distance is None else f"{hit.pose_distance:.3f}"
+        numbers = (str(hit.rank), f"{hit.distance:.3f}", f"{hit.leaf_share:.0%}", poses)
+        side = () if answer.mirrored is None else (_name_side(hit.mirrored),)
+        table.add_row(*numbers, _cell(hit.category or "-"), *side, _cell(hit.path))
+    out.print(table)
+    for hit in answer.results:
+        if hit.likeness is not None and hit.likeness.reasons:
+            out.print(one_line(f"{hit.rank}. {hit.path}"), markup=False, soft_wrap=True)
+            _print_reasons(out, hit.likeness, "   ")
+
+
+def describe_votes(histogram: dict[str, float], shown: int = 3) -> str:
+    """The most voted categories with their shares: ``kick 87%, march 5%``."""
+    best = sorted(histogram.items(), key=lambda item: -item[1])[:shown]
+    return ", ".join(f"{name} {share:.0%}" for name, share in best if share > 0)
+
+
+_CLIP_COLUMNS = (
+    *("columns.clip", "columns.kind", "columns.category", "columns.predicted", "columns.performer"),
+    *("columns.seconds", "columns.rate", "columns.file"),
+)
+
+
+def _name_side(mirrored: bool) -> str:
+    return str(Message("columns.mirrored")) if mirrored else ""
+
+
+def print_clips(out: Console, rows: list[dict[str, Any]]) -> None:
+    """Clips of a library, one in a row."""
+    table = Table(box=None)
+    for code in _CLIP_COLUMNS:
+        right = code in ("columns.clip", "columns.seconds", "columns.rate")
+        table.add_column(str(Message(code)), justify="right" if right else "left", overflow="fold")
+    for row in rows:
+        labels = [_cell(row[name] or "-") for name in ("category", "predicted_category", "performer")]
+        table.add_row(
+            str(row["id"]),
+            row["kind"],
+            *labels,
+            f"{row['duration']:.1f}",
+            f"{row['frame_rate']:g}",
+            _cell(row["path"]),
+        )
+    out.print(table)
+
+
+def print_stats(out: Console, library: str, stats: dict[str, Any]) -> None:
+    """A library in numbers."""
+    forest = Message("stats.untrained")
+    if stats["trained_at"]:
+        features = stats["parameters"].get("feature_set", "paper")
+        forest = Message("stats.trained", time=stats["trained_at"], features=features)
+        if stats["n_learned"]:
+            forest = Message("stats.learned_since", forest=forest, n=stats["n_learned"])
+        if not stats["forest_is_current"]:
+            forest = Message("stats.changed_since", forest=forest)
+    parts = [Message("stats.clips", n=stats["n_clips"], minutes=stats["seconds"] / 60)]
+    if stats["n_takes"]:
+        parts.append(Message("stats.takes", n=stats["n_takes"], minutes=stats["take_seconds"] / 60))
+    parts.append(Message("stats.performers", n=len(stats["performers"])))
+    _say(out, "stats.library", library=library, parts=parts, forest=forest)
+    table = Table(box=None)
+    table.add_column(str(Message("columns.category")))
+    table.add_column(str(Message("columns.clips")), justify="right")
+    for name, count in stats["categories"].items():
+        table.add_row(_cell(name), str(count))
+    if stats["n_unlabelled"]:
+        table.add_row(str(Message("stats.no_category")), str(stats["n_unlabelled"]))
+    out.print(table)
+
+
+def print_places(out: Console, answer: FindResult, *, mirrored: bool) -> None:
+    """A query and the places that are like it; a column says which are mirrored if that was looked for."""
+    takes = Message("stats.takes", n=answer.n_takes, minutes=answer.seconds / 60)
+    _say(out, "places.query", query=answer.query, seconds=answer.duration, takes=takes)
+    if not answer.results:
+        warn(Message("answers.takes_too_short" if answer.n_takes else "answers.no_takes"))
+        return
+    numbers = ("columns.rank", "columns.score", "columns.start", "columns.end", "columns.tempo")
+    table = _make_table(numbers, ("columns.side",) if mirrored else (), "columns.take")
+    for place in answer.results:
+        times = (format_time(place.start), format_time(place.end), f"{place.tempo:.2f}")
+        side = (_name_side(place.mirrored),) if mirrored else ()
+        table.add_row(str(place.rank), f"{place.score:.2f}", *times, *side, escape(one_line(place.take)))
+    out.print(table)
+
+
+def print_timeline(out: Console, answer: LabelledTake) -> None:
+    """What happens in a take, one stretch in a row."""
+    out.print(one_line(f"{answer.take}: {answer.timeline.duration:.1f} s"), markup=False, soft_wrap=True)
+    table = _make_table(("columns.start", "columns.end"), (), "columns.category")
+    table.add_column(str(Message("columns.sure")), justify="right")
+    for segment in answer.timeline.segments:
+        known = segment.category is not None
+        table.add_row(
+            format_time(segment.start),
+            format_time(segment.stop),
+            escape(one_line(segment.category)) if segment.category is not None else str(Message("columns.unknown")),
+            f"{segment.confidence:.0%}",
+            style=None if known else "dim",
+        )
+    out.print(table)
+
+
+_GOOD, _FAIR = 0.75, 0.5  # overlap of model and silhouette
+_SHOWN_STRETCHES = 6
+_SHOWN_JOINTS = 5
+
+
+def print_estimation(out: Console, done: Estimation) -> None:
+    """Overlap per view, what was lost, how sure the joints are, and what was written.
+
+    Parameters
+    ----------
+    out : where to print.
+    done : the answer.
+    """
+    answer = done.estimate
+    seconds = answer.n_frames / answer.frame_rate
+    _say(
+        out,
+        "estimated.frames",
+        n=answer.n_frames,
+        rate=answer.frame_rate,
+        seconds=seconds,
+        speed=answer.frames_per_second,
+        body=done.body,
+        start=done.start,
+    )
+    table = Table(box=None)
+    table.add_column(str(Message("columns.view")))
+    for code in ("columns.overlap", "columns.worst", "columns.in_frame"):
+        table.add_column(str(Message(code)), justify="right")
+    for name, column in zip(done.views, answer.iou.T, strict=True):
+        if not np.isfinite(column).any():
+            table.add_row(_cell(name), str(Message("estimated.no_image")), "", "")
+            continue
+        worst = int(np.nanargmin(column))
+        mean = float(np.nanmean(column))
+        colour = "green" if mean >= _GOOD else "yellow" if mean >= _FAIR else "red"
+        table.add_row(
+            _cell(name),
+            f"[{colour}]{mean:.2f}[/]",
+            f"{column[worst]:.2f}",
+            str(done.first_frame + worst),
+        )
+    out.print(table)
+    lost = np.flatnonzero(answer.lost)
+    if len(lost):
+        frames = describe_frames(lost + done.first_frame)
+        _say(out, "estimated.lost", n=len(lost), total=answer.n_frames, frames=frames)
+    else:
+        _say(out, "estimated.none_lost")
+    _print_uncertainty(out, done)
+    for path in done.outputs:
+        _say(out, "estimated.wrote", path=path)
+
+
+def describe_frames(frames: Sequence[int] | np.ndarray) -> str:
+    """Numbers of frames as stretches: ``3-7, 12``."""
+    numbers = np.asarray(frames)
+    if len(numbers) == 0:
+        return str(Message("estimated.no_frames"))
+    cuts = np.flatnonzero(np.diff(numbers) > 1) + 1
+    stretches = [f"{part[0]}" if len(part) == 1 else f"{part[0]}-{part[-1]}" for part in np.split(numbers, cuts)]
+    more = len(stretches) - _SHOWN_STRETCHES
+    shown = ", ".join(stretches[:_SHOWN_STRETCHES])
+    return str(Message("estimated.more_stretches", shown=shown, n=more)) if more > 0 else shown
+
+
+def _print_uncertainty(out: Console, done: Estimation) -> None:
+    answer = done.estimate
+    kept = answer.uncertainty[~answer.lost] if (~answer.lost).any() else answer.uncertainty
+    if not np.isfinite(kept).any():
+        return
+    means = np.nanmean(kept, axis=0) * 1000.0
+    names = answer.points.names
+    order = [joint for joint in np.argsort(-means) if np.isfinite(means[joint])]
+    least_sure = ", ".join(f"{names[joint]} {means[joint]:.0f}" for joint in order[:_SHOWN_JOINTS])
+    _say(out, "estimated.uncertainty", median=float(np.nanmedian(means)), joints=least_sure)
+    hidden = answer.occluded.mean(axis=0)
+    parts = [f"{answer.body.names[part]} {hidden[part]:.0%}" for part in np.argsort(-hidden) if hidden[part] >= 0.1]
+    if parts:
+        _say(out, "estimated.hidden", parts=parts[:_SHOWN_JOINTS])
+
+
+def print_assessment(out: Console, assessment: Assessment) -> None:
+    """The grade, how it came about, and every error and lapse in order of time.
+
+    Parameters
+    ----------
+    out : where to print.
+    assessment : the answer.
+    """
+    score = "-" if assessment.score != assessment.score else f"{assessment.score:.0f}"
+    code = "graded.calibrated" if assessment.calibrated else "graded.uncalibrated"
+    grade = Message(code, score=score, n=assessment.n_references)
+    out.print(str(grade), style="bold", markup=False, soft_wrap=True)
+    out.print(str(assessment.score_formula), markup=False, soft_wrap=True)
+    rows = _event_rows(assessment) + _lapse_rows(assessment)
+    if rows:
+        table = Table(box=None)
+        for name in ("graded.time", "graded.furi", "graded.error", "graded.severity", "graded.difference"):
+            right = name in ("graded.furi", "graded.severity")
+            table.add_column(str(Message(name)), justify="right" if right else "left", overflow="fold")
+        for _, cells in sorted(rows, key=lambda row: row[0]):
+            table.add_row(*(escape(one_line(cell)) for cell in cells))
+        out.print(table)
+    if not assessment.events:
+        out.print(str(Message("graded.no_errors")), markup=False)
+    if assessment.gaps:
+        seconds = _covered([(start, end) for start, end, _ in assessment.gaps])
+        out.print(str(Message("graded.gaps", seconds=seconds)), markup=False)
+
+
+Row = tuple[float, tuple[str, str, str, str, str]]
+
+
+def _event_rows(assessment: Assessment) -> list[Row]:
+    from dousa.evaluation.words import KINDS
+
+    return [
+        (
+            event.start_s,
+            (
+                _span(event.start_s, event.end_s),
+                "" if event.furi is None else str(event.furi + 1),
+                str(KINDS[event.kind]),
+                f"{event.severity:.1f}",
+                str(event.message),
+            ),
+        )
+        for event in assessment.events
+    ]
+
+
+def _lapse_rows(assessment: Assessment) -> list[Row]:
+    from dousa.evaluation.words import LAPSE_KINDS
+
+    return [
+        (
+            lapse.start_s,
+            (
+                _span(lapse.start_s, lapse.end_s),
+                "",
+                str(Message("graded.lapse", kind=LAPSE_KINDS[lapse.kind])),
+                "",
+                str(lapse.message),
+            ),
+        )
+        for lapse in assessment.lapses
+    ]
+
+
+def _span(start: float, end: float) -> str:
+    from dousa.evaluation.words import format_time
+
+    return f"{format_time(start)}-{format_time(end)}"
+
+
+def _covered(spans: list[tuple[float, float]]) -> float:
+    """Seconds that lie in at least one span."""
+    total, reached = 0.0, float("-inf")
+    for start, end in sorted(spans):
+        total += max(end - max(start, reached), 0.0)
+        reached = max(reached, end)
+    return total
+
+
+def print_tables(out: Console, tables: Iterable[ResultTable]) -> None:
+    """Print tables one below the other, each with the lines that belong to it, in the language in use."""
+    for answer in tables:
+        for line in answer.preface:
+            out.print(one_line(str(line)), markup=False, soft_wrap=True)
+        if answer.columns:
+            out.print(_make_result_table(answer))
+        for line in answer.notes:
+            out.print(one_line(str(line)), markup=False, soft_wrap=True)
+
+
+def _make_result_table(answer: ResultTable) -> Table:
+    look = {} if answer.framed else {"box": None}
+    table = Table(title=_cell(answer.title) or None, title_justify="left", **look)  # type: ignore[arg-type]
+    for place, heading in enumerate(answer.columns):
+        table.add_column(_cell(heading), justify="left" if place < answer.n_words else "right")
+    for number, row in enumerate(answer.rows):
+        style = "bold" if number in answer.bold else None
+        table.add_row(*map(_cell, row), style=style, end_section=number in answer.sections)
+    return table

@@ -1,0 +1,58 @@
+from .body.body import BodyModel
+from .body.body_file import read_body, write_body
+from .body.human import make_human
+from .body.posing import fit_pose, fit_poses, standing_state
+from .body.skeleton_body import body_from_motion, fit_body
+from .cameras.camera import Camera
+from .cameras.camera_files import read_cameras, write_cameras
+from .cameras.camera_formats import cameras_to_arrays
+from .cameras.camera_sets import fit_cameras, make_ring, make_view, match_cameras
+from .raster.rendering import poses_from_motion, render, spoil
+from .silhouettes.cleaning import clean_mask, describe_mask
+from .silhouettes.mask_npz import read_silhouettes, write_silhouettes
+from .silhouettes.silhouette_files import open_silhouettes
+from .silhouettes.silhouettes import PackedSilhouettes, Silhouettes
+from .tracking.measures import fit_girths
+from .tracking.settings import EVIDENCES, PAPER, READINGS, Estimate, TrackedFrame, TrackerSettings
+from .tracking.start import find_start
+from .tracking.tracker import PartialTrack, estimate
+
+__all__ = [
+    "EVIDENCES",
+    "PAPER",
+    "READINGS",
+    "BodyModel",
+    "Camera",
+    "Estimate",
+    "PackedSilhouettes",
+    "PartialTrack",
+    "Silhouettes",
+    "TrackedFrame",
+    "TrackerSettings",
+    "body_from_motion",
+    "cameras_to_arrays",
+    "clean_mask",
+    "describe_mask",
+    "estimate",
+    "find_start",
+    "fit_body",
+    "fit_cameras",
+    "fit_girths",
+    "fit_pose",
+    "fit_poses",
+    "make_human",
+    "make_ring",
+    "make_view",
+    "match_cameras",
+    "open_silhouettes",
+    "poses_from_motion",
+    "read_body",
+    "read_cameras",
+    "read_silhouettes",
+    "render",
+    "spoil",
+    "standing_state",
+    "write_body",
+    "write_cameras",
+    "write_silhouettes",
+]

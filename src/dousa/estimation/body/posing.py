@@ -1,0 +1,377 @@
+"""Poses that are not searched for: standing, and the pose nearest to given places of the joints."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from dousa.arrays import FloatArray, IndexArray
+from dousa.errors import BodyModelError
+from dousa.estimation.body.body import BodyModel
+from dousa.estimation.body.kinematics import compute_points, place_parts, point_names
+from dousa.motion import rotations as rot
+from dousa.motion.canonical.joints import CANONICAL_JOINTS
+
+_PLACE = 0.5  # what a metre off a joint's place costs
+_DIRECTION = 0.3  # what a radian off a limb's direction costs per metre of stature: bones may differ in length
+_NEUTRAL = 0.003  # what a radian off the start costs, likewise: for what the given joints do not tell
+_LIMIT = 0.5  # what a radian beyond a limit costs, likewise
+_SHORT = 0.02  # statures: a shorter bone has no direction worth the name
+_MOST_STEPS = 60
+_DIFFERENCE = 1e-6
+_SETTLED = 1e-7  # a step that gains less than this share ends the search
+_LEAST_DAMPING, _MOST_DAMPING = 1e-9, 1e6
+
+
+def find_bones(body: BodyModel, rows: IndexArray) -> IndexArray:
+    """Pairs (B, 2) of places in ``rows`` whose direction says how a part lies.
+
+    A part with one point hanging on it is told by the way there from its joint; one with several by the ways from
+    right to left, because bodies differ in where a pelvis or a chest has its joint and how shoulders lie to the neck.
+    """
+    owners = np.concatenate((body.parents, body.tip_parts))
+    points = point_names(body)
+    place = {int(row): index for index, row in enumerate(rows)}
+    pairs: list[tuple[int, int]] = []
+    for part in range(body.n_parts):
+        hanging = [place[int(row)] for row in np.flatnonzero(owners == part) if int(row) in place]
+        if (owners == part).sum() > 1:
+            names = {points[int(rows[index])]: index for index in hanging}
+            pairs += [
+                (names["right_" + name[5:]], index)
+                for name, index in names.items()
+                if name.startswith("left_") and "right_" + name[5:] in names
+            ]
+        elif hanging and part in place:
+            pairs.append((place[part], hanging[0]))
+    return np.array(pairs, np.intp).reshape(-1, 2)
+
+
+def turn_onto(source: FloatArray, target: FloatArray) -> FloatArray:
+    """The rotation matrix (3, 3) that turns directions (N, 3) best onto others (Kabsch 1976)."""
+    u, _, vt = np.linalg.svd(target.T @ source)
+    return np.asarray(u @ np.diag([1.0, 1.0, np.sign(np.linalg.det(u @ vt))]) @ vt)
+
+
+def solve_pose(body: BodyModel, places: FloatArray, rows: IndexArray, start: FloatArray) -> tuple[FloatArray, float]:
+    """The pose (7 + A,) near ``start`` whose points ``rows`` come nearest to ``places`` (N, 3), and its cost."""
+    costs = _Costs(body, places, rows, start)
+    pose, damping = start.copy(), 1e-3
+    residuals = costs.evaluate(pose[None])[0]
+    cost = residuals @ residuals
+    for _ in range(_MOST_STEPS):
+        steps = np.eye(6 + body.n_angles) * _DIFFERENCE
+        slope = (costs.evaluate(_step(pose, steps)) - residuals).T / _DIFFERENCE
+        square, gradient = slope.T @ slope, slope.T @ residuals
+        while damping < _MOST_DAMPING:
+            damped = square + np.diag(damping * (np.diag(square) + 1e-6))
+            tried = _step(pose, -np.linalg.solve(damped, gradient)[None])
+            result = costs.evaluate(tried)[0]
+            if result @ result < cost:
+                break
+            damping *= 4.0
+        else:
+            break
+        gained = cost - result @ result
+        pose, residuals, cost = tried[0], result, float(result @ result)
+        damping = max(damping / 6.0, _LEAST_DAMPING)
+        if gained <= _SETTLED * cost:
+            break
+    return pose, float(cost)
+
+
+def _step(pose: FloatArray, steps: FloatArray) -> FloatArray:
+    """Poses (N, 7 + A) moved by steps (N, 6 + A): place, turn in the root's axes, angles."""
+    moved = np.repeat(pose[None], len(steps), axis=0)
+    moved[:, :3] += steps[:, :3]
+    moved[:, 3:7] = rot.normalise(rot.multiply(pose[3:7], rot.from_axis_angle(steps[:, 3:6])))
+    moved[:, 7:] += steps[:, 6:]
+    return moved
+
+
+class _Costs:
+    """Residuals of poses; their squares add up to what is made small."""
+
+    def __init__(self, body: BodyModel, places: FloatArray, rows: IndexArray, start: FloatArray) -> None:
+        self._body, self._places, self._rows, self._start = body, places, rows, start
+        bones = find_bones(body, rows)
+        ways = places[bones[:, 1]] - places[bones[:, 0]]
+        lengths = np.linalg.norm(ways, axis=1)
+        long = lengths > _SHORT * body.stature
+        self._bones, self._ways = bones[long], ways[long] / lengths[long, None]
+
+    def evaluate(self, poses: FloatArray) -> FloatArray:
+        """(N, R) of poses (N, 7 + A)."""
+        body, stature = self._body, self._body.stature
+        points = compute_points(body, poses)[:, self._rows]
+        ways = points[:, self._bones[:, 1]] - points[:, self._bones[:, 0]]
+        ways /= np.linalg.norm(ways, axis=2, keepdims=True) + 1e-12
+        angles, limits = poses[:, 7:], body.angle_limits
+        beyond = angles - np.clip(angles, limits[:, 0], limits[:, 1])
+        parts = (
+            _PLACE * (points - self._places),
+            _DIRECTION * stature * (ways - self._ways),
+            _LIMIT * stature * beyond,
+            _NEUTRAL * stature * (angles - self._start[7:]),
+        )
+        return np.concatenate([part.reshape(len(poses), -1) for part in parts], axis=1)
+
+
+_CAUGHT = 1.5  # times the best residual so far: such a frame is fitted anew
+_FLAT = 0.01  # statures: joints that are no farther from one line tell no rotation about it
+_STRAIGHT = 0.1  # sine of a bend that says nothing about which way a hinge folds
+_ARMS_OUT = 0.14  # rad, off the trunk: clothed arms hang so
+
+
+def compute_angles(body: BodyModel, part: int, rotation: FloatArray) -> FloatArray:
+    """Joint angles of one part that come nearest to a rotation in its parent's axes, within the limits.
+
+    Parameters
+    ----------
+    body : any tree of parts.
+    part : index of a part with n axes.
+    rotation : (4,) unit quaternion, the part's axes in its parent's, rest rotation included.
+
+    Returns
+    -------
+    (n,) rad. Three axes reach every rotation; of fewer what lies off them is dropped.
+    """
+    count, axes = int(body.n_axes[part]), body.axes[part]
+    if count == 0:
+        return np.zeros(0)
+    moved = rot.multiply(rot.conjugate(body.rest[part]), rotation)
+    if count == 2:
+        angles = _two_angles(moved, axes[0], axes[1])
+    else:
+        twist = 2.0 * np.arctan2(moved[1:] @ axes[count - 1], moved[0])
+        angles = np.array([(twist + np.pi) % (2.0 * np.pi) - np.pi])
+        if count == 3:
+            swing = rot.multiply(moved, rot.from_axis_angle(-angles[0] * axes[2]))
+            angles = np.concatenate((axes[:2] @ rot.to_axis_angle(swing), angles))
+    return np.clip(angles, body.limits[part, :count, 0], body.limits[part, :count, 1])
+
+
+def _two_angles(rotation: FloatArray, first: FloatArray, second: FloatArray) -> FloatArray:
+    frame = np.stack((first, second, np.cross(first, second)), axis=1)
+    turned = rot.from_matrix(frame.T @ rot.to_matrix(rotation) @ frame)
+    return rot.to_euler(turned, "XY")
+
+
+def standing_state(body: BodyModel) -> FloatArray:
+    """The body upright, facing +Z, on the floor y = 0.
+
+    Parameters
+    ----------
+    body : any tree of parts. Of a person, whose shoulders are called ``left_shoulder`` and ``right_shoulder``, all
+        axes are parallel to the world's and the arms hang a little off the trunk; other bodies keep angles of zero.
+
+    Returns
+    -------
+    Pose (7 + A,), as near to this as the limits allow, the root above the origin.
+    """
+    pose = np.zeros(7 + body.n_angles)
+    pose[3] = 1.0
+    person = {"left_shoulder", "right_shoulder"} <= set(body.joints)
+    for part, start in enumerate(body.angle_starts[:-1]):
+        count = int(body.n_axes[part])
+        if person:
+            out = {"left_shoulder": _ARMS_OUT, "right_shoulder": -_ARMS_OUT}.get(body.joints[part], 0.0)
+            hanging = rot.from_axis_angle(np.array([0.0, 0.0, out]))
+            pose[7 + start : 7 + start + count] = compute_angles(body, part, hanging)
+        else:
+            limits = body.limits[part, :count]
+            pose[7 + start : 7 + start + count] = np.clip(0.0, limits[:, 0], limits[:, 1])
+    rotations, positions = place_parts(body, pose)
+    owner = np.repeat(np.arange(body.n_parts), np.diff(body.sphere_starts))
+    centres = positions[owner] + np.einsum("sij,sj->si", rotations[owner], body.spheres[:, :3])
+    pose[1] = -(centres[:, 1] - body.spheres[:, 3]).min()
+    return pose
+
+
+def fit_pose(
+    body: BodyModel, positions: ArrayLike | Mapping[str, ArrayLike], start: ArrayLike | None = None
+) -> tuple[FloatArray, float]:
+    """Inverse kinematics: the pose whose joints come nearest to given places.
+
+    Parameters
+    ----------
+    body : any tree of parts whose joints and tips have names.
+    positions : (20, 3) m in the order of `CANONICAL_JOINTS`, or name -> (3,) m; NaN where unknown. What the body has
+        no joint or tip for is passed over. They may be those of a person with other bones.
+    start : pose (7 + A,) to begin with and to stay near to where the joints do not tell, such as the frame before;
+        by default standing.
+
+    Returns
+    -------
+    pose : (7 + A,), within the limits of the body.
+    residual : m, root of the mean squared distance from joint to place.
+
+    Raises
+    ------
+    BodyModelError : fewer than three joints of the body are given, or all lie in one line or point; a pose or
+        positions of another shape.
+
+    Notes
+    -----
+    Levenberg-Marquardt over places, directions of limbs, and a penalty beyond the limits, the root turned first so
+    that trunk and hips lie as they should. Directions outweigh places, so that another person's bones bend no joint.
+    """
+    places, rows = _match_points(body, positions)
+    if start is None:
+        starts = _first_guesses(body, places, rows)
+    else:
+        starts = [np.array(start, np.float64)]
+        if starts[0].shape != (7 + body.n_angles,):
+            raise BodyModelError("pose.start", expected=7 + body.n_angles, found=str(starts[0].shape))
+    pose = min((solve_pose(body, places, rows, first) for first in starts), key=lambda found: found[1])[0]
+    limits = body.angle_limits
+    pose[7:] = np.clip(pose[7:], limits[:, 0], limits[:, 1])
+    off = compute_points(body, pose)[rows] - places
+    return pose, float(np.sqrt((off * off).sum(axis=1).mean()))
+
+
+def lead_pose(body: BodyModel, positions: ArrayLike | Mapping[str, ArrayLike]) -> FloatArray:
+    """A pose near to given places of the joints, a few times faster and a little rougher than `fit_pose`.
+
+    Parameters
+    ----------
+    body, positions : see `fit_pose`.
+
+    Returns
+    -------
+    Pose (7 + A,) within the limits: the root laid onto the trunk, each limb led along its bones.
+
+    Raises
+    ------
+    BodyModelError : see `fit_pose`.
+    """
+    pose = _first_guesses(body, *_match_points(body, positions))[0]
+    limits = body.angle_limits
+    pose[7:] = np.clip(pose[7:], limits[:, 0], limits[:, 1])
+    return pose
+
+
+def fit_poses(
+    body: BodyModel, positions: ArrayLike, names: Sequence[str] = CANONICAL_JOINTS
+) -> tuple[FloatArray, FloatArray]:
+    """Inverse kinematics of a whole motion, each frame starting from the one before.
+
+    Parameters
+    ----------
+    body : any tree of parts whose joints and tips have names.
+    positions : (T, K, 3) m, NaN where unknown.
+    names : (K,) of the joints.
+
+    Returns
+    -------
+    poses : (T, 7 + A); a frame that tells too little keeps the pose of the one before.
+    residuals : (T,) m, NaN for such frames.
+
+    Raises
+    ------
+    BodyModelError : no frame tells enough, or positions of another shape; see `fit_pose`.
+    """
+    array = np.asarray(positions, np.float64)
+    if array.ndim != 3 or array.shape[1:] != (len(names), 3) or not len(array):
+        raise BodyModelError("pose.places_over_time", joints=len(names), found=str(array.shape))
+    poses = np.zeros((len(array), 7 + body.n_angles))
+    residuals = np.full(len(array), np.nan)
+    start, first, problem, usual = None, len(array), None, np.inf
+    for t, frame in enumerate(array):
+        places = dict(zip(names, frame, strict=True))
+        try:
+            found = fit_pose(body, places, start)
+            # Caught in a wrong fold after a jump in time: look anew.
+            if start is not None and found[1] > _CAUGHT * usual:
+                found = min(found, fit_pose(body, places), key=lambda pair: pair[1])
+        except BodyModelError as error:
+            problem = error
+        else:
+            start, residuals[t] = found
+            usual, first = min(usual, found[1]), min(first, t)
+        if start is not None:
+            poses[t] = start
+    if start is None:
+        assert problem is not None
+        raise problem
+    poses[:first] = poses[first]
+    return poses, residuals
+
+
+def _match_points(body: BodyModel, positions: ArrayLike | Mapping[str, ArrayLike]) -> tuple[FloatArray, IndexArray]:
+    """Places (N, 3) that are known and the points (N,) of the body they belong to."""
+    if not isinstance(positions, Mapping):
+        array = np.asarray(positions, np.float64)
+        if array.shape != (len(CANONICAL_JOINTS), 3):
+            raise BodyModelError("pose.places", joints=len(CANONICAL_JOINTS), found=str(array.shape))
+        positions = dict(zip(CANONICAL_JOINTS, array, strict=True))
+    row_of = {name: row for row, name in reversed(list(enumerate(point_names(body))))}
+    found = [(row_of[name], np.asarray(place, np.float64)) for name, place in positions.items() if name in row_of]
+    for row, place in found:
+        if place.shape != (3,):
+            raise BodyModelError("pose.place", joint=point_names(body)[row], found=str(place.shape))
+    known = [(row, place) for row, place in found if np.isfinite(place).all()]
+    places = np.array([place for _, place in known]).reshape(-1, 3)
+    if len(places) < 3 or np.linalg.svd(places - places.mean(axis=0))[1][1] < _FLAT * body.stature:
+        raise BodyModelError("pose.few_joints", found=len(known), joints=point_names(body))
+    return places, np.array([row for row, _ in known])
+
+
+def _first_guesses(body: BodyModel, places: FloatArray, rows: IndexArray) -> list[FloatArray]:
+    """Standing, the root turned and moved onto the points; the same with every limb led along its bone."""
+    pose = standing_state(body)
+    points = compute_points(body, pose)[rows]
+    owners = np.concatenate((body.parents, body.tip_parts))[rows]
+    core = np.isin(rows, (0,)) | np.isin(owners, _core_parts(body))
+    if core.sum() < 3 or np.linalg.matrix_rank(places[core] - places[core].mean(axis=0), _FLAT * body.stature) < 2:
+        core[:] = True
+    turned = turn_onto(points[core] - points[core].mean(axis=0), places[core] - places[core].mean(axis=0))
+    pose[3:7] = rot.from_matrix(turned)
+    pose[:3] = places[core].mean(axis=0) + turned @ (pose[:3] - points[core].mean(axis=0))
+    led = pose.copy()
+    _lead_limbs(body, led, places, rows)
+    return [led, pose]
+
+
+def _core_parts(body: BodyModel) -> list[int]:
+    """The root and the parts that carry several others: where the body's front is told."""
+    return [part for part in range(body.n_parts) if part == 0 or (body.parents == part).sum() > 1]
+
+
+def _lead_limbs(body: BodyModel, pose: FloatArray, places: FloatArray, rows: IndexArray) -> None:
+    """From the root outwards, swing each part with one bone onto its direction, in place."""
+    place_of = {int(row): places[index] for index, row in enumerate(rows)}
+    owners = np.concatenate((body.parents, body.tip_parts))
+    bones = {int(rows[a]): int(rows[b]) for a, b in find_bones(body, rows) if owners[rows[b]] == rows[a]}
+    offsets = np.concatenate((body.offsets, body.tip_offsets))
+    for part, end in sorted(bones.items()):
+        if part == 0:
+            continue
+        rotations, _ = place_parts(body, pose)
+        above = rotations[body.parents[part]]
+        wanted = above.T @ (place_of[end] - place_of[part])
+        local = rot.from_matrix(above.T @ rotations[part])
+        led = rot.multiply(rot.between(rot.rotate(local, offsets[end]), wanted), local)
+        if body.n_axes[part] == 3 and end in bones:
+            beyond = above.T @ (place_of[bones[end]] - place_of[end])
+            led = _turn_hinge(body, part, end, led, beyond, offsets[bones[end]])
+        first = 7 + body.angle_starts[part]
+        pose[first : first + body.n_axes[part]] = compute_angles(body, part, led)
+
+
+def _turn_hinge(
+    body: BodyModel, part: int, child: int, led: FloatArray, beyond: FloatArray, own: FloatArray
+) -> FloatArray:
+    """Turn a part about itself so that the hinge below it folds the way that the bone beyond it goes."""
+    if body.n_axes[child] != 1:
+        return led
+    axis = body.axes[part, 2]
+    folded = rot.multiply(body.rest[child], rot.from_axis_angle(body.limits[child, 0].mean() * body.axes[child, 0]))
+    ways = np.stack((rot.rotate(folded, own), rot.rotate(rot.conjugate(led), beyond)))
+    across = ways - (ways @ axis)[:, None] * axis
+    if (np.linalg.norm(across, axis=1) < _STRAIGHT * np.linalg.norm(ways, axis=1)).any():
+        return led
+    twist = np.arctan2(axis @ np.cross(across[0], across[1]), across[0] @ across[1])
+    return rot.multiply(led, rot.from_axis_angle(twist * axis))

@@ -1,0 +1,300 @@
+"""Drawing a body into an image: which pixels its parts cover.
+
+A pixel belongs to a part if its centre lies in the hull of the discs that the part's spheres project to (a sphere of
+radius r at depth z becomes the disc of radius r sqrt(fx fy) / z about its projected centre). Tracker, renderer and the
+slow oracle of the tests share this convention.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numba import njit, types
+from numba.core import cgutils as _cgutils
+from numba.extending import intrinsic
+from numpy.typing import ArrayLike, NDArray
+
+from dousa.arrays import FloatArray, IntArray, Mask
+from dousa.estimation.body.body import BodyModel
+from dousa.estimation.body.kinematics import place_parts
+from dousa.estimation.cameras.camera import Camera
+
+Bits = NDArray[np.uint64]
+
+cgutils: Any = _cgutils  # untyped
+
+
+def pack_bits(masks: NDArray[np.bool_]) -> Bits:
+    """Masks (..., H, W) as rows of bits (..., H, ceil(W / 64)): column i is bit i % 64 of word i // 64."""
+    width = masks.shape[-1]
+    n_words = -(-width // 64)
+    if width != n_words * 64:
+        padded = np.zeros((*masks.shape[:-1], n_words * 64), np.bool_)
+        padded[..., :width] = masks
+        masks = padded
+    packed = np.packbits(masks, axis=-1, bitorder="little")
+    return packed.view("<u8").astype(np.uint64, copy=False)
+
+
+def unpack_bits(bits: Bits, width: int) -> Mask:
+    """The inverse of `pack_bits`: (..., H, words) to (..., H, width)."""
+    flat = np.ascontiguousarray(bits.astype("<u8", copy=False)).view(np.uint8)
+    return np.unpackbits(flat, axis=-1, count=width, bitorder="little").view(np.bool_)
+
+
+def outline_scratch(body: BodyModel, height: int) -> tuple[FloatArray, FloatArray, IntArray, IntArray]:
+    """Scratch arrays with which the kernels outline any part of a body in an image of this height or less."""
+    most = int(np.diff(body.sphere_starts).max())
+    return (
+        np.empty((most, 3)),
+        np.empty((most, most, 2)),
+        np.empty(height, np.int64),
+        np.empty(height, np.int64),
+    )
+
+
+def draw_body(body: BodyModel, poses: ArrayLike, camera: Camera) -> Mask:
+    """Silhouettes of a body, as this camera would see it before a plain wall.
+
+    Parameters
+    ----------
+    body : with A joint angles.
+    poses : (T, 7 + A).
+    camera : the view.
+
+    Returns
+    -------
+    (T, height, width), true on the body; parts behind the camera are not drawn.
+    """
+    return _draw(body, poses, camera, np.zeros(body.n_parts, np.intp), 1)[:, 0]
+
+
+def draw_parts(body: BodyModel, poses: ArrayLike, camera: Camera) -> Mask:
+    """Masks (T, P, height, width) of each part on its own, as if the others were of glass."""
+    return _draw(body, poses, camera, np.arange(body.n_parts, dtype=np.intp), body.n_parts)
+
+
+def _draw(body: BodyModel, poses: ArrayLike, camera: Camera, layers: NDArray[np.intp], n_layers: int) -> Mask:
+    rotations, positions = place_parts(body, np.atleast_2d(np.asarray(poses, np.float64)))
+    n_words = -(-camera.width // 64)
+    bits = np.zeros((len(positions), n_layers, camera.height, n_words), np.uint64)
+    solids = (body.spheres, body.sphere_starts)
+    work = outline_scratch(body, camera.height)
+    draw_layers(rotations, positions, solids, camera.to_row(), camera.width, layers, work, bits)
+    return unpack_bits(bits, camera.width)
+
+
+NEAREST = 0.05
+"""m: a sphere whose centre is nearer to the camera's plane than this is behind the camera."""
+
+_FAR = 1e12
+
+
+def _popcount(_context, word):  # type: ignore[no-untyped-def]
+    """Number of bits that are set in a 64-bit word: the processor's own instruction."""
+
+    def generate(_context, builder, _signature, arguments):  # type: ignore[no-untyped-def]
+        return builder.ctpop(arguments[0])
+
+    return types.uint64(types.uint64), generate
+
+
+popcount: Any = intrinsic(_popcount)
+
+
+@njit(cache=True, nogil=True, forceinline=True)
+def project_sphere(camera, x, y, z, radius):  # type: ignore[no-untyped-def]
+    """Image column, row and radius (px) of a sphere, radius -1 behind the camera; ``camera`` as in `CAMERA_ROW`."""
+    cx = camera[6] * x + camera[7] * y + camera[8] * z + camera[15]
+    cy = camera[9] * x + camera[10] * y + camera[11] * z + camera[16]
+    cz = camera[12] * x + camera[13] * y + camera[14] * z + camera[17]
+    scale = np.sqrt(camera[1] * camera[2])
+    if camera[0] == 0.0:
+        if cz < NEAREST:
+            return 0.0, 0.0, -1.0
+        cx /= cz
+        cy /= cz
+        radius = radius / cz
+        k1, k2, p1, p2, k3 = camera[18], camera[19], camera[20], camera[21], camera[22]
+        if k1 != 0.0 or k2 != 0.0 or p1 != 0.0 or p2 != 0.0 or k3 != 0.0:
+            square = cx * cx + cy * cy
+            gain = 1.0 + square * (k1 + square * (k2 + square * k3))
+            dx = cx * gain + 2.0 * p1 * cx * cy + p2 * (square + 2.0 * cx * cx)
+            cy = cy * gain + p1 * (square + 2.0 * cy * cy) + 2.0 * p2 * cx * cy
+            cx = dx
+    return camera[1] * cx + camera[5] * cy + camera[3], camera[2] * cy + camera[4], scale * radius
+
+
+@njit(cache=True, nogil=True)
+def outline_discs(discs, count, width, height, pairs, low, high):  # type: ignore[no-untyped-def]
+    """First and last column of the hull of discs in each row.
+
+    ``discs`` (count, 3) column, row, radius; ``pairs`` (n, n, 2) with n >= count is scratch. Fills ``low`` and ``high``
+    (height,) with whole columns clipped to the image, high < low where a row has none, and returns the half-open
+    range of rows.
+    """
+    top, bottom = _FAR, -_FAR
+    for i in range(count):
+        if not abs(discs[i, 0]) + abs(discs[i, 1]) + discs[i, 2] < _FAR:  # beyond all numbers of pixels, or none
+            return 0, 0
+        top = min(top, discs[i, 1] - discs[i, 2])
+        bottom = max(bottom, discs[i, 1] + discs[i, 2])
+    if not (top <= height - 1.0 and bottom >= 0.0):
+        return 0, 0
+    first = int(np.ceil(max(top, 0.0)))
+    last = int(np.floor(min(bottom, height - 1.0)))
+    if last < first:
+        return 0, 0
+    _measure_pairs(discs, count, pairs)
+    _trace_side(1.0, discs, count, pairs, top, first, last, width, high)
+    _trace_side(-1.0, discs, count, pairs, top, first, last, width, low)
+    return first, last + 1
+
+
+@njit(cache=True, nogil=True, forceinline=True)
+def _measure_pairs(discs, count, pairs):  # type: ignore[no-untyped-def]
+    """For each pair: length of its outer tangents, -1 if one disc lies in the other, and 1 / squared distance."""
+    for i in range(count):
+        for j in range(i):
+            dx, dy, dr = discs[j, 0] - discs[i, 0], discs[j, 1] - discs[i, 1], discs[j, 2] - discs[i, 2]
+            square = dx * dx + dy * dy
+            rest = square - dr * dr
+            root = np.sqrt(rest) if rest > 0.0 else -1.0
+            inverse = 1.0 / square if square > 0.0 else 0.0
+            pairs[i, j, 0], pairs[i, j, 1] = root, inverse
+            pairs[j, i, 0], pairs[j, i, 1] = root, inverse
+
+
+@njit(cache=True, nogil=True, forceinline=True)
+def _trace_side(side, discs, count, pairs, top, first, last, width, columns):  # type: ignore[no-untyped-def]
+    """Walk down one side of the hull (gift wrapping over discs) and note its column in every row.
+
+    From the disc at hand the next is the one whose outer tangent turns least, that is, whose normal points up most.
+    """
+    here, outmost = 0, -np.inf
+    for i in range(count):  # of several that are as high the outermost
+        if discs[i, 1] - discs[i, 2] <= top and side * discs[i, 0] > outmost:
+            here, outmost = i, side * discs[i, 0]
+    row, up_here = first, -1.0
+    for _ in range(2 * count):
+        x, y, r = side * discs[here, 0], discs[here, 1], discs[here, 2]
+        best, best_up, best_out = -1, 1.0, 0.0
+        for j in range(count):
+            root = pairs[here, j, 0]
+            if j == here or root < 0.0:
+                continue
+            dx, dy, dr = side * discs[j, 0] - x, discs[j, 1] - y, discs[j, 2] - r
+            up = (-dr * dy - root * dx) * pairs[here, j, 1]
+            out = (-dr * dx + root * dy) * pairs[here, j, 1]
+            if out > 0.0 and up_here - 1e-9 <= up < best_up:
+                best, best_up, best_out = j, up, out
+        leave = y + r * best_up if best >= 0 else _FAR
+        end = last if leave >= last else int(np.floor(leave))
+        for k in range(row, end + 1):
+            off = k - y
+            columns[k] = _to_column(side, x + np.sqrt(max(0.0, r * r - off * off)), width)
+        row = max(row, end + 1)
+        if best < 0 or row > last:
+            break
+        slope = -best_up / best_out
+        start = x + r * best_out - slope * leave
+        arrive = discs[best, 1] + discs[best, 2] * best_up
+        end = last if arrive >= last else int(np.floor(arrive))
+        for k in range(row, end + 1):
+            columns[k] = _to_column(side, start + slope * k, width)
+        row = max(row, end + 1)
+        here, up_here = best, best_up
+    for k in range(row, last + 1):  # rounding alone can leave rows over, at the very end
+        columns[k] = -1 if side > 0.0 else width
+
+
+@njit(cache=True, nogil=True, forceinline=True)
+def _to_column(side, x, width):  # type: ignore[no-untyped-def]
+    """The outermost whole column within a boundary at ``side * x``, clipped to the image before it is converted."""
+    if side > 0.0:
+        return int(min(max(x + 1.0, 0.0), float(width))) - 1
+    return width + 1 - int(min(max(x + (width + 1.0), 1.0), width + 1.0))
+
+
+_ONES = np.uint64(0xFFFFFFFFFFFFFFFF)
+
+
+@njit(cache=True, nogil=True, forceinline=True)
+def interval_mask(word, start, stop):  # type: ignore[no-untyped-def]
+    """Bits of a word that lie in the columns from start to stop, both inclusive."""
+    mask = _ONES
+    if word == start >> 6:
+        mask &= _ONES << np.uint64(start & 63)
+    if word == stop >> 6:
+        mask &= _ONES >> np.uint64(63 - (stop & 63))
+    return mask
+
+
+@njit(cache=True, nogil=True)
+def draw_intervals(bits, low, high, first, last):  # type: ignore[no-untyped-def]
+    """Set the bits (H, words) of the intervals of rows first to last (exclusive)."""
+    for row in range(first, last):
+        start, stop = low[row], high[row]
+        if stop >= start:
+            for word in range(start >> 6, (stop >> 6) + 1):
+                bits[row, word] |= interval_mask(word, start, stop)
+
+
+@njit(cache=True, nogil=True, forceinline=True)
+def outline_part(part, camera, width, height, solids, rotations, positions, work):  # type: ignore[no-untyped-def]
+    """Row intervals of one part, placed by ``rotations`` (P, 3, 3) and ``positions`` (P, 3); none behind the camera.
+
+    ``solids`` is (spheres, sphere_starts); ``work`` is (discs, pairs, low, high), of which the last two are filled.
+    """
+    spheres, starts = solids
+    discs = work[0]
+    count = 0
+    for s in range(starts[part], starts[part + 1]):
+        a, b, c = spheres[s, 0], spheres[s, 1], spheres[s, 2]
+        x = positions[part, 0] + rotations[part, 0, 0] * a + rotations[part, 0, 1] * b + rotations[part, 0, 2] * c
+        y = positions[part, 1] + rotations[part, 1, 0] * a + rotations[part, 1, 1] * b + rotations[part, 1, 2] * c
+        z = positions[part, 2] + rotations[part, 2, 0] * a + rotations[part, 2, 1] * b + rotations[part, 2, 2] * c
+        u, v, r = project_sphere(camera, x, y, z, spheres[s, 3])
+        if not r >= 0.0:
+            return 0, 0
+        discs[count, 0], discs[count, 1], discs[count, 2] = u, v, r
+        count += 1
+    return outline_discs(discs, count, width, height, work[1], work[2], work[3])
+
+
+@njit(cache=True, nogil=True)
+def draw_layers(rotations, positions, solids, camera, width, layers, work, bits):  # type: ignore[no-untyped-def]
+    """Draw every part of every frame into its layer of ``bits`` (T, layers, H, words)."""
+    height = bits.shape[2]
+    for t in range(len(positions)):
+        for part in range(len(layers)):
+            first, last = outline_part(part, camera, width, height, solids, rotations[t], positions[t], work)
+            draw_intervals(bits[t, layers[part]], work[2], work[3], first, last)
+
+
+def _strip(context: Any, builder: Any, kind: Any, value: Any) -> Any:
+    """The value with the owner of every array in it forgotten."""
+    if isinstance(kind, types.Array):
+        array = context.make_array(kind)(context, builder, value=value)
+        array.meminfo = cgutils.get_null_value(array.meminfo.type)
+        array.parent = cgutils.get_null_value(array.parent.type)
+        return array._getvalue()
+    if isinstance(kind, types.BaseTuple):
+        kinds: Any = kind
+        items = zip(tuple(kinds), cgutils.unpack_tuple(builder, value), strict=True)
+        stripped = [_strip(context, builder, item_kind, item) for item_kind, item in items]
+        return context.make_tuple(builder, kind, stripped)
+    return value
+
+
+def _borrow(_context, value):  # type: ignore[no-untyped-def]
+    """The same array, or tuple of arrays, uncounted: the caller must keep it alive, as a caller does."""
+
+    def generate(context, builder, signature, arguments):  # type: ignore[no-untyped-def]
+        return _strip(context, builder, signature.args[0], arguments[0])
+
+    return value(value), generate
+
+
+borrow: Any = intrinsic(_borrow)

@@ -1,0 +1,251 @@
+"""Silhouettes of a body in motion: what cameras would see, for tests, experiments and demonstrations.
+
+The inverse of estimation. What comes out is clean; `spoil` makes it as bad as a real segmentation.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, fields
+from statistics import NormalDist
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from dousa.arrays import FloatArray, Mask
+from dousa.errors import BodyModelError, OptionError, SilhouetteError
+from dousa.estimation.body.body import BodyModel
+from dousa.estimation.body.kinematics import point_names
+from dousa.estimation.body.posing import fit_poses
+from dousa.estimation.cameras.camera import Camera
+from dousa.estimation.raster.rasteriser import draw_body
+from dousa.motion import CANONICAL_JOINTS, Motion, Trajectories, canonicalise, compute_trajectories
+
+_EDGE_GRAIN = 2.5  # px, size of the bumps of a ragged edge
+_HOLE_GRAIN = 4.0  # px, size of the holes
+_SPECKLE_GRAIN = 1.0  # px
+_PERSISTENCE = 0.6  # share of an error that the next frame keeps: segmentation errs alike twice
+_SHADOW_DEPTH = 0.12  # height of a shadow on the floor by its length: cameras look flat over the floor
+_SHADOW_LOSS = 0.25  # share of a shadow that segmentation notices and removes
+
+
+@dataclass(frozen=True, slots=True)
+class Spoiling:
+    """How much of each error, all of them in the image and 0 for none.
+
+    Parameters
+    ----------
+    ragged : px, root mean square distance that the edge is moved by, bump by bump.
+    holes : share of the silhouette that is missing inside.
+    speckle : share of the background that is marked wrongly, specks of a few pixels.
+    shadow : length of the shadow on the floor, in heights of the silhouette.
+    jitter : px, root mean square shift of the whole image, along rows and columns each.
+    """
+
+    ragged: float = 0.0
+    holes: float = 0.0
+    speckle: float = 0.0
+    shadow: float = 0.0
+    jitter: float = 0.0
+
+    def __post_init__(self) -> None:
+        for field in fields(self):
+            value = getattr(self, field.name)
+            most = 1.0 if field.name in ("holes", "speckle") else 100.0
+            if not 0.0 <= value <= most:
+                raise OptionError("rendering.amount", option=field.name, most=most, found=value)
+
+
+NOISY = Spoiling(ragged=1.0, holes=0.02, speckle=0.002, shadow=0.4, jitter=0.5)
+"""A poor segmentation of 320 x 240 pixels."""
+
+
+def spoil(masks: Mask, rng: np.random.Generator, amounts: Spoiling = NOISY) -> Mask:
+    """Make the clean silhouettes of one view as bad as a real segmentation's.
+
+    Parameters
+    ----------
+    masks : (T, H, W) bool.
+    rng : where the errors come from; the same generator gives the same errors.
+    amounts : of each error.
+
+    Returns
+    -------
+    (T, H, W) bool. Errors last a few frames, as those of a segmentation do; an empty mask gets speckle only.
+
+    Raises
+    ------
+    SilhouetteError : masks of another shape.
+    """
+    masks = np.asarray(masks, bool)
+    if masks.ndim != 3:
+        raise SilhouetteError("masks.shape", found=str(masks.shape))
+    spoiled = np.empty_like(masks)
+    size = masks.shape[1:]
+    edge, inside, outside = (_Field(size, grain, rng) for grain in (_EDGE_GRAIN, _HOLE_GRAIN, _SPECKLE_GRAIN))
+    to_the_side = float(rng.choice([-1.0, 1.0]))
+    shift = np.zeros(2)
+    for t, mask in enumerate(masks):
+        shift = _follow(shift, rng.standard_normal(2))
+        changed = mask
+        if amounts.shadow:
+            changed = changed | (_cast_shadow(mask, amounts.shadow, to_the_side) & (rng.random(size) > _SHADOW_LOSS))
+        if amounts.ragged:
+            changed = _depths(changed) > amounts.ragged * edge.advance()
+        if amounts.holes:
+            changed = changed & (inside.advance() > _quantile(amounts.holes))
+        if amounts.jitter:
+            changed = _shift(changed, amounts.jitter * shift)
+        if amounts.speckle:
+            changed = changed | (outside.advance() > _quantile(1.0 - amounts.speckle))
+        spoiled[t] = changed
+    return spoiled
+
+
+def _follow(before: FloatArray, new: FloatArray) -> FloatArray:
+    """An error of unit variance that keeps some of what it was."""
+    return np.asarray(_PERSISTENCE * before + np.sqrt(1.0 - _PERSISTENCE**2) * new)
+
+
+class _Field:
+    """A smooth random picture of unit variance that changes slowly."""
+
+    def __init__(self, size: tuple[int, int], grain: float, rng: np.random.Generator) -> None:
+        self._size, self._grain, self._rng = size, grain, rng
+        self._values = self._draw()
+
+    def _draw(self) -> FloatArray:
+        from dousa.extras import cv2
+
+        kernel = cv2.getGaussianKernel(2 * int(np.ceil(4.0 * self._grain)) + 1, self._grain)
+        noise = self._rng.standard_normal(self._size)
+        smooth = cv2.sepFilter2D(noise, cv2.CV_64F, kernel, kernel, borderType=cv2.BORDER_REFLECT)
+        return np.asarray(smooth / (kernel * kernel).sum())
+
+    def advance(self) -> FloatArray:
+        self._values = _follow(self._values, self._draw())
+        return self._values
+
+
+def _quantile(share: float) -> float:
+    """Below which this share of a unit normal lies."""
+    return NormalDist().inv_cdf(min(max(share, 1e-12), 1.0 - 1e-12))
+
+
+def _depths(mask: Mask) -> FloatArray:
+    """Distance (px) to the edge, negative outside."""
+    from dousa.extras import cv2
+
+    if mask.all() or not mask.any():
+        return np.where(mask, np.inf, -np.inf)
+    inner = cv2.distanceTransform(mask.astype(np.uint8), cv2.DIST_L2, 3)
+    outer = cv2.distanceTransform((~mask).astype(np.uint8), cv2.DIST_L2, 3)
+    return np.asarray(np.where(mask, inner - 0.5, 0.5 - outer), np.float64)
+
+
+def _cast_shadow(mask: Mask, length: float, side: float) -> Mask:
+    """The silhouette laid flat on the floor from its lowest row, to one side."""
+    from dousa.extras import cv2
+
+    rows = np.flatnonzero(mask.any(axis=1))
+    if not len(rows):
+        return np.zeros_like(mask)
+    foot = float(rows[-1])
+    # A point h above the feet falls length * h to the side and a little up the image.
+    rise = length * _SHADOW_DEPTH
+    affine = np.array([[1.0, -side * length, side * length * foot], [0.0, rise, foot * (1.0 - rise)]])
+    height, width = mask.shape
+    flat = cv2.warpAffine(mask.astype(np.float32), affine, (width, height), flags=cv2.INTER_LINEAR)
+    return np.asarray(flat > 0.5)
+
+
+def _shift(mask: Mask, shift: FloatArray) -> Mask:
+    """The image moved by (columns, rows) px; what comes in from outside is background."""
+    from dousa.extras import cv2
+
+    affine = np.array([[1.0, 0.0, shift[0]], [0.0, 1.0, shift[1]]])
+    height, width = mask.shape
+    return np.asarray(cv2.warpAffine(mask.astype(np.float32), affine, (width, height)) > 0.5)
+
+
+_PIXELS_AT_ONCE = 8_000_000  # of one view: bounds the memory, long enough that calls cost nothing
+
+
+def render(body: BodyModel, poses: ArrayLike, cameras: Sequence[Camera]) -> list[Mask]:
+    """Silhouettes of a body in every view, whole.
+
+    Parameters
+    ----------
+    body : with A joint angles.
+    poses : (T, 7 + A), see `BodyModel`.
+    cameras : (V,) the views.
+
+    Returns
+    -------
+    (V,) masks (T, height, width), true on the body, as `draw_body` draws it.
+
+    Raises
+    ------
+    BodyModelError : poses of another shape.
+    """
+    rows = _checked_poses(body, poses)
+    return [draw_body(body, rows, camera) for camera in cameras]
+
+
+def render_frames(body: BodyModel, poses: ArrayLike, cameras: Sequence[Camera]) -> Iterator[tuple[Mask, ...]]:
+    """Silhouettes frame by frame, so that the memory does not grow with the length.
+
+    Parameters
+    ----------
+    body, poses, cameras : as for `render`.
+
+    Yields
+    ------
+    (V,) masks (height, width) of one frame.
+    """
+    rows = _checked_poses(body, poses)
+    largest = max((camera.width * camera.height for camera in cameras), default=1)
+    step = max(1, _PIXELS_AT_ONCE // largest)
+    for first in range(0, len(rows), step):
+        views = [draw_body(body, rows[first : first + step], camera) for camera in cameras]
+        for frame in range(len(rows[first : first + step])):
+            yield tuple(view[frame] for view in views)
+
+
+def poses_from_motion(body: BodyModel, motion: Motion | Trajectories) -> FloatArray:
+    """Poses of a body that follow the joints of a motion.
+
+    Parameters
+    ----------
+    body : any tree of parts; the nearer its bones to the motion's, the nearer the joints.
+    motion : whose joints bear the names of the body's joints and tips, or, for a person, can be mapped to the
+        canonical ones; of T frames.
+
+    Returns
+    -------
+    (T, 7 + A) within the limits of the body, by inverse kinematics, each frame starting from the one before.
+
+    Raises
+    ------
+    BodyModelError : too few joints of the body are found in the motion.
+    JointMappingError : the joints of a person's motion cannot be told apart.
+    """
+    moving = compute_trajectories(motion) if isinstance(motion, Motion) else motion
+    wanted = point_names(body)
+    if set(wanted) <= set(moving.names) or not set(wanted) >= set(CANONICAL_JOINTS):
+        names, positions = moving.names, moving.positions
+    else:
+        canonical = canonicalise(motion)
+        names, positions = CANONICAL_JOINTS, canonical.positions
+    if not set(wanted) & set(names):
+        raise BodyModelError("rendering.joints", wanted=wanted, found=names)
+    return fit_poses(body, positions, names)[0]
+
+
+def _checked_poses(body: BodyModel, poses: ArrayLike) -> FloatArray:
+    rows = np.asarray(poses, np.float64)
+    if rows.ndim != 2 or rows.shape[1] != 7 + body.n_angles:
+        raise BodyModelError("pose.rows", expected=7 + body.n_angles, found=str(rows.shape))
+    if not np.isfinite(rows).all():
+        raise BodyModelError("pose.finite")
+    return rows

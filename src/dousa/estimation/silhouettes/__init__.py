@@ -1,0 +1,1 @@
+"""Silhouettes: from masks, images and films to one mask a view and frame."""

@@ -1,0 +1,277 @@
+"""Images in and out of OpenCV: quiet, resized, and as masks."""
+
+from __future__ import annotations
+
+import math
+import os
+import re
+from collections.abc import Iterator
+from contextlib import contextmanager
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dousa.arrays import Mask
+from dousa.errors import MotionFileError, SilhouetteError
+from dousa.estimation.cameras.camera import format_size
+from dousa.estimation.silhouettes.silhouettes import View, checked_frame, checked_rate
+from dousa.extras import require
+from dousa.files.disk import read_bytes
+from dousa.messages import Message
+
+_MOST_PIXELS = 200_000_000
+_LABELS = 15  # values up to this are labels, not grey levels
+_PNG = b"\x89PNG\r\n\x1a\n"
+_BAR = 40.0  # grey level; a letterbox bar is darker
+_STRETCHED = 0.02  # change of the aspect ratio worth a word
+
+
+@contextmanager
+def quiet_opencv() -> Iterator[None]:
+    """OpenCV and FFmpeg print nothing meanwhile: the error that follows says it in one line."""
+    os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")  # read by OpenCV when it first opens a video
+    require("cv2", "film")
+    from cv2.utils import logging
+
+    before = logging.getLogLevel()
+    logging.setLogLevel(logging.LOG_LEVEL_SILENT)
+    try:
+        yield
+    finally:
+        logging.setLogLevel(before)
+
+
+def read_image(path: str | os.PathLike[str]) -> NDArray[Any]:
+    """An image as it is stored: (H, W) or (H, W, channels), 8 or 16 bit or float; blue, green, red.
+
+    Raises
+    ------
+    SilhouetteError : missing, damaged, no image, too large.
+    """
+    from dousa.extras import cv2
+
+    try:
+        data = read_bytes(path)
+    except MotionFileError as error:
+        raise SilhouetteError(error.message).at(path) from None
+    if data[:8] == _PNG and len(data) >= 24:
+        width, height = int.from_bytes(data[16:20], "big"), int.from_bytes(data[20:24], "big")
+        if width * height > _MOST_PIXELS:
+            raise SilhouetteError("mask_files.pixels", size=format_size((width, height))).at(path)
+    try:
+        with quiet_opencv():
+            image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
+    except cv2.error as error:
+        raise SilhouetteError("mask_files.undecodable", reason=error.err).at(path) from error
+    if image is None:
+        raise SilhouetteError("mask_files.no_image").at(path)
+    return np.asarray(image)
+
+
+def read_colour_image(path: str | os.PathLike[str]) -> NDArray[np.uint8]:
+    """An image as (H, W, 3) uint8 blue, green, red; alpha is ignored."""
+    image = read_image(path)
+    if image.dtype == np.uint16:
+        image = (image // 257).astype(np.uint8)
+    if image.dtype != np.uint8:
+        raise SilhouetteError("mask_files.depth", found=str(image.dtype)).at(path)
+    if image.ndim == 2:
+        image = image[..., None].repeat(3, axis=2)
+    return np.ascontiguousarray(image[..., :3], np.uint8)
+
+
+def mask_from_image(image: NDArray[Any], lossless: bool = True) -> Mask:
+    """Foreground of an image of a mask: brighter than half, or not 0 where the values are labels (0, 1, 2 ...).
+
+    Parameters
+    ----------
+    image : (H, W) or (H, W, channels); alpha is ignored, the brightest colour counts.
+    lossless : whether small values can be trusted; JPEG makes them up.
+    """
+    if image.ndim == 3:
+        colours = image[..., :3] if image.shape[2] >= 3 else image[..., :1]
+        image = colours.max(axis=2)
+    peak = float(image.max())
+    if image.dtype.kind == "f":
+        return np.asarray(image > (0.5 if peak <= 1.0 else 127.5))
+    if lossless and peak <= _LABELS:
+        return np.asarray(image > 0)
+    full = 255 if image.dtype == np.uint8 or peak <= 255 else 65535
+    return np.asarray(image > full // 2)
+
+
+def resize_mask(mask: Mask, size: tuple[int, int]) -> Mask:
+    """A mask at another width and height: a pixel is foreground if more than half of what it covers is."""
+    if (mask.shape[1], mask.shape[0]) == size:
+        return mask
+    from dousa.extras import cv2
+
+    image = np.ascontiguousarray(mask).view(np.uint8) * np.uint8(255)
+    return np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA) > 127)
+
+
+def fit_frame(size: tuple[int, int], target: tuple[int, int], sample: NDArray[np.uint8]) -> tuple[slice, slice]:
+    """The part of a frame that becomes the target: black bars that a change of format added are cut off.
+
+    A video of 1080 x 1920 made from images of 1088 x 1920 has 7 black rows above and below; stretching it as it is
+    would put everything up to 7 rows off.
+
+    Parameters
+    ----------
+    size, target : width and height of the frames, and wanted.
+    sample : (H, W, 3) grey levels, a typical frame.
+
+    Returns
+    -------
+    Rows and columns to keep.
+    """
+    (width, height), (wide, high) = size, target
+    whole = (slice(0, height), slice(0, width))
+    rows, columns = (height - width * high / wide) / 2, (width - height * wide / high) / 2
+    grey = sample.mean(axis=2)
+    if rows >= 1 and _has_bars(grey.mean(axis=1), round(rows)):
+        return slice(round(rows), height - round(rows)), slice(0, width)
+    if columns >= 1 and _has_bars(grey.mean(axis=0), round(columns)):
+        return slice(0, height), slice(round(columns), width - round(columns))
+    return whole
+
+
+def _has_bars(profile: NDArray[np.floating[Any]], depth: int) -> bool:
+    """Whether so many lines at both ends are black and the scene behind them is not."""
+    if 4 * depth > len(profile):
+        return False
+    sure = max(1, depth - 1)  # the last line of a bar is blurred by compression
+    outside = max(profile[:sure].max(), profile[-sure:].max())
+    inside = min(profile[depth + 1 : 3 * depth + 4].mean(), profile[-3 * depth - 4 : -depth - 1].mean())
+    return bool(outside < _BAR and inside > outside + 20)
+
+
+def is_stretched(size: tuple[int, int], target: tuple[int, int]) -> bool:
+    """Whether going from one size to the other changes the proportions of what is seen."""
+    return abs(size[0] * target[1] / (size[1] * target[0]) - 1) > _STRETCHED
+
+
+IMAGE_ENDINGS = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff")
+_LOSSY = (".jpg", ".jpeg")
+_MOST_GAPS = 3.0  # times more numbers than images: they are no frame numbers
+_DEFAULT_RATE = 30.0
+
+
+def natural_key(name: str) -> tuple[tuple[int, int, str], ...]:
+    """Order in which frame 10 comes after frame 9."""
+    parts = re.split(r"(\d+)", name.lower())
+    return tuple((0, int(part), "") if part.isdigit() and part.isascii() else (1, 0, part) for part in parts)
+
+
+def _list(path: str | os.PathLike[str]) -> list[str]:
+    try:
+        return sorted(os.listdir(path), key=natural_key)
+    except FileNotFoundError:
+        raise SilhouetteError("mask_files.no_folder").at(path) from None
+    except OSError as error:
+        raise SilhouetteError("mask_files.folder_unreadable", reason=error).at(path) from error
+
+
+def list_images(path: str | os.PathLike[str]) -> list[str]:
+    """Names of the images in a folder in natural order."""
+    return [name for name in _list(path) if not name.startswith(".") and name.lower().endswith(IMAGE_ENDINGS)]
+
+
+def find_mask_folders(path: str | os.PathLike[str]) -> list[str]:
+    """The views in a folder: itself if it holds images, else its folders that do, in natural order.
+
+    Raises
+    ------
+    SilhouetteError : no images in it.
+    """
+    base = os.fspath(path)
+    if list_images(base):
+        return [base]
+    inside = [os.path.join(base, name) for name in _list(base) if not name.startswith(".")]
+    folders = [folder for folder in inside if os.path.isdir(folder) and list_images(folder)]
+    if not folders:
+        raise SilhouetteError("mask_files.no_images", endings=tuple(ending[1:] for ending in IMAGE_ENDINGS)).at(base)
+    return folders
+
+
+class MaskFolder(View):
+    """A folder of mask images: the person is brighter than half of the range, or has a label other than 0.
+
+    Numbers in the names are frames: where frame_0001 and frame_0003 exist, frame 2 is missing. If all are multiples of
+    a step, the step is a frame.
+
+    Parameters
+    ----------
+    path : the folder.
+    frame_rate : Hz; 30 by default, with a warning.
+    size : width and height of the masks; by default those of the first image.
+    """
+
+    def __init__(
+        self,
+        path: str | os.PathLike[str],
+        frame_rate: float | None = None,
+        size: tuple[int, int] | None = None,
+    ) -> None:
+        self._folder = os.fspath(path)
+        names = list_images(path)
+        if not names:
+            raise SilhouetteError("mask_files.empty_folder").at(self._folder)
+        self.name = os.path.basename(os.path.normpath(self._folder))
+        self.frame_rate = _DEFAULT_RATE if frame_rate is None else checked_rate(frame_rate, self._folder)
+        self._frames = number_frames(names)
+        self.n_frames = max(self._frames) + 1
+        first = read_image(os.path.join(self._folder, names[0]))
+        self._stored_size = (first.shape[1], first.shape[0])
+        self.size = size or self._stored_size
+        notes: list[Message] = []
+        if frame_rate is None:
+            notes.append(Message("mask_files.images_rate", view=self.name, rate=self.frame_rate))
+        if len(self._frames) < self.n_frames:
+            notes.append(
+                Message(
+                    "mask_files.missing_frames",
+                    view=self.name,
+                    missing=self.n_frames - len(self._frames),
+                    frames=self.n_frames,
+                )
+            )
+        if float(np.mean(mask_from_image(first, not names[0].lower().endswith(_LOSSY)))) > 0.6:
+            notes.append(Message("mask_files.inverted", view=self.name))
+        self.warnings = tuple(notes)
+
+    def read(self, frame: int) -> Mask | None:
+        """The mask (height, width) of a frame; None where there is no image."""
+        name = self._frames.get(checked_frame(frame, self.n_frames))
+        if name is None:
+            return None
+        path = os.path.join(self._folder, name)
+        image = read_image(path)
+        if (image.shape[1], image.shape[0]) != self._stored_size:
+            raise SilhouetteError(
+                "mask_files.image_size",
+                size=format_size(self._stored_size),
+                other=format_size(image.shape[1::-1]),
+            ).at(path)
+        return resize_mask(mask_from_image(image, not name.lower().endswith(_LOSSY)), self.size)
+
+
+def number_frames(names: list[str]) -> dict[int, str]:
+    """Frame of each image by the number in its name; by order where the numbers are no frame numbers."""
+    by_order = dict(enumerate(names))
+    parts = [re.fullmatch(r"(.*?)(\d{1,12})(\D*)", name, re.ASCII) for name in names]
+    if len(names) < 2 or any(part is None for part in parts):
+        return by_order
+    if len({(part[1], part[3].lower()) for part in parts if part}) > 1:
+        return by_order
+    numbers = [int(part[2]) for part in parts if part]
+    steps = [after - before for before, after in pairwise(numbers)]
+    if min(steps) < 1:
+        return by_order
+    step = math.gcd(*steps)
+    frames = [(number - numbers[0]) // step for number in numbers]
+    if frames[-1] + 1 > _MOST_GAPS * len(names):
+        return by_order
+    return dict(zip(frames, names, strict=True))

@@ -1,0 +1,358 @@
+"""Silhouettes in npz files: packed masks, with or without their cameras and the true joints.
+
+    mask_packed                  (V, T, H, ceil(W / 8)) or, one view, (T, H, ceil(W / 8)) uint8: np.packbits along
+                                 the width
+    mask or masks                instead: (V, T, H, W) or (T, H, W) of bool or numbers, not packed
+    width, height                px; needed with mask_packed
+    frame_rate                   Hz; 30 if lacking
+    view_names                   (V,) may be lacking
+    view_sizes                   (V, 2) width and height of views that are smaller than the array; may be lacking
+    present                      (V, T) bool, False where a view has no image; may be lacking
+    camera_matrix                (V, 3, 3) px; `dousa.estimation.cameras.camera_files` reads the cameras
+    world_to_camera_rotation     (V, 3, 3)
+    world_to_camera_translation  (V, 3) m
+    camera_distortion            (V, 5) k1 k2 p1 p2 k3; may be lacking
+    camera_kind                  (V,) "pinhole" or "orthographic"; may be lacking
+    stature                      m, of the person; may be lacking
+    joint_names, joint_positions (K,), (T, K, 3) m, where the truth is known
+
+Nothing is pickled, and no size is believed before it is compared with a limit.
+"""
+
+from __future__ import annotations
+
+import os
+import shutil
+import tempfile
+import zipfile
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from typing import IO
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from dousa.errors import SilhouetteError
+from dousa.estimation.cameras.camera import Camera, format_size
+from dousa.estimation.cameras.camera_formats import cameras_to_arrays
+from dousa.estimation.cameras.camera_sets import check_cameras
+from dousa.estimation.silhouettes.silhouettes import PackedMasks, PackedSilhouettes, Silhouettes, checked_rate
+from dousa.files.disk import atomic_write
+from dousa.files.npz_arrays import Header, NpzFile, open_npz
+from dousa.messages import Message
+
+Progress = Callable[[int, int, Message], None]
+
+
+def write_silhouettes(
+    path: str | os.PathLike[str],
+    masks: Silhouettes | ArrayLike,
+    cameras: Sequence[Camera] | None = None,
+    frame_rate: float | None = None,
+    *,
+    stature: float | None = None,
+    truth: tuple[Sequence[str], ArrayLike] | None = None,
+    progress: Progress | None = None,
+) -> None:
+    """Write silhouettes, and what is known beside them, as one npz file.
+
+    Frames are read and packed one at a time, so the length does not matter. Views of different sizes are filled up at
+    the right and below, which changes no camera, and `read_silhouettes` cuts them again.
+
+    Parameters
+    ----------
+    path : the file to write.
+    masks : silhouettes; or (V, T, H, W) bool, or one (T, H, W) per view, with ``frame_rate``.
+    cameras : (V,) one per view, of the size of its masks; may be left out.
+    frame_rate : Hz; by default that of the silhouettes.
+    stature : m, of the person.
+    truth : names (K,) and positions (T, K, 3) m of the true joints, where they are known.
+    progress : called with (frames done, frames in all, what).
+
+    Raises
+    ------
+    SilhouetteError : numbers that do not fit each other.
+    CalibrationError : not one camera per view, or of another size.
+    MotionWriteError : the disk refuses; nothing is left behind.
+    """
+    if isinstance(masks, Silhouettes):
+        source = masks
+    elif frame_rate is None:
+        raise SilhouetteError("masks.no_rate")
+    else:
+        source = PackedSilhouettes(masks, frame_rate)
+    beside = _collect(source, cameras, frame_rate, stature, truth)
+    width = max(size[0] for size in source.sizes)
+    height = max(size[1] for size in source.sizes)
+    shape = (source.n_views, source.n_frames, height, (width + 7) // 8)
+    beside |= {"width": np.array(width), "height": np.array(height)}
+    with tempfile.TemporaryDirectory(prefix="dousa-") as folder:
+        spools = [os.path.join(folder, str(view)) for view in range(source.n_views)]
+        beside["present"] = _spool(source, spools, (width, height), progress)
+        if beside["present"].all():
+            del beside["present"]
+        with atomic_write(path) as file, zipfile.ZipFile(file, "w", zipfile.ZIP_DEFLATED) as archive:
+            _write_masks(archive, spools, shape)
+            for name, values in beside.items():
+                with archive.open(f"{name}.npy", "w") as member:
+                    np.lib.format.write_array(member, np.asanyarray(values), allow_pickle=False)
+
+
+def _collect(
+    source: Silhouettes,
+    cameras: Sequence[Camera] | None,
+    frame_rate: float | None,
+    stature: float | None,
+    truth: tuple[Sequence[str], ArrayLike] | None,
+) -> dict[str, NDArray[np.generic]]:
+    """The arrays beside the masks."""
+    arrays: dict[str, NDArray[np.generic]] = {
+        "frame_rate": np.array(source.frame_rate if frame_rate is None else checked_rate(frame_rate)),
+        "view_names": np.array(source.names),
+    }
+    if len(set(source.sizes)) > 1:
+        arrays["view_sizes"] = np.array(source.sizes, np.int64)
+    if cameras is not None:
+        check_cameras(cameras, source.names, source.sizes)
+        arrays |= cameras_to_arrays(cameras)
+    if stature is not None:
+        arrays["stature"] = np.array(float(stature))
+    if truth is not None:
+        names, positions = tuple(truth[0]), np.asarray(truth[1], np.float64)
+        if positions.shape != (source.n_frames, len(names), 3):
+            raise SilhouetteError(
+                "mask_npz.truth", frames=source.n_frames, joints=len(names), found=str(positions.shape)
+            )
+        arrays["joint_names"], arrays["joint_positions"] = np.array(names), positions
+    return arrays
+
+
+def _spool(
+    source: Silhouettes, spools: Sequence[str], size: tuple[int, int], progress: Progress | None
+) -> NDArray[np.bool_]:
+    """Pack every frame into one file per view: the array is stored view by view, but read frame by frame."""
+    width, height = size
+    present = np.ones((source.n_views, source.n_frames), bool)
+    files: list[IO[bytes]] = []
+    try:
+        for path in spools:
+            files.append(open(path, "wb"))  # noqa: SIM115 - closed below
+        for frame in range(source.n_frames):
+            for view, mask in enumerate(source.read(frame)):
+                canvas = np.zeros((height, width), bool)
+                if mask is None:
+                    present[view, frame] = False
+                else:
+                    canvas[: mask.shape[0], : mask.shape[1]] = mask
+                files[view].write(np.packbits(canvas, axis=1).tobytes())
+            if progress is not None:
+                progress(frame + 1, source.n_frames, Message("mask_npz.writing"))
+    finally:
+        for file in files:
+            file.close()
+    return present
+
+
+def _write_masks(archive: zipfile.ZipFile, spools: Sequence[str], shape: tuple[int, ...]) -> None:
+    header = {"descr": "|u1", "fortran_order": False, "shape": shape}
+    with archive.open("mask_packed.npy", "w", force_zip64=True) as member:
+        np.lib.format.write_array_header_1_0(member, header)
+        for path in spools:
+            with open(path, "rb") as file:
+                shutil.copyfileobj(file, member, 1 << 20)
+
+
+_MOST_PACKED_BYTES = 2_000_000_000  # an hour of one view of 320 x 240 at 30 Hz takes 1.04e9
+_LONGEST_SIDE = 65_536
+_MOST_PIXELS = 200_000_000
+_MOST_VIEWS = 1000
+_DEFAULT_RATE = 30.0
+
+
+def read_silhouettes(path: str | os.PathLike[str], frame_rate: float | None = None) -> PackedSilhouettes:
+    """Read the silhouettes of an npz file into memory, one bit a pixel.
+
+    Parameters
+    ----------
+    path : a file as the module's docstring says.
+    frame_rate : Hz; by default what the file says, or 30 with a warning.
+
+    Returns
+    -------
+    The silhouettes; a single view is named after the file unless it has a name.
+
+    Raises
+    ------
+    SilhouetteError : missing, damaged, truncated, arrays of another kind or shape, larger than 2 GB packed.
+    """
+    with _open(path) as file:
+        packed, sizes = _read_masks(file)
+        names = _read_names(file, path, len(packed))
+        sizes = _read_sizes(file, sizes)
+        warnings: tuple[Message, ...] = ()
+        if frame_rate is not None:
+            rate = checked_rate(frame_rate)
+        elif "frame_rate" in file:
+            rate = checked_rate(file.read_number("frame_rate"))
+        else:
+            rate = _DEFAULT_RATE
+            warnings = (Message("mask_npz.rate", path=path, rate=rate),)
+        missing = None
+        if "present" in file:
+            missing = ~file.read("present", "b", 2)
+            if missing.shape != (len(packed), len(packed[0])):
+                raise SilhouetteError(
+                    "npz.shape",
+                    array="present",
+                    expected=str((len(packed), len(packed[0]))),
+                    found=str(missing.shape),
+                )
+        packed = [
+            np.ascontiguousarray(array[:, :height, : (width + 7) // 8])
+            for array, (width, height) in zip(packed, sizes, strict=True)
+        ]
+        made = PackedSilhouettes.from_packed(packed, sizes, rate, names, missing)
+    made.warnings = (*made.warnings, *warnings)
+    return made
+
+
+@contextmanager
+def _open(path: str | os.PathLike[str]) -> Iterator[NpzFile]:
+    """The arrays of a file; every error that leaves the block names the file."""
+    try:
+        with open_npz(path, SilhouetteError) as file:
+            yield file
+    except SilhouetteError as error:
+        error.at(path)
+        raise
+
+
+def read_stature(path: str | os.PathLike[str]) -> float | None:
+    """The stature of the person in an npz file of silhouettes, in m; None where it does not say.
+
+    Raises
+    ------
+    SilhouetteError : missing or damaged, or a stature outside 0.2 m to 3 m.
+    """
+    with _open(path) as file:
+        if "stature" not in file:
+            return None
+        stature = file.read_number("stature")
+        if not 0.2 <= stature <= 3.0:
+            raise SilhouetteError("mask_npz.stature", found=stature)
+        return stature
+
+
+def read_true_joints(
+    path: str | os.PathLike[str],
+) -> tuple[tuple[str, ...], NDArray[np.float64]] | None:
+    """The true joints in an npz file of silhouettes: names (K,) and positions (T, K, 3) m; None where it has none.
+
+    Raises
+    ------
+    SilhouetteError : missing or damaged, or names and positions that do not fit.
+    """
+    with _open(path) as file:
+        if "joint_names" not in file or "joint_positions" not in file:
+            return None
+        names = file.read_texts("joint_names")
+        positions = file.read("joint_positions", "f", 3).astype(np.float64)
+        if positions.shape[1:] != (len(names), 3):
+            raise SilhouetteError(
+                "npz.shape",
+                array="joint_positions",
+                expected=f"(T, {len(names)}, 3)",
+                found=str(positions.shape),
+            )
+        return names, positions
+
+
+def _read_masks(file: NpzFile) -> tuple[list[PackedMasks], list[tuple[int, int]]]:
+    """Per view the packed masks (T, H, bytes), and width and height."""
+    if "mask_packed" in file:
+        width, height = (_read_side(file, side) for side in ("width", "height"))
+        with file.open("mask_packed") as (header, stream):
+            shape = _view_shape("mask_packed", header)
+            if header.dtype != np.uint8:
+                raise SilhouetteError("mask_npz.packed_kind", found=str(header.dtype))
+            if shape[2:] != (height, (width + 7) // 8):
+                raise SilhouetteError(
+                    "mask_npz.packed_shape",
+                    bytes=(width + 7) // 8,
+                    size=format_size((width, height)),
+                    height=height,
+                    found_rows=shape[2],
+                    found_bytes=shape[3],
+                )
+            _check_amount(header.n_bytes)
+            masks = file.read_data("mask_packed", header, stream)
+        return list(np.ascontiguousarray(masks).reshape(shape)), [(width, height)] * shape[0]
+    for name in ("mask", "masks"):
+        if name in file:
+            with file.open(name) as (header, stream):
+                return _pack_stream(name, header, stream)
+    raise SilhouetteError("mask_npz.no_masks", found=file.names)
+
+
+def _read_side(file: NpzFile, side: str) -> int:
+    value = file.read_number(side)
+    if not (1 <= value <= _LONGEST_SIDE and value == int(value)):
+        raise SilhouetteError("mask_npz.side", side=side, most=_LONGEST_SIDE, found=value)
+    return int(value)
+
+
+def _view_shape(name: str, header: Header) -> tuple[int, int, int, int]:
+    """(V, T, H, W) of an array that may lack the axis of the views."""
+    shape = header.shape if len(header.shape) == 4 else (1, *header.shape)
+    if len(shape) != 4:
+        raise SilhouetteError("mask_npz.axes", array=name, found=str(header.shape))
+    if min(shape) < 1:
+        raise SilhouetteError("mask_npz.empty", array=name, found=str(header.shape))
+    if shape[0] > _MOST_VIEWS or max(shape[2:]) > _LONGEST_SIDE or shape[2] * shape[3] > _MOST_PIXELS:
+        raise SilhouetteError("mask_npz.huge", array=name, found=str(header.shape))
+    return shape[0], shape[1], shape[2], shape[3]
+
+
+def _check_amount(n_bytes: int) -> None:
+    if n_bytes > _MOST_PACKED_BYTES:
+        raise SilhouetteError("mask_npz.amount", size=n_bytes / 1e9, most=_MOST_PACKED_BYTES / 1e9)
+
+
+def _pack_stream(name: str, header: Header, stream: IO[bytes]) -> tuple[list[PackedMasks], list[tuple[int, int]]]:
+    """Pack an array of whole pixels an image at a time, so that memory holds one bit a pixel."""
+    n_views, n_frames, height, width = _view_shape(name, header)
+    if header.dtype.kind not in "buif":
+        raise SilhouetteError("mask_npz.kind", array=name, found=str(header.dtype))
+    _check_amount(n_views * n_frames * height * ((width + 7) // 8))
+    if header.order == "F":
+        raise SilhouetteError("mask_npz.order", array=name)
+    image_bytes = height * width * header.dtype.itemsize
+
+    def pack_next() -> PackedMasks:
+        data = stream.read(image_bytes)
+        if len(data) < image_bytes:
+            raise SilhouetteError("npz.ends", array=name)
+        return np.packbits(np.frombuffer(data, header.dtype).reshape(height, width).astype(bool), axis=1)
+
+    rows = [np.stack([pack_next() for _ in range(n_frames)]) for _ in range(n_views)]
+    return rows, [(width, height)] * n_views
+
+
+def _read_names(file: NpzFile, path: str | os.PathLike[str], n_views: int) -> tuple[str, ...] | None:
+    if "view_names" in file:
+        names = file.read_texts("view_names")
+        if len(names) != n_views:
+            raise SilhouetteError("mask_npz.view_names", expected=n_views, found=len(names))
+        return names
+    return (os.path.splitext(os.path.basename(path))[0],) if n_views == 1 else None
+
+
+def _read_sizes(file: NpzFile, sizes: list[tuple[int, int]]) -> list[tuple[int, int]]:
+    """The sizes of views that were filled up to that of the largest."""
+    if "view_sizes" not in file:
+        return sizes
+    own = file.read("view_sizes", "iu", 2)
+    limit = np.array(sizes)
+    if own.shape != limit.shape or (own < 1).any() or (own > limit).any():
+        raise SilhouetteError("mask_npz.view_sizes", size=format_size(sizes[0]), found=str(own.tolist()))
+    return [(int(width), int(height)) for width, height in own]

@@ -1,0 +1,174 @@
+"""Silhouettes from whatever there is: an npz sequence, folders of masks, videos."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Sequence
+from typing import Literal
+
+from dousa.arrays import Mask
+from dousa.errors import OptionError, SilhouetteError
+from dousa.estimation.silhouettes.background import BackgroundMethod
+from dousa.estimation.silhouettes.images import IMAGE_ENDINGS, MaskFolder, find_mask_folders, resize_mask
+from dousa.estimation.silhouettes.mask_npz import read_silhouettes
+from dousa.estimation.silhouettes.silhouettes import Silhouettes, View, checked_frame, synchronise
+from dousa.estimation.silhouettes.video import LONGEST_SIDE, VideoKind, open_video
+from dousa.messages import Message
+
+Path = str | os.PathLike[str]
+Progress = Callable[[int, int, Message], None]
+
+
+class _LatestFrame:
+    """Silhouettes whose views are asked one after the other for the same frame, which is read once."""
+
+    def __init__(self, source: Silhouettes) -> None:
+        self.source = source
+        self._latest: tuple[int, tuple[Mask | None, ...]] | None = None
+
+    def read(self, frame: int) -> tuple[Mask | None, ...]:
+        if self._latest is None or self._latest[0] != frame:
+            self._latest = (frame, self.source.read(frame))
+        return self._latest[1]
+
+
+class _ViewOf(View):
+    """One view of silhouettes that are read together."""
+
+    def __init__(self, latest: _LatestFrame, view: int, size: tuple[int, int] | None) -> None:
+        source = latest.source
+        self._latest, self._view = latest, view
+        self.name, self.size = source.names[view], size or source.sizes[view]
+        self.n_frames, self.frame_rate = source.n_frames, source.frame_rate
+        self.warnings = source.warnings if view == 0 else ()
+
+    def read(self, frame: int) -> Mask | None:
+        mask = self._latest.read(checked_frame(frame, self.n_frames))[self._view]
+        return None if mask is None else resize_mask(mask, self.size)
+
+
+def open_silhouettes(
+    sources: Sequence[Path] | Path,
+    backgrounds: Sequence[Path] = (),
+    method: BackgroundMethod | None = None,
+    kind: VideoKind | None = None,
+    frame_rate: float | None = None,
+    sizes: Sequence[tuple[int, int]] | None = None,
+    offsets: Sequence[float] | None = None,
+    frames: tuple[int, int] | None = None,
+    progress: Progress | None = None,
+    longest_side: int = LONGEST_SIDE,
+) -> Silhouettes:
+    """Open the silhouettes of one or more views.
+
+    Parameters
+    ----------
+    sources : one npz file with all views (see `mask_npz`); or per view an npz file, a folder of mask
+        images, or a video; a folder of such folders stands for them all.
+    backgrounds : of videos, an image of the empty scene per view, in the order of the views.
+    method : how the background of videos is known: ``"plate"``, ``"median"`` or ``"mog2"``; plate by default where
+        ``backgrounds`` are given, else median.
+    kind : ``"mask"`` or ``"video"``, what videos show; told from their frames by default.
+    frame_rate : Hz of sources that do not say theirs (or say it wrongly).
+    sizes : (V,) width and height of the masks, such as those of the (scaled) cameras; or one for all. By default
+        as masks are stored, and for videos of a scene that of the background or the video, reduced.
+    offsets : (V,) s from the start of each view to one common moment.
+    frames : first frame and the one after the last; all by default.
+    progress : called with (done, total, what) while backgrounds are learnt.
+    longest_side : px to which videos of a scene are reduced where ``sizes`` are not given.
+
+    Returns
+    -------
+    Silhouettes; ``warnings`` says what was assumed. Close them, or use ``with``.
+
+    Raises
+    ------
+    SilhouetteError : a source that cannot be read or is none, views that do not go together.
+    OptionError : options that do not fit the sources.
+    """
+    paths = [sources] if isinstance(sources, str | os.PathLike) else list(sources)
+    if not paths:
+        raise SilhouetteError("mask_files.no_source")
+    places = _list_places(paths)
+    if len(places) > 1 and any(what == "npz" for _, what in places):
+        packed = [read_silhouettes(path) for path, what in places if what == "npz"]
+        if any(source.n_views > 1 for source in packed):
+            raise SilhouetteError("mask_files.alone").at(places[0][0])
+    single = places[0][1] == "npz" and len(places) == 1
+    source = read_silhouettes(places[0][0], frame_rate) if single else None
+    n_views = len(places) if source is None else source.n_views
+    wanted = _per_view(sizes, n_views)
+    method, plates = _plates(method, backgrounds, places, n_views)
+    views: list[View] = []
+    try:
+        if source is not None:
+            latest = _LatestFrame(source)
+            views += [_ViewOf(latest, view, wanted[view]) for view in range(n_views)]
+        for view, (path, what) in enumerate(places if source is None else ()):
+            size = wanted[view]
+            if what == "folder":
+                views.append(MaskFolder(path, frame_rate, size))
+            elif what == "npz":
+                views.append(_ViewOf(_LatestFrame(read_silhouettes(path, frame_rate)), 0, size))
+            else:
+                plate = plates[view]
+                views.append(open_video(path, kind, method, plate, frame_rate, size, progress, longest_side))
+        return synchronise(views, None, offsets, frames)
+    except BaseException:
+        for opened in views:
+            opened.close()
+        raise
+
+
+def _list_places(paths: Sequence[Path]) -> list[tuple[str, Literal["npz", "folder", "video"]]]:
+    """Each view's path and what it is."""
+    places: list[tuple[str, Literal["npz", "folder", "video"]]] = []
+    for path in paths:
+        name = os.fspath(path)
+        if os.path.isdir(name):
+            places += [(folder, "folder") for folder in find_mask_folders(name)]
+        elif not os.path.exists(name):
+            raise SilhouetteError("mask_files.missing").at(name)
+        elif name.lower().endswith(".npz"):
+            places.append((name, "npz"))
+        elif name.lower().endswith(IMAGE_ENDINGS):
+            raise SilhouetteError("mask_files.single_image").at(name)
+        else:
+            places.append((name, "video"))
+    return places
+
+
+def _per_view(sizes: Sequence[tuple[int, int]] | None, n_views: int) -> list[tuple[int, int]] | list[None]:
+    if sizes is None:
+        return [None] * n_views
+    values = [(int(width), int(height)) for width, height in sizes]
+    if len(values) == 1:
+        values *= n_views
+    if len(values) != n_views:
+        raise SilhouetteError("mask_files.sizes", expected=n_views, found=len(values))
+    if any(min(value) < 8 or max(value) > 20_000 for value in values):
+        raise OptionError("mask_files.size_range", found=str(values))
+    return values
+
+
+def _plates(
+    method: BackgroundMethod | None,
+    backgrounds: Sequence[Path],
+    places: Sequence[tuple[str, str]],
+    n_views: int,
+) -> tuple[BackgroundMethod, list[Path | None]]:
+    """The method, and the plate of each view."""
+    if method not in (None, "plate", "median", "mog2"):
+        raise OptionError("background.method", found=str(method))
+    given = list(backgrounds)
+    if not given:
+        if method == "plate":
+            raise OptionError("background.no_plate")
+        return method or "median", [None] * n_views
+    if method not in (None, "plate"):
+        raise OptionError("mask_files.plate_method", found=str(method))
+    if not any(what == "video" for _, what in places):
+        raise OptionError("mask_files.plates_for_masks")
+    if len(given) != n_views:
+        raise OptionError("mask_files.plates", expected=n_views, found=len(given))
+    return "plate", [*given]

@@ -1,0 +1,357 @@
+"""Silhouettes S(t): which pixels of each view show the person, frame by frame; several views put on one clock."""
+
+from __future__ import annotations
+
+import math
+import operator
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
+from types import TracebackType
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from dousa.arrays import Image, Mask
+from dousa.errors import SilhouetteError
+from dousa.estimation.cameras.camera import format_size
+from dousa.messages import Message
+
+PackedMasks = NDArray[np.uint8]
+
+_HIGHEST_RATE = 100_000.0
+
+
+class Silhouettes(ABC):
+    """Masks of one or more views over time, read a frame at a time so that long recordings need no memory.
+
+    Attributes
+    ----------
+    names : (V,) names of the views.
+    sizes : (V,) width and height of each view in pixels.
+    n_frames : number of frames (of the shortest view, once the views are on one clock).
+    frame_rate : Hz.
+    warnings : what a person should know; some are known only after frames were read.
+    """
+
+    names: tuple[str, ...]
+    sizes: tuple[tuple[int, int], ...]
+    n_frames: int
+    frame_rate: float
+    warnings: tuple[Message, ...] = ()
+
+    @abstractmethod
+    def read(self, frame: int) -> tuple[Mask | None, ...]:
+        """The masks (height, width) of all views in one frame; None where a view has no image then.
+
+        Cheapest in rising order of frames; any order works.
+
+        Raises
+        ------
+        SilhouetteError : no such frame, or its image is damaged.
+        """
+
+    def look(self, frame: int) -> tuple[Image | None, ...]:
+        """The pictures (height, width, 3) blue, green, red behind the masks; None where there is none.
+
+        Costs little right after the masks of the same frame were read.
+        """
+        return (None,) * self.n_views
+
+    def close(self) -> None:  # noqa: B027 - most kinds hold nothing open
+        """Let go of open files; reading again opens them again."""
+
+    @property
+    def n_views(self) -> int:
+        """Number of views."""
+        return len(self.names)
+
+    def __enter__(self) -> Silhouettes:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+
+def checked_frame(frame: int, n_frames: int) -> int:
+    """The frame if it is one of n_frames, else a SilhouetteError."""
+    try:
+        index = operator.index(frame)
+    except TypeError:
+        raise SilhouetteError("masks.frame_number", found=repr(frame)) from None
+    if not 0 <= index < n_frames:
+        raise SilhouetteError("masks.frame", last=n_frames - 1, found=index)
+    return index
+
+
+def checked_rate(rate: float, where: str = "") -> float:
+    """The frame rate in Hz if it is one, else a SilhouetteError that names ``where``."""
+    try:
+        value = float(rate)
+    except (TypeError, ValueError):
+        value = float("nan")
+    if not 0 < value <= _HIGHEST_RATE:
+        raise SilhouetteError("masks.rate", found=repr(rate)).at(where)
+    return value
+
+
+class PackedSilhouettes(Silhouettes):
+    """Silhouettes in memory, one bit a pixel.
+
+    Parameters
+    ----------
+    masks : (V, T, H, W) bool; or one (T, H, W) bool per view, whose sizes and lengths may differ: the shortest
+        counts, and a warning says so. Numbers count as foreground where they are not 0.
+    frame_rate : Hz.
+    names : (V,) names of the views; view1, view2 ... by default.
+    missing : (V, T) bool, True where a view has no image; none by default.
+
+    Raises
+    ------
+    SilhouetteError : no views, frames or pixels, arrays of another shape, a frame rate that is none.
+    """
+
+    def __init__(
+        self,
+        masks: ArrayLike | Sequence[ArrayLike],
+        frame_rate: float,
+        names: Sequence[str] | None = None,
+        missing: ArrayLike | None = None,
+    ) -> None:
+        packed, sizes = [], []
+        for view, array in enumerate(masks):  # type: ignore[arg-type]  # an array is a sequence of views
+            values = np.asarray(array)
+            if values.ndim != 3 or values.dtype.kind not in "buif":
+                found = f"{values.shape} {values.dtype}"
+                raise SilhouetteError("masks.view_shape", view=view + 1, found=found)
+            packed.append(np.packbits(values.astype(bool, copy=False), axis=2))
+            sizes.append((values.shape[2], values.shape[1]))
+        self._fill(packed, sizes, frame_rate, names, missing)
+
+    @classmethod
+    def from_packed(
+        cls,
+        packed: Sequence[PackedMasks],
+        sizes: Sequence[tuple[int, int]],
+        frame_rate: float,
+        names: Sequence[str] | None = None,
+        missing: ArrayLike | None = None,
+    ) -> PackedSilhouettes:
+        """Silhouettes from masks that are packed already.
+
+        Parameters
+        ----------
+        packed : per view (T, H, ceil(W / 8)) uint8, as ``np.packbits(masks, axis=2)`` gives.
+        sizes : (V,) width and height in pixels.
+        frame_rate, names, missing : as for the class.
+        """
+        made = cls.__new__(cls)
+        made._fill(list(packed), list(sizes), frame_rate, names, missing)
+        return made
+
+    def _fill(
+        self,
+        packed: list[PackedMasks],
+        sizes: list[tuple[int, int]],
+        frame_rate: float,
+        names: Sequence[str] | None,
+        missing: ArrayLike | None,
+    ) -> None:
+        if not packed:
+            raise SilhouetteError("masks.no_view")
+        for view, (array, (width, height)) in enumerate(zip(packed, sizes, strict=True)):
+            if array.dtype != np.uint8 or array.ndim != 3 or array.shape[1:] != (height, (width + 7) // 8):
+                found = f"{array.shape} {array.dtype}"
+                raise SilhouetteError("masks.packed", view=view + 1, size=format_size((width, height)), found=found)
+            if min(array.shape) < 1:
+                raise SilhouetteError("masks.empty", view=view + 1, found=str(array.shape))
+        lengths = [len(array) for array in packed]
+        self.n_frames = min(lengths)
+        self.frame_rate = checked_rate(frame_rate)
+        self.sizes = tuple((int(width), int(height)) for width, height in sizes)
+        self.names = tuple(names) if names is not None else tuple(f"view{k + 1}" for k in range(len(packed)))
+        if len(self.names) != len(packed):
+            raise SilhouetteError("masks.names", expected=len(packed), found=len(self.names))
+        self._packed = packed
+        self._missing = np.zeros((len(packed), self.n_frames), bool)
+        if missing is not None:
+            flags = np.asarray(missing, bool)
+            if flags.ndim != 2 or flags.shape[0] != len(packed) or flags.shape[1] < self.n_frames:
+                raise SilhouetteError("masks.missing", expected=str(self._missing.shape), found=str(flags.shape))
+            self._missing = flags[:, : self.n_frames].copy()
+        self.warnings = ()
+        if max(lengths) > self.n_frames:
+            self.warnings = (Message("masks.frame_counts", counts=lengths, used=self.n_frames),)
+
+    def read(self, frame: int) -> tuple[Mask | None, ...]:
+        """The masks (height, width) of all views in one frame; None where a view has no image then."""
+        frame = checked_frame(frame, self.n_frames)
+        return tuple(
+            None if missing else np.unpackbits(array[frame], axis=1, count=width).view(bool)
+            for array, (width, _), missing in zip(self._packed, self.sizes, self._missing[:, frame], strict=True)
+        )
+
+
+_SAME_RATE = 1e-3  # 29.97 and 30 Hz drift by a frame in half a minute; 29.97 and 29.98 are one
+
+
+class View(ABC):
+    """The silhouettes of one camera, from whatever source.
+
+    Attributes
+    ----------
+    name : of the view.
+    size : width and height in pixels.
+    n_frames : number of frames.
+    frame_rate : Hz.
+    warnings : what a person should know; may grow while frames are read.
+    """
+
+    name: str
+    size: tuple[int, int]
+    n_frames: int
+    frame_rate: float
+    warnings: tuple[Message, ...] = ()
+
+    @abstractmethod
+    def read(self, frame: int) -> Mask | None:
+        """The mask (height, width) of a frame; None where there is no image."""
+
+    def look(self, frame: int) -> Image | None:
+        """The picture (height, width, 3) behind the mask of a frame; None where there is none."""
+        return None
+
+    def close(self) -> None:  # noqa: B027 - most kinds hold nothing open
+        """Let go of open files; reading again opens them again."""
+
+
+class _ViewsOnOneClock(Silhouettes):
+    """Views read side by side; frame k is the time start + k / frame_rate of each."""
+
+    def __init__(
+        self,
+        views: Sequence[View],
+        rates: Sequence[float],
+        frame_rate: float,
+        starts: Sequence[float],
+        first: int,
+        n_frames: int,
+        warnings: tuple[Message, ...],
+    ) -> None:
+        self._views = tuple(zip(views, rates, starts, strict=True))
+        self._first = first
+        self._own_warnings = warnings
+        self.frame_rate = frame_rate
+        self.n_frames = n_frames
+        self.names = _distinct(view.name for view in views)
+        self.sizes = tuple(view.size for view in views)
+
+    @property
+    def warnings(self) -> tuple[Message, ...]:  # type: ignore[override]
+        return (*self._own_warnings, *(text for view, _, _ in self._views for text in view.warnings))
+
+    def read(self, frame: int) -> tuple[Mask | None, ...]:
+        """The masks (height, width) of all views in one frame; None where a view has no image then."""
+        return tuple(view.read(place) for view, place in self._places(frame))
+
+    def look(self, frame: int) -> tuple[Image | None, ...]:
+        """The pictures (height, width, 3) behind the masks; None where there is none."""
+        return tuple(view.look(place) for view, place in self._places(frame))
+
+    def _places(self, frame: int) -> list[tuple[View, int]]:
+        """Each view, and which of its own frames is nearest."""
+        moment = (checked_frame(frame, self.n_frames) + self._first) / self.frame_rate
+        return [
+            (view, min(math.floor((moment + start) * rate + 0.5), view.n_frames - 1))
+            for view, rate, start in self._views
+        ]
+
+    def close(self) -> None:
+        """Let go of open files; reading again opens them again."""
+        for view, _, _ in self._views:
+            view.close()
+
+
+def _distinct(names: object) -> tuple[str, ...]:
+    """The names, with a number behind one that occurred before."""
+    seen: list[str] = []
+    for name in names:  # type: ignore[attr-defined]
+        candidate, count = name, 1
+        while candidate in seen:
+            count += 1
+            candidate = f"{name} {count}"
+        seen.append(candidate)
+    return tuple(seen)
+
+
+def synchronise(
+    views: Sequence[View],
+    frame_rate: float | None = None,
+    offsets: Sequence[float] | None = None,
+    frames: tuple[int, int] | None = None,
+) -> Silhouettes:
+    """Put views on one clock: each frame takes the nearest image of every view.
+
+    Parameters
+    ----------
+    views : at least one.
+    frame_rate : Hz of the common clock; by default that of the slowest view, so that no image is used twice.
+    offsets : (V,) s from the start of each recording to one common moment, such as a clap; 0 by default.
+    frames : first frame and the one after the last, on the common clock; all by default.
+
+    Returns
+    -------
+    Silhouettes as long as the shortest view, with warnings where rates or lengths differ.
+
+    Raises
+    ------
+    SilhouetteError : no views, views that share no moment, frames outside the sequence.
+    """
+    if not views:
+        raise SilhouetteError("masks.no_view")
+    rates = [checked_rate(view.frame_rate, view.name) for view in views]
+    rate = min(rates) if frame_rate is None else checked_rate(frame_rate)
+    warnings: list[Message] = []
+    if max(rates) > min(rates) * (1 + _SAME_RATE):
+        warnings.append(Message("masks.rates", rates=rates, rate=rate))
+    elif frame_rate is None:
+        rates = [rate] * len(views)  # rates that are the same but for rounding must not drift apart
+    starts = _starts(views, offsets)
+    lengths = [  # moments whose nearest image exists
+        math.ceil(((view.n_frames - 0.5) / own - start) * rate - 1e-9)
+        for view, own, start in zip(views, rates, starts, strict=True)
+    ]
+    length = min(lengths)
+    if length < 1:
+        raise SilhouetteError("masks.no_common_moment", view=views[lengths.index(length)].name)
+    if max(lengths) > length:
+        warnings.append(
+            Message(
+                "masks.lengths",
+                lengths=tuple(f"{view.name} {count}" for view, count in zip(views, lengths, strict=True)),
+                rate=rate,
+                used=length,
+            )
+        )
+    first, stop = _span(frames, length)
+    return _ViewsOnOneClock(views, rates, rate, starts, first, stop - first, tuple(warnings))
+
+
+def _starts(views: Sequence[View], offsets: Sequence[float] | None) -> list[float]:
+    """Seconds of each view at the first common moment."""
+    if offsets is None:
+        return [0.0] * len(views)
+    values = [float(value) for value in offsets]
+    if len(values) != len(views) or not all(map(math.isfinite, values)):
+        raise SilhouetteError("masks.offsets", expected=len(views), found=str(values))
+    return [value - min(values) for value in values]
+
+
+def _span(frames: tuple[int, int] | None, length: int) -> tuple[int, int]:
+    if frames is None:
+        return 0, length
+    first, stop = frames
+    if not 0 <= first < stop <= length:
+        raise SilhouetteError("masks.frames", frames=length, first=first, stop=stop)
+    return first, stop

@@ -1,0 +1,370 @@
+"""Silhouettes from video: of a person before a fixed camera, or of masks that another program made."""
+
+from __future__ import annotations
+
+import math
+import os
+from collections.abc import Callable, Sequence
+from typing import Literal
+
+import numpy as np
+
+from dousa.arrays import Image, Mask
+from dousa.errors import OptionError, SilhouetteError
+from dousa.estimation.cameras.camera import format_size
+from dousa.estimation.silhouettes.background import (
+    Background,
+    BackgroundMethod,
+    fill_camouflage,
+    learn_background,
+    subtract_background,
+)
+from dousa.estimation.silhouettes.cleaning import clean_mask, count_people
+from dousa.estimation.silhouettes.images import (
+    fit_frame,
+    is_stretched,
+    quiet_opencv,
+    read_colour_image,
+    resize_mask,
+)
+from dousa.estimation.silhouettes.silhouettes import View, checked_frame, checked_rate
+from dousa.messages import Message
+
+VideoKind = Literal["mask", "video"]
+Progress = Callable[[int, int, Message], None]
+
+LONGEST_SIDE = 640
+"""Pixels; silhouettes of scenes are not made larger unless asked for, as the tracker gains nothing by it."""
+
+_SAMPLES = 32  # frames that a background is learnt from
+_SEEK_BEYOND = 64  # frames; decoding so many costs more than seeking
+_LAST_KNOWN = 5  # frames over which the person is followed when some are skipped
+_LEAST_BINARY = 0.97  # share of black and white pixels in a video of masks
+
+
+class VideoFile:
+    """Frames of a video file, decoded one at a time.
+
+    Rising frames are decoded in turn; going back or far ahead seeks. The number of frames is what can be decoded, not
+    what the header says.
+
+    Parameters
+    ----------
+    path : the file.
+    frame_rate : Hz; by default what the file says.
+
+    Raises
+    ------
+    SilhouetteError : missing, no video, a codec that is lacking, no frames, no frame rate.
+    """
+
+    def __init__(self, path: str | os.PathLike[str], frame_rate: float | None = None) -> None:
+        from dousa.extras import cv2
+
+        self.path = os.fspath(path)
+        self._capture: cv2.VideoCapture | None = None
+        self._next = 0
+        self._latest: tuple[int, Image] | None = None
+        if not os.path.exists(path):
+            raise SilhouetteError("film.missing").at(path)
+        if not os.path.isfile(path):
+            raise SilhouetteError("film.no_file").at(path)
+        if not os.access(path, os.R_OK):
+            raise SilhouetteError("film.permission").at(path)
+        capture = self._open()
+        stated = float(capture.get(cv2.CAP_PROP_FPS))
+        if frame_rate is None and not (math.isfinite(stated) and 0 < stated <= 2000):
+            raise SilhouetteError("film.no_rate").at(path)
+        self.frame_rate = stated if frame_rate is None else checked_rate(frame_rate, self.path)
+        first = self._decode()
+        if first is None:
+            raise SilhouetteError("film.no_frame").at(path)
+        self._latest = (0, first)
+        self.size = (first.shape[1], first.shape[0])
+        self.n_frames, self.n_stated = self._count_frames(int(capture.get(cv2.CAP_PROP_FRAME_COUNT)))
+
+    def _open(self) -> cv2.VideoCapture:  # type: ignore[name-defined]  # noqa: F821
+        from dousa.extras import cv2
+
+        if self._capture is None:
+            with quiet_opencv():
+                self._capture = cv2.VideoCapture(self.path)
+            self._next = 0
+            if not self._capture.isOpened():
+                self._capture = None
+                raise SilhouetteError("film.unreadable").at(self.path)
+        return self._capture
+
+    def _decode(self) -> Image | None:
+        """The next frame, or None at the end or where the data are damaged."""
+        from dousa.extras import cv2
+
+        try:
+            with quiet_opencv():
+                good, image = self._open().read()
+        except cv2.error:
+            return None
+        if not good or image is None:
+            return None
+        self._next += 1
+        if image.ndim == 2:
+            image = image[..., None].repeat(3, axis=2)
+        return np.asarray(image[..., :3], np.uint8)
+
+    def _count_frames(self, stated: int) -> tuple[int, int]:
+        """Frames that can be decoded, and how many the header states (0 if it does not)."""
+        from dousa.extras import cv2
+
+        stated = max(0, stated)
+        if stated > 1:
+            self._seek(stated - 1)
+            last = self._decode()
+            with quiet_opencv():
+                more = last is not None and self._open().grab()
+            if last is not None and not more:
+                self._rewind()
+                return stated, stated
+        self._rewind()
+        count = 0
+        try:
+            with quiet_opencv():
+                while self._open().grab():
+                    count += 1
+        except cv2.error:  # what was decoded so far counts
+            pass
+        self._rewind()
+        return max(1, count), stated
+
+    def _seek(self, frame: int) -> None:
+        from dousa.extras import cv2
+
+        with quiet_opencv():
+            self._open().set(cv2.CAP_PROP_POS_FRAMES, frame)
+        self._next = frame
+
+    def _rewind(self) -> None:
+        self.close()
+        self._open()
+
+    def read(self, frame: int) -> Image | None:
+        """A frame (H, W, 3) uint8 blue, green, red; None where the data are damaged."""
+        frame = checked_frame(frame, self.n_frames)
+        if self._latest is not None and self._latest[0] == frame:
+            return self._latest[1]
+        self._open()
+        if frame < self._next:
+            self._rewind()
+        if frame - self._next > _SEEK_BEYOND:
+            self._seek(frame)
+        while self._next < frame:
+            with quiet_opencv():
+                if not self._open().grab():
+                    return None
+            self._next += 1
+        image = self._decode()
+        self._latest = None if image is None else (frame, image)
+        return image
+
+    def close(self) -> None:
+        """Let go of the file; reading again opens it again."""
+        if self._capture is not None:
+            self._capture.release()
+            self._capture = None
+        self._next = 0
+
+
+def guess_video_kind(images: Sequence[Image]) -> VideoKind:
+    """Whether frames (H, W, 3) are masks (nearly all pixels black or white) or pictures of a scene."""
+    for image in images:
+        low, high = image.min(axis=2), image.max(axis=2)
+        binary = (high <= 40) | (low >= 215)
+        if binary.mean() < _LEAST_BINARY or (low >= 215).mean() > 0.9:
+            return "video"
+    lit = any(bool((image.min(axis=2) >= 215).any()) for image in images)
+    return "mask" if images and lit else "video"
+
+
+def reduce_size(size: tuple[int, int], longest: int) -> tuple[int, int]:
+    """Width and height with at most ``longest`` pixels on the longer side, of the same proportions if possible."""
+    long, short = max(size), min(size)
+    if long <= longest:
+        return size
+    side = next((side for side in range(longest, longest * 3 // 4, -1) if side * short % long == 0), longest)
+    other = max(1, round(side * short / long))
+    return (side, other) if size[0] >= size[1] else (other, side)
+
+
+def _spread(count: int, n_frames: int) -> list[int]:
+    return sorted({round(place) for place in np.linspace(0, n_frames - 1, min(count, n_frames))})
+
+
+class _VideoBased(View):
+    """What videos of masks and of scenes share: a file, a size, and frames that fit it."""
+
+    def __init__(self, file: VideoFile, size: tuple[int, int] | None = None) -> None:
+        self._file = file
+        self.name = os.path.splitext(os.path.basename(file.path))[0]
+        self.size = size or file.size
+        self.n_frames, self.frame_rate = file.n_frames, file.frame_rate
+        self._notes: list[Message] = []
+        self._part = (slice(0, file.size[1]), slice(0, file.size[0]))
+        if file.n_stated and file.n_frames < file.n_stated:
+            self._notes.append(Message("film.truncated", view=self.name, frames=file.n_frames, stated=file.n_stated))
+
+    @property
+    def warnings(self) -> tuple[Message, ...]:  # type: ignore[override]
+        return tuple(self._notes)
+
+    def close(self) -> None:
+        """Let go of the file; reading again opens it again."""
+        self._file.close()
+
+
+class MaskVideo(_VideoBased):
+    """A video of masks: bright on dark.
+
+    Parameters
+    ----------
+    file : the video.
+    size : width and height of the masks; by default those of the video.
+    """
+
+    def read(self, frame: int) -> Mask | None:
+        """The mask (height, width) of a frame; None where the data are damaged."""
+        image = self._file.read(frame)
+        return None if image is None else resize_mask(np.asarray(image.max(axis=2) > 127), self.size)
+
+
+class VideoView(_VideoBased):
+    """A video of one person before a fixed camera; the background is learnt when it is opened.
+
+    The person is followed from frame to frame, so among several people the answer may depend on the order of reading.
+
+    Parameters
+    ----------
+    file : the video.
+    size : width and height of the masks. Frames are brought to that size first, so smaller is faster. By default that
+        of the plate, or else of the video, reduced to ``longest_side`` with the same proportions.
+    method : how the background is known, see `dousa.estimation.silhouettes.background`.
+    plate : image file of the scene without the person, for ``"plate"``.
+    progress : called with (frames done, frames in all, what) while the background is learnt.
+    longest_side : px, see ``size``.
+
+    Raises
+    ------
+    SilhouetteError : fewer than two frames can be decoded, a plate that cannot be read.
+    """
+
+    def __init__(
+        self,
+        file: VideoFile,
+        size: tuple[int, int] | None = None,
+        method: BackgroundMethod = "median",
+        plate: str | os.PathLike[str] | None = None,
+        progress: Progress | None = None,
+        longest_side: int = LONGEST_SIDE,
+    ) -> None:
+        scene = None if plate is None else read_colour_image(plate)
+        if size is None:
+            size = reduce_size(file.size if scene is None else (scene.shape[1], scene.shape[0]), longest_side)
+        super().__init__(file, size)
+        self._previous: tuple[int, Mask] | None = None
+        self._several = False
+        self._find_part()
+        samples = self._sample(progress)
+        image = None if scene is None else self._resize(scene)
+        if scene is not None and is_stretched((scene.shape[1], scene.shape[0]), self.size):
+            self._notes.append(Message("film.plate_stretched", view=self.name))
+        self._background = learn_background(samples, method, image)
+        self._notes += [Message("film.of_view", view=self.name, note=note) for note in self._background.warnings]
+
+    @property
+    def background(self) -> Background:
+        """The scene without the person, as it was learnt."""
+        return self._background
+
+    def _find_part(self) -> None:
+        """Black bars that a change of format added are left out, where that gives the proportions of the masks."""
+        file = self._file
+        if file.size == self.size:
+            return
+        sample = file.read(0)
+        if sample is None:
+            raise SilhouetteError("film.no_frame").at(file.path)
+        self._part = fit_frame(file.size, self.size, sample)
+        height, width = sample[self._part].shape[:2]
+        if (width, height) != file.size:
+            sizes = {"size": format_size(file.size), "other": format_size((width, height))}
+            self._notes.append(Message("film.bars", view=self.name, **sizes))
+        if is_stretched((width, height), self.size):
+            sizes = {"size": format_size((width, height)), "other": format_size(self.size)}
+            self._notes.append(Message("film.stretched", view=self.name, **sizes))
+
+    def look(self, frame: int) -> Image | None:
+        """The picture (height, width, 3) behind the mask of a frame; None where the data are damaged."""
+        image = self._file.read(frame)
+        return None if image is None else self._resize(image[self._part])
+
+    def _resize(self, image: Image) -> Image:
+        from dousa.extras import cv2
+
+        if (image.shape[1], image.shape[0]) == self.size:
+            return image
+        return np.asarray(cv2.resize(image, self.size, interpolation=cv2.INTER_AREA), np.uint8)
+
+    def _sample(self, progress: Progress | None) -> Image:
+        frames = _spread(_SAMPLES, self.n_frames)
+        samples = []
+        for done, frame in enumerate(frames):
+            image = self._file.read(frame)
+            if image is not None:
+                samples.append(self._resize(image[self._part]))
+            if progress is not None:
+                progress(done + 1, len(frames), Message("film.learning", view=self.name))
+        if len(samples) < 2:
+            raise SilhouetteError("film.samples", found=len(samples)).at(self._file.path)
+        return np.stack(samples)
+
+    def read(self, frame: int) -> Mask | None:
+        """The mask (height, width) of a frame; None where the data are damaged."""
+        image = self.look(frame)
+        if image is None:
+            return None
+        found = subtract_background(image, self._background)
+        if not self._several and count_people(found) > 1:
+            self._several = True
+            self._notes.append(Message("film.several", view=self.name, frame=frame))
+        previous = None
+        if self._previous is not None and 0 < frame - self._previous[0] <= _LAST_KNOWN:
+            previous = self._previous[1]
+        mask = clean_mask(found, previous=previous)
+        fill_camouflage(mask, image)
+        if mask.any():
+            self._previous = (frame, mask)
+        return mask
+
+
+def open_video(
+    path: str | os.PathLike[str],
+    kind: VideoKind | None = None,
+    method: BackgroundMethod = "median",
+    plate: str | os.PathLike[str] | None = None,
+    frame_rate: float | None = None,
+    size: tuple[int, int] | None = None,
+    progress: Progress | None = None,
+    longest_side: int = LONGEST_SIDE,
+) -> View:
+    """A video of masks or of a scene as one view; the kind is told from a few frames unless it is given."""
+    if kind not in (None, "mask", "video"):
+        raise OptionError("film.kind", found=str(kind))
+    file = VideoFile(path, frame_rate)
+    told = kind
+    if told is None:
+        images = [file.read(frame) for frame in _spread(5, file.n_frames)]
+        told = guess_video_kind([image for image in images if image is not None])
+    if told == "video":
+        return VideoView(file, size, method, plate, progress, longest_side)
+    view = MaskVideo(file, size)
+    if kind is None:
+        view._notes.append(Message("film.taken_for_masks", view=view.name))
+    return view

@@ -1,0 +1,227 @@
+"""The beam: several poses are carried from frame to frame, and a pose is settled when the frames after it agree."""
+
+from __future__ import annotations
+
+import threading
+from collections import deque
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dousa.arrays import FloatArray
+from dousa.estimation.tracking.search_setup import Frame, SearchSetup
+from dousa.motion import rotations as rot
+
+_MEMORY = 0.7  # share of the score so far that still counts a frame later
+_APART = 0.12  # rad: poses nearer to a better one in all angles are the same pose
+
+
+def move_pose(pose: FloatArray, steps: FloatArray) -> FloatArray:
+    """A pose (7 + A,) moved by steps (6 + A,): place, turn in the root's own axes, angles."""
+    moved = pose.copy()
+    moved[:3] += steps[:3]
+    moved[3:7] = rot.normalise(rot.multiply(pose[3:7], rot.from_axis_angle(steps[3:6])))
+    moved[7:] += steps[6:]
+    return moved
+
+
+def pose_difference(before: FloatArray, after: FloatArray) -> FloatArray:
+    """The steps (6 + A,) that `move_pose` takes from one pose to the other."""
+    turn = rot.to_axis_angle(rot.multiply(rot.conjugate(before[3:7]), after[3:7]))
+    return np.concatenate((after[:3] - before[:3], turn, after[7:] - before[7:]))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Track:
+    """One pose of the beam in one frame."""
+
+    score: float
+    pose: FloatArray
+    velocity: FloatArray
+    parent: int
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Settled:
+    """A frame whose pose will not change any more."""
+
+    pose: FloatArray
+    frame: Frame
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class BeamState:
+    """All that a beam must know to go on as if it had never stopped, as plain arrays.
+
+    Parameters
+    ----------
+    scores, beam_poses, velocities : (b,), (b, 7 + A), (b, 6 + A) of the newest frame.
+    pending_poses : (L, B, 7 + A) of the frames not yet settled, NaN where the beam was narrower.
+    pending_parents : (L, B) which track of the frame before each came from.
+    """
+
+    scores: FloatArray
+    beam_poses: FloatArray
+    velocities: FloatArray
+    pending_poses: FloatArray
+    pending_parents: NDArray[np.int64]
+
+
+class Beam:
+    """Carries the best poses from frame to frame.
+
+    Parameters
+    ----------
+    setup : body, cameras and settings.
+    start : (7 + A,) the pose of the first frame.
+    n_threads : predictions are followed side by side; the result does not depend on how many at a time.
+    """
+
+    def __init__(self, setup: SearchSetup, start: FloatArray, n_threads: int = 1) -> None:
+        self.setup = setup
+        self._scratch = threading.local()
+        self._pool = ThreadPoolExecutor(n_threads) if n_threads > 1 else None
+        self._tracks = [_Track(0.0, start.copy(), np.zeros(setup.n_axes), 0)]
+        self._pending: deque[tuple[list[_Track], Frame]] = deque()
+
+    def close(self) -> None:
+        """Let the threads go."""
+        if self._pool is not None:
+            self._pool.shutdown(wait=True, cancel_futures=True)
+
+    @property
+    def best(self) -> FloatArray:
+        """(7 + A,) the best pose of the newest frame, which may still change."""
+        return self._tracks[0].pose
+
+    def own_scratch(self) -> tuple[Any, ...]:
+        """Scratch of the thread that asks."""
+        if not hasattr(self._scratch, "arrays"):
+            self._scratch.arrays = self.setup.make_scratch()
+        arrays: tuple[Any, ...] = self._scratch.arrays
+        return arrays
+
+    def begin(self, frame: Frame) -> None:
+        """Take the first frame, whose pose is the start."""
+        self._pending.append((self._tracks, frame))
+
+    def step(self, frame: Frame) -> None:
+        """Follow the poses into the next frame."""
+        settings = self.setup.settings
+        if not frame.seen.any():
+            self._tracks = [self._coast(number, track) for number, track in enumerate(self._tracks)]
+            self._pending.append((self._tracks, frame))
+            return
+        tasks = [(number, damping, frame) for number in range(len(self._tracks)) for damping in settings.damping]
+        searched = sorted(self._map(self._search, tasks), key=lambda found: -found[0])
+        kept: list[tuple[float, int, FloatArray, FloatArray]] = []
+        for found in searched:
+            new = all(np.abs(found[2][7:] - other[2][7:]).max(initial=0.0) > _APART for other in kept)
+            if not kept or (new and len(kept) < self.setup.beam):
+                kept.append(found)
+        revisited = self._map(self._revisit, [(*found, frame) for found in kept])
+        tracks = sorted(revisited, key=lambda track: -track.score)
+        best = tracks[0].score
+        self._tracks = [replace(track, score=track.score - best) for track in tracks]
+        self._pending.append((self._tracks, frame))
+
+    def restart(self, pose: FloatArray) -> None:
+        """Give up the poses of the newest frame for another one, at rest."""
+        tracks, frame = self._pending.pop()
+        self._tracks = [_Track(0.0, pose.copy(), np.zeros(self.setup.n_axes), tracks[0].parent)]
+        self._pending.append((self._tracks, frame))
+
+    def settle(self, lag: int) -> Iterator[Settled]:
+        """Frames older than ``lag``, each with the pose from which the best present one came."""
+        while len(self._pending) > lag:
+            chosen = 0
+            line = [0]
+            for tracks, _ in reversed(self._pending):
+                line.append(chosen)
+                chosen = tracks[chosen].parent
+            tracks, frame = self._pending.popleft()
+            settled = line[-1]
+            self._forget_others(settled)
+            yield Settled(tracks[settled].pose, frame)
+
+    def _forget_others(self, settled: int) -> None:
+        """Drop the tracks that do not come from the settled pose, frame by frame."""
+        alive = {settled}
+        for number, (tracks, frame) in enumerate(self._pending):
+            kept = [i for i, track in enumerate(tracks) if track.parent in alive]
+            places = {old: new for new, old in enumerate(sorted(alive))}
+            kept_tracks = [replace(tracks[i], parent=places[tracks[i].parent]) for i in kept]
+            self._pending[number] = (kept_tracks, frame)
+            alive = set(kept)
+        if self._pending:
+            self._tracks = self._pending[-1][0]
+
+    def _map(self, work: Any, tasks: list[Any]) -> list[Any]:
+        return list(self._pool.map(work, tasks) if self._pool is not None else map(work, tasks))
+
+    def _predict(self, track: _Track, damping: float) -> FloatArray:
+        predicted = move_pose(track.pose, damping * track.velocity)
+        limits = self.setup.bounds[2]
+        predicted[7:] = np.clip(predicted[7:], limits[:, 0], limits[:, 1])
+        return predicted
+
+    def _search(self, task: tuple[int, float, Frame]) -> tuple[float, int, FloatArray, FloatArray]:
+        """First pass of one prediction of one track."""
+        number, damping, frame = task
+        setup, track, scratch = self.setup, self._tracks[number], self.own_scratch()
+        pose, shift = self._predict(track, damping), np.zeros(setup.n_axes)
+        setup.sweep(pose, shift, setup.settings.passes[0], frame, scratch)
+        score = _MEMORY * track.score + setup.score(pose, shift, frame, scratch)
+        return score, number, pose, shift
+
+    def _revisit(self, task: tuple[float, int, FloatArray, FloatArray, Frame]) -> _Track:
+        """The finer passes over a pose that was kept."""
+        _, number, pose, shift, frame = task
+        setup, track, scratch = self.setup, self._tracks[number], self.own_scratch()
+        for factor in setup.settings.passes[1:]:
+            setup.sweep(pose, shift, factor, frame, scratch, setup.half_later)
+        pose[3:7] /= np.linalg.norm(pose[3:7])
+        score = _MEMORY * track.score + setup.score(pose, shift, frame, scratch)
+        return _Track(score, pose, pose_difference(track.pose, pose), number)
+
+    def _coast(self, number: int, track: _Track) -> _Track:
+        """Inertia alone, slowing down: nothing is seen."""
+        damping = self.setup.settings.damping[0]
+        return _Track(track.score, self._predict(track, damping), damping * track.velocity, number)
+
+    def save(self) -> BeamState:
+        """The state to go on from; the frames not yet settled must be read again."""
+        widest, n_numbers = max(len(tracks) for tracks, _ in self._pending), len(self.best)
+        poses = np.full((len(self._pending), widest, n_numbers), np.nan)
+        parents = np.zeros((len(self._pending), widest), np.int64)
+        for number, (tracks, _) in enumerate(self._pending):
+            for place, track in enumerate(tracks):
+                poses[number, place], parents[number, place] = track.pose, track.parent
+        return BeamState(
+            np.array([track.score for track in self._tracks]),
+            np.stack([track.pose for track in self._tracks]),
+            np.stack([track.velocity for track in self._tracks]),
+            poses,
+            parents,
+        )
+
+    def load(self, state: BeamState, frames: list[Frame]) -> None:
+        """Go on from a saved state; ``frames`` are those not yet settled, oldest first."""
+        self._pending.clear()
+        rest = np.zeros(self.setup.n_axes)
+        for poses, parents, frame in zip(state.pending_poses, state.pending_parents, frames, strict=True):
+            there = ~np.isnan(poses[:, 0])
+            tracks = [_Track(0.0, pose, rest, int(p)) for pose, p in zip(poses[there], parents[there], strict=True)]
+            self._pending.append((tracks, frame))
+        parents = self._pending[-1][0]
+        self._tracks = [
+            _Track(float(score), pose, velocity, old.parent)
+            for score, pose, velocity, old in zip(
+                state.scores, state.beam_poses, state.velocities, parents, strict=True
+            )
+        ]
+        self._pending[-1] = (self._tracks, frames[-1])

@@ -1,0 +1,215 @@
+"""Where a body stands: poses moved so that their outlines lie on the silhouettes."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dousa.arrays import FloatArray, Mask
+from dousa.estimation.body.body import BodyModel
+from dousa.estimation.body.kinematics import place_parts
+from dousa.estimation.cameras.camera import Camera
+from dousa.motion import rotations as rot
+
+_LEAST_SHARE = 0.1  # of the largest piece of a mask: smaller ones are speckle
+_STEPS = 5
+_CENTRE_WEIGHT = 2.0  # of the centre of gravity against one side of the bounding box
+_PARALLEL = 0.02  # least eigenvalue per view: rays that are more parallel (some 16 degrees) do not meet
+_LENGTH = 0.85  # statures that a silhouette is high, mostly
+_STEP_LIMIT = 0.5  # statures
+
+
+@dataclass(frozen=True, slots=True)
+class Outline:
+    """Box and centre of one silhouette, in image coordinates.
+
+    Parameters
+    ----------
+    box : (4,) px, left, right, top, bottom.
+    whole : (4,) whether that side lies inside the image, so that it says where the body ends.
+    centre : (2,) px, centre of gravity.
+    """
+
+    box: FloatArray
+    whole: NDArray[np.bool_]
+    centre: FloatArray
+
+    @property
+    def extent(self) -> float:
+        """Longer side of the box, px."""
+        return float(max(self.box[1] - self.box[0], self.box[3] - self.box[2], 1.0))
+
+
+def measure_outline(mask: Mask | None) -> Outline | None:
+    """Box and centre of a mask without its specks; None if nobody is in it."""
+    if mask is None or not mask.any():
+        return None
+    from dousa.extras import cv2
+
+    _, labels, stats, _ = cv2.connectedComponentsWithStats(np.ascontiguousarray(mask, np.uint8), connectivity=8)
+    areas = stats[:, cv2.CC_STAT_AREA].copy()
+    areas[0] = 0
+    kept = areas >= _LEAST_SHARE * areas.max()
+    kept[0] = False
+    rows, columns = np.nonzero(kept[labels])
+    height, width = mask.shape
+    box = np.array([columns.min(), columns.max(), rows.min(), rows.max()], np.float64)
+    whole = np.array([box[0] > 0, box[1] < width - 1, box[2] > 0, box[3] < height - 1])
+    return Outline(box, whole, np.array([columns.mean(), rows.mean()]))
+
+
+def shrink_views(
+    cameras: Sequence[Camera], masks: Sequence[Mask | None], share: float
+) -> tuple[tuple[Camera, ...], list[Mask | None]]:
+    """Cameras and masks at ``share`` of their size; a pixel is kept that is covered by more than half."""
+    from dousa.extras import cv2
+
+    small = tuple(camera.scaled(share) for camera in cameras) if share < 1.0 else tuple(cameras)
+    shrunk: list[Mask | None] = []
+    for mask, camera in zip(masks, small, strict=True):
+        if mask is not None and share < 1.0:
+            grey = cv2.resize(mask.astype(np.uint8) * 255, camera.size, interpolation=cv2.INTER_AREA)
+            shrunk.append(np.asarray(grey > 127))
+        else:
+            shrunk.append(mask)
+    return small, shrunk
+
+
+def _trace(pairs: Sequence[tuple[Camera, Outline]]) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Lines of sight through the centres of gravity: origins, directions, projections across them (V, 3, 3)."""
+    rays = [camera.compute_rays(found.centre) for camera, found in pairs]
+    origins, ways = np.array([ray[0] for ray in rays]), np.array([ray[1] for ray in rays])
+    return origins, ways, np.eye(3) - ways[:, :, None] * ways[:, None, :]
+
+
+def _do_meet(across: FloatArray) -> bool:
+    return bool(np.linalg.eigvalsh(across.sum(axis=0))[0] > _PARALLEL * len(across))
+
+
+def lines_meet(cameras: Sequence[Camera], outlines: Sequence[Outline | None]) -> bool:
+    """Whether the views that see somebody look from different enough sides to tell how far away that is."""
+    pairs = [(camera, found) for camera, found in zip(cameras, outlines, strict=True) if found is not None]
+    return _do_meet(_trace(pairs)[2])
+
+
+def guess_place(cameras: Sequence[Camera], outlines: Sequence[Outline | None], stature: float) -> FloatArray:
+    """About where the middle of the body is (3,) m.
+
+    The point nearest to the lines of sight through the centres of gravity, views that disagree counting less; with
+    one view, or views from nearly one side, at the depth where the body is as tall as the silhouettes.
+    """
+    pairs = [(camera, found) for camera, found in zip(cameras, outlines, strict=True) if found is not None]
+    origins, ways, across = _trace(pairs)
+    weights = np.ones(len(pairs))
+    if _do_meet(across):
+        for _ in range(_STEPS):
+            normal = (weights[:, None, None] * across).sum(axis=0)
+            place = np.linalg.solve(normal, (weights[:, None] * (across @ origins[:, :, None])[..., 0]).sum(axis=0))
+            off = np.linalg.norm((across @ (place - origins)[:, :, None])[..., 0], axis=1)
+            weights = 1.0 / (off + 0.05 * stature)
+        return np.asarray(place)
+    places = []
+    for (camera, found), origin, way in zip(pairs, origins, ways, strict=True):
+        focal = float(np.sqrt(camera.matrix[0, 0] * camera.matrix[1, 1]))
+        depth = focal * _LENGTH * stature / found.extent if camera.kind == "pinhole" else 3.0 * stature
+        places.append(origin + way * depth)
+    return np.asarray(np.mean(places, axis=0))
+
+
+def turn_about(poses: FloatArray, yaw: float) -> FloatArray:
+    """Poses (N, 7 + A) turned by ``yaw`` rad about the vertical through the origin."""
+    turn = rot.from_axis_angle(np.array([0.0, yaw, 0.0]))
+    turned = poses.copy()
+    turned[:, :3] = rot.rotate(turn, poses[:, :3])
+    turned[:, 3:7] = rot.multiply(turn, poses[:, 3:7])
+    return turned
+
+
+def move_onto(
+    body: BodyModel,
+    poses: FloatArray,
+    place: FloatArray,
+    cameras: Sequence[Camera],
+    outlines: Sequence[Outline | None],
+) -> FloatArray:
+    """Shift poses so that boxes and centres of their projections come to those of the silhouettes.
+
+    Parameters
+    ----------
+    body : with A joint angles.
+    poses : (N, 7 + A), anywhere.
+    place : (3,) m, where their middles begin.
+    cameras, outlines : (V,); None where nobody is seen.
+
+    Returns
+    -------
+    Poses (N, 7 + A) after a few damped Gauss-Newton steps. Sides of the box that the image cuts off do not count; the
+    depth in a single view follows from the height of the box.
+    """
+    moved = poses.copy()
+    rotations, positions = place_parts(body, moved)
+    owner = np.repeat(np.arange(body.n_parts), np.diff(body.sphere_starts))
+    centres = positions[:, owner] + np.einsum("nsij,sj->nsi", rotations[:, owner], body.spheres[:, :3])
+    radii = body.spheres[:, 3]
+    # A part weighs as much as its spheres' discs, so that the middle is about the centre of gravity of the outline.
+    weights = np.maximum(radii, 1e-3 * body.stature)
+    weights = weights / weights.sum()
+    shift = place - np.einsum("nsi,s->ni", centres, weights)
+    for _ in range(_STEPS):
+        square = np.tile(1e-4 * np.eye(3), (len(poses), 1, 1))
+        gradient = np.zeros((len(poses), 3))
+        for camera, outline in zip(cameras, outlines, strict=True):
+            if outline is not None:
+                _add_view(camera, outline, centres + shift[:, None], radii, weights, square, gradient)
+        step = np.linalg.solve(square, gradient[..., None])[..., 0]
+        length = np.linalg.norm(step, axis=1, keepdims=True)
+        shift += step * np.minimum(1.0, _STEP_LIMIT * body.stature / np.maximum(length, 1e-9))
+    moved[:, :3] += shift
+    return moved
+
+
+def _add_view(
+    camera: Camera,
+    outline: Outline,
+    centres: FloatArray,
+    radii: FloatArray,
+    weights: FloatArray,
+    square: FloatArray,
+    gradient: FloatArray,
+) -> None:
+    """Add one view's normal equations, in place; all in shares of the silhouette's extent."""
+    focal = np.array([camera.matrix[0, 0], camera.matrix[1, 1]])
+    depths = camera.compute_depths(centres)
+    ahead = np.maximum(depths, 0.05) if camera.kind == "pinhole" else np.ones_like(depths)
+    image = np.nan_to_num(camera.project(centres))
+    discs = radii * np.sqrt(focal[0] * focal[1]) / ahead
+    slopes = []
+    for axis in (0, 1):
+        slope = np.broadcast_to(focal[axis] * camera.rotation[axis], centres.shape)
+        if camera.kind == "pinhole":
+            beside = centres @ camera.rotation[axis] + camera.translation[axis]
+            slope = (slope - (focal[axis] * beside / ahead)[..., None] * camera.rotation[2]) / ahead[..., None]
+        slopes.append(slope)
+    every = np.arange(len(centres))
+    scale = 1.0 / outline.extent
+    for side in range(4):
+        if not outline.whole[side]:
+            continue
+        axis, sign = side // 2, 2.0 * (side % 2) - 1.0
+        edges = image[..., axis] + sign * discs
+        extreme = (sign * edges).argmax(axis=1)
+        off = scale * (outline.box[side] + 0.5 * sign - edges[every, extreme])
+        _add_row(off, scale * slopes[axis][every, extreme], 1.0, square, gradient)
+    for axis in (0, 1):
+        cut = not outline.whole[2 * axis : 2 * axis + 2].all()
+        off = scale * (outline.centre[axis] - image[..., axis] @ weights)
+        slope = scale * np.einsum("nsi,s->ni", slopes[axis], weights)
+        _add_row(off, slope, 0.2 if cut else _CENTRE_WEIGHT, square, gradient)
+
+
+def _add_row(off: FloatArray, slope: FloatArray, weight: float, square: FloatArray, gradient: FloatArray) -> None:
+    square += weight * slope[:, :, None] * slope[:, None, :]
+    gradient += weight * slope * off[:, None]

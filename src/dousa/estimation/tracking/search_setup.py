@@ -1,0 +1,236 @@
+"""What the compiled search works on: a body, its views and a frame's silhouettes as plain arrays."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dousa.arrays import FloatArray, Mask
+from dousa.estimation.body.body import BodyModel
+from dousa.estimation.body.kinematics import tree_arrays
+from dousa.estimation.cameras.camera import Camera, pack_cameras
+from dousa.estimation.raster.rasteriser import outline_scratch, pack_bits, unpack_bits
+from dousa.estimation.silhouettes.cleaning import NEARLY_FULL
+from dousa.estimation.tracking.search_kernels import score_pose, sweep
+from dousa.estimation.tracking.settings import EVIDENCES, MOST_CANDIDATES, READINGS, TrackerSettings
+
+_FLOOR_SIGMA, _FLOOR_CAP = 0.03, 4.0  # m; log score, so that people may jump
+_BEAM_TIMES_VIEWS, _LEAST_BEAM = (
+    12,
+    3,
+)  # poses times views: a frame costs the same with few views as with four
+_LEAST_RANGE = 0.1  # rad: a joint that hardly moves is not infinitely stiff
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Frame:
+    """The silhouettes of one frame.
+
+    Parameters
+    ----------
+    bits : (V, H, words) rows of bits; zeros where a view is not seen.
+    seen : (V,) views that have an image with somebody in it.
+    """
+
+    bits: NDArray[np.uint64]
+    seen: NDArray[np.bool_]
+
+
+class SearchSetup:
+    """A body before cameras, ready for the compiled search of `search_kernels`.
+
+    Parameters
+    ----------
+    body, cameras, settings : see `dousa.estimation.tracking.tracker.estimate`.
+    frame_rate : Hz.
+    area : px, mean area of a silhouette, which scales the evidence.
+    """
+
+    def __init__(
+        self,
+        body: BodyModel,
+        cameras: Sequence[Camera],
+        settings: TrackerSettings,
+        frame_rate: float,
+        area: float,
+    ) -> None:
+        self.body, self.cameras, self.settings = body, tuple(cameras), settings
+        self.rows = pack_cameras(cameras)
+        self.sizes = np.array([(camera.width, camera.height) for camera in cameras], np.int64)
+        self.height = int(self.sizes[:, 1].max())
+        self.n_words = int(-(-self.sizes[:, 0].max() // 64))
+        self.n_axes = 6 + body.n_angles
+        subtrees, starts = _list_subtrees(body.parents)
+        self.model = (tree_arrays(body), (body.spheres, body.sphere_starts), subtrees, starts)
+        self.order = np.arange(body.n_parts)
+        self.beam = settings.beam or max(_LEAST_BEAM, _BEAM_TIMES_VIEWS // max(1, len(self.cameras)))
+        self.whole = settings.candidates == "subtree"
+        self.half = settings.n_candidates // 2
+        self.half_later = settings.n_candidates_later // 2
+        self.bounds = (
+            _spread(body, settings, frame_rate),
+            _ease(body, settings.stiffness),
+            np.array(body.angle_limits),
+        )
+        self.weights = self.make_weights(area)
+
+    def make_weights(self, area: float) -> tuple[Any, ...]:
+        """The weights of the kernels for silhouettes of this mean area (px)."""
+        settings = self.settings
+        floor = np.zeros(3)
+        if settings.floor is not None:
+            floor[:] = settings.floor, 1.0 / _FLOOR_SIGMA**2, _FLOOR_CAP
+        image = 1.0 / (settings.image_scale * max(area, 1.0))
+        return (
+            READINGS.index(settings.reading),
+            EVIDENCES.index(settings.evidence),
+            image,
+            settings.inertia,
+            floor,
+        )
+
+    def make_scratch(self) -> tuple[Any, ...]:
+        """Scratch of the kernels; each thread needs its own.
+
+        0 outline work, 1 drawn bits, 2 plus, 3 minus, 4 fixed, 5 rotations, 6 positions, 7 quaternions, 8 trial pose,
+        9 fixed parts, 10 mismatches, 11 priors, 12 rotations in the parents' axes.
+        """
+        body, shape = self.body, (len(self.cameras), self.height, self.n_words)
+        return (
+            outline_scratch(body, self.height),
+            np.zeros(shape[1:], np.uint64),
+            np.zeros(shape, np.uint64),
+            np.zeros(shape, np.uint64),
+            np.zeros(shape, np.uint64),
+            np.zeros((body.n_parts, 3, 3)),
+            np.zeros((body.n_parts, 3)),
+            np.zeros((2, 4)),
+            np.zeros(7 + body.n_angles),
+            np.zeros(body.n_parts + 1, np.int64),
+            np.zeros(MOST_CANDIDATES),
+            np.zeros(MOST_CANDIDATES),
+            np.zeros((body.n_parts, 3, 3)),
+        )
+
+    def pack(self, masks: Sequence[NDArray[np.bool_] | None]) -> Frame:
+        """Masks of one frame, of the sizes of the cameras, as bits; an empty mask counts as not seen."""
+        bits = np.zeros((len(self.cameras), self.height, self.n_words), np.uint64)
+        seen = np.zeros(len(self.cameras), np.bool_)
+        for view, mask in enumerate(masks):
+            if mask is not None and mask.any():
+                packed = pack_bits(mask)
+                bits[view, : packed.shape[0], : packed.shape[1]] = packed
+                seen[view] = True
+        return Frame(bits, seen)
+
+    def views(self, frame: Frame) -> tuple[Any, ...]:
+        """The ``views`` of the kernels."""
+        return self.rows, self.sizes, frame.seen, frame.bits
+
+    def sweep(
+        self,
+        pose: FloatArray,
+        shift: FloatArray,
+        factor: float,
+        frame: Frame,
+        scratch: tuple[Any, ...],
+        half: int | None = None,
+    ) -> None:
+        """One pass over the whole body, in place; see `search_kernels.sweep`."""
+        reach = (factor, half or self.half, self.settings.thinning)
+        views = self.views(frame)
+        sweep(pose, shift, self.order, self.whole, reach, self.weights, self.bounds, self.model, views, scratch)
+
+    def score(self, pose: FloatArray, shift: FloatArray, frame: Frame, scratch: tuple[Any, ...]) -> float:
+        """Log score of a whole pose; see `search_kernels.score_pose`."""
+        return float(score_pose(pose, shift, self.weights, self.bounds, self.model, self.views(frame), scratch))
+
+
+def _list_subtrees(parents: NDArray[np.intp]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """The parts below each part, itself first, one list after the other, and where each list starts."""
+    lists: list[list[int]] = []
+    for part in range(len(parents)):
+        below = [part]
+        for other in range(part + 1, len(parents)):
+            if parents[other] in below:
+                below.append(other)
+        lists.append(below)
+    starts = np.concatenate(([0], np.cumsum([len(below) for below in lists])))
+    return np.concatenate(lists).astype(np.int64), starts.astype(np.int64)
+
+
+def _spread(body: BodyModel, settings: TrackerSettings, frame_rate: float) -> FloatArray:
+    """dR of every degree of freedom, (6 + A,) m and rad."""
+    agility = body.agility if settings.agility == "body" else np.ones(body.n_parts)
+    angles = np.repeat(agility, body.n_axes) * settings.max_change
+    root = np.repeat((settings.root_change * body.stature, agility[0] * settings.max_change), 3)
+    spread: FloatArray = np.concatenate((root, angles)) * (30.0 / frame_rate)
+    return spread
+
+
+def _ease(body: BodyModel, stiffness: float) -> FloatArray:
+    """Neutral value and root of the price per square radian of every degree of freedom, (6 + A, 2)."""
+    ease = np.zeros((6 + body.n_angles, 2))
+    limits = body.angle_limits
+    half = np.maximum(0.5 * (limits[:, 1] - limits[:, 0]), _LEAST_RANGE)
+    used = np.arange(3) < body.n_axes[:, None]
+    ease[6:, 0] = body.neutral[used]
+    ease[6:, 1] = np.sqrt(stiffness * np.repeat(body.stiffness, body.n_axes)) / half
+    return ease
+
+
+_ASPECT = 0.22  # area of a standing person's silhouette over the square of its height
+
+
+class Shrinker:
+    """Shrinks masks by a whole factor, and the cameras with them.
+
+    Parameters
+    ----------
+    cameras : (V,) of the masks as they come.
+    area : px, mean area of a silhouette.
+    height : px, how tall a silhouette may stay.
+    """
+
+    def __init__(self, cameras: Sequence[Camera], area: float, height: int) -> None:
+        tall = np.sqrt(max(area, 1.0) / _ASPECT)
+        self.factor = max(1, int(np.ceil(tall / height - 0.15)))
+        self.sizes = [
+            (max(1, round(camera.width / self.factor)), max(1, round(camera.height / self.factor)))
+            for camera in cameras
+        ]
+        self.cameras = tuple(
+            camera if self.factor == 1 else camera.resized(*size)
+            for camera, size in zip(cameras, self.sizes, strict=True)
+        )
+
+    @property
+    def area_share(self) -> float:
+        """Area of a shrunk silhouette as a share of the whole one."""
+        return 1.0 / self.factor**2
+
+    def shrink(self, masks: Sequence[Mask | None]) -> list[Mask | None]:
+        """Masks of one frame at the working size; full ones count as not seen."""
+        small: list[Mask | None] = []
+        for mask, size in zip(masks, self.sizes, strict=True):
+            if mask is None or mask.mean() >= NEARLY_FULL:
+                small.append(None)
+            elif self.factor == 1:
+                small.append(mask)
+            else:
+                from dousa.extras import cv2
+
+                shrunk = cv2.resize(mask.astype(np.uint8) * 255, size, interpolation=cv2.INTER_AREA)
+                small.append(shrunk >= 128)
+        return small
+
+    def unpack(self, frame: Frame) -> list[Mask | None]:
+        """The shrunk masks of a packed frame."""
+        return [
+            unpack_bits(frame.bits[view, :height], width) if frame.seen[view] else None
+            for view, (width, height) in enumerate(self.sizes)
+        ]

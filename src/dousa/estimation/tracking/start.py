@@ -1,0 +1,310 @@
+"""The pose in one frame from its silhouettes alone: where tracking begins, and begins again when it was lost.
+
+The paper is given its first pose. Here templates in all headings are laid onto the silhouettes, the best are refined by
+the tracker's own sweeps without inertia, each limb is tried as it is in every template, and the poses that cast
+nearly the same silhouettes with left and right exchanged are tried as well.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from dousa.arrays import FloatArray, Mask
+from dousa.errors import BodyModelError, SilhouetteError
+from dousa.estimation.body.body import BodyModel
+from dousa.estimation.body.kinematics import compute_points
+from dousa.estimation.raster.rasteriser import draw_body, pack_bits
+from dousa.estimation.silhouettes.cleaning import NEARLY_FULL
+from dousa.estimation.silhouettes.silhouettes import Silhouettes
+from dousa.estimation.tracking.outlines import (
+    Outline,
+    guess_place,
+    measure_outline,
+    move_onto,
+    shrink_views,
+    turn_about,
+)
+from dousa.estimation.tracking.search_setup import Frame, SearchSetup
+from dousa.estimation.tracking.settings import TrackerSettings
+from dousa.estimation.tracking.templates import find_limbs, is_person, list_templates, mirror_twins
+from dousa.messages import Message
+
+Scored = tuple[float, FloatArray]
+
+Progress = Callable[[int, int, Message], None]
+
+_HEADINGS = 16
+_FIRST, _SECOND, _LAST = 20, 8, 4  # poses kept from step to step
+_APART = 0.03  # statures, mean distance of joints: nearer poses are one
+_LIMBS_TRIED, _LIMBS_APART = 5, 0.35  # templates searched for each limb; rad
+
+# dR of the sweeps of each step.
+_WIDE, _NARROW, _TWIN, _LIMB, _FINE = (1.5, 1.0), (1.0, 0.5), (1.5, 1.0, 0.5), (1.5, 0.75, 0.4), (0.5, 0.25)
+_STEPS = 5
+_LEVEL = 0.1  # a camera that looks straight down or up tells no front from back
+
+
+class StartSearch:
+    """The silhouettes of one frame, and a body that is looked for in them.
+
+    Parameters
+    ----------
+    setup : the body before its cameras.
+    frame : the silhouettes as the setup packs them.
+    outlines : (V,) box and centre of each silhouette; None where nobody is seen.
+    """
+
+    def __init__(self, setup: SearchSetup, frame: Frame, outlines: Sequence[Outline | None]) -> None:
+        self.body, self.cameras = setup.body, setup.cameras
+        self.frame, self.outlines = frame, outlines
+        area = float(np.bitwise_count(frame.bits).sum()) / max(int(frame.seen.sum()), 1)
+        self.setup = SearchSetup(self.body, self.cameras, _own_settings(setup.settings), 30.0, area)
+        self.scratch = self.setup.make_scratch()
+        self.still = np.zeros(self.setup.n_axes)
+        self.limbs = find_limbs(self.body)
+
+    def run(self, near: FloatArray | None, tell: Progress) -> list[Scored]:
+        """From nothing (or a pose of some time ago) to a few refined poses, best first."""
+        what = Message("tracker.first_pose")
+        tell(0, _STEPS, what)
+        found = self.keep([(self.score(pose), pose) for pose in self._list_candidates(near)], _FIRST)
+        tell(1, _STEPS, what)
+        found = self.keep([self.refine(pose, _WIDE) for _, pose in found], _SECOND)
+        tell(2, _STEPS, what)
+        found = self.keep([self.refine(self._exchange_limbs(pose), _NARROW) for _, pose in found], _LAST)
+        tell(3, _STEPS, what)
+        if is_person(self.body):
+            twins = [self.refine(twin, _TWIN) for _, pose in found for twin in self._list_twins(pose)]
+            found = self.keep(found + twins, _LAST)
+        tell(4, _STEPS, what)
+        found = self.keep([self.refine(self._exchange_limbs(pose), _NARROW) for _, pose in found], _LAST)
+        tell(_STEPS, _STEPS, what)
+        return found
+
+    def finish(self, found: Sequence[Scored], count: int) -> list[Scored]:
+        """The last fine sweeps, and the ``count`` best of what is then still different."""
+        return self.keep([self.refine(pose, _FINE) for _, pose in found], count)
+
+    def score(self, pose: FloatArray) -> float:
+        """Log score of image, ease and floor."""
+        return self.setup.score(pose, self.still, self.frame, self.scratch)
+
+    def refine(self, pose: FloatArray, factors: Sequence[float]) -> Scored:
+        """Score and pose after sweeps of these widths, none held back by those before."""
+        pose = pose.copy()
+        for factor in factors:
+            self._sweep(pose, factor)
+            pose[3:7] /= np.linalg.norm(pose[3:7])
+        return self.score(pose), pose
+
+    def keep(self, found: Sequence[Scored], count: int) -> list[Scored]:
+        """The best ``count`` that are not nearly the same."""
+        ordered = sorted(found, key=lambda pair: -pair[0])
+        points = compute_points(self.body, np.array([pose for _, pose in ordered]))
+        kept: list[int] = []
+        for index in range(len(ordered)):
+            if len(kept) == count:
+                break
+            off = np.linalg.norm(points[kept] - points[index], axis=-1).mean(axis=-1)
+            if not (off < _APART * self.body.stature).any():
+                kept.append(index)
+        return [ordered[index] for index in kept]
+
+    def measure_overlap(self, pose: FloatArray) -> float:
+        """Mean intersection over union of the views that see somebody."""
+        shares = []
+        for view in np.flatnonzero(self.frame.seen):
+            drawn = pack_bits(draw_body(self.body, pose, self.cameras[view])[0])
+            bits = self.frame.bits[view, : drawn.shape[0], : drawn.shape[1]]
+            both, either = np.bitwise_count(drawn & bits).sum(), np.bitwise_count(drawn | bits).sum()
+            shares.append(float(both) / max(float(either), 1.0))
+        return float(np.mean(shares))
+
+    def _sweep(self, pose: FloatArray, factor: float) -> None:
+        self.setup.sweep(pose, np.zeros(self.setup.n_axes), factor, self.frame, self.scratch)
+
+    def _list_candidates(self, near: FloatArray | None) -> FloatArray:
+        """Templates (N, 7 + A) in all headings, laid onto the silhouettes."""
+        place = guess_place(self.cameras, self.outlines, self.body.stature)
+        templates = list_templates(self.body)
+        templates = templates if near is None else np.concatenate((templates, near[None]))
+        turned = [turn_about(templates, 2.0 * np.pi * k / _HEADINGS) for k in range(_HEADINGS)]
+        moved = move_onto(self.body, np.concatenate(turned), place, self.cameras, self.outlines)
+        return moved if near is None else np.concatenate((moved, near[None]))
+
+    def _exchange_limbs(self, pose: FloatArray) -> FloatArray:
+        """Each limb as it is in the template where it fits best after a search of its own."""
+        pose, templates = pose.copy(), list_templates(self.body)
+        whole = self.setup.order
+        for limb, parts in self.limbs:
+            best, kept = self.score(pose), pose[limb].copy()
+            scores = np.empty(len(templates))
+            for number, template in enumerate(templates):
+                pose[limb] = template[limb]
+                scores[number] = self.score(pose)
+            self.setup.order = parts
+            for number in _pick_limbs(templates[:, limb], scores):
+                pose[limb] = templates[number, limb]
+                for factor in _LIMB:
+                    self._sweep(pose, factor)
+                score = self.score(pose)
+                if score > best:
+                    best, kept = score, pose[limb].copy()
+            self.setup.order = whole
+            pose[limb] = kept
+        return pose
+
+    def _list_twins(self, pose: FloatArray) -> list[FloatArray]:
+        """What the first view that sees somebody could mistake for the pose."""
+        seen = [camera for camera, found in zip(self.cameras, self.outlines, strict=True) if found]
+        towards = seen[0].rotation[2] * (1.0, 0.0, 1.0)
+        length = float(np.linalg.norm(towards))
+        return mirror_twins(self.body, pose, towards / length) if length > _LEVEL else []
+
+
+def _pick_limbs(limbs: FloatArray, scores: FloatArray) -> list[int]:
+    """Numbers of the templates whose limbs (N, n) rad fit best, all different."""
+    chosen: list[int] = []
+    for number in np.argsort(-scores, kind="stable"):
+        if len(chosen) == _LIMBS_TRIED:
+            break
+        if not (np.abs(limbs[chosen] - limbs[number]).max(axis=1) < _LIMBS_APART).any():
+            chosen.append(int(number))
+    return chosen
+
+
+def _own_settings(settings: TrackerSettings) -> TrackerSettings:
+    """The default tracker without inertia, whatever tracks afterwards."""
+    usual = TrackerSettings()
+    return dataclasses.replace(
+        usual, inertia=0.0, floor=settings.floor, stiffness=max(settings.stiffness, usual.stiffness)
+    )
+
+
+_ROUGH_EXTENT = 90.0  # px, longest side of the silhouettes in all but the last step
+_FOLLOWED = 5  # poses that are tracked through later frames
+_FOLLOWING = (1.0, 0.5)  # dR of the sweeps with which they are
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Start:
+    """A pose found in one frame.
+
+    Parameters
+    ----------
+    pose : (7 + A,), see `BodyModel`.
+    score : log score; comparable only between starts of one call.
+    iou : mean overlap of body and silhouette over the views that see somebody, intersection over union.
+    """
+
+    pose: FloatArray
+    score: float
+    iou: float
+
+
+def find_start(
+    setup: SearchSetup,
+    frame: Frame,
+    masks: Sequence[Mask | None],
+    *,
+    n_best: int = 1,
+    near: FloatArray | None = None,
+    later: Sequence[Frame] = (),
+    progress: Progress | None = None,
+) -> list[Start]:
+    """Find the pose in one frame from its silhouettes alone.
+
+    Parameters
+    ----------
+    setup : the body before its cameras. Of the settings only the floor and the stiffness count here.
+    frame : the silhouettes as the setup packs them.
+    masks : (V,) the same as masks; None where a view has no image.
+    n_best : how many different poses are wanted.
+    near : (7 + A,) pose that the body had some time ago, one more template.
+    later : following frames: the best poses are tracked through them and their mean scores decide.
+    progress : called with steps done, steps in all and what is being done.
+
+    Returns
+    -------
+    At most ``n_best`` different poses, best first.
+
+    Raises
+    ------
+    SilhouetteError : nobody is seen in any view.
+
+    Notes
+    -----
+    With one view the answer is a guess: how far away, which way a limb leans, and of a body seen from the side which
+    leg is the left one, hardly show; feet that point forward and knees that bend one way are all that tells front from
+    back. The first call compiles the search kernels (cached on disk) and makes the templates of the body.
+    """
+    tell = progress or (lambda done, total, what: None)
+    outlines = [measure_outline(mask) for mask in masks]
+    extents = [found.extent for found in outlines if found is not None]
+    if not extents or not frame.seen.any():
+        raise SilhouetteError("tracker.nobody")
+    cameras, small = shrink_views(setup.cameras, masks, min(1.0, _ROUGH_EXTENT / max(extents)))
+    rough = SearchSetup(setup.body, cameras, setup.settings, 30.0, 1.0)
+    coarse = StartSearch(rough, rough.pack(small), [measure_outline(mask) for mask in small])
+    found = coarse.run(near, tell)
+    fine = StartSearch(setup, frame, outlines)
+    found = fine.finish(found, max(n_best, _FOLLOWED) if later else n_best)
+    if later:
+        found = [(_follow(setup, pose, score, later), pose) for score, pose in found]
+        found.sort(key=lambda pair: -pair[0])
+    return [Start(pose, score, fine.measure_overlap(pose)) for score, pose in found[:n_best]]
+
+
+def _follow(setup: SearchSetup, pose: FloatArray, score: float, later: Sequence[Frame]) -> float:
+    """Mean score of a pose tracked through later frames, each searched for about the one before."""
+    scratch, pose = setup.make_scratch(), pose.copy()
+    scores = [score]
+    for frame in later:
+        shift = np.zeros(setup.n_axes)
+        for factor in _FOLLOWING:
+            setup.sweep(pose, shift, factor, frame, scratch)
+        pose[3:7] /= np.linalg.norm(pose[3:7])
+        scores.append(setup.score(pose, shift, frame, scratch))
+    return float(np.mean(scores))
+
+
+_FIRST_FRAMES = 150  # looked through for the first one with somebody in it
+
+
+def checked_start(body: BodyModel, start: ArrayLike) -> FloatArray:
+    """The pose (7 + A,) within the body's limits; BodyModelError if it is none of this body."""
+    pose = np.array(start, np.float64)
+    if pose.shape != (7 + body.n_angles,) or not np.isfinite(pose).all():
+        raise BodyModelError("pose.start", expected=7 + body.n_angles, found=str(pose.shape))
+    length = float(np.linalg.norm(pose[3:7]))
+    if not 0.99 < length < 1.01:
+        raise BodyModelError("pose.quaternion", found=length)
+    pose[3:7] /= length
+    limits = body.angle_limits
+    pose[7:] = np.clip(pose[7:], limits[:, 0], limits[:, 1])
+    return pose
+
+
+def find_first(silhouettes: Silhouettes) -> tuple[int, tuple[NDArray[np.bool_] | None, ...]]:
+    """The first frame with somebody in it: in as many views as any of the first frames has."""
+    best, best_count, best_masks, full = -1, 0, None, 0
+    for frame in range(min(silhouettes.n_frames, _FIRST_FRAMES)):
+        masks = silhouettes.read(frame)
+        good = [mask is not None and 0 < mask.mean() < NEARLY_FULL for mask in masks]
+        full += any(mask is not None and mask.mean() >= NEARLY_FULL for mask in masks)
+        if sum(good) > best_count:
+            kept = tuple(mask if fine else None for mask, fine in zip(masks, good, strict=True))
+            best, best_count, best_masks = frame, sum(good), kept
+        if best_count and (best_count == len(masks) or frame >= best + 5):
+            break
+    if best_masks is None:
+        raise SilhouetteError(
+            "tracker.all_full" if full else "tracker.all_empty",
+            frames=min(silhouettes.n_frames, _FIRST_FRAMES),
+        )
+    return best, best_masks

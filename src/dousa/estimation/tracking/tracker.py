@@ -1,0 +1,369 @@
+"""From silhouettes to a motion: frame after frame the pose that fits best within what inertia allows.
+
+The search of Kameda, Minoh and Ikeda ("A Human Motion Estimation Method Using a Model - Introduction of Inertia"), from
+the root part to the leaves, one axis at a time, each within dR of its prediction (eq. 1), scored by eqs. 2 and 3.
+`PAPER` is their method. The defaults go beyond it: several views, a part carries what hangs on it while it is
+judged, finer revisits, several predictions and a beam of poses, joints that move as quickly as joints do, girths
+fitted to the first silhouettes, a restart where the track is lost, smoothing forward and backward.
+"""
+
+from __future__ import annotations
+
+import os
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, fields, replace
+from itertools import pairwise
+from typing import Literal
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from dousa.arrays import FloatArray
+from dousa.errors import OptionError
+from dousa.estimation.body.body import BodyModel
+from dousa.estimation.cameras.camera import Camera
+from dousa.estimation.cameras.camera_sets import check_cameras
+from dousa.estimation.silhouettes.silhouettes import Silhouettes
+from dousa.estimation.tracking.beam import Beam, BeamState
+from dousa.estimation.tracking.diagnosis import Diagnosis
+from dousa.estimation.tracking.measures import fit_girths
+from dousa.estimation.tracking.search_setup import Frame, SearchSetup, Shrinker
+from dousa.estimation.tracking.settings import PAPER, Estimate, TrackedFrame, TrackerSettings
+from dousa.estimation.tracking.start import checked_start, find_first, find_start
+from dousa.messages import Message
+from dousa.motion.resampling import smooth_gaussian
+
+__all__ = ["PAPER", "PartialTrack", "TrackerSettings", "estimate", "smooth_poses"]
+
+Progress = Callable[[int, int, Message], None]
+
+_CHECKPOINT_FRAMES = 32
+_LOST_FRAMES = 5  # after so many in a row the track is looked for anew
+_DOUBTFUL, _CLEARLY = 0.75, 0.08  # overlap below which a given start is held against a found one; by how much
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PartialTrack(BeamState):
+    """What was tracked before an interruption, on top of the beam: arrays only, so that it can be kept in a file.
+
+    Parameters
+    ----------
+    poses : (n, 7 + A) of the frames that are settled; the frames before the first person hold its pose.
+    overlap, uncertainty, occluded, restarts : of these frames, see `Estimate`.
+    spheres : (S, 4) of the body, whose girths may have been fitted.
+    first : the first frame with somebody in it.
+    usual : overlap that this recording usually has.
+    area : px, mean area of a silhouette.
+    poor, unseen : how many of the newest frames in a row the model hardly covers, and how many show nobody.
+    """
+
+    poses: FloatArray
+    overlap: FloatArray
+    uncertainty: FloatArray
+    occluded: NDArray[np.bool_]
+    restarts: NDArray[np.int64]
+    spheres: FloatArray
+    first: int
+    usual: float
+    area: float
+    poor: int
+    unseen: int
+
+    @property
+    def n_tracked(self) -> int:
+        """Frames looked at so far, settled or not: where the work goes on."""
+        return len(self.poses) + len(self.pending_poses)
+
+
+def estimate(
+    silhouettes: Silhouettes,
+    cameras: Sequence[Camera],
+    body: BodyModel,
+    start: ArrayLike | None = None,
+    *,
+    settings: TrackerSettings | None = None,
+    girths: Literal["fit", "keep"] = "fit",
+    n_threads: int | None = None,
+    resume: PartialTrack | None = None,
+    on_checkpoint: Callable[[PartialTrack], None] | None = None,
+    progress: Progress | None = None,
+    on_frame: Callable[[TrackedFrame], None] | None = None,
+) -> Estimate:
+    """Estimate a motion from silhouettes.
+
+    Parameters
+    ----------
+    silhouettes : V views over T frames.
+    cameras : (V,) one for each view, of the size of its masks.
+    body : the model, with P parts, K tips and A joint angles.
+    start : (7 + A,) pose in the first frame that shows the person well (of the first frames with anybody, the one
+        that most views see); None looks for it.
+    settings : how to search; the defaults, or `PAPER`.
+    girths : ``"fit"`` thickens or thins the parts to the silhouettes of the first frame, ``"keep"`` does not.
+    n_threads : workers; by default two, or one on a machine of one core. The result does not depend on it.
+    resume : what an interrupted call with the same arguments had done.
+    on_checkpoint : called now and then with what is done so far.
+    progress : called with frames done, frames in all and what is being done.
+    on_frame : called with every frame as soon as it has a pose, and again when that is settled.
+
+    Returns
+    -------
+    The estimate.
+
+    Raises
+    ------
+    CalibrationError : not one camera for each view, or of another size than the masks.
+    BodyModelError : a start that is no pose of this body.
+    SilhouetteError : nobody is seen in the first frames, or every mask is full.
+    """
+    settings = TrackerSettings() if settings is None else settings
+    if girths not in ("fit", "keep"):
+        raise OptionError("tracker.choice", option="girths", known=("fit", "keep"), found=str(girths))
+    check_cameras(cameras, silhouettes.names, silhouettes.sizes)
+    n_threads = n_threads or min(2, os.cpu_count() or 1)
+    job = _Job(silhouettes, cameras, body, settings, n_threads, progress, on_frame)
+    try:
+        if resume is None:
+            job.begin(start, girths)
+        else:
+            job.resume(resume)
+        job.run(on_checkpoint)
+    finally:
+        job.close()
+    return job.finish()
+
+
+class _Job:
+    """One estimate at work."""
+
+    def __init__(
+        self,
+        silhouettes: Silhouettes,
+        cameras: Sequence[Camera],
+        body: BodyModel,
+        settings: TrackerSettings,
+        n_threads: int,
+        progress: Progress | None,
+        on_frame: Callable[[TrackedFrame], None] | None,
+    ) -> None:
+        self.silhouettes, self.body, self.settings, self.n_threads = silhouettes, body, settings, n_threads
+        self.progress = progress or (lambda done, total, what: None)
+        self.on_frame = on_frame
+        self.cameras = tuple(cameras)
+        self.poses: list[FloatArray] = []
+        self.restarts: list[int] = []
+        self.notes: list[Message] = []
+        self.poor = self.unseen = 0
+        self.began = 0
+
+    def begin(self, start: ArrayLike | None, girths: Literal["fit", "keep"]) -> None:
+        """Find the first frame, shrink the views to the working size, find or take the start, fit the girths."""
+        self.progress(0, self.silhouettes.n_frames, Message("tracker.getting_ready"))
+        self.first, masks = find_first(self.silhouettes)
+        self.area = float(np.mean([mask.sum() for mask in masks if mask is not None and mask.any()]))
+        self._set_up()
+        small = self.shrinker.shrink(masks)
+        frame = self.setup.pack(small)
+        if start is None:
+            self.progress(0, self.silhouettes.n_frames, Message("tracker.first_pose"))
+            pose = find_start(self.setup, frame, small)[0].pose
+        else:
+            pose = checked_start(self.body, start)
+        if girths == "fit":
+            self._fit_girths(pose, small)
+        self.beam = Beam(self.setup, pose, self.n_threads)
+        self.beam.begin(frame)
+        self.at = self.first + 1
+        covered = self.diagnosis.cover(pose, frame)
+        self.usual = max(0.3, covered)
+        if start is not None and covered < _DOUBTFUL and self.settings.candidates == "subtree":
+            self._doubt_start(frame, small, covered)
+        for _ in range(self.first):
+            self._keep(pose, self.setup.pack([None] * len(self.cameras)))
+        self._show_newest(frame)
+
+    def _doubt_start(self, frame: Frame, masks: Sequence[NDArray[np.bool_] | None], covered: float) -> None:
+        """Say so if a pose that is found without the start covers the silhouettes clearly better."""
+        found = find_start(self.setup, frame, masks)[0]
+        if found.iou > covered + _CLEARLY:
+            self.notes.append(Message("tracker.start_doubtful", covered=covered, found=found.iou))
+
+    def _set_up(self) -> None:
+        """Everything that depends on the body and on the size of the silhouettes."""
+        self.shrinker = Shrinker(self.cameras, self.area, self.settings.height)
+        area = self.area * self.shrinker.area_share
+        self.setup = SearchSetup(self.body, self.shrinker.cameras, self.settings, self.silhouettes.frame_rate, area)
+        self.diagnosis = Diagnosis(self.setup)
+
+    def _fit_girths(self, pose: FloatArray, masks: Sequence[NDArray[np.bool_] | None]) -> None:
+        views = [number for number, mask in enumerate(masks) if mask is not None and mask.any()]
+        seen = [mask for mask in masks if mask is not None and mask.any()]
+        self.body = fit_girths(self.body, pose, seen, [self.shrinker.cameras[view] for view in views])
+        self._set_up()
+
+    def resume(self, partial: PartialTrack) -> None:
+        """Take up the work where it was left."""
+        self.body = replace(self.body, spheres=partial.spheres)
+        self.first, self.usual, self.area = int(partial.first), float(partial.usual), float(partial.area)
+        self.poor, self.unseen = int(partial.poor), int(partial.unseen)
+        self._set_up()
+        self.diagnosis.load(partial.overlap, partial.uncertainty, partial.occluded)
+        self.poses = list(partial.poses)
+        self.restarts = [int(frame) for frame in partial.restarts]
+        self.beam = Beam(self.setup, partial.beam_poses[0], self.n_threads)
+        self.at = len(self.poses)
+        frames = [self._read() for _ in range(len(partial.pending_poses))]
+        self.beam.load(partial, frames)
+        self.began = self.at
+
+    def _read(self) -> Frame:
+        frame = self.setup.pack(self.shrinker.shrink(self.silhouettes.read(self.at)))
+        self.at += 1
+        return frame
+
+    def run(self, on_checkpoint: Callable[[PartialTrack], None] | None) -> None:
+        """Track to the end."""
+        n_frames = self.silhouettes.n_frames
+        self.clock = time.perf_counter()
+        self.began = max(self.began, self.at)
+        while self.at < n_frames:
+            frame = self._read()
+            self.beam.step(frame)
+            self._watch(frame)
+            self._show_newest(frame)
+            for settled in self.beam.settle(self.settings.lag):
+                self._keep(settled.pose, settled.frame)
+            self.progress(self.at, n_frames, Message("tracker.tracking"))
+            if on_checkpoint is not None and self.at % _CHECKPOINT_FRAMES == 0:
+                on_checkpoint(self._save())
+        for settled in self.beam.settle(0):
+            self._keep(settled.pose, settled.frame)
+        self.seconds = time.perf_counter() - self.clock
+
+    def _watch(self, frame: Frame) -> None:
+        """Look for the person anew after several frames that the model hardly covers, or that nobody is in."""
+        if not frame.seen.any():
+            self.unseen += 1
+            return
+        returned, self.unseen = self.unseen >= _LOST_FRAMES, 0
+        covered = self.diagnosis.cover(self.beam.best, frame)
+        lost = self.diagnosis.is_lost(covered, self.usual)
+        self.poor = self.poor + 1 if lost else 0
+        if not lost:
+            self.usual += 0.05 * (covered - self.usual)
+        if (self.poor >= _LOST_FRAMES or returned) and self.settings.candidates == "subtree":
+            self._search_anew(frame, covered)
+            self.poor = 0
+
+    def _search_anew(self, frame: Frame, covered: float) -> None:
+        masks = self.shrinker.unpack(frame)
+        found = find_start(self.setup, frame, masks, near=self.beam.best)[0]
+        if found.iou > covered + 0.05:
+            self.beam.restart(found.pose)
+            self.restarts.append(self.at - 1)
+
+    def _keep(self, pose: FloatArray, frame: Frame) -> None:
+        self.poses.append(pose)
+        self.diagnosis.write(pose, frame)
+        if self.on_frame is not None:
+            overlap, occluded = self.diagnosis.latest
+            self._show(len(self.poses) - 1, pose, overlap, occluded, settled=True)
+
+    def _show_newest(self, frame: Frame) -> None:
+        """Show the newest frame with the best pose so far, which may still change."""
+        if self.on_frame is not None:
+            pose = self.beam.best
+            self._show(self.at - 1, pose, *self.diagnosis.look(pose, frame), settled=False)
+
+    def _show(
+        self,
+        number: int,
+        pose: FloatArray,
+        overlap: FloatArray,
+        occluded: NDArray[np.bool_],
+        *,
+        settled: bool,
+    ) -> None:
+        assert self.on_frame is not None
+        lost = bool(self.diagnosis.find_lost(overlap[None], self.usual)[0])
+        self.on_frame(TrackedFrame(number, pose, overlap, occluded, lost, settled, self.body))
+
+    def _save(self) -> PartialTrack:
+        state = self.beam.save()
+        overlap, uncertainty, occluded = self.diagnosis.arrays()
+        return PartialTrack(
+            poses=np.array(self.poses).reshape(-1, 7 + self.body.n_angles),
+            overlap=overlap,
+            uncertainty=uncertainty,
+            occluded=occluded,
+            restarts=np.array(self.restarts, np.int64),
+            spheres=self.body.spheres,
+            first=self.first,
+            usual=self.usual,
+            area=self.area,
+            poor=self.poor,
+            unseen=self.unseen,
+            **{field.name: getattr(state, field.name) for field in fields(state)},
+        )
+
+    def close(self) -> None:
+        if hasattr(self, "beam"):
+            self.beam.close()
+
+    def finish(self) -> Estimate:
+        """Smooth, and say how far to trust it."""
+        rate = self.silhouettes.frame_rate
+        overlap, uncertainty, occluded = self.diagnosis.arrays()
+        poses = np.array(self.poses)
+        if self.settings.smoothing > 0:
+            poses = smooth_poses(poses, rate, self.settings.smoothing, breaks=self.restarts)
+        lost = self.diagnosis.find_lost(overlap, self.usual)
+        return Estimate(
+            body=self.body,
+            poses=poses,
+            frame_rate=rate,
+            iou=overlap,
+            uncertainty=uncertainty,
+            occluded=occluded,
+            lost=lost,
+            warnings=tuple(self._describe(overlap, lost)),
+            frames_per_second=(self.at - self.began) / max(self.seconds, 1e-9),
+        )
+
+    def _describe(self, overlap: FloatArray, lost: NDArray[np.bool_]) -> list[Message]:
+        notes = [*self.silhouettes.warnings, *self.notes]
+        if self.first:
+            notes.append(Message("tracker.first_frame", frame=self.first))
+        if self.restarts:
+            notes.append(Message("tracker.restarted", frames=self.restarts[:8]))
+        if lost.any():
+            notes.append(Message("tracker.uncovered", lost=int(lost.sum()), frames=len(lost)))
+        return notes
+
+
+def smooth_poses(poses: FloatArray, frame_rate: float, cutoff: float, breaks: Sequence[int] = ()) -> FloatArray:
+    """Poses with less jitter.
+
+    Parameters
+    ----------
+    poses : (T, 7 + A), see `BodyModel`.
+    frame_rate : Hz.
+    cutoff : Hz, at which half of the power is left; the filter is a Gaussian, ends are repeated.
+    breaks : frames at which the track was taken up anew: nothing is smoothed across them.
+
+    Returns
+    -------
+    (T, 7 + A), of the same length; orientations by the mean of quaternions of one sign.
+    """
+    sigma = np.sqrt(np.log(2.0)) / (2.0 * np.pi * cutoff) * frame_rate
+    smooth = np.array(poses, np.float64)
+    quaternions = smooth[:, 3:7]
+    for t in range(1, len(smooth)):
+        if quaternions[t] @ quaternions[t - 1] < 0:
+            quaternions[t] *= -1.0
+    edges = [0, *sorted({int(frame) for frame in breaks if 0 < frame < len(smooth)}), len(smooth)]
+    for start, stop in pairwise(edges):
+        smooth[start:stop] = smooth_gaussian(smooth[start:stop], sigma)
+    smooth[:, 3:7] /= np.linalg.norm(smooth[:, 3:7], axis=1, keepdims=True)
+    return smooth

@@ -1,0 +1,1 @@
+"""Which moment of one motion belongs to which moment of another."""

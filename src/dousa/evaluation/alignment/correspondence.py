@@ -1,0 +1,251 @@
+"""Correspondence: which moment of one motion belongs to which moment of another.
+
+Source: Yamane and Shakunaga, section 2.2: straight lines in the correlation matrix where the tempo agrees; and
+section 2.3 (4): a curve where it drifts. The curve is found by dynamic time warping on 1 - S.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from dousa.arrays import FloatArray, IndexArray
+from dousa.errors import InvalidMotionError, OptionError
+from dousa.evaluation.alignment.correlation import (
+    check_segment_weights,
+    check_sequence,
+    compute_correlation_matrix,
+    compute_similarity,
+)
+
+_COARSEST = 3000  # frames of the longer motion on the level where every path is tried
+_STEP = 4  # a level has about so many times the frames of the coarser one
+_MOST_CELLS = 2**32  # one byte each
+_CORNERS = 1e30  # a price that no path can pay
+_LEFT_OUT = 0.1  # price of a frame left out at an open end; two of them against one pair of poses
+_LINE_RATE = 10.0  # Hz of the matrix that lines are looked for in
+_LINE_FRAMES = 9000  # frames of the longer side of that matrix: 324 MB
+_MOST_LINES = 100
+_REFINED_ON = 200  # frames of a line that its offset is refined on
+
+
+def find_path(
+    a: ArrayLike, b: ArrayLike, weights: ArrayLike | None = None, radius: int = 192, ends: str = "fixed"
+) -> IndexArray:
+    """The curve of best correspondence: dynamic time warping on 1 - S, coarse to fine.
+
+    Every path is tried on a coarse level of at most 3,000 frames; each finer level searches a band around the path
+    of the coarser one. Motions of at most 3,000 frames are searched whole.
+
+    Parameters
+    ----------
+    a : (T, 9, 3) unit vectors, Y up.
+    b : (U, 9, 3) unit vectors, Y up.
+    weights : (9,) of the segments, 0 or above; None for equal ones.
+    radius : frames, of each level, by which the path may leave the coarser level's path in either motion; at least 1.
+    ends : ``"fixed"``: from the first frames to the last frames of both. ``"open"``: frames of one motion may be
+        left out before the path begins and after it ends, at a price of 0.1 each, so that poses less alike than
+        S = 0.8 are rather left out than paired.
+
+    Returns
+    -------
+    (K, 2) frames of a and of b, ascending; every step goes on by one frame in one or both.
+
+    Raises
+    ------
+    InvalidMotionError : wrong shapes, missing values, or no frame.
+    OptionError : wrong weights, a radius below 1, unknown ends, or a band of more than 4 GiB.
+
+    Memory is one byte a cell of the band, about 4 * radius * T: it grows linearly. Without any price, open ends would
+    shrink the path to one pair of poses. The band misses the path of the full search where a whole passage goes
+    elsewhere at almost the same price; benchmarks/correspondence.py compares.
+    """
+    first, second = _check_frames(a, "a"), _check_frames(b, "b")
+    shares = check_segment_weights(weights)
+    if radius < 1:
+        raise OptionError("correlation.radius", radius=radius)
+    if ends not in {"fixed", "open"}:
+        raise OptionError("correlation.ends", ends=ends)
+    skip = _CORNERS if ends == "fixed" else _LEFT_OUT
+    size = -(-max(len(first), len(second)) // _COARSEST)
+    band = None
+    while True:
+        level_a, level_b = _shrink(first, size), _shrink(second, size)
+        path = _warp(level_a, level_b, shares / shares.sum(), band, skip)
+        if size == 1:
+            return path
+        finer = max(1, size // _STEP)
+        counts = -(-len(first) // finer), -(-len(second) // finer)
+        band = _band(path, size / finer, counts, radius)
+        size = finer
+
+
+def _check_frames(values: ArrayLike, what: str) -> FloatArray:
+    segments = check_sequence(values, what)
+    if len(segments) == 0:
+        raise InvalidMotionError("postures.no_frame", what=what)
+    return segments
+
+
+def _shrink(segments: FloatArray, size: int) -> FloatArray:
+    """Mean directions of blocks of so many frames; the last block may be shorter."""
+    if size == 1:
+        return segments
+    sums: FloatArray = np.add.reduceat(segments, np.arange(0, len(segments), size), axis=0)
+    lengths = np.linalg.norm(sums, axis=2, keepdims=True)
+    np.divide(sums, lengths, out=sums, where=lengths > 0)
+    return sums
+
+
+def _band(path: IndexArray, ratio: float, counts: tuple[int, int], radius: int) -> tuple[IndexArray, IndexArray]:
+    """First column, and column after the last, of each row of the finer level that is near the path."""
+    last = np.array(counts) - 1
+    rows, columns = np.minimum((path + 0.5) * ratio - 0.5, last).T
+    reach = radius + int(np.ceil(2 * ratio))
+    each = np.arange(counts[0])
+    begin = np.minimum(np.searchsorted(rows, each - reach, "left"), len(rows) - 1)
+    end = np.maximum(np.searchsorted(rows, each + reach, "right") - 1, 0)
+    low = np.maximum(np.floor(columns[begin]).astype(np.intp) - reach, 0)
+    high = np.minimum(np.ceil(columns[end]).astype(np.intp) + reach, last[1]) + 1
+    return low, high
+
+
+def _warp(
+    a: FloatArray, b: FloatArray, shares: FloatArray, band: tuple[IndexArray, IndexArray] | None, skip: float
+) -> IndexArray:
+    """The cheapest path of one level, inside the band."""
+    from dousa.evaluation.alignment.correlation import pack
+    from dousa.evaluation.alignment.dynamic_programming import trace_back, warp
+
+    if band is None:
+        low, high = np.zeros(len(a), np.intp), np.full(len(a), len(b), np.intp)
+    else:
+        low, high = band
+    n_cells = int((high - low).sum())
+    if n_cells > _MOST_CELLS:
+        raise OptionError("correlation.band_too_large", gib=n_cells / 2**30)
+    origin = np.empty(n_cells, np.uint8)
+    first = np.cumsum(high - low) - (high - low)
+    packed = np.ascontiguousarray(pack(b, np.ones_like(shares)).T)
+    row, column = warp(pack(a, shares), packed, low, high, first, skip, origin)
+    steps = np.empty((len(a) + len(b), 2), np.intp)
+    count = trace_back(origin, low, first, row, column, steps)
+    return steps[:count][::-1].copy()
+
+
+@dataclass(frozen=True, slots=True)
+class Line:
+    """A straight line of high correlation: a stretch of one motion that another motion has at the same tempo.
+
+    Parameters
+    ----------
+    offset : frame of b minus frame of a.
+    start, end : frames of a, half-open.
+    similarity : mean S along the line, -1 to 1.
+    """
+
+    offset: int
+    start: int
+    end: int
+    similarity: float
+
+
+def find_lines(
+    a: ArrayLike,
+    b: ArrayLike,
+    frame_rate: float,
+    weights: ArrayLike | None = None,
+    window: float = 2.0,
+    shortest: float = 2.0,
+    threshold: float | None = None,
+) -> tuple[Line, ...]:
+    """Straight lines of high correlation: where two motions are alike at the same tempo.
+
+    S is computed at 10 Hz (less beyond 15 minutes) and averaged along the diagonals; runs above the threshold are
+    candidates. The one with most excess over the threshold is kept, what runs beside it (nearer than half the
+    window) is dropped, and so on. The offset is then refined at the full rate.
+
+    Parameters
+    ----------
+    a : (T, 9, 3) unit vectors, Y up.
+    b : (U, 9, 3) unit vectors, Y up; may be a itself, then the first line has offset 0.
+    frame_rate : Hz, of both.
+    weights : (9,) of the segments, 0 or above; None for equal ones.
+    window : s that S is averaged over.
+    shortest : s, of a line.
+    threshold : mean S that makes a line; None puts it halfway between the median of the matrix and 1.
+
+    Returns
+    -------
+    Lines, the one with most excess first; at most 100.
+
+    Raises
+    ------
+    InvalidMotionError : wrong shapes, missing values, or no frame.
+    OptionError : wrong weights, or a rate or time that is not above 0.
+
+    Source: Yamane and Shakunaga, section 2.2. They fit lines to an image; how is not said.
+    """
+    first, second = _check_frames(a, "a"), _check_frames(b, "b")
+    shares = check_segment_weights(weights)
+    for what, value in (("frame_rate", frame_rate), ("window", window), ("shortest", shortest)):
+        if not (np.isfinite(value) and value > 0):
+            raise OptionError("correlation.not_above_0", what=what, value=value)
+    longest = max(len(first), len(second))
+    step = max(1, int(np.ceil(frame_rate / _LINE_RATE)), -(-longest // _LINE_FRAMES))
+    rate = frame_rate / step
+    matrix = compute_correlation_matrix(first[::step], second[::step], shares)
+    level = float(0.5 + 0.5 * np.median(matrix)) if threshold is None else threshold
+    runs = _find_runs(matrix, max(1, round(window * rate)), max(1, round(shortest * rate)), level)
+    kept = _keep_best(runs, max(1.0, 0.5 * window * rate))
+    return tuple(_refine(first, second, shares, run, step) for run in kept)
+
+
+def _find_runs(matrix: NDArray[np.float32], window: int, shortest: int, level: float) -> FloatArray:
+    """(N, 4) offset, start, end, excess over the level of the runs on each diagonal."""
+    found = []
+    n_rows, n_columns = matrix.shape
+    for offset in range(1 - n_rows, n_columns):
+        diagonal = matrix.diagonal(offset).astype(np.float64) - level
+        if len(diagonal) < shortest:
+            continue
+        sums = np.concatenate([[0.0], np.cumsum(diagonal)])
+        centre = np.arange(len(diagonal))
+        low, high = np.maximum(centre - window // 2, 0), np.minimum(centre + (window + 1) // 2, len(diagonal))
+        above = (sums[high] > sums[low]).astype(np.int8)
+        edges = np.flatnonzero(np.diff(above, prepend=0, append=0))
+        for start, end in zip(edges[::2], edges[1::2], strict=True):
+            if end - start >= shortest:
+                row = max(0, -offset)
+                found.append((offset, row + start, row + end, sums[end] - sums[start]))
+    return np.array(found, np.float64).reshape(-1, 4)
+
+
+def _keep_best(runs: FloatArray, apart: float) -> FloatArray:
+    """Runs with most excess first, without those that mostly run beside a better one."""
+    left = runs[np.argsort(-runs[:, 3], kind="stable")]
+    kept: list[FloatArray] = []
+    while len(left) and len(kept) < _MOST_LINES:
+        best = left[0]
+        kept.append(best)
+        overlap = np.minimum(left[:, 2], best[2]) - np.maximum(left[:, 1], best[1])
+        beside = (np.abs(left[:, 0] - best[0]) <= apart) & (overlap > 0.5 * (left[:, 2] - left[:, 1]))
+        beside[0] = True
+        left = left[~beside]
+    return np.array(kept).reshape(-1, 4)
+
+
+def _refine(a: FloatArray, b: FloatArray, shares: FloatArray, run: FloatArray, step: int) -> Line:
+    """The line at the full rate: the best offset within one coarse frame."""
+    start, end = int(run[1]) * step, min(int(run[2]) * step, len(a))
+    frames = np.linspace(start, end - 1, min(end - start, _REFINED_ON)).astype(np.intp)
+    offsets = int(run[0]) * step + np.array(sorted(range(-step, step + 1), key=abs))
+    places = frames + offsets[:, None]
+    inside = (places >= 0) & (places < len(b))
+    values = compute_similarity(a[frames], b[np.clip(places, 0, len(b) - 1)], shares)
+    means = (values * inside).sum(axis=1) / np.maximum(inside.sum(axis=1), 1)
+    best = int(means.argmax())
+    offset = int(offsets[best])
+    return Line(offset, max(start, -offset), min(end, len(b) - offset), float(means[best]))

@@ -1,0 +1,292 @@
+"""Which moment of the reference belongs to each moment of the performance, if the tempo is kept.
+
+Straight lines in the correlation matrix (step 4 of the method): one line for a performance from end to end, several
+if a figure is left out, done twice, or the performer stops. What is left after the lines is lag.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dousa.arrays import FloatArray
+from dousa.evaluation.posture.posture import Working
+
+COARSE_RATE = 10.0  # Hz
+_SMALL = 1.0 - np.cos(np.radians(8.0))  # dissimilarity of the same pose taken twice
+_LARGE = 25.0 * _SMALL  # about 40 deg: a larger dissimilarity says no more than this
+JUMP_S = 2.5  # s of complete mismatch that are worth a new line
+PAUSE = {"same": 1e9, "free": 0.35}  # of a frame's full cost
+OUTSIDE = 0.75
+_ENOUGH = 0.5  # of the shorter motion
+_SAME_LINE_S = 1.0  # s; lines nearer than this are one line and a lag
+_SAME_LONG_LINE_S = 0.6  # s; the same where both are long: who is late for good has stopped, not lagged
+_LONG_RUN_S = 4.0
+_IN_STEP = 1.4  # motions of equal length begin together, unless another offset is so much better
+_SHORTEST_RUN_S = 1.5
+_PAUSE_S = 1.0  # s for which the reference rests before this is a stop and not a slow passage
+_SLOPES = (0.4, 2.5)  # reference per performance time
+_FEWEST_FOR_TEMPO = 12  # coarse frames
+_SMOOTH_S = 6.0  # s over which a free tempo is averaged
+
+
+@dataclass(frozen=True, slots=True)
+class Run:
+    """A stretch of the performance on one line.
+
+    Parameters
+    ----------
+    start, end : performance frames at the working rate, half-open.
+    offset : reference frame minus performance frame at ``start``.
+    """
+
+    start: int
+    end: int
+    offset: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Alignment:
+    """The lines.
+
+    Parameters
+    ----------
+    frames : (T,) reference frame (fractional, working rate) of each performance frame; goes on beyond both ends of
+        the reference.
+    runs : lines in order.
+    mismatch : mean cost along the lines, 0 (equal) to 1 (nothing in common).
+    tempo : performance seconds per reference second.
+    """
+
+    frames: FloatArray
+    runs: tuple[Run, ...]
+    mismatch: float
+    tempo: float
+
+
+def align(reference: Working, performance: Working, tempo: str, weights: FloatArray) -> Alignment:
+    """Find the lines.
+
+    Parameters
+    ----------
+    reference, performance : at the same working rate.
+    tempo : ``"same"`` (lines of slope one) or ``"free"`` (a curve, averaged over seconds).
+    weights : (9,) of the segments.
+    """
+    step = max(1, round(performance.frame_rate / COARSE_RATE))
+    rate = performance.frame_rate / step
+    # Performance frame of each row; its fractions matter only where the tempo is another.
+    clock = np.arange(0, performance.n_frames, step, dtype=np.float64)
+    cost, course = _follow(reference, performance, clock, step, tempo, weights)
+    if tempo == "free":
+        # A pose that is held tells no tempo: it is crossed at the tempo of the rest.
+        slope = _measure_slope(course)
+        clock = np.arange(0.0, performance.n_frames, step / slope)
+        cost, course = _follow(reference, performance, clock, step, tempo, weights)
+        course = np.where(find_pauses(course, rate), -1, course)
+    runs = find_runs(course, rate)
+    starts = [int(np.ceil(clock[run.start])) for run in runs]
+    edges = [0, *starts[1:], performance.n_frames]
+    frames = np.empty(performance.n_frames)
+    for run, (first, last) in zip(runs, pairwise(edges), strict=True):
+        here = np.arange(first, last, dtype=np.float64)
+        if tempo == "free":
+            line = smooth_course(course, run, rate)
+            frames[first:last] = extrapolate(here, clock[run.start : run.end], line * step)
+        else:
+            frames[first:last] = here + _refine(run, step, reference, performance, weights)
+    ends = edges[1:]
+    final = tuple(Run(start, end, float(frames[start] - start)) for start, end in zip(starts, ends, strict=True))
+    on_clock = np.interp(clock, np.arange(performance.n_frames), frames) / step
+    mismatch = _measure_mismatch(on_clock, cost)
+    return Alignment(frames, final, mismatch, _measure_tempo(frames, final))
+
+
+def _follow(
+    reference: Working,
+    performance: Working,
+    clock: FloatArray,
+    step: int,
+    tempo: str,
+    weights: FloatArray,
+) -> tuple[FloatArray, np.ndarray]:
+    """Costs of the performance at ``clock`` against every ``step``-th reference frame, and the cheapest lines."""
+    from dousa.evaluation.alignment.correlation import compute_correlation_matrix
+    from dousa.evaluation.alignment.dynamic_programming import follow_lines
+
+    rows = np.minimum(np.rint(clock).astype(np.intp), performance.n_frames - 1)
+    similarity = compute_correlation_matrix(performance.segments[rows], reference.segments[::step], weights=weights)
+    cost = to_cost(similarity)
+    rate = performance.frame_rate / step
+    return cost, follow_lines(cost, JUMP_S * rate, PAUSE[tempo], OUTSIDE)
+
+
+def _measure_slope(course: np.ndarray) -> float:
+    """Reference frames per performance frame: the median of all long pieces of the course."""
+    on = np.flatnonzero(course >= 0)
+    if len(on) < _FEWEST_FOR_TEMPO:
+        return 1.0
+    far = len(on) // 4
+    slopes = (course[on[far:]] - course[on[:-far]]) / (on[far:] - on[:-far])
+    slopes = slopes[slopes > 0]
+    return float(np.clip(np.median(slopes), *_SLOPES)) if len(slopes) else 1.0
+
+
+def find_pauses(course: np.ndarray, rate: float) -> NDArray[np.bool_]:
+    """Rows in which the course rests in the reference for a second and more: the performer waits."""
+    length = max(2, round(_PAUSE_S * rate))
+    paused = np.zeros(len(course), bool)
+    if len(course) > length:
+        resting = (course[length:] >= 0) & (course[:-length] >= 0)
+        resting &= np.abs(course[length:] - course[:-length]) <= 1
+        for row in np.flatnonzero(resting):
+            paused[row + 1 : row + length] = True
+    return paused
+
+
+def extrapolate(x: FloatArray, known: FloatArray, values: FloatArray) -> FloatArray:
+    """Linear interpolation that goes on beyond both ends at the mean slope."""
+    found = np.interp(x, known, values)
+    slope = (values[-1] - values[0]) / (known[-1] - known[0]) if len(known) > 1 else 1.0
+    found = np.where(x < known[0], values[0] + slope * (x - known[0]), found)
+    return np.where(x > known[-1], values[-1] + slope * (x - known[-1]), found)
+
+
+def to_cost(similarity: NDArray[np.floating]) -> FloatArray:
+    """0 for equal poses, 1 for poses with nothing in common; steep at first, so that the most frames decide."""
+    cost: FloatArray = np.log1p(np.clip(1.0 - similarity, 0.0, _LARGE) / _SMALL) / np.log1p(_LARGE / _SMALL)
+    return cost
+
+
+def _measure_mismatch(frames: FloatArray, cost: FloatArray) -> float:
+    """Mean cost where the lines run inside the reference; of everything if that is too little to tell."""
+    inside = (frames >= -0.5) & (frames <= cost.shape[1] - 0.5)
+    columns = np.clip(np.rint(frames).astype(np.intp), 0, cost.shape[1] - 1)
+    costs = np.where(inside, cost[np.arange(len(frames)), columns], OUTSIDE)
+    enough = inside.sum() >= _ENOUGH * min(cost.shape)
+    return float(costs[inside].mean() if enough else costs.mean())
+
+
+def find_runs(course: np.ndarray, rate: float) -> list[Run]:
+    """Lines of the course; what goes away from a line and comes back to it is one line (and an error on it)."""
+    on = np.flatnonzero(course >= 0)
+    if len(on) == 0:
+        return [Run(0, len(course), 0.0)]
+    steps = np.diff(course[on])
+    # After a pause the next line begins.
+    breaks = np.flatnonzero((steps < 0) | (steps > 2) | (np.diff(on) > 1)) + 1
+    edges = [0, *breaks, len(on)]
+    found = [Run(int(on[a]), int(on[b - 1]) + 1, float(course[on[a]] - on[a])) for a, b in pairwise(edges)]
+    longest = max(found, key=lambda run: run.end - run.start)
+    kept = [run for run in found if run is longest or run.end - run.start >= _SHORTEST_RUN_S * rate]
+    merged: list[Run] = []
+    for run in kept:
+        same = [i for i, other in enumerate(merged) if _is_same_line(other, run, course, rate)]
+        if same:
+            first = merged[same[0]]
+            longer = max(*merged[same[0] :], run, key=lambda r: r.end - r.start)
+            offset = longer.offset if abs(longer.offset - first.offset) <= _SAME_LINE_S * rate else first.offset
+            merged[same[0] :] = [Run(first.start, run.end, offset)]
+        else:
+            merged.append(run)
+    starts = [run.start for run in merged]
+    ends = [*starts[1:], merged[-1].end]
+    return [Run(a, b, run.offset) for a, b, run in zip(starts, ends, merged, strict=True)]
+
+
+def _is_same_line(earlier: Run, later: Run, course: np.ndarray, rate: float) -> bool:
+    shortest = min(earlier.end - earlier.start, later.end - later.start)
+    near = _SAME_LONG_LINE_S if shortest >= _LONG_RUN_S * rate else _SAME_LINE_S
+    return _leaves_off(earlier, course, later) <= near * rate
+
+
+def _leaves_off(earlier: Run, course: np.ndarray, later: Run) -> float:
+    """How far the later run lies from the end of the earlier one, frames."""
+    end = earlier.end - 1
+    while end > earlier.start and course[end] < 0:
+        end -= 1
+    return float(abs((course[end] - end) - later.offset))
+
+
+def _refine(run: Run, step: int, reference: Working, performance: Working, weights: FloatArray) -> float:
+    """Offset at the working rate: the shift with the least mean cost, to a fraction of a frame."""
+    start, end = run.start * step, min(run.end * step, performance.n_frames)
+    middle = round(run.offset * step)
+    reach = step + 1
+    equal_length = abs(reference.n_frames - performance.n_frames) <= 0.02 * performance.n_frames + 1
+    shifts = np.arange(middle - reach, middle + reach + 1)
+    costs = _diagonal_costs(reference, performance, start, end, shifts, weights)
+    best = int(np.argmin(costs))
+    if equal_length and end - start > 0.6 * performance.n_frames:
+        zero = _diagonal_costs(reference, performance, start, end, np.array([0]), weights)[0]
+        if zero <= _IN_STEP * costs[best] + 0.02:
+            return 0.0
+    shift = float(shifts[best])
+    if 0 < best < len(costs) - 1 and np.isfinite(costs[best - 1 : best + 2]).all():
+        left, here, right = costs[best - 1 : best + 2]
+        bend = left - 2 * here + right
+        shift += 0.5 * (left - right) / bend if bend > 1e-12 else 0.0
+    return shift
+
+
+def _diagonal_costs(
+    reference: Working, performance: Working, start: int, end: int, shifts: np.ndarray, weights: FloatArray
+) -> FloatArray:
+    """Mean cost of the frames on each diagonal."""
+    frames = np.arange(start, end)
+    costs = np.full(len(shifts), np.inf)
+    for i, shift in enumerate(shifts):
+        there = frames + shift
+        inside = (there >= 0) & (there < reference.n_frames)
+        if inside.any():
+            similarity = pair_similarity(
+                performance.segments[frames[inside]], reference.segments[there[inside]], weights
+            )
+            total = to_cost(similarity).sum() + OUTSIDE * (~inside).sum()
+            costs[i] = total / len(frames)
+    return costs
+
+
+def pair_similarity(a: FloatArray, b: FloatArray, weights: FloatArray) -> FloatArray:
+    """S of the spec, pose by pose."""
+    across = (a[..., 2] + 1j * a[..., 0]) * (b[..., 2] - 1j * b[..., 0])
+    upright = a[..., 1] * b[..., 1]
+    similarity: FloatArray = (np.abs(across @ weights) + upright @ weights) / weights.sum()
+    return similarity
+
+
+def smooth_course(course: np.ndarray, run: Run, rate: float) -> FloatArray:
+    """Reference frames of a run's frames, averaged over seconds about a robust straight line."""
+    frames = np.arange(run.start, run.end, dtype=np.float64)
+    on = course[run.start : run.end] >= 0
+    x, y = frames[on], course[run.start : run.end][on].astype(np.float64)
+    if len(x) == 0:
+        return frames + run.offset
+    weights = np.ones(len(x))
+    slope, middle = 1.0, float(np.median(y - x))
+    for _ in range(10):
+        if len(x) < 3 or np.ptp(x) == 0:
+            break
+        slope, middle = np.polyfit(x, y, 1, w=np.sqrt(weights))
+        slope = float(np.clip(slope, *_SLOPES))
+        off = np.abs(y - slope * x - middle)
+        weights = 1.0 / np.maximum(off, 0.1 * rate)
+    line = slope * frames + middle
+    half = round(0.5 * _SMOOTH_S * rate)
+    if len(x) > 4 * half:
+        rest = np.interp(frames, x, y - slope * x - middle)
+        padded = np.pad(rest, half, mode="edge")
+        windows = np.lib.stride_tricks.sliding_window_view(padded, 2 * half + 1)
+        median = np.pad(np.median(windows, axis=1), half, mode="edge")
+        line = line + np.convolve(median, np.ones(2 * half + 1) / (2 * half + 1), mode="valid")
+    return line
+
+
+def _measure_tempo(frames: FloatArray, runs: tuple[Run, ...]) -> float:
+    """Performance seconds per reference second, over all runs."""
+    spent = sum(run.end - 1 - run.start for run in runs)
+    covered = sum(frames[run.end - 1] - frames[run.start] for run in runs)
+    return float(spent / covered) if covered > 0 and spent > 0 else 1.0

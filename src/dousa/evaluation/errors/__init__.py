@@ -1,0 +1,1 @@
+"""What differs from the reference, and which error explains it."""

@@ -1,0 +1,447 @@
+"""Which error explains a stretch that differs: late, too small, one limb wrong, or another figure.
+
+Every explanation says what the performance should look like if it were true; the one that leaves least unexplained,
+its own price included, wins. Costs are squared deviations in multiples of what is tolerated, summed over frames of
+1/30 s and segments.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dousa.arrays import FloatArray
+from dousa.evaluation.alignment.dynamic_programming import follow_lag, switch_on
+from dousa.evaluation.errors.evidence import (
+    CAP,
+    LIMB_SEGMENTS,
+    Evidence,
+    at_lag,
+    find_stretches,
+    refine_lag,
+    runs_of,
+)
+from dousa.evaluation.errors.extent import GROUPS, GainFit, fit_gain, measure_missing_range, measure_ranges
+
+_CHANGE = 0.3  # price of one column of lag: nearly free, since any time of the reference may be met
+_OUTSIDE = 1e3
+
+
+def follow_path(evidence: Evidence, start: int, end: int) -> tuple[NDArray[np.intp], FloatArray]:
+    """Where on the reference's path between the same two moments the performance is.
+
+    Returns
+    -------
+    course : (n,) columns of lag.
+    cost : (n,) sum over the segments of the capped ratio left on the way.
+    """
+    columns = np.arange(evidence.ratio.shape[1])
+    there = np.arange(start, end)[:, None] + columns - evidence.center
+    cost = np.where((there >= start) & (there < end), evidence.ratio[start:end].sum(axis=2), _OUTSIDE)
+    course = follow_lag(cost, _CHANGE).astype(np.intp)
+    return course, at_lag(evidence.ratio[start:end], course).sum(axis=1)
+
+
+def compute_unreached(evidence: Evidence, start: int, end: int, first: int, last: int) -> FloatArray:
+    """How far each moment of the reference is from all that the performance does.
+
+    Parameters
+    ----------
+    evidence : of the performance.
+    start, end : moments of the reference, on the performance's clock, half-open.
+    first, last : frames of the performance that are looked at, half-open.
+
+    Returns
+    -------
+    (n, 9) squared distance over squared tolerance to the nearest point of the performance's path, which runs
+    straight between its frames; averaged over three moments.
+    """
+    deviations, center = evidence.deviations, evidence.center
+    inverse = 1.0 / evidence.tolerance**2
+    steps = ((deviations.performance[1:] - deviations.performance[:-1]) ** 2).sum(axis=2) * inverse
+    unreached = np.zeros((end - start, 9))
+    for row, moment in enumerate(range(start, end)):
+        frames = np.arange(max(first, moment - center), min(last, moment + center + 1))
+        far = deviations.squared[frames, center + moment - frames] * inverse
+        if len(frames) < 2:
+            unreached[row] = far[0] if len(frames) else 0.0
+            continue
+        step = steps[frames[:-1]]
+        here, there, whole = far[:-1].sum(axis=1), far[1:].sum(axis=1), step.sum(axis=1)
+        share = np.clip((here - there + whole) / np.maximum(2.0 * whole, 1e-9), 0.0, 1.0)[:, None]
+        between = far[:-1] * (1.0 - share) + far[1:] * share - share * (1.0 - share) * step
+        unreached[row] = np.maximum(between[between.sum(axis=1).argmin()], 0.0)
+    padded = np.pad(unreached, ((1, 1), (0, 0)), mode="edge")
+    averaged: FloatArray = (padded[:-2] + padded[1:-1] + padded[2:]) / 3.0
+    return averaged
+
+
+_PAD_S = 0.25
+_PRICE = 10.0  # of an explanation with a number in it: a lag, a gain
+_PRICE_WRONG = 6.0  # of another motion, which explains anything
+_SURPRISE = 2.0  # of a segment that does something else, a frame
+_DOUBT = 0.15  # what a frame must be explained better to belong to the error
+_UNREACHED = 5.0  # squared ratio from which an extreme was not reached
+_UNREACHED_TURNING = 2.0  # and if the performance is late on the way there, and early on the way back
+_ON_PATH, _ON_PATH_SHARE, _OFF_PATH = 4.5, 0.55, 9.0
+_OFF_PATH_SEGMENT = 4.0
+_GAINS = (0.28, 0.86)  # below, a limb does nothing of the motion; above, it does it all
+_OFF_CENTER, _UNEXPLAINED = 1.5, 0.6
+_OFF_CENTER_CLEAR, _CLEAR = 3.0, 0.2  # what shrinks to its first pose, if shrinking explains nearly all
+_STEADY_S, _STEADY_SHARE, _IN_STEP = 0.07, 0.7, 2.5  # of a leap in time
+_LEAP_S, _LEAP_LASTS_S = 0.15, 0.5  # a smaller or shorter one may be a turn that came too early
+
+# Of the stretch's length, and s: a moment from further away is another figure.
+_LONGEST_LAG, _LONGEST_LAG_S = 0.5, 0.6
+_GLOBAL_SHARE = 5 / 9  # of the segments that weigh anything
+_GLOBAL_LIMBS, _GLOBAL_SEGMENTS = 3, 4  # or so many, spread over the body
+_WRONG_SHARE = 0.6  # of the surprise's price, in the mean: the segment belongs to the error
+_LARGER, _LEAST_EXCESS = 1.2, np.radians(10.0)
+_SURELY_LATE = 1.15  # in multiples of what is forgiven
+_BY_TIME = ("shift", "stops short")
+_SHORTEST_S = 0.25
+_HELD = 0.35  # of the reference's range, unsteadiness included
+_FADE_S = 0.033
+_PLATEAU = 0.75  # of the largest lag: the rest is fading in and out
+_BODY = np.arange(9)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Finding:
+    """An error in working frames.
+
+    Parameters
+    ----------
+    kind : class.
+    start, end : half-open.
+    segments : indices.
+    lag_s : positive is late.
+    shortfall, shortfall_share : rad, and share of the reference's range; negative is larger than the reference.
+    severity : in multiples of what is tolerated.
+    worst : frame.
+    """
+
+    kind: str
+    start: int
+    end: int
+    segments: tuple[int, ...]
+    severity: float
+    worst: int
+    lag_s: float | None = None
+    shortfall: float | None = None
+    shortfall_share: float | None = None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Hypothesis:
+    """One explanation of the frames first to last.
+
+    Parameters
+    ----------
+    cost : what it leaves, price included.
+    frames : (n,) what it leaves in each frame.
+    course : (n,) lag columns of a shift or of the way along the path.
+    group, fit : of a gain.
+    """
+
+    name: str
+    cost: float
+    frames: FloatArray
+    course: NDArray[np.intp] | None = None
+    group: NDArray[np.intp] | None = None
+    fit: GainFit | None = None
+
+
+def explain_all(evidence: Evidence) -> list[Finding]:
+    """All errors of a performance, in order of time."""
+    return [found for start, end in find_stretches(evidence) for found in explain(evidence, start, end)]
+
+
+def explain(evidence: Evidence, start: int, end: int) -> list[Finding]:
+    """The errors of one stretch [start, end), in order."""
+    pad = round(_PAD_S * evidence.rate)
+    first, last = max(start - pad, 0), min(end + pad, len(evidence.ordinary))
+    if end - start < 2:
+        return []
+    hypotheses = [
+        *_explain_by_time(evidence, start, end, first, last),
+        *_explain_by_size(evidence, start, end, first, last),
+        _explain_by_limbs(evidence, start, end, first, last),
+    ]
+    best = _choose(evidence, hypotheses, first, last)
+    if best is None:
+        return []
+    finding = _REPORTS[best.name](evidence, best, start, end, first)
+    lasting = finding.end - finding.start >= _SHORTEST_S * evidence.rate
+    forgiven = finding.kind == "shift" and finding.severity <= _SURELY_LATE
+    found = [finding] if lasting and not forgiven else []
+    if best.name == "shift":
+        found += _explain_rest(evidence, finding, start, end, pad)
+    return sorted(found, key=lambda one: one.start)
+
+
+def _choose(evidence: Evidence, hypotheses: list[_Hypothesis], first: int, last: int) -> _Hypothesis | None:
+    """The cheapest explanation that is better than none.
+
+    A lag is forgiven or it is not: once it is too large it counts in full, so explanations by time are held against
+    a performance in which no lag is forgiven, if nothing else is wrong.
+    """
+    best = min(hypotheses, key=lambda hypothesis: hypothesis.cost)
+    scale = _per_frame(evidence)
+    if best.name not in _BY_TIME and best.cost < evidence.ordinary[first:last].sum() * scale:
+        return best
+    by_time = [hypothesis for hypothesis in hypotheses if hypothesis.name in _BY_TIME]
+    if not by_time:
+        return None
+    best = min(by_time, key=lambda hypothesis: hypothesis.cost)
+    return best if best.cost < evidence.punctual[first:last].sum() * scale else None
+
+
+def _per_frame(evidence: Evidence) -> float:
+    return 30.0 / evidence.rate
+
+
+def _explain_by_time(evidence: Evidence, start: int, end: int, first: int, last: int) -> list[_Hypothesis]:
+    """Late or early; or on the path of the reference, but not to its end."""
+    scale = _per_frame(evidence)
+    ordinary = evidence.ordinary[first:last]
+    # Where a segment is off the path it is wrong: that the path's end is not reached says nothing then.
+    wrong = at_lag(evidence.ratio, evidence.course)[start:end] > _OFF_PATH_SEGMENT
+    unreached = float(np.where(wrong, 0.0, compute_unreached(evidence, start, end, first, last)).max())
+    lag = refine_lag(evidence, evidence.course[start:end], start)
+    turned_back = bool((lag > evidence.slack_s).any() and (lag < -evidence.slack_s).any())
+    missed = unreached >= (_UNREACHED_TURNING if turned_back else _UNREACHED)
+    if missed and not _keeps_its_lag(evidence, start, end):
+        if _holds_a_limb(evidence, start, end):
+            return []
+        course, left = follow_path(evidence, first, last)
+        if (left[start - first : end - first] < _ON_PATH).mean() < _ON_PATH_SHARE:
+            return []
+        cost = np.minimum(left, _OFF_PATH).sum() * scale + _PRICE + 0.5 * _PRICE
+        return [_Hypothesis("stops short", cost, left, course)]
+    found = []
+    near, far = evidence.center - evidence.slack, evidence.center + evidence.slack
+    whole = evidence.course[first:last]
+    farthest = max(_LONGEST_LAG * (end - start), _LONGEST_LAG_S * evidence.rate)
+    for course in (np.minimum(whole, far), np.maximum(whole, near)):
+        if abs(np.median(course[start - first : end - first]) - evidence.center) > farthest:
+            continue
+        forgiven = np.abs(course - evidence.center) <= evidence.slack
+        shifted = at_lag(evidence.ratio[first:last], course) * evidence.deviations.judged[first:last]
+        left = np.where(forgiven[:, None], ordinary, shifted).sum(axis=1)
+        cost = (left + evidence.lag_prices[course] / scale).sum() * scale + _PRICE
+        found.append(_Hypothesis("shift", cost, left, course))
+    return found
+
+
+def _holds_a_limb(evidence: Evidence, start: int, end: int) -> bool:
+    """Whether all that is wrong is one limb, which does next to nothing of what the reference's does."""
+    out = evidence.ordinary[start:end].mean(axis=0) > 1.0
+    limbs = [limb for limb in LIMB_SEGMENTS if out[limb].any()]
+    if len(limbs) != 1:
+        return False
+    theirs = measure_ranges(evidence.deviations.reference[start:end, limbs[0]])
+    ours = measure_ranges(evidence.deviations.performance[start:end, limbs[0]])
+    return bool(ours.max() < _HELD * theirs.max())
+
+
+def _keeps_its_lag(evidence: Evidence, start: int, end: int) -> bool:
+    """Whether a stretch is one steady lag: a leap in time skips an extreme, or comes too late for it, yet moves on."""
+    course = evidence.course[start:end]
+    typical = round(float(np.median(course)))
+    steady = np.abs(course - typical) <= _STEADY_S * evidence.rate
+    left = at_lag(evidence.ratio[start:end], course).sum(axis=1)
+    leap = abs(typical - evidence.center) > max(evidence.slack, _LEAP_S * evidence.rate - 0.5)
+    lasts = end - start >= _LEAP_LASTS_S * evidence.rate
+    return bool(leap and lasts and (steady & (left < _IN_STEP)).mean() > _STEADY_SHARE)
+
+
+def _explain_by_size(evidence: Evidence, start: int, end: int, first: int, last: int) -> list[_Hypothesis]:
+    """A limb, or the body, moves less."""
+    ours, theirs = evidence.deviations.performance, evidence.deviations.reference
+    ordinary = evidence.ordinary[first:last]
+    inside = slice(start - first, end - first)
+    found = []
+    for group in GROUPS.values():
+        tolerance = evidence.tolerance[group]
+        fit = fit_gain(ours[start:end, group], theirs[start:end, group], tolerance)
+        off_center = _OFF_CENTER_CLEAR if fit.unexplained < _CLEAR else _OFF_CENTER
+        plausible = _GAINS[0] < fit.gain < _GAINS[1] and fit.off_center < off_center
+        if not plausible or fit.unexplained > _UNEXPLAINED:
+            continue
+        rest = fit.compute_rest(ours[first:last, group], theirs[first:last, group], tolerance)
+        smaller = np.minimum(rest, CAP).sum(axis=1)
+        others = np.delete(ordinary, group, axis=1).sum(axis=1)
+        same = ordinary[:, group].sum(axis=1)
+        # Where the error fades in or out a frame is nearer to the reference than to its smaller copy.
+        within = same.copy()
+        within[inside] = np.minimum(smaller, same + 1.0)[inside]
+        cost = (within + others).sum() * _per_frame(evidence) + _PRICE
+        found.append(_Hypothesis("size", cost, smaller + others, group=group, fit=fit))
+    return found
+
+
+def _explain_by_limbs(evidence: Evidence, start: int, end: int, first: int, last: int) -> _Hypothesis:
+    """Some segments do something else: each for a price a frame."""
+    left = evidence.ordinary[first:last].copy()
+    inside = left[start - first : end - first]
+    wrong = inside.sum(axis=0) > _SURPRISE * len(inside)
+    inside[:, wrong] = _SURPRISE
+    frames = left.sum(axis=1)
+    return _Hypothesis("limbs", frames.sum() * _per_frame(evidence) + _PRICE_WRONG, frames)
+
+
+def _report_shift(evidence: Evidence, best: _Hypothesis, start: int, end: int, first: int) -> Finding:
+    assert best.course is not None
+    span = slice(first, first + len(best.frames))
+    better = evidence.punctual[span].sum(axis=1) - best.frames - _DOUBT
+    begin, stop = find_best_span(better)
+    lag = refine_lag(evidence, best.course, first)[begin:stop]
+    typical = float(np.median(lag[np.abs(lag) >= _PLATEAU * np.abs(lag).max()])) if len(lag) else 0.0
+    worst = int(np.argmax(evidence.punctual[first + begin : first + stop].sum(axis=1))) if stop > begin else 0
+    return Finding(
+        "shift",
+        first + begin,
+        first + stop,
+        tuple(range(9)),
+        abs(typical) / evidence.slack_s,
+        first + begin + worst,
+        typical,
+    )
+
+
+def _report_stop(evidence: Evidence, best: _Hypothesis, start: int, end: int, first: int) -> Finding:
+    assert best.course is not None
+    theirs, ours = evidence.deviations.reference, evidence.deviations.performance
+    # An error fades in and out: it begins before it is out of tolerance.
+    start, end = max(start - 2 * _fade_frames(evidence), first), end + 2 * _fade_frames(evidence)
+    end = min(end, first + len(best.frames))
+    frames = np.arange(start, end) + best.course[start - first : end - first] - evidence.center
+    model = theirs[np.clip(frames, 0, len(theirs) - 1)]
+    missing, share = measure_missing_range(theirs[start:end], ours[start:end], model, _BODY)
+    changed = _find_changed(evidence, start, end, _BODY)
+    severity, worst = _severity(evidence, start, end, changed)
+    return Finding("incomplete", start, end, tuple(changed.tolist()), severity, worst, None, missing, share)
+
+
+def _find_changed(evidence: Evidence, start: int, end: int, segments: NDArray[np.intp]) -> NDArray[np.intp]:
+    """Those of the segments that are out of tolerance at some moment; all if none is."""
+    out = evidence.punctual[start:end].max(axis=0)[segments] > 1.0
+    return segments[out] if out.any() else segments
+
+
+def _report_size(evidence: Evidence, best: _Hypothesis, start: int, end: int, first: int) -> Finding:
+    assert best.fit is not None and best.group is not None
+    group, fit = best.group, best.fit
+    theirs, ours = evidence.deviations.reference, evidence.deviations.performance
+    better = evidence.ordinary[first : first + len(best.frames)].sum(axis=1) - best.frames - _DOUBT
+    begin, stop = find_best_span(better)
+    if stop - begin >= _SHORTEST_S * evidence.rate:
+        fade = _fade_frames(evidence)
+        start, end = max(first + begin - fade, 0), min(first + stop + fade, len(ours))
+        fit = fit_gain(ours[start:end, group], theirs[start:end, group], evidence.tolerance[group])
+    model = ours[start:end].copy()
+    model[:, group] = _fade(theirs[start:end, group], ours[start:end, group], fit, evidence.tolerance[group])
+    missing, share = measure_missing_range(theirs[start:end], ours[start:end], model, group)
+    if len(group) == len(_BODY):
+        group = _find_changed(evidence, start, end, group)
+    severity, worst = _severity(evidence, start, end, group)
+    return Finding("incomplete", start, end, tuple(group.tolist()), severity, worst, None, missing, share)
+
+
+def _fade_frames(evidence: Evidence) -> int:
+    return round(_FADE_S * evidence.rate)
+
+
+def _fade(reference: FloatArray, performance: FloatArray, fit: GainFit, tolerance: FloatArray) -> FloatArray:
+    """The smaller motion, faded in and out as the performance does."""
+    change = fit.predict(reference) - reference
+    weight = 1.0 / tolerance[:, None] ** 2
+    along = ((performance - reference) * change * weight).sum(axis=(1, 2))
+    power = (change * change * weight).sum(axis=(1, 2))
+    kernel = np.ones(5)
+    share = np.convolve(along, kernel, mode="same") / np.maximum(np.convolve(power, kernel, mode="same"), 1e-6)
+    faded = reference + np.clip(share[: len(change)], 0.0, 1.1)[:, None, None] * change
+    unit: FloatArray = faded / np.maximum(np.linalg.norm(faded, axis=2, keepdims=True), 1e-9)
+    return unit
+
+
+def _report_limbs(evidence: Evidence, best: _Hypothesis, start: int, end: int, first: int) -> Finding:
+    inside = evidence.ordinary[start:end]
+    wrong = np.flatnonzero(inside.mean(axis=0) > _WRONG_SHARE * _SURPRISE)
+    if not len(wrong):
+        wrong = np.array([int(inside.mean(axis=0).argmax())])
+    limbs = [limb for limb in LIMB_SEGMENTS if np.isin(limb, wrong).any()]
+    weighing = np.flatnonzero(evidence.ratio.any(axis=(0, 1)))
+    most = len(wrong) >= _GLOBAL_SHARE * len(weighing) and len(limbs) >= 2
+    whole = most or (len(limbs) >= _GLOBAL_LIMBS and len(wrong) >= _GLOBAL_SEGMENTS)
+    kind = "global" if whole else "partial"
+    if kind == "global":
+        wrong = _BODY
+    severity, worst = _severity(evidence, start, end, wrong)
+    further, share = (None, None) if kind == "global" else _measure_excess(evidence, start, end, wrong)
+    return Finding(kind, start, end, tuple(wrong.tolist()), severity, worst, None, further, share)
+
+
+def _measure_excess(
+    evidence: Evidence, start: int, end: int, segments: NDArray[np.intp]
+) -> tuple[float | None, float | None]:
+    """Negative missing range, rad and share, of limbs that do the same motion larger; None if they do another one."""
+    ours = evidence.deviations.performance[start:end, segments]
+    theirs = evidence.deviations.reference[start:end, segments]
+    fit = fit_gain(ours, theirs, evidence.tolerance[segments])
+    if fit.gain < _LARGER or fit.unexplained > _UNEXPLAINED:
+        return None, None
+    whole, reached = measure_ranges(theirs), measure_ranges(ours)
+    most = int(np.argmax(reached - whole))
+    missing = float(whole[most] - reached[most])
+    return (missing, missing / float(whole[most])) if missing < -_LEAST_EXCESS else (None, None)
+
+
+_REPORTS = {
+    "shift": _report_shift,
+    "stops short": _report_stop,
+    "size": _report_size,
+    "limbs": _report_limbs,
+}
+
+
+def _explain_rest(evidence: Evidence, shift: Finding, start: int, end: int, pad: int) -> list[Finding]:
+    """What a shift leaves over: limbs that are wrong at its own time too, and what lies before and after it."""
+    found: list[Finding] = []
+    late = at_lag(evidence.ratio, evidence.course)[shift.start : shift.end]
+    for limb in LIMB_SEGMENTS:
+        if len(late) < 2:
+            break
+        score = (late[:, limb].max(axis=1) - 1.5) * _per_frame(evidence)
+        for begin, stop in runs_of(switch_on(score, 2.0 * _PRICE)):
+            if stop - begin >= 2.0 * _SHORTEST_S * evidence.rate:
+                a, b = shift.start + begin, shift.start + stop
+                severity = float(np.sqrt(late[begin:stop, limb].max(axis=1).mean()))
+                worst = a + int(late[begin:stop, limb].max(axis=1).argmax())
+                found.append(Finding("partial", a, b, tuple(limb.tolist()), severity, worst))
+    for a, b in ((start, shift.start - pad // 2), (shift.end + pad // 2, end)):
+        if b - a >= 2.0 * _SHORTEST_S * evidence.rate and b - a < end - start:
+            found += explain(evidence, a, b)
+    return found
+
+
+def _severity(evidence: Evidence, start: int, end: int, segments: NDArray[np.intp]) -> tuple[float, int]:
+    """Largest lasting deviation in multiples of what is tolerated, and when it is worst."""
+    far = evidence.deviations.squared[start:end, evidence.center][:, segments]
+    ratio = np.sqrt(far / evidence.tolerance[segments] ** 2).max(axis=1)
+    return float(np.percentile(ratio, 90)), start + int(ratio.argmax())
+
+
+def find_best_span(gains: FloatArray) -> tuple[int, int]:
+    """Half-open span with the largest sum."""
+    best, total, start, span = -np.inf, 0.0, 0, (0, len(gains))
+    for i, gain in enumerate(gains):
+        if total <= 0.0:
+            total, start = 0.0, i
+        total += gain
+        if total > best:
+            best, span = total, (start, i + 1)
+    return span

@@ -1,0 +1,302 @@
+"""Where to cut a dance: what a cut is worth at every moment, and the cuts that are worth most together."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dousa.arrays import FloatArray
+from dousa.evaluation.alignment.correlation import compute_correlation_matrix
+
+_RATE = 10.0  # Hz, the coarse rate at most
+_MOST_POSES = 4000  # coarse poses of a very long take: 64 MB a matrix
+
+# Tuned on synthetic dances and on the recordings that are not held out.
+_BACKGROUND_S = 1.0  # a repetition has to stand out from what is so near
+_NOISE = 0.005  # 1 - S between two takes of the same pose by one person: 6 degrees a segment
+_MOVING = 0.2  # rad/s over all segments: from here on a person is not at rest
+_TOLL = 0.45
+_TOLERATED = 0.05  # 18 degrees a segment
+_DROP_S = 1.5
+_LEAST_GAIN = 0.45  # of a repetition, mean over its pairs
+_NEAR_S = 0.4  # repetitions whose lags differ by less are one
+
+
+@dataclass(frozen=True, slots=True)
+class Coarse:
+    """A motion at the coarse rate.
+
+    Parameters
+    ----------
+    segments : (n, 9, 3) each the mean of `block` frames.
+    block : frames of the motion to a coarse one.
+    rate : Hz.
+    similarity : (n, n) float32 self-correlation.
+    speed : (n,) rad/s, change of posture, root mean square over the segments.
+    """
+
+    segments: FloatArray
+    block: int
+    rate: float
+    similarity: NDArray[np.float32]
+    speed: FloatArray
+
+
+@dataclass(frozen=True, slots=True)
+class Repeat:
+    """A stretch of a motion that is done again.
+
+    Parameters
+    ----------
+    earlier, later : (K,) coarse frames that resemble each other, in order of time.
+    score : height that the alignment climbed to.
+    """
+
+    earlier: NDArray[np.int32]
+    later: NDArray[np.int32]
+    score: float
+
+
+def coarsen(segments: FloatArray, frame_rate: float) -> Coarse:
+    """The motion at a coarse rate and its self-correlation matrix.
+
+    Parameters
+    ----------
+    segments : (T, 9, 3), at least one frame.
+    frame_rate : Hz.
+    """
+    block = max(1, int(np.ceil(frame_rate / _RATE - 1e-9)), -(-len(segments) // _MOST_POSES))
+    starts = np.arange(0, len(segments), block)
+    means = np.add.reduceat(segments, starts, axis=0)
+    lengths = np.linalg.norm(means, axis=2, keepdims=True)
+    means = means / np.where(lengths > 1e-9, lengths, 1.0)
+    rate = frame_rate / block
+    similarity = compute_correlation_matrix(means, means)
+    # Away from two poses earlier; turning on the spot is no change of posture.
+    away = np.maximum(1.0 - np.diagonal(similarity, 2).astype(np.float64), 0.0)
+    speed = 0.5 * rate * np.sqrt(2.0 * away)
+    speed = np.pad(speed, 1, mode="edge") if len(speed) else np.zeros(len(means))
+    return Coarse(means, block, rate, similarity, speed)
+
+
+def find_repeats(coarse: Coarse, min_s: float) -> tuple[Repeat, ...]:
+    """All stretches that are done again, the clearest first.
+
+    Parameters
+    ----------
+    coarse : the motion.
+    min_s : s, the shortest stretch and the shortest lag.
+    """
+    from dousa.evaluation.alignment.dynamic_programming import (
+        accumulate_likeness,
+        compute_gains,
+        find_ends,
+        trace_repeats,
+    )
+
+    rate, n = coarse.rate, len(coarse.segments)
+    shortest = max(2, round(0.8 * min_s * rate))
+    if n < 2 * shortest:
+        return ()
+    radius, width = max(1, round(_BACKGROUND_S * rate)), max(1, round(_NEAR_S * rate))
+    moving = np.clip(coarse.speed / _MOVING, 0.0, 1.0)
+    gains = compute_gains(coarse.similarity, radius, _NOISE, 4.0 * _TOLERATED)
+    score, step = accumulate_likeness(
+        coarse.similarity, gains, moving, shortest, _TOLL, _TOLERATED, _DROP_S * rate * _TOLL
+    )
+    least = _LEAST_GAIN * min_s * rate
+    ends = find_ends(score, least)
+    ends = ends[np.argsort(-score[ends[:, 0], ends[:, 1]], kind="stable")]
+    pairs, counts = trace_repeats(score, step, ends, width, shortest, least)
+    lines = np.split(pairs, np.cumsum(counts)[:-1])
+    return tuple(
+        Repeat(line[::-1, 0], line[::-1, 1], float(score[line[0, 0], line[0, 1]])) for line in lines if len(line)
+    )
+
+
+# Tuned on synthetic dances and on the recordings that are not held out. Where a repetition begins is worth 1.
+_CUT_COST = 0.5  # what a cut has to be worth; a rest or a change of motion alone is not
+_NOVELTY_WORTH, _REST_WORTH = 0.2, 0.25
+_NOVELTY_S = 1.5  # half a side of the checkerboard
+_SPREAD_S = 0.15  # uncertainty of where a repetition begins
+_SURE_S = 1.0  # a repetition counts in full from so long a one on that gains 1 at every pair
+_INSIDE_S = 0.5  # further than this from its ends a repetition speaks against a cut
+_THROUGH_COST = 1.0
+_OUTVOTED = 0.4  # what one end beyond the first says against that
+_EDGE_S = 0.3  # a repetition that ends this near to the end of the take ended because the take did
+_LONG_REST_S = 3.0  # standing still for so long is a figure of its own
+_AT_REST = 0.1  # rad/s over all segments
+_COMFORT = 0.6  # share of the longest furi from which on its length costs something
+_SHORT_COST = 0.15  # of the shortest furi, nothing from twice its length on: steps of a walk go in pairs
+_SMOOTH_S = 0.25  # motion speed is averaged over so long
+
+
+def rate_cuts(coarse: Coarse, repeats: Sequence[Repeat], speed: FloatArray) -> FloatArray:
+    """What a cut before each coarse frame is worth.
+
+    Parameters
+    ----------
+    coarse : the dance.
+    repeats : what it does again.
+    speed : (T,) rad/s of all its frames.
+
+    Returns
+    -------
+    (n,) about 1 where it is sure, below 0 where repetitions or long rests speak against it.
+    """
+    slow = np.minimum.reduceat(speed, np.arange(0, len(speed), coarse.block))
+    typical = float(np.quantile(slow, 0.75))
+    rest = np.exp(-slow / (0.3 * typical)) if typical > 1e-6 else np.zeros(len(slow))
+    own = _NOVELTY_WORTH * _compute_novelty(coarse) + _REST_WORTH * rest
+    worth = _share_between(own, repeats) + _rate_ends(coarse, repeats)
+    for start, end in _find_long_rests(coarse):
+        worth[start:end] = -1.0
+        worth[[k for k in (start, end) if k < len(worth)]] = 1.0
+    return np.minimum(worth, 1.0)
+
+
+def _compute_novelty(coarse: Coarse) -> FloatArray:
+    """(n,) 0 to 1, how much the motion after each coarse frame differs from the one before (Foote 2000)."""
+    half = max(1, round(_NOVELTY_S * coarse.rate))
+    n = len(coarse.similarity)
+    side = np.arange(-half, half) + 0.5
+    bell = np.exp(-0.5 * (side / (0.5 * half)) ** 2) * np.sign(side)
+    kernel = np.outer(bell, bell)
+    padded = np.pad(coarse.similarity, half, mode="edge")
+    row, column = padded.strides
+    views = np.lib.stride_tricks.as_strided(
+        padded, (n, 2 * half, 2 * half), (row + column, row, column), writeable=False
+    )
+    novelty = np.maximum(np.einsum("nab,ab->n", views, kernel), 0.0)
+    top = float(novelty.max())
+    return np.asarray(novelty / top if top > 1e-9 else novelty)
+
+
+def _share_between(worth: FloatArray, repeats: Sequence[Repeat]) -> FloatArray:
+    """Frames that are danced again take over half of each other's worth, so that equal figures are cut alike."""
+    if not repeats:
+        return worth
+    earlier = np.concatenate([repeat.earlier for repeat in repeats])
+    later = np.concatenate([repeat.later for repeat in repeats])
+    n = len(worth)
+    total = np.bincount(earlier, worth[later], n) + np.bincount(later, worth[earlier], n)
+    count = np.bincount(earlier, minlength=n) + np.bincount(later, minlength=n)
+    return np.where(count > 0, 0.5 * worth + 0.5 * total / np.maximum(count, 1.0), worth)
+
+
+def _rate_ends(coarse: Coarse, repeats: Sequence[Repeat]) -> FloatArray:
+    """(n,) what a cut is worth because repetitions begin or end there; less where others run on."""
+    n = len(coarse.similarity)
+    ends, through = np.zeros(n + 1), np.zeros(n + 1)
+    edge, inside = _EDGE_S * coarse.rate, round(_INSIDE_S * coarse.rate)
+    for repeat in repeats:
+        sure = min(1.0, repeat.score / (_SURE_S * coarse.rate))
+        cut_off = repeat.later[-1] + 1 >= n - edge
+        ends[repeat.earlier[0]] += sure
+        ends[repeat.later[0]] += sure
+        ends[repeat.earlier[-1] + 1] += 0.5 * sure if cut_off else sure
+        ends[repeat.later[-1] + 1] += sure
+        # A repetition that overlaps itself is a rhythm, which is cut at every beat.
+        if repeat.later[0] > repeat.earlier[-1]:
+            for line in (repeat.earlier, repeat.later):
+                through[line[0] + inside : max(0, line[-1] + 1 - inside)] += sure
+    spread = _SPREAD_S * coarse.rate
+    reach = int(np.ceil(4.0 * spread))
+    bell = np.exp(-0.5 * (np.arange(-reach, reach + 1) / spread) ** 2)
+    near = np.convolve(ends, bell)[reach : reach + n]
+    against = through[:n] / (1.0 + through[:n] + _OUTVOTED * np.maximum(near - 1.0, 0.0))
+    return np.asarray(np.minimum(near, 1.0) - _THROUGH_COST * against)
+
+
+def _find_long_rests(coarse: Coarse) -> list[tuple[int, int]]:
+    """Start and end of stretches without motion."""
+    still = np.concatenate([[False], coarse.speed < _AT_REST, [False]])
+    edges = np.flatnonzero(still[1:] != still[:-1]).tolist()
+    least = _LONG_REST_S * coarse.rate
+    return [(a, b) for a, b in zip(edges[::2], edges[1::2], strict=True) if b - a >= least]
+
+
+def choose_cuts(worth: FloatArray, rate: float, min_s: float, max_s: float) -> list[int]:
+    """The cuts that are worth most together, by dynamic programming.
+
+    Parameters
+    ----------
+    worth : (n,) of a cut before each coarse frame.
+    rate : Hz, coarse.
+    min_s, max_s : s, shortest and longest piece.
+
+    Returns
+    -------
+    Coarse frames of the cuts, from 0 to n.
+    """
+    n = len(worth)
+    shortest, longest = max(1, int(np.ceil(min_s * rate - 1e-9))), max(2, int(max_s * rate))
+    lengths = np.arange(shortest, longest + 1)
+    over = (lengths / rate - _COMFORT * max_s) / ((1.0 - _COMFORT) * max_s)
+    under = 2.0 - lengths / (rate * min_s)
+    costs = np.maximum(over, 0.0) ** 2 + _SHORT_COST * np.maximum(under, 0.0) ** 2
+    best, before = np.full(n + 1, -np.inf), np.zeros(n + 1, np.intp)
+    best[0] = 0.0
+    for end in range(shortest, n + 1):
+        some = lengths[: max(0, end - shortest + 1)]
+        totals = best[end - some[some <= end]] - costs[: (some <= end).sum()]
+        choice = int(totals.argmax())
+        before[end] = end - lengths[choice]
+        best[end] = totals[choice] + (worth[end] - _CUT_COST if end < n else 0.0)
+    if not np.isfinite(best[n]):
+        return [0, n]
+    cuts = [n]
+    while cuts[-1]:
+        cuts.append(int(before[cuts[-1]]))
+    return cuts[::-1]
+
+
+def compute_speed(segments: FloatArray, rate: float) -> FloatArray:
+    """How fast a person moves, averaged over a moment.
+
+    Parameters
+    ----------
+    segments : (T, 9, 3).
+    rate : Hz.
+
+    Returns
+    -------
+    (T,) rad/s, root mean square over the segments.
+    """
+    if len(segments) < 2:
+        return np.zeros(len(segments))
+    steps = np.diff(segments, axis=0)
+    speed = rate * np.sqrt(np.einsum("tsk,tsk->t", steps, steps) / segments.shape[1])
+    speed = np.concatenate([speed[:1], speed])
+    half = round(0.5 * _SMOOTH_S * rate)
+    sums = np.concatenate([[0.0], np.cumsum(speed)])
+    frames = np.arange(len(speed))
+    low, high = np.maximum(frames - half, 0), np.minimum(frames + half + 1, len(speed))
+    return np.asarray((sums[high] - sums[low]) / (high - low))
+
+
+def snap_cuts(cuts: Sequence[int], coarse: Coarse, speed: FloatArray, min_s: float) -> list[int]:
+    """Move cuts to the moments of least motion nearby.
+
+    Parameters
+    ----------
+    cuts : coarse frames, from 0 to n.
+    coarse : the dance.
+    speed : (T,) rad/s of all its frames.
+    min_s : s, no piece becomes shorter.
+
+    Returns
+    -------
+    Frames of the cuts, from 0 to T.
+    """
+    shortest = int(np.ceil(min_s * coarse.rate * coarse.block))
+    frames = [*(cut * coarse.block for cut in cuts[:-1]), len(speed)]
+    for k in range(1, len(frames) - 1):
+        low = max(frames[k] - coarse.block, frames[k - 1] + shortest)
+        high = min(frames[k] + coarse.block, frames[k + 1] - shortest)
+        if low <= high:
+            frames[k] = low + int(speed[low : high + 1].argmin())
+    return frames

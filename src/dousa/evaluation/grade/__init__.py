@@ -1,0 +1,1 @@
+"""From two motions to an assessment with a grade."""

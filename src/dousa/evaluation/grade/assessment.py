@@ -1,0 +1,386 @@
+"""A performance against its reference, from joints to a grade.
+
+postures -> lines -> deviations over time and lag -> stretches that differ -> what explains them
+         -> figures, their eigenspaces, d# and d* over time
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from dousa.arrays import FloatArray
+from dousa.errors import InvalidMotionError, OptionError
+from dousa.evaluation.alignment.pairing import Pairing, find_resembled, pair_motions, turn_takes
+from dousa.evaluation.errors.evidence import (
+    Evidence,
+    Tolerance,
+    at_lag,
+    gather_evidence,
+    measure_unsteadiness,
+    refine_lag,
+    runs_of,
+)
+from dousa.evaluation.errors.explain import Finding, explain_all
+from dousa.evaluation.errors.lapses import find_lapses
+from dousa.evaluation.figures.curves import Curves, compute_curves
+from dousa.evaluation.figures.eigenspace import Eigenspace
+from dousa.evaluation.figures.furi import Furi, find_furi, fit_furi_eigenspaces, pool_takes, scale_furi
+from dousa.evaluation.grade.events import describe_findings, describe_gaps, describe_warnings
+from dousa.evaluation.grade.references import Comparison, ReferenceTakes, compare, prepare_references
+from dousa.evaluation.grade.result import Assessment, FuriAssessment
+from dousa.evaluation.grade.score import compute_deviation, compute_score
+from dousa.evaluation.posture.posture import (
+    PostureSequence,
+    Working,
+    compute_postures,
+    mirror_postures,
+    thin_postures,
+)
+from dousa.evaluation.posture.weights import spread_weights
+from dousa.motion import CanonicalMotion
+
+_ABOVE = 1.05  # rounding, and frames between frames
+_UNLIKE, _FAILING_S = 2.0, 0.3  # mean squared multiple of what is tolerated, and for how long
+
+
+def assess(
+    reference: CanonicalMotion | Sequence[CanonicalMotion],
+    performance: CanonicalMotion,
+    *,
+    furi: Sequence[Furi] | None = None,
+    side: str = "same",
+    tempo: str = "same",
+    weights: Mapping[str, float] | None = None,
+    names: Sequence[str] = (),
+) -> Assessment:
+    """Say what differs between a performance and its reference, where, and by how much.
+
+    Parameters
+    ----------
+    reference : one take, or several takes of the same dance. The first gives the clock and the figures; what
+        differs between the takes is tolerated. Three make a calibrated grade, five a good one.
+    performance : what is judged; any frame rate, place, heading and stature.
+    furi : figures in frames of the first reference at its own rate; found by themselves if None.
+    side : ``"mirrored"`` for a pupil who dances facing the teacher, left for right.
+    tempo : ``"same"``: to the same music, being late is an error; ``"free"``: only hurrying and lagging within a
+        few seconds is.
+    weights : of segments, limbs, ``arms`` or ``legs``; 1 for those not named.
+    names : of the references and, last, of the performance.
+
+    Returns
+    -------
+    The assessment: curves, figures, events, lapses and the grade.
+
+    Raises
+    ------
+    InvalidMotionError : a motion shorter than half a second, or seen for less; no reference.
+    OptionError : an unknown side, tempo, segment, or a weight below 0; furi outside the reference.
+
+    Source: Yamane and Shakunaga; the four classes and all numbers with a unit go beyond the paper, see
+    docs/evaluation.md.
+    """
+    takes = [reference] if isinstance(reference, CanonicalMotion) else list(reference)
+    shares = spread_weights(weights)
+    postures, played = compute_all_postures(takes, performance, side=side, tempo=tempo, names=names)
+    references = prepare_references(postures, tempo, shares)
+    figures = scale_furi(furi, takes[0], references.postures) if furi else find_furi(references.postures)
+    return judge(references, figures, played, side=side, tempo=tempo, weights=shares)
+
+
+def compute_all_postures(
+    takes: Sequence[CanonicalMotion],
+    performance: CanonicalMotion,
+    *,
+    side: str,
+    tempo: str,
+    names: Sequence[str] = (),
+) -> tuple[list[PostureSequence], PostureSequence]:
+    """Postures of the takes of the reference and of the performance, at its rate, mirrored if that is asked for.
+
+    Raises
+    ------
+    InvalidMotionError, OptionError : as `assess`.
+    """
+    check_takes(takes, performance, side, tempo)
+    titles = [*names, *[""] * (len(takes) + 1 - len(names))]
+    played = compute_postures(performance, name=titles[len(takes)])
+    if side == "mirrored":
+        played = mirror_postures(played)
+    check_seen(played, is_reference=False)
+    rate = played.frame_rate
+    postures = [compute_postures(take, rate, name) for take, name in zip(takes, titles, strict=False)]
+    for take in postures:
+        check_seen(take, is_reference=True)
+    return postures, played
+
+
+def judge(
+    references: ReferenceTakes,
+    furi: Sequence[Furi],
+    performance: PostureSequence,
+    *,
+    side: str = "same",
+    tempo: str,
+    weights: FloatArray,
+) -> Assessment:
+    """Assess a performance against references that are ready; weights (9,), those above 0 of mean 1."""
+    working = thin_postures(performance)
+    weighed = weigh(references, performance, compare(references.working, working, tempo, weights), weights)
+    spaces = fit_furi_eigenspaces(references.postures, furi, more=pool_takes(references.warped, furi))
+    return look_at_figures(references, furi, spaces, performance, weighed, side=side, tempo=tempo)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Weighed:
+    """What a performance has been found to do wrong before its figures are looked at.
+
+    Parameters
+    ----------
+    comparison : with the takes of the reference.
+    weights : (9,) of the segments, those above 0 of mean 1.
+    tolerance : of angles and lags.
+    findings : errors, in frames at the working rate.
+    same, matched, lag : (T,) s, reference time if the tempo is kept, that is resembled, and the difference.
+    pairing : both motions at the same moments.
+    """
+
+    comparison: Comparison
+    weights: FloatArray
+    tolerance: Tolerance
+    findings: tuple[Finding, ...]
+    same: FloatArray
+    matched: FloatArray
+    lag: FloatArray
+    pairing: Pairing
+
+
+def weigh(
+    references: ReferenceTakes, performance: PostureSequence, comparison: Comparison, weights: FloatArray
+) -> Weighed:
+    """Tell the errors of a performance from how it compares with the takes; weights (9,), those above 0 of mean 1."""
+    tolerance = choose_tolerance(references, comparison)
+    return _weigh(references, performance, comparison, tolerance, weights, None)
+
+
+def reweigh(before: Weighed, references: ReferenceTakes, performance: PostureSequence, weights: FloatArray) -> Weighed:
+    """The same with other weights (9,), the bodies turned onto each other as they were before: quick, nearly right."""
+    return _weigh(references, performance, before.comparison, before.tolerance, weights, before.pairing)
+
+
+def _weigh(
+    references: ReferenceTakes,
+    performance: PostureSequence,
+    comparison: Comparison,
+    tolerance: Tolerance,
+    weights: FloatArray,
+    pairing: Pairing | None,
+) -> Weighed:
+    evidence = gather_evidence(comparison.deviations, tolerance.angle, tolerance.lag_s, weights)
+    first, working = references.postures, thin_postures(performance)
+    same, matched, lag = _make_clocks(comparison, evidence, working, performance, first)
+    if pairing is None:
+        pairing = pair_motions(first, turn_takes(first, references.warped), performance, same, matched)
+    else:
+        late_frames, late_yaw = find_resembled(first, performance, matched, pairing.frames, pairing.yaw)
+        pairing = replace(pairing, late_frames=late_frames, late_yaw=late_yaw)
+    findings = tuple(explain_all(evidence))
+    return Weighed(comparison, weights, tolerance, findings, same, matched, lag, pairing)
+
+
+def look_at_figures(
+    references: ReferenceTakes,
+    furi: Sequence[Furi],
+    spaces: Mapping[str, Eigenspace],
+    performance: PostureSequence,
+    weighed: Weighed,
+    *,
+    side: str,
+    tempo: str,
+) -> Assessment:
+    """The assessment of a performance whose errors are known; ``spaces`` are those of the figures, by label."""
+    working = thin_postures(performance)
+    comparison, tolerance, weights = weighed.comparison, weighed.tolerance, weighed.weights
+    same, matched = weighed.same, weighed.matched
+    curves = compute_curves(
+        references.postures, references.warped, performance, same, matched, furi, spaces, weighed.pairing
+    )
+    lapses = find_lapses(comparison.alignment, references.working[0], working)
+    events = describe_findings(
+        weighed.findings,
+        lapses,
+        working=working,
+        same_time=same,
+        residual=curves.residual,
+        facing=curves.facing,
+        furi_index=curves.furi_index,
+    )
+    score, formula, calibrated = compute_score(compute_deviation(comparison.from_first, weights), references.deviations)
+    return Assessment(
+        frame_rate=performance.frame_rate,
+        reference=references.postures,
+        performance=performance,
+        same_time=same,
+        matched_time=matched,
+        lag=weighed.lag,
+        facing=curves.facing,
+        d_space=curves.d_space,
+        d_within=curves.d_within,
+        d_path=curves.d_path,
+        d_space_limit=_limit(tolerance, curves.d_space_reference, same),
+        d_within_limit=_limit(tolerance, curves.d_within_reference, same),
+        residual=curves.residual,
+        residual_limit=tolerance.angle,
+        path=_make_path(matched, references.postures),
+        furi=_assess_furi(furi, spaces, curves, comparison, references, same, performance, working, weights),
+        events=events,
+        lapses=lapses,
+        score=score,
+        score_formula=formula,
+        calibrated=calibrated,
+        n_references=len(references.working),
+        tempo=comparison.alignment.tempo,
+        gaps=describe_gaps(performance),
+        warnings=describe_warnings(references, furi, performance, working, comparison, curves, tempo, weights, side),
+        side=side,
+    )
+
+
+def choose_tolerance(references: ReferenceTakes, comparison: Comparison) -> Tolerance:
+    """What the takes show; of the angles no less than the performer's own steadiness asks for."""
+    own = measure_unsteadiness(comparison.deviations)
+    if references.tolerance is None:
+        return own
+    return Tolerance(np.maximum(own.angle, references.tolerance.angle), references.tolerance.lag_s)
+
+
+def _make_clocks(
+    comparison: Comparison,
+    evidence: Evidence,
+    working: Working,
+    performance: PostureSequence,
+    reference: PostureSequence,
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """(T,) s: reference time of the straight lines, reference time that is resembled, and the lag."""
+    center = np.arange(working.n_frames) * working.stride + 0.5 * (working.stride - 1)
+    frames = np.arange(performance.n_frames)
+    same = np.empty(performance.n_frames)
+    rate = performance.frame_rate
+    # Line by line: between two lines there is a jump, not a slope.
+    runs = comparison.alignment.runs
+    starts = [0] + [run.start for run in runs[1:]]
+    ends = [*starts[1:], working.n_frames]
+    for start, end in zip(starts, ends, strict=True):
+        last = performance.n_frames if end == working.n_frames else end * working.stride
+        span = frames[start * working.stride : last]
+        there = comparison.alignment.frames[start:end] * working.stride + 0.5 * (working.stride - 1)
+        slope = (there[-1] - there[0]) / max(center[end - 1] - center[start], 1e-9) if end - start > 1 else 1.0
+        line = np.interp(span, center[start:end], there)
+        line += slope * (np.minimum(span - center[start], 0.0) + np.maximum(span - center[end - 1], 0.0))
+        same[span] = line / rate
+    lag = np.interp(frames, center, _measure_lag(evidence))
+    end_s = (reference.n_frames - 1) / reference.frame_rate
+    inside = (same >= -0.5 / rate) & (same <= end_s + 0.5 / rate)
+    same = np.where(inside, np.clip(same, 0.0, end_s), np.nan)
+    lag = np.where(inside, lag, np.nan)
+    return same, np.clip(same - np.nan_to_num(lag), 0.0, end_s), lag
+
+
+def _measure_lag(evidence: Evidence) -> FloatArray:
+    """(T,) s, at the working rate; nan where no moment nearby is resembled: there the correspondence has failed."""
+    beyond = np.abs(evidence.course - evidence.center) > evidence.slack
+    course = np.where(beyond, evidence.course, evidence.near)
+    unlike = at_lag(evidence.ratio, course).mean(axis=1)
+    window = np.ones(2 * round(0.5 * _FAILING_S * evidence.rate) + 1)
+    unlike = np.convolve(unlike, window / len(window), mode="same")[: len(unlike)]
+    unknown = (unlike > _UNLIKE) | ~evidence.deviations.judged.any(axis=1)
+    return np.where(unknown, np.nan, refine_lag(evidence, course))
+
+
+def _limit(tolerance: Tolerance, among: FloatArray, same_time: FloatArray) -> FloatArray:
+    """(T,) limit of a distance: what all segments at half of their tolerance come to; no take is beyond it."""
+    least = float(np.linalg.norm(tolerance.angle)) / 2.0
+    shown = float(np.nanmax(among)) if np.isfinite(among).any() else 0.0
+    return np.where(np.isfinite(same_time), max(least, _ABOVE * shown), np.nan)
+
+
+def _make_path(matched: FloatArray, reference: PostureSequence) -> np.ndarray:
+    frames = np.flatnonzero(np.isfinite(matched))
+    there = np.rint(matched[frames] * reference.frame_rate).astype(np.intp)
+    return np.column_stack([frames, np.clip(there, 0, reference.n_frames - 1)])
+
+
+def _assess_furi(
+    furi: Sequence[Furi],
+    spaces: Mapping[str, Eigenspace],
+    curves: Curves,
+    comparison: Comparison,
+    references: ReferenceTakes,
+    same_time: FloatArray,
+    performance: PostureSequence,
+    working: Working,
+    weights: FloatArray,
+) -> tuple[FuriAssessment, ...]:
+    rate = performance.frame_rate
+    thinned = curves.furi_index[:: working.stride][: working.n_frames]
+    result = []
+    for number, one in enumerate(furi):
+        spans = runs_of(curves.furi_index == number)
+        longest = max(spans, key=lambda span: span[1] - span[0], default=None)
+        angles = comparison.from_first[thinned == number]
+        score = np.nan
+        if len(angles) and np.isfinite(angles).any():
+            score = compute_score(compute_deviation(angles, weights), references.deviations)[0]
+        result.append(
+            FuriAssessment(
+                start_s=longest[0] / rate if longest else np.nan,
+                end_s=longest[1] / rate if longest else np.nan,
+                reference_start_s=one.start / rate,
+                reference_end_s=one.end / rate,
+                label=one.label,
+                eigenspace=spaces[one.label],
+                gain=curves.gain[number],
+                lag_s=float(curves.lag_by_furi[number]),
+                score=score,
+            )
+        )
+    return tuple(result)
+
+
+SHORTEST_S, FEWEST_FRAMES = 0.5, 3  # of a motion that can be assessed
+ABOUT_REFERENCES = ("evaluation.short_reference", "evaluation.unseen_reference", "evaluation.no_reference")
+"""Codes of errors that are about the takes of the reference, not about the performance."""
+
+
+def check_takes(takes: Sequence[CanonicalMotion], performance: CanonicalMotion, side: str, tempo: str) -> None:
+    """Say what is wrong with motions or options before anything is computed."""
+    if not takes:
+        raise InvalidMotionError("evaluation.no_reference")
+    if side not in ("same", "mirrored"):
+        raise OptionError("evaluation.side", side=side)
+    if tempo not in ("same", "free"):
+        raise OptionError("evaluation.tempo", tempo=tempo)
+    for motion in (*takes, performance):
+        if motion.duration < SHORTEST_S or motion.n_frames < FEWEST_FRAMES:
+            raise InvalidMotionError(
+                "evaluation.short_performance" if motion is performance else "evaluation.short_reference",
+                least_s=SHORTEST_S,
+                least_frames=FEWEST_FRAMES,
+                n_frames=motion.n_frames,
+                rate=motion.frame_rate,
+                duration=motion.duration,
+            )
+
+
+def check_seen(postures: PostureSequence, *, is_reference: bool) -> None:
+    """Say who is not seen."""
+    seen_s = postures.seen.any(axis=1).sum() / postures.frame_rate
+    if seen_s < SHORTEST_S:
+        raise InvalidMotionError(
+            "evaluation.unseen_reference" if is_reference else "evaluation.unseen_performance",
+            least_s=SHORTEST_S,
+            seen_s=float(seen_s),
+            duration=postures.duration,
+        )

@@ -1,0 +1,1 @@
+"""A performance judged while it goes on."""

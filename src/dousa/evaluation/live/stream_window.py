@@ -1,0 +1,418 @@
+"""The line of a performance that is still going on, and its last seconds, looked at as the whole is.
+
+The line is searched as `align` does it, carried on frame by frame; along it are deviations, errors and lapses.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dousa.arrays import FloatArray
+from dousa.evaluation.alignment.lines import (
+    COARSE_RATE,
+    JUMP_S,
+    OUTSIDE,
+    PAUSE,
+    Alignment,
+    Run,
+    extrapolate,
+    find_pauses,
+    find_runs,
+    pair_similarity,
+    smooth_course,
+    to_cost,
+)
+from dousa.evaluation.errors.deviation import YAW_WINDOW_S, Deviations, choose_nearest, compute_deviations
+from dousa.evaluation.errors.evidence import Tolerance, find_stretches, gather_evidence, measure_unsteadiness
+from dousa.evaluation.errors.explain import Finding, explain
+from dousa.evaluation.errors.lapses import Lapse, find_lapses
+from dousa.evaluation.grade.references import ReferenceTakes
+from dousa.evaluation.posture.posture import Working
+
+_KEPT_S = 30.0  # for which the past may still be seen otherwise
+_CLEAR = 5.0  # coarse frames of complete mismatch by which a line must beat every other to be known
+_OTHER_S = 1.0  # lines nearer than this are not another
+_LATEST_S = 15.0  # after which the best line is believed
+_TREND_S = 40.0
+_ZERO_GAIN = 0.01  # as in `align`: recordings cut alike begin together unless something speaks against it
+
+
+@dataclass(slots=True)
+class _Diagonals:
+    """Costs of the shifts around one line, summed as frames come."""
+
+    start: int
+    counted: int
+    shifts: NDArray[np.intp]
+    costs: FloatArray
+
+    def add(self, end: int, reference: Working, segments: FloatArray, weights: FloatArray) -> None:
+        """Count the frames up to ``end``."""
+        if end <= self.counted:
+            return
+        there = np.arange(self.counted, end)[:, None] + self.shifts
+        inside = (there >= 0) & (there < reference.n_frames)
+        poses = reference.segments[np.clip(there, 0, reference.n_frames - 1)]
+        cost = to_cost(pair_similarity(segments[self.counted : end, None], poses, weights))
+        self.costs += np.where(inside, cost, OUTSIDE).sum(axis=0)
+        self.counted = end
+
+    def settle(self, middle: int, reach: int, *, prefer_zero: bool) -> float:
+        """The shift with the least mean cost, to a fraction of a frame."""
+        near = np.abs(self.shifts - middle) <= reach
+        shifts, costs = self.shifts[near], self.costs[near] / max(self.counted - self.start, 1)
+        best = int(np.argmin(costs))
+        zero = np.flatnonzero(self.shifts == 0)
+        if prefer_zero and len(zero):
+            at_zero = self.costs[zero[0]] / max(self.counted - self.start, 1)
+            if at_zero <= costs[best] + _ZERO_GAIN:
+                return 0.0
+        shift = float(shifts[best])
+        if 0 < best < len(costs) - 1:
+            left, here, right = costs[best - 1 : best + 2]
+            bend = left - 2.0 * here + right
+            shift += float(0.5 * (left - right) / bend) if bend > 1e-12 else 0.0
+        return shift
+
+
+class LineFollower:
+    """Which moment of the reference belongs to each moment so far.
+
+    Parameters
+    ----------
+    reference : at the working rate.
+    tempo : ``"same"`` or ``"free"``.
+    weights : (9,) of the segments.
+    offset : reference frame at performance frame 0, if it is known; then nothing is searched.
+    """
+
+    def __init__(self, reference: Working, tempo: str, weights: FloatArray, offset: float | None) -> None:
+        self._reference, self._tempo, self._weights, self._offset = reference, tempo, weights, offset
+        self._step = max(1, round(reference.frame_rate / COARSE_RATE))
+        self._rate = reference.frame_rate / self._step
+        coarse = reference.segments[:: self._step]
+        self._best = np.full(len(coarse), np.inf)
+        self._coarse = coarse
+        self._outside = np.zeros(2)
+        self._origin = np.empty((0, len(coarse)), np.int32)
+        self._ended = np.empty(0, np.int32)
+        self._course = np.empty(0, np.int32)
+        self._diagonals: list[_Diagonals] = []
+        self._runs: list[Run] = [Run(0, 0, 0.0 if offset is None else offset)]
+        self.known = offset is not None
+
+    @property
+    def runs(self) -> tuple[Run, ...]:
+        """Lines so far in working frames, the last one going on."""
+        return tuple(self._runs)
+
+    def update(self, segments: FloatArray) -> None:
+        """Take all poses (T, 9, 3) so far, at the working rate."""
+        count = len(segments)
+        if self._offset is not None:
+            self._runs = [Run(0, count, self._offset)]
+            return
+        self._extend(segments)
+        course = self._trace_back()
+        if self._tempo == "free":
+            course = np.where(find_pauses(course, self._rate), -1, course)
+        runs = self._choose_runs(course, count)
+        starts = [0, *(run.start * self._step for run in runs[1:])]
+        self._runs = []
+        for run, (start, end) in zip(runs, pairwise([*starts, count]), strict=True):
+            offset = run.offset * self._step
+            if self._tempo == "same":
+                offset = self._refine(run, start, end, segments)
+            self._runs.append(Run(start, end, offset))
+        self._course_runs = runs
+        self._shown = course
+
+    def locate(self, first: int, last: int) -> FloatArray:
+        """Reference frames (fractional) of the working frames first to last, which may lie ahead."""
+        frames = np.arange(first, last, dtype=np.float64)
+        there = frames + self._runs[-1].offset
+        for number, run in enumerate(self._runs):
+            end = last if number == len(self._runs) - 1 else run.end
+            here = (frames >= run.start) & (frames < end)
+            if not here.any():
+                continue
+            there[here] = frames[here] + run.offset
+            if self._tempo == "free" and self._offset is None and run.end > run.start:
+                there[here] = self._follow_tempo(self._course_runs[number], frames[here])
+        return there
+
+    def _extend(self, segments: FloatArray) -> None:
+        from dousa.evaluation.alignment.correlation import compute_correlation_matrix
+        from dousa.evaluation.alignment.dynamic_programming import extend_lines
+
+        rows = np.arange(len(self._course) * self._step, len(segments), self._step)
+        if not len(rows):
+            return
+        cost = to_cost(compute_correlation_matrix(segments[rows], self._coarse, weights=self._weights))
+        origin = np.empty((len(rows), len(self._coarse)), np.int32)
+        ended = np.empty(len(rows), np.int32)
+        extend_lines(
+            cost,
+            self._best,
+            self._outside,
+            JUMP_S * self._rate,
+            PAUSE[self._tempo],
+            OUTSIDE,
+            origin,
+            ended,
+        )
+        kept = round(_KEPT_S * self._rate)
+        self._origin = np.concatenate([self._origin, origin])[-kept:]
+        self._ended = np.concatenate([self._ended, ended])[-kept:]
+        self._course = np.concatenate([self._course, np.full(len(rows), -1, np.int32)])
+
+    def _trace_back(self) -> NDArray[np.int32]:
+        """Cheapest course so far; what is older than the kept part stays as it was."""
+        from dousa.evaluation.alignment.dynamic_programming import trace_lines
+
+        first = len(self._course) - len(self._origin)
+        self._course[first:] = trace_lines(self._best, self._outside, self._origin, self._ended)
+        return self._course.copy()
+
+    def _choose_runs(self, course: NDArray[np.int32], count: int) -> list[Run]:
+        """The lines of the course; while no line is clear the one from the beginning, if it is as good."""
+        place = int(self._best.argmin())
+        if not self.known:
+            others = np.abs(np.arange(len(self._best)) - place) > _OTHER_S * self._rate
+            margin = (self._best[others].min() if others.any() else np.inf) - self._best[place]
+            late = len(course) >= _LATEST_S * self._rate
+            self.known = bool(margin >= _CLEAR and len(course) >= 2.0 * self._rate) or late
+        if not self.known:
+            zero = min(len(course), len(self._best)) - 1
+            around = self._best[max(zero - 3, 0) : zero + 4]
+            if around.min() <= self._best[place] + _CLEAR:
+                return [Run(0, len(course), 0.0)]
+        return find_runs(course, self._rate)
+
+    def _refine(self, run: Run, start: int, end: int, segments: FloatArray) -> float:
+        """Offset at the working rate, from all frames of the run."""
+        middle, reach = round(run.offset * self._step), self._step + 1
+        for known in self._diagonals:
+            apart = abs(known.start - run.start * self._step)
+            covered = known.shifts[0] <= middle - reach and middle + reach <= known.shifts[-1]
+            if covered and apart <= self._reference.frame_rate:
+                break
+        else:
+            begin = max(run.start * self._step, end - round(_KEPT_S * self._reference.frame_rate))
+            shifts = np.arange(middle - 2 * reach, middle + 2 * reach + 1)
+            known = _Diagonals(begin, begin, shifts, np.zeros(len(shifts)))
+            self._diagonals.append(known)
+        known.add(end, self._reference, segments, self._weights)
+        alike = len(segments) <= 1.02 * self._reference.n_frames + 1
+        return known.settle(middle, reach, prefer_zero=alike and end - start > 0.6 * len(segments))
+
+    def _follow_tempo(self, run: Run, frames: FloatArray) -> FloatArray:
+        begin = max(run.start, run.end - round(_TREND_S * self._rate))
+        on = np.flatnonzero(self._shown[begin : run.end] >= 0)
+        offset = float(self._shown[begin + on[0]] - begin - on[0]) if len(on) else run.offset
+        trend = smooth_course(self._shown, Run(begin, run.end, offset), self._rate)
+        return extrapolate(frames, np.arange(begin, run.end, dtype=np.float64) * self._step, trend * self._step)
+
+
+_SHORT_S, _LONG_S = 12.0, 30.0
+_CONTEXT_S = 2.5  # before a stretch that is still open
+_JOIN_S = 0.35  # errors nearer than this may become one
+_LEAST_LEFT_S = 0.5
+_MOVED = 0.25  # frames by which a line must have moved for its deviations to be measured again
+_HISTORY_S, _NEAR_S = 180.0, 0.6
+_GROWTH = 1.1
+_FEW_S = 1.0
+_ORDER = ("stop", "skip", "repeat")
+
+
+class Window:
+    """What is known of the last seconds.
+
+    Parameters
+    ----------
+    references : takes.
+    line : of the performance.
+    weights : (9,) of the segments, mean 1.
+    """
+
+    def __init__(self, references: ReferenceTakes, line: LineFollower, weights: FloatArray) -> None:
+        self._references, self._line, self._weights = references, line, weights
+        self._rate = references.working[0].frame_rate
+        self._context = 4 * max(1, round(0.5 * YAW_WINDOW_S * self._rate))
+        self._first = 0
+        self._frames = np.empty(0)
+        self._parts: Deviations | None = None
+        self._open: int | None = None  # first frame of a stretch that has not ended
+        self._settled_to = 0
+        self._history: list[tuple[FloatArray, FloatArray]] = []
+        self._counted, self._measured = 0, 0
+        self.tolerance = references.tolerance or _START
+        self.lapses: list[Lapse] = []
+
+    @property
+    def first(self) -> int:
+        """First working frame that is kept."""
+        return self._first
+
+    @property
+    def frames(self) -> FloatArray:
+        """Reference frames of the working frames that are kept."""
+        return self._frames
+
+    def update(self, performance: Working) -> float:
+        """Take the whole performance so far; how far the line of the past has moved, in frames."""
+        first = self._choose_first(performance.n_frames)
+        frames = self._line.locate(first, performance.n_frames)
+        kept = self._frames[first - self._first :]
+        moved = np.abs(kept - frames[: len(kept)])
+        old = max(len(kept) - self._context, 0)
+        if (moved > _MOVED).any():
+            old = min(old, int(np.argmax(moved > _MOVED)))
+        start = first + old
+        begin = max(start - self._context, 0)
+        used = np.concatenate([kept[:old], frames[old:]])
+        before = self._line.locate(begin, first) if begin < first else used[:0]
+        known = np.concatenate([before, used[max(begin - first, 0) :]])
+        new = self._measure(_cut(performance, begin, performance.n_frames), known)
+        new = _rows(new, slice(start - begin, None))
+        if self._parts is not None and old:
+            past = _rows(self._parts, slice(first - self._first, first - self._first + old))
+            new = _join(past, new)
+        self._parts, self._frames, self._first = new, used, first
+        self._learn()
+        return float(moved.max()) if len(moved) else 0.0
+
+    def settle(self, performance: Working, until: int) -> list[Finding]:
+        """Errors that end before the working frame ``until`` and were not reported yet, in frames of the whole."""
+        assert self._parts is not None
+        self._find_lapses(performance, until)
+        tolerance = self.tolerance
+        evidence = gather_evidence(self._parts, tolerance.angle, tolerance.lag_s, self._weights)
+        found: list[Finding] = []
+        self._open = None
+        for group in _group(find_stretches(evidence), _JOIN_S * self._rate):
+            stretches = [(start + self._first, end + self._first) for start, end in group]
+            end = stretches[-1][1]
+            if end > until:
+                self._open = max(stretches[0][0], self._settled_to)
+                if until - self._open < (_LONG_S - _CONTEXT_S) * self._rate:
+                    continue
+                # Nobody waits for ever: what has been wrong for so long is reported in pieces.
+                stretches = [(start, min(stop, until)) for start, stop in stretches if start < until]
+                end, self._open = until, until
+            for start, stop in stretches:
+                begin = max(start, self._settled_to)
+                if start < begin and stop - begin < _LEAST_LEFT_S * self._rate:
+                    continue
+                found += explain(evidence, begin - self._first, stop - self._first) if stop > begin else []
+            self._settled_to = max(self._settled_to, end)
+        return [_move(finding, self._first) for finding in found]
+
+    def _choose_first(self, count: int) -> int:
+        first = count - round(_SHORT_S * self._rate)
+        if self._open is not None:
+            first = min(first, self._open - round(_CONTEXT_S * self._rate))
+        if not self._line.known:
+            first = 0
+        first = max(first, count - round(_LONG_S * self._rate), 0)
+        # What was dropped is gone.
+        return max(first, self._first)
+
+    def _measure(self, part: Working, frames: FloatArray) -> Deviations:
+        """As `compare` does, along a line that is known."""
+        first, *others = self._references.working
+        deviations = compute_deviations(first, part, frames, self._weights)
+        for reference in others:
+            other = compute_deviations(reference, part, frames, self._weights)
+            deviations = choose_nearest(deviations, other)
+        return deviations
+
+    def _learn(self) -> None:
+        """The tolerance, from what has been seen so far, whenever a tenth more has been."""
+        assert self._parts is not None
+        last = self._first + len(self._frames) - self._context
+        reach = min(round(_NEAR_S * self._rate), self._parts.center)
+        columns = slice(self._parts.center - reach, self._parts.center + reach + 1)
+        if last > self._counted and self._line.known:
+            rows = slice(max(self._counted, self._first) - self._first, last - self._first)
+            self._history.append((self._parts.squared[rows, columns].copy(), self._parts.reference[rows]))
+            self._counted = last
+            while sum(len(part[0]) for part in self._history[1:]) > _HISTORY_S * self._rate:
+                self._measured -= len(self._history.pop(0)[0])
+        seen = sum(len(part[0]) for part in self._history)
+        if seen < max(_FEW_S * self._rate, _GROWTH * self._measured):
+            return
+        self._measured = seen
+        parts = [np.concatenate(values) for values in zip(*self._history, strict=True)]
+        sample = replace(self._parts, squared=parts[0], reference=parts[1], center=reach)
+        own, learned = measure_unsteadiness(sample), self._references.tolerance
+        if learned is not None:
+            own = Tolerance(np.maximum(own.angle, learned.angle), learned.lag_s)
+        self.tolerance = own
+
+    def _find_lapses(self, performance: Working, until: int) -> None:
+        inner = [run.start for run in self._line.runs[1:] if self._first < run.start <= until]
+        fresh = [start for start in inner if not any(_near(start / self._rate, one) for one in self.lapses)]
+        if not fresh:
+            return
+        runs = (Run(0, 1, 0.0), *(Run(start - self._first, start, 0.0) for start in fresh))
+        part = _cut(performance, self._first, performance.n_frames)
+        begin = self._first / self._rate
+        alignment = Alignment(self._frames, runs, 0.0, 1.0)
+        found = find_lapses(alignment, self._references.working[0], part)
+        self.lapses += [_place(lapse, begin) for lapse in found if lapse.kind in _ORDER]
+
+
+_START = Tolerance(np.full(9, np.radians(21.6)))
+"""Until a second has been seen: that of the least steady performer."""
+
+
+def _near(start_s: float, lapse: Lapse) -> bool:
+    return lapse.start_s - 1.0 <= start_s <= lapse.end_s + 1.0
+
+
+def _place(lapse: Lapse, begin_s: float) -> Lapse:
+    """A lapse of a part that begins at a moment; what is danced again may not be over yet."""
+    start_s, end_s = begin_s + lapse.start_s, begin_s + lapse.end_s
+    if lapse.kind == "repeat":
+        end_s = start_s + lapse.reference_end_s - lapse.reference_start_s
+    return replace(lapse, start_s=start_s, end_s=end_s)
+
+
+def _cut(working: Working, start: int, end: int) -> Working:
+    part = slice(start, end)
+    return replace(working, segments=working.segments[part], seen=working.seen[part], heading=working.heading[part])
+
+
+# Arrays of deviations with a row a frame.
+_BY_FRAME = ("squared", "yaw", "judged", "performance", "reference")
+
+
+def _rows(deviations: Deviations, part: slice) -> Deviations:
+    return replace(deviations, **{name: getattr(deviations, name)[part] for name in _BY_FRAME})
+
+
+def _join(past: Deviations, new: Deviations) -> Deviations:
+    parts: dict[str, Any] = {name: np.concatenate([getattr(past, name), getattr(new, name)]) for name in _BY_FRAME}
+    return replace(new, **parts)
+
+
+def _group(stretches: Sequence[tuple[int, int]], gap: float) -> list[list[tuple[int, int]]]:
+    """Stretches near each other belong together."""
+    groups: list[list[tuple[int, int]]] = []
+    for stretch in stretches:
+        if groups and stretch[0] - groups[-1][-1][1] <= gap:
+            groups[-1].append(stretch)
+        else:
+            groups.append([stretch])
+    return groups
+
+
+def _move(finding: Finding, by: int) -> Finding:
+    return replace(finding, start=finding.start + by, end=finding.end + by, worst=finding.worst + by)

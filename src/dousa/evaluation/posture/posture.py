@@ -1,0 +1,320 @@
+"""Posture: a frame as the directions of nine body segments, eq. 1 and 2 of Yamane and Shakunaga.
+
+Place and bone lengths drop out; the axes stay those of the world (Y up), so that only the rotation about the
+vertical is left to normalise.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import cast
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from dousa.arrays import FloatArray
+from dousa.errors import InvalidMotionError, OptionError
+from dousa.motion.canonical.canonicalise import CanonicalMotion
+from dousa.motion.canonical.joints import CANONICAL_JOINTS, MIRRORED_JOINTS
+from dousa.motion.canonical.joints import JOINT_INDEX as J
+from dousa.motion.resampling import fill_gaps, find_neighbours
+
+SEGMENT_JOINTS: tuple[tuple[str, str], ...] = (
+    ("pelvis", "neck"),
+    ("left_shoulder", "left_elbow"),
+    ("left_elbow", "left_wrist"),
+    ("right_shoulder", "right_elbow"),
+    ("right_elbow", "right_wrist"),
+    ("left_hip", "left_knee"),
+    ("left_knee", "left_ankle"),
+    ("right_hip", "right_knee"),
+    ("right_knee", "right_ankle"),
+)
+"""Start and end of each segment as canonical joints. The trunk is drawn from the pelvis but measured from the
+middle of the hips: the pelvis sits up to 10 cm higher in one kind of file than in another."""
+
+SEGMENTS: tuple[str, ...] = (
+    "trunk",
+    "left_upper_arm",
+    "left_forearm",
+    "right_upper_arm",
+    "right_forearm",
+    "left_thigh",
+    "left_shank",
+    "right_thigh",
+    "right_shank",
+)
+
+MIRRORED_SEGMENTS: tuple[int, ...] = (0, 3, 4, 1, 2, 7, 8, 5, 6)
+"""Index of each segment's mirror image."""
+
+LIMBS: dict[str, tuple[int, ...]] = {
+    "trunk": (0,),
+    "left_arm": (1, 2),
+    "right_arm": (3, 4),
+    "left_leg": (5, 6),
+    "right_leg": (7, 8),
+}
+"""Segments of each limb."""
+
+_SHORTEST = 1e-6  # m: a segment shorter than this has no direction
+_STARTS = [J[start] for start, _ in SEGMENT_JOINTS]
+_ENDS = [J[end] for _, end in SEGMENT_JOINTS]
+_JOINTS_OF = np.zeros((len(SEGMENTS), len(CANONICAL_JOINTS)), bool)  # what each segment is measured from
+_JOINTS_OF[range(len(SEGMENTS)), _STARTS] = True
+_JOINTS_OF[range(len(SEGMENTS)), _ENDS] = True
+_JOINTS_OF[0] = [name in ("left_hip", "right_hip", "neck") for name in CANONICAL_JOINTS]
+
+# What a segment that is never seen is drawn as: hanging, the trunk upright.
+_REST = np.tile([0.0, -1.0, 0.0], (len(SEGMENTS), 1))
+_REST[0, 1] = 1.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PostureSequence:
+    """A motion as the directions of nine body segments.
+
+    Parameters
+    ----------
+    segments : (T, 9, 3) unit vectors, Y up, order of `SEGMENTS`; a segment that is not seen is filled from its
+        neighbours in time.
+    seen : (T, 9) False where the recording has a gap: such values are drawn, never judged.
+    positions : (T, 20, 3) m, canonical joints, for pictures.
+    frame_rate : Hz.
+    name : of the recording.
+    """
+
+    segments: FloatArray
+    seen: NDArray[np.bool_]
+    positions: FloatArray
+    frame_rate: float
+    name: str = ""
+
+    @property
+    def n_frames(self) -> int:
+        """Number of poses."""
+        return len(self.segments)
+
+    @property
+    def duration(self) -> float:
+        """Seconds."""
+        return self.n_frames / self.frame_rate
+
+
+def check_segments(values: ArrayLike, what: str) -> FloatArray:
+    """Postures as a float array (..., 9, 3), finite; ``what`` names the argument in the error.
+
+    Raises
+    ------
+    InvalidMotionError : another shape, no numbers, or values that are missing.
+    """
+    try:
+        array = np.asarray(values, np.float64)
+    except (TypeError, ValueError) as error:
+        raise InvalidMotionError("postures.not_numbers", what=what, reason=error) from error
+    if array.ndim < 2 or array.shape[-2:] != (len(SEGMENTS), 3):
+        raise InvalidMotionError("postures.shape", what=what, shape=array.shape)
+    if not np.isfinite(array.sum()):
+        raise InvalidMotionError("postures.not_finite", what=what)
+    return array
+
+
+def check_weights(weights: ArrayLike | None) -> FloatArray:
+    """Weights (9,) or (..., 9) of the segments, 0 or above and not all 0 in any row; equal ones for None.
+
+    Raises
+    ------
+    OptionError : another shape, or values that are negative, missing or all 0.
+    """
+    if weights is None:
+        return np.ones(len(SEGMENTS))
+    array = np.asarray(weights, np.float64)
+    if array.ndim < 1 or array.shape[-1] != len(SEGMENTS):
+        raise OptionError("postures.weights_shape", shape=array.shape)
+    if not (np.isfinite(array.sum()) and (array >= 0).all() and (array.sum(axis=-1) > 0).all()):
+        raise OptionError("postures.weights")
+    return array
+
+
+def compute_segments(positions: ArrayLike) -> FloatArray:
+    """Directions of the nine segments of a pose.
+
+    Parameters
+    ----------
+    positions : (..., 20, 3) m, canonical joints, Y up.
+
+    Returns
+    -------
+    (..., 9, 3) unit vectors, order of `SEGMENTS`; NaN where a joint is missing or both ends coincide.
+
+    Raises
+    ------
+    InvalidMotionError : another shape.
+
+    Source: Yamane and Shakunaga, eq. 1 and 2. The trunk goes from the middle of the hips to the neck.
+    """
+    points = np.asarray(positions, np.float64)
+    if points.ndim < 2 or points.shape[-2:] != (len(CANONICAL_JOINTS), 3):
+        raise InvalidMotionError("postures.joints_shape", shape=points.shape)
+    hips = 0.5 * (points[..., J["left_hip"], :] + points[..., J["right_hip"], :])
+    vectors = points[..., _ENDS, :] - points[..., _STARTS, :]
+    vectors[..., 0, :] = points[..., J["neck"], :] - hips
+    lengths = np.sqrt(np.einsum("...k,...k->...", vectors, vectors))
+    lengths[~(lengths > _SHORTEST)] = np.nan
+    return cast(FloatArray, vectors / lengths[..., None])
+
+
+def compute_postures(motion: CanonicalMotion, frame_rate: float | None = None, name: str = "") -> PostureSequence:
+    """The postures of a motion, at its own or another frame rate.
+
+    The first frame stays at 0 s; the new frames go on as long as the old ones do. Positions are interpolated
+    linearly. What is not seen is filled from the neighbours in time, and marked.
+
+    Parameters
+    ----------
+    motion : canonical joints; where its ``missing`` is True, the segments that end there are not seen.
+    frame_rate : Hz; None keeps the motion's.
+    name : of the recording.
+
+    Returns
+    -------
+    The postures, arrays read-only.
+
+    Raises
+    ------
+    InvalidMotionError : no frame, another shape, or infinite positions.
+    OptionError : a frame rate that is not above 0 or makes too many frames.
+    """
+    positions, seen = _read(motion)
+    rate = motion.frame_rate
+    if frame_rate is not None and frame_rate != rate:
+        before, after, fraction = find_neighbours(len(positions), rate, float(frame_rate))
+        share = fraction[:, None, None]
+        positions = positions[before] * (1.0 - share) + positions[after] * share
+        seen = seen[before] & (seen[after] | (fraction == 0.0)[:, None])
+        rate = float(frame_rate)
+    segments = compute_segments(positions)
+    seen &= ~np.isnan(segments).any(axis=2)
+    _fill(segments, seen)
+    for array in (segments, seen, positions):
+        array.flags.writeable = False
+    return PostureSequence(segments, seen, positions, rate, name)
+
+
+def _read(motion: CanonicalMotion) -> tuple[FloatArray, NDArray[np.bool_]]:
+    """Positions without gaps, as far as a joint is ever seen, and (T, 9) what is seen of the segments."""
+    positions = np.array(motion.positions, np.float64)
+    if positions.ndim != 3 or positions.shape[1:] != (len(CANONICAL_JOINTS), 3):
+        raise InvalidMotionError("postures.motion_shape", shape=positions.shape)
+    if len(positions) == 0:
+        raise InvalidMotionError("postures.no_position")
+    if np.isinf(positions).any():
+        raise InvalidMotionError("postures.infinite")
+    lost = cast(NDArray[np.bool_], np.isnan(positions).any(axis=2))
+    if lost.any():
+        positions = fill_gaps(positions)
+    missing = motion.missing
+    if missing is not None:
+        if np.shape(missing) != lost.shape:
+            raise InvalidMotionError("postures.missing_shape", expected=lost.shape, shape=np.shape(missing))
+        lost |= np.asarray(missing, bool)
+    lost_ends = cast(NDArray[np.bool_], (lost[:, None, :] & _JOINTS_OF).any(axis=2))
+    return positions, ~lost_ends
+
+
+def _fill(segments: FloatArray, seen: NDArray[np.bool_]) -> None:
+    """Put directions where none was seen: between the neighbours in time, in place."""
+    frames = np.arange(len(segments))
+    for number in np.flatnonzero(~seen.all(axis=0)):
+        known = frames[seen[:, number]]
+        lost = frames[~seen[:, number]]
+        if len(known) == 0:
+            segments[:, number] = _REST[number]
+            continue
+        for axis in range(3):
+            segments[lost, number, axis] = np.interp(lost, known, segments[known, number, axis])
+        lengths = np.linalg.norm(segments[lost, number], axis=1)
+        # Halfway between opposite directions there is none: keep the earlier one.
+        flat = lost[lengths < 0.01]
+        segments[flat, number] = segments[known[np.searchsorted(known, flat) - 1], number]
+        segments[lost, number] /= np.linalg.norm(segments[lost, number], axis=1, keepdims=True)
+
+
+def mirror_postures(postures: PostureSequence) -> PostureSequence:
+    """The same motion in a mirror: x negated, left and right changed; arrays read-only."""
+    flip = np.array([-1.0, 1.0, 1.0])
+    arrays = (
+        postures.segments[:, MIRRORED_SEGMENTS] * flip,
+        postures.seen[:, MIRRORED_SEGMENTS],
+        postures.positions[:, MIRRORED_JOINTS] * flip,
+    )
+    for array in arrays:
+        array.flags.writeable = False
+    return PostureSequence(*arrays, frame_rate=postures.frame_rate, name=postures.name)
+
+
+WORKING_RATE = 30.0
+"""Hz; errors of a dance last half a second and more, so more frames only cost time."""
+_HEADING_S = 0.3
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Working:
+    """Postures at the working rate.
+
+    Parameters
+    ----------
+    segments : (T, 9, 3) unit vectors.
+    seen : (T, 9).
+    heading : (T,) rad, unwrapped, which way hips and shoulders face.
+    frame_rate : Hz.
+    stride : frames of the full rate in one of these.
+    """
+
+    segments: FloatArray
+    seen: NDArray[np.bool_]
+    heading: FloatArray
+    frame_rate: float
+    stride: int
+
+    @property
+    def n_frames(self) -> int:
+        """Number of poses."""
+        return len(self.segments)
+
+    def to_seconds(self, frame: float) -> float:
+        """Time of a frame: the middle of the frames that it is the mean of."""
+        return (frame + 0.5 * (self.stride - 1) / self.stride) / self.frame_rate
+
+
+def thin_postures(postures: PostureSequence) -> Working:
+    """Average groups of frames so that about `WORKING_RATE` a second are left; what is left over is dropped."""
+    stride = max(1, round(postures.frame_rate / WORKING_RATE))
+    stride = min(stride, postures.n_frames)
+    count = postures.n_frames // stride
+    groups = postures.segments[: count * stride].reshape(count, stride, 9, 3).mean(axis=1)
+    length = np.linalg.norm(groups, axis=2, keepdims=True)
+    groups = groups / np.maximum(length, 1e-9)
+    seen: NDArray[np.bool_] = np.all(postures.seen[: count * stride].reshape(count, stride, 9), axis=1)
+    rate = postures.frame_rate / stride
+    heading = _measure_heading(postures.positions[: count * stride : stride], round(0.5 * _HEADING_S * rate))
+    return Working(groups, seen, heading, rate, stride)
+
+
+def _measure_heading(positions: FloatArray, half: int) -> FloatArray:
+    """(T,) rad about +Y of the front of the body, averaged over ``2 half + 1`` frames."""
+    left, right = (positions[:, J[f"{side}_hip"]] + positions[:, J[f"{side}_shoulder"]] for side in ("left", "right"))
+    across = left - right
+    front = across[:, 2] + 1j * across[:, 0]
+    total = np.cumsum(np.pad(front, (half + 1, half), mode="edge"))
+    return np.unwrap(np.angle(total[2 * half + 1 :] - total[: -2 * half - 1]))
+
+
+def interpolate_segments(segments: FloatArray, frames: FloatArray) -> FloatArray:
+    """Unit vectors at fractional frames, ends held; (N, 9, 3) for (N,) frames."""
+    frames = np.clip(frames, 0.0, len(segments) - 1.0)
+    low = np.minimum(frames.astype(np.intp), max(len(segments) - 2, 0))
+    high = np.minimum(low + 1, len(segments) - 1)
+    share = (frames - low)[:, None, None]
+    mixed = segments[low] * (1.0 - share) + segments[high] * share
+    return np.asarray(mixed / np.maximum(np.linalg.norm(mixed, axis=2, keepdims=True), 1e-9))

@@ -1,0 +1,1 @@
+"""Errors of known class, time and size put into real motion."""

@@ -1,0 +1,408 @@
+"""Scores: of categories that were guessed, of clips put in order, of takes that were labelled.
+
+**Categories.** Where a category leaves a score undefined:
+
+- Averages are macro averages over the categories of the truth: each counts the same, however many clips it
+  has. A category that was only ever predicted lowers the recall of those it was mistaken for, nothing else.
+- A category that was never predicted has precision 0; its F-measure is 0.
+- F-measure is computed per category, then averaged.
+- Nothing to score gives 0 everywhere.
+
+These are scikit-learn's ``precision_recall_fscore_support(truth, predicted, labels=unique(truth),
+average="macro", zero_division=0)``.
+
+**Rankings.**
+
+- A clip is relevant or not. A query without a relevant clip has no score (NaN): it says nothing of a ranking.
+- Precision at k is the number of relevant clips among the first k, divided by k, even where fewer than k are relevant
+  or there at all; so the best possible value may be below 1. R-precision, the precision at the number of relevant
+  clips, can always reach 1.
+- Average precision is the mean, over the relevant clips, of the precision at their places.
+- nDCG at k has gains of 1, the discount 1 / log2(place + 1), and is divided by the best possible.
+
+These are scikit-learn's ``average_precision_score`` and ``ndcg_score(k=10)`` where no two clips have equal scores.
+
+**Timelines.** Frame accuracy: the share of frames (at 30 Hz) whose category, or being unknown, is right. Events: a
+labelled segment is right if a true piece of its category overlaps it by at least half (intersection over union), each
+piece counting once, the best overlaps first; precision, recall and F are over known categories. Boundary error: of the
+starts and stops of the right ones, the median of the absolute differences.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from dousa.arrays import FloatArray
+from dousa.errors import OptionError
+from dousa.experiments.table import Result
+from dousa.retrieval.takes.find import overlap
+from dousa.retrieval.takes.label import Segment
+from dousa.retrieval.takes.windows import TAKE_RATE
+
+
+@dataclass(frozen=True, slots=True)
+class Scores:
+    """Macro averages over the categories of the truth, and the share of clips that were right; 0 to 1."""
+
+    recall: float
+    precision: float
+    f_measure: float
+    accuracy: float
+
+
+@dataclass(frozen=True, slots=True)
+class Confusion:
+    """How often clips of one category were taken for another.
+
+    Parameters
+    ----------
+    truth, predicted : the categories.
+    count : clips.
+    share : of the clips of the true category, 0 to 1.
+    """
+
+    truth: str
+    predicted: str
+    count: int
+    share: float
+
+
+def compute_confusion_matrix(truth: ArrayLike, predicted: ArrayLike) -> tuple[NDArray[np.intp], NDArray[Any]]:
+    """Count which category was taken for which.
+
+    Parameters
+    ----------
+    truth, predicted : (N,) categories.
+
+    Returns
+    -------
+    matrix : (C, C), row the true category, column the predicted one.
+    categories : (C,) all that occur in either, sorted.
+
+    Raises
+    ------
+    OptionError : arrays that are not one-dimensional and of equal length.
+    """
+    true, named = _check(truth, predicted)
+    if not len(true):
+        return np.zeros((0, 0), np.intp), true
+    categories, numbers = np.unique(np.concatenate([true, named]), return_inverse=True)
+    count = len(categories)
+    rows, columns = numbers[: len(true)], numbers[len(true) :]
+    matrix = np.bincount(rows * count + columns, minlength=count * count).reshape(count, count)
+    return matrix.astype(np.intp), categories
+
+
+def compute_scores(truth: ArrayLike, predicted: ArrayLike) -> Scores:
+    """Score predictions; see the module for the conventions.
+
+    Parameters
+    ----------
+    truth, predicted : (N,) categories.
+
+    Returns
+    -------
+    Scores, each 0 to 1; 0 if there is nothing to score.
+
+    Raises
+    ------
+    OptionError : arrays that are not one-dimensional and of equal length.
+    """
+    matrix, _ = compute_confusion_matrix(truth, predicted)
+    if not len(matrix):
+        return Scores(0.0, 0.0, 0.0, 0.0)
+    right = np.diag(matrix).astype(np.float64)
+    clips, named = matrix.sum(axis=1), matrix.sum(axis=0)
+    in_truth = clips > 0
+    recall = right[in_truth] / clips[in_truth]
+    precision = right[in_truth] / np.maximum(named[in_truth], 1)
+    f_measure = 2.0 * right[in_truth] / (clips[in_truth] + named[in_truth])
+    return Scores(
+        recall=float(recall.mean()),
+        precision=float(precision.mean()),
+        f_measure=float(f_measure.mean()),
+        accuracy=float(right.sum() / matrix.sum()),
+    )
+
+
+def list_confusions(truth: ArrayLike, predicted: ArrayLike, limit: int | None = 10) -> tuple[Confusion, ...]:
+    """The mistakes, most frequent first; ties by share, then by name.
+
+    Parameters
+    ----------
+    truth, predicted : (N,) categories.
+    limit : how many to list; None for all.
+    """
+    matrix, categories = compute_confusion_matrix(truth, predicted)
+    clips = matrix.sum(axis=1)
+    found = [
+        Confusion(str(categories[i]), str(categories[j]), int(matrix[i, j]), float(matrix[i, j] / clips[i]))
+        for i, j in np.argwhere(matrix)
+        if i != j
+    ]
+    found.sort(key=lambda one: (-one.count, -one.share, one.truth, one.predicted))
+    return tuple(found[:limit])
+
+
+def _check(truth: ArrayLike, predicted: ArrayLike) -> tuple[NDArray[Any], NDArray[Any]]:
+    true, named = np.asarray(truth), np.asarray(predicted)
+    if true.ndim != 1 or true.shape != named.shape:
+        raise OptionError("trials.predictions", true=true.shape, predicted=named.shape)
+    return true, named
+
+
+# Rankings
+
+RANKING_SCORES: tuple[str, ...] = ("p_at_1", "p_at_10", "map", "ndcg_at_10", "r_precision")
+"""Names of the scores, in the order of ``RankingScores.as_row``."""
+
+_DEPTH = 10
+_DRAWN_AT_ONCE = 1_000_000  # numbers of queries, which bounds the memory
+
+
+@dataclass(frozen=True, slots=True)
+class RankingScores:
+    """Scores of one query, 0 to 1; NaN where no clip is relevant."""
+
+    p_at_1: float
+    p_at_10: float
+    average_precision: float
+    ndcg_at_10: float
+    r_precision: float
+
+    def as_row(self) -> tuple[float, ...]:
+        """The scores in the order of ``RANKING_SCORES``."""
+        return (self.p_at_1, self.p_at_10, self.average_precision, self.ndcg_at_10, self.r_precision)
+
+
+@dataclass(frozen=True, slots=True)
+class Interval:
+    """A mean and its interval; all NaN without values.
+
+    Parameters
+    ----------
+    mean : of the values.
+    low, high : ends of the interval.
+    """
+
+    mean: float
+    low: float
+    high: float
+
+
+def score_ranking(relevant: ArrayLike) -> RankingScores:
+    """Score the order in which one query's clips came.
+
+    Parameters
+    ----------
+    relevant : (N,) whether each clip is relevant, the first clip of the ranking first.
+
+    Raises
+    ------
+    OptionError : another shape.
+    """
+    hits = np.asarray(relevant, dtype=bool)
+    if hits.ndim != 1:
+        raise OptionError("trials.hits", shape=hits.shape)
+    places = np.flatnonzero(hits)
+    count = len(places)
+    if not count:
+        return RankingScores(*[float("nan")] * 5)
+    precisions = np.arange(1, count + 1) / (places + 1)
+    discounts = 1.0 / np.log2(np.arange(_DEPTH) + 2.0)
+    return RankingScores(
+        p_at_1=float(hits[0]),
+        p_at_10=float(hits[:_DEPTH].sum() / _DEPTH),
+        average_precision=float(precisions.mean()),
+        ndcg_at_10=float(discounts[places[places < _DEPTH]].sum() / discounts[:count].sum()),
+        r_precision=float(hits[:count].sum() / count),
+    )
+
+
+def bootstrap_interval(
+    values: ArrayLike,
+    *,
+    groups: ArrayLike | None = None,
+    n_resamples: int = 2000,
+    confidence: float = 0.95,
+    random_state: int = 0,
+) -> Interval:
+    """The mean of some values and its percentile bootstrap interval.
+
+    Parameters
+    ----------
+    values : (Q,) finite, one per query.
+    groups : (Q,) the performer of each query, say: whole groups are drawn instead of queries, as the queries of one
+        performer resemble each other. With few groups such an interval is rough.
+    n_resamples : how often values are drawn with replacement, 1 or more.
+    confidence : share of the resampled means inside the interval, between 0 and 1.
+    random_state : seed; the same seed draws the same queries, so that systems are compared on the same draws.
+
+    Returns
+    -------
+    Interval; with one value, or one group, its ends are the mean.
+
+    Raises
+    ------
+    OptionError : a number outside its range, or other shapes.
+
+    Source: Efron and Tibshirani, "An introduction to the bootstrap", 1993, chapter 13.
+    """
+    data = np.asarray(values, dtype=np.float64)
+    names = np.arange(len(data)) if groups is None else np.asarray(groups)
+    if data.ndim != 1 or names.shape != data.shape:
+        raise OptionError("trials.groups", values=data.shape, groups=names.shape)
+    if n_resamples < 1 or not 0 < confidence < 1:
+        raise OptionError("trials.confidence", resamples=n_resamples, confidence=confidence)
+    if not len(data):
+        return Interval(float("nan"), float("nan"), float("nan"))
+    _, number = np.unique(names, return_inverse=True)
+    sums, sizes = np.bincount(number, weights=data), np.bincount(number)
+    generator = np.random.default_rng(random_state)
+    means: list[FloatArray] = []
+    portion = max(1, _DRAWN_AT_ONCE // len(sums))
+    for first in range(0, n_resamples, portion):
+        drawn = generator.integers(len(sums), size=(min(portion, n_resamples - first), len(sums)))
+        means.append(sums[drawn].sum(axis=1) / sizes[drawn].sum(axis=1))
+    outside = 50.0 * (1.0 - confidence)
+    low, high = np.percentile(np.concatenate(means), [outside, 100.0 - outside])
+    return Interval(float(data.mean()), float(low), float(high))
+
+
+# Timelines
+
+_ENOUGH_OVERLAP = 0.5
+
+
+@dataclass(frozen=True, slots=True)
+class TrueSegment:
+    """What a take shows from ``start`` to ``stop`` (s); category None where it is none that is known.
+
+    Parameters
+    ----------
+    counted : false where nobody can say what it is; such frames do not count.
+    """
+
+    start: float
+    stop: float
+    category: str | None
+    counted: bool = True
+
+
+@dataclass(frozen=True, slots=True)
+class TimelineScores(Result):
+    """Shares from 0 to 1, and seconds; nan where there is nothing to count."""
+
+    frame_accuracy: float
+    precision: float
+    recall: float
+    f_measure: float
+    boundary_error_s: float
+    n_frames: int
+    n_events: int
+
+
+@dataclass(frozen=True, slots=True)
+class TimelineCounts:
+    """What scores are made of; counts of several takes can be added.
+
+    Parameters
+    ----------
+    right_frames, n_frames : frames whose label is right, frames that count.
+    matched, said, true : segments that are right, labelled segments, true pieces of known categories.
+    boundary_errors : s, two of each right segment.
+    """
+
+    right_frames: int = 0
+    n_frames: int = 0
+    matched: int = 0
+    said: int = 0
+    true: int = 0
+    boundary_errors: tuple[float, ...] = ()
+
+    def scores(self) -> TimelineScores:
+        """The scores of these counts."""
+        nan = float("nan")
+        precision = self.matched / self.said if self.said else nan
+        recall = self.matched / self.true if self.true else nan
+        both = self.said + self.true
+        return TimelineScores(
+            frame_accuracy=self.right_frames / self.n_frames if self.n_frames else nan,
+            precision=precision,
+            recall=recall,
+            f_measure=2 * self.matched / both if both else nan,
+            boundary_error_s=float(np.median(self.boundary_errors)) if self.boundary_errors else nan,
+            n_frames=self.n_frames,
+            n_events=self.true,
+        )
+
+
+def add_counts(counts: Iterable[TimelineCounts]) -> TimelineCounts:
+    """The counts of several takes together."""
+    some = list(counts)
+    return TimelineCounts(
+        sum(one.right_frames for one in some),
+        sum(one.n_frames for one in some),
+        sum(one.matched for one in some),
+        sum(one.said for one in some),
+        sum(one.true for one in some),
+        tuple(error for one in some for error in one.boundary_errors),
+    )
+
+
+def compare_timeline(segments: Sequence[Segment], truth: Sequence[TrueSegment], duration: float) -> TimelineCounts:
+    """Count what is right in the labels of a take.
+
+    Parameters
+    ----------
+    segments : of a timeline.
+    truth : what the take shows; nothing known where no true segment is.
+    duration : s.
+    """
+    times = np.asarray((np.arange(round(duration * TAKE_RATE)) + 0.5) / TAKE_RATE, np.float64)
+    said = _names_at(times, [(one.start, one.stop, one.category) for one in segments])
+    shown = _names_at(times, [(one.start, one.stop, one.category) for one in truth])
+    counted = np.ones(len(times), bool)
+    for one in truth:
+        if not one.counted:
+            counted &= ~((times >= one.start) & (times < one.stop))
+    labelled = [one for one in segments if one.category is not None]
+    events = [one for one in truth if one.category is not None and one.counted]
+    pairs = sorted(
+        (
+            (-overlap((a.start, a.stop), (b.start, b.stop)), i, k)
+            for i, a in enumerate(labelled)
+            for k, b in enumerate(events)
+            if a.category == b.category and overlap((a.start, a.stop), (b.start, b.stop)) >= _ENOUGH_OVERLAP
+        )
+    )
+    used: tuple[set[int], set[int]] = (set(), set())
+    errors: list[float] = []
+    for _, i, k in pairs:
+        if i not in used[0] and k not in used[1]:
+            used[0].add(i)
+            used[1].add(k)
+            errors += [abs(labelled[i].start - events[k].start), abs(labelled[i].stop - events[k].stop)]
+    n_said = sum(_is_counted(one, truth) for one in labelled)
+    right = int(((said == shown) & counted).sum())
+    return TimelineCounts(right, int(counted.sum()), len(used[0]), n_said, len(events), tuple(errors))
+
+
+def _names_at(times: NDArray[np.float64], spans: Iterable[tuple[float, float, str | None]]) -> NDArray[np.object_]:
+    names = np.full(len(times), "", dtype=object)
+    for start, stop, category in spans:
+        names[(times >= start) & (times < stop)] = category or ""
+    return names
+
+
+def _is_counted(segment: Segment, truth: Sequence[TrueSegment]) -> bool:
+    """Whether most of a segment lies where the truth is known."""
+    unclear = sum(
+        max(min(segment.stop, one.stop) - max(segment.start, one.start), 0.0) for one in truth if not one.counted
+    )
+    return unclear <= 0.5 * (segment.stop - segment.start)

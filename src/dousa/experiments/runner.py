@@ -1,0 +1,260 @@
+"""How every trial is run: options and clips checked, clips divided, tasks done in order, steps counted.
+
+Answers do not depend on the number of workers: they come in the order of the tasks, and whatever is drawn at random
+is drawn from the seed and the number of the task.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dousa.errors import OptionError, TrainingError
+from dousa.messages import Message
+
+if TYPE_CHECKING:
+    from dousa.retrieval.features.feature_sets import FeatureSet
+    from dousa.retrieval.features.posed_motion import LabelledClip
+    from dousa.retrieval.forest.forest import MotionForest
+
+Progress = Callable[[int, int, Message], None]
+"""Called with the steps done, their total, and what comes next or was done."""
+
+_Task = TypeVar("_Task")
+_Answer = TypeVar("_Answer")
+
+
+class Steps:
+    """Counts the steps of a trial for the progress callback."""
+
+    def __init__(self, progress: Progress | None, total: int = 0) -> None:
+        self.progress, self.total, self.done = progress, total, 0
+
+    def say(self, doing: Message) -> None:
+        """Tell what comes next."""
+        if self.progress is not None:
+            self.progress(self.done, self.total, doing)
+
+    def finish(self) -> None:
+        """Tell that all is done."""
+        self.done = self.total
+        self.say(Message("trial_progress.done"))
+
+
+def run_tasks(
+    work: Callable[[_Task], _Answer],
+    tasks: Sequence[_Task],
+    name: Callable[[_Task], Message],
+    *,
+    n_jobs: int | None,
+    progress: Progress | None,
+    in_processes: bool = False,
+) -> Iterator[_Answer]:
+    """Answers in the order of the tasks.
+
+    Parameters
+    ----------
+    work : what is done to each.
+    tasks : any number.
+    name : what the progress callback is told of a task.
+    n_jobs : workers; None for one.
+    progress : called with (done, total, name); first with the name of the first task.
+    in_processes : processes instead of threads: for work that holds Python's lock. Compiled kernels let go of it.
+
+    Raises
+    ------
+    OptionError : no workers.
+    """
+    if n_jobs == 0:
+        raise OptionError("trials.workers")
+    answers: Iterable[_Answer]
+    if n_jobs in (None, 1) or len(tasks) < 2:
+        answers = map(work, tasks)
+    else:
+        import joblib
+
+        how = None if in_processes else "threads"
+        parallel = joblib.Parallel(n_jobs=n_jobs, prefer=how, return_as="generator", batch_size=1)
+        answers = parallel(joblib.delayed(work)(task) for task in tasks)
+    steps = Steps(progress, len(tasks))
+    if tasks:
+        steps.say(name(tasks[0]))
+    for task, answer in zip(tasks, answers, strict=True):
+        steps.done += 1
+        steps.say(name(task))
+        yield answer
+
+
+def check_at_least(**numbers: tuple[float, float]) -> None:
+    """OptionError where a number is below its least: name=(number, least)."""
+    for name, (found, least) in numbers.items():
+        if not found >= least:
+            raise OptionError("trials.at_least", name=name, least=least, found=found)
+
+
+def check_choice(name: str, found: str, known: Collection[str]) -> None:
+    """OptionError where a word is none of those known."""
+    if found not in known:
+        raise OptionError("trials.choice", name=name, known=tuple(known), found=found)
+
+
+def check_some(name: str, found: Sequence[str], known: Collection[str]) -> None:
+    """OptionError where there is no word, or one that is not known."""
+    unknown = [word for word in found if word not in known]
+    if unknown or not found:
+        code = "trials.some" if unknown else "trials.some_none"
+        raise OptionError(code, name=name, known=tuple(known), found=unknown)
+
+
+def check_split(split: str | None, test_given: bool) -> None:
+    """OptionError for a way of dividing clips that is not known, or where there is nothing to divide."""
+    if split is not None:
+        check_choice("split", split, SPLITS)
+        if test_given:
+            raise OptionError("trials.split_and_test")
+
+
+def check_categories(clips: Sequence[LabelledClip]) -> None:
+    """TrainingError for a clip without category."""
+    for clip in clips:
+        if not clip.category:
+            raise TrainingError("trials.no_category", name=clip.name)
+
+
+# Who trains and who is tested
+
+SPLITS: tuple[str, ...] = ("half", "leave-performer-out")
+
+
+@dataclass(frozen=True, slots=True)
+class Split:
+    """Indices of the training and of the test clips.
+
+    Parameters
+    ----------
+    train, test : sorted, without common members.
+    name : the performer left out, ``"half"`` or ``"given"``.
+    """
+
+    train: NDArray[np.intp]
+    test: NDArray[np.intp]
+    name: str = "given"
+
+
+def split_half(
+    categories: Sequence[str],
+    random_state: int | np.random.Generator | None = None,
+    train_share: float = 0.5,
+) -> Split:
+    """Draw half of the clips of every category, or another share, for training.
+
+    Parameters
+    ----------
+    categories : (N,) label of every clip.
+    random_state : seed, or a generator to draw from.
+    train_share : of the clips of each category, above 0 and below 1.
+
+    Returns
+    -------
+    Split. What is no whole number of clips is rounded up; so a category with one clip trains only.
+
+    Raises
+    ------
+    TrainingError : no clips, or so few in every category that nothing is left to test.
+    OptionError : a share out of range.
+
+    Source: Hamada, Kuriyama, Mukai, section 4.1.
+    """
+    if not 0.0 < train_share < 1.0:
+        raise OptionError("trials.train_share", found=train_share)
+    labels = np.asarray(categories, dtype=object)
+    if not len(labels):
+        raise TrainingError("trials.no_clips")
+    generator = np.random.default_rng(random_state)
+    train: list[int] = []
+    for category in sorted(set(labels)):
+        members = np.flatnonzero(labels == category)
+        count = math.ceil(len(members) * train_share - 1e-9)
+        train.extend(generator.permutation(members)[:count])
+    chosen = np.zeros(len(labels), bool)
+    chosen[train] = True
+    if chosen.all():
+        raise TrainingError("trials.none_left")
+    return Split(np.flatnonzero(chosen), np.flatnonzero(~chosen), "half")
+
+
+def leave_performer_out(performers: Sequence[str | None]) -> tuple[Split, ...]:
+    """One split per performer, whose clips test what the others' clips train.
+
+    Parameters
+    ----------
+    performers : (N,) performer of every clip.
+
+    Returns
+    -------
+    Splits named after the performers, in alphabetical order.
+
+    Raises
+    ------
+    TrainingError : no clips, a clip without a performer, or one performer only.
+    """
+    if not len(performers):
+        raise TrainingError("trials.no_clips")
+    unknown = [index for index, performer in enumerate(performers) if not performer]
+    if unknown:
+        raise TrainingError("trials.no_performer", unknown=len(unknown), clips=len(performers), first=unknown[0])
+    names = np.asarray(performers, dtype=object)
+    everyone = sorted(set(names))
+    if len(everyone) < 2:
+        raise TrainingError("trials.one_performer", clips=len(names), performer=everyone[0])
+    return tuple(Split(np.flatnonzero(names != one), np.flatnonzero(names == one), one) for one in everyone)
+
+
+def make_folds(
+    clips: Sequence[LabelledClip], n_given: int, split: str, seeds: Sequence[int], train_share: float = 0.5
+) -> tuple[Split, ...]:
+    """The folds of one repeat.
+
+    Parameters
+    ----------
+    clips : all of them; with ``"given"`` the first ``n_given`` train and the others are tested.
+    split : of `SPLITS`, or ``"given"``.
+    seeds : of what is drawn.
+    train_share : with ``"half"``.
+
+    Raises
+    ------
+    TrainingError : a fold with one category to train on, or with nothing to test; and as `split_half` and
+        `leave_performer_out`.
+    """
+    if split == "given":
+        folds: tuple[Split, ...] = (Split(np.arange(n_given), np.arange(n_given, len(clips))),)
+    elif split == "leave-performer-out":
+        folds = leave_performer_out([clip.performer for clip in clips])
+    else:
+        folds = (split_half([clip.category for clip in clips], np.random.default_rng(seeds), train_share),)
+    for fold in folds:
+        found = tuple(sorted({clips[k].category for k in fold.train}))
+        if len(found) < 2:
+            raise TrainingError("trials.one_category", fold=fold.name, found=found)
+        if not len(fold.test):
+            raise TrainingError("trials.no_test")
+    return folds
+
+
+def make_forest(features: FeatureSet, n_trees: int, random_state: int, n_jobs: int | None) -> MotionForest:
+    """A forest to be trained on these features."""
+    from dousa.retrieval.forest.forest import MotionForest
+
+    return MotionForest(
+        n_trees,
+        n_trials=features.n_trials,
+        thresholds=features.thresholds,
+        random_state=random_state,
+        n_jobs=n_jobs,
+    )

@@ -1,0 +1,41 @@
+"""Values as JSON has them."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Mapping
+from typing import Any
+
+from dousa.messages import Message
+
+
+def to_json_value(value: Any) -> Any:
+    """The value with numbers that are not finite as None, arrays and tuples as lists, messages in words.
+
+    Parameters
+    ----------
+    value : of dictionaries, sequences, numpy arrays and numbers, messages, objects with ``to_json()``, dataclasses;
+        anything else stays what it is.
+    """
+    if isinstance(value, Message):
+        return str(value)
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    if isinstance(value, list | tuple):
+        return [to_json_value(item) for item in value]
+    plain = _simplify(value)
+    if isinstance(plain, Mapping):
+        return {str(key): to_json_value(item) for key, item in plain.items()}
+    return plain if plain is value else to_json_value(plain)
+
+
+def _simplify(value: Any) -> Any:
+    """Arrays as lists, objects by what they say of themselves, dataclasses by their fields."""
+    if hasattr(value, "tolist"):  # numpy scalars and arrays
+        return value.tolist()
+    if hasattr(value, "to_json"):
+        return value.to_json()
+    if dataclasses.is_dataclass(value):
+        return {field.name: getattr(value, field.name) for field in dataclasses.fields(value)}
+    return value

@@ -1,0 +1,57 @@
+"""XML of unknown origin: no document types, so that no entity can grow or fetch anything."""
+
+from __future__ import annotations
+
+import json
+import tomllib
+import xml.etree.ElementTree as ET
+from typing import Any
+
+from dousa.errors import CalibrationError
+
+
+class _Builder(ET.TreeBuilder):
+    def doctype(self, _name: str, _public: str | None, _system: str | None) -> None:
+        """Called before any entity is declared."""
+        raise CalibrationError("markup.doctype")
+
+
+def parse_xml(content: bytes) -> ET.Element:
+    """The root element.
+
+    Raises
+    ------
+    CalibrationError : no XML, cut off, or with a document type.
+    """
+    parser = ET.XMLParser(target=_Builder())
+    try:
+        return ET.fromstring(content, parser=parser)
+    except ET.ParseError as error:
+        line = error.position[0]
+        raise CalibrationError("markup.broken_xml", line=line, reason=error) from error
+    except (ValueError, LookupError) as error:  # an encoding that nobody knows
+        if isinstance(error, CalibrationError):
+            raise
+        raise CalibrationError("markup.not_xml", reason=error) from error
+
+
+_MOST_DOTS = 200  # in a line; numbers have them too
+
+
+def parse_toml(text: str) -> dict[str, Any]:
+    """The document, with any line ends.
+
+    Raises
+    ------
+    tomllib.TOMLDecodeError : no TOML.
+    RecursionError : brackets or keys are nested too deep.
+    """
+    lines = text.replace("\r\n", "\n")
+    if any(line.count(".") > _MOST_DOTS for line in lines.split("\n")):
+        raise RecursionError("a line with more dots than any key or list of numbers needs")
+    return tomllib.loads(lines)
+
+
+def quote_toml(text: str) -> str:
+    """A text as a basic string of TOML: JSON's, but for one control character."""
+    return json.dumps(text, ensure_ascii=False).replace("\x7f", "\\u007f")

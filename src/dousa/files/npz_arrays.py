@@ -1,0 +1,198 @@
+"""Arrays out of an npz file of unknown origin: nothing is pickled, and no size in it is believed.
+
+A member may be compressed, and masks compress a thousandfold, so the size of the file bounds nothing. What a member
+declares is therefore compared with a limit before a byte is unpacked, and with what comes while unpacking.
+"""
+
+from __future__ import annotations
+
+import io
+import lzma
+import math
+import os
+import re
+import zipfile
+import zlib
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from typing import IO, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dousa.errors import DousaError, MotionFileError
+from dousa.files.disk import read_bytes
+from dousa.messages import Message
+
+_MOST_MEMBERS, _MOST_AXES, _LONGEST_AXIS = 256, 8, 2**40
+_MOST_BYTES = 64_000_000  # what an array may have unless more is asked for
+_LONGEST_HEADER = 10_000
+_LAST_CODE_POINT = 0x10FFFF
+_MAGIC = b"\x93NUMPY"
+
+# The header that numpy writes, taken apart without evaluating it.
+_HEADER = re.compile(
+    r"\{'descr': '([<>|=]?[biufU]\d{1,9})', 'fortran_order': (True|False), 'shape': \(([\d, ]{0,200})\), ?\}\s*"
+)
+
+# What zipfile and its decompressors raise on damaged archives, found by fuzzing and in their source.
+_DAMAGE = (
+    zipfile.BadZipFile, zlib.error, lzma.LZMAError, NotImplementedError, RuntimeError, EOFError, ValueError,
+    OverflowError,
+)  # fmt: skip
+
+Fail = Callable[[Message], DousaError]
+
+
+@contextmanager
+def open_npz(source: str | os.PathLike[str] | bytes, fail: Fail) -> Iterator[NpzFile]:
+    """The arrays of an npz file, each read when it is asked for.
+
+    Parameters
+    ----------
+    source : the file, or its bytes.
+    fail : makes an error of what is wrong, such as ``lambda message: SilhouetteError(message).at(path)``.
+
+    Raises
+    ------
+    What ``fail`` makes: missing, a folder or device, empty, damaged, no archive of a few arrays. Errors that are raised
+    in the block go through.
+    """
+    try:
+        if not isinstance(source, bytes) and not (os.path.isfile(source) and os.path.getsize(source)):
+            read_bytes(source)  # says what is wrong
+        with zipfile.ZipFile(io.BytesIO(source) if isinstance(source, bytes) else source) as archive:
+            yield NpzFile(archive, fail)
+    except MotionFileError as error:
+        raise fail(error.message) from None
+    except DousaError:
+        raise
+    except MemoryError:
+        raise fail(Message("npz.memory")) from None
+    except _DAMAGE as error:
+        raise fail(Message("npz.damaged", reason=error)) from error
+    except OSError as error:
+        raise fail(Message("npz.unreadable", reason=error)) from error
+
+
+@dataclass(frozen=True, slots=True)
+class Header:
+    """What the head of an array says; its size agrees with the member's.
+
+    Parameters
+    ----------
+    dtype, shape : of the array.
+    order : ``"F"`` where the first axis runs fastest, else ``"C"``.
+    n_bytes : of the data.
+    """
+
+    dtype: np.dtype[Any]
+    shape: tuple[int, ...]
+    order: str
+    n_bytes: int
+
+
+class NpzFile:
+    """The arrays of an open archive, see `open_npz`."""
+
+    def __init__(self, archive: zipfile.ZipFile, fail: Fail) -> None:
+        self._archive, self._fail = archive, fail
+        members = archive.infolist()
+        if len(members) > _MOST_MEMBERS:
+            raise fail(Message("npz.many_members", found=len(members)))
+        self._members = {member.filename.removesuffix(".npy"): member for member in members}
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the arrays."""
+        return tuple(self._members)
+
+    @property
+    def compressed(self) -> tuple[str, ...]:
+        """Names of the arrays that are compressed."""
+        return tuple(name for name, member in self._members.items() if member.compress_type != zipfile.ZIP_STORED)
+
+    def __contains__(self, name: object) -> bool:
+        return name in self._members
+
+    @contextmanager
+    def open(self, name: str) -> Iterator[tuple[Header, IO[bytes]]]:
+        """The head of an array and the stream of its data."""
+        if name not in self._members:
+            raise self._fail(Message("npz.no_array", array=name, found=self.names[:20]))
+        member = self._members[name]
+        with self._archive.open(member) as stream:
+            yield self._read_header(name, stream, member.file_size), stream
+
+    def _read_header(self, name: str, stream: IO[bytes], size: int) -> Header:
+        head = stream.read(10)
+        if len(head) < 10 or head[:6] != _MAGIC:
+            raise self._fail(Message("npz.no_numpy", array=name))
+        length = head[8:10] if head[6] < 2 else head[8:10] + stream.read(2)
+        start = 8 + len(length) + int.from_bytes(length, "little")
+        text = b"" if start > min(size, _LONGEST_HEADER) else stream.read(start - 8 - len(length))
+        found = _HEADER.fullmatch(text.decode("latin-1"))
+        if found is None:
+            raise self._fail(Message("npz.not_plain", array=name))
+        try:
+            dtype = np.dtype(found[1])
+        except (TypeError, ValueError, OverflowError):
+            dtype = np.dtype("V0")
+        if dtype.itemsize == 0:  # a thousand million empty texts would take no room in the file
+            raise self._fail(Message("npz.no_dtype", array=name, found=found[1]))
+        shape = tuple(int(axis) for axis in found[3].replace(" ", "").split(",") if axis)
+        n_bytes = math.prod(shape) * dtype.itemsize
+        if n_bytes != size - start or len(shape) > _MOST_AXES or max(shape, default=0) > _LONGEST_AXIS:
+            raise self._fail(
+                Message("npz.size", array=name, shape=str(shape), declared=str(n_bytes), found=str(size - start))
+            )
+        return Header(dtype, shape, "F" if found[2] == "True" else "C", n_bytes)
+
+    def read_data(self, name: str, header: Header, stream: IO[bytes]) -> NDArray[Any]:
+        """The array behind a head, not to be written to."""
+        parts, left = [], header.n_bytes
+        while left:
+            part = stream.read(min(left, 1 << 20))
+            if not part:
+                raise self._fail(Message("npz.ends", array=name))
+            parts.append(part)
+            left -= len(part)
+        stream.read(1)  # lets zipfile compare the checksum
+        flat = np.frombuffer(b"".join(parts), header.dtype)
+        return flat.reshape(header.shape, order="F" if header.order == "F" else "C")
+
+    def read(self, name: str, kinds: str, ndim: int | None = None, most: int = _MOST_BYTES) -> NDArray[Any]:
+        """An array, not to be written to.
+
+        Parameters
+        ----------
+        name : of the array.
+        kinds : letters of the wanted kinds of dtype: b bool, i and u whole numbers, f numbers, U text.
+        ndim : number of axes; any by default.
+        most : bytes it may have.
+        """
+        with self.open(name) as (header, stream):
+            if header.dtype.kind not in kinds:
+                raise self._fail(Message("npz.kind", array=name, kinds=kinds, found=header.dtype.kind))
+            if ndim not in (None, len(header.shape)):
+                raise self._fail(Message("npz.axes", array=name, expected=ndim, found=len(header.shape)))
+            if header.n_bytes > most:
+                raise self._fail(Message("npz.large", array=name, most=most, found=header.n_bytes))
+            array = self.read_data(name, header, stream)
+        if array.dtype.kind == "U" and array.size:
+            codes = np.ascontiguousarray(array, array.dtype.newbyteorder("=")).reshape(-1).view(np.uint32)
+            if codes.max() > _LAST_CODE_POINT:
+                raise self._fail(Message("npz.not_text", array=name))
+        return array
+
+    def read_number(self, name: str) -> float:
+        """A single finite number."""
+        value = float(self.read(name, "iuf", 0))
+        if not math.isfinite(value):
+            raise self._fail(Message("npz.not_finite", array=name, found=str(value)))
+        return value
+
+    def read_texts(self, name: str) -> tuple[str, ...]:
+        """A list of texts."""
+        return tuple(str(text) for text in self.read(name, "U", 1))

@@ -1,0 +1,82 @@
+"""What the formats of measured points share: from a file's unit and axes to metres with Y up."""
+
+from __future__ import annotations
+
+import dataclasses
+import os
+
+import numpy as np
+
+from dousa.arrays import FloatArray
+from dousa.errors import InvalidMotionError, MotionFileError, OptionError
+from dousa.motion import Provenance, Trajectories, thin
+from dousa.motion.canonical.reference_frame import (
+    infer_reference_frame,
+    parse_unit,
+    parse_up,
+    to_reference_frame,
+)
+
+_SAMPLE_FRAMES = 10
+
+
+def declared_unit(text: str) -> float | None:
+    """Metres per unit of the unit a file names, None where it names none that is known."""
+    try:
+        return parse_unit(text)
+    except OptionError:
+        return None
+
+
+def settle_trajectories(
+    path: str | os.PathLike[str],
+    format_name: str,
+    names: tuple[str, ...],
+    positions: FloatArray,
+    frame_rate: float,
+    *,
+    unit: float | str | None,
+    up: str | None,
+    unit_in_file: float | None,
+    up_in_file: str | None,
+    default_up: str | None,
+    keep_values: bool = False,
+) -> Trajectories:
+    """Trajectories in metres with Y up from what a file holds.
+
+    Parameters
+    ----------
+    path, format_name : for the provenance and the messages.
+    names : (K,) of the points.
+    positions : (T, K, 3) in the file's unit and axes, NaN where missing.
+    frame_rate : Hz.
+    unit, up : what the caller says, or None.
+    unit_in_file, up_in_file : what the file says, or None.
+    default_up : the habit of the format, where neither says.
+    keep_values : keep the file's own numbers in the provenance.
+
+    Raises
+    ------
+    MotionFileError : no points, no frames, infinite positions, an impossible frame rate.
+    """
+    # What the file says is used as if the caller had said it: a few markers or a long path tell no body height.
+    known_unit = unit_in_file if unit is None else parse_unit(unit)
+    known_up = up_in_file if up is None else parse_up(up)
+    try:
+        with np.errstate(over="ignore", invalid="ignore"):  # a damaged file may hold 1e300
+            raw = Trajectories(names, positions, frame_rate)
+            sample = raw.replace(positions=thin(raw.positions, min(_SAMPLE_FRAMES, raw.n_frames)))
+            frame = infer_reference_frame(sample, unit=known_unit, up=known_up, default_up=default_up)
+            settled = to_reference_frame(raw, frame)
+    except InvalidMotionError as error:
+        raise MotionFileError(path, "markers.damaged", reason=error) from error
+    provenance = Provenance(
+        os.fspath(path),
+        format_name,
+        frame.unit,
+        "declared" if unit is None and unit_in_file is not None else frame.unit_source,
+        frame.up,
+        "declared" if up is None and up_in_file is not None else frame.up_source,
+        values=raw.positions if keep_values else None,
+    )
+    return dataclasses.replace(settled, provenance=provenance)

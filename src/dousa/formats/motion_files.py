@@ -1,0 +1,165 @@
+"""Motion files of the disk: what a person says about them, finding them, reading them on canonical joints."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from dousa.errors import DousaError, JointMappingError
+from dousa.formats.registry import SUFFIXES, read_motion
+from dousa.messages import Message
+
+if TYPE_CHECKING:
+    from dousa.motion import CanonicalMotion
+
+
+JointMap = Mapping[str, str | Sequence[str]]
+"""Canonical joint to the name, or names, in the file."""
+
+
+@dataclass(frozen=True, slots=True)
+class ReadOptions:
+    """How motion files are understood, wherever any are read.
+
+    Parameters
+    ----------
+    joint_map : canonical joint to the name, or names, in the file; see ``dousa.motion.canonicalise``.
+    unit : metres per unit of the file, or a name such as ``"cm"``; see ``dousa.formats.read_motion``.
+    up : axis of the file that points up, such as ``"y"`` or ``"-z"``.
+    skeleton : the ``.asf`` of ``.amc`` files.
+    """
+
+    joint_map: JointMap | None = None
+    unit: float | str | None = None
+    up: str | None = None
+    skeleton: str | os.PathLike[str] | None = None
+
+    def describe(self) -> str:
+        """The options that change how a content is understood, as one line of JSON; empty if there are none."""
+        joints = None
+        if self.joint_map is not None:
+            joints = {key: value if isinstance(value, str) else list(value) for key, value in self.joint_map.items()}
+        given = {"joint_map": joints, "unit": self.unit, "up": self.up}
+        given = {key: value for key, value in given.items() if value is not None}
+        return json.dumps(given, sort_keys=True) if given else ""
+
+
+@dataclass(frozen=True, slots=True)
+class FoundFile:
+    """A motion file and the PATH it was found under, both absolute."""
+
+    root: Path
+    path: Path
+
+
+@dataclass(frozen=True, slots=True)
+class Skipped:
+    """A file that was not used, and why.
+
+    Parameters
+    ----------
+    path : the file.
+    reason : what is wrong with it and what helps.
+    """
+
+    path: str
+    reason: Message
+
+    def to_json(self) -> dict[str, Any]:
+        """Path and reason, in the language in use."""
+        return {"path": self.path, "reason": str(self.reason)}
+
+
+def find_motion_files(paths: Iterable[str | os.PathLike[str]]) -> tuple[list[FoundFile], list[Skipped]]:
+    """The motion files that are named, or lie in folders that are named, at any depth.
+
+    Folders give the files of known suffixes, in the order of their names; hidden files and folders are left
+    out, and links to folders are followed once. A file that is named is always taken, whatever its suffix.
+
+    Parameters
+    ----------
+    paths : files and folders.
+
+    Returns
+    -------
+    files : each once, under the first PATH that leads to it.
+    missing : the paths that do not exist, and the folders that cannot be looked into.
+    """
+    found: dict[Path, FoundFile] = {}
+    missing: list[Skipped] = []
+    for given in paths:
+        root = Path(os.path.abspath(given))
+        # Unlike Path.is_dir these say no, and do not raise, where a folder above cannot be looked into.
+        if os.path.isdir(root):
+            for path in _walk(root, missing):
+                found.setdefault(path, FoundFile(root, path))
+        elif os.path.exists(root):
+            found.setdefault(root, FoundFile(root, root))
+        else:
+            missing.append(Skipped(os.fspath(given), Message("motion_files.not_found")))
+    return list(found.values()), missing
+
+
+def _walk(root: Path, closed: list[Skipped]) -> Iterator[Path]:
+    def note(error: OSError) -> None:
+        closed.append(Skipped(str(error.filename), Message("motion_files.folder_unreadable", reason=error)))
+
+    seen: set[tuple[int, int]] = set()
+    for folder, subfolders, names in os.walk(root, followlinks=True, onerror=note):
+        place = os.stat(folder)
+        if (place.st_dev, place.st_ino) in seen:
+            subfolders.clear()
+            continue
+        seen.add((place.st_dev, place.st_ino))
+        subfolders[:] = sorted(name for name in subfolders if not name.startswith("."))
+        for name in sorted(names):
+            if not name.startswith(".") and os.path.splitext(name)[1].lower() in SUFFIXES:
+                yield Path(folder, name)
+
+
+def is_unicode(path: str) -> bool:
+    """Whether a path is text: on some disks names are any bytes, which no database keeps."""
+    try:
+        path.encode()
+    except UnicodeEncodeError:
+        return False
+    return True
+
+
+def read_canonical(path: str | os.PathLike[str], options: ReadOptions | None = None) -> tuple[CanonicalMotion, str]:
+    """A motion file as canonical joints, and the short name of its format.
+
+    Parameters
+    ----------
+    path : file ending in one of ``SUFFIXES``.
+    options : what the file does not say.
+
+    Raises
+    ------
+    MotionFileError : the file cannot be read.
+    JointMappingError : its joints cannot be told apart; the error has the ``path``.
+    """
+    from dousa.motion import canonicalise
+
+    path, options = os.fspath(path), options or ReadOptions()
+    skeleton = options.skeleton if path.lower().endswith(".amc") else None
+    motion = read_motion(path, unit=options.unit, up=options.up, skeleton=skeleton)
+    try:
+        return canonicalise(motion, options.joint_map), motion.provenance.format if motion.provenance else ""
+    except JointMappingError as error:
+        error.path = path
+        raise
+
+
+def describe_problem(path: str, error: DousaError) -> Message:
+    """What an error says, for a place that names the file itself: the file is left out, the line is not."""
+    place, line = getattr(error, "path", None), getattr(error, "line", None)
+    if place not in (None, path):
+        return Message("motion_files.in_other_file", path=place, problem=error.message)
+    if line is not None:
+        return Message("motion_files.at_line", line=line, problem=error.message)
+    return error.message

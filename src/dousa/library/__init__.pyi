@@ -1,0 +1,39 @@
+from .engine import choose_jobs
+from .labels import parse_label_rule
+from .library import Library
+from .results import (
+    AddReport,
+    Classification,
+    ClipInfo,
+    Duplicate,
+    FindResult,
+    Hit,
+    LabelledTake,
+    LibraryStats,
+    Place,
+    SearchResult,
+    Skipped,
+    TrainReport,
+    Verdict,
+)
+from .selection import UNCHANGED
+
+__all__ = [
+    "UNCHANGED",
+    "AddReport",
+    "Classification",
+    "ClipInfo",
+    "Duplicate",
+    "FindResult",
+    "Hit",
+    "LabelledTake",
+    "Library",
+    "LibraryStats",
+    "Place",
+    "SearchResult",
+    "Skipped",
+    "TrainReport",
+    "Verdict",
+    "choose_jobs",
+    "parse_label_rule",
+]

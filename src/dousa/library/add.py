@@ -1,0 +1,355 @@
+"""Adding motions: what is known is left alone, the rest is read at the same time and written in portions.
+
+A portion is one transaction, so a program that is stopped in the middle keeps what it wrote and goes on from
+there when it is run again.
+"""
+
+from __future__ import annotations
+
+import os
+import time
+from collections import defaultdict
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import fields, replace
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import sqlalchemy as sa
+
+from dousa.errors import DousaError
+from dousa.formats.motion_files import FoundFile, ReadOptions, Skipped, find_motion_files
+from dousa.library import schema
+from dousa.library.engine import Database, lock_for_writing, next_revision, note_changed_clips, take_clip_ids
+from dousa.library.features import Description, describe_clip, save_descriptions
+from dousa.library.forests import StoredForest, ask_trees, load_forest, save_answers
+from dousa.library.ingest import ClipRecord, FileRecord, ReadTask, look_at, read_clip, read_clips
+from dousa.library.labels import LabelRule, no_label
+from dousa.library.results import AddReport, Duplicate
+from dousa.library.selection import delete_clips
+from dousa.library.takes import (
+    DescribedTakes,
+    describe_records,
+    describe_windows,
+    refresh_windows,
+    save_windows,
+)
+from dousa.library.train import Learned, learn_clips
+from dousa.messages import Message
+
+
+def _insert_clips(
+    connection: sa.Connection,
+    fresh: Sequence[ClipRecord],
+    stored: StoredForest | None,
+    takes: DescribedTakes,
+    revision: int,
+) -> tuple[StoredForest | None, Learned]:
+    """Write new clips and takes, with the labels in their rows, and everything that belongs to them.
+
+    Returns
+    -------
+    The forest, after it learned from the clips that have a category; and what it learned.
+    """
+    numbered = dict(zip(take_clip_ids(connection, len(fresh)), fresh, strict=True))
+    now = datetime.now(UTC).isoformat(timespec="seconds")
+    rows = [{**record.row, "id": number, "added_at": now} for number, record in numbered.items()]
+    connection.execute(sa.insert(schema.clips), rows)
+    positions = [
+        {"clip_id": number, "positions": schema.pack(record.motion.positions, "<f4")}
+        for number, record in numbered.items()
+    ]
+    connection.execute(sa.insert(schema.clip_trajectories), positions)
+    clips = {number: record for number, record in numbered.items() if record.row["kind"] == schema.CLIP}
+    if clips:
+        note_changed_clips(connection)
+    if stored is None:
+        return None, Learned()
+    learned = Learned()
+    if clips:
+        stored, learned = _insert_answers(connection, clips, stored, revision)
+    recordings = {number: record for number, record in numbered.items() if number not in clips}
+    windows = {
+        number: takes.get((record.path, stored.learned)) or describe_windows(stored, record.motion).to_bytes()
+        for number, record in recordings.items()
+    }
+    save_windows(connection, stored, windows)
+    return stored, learned
+
+
+def _insert_answers(
+    connection: sa.Connection, clips: Mapping[int, ClipRecord], stored: StoredForest, revision: int
+) -> tuple[StoredForest, Learned]:
+    """What the trees say of new clips, after they learned from those that have a category."""
+    numbers = list(clips)
+    described = [_describe(stored, record) for record in clips.values()]
+    save_descriptions(connection, numbers, described)
+    features = np.stack([description.features for description in described])
+    labels = [record.row["category"] for record in clips.values()]
+    stored, learned = learn_clips(connection, stored, features, labels, revision)
+    save_answers(connection, numbers, ask_trees(stored, features))
+    return stored, learned
+
+
+def _describe(stored: StoredForest, record: ClipRecord) -> Description:
+    """Features and poses of a clip; computed here only if the forest changed while the file was read."""
+    known = record.description
+    if known is not None and known.feature_set == stored.feature_set:
+        return known
+    return describe_clip(record.motion, stored.feature_set)
+
+
+AddProgress = Callable[[int, int, str], None]
+"""Called with (files done, files, path of the last one)."""
+
+_NO_LABEL = {
+    "category": Message("library_add.no_category"),
+    "performer": Message("library_add.no_performer"),
+}
+
+_PORTION_CLIPS = 64
+_PORTION_SECONDS = 1.0
+
+_PORTION_FRAMES = (1 << 26) // (4 * 3 * 20)  # 64 MiB as they are stored
+
+Labels = dict[str, str | None]
+
+Answer = ClipRecord | FileRecord | Skipped
+
+
+Tally = defaultdict[str, list[Any]]
+"""The fields of the report while it grows; numbers are lists of their parts."""
+
+
+def _make_report(tally: Tally, seconds: float) -> AddReport:
+    values: dict[str, Any] = {field.name: tuple(tally[field.name]) for field in fields(AddReport)}
+    values |= {name: sum(tally[name]) for name in ("n_learned", "bytes")}
+    values["new_categories"] = tuple(sorted(set(tally["new_categories"])))
+    return AddReport(**(values | {"seconds": seconds}))
+
+
+class Adding:
+    """One run of ``Library.add`` or ``Library.add_motion``.
+
+    Parameters
+    ----------
+    database : of the library.
+    kind : ``CLIP`` or ``TAKE``, of motions that are not there yet.
+    rules : of category and performer: labels of new clips.
+    options : what is said about the files.
+    forest : of the library, if it is loaded; afterwards as it has learned.
+    """
+
+    def __init__(
+        self,
+        database: Database,
+        kind: str,
+        rules: Mapping[str, LabelRule],
+        options: ReadOptions,
+        forest: StoredForest | None = None,
+    ) -> None:
+        self._database = database
+        self._kind = kind
+        self._rules = rules
+        self._options = options
+        self.forest = forest
+        self._found: dict[str, FoundFile] = {}
+        self._labels_stay = True
+        self._tally: Tally = defaultdict(list)
+
+    def run(self, paths: Sequence[Any], n_jobs: int | None, progress: AddProgress | None) -> AddReport:
+        """Add all motion files of these files and folders."""
+        start = time.perf_counter()
+        files, missing = find_motion_files(paths)
+        self._tally["skipped"] += missing
+        self._found = {str(file.path): file for file in files}
+        tasks = self._plan()
+        report = progress or (lambda done, total, path: None)
+        done = len(files) - len(tasks)
+        report(done, len(files), "")
+        portion: list[Answer] = []
+        last = time.monotonic()
+        answers = read_clips(tasks, n_jobs)
+        try:
+            for answer in answers:
+                portion.append(answer)
+                if _is_full(portion) or time.monotonic() - last >= _PORTION_SECONDS:
+                    portion = self._store_portion(portion)
+                    last = time.monotonic()
+                done += 1
+                report(done, len(files), answer.path)
+        except KeyboardInterrupt:
+            self._store_portion(portion)
+            raise
+        finally:
+            answers.close()
+        self._store_portion(portion)
+        return self._finish(start, n_jobs)
+
+    def run_one(self, record: ClipRecord, n_jobs: int | None) -> AddReport:
+        """Add a motion of the memory, or put it in the place of another of its name; its labels are given by hand."""
+        start = time.perf_counter()
+        self._labels_stay = False
+        self._found = {record.path: FoundFile(Path(record.path), Path(record.path))}
+        self._store_portion([record])
+        return self._finish(start, n_jobs)
+
+    def _finish(self, start: float, n_jobs: int | None) -> AddReport:
+        if sum(self._tally["n_learned"]) and self.forest is not None:
+            refresh_windows(self._database, self.forest, n_jobs)
+        return _make_report(self._tally, time.perf_counter() - start)
+
+    def _plan(self) -> list[ReadTask]:
+        """The files that must be opened; those that did not change since they were stored are tallied."""
+        table = schema.clips.c
+        columns = (table.path, table.content_hash, table.fingerprint, table.size, table.read_options)
+        query = sa.select(*columns, table.category, table.performer, table.kind)
+        with self._database.reading() as connection:
+            stored: dict[str, Any] = {row.path: row for row in connection.execute(query)}
+            self.forest = load_forest(connection, self._database.where, self.forest)
+        hashes: dict[int, list[str]] = {}
+        for row in stored.values():
+            hashes.setdefault(row.size, []).append(row.content_hash)
+        tasks = []
+        for path in self._found:
+            try:
+                state = look_at(path, self._options)
+            except (DousaError, OSError):
+                tasks.append(self._task(path))  # reading it says what is wrong
+                continue
+            row = stored.get(path)
+            if row and (row.fingerprint, row.read_options) == (state.fingerprint, self._options.describe()):
+                self._tally["unchanged"].append(path)
+                self._note_labels(self._tally, path, row)
+            else:
+                known = tuple(hashes.get(state.size, ()))
+                tasks.append(self._task(path, row.kind if row else self._kind, known))
+        return tasks
+
+    def _task(self, path: str, kind: str | None = None, known: tuple[str, ...] = ()) -> ReadTask:
+        """A file to read; if there is a forest, the features of a clip are computed while it is read."""
+        chosen = kind or self._kind
+        feature_set = self.forest.feature_set if self.forest and chosen == schema.CLIP else ""
+        return ReadTask(path, self._options, known, chosen, feature_set)
+
+    def _labels(self, path: str) -> Labels:
+        file = self._found[path]
+        return {name: rule(file.root, file.path) for name, rule in self._rules.items()}
+
+    def _note_labels(self, tally: Tally, path: str, row: Any) -> None:
+        """Whether a stored clip would be another kind or have other labels now: it stays, but the report says so."""
+        if row.kind != self._kind:
+            tally["other_kind"].append(path)
+        labels = self._labels(path)
+        if any(value is not None and value != getattr(row, name) for name, value in labels.items()):
+            tally["other_labels"].append(path)
+
+    def _store_portion(self, portion: list[Answer]) -> list[Answer]:
+        """Write a portion in one transaction; returns the empty next one."""
+        self._tally["skipped"] += [answer for answer in portion if isinstance(answer, Skipped)]
+        read = [answer for answer in portion if not isinstance(answer, Skipped)]
+        if read:
+            # Long recordings take a while to describe: not while other programs wait to write.
+            takes = describe_records(self.forest, [r for r in read if isinstance(r, ClipRecord)])
+            with self._database.writing() as connection:
+                lock_for_writing(connection)
+                tally = self._store(connection, read, takes)
+            for name, items in tally.items():
+                self._tally[name] += items
+        return []
+
+    def _store(self, connection: sa.Connection, read: list[FileRecord], takes: DescribedTakes) -> Tally:
+        tally: Tally = defaultdict(list)
+        stored = _load_rows(connection, read)
+        by_path = {row.path: row for row in stored}
+        # Files that hold something else now. All are found before any is stored: two may have changed places.
+        now = {record.path: record.row["content_hash"] for record in read}
+        gone = {row.path: row.id for row in stored if now.get(row.path, row.content_hash) != row.content_hash}
+        owner = {row.content_hash: row.path for row in stored if row.path not in gone}
+        fresh: list[ClipRecord] = []
+        for record in read:
+            tally["bytes"].append(record.row["size"])
+            row, first = by_path.get(record.path), owner.get(record.row["content_hash"])
+            if first == record.path and row is not None:
+                _move(connection, record, first)
+                tally["unchanged"].append(first)
+                self._note_labels(tally, first, row)
+            elif first is None:
+                self._take(tally, fresh, record, row)
+                owner[record.row["content_hash"]] = record.path
+            elif row is None and first in by_path and _is_gone(by_path[first]):
+                _move(connection, record, first)
+                tally["moved"].append(Duplicate(record.path, first))
+                self._note_labels(tally, record.path, by_path[first])
+                owner[record.row["content_hash"]] = record.path
+            else:
+                tally["duplicates"].append(Duplicate(record.path, first))
+        if fresh or gone or tally["moved"]:
+            revision = next_revision(connection)
+            delete_clips(connection, list(gone.values()))
+            if fresh:
+                # Loaded again: another program may have trained the library while files were read.
+                forest = load_forest(connection, self._database.where, self.forest)
+                self.forest, learned = _insert_clips(connection, fresh, forest, takes, revision)
+                tally["n_learned"].append(learned.n_clips)
+                tally["new_categories"] += learned.new_categories
+        return tally
+
+    def _take(self, tally: Tally, fresh: list[ClipRecord], known: FileRecord, row: Any) -> None:
+        """Note a clip for the insert; ``row`` is the clip that stands under its path, if any."""
+        record: Answer = known
+        if not isinstance(known, ClipRecord):
+            # The clip of this content has just gone: read the file after all.
+            record = read_clip(self._task(known.path, row.kind if row is not None else None))
+        if isinstance(record, ClipRecord):
+            labels = self._choose_labels(record.path, row)
+            kind = record.row["kind"] if row is None else row.kind
+            fresh.append(replace(record, row={**record.row, **labels, "kind": kind}))
+            (tally["added"] if row is None else tally["replaced"]).append(record.path)
+            doubts = (*map(schema.as_message, record.row["warnings"]), *self._missing(labels))
+            tally["warnings"] += [(record.path, text) for text in doubts]
+        elif isinstance(record, Skipped):
+            tally["skipped"].append(record)
+
+    def _missing(self, labels: Labels) -> Iterator[Message]:
+        """What a rule that was given did not find."""
+        for name, rule in self._rules.items():
+            if labels[name] is None and rule is not no_label:
+                yield _NO_LABEL[name]
+
+    def _choose_labels(self, path: str, row: Any) -> Labels:
+        """Labels of a new clip; one whose file changed keeps those that it has."""
+        labels = self._labels(path)
+        if row is None:
+            return labels
+        stored = {name: getattr(row, name) for name in labels}
+        first, second = (stored, labels) if self._labels_stay else (labels, stored)
+        return {name: second[name] if value is None else value for name, value in first.items()}
+
+
+def _move(connection: sa.Connection, record: FileRecord, old_path: str) -> None:
+    new = {name: record.row[name] for name in ("path", "fingerprint", "read_options")}
+    connection.execute(sa.update(schema.clips).where(schema.clips.c.path == old_path).values(**new))
+
+
+def _is_gone(row: Any) -> bool:
+    """Whether there is no file any more where a clip came from; motions of the memory never had one."""
+    return bool(row.fingerprint) and not os.path.exists(row.path)
+
+
+def _is_full(portion: Sequence[Answer]) -> bool:
+    n_frames = sum(answer.motion.n_frames for answer in portion if isinstance(answer, ClipRecord))
+    return len(portion) >= _PORTION_CLIPS or n_frames >= _PORTION_FRAMES
+
+
+def _load_rows(connection: sa.Connection, read: Sequence[FileRecord]) -> list[Any]:
+    """Stored clips that share a path or a content with motions that were read."""
+    table = schema.clips.c
+    columns = (table.id, table.path, table.content_hash, table.fingerprint, table.kind)
+    query = sa.select(*columns, table.category, table.performer)
+    rows = {}
+    for column in (table.path, table.content_hash):
+        values = [record.row[column.name] for record in read]
+        rows.update({row.id: row for row in connection.execute(query.where(column.in_(values)))})
+    return list(rows.values())

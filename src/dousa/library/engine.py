@@ -1,0 +1,466 @@
+"""The database of a library: connections, everything that only SQLite needs, errors in plain words, versions.
+
+A path becomes one SQLite file in WAL mode; a URL such as ``postgresql+psycopg://...`` is left to SQLAlchemy.
+Transactions that write begin with ``BEGIN IMMEDIATE``: they wait for each other instead of failing half way.
+
+The versions of the tables are numbered and named steps, each in a transaction of its own. A new library is made from
+``schema`` at once and every step is recorded as done; an older library takes the steps that it lacks. To change a
+table: change ``schema`` and add a step that does the same to an old library. To change a set of features: give it
+another name, or add a step that empties ``clip_features.feature_set``; features of another set than the one asked for
+are computed anew from the stored positions.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+import sqlite3
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from json import JSONDecodeError
+from pathlib import Path
+from typing import Any
+from urllib.parse import quote
+
+import sqlalchemy as sa
+from sqlalchemy import event, exc
+
+import dousa
+from dousa.errors import (
+    LibraryDamagedError,
+    LibraryError,
+    LibraryLockedError,
+    LibraryVersionError,
+    OptionError,
+)
+from dousa.library import schema
+from dousa.library.schema import APPLICATION_ID, library_state
+
+_WRITES = "dousa_writes"
+_READ_ONLY = "dousa_read_only"
+_SQLITE_START = b"SQLite format 3\0"
+
+
+def _is_url(path_or_url: str | os.PathLike[str]) -> bool:
+    """Whether this names a database server rather than a file."""
+    return isinstance(path_or_url, str) and "://" in path_or_url
+
+
+def name_of(path_or_url: str | os.PathLike[str]) -> str:
+    """What messages call a library: its path, or its URL without the password."""
+    if not _is_url(path_or_url):
+        return os.fspath(path_or_url)
+    try:
+        return sa.make_url(str(path_or_url)).render_as_string(hide_password=True)
+    except (exc.ArgumentError, ValueError):
+        return re.sub(r"(?<=:)[^:@/]+(?=@)", "***", str(path_or_url))
+
+
+def _make_engine(path_or_url: str | os.PathLike[str], *, create: bool, read_only: bool, timeout: float) -> sa.Engine:
+    """An engine for a file or a URL; nothing is connected yet."""
+    if _is_url(path_or_url):
+        return _server_engine(str(path_or_url), read_only, timeout)
+    path = Path(path_or_url).absolute()
+    _check_place(path, create)
+    engine = sa.create_engine(
+        "sqlite+pysqlite://",
+        creator=lambda: _connect(path, create, read_only, timeout),
+        poolclass=sa.pool.QueuePool,
+        pool_size=1,
+        execution_options={_READ_ONLY: read_only},
+    )
+    event.listen(engine, "begin", _begin)
+    return engine
+
+
+def _server_engine(url: str, read_only: bool, timeout: float) -> sa.Engine:
+    name = name_of(url)
+    try:
+        engine = sa.create_engine(url, execution_options={_READ_ONLY: read_only})
+    except (exc.ArgumentError, exc.NoSuchModuleError, ValueError) as error:
+        raise LibraryError("library_file.not_a_url", library=name, reason=error) from error
+    except ImportError as error:
+        raise LibraryError("library_file.driver_missing", library=name, package=error.name) from error
+    if engine.dialect.name == "sqlite":
+        # It would lack all that we give a file: the log, foreign keys, writers that wait.
+        raise LibraryError("library_file.sqlite_url", library=name)
+    if engine.dialect.name == "postgresql":
+
+        def limit_waiting(connection: Any, record: Any) -> None:
+            with connection.cursor() as cursor:
+                cursor.execute(f"SET lock_timeout = {max(round(1000 * timeout), 1)}")
+            connection.commit()
+
+        event.listen(engine, "connect", limit_waiting)
+    return engine
+
+
+def _check_place(path: Path, create: bool) -> None:
+    # The functions of os.path say no, and do not raise, where a folder above cannot be looked into.
+    if os.path.isdir(path):
+        raise LibraryError("library_file.is_folder", library=path)
+    if not os.path.exists(path) and not create:
+        raise LibraryError("library_file.missing", library=path, name=path.name)
+    if not os.path.isdir(path.parent):
+        raise LibraryError("library_file.no_folder", library=path, folder=path.parent)
+    if os.path.exists(path) and _is_something_else(path):
+        # SQLite would take a file of a few bytes for an empty database, and write over it.
+        raise LibraryDamagedError("library_file.not_a_library", library=path)
+
+
+def _is_something_else(path: Path) -> bool:
+    try:
+        with open(path, "rb") as file:
+            start = file.read(len(_SQLITE_START))
+    except OSError:
+        return False  # connecting says what is wrong
+    return start not in (b"", _SQLITE_START)
+
+
+def _connect(path: Path, create: bool, read_only: bool, timeout: float) -> sqlite3.Connection:
+    # Also to read: a connection that may not write cannot clear its lock files away. ``writing`` refuses.
+    mode = "rwc" if create else "rw"
+    try:
+        return _connect_as(path, f"mode={mode}", timeout)
+    except sqlite3.OperationalError as error:
+        # Where nobody may write, SQLite cannot make its lock files; if no log waits there, it can do without.
+        # On a full disk it cannot make them either, but then a program that means to write must hear of that.
+        kinds = ("SQLITE_CANTOPEN", "SQLITE_READONLY", *(("SQLITE_IOERR",) if read_only else ()))
+        if error.sqlite_errorname.startswith(kinds) and not _has_log(path):
+            return _connect_as(path, "mode=ro&immutable=1", timeout)
+        raise
+
+
+def _connect_as(path: Path, options: str, timeout: float) -> sqlite3.Connection:
+    name = f"file:{quote(path.as_posix())}?{options}"
+    connection = sqlite3.connect(name, uri=True, timeout=timeout, check_same_thread=False, isolation_level=None)
+    try:
+        connection.execute("SELECT count(*) FROM sqlite_master")
+        connection.execute("PRAGMA foreign_keys = ON")
+        # With WAL this survives a killed program; a power cut may lose the last commits, never the file.
+        connection.execute("PRAGMA synchronous = NORMAL")
+    except sqlite3.Error:
+        connection.close()
+        raise
+    return connection
+
+
+def _has_log(path: Path) -> bool:
+    log = f"{path}-wal"
+    return os.path.exists(log) and os.path.getsize(log) > 0
+
+
+def _begin(connection: sa.Connection) -> None:
+    writes = connection.get_execution_options().get(_WRITES, False)
+    connection.exec_driver_sql("BEGIN IMMEDIATE" if writes else "BEGIN")
+
+
+def _check_mark(connection: sa.Connection, where: str) -> bool:
+    """Whether an SQLite file is ours (true) or has no tables at all (false); servers are asked later."""
+    if connection.dialect.name != "sqlite":
+        return sa.inspect(connection).has_table("dousa_migrations")
+    mark = connection.exec_driver_sql("PRAGMA application_id").scalar_one()
+    if mark == APPLICATION_ID:
+        return True
+    tables = connection.exec_driver_sql("SELECT count(*) FROM sqlite_master").scalar_one()
+    if mark or tables:
+        raise LibraryDamagedError("library_file.other_database", library=where)
+    return False
+
+
+def _use_write_ahead_log(database: Database) -> None:
+    """Switch an SQLite file to WAL: readers and one writer at the same time, and safe against kill -9.
+
+    Where that cannot be (no permission, or another program is just doing it) the library works all the same.
+    """
+    if database.engine.dialect.name != "sqlite":
+        return
+    with suppress(LibraryError), _plain_errors(database.where):
+        raw = database.engine.raw_connection()
+        try:
+            raw.cursor().execute("PRAGMA journal_mode = WAL")
+        finally:
+            raw.close()
+
+
+@dataclass(frozen=True, slots=True)
+class Database:
+    """Where a library is kept; every transaction begins here.
+
+    Parameters
+    ----------
+    engine : with the tables of a library.
+    where : its name for messages.
+    """
+
+    engine: sa.Engine
+    where: str
+
+    @contextmanager
+    def reading(self) -> Iterator[sa.Connection]:
+        """A connection in one transaction that sees the library as it stands at its first query."""
+        with _plain_errors(self.where), self.engine.connect() as connection:
+            if self.engine.dialect.name == "postgresql":
+                connection.execution_options(isolation_level="REPEATABLE READ")
+            with connection.begin():
+                yield connection
+
+    @contextmanager
+    def writing(self) -> Iterator[sa.Connection]:
+        """A connection in one transaction that writes all or nothing; LibraryError where it was opened read-only."""
+        if self.engine.get_execution_options().get(_READ_ONLY):
+            raise LibraryError("library_file.opened_read_only", library=self.where)
+        with _plain_errors(self.where), self.engine.connect() as connection:
+            connection.execution_options(**{_WRITES: True})
+            with connection.begin():
+                yield connection
+
+
+@contextmanager
+def _plain_errors(where: str) -> Iterator[None]:
+    """Errors of the database inside the block become LibraryError and its kinds."""
+    try:
+        yield
+    except exc.DBAPIError as error:
+        raise _translate(error.orig, where) from error
+    except sqlite3.Error as error:
+        raise _translate(error, where) from error
+    except (exc.SQLAlchemyError, UnicodeDecodeError, JSONDecodeError) as error:
+        raise LibraryDamagedError("library_file.content_damaged", library=where, reason=error) from error
+
+
+_SQLITE_PROBLEMS: dict[str, tuple[type[LibraryError], str]] = {
+    "SQLITE_BUSY": (LibraryLockedError, "library_file.locked"),
+    "SQLITE_LOCKED": (LibraryLockedError, "library_file.locked"),
+    "SQLITE_NOTADB": (LibraryDamagedError, "library_file.not_a_library"),
+    "SQLITE_CORRUPT": (LibraryDamagedError, "library_file.cut_short"),
+    "SQLITE_FULL": (LibraryError, "library_file.disk_full"),
+    "SQLITE_READONLY": (LibraryError, "library_file.read_only"),
+    "SQLITE_CANTOPEN": (LibraryError, "library_file.cannot_open"),
+    "SQLITE_PERM": (LibraryError, "library_file.no_permission"),
+    "SQLITE_IOERR": (LibraryError, "library_file.disk_failed"),
+    "SQLITE_TOOBIG": (LibraryError, "library_file.motion_too_long"),
+}
+_SERVER_PROBLEMS: dict[str, tuple[type[LibraryError], str]] = {
+    "55P03": (LibraryLockedError, "library_file.locked"),
+    "53100": (LibraryError, "library_file.server_disk_full"),
+    "25006": (LibraryError, "library_file.server_read_only"),
+    "42501": (LibraryError, "library_file.server_no_permission"),
+}
+
+
+def _translate(error: BaseException | None, where: str) -> LibraryError:
+    name = getattr(error, "sqlite_errorname", None) or ""
+    primary = "_".join(name.split("_")[:2])  # such as SQLITE_IOERR of SQLITE_IOERR_WRITE
+    known = _SQLITE_PROBLEMS.get(primary) or _SERVER_PROBLEMS.get(str(getattr(error, "sqlstate", "")))
+    if known is not None:
+        kind, code = known
+        return kind(code, library=where)
+    # Drivers like to speak in several lines.
+    reason = " ".join(str(error).split())
+    if name == "SQLITE_ERROR" and "no such" in reason:
+        return LibraryDamagedError("library_file.table_missing", library=where, reason=reason)
+    return LibraryError("library_file.database_error", library=where, reason=reason)
+
+
+def read_revision(connection: sa.Connection) -> int:
+    """Number of the last write."""
+    revision = connection.execute(sa.select(library_state.c.revision)).scalar_one_or_none()
+    if revision is None:
+        raise LibraryDamagedError("library_file.no_state")
+    return int(revision)
+
+
+def lock_for_writing(connection: sa.Connection) -> None:
+    """Wait for other writers, without counting this write yet."""
+    connection.execute(sa.select(library_state.c.revision).with_for_update())
+
+
+def next_revision(connection: sa.Connection) -> int:
+    """Count this write, and return its number."""
+    connection.execute(sa.update(library_state).values(revision=library_state.c.revision + 1))
+    return read_revision(connection)
+
+
+def note_changed_clips(connection: sa.Connection) -> None:
+    """Clips or their categories change in this write: the forest has not learned from them as they are now."""
+    connection.execute(sa.update(library_state).values(clips_revision=library_state.c.revision))
+
+
+def take_clip_ids(connection: sa.Connection, count: int) -> range:
+    """Numbers for new clips, never used before; after ``next_revision`` in the same transaction."""
+    first = connection.execute(sa.select(library_state.c.next_clip_id)).scalar_one()
+    connection.execute(sa.update(library_state).values(next_clip_id=first + count))
+    return range(first, first + count)
+
+
+def check_jobs(n_jobs: int | None) -> None:
+    """OptionError for zero jobs."""
+    if n_jobs == 0:
+        raise OptionError("library_add.no_jobs")
+
+
+def choose_jobs(n_jobs: int | None) -> int | None:
+    """The number for joblib: as given, else what ``joblib.parallel_config`` says, else every core."""
+    import joblib
+
+    check_jobs(n_jobs)
+    if n_jobs is None and joblib.effective_n_jobs() == 1:
+        return int(joblib.cpu_count())
+    return n_jobs
+
+
+@dataclass(frozen=True, slots=True)
+class Migration:
+    """One step from a version of the tables to the next.
+
+    Parameters
+    ----------
+    number : position, from 1 without gaps.
+    name : what it does, in words.
+    apply : does it, on a connection that is in a transaction.
+    """
+
+    number: int
+    name: str
+    apply: Callable[[sa.Connection], None]
+
+
+def _first_tables(connection: sa.Connection) -> None:
+    """Nothing to do: every library has them."""
+
+
+def _takes_and_feature_sets(connection: sa.Connection) -> None:
+    """Takes, sets of features by name, leaves that learn; histograms, which follow from the leaves, go."""
+    for table, column in (
+        (schema.clips, "kind"),
+        (schema.clip_features, "feature_set"),
+        (schema.forests, "learned"),
+        (schema.forests, "window_lengths"),
+        (schema.forests, "n_learned"),
+        (schema.forests, "calibration"),
+        (schema.forests, "labeller"),
+        (schema.library_state, "clips_revision"),
+    ):
+        _add_column(connection, table, column)
+    state = schema.library_state
+    connection.execute(sa.update(state).values(clips_revision=state.c.revision))
+    forests = schema.forests
+    for row in connection.execute(sa.select(forests.c.id, forests.c.revision, forests.c.parameters)).all():
+        known = {**row.parameters, "feature_set": "paper"}  # there was no other set
+        values = {"learned": row.revision, "parameters": known}
+        connection.execute(sa.update(forests).where(forests.c.id == row.id).values(**values))
+    schema.clip_poses.create(connection)
+    schema.clip_leaves.create(connection)
+    schema.take_windows.create(connection)
+    names = [column.name for column in schema.clip_leaves.c]
+    copied: Any = sa.select(*map(sa.column, names)).select_from(sa.table("clip_histograms"))
+    connection.execute(sa.insert(schema.clip_leaves).from_select(names, copied))
+    connection.execute(sa.DDL("DROP TABLE clip_histograms"))  # type: ignore[no-untyped-call]
+
+
+def _add_column(connection: sa.Connection, table: sa.Table, name: str) -> None:
+    column = sa.schema.CreateColumn(table.c[name]).compile(dialect=connection.dialect)
+    connection.execute(sa.DDL(f"ALTER TABLE {table.name} ADD COLUMN {column}"))  # type: ignore[no-untyped-call]
+
+
+MIGRATIONS: tuple[Migration, ...] = (
+    Migration(1, "first tables", _first_tables),
+    Migration(2, "takes and feature sets", _takes_and_feature_sets),
+)
+
+
+def _record(connection: sa.Connection, step: Migration) -> None:
+    connection.execute(
+        sa.insert(schema.migrations).values(
+            number=step.number,
+            name=step.name,
+            applied_at=datetime.now(UTC).isoformat(timespec="seconds"),
+            dousa_version=dousa.__version__,
+        )
+    )
+
+
+def _create_tables(database: Database) -> None:
+    """Make the tables of a new library, all or none; does nothing if another program just did."""
+    with database.writing() as connection:
+        if sa.inspect(connection).has_table(schema.migrations.name):
+            return
+        schema.metadata.create_all(connection)
+        if connection.dialect.name == "sqlite":
+            connection.exec_driver_sql(f"PRAGMA application_id = {APPLICATION_ID}")
+        connection.execute(sa.insert(schema.library_state).values(id=1, revision=0, next_clip_id=1))
+        for step in MIGRATIONS:
+            _record(connection, step)
+
+
+def _applied_number(connection: sa.Connection, where: str) -> int:
+    """Number of the last step that this library took."""
+    query = sa.select(schema.migrations.c.number, schema.migrations.c.dousa_version)
+    rows = connection.execute(query.order_by(schema.migrations.c.number)).all()
+    if not rows:
+        raise LibraryDamagedError("library_file.no_version", library=where)
+    last = rows[-1]
+    if last.number > MIGRATIONS[-1].number:
+        raise LibraryVersionError(
+            "library_file.newer",
+            library=where,
+            version=last.dousa_version,
+            tables=last.number,
+            own_version=dousa.__version__,
+            own_tables=MIGRATIONS[-1].number,
+        )
+    return int(last.number)
+
+
+def _migrate(database: Database) -> None:
+    """Take the steps that a library lacks, each in a transaction of its own."""
+    for step in MIGRATIONS:
+        with database.writing() as connection:
+            if _applied_number(connection, database.where) < step.number:
+                step.apply(connection)
+                _record(connection, step)
+
+
+def open_database(path_or_url: str | os.PathLike[str], *, create: bool, read_only: bool, timeout: float) -> Database:
+    """A database whose tables are there and of this version.
+
+    Raises
+    ------
+    LibraryError : there is no library, or no permission; LibraryDamagedError, LibraryVersionError,
+        LibraryLockedError as their names say.
+    OptionError : create and read_only together.
+    """
+    if create and read_only:
+        raise OptionError("library_file.create_read_only")
+    where = name_of(path_or_url)
+    engine = _make_engine(path_or_url, create=create, read_only=read_only, timeout=timeout)
+    database = Database(engine, where)
+    try:
+        _prepare(database, create, read_only)
+    except BaseException:
+        engine.dispose()
+        raise
+    return database
+
+
+def _prepare(database: Database, create: bool, read_only: bool) -> None:
+    where = database.where
+    with database.reading() as connection:
+        ours = _check_mark(connection, where)
+        number = _applied_number(connection, where) if ours else 0
+    if not ours and not create:
+        name = where if _is_url(where) else os.path.basename(where)
+        raise LibraryError("library_file.empty", library=where, name=name)
+    if not ours:
+        _create_tables(database)
+    elif number < MIGRATIONS[-1].number:
+        if read_only:
+            raise LibraryVersionError(
+                "library_file.older", library=where, tables=number, own_tables=MIGRATIONS[-1].number
+            )
+        _migrate(database)
+    if not read_only:
+        _use_write_ahead_log(database)

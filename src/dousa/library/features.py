@@ -1,0 +1,305 @@
+"""Features and poses of the clips: stored once, computed again where another set of features is needed."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import sqlalchemy as sa
+from numpy.typing import NDArray
+
+from dousa.arrays import FloatArray
+from dousa.errors import LibraryDamagedError, LibraryVersionError
+from dousa.library import schema
+from dousa.library.engine import choose_jobs
+from dousa.library.schema import pack, stack, unpack
+from dousa.library.selection import fetch_in, portions
+from dousa.motion import CANONICAL_JOINTS
+from dousa.retrieval.features.posed_motion import SLOWEST_RATE
+
+if TYPE_CHECKING:
+    from dousa.arrays import FloatArray
+    from dousa.motion import CanonicalMotion, Trajectories
+    from dousa.retrieval.features.feature_sets import FeatureSet
+
+BEYOND_MEASURE = 1e9
+"""Metres, body heights and hertz beyond which nothing is a motion."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class StoredMotion:
+    """A motion as the library keeps it: canonical joints, without where they came from.
+
+    Parameters
+    ----------
+    positions : (T, 20, 3) m, of float32 precision.
+    frame_rate : Hz.
+    height : m, body height.
+    """
+
+    positions: FloatArray
+    frame_rate: float
+    height: float
+
+    @property
+    def n_frames(self) -> int:
+        """Number of poses."""
+        return len(self.positions)
+
+    @property
+    def duration(self) -> float:
+        """Seconds from the first pose to the end of the last."""
+        return self.n_frames / self.frame_rate
+
+    def mirror(self) -> StoredMotion:
+        """Its mirror image."""
+        from dousa.motion.canonical.canonicalise import mirror_positions
+
+        return StoredMotion(mirror_positions(self.positions), self.frame_rate, self.height)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Description:
+    """What is computed of a clip before the forest sees it.
+
+    Parameters
+    ----------
+    feature_set : name of the features.
+    features : (frames, columns) of this set.
+    poses : its pose sequence, see ``dousa.retrieval.features.pose_sequences``.
+    """
+
+    feature_set: str
+    features: FloatArray
+    poses: NDArray[np.float32]
+
+
+def round_positions(motion: CanonicalMotion | StoredMotion) -> StoredMotion:
+    """The motion as it would be stored; infinite where a position is beyond float32."""
+    with np.errstate(over="ignore"):
+        positions = motion.positions.astype(np.float32).astype(np.float64)
+    return StoredMotion(positions, motion.frame_rate, motion.height)
+
+
+def find_feature_set(name: str) -> FeatureSet:
+    """The set of features of this name; LibraryVersionError if a newer dousa trained the library on another."""
+    from dousa.retrieval.features.feature_sets import FEATURE_SETS
+
+    if name not in FEATURE_SETS:
+        raise LibraryVersionError("library_forest.unknown_features", name=name, known=tuple(FEATURE_SETS))
+    return FEATURE_SETS[name]
+
+
+def describe_clip(motion: StoredMotion, feature_set: str) -> Description:
+    """Features and poses of a motion whose positions are rounded."""
+    from dousa.retrieval.features.feature_sets import FEATURE_SETS, compute_track
+    from dousa.retrieval.features.pose_sequences import compute_window_poses
+
+    # The poses are read from the integrals of the extended features: these are computed once for both.
+    track = compute_track(motion, FEATURE_SETS["extended"])
+    poses = compute_window_poses(track, [0.0], [track.n_frames])[0]
+    wanted = find_feature_set(feature_set)
+    if wanted is track.feature_set:
+        return Description(feature_set, track.describe([0.0], [track.n_frames])[0], poses)
+    return Description(feature_set, wanted.compute(motion), poses)
+
+
+_SELECT_MOTION = sa.select(
+    *(schema.clips.c[name] for name in ("id", "path", "n_frames", "frame_rate", "height")),
+    schema.clip_trajectories.c.positions,
+).join(schema.clip_trajectories, schema.clip_trajectories.c.clip_id == schema.clips.c.id)
+
+
+def load_motions(connection: sa.Connection, ids: Sequence[int]) -> Iterator[StoredMotion]:
+    """Stored motions, one after the other, in the order of these numbers.
+
+    Raises
+    ------
+    LibraryDamagedError : numbers that are missing, too few or not finite.
+    """
+    for some in portions(ids):
+        rows = {row.id: row for row in connection.execute(_SELECT_MOTION.where(schema.clips.c.id.in_(some)))}
+        if len(rows) != len(set(some)):
+            raise LibraryDamagedError("library_clips.positions_missing", expected=len(set(some)), found=len(rows))
+        for clip_id in some:
+            yield _unpack(rows[clip_id])
+
+
+def load_trajectories(connection: sa.Connection, ids: Sequence[int]) -> Iterator[tuple[int, Trajectories]]:
+    """Numbers and stored joints of those clips that are there, in any order.
+
+    Raises
+    ------
+    LibraryDamagedError : numbers that are too few or not finite.
+    """
+    from dousa.motion import CANONICAL_PARENTS, Trajectories
+
+    parents = np.array(CANONICAL_PARENTS)
+    for row in fetch_in(connection, _SELECT_MOTION, schema.clips.c.id, ids):
+        yield row.id, Trajectories(CANONICAL_JOINTS, _unpack_positions(row), row.frame_rate, parents)
+
+
+def _unpack_positions(row: Any) -> FloatArray:
+    positions = unpack(row.positions, "<f4", (row.n_frames, len(CANONICAL_JOINTS), 3), row.path)
+    return positions.astype(np.float64)
+
+
+def _unpack(row: Any) -> StoredMotion:
+    positions = _unpack_positions(row)
+    numbers = row.height, 1 / row.height if row.height else np.inf, row.frame_rate, np.abs(positions).max()
+    if not (max(numbers) < BEYOND_MEASURE and min(numbers) >= 0 and row.frame_rate >= SLOWEST_RATE):
+        raise LibraryDamagedError(
+            "library_clips.impossible", path=row.path, height=row.height, frame_rate=row.frame_rate
+        )
+    return StoredMotion(positions, row.frame_rate, row.height)
+
+
+_FEATURES, _POSES = "<f8", "<f4"
+_LARGEST = 1e60  # squares of it are finite
+
+Progress = Callable[[int, int], None]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ClipFeatures:
+    """Features of clips.
+
+    Parameters
+    ----------
+    ids : numbers of N clips.
+    features : (N, frames, columns) of one set.
+    categories, performers : labels, None where there are none.
+    heights : m, of the performers.
+    computed : by number, those that were not stored, or of another set.
+    """
+
+    ids: list[int]
+    features: FloatArray
+    categories: list[str | None]
+    performers: list[str | None]
+    heights: list[float]
+    computed: dict[int, Description]
+
+
+def load_features(
+    connection: sa.Connection,
+    feature_set: str,
+    ids: Sequence[int] | None = None,
+    n_jobs: int | None = 1,
+    progress: Progress | None = None,
+) -> ClipFeatures:
+    """Features of clips, takes left out; those that are not stored are computed from the stored positions.
+
+    Parameters
+    ----------
+    ids : of these clips, in this order; by default of all, in the order of their numbers.
+    n_jobs : clips described at a time.
+    progress : called with (clips described, clips to describe).
+
+    Raises
+    ------
+    LibraryDamagedError : arrays that are missing, of another length, or not finite.
+    """
+    kind = find_feature_set(feature_set)
+    shape = (kind.n_frames, kind.n_columns)
+    rows = _read_rows(connection, ids)
+    features = np.zeros((len(rows), *shape))
+    stored = [place for place, row in enumerate(rows) if row.feature_set == feature_set]
+    read = stack([rows[place].pose_features for place in stored], _FEATURES, shape, "features")
+    if read.size and not np.abs(read).max() < _LARGEST:
+        raise LibraryDamagedError("library_clips.features_beyond_measure")
+    features[stored] = read
+    lacking = [row.id for row in rows if row.feature_set != feature_set]
+    computed = _describe(connection, lacking, feature_set, n_jobs, progress)
+    for place, row in enumerate(rows):
+        if row.id in computed:
+            features[place] = computed[row.id].features
+    return ClipFeatures(
+        ids=[row.id for row in rows],
+        features=features,
+        categories=[row.category for row in rows],
+        performers=[row.performer for row in rows],
+        heights=[row.height for row in rows],
+        computed=computed,
+    )
+
+
+def _read_rows(connection: sa.Connection, ids: Sequence[int] | None) -> list[Any]:
+    clips, table = schema.clips.c, schema.clip_features.c
+    query = sa.select(clips.id, clips.category, clips.performer, clips.height, table.feature_set, table.pose_features)
+    query = query.join(schema.clip_features, table.clip_id == clips.id, isouter=True)
+    query = query.where(clips.kind == schema.CLIP)
+    if ids is None:
+        return list(connection.execute(query.order_by(clips.id)))
+    found = {row.id: row for row in fetch_in(connection, query, clips.id, ids)}
+    if len(found) != len(set(ids)):
+        raise LibraryDamagedError("library_clips.clips_missing", expected=len(set(ids)), found=len(found))
+    return [found[clip_id] for clip_id in ids]
+
+
+def _describe(
+    connection: sa.Connection,
+    ids: Sequence[int],
+    feature_set: str,
+    n_jobs: int | None = 1,
+    progress: Progress | None = None,
+) -> dict[int, Description]:
+    """Describe stored motions, by number."""
+    if not ids:
+        return {}
+    import joblib
+
+    parallel = joblib.Parallel(n_jobs=choose_jobs(n_jobs), prefer="threads")
+    described: dict[int, Description] = {}
+    for some in portions(ids):
+        # Read here, and not where they are described: a connection is for one thread at a time.
+        motions = list(load_motions(connection, some))
+        answers = parallel(joblib.delayed(describe_clip)(motion, feature_set) for motion in motions)
+        described.update(zip(some, answers, strict=True))
+        if progress is not None:
+            progress(len(described), len(ids))
+    return described
+
+
+def load_poses(connection: sa.Connection, ids: Sequence[int]) -> NDArray[np.float32]:
+    """(N, cells, columns) pose sequences of clips, in the order of these numbers.
+
+    Raises
+    ------
+    LibraryDamagedError : arrays that are of another length, or not finite.
+    """
+    from dousa.retrieval.features.feature_sets import DEFAULT_FEATURE_SET
+    from dousa.retrieval.features.pose_sequences import POSE_CELLS, POSE_COLUMNS
+
+    table = schema.clip_poses.c
+    query = sa.select(table.clip_id, table.poses)
+    found = {row.clip_id: row.poses for row in fetch_in(connection, query, table.clip_id, ids)}
+    lacking = [clip_id for clip_id in ids if clip_id not in found]  # an older dousa trained the library
+    computed = _describe(connection, lacking, DEFAULT_FEATURE_SET)
+    poses = np.empty((len(ids), POSE_CELLS, POSE_COLUMNS), np.float32)
+    stored = [place for place, clip_id in enumerate(ids) if clip_id in found]
+    poses[stored] = stack([found[ids[place]] for place in stored], _POSES, poses.shape[1:], "poses")
+    for place, clip_id in enumerate(ids):
+        if clip_id in computed:
+            poses[place] = computed[clip_id].poses
+    return poses
+
+
+def save_descriptions(connection: sa.Connection, ids: Sequence[int], descriptions: Sequence[Description]) -> None:
+    """Write the features and poses of clips, in the place of those that may be there."""
+    for some in portions(list(zip(ids, descriptions, strict=True))):
+        rows = [
+            {
+                "clip_id": clip_id,
+                "feature_set": own.feature_set,
+                "pose_features": pack(own.features, _FEATURES),
+                "poses": pack(own.poses, _POSES),
+            }
+            for clip_id, own in some
+        ]
+        for table in (schema.clip_features, schema.clip_poses):
+            connection.execute(sa.delete(table).where(table.c.clip_id.in_([row["clip_id"] for row in rows])))
+            names = [column.name for column in table.c]
+            connection.execute(sa.insert(table), [{name: row[name] for name in names} for row in rows])

@@ -1,0 +1,251 @@
+"""The forest in the library, and what its trees say of clips."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from datetime import UTC, datetime
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import sqlalchemy as sa
+from numpy.typing import NDArray
+
+from dousa.errors import DousaError, LibraryDamagedError, LibraryVersionError, NotTrainedError
+from dousa.library import schema
+from dousa.library.features import find_feature_set
+from dousa.library.schema import pack
+from dousa.library.selection import portions
+
+if TYPE_CHECKING:
+    from dousa.arrays import FloatArray
+    from dousa.retrieval import MotionForest
+    from dousa.retrieval.forest.calibration import Assessor
+    from dousa.retrieval.takes.windows import WindowGrid
+
+_FOREST_ID = 1
+
+_TEMPOS = (0.5, 2.0)  # windows from half to twice the length of the clips
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class StoredForest:
+    """A forest as the library keeps it.
+
+    Parameters
+    ----------
+    forest : the trees.
+    categories : names, in the order of the votes.
+    feature_set : name of the features that it asks for.
+    grid : windows that takes are cut into.
+    assessor : tells known motions from unknown ones; None where there were too few categories to learn that.
+    revision : of the library at the end of the training; other trees have another one.
+    learned : of the library when the leaves last learned; the histograms of clips hold until then.
+    """
+
+    forest: MotionForest
+    categories: tuple[str, ...]
+    feature_set: str
+    grid: WindowGrid
+    assessor: Assessor | None
+    revision: int
+    learned: int
+
+    def with_revision(self, revision: int) -> StoredForest:
+        """The same forest, trained in this write."""
+        return replace(self, revision=revision, learned=revision)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TreeAnswers:
+    """What the trees of a forest say of N clips.
+
+    Parameters
+    ----------
+    votes : (N, n_categories) int32, how many trees name each category: the histogram H of section 3.4, times
+        the number of trees. Whole numbers, so that equal histograms are equal to the last bit.
+    leaves : (N, n_trees) int32, the leaf that each clip reaches in each tree.
+    categories : names, in the order of the votes.
+    """
+
+    votes: NDArray[np.int32]
+    leaves: NDArray[np.int32]
+    categories: tuple[str, ...]
+
+    def __getitem__(self, rows: slice) -> TreeAnswers:
+        """The same of some of the clips."""
+        return TreeAnswers(self.votes[rows], self.leaves[rows], self.categories)
+
+    def shares(self) -> FloatArray:
+        """(N, n_categories) share of the trees that name each category: the histograms."""
+        shares: FloatArray = self.votes / self.leaves.shape[1]
+        return shares
+
+    def predicted(self) -> list[str]:
+        """The most voted category of each clip; between equals the first in order."""
+        return [self.categories[index] for index in self.votes.argmax(axis=1)]
+
+
+def ask_trees(stored: StoredForest, features: FloatArray) -> TreeAnswers:
+    """Run clips down all trees: features (N, frames, columns) of the set that the forest asks for."""
+    return count_votes(stored, find_leaves(stored, features))
+
+
+def find_leaves(stored: StoredForest, features: FloatArray) -> NDArray[np.int32]:
+    """(N, n_trees), the leaf that each clip reaches in each tree."""
+    return stored.forest.apply(features).astype(np.int32)
+
+
+def count_votes(stored: StoredForest, leaves: NDArray[np.int32]) -> TreeAnswers:
+    """What the trees say of clips whose leaves (N, n_trees) are known.
+
+    Raises
+    ------
+    LibraryDamagedError : a leaf that the forest does not have.
+    """
+    if leaves.size and not (leaves.min() >= 0 and leaves.max() < stored.forest.trees_.n_leaves):
+        raise LibraryDamagedError("library_forest.no_such_leaf")
+    shares = stored.forest.histograms_of(leaves.astype(np.int64))
+    votes = np.rint(shares * leaves.shape[1]).astype(np.int32)
+    return TreeAnswers(votes, leaves, stored.categories)
+
+
+def load_forest(connection: sa.Connection, where: str, known: StoredForest | None = None) -> StoredForest | None:
+    """The forest of the library, None before the training.
+
+    Parameters
+    ----------
+    known : the forest as it was loaded before; returned where it is still the one.
+
+    Raises
+    ------
+    LibraryDamagedError : bytes that are not a forest.
+    LibraryVersionError : a forest of other features than those that this dousa computes.
+    """
+    table = schema.forests.c
+    query = sa.select(table.revision, table.learned).where(table.id == _FOREST_ID)
+    state = connection.execute(query).one_or_none()
+    if state is None or (known is not None and (known.revision, known.learned) == tuple(state)):
+        return None if state is None else known
+    columns = (table.data, table.categories, table.parameters, table.window_lengths, table.calibration)
+    row = connection.execute(sa.select(*columns).where(table.id == _FOREST_ID)).one()
+    from dousa.retrieval import MotionForest
+
+    try:
+        forest = MotionForest.from_bytes(row.data)
+        categories = tuple(str(name) for name in row.categories)
+        if tuple(str(name) for name in forest.classes_) != categories:
+            raise LibraryDamagedError("library_forest.other_categories")
+        if not isinstance(row.parameters, dict) or not isinstance(row.parameters.get("feature_set"), str):
+            raise LibraryDamagedError("library_forest.no_features")
+    except DousaError as error:
+        raise LibraryDamagedError("library_forest.damaged", library=where, problem=error) from error
+    feature_set = row.parameters["feature_set"]
+    if forest.feature_names_ != find_feature_set(feature_set).column_names:
+        raise LibraryVersionError("library_forest.other_features", library=where)
+    return StoredForest(
+        forest,
+        categories,
+        feature_set,
+        _read_grid(connection, row.window_lengths),
+        _read_assessor(forest, row.calibration, where),
+        int(state.revision),
+        int(state.learned),
+    )
+
+
+class ForestCache:
+    """The forest of a library in memory, ``last``; read again where another program has changed it."""
+
+    def __init__(self, where: str) -> None:
+        self._where = where
+        self.last: StoredForest | None = None
+
+    def load(self, connection: sa.Connection) -> StoredForest:
+        """The forest, as it is now; NotTrainedError where there is none."""
+        stored = load_forest(connection, self._where, self.last)
+        if stored is None:
+            raise NotTrainedError("library_forest.not_trained", library=self._where)
+        self.last = stored
+        return stored
+
+
+def _read_assessor(forest: MotionForest, calibration: bytes | None, where: str) -> Assessor | None:
+    from dousa.retrieval.forest.calibration import Assessor, Calibration
+
+    if calibration is None:
+        return None
+    try:
+        return Assessor(forest, Calibration.from_bytes(calibration))
+    except DousaError as error:
+        raise LibraryDamagedError("library_forest.part_damaged", library=where, problem=error) from error
+
+
+def _read_grid(connection: sa.Connection, lengths: Any) -> WindowGrid:
+    from dousa.retrieval.takes.windows import WindowGrid
+
+    if lengths is None:
+        return fit_grid(connection)  # an older dousa trained the library
+    try:
+        return WindowGrid(tuple(lengths))
+    except (DousaError, TypeError) as error:
+        raise LibraryDamagedError("library_forest.windows_damaged", reason=error) from error
+
+
+def fit_grid(connection: sa.Connection) -> WindowGrid:
+    """Windows as long as the clips that have a category."""
+    from dousa.retrieval.takes.windows import choose_grid
+
+    table = schema.clips.c
+    query = sa.select(table.duration).where(table.kind == schema.CLIP, table.category.is_not(None))
+    return choose_grid(list(connection.execute(query).scalars()) or [1.0], *_TEMPOS)
+
+
+def replace_forest(connection: sa.Connection, stored: StoredForest, n_clips: int) -> None:
+    """Put a newly trained forest in the place of the one before."""
+    parameters = {name: value for name, value in stored.forest.get_params().items() if name != "n_jobs"}
+    connection.execute(sa.delete(schema.forests))
+    connection.execute(
+        sa.insert(schema.forests).values(
+            id=_FOREST_ID,
+            revision=stored.revision,
+            trained_at=datetime.now(UTC).isoformat(timespec="seconds"),
+            parameters={**parameters, "feature_set": stored.feature_set},
+            n_clips=n_clips,
+            window_lengths=list(stored.grid.lengths),
+            n_learned=0,
+            **_to_columns(stored),
+        )
+    )
+
+
+def _to_columns(stored: StoredForest) -> dict[str, Any]:
+    """What changes when leaves learn."""
+    return {
+        "learned": stored.learned,
+        "categories": list(stored.categories),
+        "data": stored.forest.to_bytes(),
+        "calibration": None if stored.assessor is None else stored.assessor.calibration.to_bytes(),
+    }
+
+
+def update_forest(connection: sa.Connection, stored: StoredForest, n_clips: int) -> None:
+    """Write a forest that has learned some more clips since it was trained."""
+    forests = schema.forests
+    connection.execute(
+        sa.update(forests).values(
+            n_learned=forests.c.n_learned + n_clips,
+            labeller=None,  # it does not know the new leaves
+            **_to_columns(stored),
+        )
+    )
+
+
+def save_answers(connection: sa.Connection, ids: Sequence[int], answers: TreeAnswers) -> None:
+    """Write what the trees say of clips of which nothing is written yet."""
+    rows = [
+        {"clip_id": clip_id, "predicted_category": category, "leaves": pack(leaves, "<i4")}
+        for clip_id, category, leaves in zip(ids, answers.predicted(), answers.leaves, strict=True)
+    ]
+    for some in portions(rows):
+        connection.execute(sa.insert(schema.clip_leaves), some)

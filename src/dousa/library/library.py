@@ -1,0 +1,609 @@
+"""The motion library: one object for everything that is asked of it."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterable, Iterator, Sequence
+from functools import cached_property
+from types import TracebackType
+from typing import TYPE_CHECKING, Literal, TypeAlias
+
+import sqlalchemy as sa
+
+from dousa.errors import LibraryError, OptionError
+from dousa.formats.motion_files import ReadOptions, is_unicode
+from dousa.library import schema
+from dousa.library import selection as _selection
+from dousa.library.engine import check_jobs, choose_jobs, next_revision, open_database, read_revision
+from dousa.library.features import load_trajectories
+from dousa.library.forests import ForestCache
+from dousa.library.labels import LabelRule, no_label, parse_label_rule
+from dousa.library.results import AddReport, ClipInfo, LibraryStats, TrainReport
+from dousa.library.schema import CLIP, TAKE
+from dousa.library.selection import UNCHANGED, Selection, Unchanged, fetch_in, select_ids
+
+if TYPE_CHECKING:
+    from dousa.library.add import AddProgress
+    from dousa.library.engine import Database
+    from dousa.library.ingest import Query
+    from dousa.library.labelling import Labellers, LearnProgress
+    from dousa.library.results import Classification, FindResult, LabelledTake, SearchResult
+    from dousa.library.search import Searcher
+    from dousa.library.takes import Takes
+    from dousa.library.train import TrainProgress
+    from dousa.motion import CanonicalMotion, Motion, Trajectories
+    from dousa.retrieval.takes.live import LiveLabeller
+
+Paths: TypeAlias = str | os.PathLike[str] | Iterable[str | os.PathLike[str]]
+"""One path or several."""
+
+
+class Library:
+    """A collection of motion clips that can be trained and searched, made with ``Library.open``.
+
+    Usable in a ``with`` statement, from several threads, and by several programs at once: each sees what the
+    others wrote, and writers wait for each other.
+
+    Parameters
+    ----------
+    database : with the tables of a library.
+    """
+
+    def __init__(self, database: Database) -> None:
+        self.database = database
+        self._forests = ForestCache(database.where)
+
+    @classmethod
+    def open(
+        cls,
+        path_or_url: str | os.PathLike[str],
+        *,
+        create: bool = False,
+        read_only: bool = False,
+        timeout: float = 5.0,
+    ) -> Library:
+        """Open a library, or make one.
+
+        Parameters
+        ----------
+        path_or_url : a file of any name, by custom ``NAME.dousa``; or the SQLAlchemy URL of a database.
+        create : a library that does not exist is made.
+        read_only : refuse every change.
+        timeout : s to wait while another program writes.
+
+        Raises
+        ------
+        LibraryError : no library there, no such folder, no permission.
+        LibraryDamagedError : not a library, or damaged.
+        LibraryVersionError : written by a newer dousa.
+        LibraryLockedError : another program is writing, longer than the timeout.
+        """
+        return cls(open_database(path_or_url, create=create, read_only=read_only, timeout=timeout))
+
+    @property
+    def name(self) -> str:
+        """The path or URL it was opened with."""
+        return self.database.where
+
+    def close(self) -> None:
+        """Let go of the file; a closed library opens itself again when it is used."""
+        self.database.engine.dispose()
+
+    def __enter__(self) -> Library:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def add(
+        self,
+        paths: Paths,
+        *,
+        kind: Literal["clip", "take"] = "clip",
+        category_from: str | None = "folder",
+        performer_from: str | None = None,
+        options: ReadOptions | None = None,
+        n_jobs: int | None = None,
+        progress: AddProgress | None = None,
+    ) -> AddReport:
+        """Add motion files; files that are in the library already are left as they are.
+
+        Written in portions: when the program is stopped, what was written stays, and the same call goes on
+        from there. If the library is trained, new clips get their histograms at once, and the leaves of the
+        forest learn from those that have a category; its questions stay until it is trained again.
+
+        Parameters
+        ----------
+        paths : files, and folders that are searched at any depth.
+        kind : ``"clip"``, files that each hold one thing that is done; ``"take"``, uncut recordings: nothing is
+            learned from them, ``find`` looks into them, and they have no category. A file that is there already
+            stays what it is.
+        category_from, performer_from : rules for the labels, see ``dousa.library.labels``.
+        options : what the files do not say; a file read with other ones than before is read again.
+        n_jobs : files read at a time; by default every core, or what ``joblib.parallel_config`` says.
+        progress : called with (files done, files, path of the last one).
+
+        Returns
+        -------
+        What was added and what was not, and why; a file that cannot be used does not stop the others.
+
+        Raises
+        ------
+        OptionError : a rule that cannot be understood, or another kind.
+        LibraryError : the library cannot be written.
+        """
+        from dousa.library.add import Adding
+
+        _check_kind(kind)
+        check_jobs(n_jobs)
+        rules = {
+            "category": parse_label_rule(category_from if kind == CLIP else None, "category"),
+            "performer": parse_label_rule(performer_from, "performer"),
+        }
+        adding = Adding(self.database, kind, rules, options or ReadOptions(), self._forests.last)
+        return adding.run(_as_list(paths), n_jobs, progress)
+
+    def add_motion(
+        self,
+        motion: Motion | Trajectories | CanonicalMotion,
+        name: str,
+        category: str | None = None,
+        *,
+        performer: str | None = None,
+        kind: Literal["clip", "take"] = "clip",
+        options: ReadOptions | None = None,
+        n_jobs: int | None = None,
+    ) -> AddReport:
+        """Add a motion that is in memory, under a name; a trained forest learns it at once, as from a file.
+
+        What is kept, and every answer, is that of a file with the same positions. A motion of the same name is
+        replaced, and its labels stay where none are given; one of the same content is not added a second time.
+
+        Parameters
+        ----------
+        motion : in m, Y up.
+        name : takes the place of the path.
+        category, performer : its labels, None for none; a take has no category.
+        kind : ``"clip"`` or ``"take"``, as in ``add``.
+        options : its ``joint_map``, for what names and shape do not tell.
+        n_jobs : windows of takes that are described anew at a time, as in ``add``.
+
+        Returns
+        -------
+        The name as ``added``, ``replaced``, ``unchanged``, or in ``duplicates`` with the name of the same content.
+
+        Raises
+        ------
+        OptionError : an empty name or label, another kind, a category of a take.
+        JointMappingError : joints that cannot be identified.
+        InvalidMotionError : positions or a frame rate beyond measure.
+        LibraryError : the library cannot be written.
+        """
+        from dousa.library.add import Adding
+        from dousa.library.ingest import make_record, read_query
+
+        _check_kind(kind)
+        check_jobs(n_jobs)
+        _check_labels(category, performer)
+        if kind == TAKE and category is not None:
+            raise OptionError("library_add.take_has_no_category", category=category)
+        if not name.strip() or not is_unicode(name):
+            raise OptionError("library_add.no_name", name=name.encode(errors="backslashreplace").decode())
+        options = options or ReadOptions()
+        record = make_record(read_query(motion, options), name, kind)
+        rules: dict[str, LabelRule] = {
+            "category": no_label if category is None else lambda root, file: category,
+            "performer": no_label if performer is None else lambda root, file: performer,
+        }
+        return Adding(self.database, kind, rules, options, self._forests.last).run_one(record, n_jobs)
+
+    def train(
+        self,
+        *,
+        feature_set: str | None = None,
+        n_trees: int = 100,
+        n_trials: int | Literal["all", "sqrt"] | None = None,
+        max_entropy: float = 0.0,
+        bootstrap: bool = False,
+        random_state: int | None = 0,
+        n_jobs: int | None = None,
+        progress: TrainProgress | None = None,
+    ) -> TrainReport:
+        """Train a new forest on all clips that have a category, and ask it about every clip and take.
+
+        One transaction: stopped at any moment, the library keeps the forest it had.
+
+        Parameters
+        ----------
+        feature_set : what it may ask about, a name in ``dousa.retrieval.FEATURE_SETS``: ``"paper"`` or
+            ``"extended"``; None for ``DEFAULT_FEATURE_SET``.
+        n_trees, max_entropy, bootstrap, random_state : as in ``dousa.retrieval.MotionForest``.
+        n_trials : likewise; None for what suits the features.
+        n_jobs : trees grown at a time, as in ``add``; the forest does not depend on it.
+        progress : called with (steps done, steps, message about the next step).
+
+        Raises
+        ------
+        TrainingError : fewer than two categories.
+        LibraryError : the library cannot be written.
+        OptionError : no such features, or a number out of range.
+        """
+        from dousa.library.train import train_forest
+        from dousa.retrieval import DEFAULT_FEATURE_SET, MotionForest, get_feature_set
+
+        kind = get_feature_set(DEFAULT_FEATURE_SET if feature_set is None else feature_set)
+        forest = MotionForest(
+            n_trees=n_trees,
+            n_trials=kind.n_trials if n_trials is None else n_trials,
+            max_entropy=max_entropy,
+            bootstrap=bootstrap,
+            thresholds=kind.thresholds,
+            random_state=random_state,
+            n_jobs=choose_jobs(n_jobs),
+        )
+        self._forests.last, report = train_forest(self.database, forest, kind, n_jobs, progress)
+        return report
+
+    def search(
+        self,
+        query: Query,
+        k: int = 10,
+        *,
+        ranking: str | None = None,
+        same_category: bool = False,
+        mirror: bool = False,
+        explain: bool = False,
+        threshold: float | None = None,
+        options: ReadOptions | None = None,
+    ) -> SearchResult:
+        """The clips most like a motion, the most similar first; takes are left out.
+
+        Parameters
+        ----------
+        query : a motion file, the number of a clip, or a motion.
+        k : how many clips at most.
+        ranking : what they are ordered by, one of ``dousa.retrieval.RANKINGS``: ``"histogram"`` (eq. 8 of Hamada,
+            Kuriyama, Mukai), ``"leaves"``, ``"pose"`` or ``"fused"``, which is also what None stands for.
+        same_category : only clips of the category that most trees vote for.
+        mirror : search for the mirror image of the query too.
+        explain : give the reasons for the predicted category, and for the similarity of each clip.
+        threshold : probability of being known from which the query gets a category; None for the forest's own, 0
+            for always.
+        options : what the query file does not say.
+
+        Raises
+        ------
+        NotTrainedError : there is no forest yet.
+        MotionFileError, JointMappingError : the query cannot be used.
+        LibraryError : no clip of this number, or the library cannot be read.
+        OptionError : k below 1, an unknown ranking, a threshold outside 0 to 1.
+        """
+        from dousa.retrieval import DEFAULT_RANKING
+
+        _check_k(k)
+        return self._searcher.search(
+            query,
+            k,
+            ranking or DEFAULT_RANKING,
+            same_category=same_category,
+            mirror=mirror,
+            explain=explain,
+            threshold=threshold,
+            options=options or ReadOptions(),
+        )
+
+    def classify(
+        self,
+        paths: Paths,
+        *,
+        mirror: bool = False,
+        explain: bool = False,
+        threshold: float | None = None,
+        options: ReadOptions | None = None,
+        n_jobs: int | None = None,
+    ) -> list[Classification]:
+        """Predict the categories of motion files; they are not added.
+
+        Parameters
+        ----------
+        paths : files, and folders that are searched at any depth.
+        mirror : predict the category of the mirror image of each too.
+        explain : say why.
+        threshold : as in ``search``.
+        options : what the files do not say.
+        n_jobs : files read at a time, as in ``add``.
+
+        Returns
+        -------
+        One answer per file; one that cannot be used has a ``problem`` instead of a category.
+
+        Raises
+        ------
+        NotTrainedError : there is no forest yet.
+        LibraryError : the library cannot be read.
+        """
+        return self._searcher.classify(
+            _as_list(paths),
+            mirror=mirror,
+            explain=explain,
+            threshold=threshold,
+            options=options or ReadOptions(),
+            n_jobs=n_jobs,
+        )
+
+    def find(
+        self,
+        query: Query,
+        takes: Query | Iterable[Query] | None = None,
+        k: int = 10,
+        *,
+        mirror: bool = False,
+        options: ReadOptions | None = None,
+        n_jobs: int | None = None,
+    ) -> FindResult:
+        """The places in takes that are most like a motion, at half to twice its tempo.
+
+        Parameters
+        ----------
+        query : a motion file, the number of a clip, or a motion.
+        takes : numbers, files and folders, or motions; by default all takes of the library, whose windows are
+            kept. Others are described now.
+        k : how many places at most.
+        mirror : look for the mirror image of the query too.
+        options : what the files do not say.
+        n_jobs : files read, and parts described, at a time; as in ``add``.
+
+        Raises
+        ------
+        NotTrainedError : there is no forest yet.
+        MotionFileError, JointMappingError : the query cannot be used; takes that cannot are named in the answer.
+        InvalidMotionError : the query is shorter than 0.27 s.
+        LibraryError : no clip of this number, no takes, or the library cannot be read.
+        OptionError : k below 1.
+        """
+        from dousa.motion import CanonicalMotion, Motion, Trajectories
+
+        _check_k(k)
+        single = (int, str, os.PathLike, CanonicalMotion, Motion, Trajectories)
+        chosen = [takes] if isinstance(takes, single) else takes if takes is None else list(takes)
+        return self._takes.find(query, chosen, k, mirror=mirror, options=options or ReadOptions(), n_jobs=n_jobs)
+
+    def label(
+        self,
+        take: Query,
+        *,
+        threshold: float | None = None,
+        examples: Iterable[int] = (),
+        options: ReadOptions | None = None,
+        n_jobs: int | None = None,
+        progress: LearnProgress | None = None,
+    ) -> LabelledTake:
+        """What happens in a take, from beginning to end: which category from when to when, and what is unknown.
+
+        The first time after a training, what takes are labelled with is learned from the clips; it is kept in the
+        library if that can be written.
+
+        Parameters
+        ----------
+        take : number, file, or motion.
+        threshold : confidence from which a category is said, 0 to 1; None for what was learned.
+        examples : numbers of clips that were cut out of takes and named by hand. What a take is labelled with learns
+            from each at once, far more than from a clip that is only added.
+        options : what the file does not say.
+        n_jobs : parts described at a time, as in ``add``.
+        progress : of the learning; called with (steps done, steps, message about the next step).
+
+        Raises
+        ------
+        NotTrainedError : there is no forest yet.
+        MotionFileError, JointMappingError : the take cannot be used.
+        LibraryError : no take of this number, or the library cannot be read.
+        OptionError : a threshold outside 0 to 1.
+        """
+        return self._labellers.label(take, threshold, tuple(examples), options or ReadOptions(), n_jobs, progress)
+
+    def live(
+        self,
+        *,
+        height: float | None = None,
+        threshold: float | None = None,
+        n_jobs: int | None = None,
+        progress: LearnProgress | None = None,
+    ) -> LiveLabeller:
+        """What labels a motion while it happens: ``push`` it a frame, and it answers some times a second.
+
+        Parameters
+        ----------
+        height : m, of the performer; None to estimate it from the first second.
+        threshold, n_jobs, progress : as in ``label``.
+
+        Raises
+        ------
+        NotTrainedError : there is no forest yet.
+        OptionError : a height or threshold out of range.
+        LibraryError : the library cannot be read.
+        """
+        return self._labellers.live(height, threshold, n_jobs, progress)
+
+    # Made when first needed, as what they import takes a while.
+
+    @cached_property
+    def _searcher(self) -> Searcher:
+        from dousa.library.search import Searcher
+
+        return Searcher(self.database, self._forests)
+
+    @cached_property
+    def _takes(self) -> Takes:
+        from dousa.library.takes import Takes
+
+        return Takes(self.database, self._forests)
+
+    @cached_property
+    def _labellers(self) -> Labellers:
+        from dousa.library.labelling import Labellers
+
+        return Labellers(self.database, self._forests, self._takes)
+
+    def clips(
+        self, selection: Selection | None = None, *, category: str | None = None, performer: str | None = None
+    ) -> list[ClipInfo]:
+        """Clips and takes in the order of their paths: all, or those chosen.
+
+        Parameters
+        ----------
+        selection : numbers, files, or folders, which stand for all clips below them.
+        category, performer : only clips of this label.
+
+        Raises
+        ------
+        LibraryError : nothing fits.
+        """
+        with self.database.reading() as connection:
+            if selection is None and category is None and performer is None:
+                return _selection.list_clips(connection)
+            chosen = () if selection is None else selection
+            ids = select_ids(connection, self.name, chosen, category, performer)
+            return _selection.list_clips(connection, ids)
+
+    @property
+    def revision(self) -> int:
+        """Number of the last write, of this program or another; while it is the same, nothing has changed."""
+        with self.database.reading() as connection:
+            return read_revision(connection)
+
+    def contents(self, clip_ids: Sequence[int]) -> dict[int, str]:
+        """What stands for the content of clips, by number: whoever keeps something made of a clip knows it by this.
+
+        Parameters
+        ----------
+        clip_ids : of clips and takes; numbers that are not there are left out.
+        """
+        clips = schema.clips.c
+        query = sa.select(clips.id, clips.content_hash, clips.read_options)
+        wanted = [number for number in clip_ids if schema.is_id(number)]
+        with self.database.reading() as connection:
+            rows = fetch_in(connection, query, clips.id, wanted)
+            return {row.id: f"{row.content_hash} {row.read_options}" for row in rows}
+
+    def trajectories(self, clip_id: int) -> Trajectories:
+        """The canonical joints of a clip, in metres.
+
+        Raises
+        ------
+        LibraryError : no such clip; LibraryDamagedError: its numbers are damaged.
+        """
+        found = dict(self.iterate_trajectories([clip_id]))
+        if clip_id not in found:
+            raise LibraryError("library_clips.no_clip", library=self.name, number=clip_id)
+        return found[clip_id]
+
+    def iterate_trajectories(self, clip_ids: Sequence[int]) -> Iterator[tuple[int, Trajectories]]:
+        """Numbers and canonical joints of many clips, in any order; one at a time is in memory.
+
+        Parameters
+        ----------
+        clip_ids : of clips and takes; numbers that are not there are left out.
+
+        Raises
+        ------
+        LibraryDamagedError : the numbers of one are damaged.
+        """
+        with self.database.reading() as connection:
+            yield from load_trajectories(connection, [number for number in clip_ids if schema.is_id(number)])
+
+    def remove(
+        self, selection: Selection = (), *, category: str | None = None, performer: str | None = None
+    ) -> list[str]:
+        """Take clips or takes out of the library; their files stay on the disk.
+
+        The forest still knows what it learned from them, until the next training.
+
+        Parameters
+        ----------
+        selection : numbers, files, or folders, which stand for all clips below them.
+        category, performer : only clips of this label.
+
+        Returns
+        -------
+        Paths of the clips that were removed.
+
+        Raises
+        ------
+        OptionError : nothing is chosen.
+        LibraryError : something chosen is not there, or the library cannot be written.
+        """
+        with self.database.writing() as connection:
+            ids = select_ids(connection, self.name, selection, category, performer)
+            paths = [clip.path for clip in _selection.list_clips(connection, ids)]
+            if ids:
+                next_revision(connection)
+                _selection.delete_clips(connection, ids)
+        return paths
+
+    def relabel(
+        self,
+        selection: Selection = (),
+        *,
+        category: str | Unchanged | None = UNCHANGED,
+        performer: str | Unchanged | None = UNCHANGED,
+        where_category: str | None = None,
+        where_performer: str | None = None,
+    ) -> list[str]:
+        """Give clips or takes another category or performer; the forest learns of it in the next training.
+
+        Parameters
+        ----------
+        selection : numbers, files, or folders, which stand for all clips below them.
+        category, performer : the new labels, None for no label.
+        where_category, where_performer : only clips that have this label now.
+
+        Returns
+        -------
+        Paths of the clips that were chosen.
+
+        Raises
+        ------
+        OptionError : nothing is chosen, or no new label is given, or an empty one.
+        LibraryError : something chosen is not there, or the library cannot be written.
+        """
+        if category is UNCHANGED and performer is UNCHANGED:
+            raise OptionError("library_clips.no_new_label")
+        _check_labels(category, performer)
+        with self.database.writing() as connection:
+            ids = select_ids(connection, self.name, selection, where_category, where_performer)
+            if ids:
+                next_revision(connection)
+                _selection.set_labels(connection, ids, category, performer)
+            return [clip.path for clip in _selection.list_clips(connection, ids)]
+
+    def categories(self) -> dict[str, int]:
+        """Number of clips of each category, by name."""
+        with self.database.reading() as connection:
+            return _selection.count_by(connection, "category")
+
+    def stats(self) -> LibraryStats:
+        """The library in numbers."""
+        with self.database.reading() as connection:
+            return _selection.summarise(connection)
+
+
+def _as_list(paths: Paths) -> list[str | os.PathLike[str]]:
+    return [paths] if isinstance(paths, str | os.PathLike) else list(paths)
+
+
+def _check_kind(kind: str) -> None:
+    if kind not in (CLIP, TAKE):
+        raise OptionError("library_add.unknown_kind", kind=kind)
+
+
+def _check_labels(*labels: object) -> None:
+    if any(isinstance(label, str) and not label.strip() for label in labels):
+        raise OptionError("library_clips.empty_label")
+
+
+def _check_k(k: int) -> None:
+    if k < 1:
+        raise OptionError("library_search.too_few_results", k=k)

@@ -1,0 +1,445 @@
+"""What the library answers about motions: plain values without a connection behind them, each with ``to_json()``."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+from typing import TYPE_CHECKING, Any, ClassVar
+
+from dousa.formats.motion_files import Skipped
+from dousa.messages import Message
+
+if TYPE_CHECKING:
+    from dousa.retrieval.explain.explanation import Explanation, Likeness
+    from dousa.retrieval.forest.calibration import Calibration
+    from dousa.retrieval.takes.label import Timeline
+
+__all__ = [
+    "AddReport",
+    "Classification",
+    "ClipInfo",
+    "Duplicate",
+    "FindResult",
+    "Hit",
+    "LabelledTake",
+    "LibraryStats",
+    "Place",
+    "SearchResult",
+    "Skipped",
+    "TrainReport",
+    "Verdict",
+]
+
+# Many motions are their own mirror image, so a mirror image must be clearly better: by this share of the votes, this
+# factor of a distance, this much of a score.
+MIRROR_VOTES, MIRROR_DISTANCE, MIRROR_SCORE = 0.05, 0.95, 0.02
+
+
+class _Answer:
+    """A plain value that can be written as JSON, under other names where ``_names`` has some."""
+
+    __slots__ = ()
+    _names: ClassVar[dict[str, str]] = {}
+
+    def to_json(self) -> dict[str, Any]:
+        """The value as plain lists and dictionaries, messages in the language in use."""
+        names = [field.name for field in fields(self)]  # type: ignore[arg-type]
+        return {self._names.get(name, name): _to_plain(getattr(self, name)) for name in names}
+
+
+def _to_plain(value: Any) -> Any:
+    if isinstance(value, Message):
+        return str(value)
+    if hasattr(value, "to_json"):
+        return value.to_json()
+    if isinstance(value, tuple):
+        return [_to_plain(item) for item in value]
+    return dict(value) if isinstance(value, dict) else value
+
+
+def _without(answer: dict[str, Any], name: str) -> dict[str, Any]:
+    """The same, without a key that has no value."""
+    if answer[name] is None:
+        del answer[name]
+    return answer
+
+
+@dataclass(frozen=True, slots=True)
+class Verdict(_Answer):
+    """What the forest predicts for a motion.
+
+    Parameters
+    ----------
+    category : the category, None if the motion is of none that the forest knows.
+    guess : the category that most trees vote for, whether the motion is known or not.
+    known : probability that the motion is of a category that the forest knows; None where the forest had too few
+        categories to learn that, or was trained by an older dousa.
+    confidence : probability that the guess is right; None likewise.
+    histogram : share of the trees that vote for each category, the largest first.
+    explanation : the reasons, if requested.
+    """
+
+    category: str | None
+    guess: str
+    known: float | None
+    confidence: float | None
+    histogram: dict[str, float]
+    explanation: Explanation | None = None
+
+    def fits_better_than(self, other: Verdict) -> bool:
+        """Whether the forest is clearly surer of this than of another motion."""
+        if (self.category is None) != (other.category is None):
+            return other.category is None
+        return self.histogram[self.guess] > other.histogram[other.guess] + MIRROR_VOTES
+
+    def to_json(self) -> dict[str, Any]:
+        """The verdict as plain lists and dictionaries; ``explanation`` only where there is one."""
+        return _without({"category": None, "histogram": None, **_Answer.to_json(self)}, "explanation")
+
+
+@dataclass(frozen=True, slots=True)
+class Hit(_Answer):
+    """One clip that a search found.
+
+    Parameters
+    ----------
+    path : file the clip came from.
+    category : its category; the forest's, where nobody gave it one.
+    distance : between the histograms of query and clip, eq. 8; 0 to sqrt(2).
+    rank : 1 for the nearest.
+    clip_id : number of the clip in the library.
+    leaf_share : share of the trees in which query and clip end in the same leaf, 0 to 1.
+    pose_distance : of the poses of both, aligned in time, body heights; None where they were not compared.
+    rank_distance : what the order goes by; None where the poses decide and were not compared.
+    mirrored : whether it is the mirror image of the query that the clip is like.
+    likeness : why they are alike, if requested.
+    """
+
+    path: str
+    category: str
+    distance: float
+    rank: int
+    clip_id: int
+    leaf_share: float
+    pose_distance: float | None = None
+    rank_distance: float | None = None
+    mirrored: bool = False
+    likeness: Likeness | None = None
+
+    def to_json(self) -> dict[str, Any]:
+        """The hit as a plain dictionary; ``likeness`` only where there is one."""
+        return _without(_Answer.to_json(self), "likeness")
+
+
+@dataclass(frozen=True, slots=True)
+class SearchResult:
+    """The answer to a search.
+
+    Parameters
+    ----------
+    query : name of the query.
+    verdict : what the forest predicts for it.
+    results : the most similar clips, the most similar first.
+    ranking : what they were ordered by, one of ``dousa.retrieval.RANKINGS``.
+    mirrored : what it predicts for the mirror image, if requested.
+    """
+
+    query: str
+    verdict: Verdict
+    results: tuple[Hit, ...]
+    ranking: str
+    mirrored: Verdict | None = None
+
+    @property
+    def category(self) -> str | None:
+        """The predicted category of the query, None if it is of none that the forest knows."""
+        return self.verdict.category
+
+    @property
+    def histogram(self) -> dict[str, float]:
+        """Share of the trees that vote for each category, the largest first."""
+        return self.verdict.histogram
+
+    def to_json(self) -> dict[str, Any]:
+        """The answer as plain lists and dictionaries."""
+        return {
+            "query": self.query,
+            **self.verdict.to_json(),
+            **_mirrored_json(self.verdict, self.mirrored),
+            "ranking": self.ranking,
+            "results": [hit.to_json() for hit in self.results],
+        }
+
+
+@dataclass(frozen=True, slots=True)
+class Classification:
+    """What the forest predicts for a motion file.
+
+    Parameters
+    ----------
+    path : the file.
+    verdict : what the forest predicts, None if the file cannot be used.
+    mirrored : what it predicts for the mirror image, if requested.
+    problem : why the file cannot be used, None if it can.
+    """
+
+    path: str
+    verdict: Verdict | None
+    mirrored: Verdict | None = None
+    problem: Message | None = None
+
+    @property
+    def category(self) -> str | None:
+        """The category; None if the motion is of none that the forest knows, or the file cannot be used."""
+        return None if self.verdict is None else self.verdict.category
+
+    @property
+    def histogram(self) -> dict[str, float]:
+        """Share of the trees that vote for each category, the largest first; empty if the file cannot be used."""
+        return {} if self.verdict is None else self.verdict.histogram
+
+    def to_json(self) -> dict[str, Any]:
+        """The answer as a plain dictionary; ``problem`` only where there is one."""
+        if self.verdict is None:
+            nothing = dict.fromkeys(("category", "histogram", "guess", "known", "confidence"))
+            return {"path": self.path, **nothing, "histogram": {}, "problem": str(self.problem)}
+        mirrored = _mirrored_json(self.verdict, self.mirrored)
+        return {"path": self.path, **self.verdict.to_json(), **mirrored}
+
+
+def _mirrored_json(verdict: Verdict, mirrored: Verdict | None) -> dict[str, Any]:
+    if mirrored is None:
+        return {}
+    return {"mirrored": {**mirrored.to_json(), "fits_better": mirrored.fits_better_than(verdict)}}
+
+
+@dataclass(frozen=True, slots=True)
+class Duplicate(_Answer):
+    """A file with the content of a clip that is in the library under another path.
+
+    Parameters
+    ----------
+    path : the file.
+    same_as : path of the stored clip.
+    """
+
+    path: str
+    same_as: str
+
+
+@dataclass(frozen=True, slots=True)
+class AddReport(_Answer):
+    """What ``Library.add`` did.
+
+    Parameters
+    ----------
+    added : paths of the new clips.
+    replaced : paths of stored clips whose file had changed.
+    unchanged : paths that were in the library already.
+    moved : files that are in the library under a path where there is no file any more; the new path is kept.
+    duplicates : files whose content is in the library under another path.
+    skipped : files that could not be used.
+    warnings : (path, message) of clips that were added with a doubt.
+    other_labels : paths that were in the library with another category or performer than the rules give now;
+        their labels stay, ``Library.relabel`` changes them.
+    other_kind : paths that were in the library as clips and were added as takes, or the other way round; they stay
+        what they are.
+    n_learned : clips with a category that the leaves of the forest learned at once.
+    new_categories : categories among them that the forest did not know.
+    seconds : time it took.
+    bytes : size of the files that were read.
+    """
+
+    added: tuple[str, ...]
+    replaced: tuple[str, ...]
+    unchanged: tuple[str, ...]
+    moved: tuple[Duplicate, ...]
+    duplicates: tuple[Duplicate, ...]
+    skipped: tuple[Skipped, ...]
+    warnings: tuple[tuple[str, Message], ...]
+    other_labels: tuple[str, ...]
+    other_kind: tuple[str, ...]
+    n_learned: int
+    new_categories: tuple[str, ...]
+    seconds: float
+    bytes: int
+
+    def to_json(self) -> dict[str, Any]:
+        """The report as plain lists and dictionaries."""
+        return {
+            **_Answer.to_json(self),
+            "moved": [{"path": item.path, "from": item.same_as} for item in self.moved],
+            "warnings": [{"path": path, "warning": str(text)} for path, text in self.warnings],
+        }
+
+
+@dataclass(frozen=True, slots=True)
+class TrainReport(_Answer):
+    """What ``Library.train`` did.
+
+    Parameters
+    ----------
+    feature_set : name of the features that it asks for.
+    n_trees : trees of the forest.
+    n_clips : clips it was trained on.
+    n_unlabelled : clips without a category, which got a histogram only.
+    categories : number of clips of each category.
+    calibration : how well motions of unknown categories are told from known ones, learned by holding some out; None
+        where there were too few clips or categories.
+    single : categories with one clip: the forest has seen too little to tell them apart.
+    seconds : time it took.
+    """
+
+    feature_set: str
+    n_trees: int
+    n_clips: int
+    n_unlabelled: int
+    categories: dict[str, int]
+    calibration: Calibration | None
+    single: tuple[str, ...]
+    seconds: float
+
+
+@dataclass(frozen=True, slots=True)
+class ClipInfo(_Answer):
+    """A clip or take of the library, without its arrays.
+
+    Parameters
+    ----------
+    id : number of the clip; never given out twice.
+    path : file it came from.
+    category, performer : labels, None where there are none.
+    predicted_category : of the forest, None before the training.
+    format : short name of the file's format.
+    n_frames : number of poses.
+    frame_rate : Hz.
+    duration : s.
+    height : m, of the performer's skeleton.
+    joint_table : where the canonical joints came from, such as ``"CMU/HDM05"``.
+    warnings : doubts that came up when the file was read.
+    kind : ``"clip"`` or ``"take"``.
+    """
+
+    id: int
+    path: str
+    category: str | None
+    performer: str | None
+    predicted_category: str | None
+    format: str
+    n_frames: int
+    frame_rate: float
+    duration: float
+    height: float
+    joint_table: str
+    warnings: tuple[Message, ...]
+    kind: str = "clip"
+
+
+@dataclass(frozen=True, slots=True)
+class LibraryStats(_Answer):
+    """A library in numbers.
+
+    Parameters
+    ----------
+    n_clips : clips, takes left out.
+    n_frames : poses of all clips.
+    seconds : duration of all clips.
+    n_takes, take_seconds : uncut recordings, and their duration.
+    n_unlabelled : clips without a category.
+    categories : number of clips of each category.
+    performers : number of clips and takes of each performer.
+    trained_at : when the forest was trained (ISO 8601, UTC), None if there is none.
+    n_trained : clips the forest was trained on.
+    n_learned : clips that its leaves learned later.
+    parameters : of the forest, with the name of the features it was trained on.
+    forest_is_current : false if clips or labels changed after the training, or there is no forest.
+    revision : counts the writes.
+    """
+
+    n_clips: int
+    n_frames: int
+    seconds: float
+    n_takes: int
+    take_seconds: float
+    n_unlabelled: int
+    categories: dict[str, int]
+    performers: dict[str, int]
+    trained_at: str | None
+    n_trained: int
+    n_learned: int
+    parameters: dict[str, Any]
+    forest_is_current: bool
+    revision: int
+
+
+@dataclass(frozen=True, slots=True)
+class Place(_Answer):
+    """A part of a take that is like the query.
+
+    Parameters
+    ----------
+    take : file of the take.
+    clip_id : its number in the library, None for a file that is not there.
+    start, end : s, from the beginning of the take.
+    score : 0 to 1, the larger the more alike.
+    distance : of the poses of both along the best alignment, root mean square in body heights.
+    shared_leaves : share of the trees in which both end in the same leaf.
+    tempo : how much faster than the query it goes on; 2 is double speed.
+    mirrored : whether it is the mirror image of the query that it is like.
+    rank : 1 for the best.
+    """
+
+    take: str
+    clip_id: int | None
+    start: float
+    end: float
+    score: float
+    distance: float
+    shared_leaves: float
+    tempo: float
+    mirrored: bool
+    rank: int
+
+    _names: ClassVar[dict[str, str]] = {"start": "start_s", "end": "end_s"}
+
+
+@dataclass(frozen=True, slots=True)
+class FindResult(_Answer):
+    """The answer to a search inside takes.
+
+    Parameters
+    ----------
+    query : name of the query.
+    duration : s, of the query.
+    n_takes, seconds : takes that were looked into, and their duration.
+    results : the places most like the query, best first, no two of them the same.
+    skipped : takes that could not be used, and why.
+    """
+
+    query: str
+    duration: float
+    n_takes: int
+    seconds: float
+    results: tuple[Place, ...]
+    skipped: tuple[Skipped, ...]
+
+    _names: ClassVar[dict[str, str]] = {"duration": "duration_s", "seconds": "takes_s"}
+
+
+@dataclass(frozen=True, slots=True)
+class LabelledTake:
+    """What happens in a take, from beginning to end.
+
+    Parameters
+    ----------
+    take : its file.
+    clip_id : its number in the library, None for a file that is not there.
+    timeline : its stretches, one after another without gaps, with their categories and how sure they are.
+    """
+
+    take: str
+    clip_id: int | None
+    timeline: Timeline
+
+    def to_json(self) -> dict[str, Any]:
+        """The timeline as plain lists and dictionaries; times in s."""
+        return {"take": self.take, "clip_id": self.clip_id, **self.timeline.to_json()}

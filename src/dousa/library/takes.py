@@ -1,0 +1,319 @@
+"""Looking into takes: those of the library with the windows that it keeps, and others that are described on the fly."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import sqlalchemy as sa
+
+from dousa.errors import DousaError, LibraryDamagedError, LibraryError, MotionFileError
+from dousa.formats.motion_files import ReadOptions, Skipped, find_motion_files, is_unicode
+from dousa.library import schema
+from dousa.library.engine import Database, choose_jobs
+from dousa.library.features import StoredMotion, find_feature_set, load_motions, round_positions
+from dousa.library.forests import ForestCache, StoredForest
+from dousa.library.ingest import ClipRecord, Query, ReadTask, is_as_stored, name_query, read_clips, read_query
+from dousa.library.results import MIRROR_SCORE, FindResult, Place
+from dousa.library.selection import fetch_in, find_row
+
+if TYPE_CHECKING:
+    from dousa.retrieval.takes.find import Found
+    from dousa.retrieval.takes.windows import TakeWindows, WindowGrid
+
+_SAME_PLACE = 0.3  # intersection over union of two answers that are the same place
+
+
+DescribedTakes = dict[tuple[str, int], bytes]
+"""Windows by path, and ``learned`` of the forest that described them."""
+
+
+def describe_windows(
+    stored: StoredForest, motion: StoredMotion, n_jobs: int | None = 1, grid: WindowGrid | None = None
+) -> TakeWindows:
+    """The windows of a recording, by default those that the library keeps; a very short one has none."""
+    from dousa.retrieval.takes.windows import describe_take
+
+    kind = find_feature_set(stored.feature_set)
+    return describe_take(stored.forest, kind, motion, grid or stored.grid, n_jobs=choose_jobs(n_jobs))
+
+
+def describe_records(
+    stored: StoredForest | None, records: Iterable[ClipRecord], n_jobs: int | None = None
+) -> DescribedTakes:
+    """Windows of the takes among motions that are not written yet."""
+    if stored is None:
+        return {}
+    return {
+        (record.path, stored.learned): describe_windows(stored, record.motion, n_jobs).to_bytes()
+        for record in records
+        if record.row["kind"] == schema.TAKE
+    }
+
+
+def describe_takes(
+    connection: sa.Connection,
+    stored: StoredForest,
+    known: Mapping[int, bytes] | None = None,
+    n_jobs: int | None = 1,
+    progress: Callable[[int, int], None] | None = None,
+) -> dict[int, bytes]:
+    """Windows of all takes, by number, but those that this forest described already are ``known``.
+
+    ``progress`` is called with (takes described, takes to describe).
+    """
+    table = schema.clips.c
+    ids = list(connection.execute(sa.select(table.id).where(table.kind == schema.TAKE)).scalars())
+    windows = {clip_id: known[clip_id] for clip_id in ids if known and clip_id in known}
+    new = [clip_id for clip_id in ids if clip_id not in windows]
+    for done, clip_id in enumerate(new, 1):
+        (motion,) = load_motions(connection, [clip_id])  # one at a time: they are long
+        windows[clip_id] = describe_windows(stored, motion, n_jobs).to_bytes()
+        if progress is not None:
+            progress(done, len(new))
+    return windows
+
+
+def save_windows(connection: sa.Connection, stored: StoredForest, windows: Mapping[int, bytes]) -> None:
+    """Write the windows of takes of which nothing is written yet."""
+    if windows:
+        rows = [{"clip_id": clip_id, "learned": stored.learned, "data": data} for clip_id, data in windows.items()]
+        connection.execute(sa.insert(schema.take_windows), rows)
+
+
+def refresh_windows(database: Database, stored: StoredForest, n_jobs: int | None) -> None:
+    """Describe the takes anew that an earlier state of the forest described; each is written when it is done."""
+    clips, table = schema.clips.c, schema.take_windows.c
+    query = sa.select(clips.id).where(clips.kind == schema.TAKE)
+    query = query.join(schema.take_windows, table.clip_id == clips.id, isouter=True)
+    with database.reading() as connection:
+        stale = list(connection.execute(query.where(table.learned.is_distinct_from(stored.learned))).scalars())
+    for clip_id in stale:
+        with database.reading() as connection:
+            (motion,) = load_motions(connection, [clip_id])
+        windows = describe_windows(stored, motion, n_jobs).to_bytes()
+        with database.writing() as connection:
+            now = connection.execute(sa.select(schema.forests.c.learned)).scalar_one_or_none()
+            there = connection.execute(sa.select(clips.id).where(clips.id == clip_id)).scalar_one_or_none()
+            if now != stored.learned or there is None:
+                return  # another program has changed the library, and sees to it
+            connection.execute(sa.delete(schema.take_windows).where(table.clip_id == clip_id))
+            save_windows(connection, stored, {clip_id: windows})
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ReadTake:
+    """A take with its windows.
+
+    Parameters
+    ----------
+    path : its file.
+    clip_id : its number in the library, None for a file that is not there.
+    windows : of the present forest.
+    """
+
+    path: str
+    clip_id: int | None
+    windows: TakeWindows
+
+
+@dataclass(frozen=True, slots=True)
+class Describing:
+    """How takes are described that are not kept: by a forest, in windows of a grid."""
+
+    stored: StoredForest
+    grid: WindowGrid
+    options: ReadOptions
+    n_jobs: int | None
+
+    def describe(self, motion: StoredMotion) -> TakeWindows:
+        """The windows of a recording."""
+        return describe_windows(self.stored, motion, self.n_jobs, self.grid)
+
+
+class Takes:
+    """Looks into takes, and keeps the windows of the library's in memory until the forest or the takes change."""
+
+    def __init__(self, database: Database, forests: ForestCache) -> None:
+        self._database = database
+        self._forests = forests
+        self._learned: int | None = None
+        self._windows: dict[int, TakeWindows] = {}
+
+    def find(
+        self,
+        query: Query,
+        takes: Sequence[Query] | None,
+        k: int,
+        *,
+        mirror: bool,
+        options: ReadOptions,
+        n_jobs: int | None,
+    ) -> FindResult:
+        """The places of takes that are most like a motion; as ``Library.find``."""
+        with self._database.reading() as connection:
+            stored = self._forests.load(connection)
+            name, motion = self._read_query(connection, query, options)
+            skipped: list[Skipped] = []
+            if takes is None:
+                chosen = self.all_takes(connection, stored)
+            else:
+                describing = Describing(stored, stored.grid, options, n_jobs)
+                chosen, skipped = self.chosen(connection, describing, takes)
+        found = [(place, False) for place in _find(stored, motion, chosen, k)]
+        if mirror:
+            found += [(place, True) for place in _find(stored, motion.mirror(), chosen, k)]
+        return FindResult(
+            query=name,
+            duration=motion.duration,
+            n_takes=len(chosen),
+            seconds=sum(take.windows.duration for take in chosen),
+            results=tuple(_rank(found, chosen, k)),
+            skipped=tuple(skipped),
+        )
+
+    def _read_query(self, connection: sa.Connection, query: Query, options: ReadOptions) -> tuple[str, StoredMotion]:
+        """The name and the motion of a query."""
+        if not isinstance(query, int):
+            return name_query(query), round_positions(read_query(query, options))
+        path = find_row(connection, self._database.where, query).path
+        (motion,) = load_motions(connection, [query])
+        return path, motion
+
+    def all_takes(self, connection: sa.Connection, stored: StoredForest) -> list[ReadTake]:
+        """Every take of the library, in the order of their paths; LibraryError where there are none."""
+        table = schema.clips.c
+        query = sa.select(table.id, table.path).where(table.kind == schema.TAKE)
+        rows = sorted(connection.execute(query).all(), key=lambda row: row.path)
+        if not rows:
+            raise LibraryError("library_takes.none", library=self._database.where)
+        windows = self._read(connection, stored, [row.id for row in rows])
+        return [ReadTake(row.path, row.id, windows[row.id]) for row in rows]
+
+    def chosen(
+        self, connection: sa.Connection, describing: Describing, wanted: Sequence[Query]
+    ) -> tuple[list[ReadTake], list[Skipped]]:
+        """Takes by number, file or folder, or as motions, each once; and the files that cannot be used.
+
+        A file that is in the library, and has not changed since, is not read: its windows are kept.
+        """
+        takes: list[ReadTake] = []
+        skipped: list[Skipped] = []
+        seen: set[str] = set()
+        for item in wanted:
+            some: Sequence[ReadTake]
+            if isinstance(item, int):
+                some = (self._by_number(connection, describing, item),)
+            elif isinstance(item, str | os.PathLike):
+                some, missing = self._by_path(connection, describing, item)
+                skipped += missing
+            else:
+                motion = round_positions(read_query(item, describing.options))
+                takes.append(ReadTake(name_query(item), None, describing.describe(motion)))
+                continue  # motions may have one name
+            takes += [take for take in some if take.path not in seen]
+            seen.update(take.path for take in some)
+        return takes, skipped
+
+    def _by_number(self, connection: sa.Connection, describing: Describing, number: int) -> ReadTake:
+        row = find_row(connection, self._database.where, number)
+        if row.kind == schema.TAKE:
+            return ReadTake(row.path, number, self._read(connection, describing.stored, [number])[number])
+        (motion,) = load_motions(connection, [number])
+        return ReadTake(row.path, number, describing.describe(motion))
+
+    def _by_path(
+        self, connection: sa.Connection, describing: Describing, path: str | os.PathLike[str]
+    ) -> tuple[list[ReadTake], list[Skipped]]:
+        files, skipped = find_motion_files([path])
+        paths = [str(file.path) for file in files]
+        rows = self._rows(connection, paths or [os.path.abspath(path)])
+        if not paths and rows:  # its file is gone, and the library kept it
+            paths, skipped = list(rows), []
+        else:
+            rows = {name: row for name, row in rows.items() if is_as_stored(row, describing.options)}
+        kept = self._read(connection, describing.stored, [rows[name].id for name in paths if name in rows])
+        tasks = [ReadTask(name, describing.options, kind=schema.TAKE) for name in paths if name not in rows]
+        read = {answer.path: answer for answer in read_clips(tasks, describing.n_jobs)}
+        takes = []
+        for name in paths:
+            answer = read.get(name)
+            if isinstance(answer, ClipRecord):
+                takes.append(ReadTake(name, None, describing.describe(answer.motion)))
+            elif name in rows:
+                takes.append(ReadTake(name, rows[name].id, kept[rows[name].id]))
+        return takes, [*skipped, *(answer for answer in read.values() if isinstance(answer, Skipped))]
+
+    def _rows(self, connection: sa.Connection, paths: Sequence[str]) -> dict[str, Any]:
+        """Takes of the library, by path."""
+        table = schema.clips.c
+        query = sa.select(table.id, table.path, table.fingerprint, table.read_options)
+        query = query.where(table.kind == schema.TAKE)
+        names = [path for path in paths if is_unicode(path)]
+        return {row.path: row for row in fetch_in(connection, query, table.path, names)}
+
+    def _read(self, connection: sa.Connection, stored: StoredForest, ids: Sequence[int]) -> dict[int, TakeWindows]:
+        """Windows by number; those that are not stored are described."""
+        from dousa.retrieval.takes.windows import TakeWindows
+
+        if self._learned != stored.learned:
+            self._learned, self._windows = stored.learned, {}
+        table = schema.take_windows.c
+        where = self._database.where
+        query = sa.select(table.clip_id, table.data).where(table.learned == stored.learned)
+        missing = [clip_id for clip_id in ids if clip_id not in self._windows]
+        for row in fetch_in(connection, query, table.clip_id, missing):
+            number = row.clip_id
+            try:
+                self._windows[number] = TakeWindows.from_bytes(row.data)
+            except DousaError as error:
+                raise LibraryDamagedError(
+                    "library_takes.damaged", library=where, number=number, problem=error
+                ) from error
+            # Leaves are looked up by number, so there must be such leaves.
+            trees, leaves = stored.forest.trees_, self._windows[number].leaves
+            if leaves.shape[1] != len(trees.roots) or (leaves.size and leaves.max() >= trees.n_leaves):
+                raise LibraryDamagedError("library_takes.other_forest", library=where, number=number)
+        for clip_id in ids:
+            if clip_id not in self._windows:
+                (motion,) = load_motions(connection, [clip_id])
+                self._windows[clip_id] = describe_windows(stored, motion, None)
+        return {clip_id: self._windows[clip_id] for clip_id in ids}
+
+
+def check_single(take: Any) -> None:
+    """MotionFileError for a folder of other than one recording, before any of them is read."""
+    if isinstance(take, str | os.PathLike) and os.path.isdir(take):
+        files, _ = find_motion_files([take])
+        if len(files) != 1:
+            raise MotionFileError(take, "library_takes.not_one_file", n_files=len(files))
+
+
+def _find(stored: StoredForest, motion: StoredMotion, takes: Sequence[ReadTake], k: int) -> list[Found]:
+    from dousa.retrieval.takes.find import describe_query, find_in_takes
+
+    query = describe_query(stored.forest, find_feature_set(stored.feature_set), motion)
+    # Named by their place in the list: two files may have one name, and numbers are compared fast.
+    return find_in_takes(query, [(str(row), take.windows) for row, take in enumerate(takes)], limit=k)
+
+
+def _rank(found: list[tuple[Found, bool]], takes: Sequence[ReadTake], k: int) -> list[Place]:
+    """Places of the query and of its mirror image, best first, each once."""
+    from dousa.retrieval.takes.find import overlap
+
+    found.sort(key=lambda one: (one[1] * MIRROR_SCORE - one[0].score, int(one[0].take), one[0].start))
+    kept: list[tuple[Found, bool]] = []
+    for one, mirrored in found:
+        same = (
+            other.take == one.take and overlap((one.start, one.stop), (other.start, other.stop)) >= _SAME_PLACE
+            for other, _ in kept
+        )
+        if not any(same):
+            kept.append((one, mirrored))
+    places = []
+    for rank, (one, mirrored) in enumerate(kept[:k], 1):
+        take, measures = takes[int(one.take)], (one.score, one.distance, one.shared_leaves, one.tempo)
+        places.append(Place(take.path, take.clip_id, one.start, one.stop, *measures, mirrored, rank))
+    return places

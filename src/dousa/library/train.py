@@ -1,0 +1,295 @@
+"""Training: one forest over all labelled clips, leaves for every clip, and windows for every take."""
+
+from __future__ import annotations
+
+import time
+from collections import Counter
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+import sqlalchemy as sa
+from numpy.typing import NDArray
+
+from dousa.arrays import FloatArray
+from dousa.errors import TrainingError
+from dousa.library import schema
+from dousa.library.engine import Database, next_revision, note_changed_clips, read_revision
+from dousa.library.features import ClipFeatures, find_feature_set, load_features, save_descriptions
+from dousa.library.forests import (
+    StoredForest,
+    ask_trees,
+    count_votes,
+    find_leaves,
+    fit_grid,
+    replace_forest,
+    save_answers,
+    update_forest,
+)
+from dousa.library.results import TrainReport
+from dousa.library.schema import pack, stack
+from dousa.library.takes import describe_takes, save_windows
+from dousa.messages import Message
+from dousa.retrieval import MotionForest
+from dousa.retrieval.features.feature_sets import FeatureSet
+from dousa.retrieval.forest.calibration import Assessor, guess_performers, learn_calibration
+
+if TYPE_CHECKING:
+    from dousa.retrieval.forest.growth import Growth
+
+TrainProgress = Callable[[int, int, Message], None]
+
+_STEPS = 5
+_MOST_HELD_BACK = 3000  # clips that the rounds of a calibration use: enough for two curves
+
+
+def train_forest(
+    database: Database,
+    forest: MotionForest,
+    kind: FeatureSet,
+    n_jobs: int | None = None,
+    progress: TrainProgress | None = None,
+) -> tuple[StoredForest, TrainReport]:
+    """Fit a forest to the clips of a library and store it with all that it says, in one transaction.
+
+    Parameters
+    ----------
+    forest : not yet fitted.
+    kind : features that it asks for; those that are not stored are computed.
+    n_jobs : clips and takes described at a time.
+    progress : called with (steps done, steps, message about the next step).
+
+    Raises
+    ------
+    TrainingError : fewer than two categories.
+    """
+    start = time.perf_counter()
+    report = progress or (lambda done, total, what: None)
+    report(0, _STEPS, Message("library_training.describing_clips"))
+
+    def tell_clips(done: int, total: int) -> None:
+        report(0, _STEPS, Message("library_training.describing_clips_done", done=done, total=total))
+
+    def tell_takes(done: int, total: int) -> None:
+        report(3, _STEPS, Message("library_training.describing_takes_done", done=done, total=total))
+
+    with database.reading() as connection:
+        seen = read_revision(connection)
+        _check_categories(database.where, _read_categories(connection))  # before the work
+        clips = load_features(connection, kind.name, n_jobs=n_jobs, progress=tell_clips)
+        grid = fit_grid(connection)
+    labelled, counts = _check_categories(database.where, clips.categories)
+    report(1, _STEPS, Message("library_training.growing_trees"))
+    categories = np.array([clips.categories[row] for row in labelled], dtype=np.str_)
+    forest.fit(clips.features[labelled], categories, feature_set=kind)
+    report(2, _STEPS, Message("library_training.calibrating"))
+    assessor = _learn_unknown(forest, clips, labelled, kind)
+    names = tuple(str(name) for name in forest.classes_)
+    stored = StoredForest(forest, names, kind.name, grid, assessor, 0, 0)
+    report(3, _STEPS, Message("library_training.describing_takes"))
+    with database.reading() as connection:
+        windows = describe_takes(connection, stored, n_jobs=n_jobs, progress=tell_takes)
+    report(4, _STEPS, Message("library_training.writing"))
+    stored = _store(database, stored, seen, clips, windows, len(labelled))
+    report(_STEPS, _STEPS, Message("library_training.done"))
+    done = TrainReport(
+        feature_set=kind.name,
+        n_trees=int(forest.get_params()["n_trees"]),
+        n_clips=len(labelled),
+        n_unlabelled=len(clips.categories) - len(labelled),
+        categories=counts,
+        calibration=None if assessor is None else assessor.calibration,
+        single=tuple(name for name, count in counts.items() if count == 1),
+        seconds=time.perf_counter() - start,
+    )
+    return stored, done
+
+
+def _learn_unknown(
+    forest: MotionForest, clips: ClipFeatures, labelled: Sequence[int], kind: FeatureSet
+) -> Assessor | None:
+    """Tell known motions from unknown ones; None where there are too few clips or categories to learn that."""
+    step = -(-len(labelled) // _MOST_HELD_BACK)
+    order = sorted(labelled, key=lambda row: str(clips.categories[row]))
+    rows = order[::step]  # every n-th clip of every category
+    people = guess_performers([clips.heights[row] for row in rows])
+    try:
+        calibration = learn_calibration(
+            forest,
+            clips.features[rows],
+            np.array([clips.categories[row] for row in rows], dtype=np.str_),
+            [clips.performers[row] or guess for row, guess in zip(rows, people, strict=True)],
+            feature_set=kind,
+        )
+    except TrainingError:
+        return None
+    return Assessor(forest, calibration)
+
+
+def _store(
+    database: Database,
+    stored: StoredForest,
+    seen: int,
+    clips: ClipFeatures,
+    windows: dict[int, bytes],
+    n_clips: int,
+) -> StoredForest:
+    """Write the forest, and what it says of clips and takes."""
+    answers = ask_trees(stored, clips.features)
+    with database.writing() as connection:
+        revision = next_revision(connection)
+        stored = stored.with_revision(revision)
+        if revision != seen + 1:
+            # Another program added or removed clips while the trees grew.
+            clips = load_features(connection, stored.feature_set)
+            windows = describe_takes(connection, stored, known=windows)
+            answers = ask_trees(stored, clips.features)
+            next_revision(connection)
+            note_changed_clips(connection)  # the forest has not learned from what they did: it is not current
+        replace_forest(connection, stored, n_clips)
+        save_descriptions(connection, list(clips.computed), list(clips.computed.values()))
+        connection.execute(sa.delete(schema.clip_leaves))
+        save_answers(connection, clips.ids, answers)
+        connection.execute(sa.delete(schema.take_windows))
+        save_windows(connection, stored, windows)
+    return stored
+
+
+def _read_categories(connection: sa.Connection) -> list[str | None]:
+    table = schema.clips.c
+    return list(connection.execute(sa.select(table.category).where(table.kind == schema.CLIP)).scalars())
+
+
+def _check_categories(where: str, categories: Sequence[str | None]) -> tuple[list[int], dict[str, int]]:
+    labelled = [index for index, category in enumerate(categories) if category is not None]
+    counts = dict(sorted(Counter(name for name in categories if name is not None).items()))
+    if len(counts) < 2:
+        n_clips = len(categories)
+        if not counts:
+            raise TrainingError("library_training.no_category", library=where, n_clips=n_clips)
+        only = next(iter(counts))
+        raise TrainingError("library_training.one_category", library=where, n_clips=n_clips, category=only)
+    return labelled, counts
+
+
+@dataclass(frozen=True, slots=True)
+class Learned:
+    """What a forest learned from clips that were added.
+
+    Parameters
+    ----------
+    n_clips : clips that have a category.
+    new_categories : those that the forest did not know.
+    """
+
+    n_clips: int = 0
+    new_categories: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Standing:
+    """Clips that stand in the leaves: numbers (N,), categories, predicted categories, leaves (N, n_trees)."""
+
+    ids: list[int]
+    categories: list[str | None]
+    predicted: list[str]
+    leaves: NDArray[np.int32]
+
+
+def learn_clips(
+    connection: sa.Connection,
+    stored: StoredForest,
+    features: FloatArray,
+    categories: Sequence[str | None],
+    revision: int,
+) -> tuple[StoredForest, Learned]:
+    """Teach a forest new clips, whose leaves are not written yet, and write it and the answers that change.
+
+    Parameters
+    ----------
+    features : (M, frames, columns) of the new clips.
+    categories : (M,) theirs; a clip without one teaches nothing.
+    revision : of the library in this transaction.
+
+    Returns
+    -------
+    The forest that has learned, and what; the same forest where there was nothing to learn.
+    """
+    labelled = [row for row, category in enumerate(categories) if category is not None]
+    if not labelled:
+        return stored, Learned()
+    labels = np.array([categories[row] for row in labelled], dtype=np.str_)
+    standing = _read_standing(connection, stored)
+    known = set(stored.categories)
+    # Clips that were given a category later that the forest does not know stand in no leaf of theirs.
+    taught = np.array([row for row, name in enumerate(standing.categories) if name in known], dtype=np.int64)
+    growth = _grow(connection, stored, standing, taught, features[labelled], labels)
+    assessor = stored.assessor
+    if assessor is not None:
+        assessor = Assessor(growth.forest, assessor.calibration.with_clips(features[labelled], labels))
+    grown = replace(
+        stored,
+        forest=growth.forest,
+        categories=tuple(str(name) for name in growth.forest.classes_),
+        assessor=assessor,
+        learned=revision,
+    )
+    update_forest(connection, grown, len(labelled))
+    leaves = standing.leaves.copy()
+    leaves[taught[growth.moved]] = growth.moved_leaves
+    others = np.setdiff1d(np.arange(len(standing.ids)), taught)
+    if len(others):
+        ids = [standing.ids[row] for row in others]
+        leaves[others] = find_leaves(grown, load_features(connection, stored.feature_set, ids).features)
+    _update_answers(connection, grown, standing, leaves)
+    return grown, Learned(len(labelled), tuple(sorted(set(labels.tolist()) - known)))
+
+
+def _grow(
+    connection: sa.Connection,
+    stored: StoredForest,
+    standing: _Standing,
+    taught: NDArray[np.int64],
+    features: FloatArray,
+    labels: NDArray[np.str_],
+) -> Growth:
+    """The forest with new clips, beside those of the standing ones that it knows."""
+    from dousa.retrieval.forest.growth import StandingClips, grow_forest
+
+    def read_features(places: NDArray[np.int64]) -> FloatArray:
+        ids = [standing.ids[row] for row in taught[places]]
+        return load_features(connection, stored.feature_set, ids).features
+
+    categories = np.array([standing.categories[row] for row in taught], dtype=np.str_)
+    clips = StandingClips(categories, standing.leaves[taught], read_features)
+    kind = find_feature_set(stored.feature_set)
+    return grow_forest(stored.forest, clips, features, labels, feature_set=kind)
+
+
+def _read_standing(connection: sa.Connection, stored: StoredForest) -> _Standing:
+    clips, table = schema.clips.c, schema.clip_leaves.c
+    query = sa.select(clips.id, clips.category, table.predicted_category, table.leaves)
+    query = query.join(schema.clip_leaves, table.clip_id == clips.id).order_by(clips.id)
+    rows = connection.execute(query).all()
+    leaves = stack([row.leaves for row in rows], "<i4", (len(stored.forest.trees_.roots),), "leaves")
+    count_votes(stored, leaves)  # there are such leaves
+    ids, categories, predicted = ([row[column] for row in rows] for column in range(3))
+    return _Standing(ids, categories, predicted, leaves)
+
+
+def _update_answers(
+    connection: sa.Connection, stored: StoredForest, standing: _Standing, leaves: NDArray[np.int32]
+) -> None:
+    """Write the leaves and the guesses that have changed."""
+    predicted = count_votes(stored, leaves).predicted()
+    moved = (leaves != standing.leaves).any(axis=1)
+    rows = [
+        {"of_clip": number, "predicted_category": now, "leaves": pack(leaves[row], "<i4")}
+        for row, (number, now, before) in enumerate(zip(standing.ids, predicted, standing.predicted, strict=True))
+        if moved[row] or now != before
+    ]
+    if rows:
+        table = schema.clip_leaves
+        statement = sa.update(table).where(table.c.clip_id == sa.bindparam("of_clip"))
+        connection.execute(statement, rows)

@@ -1,0 +1,111 @@
+"""From messages to sentences: the tables of words, and how they are filled in."""
+
+from __future__ import annotations
+
+import errno
+import string
+import tomllib
+from collections.abc import Mapping
+from contextvars import ContextVar
+from functools import cache
+from importlib import resources
+from typing import Any
+
+LANGUAGES = ("en", "ja")
+"""Languages with a table; the first one is spoken where nobody asked for another."""
+
+_LANGUAGE: ContextVar[str] = ContextVar("language", default=LANGUAGES[0])
+_JOINTS = {"en": (", ", " and ", " or "), "ja": ("、", "と", "または")}
+
+
+def use_language(language: str) -> None:
+    """From now on, here and in what is begun from here, messages are rendered in this language of `LANGUAGES`."""
+    _LANGUAGE.set(language if language in LANGUAGES else LANGUAGES[0])
+
+
+def get_language() -> str:
+    """The language in use."""
+    return _LANGUAGE.get()
+
+
+@cache
+def load_table(language: str) -> dict[str, str]:
+    """All sentences of a language by code: ``section.key`` of the TOML files of its folder."""
+    table: dict[str, str] = {}
+    for file in sorted(resources.files(__package__).joinpath(language).iterdir(), key=lambda file: file.name):
+        if file.name.endswith(".toml"):
+            for section, entries in tomllib.loads(file.read_text(encoding="utf-8")).items():
+                table |= {f"{section}.{key}": text for key, text in entries.items()}
+    return table
+
+
+def load_section(section: str, language: str) -> dict[str, str]:
+    """The templates of one section by key: the words of a page, which are filled in where they stand.
+
+    Parameters
+    ----------
+    section : of the tables, such as ``report``.
+    language : of `LANGUAGES`.
+    """
+    prefix = f"{section}."
+    return {code.removeprefix(prefix): text for code, text in load_table(language).items() if code.startswith(prefix)}
+
+
+def render(code: str, values: Mapping[str, Any], language: str | None = None) -> str:
+    """The sentence of a code with its values.
+
+    A template is a format string over the values. Besides the formats of Python it knows ``{n:count frame|frames}``
+    ("1 frame", "3 frames"), ``{n:plural is|are}`` (the word alone), and for tuples ``{names:list}``, ``{names:and}``,
+    ``{names:or}``. Values that are messages are rendered in the same language.
+
+    Parameters
+    ----------
+    code : ``section.key``.
+    values : what its template names.
+    language : of `LANGUAGES`; None stands for the one in use.
+    """
+    language = language or get_language()
+    if code == "system.error":
+        return _say_system_error(language, **values)
+    template = load_table(language).get(code) or load_table(LANGUAGES[0]).get(code)
+    if template is None:  # a table without it is a defect that a test finds; what is known is better than nothing
+        return f"{code} {dict(values)}"
+    return _Filler(language).vformat(template, (), values)
+
+
+def _say_system_error(language: str, number: int, text: str) -> str:
+    """An error of the operating system: in our words where we have some, else in its own."""
+    name = errno.errorcode.get(number, "")
+    return load_table(language).get(f"system.{name}", text)
+
+
+class _Filler(string.Formatter):
+    """Fills the values into a template."""
+
+    def __init__(self, language: str) -> None:
+        self._language = language
+
+    def format_field(self, value: Any, spec: str) -> str:
+        if hasattr(value, "code") and hasattr(value, "values"):
+            value = render(value.code, value.values, self._language)
+        kind, _, forms = spec.partition(" ")
+        if isinstance(value, tuple) or kind in ("list", "and", "or"):
+            return self._join(value if isinstance(value, tuple) else (value,), spec)
+        if kind in ("count", "plural"):
+            one, _, more = forms.partition("|")
+            word = one if value == 1 else more
+            return f"{value:,} {word}" if kind == "count" else word
+        return format(str(value) if value is None else value, spec)
+
+    def convert_field(self, value: Any, conversion: str | None) -> Any:
+        if conversion == "r" and isinstance(value, tuple):
+            return tuple(repr(item) for item in value)
+        return super().convert_field(value, conversion)
+
+    def _join(self, items: tuple[Any, ...], spec: str) -> str:
+        """``list``, ``and`` or ``or``; a format of the items may follow: ``{values:list .2f}``."""
+        kind, _, item_spec = spec.partition(" ")
+        comma, both, either = _JOINTS[self._language]
+        words = [self.format_field(item, item_spec) for item in items]
+        last = {"and": both, "or": either}.get(kind, comma)
+        return comma.join(words) if len(words) < 2 else comma.join(words[:-1]) + last + words[-1]

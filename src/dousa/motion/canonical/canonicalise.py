@@ -1,0 +1,353 @@
+"""From any skeleton or marker set to the 20 canonical joints.
+
+The mapping comes from a joint map if one is given, else from the names, else from the shape of the tree. Joints
+that the file lacks are made from their neighbours and reported. Left and right are checked against the body's
+front; names are never swapped.
+
+A mirror image is what the left side did done by the right side, and the other way round. The reflection is that of
+the plane X = 0 of the world: Y stays up, heights, speeds and times stay, a turn to the left becomes one to the right,
+and somebody who starts facing Z still does. Left and right joints change places with it, so the axes stay
+right-handed and every arm stays on its side of the body. Mirroring twice gives the motion back, to the last bit.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any, ClassVar, Protocol, TypeVar
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from dousa.arrays import BoolArray, FloatArray
+from dousa.errors import InvalidMotionError, JointMappingError
+from dousa.messages import Message
+from dousa.motion.canonical.geometry import body_points, chain_height, measure_rest
+from dousa.motion.canonical.joints import CANONICAL_JOINTS, CANONICAL_PARENTS, MIRRORED_JOINTS
+from dousa.motion.canonical.joints import JOINT_INDEX as J
+from dousa.motion.canonical.naming import NameMatch
+from dousa.motion.canonical.recipes import HAND_REACH, JointMap, Recipe, named_recipe, recipe_from_joint_map
+from dousa.motion.canonical.tree_shape import compare_sides, compute_forward, shape_recipe, spread_frames
+from dousa.motion.types import Motion, Trajectories
+
+# m: heights over the joints that no person has, and that nothing has.
+_SMALLEST, _TALLEST, _NO_BODY = 0.4, 3.0, 1e9
+
+_DEGENERATE = 0.05  # of the forearm or shank: a hand or toe this near to its parent is not one
+_TOE_PER_SHANK = 0.35
+_TOE_AHEAD, _TOE_DROP = 0.9165, 0.4  # a standing foot slopes: shares of its length ahead and down
+
+
+def _bone(end: str, start: str) -> FloatArray:
+    row = np.zeros(len(CANONICAL_JOINTS))
+    row[[J[end], J[start]]] = 1.0, -1.0
+    return row
+
+
+_TIPS_AND_BONES = np.stack(
+    [
+        _bone(f"{side}_{end}", f"{side}_{start}")
+        for end, start in (("hand", "wrist"), ("toe", "ankle"), ("wrist", "elbow"), ("ankle", "knee"))
+        for side in ("left", "right")
+    ]
+)
+
+
+@dataclass(frozen=True, slots=True)
+class JointMapping:
+    """Where the canonical joints of a motion come from.
+
+    Parameters
+    ----------
+    table : name family such as ``"CMU/HDM05"``, or ``"tree shape"`` or ``"joint map"``.
+    sources : canonical joint -> names in the file whose mean it is.
+    derived : canonical joints that the file lacks and that were made from others.
+    sides : whether left and right of the names are those of the body: ``"agree"``, ``"disagree"`` (then the
+        positions were mirrored) or ``"unclear"``.
+    """
+
+    table: str
+    sources: dict[str, tuple[str, ...]]
+    derived: tuple[str, ...]
+    sides: str
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CanonicalMotion:
+    """The 20 canonical joints of a motion over time.
+
+    Parameters
+    ----------
+    positions : (T, 20, 3) m, world, Y up, right-handed, finite; order of `CANONICAL_JOINTS`.
+    frame_rate : Hz.
+    height : m, body height over the joints, eq. 1 of Hamada et al.
+    height_source : ``"rest pose"`` if an upright one was there, else ``"bone chain"``.
+    mapping : where the joints come from.
+    warnings : what a person should know.
+    missing : (T, 20) True where a joint was not seen and its place was filled in; None if all were seen.
+    """
+
+    positions: FloatArray
+    frame_rate: float
+    height: float
+    height_source: str
+    mapping: JointMapping
+    warnings: tuple[Message, ...] = ()
+    missing: BoolArray | None = None
+
+    @property
+    def n_frames(self) -> int:
+        """Number of poses."""
+        return len(self.positions)
+
+    @property
+    def duration(self) -> float:
+        """Seconds from the first pose to the end of the last."""
+        return self.n_frames / self.frame_rate
+
+    def to_trajectories(self) -> Trajectories:
+        """The same positions as trajectories with canonical names and parents."""
+        return Trajectories(CANONICAL_JOINTS, self.positions, self.frame_rate, np.array(CANONICAL_PARENTS))
+
+
+def canonicalise(motion: Motion | Trajectories, joint_map: JointMap | None = None) -> CanonicalMotion:
+    """Map a motion of any skeleton or marker set to the canonical joints.
+
+    Parameters
+    ----------
+    motion : motion or trajectories in m, Y up.
+    joint_map : canonical joint -> name or names in the file, for what names and shape do not tell.
+
+    Returns
+    -------
+    The canonical motion; gaps (NaN) are filled by interpolation, ends held, and marked in ``missing``.
+
+    Raises
+    ------
+    JointMappingError : shoulders, elbows, wrists, hips, knees or ankles that cannot be found, or are never seen.
+    """
+    moving = _trajectories(motion)
+    positions = moving.positions
+    gaps = bool(np.isnan(positions.sum()))
+    never = _never_seen(moving) if gaps else ()
+    recipe = _choose_recipe(moving, joint_map, never)
+    missing = None
+    if gaps:
+        missing = _find_missing(recipe, positions)
+        positions = _fill(positions)
+    points = body_points(recipe, positions)
+    return _finish(moving, recipe, points, missing)
+
+
+def _trajectories(motion: Motion | Trajectories) -> Trajectories:
+    if isinstance(motion, Motion):
+        from dousa.motion.kinematics import compute_trajectories
+
+        return compute_trajectories(motion)
+    return motion
+
+
+def _never_seen(moving: Trajectories) -> tuple[str, ...]:
+    unseen = np.isnan(moving.positions).any(axis=2).all(axis=0)
+    return tuple(moving.names[i] for i in np.flatnonzero(unseen))
+
+
+def _fill(positions: FloatArray) -> FloatArray:
+    from dousa.motion.resampling import fill_gaps
+
+    return fill_gaps(positions)
+
+
+def _find_missing(recipe: Recipe, positions: FloatArray) -> BoolArray:
+    """(T, 20) where what a joint is made from is not seen."""
+    unseen: BoolArray = np.any(np.isnan(positions), axis=2)
+    missing = unseen[:, recipe.gather]
+    for row, indices, _ in recipe.blends:
+        missing[:, row] = unseen[:, indices].any(axis=1)
+    if recipe.pelvis_markers:
+        markers = [index for indices in recipe.pelvis_markers for index in indices]
+        hips: BoolArray = np.any(unseen[:, markers], axis=1)
+        missing[:, [J["pelvis"], J["left_hip"], J["right_hip"]]] |= hips[:, None]
+    return missing
+
+
+def _choose_recipe(moving: Trajectories, joint_map: JointMap | None, never: tuple[str, ...]) -> Recipe:
+    """Joint map, else names, else tree shape; points that are never seen do not count."""
+    # An unseen point keeps its place but loses its name, so that no rule finds it.
+    names = tuple("" if name in never else name for name in moving.names) if never else moving.names
+    if joint_map is not None:
+        return recipe_from_joint_map(joint_map, names)
+    recipe, match = named_recipe(names)
+    if recipe is not None:
+        return recipe
+    if moving.parents is not None and not never:
+        recipe = shape_recipe(moving.parents, moving.positions)
+        if recipe is not None:
+            return recipe
+    raise JointMappingError(_problem(match, moving, never), moving.names)
+
+
+def _problem(match: NameMatch | None, moving: Trajectories, never: tuple[str, ...]) -> Message:
+    """What is missing and what to do about it."""
+    if len(never) == len(moving.names):
+        return Message("canonical.never_seen")
+    unseen = Message("canonical.unseen", names=never) if never else Message("canonical.nothing")
+    if match is not None and len(match.missing) <= 8:
+        return Message("canonical.missing_joints", table=match.table, missing=match.missing, unseen=unseen)
+    tree = Message("canonical.no_tree" if moving.parents is None else "canonical.other_tree")
+    return Message("canonical.unknown_names", tree=tree, unseen=unseen)
+
+
+def _finish(moving: Trajectories, recipe: Recipe, points: FloatArray, unseen: BoolArray | None) -> CanonicalMotion:
+    """Tips, height, sides, warnings."""
+    sample = spread_frames(points)
+    no_hands, no_toes = _coincident_tips(sample)
+    if no_hands:
+        _make_hands(points)
+    missing = (
+        (no_hands, ("left_hand", "right_hand")),
+        (no_toes or not recipe.has_toes, ("left_toe", "right_toe")),
+    )
+    derived = (
+        *recipe.derived,
+        *(tip for gone, tips in missing if gone for tip in tips if tip not in recipe.derived),
+    )
+    height, height_source = _measure_height(recipe, sample, moving.rest_positions)
+    sides = compare_sides(sample)
+    warnings = []
+    if not _SMALLEST <= height <= _TALLEST:
+        warnings.append(Message("canonical.no_person"))
+    if recipe.table == "tree shape":
+        warnings.append(Message("canonical.by_shape_unclear" if sides == "unclear" else "canonical.by_shape"))
+    elif sides == "unclear":
+        warnings.append(Message("canonical.sides_unclear"))
+    elif sides == "disagree":
+        points[..., 2] *= -1.0
+        warnings.append(Message("canonical.mirrored"))
+    if "left_toe" in derived:
+        _make_toes(points)
+        warnings.append(Message("canonical.made_toes"))
+    if recipe.pelvis_markers:
+        warnings.append(Message("canonical.skin_markers"))
+    sources = {joint: names for joint, names in _named_sources(recipe, moving.names) if joint not in derived}
+    mapping = JointMapping(recipe.table, sources, derived, sides)
+    points.flags.writeable = False
+    return CanonicalMotion(points, moving.frame_rate, height, height_source, mapping, tuple(warnings), unseen)
+
+
+@lru_cache(maxsize=256)
+def _named_sources(recipe: Recipe, names: tuple[str, ...]) -> tuple[tuple[str, tuple[str, ...]], ...]:
+    return tuple((joint, tuple(names[i] for i in indices)) for joint, indices in recipe.sources.items())
+
+
+def _coincident_tips(sample: FloatArray) -> tuple[bool, bool]:
+    """Whether hands, and whether toes, lie on their joints in all frames: end sites of no length."""
+    lengths = np.abs(_TIPS_AND_BONES @ sample).sum(axis=2)
+    flags = (lengths[:, :4] <= _DEGENERATE * lengths[:, 4:]).all(axis=0)
+    return bool(flags[0] or flags[1]), bool(flags[2] or flags[3])
+
+
+def _make_hands(points: FloatArray) -> None:
+    """Put hands beyond the wrists, in line with the forearms."""
+    for side in ("left", "right"):
+        wrist = points[:, J[f"{side}_wrist"]]
+        points[:, J[f"{side}_hand"]] = wrist + HAND_REACH * (wrist - points[:, J[f"{side}_elbow"]])
+
+
+def _make_toes(points: FloatArray) -> None:
+    """Put toes before the ankles: to the front of the body and down along the shank's fall."""
+    forward = compute_forward(points)
+    forward = _fill(forward[:, None])[:, 0]
+    forward[np.isnan(forward).any(axis=1)] = (0.0, 0.0, 1.0)
+    for side in ("left", "right"):
+        ankle = points[:, J[f"{side}_ankle"]]
+        shank = ankle - points[:, J[f"{side}_knee"]]
+        squared = (shank * shank).sum(axis=1, keepdims=True) + 1e-300
+        ahead = forward - shank * (forward * shank).sum(axis=1, keepdims=True) / squared
+        ahead *= np.sqrt(squared) / (np.linalg.norm(ahead, axis=1, keepdims=True) + 1e-12)
+        points[:, J[f"{side}_toe"]] = ankle + _TOE_PER_SHANK * (_TOE_AHEAD * ahead + _TOE_DROP * shank)
+
+
+def _measure_height(recipe: Recipe, sample: FloatArray, rest: FloatArray | None) -> tuple[float, str]:
+    chain = chain_height(sample)
+    if not chain > 0:
+        raise JointMappingError("canonical.no_height")
+    if not chain < _NO_BODY:
+        raise JointMappingError("canonical.no_measure")
+    upright = measure_rest(recipe, rest)
+    if upright is not None and upright.fits(chain):
+        return upright.height, "rest pose"
+    return chain, "bone chain"
+
+
+_MIRRORED = np.array(MIRRORED_JOINTS)
+
+
+class _Posed(Protocol):
+    """A dataclass with canonical joints over time: a canonical motion, a labelled clip."""
+
+    __dataclass_fields__: ClassVar[dict[str, Any]]
+
+    @property
+    def positions(self) -> FloatArray: ...
+
+
+_Some = TypeVar("_Some", bound=_Posed)
+
+
+def mirror_positions(positions: ArrayLike) -> FloatArray:
+    """The mirror image of canonical positions.
+
+    Parameters
+    ----------
+    positions : (..., 20, 3), right-handed, Y up, any unit, order of ``CANONICAL_JOINTS``; NaN stays NaN.
+
+    Returns
+    -------
+    (..., 20, 3) in the same unit and order, a new array.
+
+    Raises
+    ------
+    InvalidMotionError : another shape.
+    """
+    points = np.asarray(positions, dtype=np.float64)
+    if points.ndim < 2 or points.shape[-2:] != (len(CANONICAL_JOINTS), 3):
+        raise InvalidMotionError("canonical.shape", shape=points.shape)
+    mirrored = points[..., _MIRRORED, :]
+    # 0 - x and not -x: a joint at 0 must not come back as -0, which is other bytes and another content hash.
+    mirrored[..., 0] = 0.0 - mirrored[..., 0]
+    return mirrored
+
+
+def mirror_canonical(motion: _Some) -> _Some:
+    """The mirror image of a motion of canonical joints.
+
+    Parameters
+    ----------
+    motion : a ``CanonicalMotion``, or another frozen dataclass with ``positions`` (T, 20, 3) m, such as a labelled
+        clip; its other fields (frame rate, height, category) are kept as they are.
+
+    Returns
+    -------
+    The same kind of motion. Of a ``CanonicalMotion`` the joints that were not seen, and where joints come from,
+    change sides too: the left hand of the mirror image comes from the right hand of the file.
+
+    Raises
+    ------
+    InvalidMotionError : positions of another shape.
+    """
+    positions = mirror_positions(motion.positions)
+    positions.flags.writeable = False
+    changed: dict[str, Any] = {"positions": positions}
+    if isinstance(motion, CanonicalMotion):
+        changed["mapping"] = _mirror_mapping(motion.mapping)
+        changed["missing"] = None if motion.missing is None else motion.missing[:, _MIRRORED]
+    return dataclasses.replace(motion, **changed)
+
+
+def _mirror_mapping(mapping: JointMapping) -> JointMapping:
+    names = {joint: CANONICAL_JOINTS[other] for joint, other in zip(CANONICAL_JOINTS, MIRRORED_JOINTS, strict=True)}
+    sources = {joint: mapping.sources[names[joint]] for joint in names if names[joint] in mapping.sources}
+    derived = tuple(names[joint] for joint in mapping.derived)
+    return dataclasses.replace(mapping, sources=sources, derived=derived)

@@ -1,0 +1,38 @@
+"""The canonical joints: what every motion is mapped to before it is compared.
+
+``CANONICAL_JOINTS`` fixes the order of the second axis of every canonical array (T, 20, 3).
+``CANONICAL_PARENTS`` is the tree they are drawn and measured in (pelvis is the root).
+"""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+# Every chain begins with the joint that it hangs on.
+_CHAINS = (
+    "pelvis spine neck head",
+    "neck left_shoulder left_elbow left_wrist left_hand",
+    "neck right_shoulder right_elbow right_wrist right_hand",
+    "pelvis left_hip left_knee left_ankle left_toe",
+    "pelvis right_hip right_knee right_ankle right_toe",
+)
+
+_PARENT_NAMES = {child: parent for chain in _CHAINS for parent, child in pairwise(chain.split())}
+
+CANONICAL_JOINTS: tuple[str, ...] = ("pelvis", *_PARENT_NAMES)
+
+JOINT_INDEX: dict[str, int] = {name: index for index, name in enumerate(CANONICAL_JOINTS)}
+
+CANONICAL_PARENTS: tuple[int, ...] = tuple(
+    JOINT_INDEX[_PARENT_NAMES[name]] if name in _PARENT_NAMES else -1 for name in CANONICAL_JOINTS
+)
+
+
+def _mirror(name: str) -> str:
+    if name.startswith("left_"):
+        return "right_" + name[5:]
+    return "left_" + name[6:] if name.startswith("right_") else name
+
+
+MIRRORED_JOINTS: tuple[int, ...] = tuple(JOINT_INDEX[_mirror(name)] for name in CANONICAL_JOINTS)
+"""Index of each joint's mirror image: left and right change places, the trunk stays."""

@@ -1,0 +1,205 @@
+"""Which point of a file is which canonical joint, told by the names.
+
+A name is normalised to a side and a core: the namespace before ``:`` and what all names begin with
+(``Character1_``, ``Bip01 ``, ``mixamorig:``) come off, the words are split at separators and capitals, a word
+such as ``Left``, ``l`` or ``RGT`` is the side, and the rest is put together in lower case. Names that hide
+the side in the first or last letter (``lfemur``, ``LASI``) give it away by having a twin (``rfemur``). Then the
+table of ``name_tables.toml`` that covers most joints wins.
+"""
+
+from __future__ import annotations
+
+import re
+import tomllib
+from collections.abc import Container, Iterable
+from dataclasses import dataclass
+from functools import lru_cache
+from importlib import resources
+
+from dousa.motion.canonical.joints import CANONICAL_JOINTS
+
+REQUIRED_JOINTS: tuple[str, ...] = tuple(
+    f"{side}_{joint}" for side in ("left", "right") for joint in ("shoulder", "elbow", "wrist", "hip", "knee", "ankle")
+)
+"""What a body needs to be recognised; the other canonical joints can be made from these."""
+
+_CENTRAL = ("pelvis", "spine", "neck", "head", "sacrum")
+_WORDS = re.compile(r"[A-Z]+(?=[A-Z][a-z])|[A-Z]?[a-z]+\d*|[A-Z]+\d*|\d+")
+_SIDES = {"left": "l", "lft": "l", "l": "l", "right": "r", "rgt": "r", "rt": "r", "r": "r"}
+_FIRST_WORDS = frozenset(
+    {"def", "org", "joint", "jnt", "bone", "c", "m", "f", "avg", "mixamorig", "valvebiped", "bip01", "bip001"}
+)
+_LAST_WORDS = frozenset({"jnt", "joint", "bone"})
+_SHARED = 0.8  # a first word of this share of the names is a prefix, not part of any name
+
+
+def _load_tables() -> dict[str, dict[str, str]]:
+    """Place on the body -> rule, of each family of ``name_tables.toml``."""
+    text = resources.files(__package__).joinpath("name_tables.toml").read_text(encoding="utf-8")
+    read: dict[str, dict[str, str]] = tomllib.loads(text)
+    families: dict[str, dict[str, str]] = {}
+    for name, table in read.items():
+        shared = table.pop("as", None)
+        families[name] = {**(read[shared] if shared else {}), **table}
+    return {name: table for name, table in families.items() if not name.startswith("named ")}
+
+
+TABLES: dict[str, dict[str, str]] = _load_tables()
+
+_CORES = frozenset(
+    word.lstrip("*") for table in TABLES.values() for rule in table.values() for word in re.split(r"[|+]", rule)
+)
+
+Key = tuple[str, str]
+
+
+@dataclass(frozen=True, slots=True)
+class NameMatch:
+    """What a name table found in a list of names.
+
+    Parameters
+    ----------
+    table : name of the family.
+    sources : place -> indices of the points whose mean it is; places are canonical joints, and ``left_asis``,
+        ``right_asis``, ``sacrum`` for marker sets that do not mark the hips.
+    missing : required joints that were not found.
+    """
+
+    table: str
+    sources: dict[str, tuple[int, ...]]
+    missing: tuple[str, ...]
+
+
+def _split(name: str) -> list[str]:
+    """Words of a name, the namespace dropped: ``"Bob:LeftUpLeg_01"`` -> ``["Left", "Up", "Leg", "1"]``."""
+    words = _WORDS.findall(name.rpartition(":")[2])
+    return [re.sub(r"(?<!\d)0+(?=\d)", "", word).lower() for word in words]
+
+
+def _without_prefix(words: list[list[str]]) -> list[list[str]]:
+    """Take off the first words that nearly all names share, and the known first and last words of single bones."""
+    while len(words) >= 5:
+        firsts = [row[0] for row in words if len(row) > 1]
+        common = max(set(firsts), key=firsts.count) if firsts else ""
+        if firsts.count(common) < _SHARED * len(words) or common in _SIDES:
+            break
+        words = [row[1:] if len(row) > 1 and row[0] == common else row for row in words]
+    cleaned = []
+    for row in words:
+        start = 0
+        while start < len(row) - 1 and row[start] in _FIRST_WORDS:
+            start += 1
+        end = len(row) - (len(row) - start > 1 and row[-1] in _LAST_WORDS)
+        cleaned.append(row[start:end])
+    return cleaned
+
+
+def _split_side(words: list[str]) -> Key:
+    for index, word in enumerate(words):
+        if word in _SIDES and len(words) > 1:
+            return _SIDES[word], "".join(words[:index] + words[index + 1 :])
+    return "", "".join(words)
+
+
+def _hidden_side(core: str, cores: frozenset[str]) -> Key:
+    """The side of a name that is one word: ``lfemur`` beside ``rfemur``, or a remainder that the tables know."""
+    for mark, other, side in (
+        ("left", "right", "l"),
+        ("right", "left", "r"),
+        ("l", "r", "l"),
+        ("r", "l", "r"),
+    ):
+        if core.startswith(mark) and len(core) > len(mark) + 1:
+            rest = core[len(mark) :]
+            if other + rest in cores or (rest in _CORES and core not in _CORES):
+                return side, rest
+        if core.endswith(mark) and len(core) > len(mark) + 1 and core[: -len(mark)] + other in cores:
+            return side, core[: -len(mark)]
+    return "", core
+
+
+def normalise_names(names: Iterable[str]) -> tuple[tuple[str, str], ...]:
+    """Side (``"l"``, ``"r"`` or ``""``) and core of every name.
+
+    Parameters
+    ----------
+    names : names of one file; they are looked at together, as shared prefixes and twins tell much.
+
+    Returns
+    -------
+    One (side, core) per name, such as ``("l", "upleg")`` for ``mixamorig:LeftUpLeg``.
+    """
+    keys = [_split_side(words) for words in _without_prefix([_split(str(name)) for name in names])]
+    cores = frozenset(core for side, core in keys if not side)
+    return tuple((side, core) if side else _hidden_side(core, cores) for side, core in keys)
+
+
+def _find(term: str, side: str, index: dict[Key, int]) -> tuple[int, ...] | None:
+    """Indices of one averaged term, ``a+*b``; None if a point of it is missing."""
+    found: list[int | None] = []
+    for word in term.split("+"):
+        if word.startswith("*"):
+            found += [index.get(("l", word[1:])), index.get(("r", word[1:]))]
+        else:
+            found.append(index.get((side, word)))
+    return None if None in found else tuple(i for i in found if i is not None)
+
+
+def _apply_rule(rule: str, side: str, index: dict[Key, int]) -> tuple[int, ...] | None:
+    for term in rule.split("|"):
+        found = _find(term, side, index)
+        if found is not None:
+            return found
+    return None
+
+
+def _apply_table(name: str, table: dict[str, str], index: dict[Key, int]) -> NameMatch | None:
+    if "with" in table and _apply_rule(table["with"], "", index) is None:
+        return None
+    sources: dict[str, tuple[int, ...]] = {}
+    for place, rule in table.items():
+        if place == "with":
+            continue
+        sides = (("", ""),) if place in _CENTRAL else (("l", "left_"), ("r", "right_"))
+        for side, prefix in sides:
+            found = _apply_rule(rule, side, index)
+            if found is not None:
+                sources[prefix + place] = found
+    return NameMatch(name, sources, find_missing(sources))
+
+
+def find_missing(sources: Container[str]) -> tuple[str, ...]:
+    """The required joints that are not among some places; hips can be made from markers on the pelvis."""
+    has_hips = all(marker in sources for marker in ("left_asis", "right_asis", "sacrum"))
+    return tuple(j for j in REQUIRED_JOINTS if j not in sources and not (has_hips and "hip" in j))
+
+
+@lru_cache(maxsize=256)
+def match_names(names: tuple[str, ...]) -> NameMatch | None:
+    """Find the canonical joints among the names of a file.
+
+    Parameters
+    ----------
+    names : (K,) names as the file spells them; the first of equal names counts.
+
+    Returns
+    -------
+    The match of the table that covers most; its ``missing`` says which required joints no name told.
+    None if no table knows any of the names.
+    """
+    index: dict[Key, int] = {}
+    for position, key in enumerate(normalise_names(names)):
+        index.setdefault(key, position)
+    best: NameMatch | None = None
+    best_score = (0, 0)
+    for name, table in TABLES.items():
+        match = _apply_table(name, table, index)
+        if match is None:
+            continue
+        score = (
+            len(REQUIRED_JOINTS) - len(match.missing),
+            sum(joint in match.sources for joint in CANONICAL_JOINTS),
+        )
+        if score > best_score:
+            best, best_score = match, score
+    return best

@@ -1,0 +1,7 @@
+"""Synthetic people: everyday motions and a dance, to try things on with nothing but the package."""
+
+from __future__ import annotations
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -1,0 +1,201 @@
+"""The body that plays the scores: its skeleton, how degrees of freedom become rotations, and the floor."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from dousa.arrays import FloatArray
+from dousa.motion import rotations as rot
+from dousa.motion.kinematics import forward_kinematics
+from dousa.motion.types import Motion, Skeleton
+
+_CONTACT_DEPTH = 0.008  # m: a sole point this much higher carries e times less weight
+_CONTACT_SPEED = 1.0  # m/s: a sole point this much faster past the body likewise; a swinging foot may skim
+_AIRBORNE = 0.01  # m: above this the floor no longer drives the body
+_INERTIA = 0.03  # s: a body does not change its speed at once when the other foot takes over
+_PELVIS_SHARE = 0.45  # of the trunk's bend; the spine joint does the rest
+
+# Joint, parent, offset in statures: x to the left, y up, z forward. Segment lengths after Drillis and Contini
+# (1966) as tabulated in Winter, "Biomechanics and Motor Control of Human Movement"; the performer's `legs`
+# scales the legs, `arms` the arms, `width` what lies sideways.
+_ARM = (
+    ("shoulder", "spine", (0.108, 0.170, -0.004)),
+    ("elbow", "shoulder", (0.0, -0.172, 0.0)),
+    ("wrist", "elbow", (0.0, -0.148, 0.0)),
+    ("hand", "wrist", (0.0, -0.056, 0.0)),
+    ("hand_end", "hand", (0.0, -0.050, 0.0)),
+)
+_LEG = (
+    ("hip", "pelvis", (0.052, -0.012, 0.0)),
+    ("knee", "hip", (0.0, -0.240, 0.0)),
+    ("ankle", "knee", (0.0, -0.242, 0.0)),
+    ("toe", "ankle", (0.0, -0.028, 0.094)),
+    ("toe_end", "toe", (0.0, -0.004, 0.040)),
+)
+_TRUNK = (
+    ("pelvis", "", (0.0, 0.533, 0.0)),
+    ("spine", "pelvis", (0.0, 0.112, 0.0)),
+    ("neck", "spine", (0.0, 0.188, -0.006)),
+    ("head", "neck", (0.0, 0.062, 0.014)),
+    ("head_end", "head", (0.0, 0.105, 0.0)),
+)
+_ANKLE_HEIGHT = 0.039
+_SOLE = ((0.0, -_ANKLE_HEIGHT, -0.040), (0.0, -_ANKLE_HEIGHT, 0.094), (0.0, -_ANKLE_HEIGHT, 0.134))
+
+
+def build_skeleton(stature: float, legs: float, arms: float, width: float) -> Skeleton:
+    """A person of 20 joints and 5 end sites who faces +Z with hanging arms, feet on the floor y = 0.
+
+    Parameters
+    ----------
+    stature : m, from the floor to the top of the head.
+    legs, arms, width : lengths of thigh and shin, of the arm, and across hips and shoulders, as shares of the
+        average ones; the trunk makes up for the legs.
+    """
+    leg_gain = (legs - 1.0) * 0.482
+    raised = {
+        "pelvis": leg_gain,
+        "spine": -0.4 * leg_gain,
+        "neck": -0.6 * leg_gain,
+        "shoulder": -0.6 * leg_gain,
+    }
+    scaled = {"knee": legs, "ankle": legs, "elbow": arms, "wrist": arms, "hand": arms}
+    rows = [(name, parent, (x, y + raised.get(name, 0.0), z)) for name, parent, (x, y, z) in _TRUNK]
+    # Depth first, as BVH files have it.
+    for limb, side, sign in ((_ARM, "left", 1), (_ARM, "right", -1), (_LEG, "left", 1), (_LEG, "right", -1)):
+        for name, parent, (x, y, z) in limb:
+            height = y * scaled.get(name, 1.0) + raised.get(name, 0.0)
+            middle = parent if parent in ("spine", "pelvis") else f"{side}_{parent}"
+            rows.append((f"{side}_{name}", middle, (sign * width * x + 0.0, height, z)))  # no -0.0
+    names = tuple(name for name, _, _ in rows)
+    return Skeleton(
+        names=names,
+        parents=np.array([names.index(parent) if parent else -1 for _, parent, _ in rows]),
+        offsets=stature * np.array([offset for _, _, offset in rows]),
+        end_sites=np.array([name.endswith("_end") for name in names]),
+    )
+
+
+def _about(axis: int, degrees: FloatArray) -> FloatArray:
+    """Quaternions (T, 4) about x (0), y (1) or z (2)."""
+    half = np.radians(degrees) / 2
+    q = np.zeros((len(half), 4))
+    q[:, 0], q[:, 1 + axis] = np.cos(half), np.sin(half)
+    return q
+
+
+def _chain(*quaternions: FloatArray) -> FloatArray:
+    result = quaternions[0]
+    for q in quaternions[1:]:
+        result = rot.multiply(result, q)
+    return result
+
+
+def _trunk(pose: Mapping[str, FloatArray]) -> dict[str, FloatArray]:
+    share = {"pelvis": _PELVIS_SHARE, "spine": 1.0 - _PELVIS_SHARE}
+    joints = {
+        name: _chain(_about(1, part * pose["twist"]), _about(2, -part * pose["lean"]), _about(0, part * pose["bend"]))
+        for name, part in share.items()
+    }
+    joints["neck"] = _about(0, 0.4 * pose["nod"])
+    joints["head"] = _chain(_about(1, pose["look"]), _about(0, 0.6 * pose["nod"]))
+    return joints
+
+
+def _arm(pose: Mapping[str, FloatArray], side: str, sign: float) -> dict[str, FloatArray]:
+    """Upper arm: swung by arm_raise about a level axis that arm_side turns, then about itself."""
+    plane = np.radians(sign * pose[f"{side}_arm_side"])
+    axis = np.stack((-np.cos(plane), 0 * plane, np.sin(plane)), axis=-1)
+    swing = rot.from_axis_angle(axis * np.radians(pose[f"{side}_arm_raise"])[:, None])
+    # Held off the trunk only as long as the arm hangs: a raised arm has room.
+    hanging = np.clip(np.cos(np.radians(pose[f"{side}_arm_raise"])), 0.0, 1.0)
+    return {
+        f"{side}_shoulder": _chain(
+            _about(2, sign * hanging * pose[f"{side}_arm_out"]),
+            swing,
+            _about(1, sign * pose[f"{side}_arm_turn"]),
+        ),
+        f"{side}_elbow": _about(0, -pose[f"{side}_elbow"]),
+    }
+
+
+def _leg(pose: Mapping[str, FloatArray], side: str, sign: float, pelvis: FloatArray) -> dict[str, FloatArray]:
+    """Thigh and sole are posed against the vertical, not the pelvis: a flat foot stays flat in a squat."""
+    outward = _about(1, sign * pose[f"{side}_toe_out"])
+    thigh = _chain(_about(2, sign * pose[f"{side}_spread"]), outward, _about(0, -pose[f"{side}_thigh"]))
+    knee = _about(0, pose[f"{side}_knee"])
+    foot = _chain(outward, _about(0, -pose[f"{side}_foot"]))
+    return {
+        f"{side}_hip": _chain(rot.conjugate(pelvis), thigh),
+        f"{side}_knee": knee,
+        f"{side}_ankle": _chain(rot.conjugate(_chain(thigh, knee)), foot),
+    }
+
+
+def compose_motion(skeleton: Skeleton, pose: Mapping[str, FloatArray], frame_rate: float, stature: float) -> Motion:
+    """A motion from degrees of freedom over time: the feet that carry the body decide where it goes.
+
+    Parameters
+    ----------
+    skeleton : from `build_skeleton`.
+    pose : every name of FREEDOMS -> (T,) degrees (flight: cm).
+    frame_rate : Hz.
+    stature : m.
+
+    Notes
+    -----
+    The lowest point of the two soles is put on the floor, and the body moves so that the points which carry it
+    stand still. In the air it keeps its speed and follows the line from take-off to landing, raised by `flight`.
+    """
+    joints = _trunk(pose)
+    for side, sign in (("left", 1.0), ("right", -1.0)):
+        joints |= _arm(pose, side, sign) | _leg(pose, side, sign, joints["pelvis"])
+    joints["pelvis"] = _chain(_about(1, pose["turn"]), joints["pelvis"])
+    frames = len(pose["turn"])
+    rotations = rot.identity((frames, skeleton.n_joints))
+    for name, q in joints.items():
+        rotations[:, skeleton.names.index(name)] = q
+    translations = np.tile(skeleton.offsets, (frames, 1, 1))
+    translations[:, 0] = 0.0
+    positions, world = forward_kinematics(skeleton.parents, rotations, translations)
+    ankles = [skeleton.names.index(f"{side}_ankle") for side in ("left", "right")]
+    sole = stature * np.array(_SOLE)
+    points = positions[:, ankles, None] + rot.rotate(world[:, ankles, None], sole)
+    translations[:, 0] = _carry(points.reshape(frames, -1, 3), pose["flight"] / 100.0, frame_rate)
+    return Motion(skeleton, rot.normalise(rotations), translations, frame_rate)
+
+
+def _carry(points: FloatArray, flight: FloatArray, frame_rate: float) -> FloatArray:
+    """Root positions (T, 3) from the sole points (T, P, 3) relative to the root and the flight (T,) in m."""
+    frames = np.arange(len(points))
+    standing = -points[..., 1].min(axis=1)
+    grounded = frames[flight < _AIRBORNE]
+    root = np.zeros((len(points), 3))
+    root[:, 1] = standing + flight
+    if len(grounded):  # in the air the legs may be drawn up without the body coming down
+        path = np.interp(frames, grounded, standing[grounded]) + flight
+        root[:, 1] = np.maximum(path, standing)
+    if len(points) < 3:
+        return root
+    moved = np.diff(points[..., ::2], axis=0)
+    middle = 0.5 * (points[1:, :, 1] + points[:-1, :, 1])
+    doubt = middle / _CONTACT_DEPTH + np.linalg.norm(moved, axis=2) * frame_rate / _CONTACT_SPEED
+    weights = np.exp(doubt.min(axis=1, keepdims=True) - doubt)
+    weights /= weights.sum(axis=1, keepdims=True)
+    steps = -np.einsum("tp,tpk->tk", weights, moved)
+    carried = frames[:-1][np.maximum(flight[1:], flight[:-1]) < _AIRBORNE]
+    for axis, column in ((0, 0), (2, 1)):
+        path = steps[:, column]
+        if len(carried):
+            path = np.interp(frames[:-1], carried, path[carried])
+        root[1:, axis] = np.cumsum(_smooth(path, _INERTIA * frame_rate))
+    return root
+
+
+def _smooth(values: FloatArray, frames: float) -> FloatArray:
+    """Values (T,) averaged with Gaussian weights whose standard deviation is so many frames."""
+    reach = max(int(np.ceil(3 * frames)), 1)
+    kernel = np.exp(-0.5 * (np.arange(-reach, reach + 1) / max(frames, 1e-6)) ** 2)
+    return np.convolve(np.pad(values, reach, mode="edge"), kernel / kernel.sum(), mode="valid")

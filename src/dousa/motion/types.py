@@ -1,0 +1,265 @@
+"""The central types: Skeleton, Motion, Trajectories, and where they came from.
+
+Frozen and slotted; their arrays are read-only and checked once, at construction. Units inside are
+metres, seconds and radians, right-handed, Y up.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from dousa.arrays import BoolArray, FloatArray, IndexArray
+from dousa.errors import InvalidMotionError
+
+_UNIT_TOLERANCE = 1e-6
+
+
+def freeze(array: NDArray[Any]) -> NDArray[Any]:
+    """Mark an array that nobody else holds as read-only: constructors take it without a copy, kernels compile once."""
+    array.flags.writeable = False
+    return array
+
+
+def _frozen_array(values: ArrayLike, dtype: type, shape: tuple[int | None, ...], what: str) -> NDArray[Any]:
+    """A read-only C-ordered array of the wanted shape (None fits any length); copies only what is writable."""
+    try:
+        array: NDArray[Any] = np.ascontiguousarray(values, dtype=dtype)
+    except (TypeError, ValueError) as error:
+        raise InvalidMotionError("motion.numbers", what=what, shape=shape, reason=error) from error
+    if array.ndim != len(shape) or any(n is not None and n != m for n, m in zip(shape, array.shape, strict=True)):
+        wanted = ", ".join("any" if n is None else str(n) for n in shape)
+        raise InvalidMotionError("motion.shape", what=what, wanted=wanted, shape=array.shape)
+    if array.flags.writeable:
+        # A view of somebody's buffer could still be changed through the buffer.
+        array = array.copy() if array is values or array.base is not None else array
+        array.flags.writeable = False
+    return array
+
+
+def _check_rate(frame_rate: float, what: str) -> float:
+    rate = float(frame_rate)
+    if not (np.isfinite(rate) and 0 < rate <= 1e6):
+        raise InvalidMotionError("motion.rate", what=what, rate=frame_rate)
+    return rate
+
+
+def _check_parents(parents: IndexArray, what: str) -> None:
+    later = np.flatnonzero(parents >= np.arange(len(parents)))
+    if len(later) or (parents < -1).any():
+        bad = int(later[0]) if len(later) else int(np.flatnonzero(parents < -1)[0])
+        raise InvalidMotionError("motion.parents", what=what, joint=bad, parent=int(parents[bad]))
+
+
+@dataclass(frozen=True, slots=True)
+class Provenance:
+    """Where a motion came from and how the file's numbers became metres with Y up.
+
+    Parameters
+    ----------
+    path : the file read.
+    format : short name of the format, such as ``"bvh"``.
+    unit : metres per unit of the file.
+    unit_source : ``"declared"``, ``"inferred"`` (from body height), ``"given"`` or ``"assumed"``.
+    up : axis of the file that points up: ``"x"``, ``"y"``, ``"z"``, or with a minus ``"-y"`` ...
+    up_source : as ``unit_source``.
+    layout : what only this format knows (channel order, declared frame time ...); see the format's module.
+    values : the file's own numbers, kept so that an unchanged motion is written back to the last digit;
+        motions derived from this one drop them.
+    """
+
+    path: str
+    format: str
+    unit: float = 1.0
+    unit_source: str = "declared"
+    up: str = "y"
+    up_source: str = "declared"
+    layout: Any = None
+    values: FloatArray | None = None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Skeleton:
+    """A tree of joints.
+
+    Parameters
+    ----------
+    names : (J,) joint names as the file spells them.
+    parents : (J,) index of each joint's parent, which stands before it; -1 for a root.
+    offsets : (J, 3) m, position in the parent's axes at rest.
+    end_sites : (J,) true for the tips of chains that carry no rotation of their own (BVH ``End Site``);
+        none by default.
+
+    Raises
+    ------
+    InvalidMotionError : no joint, shapes that disagree, a parent after its child, offsets that are not finite.
+    """
+
+    names: tuple[str, ...]
+    parents: IndexArray
+    offsets: FloatArray
+    end_sites: BoolArray = None  # type: ignore[assignment]
+
+    def __post_init__(self) -> None:
+        names = tuple(str(name) for name in self.names)
+        count = len(names)
+        if count == 0:
+            raise InvalidMotionError("motion.no_joint")
+        parents = _frozen_array(self.parents, np.intp, (count,), "skeleton parents")
+        _check_parents(parents, "skeleton")
+        offsets = _frozen_array(self.offsets, np.float64, (count, 3), "skeleton offsets")
+        if not np.isfinite(offsets).all():
+            bad = names[int(np.argwhere(~np.isfinite(offsets))[0][0])]
+            raise InvalidMotionError("motion.offsets", joint=bad)
+        ends = np.zeros(count, bool) if self.end_sites is None else self.end_sites
+        set_field = object.__setattr__
+        set_field(self, "names", names)
+        set_field(self, "parents", parents)
+        set_field(self, "offsets", offsets)
+        set_field(self, "end_sites", _frozen_array(ends, np.bool_, (count,), "skeleton end sites"))
+
+    @property
+    def n_joints(self) -> int:
+        """Number of joints, end sites included."""
+        return len(self.names)
+
+    def index(self, name: str) -> int:
+        """Index of the first joint of that name; InvalidMotionError if there is none."""
+        try:
+            return self.names.index(name)
+        except ValueError:
+            raise InvalidMotionError("motion.unknown_joint", name=name, known=self.names) from None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Motion:
+    """Joint rotations over time.
+
+    Parameters
+    ----------
+    skeleton : the joints.
+    rotations : (T, J, 4) local unit quaternions, w x y z; a row of NaN where the file has none.
+    translations : (T, J, 3) m, local positions in the parent's axes (real files animate them).
+    frame_rate : Hz.
+    provenance : where it came from, if it was read.
+
+    Raises
+    ------
+    InvalidMotionError : zero frames, shapes that disagree, quaternions that are not of unit length,
+        infinite values.
+    """
+
+    skeleton: Skeleton
+    rotations: FloatArray
+    translations: FloatArray
+    frame_rate: float
+    provenance: Provenance | None = None
+
+    def __post_init__(self) -> None:
+        joints = self.skeleton.n_joints
+        rotations = _frozen_array(self.rotations, np.float64, (None, joints, 4), "motion rotations")
+        frames = len(rotations)
+        if frames == 0:
+            raise InvalidMotionError("motion.no_frames")
+        translations = _frozen_array(self.translations, np.float64, (frames, joints, 3), "motion translations")
+        with np.errstate(over="ignore", invalid="ignore"):  # a damaged file may hold 1e300 and infinities
+            squares = np.einsum("tjk,tjk->tj", rotations, rotations)
+            off = np.abs(squares - 1.0) > _UNIT_TOLERANCE  # false for NaN: missing values are allowed
+            whole = np.isfinite(translations.sum())  # spares the look at every value
+        if off.any() or np.isinf(squares).any() or (not whole and np.isinf(translations).any()):
+            raise InvalidMotionError("motion.quaternions")
+        set_field = object.__setattr__
+        set_field(self, "rotations", rotations)
+        set_field(self, "translations", translations)
+        set_field(self, "frame_rate", _check_rate(self.frame_rate, "motion"))
+
+    @property
+    def n_frames(self) -> int:
+        """Number of poses."""
+        return len(self.rotations)
+
+    @property
+    def duration(self) -> float:
+        """Seconds from the first pose to the end of the last."""
+        return self.n_frames / self.frame_rate
+
+    def replace(self, **changes: Any) -> Motion:
+        """A copy with some fields changed; the file's own numbers are dropped, as they no longer hold."""
+        if "provenance" not in changes and self.provenance is not None:
+            changes["provenance"] = dataclasses.replace(self.provenance, values=None)
+        return dataclasses.replace(self, **changes)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Trajectories:
+    """Positions of named points over time: the meeting point of all formats.
+
+    Parameters
+    ----------
+    names : (K,) names of the points (joints or markers).
+    positions : (T, K, 3) m, world, Y up; NaN where missing.
+    frame_rate : Hz.
+    parents : (K,) the tree the points hang in, if they come from a skeleton; -1 for a root, None if unknown.
+    rest_positions : (K, 3) m, the skeleton's rest pose in its own axes, if known.
+    provenance : where it came from, if it was read.
+
+    Raises
+    ------
+    InvalidMotionError : zero frames, no points, shapes that disagree, infinite values.
+    """
+
+    names: tuple[str, ...]
+    positions: FloatArray
+    frame_rate: float
+    parents: IndexArray | None = None
+    rest_positions: FloatArray | None = None
+    provenance: Provenance | None = None
+
+    def __post_init__(self) -> None:
+        names = tuple(str(name) for name in self.names)
+        count = len(names)
+        positions = _frozen_array(self.positions, np.float64, (None, count, 3), "trajectories")
+        if count == 0 or len(positions) == 0:
+            raise InvalidMotionError("motion.no_points", points=count, frames=len(positions))
+        if np.isinf(positions).any():
+            frame, point, _ = np.argwhere(np.isinf(positions))[0]
+            raise InvalidMotionError("motion.infinite", name=names[point], frame=int(frame))
+        set_field = object.__setattr__
+        set_field(self, "names", names)
+        set_field(self, "positions", positions)
+        set_field(self, "frame_rate", _check_rate(self.frame_rate, "trajectories"))
+        if self.parents is not None:
+            parents = _frozen_array(self.parents, np.intp, (count,), "trajectories parents")
+            _check_parents(parents, "trajectories")
+            set_field(self, "parents", parents)
+        if self.rest_positions is not None:
+            rest = _frozen_array(self.rest_positions, np.float64, (count, 3), "rest positions")
+            set_field(self, "rest_positions", rest)
+
+    @property
+    def n_frames(self) -> int:
+        """Number of poses."""
+        return len(self.positions)
+
+    @property
+    def duration(self) -> float:
+        """Seconds from the first pose to the end of the last."""
+        return self.n_frames / self.frame_rate
+
+    def select(self, names: Sequence[str]) -> FloatArray:
+        """Positions (T, len(names), 3) of the points of these names, in this order."""
+        missing = [name for name in names if name not in self.names]
+        if missing:
+            raise InvalidMotionError("motion.unknown_point", name=missing[0], known=self.names)
+        return self.positions[:, [self.names.index(name) for name in names]]
+
+    def replace(self, **changes: Any) -> Trajectories:
+        """A copy with some fields changed; the file's own numbers are dropped, as they no longer hold."""
+        if "provenance" not in changes and self.provenance is not None:
+            changes["provenance"] = dataclasses.replace(self.provenance, values=None)
+        return dataclasses.replace(self, **changes)

@@ -1,0 +1,1 @@
+"""What a motion is described by: pose features, channels, and their integrals over time."""

@@ -1,0 +1,215 @@
+"""Compiled loops of the channels: from the joints of every frame to the integrals of all channels, and from these to
+the cells of windows.
+
+What each number means is told in ``channels``, in whose order the columns stand.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+
+
+@njit(cache=True, nogil=True)
+def smooth(values, weights, out):
+    """Weighted means over time of ``values`` (n, K), into ``out``; the ends are held.
+
+    ``weights`` (r + 1,) of the middle and of the frames 1 ... r away from it on either side.
+    """
+    n, count = values.shape
+    last = n - 1
+    for t in range(n):
+        row = out[t]
+        for k in range(count):
+            row[k] = weights[0] * values[t, k]
+        for step in range(1, len(weights)):
+            weight = weights[step]
+            sooner, later = values[max(t - step, 0)], values[min(t + step, last)]
+            for k in range(count):
+                row[k] += weight * (sooner[k] + later[k])
+
+
+@njit(cache=True, nogil=True)
+def turn_to_body(points, left, body):
+    """``points`` (n, J, 3) with Y up, seen from the first joint, in body axes: left, up, forward."""
+    for t in range(points.shape[0]):
+        length = max(np.hypot(left[t, 0], left[t, 1]), 1e-9)
+        across, along = left[t, 0] / length, left[t, 1] / length
+        for j in range(points.shape[1]):
+            x, z = points[t, j, 0] - points[t, 0, 0], points[t, j, 2] - points[t, 0, 2]
+            body[t, j, 0] = x * across + z * along
+            body[t, j, 1] = points[t, j, 1] - points[t, 0, 1]
+            body[t, j, 2] = z * across - x * along
+
+
+@njit(cache=True, nogil=True)
+def _wrap(angle):
+    """An angle within -pi ... pi."""
+    if angle > np.pi:
+        return angle - 2.0 * np.pi
+    if angle < -np.pi:
+        return angle + 2.0 * np.pi
+    return angle
+
+
+@njit(cache=True, nogil=True)
+def _turned(angles, before, after, t):
+    """How far an angle has turned from frame ``before`` over t to ``after``, by the shorter way each."""
+    return _wrap(angles[after] - angles[t]) + _wrap(angles[t] - angles[before])
+
+
+@njit(cache=True, nogil=True)
+def find_angles(even, left, fast, headings, angles):
+    """Which way the body faces, into ``headings`` (n,), and which way each joint moves in the three planes of the body,
+    into ``angles`` (n, joints, 3): radians."""
+    last = even.shape[0] - 1
+    for t in range(even.shape[0]):
+        headings[t] = np.arctan2(-left[t, 1], left[t, 0])
+        before, after = max(t - 1, 0), min(t + 1, last)
+        for f in range(len(fast)):
+            j = fast[f]
+            for plane in range(3):
+                a, b = plane, (plane + 1) % 3
+                angles[t, f, plane] = np.arctan2(
+                    even[after, j, b] - even[before, j, b], even[after, j, a] - even[before, j, a]
+                )
+
+
+@njit(cache=True, nogil=True)
+def _measure(one, other):
+    """The distance of two points."""
+    square = 0.0
+    for axis in range(3):
+        square += (one[axis] - other[axis]) ** 2
+    return np.sqrt(square)
+
+
+@njit(cache=True, nogil=True)
+def _fill_pose(body, placed, apart, feet, row):
+    """Positions, distances and the height of the pelvis; returns the next column."""
+    column = 0
+    for j in placed:
+        for axis in range(3):
+            row[column] = body[j, axis]
+            column += 1
+    for pair in apart:
+        row[column] = _measure(body[pair[0]], body[pair[1]])
+        column += 1
+    row[column] = -min(body[feet[0], 1], body[feet[1], 1])
+    return column + 1
+
+
+@njit(cache=True, nogil=True)
+def _fill_travel(sooner, later, left, per_second, row, column):
+    """How fast the pelvis moves to the left, upwards, forwards; returns the next column."""
+    length = max(np.hypot(left[0], left[1]), 1e-9)
+    across, along = left[0] / length, left[1] / length
+    x, z = later[0] - sooner[0], later[2] - sooner[2]
+    row[column] = (x * across + z * along) * per_second
+    row[column + 1] = (later[1] - sooner[1]) * per_second
+    row[column + 2] = (z * across - x * along) * per_second
+    return column + 3
+
+
+@njit(cache=True, nogil=True)
+def compute_rows(points, left, body, even, fast, placed, apart, feet, pointing, rate, slow, headings, angles, rows):
+    """All channels of every frame, into ``rows`` (n, C).
+
+    ``points`` (n, J, 3) smooth and in body heights, ``left`` (n, 2), ``body`` and ``even`` (n, J, 3) in body axes, the
+    second smoothed once more; ``fast``, ``placed`` (joints,), ``apart`` (pairs, 2), ``feet`` (2,) and ``pointing``
+    (joints,) say whose; ``headings`` and ``angles`` are of ``find_angles``.
+    """
+    last = points.shape[0] - 1
+    for t in range(points.shape[0]):
+        row = rows[t]
+        before, after = max(t - 1, 0), min(t + 1, last)
+        per_second = rate / max(after - before, 1)
+        column = _fill_pose(body[t], placed, apart, feet, row)
+        column = _fill_travel(points[before, 0], points[after, 0], left[t], per_second, row, column)
+        row[column] = _turned(headings, before, after, t) * per_second
+        column += 1
+        for j in fast:
+            row[column] = _measure(body[after, j], body[before, j]) * per_second
+            column += 1
+        for f in range(len(fast)):
+            sooner, later = even[before, fast[f]], even[after, fast[f]]
+            for plane in range(3):
+                a, b = plane, (plane + 1) % 3
+                flat = np.hypot(later[a] - sooner[a], later[b] - sooner[b]) * per_second
+                turn = _turned(angles[:, f, plane], before, after, t) * per_second
+                row[column] = min(max(turn, -rate), rate) * min(flat / slow, 1.0)
+                column += 1
+        for j in pointing:
+            speed = max(_measure(even[after, j], even[before, j]) * per_second, slow)
+            for axis in range(3):
+                row[column] = (even[after, j, axis] - even[before, j, axis]) * per_second / speed
+                column += 1
+
+
+@njit(cache=True, nogil=True)
+def integrate_rows(rows, first_speed, n_speeds, at_rest, step, times, integrals):
+    """Motion time into ``times`` (n + 1,), and the integrals over it of the channels, of their squares, and of the
+    channels times the time, into ``integrals`` (n + 1, 3 C); both begin as they are in their first row."""
+    n, count = rows.shape
+    for t in range(n):
+        effort = at_rest
+        for k in range(first_speed, first_speed + n_speeds):
+            effort += rows[t, k]
+        weight = effort * step
+        times[t + 1] = times[t] + weight
+        middle = 0.5 * (times[t] + times[t + 1])
+        for k in range(count):
+            value = rows[t, k]
+            part = value * weight
+            integrals[t + 1, k] = integrals[t, k] + part
+            integrals[t + 1, count + k] = integrals[t, count + k] + part * value
+            integrals[t + 1, 2 * count + k] = integrals[t, 2 * count + k] + part * middle
+
+
+@njit(cache=True, nogil=True)
+def read_edge(integrals, times, edge, n_channels, row):
+    """The integrals up to one instant, into ``row`` (banks * n_channels,); returns the instant in motion time."""
+    width = integrals.shape[1]
+    below = min(int(edge), integrals.shape[0] - 2)
+    share = edge - below
+    whole = times[below + 1] - times[below]
+    time = times[below] + share * whole
+    for c in range(min(width, 2 * n_channels)):
+        row[c] = integrals[below, c] + share * (integrals[below + 1, c] - integrals[below, c])
+    if width > n_channels:
+        # Within a frame the value is constant, so its integral over time is a line, its moment a parabola.
+        grown = 0.5 * (time * time - times[below] * times[below]) / whole
+        for c in range(n_channels):
+            value = integrals[below + 1, c] - integrals[below, c]
+            row[2 * n_channels + c] = integrals[below, 2 * n_channels + c] + grown * value
+    return time
+
+
+@njit(cache=True, nogil=True)
+def read_cells(integrals, times, edges, n_channels, work, out):
+    """Cell means of windows, into ``out`` (W, T, F).
+
+    ``integrals`` (n + 1, banks * n_channels) are the integrals of the values over ``times`` (n + 1,) and, with three
+    banks, of their squares and of the values times the time; ``edges`` (W, T + 1) are the edges of the cells in frames.
+    With three banks F is 3 C + 1: the means, a column that is left as it is, the means of the squares, and those of the
+    values times the time, counted in cells from the start of the window. ``work`` (2, banks * n_channels) is working
+    memory.
+    """
+    squares, moments = n_channels, 2 * n_channels
+    before, now = work[0], work[1]
+    for w in range(out.shape[0]):
+        earlier = 0.0
+        for t in range(edges.shape[1]):
+            time = read_edge(integrals, times, edges[w, t], n_channels, now)
+            if t > 0:
+                cell = max(time - earlier, 1e-12)
+                row = out[w, t - 1]
+                for c in range(n_channels):
+                    row[c] = (now[c] - before[c]) / cell
+                if integrals.shape[1] > n_channels:
+                    for c in range(n_channels):
+                        row[squares + 1 + c] = (now[squares + c] - before[squares + c]) / cell
+                        moment = now[moments + c] - before[moments + c] - earlier * (now[c] - before[c])
+                        row[moments + 1 + c] = (t - 1) * row[c] + moment / (cell * cell)
+            before, now = now, before
+            earlier = time

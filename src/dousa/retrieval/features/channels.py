@@ -1,0 +1,214 @@
+"""The channels of the ``extended`` features: what a body does from frame to frame, in words and numbers.
+
+A channel is one number a frame at 30 Hz: where a joint is, how far two are apart, how fast one moves, which way a hand
+turns. All are functions of the recording's time alone, and none knows where the performer stands, which way he or she
+faces, or how tall he or she is; so a window of a long recording has the channels of the recording, and needs nothing
+computed anew. What a forest asks about them is told in ``feature_sets``.
+
+The body-fixed system is that of ``features``: origin in the pelvis, lateral axis along the hips (here smoothed over
+time, as a noisy hip line would make everything tremble), vertical axis gravity's.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import product
+
+import numpy as np
+
+from dousa.arrays import FloatArray
+from dousa.motion.canonical.joints import JOINT_INDEX
+from dousa.retrieval.features import channel_kernels as kernels
+from dousa.retrieval.features.pose_features import find_lateral_axis, say_joint
+from dousa.retrieval.features.posed_motion import check_frame_rate
+
+CHANNEL_RATE = 30.0
+"""Hz of all channels."""
+
+# Frames, standard deviation: without it speeds and turns of Kinect recordings drown in noise.
+_POSE_SMOOTHING, _HEADING_SMOOTHING = 1.0, 8.0
+
+_AT_REST = 0.5  # body heights a second: what stands still counts in motion time; in walking all speeds sum to about 5
+_SLOW = 0.3  # body heights a second: the direction of a slower hand is noise and counts less
+
+
+@dataclass(frozen=True, slots=True)
+class Channel:
+    """One channel.
+
+    Parameters
+    ----------
+    name : in words.
+    relation : the words without the direction, the same for all channels that say the same thing.
+    unit : of its values.
+    """
+
+    name: str
+    relation: str
+    unit: str
+
+
+_PLACED = (
+    "head",
+    "neck",
+    *(f"{side}_{joint}" for joint in ("shoulder", "elbow", "hand", "knee", "ankle") for side in ("left", "right")),
+)
+_APART = (
+    ("left_hand", "right_hand"),
+    ("left_hand", "head"),
+    ("right_hand", "head"),
+    ("left_hand", "left_shoulder"),
+    ("right_hand", "right_shoulder"),
+    ("left_hand", "right_shoulder"),
+    ("right_hand", "left_shoulder"),
+    ("left_ankle", "right_ankle"),
+    ("left_hip", "left_ankle"),
+    ("right_hip", "right_ankle"),
+    ("left_elbow", "right_elbow"),
+)
+_FAST = ("head", "left_elbow", "right_elbow", "left_hand", "right_hand", "left_ankle", "right_ankle")
+_POINTING = ("left_hand", "right_hand")
+_PLANE_WORDS = ("seen from the front", "seen from the side", "seen from above")
+_DIRECTIONS = ("to the left of", "above", "in front of")
+_WAYS = ("to the left", "upwards", "forwards")
+
+
+def _list_channels() -> tuple[Channel, ...]:
+    heights, speed, turn = "body heights", "body heights a second", "radians a second"
+    return (
+        *(
+            Channel(f"{say_joint(joint)} {where} the pelvis", f"{say_joint(joint)} and pelvis", heights)
+            for joint, where in product(_PLACED, _DIRECTIONS)
+        ),
+        *(
+            Channel(
+                f"distance {say_joint(a)} - {say_joint(b)}",
+                f"distance {say_joint(a)} - {say_joint(b)}",
+                heights,
+            )
+            for a, b in _APART
+        ),
+        Channel("pelvis above the lower foot", "pelvis above the lower foot", heights),
+        *(Channel(f"body moving {way}", "body moving", speed) for way in _WAYS),
+        Channel("body turning to the left", "body turning", turn),
+        *(Channel(f"speed of the {say_joint(joint)}", f"speed of the {say_joint(joint)}", speed) for joint in _FAST),
+        *(
+            Channel(f"{say_joint(joint)} curving, {plane}", f"{say_joint(joint)} curving", turn)
+            for joint, plane in product(_FAST, _PLANE_WORDS)
+        ),
+        *(
+            Channel(f"{say_joint(joint)} heading {way}", f"{say_joint(joint)} heading", "share of its speed")
+            for joint, way in product(_POINTING, _WAYS)
+        ),
+    )
+
+
+CHANNELS: tuple[Channel, ...] = _list_channels()
+"""The channels in their order."""
+
+_PLACED_INDEX = np.array([JOINT_INDEX[joint] for joint in _PLACED])
+_APART_INDEX = np.array([[JOINT_INDEX[joint] for joint in pair] for pair in _APART])
+_FAST_INDEX = np.array([JOINT_INDEX[joint] for joint in _FAST])
+_POINTING_INDEX = np.array([JOINT_INDEX[joint] for joint in _POINTING])
+_FEET = np.array([JOINT_INDEX["left_ankle"], JOINT_INDEX["right_ankle"]])
+_FIRST_SPEED = [channel.name for channel in CHANNELS].index(f"speed of the {say_joint(_FAST[0])}")
+
+
+def sample_positions(positions: FloatArray, frame_rate: float) -> FloatArray:
+    """Positions at ``CHANNEL_RATE``: means over the frames of faster recordings, in between those of slower ones.
+
+    Parameters
+    ----------
+    positions : (n, J, 3).
+    frame_rate : Hz.
+
+    Returns
+    -------
+    (m, J, 3), m = the duration times ``CHANNEL_RATE``, rounded, at least 1.
+
+    Raises
+    ------
+    InvalidMotionError : a frame rate below 1 Hz.
+    """
+    check_frame_rate(frame_rate)
+    count = max(1, round(len(positions) * CHANNEL_RATE / frame_rate))
+    if count == len(positions):
+        return np.asarray(positions, np.float64)
+    flat = np.asarray(positions, np.float64).reshape(len(positions), -1)
+    if count < len(positions):
+        edges = np.linspace(0.0, len(flat), count + 1)
+        summed = np.zeros((len(flat) + 1, flat.shape[1]))
+        np.cumsum(flat, axis=0, out=summed[1:])
+        sampled = np.diff(_read_between(summed, edges), axis=0) * (count / len(flat))
+    else:
+        sampled = _read_between(flat, np.clip((np.arange(count) + 0.5) * len(flat) / count - 0.5, 0, len(flat) - 1))
+    return sampled.reshape(count, *positions.shape[1:])
+
+
+def _read_between(rows: FloatArray, places: FloatArray) -> FloatArray:
+    """Rows at fractional places, linearly."""
+    below = np.minimum(places.astype(np.intp), max(len(rows) - 2, 0))
+    share = (places - below)[:, None]
+    read: FloatArray = rows[below] * (1.0 - share) + rows[np.minimum(below + 1, len(rows) - 1)] * share
+    return read
+
+
+def compute_channels(positions: FloatArray, height: float) -> FloatArray:
+    """The channels of every frame.
+
+    Parameters
+    ----------
+    positions : (n, 20, 3) m, canonical joints at ``CHANNEL_RATE``, Y up, finite.
+    height : m.
+
+    Returns
+    -------
+    (n, C) in the order of ``CHANNELS``.
+    """
+    points = _smooth(positions / height, _POSE_WEIGHTS)
+    left = _smooth(find_lateral_axis(points - points[:, :1]), _HEADING_WEIGHTS)
+    body = np.empty_like(points)
+    kernels.turn_to_body(points, left, body)
+    even = _smooth(body, _POSE_WEIGHTS)
+    rows = np.empty((len(points), len(CHANNELS)))
+    headings, angles = np.empty(len(points)), np.empty((len(points), len(_FAST), 3))
+    kernels.find_angles(even, left, _FAST_INDEX, headings, angles)
+    kernels.compute_rows(
+        points, left, body, even, _FAST_INDEX, _PLACED_INDEX, _APART_INDEX, _FEET, _POINTING_INDEX,
+        CHANNEL_RATE, _SLOW, headings, angles, rows,
+    )  # fmt: skip
+    return rows
+
+
+def integrate_channels(rows: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Motion time, and the integrals of the channels over it.
+
+    Parameters
+    ----------
+    rows : (n, C) of ``compute_channels``.
+
+    Returns
+    -------
+    times : (n + 1,) from 0. A second counts as many as the sum of the speeds of head, elbows, hands and feet, in body
+        heights a second, and a little more: nothing stands still in it.
+    integrals : (n + 1, 3 C) of the values, of their squares, and of the values times the time.
+    """
+    times, integrals = np.zeros(len(rows) + 1), np.zeros((len(rows) + 1, 3 * rows.shape[1]))
+    kernels.integrate_rows(rows, _FIRST_SPEED, len(_FAST), _AT_REST, 1.0 / CHANNEL_RATE, times, integrals)
+    return times, integrals
+
+
+def _smooth(values: FloatArray, weights: FloatArray) -> FloatArray:
+    even = np.empty(values.shape)
+    kernels.smooth(values.reshape(len(values), -1), weights, even.reshape(len(values), -1))
+    return even
+
+
+def _gaussian(deviation: float) -> FloatArray:
+    """Weights of the middle and of the frames up to three standard deviations away."""
+    weights = np.exp(-0.5 * (np.arange(int(3.0 * deviation + 0.5) + 1) / deviation) ** 2)
+    shares: FloatArray = weights / (2.0 * weights.sum() - weights[0])
+    return shares
+
+
+_POSE_WEIGHTS, _HEADING_WEIGHTS = _gaussian(_POSE_SMOOTHING), _gaussian(_HEADING_SMOOTHING)

@@ -1,0 +1,237 @@
+"""The sets of features a forest can be trained on, by name: what is computed, and what a tree may ask of it.
+
+``paper``: the means of the 56 pose features over intervals of a clip that is thinned to 10 frames, split where the gain
+is largest (eq. 7).
+
+``extended``: means, spreads (standard deviations) and trends (the change along the fitted line) of the channels of
+``channels`` over intervals of a clip that is cut into 10 cells of equal movement (see ``tracks``), and the clip's
+duration; split at random thresholds. All three kinds come from integral features: of the values, of their squares, and
+of the values times the time.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from dousa.arrays import FloatArray, IntArray
+from dousa.errors import InvalidMotionError, OptionError
+from dousa.retrieval.features.channel_kernels import read_cells
+from dousa.retrieval.features.channels import (
+    CHANNEL_RATE,
+    CHANNELS,
+    Channel,
+    compute_channels,
+    integrate_channels,
+    sample_positions,
+)
+from dousa.retrieval.features.integral import MEAN, SPREAD, TREND, list_interval_tests
+from dousa.retrieval.features.pose_features import FEATURES, compute_clip_features, compute_pose_features
+from dousa.retrieval.features.posed_motion import PosedMotion, check_motion
+
+N_CELLS = 10
+DURATION = Channel("duration", "duration", "s")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FeatureSet:
+    """What forests look at.
+
+    Parameters
+    ----------
+    name : for people and files.
+    channels : what is known of every frame.
+    n_frames : T, cells that a clip is cut into.
+    kinds : what a tree may ask of a channel over an interval of cells.
+    thresholds, n_trials : how trees are grown on it, see ``MotionForest``.
+    """
+
+    name: str
+    channels: tuple[Channel, ...]
+    n_frames: int
+    kinds: tuple[str, ...]
+    thresholds: Literal["best", "random"]
+    n_trials: int | Literal["all", "sqrt"] | None
+
+    @property
+    def has_banks(self) -> bool:
+        """Whether columns of squares and of values times time stand behind the means."""
+        return len(self.kinds) > 1
+
+    @property
+    def column_names(self) -> tuple[str, ...]:
+        """(F,) names of the columns."""
+        names = tuple(channel.name for channel in self.channels)
+        if not self.has_banks:
+            return names
+        squares = tuple(f"{name}, squared" for name in names)
+        return (*names, DURATION.name, *squares, *(f"{name}, times time" for name in names))
+
+    @property
+    def n_columns(self) -> int:
+        """F."""
+        return 3 * len(self.channels) + 1 if self.has_banks else len(self.channels)
+
+    @property
+    def tests(self) -> IntArray:
+        """(R, 5) everything a tree may ask, see ``list_interval_tests``."""
+        count = len(self.channels)
+        columns = np.arange(count)
+        if not self.has_banks:
+            return list_interval_tests([(MEAN, columns, columns)], self.n_frames)
+        kinds = [
+            (MEAN, columns, columns),
+            (SPREAD, columns, columns + count + 1),
+            (TREND, columns, columns + 2 * count + 1),
+        ]
+        duration = np.array([[MEAN, count, count, 0, self.n_frames]])
+        return np.concatenate([duration, list_interval_tests(kinds, self.n_frames)])
+
+    def compute(self, motion: PosedMotion, samples_per_frame: int = 8) -> FloatArray:
+        """The features of a clip.
+
+        Parameters
+        ----------
+        motion : the clip.
+        samples_per_frame : poses whose mean stands for a frame of ``paper``, see ``compute_clip_features``.
+
+        Returns
+        -------
+        (T, F)
+
+        Raises
+        ------
+        InvalidMotionError : positions that are not finite, or no body height.
+        """
+        if not self.has_banks:
+            return compute_clip_features(motion, self.n_frames, samples_per_frame)
+        track = compute_track(motion, self)
+        cells: FloatArray = track.describe([0.0], [track.n_frames])[0]
+        return cells
+
+
+_PAPER_CHANNELS = tuple(Channel(feature.name, feature.name, feature.unit) for feature in FEATURES)
+
+FEATURE_SETS: dict[str, FeatureSet] = {
+    "paper": FeatureSet("paper", _PAPER_CHANNELS, N_CELLS, ("mean",), "best", None),
+    "extended": FeatureSet("extended", CHANNELS, N_CELLS, ("mean", "spread", "trend"), "random", "sqrt"),
+}
+"""The sets by name."""
+
+DEFAULT_FEATURE_SET = "extended"
+"""What ``dousa train`` takes."""
+
+
+def get_feature_set(name: str) -> FeatureSet:
+    """The set of a name; OptionError for one that does not exist."""
+    if name not in FEATURE_SETS:
+        raise OptionError("features.unknown", known=tuple(FEATURE_SETS), name=name)
+    return FEATURE_SETS[name]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FeatureTrack:
+    """The channels of a recording at ``CHANNEL_RATE``, integrated over time.
+
+    Parameters
+    ----------
+    feature_set : which channels.
+    times : (n + 1,) when each frame begins, and the last ends: frames, or motion time.
+    integrals : (n + 1, C) of the channels over these times (eq. 4); with banks (n + 1, 3 C): of the values, of their
+        squares, and of the values times the time.
+    """
+
+    feature_set: FeatureSet
+    times: FloatArray
+    integrals: FloatArray
+
+    @property
+    def n_frames(self) -> int:
+        """n, at ``frame_rate``."""
+        return len(self.integrals) - 1
+
+    @property
+    def frame_rate(self) -> float:
+        """Hz."""
+        return CHANNEL_RATE
+
+    def find_edges(self, starts: ArrayLike, stops: ArrayLike, n_cells: int | None = None) -> FloatArray:
+        """Where the cells of windows begin and end, in frames.
+
+        Parameters
+        ----------
+        starts, stops : as in ``describe``, which raises the same errors.
+        n_cells : as many as the feature set has, if it is None.
+
+        Returns
+        -------
+        (N, n_cells + 1)
+        """
+        first, last = (np.atleast_1d(np.asarray(given, np.float64)) for given in (starts, stops))
+        inside = (first >= 0) & (first < last) & (last <= self.n_frames)
+        if first.shape != last.shape or first.ndim != 1 or not inside.all():
+            raise InvalidMotionError("features.windows", frames=self.n_frames)
+        frames = np.arange(self.n_frames + 1.0)
+        begin, end = np.interp(first, frames, self.times), np.interp(last, frames, self.times)
+        parts = np.linspace(0.0, 1.0, (n_cells or self.feature_set.n_frames) + 1)
+        edges: FloatArray = np.interp(begin[:, None] + (end - begin)[:, None] * parts, self.times, frames)
+        edges[:, 0], edges[:, -1] = first, last
+        return edges
+
+    def describe(self, starts: ArrayLike, stops: ArrayLike) -> FloatArray:
+        """The features of windows.
+
+        Parameters
+        ----------
+        starts, stops : (N,) frames of the track, whole or not; 0 <= start < stop <= n_frames.
+
+        Returns
+        -------
+        (N, T, F) what a forest takes.
+
+        Raises
+        ------
+        InvalidMotionError : a window outside the recording or without length.
+        """
+        edges, spec = self.find_edges(starts, stops), self.feature_set
+        cells = np.empty((len(edges), spec.n_frames, spec.n_columns))
+        if spec.has_banks:
+            cells[:, :, len(spec.channels)] = ((edges[:, -1] - edges[:, 0]) / CHANNEL_RATE)[:, None]
+        work = np.empty((2, self.integrals.shape[1]))
+        read_cells(self.integrals, self.times, edges, len(spec.channels), work, cells)
+        return cells
+
+
+def compute_track(motion: PosedMotion, feature_set: FeatureSet) -> FeatureTrack:
+    """Sum the channels of a recording.
+
+    Parameters
+    ----------
+    motion : of any frame rate and length.
+    feature_set : which channels.
+
+    Returns
+    -------
+    FeatureTrack
+
+    Raises
+    ------
+    InvalidMotionError : another shape than (n, 20, 3), no frame, positions that are not finite, no body height.
+
+    Source: Hamada et al., eq. 4, with the integrals of squares and of moments beside it.
+    """
+    sampled = sample_positions(check_motion(motion), motion.frame_rate)
+    if not feature_set.has_banks:
+        poses = compute_pose_features(sampled, motion.height)
+        return FeatureTrack(feature_set, np.arange(len(poses) + 1.0), _integrate(poses))
+    times, integrals = integrate_channels(compute_channels(sampled, motion.height))
+    return FeatureTrack(feature_set, times, integrals)
+
+
+def _integrate(values: FloatArray) -> FloatArray:
+    summed = np.zeros((len(values) + 1, values.shape[1]))
+    np.cumsum(values, axis=0, out=summed[1:])
+    return summed

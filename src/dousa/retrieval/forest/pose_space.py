@@ -1,0 +1,254 @@
+"""A space in which clips of one category lie close: how far a clip's poses point where its category's do.
+
+The trees look for what parts the categories they know. What a clip of another category has on top of that, they do not
+see; the distance of poses does. Its axes are the principal ones of the training clips, stretched so that the scatter
+within the categories is the same along all (within-class covariance normalisation, from the verification of speakers:
+Hatch, Kajarekar, Stolcke, Interspeech 2006); and as there, the angle to the category's centre counts, seen from the
+middle of all clips, and not the distance, which grows with whatever is unusual about a performer.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dousa.arrays import BoolArray, FloatArray, IntArray
+from dousa.errors import InvalidMotionError
+from dousa.messages import Message
+from dousa.retrieval.features.feature_sets import FeatureSet
+from dousa.retrieval.forest.forest_file import check
+
+_CELLS = 5  # a clip's cells are joined to so many
+_AXES = 60
+_SHRINKING = 0.1  # of the mean scatter, added along every axis
+_STEPS = 3
+_TINY = 1e-9
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PoseSpace:
+    """The space, and the categories in it.
+
+    Parameters
+    ----------
+    layout : (2,) number of columns that are means, and 1 where their squares follow behind the duration, else 0.
+    middle, scale : (D,); the middle is taken from a clip's description, and the rest multiplied by the scale.
+    axes : (D, K) from there into the space.
+    sums, counts : (C, K) and (C,) of the training clips of each category in the space.
+    categories : (C,) names or whole numbers, sorted.
+    """
+
+    layout: IntArray
+    middle: FloatArray
+    scale: FloatArray
+    axes: FloatArray
+    sums: FloatArray
+    counts: IntArray
+    categories: NDArray[Any]
+
+    def place(self, features: FloatArray) -> FloatArray:
+        """Clips (N, T, F) in the space: (N, K)."""
+        columns, has_squares = (int(number) for number in self.layout)
+        if features.ndim != 3 or features.shape[2] < columns * (1 + has_squares) + has_squares:
+            raise InvalidMotionError("forest.pose_space", shape=features.shape)
+        described = _describe(features, self.layout)
+        if described.shape[1] != len(self.middle):
+            raise InvalidMotionError("forest.pose_space", shape=features.shape)
+        placed: FloatArray = ((described - self.middle) * self.scale) @ self.axes
+        return placed
+
+    def compare(self, features: FloatArray, categories: NDArray[Any]) -> FloatArray:
+        """The cosine (N,) of the angle between clips and the centres of categories; NaN for one that is not here."""
+        rows = np.minimum(np.searchsorted(self.categories, categories), len(self.categories) - 1)
+        placed, centres = self.place(features), self.sums[rows]
+        lengths = np.linalg.norm(placed, axis=1) * np.linalg.norm(centres, axis=1)
+        cosine = np.einsum("nk,nk->n", placed, centres) / np.maximum(lengths, _TINY)
+        return np.where(self.categories[rows] == categories, np.clip(cosine, -1.0, 1.0), np.nan)
+
+    def with_clips(self, features: FloatArray, categories: NDArray[Any]) -> PoseSpace:
+        """The same space with more clips in it, of categories old or new."""
+        names = np.unique(np.concatenate([self.categories, categories]))
+        sums, counts = np.zeros((len(names), self.axes.shape[1])), np.zeros(len(names), np.int64)
+        old, own = np.searchsorted(names, self.categories), np.searchsorted(names, categories)
+        sums[old], counts[old] = self.sums, self.counts
+        np.add.at(sums, own, self.place(features))
+        np.add.at(counts, own, 1)
+        return PoseSpace(self.layout, self.middle, self.scale, self.axes, sums, counts, names)
+
+    def to_arrays(self) -> dict[str, NDArray[Any]]:
+        """What ``from_arrays`` takes."""
+        return {name: getattr(self, name) for name in ARRAYS}
+
+    @classmethod
+    def from_arrays(cls, arrays: dict[str, NDArray[Any]], what: Message) -> PoseSpace:
+        """The space of some arrays; DousaError where they make none."""
+        space = cls(*(arrays[name] for name in ARRAYS))
+        check(space.layout.shape == (2,) and space.layout.dtype == np.int64, what, "bad layout")
+        check(0 < space.layout[0] < 2**31 and 0 <= space.layout[1] <= 1, what, "bad layout")
+        numbers = (space.middle, space.scale, space.axes, space.sums)
+        right = all(one.dtype == np.float64 and np.isfinite(one).all() for one in numbers)
+        size, width = space.middle.shape, space.axes.shape[1:]
+        check(right and len(size) == 1 and len(width) == 1, what, "bad numbers")
+        check(space.scale.shape == size and space.axes.shape == (*size, *width), what, "bad axes")
+        count = space.categories.shape
+        check(len(count) == 1 and count[0] > 0 and space.categories.dtype.kind in "Uiub", what, "bad categories")
+        check(len(np.unique(space.categories)) == count[0], what, "a category occurs twice")
+        check(bool((np.sort(space.categories) == space.categories).all()), what, "bad order")
+        check(space.sums.shape == (*count, *width), what, "bad centres")
+        check(space.counts.shape == count and space.counts.dtype == np.int64, what, "bad counts")
+        return space
+
+
+ARRAYS: Sequence[str] = ("layout", "middle", "scale", "axes", "sums", "counts", "categories")
+"""Names of the arrays of a space."""
+
+
+def fit_pose_space(features: FloatArray, categories: NDArray[Any], feature_set: FeatureSet | None = None) -> PoseSpace:
+    """Learn the space from clips.
+
+    Parameters
+    ----------
+    features : (N, T, F).
+    categories : (N,) words or whole numbers.
+    feature_set : what the columns are; without one, all are means.
+    """
+    layout = np.array([features.shape[2], 0], np.int64)
+    if feature_set is not None:
+        layout[:] = len(feature_set.channels), feature_set.has_banks
+    described = _describe(features, layout)
+    names, own = np.unique(categories, return_inverse=True)
+    middle, spread = described.mean(axis=0), described.var(axis=0)
+    # A column that hardly varies must not speak as loudly as the others: half of its scale is that of all.
+    scale = 1.0 / np.sqrt(spread + _mean_of_channels(spread, layout) + _TINY)
+    axes = _find_axes((described - middle) * scale)
+    placed = ((described - middle) * scale) @ axes
+    centres = np.stack([placed[own == number].mean(axis=0) for number in range(len(names))])
+    apart = placed - centres[own]
+    scatter = apart.T @ apart / max(len(placed) - len(names), 1)
+    floor = _SHRINKING * np.trace(scatter) / max(len(scatter), 1) + 1e-6 * placed.var() + _TINY
+    axes = axes @ np.linalg.cholesky(np.linalg.inv(scatter + floor * np.eye(len(scatter))))
+    nobody = np.zeros((0, axes.shape[1])), np.zeros(0, np.int64), names[:0]
+    return PoseSpace(layout, middle, scale, axes, *nobody).with_clips(features, np.asarray(categories))
+
+
+def _describe(features: FloatArray, layout: IntArray) -> FloatArray:
+    """(N, D): means, and spreads where the features have them, over a few joined cells."""
+    count, has_squares = (int(number) for number in layout)
+    means = _join_cells(features[:, :, :count])
+    if not has_squares:
+        return means.reshape(len(features), -1)
+    squares = _join_cells(features[:, :, count + 1 : 2 * count + 1])
+    spreads = np.sqrt(np.maximum(squares - means**2, 0.0))
+    return np.concatenate([means, spreads], axis=1).reshape(len(features), -1)
+
+
+def _mean_of_channels(values: FloatArray, layout: IntArray) -> FloatArray:
+    """The mean over the cells, for each column of a description: (D,)."""
+    by_cell = values.reshape(1 + int(layout[1]), -1, int(layout[0]))
+    return np.broadcast_to(by_cell.mean(axis=1, keepdims=True), by_cell.shape).reshape(-1)
+
+
+def _find_axes(centred: FloatArray) -> FloatArray:
+    """(D, K) axes of the space in which (N, D) vary most, at most ``_AXES``, by a few steps of subspace iteration.
+
+    The full decomposition gives no better likeness, and on a busy machine its many small steps take seconds.
+    """
+    width = max(1, min(_AXES, centred.shape[1], len(centred) - 1))
+    axes = np.random.default_rng(0).normal(size=(centred.shape[1], width))
+    for _ in range(_STEPS):
+        axes = centred.T @ (centred @ axes)
+        overlap = axes.T @ axes
+        root = np.linalg.cholesky(overlap + (1e-12 * np.trace(overlap) + _TINY**2) * np.eye(width))
+        axes = axes @ np.linalg.inv(root).T
+    return axes
+
+
+def _join_cells(cells: FloatArray) -> FloatArray:
+    """(N, T, C) to at most ``_CELLS`` cells."""
+    groups = np.array_split(np.arange(cells.shape[1]), min(_CELLS, cells.shape[1]))
+    return np.stack([cells[:, group].mean(axis=1) for group in groups], axis=1)
+
+
+_RIDGE = 1e-3  # holds curves finite where the scores part both sides without a mistake
+
+_NEWTON_STEPS = 50
+
+
+@dataclass(frozen=True, slots=True)
+class Curve:
+    """A logistic curve that rises with every score.
+
+    Parameters
+    ----------
+    intercept : the log odds where all scores are 0.
+    slopes : of each score, 0 or more.
+    """
+
+    intercept: float
+    slopes: tuple[float, ...]
+
+    def evaluate(self, scores: FloatArray) -> FloatArray:
+        """Probabilities (N,) of scores (N, K)."""
+        return _logistic(self.intercept + scores @ np.asarray(self.slopes))
+
+
+def compute_auroc(scores: FloatArray, positive: BoolArray) -> float:
+    """How often a positive has a higher score than a negative, equal ones counting half; 0.5 without either."""
+    n_positive = int(positive.sum())
+    n_negative = len(positive) - n_positive
+    if not n_positive or not n_negative:
+        return 0.5
+    ordered = np.sort(scores)
+    ranks = 0.5 * (np.searchsorted(ordered, scores, "left") + np.searchsorted(ordered, scores, "right") + 1)
+    return float((ranks[positive].sum() - n_positive * (n_positive + 1) / 2) / (n_positive * n_negative))
+
+
+def fit_curve(scores: FloatArray, positive: BoolArray, *, balanced: bool = True) -> Curve:
+    """The most likely logistic curve without falling slopes, both sides counting the same if ``balanced``."""
+    n_positive, n_negative = int(positive.sum()), int((~positive).sum())
+    target = np.where(positive, (n_positive + 1) / (n_positive + 2), 1 / (n_negative + 2))
+    weight = np.full(len(positive), 1.0 / max(len(positive), 1))
+    if balanced and n_positive and n_negative:
+        weight = np.where(positive, 0.5 / n_positive, 0.5 / n_negative)
+    used = np.arange(scores.shape[1])
+    while True:
+        solution = _climb(scores[:, used], target, weight)
+        if not len(used) or solution[1:].min() >= 0.0:
+            break
+        used = np.delete(used, solution[1:].argmin())
+    slopes = np.zeros(scores.shape[1])
+    slopes[used] = solution[1:]
+    return Curve(float(solution[0]), tuple(float(slope) for slope in slopes))
+
+
+def _climb(scores: FloatArray, target: FloatArray, weight: FloatArray) -> FloatArray:
+    """Intercept and slopes of the largest likelihood, by Newton's method on a strictly concave function."""
+    design = np.column_stack([np.ones(len(scores)), scores])
+    ridge = np.diag([1e-9, *[_RIDGE] * scores.shape[1]])
+    solution = np.zeros(design.shape[1])
+    for _ in range(_NEWTON_STEPS):
+        probability = _logistic(design @ solution)
+        slope = design.T @ (weight * (target - probability)) - ridge @ solution
+        bend = (design.T * (weight * np.maximum(probability * (1.0 - probability), 1e-6))) @ design + ridge
+        step = np.linalg.solve(bend, slope)
+        solution += step * min(1.0, 4.0 / max(np.abs(step).max(), 1e-12))
+        if np.abs(step).max() < 1e-9:
+            break
+    return solution
+
+
+def _logistic(odds: FloatArray) -> FloatArray:
+    probability: FloatArray = 1.0 / (1.0 + np.exp(-np.clip(odds, -700.0, 700.0)))
+    return probability
+
+
+def read_curve(data: Mapping[str, Any], count: int) -> Curve:
+    """A curve over so many scores from plain numbers; KeyError, TypeError or ValueError where it is none."""
+    curve = Curve(float(data["intercept"]), tuple(float(slope) for slope in data["slopes"]))
+    if len(curve.slopes) != count or not np.isfinite([curve.intercept, *curve.slopes]).all() or min(curve.slopes) < 0:
+        raise ValueError(f"expected a rising curve over {count} scores")
+    return curve

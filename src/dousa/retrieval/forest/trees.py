@@ -1,0 +1,227 @@
+"""The trees of a forest in a few flat arrays: grown, put together, checked."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dousa.arrays import FloatArray, IntArray
+from dousa.retrieval.features.integral import MEAN, SPREAD, TREND
+from dousa.retrieval.forest import tree_kernels as kernels
+
+KIND_NAMES = ("mean", "spread", "trend")
+"""Names of the kinds of tests, by their numbers in the kernels."""
+
+_SAME_VALUE = 1e-7
+"""Values of a test closer than this share of the feature's largest value are one value."""
+
+
+@dataclass(frozen=True, slots=True)
+class TreesSpec:
+    """How trees are grown: tests drawn at a node, bits of entropy of a leaf, bootstrap, random thresholds, workers."""
+
+    n_trials: int
+    max_entropy: float
+    bootstrap: bool
+    random_thresholds: bool
+    n_jobs: int | None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Trees:
+    """Trees one behind the other; the layout of a node is told in ``tree_kernels``.
+
+    Parameters
+    ----------
+    nodes : (M, 6) int32.
+    roots : (n_trees,) index of each tree's first node.
+    leaf_starts : (L + 1,) where the entries of each leaf begin.
+    leaf_classes, leaf_counts : (E,) int32, the category and the number of training clips of each entry.
+    n_features, n_frames, n_classes : F, T and C.
+    only_means : whether no node asks for a spread or a trend.
+    """
+
+    nodes: NDArray[np.int32]
+    roots: IntArray
+    leaf_starts: IntArray
+    leaf_classes: NDArray[np.int32]
+    leaf_counts: NDArray[np.int32]
+    n_features: int
+    n_frames: int
+    n_classes: int
+    only_means: bool = field(init=False)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "only_means", not self.nodes[:, 3].any())
+
+    @property
+    def cuts(self) -> FloatArray:
+        """(M, 3) view of the nodes; column 2 is the threshold of the difference of two integrals."""
+        return self.nodes.view(np.float64)
+
+    @property
+    def n_leaves(self) -> int:
+        """Leaves of all trees together."""
+        return len(self.leaf_starts) - 1
+
+    def leaf_shares(self) -> FloatArray:
+        """(E,) every entry's share of its leaf's clips: the leaf's histogram."""
+        sizes = np.add.reduceat(self.leaf_counts, self.leaf_starts[:-1])
+        shares: FloatArray = self.leaf_counts / np.repeat(sizes, np.diff(self.leaf_starts))
+        return shares
+
+    def leaf_categories(self) -> NDArray[np.int32]:
+        """(L,) the most frequent category of each leaf, the first of equals."""
+        leaf = np.repeat(np.arange(self.n_leaves), np.diff(self.leaf_starts))
+        order = np.lexsort((self.leaf_classes, -self.leaf_counts, leaf))
+        return self.leaf_classes[order[self.leaf_starts[:-1]]]
+
+
+@dataclass(frozen=True, slots=True)
+class Test:
+    """What a node asks.
+
+    Parameters
+    ----------
+    kind : number, see ``KIND_NAMES``.
+    column, partner : columns of the features; the partner is the column itself for a mean.
+    start, stop : t0 and t1.
+    threshold : of the mean, spread or trend.
+    """
+
+    kind: int
+    column: int
+    partner: int
+    start: int
+    stop: int
+    threshold: float
+
+
+def read_test(trees: Trees, node: int) -> Test:
+    """The test of an inner node."""
+    width = trees.n_frames + 1
+    later, sooner, partner = int(trees.nodes[node, 0]), int(trees.nodes[node, 1]), int(trees.nodes[node, 3])
+    column, stop = divmod(later, width)
+    start, cut = sooner % width, float(trees.cuts[node, 2])
+    if partner == 0:
+        return Test(MEAN, column, column, start, stop, cut / (stop - start))
+    kind = SPREAD if partner > 0 else TREND
+    return Test(kind, column, column + abs(partner) // width, start, stop, cut)
+
+
+def evaluate_test(integrals: FloatArray, test: Test) -> float:
+    """The value of a test for one clip, from its integrals (F, T + 1)."""
+    length = test.stop - test.start
+    difference = integrals[test.column, test.stop] - integrals[test.column, test.start]
+    if test.kind == MEAN:
+        return float(difference / length)
+    other = integrals[test.partner, test.stop] - integrals[test.partner, test.start]
+    if test.kind == SPREAD:
+        return float(np.sqrt(max(other / length - (difference / length) ** 2, 0.0)))
+    return float(12.0 * (other - 0.5 * (test.start + test.stop) * difference) / length**2)
+
+
+def grow_trees(
+    features: FloatArray,
+    categories: NDArray[np.int32],
+    n_classes: int,
+    tests: IntArray,
+    spec: TreesSpec,
+    seeds: NDArray[np.uint64],
+) -> Trees:
+    """One tree per seed, whatever the number of workers.
+
+    Parameters
+    ----------
+    features : (N, T, F) checked pose features.
+    categories : (N,) 0 ... n_classes - 1.
+    tests : (R, 5) what may be asked at a node, see ``tree_kernels``.
+    spec : how to grow.
+    seeds : 64-bit, one per tree.
+    """
+    from joblib import Parallel, delayed, effective_n_jobs
+
+    clips, frames, count = features.shape
+    material = prepare_material(features, categories, tests, clips)
+    # A few trees a task: with few clips a tree takes less time than handing it out.
+    tasks = np.array_split(seeds, min(len(seeds), 4 * effective_n_jobs(spec.n_jobs)))
+    grown = Parallel(n_jobs=spec.n_jobs, prefer="threads")(
+        delayed(_grow_seeds)(material, n_classes, spec, some) for some in tasks
+    )
+    return _join([tree for some in grown for tree in some], (count, frames, n_classes))
+
+
+Material = tuple[NDArray[Any], ...]
+
+GrownTree = tuple[NDArray[np.int32], IntArray, NDArray[np.int32], NDArray[np.int32]]
+
+
+def prepare_material(features: FloatArray, categories: NDArray[np.int32], tests: IntArray, largest: int) -> Material:
+    """What ``grow_some`` grows trees of at most ``largest`` clips from; the rest as in ``grow_trees``."""
+    clips, frames, count = features.shape
+    # Clips last: a test of all clips at a node reads two rows.
+    integrals = np.zeros((count, frames + 1, clips))
+    np.cumsum(features.transpose(2, 1, 0), axis=1, out=integrals[:, 1:])
+    tolerances = _SAME_VALUE * np.abs(features).max(axis=(0, 1))
+    number = np.arange(largest + 1)
+    logarithms = np.rint(number * np.log2(np.maximum(number, 1)) * kernels.FIXED_POINT).astype(np.int64)
+    return integrals, tolerances, categories, tests, logarithms
+
+
+def grow_some(
+    material: Material, n_classes: int, spec: TreesSpec, drawn: Iterable[tuple[IntArray, np.uint64]]
+) -> list[GrownTree]:
+    """Nodes, leaf starts, leaf classes and leaf counts of a tree for some clips, permuted in place, and a seed each."""
+    largest = len(material[4]) - 1
+    nodes, starts = np.zeros((2 * largest - 1, 6), np.int32), np.zeros(largest + 1, np.int64)
+    classes, counts = np.zeros(largest, np.int32), np.zeros(largest, np.int32)
+    work = kernels.Workspace.create(largest, n_classes, len(material[3]))
+    limit = spec.max_entropy * kernels.FIXED_POINT
+    trees = []
+    for samples, seed in drawn:
+        n_nodes, n_leaves = kernels.grow_tree(  # type: ignore[call-arg]
+            *material, samples, spec.n_trials, spec.random_thresholds, limit, seed, work,
+            nodes, nodes.view(np.float64), starts, classes, counts,
+        )  # fmt: skip
+        entries = starts[n_leaves]
+        kept = nodes[:n_nodes], starts[: n_leaves + 1], classes[:entries], counts[:entries]
+        trees.append((kept[0].copy(), kept[1].copy(), kept[2].copy(), kept[3].copy()))
+    return trees
+
+
+def _grow_seeds(material: Material, n_classes: int, spec: TreesSpec, seeds: NDArray[np.uint64]) -> list[GrownTree]:
+    """A tree of all clips, or of a bootstrap sample of them, for each seed."""
+    clips = material[0].shape[2]
+
+    def draw(seed: np.uint64) -> IntArray:
+        drawn = np.random.default_rng(int(seed)).integers(0, clips, clips) if spec.bootstrap else None
+        return np.arange(clips) if drawn is None else np.sort(drawn)
+
+    return grow_some(material, n_classes, spec, ((draw(seed), seed) for seed in seeds))
+
+
+def _join(trees: list[GrownTree], sizes: tuple[int, int, int]) -> Trees:
+    """Trees one behind the other, with children and leaves numbered through."""
+    first_node, first_leaf, first_entry = 0, 0, 0
+    roots, starts = [], [np.zeros(1, np.int64)]
+    for nodes, leaf_starts, _, _ in trees:
+        children = nodes[:, 2]
+        children += np.where(children < 0, -first_leaf, first_node).astype(np.int32)
+        roots.append(first_node)
+        starts.append(leaf_starts[1:] + first_entry)
+        first_node += len(nodes)
+        first_leaf += len(leaf_starts) - 1
+        first_entry += int(leaf_starts[-1])
+    all_nodes, _, classes, counts = zip(*trees, strict=True)
+    return Trees(
+        np.concatenate(all_nodes),
+        np.array(roots, np.int64),
+        np.concatenate(starts),
+        np.concatenate(classes),
+        np.concatenate(counts),
+        *sizes,
+    )

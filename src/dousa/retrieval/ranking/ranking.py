@@ -1,0 +1,339 @@
+"""Ranking of clips: by their histograms (eq. 8), by the leaves they share, by their poses, and by all three.
+
+``histogram`` the Euclidean distance of the histograms of votes (eq. 8): which category. Clips that a forest learned by
+heart have nearly all votes in one category, so it hardly orders the clips of one.
+
+``leaves`` the share of the trees in which two clips end in different leaves: 1 less the proximity of Breiman and
+Cutler's random forests. It also tells apart what the forest was never taught.
+
+``pose`` the distance of the poses after an alignment in time, for the best clips of a cheaper order; the others keep
+that order behind them.
+
+``fused`` the sum ``histogram / sqrt(2) + leaves / 2 + 8 pose``: each distance on a scale of its own that is the same
+for every query, so that the sums of two queries can be compared. An eighth of a body height between the poses counts as
+much as votes that disagree altogether. The weights are in docs/ranking.md with what they were chosen by.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numba import njit
+from numpy.typing import ArrayLike, NDArray
+
+from dousa.arrays import FloatArray, IndexArray, IntArray
+from dousa.errors import InvalidMotionError, OptionError
+
+RANKINGS: tuple[str, ...] = ("fused", "histogram", "leaves", "pose")
+DEFAULT_RANKING = "fused"
+
+N_REFINED = 64
+"""Clips whose poses are compared: those that the histograms and leaves put first."""
+
+_HISTOGRAM_SCALE = 2.0**-0.5  # histograms without a common vote are sqrt(2) apart
+_LEAVES_WEIGHT = 0.5
+_POSE_SCALE = 8.0  # 1 / body heights
+_REACH = 2.0  # cells by which an aligned pair may lie off the diagonal, of 16
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RankingQuery:
+    """What is known of a query.
+
+    Parameters
+    ----------
+    histogram : (C,) votes or shares of the categories; votes give distances without rounding.
+    leaves : (n_trees,) the leaf it reaches in each tree.
+    poses : (T, D) its pose sequence, see ``compute_pose_sequence``.
+    """
+
+    histogram: NDArray[np.generic]
+    leaves: NDArray[np.integer]
+    poses: NDArray[np.float32]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RankedClips:
+    """What is known of the clips that are put in order.
+
+    Parameters
+    ----------
+    histograms : (N, C) in the unit of the query's.
+    leaves : (N, n_trees)
+    read_poses : gives (n, T, D) of the clips with these n places, asked once a query for those that are refined;
+        ``array.__getitem__`` of an array (N, T, D) will do.
+    """
+
+    histograms: NDArray[np.generic]
+    leaves: NDArray[np.integer]
+    read_poses: Callable[[IndexArray], NDArray[np.float32]]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Ranking:
+    """Clips in order, and how far each is from the query.
+
+    Parameters
+    ----------
+    order : (N,) places of the clips, the most similar first.
+    distances : (N,) of the clips in the order given, what ``order`` sorts by: ``distances[order]`` ascends. NaN for
+        ``pose`` where poses were not compared.
+    histogram : (N,) eq. 8 between shares, 0 to sqrt(2).
+    leaves : (N,) share of the trees with different leaves, 0 to 1.
+    pose : (N,) body heights; NaN where poses were not compared.
+    """
+
+    order: IndexArray
+    distances: FloatArray
+    histogram: FloatArray
+    leaves: FloatArray
+    pose: FloatArray
+
+
+def rank_by_histogram(query: ArrayLike, histograms: ArrayLike) -> tuple[IndexArray, FloatArray]:
+    """Clips from the most to the least similar, by the Euclidean distance of their histograms.
+
+    Parameters
+    ----------
+    query : (C,) histogram of the query.
+    histograms : (N, C) of the clips.
+
+    Returns
+    -------
+    order : (N,) indices of the clips, nearest first; equals keep their order.
+    distances : (N,) of the clips in the order given: ``distances[order]`` ascends. 0 to sqrt(2) for shares.
+
+    Raises
+    ------
+    InvalidMotionError : shapes that disagree, or values that are not finite.
+
+    Source: Hamada et al., eq. 8. The paper calls it a similarity and sorts descending; it is a distance.
+    """
+    distances = _compare_histograms(query, histograms)
+    return np.argsort(distances, kind="stable"), distances
+
+
+def _compare_histograms(query: ArrayLike, histograms: ArrayLike) -> FloatArray:
+    asked = np.asarray(query, dtype=np.float64)
+    stored = np.asarray(histograms)
+    if asked.ndim != 1 or stored.ndim != 2 or stored.shape[1] != len(asked):
+        raise InvalidMotionError("ranking.histograms", asked=asked.shape, stored=stored.shape)
+    # Votes stay as they are: no copy of a whole library.
+    kind = np.int32 if stored.dtype == np.int32 else np.float64
+    distances = np.empty(len(stored))
+    measure_distances(np.ascontiguousarray(asked), np.ascontiguousarray(stored, kind), distances)
+    if not np.isfinite(distances).all():
+        raise InvalidMotionError("ranking.histograms_not_finite")
+    return distances
+
+
+def rank_by_leaves(query: ArrayLike, leaves: ArrayLike) -> tuple[IndexArray, FloatArray]:
+    """Clips from the most to the least similar, by the share of trees in which they end in another leaf.
+
+    Parameters
+    ----------
+    query : (n_trees,) leaves of the query.
+    leaves : (N, n_trees) of the clips.
+
+    Returns
+    -------
+    order : (N,) indices of the clips, nearest first; equals keep their order.
+    distances : (N,) of the clips in the order given, 0 to 1.
+
+    Raises
+    ------
+    InvalidMotionError : shapes that disagree, or no trees.
+
+    Source: Breiman and Cutler's proximity of random forests, 1 less it.
+    """
+    distances = _compare_leaves(query, leaves)
+    return np.argsort(distances, kind="stable"), distances
+
+
+def _compare_leaves(query: ArrayLike, leaves: ArrayLike) -> FloatArray:
+    asked, stored = np.ascontiguousarray(query, np.int32), np.ascontiguousarray(leaves, np.int32)
+    if asked.ndim != 1 or stored.ndim != 2 or stored.shape[1] != len(asked) or not len(asked):
+        raise InvalidMotionError("ranking.leaves", asked=asked.shape, stored=stored.shape)
+    counts = np.empty(len(stored), np.int32)
+    count_differences(asked, stored, counts)
+    distances: FloatArray = counts / len(asked)
+    return distances
+
+
+def rank_by_pose(query: ArrayLike, poses: ArrayLike) -> tuple[IndexArray, FloatArray]:
+    """Clips from the most to the least similar, by the distance of their poses after an alignment in time.
+
+    Parameters
+    ----------
+    query : (T, D) pose sequence of the query.
+    poses : (N, T, D) of the clips.
+
+    Returns
+    -------
+    order : (N,) indices of the clips, nearest first; equals keep their order.
+    distances : (N,) of the clips in the order given, body heights: dynamic time warping within 2 cells of the diagonal,
+        the sum over the path divided by 2 T. The mean distance of two poses is up to twice as large.
+
+    Raises
+    ------
+    InvalidMotionError : shapes that disagree, or values that are not finite.
+    """
+    asked = np.ascontiguousarray(query, dtype=np.float32)
+    stored = np.ascontiguousarray(poses, dtype=np.float32)
+    if asked.ndim != 2 or stored.ndim != 3 or stored.shape[1:] != asked.shape or not asked.size:
+        raise InvalidMotionError("ranking.poses", asked=asked.shape, stored=stored.shape)
+    starts = np.arange(len(stored)) * len(asked)
+    distances = np.empty(len(stored))
+    frames = stored.reshape(-1, asked.shape[1])
+    warp_distances(asked, frames, starts, starts + len(asked), _REACH, distances)
+    if not np.isfinite(distances).all():
+        raise InvalidMotionError("ranking.poses_not_finite")
+    return np.argsort(distances, kind="stable"), distances
+
+
+def rank_by_fusion(query: RankingQuery, clips: RankedClips, n_refined: int = N_REFINED) -> Ranking:
+    """Clips from the most to the least similar by histogram, leaves and poses together; see ``rank_clips``."""
+    return rank_clips("fused", query, clips, n_refined)
+
+
+def rank_clips(by: str, query: RankingQuery, clips: RankedClips, n_refined: int = N_REFINED) -> Ranking:
+    """Put clips in order by one of ``RANKINGS``.
+
+    Parameters
+    ----------
+    by : ``"fused"``, ``"histogram"`` (equals by their leaves), ``"leaves"`` (equals by their histograms) or ``"pose"``.
+    query, clips : what is known of them. ``"histogram"`` and ``"leaves"`` do not ask for poses.
+    n_refined : clips whose poses are compared, 1 or more.
+
+    Returns
+    -------
+    Ranking. Clips that nothing tells apart keep their order.
+
+    Raises
+    ------
+    OptionError : an unknown ranking, or nothing to refine.
+    InvalidMotionError : arrays whose shapes disagree or that are not finite.
+    """
+    if by not in RANKINGS:
+        raise OptionError("ranking.unknown", known=RANKINGS, found=by)
+    if n_refined < 1:
+        raise OptionError("ranking.refined", found=n_refined)
+    histogram = _compare_histograms(query.histogram, clips.histograms)
+    histogram /= max(float(np.sum(query.histogram)), 1e-300)
+    leaves = _compare_leaves(query.leaves, clips.leaves)
+    pose = np.full(len(histogram), np.nan)
+    if by in ("histogram", "leaves"):
+        first, second = (histogram, leaves) if by == "histogram" else (leaves, histogram)
+        return Ranking(np.lexsort((second, first)), first, histogram, leaves, pose)
+    cheap = histogram * _HISTOGRAM_SCALE + _LEAVES_WEIGHT * leaves
+    order = np.argsort(cheap, kind="stable")
+    refined = order[:n_refined]
+    if len(refined):
+        pose[refined] = rank_by_pose(query.poses, clips.read_poses(refined))[1]
+    distances = pose if by == "pose" else _fuse(cheap, pose, refined)
+    order[:n_refined] = refined[np.argsort(distances[refined], kind="stable")]
+    return Ranking(order, distances, histogram, leaves, pose)
+
+
+def _fuse(cheap: FloatArray, pose: FloatArray, refined: IndexArray) -> FloatArray:
+    """The sums; where poses were not compared they are taken for as far apart as the farthest that were."""
+    worst = float(pose[refined].max(initial=0.0))
+    return cheap + _POSE_SCALE * np.where(np.isnan(pose), worst, pose)
+
+
+@njit(cache=True, nogil=True)
+def measure_distances(query: FloatArray, stored: FloatArray, distances: FloatArray) -> None:
+    """Euclidean distances of query (C,) float64 from the rows of stored (N, C) float64 or int32, into (N,)."""
+    for k in range(len(stored)):
+        square = 0.0
+        for c in range(len(query)):
+            difference = stored[k, c] - query[c]
+            square += difference * difference
+        distances[k] = np.sqrt(square)
+
+
+@njit(cache=True, nogil=True)
+def count_differences(query: NDArray[np.int32], stored: NDArray[np.int32], counts: NDArray[np.int32]) -> None:
+    """In how many places the rows of stored (N, n) int32 differ from query (n,) int32, into (N,) int32."""
+    for k in range(len(stored)):
+        count = np.int32(0)
+        for t in range(len(query)):
+            count += np.int32(stored[k, t] != query[t])
+        counts[k] = count
+
+
+_FAR = np.float32(1e30)
+
+
+@njit(cache=True, nogil=True, fastmath={"reassoc", "contract"})
+def _measure(query: NDArray[np.float32], i: int, frames: NDArray[np.float32], j: int) -> Any:
+    """Euclidean distance of row i of query from row j of frames; its own function, as only here order is free."""
+    square = np.float32(0.0)
+    for k in range(query.shape[1]):
+        difference = query[i, k] - frames[j, k]
+        square += difference * difference
+    return np.sqrt(square)
+
+
+@njit(cache=True, nogil=True)
+def _warp(
+    query: NDArray[np.float32],
+    frames: NDArray[np.float32],
+    start: int,
+    m: int,
+    reach: float,
+    before: NDArray[np.float32],
+    now: NDArray[np.float32],
+) -> Any:
+    """Cost of the cheapest path between query (n, D) and m rows of frames; the last two are room for m + 1 numbers."""
+    n = len(query)
+    slope = (m - 1) / (n - 1) if n > 1 else 0.0
+    width = min(max(reach, slope, 1.0), float(m)) + 1e-9 if n > 1 else float(m)  # an edge may round either way
+    for j in range(m + 1):
+        before[j] = now[j] = _FAR  # index j + 1, so that j - 1 exists for j = 0
+    before[0] = np.float32(0.0)
+    for i in range(n):
+        first = max(0, int(np.ceil(i * slope - width)))
+        last = min(m - 1, int(np.floor(i * slope + width)))
+        for j in range(first, last + 1):
+            now[j + 1] = _measure(query, i, frames, start + j)
+        now[first] = left = _FAR
+        for j in range(first, last + 1):
+            left = now[j + 1] + min(left, before[j], before[j + 1])
+            now[j + 1] = left
+        for j in range(last + 1, min(m, last + 2 + int(slope))):  # the next row's band goes a little further
+            now[j + 1] = _FAR
+        before, now = now, before
+    return before[m]
+
+
+@njit(cache=True, nogil=True)
+def warp_distances(
+    query: NDArray[np.float32],
+    frames: NDArray[np.float32],
+    starts: IntArray,
+    stops: IntArray,
+    reach: float,
+    distances: FloatArray,
+) -> None:
+    """Distances of one sequence from many.
+
+    Parameters
+    ----------
+    query : (n, D) float32.
+    frames : (M, D) float32, the other sequences one after the other.
+    starts, stops : (N,) rows of ``frames`` where each begins and ends.
+    reach : frames by which a pair may lie off the diagonal (Sakoe and Chiba); wider where the lengths ask for it;
+        infinity for no band.
+    distances : (N,) float64, filled.
+    """
+    longest = 0
+    for k in range(len(starts)):
+        longest = max(longest, stops[k] - starts[k])
+    before, now = np.empty(longest + 1, np.float32), np.empty(longest + 1, np.float32)
+    for k in range(len(starts)):
+        m = stops[k] - starts[k]
+        distances[k] = _warp(query, frames, starts[k], m, reach, before, now) / (len(query) + m)

@@ -1,0 +1,1 @@
+"""Uncut recordings: their windows, search inside them, labels over time, and the same while a motion happens."""

@@ -1,0 +1,293 @@
+"""Search inside long takes: where does something like a motion happen?
+
+The query is compared with the windows of all takes that are half to twice as long: by the share of trees in which
+both fall into the same leaf, and by the poses of their eight parts. The best windows, no two of them the same place,
+are moved by parts of their length until their poses fit best, aligned with the query pose by pose, and ordered anew.
+Poses alone carry a query of a category that no tree knows; the leaves add what training has taught.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dousa.arrays import FloatArray, IndexArray, IntArray
+from dousa.errors import InvalidMotionError, OptionError
+from dousa.retrieval.features.posed_motion import check_motion
+from dousa.retrieval.takes.windows import N_PARTS, TAKE_RATE, TakeWindows, compute_small_poses
+
+if TYPE_CHECKING:
+    from dousa.retrieval.features.feature_sets import FeatureSet
+    from dousa.retrieval.features.posed_motion import PosedMotion
+    from dousa.retrieval.forest.forest import MotionForest
+
+# Chosen on joined takes of UTD-MHAD and HDM05 with people and some of the categories left out (docs/takes.md).
+_POSE_WEIGHT, _LEAF_WEIGHT, _ALIGNED_WEIGHT = 3.0, 0.05, 2.0
+_LEAST_SHARE = 0.02
+
+# Where the score is one half, and how fast it falls, for costs in units of how much the query moves.
+_MIDDLE, _STEEPNESS, _LEAST_MOVEMENT = 2.42, 6.3, 0.05
+
+_MOST_ALIGNED = 64  # poses of either sequence that are aligned
+_BAND = 0.15
+_STEPS = np.linspace(-0.125, 0.125, 7)  # of the window's length: how far an edge may move
+_SAME_PLACE = 0.3  # overlap (intersection over union) of two answers for the same
+_MOST_WINDOWS = 4000  # best windows that are looked through for different places
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TakeQuery:
+    """What is looked for.
+
+    Parameters
+    ----------
+    leaves : (n_trees,) that the query reaches.
+    poses : (n, 27) its small poses at ``TAKE_RATE``.
+    """
+
+    leaves: IntArray
+    poses: NDArray[np.float16]
+
+
+@dataclass(frozen=True, slots=True)
+class Found:
+    """A place in a take that is like the query.
+
+    Parameters
+    ----------
+    take : its name.
+    start, stop : s, from the beginning of the take.
+    score : 0 to 1, the larger the more alike; about the probability that a person calls both the same.
+    distance : of the poses of both along the best alignment, root mean square in body heights.
+    shared_leaves : share of trees in which both fall into the same leaf.
+    tempo : how much faster than the query it goes on; 2 is double speed.
+    """
+
+    take: str
+    start: float
+    stop: float
+    score: float
+    distance: float
+    shared_leaves: float
+    tempo: float
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain words and numbers; times in seconds."""
+        return {
+            "take": self.take,
+            "start_s": round(self.start, 3),
+            "end_s": round(self.stop, 3),
+            "score": round(self.score, 4),
+            "distance": round(self.distance, 5),
+            "shared_leaves": round(self.shared_leaves, 4),
+            "tempo": round(self.tempo, 3),
+        }
+
+
+def describe_query(forest: MotionForest, feature_set: FeatureSet, motion: PosedMotion) -> TakeQuery:
+    """Make a motion ready to be looked for.
+
+    Parameters
+    ----------
+    forest : the forest that described the takes, trained on ``feature_set``.
+    motion : at least 0.27 s long.
+
+    Raises
+    ------
+    InvalidMotionError : too short, another shape, not finite, no body height.
+    """
+    from dousa.retrieval.features.channels import sample_positions
+
+    poses = compute_small_poses(sample_positions(check_motion(motion), motion.frame_rate), motion.height)
+    if len(poses) < N_PARTS:
+        raise InvalidMotionError("find.short", least=N_PARTS / TAKE_RATE, found=len(poses) / TAKE_RATE)
+    return TakeQuery(forest.apply(feature_set.compute(motion)[None])[0], poses)
+
+
+def find_in_takes(
+    query: TakeQuery,
+    takes: Sequence[tuple[str, TakeWindows]],
+    *,
+    limit: int = 20,
+    slowest: float = 0.5,
+    fastest: float = 2.0,
+) -> list[Found]:
+    """The places that are most like a query, best first, no two of them the same.
+
+    Parameters
+    ----------
+    query : by the same forest as the takes.
+    takes : names and windows.
+    limit : answers at most.
+    slowest, fastest : tempo against the query: windows of 1 / fastest to 1 / slowest of its length are compared.
+
+    Raises
+    ------
+    OptionError : a limit below 1, or tempos that are not ascending and above 0.
+    InvalidMotionError : a take with leaves of another forest.
+    """
+    if limit < 1 or not 0 < slowest <= fastest < np.inf:
+        raise OptionError("find.options", limit=limit, slowest=slowest, fastest=fastest)
+    candidates = [_compare(query, take, (slowest, fastest)) for _, take in takes]
+    costs = np.concatenate([np.zeros(0), *(some.costs for some in candidates)])
+    owners = np.repeat(np.arange(len(takes)), [len(some.costs) for some in candidates])
+    rows = np.concatenate(
+        [np.zeros(0, np.int64), *(np.arange(some.first, some.first + len(some.costs)) for some in candidates)]
+    )
+    shares = np.concatenate([np.zeros(0), *(some.shares for some in candidates)])
+    wanted = 2 * limit + 20
+    places = _different_places(costs, owners, rows, takes, wanted)
+    tempos = (slowest, fastest)
+    found = [_refine(query, takes[owners[k]], int(rows[k]), float(shares[k]), tempos) for k in places]
+    found.sort(key=lambda one: (-one.score, one.take, one.start))
+    return _drop_same(found)[:limit]
+
+
+@dataclass(frozen=True, slots=True)
+class _Compared:
+    """Windows of one take: the first row, and cost and leaf share of it and those after it."""
+
+    first: int
+    costs: FloatArray
+    shares: FloatArray
+
+
+def _compare(query: TakeQuery, take: TakeWindows, tempos: tuple[float, float]) -> _Compared:
+    from dousa.retrieval.takes.window_kernels import compare_leaves, compare_poses
+
+    if take.leaves.shape[1] != len(query.leaves):
+        raise InvalidMotionError("find.other_forest", expected=len(query.leaves), found=take.leaves.shape[1])
+    lengths = take.stops - take.starts
+    slowest, fastest = tempos
+    # A grid has gaps: the lengths next to the range may hold an edge of it.
+    first = int(np.searchsorted(lengths, len(query.poses) / fastest / 1.1))
+    last = int(np.searchsorted(lengths, len(query.poses) / slowest * 1.1, side="right"))
+    shares, distances = np.empty((2, max(last - first, 0)))
+    compare_leaves(take.leaves[first:last], query.leaves.astype(take.leaves.dtype), shares)
+    parts = _cut(query.poses)
+    compare_poses(take.sums, take.starts[first:last], take.stops[first:last], parts, distances)
+    return _Compared(first, _cost(distances, shares), shares)
+
+
+def _cost(distances: Any, shares: Any) -> Any:
+    """Of windows, 0 for the query itself."""
+    return _POSE_WEIGHT * distances + _LEAF_WEIGHT * np.log((1 + _LEAST_SHARE) / (shares + _LEAST_SHARE))
+
+
+def _cut(poses: NDArray[Any]) -> FloatArray:
+    """(8, 27) mean poses of the parts of a sequence, which start at whole frames as those of windows do."""
+    count = len(poses)
+    edges = (np.arange(N_PARTS + 1) * count * 2 + N_PARTS) // (2 * N_PARTS)
+    sums = np.zeros((count + 1, poses.shape[1]))
+    np.cumsum(poses, axis=0, dtype=np.float64, out=sums[1:])
+    means: FloatArray = np.diff(sums[edges], axis=0) / np.diff(edges)[:, None]
+    return means
+
+
+def _different_places(
+    costs: FloatArray,
+    owners: IndexArray,
+    rows: IntArray,
+    takes: Sequence[tuple[str, TakeWindows]],
+    wanted: int,
+) -> list[int]:
+    """The cheapest windows of which no two share much of their time (non-maximum suppression)."""
+    most = min(_MOST_WINDOWS, len(costs))
+    cheapest = np.argpartition(costs, most - 1)[:most] if most < len(costs) else np.arange(len(costs))
+    order = cheapest[np.lexsort((cheapest, costs[cheapest]))]
+    kept: list[int] = []
+    spans: dict[int, list[tuple[int, int]]] = {}
+    for k in order:
+        windows = takes[owners[k]][1]
+        span = int(windows.starts[rows[k]]), int(windows.stops[rows[k]])
+        others = spans.setdefault(int(owners[k]), [])
+        if all(overlap(span, other) < _SAME_PLACE for other in others):
+            others.append(span)
+            kept.append(int(k))
+            if len(kept) == wanted:
+                break
+    return kept
+
+
+def overlap(one: tuple[float, float], other: tuple[float, float]) -> float:
+    """Intersection over union of two spans (start, stop); 0 where both have no length."""
+    union = max(one[1], other[1]) - min(one[0], other[0])
+    shared = min(one[1], other[1]) - max(one[0], other[0])
+    return max(shared, 0.0) / union if union > 0 else 0.0
+
+
+def _refine(
+    query: TakeQuery, named: tuple[str, TakeWindows], row: int, share: float, tempos: tuple[float, float]
+) -> Found:
+    """Move the edges of a window until the poses of its parts fit best, then align it pose by pose."""
+    from dousa.retrieval.takes.window_kernels import compare_poses
+
+    name, take = named
+    start, stop = int(take.starts[row]), int(take.stops[row])
+    moves = np.unique(np.round(_STEPS * (stop - start)).astype(np.int64))
+    starts = np.repeat(start + moves, len(moves))
+    stops = np.tile(stop + moves, len(moves))
+    # The window itself comes first, so that it stays where others are only as good.
+    starts, stops = np.append(start, starts), np.append(stop, stops)
+    inside = (starts >= 0) & (stops <= take.n_frames) & (stops - starts >= N_PARTS)
+    starts, stops = starts[inside], stops[inside]
+    # Windows lie a little beyond the tempos, as the grid has gaps; the answers do not, if they can be moved.
+    tempo = len(query.poses) / (stops - starts)
+    off = np.maximum(tempo / tempos[1], tempos[0] / tempo).clip(1.0)
+    starts, stops = starts[off == off.min()], stops[off == off.min()]
+    distances = np.empty(len(starts))
+    compare_poses(take.sums, starts, stops, _cut(query.poses), distances)
+    best = int(np.argmin(distances))
+    start, stop = int(starts[best]), int(stops[best])
+    aligned = _align(query.poses, take.poses[start:stop])
+    cost = float(_cost(distances[best], share)) + _ALIGNED_WEIGHT * aligned
+    return Found(
+        take=name,
+        start=start / TAKE_RATE,
+        stop=min(stop / TAKE_RATE, take.duration),
+        score=_score(cost, query.poses),
+        distance=aligned,
+        shared_leaves=share,
+        tempo=len(query.poses) / (stop - start),
+    )
+
+
+def _score(cost: float, poses: NDArray[np.float16]) -> float:
+    """0 to 1. A query that hardly moves is near to everything at rest, so its costs weigh more."""
+    values = poses.astype(np.float64)
+    movement = float(np.sqrt(np.mean((values - values.mean(axis=0)) ** 2)))
+    return float(1.0 / (1.0 + (cost / (_MIDDLE * (movement + _LEAST_MOVEMENT))) ** _STEEPNESS))
+
+
+def _align(one: NDArray[np.float16], other: NDArray[np.float16]) -> float:
+    """Mean distance of two sequences of small poses along their cheapest warping path, root mean square."""
+    from dousa.retrieval.ranking.ranking import warp_distances
+
+    query, frames = _thin(one), _thin(other)
+    distance = np.empty(1)
+    ends = np.array([0, len(frames)])
+    warp_distances(query, frames, ends[:1], ends[1:], _BAND * len(frames), distance)
+    # A straight path pays once for a pair of poses, and is divided by both lengths.
+    return float(2.0 * distance[0] / np.sqrt(query.shape[1]))
+
+
+def _thin(poses: NDArray[np.float16]) -> NDArray[np.float32]:
+    count = min(len(poses), _MOST_ALIGNED)
+    return poses[((np.arange(count) + 0.5) * len(poses) / count).astype(np.intp)].astype(np.float32)
+
+
+def _drop_same(found: list[Found]) -> list[Found]:
+    """Answers of which no two are the same place, the better one kept: refining may have brought some together."""
+    kept: list[Found] = []
+    for one in found:
+        same = (
+            other.take == one.take and overlap((one.start, one.stop), (other.start, other.stop)) >= _SAME_PLACE
+            for other in kept
+        )
+        if not any(same):
+            kept.append(one)
+    return kept

@@ -1,0 +1,314 @@
+"""Long takes as windows: described once, kept in little room, searched and labelled without the motion.
+
+A take is cut into overlapping windows of several lengths. Of each window the leaf that it reaches in every tree is
+kept, and of the take itself one small pose a frame, from which the mean pose of any part of any window is one
+subtraction.
+Source: the integral features of Hamada et al., eq. 4 and 5; long takes are the paper's future work.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from itertools import pairwise
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from dousa.arrays import FloatArray, IndexArray, IntArray
+from dousa.errors import InvalidMotionError, OptionError
+from dousa.messages import Message
+from dousa.motion.canonical.joints import JOINT_INDEX
+from dousa.retrieval.features.posed_motion import check_motion
+from dousa.retrieval.forest.forest_file import check, check_version, damaged, pack_arrays, unpack_arrays
+
+if TYPE_CHECKING:
+    from dousa.retrieval.features.feature_sets import FeatureSet
+    from dousa.retrieval.features.posed_motion import PosedMotion
+    from dousa.retrieval.forest.forest import MotionForest
+
+TAKE_RATE = 30.0
+"""Frames a second of a described take."""
+
+N_PARTS = 8
+"""Parts of a window whose mean poses are compared; the lengths of all windows are multiples of it."""
+
+Progress = Callable[[int, int], None]
+
+_SHORTEST, _LONGEST = 16, 4096  # frames: windows of 0.5 s to more than two minutes
+_LADDER = tuple(sorted(f * 2**k for f in (2, 3) for k in range(3, 12) if _SHORTEST <= f * 2**k <= _LONGEST))
+
+CHUNK = 4096  # windows that start within as many frames are described at a time
+
+_MARGIN = 30  # frames on either side of a chunk: channels are smoothed over time
+_SMALL_JOINTS = "head left_elbow left_hand right_elbow right_hand left_knee left_ankle right_knee right_ankle".split()
+_SMALL_INDEX = [JOINT_INDEX[joint] for joint in _SMALL_JOINTS]
+N_SMALL = 3 * len(_SMALL_JOINTS)
+_FARTHEST = 1000.0  # body heights
+
+
+_VERSION = 1
+_WHAT = Message("stored.windows")
+_NAMES = ("version", "lengths", "leaves", "poses", "duration")
+
+
+@dataclass(frozen=True, slots=True)
+class WindowGrid:
+    """Which windows a take is cut into.
+
+    Parameters
+    ----------
+    lengths : frames at ``TAKE_RATE``, ascending, multiples of 8 from 16 to 4096. The windows of a length start a
+        sixth of it apart, and one ends with the take.
+    """
+
+    lengths: tuple[int, ...]
+
+    def __post_init__(self) -> None:
+        whole = all(isinstance(n, int | np.integer) and n % N_PARTS == 0 for n in self.lengths)
+        rising = list(self.lengths) == sorted(set(self.lengths))
+        if not (self.lengths and whole and rising and _SHORTEST <= self.lengths[0] <= self.lengths[-1] <= _LONGEST):
+            raise OptionError(
+                "windows.lengths", parts=N_PARTS, shortest=_SHORTEST, longest=_LONGEST, found=self.lengths
+            )
+        object.__setattr__(self, "lengths", tuple(int(n) for n in self.lengths))
+
+    def within(self, shortest: float, longest: float) -> WindowGrid:
+        """The grid of those lengths that lie in a range of frames; the nearest to it if none does."""
+        inside = tuple(n for n in self.lengths if shortest <= n <= longest)
+        nearest = min(self.lengths, key=lambda n: max(shortest / n, n / longest))
+        return WindowGrid(inside or (nearest,))
+
+
+def read_grid(lengths: NDArray[Any], what: Message) -> WindowGrid:
+    """The grid of stored lengths; DousaError that ``what`` is damaged where they make none."""
+    check(lengths.ndim == 1 and lengths.dtype == np.int64, what, "bad lengths")
+    try:
+        return WindowGrid(tuple(lengths.tolist()))
+    except OptionError as error:
+        raise damaged(what, error) from error
+
+
+def choose_grid(durations: ArrayLike, least: float = 0.45, most: float = 2.2) -> WindowGrid:
+    """Windows for takes in which motions as long as some clips are looked for.
+
+    Parameters
+    ----------
+    durations : s, of the labelled clips; the shortest and longest 5 % do not count.
+    least, most : windows from ``least`` times the shortest to ``most`` times the longest clip. What is found may be
+        half to twice as long as a query, and the ladder of lengths has gaps.
+
+    Returns
+    -------
+    WindowGrid, of the lengths 16, 24, 32, 48, 64, 96 ... frames.
+
+    Raises
+    ------
+    OptionError : no durations, or some that are not above 0.
+    """
+    seconds = np.asarray(durations, np.float64).ravel()
+    if not len(seconds) or not np.isfinite(seconds).all() or seconds.min() <= 0:
+        raise OptionError("windows.durations")
+    shortest, longest = np.percentile(seconds, [5, 95]) * TAKE_RATE * (least, most)
+    return WindowGrid(_LADDER).within(float(shortest), float(longest))
+
+
+def place_windows(grid: WindowGrid, n_frames: int) -> tuple[IntArray, IntArray]:
+    """Starts and stops (W,) of the windows of a take, in frames; shorter windows first, then earlier ones."""
+    starts = [_starts(length, n_frames) for length in grid.lengths]
+    lengths = np.repeat(np.array(grid.lengths, np.int64), [len(some) for some in starts])
+    first = np.concatenate(starts)
+    return first, first + lengths
+
+
+def hop_of(length: int) -> int:
+    """Frames between the starts of two windows of a length: a sixth of it, rounded."""
+    return (length + 3) // 6
+
+
+def _starts(length: int, n_frames: int) -> IntArray:
+    if length > n_frames:
+        return np.zeros(0, np.int64)
+    starts = np.arange(0, n_frames - length + 1, hop_of(length), dtype=np.int64)
+    return starts if starts[-1] == n_frames - length else np.append(starts, n_frames - length)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TakeWindows:
+    """A take as windows.
+
+    Parameters
+    ----------
+    grid : which windows.
+    leaves : (W, n_trees) uint16 or int32, the leaf of each window in each tree, in the order of ``place_windows``.
+    poses : (n, 27) float16, one small pose a frame at ``TAKE_RATE``.
+    duration : s.
+
+    Attributes
+    ----------
+    starts, stops : (W,) frames.
+    sums : (n + 1, 27) running sums of the poses.
+    """
+
+    grid: WindowGrid
+    leaves: NDArray[Any]
+    poses: NDArray[np.float16]
+    duration: float
+    starts: IntArray = field(init=False, repr=False)
+    stops: IntArray = field(init=False, repr=False)
+    sums: FloatArray = field(init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        starts, stops = place_windows(self.grid, len(self.poses))
+        if len(self.leaves) != len(starts) or self.leaves.ndim != 2:
+            raise InvalidMotionError(
+                "windows.leaves", windows=len(starts), frames=len(self.poses), shape=self.leaves.shape
+            )
+        sums = np.zeros((len(self.poses) + 1, self.poses.shape[1]))
+        np.cumsum(self.poses, axis=0, dtype=np.float64, out=sums[1:])
+        for name, value in (("starts", starts), ("stops", stops), ("sums", sums)):
+            object.__setattr__(self, name, value)
+
+    @property
+    def n_frames(self) -> int:
+        """n, at ``TAKE_RATE``."""
+        return len(self.poses)
+
+    def rows_within(self, grid: WindowGrid) -> slice:
+        """The windows from the shortest to the longest length of another grid, which follow one another."""
+        lengths = self.stops - self.starts
+        return slice(
+            int(np.searchsorted(lengths, grid.lengths[0])),
+            int(np.searchsorted(lengths, grid.lengths[-1], side="right")),
+        )
+
+    def to_bytes(self) -> bytes:
+        """The bytes of an .npz file (no pickle); the same windows give the same bytes."""
+        return pack_arrays(
+            {
+                "version": np.array(_VERSION, np.int64),
+                "lengths": np.array(self.grid.lengths, np.int64),
+                "leaves": np.ascontiguousarray(self.leaves),
+                "poses": np.ascontiguousarray(self.poses),
+                "duration": np.array(self.duration, np.float64),
+            }
+        )
+
+    @classmethod
+    def from_bytes(cls, data: bytes) -> TakeWindows:
+        """The windows that ``to_bytes`` wrote; DousaError for damaged, other or newer bytes."""
+        arrays = unpack_arrays(data, _NAMES, _WHAT)
+        check_version(arrays, _WHAT, (_VERSION,))
+        leaves, poses, duration = arrays["leaves"], arrays["poses"], arrays["duration"]
+        grid = read_grid(arrays["lengths"], _WHAT)
+        right = poses.ndim == 2 and poses.shape[1] == N_SMALL and poses.dtype == np.float16
+        check(right and bool(np.isfinite(poses).all()), _WHAT, "bad poses")
+        right = leaves.ndim == 2 and leaves.shape[1] > 0 and leaves.dtype in (np.uint16, np.int32)
+        check(right and leaves.flags.c_contiguous, _WHAT, "bad leaves")
+        check(len(leaves) == len(place_windows(grid, len(poses))[0]), _WHAT, "another number of windows")
+        check(not len(leaves) or int(leaves.min()) >= 0, _WHAT, "bad leaves")
+        right = duration.shape == () and duration.dtype == np.float64
+        check(right and bool(np.isfinite(duration)) and float(duration) >= 0, _WHAT, "bad duration")
+        return cls(grid, leaves, poses, float(duration))
+
+
+def describe_take(
+    forest: MotionForest,
+    feature_set: FeatureSet,
+    motion: PosedMotion,
+    grid: WindowGrid,
+    *,
+    n_jobs: int | None = None,
+    progress: Progress | None = None,
+) -> TakeWindows:
+    """Cut a take into windows and run them down the trees, some two minutes at a time.
+
+    Parameters
+    ----------
+    forest : trained on ``feature_set``.
+    motion : of any length and frame rate; of less than half a second no window is made.
+    grid : which windows.
+    n_jobs : threads; None for one. The result does not depend on it.
+    progress : called with the frames done and their number.
+
+    Raises
+    ------
+    NotTrainedError : the forest knows nothing yet.
+    InvalidMotionError : another shape than (n, 20, 3), positions that are not finite, no body height.
+    """
+    import joblib
+
+    from dousa.retrieval.features.channels import sample_positions
+
+    points = check_motion(motion)
+    sampled = sample_positions(points, motion.frame_rate)
+    poses = compute_small_poses(sampled, motion.height)
+    starts, stops = place_windows(grid, len(sampled))
+    dtype = np.uint16 if forest.trees_.n_leaves < 2**16 else np.int32
+    leaves = np.empty((len(starts), len(forest.trees_.roots)), dtype)
+    portions = list(_portions(starts, len(sampled)))
+    # One portion alone is not worth the threads.
+    parallel = joblib.Parallel(n_jobs=n_jobs if len(portions) > 1 else 1, prefer="threads", return_as="generator")
+    answers = parallel(
+        joblib.delayed(_apply_portion)(forest, feature_set, (sampled, motion.height), starts[rows], stops[rows])
+        for rows in portions
+    )
+    for done, (rows, answer) in enumerate(zip(portions, answers, strict=True), 1):
+        leaves[rows] = answer
+        if progress is not None:
+            progress(len(sampled) * done // len(portions), len(sampled))
+    return TakeWindows(grid, leaves, poses, len(points) / motion.frame_rate)
+
+
+def compute_small_poses(sampled: FloatArray, height: float) -> NDArray[np.float16]:
+    """The small pose of every frame: nine joints in the body-fixed system.
+
+    Parameters
+    ----------
+    sampled : (n, 20, 3) m, canonical joints.
+    height : m.
+
+    Returns
+    -------
+    (n, 27) in body heights; half precision is a millimetre.
+    """
+    from dousa.retrieval.features.pose_features import turn_to_body
+
+    body = turn_to_body((sampled - sampled[:, :1]) / height)
+    # A joint that a recording has in the next town still has a place in half precision.
+    return np.clip(body[:, _SMALL_INDEX].reshape(len(body), -1), -_FARTHEST, _FARTHEST).astype(np.float16)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Sampled:
+    """Positions at ``TAKE_RATE`` with a body height: what features are computed from."""
+
+    positions: FloatArray
+    height: float
+    frame_rate: float = TAKE_RATE
+
+
+def _portions(starts: IntArray, n_frames: int) -> Iterator[IndexArray]:
+    """The windows that start within each chunk of a take."""
+    order = np.argsort(starts, kind="stable")
+    edges = np.searchsorted(starts[order], np.arange(0, n_frames + CHUNK, CHUNK))
+    for first, last in pairwise(edges):
+        if last > first:
+            yield order[first:last]
+
+
+def _apply_portion(
+    forest: MotionForest,
+    feature_set: FeatureSet,
+    take: tuple[FloatArray, float],
+    starts: IntArray,
+    stops: IntArray,
+) -> IntArray:
+    from dousa.retrieval.features.feature_sets import compute_track
+
+    sampled, height = take
+    first = max(int(starts.min()) - _MARGIN, 0)
+    last = min(int(stops.max()) + _MARGIN, len(sampled))
+    track = compute_track(Sampled(sampled[first:last], height), feature_set)
+    return forest.apply_windows(track, starts - first, stops - first)

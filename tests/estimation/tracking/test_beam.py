@@ -1,0 +1,161 @@
+"""The beam: which pose is settled, what is forgotten, and going on from a saved state."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from oracles.slow_search import random_body, random_pose, two_cameras
+
+from dousa.estimation.tracking.beam import Beam, _Track, move_pose, pose_difference
+from dousa.estimation.tracking.search_setup import Frame, SearchSetup
+from dousa.estimation.tracking.settings import TrackerSettings
+
+seeds = st.integers(0, 2**32 - 1)
+
+
+def make_shop(n_kept=3, lag=4, **chosen):
+    body = random_body(np.random.default_rng(3))
+    return SearchSetup(body, two_cameras(), TrackerSettings(beam=n_kept, lag=lag, **chosen), 30.0, 300.0)
+
+
+def frame_of(setup, number):
+    """A frame that somebody is in; its first word tells which."""
+    bits = np.zeros((2, setup.height, setup.n_words), np.uint64)
+    bits[0, 0, 0] = number + 1
+    return Frame(bits, np.array([True, False]))
+
+
+class ScriptedBeam(Beam):
+    """Draws scores by lot instead of searching; the first number of a pose is its name."""
+
+    def __init__(self, setup, seed):
+        start = random_pose(np.random.default_rng(0), setup.body)
+        start[0] = 0.0
+        super().__init__(setup, start)
+        self.rng, self.came_from, self.names = np.random.default_rng(seed), {}, 0
+
+    def _search(self, task):
+        pose = self._tracks[task[0]].pose.copy()
+        pose[7:] = self.rng.choice([0.0, 0.5, 1.0], len(pose) - 7)  # now and then the same pose twice
+        return float(self.rng.normal()), task[0], pose, np.zeros(self.setup.n_axes)
+
+    def _revisit(self, task):
+        _, number, pose, _, _ = task
+        self.names += 1
+        pose = pose.copy()
+        pose[0] = self.names
+        self.came_from[self.names] = self._tracks[number].pose[0]
+        velocity = self.rng.normal(size=self.setup.n_axes)
+        return _Track(float(self.rng.normal()), pose, velocity, number)
+
+
+def line_of(beam):
+    """Names of the poses from which the best present one came, oldest first."""
+    line = [beam.best[0]]
+    while line[-1] in beam.came_from:
+        line.append(beam.came_from[line[-1]])
+    return line[::-1]
+
+
+@settings(max_examples=40, deadline=None)
+@given(seeds, st.integers(1, 4), st.integers(1, 6), st.integers(0, 15))
+def test_settled_poses_are_one_line(seed, n_kept, lag, n_steps):
+    setup = make_shop(n_kept, lag)
+    beam = ScriptedBeam(setup, seed)
+    beam.begin(frame_of(setup, 0))
+    settled = []
+    for number in range(1, n_steps + 1):
+        beam.step(frame_of(setup, number))
+        assert 1 <= len(beam._tracks) <= n_kept
+        assert beam._tracks[0].score == 0.0
+        new = list(beam.settle(lag))
+        assert len(new) == (number >= lag)
+        settled += new
+        assert settled == [] or line_of(beam)[: len(settled)] == [one.pose[0] for one in settled]
+    settled += beam.settle(0)
+    assert [one.pose[0] for one in settled] == line_of(beam)
+    assert [int(one.frame.bits[0, 0, 0]) - 1 for one in settled] == list(range(n_steps + 1))
+
+
+@settings(max_examples=20, deadline=None)
+@given(seeds, st.integers(1, 3), st.integers(2, 12))
+def test_what_does_not_come_from_the_settled_pose_is_forgotten(seed, lag, n_steps):
+    setup = make_shop(3, lag)
+    beam = ScriptedBeam(setup, seed)
+    beam.begin(frame_of(setup, 0))
+    for number in range(1, n_steps + 1):
+        beam.step(frame_of(setup, number))
+        for one in beam.settle(lag):
+            for track in beam._tracks:
+                name = track.pose[0]
+                while name in beam.came_from and name != one.pose[0]:
+                    name = beam.came_from[name]
+                assert name == one.pose[0]
+
+
+@settings(max_examples=20, deadline=None)
+@given(seeds, st.integers(1, 9))
+def test_a_saved_beam_settles_the_same(seed, n_steps):
+    setup = make_shop(3, 4)
+    beam = ScriptedBeam(setup, seed)
+    beam.begin(frame_of(setup, 0))
+    for number in range(1, n_steps + 1):
+        beam.step(frame_of(setup, number))
+        list(beam.settle(4))
+    state = beam.save()
+    frames = [frame for _, frame in beam._pending]
+    other = ScriptedBeam(setup, seed)
+    other.load(state, frames)
+    for one, same in zip(beam._tracks, other._tracks, strict=True):
+        assert (one.score, one.parent) == (same.score, same.parent)
+        np.testing.assert_array_equal(one.velocity, same.velocity)
+    np.testing.assert_array_equal(beam.best, other.best)
+    for one, same in zip(beam.settle(0), other.settle(0), strict=True):
+        np.testing.assert_array_equal(one.pose, same.pose)
+        assert one.frame is same.frame
+
+
+def test_a_restart_keeps_the_line():
+    setup = make_shop(3, 4)
+    beam = ScriptedBeam(setup, 1)
+    beam.begin(frame_of(setup, 0))
+    for number in range(1, 4):
+        beam.step(frame_of(setup, number))
+    line = line_of(beam)
+    anew = random_pose(np.random.default_rng(5), setup.body)
+    beam.restart(anew)
+    assert len(beam._tracks) == 1
+    np.testing.assert_array_equal(beam.best, anew)
+    settled = list(beam.settle(0))
+    assert [one.pose[0] for one in settled[:-1]] == line[:-1]
+    np.testing.assert_array_equal(settled[-1].pose, anew)
+
+
+def test_where_nobody_is_seen_inertia_goes_on_and_slows_down():
+    setup = make_shop(2, 4, damping=(0.5,))
+    beam = ScriptedBeam(setup, 2)
+    velocity = 0.01 * np.ones(setup.n_axes)
+    beam._tracks = [_Track(0.0, beam.best, velocity, 0)]
+    beam.begin(frame_of(setup, 0))
+    before = beam.best
+    beam.step(Frame(np.zeros((2, setup.height, setup.n_words), np.uint64), np.zeros(2, bool)))
+    np.testing.assert_allclose(beam.best[:3], before[:3] + 0.005)
+    np.testing.assert_allclose(beam._tracks[0].velocity, 0.5 * velocity)
+    limits = setup.body.angle_limits
+    assert ((beam.best[7:] >= limits[:, 0]) & (beam.best[7:] <= limits[:, 1])).all()
+    assert len(list(beam.settle(0))) == 2
+
+
+@settings(max_examples=40, deadline=None)
+@given(seeds)
+def test_the_difference_of_poses_is_the_way_between_them(seed):
+    rng = np.random.default_rng(seed)
+    body = random_body(rng)
+    before, steps = random_pose(rng, body), rng.uniform(-0.8, 0.8, 6 + body.n_angles)
+    after = move_pose(before, steps)
+    assert np.linalg.norm(after[3:7]) == pytest.approx(1.0)
+    np.testing.assert_allclose(pose_difference(before, after), steps, atol=1e-9)
+    after[3:7] *= -1.0
+    np.testing.assert_allclose(pose_difference(before, after), steps, atol=1e-9)

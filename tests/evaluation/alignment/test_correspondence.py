@@ -1,0 +1,237 @@
+"""Correspondence: paths against plain dynamic time warping, known shifts and tempos, lines."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from oracles import yamane_correlation as oracle
+
+from dousa.errors import InvalidMotionError, OptionError
+from dousa.evaluation.alignment import correspondence
+from dousa.evaluation.alignment.correlation import compute_similarity
+from dousa.evaluation.alignment.correspondence import Line, find_lines, find_path
+from dousa.evaluation.posture.posture import compute_postures
+from dousa.formats.registry import read_motion
+from dousa.motion import canonicalise
+
+seeds = st.integers(0, 2**32 - 1)
+
+
+def unit(vectors: np.ndarray) -> np.ndarray:
+    return vectors / np.linalg.norm(vectors, axis=-1, keepdims=True)
+
+
+def dance(seed: int, n: int, rate: float = 30.0) -> np.ndarray:
+    """A smooth made-up motion: each segment swings with its own few frequencies below 1 Hz."""
+    rng = np.random.default_rng(seed)
+    times = np.arange(n)[:, None, None, None] / rate
+    frequency, phase = rng.uniform(0.1, 0.9, (9, 3, 4)), rng.uniform(0, 2 * np.pi, (9, 3, 4))
+    swing = np.sin(2 * np.pi * frequency * times + phase).sum(axis=-1)
+    return unit(0.4 * swing + unit(rng.normal(size=(9, 3))))
+
+
+def costs(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    return 1.0 - compute_similarity(a[:, None], b[None])
+
+
+def price(a: np.ndarray, b: np.ndarray, path: np.ndarray, skip: float = 0.0) -> float:
+    left_out = path[0].sum() + len(a) + len(b) - 2 - path[-1].sum()
+    return float((1.0 - compute_similarity(a[path[:, 0]], b[path[:, 1]])).sum() + skip * left_out)
+
+
+def check_steps(path: np.ndarray) -> None:
+    steps = np.diff(path, axis=0)
+    assert ((steps >= 0) & (steps <= 1)).all()
+    assert (steps.sum(axis=1) > 0).all()
+
+
+def mean_columns(path: np.ndarray) -> np.ndarray:
+    return np.bincount(path[:, 0], path[:, 1]) / np.bincount(path[:, 0])
+
+
+@settings(max_examples=30, deadline=None)
+@given(seeds, st.integers(1, 25), st.integers(1, 25))
+def test_short_paths_are_those_of_plain_warping(seed: int, n: int, m: int) -> None:
+    rng = np.random.default_rng(seed)
+    a, b = unit(rng.normal(size=(n, 9, 3))), unit(rng.normal(size=(m, 9, 3)))
+    cheapest, _ = oracle.warp(costs(a, b))
+    found = find_path(a, b)
+    check_steps(found)
+    assert price(a, b, found) == pytest.approx(cheapest, abs=1e-4)
+    assert found[0].tolist() == [0, 0] and found[-1].tolist() == [n - 1, m - 1]
+
+
+def test_path_is_that_of_plain_warping_cell_by_cell() -> None:
+    a, b = dance(16, 90), dance(16, 70, rate=24.0)
+    np.testing.assert_array_equal(find_path(a, b), oracle.warp(costs(a, b))[1])
+
+
+@settings(max_examples=30, deadline=None)
+@given(seeds, st.integers(1, 25), st.integers(1, 25))
+def test_open_paths_are_the_cheapest(seed: int, n: int, m: int) -> None:
+    rng = np.random.default_rng(seed)
+    # Near enough to each other that some are paired and some are left out.
+    base = unit(rng.normal(size=(9, 3)))
+    a, b = (unit(base + 0.4 * rng.normal(size=(k, 9, 3))) for k in (n, m))
+    cheapest, _ = oracle.warp(costs(a, b), skip=0.1)
+    found = find_path(a, b, ends="open")
+    check_steps(found)
+    assert found[0].min() == 0 and (found[-1] == [n - 1, m - 1]).any()
+    assert price(a, b, found, 0.1) == pytest.approx(cheapest, abs=1e-4)
+
+
+@settings(max_examples=15, deadline=None)
+@given(seeds, st.sampled_from(["fixed", "open"]))
+def test_coarse_to_fine_finds_the_path_of_plain_warping(seed: int, ends: str) -> None:
+    rng = np.random.default_rng(seed)
+    b = dance(seed, 400)
+    places = np.maximum.accumulate(np.clip(np.arange(300) * 1.3 + 8 * rng.normal(size=300).cumsum() / 5, 0, 399))
+    a = unit(b[places.astype(int)] + 0.1 * rng.normal(size=(300, 9, 3)))
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(correspondence, "_COARSEST", 50)
+        found = find_path(a, b, radius=40, ends=ends)
+    check_steps(found)
+    whole = find_path(a, b, ends=ends)
+    skip = 0.1 if ends == "open" else 0.0
+    assert price(a, b, found, skip) <= 1.02 * price(a, b, whole, skip) + 1e-6
+    if ends == "fixed":
+        assert np.median(np.abs(mean_columns(found) - mean_columns(whole))) <= 1.0
+
+
+def test_band_of_any_shape_reaches_both_corners(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(correspondence, "_COARSEST", 7)
+    for n, m in ((1, 100), (100, 1), (2, 97), (53, 100), (100, 8), (29, 28)):
+        for radius in (1, 5):
+            path = find_path(dance(1, n), dance(2, m), radius=radius)
+            check_steps(path)
+            assert path[0].tolist() == [0, 0] and path[-1].tolist() == [n - 1, m - 1]
+
+
+def test_identity_is_the_diagonal(monkeypatch: pytest.MonkeyPatch) -> None:
+    a = dance(3, 200)
+    diagonal = np.repeat(np.arange(200)[:, None], 2, axis=1)
+    np.testing.assert_array_equal(find_path(a, a), diagonal)
+    monkeypatch.setattr(correspondence, "_COARSEST", 30)
+    np.testing.assert_array_equal(find_path(a, a, ends="open"), diagonal)
+    np.testing.assert_array_equal(find_path(a[:1], a[:1]), [[0, 0]])
+
+
+def test_other_order_is_the_same_path() -> None:
+    a, b = dance(4, 80), unit(dance(4, 90)[5:] + 0.05)
+    np.testing.assert_array_equal(find_path(a, b), find_path(b, a)[:, ::-1])
+
+
+@pytest.mark.parametrize("lead", [40, -40])
+def test_open_ends_leave_out_what_the_other_lacks(lead: int) -> None:
+    whole = dance(5, 300)
+    a, b = (whole, whole[40:]) if lead > 0 else (whole[40:], whole)
+    path = find_path(a, b, ends="open")
+    offset = path[:, 0] - path[:, 1]
+    assert np.abs(offset - lead).max() <= 6  # a few frames at the corner may be paired with their neighbours
+    assert (offset == lead).mean() > 0.95
+    part = find_path(whole, whole[90:210], ends="open")
+    assert part[0].tolist() == pytest.approx([90, 0], abs=6)
+    assert part[-1].tolist() == pytest.approx([209, 119], abs=6)
+
+
+def test_tempo_is_followed() -> None:
+    slow, fast = dance(6, 400), dance(6, 200, rate=15.0)  # the same motion at half the frames
+    path = find_path(slow, fast)
+    np.testing.assert_allclose(path[:, 0], 2 * path[:, 1], atol=2)
+
+
+def test_weights_decide() -> None:
+    a = dance(7, 120)
+    b = a.copy()
+    b[20:, 1:5] = a[:-20, 1:5]  # the arms come late, the rest in time
+    arms = np.array([0.0] + [1.0] * 4 + [0.0] * 4)
+    in_time, late = find_path(a, b, 1.0 - arms), find_path(a, b, arms)
+    assert np.median(in_time[:, 1] - in_time[:, 0]) == 0
+    assert np.median(late[:, 1] - late[:, 0]) == 20
+
+
+@pytest.mark.parametrize(
+    ("folder", "first", "second"),
+    [("squat1Reps", "_bd_", "_bk_"), ("lieDownFloor", "_bd_", "_dg_"), ("throwBasketball", "_bk_", "_dg_")],
+)
+def test_real_takes_of_two_people(
+    shared_data: Callable[[str], Path], monkeypatch: pytest.MonkeyPatch, folder: str, first: str, second: str
+) -> None:
+    """Coarse to fine against plain warping over the whole matrix, at 30 frames/s for the oracle's sake."""
+    takes = []
+    for actor in (first, second):
+        paths = sorted(p for p in shared_data(f"hdm05/{folder}").iterdir() if actor in p.name)
+        takes.append(compute_postures(canonicalise(read_motion(paths[0])), 30.0).segments)
+    a, b = takes
+    _, expected = oracle.warp(costs(a, b))
+    monkeypatch.setattr(correspondence, "_COARSEST", 25)
+    found = find_path(a, b, radius=20)
+    difference = np.abs(mean_columns(found) - mean_columns(np.array(expected)))
+    assert np.median(difference) <= 1.0
+
+
+def test_lines_of_a_repeated_figure() -> None:
+    figure = dance(8, 240)
+    take = np.concatenate([dance(9, 150), figure, dance(10, 210), figure, dance(11, 90)])
+    own, again = find_lines(take, take, 30.0)[:2]
+    assert (own.offset, own.start, own.end) == (0, 0, len(take))
+    assert own.similarity == pytest.approx(1.0)
+    assert abs(again.offset) == 240 + 210
+    starts = (150, 390) if again.offset > 0 else (600, 840)
+    assert (again.start, again.end) == pytest.approx(starts, abs=45)
+    assert again.similarity > 0.9
+
+
+@pytest.mark.parametrize("shift", [-137, -30, 0, 1, 5, 88])
+def test_line_has_the_offset_of_a_shift(shift: int) -> None:
+    whole = dance(12, 700)
+    a, b = whole[200:500], whole[200 - shift : 600 - shift]
+    best = find_lines(a, b, 30.0)[0]
+    assert best.offset == shift
+    first, last = max(0, -shift), min(300, 400 - shift)
+    assert (best.start, best.end) == pytest.approx((first, last), abs=40)
+    assert best.start >= first and best.end <= last
+
+
+def test_lines_do_not_run_beside_each_other() -> None:
+    take = dance(13, 900)
+    lines = find_lines(take, unit(take + 0.1), 30.0)
+    for number, line in enumerate(lines):
+        assert 0 <= line.start < line.end <= 900
+        for other in lines[:number]:
+            overlap = min(line.end, other.end) - max(line.start, other.start)
+            assert abs(line.offset - other.offset) > 27 or overlap <= 0.6 * (line.end - line.start)
+
+
+def test_no_line_where_nothing_is_alike_or_too_short() -> None:
+    assert find_lines(dance(14, 300), dance(15, 300), 30.0, threshold=0.97) == ()
+    assert find_lines(dance(14, 30), dance(14, 30), 30.0) == ()
+    assert find_lines(dance(14, 1), dance(14, 1), 30.0, shortest=0.01, threshold=0.5) == (Line(0, 0, 1, 1.0),)
+
+
+def test_bad_input(monkeypatch: pytest.MonkeyPatch) -> None:
+    a = dance(0, 20)
+    for function in (find_path, lambda x, y: find_lines(x, y, 30.0)):
+        with pytest.raises(InvalidMotionError, match="a: expected at least one frame"):
+            function(a[:0], a)
+        with pytest.raises(InvalidMotionError, match=r"b: expected shape"):
+            function(a, a[:, :, :2])
+        with pytest.raises(InvalidMotionError, match="b: expected finite"):
+            function(a, a * np.nan)
+    with pytest.raises(OptionError, match="radius"):
+        find_path(a, a, radius=0)
+    with pytest.raises(OptionError, match="'fixed' or 'open', got 'loose'"):
+        find_path(a, a, ends="loose")
+    with pytest.raises(OptionError, match="weights"):
+        find_path(a, a, weights=[1.0] * 3)
+    for name in ("frame_rate", "window", "shortest"):
+        with pytest.raises(OptionError, match=f"{name}: expected a number above 0"):
+            find_lines(a, a, **{"frame_rate": 30.0, name: 0.0})
+    monkeypatch.setattr(correspondence, "_MOST_CELLS", 399)
+    with pytest.raises(OptionError, match="lower the radius"):
+        find_path(a, a)

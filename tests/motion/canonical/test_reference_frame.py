@@ -1,0 +1,205 @@
+"""Units and up axes: inferred, declared, given, and taken back."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from oracles.bodies import walking_body
+
+from dousa.errors import OptionError
+from dousa.formats.registry import read_motion
+from dousa.motion import Motion, Trajectories, compute_trajectories, thin
+from dousa.motion.canonical.reference_frame import (
+    CMU_UNIT,
+    ReferenceFrame,
+    from_reference_frame,
+    infer_reference_frame,
+    parse_unit,
+    parse_up,
+    to_reference_frame,
+)
+
+AXES = ["x", "y", "z", "-x", "-y", "-z"]
+
+
+def _in_file(moving: Trajectories | Motion, unit: float, up: str) -> Trajectories:
+    """The motion as a file of that unit and axis would hold it."""
+    turned = from_reference_frame(moving, ReferenceFrame(unit=unit, up=up))
+    return turned if isinstance(turned, Trajectories) else compute_trajectories(turned)
+
+
+def _sample(moving: Trajectories) -> Trajectories:
+    return moving.replace(positions=thin(moving.positions, 10))
+
+
+@pytest.mark.parametrize("unit", [1.0, 0.01, 0.001, CMU_UNIT, 0.0254, 0.3048])
+@pytest.mark.parametrize("names_known", [True, False])
+def test_usual_units_are_inferred(unit: float, names_known: bool) -> None:
+    body = _in_file(walking_body(), unit, "y")
+    if not names_known:
+        body = body.replace(names=tuple(f"j{i}" for i in range(len(body.names))))
+    frame = infer_reference_frame(body)
+    assert (frame.unit, frame.unit_source, frame.up) == (pytest.approx(unit), "inferred", "y")
+
+
+def test_a_body_of_no_usual_unit_is_made_of_usual_height() -> None:
+    frame = infer_reference_frame(_in_file(walking_body(), 1e-5, "y"))
+    assert frame.unit_source == "assumed"
+    assert frame.unit == pytest.approx(1e-5, rel=0.1)
+
+
+def test_declared_units_are_used_unless_absurd() -> None:
+    body = _in_file(walking_body(), 0.01, "y")
+    frame = infer_reference_frame(body, declared_unit=0.0075)
+    assert (frame.unit, frame.unit_source) == (0.0075, "declared")
+    frame = infer_reference_frame(body, declared_unit=0.001)
+    assert (frame.unit, frame.unit_source) == (0.01, "inferred")
+    frame = infer_reference_frame(body, unit=0.001, declared_unit=0.01, up="+Z")
+    assert frame == ReferenceFrame(0.001, "given", "z", "given")
+
+
+@pytest.mark.parametrize("up", AXES)
+@pytest.mark.parametrize("default_up", ["y", "z", None])
+def test_up_is_where_the_body_stands(up: str, default_up: str | None) -> None:
+    body = _in_file(walking_body(), 0.01, up)
+    body = body.replace(rest_positions=None, parents=None)
+    frame = infer_reference_frame(body, default_up=default_up)
+    assert frame.up == up
+    assert frame.up_source == ("assumed" if up == default_up else "inferred")
+
+
+def test_unknown_points_keep_the_habit() -> None:
+    cloud = Trajectories(("a", "b"), [[[0, 0, 0], [0.1, 0.2, 1.5]]], 30.0)
+    assert infer_reference_frame(cloud).up == "y"
+    assert infer_reference_frame(cloud, default_up=None).up == "z"
+    nothing = Trajectories(("a", "b"), np.full((1, 2, 3), np.nan), 30.0)
+    assert infer_reference_frame(nothing) == ReferenceFrame(1.0, "assumed", "y", "assumed")
+
+
+@pytest.mark.parametrize("axis", [0, 2])
+def test_a_person_who_lies_does_not_turn_the_world(axis: int) -> None:
+    # The whole clip lies 3 m from the origin on a floor at y = 0; the rest pose stands along y.
+    body = walking_body()
+    turned = _in_file(body, 1.0, "xyz"[axis]).positions.copy()
+    turned[..., axis] += 3.0
+    turned[..., 1] += 0.15 - turned[..., 1].mean()
+    lying = body.replace(positions=turned)
+    assert infer_reference_frame(lying).up == "y"
+
+
+@pytest.mark.parametrize("axis", [0, 2])
+def test_lying_with_a_rest_pose_that_does_not_stand(axis: int) -> None:
+    # As in LAFAN1: all bones of the rest pose point along x.
+    body = walking_body()
+    assert body.parents is not None
+    rest = np.zeros((len(body.names), 3))
+    for joint, parent in enumerate(body.parents):
+        if parent >= 0:
+            length = np.linalg.norm(body.positions[0, joint] - body.positions[0, parent])
+            rest[joint] = rest[parent] + (length, 0, 0)
+    body = body.replace(rest_positions=rest)
+    turned = _in_file(body, 1.0, "xyz"[axis]).positions.copy()
+    assert infer_reference_frame(body.replace(positions=turned)).up == "xyz"[axis]  # on a floor at 0: stands
+    turned[..., axis] += 3.0
+    assert infer_reference_frame(body.replace(positions=turned)).up == "y"
+
+
+@pytest.mark.parametrize("default_up", ["y", None])
+@pytest.mark.parametrize("axis", [0, 2])
+def test_markers_of_a_person_who_lies(axis: int, default_up: str | None) -> None:
+    body = walking_body().replace(rest_positions=None, parents=None)
+    turned = _in_file(body, 1.0, "xyz"[axis]).positions.copy()
+    turned[..., axis] += 3.0
+    turned[..., 1] = 0.1 + 0.2 * (turned[..., 1] - turned[..., 1].min())
+    assert infer_reference_frame(body.replace(positions=turned), default_up=default_up).up == "y"
+
+
+@pytest.mark.parametrize("default_up", ["y", None])
+@pytest.mark.parametrize("up", ["y", "-y", "z"])
+def test_markers_around_the_pelvis_or_before_a_camera(up: str, default_up: str | None) -> None:
+    body = _in_file(walking_body(), 0.01, up).replace(rest_positions=None, parents=None)
+    pelvis = body.positions[:, [body.names.index("Hips")]]
+    centred = body.replace(positions=body.positions - pelvis)
+    assert infer_reference_frame(centred, default_up=default_up).up == up
+    if up != "z":  # at the height of the camera, 3 m before it
+        seen = centred.replace(positions=centred.positions + np.array([0, 0, 300]))
+        assert infer_reference_frame(seen, default_up=default_up).up == up
+
+
+@pytest.mark.parametrize(
+    ("text", "unit"), [("Meters", 1.0), ("metre", 1.0), ("millimetres", 0.001), ("Centimeter", 0.01)]
+)
+def test_units_in_full(text: str, unit: float) -> None:
+    assert parse_unit(text) == unit
+
+
+@pytest.mark.parametrize("folder", ["hdm05", "bandai", "utd_mhad/skeleton"])
+def test_recordings(folder: str, shared_data) -> None:
+    files = sorted(p for p in shared_data(folder).rglob("*") if p.suffix.lower() in (".amc", ".bvh", ".c3d"))
+    for file in files[:: max(1, len(files) // 25)]:
+        motion = read_motion(file)
+        moving = motion if isinstance(motion, Trajectories) else compute_trajectories(motion)
+        default_up = None if isinstance(motion, Trajectories) else "y"
+        for unit in (0.01, CMU_UNIT):
+            frame = infer_reference_frame(_sample(_in_file(moving, unit, "y")), default_up=default_up)
+            assert (frame.unit, frame.up) == (pytest.approx(unit), "y"), file
+        if "lieDown" in file.name or "deposit" in file.name:
+            continue
+        assert infer_reference_frame(_sample(_in_file(motion, 0.01, "z")), default_up=default_up).up == "z", file
+
+
+@given(st.sampled_from(AXES), st.floats(1e-4, 1e3))
+def test_there_and_back(up: str, unit: float) -> None:
+    body = walking_body()
+    frame = ReferenceFrame(unit=unit, up=up)
+    there = from_reference_frame(body, frame)
+    back = to_reference_frame(there, frame)
+    np.testing.assert_allclose(back.positions, body.positions, rtol=1e-12, atol=1e-12)
+    np.testing.assert_allclose(back.rest_positions, body.rest_positions, rtol=1e-12, atol=1e-12)
+    axis = "xyz".index(up[-1])
+    sign = -1.0 if up.startswith("-") else 1.0
+    np.testing.assert_allclose(sign * unit * there.positions[..., axis], body.positions[..., 1], rtol=1e-12)
+    assert np.linalg.det(frame.rotation) == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize("up", AXES)
+def test_motions_turn_like_their_trajectories(up: str, shared_data) -> None:
+    motion = read_motion(sorted(shared_data("bandai/walk/youthful").iterdir())[0])
+    frame = ReferenceFrame(unit=0.01, up=up)
+    turned = to_reference_frame(motion, frame)
+    direct = to_reference_frame(compute_trajectories(motion), frame)
+    np.testing.assert_allclose(compute_trajectories(turned).positions, direct.positions, atol=1e-9)
+    back = from_reference_frame(turned, frame)
+    np.testing.assert_allclose(back.translations, motion.translations, atol=1e-9)
+    np.testing.assert_allclose(back.skeleton.offsets, motion.skeleton.offsets, atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("text", "unit"),
+    [
+        ("mm", 0.001),
+        (" CM ", 0.01),
+        ("m", 1.0),
+        ("inch", 0.0254),
+        ("ft", 0.3048),
+        ("0.05", 0.05),
+        (2, 2.0),
+        ("cmu", CMU_UNIT),
+    ],
+)
+def test_parse_unit(text: str | float, unit: float) -> None:
+    assert parse_unit(text) == unit
+
+
+@pytest.mark.parametrize("text", ["", "yard", "0", "-1", "nan", "inf"])
+def test_parse_unit_refuses(text: str) -> None:
+    with pytest.raises(OptionError, match="expected m, dm, cm"):
+        parse_unit(text)
+
+
+def test_parse_up() -> None:
+    assert [parse_up(text) for text in ("Y", "+z", " -X ")] == ["y", "z", "-x"]
+    with pytest.raises(OptionError, match="expected one of x, y, z"):
+        parse_up("w")

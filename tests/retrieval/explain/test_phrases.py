@@ -1,0 +1,240 @@
+"""Words: every channel can be spoken of, units are those of people, directions are the true ones."""
+
+from __future__ import annotations
+
+import re
+
+import numpy as np
+import pytest
+
+from dousa.motion import CANONICAL_JOINTS, JOINT_INDEX
+from dousa.retrieval import FEATURE_SETS
+from dousa.retrieval.explain.phrases import Fact, knows_channel, say_fact, say_shared_fact
+from dousa.retrieval.features.channels import CHANNELS, Channel, compute_channels
+from dousa.retrieval.features.feature_sets import DURATION
+
+CHANNELS_OF_ALL = tuple(
+    {channel.name: channel for features in FEATURE_SETS.values() for channel in features.channels}.values()
+)
+
+
+def fact(name="right hand above pelvis", unit="body heights", **changed):
+    fields = {
+        "channel": Channel(name, name, unit),
+        "kind": "mean",
+        "above": True,
+        "start": 0.4,
+        "end": 1.1,
+        "whole": False,
+        "value": 0.42,
+        "threshold": 0.31,
+        "others": 50,
+        "away": 45,
+    }
+    return Fact(**(fields | changed))
+
+
+@pytest.mark.parametrize("channel", [*CHANNELS_OF_ALL, DURATION], ids=lambda channel: channel.name)
+def test_every_channel_has_words_of_its_own(channel):
+    assert knows_channel(channel.name) and not knows_channel("?")
+    for kind in ("mean", "spread", "trend"):
+        for above in (True, False):
+            for value in (0.3, -0.3):
+                threshold = value - 0.1 if above else value + 0.1
+                said = say_fact(
+                    fact(channel.name, channel.unit, kind=kind, above=above, value=value, threshold=threshold)
+                )
+                text, japanese = said.render("en"), said.render("ja")
+                assert "usual" in text
+                assert "ふつうより" in japanese and not re.search("[a-z{}_]", japanese)
+                assert "  " not in text
+                assert "most others" in text
+                assert "radians" not in text
+
+
+@pytest.mark.parametrize(
+    ("changed", "said"),
+    [
+        (
+            {},
+            "the right hand is higher than usual from 0.4 s to 1.1 s: on average 0.42 body heights above the pelvis "
+            "(most others: less than 0.31)",
+        ),
+        (
+            {"threshold": -0.1},
+            "the right hand is higher than usual from 0.4 s to 1.1 s: on average 0.42 body heights above the pelvis "
+            "(most others: more than 0.10 below it)",
+        ),
+        (
+            {"above": False, "value": -0.2, "threshold": -0.1, "away": 20},
+            "the right hand is lower than in many others from 0.4 s to 1.1 s: on average 0.20 body heights below the "
+            "pelvis (many others: less than 0.10)",
+        ),
+        (
+            {"above": False, "value": -0.2, "threshold": 0.001, "whole": True, "away": 1},
+            "the right hand is lower than in many others over the whole motion: on average 0.20 body heights below "
+            "the pelvis (some others: above it)",
+        ),
+        (
+            {"kind": "spread", "value": 0.2, "threshold": 0.1},
+            "the height of the right hand varies more than usual from 0.4 s to 1.1 s: by 0.20 body heights "
+            "(most others: less than 0.10)",
+        ),
+        (
+            {"kind": "trend", "above": False, "value": -0.3, "threshold": 0.1},
+            "the right hand sinks more than usual from 0.4 s to 1.1 s: by 0.30 body heights "
+            "(most others: more than 0.10 up)",
+        ),
+        (
+            {"kind": "trend", "above": False, "value": 0.1, "threshold": 0.3},
+            "the right hand rises less than usual from 0.4 s to 1.1 s: by 0.10 body heights "
+            "(most others: more than 0.30)",
+        ),
+        (
+            {
+                "channel": Channel("left elbow left of pelvis", "", "body heights"),
+                "value": -0.1,
+                "threshold": -0.2,
+            },
+            "the left elbow is farther to the left than usual from 0.4 s to 1.1 s: on average 0.10 body heights to "
+            "the right of the pelvis (most others: more than 0.20)",
+        ),
+        (
+            {
+                "channel": Channel("distance left hand - head", "", "body heights"),
+                "above": False,
+                "value": 0.2,
+            },
+            "the left hand and the head are closer together than usual from 0.4 s to 1.1 s: on average 0.20 body "
+            "heights apart (most others: more than 0.31)",
+        ),
+        (
+            {
+                "channel": Channel("trunk leaning forward", "", "radians"),
+                "value": np.radians(20),
+                "threshold": np.radians(-5),
+            },
+            "the trunk leans more forward than usual from 0.4 s to 1.1 s: on average 20 degrees forward "
+            "(most others: more than 5 back)",
+        ),
+        (
+            {"channel": Channel("right hand heading upwards", "", "share of its speed"), "kind": "spread"},
+            "the right hand goes upwards and downwards more than usual from 0.4 s to 1.1 s: by 42 % of its speed "
+            "(most others: less than 31 %)",
+        ),
+        (
+            {"channel": DURATION, "whole": True, "above": False, "value": 1.24, "threshold": 1.61},
+            "the motion is shorter than usual: 1.2 s (most others: more than 1.6)",
+        ),
+        (
+            {"channel": Channel("something new", "", "")},
+            "something new is larger than usual from 0.4 s to 1.1 s: on average 0.42 (most others: less than 0.31)",
+        ),
+    ],
+)
+def test_sentences(changed, said):
+    assert str(say_fact(fact(**changed))) == said
+
+
+@pytest.mark.parametrize(
+    ("changed", "said"),
+    [
+        (
+            {"channel": Channel("left elbow above pelvis", "", "body heights"), "start": 1.5, "end": 3.5},
+            "1.5〜3.5秒では、左肘がふつうより高い位置にあります：平均で骨盤より上に身長の0.42倍（多くの動きは0.31倍未満）",
+        ),
+        (
+            {
+                "channel": Channel("speed of the left hand", "", "body heights a second"),
+                "kind": "spread",
+                "away": 20,
+            },
+            "0.4〜1.1秒では、左手の速さがほかの多くの動きより大きく変わります：変動幅は毎秒身長の0.42倍"
+            "（かなりの動きは0.31倍未満）",
+        ),
+        (
+            {"channel": DURATION, "whole": True, "above": False, "value": 1.24, "threshold": 1.61},
+            "動きがふつうより短くなっています：1.2秒（多くの動きは1.6秒超）",
+        ),
+        (
+            {"kind": "trend", "above": False, "value": -0.3, "threshold": 0.1, "whole": True},
+            "動き全体では、右手がふつうより大きく下がります：変化量は身長の0.30倍（多くの動きは上に0.10倍超）",
+        ),
+    ],
+)
+def test_sentences_in_japanese(changed, said):
+    assert say_fact(fact(**changed)).render("ja") == said
+
+
+def test_numbers_that_would_look_the_same_get_one_more_digit():
+    assert "0.314 body heights above the pelvis (most others: less than 0.309)" in str(
+        say_fact(fact(value=0.314, threshold=0.309))
+    )
+
+
+def test_few_others_are_not_most():
+    assert "most others" in str(say_fact(fact(others=5, away=5)))
+    assert "many others" in str(say_fact(fact(others=2, away=2)))
+
+
+def test_two_clips_in_one_sentence():
+    first = fact()
+    assert str(say_shared_fact(first, fact(value=0.45, start=0.6, end=1.5))) == (
+        "the right hand is higher than usual from 0.4 s to 1.1 s (there from 0.6 s to 1.5 s): on average 0.42 and "
+        "0.45 body heights above the pelvis (most others: less than 0.31)"
+    )
+    assert say_shared_fact(first, fact(value=0.42)) == say_fact(first)
+    mixed = str(say_shared_fact(fact(value=0.05, threshold=-0.1), fact(value=-0.02, threshold=-0.1)))
+    assert "0.05 body heights above the pelvis and 0.02 body heights below the pelvis" in mixed
+    assert "more than 0.10 below it" in mixed
+
+
+def test_shared_durations_and_odd_names_can_be_said():
+    duration = fact(channel=DURATION, whole=True, value=1.2, threshold=0.9)
+    other = fact(channel=DURATION, whole=True, value=1.5, threshold=0.9)
+    assert str(say_shared_fact(duration, other)) == (
+        "the motion is longer than usual: 1.2 and 1.5 s (most others: less than 0.9)"
+    )
+    for name in ("", "a\nb", "distance", "above", "x" * 300):
+        assert str(say_fact(fact(name))).startswith(f"{name} is larger")
+
+
+STANDING = {
+    "pelvis": (0.0, 1.0, 0.0),
+    "spine": (0.0, 1.2, 0.0),
+    "neck": (0.0, 1.5, 0.0),
+    "head": (0.0, 1.7, 0.05),
+    "shoulder": (0.2, 1.45, 0.0),
+    "elbow": (0.25, 1.15, 0.0),
+    "wrist": (0.25, 0.9, 0.05),
+    "hand": (0.25, 0.82, 0.06),
+    "hip": (0.1, 0.95, 0.0),
+    "knee": (0.1, 0.5, 0.02),
+    "ankle": (0.1, 0.08, 0.0),
+    "toe": (0.12, 0.02, 0.15),
+}
+
+# For a viewer in front the performer's left (+X) is to the right; from the right side forward (+Z) is; from above,
+# with forward up on the page, the right (-X) is.
+VIEWS = {
+    "seen from the front": ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0)),
+    "seen from the side": ((0.0, 0.0, 1.0), (0.0, 1.0, 0.0)),
+    "seen from above": ((-1.0, 0.0, 0.0), (0.0, 0.0, 1.0)),
+}
+
+
+@pytest.mark.parametrize("view", VIEWS)
+@pytest.mark.parametrize("turn", [1.0, -1.0])
+def test_curves_go_the_way_that_a_viewer_sees(view, turn):
+    pose = np.zeros((len(CANONICAL_JOINTS), 3))
+    for joint, index in JOINT_INDEX.items():
+        x, y, z = STANDING[joint.split("_")[-1]]
+        pose[index] = (-x if joint.startswith("right") else x, y, z)
+    across, up = (np.array(axis) for axis in VIEWS[view])
+    angle = turn * 2 * np.pi * np.arange(60)[:, None] / 30  # counterclockwise for the viewer
+    motion = np.repeat(pose[None], 60, axis=0)
+    motion[:, JOINT_INDEX["right_hand"]] += 0.3 * (np.cos(angle) * across + np.sin(angle) * up)
+    number = next(k for k, channel in enumerate(CHANNELS) if channel.name == f"right hand curving, {view}")
+    value = float(compute_channels(motion, 1.7)[10:50, number].mean())
+    text = str(say_fact(fact(f"right hand curving, {view}", "radians a second", value=value, threshold=value - 0.1)))
+    assert f"degrees a second {'counterclockwise' if turn > 0 else 'clockwise'}" in text

@@ -1,0 +1,103 @@
+"""The channels of the extended features against whole-array NumPy, and what they must not know."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from oracles import slow_channels
+from oracles.standing import standing
+
+from dousa.errors import InvalidMotionError
+from dousa.motion.canonical.joints import CANONICAL_JOINTS
+from dousa.retrieval.features.channels import CHANNELS, compute_channels, integrate_channels, sample_positions
+
+HEIGHT = 1.7
+
+
+def wander(n_frames, seed=0):
+    """A standing body whose joints all wander."""
+    generator = np.random.default_rng(seed)
+    steps = generator.normal(0.0, 0.02, (n_frames, len(CANONICAL_JOINTS), 3))
+    return standing() + np.cumsum(steps, axis=0)
+
+
+@pytest.mark.parametrize("n_frames", [1, 2, 3, 40])
+def test_channels_are_those_of_whole_arrays(n_frames):
+    positions = wander(n_frames)
+    expected = slow_channels.compute_channels(positions, HEIGHT)
+    found = compute_channels(positions, HEIGHT)
+    assert found.shape == (n_frames, len(CHANNELS))
+    np.testing.assert_allclose(found, expected, atol=1e-9)
+
+
+@settings(max_examples=25, deadline=None)
+@given(turn=st.floats(-np.pi, np.pi), east=st.floats(-9, 9), north=st.floats(-9, 9), scale=st.floats(0.5, 2))
+def test_channels_know_neither_place_nor_heading_nor_size(turn, east, north, scale):
+    positions = wander(12)
+    cos, sin = np.cos(turn), np.sin(turn)
+    around = np.array([[cos, 0, sin], [0, 1, 0], [-sin, 0, cos]])
+    moved = (positions @ around.T + [east, 0.3, north]) * scale
+    np.testing.assert_allclose(compute_channels(moved, HEIGHT * scale), compute_channels(positions, HEIGHT), atol=1e-6)
+
+
+def test_names_are_unique_and_in_words():
+    names = [channel.name for channel in CHANNELS]
+    assert len(set(names)) == len(names) == 86
+    assert not any("_" in name for name in names)
+
+
+def test_a_raised_hand_and_a_circle_are_told_by_their_channels():
+    positions = np.repeat(standing(), 60, axis=0)
+    angle = 2.0 * np.pi * np.arange(60) / 30.0  # a turn a second
+    hand = CANONICAL_JOINTS.index("right_hand")
+    centre = positions[0, hand] + [0.0, 0.8, 0.0]
+    positions[:, hand, 0] = centre[0] + 0.3 * np.cos(angle)
+    positions[:, hand, 1] = centre[1] + 0.3 * np.sin(angle)
+    found = compute_channels(positions, HEIGHT).mean(axis=0)
+    value = dict(zip([channel.name for channel in CHANNELS], found, strict=True))
+    assert value["right hand above the pelvis"] > 0.2 > value["left hand above the pelvis"]
+    assert value["speed of the right hand"] == pytest.approx(2 * np.pi * 0.3 / HEIGHT, rel=0.1)
+    assert abs(value["right hand curving, seen from the front"]) == pytest.approx(2 * np.pi, rel=0.1)
+    assert value["speed of the left hand"] == pytest.approx(0.0, abs=1e-9)
+
+
+def test_integrals_are_sums_over_motion_time():
+    rows = compute_channels(wander(20), HEIGHT)
+    times, integrals = integrate_channels(rows)
+    speeds = [k for k, channel in enumerate(CHANNELS) if channel.name.startswith("speed of")]
+    weights = (rows[:, speeds].sum(axis=1) + 0.5) / 30.0
+    np.testing.assert_allclose(np.diff(times), weights)
+    middles = 0.5 * (times[1:] + times[:-1])
+    expected = np.concatenate([rows, rows**2, rows * middles[:, None]], axis=1) * weights[:, None]
+    np.testing.assert_allclose(integrals[1:], np.cumsum(expected, axis=0), atol=1e-9)
+
+
+@pytest.mark.parametrize(("rate", "count"), [(120.0, 25), (30.0, 100), (29.97, 100), (15.0, 200), (1.0, 3_000)])
+def test_recordings_are_sampled_at_30_hz(rate, count):
+    line = np.linspace(0.0, 1.0, 100)[:, None, None] * np.ones((1, 2, 3))
+    sampled = sample_positions(line, rate)
+    assert sampled.shape == (count, 2, 3)
+    assert sampled.min() >= 0.0
+    assert sampled.max() <= 1.0
+    assert (np.diff(sampled[:, 0, 0]) >= 0).all()
+
+
+@pytest.mark.parametrize("rate", [0.5, 1e-9, float("nan")])
+def test_a_rate_near_zero_is_refused_before_it_fills_the_memory(rate):
+    with pytest.raises(InvalidMotionError, match="frame rate of 1 Hz or more"):
+        sample_positions(np.zeros((100, 2, 3)), rate)
+
+
+def test_sampling_keeps_the_mean_of_a_fast_recording():
+    values = np.random.default_rng(0).normal(size=(120, 1, 3))
+    np.testing.assert_allclose(sample_positions(values, 120.0), values.reshape(30, 4, 1, 3).mean(axis=1))
+
+
+def test_anything_with_positions_and_a_height_is_a_motion():
+    from dousa.retrieval import FEATURE_SETS
+
+    motion = SimpleNamespace(positions=wander(30), frame_rate=30.0, height=HEIGHT)
+    for name, columns in (("paper", 56), ("extended", 259)):
+        assert FEATURE_SETS[name].compute(motion).shape == (10, columns)

@@ -1,0 +1,290 @@
+"""Telling unknown motions: scores against a slow transcription, curves, rounds, storage."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from oracles import plain_novelty as slow
+
+from dousa.errors import DousaError, InvalidMotionError, TrainingError
+from dousa.retrieval import FEATURE_SETS, MotionForest
+from dousa.retrieval.forest.calibration import (
+    Assessor,
+    Calibration,
+    _draw_rounds,
+    guess_performers,
+    learn_calibration,
+)
+from dousa.retrieval.forest.forest_file import pack_arrays
+from dousa.retrieval.forest.pose_space import Curve, compute_auroc, fit_curve, fit_pose_space
+
+
+def make_clips(n_categories=8, n_performers=3, each=3, spread=0.4, seed=0):
+    """Features (N, 4, 5), categories and performers; a category is a pattern, a performer a small habit."""
+    rng = np.random.default_rng(seed)
+    patterns, habits = rng.normal(size=(n_categories, 4, 5)), rng.normal(size=(n_performers, 4, 5)) * 0.2
+    rows = [(c, p) for c in range(n_categories) for p in range(n_performers) for _ in range(each)]
+    features = np.stack([patterns[c] + habits[p] + spread * rng.normal(size=(4, 5)) for c, p in rows])
+    return features, np.array([f"c{c}" for c, _ in rows]), [f"p{p}" for _, p in rows]
+
+
+FEATURES, CATEGORIES, PERFORMERS = make_clips()
+CALIBRATION = Calibration(
+    Curve(-3.0, (4.0, 2.0)),
+    Curve(-3.5, (4.0, 2.0, 1.0)),
+    Curve(1.0, (3.0,)),
+    fit_pose_space(FEATURES, CATEGORIES),
+    0.5,
+    0.9,
+    0.1,
+    0.2,
+)
+
+
+@pytest.fixture(scope="module")
+def material():
+    features, categories, performers = FEATURES, CATEGORIES, PERFORMERS
+    kept = np.isin(categories, ["c0", "c1", "c2", "c3", "c4"])
+    forest = MotionForest(30, random_state=0).fit(features[kept], categories[kept])
+    people = [name for name, keep in zip(performers, kept, strict=True) if keep]
+    return features, categories, kept, forest, people
+
+
+class TestScores:
+    def test_equal_the_slow_transcription(self, material):
+        features, categories, kept, forest, _ = material
+        stored = forest.apply(features[kept]).tolist()
+        queries = forest.apply(features[::5])
+        guess, scores = Assessor(forest, CALIBRATION).measure(queries)
+        for leaves, number, row in zip(queries.tolist(), guess, scores, strict=True):
+            votes = sorted(slow.votes_for(forest, leaves, name) for name in forest.classes_)
+            name = forest.classes_[number]
+            assert row[0] == pytest.approx(votes[-1])
+            assert row[2] == pytest.approx(votes[-1] - votes[-2])
+            company = slow.company_scores(leaves, name, stored, categories[kept].tolist())
+            assert row[1] == pytest.approx(min(company, 2.0))
+
+    def test_a_category_of_one_clip_and_a_forest_of_one_category(self):
+        features, categories, _ = make_clips(3, 1, 1)
+        for count in (1, 3):
+            forest = MotionForest(5, random_state=0).fit(features[:count], categories[:count])
+            verdicts = Assessor(forest, CALIBRATION).assess(forest.apply(features))
+            assert np.isfinite(verdicts.known).all()
+
+    def test_no_clips_and_leaves_that_are_not(self, material):
+        assessor = Assessor(material[3], CALIBRATION)
+        assert len(assessor.assess(np.zeros((0, 30), np.int32)).known) == 0
+        for leaves in (np.zeros((2, 29), int), np.full((2, 30), 10**6), np.full((2, 30), -1)):
+            with pytest.raises(InvalidMotionError, match="expected leaves"):
+                assessor.assess(leaves)
+
+
+class TestCurve:
+    @given(
+        st.lists(st.tuples(st.floats(-1, 1), st.floats(-1, 1), st.booleans()), min_size=1, max_size=40),
+        st.tuples(st.floats(-1, 1), st.floats(-1, 1)),
+        st.tuples(st.floats(0, 1), st.floats(0, 1)),
+    )
+    @settings(max_examples=80, deadline=None)
+    def test_never_falls_and_is_never_certain(self, rows, place, step):
+        scores = np.array([row[:2] for row in rows])
+        curve = fit_curve(scores, np.array([row[2] for row in rows]))
+        low, high = curve.evaluate(np.array([place, np.add(place, step)]))
+        assert 0.0 < low <= high < 1.0
+
+    def test_finds_the_odds_that_made_the_data(self):
+        rng = np.random.default_rng(0)
+        scores = rng.uniform(-2, 2, size=(20000, 2))
+        positive = rng.random(20000) < 1 / (1 + np.exp(-(0.5 + 1.5 * scores[:, 0] + 0.7 * scores[:, 1])))
+        curve = fit_curve(scores, positive, balanced=False)
+        assert curve.intercept == pytest.approx(0.5, abs=0.08)
+        assert curve.slopes == pytest.approx((1.5, 0.7), abs=0.08)
+
+    def test_both_sides_count_the_same_when_balanced(self):
+        scores = np.r_[np.zeros((900, 1)), np.ones((100, 1))]
+        positive = np.r_[np.zeros(900, bool), np.ones(100, bool)]
+        middle = [fit_curve(scores, positive, balanced=both).evaluate(np.array([[0.5]]))[0] for both in (True, False)]
+        assert middle[0] == pytest.approx(0.5, abs=0.06)  # but for the smoothed targets
+        assert middle[1] < 0.35
+
+    @given(st.lists(st.tuples(st.integers(0, 5), st.booleans()), min_size=2, max_size=30))
+    def test_auroc_counts_pairs(self, rows):
+        scores, positive = np.array([row[0] for row in rows], float), np.array([row[1] for row in rows])
+        if positive.all() or not positive.any():
+            assert compute_auroc(scores, positive) == 0.5
+        else:
+            assert compute_auroc(scores, positive) == pytest.approx(slow.area_under_curve(scores, positive))
+
+
+class TestLearning:
+    def test_strange_categories_are_told(self, material):
+        features, categories, kept, forest, people = material
+        calibration = learn_calibration(forest, features[kept], categories[kept], people)
+        assessor = Assessor(forest, calibration)
+        strange = assessor.assess(forest.apply(features[~kept]), features[~kept])
+        own = assessor.assess(forest.apply(features[kept]), features[kept])
+        assert strange.unknown.mean() > 0.8
+        assert own.unknown.mean() < 0.1
+        assert (strange.confidence <= strange.known).all()
+        assert calibration.auroc > 0.9
+        assert (forest.classes_[own.guess] == categories[kept]).all()
+
+    def test_one_seed_gives_one_calibration_however_many_workers(self, material):
+        features, categories, kept, _, people = material
+        learned = [
+            learn_calibration(MotionForest(20, n_jobs=jobs), features[kept], categories[kept], people)
+            for jobs in (1, 2)
+        ]
+        assert learned[0].to_bytes() == learned[1].to_bytes()
+        other = learn_calibration(MotionForest(20), features[kept], categories[kept], people, random_state=1)
+        assert learned[0].to_bytes() != other.to_bytes()
+
+    def test_two_categories_are_too_few(self):
+        features, categories, _ = make_clips(2)
+        with pytest.raises(TrainingError, match="at least 3 categories"):
+            learn_calibration(MotionForest(5), features, categories)
+
+    def test_one_clip_of_each_category_is_too_few(self):
+        features, categories, _ = make_clips(5, 1, 1)
+        with pytest.raises(TrainingError, match="too few clips"):
+            learn_calibration(MotionForest(5), features, categories)
+
+    @pytest.mark.parametrize("people", [3, 2, 1, 0])
+    def test_a_round_never_trains_what_it_judges(self, people):
+        _, categories, performers = make_clips(6, 3, 2)
+        names = [name if int(name[1]) < people else None for name in performers]
+        rounds = list(_draw_rounds(categories, names, 0))
+        assert len(rounds) == 8
+        for train, known, unknown in rounds:
+            assert not set(categories[unknown]) & set(categories[train])
+            assert set(categories[known]) <= set(categories[train])
+            assert not set(train) & set(known)
+            if people > 1:
+                left = {names[k] for k in train} - {None}
+                assert not left & {names[k] for k in known}
+
+    def test_people_of_one_height_count_as_one(self):
+        assert guess_performers([1.71, 1.73, 1.80]) == ("1.72 m", "1.72 m", "1.80 m")
+
+
+class TestPoses:
+    def test_the_likeness_is_a_cosine_in_the_space(self):
+        space = fit_pose_space(FEATURES, CATEGORIES)
+        placed = space.place(FEATURES).tolist()
+        for k in range(0, len(FEATURES), 7):
+            own = [row for row, name in zip(placed, CATEGORIES, strict=True) if name == CATEGORIES[k]]
+            likeness = space.compare(FEATURES[[k]], CATEGORIES[[k]])[0]
+            assert likeness == pytest.approx(slow.cosine(placed[k], slow.middle_of(own)))
+
+    def test_the_scatter_within_categories_is_the_same_along_all_axes(self):
+        features, categories, _ = make_clips(8, 5, 20)
+        placed = fit_pose_space(features, categories).place(features)
+        names, own = np.unique(categories, return_inverse=True)
+        apart = placed - np.stack([placed[own == k].mean(axis=0) for k in range(len(names))])[own]
+        scatter = apart.T @ apart / (len(apart) - len(names))
+        assert np.diag(scatter).max() / np.diag(scatter).min() < 1.6  # but for the shrinking
+        assert np.abs(scatter - np.diag(np.diag(scatter))).max() < 0.2
+
+    def test_more_clips_make_new_centres_and_leave_the_axes(self):
+        first = CATEGORIES != "c7"
+        space = fit_pose_space(FEATURES[first], CATEGORIES[first])
+        assert np.isnan(space.compare(FEATURES[~first], CATEGORIES[~first])).all()
+        more = space.with_clips(FEATURES[~first], CATEGORIES[~first])
+        assert (more.compare(FEATURES[~first], CATEGORIES[~first]) > 0.5).mean() > 0.9
+        assert np.array_equal(
+            more.compare(FEATURES[first], CATEGORIES[first]),
+            space.compare(FEATURES[first], CATEGORIES[first]),
+        )
+
+    def test_features_with_squares(self):
+        kind = FEATURE_SETS["extended"]
+        rng = np.random.default_rng(0)
+        cells = rng.normal(size=(12, kind.n_frames, kind.n_columns))
+        space = fit_pose_space(cells, np.repeat(["a", "b", "c"], 4), kind)
+        assert len(space.middle) == 2 * 5 * len(kind.channels)
+        with pytest.raises(InvalidMotionError, match="as in the training"):
+            space.place(cells[:, :, :50])
+
+    @pytest.mark.parametrize("categories", [["a", "b", "c"], ["a", "a", "a"]])
+    def test_clips_that_are_all_alike(self, categories):
+        features = np.ones((3, 4, 5))
+        likeness = fit_pose_space(features, np.array(categories)).compare(features, np.array(categories))
+        assert np.isfinite(likeness).all()
+
+    def test_a_category_without_poses_is_judged_by_its_leaves(self, material):
+        features, _, kept, forest, _ = material
+        space = fit_pose_space(features[kept][:9], np.repeat("c0", 9))
+        assessor = Assessor(forest, replace(CALIBRATION, poses=space))
+        leaves = forest.apply(features)
+        with_poses, without = assessor.assess(leaves, features), assessor.assess(leaves)
+        other = forest.classes_[without.guess] != "c0"
+        assert np.array_equal(with_poses.known[other], without.known[other])
+        assert (with_poses.known[~other] != without.known[~other]).any()
+
+
+class TestStorage:
+    def test_round_trip(self):
+        data = CALIBRATION.to_bytes()
+        again = Calibration.from_bytes(data)
+        assert again.to_bytes() == data
+        assert again.to_json() == CALIBRATION.to_json()
+        assert json.loads(json.dumps(again.to_json()))["known"] == {"intercept": -3.0, "slopes": [4.0, 2.0]}
+        assert np.array_equal(
+            again.poses.compare(FEATURES, CATEGORIES), CALIBRATION.poses.compare(FEATURES, CATEGORIES)
+        )
+
+    @pytest.mark.parametrize(
+        "change",
+        [
+            {"known": {"intercept": 0.0, "slopes": [1.0]}},
+            {"known": {"intercept": float("nan"), "slopes": [1.0, 1.0]}},
+            {"right": {"intercept": 0.0, "slopes": [-1.0]}},
+            {"right": 3},
+            {"threshold": 1.5},
+            {"threshold": "much"},
+            {"auroc": None},
+        ],
+    )
+    def test_damaged_numbers(self, change):
+        numbers = np.array(json.dumps({**CALIBRATION.to_json(), **change}, default=tuple))
+        with pytest.raises(DousaError, match="retrain"):
+            Calibration.from_bytes(pack_arrays({"numbers": numbers, **CALIBRATION.poses.to_arrays()}))
+
+    @pytest.mark.parametrize(
+        "change",
+        [
+            {"layout": np.array([5], np.int64)},
+            {"layout": np.array([0, 0], np.int64)},
+            {"middle": np.zeros(3)},
+            {"axes": np.full(CALIBRATION.poses.axes.shape, np.nan)},
+            {"axes": CALIBRATION.poses.axes.astype(np.float32)},
+            {"sums": CALIBRATION.poses.sums[:-1]},
+            {"counts": CALIBRATION.poses.counts.astype(float)},
+            {"categories": CALIBRATION.poses.categories[::-1]},
+            {"categories": np.repeat("a", 8)},
+        ],
+    )
+    def test_damaged_poses(self, change):
+        numbers = np.array(json.dumps(CALIBRATION.to_json()))
+        with pytest.raises(DousaError, match="retrain"):
+            Calibration.from_bytes(pack_arrays({"numbers": numbers, **CALIBRATION.poses.to_arrays(), **change}))
+
+    @given(st.integers(0, 10**6), st.integers(0, 255))
+    @settings(max_examples=60, deadline=None)
+    def test_a_changed_byte_is_a_number_or_an_error(self, place, byte):
+        data = bytearray(CALIBRATION.to_bytes())
+        data[place % len(data)] = byte
+        try:
+            Calibration.from_bytes(bytes(data))
+        except DousaError as error:
+            assert "retrain" in str(error)
+
+    @pytest.mark.parametrize("data", [b"", b"\xff\xfe", b"[]", b"null", b"{", b"[" * 100000])
+    def test_other_bytes(self, data):
+        with pytest.raises(DousaError, match="the calibration: damaged or other"):
+            Calibration.from_bytes(data)

@@ -1,0 +1,344 @@
+"""The motion forest against the paper's steps word by word, against scikit-learn, and its invariances."""
+
+from __future__ import annotations
+
+from collections import Counter
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from oracles import hamada
+
+from dousa.errors import InvalidMotionError, NotTrainedError, OptionError, TrainingError
+from dousa.retrieval import FEATURE_NAMES, MotionForest, integrate, list_tests
+
+
+def clips(seed, n=30, frames=3, features=4, classes=4, steps=None):
+    """Pose features with some of their category in them; of few different values if ``steps`` is given."""
+    random = np.random.default_rng(seed)
+    categories = random.integers(0, classes, n)
+    pose = random.normal(size=(n, frames, features))
+    pose += 1.5 * random.normal(size=(classes, 1, features))[categories]
+    return (pose if steps is None else np.round(pose * steps) / steps), categories
+
+
+def unfold(forest, tree=0):
+    """The fast tree in the form of the oracle's, read through the forest's flat arrays."""
+    trees, width = forest.trees_, forest.trees_.n_frames + 1
+
+    def below(node):
+        later, sooner, child = (int(value) for value in trees.nodes[node, :3])
+        if child < 0:
+            start, stop = trees.leaf_starts[-1 - child : 1 - child or None][:2]
+            names = forest.classes_[trees.leaf_classes[start:stop]].tolist()
+            return {"histogram": Counter(dict(zip(names, trees.leaf_counts[start:stop].tolist(), strict=True)))}
+        t0, t1 = sooner % width, later % width
+        return {
+            "r": (later // width, t0, t1),
+            "s": trees.cuts[node, 2] / (t1 - t0),
+            "below": below(child),
+            "above": below(child + 1),
+        }
+
+    return below(int(trees.roots[tree]))
+
+
+def assert_same_tree(fast, slow):
+    assert fast.keys() == slow.keys() - {"gain"}
+    if "histogram" in fast:
+        assert fast["histogram"] == slow["histogram"]
+        return
+    assert fast["r"] == slow["r"]
+    assert fast["s"] == pytest.approx(slow["s"], abs=1e-9)
+    assert_same_tree(fast["below"], slow["below"])
+    assert_same_tree(fast["above"], slow["above"])
+
+
+@settings(max_examples=40, deadline=None)
+@given(
+    st.integers(0, 2**32 - 1),
+    st.integers(1, 40),
+    st.integers(1, 6),
+    st.sampled_from([None, 1, 4]),
+    st.sampled_from([None, 1, 10, "sqrt", "all"]),
+    st.sampled_from([0.0, 0.9]),
+)
+def test_trees_are_those_of_the_steps_word_by_word(seed, n, classes, steps, n_trials, max_entropy):
+    pose, categories = clips(seed, n, classes=classes, steps=steps)
+    options = {"n_trees": 2, "n_trials": n_trials, "max_entropy": max_entropy, "random_state": seed}
+    forest = MotionForest(**options).fit(pose, categories)
+    for tree, tree_seed in enumerate(np.random.SeedSequence(seed).generate_state(2, np.uint64)):
+        trials = {None: 5, "sqrt": 4, "all": 24}.get(n_trials, n_trials)  # of 4 x 6 tests
+        slow = hamada.Tree(pose.tolist(), categories.tolist(), trials, max_entropy, int(tree_seed))
+        assert_same_tree(unfold(forest, tree), slow.root)
+
+
+def test_histograms_are_those_of_section_3_4():
+    pose, categories = clips(3, 60, classes=3, steps=2)
+    query = clips(4, 20, classes=3)[0]  # with steps, thirds would lie on thresholds or not by rounding
+    forest = MotionForest(n_trees=7, n_trials=2, max_entropy=1.0, random_state=5).fit(pose, categories)
+    seeds = np.random.SeedSequence(5).generate_state(7, np.uint64)
+    slow = [hamada.Tree(pose.tolist(), categories.tolist(), 2, 1.0, int(seed)) for seed in seeds]
+    votes, leaves = np.zeros((20, 3)), np.zeros((20, 3))
+    for k, clip in enumerate(query.tolist()):
+        for tree in slow:
+            histogram = tree.leaf(clip)
+            votes[k, min(histogram, key=lambda c, h=histogram: (-h[c], c))] += 1 / 7
+            for category, count in histogram.items():
+                leaves[k, category] += count / histogram.total() / 7
+    assert forest.predict_proba(query) == pytest.approx(votes)
+    assert forest.predict_proba(query, histogram="leaves") == pytest.approx(leaves)
+    assert (forest.predict(query) == forest.predict_proba(query).argmax(axis=1)).all()
+    assert [forest.count_votes(clip) for clip in query] == pytest.approx(votes * 7)
+
+
+def test_entropy_and_gain_are_those_of_scipy_and_scikit_learn():
+    """The oracle itself: equations 6 and 7 against libraries that people trust."""
+    scipy_stats = pytest.importorskip("scipy.stats")
+    sklearn_tree = pytest.importorskip("sklearn.tree")
+    pose, categories = clips(11, 50)
+    counts = np.bincount(categories)
+    assert hamada.entropy(categories.tolist()) == pytest.approx(scipy_stats.entropy(counts, base=2))
+    columns = materialise(pose)
+    stump = sklearn_tree.DecisionTreeClassifier(criterion="entropy", max_depth=1, random_state=0)
+    tree = stump.fit(columns, categories).tree_
+    parts = [categories[columns[:, tree.feature[0]] <= tree.threshold[0]].tolist()]
+    parts.append(categories[columns[:, tree.feature[0]] > tree.threshold[0]].tolist())
+    sizes = tree.n_node_samples / tree.n_node_samples[0]
+    gain = tree.impurity[0] - sizes[1] * tree.impurity[1] - sizes[2] * tree.impurity[2]
+    assert hamada.gain(categories.tolist(), parts) == pytest.approx(gain)
+    slow = hamada.Tree(pose.tolist(), categories.tolist(), 10**6)
+    assert slow.root["gain"] == pytest.approx(gain)
+
+
+def materialise(pose):
+    """Every mean of every feature over every interval, as scikit-learn needs them."""
+    g = integrate(pose)
+    tests = list_tests(pose.shape[2], pose.shape[1])
+    means = [(g[:, i, t1] - g[:, i, t0]) / (t1 - t0) for _, i, _, t0, t1 in tests]
+    return np.stack(means, axis=1).astype(np.float32).astype(np.float64)
+
+
+def test_the_full_tree_is_that_of_scikit_learn_where_one_split_is_best():
+    sklearn_tree = pytest.importorskip("sklearn.tree")
+    tests = [(i, t0, t1) for _, i, _, t0, t1 in list_tests(3, 2).tolist()]
+    compared = 0
+
+    def compare(ours, theirs, inside):
+        labels = categories[inside].tolist()
+        found = [hamada.best_threshold(columns[inside, k].tolist(), labels) for k in range(len(tests))]
+        gains = sorted((best[0] for best in found if best is not None), reverse=True)
+        if len(set(labels)) < 2 or len(gains) < 2 or gains[0] - gains[1] < 1e-6:
+            return 0  # a leaf, or several splits are equally good
+        node = nodes[-1]
+        assert ours["r"] == tests[theirs.feature[node]]
+        assert ours["s"] == pytest.approx(theirs.threshold[node], abs=1e-5)
+        is_below = columns[inside, theirs.feature[node]] <= theirs.threshold[node]
+        total = 1
+        for side, children, part in (
+            ("below", theirs.children_left, inside[is_below]),
+            ("above", theirs.children_right, inside[~is_below]),
+        ):
+            nodes.append(children[node])
+            total += compare(ours[side], theirs, part)
+            nodes.pop()
+        return total
+
+    for seed in range(12):
+        # Steps of 2**-12: single precision, in which scikit-learn computes, tells the values apart alike.
+        pose, categories = clips(seed, 60, frames=2, features=3, classes=3, steps=2**12)
+        forest = MotionForest(n_trees=1, n_trials="all").fit(pose, categories)
+        columns, nodes = materialise(pose), [0]
+        peer = sklearn_tree.DecisionTreeClassifier(criterion="entropy", random_state=0)
+        peer.fit(columns, categories)
+        assert (forest.predict(pose) == peer.predict(columns)).all()
+        compared += compare(unfold(forest), peer.tree_, np.arange(60))
+    assert compared > 20
+
+
+def test_a_forest_is_as_good_as_that_of_scikit_learn():
+    sklearn_ensemble = pytest.importorskip("sklearn.ensemble")
+    random = np.random.default_rng(2)
+    categories = np.repeat(np.arange(8), 30)
+    pose = random.normal(size=(240, 5, 6)) + 0.8 * random.normal(size=(8, 5, 6))[categories]
+    train = np.arange(240) % 2 == 0
+    ours = MotionForest(random_state=0).fit(pose[train], categories[train]).predict(pose[~train])
+    peer = sklearn_ensemble.RandomForestClassifier(criterion="entropy", bootstrap=False, random_state=0)
+    columns = materialise(pose)
+    theirs = peer.fit(columns[train], categories[train]).predict(columns[~train])
+    assert abs((ours == categories[~train]).mean() - (theirs == categories[~train]).mean()) < 0.05
+
+
+@settings(max_examples=20, deadline=None)
+@given(st.integers(0, 2**32 - 1), st.sampled_from([None, 2]))
+def test_the_order_of_the_clips_and_the_names_of_the_categories_do_not_matter(seed, steps):
+    pose, categories = clips(seed, 50, classes=5, steps=steps)
+    query = clips(seed + 1, 20, steps=steps)[0]
+    random = np.random.default_rng(seed)
+    order, names = random.permutation(50), random.permutation(5)
+    forest = MotionForest(n_trees=5, random_state=1).fit(pose, categories)
+    shuffled = MotionForest(n_trees=5, random_state=1).fit(pose[order], categories[order])
+    assert shuffled.to_bytes() == forest.to_bytes()
+    renamed = MotionForest(n_trees=5, random_state=1).fit(pose, names[categories])
+    there = np.searchsorted(renamed.classes_, names[forest.classes_])
+    shares = renamed.predict_proba(query, histogram="leaves")[:, there]
+    assert shares == pytest.approx(forest.predict_proba(query, histogram="leaves"))
+
+
+def test_the_number_of_workers_does_not_matter():
+    pose, categories = clips(0, 200, frames=5, features=6, classes=8)
+    one = MotionForest(n_trees=11, random_state=3, n_jobs=1).fit(pose, categories)
+    two = MotionForest(n_trees=11, random_state=3, n_jobs=2).fit(pose, categories)
+    other = MotionForest(n_trees=11, random_state=4).fit(pose, categories)
+    assert (one.trees_.nodes == two.trees_.nodes).all()
+    assert one.trees_.nodes.shape != other.trees_.nodes.shape or (one.trees_.nodes != other.trees_.nodes).any()
+
+
+def test_many_clips_are_sorted_as_few_are():
+    """Above 64 clips a node sorts by digits, below by insertion."""
+    pose, categories = clips(8, 300, frames=2, features=2, classes=6)
+    forest = MotionForest(n_trees=1, n_trials="all").fit(pose, categories)
+    slow = hamada.Tree(pose.tolist(), categories.tolist(), 10**6)
+    assert_same_tree(unfold(forest), slow.root)
+
+
+def test_training_clips_are_recognised_unless_they_are_alike():
+    pose, categories = clips(1, 80)
+    forest = MotionForest(n_trees=3, random_state=0).fit(pose, categories)
+    assert (forest.predict(pose) == categories).all()
+    alike = MotionForest(n_trees=3, random_state=0).fit(np.ones((5, 3, 4)), [2, 1, 2, 1, 1])
+    assert alike.predict_proba(np.ones((1, 3, 4)), histogram="leaves").tolist() == [pytest.approx([0.6, 0.4])]
+    assert alike.predict(np.ones((1, 3, 4))).tolist() == [1]
+
+
+def test_noise_of_rounding_separates_nothing():
+    pose = np.ones((4, 3, 2)) + np.array([0, 1e-15, 2e-15, 0])[:, None, None]
+    forest = MotionForest(n_trees=2, random_state=0).fit(pose, ["a", "b", "a", "b"])
+    assert forest.trees_.n_leaves == 2
+
+
+def test_one_category_is_always_the_answer():
+    forest = MotionForest(random_state=0).fit(np.zeros((2, 10, 56)), ["walk", "walk"])
+    assert forest.predict(np.ones((3, 10, 56))).tolist() == ["walk"] * 3
+    assert forest.predict_proba(np.ones((3, 10, 56))).tolist() == [[1.0]] * 3
+    assert forest.predict(np.ones((0, 10, 56))).shape == (0,)
+
+
+def test_bootstrap_leaves_some_clips_out():
+    pose, categories = clips(5, 60)
+    forest = MotionForest(n_trees=4, bootstrap=True, random_state=0).fit(pose, categories)
+    plain = MotionForest(n_trees=4, random_state=0).fit(pose, categories)
+    assert forest.trees_.leaf_counts.sum() == plain.trees_.leaf_counts.sum() == 4 * 60
+    assert (forest.predict(pose) == categories).mean() > 0.8
+    assert forest.trees_.n_leaves != plain.trees_.n_leaves
+
+
+def test_decisions_say_in_words_what_led_to_the_leaf():
+    random = np.random.default_rng(0)
+    pose, categories = random.normal(size=(40, 10, 56)), np.arange(40) % 3
+    forest = MotionForest(n_trees=3, random_state=0).fit(pose, categories)
+    asked = forest.decisions(pose[0])
+    assert {decision.tree for decision in asked} == {0, 1, 2}
+    for decision in asked:
+        i = FEATURE_NAMES.index(decision.feature)
+        assert decision.value == pytest.approx(pose[0, decision.start : decision.stop, i].mean())
+        assert decision.above == (decision.value > decision.threshold)
+    named = MotionForest(n_trees=1).fit(pose[:, :, :2], categories, feature_names=["speed", "height"])
+    assert named.decisions(pose[0, :, :2])[0].feature in ("speed", "height")
+
+
+def test_leaves_are_numbered_through_all_trees():
+    pose, categories = clips(2, 40)
+    forest = MotionForest(n_trees=6, random_state=0).fit(pose, categories)
+    leaves = forest.apply(pose)
+    assert leaves.shape == (40, 6)
+    assert (np.diff(leaves, axis=1) > 0).all()
+    assert sorted(set(leaves.ravel())) == list(range(forest.trees_.n_leaves))
+
+
+def test_manners_of_scikit_learn():
+    sklearn_base = pytest.importorskip("sklearn.base")
+    forest = MotionForest(n_trees=3, n_trials=4, random_state=1)
+    copy = sklearn_base.clone(forest)
+    assert copy.get_params() == forest.get_params()
+    assert copy.set_params(n_trees=5).n_trees == 5
+    assert repr(forest).startswith("MotionForest(n_trees=3, n_trials=4")
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        {"n_trees": 0},
+        {"n_trees": 2.5},
+        {"n_trees": True},
+        {"n_trials": 0},
+        {"n_trials": "some"},
+        {"max_entropy": -0.1},
+        {"max_entropy": float("nan")},
+        {"max_entropy": "0"},
+        {"bootstrap": "yes"},
+        {"random_state": -1},
+        {"n_jobs": 0},
+    ],
+    ids=str,
+)
+def test_options_out_of_range_are_refused(options):
+    with pytest.raises(OptionError, match=next(iter(options))):
+        MotionForest(**options)
+    with pytest.raises(OptionError):
+        MotionForest().set_params(**options)
+
+
+def test_unknown_parameters_and_histograms_are_refused():
+    with pytest.raises(OptionError, match="no parameter 'depth'"):
+        MotionForest().set_params(depth=3)
+    forest = MotionForest(n_trees=1).fit(np.zeros((2, 3, 4)), [0, 1])
+    with pytest.raises(OptionError, match="votes"):
+        forest.predict_proba(np.zeros((2, 3, 4)), histogram="mean")
+    with pytest.raises(OptionError, match="feature names"):
+        forest.fit(np.zeros((2, 3, 4)), [0, 1], feature_names=["one"])
+
+
+def test_a_forest_without_training_says_so():
+    forest = MotionForest()
+    for ask in (
+        lambda: forest.predict(np.zeros((1, 10, 56))),
+        lambda: forest.classes_,
+        lambda: forest.feature_names_,
+        lambda: forest.count_votes(np.zeros((10, 56))),
+        forest.to_bytes,
+    ):
+        with pytest.raises(NotTrainedError, match="fit"):
+            ask()
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf, 1e200])
+def test_values_that_are_no_features_are_refused(value):
+    pose, categories = clips(0)
+    forest = MotionForest(n_trees=2, random_state=0).fit(pose, categories)
+    pose[7, 1, 2] = value
+    with pytest.raises(InvalidMotionError):
+        MotionForest(n_trees=2).fit(pose, categories)
+    if not np.isfinite(value):
+        with pytest.raises(InvalidMotionError, match="clip 7"):
+            forest.predict(pose)
+        with pytest.raises(InvalidMotionError, match="finite"):
+            forest.count_votes(pose[7])
+
+
+def test_shapes_that_disagree_are_refused():
+    forest = MotionForest(n_trees=2, random_state=0).fit(*clips(0))
+    for shape in ((3, 4), (2, 4, 4), (2, 3, 5), (2, 0, 4)):
+        with pytest.raises(InvalidMotionError, match="shape"):
+            forest.predict(np.zeros(shape))
+    for clip in (np.zeros((3, 5)), np.zeros((3, 4), np.float32)):
+        with pytest.raises(InvalidMotionError, match="float64"):
+            forest.count_votes(clip)
+    with pytest.raises(InvalidMotionError, match="numbers"):
+        forest.predict([[["high"]]])
+    with pytest.raises(TrainingError, match="got none"):
+        MotionForest().fit(np.zeros((0, 3, 4)), [])
+    for categories in ([0, 1], [[0], [1], [2]], [0.5, 1.5, 2.5], [None, "a", "b"]):
+        with pytest.raises(TrainingError, match="categor"):
+            MotionForest().fit(np.zeros((3, 3, 4)), np.array(categories))

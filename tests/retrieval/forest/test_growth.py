@@ -1,0 +1,227 @@
+"""Growing leaves: what stays, what moves, what the counts say, and how near it comes to training anew."""
+
+from __future__ import annotations
+
+from collections import Counter
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from oracles import plain_novelty as slow
+
+from dousa.errors import InvalidMotionError, NotTrainedError, TrainingError
+from dousa.retrieval import FEATURE_SETS, MotionForest, integrate
+from dousa.retrieval.forest.growth import StandingClips, grow_forest
+from dousa.retrieval.forest.trees import evaluate_test, read_test
+
+
+def make_clips(seed=0, n_categories=6, each=6, spread=0.6, frames=3, columns=4):
+    """Features (N, T, F) and categories."""
+    rng = np.random.default_rng(seed)
+    patterns = rng.normal(size=(n_categories, frames, columns))
+    own = np.repeat(np.arange(n_categories), each)
+    return patterns[own] + spread * rng.normal(size=(len(own), frames, columns)), np.array([f"c{c}" for c in own])
+
+
+def split_off(features, categories, names, count):
+    """Places of the clips that train, and of those that come later: ``count`` of each of some categories."""
+    later = np.concatenate([np.flatnonzero(categories == name)[:count] for name in names])
+    return np.flatnonzero(~np.isin(categories, names)), later
+
+
+def stand(forest, features, categories):
+    return StandingClips(categories, forest.apply(features), lambda rows: features[rows])
+
+
+def grow(forest, features, categories, old, new, **options):
+    standing = stand(forest, features[old], categories[old])
+    return grow_forest(forest, standing, features[new], categories[new], **options)
+
+
+@pytest.fixture(params=["best", "random"])
+def forest_and_clips(request):
+    features, categories = make_clips()
+    old, new = split_off(features, categories, ["c2", "c5"], 3)
+    forest = MotionForest(12, thresholds=request.param, random_state=0)
+    return forest.fit(features[old], categories[old]), features, categories, old, new
+
+
+def test_old_splits_stay_where_they_are(forest_and_clips):
+    forest, features, categories, old, new = forest_and_clips
+    grown = grow(forest, features, categories, old, new).forest
+    assert len(grown.trees_.nodes) > len(forest.trees_.nodes)
+    for before, after in zip(decisions_of(forest, features), decisions_of(grown, features), strict=True):
+        for tree in range(12):
+            asked = [one[1:] for one in before if one[0] == tree]
+            assert asked == [one[1:] for one in after if one[0] == tree][: len(asked)]
+
+
+def decisions_of(forest, features):
+    return [
+        [
+            (one.tree, one.feature, one.kind, one.start, one.stop, one.threshold, one.value)
+            for one in forest.decisions(clip)
+        ]
+        for clip in features
+    ]
+
+
+def test_only_moved_clips_stand_in_other_leaves(forest_and_clips):
+    forest, features, categories, old, new = forest_and_clips
+    growth = grow(forest, features, categories, old, new)
+    before, after = forest.apply(features[old]), growth.forest.apply(features[old])
+    assert np.array_equal(np.flatnonzero((before != after).any(axis=1)), growth.moved)
+    assert np.array_equal(after[growth.moved], growth.moved_leaves)
+    assert np.array_equal(growth.forest.apply(features[new]), growth.leaves)
+    untouched = np.setdiff1d(before, forest.apply(features[new]))
+    assert np.isin(untouched, after).mean() > 0.9
+
+
+def test_leaves_count_the_clips_that_stand_in_them():
+    features, categories = make_clips(each=4)
+    old, new = split_off(features, categories, ["c2"], 4)  # as large as the others: no points between
+    forest = MotionForest(10, random_state=0).fit(features[old], categories[old])
+    grown = grow(forest, features, categories, old, new).forest
+    everyone = np.concatenate([old, new])
+    standing: dict[int, Counter[str]] = {}
+    for clip, leaves in zip(everyone, grown.apply(features[everyone]), strict=True):
+        for leaf in leaves:
+            standing.setdefault(int(leaf), Counter())[str(categories[clip])] += 1
+    assert len(standing) == grown.trees_.n_leaves
+    for leaf, counts in standing.items():
+        assert slow.leaf_counts(grown, leaf) == dict(counts)
+
+
+def test_paths_follow_the_nodes(forest_and_clips):
+    forest, features, categories, old, new = forest_and_clips
+    grown = grow(forest, features, categories, old, new).forest
+    for clip, leaves in zip(features, grown.apply(features), strict=True):
+        integrals = integrate(clip[None])[0]
+
+        def is_above(node, integrals=integrals):
+            test = read_test(grown.trees_, node)
+            return evaluate_test(integrals, test) > test.threshold
+
+        path, leaf = slow.path_of(grown.trees_, is_above)
+        assert leaf == leaves[0]
+        assert path == sorted(path)
+
+
+def test_every_clip_keeps_or_gets_its_category(forest_and_clips):
+    forest, features, categories, old, new = forest_and_clips
+    grown = grow(forest, features, categories, old, new).forest
+    assert list(grown.classes_) == ["c0", "c1", "c2", "c3", "c4", "c5"]
+    for rows in (old, new):
+        assert (grown.predict(features[rows]) == categories[rows]).all()
+
+
+def test_small_categories_are_filled_up_to_the_usual_size():
+    features, categories = make_clips(each=8)
+    for count, filled in ((2, 3), (4, 8), (8, 8)):  # 2 clips have one point between them, 4 have six
+        old, new = split_off(features, categories, ["c2"], count)
+        forest = MotionForest(3, random_state=0).fit(features[old], categories[old])
+        trees = grow(forest, features, categories, old, new).forest.trees_
+        assert trees.leaf_counts[trees.leaf_classes == 2].sum() == 3 * filled
+
+
+def test_nothing_to_take_up_changes_nothing(forest_and_clips):
+    forest, features, categories, old, _ = forest_and_clips
+    growth = grow(forest, features, categories, old, old[:0])
+    assert growth.forest is forest
+    assert growth.leaves.shape == (0, 12)
+    assert not len(growth.moved)
+
+
+def test_clips_it_knows_already_split_nothing():
+    features, categories = make_clips()
+    forest = MotionForest(8, random_state=0).fit(features, categories)
+    growth = grow(forest, features, categories, np.arange(len(features)), np.arange(3))
+    assert np.array_equal(growth.forest.trees_.nodes, forest.trees_.nodes)
+    assert not len(growth.moved)
+    assert growth.forest.trees_.leaf_counts.sum() == forest.trees_.leaf_counts.sum() + 8 * 3
+
+
+def test_the_old_forest_stays_as_it_was(forest_and_clips):
+    forest, features, categories, old, new = forest_and_clips
+    before = forest.to_bytes()
+    grow(forest, features, categories, old, new)
+    assert forest.to_bytes() == before
+
+
+def test_one_seed_gives_one_forest(forest_and_clips):
+    forest, features, categories, old, new = forest_and_clips
+    grown = [grow(forest, features, categories, old, new, random_state=seed).forest.to_bytes() for seed in (1, 1, 2)]
+    assert grown[0] == grown[1]
+    assert grown[0] != grown[2]
+
+
+@settings(max_examples=25, deadline=None)
+@given(st.integers(0, 1000), st.integers(1, 4), st.integers(1, 5), st.booleans())
+def test_it_can_grow_again_and_be_stored(seed, first, second, bootstrap):
+    features, categories = make_clips(seed)
+    old, new = split_off(features, categories, ["c1", "c4"], 6)
+    forest = MotionForest(4, bootstrap=bootstrap, random_state=seed).fit(features[old], categories[old])
+    rows, leaves = old, forest.apply(features[old])
+    for some in (new[:first], new[first : first + second]):
+        standing = StandingClips(categories[rows], leaves, lambda picked, rows=rows: features[rows[picked]])
+        growth = grow_forest(forest, standing, features[some], categories[some], random_state=seed)
+        leaves[growth.moved] = growth.moved_leaves
+        rows, leaves = np.concatenate([rows, some]), np.concatenate([leaves, growth.leaves])
+        forest = MotionForest.from_bytes(growth.forest.to_bytes())
+        assert np.array_equal(forest.apply(features[rows]), leaves)
+    assert (forest.predict(features[rows]) == categories[rows]).mean() > (0.8 if bootstrap else 0.999)
+
+
+def test_it_comes_near_to_training_anew():
+    features, categories = make_clips(3, n_categories=10, each=20, spread=0.5, frames=4, columns=6)
+    old, new = split_off(features, categories, ["c3", "c7"], 5)
+    test = np.setdiff1d(np.arange(len(features)), np.concatenate([old, new]))
+    old = old[np.arange(len(old)) % 2 == 0]
+    test = np.concatenate([test, np.setdiff1d(np.arange(len(features)), np.concatenate([old, new, test]))])
+    forest = MotionForest(60, random_state=0).fit(features[old], categories[old])
+    grown = grow(forest, features, categories, old, new).forest
+    both = np.concatenate([old, new])
+    anew = MotionForest(60, random_state=0).fit(features[both], categories[both])
+    right = [(one.predict(features[test]) == categories[test]).mean() for one in (forest, grown, anew)]
+    assert right[0] < 0.9
+    assert right[1] > right[2] - 0.03
+
+
+def test_all_kinds_of_tests_of_the_extended_features():
+    features = FEATURE_SETS["extended"]
+    rng = np.random.default_rng(0)
+    cells = rng.normal(size=(40, features.n_frames, features.n_columns))
+    cells[:, :, len(features.channels) + 1 :] **= 2
+    categories = np.repeat(["a", "b", "c", "d"], 10)
+    cells += np.repeat(np.arange(4.0), 10)[:, None, None]
+    forest = MotionForest(6, n_trials="sqrt", thresholds="random", random_state=0)
+    forest.fit(cells[:30], categories[:30], feature_set=features)
+    standing = stand(forest, cells[:30], categories[:30])
+    growth = grow_forest(forest, standing, cells[30:], categories[30:], feature_set=features)
+    assert (growth.forest.predict(cells) == categories).all()
+    assert growth.forest.feature_names_ == features.column_names
+
+
+class TestErrors:
+    def test_untrained(self):
+        with pytest.raises(NotTrainedError):
+            grow_forest(MotionForest(2), StandingClips([], np.zeros((0, 2), int), lambda rows: rows), [], [])
+
+    def test_leaves_of_another_forest(self, forest_and_clips):
+        forest, features, categories, old, new = forest_and_clips
+        standing = StandingClips(categories[old], np.zeros((len(old), 3), int), lambda rows: features[rows])
+        with pytest.raises(InvalidMotionError, match="expected leaves"):
+            grow_forest(forest, standing, features[new], categories[new])
+
+    @pytest.mark.parametrize("labels", [["c1"], [1, 2, 3, 4, 5, 6], [["c1"] * 6]])
+    def test_categories_of_another_kind(self, forest_and_clips, labels):
+        forest, features, categories, old, new = forest_and_clips
+        with pytest.raises(TrainingError, match="expected a category"):
+            grow_forest(forest, stand(forest, features[old], categories[old]), features[new], labels)
+
+    def test_standing_clips_of_strange_categories(self, forest_and_clips):
+        forest, features, categories, old, new = forest_and_clips
+        standing = stand(forest, features[old], np.full(len(old), "strange"))
+        with pytest.raises(TrainingError, match="retrain"):
+            grow_forest(forest, standing, features[new], categories[new])

@@ -1,0 +1,145 @@
+"""Search inside takes: a clip is found where it is, at any tempo, and nowhere else as well."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from oracles.short_actions import ACTIONS, make_clip, make_library
+
+from dousa.errors import InvalidMotionError, OptionError
+from dousa.retrieval import FEATURE_SETS, MotionForest
+from dousa.retrieval.takes.find import describe_query, find_in_takes, overlap
+from dousa.retrieval.takes.leaf_weights import JoinedTake, join_clips
+from dousa.retrieval.takes.windows import WindowGrid, describe_take
+
+SET = FEATURE_SETS["extended"]
+CLIPS = make_library((0, 1), 3)
+FOREST = MotionForest(n_trees=40, thresholds="random", random_state=0).fit(
+    np.stack([SET.compute(clip) for clip in CLIPS]), [clip.category for clip in CLIPS], feature_set=SET
+)
+GRID = WindowGrid((24, 32, 48, 64, 96, 128))
+
+
+def describe(take):
+    return describe_take(FOREST, SET, take, GRID)
+
+
+def take_of(clips, seed=0, tempos=None):
+    return join_clips(clips, np.random.default_rng(seed), tempos=tempos)
+
+
+def span(piece):
+    return piece.start / 30, piece.stop / 30
+
+
+def test_a_clip_inside_a_take_is_found_at_its_place():
+    clips = [make_clip("kick", 5), make_clip("bow", 0, 1, seconds=64 / 30), make_clip("wave", 5)]
+    take = take_of(clips)
+    found = find_in_takes(describe_query(FOREST, SET, clips[1]), [("one", describe(take))])
+    assert found[0].score > 0.95
+    assert overlap((found[0].start, found[0].stop), span(take.pieces[1])) > 0.7
+    assert found[0].tempo == pytest.approx(1.0, abs=0.15)
+    assert all(one.score < 0.5 * found[0].score for one in found[1:])
+
+
+def test_a_take_that_is_the_query_is_found_whole():
+    clip = make_clip("spread", 0, 0, seconds=64 / 30)
+    alone = JoinedTake(clip.positions, clip.height, ())
+    found = find_in_takes(describe_query(FOREST, SET, clip), [("alone", describe(alone))])
+    assert (found[0].start, found[0].stop) == (0.0, 64 / 30)
+    assert found[0].score == pytest.approx(1.0)
+    assert found[0].distance == 0.0
+    assert found[0].shared_leaves == 1.0
+
+
+@pytest.mark.parametrize("tempo", [0.5, 2.0])
+def test_other_tempos_are_found(tempo):
+    clip = make_clip("raise left", 1, 0, seconds=2.0)
+    take = take_of([make_clip("kick", 5), clip, make_clip("bow", 5)], tempos=[1.0, tempo, 1.0])
+    found = find_in_takes(describe_query(FOREST, SET, clip), [("one", describe(take))])
+    assert overlap((found[0].start, found[0].stop), span(take.pieces[1])) > 0.6
+    assert found[0].tempo == pytest.approx(tempo, rel=0.3)
+
+
+def test_no_answer_is_faster_or_slower_than_the_range():
+    take = take_of([make_clip(category, 5) for category in ("kick", "bow", "wave", "kick", "bow")])
+    for seconds in (0.8, 2.0, 4.0):
+        query = describe_query(FOREST, SET, make_clip("raise left", 1, 0, seconds=seconds))
+        found = find_in_takes(query, [("one", describe(take))], limit=50)
+        assert found
+        assert all(0.5 <= one.tempo <= 2.0 for one in found)
+
+
+def test_all_takes_are_searched_and_named():
+    takes = [take_of([make_clip(a, 5) for a in order]) for order in (ACTIONS, ACTIONS[::-1])]
+    query = describe_query(FOREST, SET, make_clip("spread", 0))
+    found = find_in_takes(query, [(str(k), describe(take)) for k, take in enumerate(takes)], limit=2)
+    assert sorted(one.take for one in found) == ["0", "1"]
+    for one in found:
+        piece = next(p for p in takes[int(one.take)].pieces if p.category == "spread")
+        assert overlap((one.start, one.stop), span(piece)) > 0.5
+
+
+def test_a_category_that_was_never_trained_is_found_by_its_poses():
+    some = [clip for clip in CLIPS if clip.category != "wave"]
+    forest = MotionForest(n_trees=40, thresholds="random", random_state=0).fit(
+        np.stack([SET.compute(clip) for clip in some]), [clip.category for clip in some], feature_set=SET
+    )
+    take = take_of([make_clip(action, 5) for action in ACTIONS])
+    windows = describe_take(forest, SET, take, GRID)
+    found = find_in_takes(describe_query(forest, SET, make_clip("wave", 0)), [("one", windows)])
+    assert overlap((found[0].start, found[0].stop), span(take.pieces[-1])) > 0.5
+
+
+def test_answers_do_not_share_a_place_and_are_in_order():
+    take = take_of([make_clip(action, 5, trial) for trial in range(3) for action in ACTIONS])
+    found = find_in_takes(describe_query(FOREST, SET, make_clip("bow", 0)), [("one", describe(take))], limit=9)
+    assert [one.score for one in found] == sorted((one.score for one in found), reverse=True)
+    for k, one in enumerate(found):
+        assert all(overlap((one.start, one.stop), (o.start, o.stop)) < 0.3 for o in found[:k])
+
+
+def test_a_query_longer_than_the_take_finds_nothing():
+    clip = make_clip("bow", 0, seconds=2.0)
+    short = JoinedTake(clip.positions[:30], clip.height, ())
+    long = replace(clip, positions=np.concatenate([clip.positions] * 4))
+    assert find_in_takes(describe_query(FOREST, SET, long), [("short", describe(short))]) == []
+    assert find_in_takes(describe_query(FOREST, SET, clip), []) == []
+
+
+def test_takes_without_windows_have_no_answers():
+    clip = make_clip("bow", 0)
+    one_frame = JoinedTake(clip.positions[:1], clip.height, ())
+    assert find_in_takes(describe_query(FOREST, SET, clip), [("frame", describe(one_frame))]) == []
+
+
+def test_queries_that_cannot_be_are_refused():
+    clip = make_clip("bow", 0)
+    with pytest.raises(InvalidMotionError, match=r"at least 0\.27 s"):
+        describe_query(FOREST, SET, replace(clip, positions=clip.positions[:7]))
+    with pytest.raises(InvalidMotionError, match="finite"):
+        describe_query(FOREST, SET, replace(clip, positions=clip.positions * np.nan))
+
+
+def test_windows_of_another_forest_are_refused():
+    windows = describe(take_of([make_clip("bow", 0)]))
+    query = describe_query(FOREST, SET, make_clip("bow", 0))
+    with pytest.raises(InvalidMotionError, match="another forest"):
+        find_in_takes(replace(query, leaves=query.leaves[:3]), [("one", windows)])
+
+
+@pytest.mark.parametrize("options", [{"limit": 0}, {"slowest": 0.0}, {"slowest": 3.0}, {"fastest": np.inf}])
+def test_options_out_of_range_are_refused(options):
+    with pytest.raises(OptionError, match="limit of 1 or more"):
+        find_in_takes(describe_query(FOREST, SET, make_clip("bow", 0)), [], **options)
+
+
+def test_answers_are_plain_json():
+    windows = describe(take_of([make_clip("bow", 0), make_clip("kick", 0)]))
+    found = find_in_takes(describe_query(FOREST, SET, make_clip("bow", 0)), [("one", windows)], limit=1)
+    assert json.loads(json.dumps(found[0].to_json())).keys() == {
+        "take", "start_s", "end_s", "score", "distance", "shared_leaves", "tempo"
+    }  # fmt: skip

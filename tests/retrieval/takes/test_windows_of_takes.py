@@ -1,0 +1,180 @@
+"""Takes as windows: the grid, what is kept, kernels against slow loops, bytes."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from oracles.short_actions import make_clip, make_library
+from oracles.slow_takes import best_sum, parts_of, pose_distance
+
+from dousa.errors import DousaError, InvalidMotionError, OptionError
+from dousa.retrieval import FEATURE_SETS, MotionForest, compute_track
+from dousa.retrieval.takes import window_kernels as kernels
+from dousa.retrieval.takes.leaf_weights import join_clips
+from dousa.retrieval.takes.windows import TakeWindows, WindowGrid, choose_grid, describe_take, place_windows
+
+SET = FEATURE_SETS["extended"]
+CLIPS = make_library((0, 1), 2)
+FOREST = MotionForest(n_trees=12, thresholds="random", random_state=0).fit(
+    np.stack([SET.compute(clip) for clip in CLIPS]), [clip.category for clip in CLIPS], feature_set=SET
+)
+GRID = WindowGrid((32, 48, 64))
+TAKE = join_clips([make_clip("bow", 4), make_clip("kick", 4)], np.random.default_rng(0))
+WINDOWS = describe_take(FOREST, SET, TAKE, GRID)
+RANDOM = np.random.default_rng(1)
+
+
+def test_every_frame_lies_in_windows_of_every_length():
+    starts, stops = place_windows(GRID, 101)
+    for length in GRID.lengths:
+        some = stops - starts == length
+        assert starts[some][0] == 0
+        assert stops[some][-1] == 101
+        assert (np.diff(starts[some]) <= length / 5).all()
+    assert (np.diff(stops - starts) >= 0).all()
+
+
+@pytest.mark.parametrize(("n_frames", "count"), [(0, 0), (1, 0), (31, 0), (32, 1), (36, 2), (37, 2), (38, 3)])
+def test_short_takes_have_few_windows(n_frames, count):
+    assert len(place_windows(WindowGrid((32,)), n_frames)[0]) == count
+
+
+def test_the_grid_follows_the_clips():
+    assert choose_grid([2.0, 2.0], 0.8, 1.25).lengths == (48, 64)
+    assert choose_grid([0.1]).lengths == (16,)
+    assert choose_grid([2.0]).lengths == (32, 48, 64, 96, 128)
+    assert WindowGrid((16, 24, 64)).within(20, 30).lengths == (24,)
+    assert WindowGrid((16, 24, 64)).within(300, 400).lengths == (64,)
+
+
+@pytest.mark.parametrize("lengths", [(), (8,), (16, 16), (24, 16), (20,), (8192,), (16.5,)])
+def test_impossible_grids_are_refused(lengths):
+    with pytest.raises(OptionError, match="window lengths"):
+        WindowGrid(lengths)
+
+
+@pytest.mark.parametrize("durations", [[], [0.0], [float("nan")]])
+def test_a_grid_needs_durations(durations):
+    with pytest.raises(OptionError, match="durations"):
+        choose_grid(durations)
+
+
+def test_leaves_are_those_of_the_whole_recording():
+    track = compute_track(TAKE, SET)
+    cells = track.describe(WINDOWS.starts, WINDOWS.stops)
+    np.testing.assert_array_equal(WINDOWS.leaves, FOREST.apply(cells))
+    assert WINDOWS.leaves.dtype == np.uint16
+    assert WINDOWS.n_frames == len(TAKE.positions)
+
+
+def test_chunks_and_threads_change_nothing(monkeypatch):
+    monkeypatch.setattr("dousa.retrieval.takes.windows.CHUNK", 30)
+    seen = []
+    again = describe_take(FOREST, SET, TAKE, GRID, n_jobs=2, progress=lambda *step: seen.append(step))
+    # The heading is smoothed over time: what lies far outside a chunk touches its last digits only.
+    assert (again.leaves == WINDOWS.leaves).mean() > 0.999
+    assert seen[-1] == (len(TAKE.positions), len(TAKE.positions))
+
+
+@pytest.mark.parametrize("n_frames", [1, 5, 20])
+def test_a_take_too_short_for_windows_is_described(n_frames):
+    short = replace(TAKE, positions=TAKE.positions[:n_frames])
+    windows = describe_take(FOREST, SET, short, GRID)
+    assert windows.leaves.shape == (0, 12)
+    assert windows.n_frames == n_frames
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"positions": np.zeros((0, 20, 3))}, "canonical positions"),
+        ({"positions": np.zeros((9, 19, 3))}, "canonical positions"),
+        ({"positions": np.full((9, 20, 3), np.nan)}, "finite"),
+        ({"height": 0.0}, "height"),
+    ],
+)
+def test_impossible_takes_are_refused(change, message):
+    with pytest.raises(InvalidMotionError, match=message):
+        describe_take(FOREST, SET, replace(TAKE, **change), GRID)
+
+
+def test_windows_come_back_from_bytes():
+    again = TakeWindows.from_bytes(WINDOWS.to_bytes())
+    assert again.grid == WINDOWS.grid
+    assert again.duration == WINDOWS.duration
+    np.testing.assert_array_equal(again.leaves, WINDOWS.leaves)
+    np.testing.assert_array_equal(again.sums, WINDOWS.sums)
+    assert again.to_bytes() == WINDOWS.to_bytes()
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.data())
+def test_damaged_bytes_are_refused_or_harmless(data):
+    damaged = bytearray(WINDOWS.to_bytes())
+    for _ in range(data.draw(st.integers(1, 3))):
+        damaged[data.draw(st.integers(0, len(damaged) - 1))] = data.draw(st.integers(0, 255))
+    cut = data.draw(st.integers(0, len(damaged)))
+    for some in (bytes(damaged), bytes(damaged[:cut])):
+        try:
+            TakeWindows.from_bytes(some)
+        except DousaError:
+            continue
+
+
+def test_pose_distances_equal_the_slow_ones():
+    poses = RANDOM.normal(size=(90, 27))
+    sums = np.concatenate([np.zeros((1, 27)), np.cumsum(poses, axis=0)])
+    query = RANDOM.normal(size=(21, 27))
+    starts, stops = np.array([0, 3, 50, 2]), np.array([16, 90, 61, 10])
+    found = np.empty(4)
+    kernels.compare_poses(sums, starts, stops, parts_of(query), found)
+    expected = [pose_distance(poses[a:b], query) for a, b in zip(starts, stops, strict=True)]
+    np.testing.assert_allclose(found, expected, rtol=1e-12)
+
+
+def test_leaf_shares_and_scores_equal_the_slow_ones():
+    leaves = RANDOM.integers(0, 9, (20, 7)).astype(np.uint16)
+    query = leaves[3].copy()
+    shares = np.empty(20)
+    kernels.compare_leaves(leaves, query, shares)
+    np.testing.assert_allclose(shares, (leaves == query).mean(axis=1))
+    weights = RANDOM.normal(size=(9, 4)).astype(np.float32)
+    scores = np.zeros((20, 4), np.float32)
+    kernels.score_windows(leaves, weights, scores)
+    np.testing.assert_allclose(scores, weights[leaves].sum(axis=1), rtol=1e-5, atol=1e-5)
+
+
+@settings(max_examples=50, deadline=None)
+@given(st.integers(0, 2**32 - 1))
+def test_chosen_windows_have_the_largest_sum(seed):
+    draw = np.random.default_rng(seed)
+    starts = draw.integers(0, 12, 9)
+    stops = starts + draw.integers(1, 6, 9)
+    gains = draw.integers(-3, 9, 9).astype(float)
+    order = np.argsort(stops, kind="stable")
+    n_frames = int(stops.max())
+    best, chosen = np.empty(n_frames + 1), np.empty(n_frames + 1, np.int64)
+    first_at = np.searchsorted(stops[order], np.arange(n_frames + 2))
+    kernels.choose_windows(starts[order], stops[order], gains[order], n_frames, first_at, best, chosen)
+    assert best[-1] == best_sum(starts, stops, gains)
+    total, frame = 0.0, n_frames
+    while frame > 0:
+        window = chosen[frame]
+        total += gains[order][window] if window >= 0 else 0.0
+        frame = starts[order][window] if window >= 0 else frame - 1
+    assert total == best[-1]
+
+
+def test_a_real_take_is_described_at_thirty_frames_a_second(shared_data):
+    from dousa.formats.registry import read_motion
+    from dousa.motion import canonicalise
+
+    motion = canonicalise(read_motion(shared_data("cmu86/86_01.amc")))
+    windows = describe_take(FOREST, SET, motion, GRID)
+    assert windows.n_frames == round(4579 / 4)
+    assert windows.duration == pytest.approx(4579 / 120)
+    assert np.isfinite(windows.sums).all()

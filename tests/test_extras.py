@@ -1,0 +1,59 @@
+"""What is not installed says which extra brings it."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+import tomllib
+from pathlib import Path
+
+import pytest
+
+from dousa.errors import MissingExtraError
+from dousa.extras import require
+
+PROJECT = tomllib.loads((Path(__file__).parents[1] / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+
+# Run where these packages cannot be imported.
+HIDDEN = """
+import sys
+for name in ("cv2", "matplotlib", "fontTools", "fastapi", "uvicorn", "jinja2", "scipy", "PIL"):
+    sys.modules[name] = None
+"""
+CASES = [
+    ("film", "from dousa.extras import cv2"),
+    ("film", "from dousa.estimation.silhouettes.images import read_image; read_image('x.png')"),
+    ("pictures", "from dousa.app.pictures.canvas import new_figure; new_figure(2.0, 1.0)"),
+    ("pictures", "from dousa.app.pictures.canvas import drawable; drawable('x')"),
+    ("studio", "from dousa.app.studio import create_app"),
+]
+
+
+@pytest.mark.parametrize(("extra", "code"), CASES)
+def test_what_is_not_installed_is_named_with_its_extra(extra, code, tmp_path):
+    assert extra in PROJECT["optional-dependencies"]
+    (tmp_path / "x.png").write_bytes(b"\x89PNG\r\n\x1a\n")
+    outcome = subprocess.run(
+        [sys.executable, "-c", HIDDEN + code], cwd=tmp_path, capture_output=True, text=True, check=False
+    )
+    assert outcome.returncode == 1
+    assert "MissingExtraError" in outcome.stderr
+    assert f"pip install 'dousa[{extra}]'" in outcome.stderr
+
+
+def test_a_package_that_is_there_is_given():
+    assert require("json", "film").loads("[1]") == [1]
+
+
+def test_a_missing_package_names_its_extra():
+    with pytest.raises(MissingExtraError, match=r"pip install 'dousa\[film\]'") as caught:
+        require("no_such_package_of_dousa", "film")
+    assert isinstance(caught.value, ImportError)
+
+
+def test_a_package_that_is_broken_is_not_called_missing(tmp_path, monkeypatch):
+    (tmp_path / "broken_package_of_dousa.py").write_text("import no_such_package_of_dousa\n", encoding="utf-8")
+    monkeypatch.syspath_prepend(str(tmp_path))
+    with pytest.raises(ModuleNotFoundError, match="no_such_package_of_dousa") as caught:
+        require("broken_package_of_dousa", "film")
+    assert not isinstance(caught.value, MissingExtraError)
