@@ -143,7 +143,7 @@ def test_work_that_does_not_hear_ctrl_c_is_ended(studio, wait_job, monkeypatch):
 
     deaf = (
         "import signal, sys, time; signal.signal(signal.SIGINT, signal.SIG_IGN); "
-        'print(\'{"progress": [0, 1, "deaf"]}\', flush=True); time.sleep(600)'
+        'print(\'{"ready": true}\', flush=True); print(\'{"progress": [0, 1, "deaf"]}\', flush=True); time.sleep(600)'
     )
     real = lanes.subprocess.Popen
     monkeypatch.setattr(lanes, "_PATIENCE", 0.3)

@@ -209,9 +209,18 @@ def test_work_can_be_stopped_where_ctrl_c_is_ignored(deaf, studio, tmp_path):
     with process:
         process.stdin.write(task)
         process.stdin.flush()
+        assert "ready" in json.loads(process.stdout.readline())
         assert "progress" in json.loads(process.stdout.readline())
         process.send_signal(signal.SIGINT)
         assert json.loads(process.stdout.readlines()[-1]) == {"stopped": True}
+
+
+@pytest.mark.skipif(os.name != "posix", reason="other systems have no such signal")
+def test_a_job_stopped_at_once_stops_where_ctrl_c_is_ignored(deaf, studio, wait_job):
+    """The signal may come before the process is ready to hear it."""
+    job = studio.post("/api/jobs/train", json={}).json()
+    studio.post(f"/api/jobs/{job['id']}/stop")
+    assert wait_job(studio, job["id"])["state"] == "stopped"
 
 
 def test_training_fails_with_a_sentence(studio, wait_job):

@@ -28,6 +28,8 @@ if TYPE_CHECKING:
     from dousa.library import Library
 
 _WORKER = "dousa.app.studio.work.worker"  # the module that a process runs
+READY = '{"ready": true}\n'
+"""The first line of a process: it hears Ctrl-C and waits for its task."""
 _PATIENCE = 10.0  # s between asking a process to stop and ending it
 
 Progress = Callable[[int, int, Message | str], None]
@@ -120,6 +122,9 @@ def _listen(
 ) -> dict[str, Any]:
     stdin, stdout = process.stdin, process.stdout
     assert stdin is not None and stdout is not None
+    stdout.readline()  # READY: a signal sent before it could be lost, with the job going on to its end
+    if stop.is_set():
+        raise JobStopped
     with suppress(OSError):
         stdin.write(task)
         stdin.flush()  # stays open: its end tells the process that the studio is gone

@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from dousa.app.studio.jobs.board import Lane
-from dousa.app.studio.jobs.lanes import Context, run_in_process, run_in_thread
+from dousa.app.studio.jobs.lanes import READY, Context, run_in_process, run_in_thread
 
 if TYPE_CHECKING:
     from dousa.app.studio.content.studio import Studio
@@ -69,7 +69,11 @@ def main() -> None:
     os.dup2(2, 1)
     os.environ.setdefault("OPENCV_IO_MAX_IMAGE_PIXELS", str(_MOST_PIXELS))  # read when OpenCV is loaded
     _stand_back()
-    task = json.loads(sys.stdin.readline())
+    out.write(READY)  # from here on Ctrl-C is heard
+    line = sys.stdin.readline()
+    if not line:  # stopped before there was anything to do
+        return
+    task = json.loads(line)
     threading.Thread(target=_end_with_studio, daemon=True).start()
     answer = _do(task, out)
     _say(out, answer)
