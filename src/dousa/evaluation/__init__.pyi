@@ -1,3 +1,5 @@
+from .advice.advice import Advice, advise, describe_advice, praise
+from .advice.directions import Correction
 from .alignment.correlation import compute_correlation_matrix
 from .alignment.correspondence import Line, find_lines, find_path
 from .errors.lapses import Lapse
@@ -35,7 +37,9 @@ __all__ = [
     "SEGMENTS",
     "SEGMENT_JOINTS",
     "AdjustableAssessment",
+    "Advice",
     "Assessment",
+    "Correction",
     "Eigenspace",
     "ErrorEvent",
     "FrameState",
@@ -45,6 +49,7 @@ __all__ = [
     "Lapse",
     "Line",
     "PostureSequence",
+    "advise",
     "assess",
     "compute_complex_correlation",
     "compute_correlation_matrix",
@@ -54,6 +59,7 @@ __all__ = [
     "compute_postures",
     "compute_segment_residuals",
     "compute_segments",
+    "describe_advice",
     "describe_assessment",
     "describe_event",
     "describe_heading",
@@ -68,6 +74,7 @@ __all__ = [
     "fit_furi_eigenspaces",
     "format_furi",
     "mirror_postures",
+    "praise",
     "read_furi",
     "read_weights",
     "rotate_yaw",

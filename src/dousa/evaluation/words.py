@@ -100,10 +100,16 @@ def describe_segments(segments: Iterable[str], language: str | None = None) -> s
     ------
     OptionError : a segment that there is not.
     """
-    return Message("body_segments.several", names=_group(segments)).render(language)
+    return Message("body_segments.several", names=group_segments(segments)).render(language)
 
 
-def _group(segments: Iterable[str]) -> tuple[Message, ...]:
+def group_segments(segments: Iterable[str]) -> tuple[Message, ...]:
+    """Names of limbs instead of segments where a limb is whole, from the trunk to the legs; none is the whole body.
+
+    Raises
+    ------
+    OptionError : a segment that there is not.
+    """
     left = set(segments)
     if unknown := left - set(SEGMENT_NAMES):
         raise OptionError("body_segments.unknown", known=tuple(SEGMENT_NAMES), names=unknown)
@@ -144,7 +150,7 @@ def describe_event(
     ------
     OptionError : a kind or segment that there is not.
     """
-    who = _group(segments)
+    who = group_segments(segments)
     if kind == "global":
         return Message("error_event.global")
     if kind == "partial":

@@ -12,7 +12,7 @@ import pytest
 from oracles.wandering import make_wandering_motion
 
 from dousa.errors import InvalidMotionError, OptionError
-from dousa.evaluation import Assessment, ErrorEvent, FrameState, IncrementalAssessor, assess
+from dousa.evaluation import Assessment, ErrorEvent, FrameState, IncrementalAssessor, advise, assess
 from dousa.experiments.injection.injection import inject_many, simulate_performer
 from dousa.formats.registry import read_motion
 from dousa.motion import CanonicalMotion, canonicalise
@@ -107,6 +107,22 @@ def test_an_error_says_the_same_as_in_the_whole() -> None:
                 assert event.lag_ms == pytest.approx(other.lag_ms, abs=30.0)
             if event.shortfall_deg is not None:
                 assert event.shortfall_deg == pytest.approx(other.shortfall_deg, abs=3.0)
+
+
+def test_an_error_gives_the_advice_that_it_gives_in_the_whole() -> None:
+    compared = 0
+    for seed in SEEDS:
+        assessor, _, whole = run_trial(seed)
+        assert [one.event for one in assessor.advice] == list(range(len(assessor.settled)))
+        full = {one.event: one for one in advise(whole, "full") if one.event is not None}
+        for event, said in zip(assessor.settled, assessor.advice, strict=True):
+            assert said.about == event.kind
+            other = max(whole.events, key=lambda one: overlap(one, event))
+            if (other.kind, other.segments) == (event.kind, event.segments) and overlap(other, event) > 0.9:
+                same = full[whole.events.index(other)]
+                assert (said.direction, said.segments, said.furi) == (same.direction, same.segments, same.furi)
+                compared += 1
+    assert compared >= len(SEEDS)
 
 
 @pytest.mark.parametrize("seed", SEEDS)

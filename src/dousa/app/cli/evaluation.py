@@ -72,6 +72,10 @@ def evaluate(
         Path | None,
         typer.Option("--weights", metavar="FILE", help="Weights: lines such as 'arms = 2', 'left_shank = 0'."),
     ] = None,
+    detail: Annotated[
+        Literal["brief", "full"],
+        typer.Option("--detail", help="brief: the grade and what to work on first; full: every error as well."),
+    ] = "full",
     unit: o.Unit = None,
     up: o.Up = None,
     skeleton: o.SkeletonFile = None,
@@ -116,11 +120,11 @@ def evaluate(
             page = write_report(done.assessment, output, language=language)
     _warn(done)
     if json:
-        print_json(_describe(done, page))
+        print_json(_describe(done, page, detail))
     else:
         from dousa.app.tables.answers import print_assessment
 
-        print_assessment(console(), done.assessment)
+        print_assessment(console(), done.assessment, detail)
         if page is not None:
             console().print(str(Message("evaluation_cli.report", path=page)), markup=False, soft_wrap=True)
 
@@ -134,9 +138,12 @@ def _load_weights(path: Path | None) -> dict[str, float] | None:
     return weights
 
 
-def _describe(done: Evaluation, page: Path | None) -> dict[str, Any]:
+def _describe(done: Evaluation, page: Path | None, detail: str) -> dict[str, Any]:
+    from dousa.evaluation import advise, describe_advice
+
     return {
         **done.assessment.to_json(),
+        "advice": describe_advice(advise(done.assessment, detail)),
         "references": [str(path) for path in done.references],
         "performance": str(done.performance),
         "report": None if page is None else str(page),

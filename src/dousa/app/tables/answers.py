@@ -360,19 +360,38 @@ def _print_uncertainty(out: Console, done: Estimation) -> None:
         _say(out, "estimated.hidden", parts=parts[:_SHOWN_JOINTS])
 
 
-def print_assessment(out: Console, assessment: Assessment) -> None:
-    """The grade, how it came about, and every error and lapse in order of time.
+def print_assessment(out: Console, assessment: Assessment, detail: str = "full") -> None:
+    """The grade and what to work on first; in full also how the grade came about, and every error in order of time.
 
     Parameters
     ----------
     out : where to print.
     assessment : the answer.
+    detail : of `dousa.evaluation.advise`.
     """
+    from dousa.evaluation import advise, praise
+
     score = "-" if assessment.score != assessment.score else f"{assessment.score:.0f}"
     code = "graded.calibrated" if assessment.calibrated else "graded.uncalibrated"
     grade = Message(code, score=score, n=assessment.n_references)
     out.print(str(grade), style="bold", markup=False, soft_wrap=True)
+    said = advise(assessment, "brief")
+    good = praise(assessment)
+    for number, one in enumerate(said, start=1):
+        place = f"{number}. " if len(said) > 1 else ""
+        out.print(f"{place}{one_line(str(one.message))}", markup=False, soft_wrap=True)
+    if good is not None and good.furi:
+        out.print(str(good.message), markup=False, soft_wrap=True)
+    if detail == "brief":
+        more = len(assessment.events) + len(assessment.lapses) - sum(max(len(one.times), 1) for one in said)
+        if more > 0:
+            out.print(str(Message("graded.more", n=more)), markup=False, soft_wrap=True)
+        return
     out.print(str(assessment.score_formula), markup=False, soft_wrap=True)
+    _print_errors(out, assessment)
+
+
+def _print_errors(out: Console, assessment: Assessment) -> None:
     rows = _event_rows(assessment) + _lapse_rows(assessment)
     if rows:
         table = Table(box=None)

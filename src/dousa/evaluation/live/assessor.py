@@ -14,6 +14,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from dousa.arrays import FloatArray
 from dousa.errors import InvalidMotionError, OptionError
+from dousa.evaluation.advice.advice import Advice, advise_on_event
+from dousa.evaluation.advice.pairs import PairedDancers
 from dousa.evaluation.alignment.pairing import compare_poses
 from dousa.evaluation.errors.explain import Finding
 from dousa.evaluation.errors.lapses import Lapse
@@ -140,6 +142,7 @@ class IncrementalAssessor:
         self._poses = np.zeros((self._stride, 9, 3))
         self._poses_seen = np.zeros((self._stride, 9), np.bool_)
         self._settled: list[ErrorEvent] = []
+        self._advice: list[Advice] = []
 
     @property
     def n_frames(self) -> int:
@@ -150,6 +153,11 @@ class IncrementalAssessor:
     def settled(self) -> tuple[ErrorEvent, ...]:
         """Errors that are over for the look-ahead and more, in order of time; they do not change any more."""
         return tuple(self._settled)
+
+    @property
+    def advice(self) -> tuple[Advice, ...]:
+        """What to tell the dancer of each of `settled`, in the same order; see `dousa.evaluation.advise`."""
+        return tuple(self._advice)
 
     @property
     def lapses(self) -> tuple[Lapse, ...]:
@@ -266,7 +274,7 @@ class IncrementalAssessor:
         residuals[first:] = residual
         # Of the heading the usual difference so far is taken off.
         facing[first:] = take_off_median(np.concatenate([self._yaw.values, yaw]))[-len(yaw) :]
-        return describe_findings(
+        events = describe_findings(
             found,
             self._window.lapses,
             working=performance,
@@ -275,6 +283,10 @@ class IncrementalAssessor:
             facing=facing,
             furi_index=index,
         )
+        dancers = PairedDancers(self._references.postures, part, same[first:], first / self._rate)
+        for event in events:
+            self._advice.append(advise_on_event(event, len(self._advice), dancers, self._furi))
+        return events
 
     def _place_frames(self, first: int) -> FloatArray:
         """Reference frames of the frames from the first on, nan outside the reference."""

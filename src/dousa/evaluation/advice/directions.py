@@ -1,0 +1,260 @@
+"""Which way a limb should go: higher, further forward, more bent; and by how much.
+
+Each direction is a rotation of the limb by one angle over all moments looked at. The rotation that brings the limb
+nearest to the reference's has a closed form, and so has the share of the difference that it takes away. A direction
+is said only if this share is large: then it dominates, and it is the same throughout.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from dousa.arrays import FloatArray
+from dousa.evaluation.advice.pairs import PosePairs
+from dousa.evaluation.posture.posture import LIMBS, SEGMENTS
+
+LEAST_DEG = 8.0
+"""Degrees; a smaller correction is not said."""
+
+_LEAST_SHARE = 0.6  # of the difference that a direction must take away
+_LEAST_TOGETHER = 0.4  # of the difference of all wrong limbs
+_RATHER = 0.1  # more of the difference must a direction take away to be said instead of a more usual one
+_ACROSS = 0.35  # sine between limb and axis of the body, below which it cannot go further that way
+_LEVEL = 0.1  # horizontal part below which a limb hangs
+_HANGING_DEG = -60.0  # elevation below which people say forward and outward rather than higher
+_UPRIGHT_DEG = 12.0  # tilt of a trunk that is held upright
+_ALIKE_DEG, _ALIKE_SHARE = 10.0, 0.35  # amounts of left and right that are said as one
+_MINOR = 0.4  # of the largest correction: below, it is left out
+_MOST = 2  # corrections in one sentence
+_UP, _FRONT, _LEFT = np.eye(3)[1], np.eye(3)[2], np.eye(3)[0]
+
+OPPOSITES: dict[str, str] = {
+    "up": "down",
+    "forward": "back",
+    "outward": "inward",
+    "bend": "straighten",
+    "lean_forward": "lean_back",
+    "lean_left": "lean_right",
+}
+"""Directions and what a negative amount of them is; besides them there is ``upright``."""
+
+
+@dataclass(frozen=True, slots=True)
+class Correction:
+    """One thing to do differently.
+
+    Parameters
+    ----------
+    segments : what is to be moved.
+    direction : ``up``, ``down``, ``forward``, ``back``, ``outward``, ``inward`` (of a limb), ``bend``, ``straighten``
+        (of elbow or knee), ``lean_forward``, ``lean_back``, ``lean_left``, ``lean_right``, ``upright`` (of the trunk).
+    amount_deg : how far, above 0.
+    gain : what it takes away of the squared distance to the reference, summed over segments, mean over moments.
+    """
+
+    segments: tuple[str, ...]
+    direction: str
+    amount_deg: float
+    gain: float
+
+
+@dataclass(frozen=True, slots=True)
+class _Fit:
+    direction: str
+    members: tuple[int, ...]
+    angle: float
+    share: float
+    gain: float
+
+
+def find_corrections(pairs: PosePairs, segments: Iterable[str]) -> tuple[Correction, ...]:
+    """What to do differently at some moments, the largest first; none where no direction dominates.
+
+    Parameters
+    ----------
+    pairs : the moments, such as those around the worst one.
+    segments : the wrong ones, of `SEGMENTS`.
+
+    Returns
+    -------
+    One or two corrections; the same one of a left and a right limb is one correction of both.
+
+    Not in the paper.
+    """
+    wrong = {SEGMENTS.index(name) for name in segments}
+    known = np.all(pairs.judged[:, sorted(wrong)], axis=1) if wrong else np.zeros(len(pairs.times), np.bool_)
+    if not known.any():
+        return ()
+    ours, theirs = pairs.ours[known], pairs.theirs[known]
+    found: list[_Fit] = []
+    total = 0.0
+    for name, limb in LIMBS.items():
+        members = tuple(index for index in limb if index in wrong)
+        if not members:
+            continue
+        total += _measure_gap(ours, theirs, members)
+        whole = bool(pairs.judged[known][:, list(limb)].all())
+        fit = _fit_trunk(ours, theirs) if name == "trunk" else _fit_limb(ours, theirs, limb, members, name, whole)
+        if fit is not None:
+            found.append(fit)
+    found = [fit for fit in found if fit.gain >= _MINOR * max(one.gain for one in found)]
+    if sum(fit.gain for fit in found) < _LEAST_TOGETHER * total:
+        return ()
+    made = [
+        Correction(tuple(SEGMENTS[k] for k in one.members), one.direction, float(np.degrees(one.angle)), one.gain)
+        for one in found
+    ]
+    return tuple(sorted(_join_sides(made), key=lambda one: -one.gain)[:_MOST])
+
+
+def _measure_gap(ours: FloatArray, theirs: FloatArray, members: Iterable[int]) -> float:
+    """Half the squared chord, summed over the members, mean over the moments."""
+    columns = list(members)
+    return float((1.0 - (ours[:, columns] * theirs[:, columns]).sum(axis=2)).sum(axis=1).mean())
+
+
+def _rotate(
+    ours: FloatArray, theirs: FloatArray, turns: Iterable[tuple[int, FloatArray]], gap: float
+) -> tuple[float, float]:
+    """The angle about the given axes that brings segments nearest to the reference, and the share that it takes away.
+
+    Rodrigues: v cos a + (k x v) sin a + k (k v)(1 - cos a); its product with the target is A cos a + B sin a + C.
+    """
+    along, across, fixed, before = 0.0, 0.0, 0.0, 0.0
+    for index, axis in turns:
+        v, t = ours[:, index], theirs[:, index]
+        both = (axis * v).sum(axis=1) * (axis * t).sum(axis=1)
+        dot = (v * t).sum(axis=1)
+        along += float((dot - both).mean())
+        across += float((np.cross(axis, v) * t).sum(axis=1).mean())
+        fixed += float(both.mean())
+        before += float(dot.mean())
+    won = np.hypot(along, across) + fixed - before
+    return float(np.arctan2(across, along)), won / max(gap, 1e-9)
+
+
+def _fit_limb(
+    ours: FloatArray, theirs: FloatArray, limb: tuple[int, ...], wrong: tuple[int, ...], name: str, whole: bool
+) -> _Fit | None:
+    """The best direction of an arm or leg, moved whole or only where it is wrong; the usual words are tried first."""
+    choices = [limb, wrong] if whole and wrong != limb else [wrong]
+    fits: list[_Fit] = []
+    for members in choices:
+        gap = _measure_gap(ours, theirs, limb if whole else members)
+        if whole and members != limb[:1]:
+            fits += _fit_joint(ours, theirs, limb, members, gap)
+        for direction, axis in _list_axes(ours, theirs, members, 1.0 if name.startswith("left") else -1.0):
+            angle, share = _rotate(ours, theirs, ((index, axis) for index in members), gap)
+            if direction != "up" or _is_elevation(ours, theirs, members, angle):
+                fits.append(_Fit(direction, members, angle, share, share * gap))
+    return _choose(fits)
+
+
+def _choose(fits: list[_Fit]) -> _Fit | None:
+    """The one that takes most away, an earlier one if it is nearly as good; the opposite word if it is negative."""
+    most = max((fit.share for fit in fits), default=0.0)
+    best = next((fit for fit in fits if fit.share >= max(_LEAST_SHARE, most - _RATHER)), None)
+    if best is None or abs(np.degrees(best.angle)) < LEAST_DEG:
+        return None
+    direction = best.direction if best.angle > 0 else OPPOSITES.get(best.direction, best.direction)
+    return _Fit(direction, best.members, abs(best.angle), best.share, best.gain)
+
+
+def _fit_joint(
+    ours: FloatArray, theirs: FloatArray, limb: tuple[int, ...], members: tuple[int, ...], gap: float
+) -> Iterator[_Fit]:
+    """Elbow or knee more bent: the lower segment moves, or the upper one, or both towards each other."""
+    upper, lower = limb
+    normal = _unit(np.cross(ours[:, upper], ours[:, lower]) + np.cross(theirs[:, upper], theirs[:, lower]))
+    wanted = float(np.median(_measure_bend(theirs, limb) - _measure_bend(ours, limb)))
+    ways: list[tuple[tuple[int, FloatArray], ...]] = [((lower, normal),)]
+    if len(members) == 2:
+        ways += [((upper, -normal), (lower, normal)), ((upper, -normal),)]
+    for turns in ways:
+        angle, share = _rotate(ours, theirs, turns, gap)
+        if angle * wanted > 0 and abs(wanted) >= 0.5 * abs(angle):
+            yield _Fit("bend", limb, wanted, share, share * gap)
+
+
+def _measure_bend(poses: FloatArray, limb: tuple[int, ...]) -> FloatArray:
+    """(N,) rad between upper and lower segment, 0 is straight."""
+    cosine = (poses[:, limb[0]] * poses[:, limb[1]]).sum(axis=1)
+    return np.asarray(np.arccos(np.clip(cosine, -1.0, 1.0)))
+
+
+def _list_axes(
+    ours: FloatArray, theirs: FloatArray, members: tuple[int, ...], side: float
+) -> Iterator[tuple[str, FloatArray]]:
+    """Directions that a limb can go, the usual words first, with the axes (N, 3) that it turns about."""
+    columns = list(members)
+    limbs = ours[:, columns].sum(axis=1) + theirs[:, columns].sum(axis=1)
+    mean = _unit(limbs)
+    level = (limbs * [1.0, 0.0, 1.0]).mean(axis=0) / len(members)
+    found: list[tuple[str, FloatArray]] = []
+    if np.linalg.norm(level) >= _LEVEL:
+        axis = np.cross(level / np.linalg.norm(level), _UP)
+        found.append(("up", np.tile(axis, (len(ours), 1))))
+    apart = np.abs((theirs[:, columns] - ours[:, columns]).sum(axis=1).mean(axis=0))
+    ways = [("forward", _FRONT), ("outward", side * _LEFT)]
+    for direction, way in ways if apart[2] >= apart[0] else ways[::-1]:
+        across = np.cross(mean, way)
+        if np.median(np.linalg.norm(across, axis=1)) >= _ACROSS:
+            found.append((direction, _unit(across)))
+    hanging = np.sin(np.radians(_HANGING_DEG))
+    if max(float(np.median(_unit(poses[:, columns].sum(axis=1))[:, 1])) for poses in (ours, theirs)) < hanging:
+        found.sort(key=lambda one: one[0] == "up")
+    yield from found
+
+
+def _is_elevation(ours: FloatArray, theirs: FloatArray, members: tuple[int, ...], angle: float) -> bool:
+    """Whether the limb rises by about this angle, and does not swing through the vertical instead."""
+    columns = list(members)
+    heights = [np.arcsin(np.clip(_unit(poses[:, columns].sum(axis=1))[:, 1], -1.0, 1.0)) for poses in (ours, theirs)]
+    return abs(float(np.median(heights[1] - heights[0])) - angle) <= 0.35 * abs(angle)
+
+
+def _fit_trunk(ours: FloatArray, theirs: FloatArray) -> _Fit | None:
+    gap = _measure_gap(ours, theirs, (0,))
+    mean = _unit(ours[:, 0] + theirs[:, 0])
+    fits = []
+    tilt = np.degrees(np.arccos(np.clip([float(np.median(poses[:, 0, 1])) for poses in (ours, theirs)], -1.0, 1.0)))
+    if tilt[1] < min(_UPRIGHT_DEG, tilt[0]):
+        angle, share = _rotate(ours, theirs, ((0, _unit(np.cross(ours[:, 0], _UP))),), gap)
+        if angle > 0:
+            fits.append(_Fit("upright", (0,), angle, share, share * gap))
+    for direction, way in (("lean_forward", _FRONT), ("lean_left", _LEFT)):
+        angle, share = _rotate(ours, theirs, ((0, _unit(np.cross(mean, way))),), gap)
+        fits.append(_Fit(direction, (0,), angle, share, share * gap))
+    return _choose(fits)
+
+
+def _unit(vectors: FloatArray) -> FloatArray:
+    """Unit vectors along the last axis; what has no length stays 0."""
+    size = np.linalg.norm(vectors, axis=-1, keepdims=True)
+    return np.asarray(vectors / np.maximum(size, 1e-9))
+
+
+def _join_sides(found: list[Correction]) -> list[Correction]:
+    """The same correction of left and right is one of both."""
+    joined: list[Correction] = []
+    for one in found:
+        twin = next((other for other in joined if _is_twin(other, one)), None)
+        if twin is None:
+            joined.append(one)
+            continue
+        segments = tuple(name for name in SEGMENTS if name in twin.segments + one.segments)
+        mean = 0.5 * (twin.amount_deg + one.amount_deg)
+        joined[joined.index(twin)] = Correction(segments, one.direction, mean, twin.gain + one.gain)
+    return joined
+
+
+def _is_twin(left: Correction, right: Correction) -> bool:
+    if left.direction != right.direction or left.segments == ("trunk",):
+        return False
+    if tuple(name.replace("left", "right") for name in left.segments) != right.segments:
+        return False
+    apart, most = abs(left.amount_deg - right.amount_deg), max(left.amount_deg, right.amount_deg)
+    return apart <= max(_ALIKE_DEG, _ALIKE_SHARE * most)
