@@ -7,7 +7,9 @@ from .errors import (
     run_error_experiment,
     run_severity_sweep,
 )
+from .injection.generators import GENERATORS
 from .injection.injection import inject, inject_many, simulate_performer
+from .injection.performers import Variation, vary_performer
 from .metrics import Scores, bootstrap_interval, compute_scores, score_ranking
 from .novelty import NoveltyResult, run_novelty_experiment
 from .pose import run_bench
@@ -20,6 +22,7 @@ from .table import ResultTable
 from .takes import TakesResult, run_takes_experiment
 
 __all__ = [
+    "GENERATORS",
     "Accuracy",
     "ExperimentResult",
     "NamedMotion",
@@ -29,6 +32,7 @@ __all__ = [
     "Scores",
     "Split",
     "TakesResult",
+    "Variation",
     "bootstrap_interval",
     "compare_in_images",
     "compare_with_truth",
@@ -53,4 +57,5 @@ __all__ = [
     "score_ranking",
     "simulate_performer",
     "split_half",
+    "vary_performer",
 ]

@@ -96,13 +96,19 @@ def put_together(body: Body) -> FloatArray:
 def prepare_take(motion: CanonicalMotion) -> Take:
     """Take a motion apart and find its heading."""
     positions = np.asarray(motion.positions, dtype=np.float64)
+    heading = find_heading(positions, motion.frame_rate)
+    return Take(take_apart(positions), measure_segments(positions), heading, motion.frame_rate)
+
+
+def find_heading(positions: FloatArray, frame_rate: float) -> FloatArray:
+    """Heading (T,) rad of canonical positions (T, 20, 3), unwrapped: hips and shoulders, smoothed over 0.3 s."""
     joint = JOINT_INDEX
     across = (positions[:, joint["left_hip"]] - positions[:, joint["right_hip"]]) + (
         positions[:, joint["left_shoulder"]] - positions[:, joint["right_shoulder"]]
     )
-    horizontal = smooth(np.stack([across[:, 2], across[:, 0]], axis=1), _HEADING_S * motion.frame_rate)
-    heading = np.unwrap(np.arctan2(horizontal[:, 1], horizontal[:, 0]) - 0.5 * np.pi)
-    return Take(take_apart(positions), measure_segments(positions), heading, motion.frame_rate)
+    horizontal = smooth(np.stack([across[:, 2], across[:, 0]], axis=1), _HEADING_S * frame_rate)
+    heading: FloatArray = np.unwrap(np.arctan2(horizontal[:, 1], horizontal[:, 0]) - 0.5 * np.pi)
+    return heading
 
 
 def sample_body(body: Body, frames: FloatArray) -> Body:

@@ -69,9 +69,9 @@ class Error:
     Parameters
     ----------
     kind : ``"global"``, ``"partial"``, ``"incomplete"`` or ``"shift"``.
-    variant : what it looks like, of `VARIANTS`.
+    variant : what it looks like, of `VARIANTS`, or of a recipe of another generator.
     start_s, end_s : first and last moment at which it can be seen.
-    segments : names of the segments that are wrong; all nine for a shift and a global error.
+    segments : names of the segments that are wrong; all nine for a shift of the whole body and a global error.
     lag_ms : how late at the most (positive) or early (negative), of a shift.
     shortfall_deg, shortfall_percent : how much range the most affected segment lost, of an incomplete motion.
     """
@@ -178,8 +178,10 @@ def find_truth(kind: str, variant: str, take: Take, window: Window, edit: Edit, 
     first, last = moments[0], moments[-1] + 1
     if seen[first:last].mean() < limits.seen_share:
         return None
-    if kind == "partial" and not _is_possible(take, window, edit, positions):
-        return None
+    if kind == "partial":
+        before = put_together(take.body.cut(window.start, window.stop))
+        if not is_possible(before, positions, take.heading[window.start : window.stop]):
+            return None
     part = slice(first, last)
     compared = _Compared(
         kind,
@@ -263,16 +265,20 @@ _JUDGES = {
 }
 
 
-def _is_possible(take: Take, window: Window, edit: Edit, positions: FloatArray) -> bool:
-    """Whether joints could do this, as far as a rough look tells."""
-    clean = put_together(take.body.cut(window.start, window.stop))
+def is_possible(clean: FloatArray, positions: FloatArray, heading: FloatArray) -> bool:
+    """Whether joints could do this, as far as a rough look tells; never stricter than the clean motion.
+
+    Parameters
+    ----------
+    clean, positions : (n, 20, 3) m, before and after.
+    heading : (n,) rad, of the clean motion.
+    """
     height = float(np.median(clean[..., 1].max(axis=1) - clean[..., 1].min(axis=1)))
     radius = _TRUNK_RADIUS * height
     for name in ("left_elbow", "right_elbow", "left_wrist", "right_wrist"):
         before, after = _from_trunk(clean, name).min(), _from_trunk(positions, name).min()
         if after < min(radius, before):
             return False
-    heading = take.heading[window.start : window.stop]
     after, before = (turn(points, -heading) for points in (positions, clean))
     return not any(_bends_too_far(after, before, side) for side in ("left", "right"))
 
