@@ -26,6 +26,7 @@ from dousa.app.report.markup import element, format_number, trace
 from dousa.app.report.page import build_page
 from dousa.app.report.timeline import choose_ticks, encode_map, time_ticks, viridis_table
 from dousa.errors import OptionError
+from dousa.evaluation import advise
 from dousa.messages import Message, load_section
 
 _VOID = {"meta", "img", "br", "link", "input", "col", "hr"}
@@ -107,7 +108,8 @@ def test_contents_in_english(english: str) -> None:
         "71",
         "not calibrated",
         "100 - 10 x 2.9 = 71",
-        "The three worst moments",
+        "What to work on",
+        "Analysis",
         "Timeline",
         "d#",
         "d*",
@@ -115,6 +117,24 @@ def test_contents_in_english(english: str) -> None:
         assert words in text
     assert "one take of the reference: the limits are guessed" in text
     assert "leaves out 1.0 s of the reference" in text
+
+
+def test_advice_comes_first_with_its_picture(english: str, japanese: str) -> None:
+    assessment = make_assessment()
+    said = advise(assessment, "brief")
+    for page, language in ((english, "en"), (japanese, "ja")):
+        text = " ".join(_read(page).texts)
+        places = [text.index(one.message.render(language)) for one in said]
+        assert places == sorted(places)
+        words = load_section("report", language)
+        order = [words[f"{name}_title"] for name in ("advice", "player", "events", "moments", "analysis", "timeline")]
+        found = [text.index(title) for title in order]
+        assert found == sorted(found) and found[0] < places[0] < places[-1] < found[1]
+        tips = re.findall(r'<button type="button" class="tip .*?</button>', page)
+        assert len(tips) == len(said)
+        for tip, one in zip(tips, said, strict=True):
+            assert (f'data-event="{one.event}"' in tip) == (one.event is not None)
+            assert ("<svg" in tip and "arrow-head" in tip) == bool(one.corrections) or one.event is None
 
 
 def test_contents_in_japanese(japanese: str) -> None:

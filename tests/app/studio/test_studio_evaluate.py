@@ -45,6 +45,9 @@ def test_the_errors_are_found_and_the_figures_told(job):
     result = job["result"]
     assert {event["kind"] for event in result["events"]} >= {"partial", "incomplete"}
     assert {event["kind"] for event in result["events"]} <= KINDS
+    assert sorted(one["event"] for one in result["advice"] if one["event"] is not None) == list(
+        range(len(result["events"]))
+    )
     assert result["calibrated"] and 0 < result["score"] < 100
     assert result["names"]["performance"] == "dance_pupil.bvh" and len(result["names"]["references"]) == 3
     assert result["furi_used"] == result["furi_found"] and len(result["furi_found"]) > 5
@@ -65,7 +68,7 @@ def test_the_report_comes_by_parts_in_both_languages(studio, job):
         studio.get(f"/api/evaluations/{job['id']}/report?language={language}").json() for language in ("en", "ja")
     )
     assert set(english["parts"]) == {
-        *("header", "events", "timeline", "matrix", "furi", "moments", "reading", "tables")
+        *("header", "advice", "events", "facts", "timeline", "matrix", "furi", "moments", "reading", "tables")
     }
     for name in english["parts"]:
         assert f'data-part="{name}"' in english["frame"]

@@ -303,6 +303,7 @@ _VIEWS = (0.0, 30.0, -30.0, 60.0, -60.0)  # degrees towards the dancer's right; 
 _FRONT_BONUS = 1.1  # another view must show this many times more of the error
 _PAIR = (420.0, 250.0)
 _STRIP = (620.0, 250.0)
+_LEAST_WAY, _LEAST_ARROW = 3.0, 24.0  # units of the drawing
 _STRIP_STEPS_S = (-0.4, -0.2, 0.0, 0.2, 0.4)
 
 
@@ -410,12 +411,50 @@ def _draw_pair(
         svg.line([(float(x), float(y)) for x, y in placements[1].to_drawing(line)], "ghost")
 
 
+def _draw_arrow(svg: Svg, poses: tuple[FloatArray, FloatArray], placement: Placement, segments: Sequence[str]) -> None:
+    """From where the performance has a limb to where the reference has it: at the joint that is farthest off."""
+    for line in _ghost(poses[0], poses[1], tuple(segments)):
+        limb = next(members for members in LIMBS.values() if SEGMENTS.index(segments[0]) in members)
+        names = [SEGMENTS[k] for k in limb if SEGMENTS[k] in segments]
+        own = poses[1][[J[SEGMENT_JOINTS[SEGMENTS.index(name)][1]] for name in names]]
+        ways = placement.to_drawing(line[1:]) - placement.to_drawing(own)
+        lengths = np.linalg.norm(ways, axis=1)
+        place = int(np.argmax(lengths))
+        if not np.isfinite(lengths[place]) or lengths[place] < _LEAST_WAY:
+            continue
+        way = ways[place] / lengths[place]
+        start = placement.to_drawing(own)[place] + 8.0 * way
+        tip = start + max(lengths[place] - 8.0, _LEAST_ARROW) * way
+        side = np.array([-way[1], way[0]])
+        head = np.array([tip, tip - 11.0 * way + 6.0 * side, tip - 11.0 * way - 6.0 * side])
+        for layer in ("arrow-edge", "arrow"):
+            svg.line([(float(x), float(y)) for x, y in (start, tip - 8.0 * way)], layer)
+        svg.add("polygon", {"points": " ".join(f"{x:.1f},{y:.1f}" for x, y in head), "class": "arrow-head"})
+
+
 def draw_moment(
-    assessment: Assessment, event: ErrorEvent, view: MomentView, words: Mapping[str, str], language: str
+    assessment: Assessment,
+    event: ErrorEvent,
+    view: MomentView,
+    words: Mapping[str, str],
+    language: str,
+    *,
+    size: tuple[float, float] = _PAIR,
+    arrows: Sequence[Sequence[str]] = (),
 ) -> str:
-    """Both poses at the worst moment of an event, as an inline drawing."""
+    """Both poses at the worst moment of an event, as an inline drawing.
+
+    Parameters
+    ----------
+    assessment, event : what is shown.
+    view : from `view_moment`.
+    words : texts of the page.
+    language : of the names of segments.
+    size : of the drawing.
+    arrows : segments of each limb at which an arrow shows where it should go.
+    """
     poses = _poses_at(assessment, view, event.reference_s, event.worst_s)
-    width, height = _PAIR
+    width, height = size
     common = place(poses, width / 2, height - 24.0, 16.0)
     right = Placement(common.scale, common.left + width / 2, common.bottom)
     label = words["moment_label"].format(
@@ -424,6 +463,8 @@ def draw_moment(
     svg = Svg(width, height, label, "figure")
     _floor(svg, width, common.bottom)
     _draw_pair(svg, poses, (common, right), event.segments, words["sides"])
+    for segments in arrows:
+        _draw_arrow(svg, poses, right, segments)
     for x, name, seconds in (
         (width / 4, "reference", event.reference_s),
         (3 * width / 4, "performance", event.worst_s),

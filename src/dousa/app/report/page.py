@@ -12,11 +12,13 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
+from dousa.app.report.advice import build_advice
 from dousa.app.report.curves import build_tables, furi_numbers, to_curves_csv, to_events_csv
 from dousa.app.report.fonts import embed_font, font_rule
 from dousa.app.report.markup import element, escape
 from dousa.app.report.sections import (
     build_events,
+    build_facts,
     build_furi,
     build_header,
     build_moments,
@@ -35,7 +37,9 @@ _READOUTS = 2000  # values of each curve that the page can say beside the cursor
 
 PARTS: Mapping[str, Callable[[Assessment, Mapping[str, str], str], str]] = MappingProxyType(
     {
+        "advice": build_advice,
         "events": build_events,
+        "facts": build_facts,
         "timeline": draw_timeline,
         "matrix": lambda assessment, words, language: draw_matrix(assessment, words),
         "furi": build_furi,
@@ -46,8 +50,8 @@ PARTS: Mapping[str, Callable[[Assessment, Mapping[str, str], str], str]] = Mappi
 )
 """What builds each part, besides the header."""
 
-QUICK_PARTS = ("header", "events", "timeline", "tables")
-"""Parts without figures of people: what follows while somebody is still changing something."""
+QUICK_PARTS = ("header", "advice", "events", "facts", "timeline", "tables")
+"""Parts with few figures of people: what follows while somebody is still changing something."""
 
 
 def build_parts(assessment: Assessment, language: str, names: Collection[str] | None = None) -> dict[str, str]:

@@ -121,7 +121,7 @@
       this.seek(first);
       this.player.play();
       const box = this.find("player").getBoundingClientRect();
-      if (box.bottom < 120 || box.top > window.innerHeight - 120) this.find("watch").scrollIntoView();
+      if (box.bottom < 120 || box.top > window.innerHeight - 120) this.find("stage").scrollIntoView();
     }
 
     secondsAt(event, plot) {

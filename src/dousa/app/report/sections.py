@@ -44,13 +44,11 @@ def make_title(assessment: Assessment, words: Mapping[str, str]) -> str:
 def build_header(
     assessment: Assessment, title: str, warnings: tuple[str, ...], words: Mapping[str, str], language: str
 ) -> str:
-    """Title, grade, facts, worst moments and warnings."""
+    """Title, grade and warnings."""
     head = element("p", {"class": "overline"}, words["overline"]) + element("h1", None, title)
     parts = [
         element("div", {"class": "heading"}, inner=head),
         _grade(assessment, words, language),
-        _worst(assessment, words, language),
-        _facts(assessment, words, language),
         _warnings(warnings, words),
     ]
     return element("header", {"class": "top"}, inner="".join(parts))
@@ -93,19 +91,6 @@ def build_event_button(k: int, event: ErrorEvent, words: Mapping[str, str], lang
     return element("button", {"type": "button", "class": f"event {event.kind}", "data-event": str(k)}, inner=inner)
 
 
-def _worst(assessment: Assessment, words: Mapping[str, str], language: str) -> str:
-    picks = pick_worst(assessment, 3)
-    if picks:
-        items = "".join(
-            element("li", None, inner=build_event_button(k, assessment.events[k], words, language)) for k in picks
-        )
-        content = element("ol", {"class": "worst-list", "id": "worst"}, inner=items)
-        content += element("p", {"class": "note"}, words["worst_help"])
-    else:
-        content = element("p", {"class": "good"}, words["worst_none"])
-    return element("section", {"class": "card worst"}, inner=element("h2", None, words["worst"]) + content)
-
-
 def _tempo(tempo: float, words: Mapping[str, str]) -> str:
     change = 100.0 * (tempo - 1.0)
     if not math.isfinite(change):
@@ -125,7 +110,8 @@ def _median_lag(assessment: Assessment, words: Mapping[str, str]) -> str:
     return words["lag_late" if lag > 0 else "lag_early"].format(ms=abs(lag))
 
 
-def _facts(assessment: Assessment, words: Mapping[str, str], language: str) -> str:
+def build_facts(assessment: Assessment, words: Mapping[str, str], language: str) -> str:
+    """Length, tempo, timing, and how many errors of each kind."""
     length = words["fact_length_value"].format(
         performance=format_time(assessment.performance.duration),
         reference=format_time(assessment.reference.duration),

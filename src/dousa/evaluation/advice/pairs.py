@@ -118,7 +118,7 @@ class PairedDancers:
 def _find_lines(positions: FloatArray) -> ComplexArray:
     """(N, 2) horizontal parts of the lines through both hips and through both shoulders, of length 1, to the left."""
     across = [positions[:, J[f"left_{name}"]] - positions[:, J[f"right_{name}"]] for name in ("hip", "shoulder")]
-    found = np.stack([one[:, 2] + 1j * one[:, 0] for one in across], axis=1)
+    found: ComplexArray = np.stack([one[:, 2] + 1j * one[:, 0] for one in across], axis=1)
     size = np.abs(found)
     return np.divide(found, size, out=np.zeros_like(found), where=np.isfinite(size) & (size > 1e-6))
 
@@ -150,6 +150,6 @@ def _estimate_yaw(
 def _smooth(values: ComplexArray, half: int) -> ComplexArray:
     """Sums over a window."""
     total = np.cumsum(np.pad(values, (half + 1, half)))
-    summed = total[2 * half + 1 :] - total[: len(values)]
+    summed: ComplexArray = total[2 * half + 1 :] - total[: len(values)]
     size = np.abs(summed)
     return np.divide(summed, size, out=np.ones_like(summed), where=size > 1e-9)

@@ -291,11 +291,14 @@ def _check_work(durations: Sequence[float]) -> None:
 
 def describe(ready: Ready, assessment: Assessment, adjustment: Adjustment, language: str) -> dict[str, Any]:
     """An assessment as JSON, with the names of the motions, the figures and weights, and what was found by itself."""
+    from dousa.evaluation import advise, describe_advice
+
     request, take = ready.request, ready.assessment
     found = ready.to_cuts()
     furi = found if adjustment.furi is None else [cut.model_dump() for cut in adjustment.furi]
     return {
         **assessment.to_json(language),
+        "advice": describe_advice(advise(assessment, "full"), language),
         "names": {"references": list(ready.names[:-1]), "performance": ready.names[-1]},
         "motions": {
             "references": [ref.model_dump(exclude_none=True) for ref in request.references],

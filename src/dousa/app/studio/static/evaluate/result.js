@@ -41,7 +41,7 @@ export class Result {
       onProblem: (error) => this.adjust.refuse(error),
       onBusy: (busy) => this.root.setAttribute("aria-busy", String(busy)),
     });
-    $("#watch", this.root).after(this.adjust.element);
+    $("#analysis", this.root).after(this.adjust.element);
     this.endTime = this.player.onTime((seconds) => this.followPlayer(seconds));
     this.followPlayer(this.player.time);
     return true;
