@@ -3,6 +3,17 @@ from .advice.directions import Correction
 from .alignment.correlation import compute_correlation_matrix
 from .alignment.correspondence import Line, find_lines, find_path
 from .errors.lapses import Lapse
+from .exercises.range_of_motion import (
+    ANGLE_NAMES,
+    ANGLES,
+    PAIRED_ANGLES,
+    RangeOfMotion,
+    compute_joint_angles,
+    compute_symmetry_index,
+)
+from .exercises.repetitions import AssessedRepetition, RepetitionsAssessment, assess_repetitions
+from .exercises.split import Repetition, RepetitionSplit, find_repetitions
+from .exercises.trend import Trend, estimate_trend
 from .figures.eigenspace import (
     Eigenspace,
     compute_distance_from_space,
@@ -32,12 +43,16 @@ from .words import describe_event, describe_heading, describe_lapse, describe_se
 
 __all__ = [
     "ABOUT_REFERENCES",
+    "ANGLES",
+    "ANGLE_NAMES",
     "LIMBS",
     "MIRRORED_SEGMENTS",
+    "PAIRED_ANGLES",
     "SEGMENTS",
     "SEGMENT_JOINTS",
     "AdjustableAssessment",
     "Advice",
+    "AssessedRepetition",
     "Assessment",
     "Correction",
     "Eigenspace",
@@ -49,16 +64,24 @@ __all__ = [
     "Lapse",
     "Line",
     "PostureSequence",
+    "RangeOfMotion",
+    "Repetition",
+    "RepetitionSplit",
+    "RepetitionsAssessment",
+    "Trend",
     "advise",
     "assess",
+    "assess_repetitions",
     "compute_complex_correlation",
     "compute_correlation_matrix",
     "compute_distance_from_space",
     "compute_distance_to_path",
     "compute_distance_within",
+    "compute_joint_angles",
     "compute_postures",
     "compute_segment_residuals",
     "compute_segments",
+    "compute_symmetry_index",
     "describe_advice",
     "describe_assessment",
     "describe_event",
@@ -66,10 +89,12 @@ __all__ = [
     "describe_lapse",
     "describe_segments",
     "estimate_robust_yaw",
+    "estimate_trend",
     "estimate_yaw",
     "find_furi",
     "find_lines",
     "find_path",
+    "find_repetitions",
     "fit_eigenspace",
     "fit_furi_eigenspaces",
     "format_furi",

@@ -76,6 +76,20 @@ def evaluate(
         Literal["brief", "full"],
         typer.Option("--detail", help="brief: the grade and what to work on first; full: every error as well."),
     ] = "full",
+    repetitions: Annotated[
+        bool,
+        typer.Option(
+            "--repetitions",
+            help="An exercise: count the repetitions, grade and measure each, and say how they develop.",
+        ),
+    ] = False,
+    csv: Annotated[
+        Path | None, typer.Option("--csv", metavar="FILE", help="With --repetitions: write a row for each.")
+    ] = None,
+    picture: Annotated[
+        Path | None,
+        typer.Option("--picture", metavar="FILE", help="With --repetitions: draw them (.png, .svg or .pdf)."),
+    ] = None,
     unit: o.Unit = None,
     up: o.Up = None,
     skeleton: o.SkeletonFile = None,
@@ -89,25 +103,34 @@ def evaluate(
     REFERENCE take the grade is not calibrated, and says so.
 
     Example: dousa evaluate teacher_*.bvh --performance pupil.bvh -o report
+
+    Example: dousa evaluate squat.trc --performance squats.trc --repetitions --csv squats.csv
     """
+    from dousa.app.cli.exercises import check_exercise_options, evaluate_exercise
     from dousa.app.pipelines.evaluate import check_folder, evaluate_files, find_references
     from dousa.formats.motion_files import ReadOptions
 
     if performance is None:
         raise OptionError("evaluation_cli.no_performance")
+    check_exercise_options(repetitions, csv, picture, {"--output": output, "--furi": furi})
     if output is not None:
         check_folder(output)
     if not performance.exists():
         raise OptionError("evaluation_cli.performance_not_found", path=performance)
     files, language = find_references(reference), get_language()
     options = ReadOptions(o.load_joint_map(joint_map), unit, up, skeleton)
+    side = "mirrored" if mirror else "same"
+    if repetitions:
+        loaded = _load_weights(weights)
+        evaluate_exercise(files, performance, options, side, loaded, csv=csv, picture=picture, json=json)
+        return
     with progress_bar() as progress:
         done = evaluate_files(
             files,
             performance,
             options=options,
             furi_file=furi,
-            side="mirrored" if mirror else "same",
+            side=side,
             tempo=tempo,
             weights=_load_weights(weights),
             progress=progress,

@@ -100,7 +100,7 @@ def evaluate_files(
     takes: list[CanonicalMotion] = []
     for number, path in enumerate((*references, performance)):
         report(number, steps, Message("progress.reading"))
-        takes.append(_read(path, options, notes))
+        takes.append(read_take(path, options, notes))
     furi = None if furi_file is None else _read_furi(furi_file, takes[0])
     report(steps - 1, steps, Message("progress.comparing"))
     from dousa.evaluation import ABOUT_REFERENCES, assess
@@ -123,7 +123,8 @@ def evaluate_files(
     return Evaluation(assessment, tuple(references), performance, tuple(notes))
 
 
-def _read(path: Path, options: ReadOptions, notes: list[tuple[Path, Message]]) -> CanonicalMotion:
+def read_take(path: Path, options: ReadOptions, notes: list[tuple[Path, Message]]) -> CanonicalMotion:
+    """One motion file; what reading it said is added to ``notes``."""
     if path.is_dir():
         raise OptionError("evaluate.performance_is_folder", path=path)
     motion, _ = read_canonical(os.fspath(path), options)

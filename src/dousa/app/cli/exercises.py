@@ -1,0 +1,78 @@
+"""``dousa evaluate --repetitions``: what it reads, says and writes."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+from dousa.app.output import console, print_json, progress_bar, warn
+from dousa.errors import OptionError
+from dousa.files.disk import atomic_write
+from dousa.messages import Message
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+    from pathlib import Path
+
+    from dousa.formats.motion_files import ReadOptions
+
+
+def check_exercise_options(
+    repetitions: bool, csv: Path | None, picture: Path | None, others: Mapping[str, Path | None]
+) -> None:
+    """Whether the options go together, before the long work.
+
+    Raises
+    ------
+    OptionError : ``--csv`` or ``--picture`` without ``--repetitions``, or one of the others with it.
+    """
+    if not repetitions and (csv is not None or picture is not None):
+        raise OptionError("exercises.csv_with")
+    for option, value in others.items():
+        if repetitions and value is not None:
+            raise OptionError("exercises.not_with", option=option)
+
+
+def evaluate_exercise(
+    references: Sequence[Path],
+    performance: Path,
+    options: ReadOptions,
+    side: str,
+    weights: Mapping[str, float] | None,
+    *,
+    csv: Path | None,
+    picture: Path | None,
+    json: bool,
+) -> None:
+    """Assess the repetitions in a file; print a table or JSON, write CSV and picture."""
+    from dousa.app.pipelines.repetitions import evaluate_repetitions
+    from dousa.app.tables.repetitions import choose_angles, print_repetitions, to_repetitions_csv
+
+    with progress_bar() as progress:
+        done = evaluate_repetitions(
+            references, performance, options=options, side=side, weights=weights, progress=progress
+        )
+    assessment = done.assessment
+    if csv is not None:
+        with atomic_write(csv) as file:
+            file.write(to_repetitions_csv(assessment))
+    if picture is not None:
+        from dousa.app.pictures.repetitions_sheet import draw_repetitions
+
+        draw_repetitions(assessment, done.motion, picture, choose_angles(assessment))
+    for path, note in dict.fromkeys(done.notes):
+        warn(Message("evaluation_cli.note", path=path, note=note))
+    for warning in assessment.warnings:
+        warn(warning)
+    if json:
+        files: dict[str, Any] = {
+            "references": [str(path) for path in done.references],
+            "performance": str(done.performance),
+            "csv": None if csv is None else str(csv),
+            "picture": None if picture is None else str(picture),
+        }
+        print_json({**assessment.to_json(), **files})
+        return
+    print_repetitions(console(), assessment)
+    for code, written in (("exercise_table.csv", csv), ("exercise_table.picture", picture)):
+        if written is not None:
+            console().print(str(Message(code, path=written)), markup=False, soft_wrap=True)

@@ -1,0 +1,1 @@
+"""Repetitions of an exercise: split, counted, measured and compared with a reference."""

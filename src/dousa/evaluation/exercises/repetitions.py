@@ -1,0 +1,321 @@
+"""A recording of several repetitions against its reference: each one graded and measured, and how they develop."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from dousa.errors import InvalidMotionError
+from dousa.evaluation.exercises.range_of_motion import (
+    ANGLES,
+    MOVING_DEG,
+    PAIRED_ANGLES,
+    RangeOfMotion,
+    compute_joint_angles,
+    compute_symmetry_index,
+    measure_ranges,
+)
+from dousa.evaluation.exercises.split import Repetition, find_reference_repetitions, find_repetitions
+from dousa.evaluation.exercises.trend import Trend, estimate_trend
+from dousa.evaluation.grade.assessment import assess, check_seen, check_takes
+from dousa.evaluation.posture.posture import compute_postures
+from dousa.messages import Message
+from dousa.motion import CanonicalMotion
+from dousa.motion.canonical.canonicalise import mirror_canonical
+
+_MARGIN_S = 0.25  # kept around a repetition that is graded
+_MOST_TAKES = 5  # repetitions of the reference that a grade rests on
+_ONE_SIDED = 60.0  # percent: a reference whose symmetry index is beyond is an exercise of one side
+_NAN = float("nan")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class AssessedRepetition:
+    """One repetition, measured.
+
+    Parameters
+    ----------
+    repetition : where it is, and whether it is complete.
+    tempo : seconds per second of the reference's: 1.2 is slower by a fifth; nan if incomplete.
+    score : 0 to 100, `dousa.evaluation.assess` of this repetition alone; nan if incomplete or too short to grade.
+    ranges : of all joint angles.
+    symmetry : angle of both sides -> symmetry index, percent, see `compute_symmetry_index`; only angles that move on
+        both sides in the reference.
+    pause_s : from its end to the beginning of the next one; nan for the last.
+    """
+
+    repetition: Repetition
+    tempo: float
+    score: float
+    ranges: tuple[RangeOfMotion, ...]
+    symmetry: Mapping[str, float]
+    pause_s: float
+
+    def get_range(self, angle: str) -> RangeOfMotion:
+        """The range of one angle of `ANGLES`."""
+        return self.ranges[ANGLES.index(angle)]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RepetitionsAssessment:
+    """How the repetitions of an exercise went.
+
+    Parameters
+    ----------
+    repetitions : in order of time; incomplete ones are not graded and do not count.
+    angles : joint angles that move in the exercise, by the reference, in the order of `ANGLES`.
+    reference_ranges : angle -> range of the reference in degrees, median of its repetitions.
+    reference_s : duration of a repetition of the reference, median.
+    n_references : repetitions of the reference.
+    trends : measure -> trend over the complete repetitions: ``duration_s``, ``score``, ``pause_s``, an angle's range in
+        degrees, ``symmetry_...`` of an angle of both sides.
+    frame_rate : Hz, of the performance.
+    duration_s : of the performance.
+    side : ``"mirrored"`` if left and right are the reference's.
+    warnings : what a person should know.
+    """
+
+    repetitions: tuple[AssessedRepetition, ...]
+    angles: tuple[str, ...]
+    reference_ranges: Mapping[str, float]
+    reference_s: float
+    n_references: int
+    trends: Mapping[str, Trend]
+    frame_rate: float
+    duration_s: float
+    side: str = "same"
+    warnings: tuple[Message, ...] = ()
+
+    @property
+    def complete(self) -> tuple[AssessedRepetition, ...]:
+        """Those that count."""
+        return tuple(one for one in self.repetitions if one.repetition.complete)
+
+    @property
+    def count(self) -> int:
+        """How many count."""
+        return len(self.complete)
+
+    def to_json(self, language: str | None = None) -> dict[str, Any]:
+        """The answer of ``dousa evaluate --repetitions --json``; what has no value is None."""
+        return {
+            "count": self.count,
+            "n_incomplete": len(self.repetitions) - self.count,
+            "repetitions": [_describe(one, number) for number, one in enumerate(self.repetitions, 1)],
+            "angles": list(self.angles),
+            "reference_range_deg": {name: _number(value, 1) for name, value in self.reference_ranges.items()},
+            "reference_s": _number(self.reference_s, 3),
+            "n_references": self.n_references,
+            "trends": {
+                name: {
+                    "slope": _number(trend.slope, 4),
+                    "p_value": _number(trend.p_value, 4),
+                    "distinguishable": trend.distinguishable,
+                    "n": trend.n,
+                }
+                for name, trend in self.trends.items()
+            },
+            "frame_rate": _number(self.frame_rate, 6),
+            "duration_s": _number(self.duration_s, 3),
+            "side": self.side,
+            "warnings": [message.render(language) for message in self.warnings],
+            "warning_codes": [message.code for message in self.warnings],
+        }
+
+
+def assess_repetitions(
+    references: CanonicalMotion | Sequence[CanonicalMotion],
+    performance: CanonicalMotion,
+    *,
+    side: str = "same",
+    weights: Mapping[str, float] | None = None,
+) -> RepetitionsAssessment:
+    """Split a recording into repetitions and measure each against the reference.
+
+    Parameters
+    ----------
+    references : the exercise done well: one take or several, each of one or several repetitions.
+    performance : any frame rate, place, heading and stature; pauses, and walking into place, may come with it.
+    side : ``"mirrored"`` for somebody who did the reference's mirror image.
+    weights : of segments for the grade, as in `dousa.evaluation.assess`.
+
+    Raises
+    ------
+    InvalidMotionError : no repetition of the exercise in the performance, nobody moving in the references, a motion
+        shorter than half a second or hardly seen, no reference.
+    OptionError : an unknown side or segment.
+
+    The grade leaves the tempo free: each repetition's duration is told beside it.
+    """
+    takes = [references] if isinstance(references, CanonicalMotion) else list(references)
+    check_takes(takes, performance, side, "free")
+    for motion in (*takes, performance):
+        check_seen(compute_postures(motion), is_reference=motion is not performance)
+    played = mirror_canonical(performance) if side == "mirrored" else performance
+    examples = [(take, span) for take in takes for span in find_reference_repetitions(take)]
+    if not examples:
+        raise InvalidMotionError("exercises.still_reference")
+    found = find_repetitions(played, takes).repetitions
+    if not any(one.complete for one in found):
+        raise InvalidMotionError(
+            "exercises.no_repetition",
+            duration=played.duration,
+            reference_s=_median([_seconds(take, span) for take, span in examples]),
+            n_incomplete=len(found),
+        )
+    return _measure(examples, played, found, side, weights)
+
+
+_Example = tuple[CanonicalMotion, tuple[int, int]]
+
+
+def _measure(
+    examples: Sequence[_Example],
+    played: CanonicalMotion,
+    found: Sequence[Repetition],
+    side: str,
+    weights: Mapping[str, float] | None,
+) -> RepetitionsAssessment:
+    expected = _measure_examples(examples)
+    moving = tuple(name for name in ANGLES if expected[name] >= MOVING_DEG)
+    reference_s = _median([_seconds(take, span) for take, span in examples])
+    models = [_cut(take, *span) for take, span in _choose_examples(examples, reference_s)]
+    angles = compute_joint_angles(played)
+    pairs = _find_pairs(expected)
+    assessed = []
+    for number, one in enumerate(found):
+        ranges = measure_ranges(angles, one.start, one.end, played.frame_rate, expected)
+        assessed.append(
+            AssessedRepetition(
+                repetition=one,
+                tempo=one.duration_s / reference_s if one.complete else _NAN,
+                score=_grade(models, _cut(played, one.start, one.end), weights) if one.complete else _NAN,
+                ranges=ranges,
+                symmetry={name: _compare_sides(ranges, name) for name in pairs},
+                pause_s=found[number + 1].start_s - one.end_s if number + 1 < len(found) else _NAN,
+            )
+        )
+    complete = [one for one in assessed if one.repetition.complete]
+    return RepetitionsAssessment(
+        repetitions=tuple(assessed),
+        angles=moving,
+        reference_ranges=expected,
+        reference_s=reference_s,
+        n_references=len(examples),
+        trends=_find_trends(complete, moving, pairs),
+        frame_rate=played.frame_rate,
+        duration_s=played.duration,
+        side=side,
+        warnings=_warn(complete, reference_s),
+    )
+
+
+def _seconds(motion: CanonicalMotion, span: tuple[int, int]) -> float:
+    return (span[1] - span[0]) / motion.frame_rate
+
+
+def _median(values: Sequence[float]) -> float:
+    return float(np.median(np.asarray(values, np.float64)))
+
+
+def _measure_examples(examples: Sequence[_Example]) -> dict[str, float]:
+    """Range of every angle, median of the repetitions of the reference, degrees."""
+    by_take: dict[int, Mapping[str, Any]] = {}
+    found: dict[str, list[float]] = {name: [] for name in ANGLES}
+    for take, (start, end) in examples:
+        angles = (
+            by_take.setdefault(id(take), compute_joint_angles(take)) if id(take) not in by_take else by_take[id(take)]
+        )
+        for one in measure_ranges(angles, start, end, take.frame_rate):
+            found[one.angle].append(one.range_deg)
+    return {name: _median(values) for name, values in found.items()}
+
+
+def _choose_examples(examples: Sequence[_Example], typical_s: float) -> list[_Example]:
+    """At most five, the one of the most typical duration first: it leads."""
+    ordered = sorted(examples, key=lambda one: abs(_seconds(*one) - typical_s))
+    return ordered[:_MOST_TAKES]
+
+
+def _cut(motion: CanonicalMotion, start: int, end: int) -> CanonicalMotion:
+    """A span of a motion and a moment around it."""
+    margin = round(_MARGIN_S * motion.frame_rate)
+    first, last = max(start - margin, 0), min(end + margin, motion.n_frames)
+    missing = None if motion.missing is None else motion.missing[first:last]
+    return dataclasses.replace(motion, positions=motion.positions[first:last], missing=missing)
+
+
+def _grade(models: Sequence[CanonicalMotion], cut: CanonicalMotion, weights: Mapping[str, float] | None) -> float:
+    """Grade of one repetition; nan for one that is too short, or not seen, to be graded."""
+    try:
+        return float(assess(models, cut, tempo="free", weights=weights).score)
+    except InvalidMotionError:
+        return _NAN
+
+
+def _find_pairs(expected: Mapping[str, float]) -> tuple[str, ...]:
+    """Angles that move on both sides in the reference, about equally far."""
+    pairs = []
+    for name in PAIRED_ANGLES:
+        left, right = expected[f"left_{name}"], expected[f"right_{name}"]
+        if min(left, right) >= MOVING_DEG and abs(compute_symmetry_index(left, right)) <= _ONE_SIDED:
+            pairs.append(name)
+    return tuple(pairs)
+
+
+def _compare_sides(ranges: Sequence[RangeOfMotion], name: str) -> float:
+    left, right = (ranges[ANGLES.index(f"{side}_{name}")].range_deg for side in ("left", "right"))
+    return compute_symmetry_index(left, right)
+
+
+def _find_trends(
+    complete: Sequence[AssessedRepetition], moving: Sequence[str], pairs: Sequence[str]
+) -> dict[str, Trend]:
+    measures: dict[str, list[float]] = {
+        "duration_s": [one.repetition.duration_s for one in complete],
+        "score": [one.score for one in complete],
+        "pause_s": [one.pause_s for one in complete[:-1]],
+    }
+    measures |= {name: [one.get_range(name).range_deg for one in complete] for name in moving}
+    measures |= {f"symmetry_{name}": [abs(one.symmetry[name]) for one in complete] for name in pairs}
+    return {name: estimate_trend(values) for name, values in measures.items()}
+
+
+def _warn(complete: Sequence[AssessedRepetition], reference_s: float) -> tuple[Message, ...]:
+    warnings = []
+    if len(complete) < 5:
+        warnings.append(Message("exercises.few", n=len(complete)))
+    ungraded = sum(not math.isfinite(one.score) for one in complete)
+    if ungraded:
+        warnings.append(Message("exercises.ungraded", n=ungraded))
+    return tuple(warnings)
+
+
+def _describe(one: AssessedRepetition, number: int) -> dict[str, Any]:
+    return {
+        "number": number,
+        "complete": one.repetition.complete,
+        "start_s": _number(one.repetition.start_s, 3),
+        "end_s": _number(one.repetition.end_s, 3),
+        "duration_s": _number(one.repetition.duration_s, 3),
+        "pause_s": _number(one.pause_s, 3),
+        "extent": _number(one.repetition.extent, 3),
+        "tempo": _number(one.tempo, 3),
+        "score": _number(one.score, 1),
+        "range_deg": {ranged.angle: _number(ranged.range_deg, 1) for ranged in one.ranges},
+        "least_deg": {ranged.angle: _number(ranged.least_deg, 1) for ranged in one.ranges},
+        "most_deg": {ranged.angle: _number(ranged.most_deg, 1) for ranged in one.ranges},
+        "range_percent": {
+            ranged.angle: _number(ranged.percent, 1) for ranged in one.ranges if math.isfinite(ranged.percent)
+        },
+        "symmetry_percent": {name: _number(value, 1) for name, value in one.symmetry.items()},
+    }
+
+
+def _number(value: float, digits: int) -> float | None:
+    return round(float(value), digits) + 0.0 if math.isfinite(value) else None

@@ -1,0 +1,409 @@
+"""Repetitions of an exercise in one recording: found, counted, and bounded to the frame.
+
+The posture is a point in the space of nine segment directions, its heading taken off; a repetition leaves a rest and
+comes back to it. A template (one repetition, of the reference or of the recording itself) is looked for by
+subsequence dynamic time warping of the displacements from rest (`parse`). Displacements, not postures: the same
+exercise is recognised in a body that stands differently.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from dousa.arrays import BoolArray, FloatArray
+from dousa.evaluation.exercises.parse import parse_passes
+from dousa.evaluation.exercises.posture_curve import (
+    PostureCurve,
+    compare_displacements,
+    compute_curve,
+    find_rests,
+)
+from dousa.evaluation.posture.posture import PostureSequence, compute_postures
+from dousa.motion import CanonicalMotion
+
+LEAST_EXCURSION = 0.25
+"""Chord: what moves less (a limb of two segments by 10 degrees) is standing still."""
+COMPLETE = 0.65
+"""Share of the template's displacement that makes a repetition complete."""
+_INCOMPLETE = 0.25  # share below which it is not even tried
+_BESIDE = 0.5  # share of its displacement by which a broken-off repetition may be beside the exercise's path
+_OTHER = 0.36  # mean squared residual, as a share of the template's mean squared displacement, of other motion
+_ONSET = 0.12  # share of the displacement at which a repetition has begun
+_LEVELS = (0.15, 0.3, 0.5)  # shares of the largest displacements at which excursions are cut
+_SHORTEST_S, _LONGEST_S = 0.4, 20.0
+_MOST_TEMPLATES = 60
+_TOLD = 0.7  # frames that telling a frame of the template costs
+_ON_THE_SPOT_M = 0.4
+_MOMENT_S = 0.3
+_EASES = (1.0, 1.6, 2.5)  # a reference that is hardly resembled is looked for with more tolerance
+_EASE_PRICE = 1.0  # share of the template's frames, for each such step
+_RETURNS = 0.55  # share of its reach within which a repetition begins and ends at rest
+
+
+@dataclass(frozen=True, slots=True)
+class Repetition:
+    """One repetition of an exercise.
+
+    Parameters
+    ----------
+    start, end : frames of the recording, half-open.
+    start_s, end_s : s.
+    extent : furthest displacement as a share of the template's (of the reference, or of the recording's own median).
+    complete : whether it goes far enough to count.
+    """
+
+    start: int
+    end: int
+    start_s: float
+    end_s: float
+    extent: float
+    complete: bool
+
+    @property
+    def duration_s(self) -> float:
+        """Seconds."""
+        return self.end_s - self.start_s
+
+
+@dataclass(frozen=True, slots=True)
+class RepetitionSplit:
+    """The repetitions in a recording.
+
+    Parameters
+    ----------
+    repetitions : in order of time, incomplete ones among them.
+    frame_rate : Hz, of the recording.
+    n_frames : of the recording.
+    guided : whether a reference said what a repetition is.
+    """
+
+    repetitions: tuple[Repetition, ...]
+    frame_rate: float
+    n_frames: int
+    guided: bool
+
+    @property
+    def complete(self) -> tuple[Repetition, ...]:
+        """Those that count."""
+        return tuple(one for one in self.repetitions if one.complete)
+
+    @property
+    def count(self) -> int:
+        """How many count."""
+        return len(self.complete)
+
+    def to_json(self) -> dict[str, Any]:
+        """The count and the bounds as JSON has them."""
+        names = ("start_s", "end_s", "extent")
+        return {
+            "count": self.count,
+            "n_incomplete": len(self.repetitions) - self.count,
+            "guided": self.guided,
+            "repetitions": [
+                {**{name: round(getattr(one, name), 3) for name in names}, "complete": one.complete}
+                for one in self.repetitions
+            ],
+        }
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Template:
+    """One repetition as displacements (n, D) from its rest; the furthest one, and the mean square."""
+
+    path: FloatArray
+    peak: FloatArray
+    power: float
+
+    @property
+    def reach(self) -> float:
+        return float(np.linalg.norm(self.peak))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Parse:
+    """Passes through a template in frames of the coarse curve, the rest they start from, and what that costs."""
+
+    template: _Template
+    rest: FloatArray
+    passes: np.ndarray
+    price: float
+
+
+def find_repetitions(
+    motion: CanonicalMotion | PostureSequence, references: Sequence[CanonicalMotion | PostureSequence] = ()
+) -> RepetitionSplit:
+    """Find and count the repetitions of an exercise in one recording.
+
+    Parameters
+    ----------
+    motion : any frame rate, heading and stature; pauses, and walking into place, may come with it.
+    references : the same exercise done well, one or several repetitions a take, the first one leading. Without any,
+        what the recording itself repeats is the exercise; of a single excursion from rest, that one.
+
+    Returns
+    -------
+    The repetitions; none if nothing is found. One that goes less than `COMPLETE` of the way is there, but not
+    complete, and does not count.
+
+    Raises
+    ------
+    InvalidMotionError : no frame, another shape, or infinite positions.
+    """
+    curve = compute_curve(_to_postures(motion))
+    templates: list[_Template] = []
+    for reference in references:
+        templates += _templates_of(compute_curve(_to_postures(reference)))
+    if references and not templates:
+        return RepetitionSplit((), curve.fine_rate, len(curve.fine), True)
+    best = _follow(curve, _pick_template(templates)) if references else _discover(curve)
+    found = [] if best is None else _describe(curve, best, relative=not references)
+    return RepetitionSplit(tuple(found), curve.fine_rate, len(curve.fine), bool(references))
+
+
+def _to_postures(motion: CanonicalMotion | PostureSequence) -> PostureSequence:
+    return motion if isinstance(motion, PostureSequence) else compute_postures(motion)
+
+
+def _price(parse: _Parse) -> float:
+    return parse.price
+
+
+# Templates
+
+
+def _trim(points: FloatArray) -> tuple[int, int]:
+    """First frame, and frame after the last, between which points (n, D) leave the first and reach the last one."""
+    left, right = (np.linalg.norm(points - points[end], axis=1) for end in (0, -1))
+    first = max(int(np.argmax(left > _ONSET * left.max())) - 1, 0)
+    last = len(points) - max(int(np.argmax(right[::-1] > _ONSET * right.max())) - 1, 0)
+    return first, last
+
+
+def _make_template(points: FloatArray, rest: FloatArray) -> _Template:
+    """A repetition (n, D), without the waiting before and after it."""
+    first, last = _trim(points)
+    path = points[first:last] - rest
+    size = np.linalg.norm(path, axis=1)
+    return _Template(path, path[int(size.argmax())], max(float((size**2).mean()), 1e-9))
+
+
+def find_reference_repetitions(reference: CanonicalMotion | PostureSequence) -> tuple[tuple[int, int], ...]:
+    """Frames, half-open, of the repetitions that a take of the reference holds, one or several.
+
+    A take that begins and ends in about the same pose, and repeats nothing, is one repetition. Empty if nobody moves.
+    """
+    curve = compute_curve(_to_postures(reference))
+    return tuple(span for span, _ in _split_reference(curve))
+
+
+def _split_reference(curve: PostureCurve) -> list[tuple[tuple[int, int], FloatArray]]:
+    """Spans of repetitions in frames, and the rest of each."""
+    points = curve.coarse
+    if len(points) < 2:
+        return []
+    found = _discover(curve)
+    spans = [] if found is None else [one for one in _describe(curve, found, relative=True) if one.complete]
+    if found is not None and len(spans) > 1:
+        return [((one.start, one.end), found.rest) for one in spans]
+    away = np.linalg.norm(points - points[0], axis=1)
+    if found is not None and spans and away[-1] >= _RETURNS * away.max():
+        return [((spans[0].start, spans[0].end), found.rest)]
+    if away.max() < LEAST_EXCURSION:
+        return []
+    first, last = _trim(points)
+    return [((first * curve.stride, min(last * curve.stride, len(curve.fine))), points[0])]
+
+
+def _templates_of(curve: PostureCurve) -> list[_Template]:
+    """The repetitions of a reference."""
+    step = curve.stride
+    return [
+        _make_template(curve.coarse[start // step : -(-end // step) + 1], rest)
+        for (start, end), rest in _split_reference(curve)
+    ]
+
+
+def _pick_template(templates: Sequence[_Template]) -> _Template:
+    """The one of middle reach among those of all takes: neither the best nor the worst repetition is the measure."""
+    return sorted(templates, key=lambda one: one.reach)[len(templates) // 2]
+
+
+# Without a reference
+
+
+def _discover(curve: PostureCurve) -> _Parse | None:
+    """The excursion from rest that explains most of the recording when it is taken for the template.
+
+    The shorter description wins: the template has to be told, and then what every frame differs by.
+    """
+    rests = find_rests(curve)
+    candidates = [span for rest in rests for span in _cut_excursions(curve, rest)]
+    if not candidates:
+        return None
+    scale = _OTHER * _middle_power(candidates)
+    silent = min(float(np.minimum(((curve.coarse - rest) ** 2).sum(axis=1) / scale, 1.0).sum()) for rest in rests)
+    best: _Parse | None = None
+    worth_of_best = -np.inf
+    candidates.sort(key=lambda one: one.template.reach)
+    for one in candidates[:: -(-len(candidates) // _MOST_TEMPLATES)]:
+        parse = _parse(curve, one.template, one.rest, scale)
+        saved = silent - parse.price - _TOLD * len(one.template.path)
+        worth = saved / (1.0 + one.strayed**2) if saved > 0 else saved
+        if worth > worth_of_best:
+            best, worth_of_best = parse, worth
+    return best
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Candidate:
+    """An excursion from a rest, and how far the body went on the floor meanwhile, as a share of `_ON_THE_SPOT_M`."""
+
+    template: _Template
+    rest: FloatArray
+    strayed: float
+
+
+def _middle_power(candidates: Sequence[_Candidate]) -> float:
+    """The power of the excursions on the spot, median by time."""
+    powers = np.array([one.template.power for one in candidates])
+    shares = np.array([len(one.template.path) / (1.0 + one.strayed**2) for one in candidates])
+    order = np.argsort(powers)
+    total = np.cumsum(shares[order])
+    return float(powers[order][np.searchsorted(total, 0.5 * total[-1])])
+
+
+def _cut_excursions(curve: PostureCurve, rest: FloatArray) -> list[_Candidate]:
+    """The spans between two rests, cut at several levels, those with a moment between them taken together as well."""
+    away = np.linalg.norm(curve.coarse - rest, axis=1)
+    top = float(np.quantile(away, 0.95)) if len(away) else 0.0
+    found = set()
+    for share in _LEVELS:
+        for gap in (0, round(_MOMENT_S * curve.rate)):
+            found |= {_widen(away, start, end) for start, end in _list_spans(away > share * top, gap)}
+    candidates = []
+    for start, end in sorted(found):
+        if away[start:end].max() >= LEAST_EXCURSION and _SHORTEST_S <= (end - start) / curve.rate <= _LONGEST_S:
+            strayed = float(np.linalg.norm(curve.place[end - 1] - curve.place[start])) / _ON_THE_SPOT_M
+            template = _make_template(curve.coarse[start:end], rest)
+            ends = np.linalg.norm(template.path[[0, -1]], axis=1)
+            if ends.max() <= _RETURNS * template.reach:
+                candidates.append(_Candidate(template, rest, strayed))
+    return candidates
+
+
+def _list_spans(mask: BoolArray, gap: int = 0) -> list[tuple[int, int]]:
+    """Runs of True, half-open; those at most ``gap`` apart are one."""
+    edges = np.flatnonzero(np.diff(np.r_[False, mask, False].astype(np.int8)))
+    spans: list[tuple[int, int]] = []
+    for start, end in zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True):
+        if spans and start - spans[-1][1] <= gap:
+            spans[-1] = spans[-1][0], end
+        else:
+            spans.append((start, end))
+    return spans
+
+
+def _widen(away: FloatArray, start: int, end: int) -> tuple[int, int]:
+    """Down to where an excursion comes from, and where it goes to."""
+    while start > 0 and away[start - 1] < away[start]:
+        start -= 1
+    while end < len(away) and away[end] < away[end - 1]:
+        end += 1
+    return start, end
+
+
+# With a template
+
+
+def _follow(curve: PostureCurve, template: _Template) -> _Parse:
+    """The passes through a reference's repetition, and those like the best of them.
+
+    How the body of this recording stands is not known beforehand: the rest that explains most is taken. A person
+    repeats themselves better than a reference: what was surely found is looked for in turn.
+    """
+    scale = _OTHER * template.power
+    rests = find_rests(curve)
+    tried = [_parse(curve, template, rest, scale, ease) for ease in _EASES for rest in rests]
+    found = min((one for one in tried if len(one.passes)), key=_price, default=None)
+    if found is None:
+        return tried[0]
+    moved = curve.coarse - found.rest
+    own = [_make_template(moved[start:end], np.zeros(moved.shape[1])) for start, end in found.passes]
+    again = min((_parse(curve, one, found.rest, scale) for one in own), key=_price)
+    kept = [(int(start), int(end)) for start, end in again.passes]
+    kept += [(int(a), int(b)) for a, b in found.passes if all(b <= start or a >= end for start, end in again.passes)]
+    return _Parse(template, found.rest, np.array(sorted(kept)), 0.0)
+
+
+def _parse(curve: PostureCurve, template: _Template, rest: FloatArray, scale: float, ease: float = 1.0) -> _Parse:
+    moved = curve.coarse - rest
+    cost = compare_displacements(moved, template.path) / (scale * ease)
+    outside = np.minimum((moved * moved).sum(axis=1) / scale, 1.0)
+    passes, price = parse_passes(cost, outside)
+    return _Parse(template, rest, passes, price + _EASE_PRICE * (ease - 1.0) * len(template.path))
+
+
+# From passes to repetitions
+
+
+def _describe(curve: PostureCurve, parse: _Parse, *, relative: bool) -> list[Repetition]:
+    """Repetitions with bounds at the full rate, and those that were broken off between them."""
+    moved = curve.fine - parse.rest
+    away = np.linalg.norm(moved, axis=1)
+    spans = [(int(a) * curve.stride, min(int(b) * curve.stride, len(moved))) for a, b in parse.passes]
+    reaches = [float(away[a:b].max()) for a, b in spans]
+    measure = float(np.median(reaches)) if relative and reaches else parse.template.reach
+    if measure < LEAST_EXCURSION:
+        return []
+    spans = sorted(spans + _broken_off(moved, parse.template, spans, measure, curve.fine_rate))
+    peaks = [a + int(away[a:b].argmax()) for a, b in spans]
+    found = []
+    for number, (a, b) in enumerate(spans):
+        left = peaks[number - 1] if number else 0
+        right = peaks[number + 1] if number + 1 < len(peaks) else len(moved) - 1
+        start, end = _bound(away, (a, b), peaks[number], (left, right))
+        extent = float(away[peaks[number]]) / measure
+        rate = curve.fine_rate
+        found.append(Repetition(start, end, start / rate, end / rate, round(extent, 3), extent >= COMPLETE))
+    return found
+
+
+def _broken_off(
+    moved: FloatArray, template: _Template, spans: Sequence[tuple[int, int]], measure: float, rate: float
+) -> list[tuple[int, int]]:
+    """Excursions outside the passes that follow the exercise's path, and not to its end."""
+    free = np.ones(len(moved), bool)
+    for start, end in spans:
+        free[start:end] = False
+    away = np.linalg.norm(moved, axis=1)
+    found = []
+    for start, end in _list_spans(free & (away > _INCOMPLETE * measure)):
+        peak = start + int(away[start:end].argmax())
+        beside = float(np.linalg.norm(template.path - moved[peak], axis=1).min())
+        long_enough = _SHORTEST_S * 0.5 <= (end - start) / rate <= _LONGEST_S
+        apart = all(end <= a or start >= b for a, b in spans)
+        if long_enough and apart and away[peak] < measure and beside <= _BESIDE * away[peak]:
+            found.append((start, end))
+    return found
+
+
+def _bound(away: FloatArray, span: tuple[int, int], peak: int, between: tuple[int, int]) -> tuple[int, int]:
+    """Frames, half-open, where the movement of a pass begins and ends: `_ONSET` of the way from the nearest rest."""
+    low, high = between
+    slack = (span[1] - span[0]) // 3
+    first, last = max(low, span[0] - slack), min(high + 1, span[1] + slack)
+    start, end = span
+    before, after = away[first : peak + 1], away[peak:last]
+    if len(before) > 1:
+        level = before.min() + _ONSET * (away[peak] - before.min())
+        leaves = first + np.flatnonzero((before[:-1] <= level) & (before[1:] > level))
+        start = int(leaves[np.abs(leaves - span[0]).argmin()]) if len(leaves) else start
+    if len(after) > 1:
+        level = after.min() + _ONSET * (away[peak] - after.min())
+        returns = peak + 1 + np.flatnonzero((after[:-1] > level) & (after[1:] <= level))
+        end = int(returns[np.abs(returns + 1 - span[1]).argmin()]) + 1 if len(returns) else end
+    return start, end

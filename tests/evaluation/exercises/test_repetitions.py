@@ -1,0 +1,197 @@
+"""Finding, counting and assessing repetitions: made-up performers, and real ones where they are at hand."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import math
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from dousa.errors import InvalidMotionError
+from dousa.evaluation import assess_repetitions, find_repetitions
+from dousa.evaluation.exercises.split import Repetition, find_reference_repetitions
+from dousa.experiments.exercises.sets import ExerciseSet, join_repetitions
+from dousa.formats.motion_files import ReadOptions, read_canonical
+from dousa.motion import CanonicalMotion, canonicalise, compute_trajectories, mirror_canonical
+from dousa.motion.synthetic import draw_performer, make_motion
+from dousa.motion.synthetic.scores import SCORES
+
+PERFORMER = draw_performer(302)
+
+
+def make_clips(category: str, n: int) -> list[CanonicalMotion]:
+    """Takes of a single repetition; those of more are left out."""
+    takes = (canonicalise(compute_trajectories(make_motion(category, PERFORMER, take))) for take in range(30))
+    single = 1.8 * SCORES[category].seconds / PERFORMER.tempo
+    return [take for take in takes if take.duration < single][:n]
+
+
+@pytest.fixture(scope="module")
+def squats() -> tuple[CanonicalMotion, ExerciseSet]:
+    """A squat, and six more of which one is broken off, with walking before and after."""
+    reference, *clips = make_clips("squat", 7)
+    walk = canonicalise(compute_trajectories(make_motion("walk", PERFORMER, 0)))
+    rng = np.random.default_rng(5)
+    return reference, join_repetitions(clips, rng, broken_off=[3], before=walk, after=walk)
+
+
+def assert_found(found: tuple[Repetition, ...], spans: tuple[tuple[float, float], ...], tolerance_s: float) -> None:
+    assert len(found) == len(spans)
+    for one, (start, end) in zip(found, spans, strict=True):
+        assert one.start_s == pytest.approx(start, abs=tolerance_s)
+        assert one.end_s == pytest.approx(end, abs=tolerance_s)
+
+
+def test_a_reference_finds_each_repetition_and_the_one_broken_off(squats: tuple[CanonicalMotion, ExerciseSet]) -> None:
+    reference, truth = squats
+    found = find_repetitions(truth.motion, [reference])
+    assert found.guided
+    assert_found(found.complete, truth.spans, 0.4)
+    (half,) = [one for one in found.repetitions if not one.complete]
+    assert half.extent < 0.65
+    start, end = truth.broken_off[0]
+    assert start - 0.2 < half.start_s < half.end_s < end + 0.2
+
+
+def test_without_a_reference_the_same_number_is_found(squats: tuple[CanonicalMotion, ExerciseSet]) -> None:
+    found = find_repetitions(squats[1].motion)
+    assert not found.guided
+    assert found.count == 5
+
+
+def test_a_reference_of_several_repetitions_serves_as_well(squats: tuple[CanonicalMotion, ExerciseSet]) -> None:
+    several = join_repetitions(make_clips("squat", 4), np.random.default_rng(1)).motion
+    assert len(find_reference_repetitions(several)) == 4
+    assert find_repetitions(squats[1].motion, [several]).count == 5
+
+
+def test_the_frame_rate_does_not_matter(squats: tuple[CanonicalMotion, ExerciseSet]) -> None:
+    reference, truth = squats
+    half_rate = dataclasses.replace(truth.motion, positions=truth.motion.positions[::2], frame_rate=15.0)
+    assert_found(find_repetitions(half_rate, [reference]).complete, truth.spans, 0.4)
+
+
+def test_bounds_are_in_order_and_inside(squats: tuple[CanonicalMotion, ExerciseSet]) -> None:
+    for references in ([], [squats[0]]):
+        found = find_repetitions(squats[1].motion, references)
+        frames = [0, *(frame for one in found.repetitions for frame in (one.start, one.end)), found.n_frames]
+        assert frames == sorted(frames)
+
+
+def test_standing_still_has_no_repetition(squats: tuple[CanonicalMotion, ExerciseSet]) -> None:
+    reference, _ = squats
+    still = dataclasses.replace(reference, positions=np.repeat(reference.positions[:1], 200, axis=0))
+    assert find_repetitions(still).repetitions == ()
+    assert find_repetitions(still, [reference]).repetitions == ()
+    with pytest.raises(InvalidMotionError) as caught:
+        assess_repetitions(reference, still)
+    assert caught.value.code == "exercises.no_repetition"
+    with pytest.raises(InvalidMotionError) as caught:
+        assess_repetitions(still, reference)
+    assert caught.value.code == "exercises.still_reference"
+
+
+def test_one_frame(squats: tuple[CanonicalMotion, ExerciseSet]) -> None:
+    one = dataclasses.replace(squats[0], positions=squats[0].positions[:1])
+    assert find_repetitions(one).count == 0
+    with pytest.raises(InvalidMotionError) as caught:
+        assess_repetitions(squats[0], one)
+    assert caught.value.code == "evaluation.short_performance"
+
+
+def test_nothing_but_gaps_is_refused(squats: tuple[CanonicalMotion, ExerciseSet]) -> None:
+    reference, truth = squats
+    lost = np.ones(truth.motion.positions.shape[:2], bool)
+    with pytest.raises(InvalidMotionError) as caught:
+        assess_repetitions(reference, dataclasses.replace(truth.motion, missing=lost))
+    assert caught.value.code == "evaluation.unseen_performance"
+
+
+def test_nan_in_some_frames_is_bridged(squats: tuple[CanonicalMotion, ExerciseSet]) -> None:
+    reference, truth = squats
+    positions = truth.motion.positions.copy()
+    positions[::7, 5] = np.nan
+    found = find_repetitions(dataclasses.replace(truth.motion, positions=positions), [reference])
+    assert_found(found.complete, truth.spans, 0.4)
+
+
+def test_a_reference_longer_than_the_performance(squats: tuple[CanonicalMotion, ExerciseSet]) -> None:
+    reference, truth = squats
+    assert truth.motion.duration > reference.duration
+    done = assess_repetitions(truth.motion, reference)
+    assert done.count == 1
+    assert done.n_references == 5
+
+
+def test_the_assessment_measures_each_repetition(squats: tuple[CanonicalMotion, ExerciseSet]) -> None:
+    reference, truth = squats
+    done = assess_repetitions(reference, truth.motion)
+    assert done.count == 5
+    assert "left_knee_flexion" in done.angles
+    assert "left_elbow_flexion" not in done.angles
+    for one in done.complete:
+        assert 60 < one.score <= 100
+        assert one.tempo == pytest.approx(one.repetition.duration_s / done.reference_s)
+        assert one.get_range("left_knee_flexion").percent == pytest.approx(100, abs=25)
+        assert abs(one.symmetry["knee_flexion"]) < 20
+    (half,) = [one for one in done.repetitions if not one.repetition.complete]
+    assert math.isnan(half.score)
+    assert half.get_range("left_knee_flexion").percent < 60
+    pauses = [one.pause_s for one in done.repetitions]
+    assert all(pause >= 0 for pause in pauses[:-1])
+    assert math.isnan(pauses[-1])
+
+
+def test_json_has_no_nan_and_says_the_same(squats: tuple[CanonicalMotion, ExerciseSet]) -> None:
+    done = assess_repetitions(squats[0], squats[1].motion)
+    plain = json.loads(json.dumps(done.to_json(), allow_nan=False))
+    assert (plain["count"], plain["n_incomplete"]) == (5, 1)
+    assert [one["complete"] for one in plain["repetitions"]].count(True) == 5
+    assert set(plain["trends"]) >= {"duration_s", "score", "left_knee_flexion", "symmetry_knee_flexion"}
+    assert plain["repetitions"][0]["score"] == round(done.repetitions[0].score, 1)
+
+
+def test_getting_smaller_and_slower_shows_as_a_trend() -> None:
+    reference, *clips = make_clips("squat", 4)
+    clip = clips[0]
+    rng = np.random.default_rng(3)
+    tired = []
+    for number in range(7):
+        depth = 1.0 - 0.045 * number
+        start = clip.positions[:1]
+        tired.append(
+            dataclasses.replace(
+                clip,
+                positions=start + depth * (clip.positions - start),
+                frame_rate=clip.frame_rate * (1.0 - 0.05 * number),
+            )
+        )
+    done = assess_repetitions(reference, join_repetitions(tired, rng, tempo=(1.0, 1.0)).motion)
+    assert done.count == 7
+    duration, knee = done.trends["duration_s"], done.trends["left_knee_flexion"]
+    assert duration.distinguishable
+    assert duration.slope > 0
+    assert knee.distinguishable
+    assert knee.slope < 0
+
+
+def test_a_mirror_image_is_found_with_mirror(squats: tuple[CanonicalMotion, ExerciseSet]) -> None:
+    kick, *clips = make_clips("kick_left", 5)
+    truth = join_repetitions(clips, np.random.default_rng(2))
+    mirrored = mirror_canonical(truth.motion)
+    done = assess_repetitions(kick, mirrored, side="mirrored")
+    assert done.count == len(truth.spans)
+    assert done.complete[0].get_range("left_hip_flexion").range_deg > 40
+
+
+@pytest.mark.parametrize("exercise", ["g2", "g4", "g6"])
+def test_exercises_of_a_patient(shared_data: Callable[[str], Path], exercise: str) -> None:
+    files = sorted(shared_data(f"irds/{exercise}/correct").glob("*.trc"))
+    reference, *clips = [read_canonical(str(file), ReadOptions())[0] for file in files]
+    truth = join_repetitions(clips[:4], np.random.default_rng(1))
+    assert_found(find_repetitions(truth.motion, [reference]).complete, truth.spans, 0.5)
+    assert find_repetitions(truth.motion).count == len(truth.spans)
