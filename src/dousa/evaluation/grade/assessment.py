@@ -32,6 +32,7 @@ from dousa.evaluation.grade.events import describe_findings, describe_gaps, desc
 from dousa.evaluation.grade.references import Comparison, ReferenceTakes, compare, prepare_references
 from dousa.evaluation.grade.result import Assessment, FuriAssessment
 from dousa.evaluation.grade.score import compute_deviation, compute_score
+from dousa.evaluation.posture.offset import take_out_of_postures
 from dousa.evaluation.posture.posture import (
     PostureSequence,
     Working,
@@ -127,10 +128,19 @@ def judge(
     weights: FloatArray,
 ) -> Assessment:
     """Assess a performance against references that are ready; weights (9,), those above 0 of mean 1."""
-    working = thin_postures(performance)
-    weighed = weigh(references, performance, compare(references.working, working, tempo, weights), weights)
+    comparison, performance = compare_bodies(references, performance, tempo, weights)
+    weighed = weigh(references, performance, comparison, weights)
     spaces = fit_furi_eigenspaces(references.postures, furi, more=pool_takes(references.warped, furi))
     return look_at_figures(references, furi, spaces, performance, weighed, side=side, tempo=tempo)
+
+
+def compare_bodies(
+    references: ReferenceTakes, performance: PostureSequence, tempo: str, weights: FloatArray
+) -> tuple[Comparison, PostureSequence]:
+    """How a performance compares with the takes; and the performance by the body of the reference."""
+    working = thin_postures(performance)
+    comparison = compare(references.working, working, tempo, weights, references.between)
+    return comparison, take_out_of_postures(performance, working, comparison.offset)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

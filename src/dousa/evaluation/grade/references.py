@@ -7,17 +7,19 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from dousa.arrays import FloatArray
-from dousa.evaluation.alignment.lines import Alignment, align
+from dousa.arrays import FloatArray, IndexArray
+from dousa.evaluation.alignment.dynamic_programming import follow_lag
+from dousa.evaluation.alignment.lines import OUTSIDE, Alignment, align, to_cost
 from dousa.evaluation.errors.deviation import Deviations, choose_nearest, compute_deviations
 from dousa.evaluation.errors.evidence import SLACK_S, Tolerance, gather_evidence, measure_unsteadiness
 from dousa.evaluation.errors.explain import Finding, explain_all
 from dousa.evaluation.grade.score import compute_deviation
+from dousa.evaluation.posture.offset import Offset, estimate_offset, learn_between, take_out
 from dousa.evaluation.posture.posture import PostureSequence, Working, interpolate_segments, thin_postures
 
 _DOUBT = 1.2  # few takes show little of what may still be done: 2.2 times with two takes, 1.3 times with five
 _N_ROUNDS = 14
-MOST_MISMATCH, MOST_DEVIATION = 0.85, 40.0
+MOST_MISMATCH, MOST_DEVIATION = 0.85, 36.0
 """Along the lines (0 to 1), and degrees: motions that differ more have nothing in common."""
 
 _MOST_LAG_S = 1.0
@@ -37,6 +39,7 @@ class ReferenceTakes:
     deviations : degrees, mean deviation of each of the further ones from the first.
     left_out : numbers, from 1, of takes that are not like the first.
     from_first : (U, 9) rad of each of the further ones, from the first take at the same time; nan where unseen.
+    between : (9,) rad, root mean square of what bodies differ by; None where one take does not tell.
     """
 
     postures: PostureSequence
@@ -46,6 +49,7 @@ class ReferenceTakes:
     deviations: tuple[float, ...]
     left_out: tuple[int, ...] = ()
     from_first: tuple[FloatArray, ...] = ()
+    between: FloatArray | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -57,11 +61,15 @@ class Comparison:
     alignment : lines.
     deviations : from the nearest take.
     from_first : (T, 9) rad, from the first take at the same time; nan where nothing is judged.
+    offset : of the performer's body against the first take's, taken out of all of them.
+    performance : at the working rate, after that.
     """
 
     alignment: Alignment
     deviations: Deviations
     from_first: FloatArray
+    offset: Offset
+    performance: Working
 
 
 def prepare_references(takes: Sequence[PostureSequence], tempo: str, weights: FloatArray) -> ReferenceTakes:
@@ -89,7 +97,8 @@ def prepare_references(takes: Sequence[PostureSequence], tempo: str, weights: Fl
     deviations = tuple(apart[i] for i in like)
     left_out = tuple(i + 2 for i in range(len(unwarped)) if i not in like)
     from_first = tuple(alone[i].from_first for i in like)
-    return ReferenceTakes(first, working, warped, tolerance, deviations, left_out, from_first)
+    between = learn_between([alone[i].offset for i in like]) if like else None
+    return ReferenceTakes(first, working, warped, tolerance, deviations, left_out, from_first, between)
 
 
 def reweigh_references(references: ReferenceTakes, weights: FloatArray) -> ReferenceTakes:
@@ -115,19 +124,60 @@ def _warp(first: PostureSequence, take: PostureSequence, weights: FloatArray) ->
     )
 
 
-def compare(references: Sequence[Working], performance: Working, tempo: str, weights: FloatArray) -> Comparison:
+def compare(
+    references: Sequence[Working],
+    performance: Working,
+    tempo: str,
+    weights: FloatArray,
+    between: FloatArray | None = None,
+) -> Comparison:
     """Compare a performance with the takes, the first of which gives the clock.
 
-    What one take does is right: each deviation is from the take nearest to it.
+    What one take does is right: each deviation is from the take nearest to it, after what another body does
+    differently throughout is taken out; ``between`` (9,) rad is what bodies differ by.
     """
     alignment = align(references[0], performance, tempo, weights)
-    deviations = compute_deviations(references[0], performance, alignment.frames, weights)
+    pairs = _pair_poses(references[0], performance, alignment.frames, weights)
+    offset = estimate_offset(references[0], performance, pairs, between)
+    bare = take_out(performance, offset)
+    deviations = compute_deviations(references[0], bare, alignment.frames, weights)
     chord = np.sqrt(deviations.squared[:, deviations.center])
     from_first = np.where(deviations.judged, 2.0 * np.arcsin(np.minimum(0.5 * chord, 1.0)), np.nan)
     for reference in references[1:]:
-        other = compute_deviations(reference, performance, alignment.frames, weights)
+        its = take_out(performance, estimate_offset(reference, performance, pairs, between))
+        other = compute_deviations(reference, its, alignment.frames, weights)
         deviations = choose_nearest(deviations, other)
-    return Comparison(alignment, deviations, from_first)
+    return Comparison(alignment, deviations, from_first, offset, bare)
+
+
+_PAIRED_RATE = 10.0  # Hz: a body does not change faster
+_PAIRED_S = 1.2
+_TURN, _LATE = 0.05, 0.005  # prices of 0.1 s more or less, and of being late at all, in frames with nothing in common
+
+
+def _pair_poses(reference: Working, performance: Working, frames: FloatArray, weights: FloatArray) -> IndexArray:
+    """(K, 2) frames of both that resemble each other best near the line ``frames`` (T,), whoever is late."""
+    step = max(1, round(performance.frame_rate / _PAIRED_RATE))
+    rows = np.arange(0, performance.n_frames, step)
+    reach = max(1, round(_PAIRED_S * performance.frame_rate / step))
+    lags = np.arange(-reach, reach + 1)
+    there = np.rint(frames[rows]).astype(np.intp)[:, None] + lags * step
+    inside = (there >= 0) & (there < reference.n_frames)
+    near = np.clip(there, 0, reference.n_frames - 1)
+    shares = weights * (performance.seen[rows, None] & reference.seen[near])
+    likeness = _compare_poses(performance.segments[rows, None], reference.segments[near], shares)
+    cost = np.where(inside, to_cost(likeness), OUTSIDE)
+    course = follow_lag(cost + _LATE * np.abs(lags), _TURN)
+    pairs = np.column_stack([there[np.arange(len(rows)), course], rows])
+    known: IndexArray = pairs[inside[np.arange(len(rows)), course]]
+    return known
+
+
+def _compare_poses(a: FloatArray, b: FloatArray, shares: FloatArray) -> FloatArray:
+    """S of the spec, pose by pose, of what both show; shares (..., 9) of the segments."""
+    across = (a[..., 2] + 1j * a[..., 0]) * (b[..., 2] - 1j * b[..., 0])
+    total = np.abs((across * shares).sum(axis=-1)) + (a[..., 1] * b[..., 1] * shares).sum(axis=-1)
+    return np.asarray(total / np.maximum(shares.sum(axis=-1), 1e-9))
 
 
 def find_errors(comparison: Comparison, tolerance: Tolerance, weights: FloatArray) -> list[Finding]:

@@ -27,6 +27,13 @@ from dousa.evaluation.grade.references import prepare_references
 from dousa.evaluation.grade.result import Assessment, ErrorEvent
 from dousa.evaluation.live.stream_frame import FigureMeter, LagWatcher, PoseReader, compare_with_reference
 from dousa.evaluation.live.stream_window import LineFollower, Window
+from dousa.evaluation.posture.offset import (
+    estimate_offset,
+    make_no_offset,
+    take_out,
+    take_out_of_pose,
+    take_out_of_postures,
+)
 from dousa.evaluation.posture.posture import (
     MIRRORED_SEGMENTS,
     SEGMENTS,
@@ -35,7 +42,9 @@ from dousa.evaluation.posture.posture import (
     Working,
     compute_postures,
     interpolate_segments,
+    measure_heading,
     mirror_postures,
+    thin_postures,
 )
 from dousa.evaluation.posture.weights import spread_weights
 from dousa.evaluation.posture.yaw import estimate_robust_yaw
@@ -139,6 +148,8 @@ class IncrementalAssessor:
         self._reader = PoseReader()
         self._joints, self._group = _Rows((_N_JOINTS, 3)), _Rows((9, 3))
         self._seen, self._yaw = _Rows((9,), np.bool_), _Rows(())
+        self._heading, self._matched, self._faces = _Rows(()), _Rows(()), 0.0
+        self._offset = make_no_offset()
         self._poses = np.zeros((self._stride, 9, 3))
         self._poses_seen = np.zeros((self._stride, 9), np.bool_)
         self._settled: list[ErrorEvent] = []
@@ -188,13 +199,16 @@ class IncrementalAssessor:
         number = self.n_frames
         self._joints.add(points)
         pose, seen = self._reader.read(points)
+        faces = float(measure_heading(points[None])[0])
         if self._mirrored:
-            pose, seen = pose[MIRRORED_SEGMENTS, :] * _FLIP, seen[list(MIRRORED_SEGMENTS)]
+            pose, seen, faces = pose[MIRRORED_SEGMENTS, :] * _FLIP, seen[list(MIRRORED_SEGMENTS)], -faces
+        self._faces = faces if np.isfinite(faces) else self._faces
         slot = number % self._stride
         self._poses[slot], self._poses_seen[slot] = pose, seen
         if slot == self._stride - 1:
             self._take_working_frame()
-        return self._describe(number, pose, seen)
+        bare = take_out_of_pose(pose, self._faces, self._offset)
+        return self._describe(number, bare, seen & ~self._offset.missing)
 
     def finish(self) -> Assessment:
         """The assessment of all frames so far, as `assess` gives it.
@@ -230,6 +244,7 @@ class IncrementalAssessor:
         mean /= np.maximum(np.linalg.norm(mean, axis=1, keepdims=True), 1e-9)
         self._group.add(mean)
         self._seen.add(np.all(self._poses_seen, axis=0, keepdims=True)[0])
+        self._heading.add(np.asarray(self._faces))
         count = self._group.count
         if count % max(1, round(_HOP_S * self._working_rate)) == 0:
             self._look_back()
@@ -237,16 +252,22 @@ class IncrementalAssessor:
 
     def _watch(self, frame: int) -> None:
         there = float(self._line.locate(frame, frame + 1)[0])
-        pose, seen = self._group.values[frame], self._seen.values[frame]
+        pose = take_out_of_pose(self._group.values[frame], self._heading.values[frame], self._offset)
+        seen = self._seen.values[frame] & ~self._offset.missing
         self._watcher.look(pose, seen, there, self._window.tolerance)
         if frame == self._yaw.count:
             self._yaw.add(np.asarray(self._watcher.yaw))
+            self._matched.add(np.asarray(there - self._watcher.lag_s * self._working_rate))
 
     def _look_back(self) -> None:
         """Once a second: the line, the deviations along it, and the errors that are over."""
         count = self._group.count
-        performance = Working(self._group.values, self._seen.values, np.zeros(count), self._working_rate, self._stride)
+        performance = Working(
+            self._group.values, self._seen.values, self._heading.values, self._working_rate, self._stride
+        )
         self._line.update(performance.segments)
+        self._estimate_body(performance)
+        performance = take_out(performance, self._offset)
         if self._window.update(performance) > _MOVED:
             self._watcher.forget()
             for frame in range(max(count - 1 - round(_REPLAYED_S * self._working_rate), 0), count - 1):
@@ -258,12 +279,24 @@ class IncrementalAssessor:
         if found:
             self._settled += self._tell(found, performance)
 
+    def _estimate_body(self, performance: Working) -> None:
+        """How the performer's body differs from the reference's, as far as it has been seen."""
+        if not self._line.known:
+            return
+        matched = self._matched.values
+        known = np.flatnonzero((matched >= 0.0) & (matched <= self._references.working[0].n_frames - 1.0))
+        if len(known):
+            pairs = np.column_stack([np.rint(matched[known]).astype(np.intp), known])
+            reference, between = self._references.working[0], self._references.between
+            self._offset = estimate_offset(reference, performance, pairs, between)
+
     def _tell(self, found: Sequence[Finding], performance: Working) -> tuple[ErrorEvent, ...]:
         """Events in words, from the curves of the last seconds."""
         first = min(finding.start for finding in found) - round(_MARGIN_S * self._working_rate)
         first = max(first, self._window.first) * self._stride
         there = self._place_frames(first)
         part = self._read_postures(first)
+        part = take_out_of_postures(part, thin_postures(part), self._offset)
         residual, yaw = self._compare(part, there)
         count = self.n_frames
         index, same = np.full(count, -1, np.intp), np.full(count, np.nan)
