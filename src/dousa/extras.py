@@ -15,6 +15,8 @@ else waits for it.
 from __future__ import annotations
 
 import importlib
+from importlib import metadata
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from dousa.errors import MissingExtraError
@@ -22,7 +24,9 @@ from dousa.errors import MissingExtraError
 if TYPE_CHECKING:
     import cv2
 
-__all__ = ["cv2", "require"]
+__all__ = ["FONT_PACKAGE", "cv2", "find_font", "require"]
+
+FONT_PACKAGE, _FONT_FILE = "matplotlib-fontja", "ipaexg.ttf"
 
 
 def require(package: str, extra: str) -> Any:
@@ -43,6 +47,22 @@ def require(package: str, extra: str) -> Any:
         if error.name != package.partition(".")[0]:
             raise  # it is there, but something that it needs is not
         raise MissingExtraError(package, extra) from error
+
+
+def find_font() -> Path | None:
+    """The file of the Japanese font of the extra ``pictures``, None if it is not installed.
+
+    Its package is not imported: that would change the settings of matplotlib.
+    """
+    try:
+        files = metadata.files(FONT_PACKAGE) or ()
+    except metadata.PackageNotFoundError:
+        return None
+    for file in files:
+        if file.name == _FONT_FILE:
+            path = Path(str(file.locate()))
+            return path if path.is_file() else None
+    return None
 
 
 def __getattr__(name: str) -> Any:

@@ -302,3 +302,52 @@ def test_the_experiment_as_json_and_second_takes(run, takes, blind, tmp_path):
 def test_mistakes_of_the_experiment(run, takes, blind, tmp_path, words, says):
     code, out, err = run("experiment-errors", *(word.format(takes=takes / "takes", dir=tmp_path) for word in words))
     assert code == 2 and out == "" and says in err and len(err.splitlines()) == 1
+
+
+# advice and progress
+
+
+def test_brief_is_the_grade_and_what_to_work_on(run, takes, asked):
+    words = ("evaluate", takes / "takes/t0.bvh", "--performance", takes / "pupil.bvh")
+    code, out, _ = run(*words, "--detail", "brief")
+    assert code == 0
+    lines = out.splitlines()
+    assert lines[0].startswith("grade 71")
+    assert [line[:3] for line in lines[1:4]] == ["1. ", "2. ", "3. "]
+    assert "went well" in lines[4]
+    assert lines[5:] == ["2 more things to work on: --detail full"]
+    full = run(*words)[1]
+    assert full.startswith("\n".join(lines[:5])) and "partial motion error" in full
+    brief, whole = (json.loads(run(*words, "--json", "--detail", one)[1])["advice"] for one in ("brief", "full"))
+    assert len(brief) == 3 and sorted(one["event"] for one in whole if one["event"] is not None) == [0, 1, 2, 3]
+    assert lines[1] == f"1. {brief[0]['says']}"
+
+
+def test_progress_over_answers(run, takes, asked, tmp_path):
+    answer = run("evaluate", takes / "takes/t0.bvh", "--performance", takes / "pupil.bvh", "--json")[1]
+    (tmp_path / "a.json").write_text(answer, encoding="utf-8")
+    later = json.loads(answer)
+    later["score"], later["events"] = 80.0, later["events"][:1]
+    (tmp_path / "b.json").write_text(json.dumps(later), encoding="utf-8")
+    files = (tmp_path / "a.json", tmp_path / "b.json")
+    code, out, err = run("progress", *files, "--picture", tmp_path / "p.png")
+    assert code == 0 and err == ""
+    assert "the grade rose from 71 to 80" in out and "every time" in out and "1 (24 deg)" in out
+    assert (tmp_path / "p.png").read_bytes().startswith(b"\x89PNG")
+    assert json.loads(run("progress", *files, "--json")[1])["worse"] == []
+    assert "評価点が71点から80点に" in run("progress", *files, "--lang", "ja")[1]
+    later["references"] = ["another.bvh"]
+    files[1].write_text(json.dumps(later), encoding="utf-8")
+    assert "different references" in run("progress", *files)[2]
+
+
+@pytest.mark.parametrize(
+    ("content", "says"),
+    [("[1]", "with score, events and lapses"), ("no", "cannot be read as"), (None, "cannot be read")],
+)
+def test_progress_over_something_else(run, tmp_path, content, says):
+    file = tmp_path / "a.json"
+    if content is not None:
+        file.write_text(content)
+    code, out, err = run("progress", file, file)
+    assert code == 2 and out == "" and says in err and len(err.splitlines()) == 1

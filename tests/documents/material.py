@@ -169,6 +169,7 @@ MATERIAL: dict[str, Callable[[Path], None]] = {
     "teacher.c3d": _points("kick_left", 20),
     "pupil.bvh": _motion("kick_left", 21),
     "pupil.trc": _points("kick_left", 21),
+    "pupil_later.bvh": _motion("kick_left", 22),
     "dance.furi": _text("1-40 kick\n41-60 rest\n"),
     "arms.toml": _text("arms = 2\nlegs = 1\n"),
     "demo-output": _dances,  # only what the second act of `dousa demo` starts from

@@ -1,5 +1,6 @@
 from .advice.advice import Advice, advise, describe_advice, praise
 from .advice.directions import Correction
+from .advice.progress import Attempt, Progress, compare_attempts, read_attempt
 from .alignment.correlation import compute_correlation_matrix
 from .alignment.correspondence import Line, find_lines, find_path
 from .errors.lapses import Lapse
@@ -54,6 +55,7 @@ __all__ = [
     "Advice",
     "AssessedRepetition",
     "Assessment",
+    "Attempt",
     "Correction",
     "Eigenspace",
     "ErrorEvent",
@@ -64,6 +66,7 @@ __all__ = [
     "Lapse",
     "Line",
     "PostureSequence",
+    "Progress",
     "RangeOfMotion",
     "Repetition",
     "RepetitionSplit",
@@ -72,6 +75,7 @@ __all__ = [
     "advise",
     "assess",
     "assess_repetitions",
+    "compare_attempts",
     "compute_complex_correlation",
     "compute_correlation_matrix",
     "compute_distance_from_space",
@@ -100,6 +104,7 @@ __all__ = [
     "format_furi",
     "mirror_postures",
     "praise",
+    "read_attempt",
     "read_furi",
     "read_weights",
     "rotate_yaw",

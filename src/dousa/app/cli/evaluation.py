@@ -1,4 +1,4 @@
-"""Commands that evaluate motion: evaluate and experiment-errors."""
+"""Commands that evaluate motion: evaluate, progress and experiment-errors."""
 
 from __future__ import annotations
 
@@ -31,6 +31,7 @@ Which = Literal["all", "tuning", "held-out"]
 def register(app: typer.Typer) -> None:
     """Register this module's commands with the application."""
     app.command(rich_help_panel="Evaluation")(evaluate)
+    app.command(rich_help_panel="Evaluation")(progress)
     app.command("experiment-errors", rich_help_panel="Evaluation")(experiment_errors)
 
 
@@ -150,6 +151,35 @@ def evaluate(
         print_assessment(console(), done.assessment, detail)
         if page is not None:
             console().print(str(Message("evaluation_cli.report", path=page)), markup=False, soft_wrap=True)
+
+
+def progress(
+    answers: Annotated[
+        list[Path],
+        typer.Argument(metavar="ANSWER...", help="Answers of dousa evaluate --json, the oldest first; two or more."),
+    ],
+    picture: Annotated[Path | None, typer.Option("--picture", help="Draw the curves: .png, .svg or .pdf.")] = None,
+    json: o.Json = False,
+) -> None:
+    """Show a pupil over time: the grade and the errors of several evaluations, what improved, and what still fails.
+
+    Example: dousa progress monday.json friday.json --picture pupil.png
+    """
+    from dousa.app.pipelines.progress import compare_answers
+
+    found, alike = compare_answers(answers)
+    if not alike:
+        warn(Message("evaluation_cli.other_reference"))
+    if json:
+        print_json(found.to_json())
+    else:
+        from dousa.app.tables.progress import print_progress
+
+        print_progress(console(), found)
+    if picture is not None:
+        from dousa.app.pictures.progress import draw_progress
+
+        draw_progress(found, picture)
 
 
 def _load_weights(path: Path | None) -> dict[str, float] | None:

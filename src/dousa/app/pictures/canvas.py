@@ -8,7 +8,7 @@ from functools import lru_cache
 from typing import TYPE_CHECKING, Any
 
 from dousa.errors import OptionError
-from dousa.extras import require
+from dousa.extras import find_font, require
 from dousa.files.disk import atomic_write
 
 if TYPE_CHECKING:
@@ -65,6 +65,9 @@ def _fonts() -> tuple[tuple[str, ...], tuple[Any, ...]]:
     require("matplotlib", "pictures")
     from matplotlib import font_manager
 
+    japanese = find_font()
+    if japanese is not None:
+        font_manager.fontManager.addfont(str(japanese))
     present = {entry.name: entry.fname for entry in font_manager.fontManager.ttflist}
     names = ["DejaVu Sans", *(name for name in _WIDE_FONTS if name in present)]
     opened = tuple(font_manager.get_font(present[name]) for name in names if name in present)

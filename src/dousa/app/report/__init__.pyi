@@ -1,5 +1,4 @@
 from .curves import to_curves_csv, to_events_csv
-from .fonts import find_font
 from .page import (
     QUICK_PARTS,
     build_frame,
@@ -17,7 +16,6 @@ __all__ = [
     "build_page",
     "build_parts",
     "collect_data",
-    "find_font",
     "read_report_script",
     "read_report_style",
     "to_curves_csv",

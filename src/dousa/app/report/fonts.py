@@ -11,11 +11,9 @@ import base64
 import io
 from dataclasses import dataclass
 from functools import lru_cache
-from importlib import metadata
 from importlib.util import find_spec
-from pathlib import Path
 
-_PACKAGE, _FILE = "matplotlib-fontja", "ipaexg.ttf"
+from dousa.extras import FONT_PACKAGE, find_font
 
 # Chinese characters and kana begin here; fonts of every machine have the signs that come before.
 _FIRST = 0x2E80
@@ -38,19 +36,6 @@ class EmbeddedFont:
     problem: str = ""
 
 
-def find_font() -> Path | None:
-    """The file of the Japanese font, None if its package is not installed."""
-    try:
-        files = metadata.files(_PACKAGE) or ()
-    except metadata.PackageNotFoundError:
-        return None
-    for file in files:
-        if file.name == _FILE:
-            path = Path(str(file.locate()))
-            return path if path.is_file() else None
-    return None
-
-
 def embed_font(text: str) -> EmbeddedFont:
     """The font with the Chinese characters, kana and wide signs of a text.
 
@@ -63,7 +48,7 @@ def embed_font(text: str) -> EmbeddedFont:
         return EmbeddedFont("", frozenset())
     path = find_font()
     if path is None or find_spec("fontTools") is None:
-        return EmbeddedFont("", frozenset(), f"{_PACKAGE}: pip install 'dousa[pictures]'")
+        return EmbeddedFont("", frozenset(), f"{FONT_PACKAGE}: pip install 'dousa[pictures]'")
     return _cut(str(path), wanted)
 
 

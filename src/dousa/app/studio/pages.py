@@ -146,7 +146,7 @@ def _collect(folder: Traversable, prefix: str, known: dict[str, tuple[bytes, str
 
 def _read_font() -> bytes:
     """A Japanese font for machines that have none; browsers fetch it only when such letters are shown."""
-    from dousa.app.report import find_font
+    from dousa.extras import find_font
 
     path = find_font()
     return b"" if path is None else path.read_bytes()
