@@ -285,3 +285,18 @@ def test_other_jobs_are_no_evaluations(studio, path):
     other = studio.post("/api/jobs/train", json={}).json()["id"]
     studio.post(f"/api/jobs/{other}/stop")
     assert studio.get(f"/api/evaluations/{other}/{path}").status_code == 404
+
+
+def test_a_pupil_over_time(studio, evaluate, motions, job):
+    assert studio.get(f"/api/evaluations/{job['id']}/progress").json() == {"progress": None}
+    refused = studio.get(f"/api/evaluations/{job['id']}/progress.svg?language=ja")
+    assert refused.status_code == 404 and refused.json()["code"] == "studio_evaluation.first"
+    later = evaluate(motions)
+    other = evaluate({**motions, "tempo": "free"})
+    found = studio.get(f"/api/evaluations/{later['id']}/progress").json()["progress"]
+    assert [one["name"] for one in found["attempts"]] == ["dance_pupil.bvh"] * 2
+    assert [one["score"] for one in found["attempts"]] == [job["result"]["score"]] * 2
+    assert found["says"].startswith("the grade stayed at") and found["still"]
+    assert studio.get(f"/api/evaluations/{other['id']}/progress").json() == {"progress": None}
+    picture = studio.get(f"/api/evaluations/{later['id']}/progress.svg?language=ja")
+    assert picture.headers["content-type"] == "image/svg+xml" and b"<svg" in picture.content

@@ -17,7 +17,8 @@ from dousa.app.studio.content.evaluations import (
     format_weights,
 )
 from dousa.app.studio.content.studio import Studio, StudioNow
-from dousa.app.studio.core.answers import Answer
+from dousa.app.studio.core.answers import Answer, RefusedError
+from dousa.messages import use_language
 
 router = APIRouter(tags=["evaluation"])
 
@@ -85,6 +86,28 @@ def adjust(studio: StudioNow, job_id: str, wanted: AdjustRequest) -> Answer:
             "data": collect_data(assessment, language),
         }
     )
+
+
+@router.get("/evaluations/{job_id}/progress", summary="A pupil over time: this evaluation and those before it")
+def get_progress(studio: StudioNow, job_id: str, language: _Language = "en") -> Answer:
+    """As `dousa progress --json`: the evaluations against the same reference, the oldest first; null for the first."""
+    found = studio.evaluations.compare_with_earlier(job_id)
+    return Answer({"progress": None if found is None else found.to_json(language)})
+
+
+@router.get(
+    "/evaluations/{job_id}/progress.svg",
+    response_class=Response,
+    responses={200: {"content": {"image/svg+xml": {"schema": {"type": "string"}}}}},
+    summary="The same as a picture",
+)
+def draw_progress(studio: StudioNow, job_id: str, language: _Language = "en") -> Response:
+    """An SVG."""
+    use_language(language)
+    drawn = studio.evaluations.draw_progress(job_id)
+    if drawn is None:
+        raise RefusedError(404, "studio_evaluation.first")
+    return Response(drawn, media_type="image/svg+xml")
 
 
 def _show(assessment: Any, language: str) -> dict[str, Any]:

@@ -15,12 +15,12 @@ from pydantic import BaseModel, ConfigDict, Field
 from dousa.app.studio.content.motions import MotionRef, Seconds
 from dousa.app.studio.core.answers import Gate, RefusedError
 from dousa.app.studio.core.words import reword
-from dousa.messages import Message
+from dousa.messages import Message, get_language
 
 if TYPE_CHECKING:
     from dousa.app.studio.content.motions import Motions, Named
     from dousa.app.studio.jobs.board import Job, JobBoard
-    from dousa.evaluation import AdjustableAssessment, Assessment, Furi
+    from dousa.evaluation import AdjustableAssessment, Assessment, Furi, Progress
 
 Language = Literal["en", "ja"]
 _Weight = Annotated[float, Field(ge=0, le=1000, allow_inf_nan=False)]
@@ -31,7 +31,8 @@ _LONGEST_S = 600.0  # s of a motion
 _MOST_WORK = 1.5e6  # s^2 of all pairs, since every take is compared with every other one: half a minute
 _WAIT = 120.0  # s for others whose evaluation is made again
 _SLACK_S = 0.1  # s that the last figure may end after the dance: people round
-_ADJUSTED = "adjusted.json"
+_ADJUSTED, _PROGRESS = "adjusted.json", "progress"
+_MOST_ATTEMPTS = 30  # that are drawn
 _OTHER = 0.6  # of the performance
 
 
@@ -217,6 +218,35 @@ class Evaluations:
         with atomic_write(self._board.folder(self._done(job_id)) / _ADJUSTED) as file:
             file.write(json.dumps(adjustment.model_dump(include={"weights", "furi"})).encode())
 
+    def compare_with_earlier(self, job_id: str) -> Progress | None:
+        """This evaluation and those before it against the same reference, as they were asked for; None if it is the
+        first."""
+        from dousa.evaluation import compare_attempts, read_attempt
+
+        job = self._done(job_id)
+        model = _describe_model(job)
+        earlier = [
+            one
+            for one in self._board.all()
+            if one.kind == job.kind and one.state == "done" and one.result and _describe_model(one) == model
+        ]
+        until = [one for one in earlier if one.created_s <= job.created_s][:_MOST_ATTEMPTS]
+        if len(until) < 2:
+            return None
+        results = [one.result or {} for one in reversed(until)]
+        return compare_attempts([read_attempt(one, one["names"]["performance"]) for one in results])
+
+    def draw_progress(self, job_id: str) -> bytes | None:
+        """The same as a picture, SVG, in the language in use."""
+        from dousa.app.pictures.progress import draw_progress
+
+        found = self.compare_with_earlier(job_id)
+        if found is None:
+            return None
+        path = self._board.folder(self._done(job_id)) / f"{_PROGRESS}-{get_language()}.svg"
+        draw_progress(found, path)
+        return path.read_bytes()
+
     def _done(self, job_id: str) -> Job:
         job = self._board.get(job_id)
         if job.kind != "evaluate":
@@ -224,6 +254,12 @@ class Evaluations:
         if job.state != "done":
             raise RefusedError(409, "studio_evaluation.not_done")
         return job
+
+
+def _describe_model(job: Job) -> Any:
+    """What two evaluations must share to be compared: files that were uploaded again have other addresses."""
+    result = job.result or {}
+    return [result.get("names", {}).get("references"), result.get("reference_duration_s"), result.get("options")]
 
 
 def make_ready(

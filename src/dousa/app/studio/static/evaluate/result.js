@@ -42,9 +42,19 @@ export class Result {
       onBusy: (busy) => this.root.setAttribute("aria-busy", String(busy)),
     });
     $("#analysis", this.root).after(this.adjust.element);
+    this.showProgress(job, mine);
     this.endTime = this.player.onTime((seconds) => this.followPlayer(seconds));
     this.followPlayer(this.player.time);
     return true;
+  }
+
+  /** Below the worst moments, where there are earlier evaluations against the same reference. */
+  async showProgress(job, mine) {
+    const { progress } = await get(`/evaluations/${job}/progress`, { language });
+    if (!progress || mine !== this.turn) return;
+    const picture = h("img", { src: `/api/evaluations/${job}/progress.svg?language=${language}`, alt: progress.says, loading: "lazy" });
+    const card = h("section", { id: "progress-over-time" }, h("h2", {}, t("over_time")), h("p", { class: "lead" }, t("over_time_hint")), h("div", { class: "card over-time" }, h("p", { class: "good" }, progress.says), picture));
+    $("#analysis", this.root).before(card);
   }
 
   take(answer) {
