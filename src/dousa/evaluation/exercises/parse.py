@@ -13,68 +13,64 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-STAY, SKIP = 0.08, 0.08
+STAY, SKIP = 0.2, 0.2
 """Price of a frame during which the template waits, and of every frame of the template that is left out."""
-ENTRY = 0.15
+ENTRY = 0.03
 """Price of beginning a repetition, as a share of the template's frames."""
 
 Matrix = NDArray[np.float64]
 
 
-def parse_passes(cost: Matrix, outside: NDArray[np.float64]) -> tuple[NDArray[np.int64], float]:
+def parse_passes(cost: Matrix, outside: NDArray[np.float64]) -> tuple[NDArray[np.int64], NDArray[np.float64], float]:
     """The cheapest reading of a recording as passes through a template, and what lies between them.
 
     Parameters
     ----------
-    cost : (T, n) of pairing a frame of the recording with one of the template, 1 being as bad as other motion.
+    cost : (T, n) of pairing a frame of the recording with one of the template.
     outside : (T,) cost of a frame that belongs to no pass.
 
     Returns
     -------
     passes : (R, 2) first frame and frame after the last of each pass, in order.
-    price : of the reading; 1 a frame of other motion.
+    prices : (R,) of each pass, a frame.
+    price : of the whole reading.
     """
     if len(cost) == 0 or cost.shape[1] == 0:
-        return np.zeros((0, 2), np.int64), float(outside.sum())
+        return np.zeros((0, 2), np.int64), np.zeros(0), float(outside.sum())
     total, origin, from_pass = _accumulate(cost, outside, STAY, SKIP, ENTRY * cost.shape[1])
     bounds = _trace(origin, from_pass, total[-1, -1] < total[-1, 0])
-    return bounds, float(min(total[-1, 0], total[-1, -1]))
+    before = np.array([total[start - 1, [0, -1]].min() if start else 0.0 for start, _ in bounds])
+    prices = (total[bounds[:, 1] - 1, -1] - before) / np.maximum(bounds[:, 1] - bounds[:, 0], 1)
+    return bounds, prices, float(min(total[-1, 0], total[-1, -1]))
 
 
 @njit(cache=True, nogil=True)
 def _accumulate(  # type: ignore[no-untyped-def]
     cost, outside, stay, skip, entry
 ):  # pragma: no cover - compiled
-    """Cheapest prices (2, n + 1) of the last two frames, and the way back: column 0 is outside, j + 1 the template."""
+    """Cheapest prices (T, n + 1), and the way back: column 0 is outside, j + 1 the template."""
     n_frames, n = cost.shape
-    total = np.full((2, n + 1), np.inf)
-    origin = np.full((n_frames, n + 1), -1, np.int16)  # 0 from outside or a pass's end, 1 stay, 2.. 1, 2, 3 on
-    from_pass = np.zeros((n_frames, 2), np.bool_)  # whether outside, and whether an entry, follows a pass
-    here = total[0]
-    here[0] = outside[0]
-    here[1] = entry + cost[0, 0]
+    total = np.full((n_frames, n + 1), np.inf)
+    origin = np.full((n_frames, n + 1), -1, np.int8)  # 0 from outside or a pass's end, 1 stay, 2, 3, 4: so many on
+    from_pass = np.zeros(n_frames, np.bool_)  # whether what is outside, or begins, follows a pass
+    total[0, 0] = outside[0]
+    total[0, 1] = entry + cost[0, 0]
     origin[0, 1] = 0
     for t in range(1, n_frames):
-        before, here = total[(t - 1) % 2], total[t % 2]
-        ended = before[n]
-        from_pass[t, 0] = ended < before[0]
-        here[0] = min(before[0], ended) + outside[t]
-        from_pass[t, 1] = ended < before[0]
+        before, here = total[t - 1], total[t]
+        from_pass[t] = before[n] < before[0]
+        outer = min(before[0], before[n])
+        here[0] = outer + outside[t]
         for j in range(1, n + 1):
             best, way = before[j] + stay, 1
-            if j == 1:
-                enter = min(before[0], ended) + entry
-                if enter < best:
-                    best, way = enter, 0
+            if j == 1 and outer + entry < best:
+                best, way = outer + entry, 0
             for step in range(1, 4):
                 if j - step >= 1 and before[j - step] + skip * (step - 1) < best:
                     best, way = before[j - step] + skip * (step - 1), 1 + step
             here[j] = best + cost[t, j - 1]
             origin[t, j] = way
-    last = np.empty((2, n + 1))
-    last[0] = total[(n_frames - 2) % 2] if n_frames > 1 else total[1]
-    last[1] = total[(n_frames - 1) % 2]
-    return last, origin, from_pass
+    return total, origin, from_pass
 
 
 @njit(cache=True, nogil=True)
@@ -87,7 +83,7 @@ def _trace(origin, from_pass, in_pass):  # type: ignore[no-untyped-def]  # pragm
     end = n_frames
     for t in range(n_frames - 1, -1, -1):
         if j == 0:
-            if t > 0 and from_pass[t, 0]:
+            if t > 0 and from_pass[t]:
                 j, end = n, t
             continue
         way = origin[t, j]
@@ -95,7 +91,7 @@ def _trace(origin, from_pass, in_pass):  # type: ignore[no-untyped-def]  # pragm
             bounds[count, 0], bounds[count, 1] = t, end
             count += 1
             j = 0
-            if t > 0 and from_pass[t, 1]:
+            if t > 0 and from_pass[t]:
                 j, end = n, t
         elif way > 1:
             j -= way - 1

@@ -8,13 +8,14 @@ exercise is recognised in a body that stands differently.
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
-from dousa.arrays import BoolArray, FloatArray
+from dousa.arrays import BoolArray, FloatArray, IntArray
 from dousa.evaluation.exercises.parse import parse_passes
 from dousa.evaluation.exercises.posture_curve import (
     PostureCurve,
@@ -28,10 +29,10 @@ from dousa.motion import CanonicalMotion
 LEAST_EXCURSION = 0.25
 """Chord: what moves less (a limb of two segments by 10 degrees) is standing still."""
 COMPLETE = 0.65
-"""Share of the template's displacement that makes a repetition complete."""
+"""Share of the displacement of the template, or of the usual repetition if that is more, that makes one complete."""
 _INCOMPLETE = 0.25  # share below which it is not even tried
 _BESIDE = 0.5  # share of its displacement by which a broken-off repetition may be beside the exercise's path
-_OTHER = 0.36  # mean squared residual, as a share of the template's mean squared displacement, of other motion
+_OTHER = 2.0  # mean squared residual, as a share of the template's mean squared displacement, of other motion
 _ONSET = 0.12  # share of the displacement at which a repetition has begun
 _LEVELS = (0.15, 0.3, 0.5)  # shares of the largest displacements at which excursions are cut
 _SHORTEST_S, _LONGEST_S = 0.4, 20.0
@@ -39,8 +40,7 @@ _MOST_TEMPLATES = 60
 _TOLD = 0.7  # frames that telling a frame of the template costs
 _ON_THE_SPOT_M = 0.4
 _MOMENT_S = 0.3
-_EASES = (1.0, 1.6, 2.5)  # a reference that is hardly resembled is looked for with more tolerance
-_EASE_PRICE = 1.0  # share of the template's frames, for each such step
+_ALIKE, _ALIKE_ALONE = 1.0, 2.5  # misfit, a share of the template's power, from which on a pass is another motion
 _RETURNS = 0.55  # share of its reach within which a repetition begins and ends at rest
 
 
@@ -125,11 +125,13 @@ class _Template:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Parse:
-    """Passes through a template in frames of the coarse curve, the rest they start from, and what that costs."""
+    """Passes (R, 2) through a template in frames of the coarse curve, the rest they start from, each one's mean squared
+    difference from the template as a share of its power (R,), and the price of the reading."""
 
     template: _Template
     rest: FloatArray
-    passes: np.ndarray
+    passes: IntArray
+    misfits: FloatArray
     price: float
 
 
@@ -166,10 +168,6 @@ def find_repetitions(
 
 def _to_postures(motion: CanonicalMotion | PostureSequence) -> PostureSequence:
     return motion if isinstance(motion, PostureSequence) else compute_postures(motion)
-
-
-def _price(parse: _Parse) -> float:
-    return parse.price
 
 
 # Templates
@@ -255,7 +253,7 @@ def _discover(curve: PostureCurve) -> _Parse | None:
         worth = saved / (1.0 + one.strayed**2) if saved > 0 else saved
         if worth > worth_of_best:
             best, worth_of_best = parse, worth
-    return best
+    return None if best is None else _keep_alike(best, _ALIKE_ALONE)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -325,26 +323,37 @@ def _follow(curve: PostureCurve, template: _Template) -> _Parse:
     How the body of this recording stands is not known beforehand: the rest that explains most is taken. A person
     repeats themselves better than a reference: what was surely found is looked for in turn.
     """
-    scale = _OTHER * template.power
     rests = find_rests(curve)
-    tried = [_parse(curve, template, rest, scale, ease) for ease in _EASES for rest in rests]
-    found = min((one for one in tried if len(one.passes)), key=_price, default=None)
-    if found is None:
-        return tried[0]
+    scale = _OTHER * template.power
+    tried = [_keep_alike(_parse(curve, template, rest, scale), _ALIKE) for rest in rests]
+    found = max(tried, key=_likeness)
+    if not len(found.passes):
+        return found
     moved = curve.coarse - found.rest
     own = [_make_template(moved[start:end], np.zeros(moved.shape[1])) for start, end in found.passes]
-    again = min((_parse(curve, one, found.rest, scale) for one in own), key=_price)
+    again = max((_keep_alike(_parse(curve, one, found.rest, scale), _ALIKE) for one in own), key=_likeness)
     kept = [(int(start), int(end)) for start, end in again.passes]
     kept += [(int(a), int(b)) for a, b in found.passes if all(b <= start or a >= end for start, end in again.passes)]
-    return _Parse(template, found.rest, np.array(sorted(kept)), 0.0)
+    return dataclasses.replace(found, passes=np.array(sorted(kept)))
 
 
-def _parse(curve: PostureCurve, template: _Template, rest: FloatArray, scale: float, ease: float = 1.0) -> _Parse:
+def _parse(curve: PostureCurve, template: _Template, rest: FloatArray, scale: float) -> _Parse:
     moved = curve.coarse - rest
-    cost = compare_displacements(moved, template.path) / (scale * ease)
+    cost = compare_displacements(moved, template.path) / scale
     outside = np.minimum((moved * moved).sum(axis=1) / scale, 1.0)
-    passes, price = parse_passes(cost, outside)
-    return _Parse(template, rest, passes, price + _EASE_PRICE * (ease - 1.0) * len(template.path))
+    passes, prices, price = parse_passes(cost, outside)
+    return _Parse(template, rest, passes, prices * scale / template.power, price)
+
+
+def _keep_alike(parse: _Parse, limit: float) -> _Parse:
+    """The passes that differ from the template by less than so much of its power."""
+    kept = parse.misfits <= limit
+    return dataclasses.replace(parse, passes=parse.passes[kept], misfits=parse.misfits[kept])
+
+
+def _likeness(parse: _Parse) -> float:
+    """Frames in passes, each counting less the less it is like the template."""
+    return float(((parse.passes[:, 1] - parse.passes[:, 0]) * (_ALIKE - parse.misfits)).sum())
 
 
 # From passes to repetitions
@@ -356,7 +365,9 @@ def _describe(curve: PostureCurve, parse: _Parse, *, relative: bool) -> list[Rep
     away = np.linalg.norm(moved, axis=1)
     spans = [(int(a) * curve.stride, min(int(b) * curve.stride, len(moved))) for a, b in parse.passes]
     reaches = [float(away[a:b].max()) for a, b in spans]
-    measure = float(np.median(reaches)) if relative and reaches else parse.template.reach
+    usual = float(np.median(reaches)) if reaches else 0.0
+    measure = usual if relative and reaches else parse.template.reach
+    least = COMPLETE * max(1.0, usual / measure) if measure > 0 else COMPLETE
     if measure < LEAST_EXCURSION:
         return []
     spans = sorted(spans + _broken_off(moved, parse.template, spans, measure, curve.fine_rate))
@@ -368,7 +379,7 @@ def _describe(curve: PostureCurve, parse: _Parse, *, relative: bool) -> list[Rep
         start, end = _bound(away, (a, b), peaks[number], (left, right))
         extent = float(away[peaks[number]]) / measure
         rate = curve.fine_rate
-        found.append(Repetition(start, end, start / rate, end / rate, round(extent, 3), extent >= COMPLETE))
+        found.append(Repetition(start, end, start / rate, end / rate, round(extent, 3), extent >= least))
     return found
 
 
