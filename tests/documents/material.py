@@ -22,6 +22,7 @@ from dousa.estimation.body.posing import fit_poses
 from dousa.estimation.body.skeleton_body import body_from_motion
 from dousa.estimation.raster.rendering import render
 from dousa.estimation.silhouettes.mask_npz import write_silhouettes
+from dousa.experiments.exercises.sets import join_repetitions
 from dousa.formats.registry import write_motion
 from dousa.motion import CANONICAL_JOINTS, canonicalise, compute_trajectories
 from dousa.motion.synthetic.performers import draw_performer, make_motion
@@ -54,6 +55,20 @@ def _motion(category: str, seed: int) -> Callable[[Path], None]:
 def _points(category: str, seed: int) -> Callable[[Path], None]:
     def write(path: Path) -> None:
         write_motion(compute_trajectories(make_motion(category, draw_performer(seed))), path)
+
+    return write
+
+
+def _exercise(n: int) -> Callable[[Path], None]:
+    """So many squats in one recording, the third broken off where there are more than one."""
+
+    def write(path: Path) -> None:
+        performer = draw_performer(302)
+        takes = [canonicalise(compute_trajectories(make_motion("squat", performer, take))) for take in range(24)]
+        single = [take for take in takes if take.duration * performer.tempo < 3.6]
+        chosen = [single[1 + number % (len(single) - 1)] for number in range(n)] if n > 1 else single[:1]
+        several = join_repetitions(chosen, np.random.default_rng(5), broken_off=[2] if n > 1 else [])
+        write_motion(several.motion.to_trajectories(), path)
 
     return write
 
@@ -163,6 +178,8 @@ MATERIAL: dict[str, Callable[[Path], None]] = {
     "kick.bvh": _motion("kick_left", 5),
     "jumping_jack.bvh": _motion("jumping_jack", 4),
     "take.c3d": _points("squat", 5),
+    "squat.trc": _exercise(1),
+    "squats.trc": _exercise(7),
     # a teacher and a pupil
     **{f"teacher_{take}.bvh": _motion("kick_left", 20) for take in (1, 2, 3)},
     "teacher.bvh": _motion("kick_left", 20),

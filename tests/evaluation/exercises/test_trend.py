@@ -10,7 +10,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from dousa.evaluation import estimate_trend
+from dousa.evaluation import Trend, estimate_trend
+from dousa.evaluation.exercises.trend import adjust_for_many
 
 
 def brute_p_value(values: list[float]) -> float:
@@ -64,3 +65,20 @@ def test_chance_alone_is_called_a_trend_no_more_often_than_it_says() -> None:
     rng = np.random.default_rng(4)
     called = [estimate_trend(rng.normal(size=8)).distinguishable for _ in range(600)]
     assert np.mean(called) <= 0.05 + 3 * math.sqrt(0.05 * 0.95 / 600)
+
+
+def test_many_measures_of_chance_are_called_a_trend_together_in_one_recording_of_twenty() -> None:
+    rng = np.random.default_rng(7)
+    called = []
+    for _ in range(300):
+        trends = {str(measure): estimate_trend(rng.normal(size=8)) for measure in range(12)}
+        called.append(any(trend.distinguishable for trend in adjust_for_many(trends).values()))
+    assert np.mean(called) <= 0.05 + 3 * math.sqrt(0.05 * 0.95 / 300)
+
+
+def test_the_adjustment_by_hand() -> None:
+    trends = {name: Trend(1.0, p, 9) for name, p in (("a", 0.01), ("b", 0.04), ("c", 0.03), ("d", math.nan))}
+    adjusted = adjust_for_many(trends)
+    assert [adjusted[name].adjusted_p for name in "abc"] == pytest.approx([0.03, 0.06, 0.06])
+    assert math.isnan(adjusted["d"].adjusted_p)
+    assert [adjusted[name].distinguishable for name in "abcd"] == [True, False, False, False]

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from dousa.app.pictures.canvas import BLUE, FAINT, GREEN, GREY, INK, VERMILLION, new_figure, save_figure, write
+from dousa.app.pictures.canvas import BLUE, FAINT, GREEN, GREY, INK, PURPLE, VERMILLION, new_figure, save_figure, write
 from dousa.evaluation.exercises.range_of_motion import ANGLE_NAMES, compute_joint_angles
 from dousa.messages import Message
 
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from dousa.motion import CanonicalMotion
 
 _WIDTH, _HEIGHT = 11.0, 6.6  # inches
-_STYLES = ((BLUE, "-"), (VERMILLION, "--"), (GREEN, ":"))
+_STYLES = ((BLUE, "-"), (VERMILLION, "--"), (GREEN, ":"), (PURPLE, "-."))
 
 
 def draw_repetitions(
@@ -34,7 +34,7 @@ def draw_repetitions(
     assessment : what is shown.
     performance : the motion that was assessed.
     path : .png, .svg or .pdf.
-    angles : joint angles of `dousa.evaluation.ANGLES`, three at most.
+    angles : joint angles of `dousa.evaluation.ANGLES`, four at most.
 
     Raises
     ------
@@ -47,7 +47,7 @@ def draw_repetitions(
     write(figure, 0.06, 0.955, str(title), 13)
     _draw_angles(figure.add_axes((0.06, 0.5, 0.92, 0.4)), assessment, performance, angles[: len(_STYLES)])
     texts = ("exercise_table.duration", "exercise_table.grade", "exercise_table.degrees_axis")
-    main = angles[0]
+    main = max(angles, key=lambda name: assessment.reference_ranges[name])
     columns = (
         ([one.repetition.duration_s for one in assessment.repetitions], assessment.reference_s),
         ([one.score for one in assessment.repetitions], math.nan),
@@ -79,14 +79,14 @@ def _draw_angles(
     axes.set_xlim(0.0, max(performance.duration, 1e-3))
     for place, (name, (colour, style)) in enumerate(zip(angles, _STYLES, strict=False)):
         axes.plot(
-            [0.005 + 0.3 * place, 0.035 + 0.3 * place],
+            [0.005 + 0.24 * place, 0.035 + 0.24 * place],
             [-0.14] * 2,
             style,
             color=colour,
             transform=axes.transAxes,
             clip_on=False,
         )
-        write(axes, 0.04 + 0.3 * place, -0.16, str(ANGLE_NAMES[name]), 9, transform=axes.transAxes)
+        write(axes, 0.04 + 0.24 * place, -0.16, str(ANGLE_NAMES[name]), 9, transform=axes.transAxes)
     write(axes, 0.0, 1.04, str(Message("exercise_table.degrees_axis")), 9, transform=axes.transAxes)
     write(axes, 1.0, -0.16, str(Message("exercise_table.seconds_axis")), 9, transform=axes.transAxes, ha="right")
 

@@ -38,20 +38,26 @@ _HEADINGS = (
     Message("exercise_table.tempo"),
     Message("exercise_table.grade"),
 )
-_MOST_ANGLES = 3  # that a table has room for
+_MOST_ANGLES = 4  # that a table has room for
 
 
 def choose_angles(assessment: RepetitionsAssessment, most: int = _MOST_ANGLES) -> tuple[str, ...]:
-    """The joint angles that move most in the reference, in the order of `ANGLES`; one at least."""
-    ranges = assessment.reference_ranges
-    names = sorted(assessment.angles or ANGLES, key=lambda name: -_or_none(ranges[name]))[
-        : most if assessment.angles else 1
-    ]
-    return tuple(name for name in ANGLES if name in names)
+    """The joint angles that move most in the reference, in the order of `ANGLES`; of each joint one, at least one.
 
-
-def _or_none(value: float) -> float:
-    return value if math.isfinite(value) else -1.0
+    A shoulder that is raised has an elevation, a flexion and an abduction; the one that moves most stands for it, the
+    same on both sides.
+    """
+    ranges = {name: value if math.isfinite(value) else 0.0 for name, value in assessment.reference_ranges.items()}
+    kinds: dict[str, tuple[float, str]] = {}
+    for name in ANGLES:
+        kind = name.removeprefix("left_").removeprefix("right_")
+        joint = kind.split("_")[0]
+        kinds[joint] = max(kinds.get(joint, (-1.0, "")), (ranges[name], kind))
+    chosen = {kind for _, kind in kinds.values()}
+    mine = [name for name in ANGLES if name.removeprefix("left_").removeprefix("right_") in chosen]
+    moving = [name for name in mine if name in assessment.angles] or mine[:1]
+    kept = sorted(moving, key=lambda name: -ranges[name])[:most]
+    return tuple(name for name in ANGLES if name in kept)
 
 
 def print_repetitions(out: Console, assessment: RepetitionsAssessment) -> None:
@@ -112,17 +118,20 @@ def describe_trends(assessment: RepetitionsAssessment) -> list[Message]:
 def _say_trend(name: str, trend: Trend) -> Message:
     if name == "duration_s":
         what = Message("exercise_table.measure_duration")
-        return Message("exercise_table.trend_seconds", what=what, slope=trend.slope, p=trend.p_value)
+        return Message("exercise_table.trend_seconds", what=what, slope=trend.slope, p=trend.adjusted_p)
     if name == "pause_s":
         what = Message("exercise_table.measure_pause")
-        return Message("exercise_table.trend_seconds", what=what, slope=trend.slope, p=trend.p_value)
+        return Message("exercise_table.trend_seconds", what=what, slope=trend.slope, p=trend.adjusted_p)
     if name == "score":
         what = Message("exercise_table.measure_score")
-        return Message("exercise_table.trend_points", what=what, slope=trend.slope, p=trend.p_value)
+        return Message("exercise_table.trend_points", what=what, slope=trend.slope, p=trend.adjusted_p)
+    if name == "extent":
+        what = Message("exercise_table.measure_extent")
+        return Message("exercise_table.trend_percent", what=what, slope=100 * trend.slope, p=trend.adjusted_p)
     if name.startswith("symmetry_"):
         what = Message("exercise_table.measure_symmetry", angle=PAIR_NAMES[name.removeprefix("symmetry_")])
-        return Message("exercise_table.trend_percent", what=what, slope=trend.slope, p=trend.p_value)
-    return Message("exercise_table.trend_degrees", what=ANGLE_NAMES[name], slope=trend.slope, p=trend.p_value)
+        return Message("exercise_table.trend_percent", what=what, slope=trend.slope, p=trend.adjusted_p)
+    return Message("exercise_table.trend_degrees", what=ANGLE_NAMES[name], slope=trend.slope, p=trend.adjusted_p)
 
 
 def to_repetitions_csv(assessment: RepetitionsAssessment) -> bytes:

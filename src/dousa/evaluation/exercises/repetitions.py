@@ -21,7 +21,7 @@ from dousa.evaluation.exercises.range_of_motion import (
     measure_ranges,
 )
 from dousa.evaluation.exercises.split import Repetition, find_reference_repetitions, find_repetitions
-from dousa.evaluation.exercises.trend import Trend, estimate_trend
+from dousa.evaluation.exercises.trend import Trend, adjust_for_many, estimate_trend
 from dousa.evaluation.grade.assessment import assess, check_seen, check_takes
 from dousa.evaluation.posture.posture import compute_postures
 from dousa.messages import Message
@@ -31,6 +31,7 @@ from dousa.motion.canonical.canonicalise import mirror_canonical
 _MARGIN_S = 0.25  # kept around a repetition that is graded
 _MOST_TAKES = 5  # repetitions of the reference that a grade rests on
 _ONE_SIDED = 60.0  # percent: a reference whose symmetry index is beyond is an exercise of one side
+_FEWEST_FOR_TREND = 6  # complete repetitions: of fewer, no order is improbable enough for so many measures
 _NAN = float("nan")
 
 
@@ -72,8 +73,8 @@ class RepetitionsAssessment:
     reference_ranges : angle -> range of the reference in degrees, median of its repetitions.
     reference_s : duration of a repetition of the reference, median.
     n_references : repetitions of the reference.
-    trends : measure -> trend over the complete repetitions: ``duration_s``, ``score``, ``pause_s``, an angle's range in
-        degrees, ``symmetry_...`` of an angle of both sides.
+    trends : measure -> trend over the complete repetitions: ``duration_s``, ``score``, ``pause_s``,
+        ``extent``, an angle's range in degrees, ``symmetry_...`` of an angle of both sides.
     frame_rate : Hz, of the performance.
     duration_s : of the performance.
     side : ``"mirrored"`` if left and right are the reference's.
@@ -115,6 +116,7 @@ class RepetitionsAssessment:
                 name: {
                     "slope": _number(trend.slope, 4),
                     "p_value": _number(trend.p_value, 4),
+                    "adjusted_p": _number(trend.adjusted_p, 4),
                     "distinguishable": trend.distinguishable,
                     "n": trend.n,
                 }
@@ -280,15 +282,16 @@ def _find_trends(
         "duration_s": [one.repetition.duration_s for one in complete],
         "score": [one.score for one in complete],
         "pause_s": [one.pause_s for one in complete[:-1]],
+        "extent": [one.repetition.extent for one in complete],
     }
     measures |= {name: [one.get_range(name).range_deg for one in complete] for name in moving}
     measures |= {f"symmetry_{name}": [abs(one.symmetry[name]) for one in complete] for name in pairs}
-    return {name: estimate_trend(values) for name, values in measures.items()}
+    return adjust_for_many({name: estimate_trend(values) for name, values in measures.items()})
 
 
 def _warn(complete: Sequence[AssessedRepetition], reference_s: float) -> tuple[Message, ...]:
     warnings = []
-    if len(complete) < 5:
+    if len(complete) < _FEWEST_FOR_TREND:
         warnings.append(Message("exercises.few", n=len(complete)))
     ungraded = sum(not math.isfinite(one.score) for one in complete)
     if ungraded:

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import dataclasses
 import itertools
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -24,16 +26,18 @@ class Trend:
     slope : per repetition, in the unit of the measure; nan with fewer than two values.
     p_value : of Mann and Kendall's test against no trend, two-sided; nan with fewer than two values.
     n : number of values.
+    adjusted_p : the same probability where several measures were tested at once, see `adjust_for_many`.
     """
 
     slope: float
     p_value: float
     n: int
+    adjusted_p: float = math.nan
 
     @property
     def distinguishable(self) -> bool:
         """Whether the trend can be told from none; with four repetitions or fewer it never can."""
-        return self.p_value < LEVEL
+        return (self.p_value if math.isnan(self.adjusted_p) else self.adjusted_p) < LEVEL
 
 
 def estimate_trend(values: ArrayLike) -> Trend:
@@ -54,6 +58,20 @@ def estimate_trend(values: ArrayLike) -> Trend:
     slope = float(np.median([rise / run for rise, run in pairs]))
     score = int(sum(np.sign(rise) for rise, _ in pairs))
     return Trend(slope, _compute_p_value(score, array[places]), len(places))
+
+
+def adjust_for_many(trends: Mapping[str, Trend]) -> dict[str, Trend]:
+    """The trends with probabilities that allow for the number of measures: one chance finding in twenty recordings.
+
+    Source: S. Holm, "A simple sequentially rejective multiple test procedure", Scandinavian J. Statistics 6, 65-70,
+    1979.
+    """
+    tested = sorted((name for name in trends if not math.isnan(trends[name].p_value)), key=lambda n: trends[n].p_value)
+    adjusted, reached = dict(trends), 0.0
+    for place, name in enumerate(tested):
+        reached = max(reached, min(1.0, (len(tested) - place) * trends[name].p_value))
+        adjusted[name] = dataclasses.replace(trends[name], adjusted_p=reached)
+    return adjusted
 
 
 def _compute_p_value(score: int, values: np.ndarray) -> float:

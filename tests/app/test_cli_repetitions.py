@@ -1,0 +1,89 @@
+"""``dousa evaluate --repetitions`` as a person uses it: table, JSON, CSV, picture, and mistakes in one line."""
+
+from __future__ import annotations
+
+import csv
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from dousa.experiments.exercises.sets import join_repetitions
+from dousa.formats.registry import write_motion
+from dousa.motion import canonicalise, compute_trajectories
+from dousa.motion.synthetic.performers import draw_performer, make_motion
+
+
+@pytest.fixture
+def run(dousa):
+    """The command line, in this process."""
+    return dousa
+
+
+@pytest.fixture(scope="module")
+def files(tmp_path_factory) -> Path:
+    """kick.trc, and kicks.trc: four more, of which one is broken off; bow.trc; still.trc."""
+    folder = tmp_path_factory.mktemp("repetitions")
+    performer = draw_performer(303)
+    takes = [canonicalise(compute_trajectories(make_motion("kick_left", performer, take))) for take in range(14)]
+    kick, *kicks = [take for take in takes if take.duration * performer.tempo < 2.7][:5]
+    several = join_repetitions(kicks, np.random.default_rng(4), broken_off=[1]).motion
+    write_motion(kick.to_trajectories(), folder / "kick.trc")
+    write_motion(several.to_trajectories(), folder / "kicks.trc")
+    still = kick.to_trajectories().replace(positions=np.repeat(kick.positions[:1], 90, axis=0))
+    write_motion(still, folder / "still.trc")
+    return folder
+
+
+def test_the_table_csv_and_picture(run, files, tmp_path):
+    outputs = ("--csv", tmp_path / "kicks.csv", "--picture", tmp_path / "kicks.png")
+    code, out, err = run(
+        "evaluate", files / "kick.trc", "--performance", files / "kicks.trc", "--repetitions", *outputs
+    )
+    assert code == 0
+    assert out.startswith("3 repetitions, 1 incomplete")
+    assert "left hip flexion" in out and "incomplete: reaches" in out
+    assert "note: 3 repetitions: a trend can be told from chance from six repetitions on" in err
+    rows = list(csv.DictReader((tmp_path / "kicks.csv").read_text().splitlines()))
+    assert [row["complete"] for row in rows] == ["1", "0", "1", "1"]
+    assert rows[1]["score"] == "" and float(rows[0]["score"]) > 50
+    assert float(rows[0]["left_hip_flexion_range_deg"]) > 40
+    assert (tmp_path / "kicks.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_json_alone_is_on_standard_output(run, files):
+    words = ("--performance", files / "kicks.trc", "--repetitions", "--json")
+    code, out, _ = run("evaluate", files / "kick.trc", *words)
+    assert code == 0
+    answer = json.loads(out)
+    assert (answer["count"], answer["n_incomplete"]) == (3, 1)
+    assert answer["performance"].endswith("kicks.trc")
+
+
+def test_the_table_in_japanese(run, files):
+    words = ("--performance", files / "kicks.trc", "--repetitions", "--lang", "ja")
+    code, out, _ = run("evaluate", files / "kick.trc", *words)
+    assert code == 0
+    assert out.startswith("反復 3 回、未完了 1 回")
+    assert "左股関節の屈曲" in out
+
+
+@pytest.mark.parametrize(
+    ("words", "says"),
+    [
+        (("kick.trc", "-p", "still.trc", "--repetitions"), "expected at least one repetition of the reference"),
+        (("still.trc", "-p", "kicks.trc", "--repetitions"), "still.trc: reference: expected an exercise"),
+        (("kick.trc", "-p", "kicks.trc", "--csv", "a.csv"), "--csv and --picture need --repetitions"),
+        (("kick.trc", "-p", "kicks.trc", "--repetitions", "-o", "report"), "--output cannot be combined"),
+        (("kick.trc", "-p", "kicks.trc", "--repetitions", "--picture", "a.gif"), ".png"),
+        (("kick.trc", "-p", "kicks.trc", "--repetitions", "--csv", "none/a.csv"), "none"),
+    ],
+)
+def test_mistakes_are_one_line(run, files, monkeypatch, words, says):
+    monkeypatch.chdir(files)
+    code, out, err = run("evaluate", *words)
+    assert code == 2
+    assert out == ""
+    assert says in err and "Traceback" not in err
+    assert sum(not line.startswith("dousa: note:") for line in err.splitlines()) == 1
