@@ -26,7 +26,7 @@ sys.path.insert(0, str(DOCS.parent / "tests"))
 
 SETTLE = 2.5  # s: figures move, so that a picture has somebody in the middle of something
 COLOURS = 256  # of a picture: few bytes, and shades without steps
-SCROLLED = {"evaluate": 560}  # px: the figures and the errors say more than the grade
+SCROLLED = {"evaluate": 330}  # px: advice and player say more than the grade
 
 
 @dataclass(frozen=True, slots=True)

@@ -270,6 +270,7 @@ def test_unusual_assessments(case: str, language: str, tmp_path: Path) -> None:
     words = load_section("report", language)
     if case == "nothing found":
         assert words["worst_none"] in page and words["events_none"] in page
+    assert (words["no_grade"] in page) == (not math.isfinite(assessment.score))
     if case == "calibrated":
         assert words["calibrated"].format(count=5) in page
         assert words["uncalibrated"] not in " ".join(_read(page).texts)

@@ -55,7 +55,9 @@ def build_header(
 
 
 def _grade(assessment: Assessment, words: Mapping[str, str], language: str) -> str:
-    score = min(max(assessment.score, 0.0), 100.0) if math.isfinite(assessment.score) else 0.0
+    if not math.isfinite(assessment.score):
+        return _no_grade(assessment, words, language)
+    score = min(max(assessment.score, 0.0), 100.0)
     number = format_number(assessment.score, 0)
     figure = element("span", {"class": "number"}, number) + element("span", {"class": "of"}, words["out_of"])
     meter = element(
@@ -77,6 +79,14 @@ def _grade(assessment: Assessment, words: Mapping[str, str], language: str) -> s
     )
     css = "card grade" + ("" if assessment.calibrated else " uncalibrated")
     return element("section", {"class": css}, inner=inner)
+
+
+def _no_grade(assessment: Assessment, words: Mapping[str, str], language: str) -> str:
+    """Instead of a number why there is none, as for another dance."""
+    state = element("p", {"class": "badge unsure"}, words["no_grade"])
+    inner = element("h2", None, words["grade"]) + element("div", {"class": "figures"}, inner=state)
+    inner += element("p", {"class": "formula"}, assessment.score_formula.render(language))
+    return element("section", {"class": "card grade uncalibrated"}, inner=inner)
 
 
 def build_event_button(k: int, event: ErrorEvent, words: Mapping[str, str], language: str) -> str:

@@ -371,9 +371,11 @@ def print_assessment(out: Console, assessment: Assessment, detail: str = "full")
     """
     from dousa.evaluation import advise, praise
 
-    score = "-" if assessment.score != assessment.score else f"{assessment.score:.0f}"
-    code = "graded.calibrated" if assessment.calibrated else "graded.uncalibrated"
-    grade = Message(code, score=score, n=assessment.n_references)
+    is_graded = bool(np.isfinite(assessment.score))
+    grade = assessment.score_formula
+    if is_graded:
+        code = "graded.calibrated" if assessment.calibrated else "graded.uncalibrated"
+        grade = Message(code, score=f"{assessment.score:.0f}", n=assessment.n_references)
     out.print(str(grade), style="bold", markup=False, soft_wrap=True)
     said = advise(assessment, "brief")
     good = praise(assessment)
@@ -387,7 +389,8 @@ def print_assessment(out: Console, assessment: Assessment, detail: str = "full")
         if more > 0:
             out.print(str(Message("graded.more", n=more)), markup=False, soft_wrap=True)
         return
-    out.print(str(assessment.score_formula), markup=False, soft_wrap=True)
+    if is_graded:
+        out.print(str(assessment.score_formula), markup=False, soft_wrap=True)
     _print_errors(out, assessment)
 
 
@@ -401,7 +404,7 @@ def _print_errors(out: Console, assessment: Assessment) -> None:
         for _, cells in sorted(rows, key=lambda row: row[0]):
             table.add_row(*(escape(one_line(cell)) for cell in cells))
         out.print(table)
-    if not assessment.events:
+    if rows and not assessment.events:
         out.print(str(Message("graded.no_errors")), markup=False)
     if assessment.gaps:
         seconds = _covered([(start, end) for start, end, _ in assessment.gaps])
