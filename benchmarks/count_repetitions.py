@@ -73,7 +73,7 @@ def read_hdm05(data: Path, actor: str) -> Iterator[Group]:
         files = sorted(data.glob(f"hdm05/{name}/HDM_{actor}_*"))
         return [read_canonical(str(file), ReadOptions())[0] for file in files]
 
-    walks = read(_WALKS)
+    walks = read(_WALKS) or [make_synthetic("walk", Performer(), 0)]
     for name in _EXERCISES:
         clips = read(name)
         # Neighbours come from one session; between sessions the exercise changes (arms, depth).
