@@ -6,6 +6,7 @@ another lag, a wrong limb is large at every lag, whatever the rest of the body d
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -18,6 +19,7 @@ from dousa.evaluation.posture.yaw import rotate_yaw
 
 MAX_LAG_S = 1.2
 YAW_WINDOW_S = 0.6
+_SPREAD_S = 0.3
 YAW_SCALE = np.radians(12.0)  # chord from which a segment loses its say in the heading
 
 
@@ -80,9 +82,33 @@ def compute_deviations(reference: Working, performance: Working, frames: FloatAr
     return Deviations(squared, yaw, judged, ours, theirs, reach, 1.0 / performance.frame_rate)
 
 
-def choose_nearest(deviations: Deviations, other: Deviations) -> Deviations:
-    """Deviations from the nearer of two takes; where one take is not seen, from the other one."""
-    return replace(deviations, squared=take_nearest(deviations.squared, other.squared))
+def merge_takes(takes: Sequence[Deviations]) -> tuple[Deviations, FloatArray]:
+    """Deviations from the nearest of several takes, and how much the takes differ.
+
+    Parameters
+    ----------
+    takes : deviations of one performance from each take, along the same line; the first tells what is judged.
+
+    Returns
+    -------
+    deviations : the smallest of all; its reference is the median of the takes, so that one take's slip does not count.
+        Where a take is not seen the others speak.
+    spread : (T, 9) rad, median angle of the takes from that median, averaged over `_SPREAD_S`; 0 of one take.
+    """
+    first = takes[0]
+    if len(takes) == 1:
+        return first, np.zeros(first.judged.shape)
+    squared = first.squared
+    for other in takes[1:]:
+        squared = take_nearest(squared, other.squared)
+    poses = np.stack([take.reference for take in takes])
+    middle = np.median(poses, axis=0)
+    middle /= np.maximum(np.linalg.norm(middle, axis=2, keepdims=True), 1e-9)
+    far = np.median(np.linalg.norm(poses - middle, axis=3), axis=0)
+    half = max(1, round(0.5 * _SPREAD_S / first.step_s))
+    total = np.cumsum(np.pad(far, ((half + 1, half), (0, 0)), mode="edge"), axis=0)
+    spread = (total[2 * half + 1 :] - total[: -2 * half - 1]) / (2 * half + 1)
+    return replace(first, squared=squared, reference=middle), spread
 
 
 def take_nearest(mine: FloatArray, its: FloatArray) -> FloatArray:

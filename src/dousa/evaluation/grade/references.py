@@ -10,20 +10,16 @@ import numpy as np
 from dousa.arrays import FloatArray, IndexArray
 from dousa.evaluation.alignment.dynamic_programming import follow_lag
 from dousa.evaluation.alignment.lines import OUTSIDE, Alignment, align, to_cost
-from dousa.evaluation.errors.deviation import Deviations, choose_nearest, compute_deviations
-from dousa.evaluation.errors.evidence import SLACK_S, Tolerance, gather_evidence, measure_unsteadiness
-from dousa.evaluation.errors.explain import Finding, explain_all
+from dousa.evaluation.errors.descriptors import Descriptors, Surroundings, describe_moments
+from dousa.evaluation.errors.deviation import Deviations, compute_deviations, merge_takes
+from dousa.evaluation.errors.evidence import Tolerance, gather_evidence, measure_unsteadiness
+from dousa.evaluation.errors.explain import explain_all
 from dousa.evaluation.grade.score import compute_deviation
 from dousa.evaluation.posture.offset import Offset, estimate_offset, learn_between, take_out
 from dousa.evaluation.posture.posture import PostureSequence, Working, interpolate_segments, thin_postures
 
-_DOUBT = 1.2  # few takes show little of what may still be done: 2.2 times with two takes, 1.3 times with five
-_N_ROUNDS = 14
 MOST_MISMATCH, MOST_DEVIATION = 0.85, 36.0
 """Along the lines (0 to 1), and degrees: motions that differ more have nothing in common."""
-
-_MOST_LAG_S = 1.0
-_MOST_ANGLE = np.radians(40.0)  # takes that differ more than this are not takes of one thing
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -36,6 +32,9 @@ class ReferenceTakes:
     working : of the first take and of each further one that is like it, at the working rate, warped onto the first.
     warped : the further ones at the full rate, warped onto the first.
     tolerance : learned from the takes; None if there is one only.
+    clock : (U,) frame of the first take at the working rate that belongs to each frame of ``working``: the takes are
+        put on the clock that most of them keep, not on the first one's own.
+    time_spread : (U,) s, how much the takes' timing differs there.
     deviations : degrees, mean deviation of each of the further ones from the first.
     left_out : numbers, from 1, of takes that are not like the first.
     from_first : (U, 9) rad of each of the further ones, from the first take at the same time; nan where unseen.
@@ -46,6 +45,8 @@ class ReferenceTakes:
     working: tuple[Working, ...]
     warped: tuple[PostureSequence, ...]
     tolerance: Tolerance | None
+    clock: FloatArray
+    time_spread: FloatArray
     deviations: tuple[float, ...]
     left_out: tuple[int, ...] = ()
     from_first: tuple[FloatArray, ...] = ()
@@ -63,6 +64,7 @@ class Comparison:
     from_first : (T, 9) rad, from the first take at the same time; nan where nothing is judged.
     offset : of the performer's body against the first take's, taken out of all of them.
     performance : at the working rate, after that.
+    spread : (T, 9) rad, how much the takes differ at each moment, see `merge_takes`.
     """
 
     alignment: Alignment
@@ -70,6 +72,7 @@ class Comparison:
     from_first: FloatArray
     offset: Offset
     performance: Working
+    spread: FloatArray
 
 
 def prepare_references(takes: Sequence[PostureSequence], tempo: str, weights: FloatArray) -> ReferenceTakes:
@@ -91,14 +94,17 @@ def prepare_references(takes: Sequence[PostureSequence], tempo: str, weights: Fl
         for i, (one, angle) in enumerate(zip(alone, apart, strict=True))
         if one.alignment.mismatch <= MOST_MISMATCH and angle <= MOST_DEVIATION
     ]
-    warped = tuple(_warp(first, takes[i + 1], weights) for i in like)
-    working = (*clock, *(thin_postures(take) for take in warped))
-    tolerance = _learn(working, [unwarped[i] for i in like], tempo, weights) if like else None
+    paths = [_follow_take(first, takes[i + 1], weights) for i in like]
+    warped = tuple(_warp(first, takes[i + 1], path) for i, path in zip(like, paths, strict=True))
+    working, common, time_spread = _keep_common_clock((*clock, *(thin_postures(take) for take in warped)), first, paths)
+    tolerance = None
     deviations = tuple(apart[i] for i in like)
     left_out = tuple(i + 2 for i in range(len(unwarped)) if i not in like)
     from_first = tuple(alone[i].from_first for i in like)
     between = learn_between([alone[i].offset for i in like]) if like else None
-    return ReferenceTakes(first, working, warped, tolerance, deviations, left_out, from_first, between)
+    return ReferenceTakes(
+        first, working, warped, tolerance, common, time_spread, deviations, left_out, from_first, between
+    )
 
 
 def reweigh_references(references: ReferenceTakes, weights: FloatArray) -> ReferenceTakes:
@@ -107,21 +113,73 @@ def reweigh_references(references: ReferenceTakes, weights: FloatArray) -> Refer
     return replace(references, deviations=apart)
 
 
-def _warp(first: PostureSequence, take: PostureSequence, weights: FloatArray) -> PostureSequence:
-    """A take on the clock of the first, by the curve of best correspondence."""
+def _follow_take(first: PostureSequence, take: PostureSequence, weights: FloatArray) -> FloatArray:
+    """(U,) frame of a take at each frame of the first, by the curve of best correspondence."""
     from dousa.evaluation.alignment.correspondence import find_path
 
     path = find_path(first.segments, take.segments, weights=weights)
     count = np.bincount(path[:, 0], minlength=first.n_frames)
-    mean = np.bincount(path[:, 0], weights=path[:, 1], minlength=first.n_frames) / np.maximum(count, 1)
-    nearest = np.rint(mean).astype(np.intp)
+    return np.bincount(path[:, 0], weights=path[:, 1], minlength=first.n_frames) / np.maximum(count, 1)
+
+
+def _warp(first: PostureSequence, take: PostureSequence, frames: FloatArray) -> PostureSequence:
+    """A take on the clock of the first; ``frames`` (U,) are its own."""
+    nearest = np.rint(frames).astype(np.intp)
     return PostureSequence(
-        interpolate_segments(take.segments, mean),
+        interpolate_segments(take.segments, frames),
         take.seen[nearest],
         take.positions[nearest],
         first.frame_rate,
         take.name,
     )
+
+
+_MOST_APART_S = 0.4  # of takes at one moment: more is a slip of the curve
+_CLOCK_S = 0.4  # over which the common clock is averaged
+
+
+def _keep_common_clock(
+    working: tuple[Working, ...], first: PostureSequence, paths: Sequence[FloatArray]
+) -> tuple[tuple[Working, ...], FloatArray, FloatArray]:
+    """Takes, warped onto the first, on the clock that most of them keep; see `ReferenceTakes`.
+
+    A held pose tells no time: there the clock is carried on from the movement around it.
+    """
+    clock = working[0]
+    count, rate = clock.n_frames, clock.frame_rate
+    own = np.arange(float(count))
+    if not paths:
+        return working, own, np.zeros(count)
+    frames = np.arange(count) * clock.stride + 0.5 * (clock.stride - 1)
+    late = np.array([np.interp(frames, np.arange(first.n_frames), path) - frames for path in paths]) / first.frame_rate
+    late -= np.median(late, axis=1, keepdims=True)
+    speed = np.linalg.norm(np.gradient(clock.segments, axis=0), axis=2).sum(axis=1) if count > 1 else np.zeros(count)
+    kernel = np.hanning(2 * max(1, round(_CLOCK_S * rate)) + 1)
+    kernel /= kernel.sum()
+    weight = speed + 0.05 * max(float(speed.mean()), 1e-6)
+    late = np.clip(late, -_MOST_APART_S, _MOST_APART_S)
+    smooth = np.array([_average(one * weight, kernel) / _average(weight, kernel) for one in late])
+    all_takes = np.concatenate([np.zeros((1, count)), smooth])
+    common = np.median(all_takes, axis=0)
+    spread = np.abs(all_takes - common).mean(axis=0)
+    on_clock = np.maximum.accumulate(own + common * rate + 1e-6 * own)
+    back = np.interp(own, on_clock, own)
+    near = np.clip(np.rint(back).astype(np.intp), 0, count - 1)
+    moved = tuple(
+        replace(
+            take,
+            segments=interpolate_segments(take.segments, back),
+            seen=take.seen[near],
+            heading=np.interp(back, own, take.heading),
+        )
+        for take in working
+    )
+    return moved, back, np.interp(back, own, spread)
+
+
+def _average(values: FloatArray, kernel: FloatArray) -> FloatArray:
+    half = len(kernel) // 2
+    return np.convolve(np.pad(values, half, mode="edge"), kernel, mode="valid")
 
 
 def compare(
@@ -138,16 +196,16 @@ def compare(
     """
     alignment = align(references[0], performance, tempo, weights)
     pairs = _pair_poses(references[0], performance, alignment.frames, weights)
-    offset = estimate_offset(references[0], performance, pairs, between)
-    bare = take_out(performance, offset)
-    deviations = compute_deviations(references[0], bare, alignment.frames, weights)
-    chord = np.sqrt(deviations.squared[:, deviations.center])
-    from_first = np.where(deviations.judged, 2.0 * np.arcsin(np.minimum(0.5 * chord, 1.0)), np.nan)
-    for reference in references[1:]:
-        its = take_out(performance, estimate_offset(reference, performance, pairs, between))
-        other = compute_deviations(reference, its, alignment.frames, weights)
-        deviations = choose_nearest(deviations, other)
-    return Comparison(alignment, deviations, from_first, offset, bare)
+    bodies = [estimate_offset(reference, performance, pairs, between) for reference in references]
+    bare = [take_out(performance, body) for body in bodies]
+    takes = [
+        compute_deviations(reference, ours, alignment.frames, weights)
+        for reference, ours in zip(references, bare, strict=True)
+    ]
+    chord = np.sqrt(takes[0].squared[:, takes[0].center])
+    from_first = np.where(takes[0].judged, 2.0 * np.arcsin(np.minimum(0.5 * chord, 1.0)), np.nan)
+    deviations, spread = merge_takes(takes)
+    return Comparison(alignment, deviations, from_first, bodies[0], bare[0], spread)
 
 
 _PAIRED_RATE = 10.0  # Hz: a body does not change faster
@@ -180,40 +238,22 @@ def _compare_poses(a: FloatArray, b: FloatArray, shares: FloatArray) -> FloatArr
     return np.asarray(total / np.maximum(shares.sum(axis=-1), 1e-9))
 
 
-def find_errors(comparison: Comparison, tolerance: Tolerance, weights: FloatArray) -> list[Finding]:
-    """All errors of a performance, in order of time."""
-    return explain_all(gather_evidence(comparison.deviations, tolerance.angle, tolerance.lag_s, weights))
+_WIDER_BY_SPREAD = 2.0
 
 
-def _learn(working: Sequence[Working], takes: Sequence[Working], tempo: str, weights: FloatArray) -> Tolerance:
-    """The least tolerance with which no take has an error against the others, and a margin."""
-    comparisons = []
-    for number, take in enumerate(takes, start=1):
-        others = [other for index, other in enumerate(working) if index != number]
-        comparisons.append(compare(others, take, tempo, weights))
-    steady = np.max([measure_unsteadiness(one.deviations).angle for one in comparisons], axis=0)
-    tolerance = Tolerance(steady, SLACK_S)
-    for comparison in comparisons:
-        for _ in range(_N_ROUNDS):
-            found = find_errors(comparison, tolerance, weights)
-            if not found:
-                break
-            tolerance = widen(tolerance, found)
-    margin = 1.0 + _DOUBT / len(takes)
-    capped = np.minimum(tolerance.angle * margin, _MOST_ANGLE)
-    return Tolerance(capped, min(tolerance.lag_s * margin, _MOST_LAG_S))
+def choose_tolerance(comparison: Comparison) -> Tolerance:
+    """What the performer's own steadiness asks for, and how much the takes differ."""
+    own = measure_unsteadiness(comparison.deviations)
+    if not comparison.spread.any():
+        return own
+    return Tolerance(np.maximum(own.angle, _WIDER_BY_SPREAD * np.median(comparison.spread, axis=0)), own.lag_s)
 
 
-_WIDER = 1.2
-
-
-def widen(tolerance: Tolerance, found: Sequence[Finding]) -> Tolerance:
-    """A little more tolerance of what was found: time for shifts, angles of the segments for the rest."""
-    angle, lag_s = tolerance.angle.copy(), tolerance.lag_s
-    for finding in found:
-        if finding.kind == "shift":
-            lag_s = max(lag_s, tolerance.lag_s * _WIDER, abs(finding.lag_s or 0.0))
-        else:
-            segments = list(finding.segments)
-            angle[segments] = tolerance.angle[segments] * _WIDER
-    return Tolerance(angle, lag_s)
+def describe(references: ReferenceTakes, comparison: Comparison, weights: FloatArray) -> Descriptors:
+    """What the judge sees of a performance; weights (9,) of the segments, those above 0 of mean 1."""
+    frames = np.arange(len(references.time_spread))
+    time_spread = np.interp(comparison.alignment.frames, frames, references.time_spread)
+    around = Surroundings(comparison.spread, time_spread, len(references.working))
+    tolerance = choose_tolerance(comparison)
+    evidence = gather_evidence(comparison.deviations, tolerance.angle, tolerance.lag_s, weights)
+    return describe_moments(comparison.deviations, around, explain_all(evidence))

@@ -28,7 +28,7 @@ from dousa.evaluation.alignment.lines import (
     smooth_course,
     to_cost,
 )
-from dousa.evaluation.errors.deviation import YAW_WINDOW_S, Deviations, choose_nearest, compute_deviations
+from dousa.evaluation.errors.deviation import YAW_WINDOW_S, Deviations, compute_deviations, merge_takes
 from dousa.evaluation.errors.evidence import Tolerance, find_stretches, gather_evidence, measure_unsteadiness
 from dousa.evaluation.errors.explain import Finding, explain
 from dousa.evaluation.errors.lapses import Lapse, find_lapses
@@ -326,12 +326,8 @@ class Window:
 
     def _measure(self, part: Working, frames: FloatArray) -> Deviations:
         """As `compare` does, along a line that is known."""
-        first, *others = self._references.working
-        deviations = compute_deviations(first, part, frames, self._weights)
-        for reference in others:
-            other = compute_deviations(reference, part, frames, self._weights)
-            deviations = choose_nearest(deviations, other)
-        return deviations
+        takes = [compute_deviations(take, part, frames, self._weights) for take in self._references.working]
+        return merge_takes(takes)[0]
 
     def _learn(self) -> None:
         """The tolerance, from what has been seen so far, whenever a tenth more has been."""

@@ -1,0 +1,1 @@
+"""Material, labels, training and trials of the learned judge of `dousa.evaluation`."""
