@@ -105,7 +105,7 @@ _SHORTEST_S = 0.25
 _HELD = 0.35  # of the reference's range, unsteadiness included
 _FADE_S = 0.033
 _PLATEAU = 0.75  # of the largest lag: the rest is fading in and out
-_BODY = np.arange(9)
+BODY = np.arange(9)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -320,13 +320,13 @@ def _report_stop(evidence: Evidence, best: _Hypothesis, start: int, end: int, fi
     end = min(end, first + len(best.frames))
     frames = np.arange(start, end) + best.course[start - first : end - first] - evidence.center
     model = theirs[np.clip(frames, 0, len(theirs) - 1)]
-    missing, share = measure_missing_range(theirs[start:end], ours[start:end], model, _BODY)
-    changed = _find_changed(evidence, start, end, _BODY)
-    severity, worst = _severity(evidence, start, end, changed)
+    missing, share = measure_missing_range(theirs[start:end], ours[start:end], model, BODY)
+    changed = find_changed(evidence, start, end, BODY)
+    severity, worst = measure_severity(evidence, start, end, changed)
     return Finding("incomplete", start, end, tuple(changed.tolist()), severity, worst, None, missing, share)
 
 
-def _find_changed(evidence: Evidence, start: int, end: int, segments: NDArray[np.intp]) -> NDArray[np.intp]:
+def find_changed(evidence: Evidence, start: int, end: int, segments: NDArray[np.intp]) -> NDArray[np.intp]:
     """Those of the segments that are out of tolerance at some moment; all if none is."""
     out = evidence.punctual[start:end].max(axis=0)[segments] > 1.0
     return segments[out] if out.any() else segments
@@ -343,11 +343,11 @@ def _report_size(evidence: Evidence, best: _Hypothesis, start: int, end: int, fi
         start, end = max(first + begin - fade, 0), min(first + stop + fade, len(ours))
         fit = fit_gain(ours[start:end, group], theirs[start:end, group], evidence.tolerance[group])
     model = ours[start:end].copy()
-    model[:, group] = _fade(theirs[start:end, group], ours[start:end, group], fit, evidence.tolerance[group])
+    model[:, group] = fade_gain(theirs[start:end, group], ours[start:end, group], fit, evidence.tolerance[group])
     missing, share = measure_missing_range(theirs[start:end], ours[start:end], model, group)
-    if len(group) == len(_BODY):
-        group = _find_changed(evidence, start, end, group)
-    severity, worst = _severity(evidence, start, end, group)
+    if len(group) == len(BODY):
+        group = find_changed(evidence, start, end, group)
+    severity, worst = measure_severity(evidence, start, end, group)
     return Finding("incomplete", start, end, tuple(group.tolist()), severity, worst, None, missing, share)
 
 
@@ -355,7 +355,7 @@ def _fade_frames(evidence: Evidence) -> int:
     return round(_FADE_S * evidence.rate)
 
 
-def _fade(reference: FloatArray, performance: FloatArray, fit: GainFit, tolerance: FloatArray) -> FloatArray:
+def fade_gain(reference: FloatArray, performance: FloatArray, fit: GainFit, tolerance: FloatArray) -> FloatArray:
     """The smaller motion, faded in and out as the performance does."""
     change = fit.predict(reference) - reference
     weight = 1.0 / tolerance[:, None] ** 2
@@ -379,13 +379,13 @@ def _report_limbs(evidence: Evidence, best: _Hypothesis, start: int, end: int, f
     whole = most or (len(limbs) >= _GLOBAL_LIMBS and len(wrong) >= _GLOBAL_SEGMENTS)
     kind = "global" if whole else "partial"
     if kind == "global":
-        wrong = _BODY
-    severity, worst = _severity(evidence, start, end, wrong)
-    further, share = (None, None) if kind == "global" else _measure_excess(evidence, start, end, wrong)
+        wrong = BODY
+    severity, worst = measure_severity(evidence, start, end, wrong)
+    further, share = (None, None) if kind == "global" else measure_excess(evidence, start, end, wrong)
     return Finding(kind, start, end, tuple(wrong.tolist()), severity, worst, None, further, share)
 
 
-def _measure_excess(
+def measure_excess(
     evidence: Evidence, start: int, end: int, segments: NDArray[np.intp]
 ) -> tuple[float | None, float | None]:
     """Negative missing range, rad and share, of limbs that do the same motion larger; None if they do another one."""
@@ -428,7 +428,7 @@ def _explain_rest(evidence: Evidence, shift: Finding, start: int, end: int, pad:
     return found
 
 
-def _severity(evidence: Evidence, start: int, end: int, segments: NDArray[np.intp]) -> tuple[float, int]:
+def measure_severity(evidence: Evidence, start: int, end: int, segments: NDArray[np.intp]) -> tuple[float, int]:
     """Largest lasting deviation in multiples of what is tolerated, and when it is worst."""
     far = evidence.deviations.squared[start:end, evidence.center][:, segments]
     ratio = np.sqrt(far / evidence.tolerance[segments] ** 2).max(axis=1)

@@ -1,0 +1,65 @@
+"""The judge: which errors a performance has, learned from errors that were put into the motion of many people.
+
+The trees and the prices are data of the package, written by ``benchmarks/train_judge.py``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import astuple, dataclass
+from functools import lru_cache
+from importlib import resources
+
+import numpy as np
+
+from dousa.arrays import FloatArray
+from dousa.evaluation.errors.boosting import BoostedTrees
+from dousa.evaluation.errors.decode import Decoding, Suspect, decode
+from dousa.evaluation.errors.descriptors import N_LIMBS, Descriptors
+
+_FILE = "judge.npz"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Judge:
+    """What was learned.
+
+    Parameters
+    ----------
+    limbs, body : say what is likely of a limb and of the body at a moment.
+    decoding : how moments become errors.
+    """
+
+    limbs: BoostedTrees
+    body: BoostedTrees
+    decoding: Decoding
+
+    def weigh(self, descriptors: Descriptors) -> tuple[FloatArray, FloatArray]:
+        """(N, 5, 4) and (N, 4) log probabilities of the classes of limbs and body, see `dousa.evaluation.errors.decode`."""
+        count = len(descriptors.frames)
+        rows = descriptors.limbs.reshape(count * N_LIMBS, -1)
+        limbs = self.limbs.predict_log_proba(rows).reshape(count, N_LIMBS, -1)
+        return limbs, self.body.predict_log_proba(descriptors.body)
+
+    def find(self, descriptors: Descriptors, rate: float) -> list[Suspect]:
+        """Errors in moments, of which there are ``rate`` a second."""
+        return decode(*self.weigh(descriptors), rate, self.decoding)
+
+    def to_arrays(self) -> dict[str, np.ndarray]:
+        """Arrays by name, for a file."""
+        prices = np.array(astuple(self.decoding), np.float64)
+        return {**self.limbs.to_arrays("limbs"), **self.body.to_arrays("body"), "decoding": prices}
+
+    @classmethod
+    def from_arrays(cls, arrays: Mapping[str, np.ndarray]) -> Judge:
+        """The judge whose ``to_arrays()`` these are."""
+        limbs, body = (BoostedTrees.from_arrays(arrays, name) for name in ("limbs", "body"))
+        return cls(limbs, body, Decoding(*(float(value) for value in arrays["decoding"])))
+
+
+@lru_cache(maxsize=1)
+def load_judge() -> Judge:
+    """The judge of the package."""
+    with resources.files("dousa.evaluation.errors").joinpath(_FILE).open("rb") as file:
+        with np.load(file, allow_pickle=False) as arrays:
+            return Judge.from_arrays(arrays)

@@ -1,0 +1,113 @@
+"""What a teacher says of an error that was found: how late, how much too small, which segments, how far off."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dousa.arrays import FloatArray
+from dousa.evaluation.alignment.dynamic_programming import follow_lag
+from dousa.evaluation.errors.decode import Suspect
+from dousa.evaluation.errors.evidence import LAG_CHANGE, Evidence
+from dousa.evaluation.errors.explain import BODY, Finding, fade_gain, find_changed, measure_excess, measure_severity
+from dousa.evaluation.errors.extent import fit_gain, measure_missing_range
+
+_PLATEAU = 0.75  # of the largest lag: the rest is fading in and out
+_SMOOTH_S = 0.3
+_PARTLY_WRONG = 1.0  # mean squared multiple of the tolerance from which a segment of a wrong limb is wrong itself
+
+
+def measure_suspects(evidence: Evidence, suspects: Sequence[Suspect], frames: NDArray[np.intp]) -> list[Finding]:
+    """Findings of errors in moments, in order of time.
+
+    Parameters
+    ----------
+    evidence : of the performance.
+    suspects : found by the judge.
+    frames : (N,) working frames of its moments.
+    """
+    if not len(frames):
+        return []
+    stride = int(frames[1] - frames[0]) if len(frames) > 1 else 1
+    count = len(evidence.ordinary)
+    found = []
+    for suspect in suspects:
+        start = max(int(frames[suspect.start]) - stride // 2, 0)
+        end = min(int(frames[suspect.end - 1]) + (stride + 1) // 2, count)
+        segments = np.array(suspect.segments)
+        if end > start and evidence.deviations.judged[start:end, segments].any():
+            found.append(_MEASURES[suspect.kind](evidence, start, end, segments))
+    return sorted(found, key=lambda one: (one.start, one.end))
+
+
+def _measure_shift(evidence: Evidence, start: int, end: int, segments: NDArray[np.intp]) -> Finding:
+    lag = measure_lag(evidence, start, end, segments)
+    far = evidence.punctual[start:end, segments].sum(axis=1)
+    worst = start + int(np.argmax(far))
+    return Finding("shift", start, end, _name(segments), max(abs(lag) / evidence.slack_s, 1.0), worst, lag)
+
+
+def measure_lag(evidence: Evidence, start: int, end: int, segments: NDArray[np.intp]) -> float:
+    """Largest lasting lag of some segments in s; positive is late.
+
+    The course of the lag that leaves least, smoothed, to a fraction of a frame by a parabola.
+    """
+    deviations = evidence.deviations
+    squared = np.minimum(deviations.squared[start:end][:, :, segments], 0.5).mean(axis=2)
+    half = min(max(1, round(0.5 * _SMOOTH_S * evidence.rate)), max((end - start) // 2, 1))
+    total = np.cumsum(np.pad(squared, ((half + 1, half), (0, 0)), mode="edge"), axis=0)
+    squared = (total[2 * half + 1 :] - total[: -2 * half - 1]) / (2 * half + 1)
+    scale = float(np.mean(evidence.tolerance[segments] ** 2))
+    prices = evidence.lag_prices / 9.0
+    course = follow_lag(squared / scale + prices, LAG_CHANGE / 9.0 * 30.0 / evidence.rate).astype(np.intp)
+    rows = np.arange(len(course))
+    inner = np.clip(course, 1, squared.shape[1] - 2)
+    left, here, right = (squared[rows, inner + step] for step in (-1, 0, 1))
+    bend = left - 2.0 * here + right
+    part = np.where(bend > 1e-9, 0.5 * (left - right) / np.maximum(bend, 1e-9), 0.0)
+    lag = -(inner - deviations.center + np.clip(part, -1.0, 1.0)) * deviations.step_s
+    most = float(np.abs(lag).max())
+    late = lag.sum() >= 0.0
+    lasting = lag[(np.abs(lag) >= _PLATEAU * most) & ((lag >= 0.0) == late)]
+    return float(np.median(lasting)) if len(lasting) else float(np.median(lag))
+
+
+def _measure_incomplete(evidence: Evidence, start: int, end: int, segments: NDArray[np.intp]) -> Finding:
+    theirs, ours = evidence.deviations.reference[start:end], evidence.deviations.performance[start:end]
+    tolerance = evidence.tolerance[segments]
+    fit = fit_gain(ours[:, segments], theirs[:, segments], tolerance)
+    model = ours.copy()
+    model[:, segments] = fade_gain(theirs[:, segments], ours[:, segments], fit, tolerance)
+    missing, share = measure_missing_range(theirs, ours, model, segments)
+    if len(segments) == len(BODY):
+        segments = find_changed(evidence, start, end, segments)
+    severity, worst = measure_severity(evidence, start, end, segments)
+    return Finding("incomplete", start, end, _name(segments), severity, worst, None, missing, share)
+
+
+def _measure_partial(evidence: Evidence, start: int, end: int, segments: NDArray[np.intp]) -> Finding:
+    far = evidence.ordinary[start:end].mean(axis=0)[segments]
+    if (far > _PARTLY_WRONG).any():
+        segments = segments[far > min(_PARTLY_WRONG, 0.5 * float(far.max()))]
+    severity, worst = measure_severity(evidence, start, end, segments)
+    excess, share = measure_excess(evidence, start, end, segments)
+    return Finding("partial", start, end, _name(segments), severity, worst, None, excess, share)
+
+
+def _measure_global(evidence: Evidence, start: int, end: int, segments: NDArray[np.intp]) -> Finding:
+    severity, worst = measure_severity(evidence, start, end, segments)
+    return Finding("global", start, end, _name(BODY), severity, worst)
+
+
+def _name(segments: NDArray[np.intp]) -> tuple[int, ...]:
+    return tuple(int(segment) for segment in segments)
+
+
+_MEASURES = {
+    "shift": _measure_shift,
+    "incomplete": _measure_incomplete,
+    "partial": _measure_partial,
+    "global": _measure_global,
+}
