@@ -16,7 +16,9 @@ from numba import njit
 from numpy.typing import NDArray
 
 from dousa.arrays import FloatArray
+from dousa.evaluation.alignment.dynamic_programming import follow_lag
 from dousa.evaluation.errors.deviation import Deviations
+from dousa.evaluation.errors.evidence import LAG_CHANGE, Evidence
 from dousa.evaluation.errors.explain import Finding
 from dousa.evaluation.posture.posture import LIMBS, MIRRORED_SEGMENTS, SEGMENTS
 
@@ -32,7 +34,6 @@ _SHARP_S = 0.1
 _CAP = 1.3  # squared chord of 70 deg: further away says no more
 _CAP_IN_COMMON = 0.19  # of 25 deg: one limb alone does not decide the body's lag
 _LAG_PRICE = 2e-3  # rad^2 a second: of lags as good as each other the nearest
-_ROBUST = 0.05  # rad
 
 _PER_WINDOW = (
     "own",
@@ -57,46 +58,10 @@ _PER_WINDOW = (
     "spread",
     "time_spread",
 )
-_PER_WINDOW_BODY = (
-    "own",
-    "best",
-    "lag",
-    "sharp",
-    "gain",
-    "left_by_gain",
-    "late_gain",
-    "left_by_late_gain",
-    "path",
-    "unreached",
-    "their_speed",
-    "our_speed",
-    "mirrored",
-    "spread",
-    "time_spread",
-)
-_IN_CLIP = ("usual_own", "usual_best", "usual_lag", "usual_path")
+_LAG = _PER_WINDOW.index("lag")
+_SLIGHT = 0.03  # rad
+_KERNEL = np.ones(9) / 9.0
 _SORTED = ("own", "best", "at_body", "path", "left_by_gain", "gain", "lag_beside_body")
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Surroundings:
-    """What else is known of a performance and its reference.
-
-    Parameters
-    ----------
-    spread : (T, 9) rad, how much takes of the reference differ at each moment; 0 of one take.
-    time_spread : (T,) s, how much their timing does.
-    n_references : takes.
-    """
-
-    spread: FloatArray
-    time_spread: FloatArray
-    n_references: int
-
-    @classmethod
-    def of_one(cls, n_frames: int) -> Surroundings:
-        """Of a single take nothing is known."""
-        return cls(np.zeros((n_frames, len(SEGMENTS))), np.zeros(n_frames), 1)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -140,58 +105,94 @@ def mark_findings(findings: Sequence[Finding], n_frames: int) -> FloatArray:
     return marks
 
 
-def describe_moments(deviations: Deviations, around: Surroundings, findings: Sequence[Finding]) -> Descriptors:
+def describe_moments(
+    evidence: Evidence, time_spread: FloatArray, n_references: int, findings: Sequence[Finding]
+) -> Descriptors:
     """Describe a performance.
 
     Parameters
     ----------
-    deviations : of the performance.
-    around : of the same frames.
+    evidence : of the performance.
+    time_spread : (T,) s, how much the timing of the takes of the reference differs there; 0 of one take.
+    n_references : takes.
     findings : of the closed explanations, see `dousa.evaluation.errors.explain`.
     """
+    deviations, rate = evidence.deviations, evidence.rate
+    frames = np.arange(0, len(deviations.judged), choose_stride(rate))
+    limb_table, body_table = _measure_windows(deviations, time_spread, frames)
+    n = len(frames)
+    clip = _summarise(limb_table)
+    clips = np.broadcast_to(clip, (n, *clip.shape))
+    length_s = max(len(deviations.judged) / rate, 0.5)
+    constants = np.broadcast_to(np.array([np.log(length_s), min(n_references, 6)]), (n, N_LIMBS, 2))
+    kind = np.broadcast_to(np.array([0.0, 1.0, 1.0, 2.0, 2.0])[None, :, None], (n, N_LIMBS, 1))
+    marks = mark_findings(findings, len(deviations.judged))[frames]
+    courses = _follow_lags(evidence)[frames]
+    together = _compare_lags(limb_table, body_table)
+    ranked = [np.sort(limb_table[:, :, :, _PER_WINDOW.index(name)], axis=1).reshape(n, -1) for name in _SORTED]
+    limb_table[..., _LAG], body_table[..., _LAG] = np.abs(limb_table[..., _LAG]), np.abs(body_table[..., _LAG])
+    body_flat = np.concatenate([body_table.reshape(n, -1), together[:, N_LIMBS], courses[:, N_LIMBS]], axis=1)
+    seen = np.broadcast_to(body_flat[:, None], (n, N_LIMBS, body_flat.shape[1]))
+    flat, others = limb_table.reshape(n, N_LIMBS, -1), _describe_others(limb_table)
+    parts = [flat, clips, others, kind, constants, seen, marks, courses, together]
+    limbs = np.concatenate([part[:, :N_LIMBS] for part in parts], axis=2)
+    parts = [body_flat, *ranked, np.sort(clips, axis=1), constants[:, 0], marks, np.sort(courses[:, :N_LIMBS], axis=1)]
+    body = np.concatenate([part.reshape(n, -1) for part in parts], axis=1)
+    return Descriptors(frames, limbs.astype(np.float32), body.astype(np.float32))
+
+
+def _measure_windows(
+    deviations: Deviations, time_spread: FloatArray, frames: NDArray[np.intp]
+) -> tuple[FloatArray, FloatArray]:
+    """(N, 5, W, 21) and (N, W, 15), see `_describe`."""
     rate = 1.0 / deviations.step_s
-    stride = choose_stride(rate)
     reach = min(round(_REACH_S * rate), deviations.center)
     part = slice(deviations.center - reach, deviations.center + reach + 1)
     squared, common = _pool_limbs(deviations.squared[:, part], LIMB_OF, N_LIMBS, _CAP, _CAP_IN_COMMON)
-    ours, theirs = deviations.performance, deviations.reference
+    mirrored = deviations.reference[:, MIRRORED_SEGMENTS, :] * np.array([-1.0, 1.0, 1.0])
+    motions = (deviations.performance, deviations.reference, mirrored, deviations.spread, time_spread)
+    ours, theirs, mirrored, spread, timing = (np.ascontiguousarray(values) for values in motions)
     judged = deviations.judged.astype(np.float64)
-    mirrored = theirs[:, MIRRORED_SEGMENTS, :] * np.array([-1.0, 1.0, 1.0])
-    frames = np.arange(0, len(ours), stride)
+    rows = _collect_rows(squared, common, ours, theirs, mirrored, judged, LIMB_OF, rate, spread, timing)
     halves = np.array([max(1, round(0.5 * seconds * rate)) for seconds in _WINDOWS_S])
-    limb_table, body_table = _describe(
-        squared,
-        common,
-        np.ascontiguousarray(ours),
-        np.ascontiguousarray(theirs),
-        np.ascontiguousarray(mirrored),
-        judged,
-        LIMB_OF,
-        frames,
-        halves,
-        max(1, round(_SHARP_S * rate)),
-        _LAG_PRICE / rate,
-        rate,
-        np.ascontiguousarray(around.spread),
-        np.ascontiguousarray(around.time_spread),
-    )
-    clip = _summarise(limb_table)
-    n = len(frames)
-    flat = limb_table.reshape(n, N_LIMBS, -1)
-    everywhere = np.array([np.log(max(len(ours) / rate, 0.5)), min(around.n_references, 6)])
-    constants = np.broadcast_to(everywhere, (n, N_LIMBS, len(everywhere)))
-    others = _describe_others(limb_table)
-    marks = mark_findings(findings, len(ours))[frames]
-    kind = np.broadcast_to(np.array([0.0, 1.0, 1.0, 2.0, 2.0])[None, :, None], (n, N_LIMBS, 1))
-    body_flat = body_table.reshape(n, -1)
-    seen = np.broadcast_to(body_flat[:, None], (n, N_LIMBS, body_flat.shape[1]))
-    clips = np.broadcast_to(clip, (n, *clip.shape))
-    limbs = np.concatenate([flat, clips, others, kind, constants, seen, marks[:, :N_LIMBS]], axis=2)
-    ranked = [np.sort(limb_table[:, :, :, _PER_WINDOW.index(name)], axis=1).reshape(n, -1) for name in _SORTED]
-    body = np.concatenate(
-        [body_flat, *ranked, np.sort(clips, axis=1).reshape(n, -1), constants[:, 0], marks.reshape(n, -1)], axis=1
-    )
-    return Descriptors(frames, limbs.astype(np.float32), body.astype(np.float32))
+    sharp = max(1, round(_SHARP_S * rate))
+    return _describe(squared, common, ours, theirs, rows, LIMB_OF, frames, halves, sharp, _LAG_PRICE / rate, rate)
+
+
+def _compare_lags(limb_table: FloatArray, body_table: FloatArray) -> FloatArray:
+    """(N, 6, 2 * W) of limbs and, last, the body: lag in the sense of the body's, and the share that a lag explains.
+
+    Of the body the first is how much the limbs' lags agree in sense, each with the say of how clear it is.
+    """
+    own, best, lag = (limb_table[..., _PER_WINDOW.index(name)] for name in ("own", "best", "lag"))
+    sense = np.sign(body_table[:, None, :, _LAG])
+    clear = np.maximum(own - best, 0.0)
+    agreed = (clear * np.sign(lag) * sense).sum(axis=1) / (clear.sum(axis=1) + _SLIGHT)
+    explained = clear / (own + _SLIGHT)
+    body_own, body_best = body_table[..., 0], body_table[..., 1]
+    body = np.concatenate([agreed, np.maximum(body_own - body_best, 0.0) / (body_own + _SLIGHT)], axis=1)
+    limbs = np.concatenate([lag * sense, explained], axis=2)
+    return np.concatenate([limbs, body[:, None]], axis=1)
+
+
+def _follow_lags(evidence: Evidence) -> FloatArray:
+    """(T, 6, 4) of limbs and, last, the body along the cheapest course of lag: its size, its size beside the clip's
+    usual lag, what it explains, and for how long it has one sense."""
+    prices, change = evidence.lag_prices, LAG_CHANGE * 30.0 / evidence.rate
+    result = np.empty((len(evidence.ordinary), N_LIMBS + 1, 4))
+    for limb in range(N_LIMBS + 1):
+        segments = np.flatnonzero(limb == LIMB_OF) if limb < N_LIMBS else np.arange(len(SEGMENTS))
+        cost = evidence.ratio[:, :, segments].sum(axis=2)
+        share = len(segments) / len(SEGMENTS)
+        course = follow_lag(cost + share * prices, share * change).astype(np.intp)
+        lag = (evidence.center - course) * evidence.deviations.step_s
+        here = np.take_along_axis(cost, course[:, None], axis=1)[:, 0]
+        explained = np.convolve(cost[:, evidence.center] - here, _KERNEL, mode="same")[: len(lag)] / len(segments)
+        edges = np.concatenate([[True], np.sign(lag[1:]) != np.sign(lag[:-1])])
+        run = np.cumsum(edges) - 1
+        lasts = np.bincount(run)[run] * evidence.deviations.step_s
+        result[:, limb] = np.stack([np.abs(lag), np.abs(lag - np.median(lag)), explained, lasts], axis=1)
+    return result
 
 
 def _summarise(limb_table: FloatArray) -> FloatArray:
@@ -354,7 +355,7 @@ def _measure_speeds(motion: FloatArray, rate: float, limb_of: np.ndarray, n_limb
 
 
 @njit(cache=True, nogil=True)
-def _describe(
+def _collect_rows(
     squared: FloatArray,
     common: FloatArray,
     ours: FloatArray,
@@ -362,22 +363,14 @@ def _describe(
     mirrored: FloatArray,
     judged: FloatArray,
     limb_of: np.ndarray,
-    frames: np.ndarray,
-    halves: np.ndarray,
-    sharp: int,
-    price: float,
     rate: float,
     spread: FloatArray,
     time_spread: FloatArray,
-) -> tuple[FloatArray, FloatArray]:  # pragma: no cover - compiled
-    """(N, L, W, 21) features of limbs and (N, W, 15) of the body, in the order of `_PER_WINDOW`."""
-    n, n_limbs, n_lags = squared.shape
-    n_windows = len(halves)
-    limb_out = np.zeros((len(frames), n_limbs, n_windows, 21))
-    body_out = np.zeros((len(frames), n_windows, 15))
-    # Per frame: path, unreached, mirrored, speeds, spreads of limbs (0 to L - 1) and the body (L).
-    rows = np.zeros((n, 7 * (n_limbs + 1)))
+) -> FloatArray:  # pragma: no cover - compiled
+    """(T, 7 * (L + 1)): path, unreached, mirrored, their and our speed, spreads of the limbs and, last, the body."""
+    n, n_limbs = squared.shape[:2]
     width = n_limbs + 1
+    rows = np.zeros((n, 7 * width))
     theirs_speed = _measure_speeds(theirs, rate, limb_of, n_limbs)
     ours_speed = _measure_speeds(ours, rate, limb_of, n_limbs)
     count = np.zeros(n_limbs)
@@ -397,31 +390,48 @@ def _describe(
             rows[t, 4 * width + limb] = ours_speed[t, limb]
             for block in range(2, 6):
                 rows[t, block * width + n_limbs] += rows[t, block * width + limb] / n_limbs
-        for limb in range(width):
-            rows[t, 6 * width + limb] = time_spread[t]
+        rows[t, 6 * width :] = time_spread[t]
+    for limb in range(n_limbs):
+        rows[:, limb], rows[:, width + limb] = _cover(squared[:, limb])
+    rows[:, n_limbs], rows[:, width + n_limbs] = _cover(common)
+    return rows
+
+
+@njit(cache=True, nogil=True)
+def _describe(
+    squared: FloatArray,
+    common: FloatArray,
+    ours: FloatArray,
+    theirs: FloatArray,
+    rows: FloatArray,
+    limb_of: np.ndarray,
+    frames: np.ndarray,
+    halves: np.ndarray,
+    sharp: int,
+    price: float,
+    rate: float,
+) -> tuple[FloatArray, FloatArray]:  # pragma: no cover - compiled
+    """(N, L, W, 21) features of limbs and (N, W, 15) of the body, in the order of `_PER_WINDOW`."""
+    n, n_limbs, n_lags = squared.shape
+    width, center = n_limbs + 1, n_lags // 2
+    limb_out = np.zeros((len(frames), n_limbs, len(halves), 21))
+    body_out = np.zeros((len(frames), len(halves), 15))
     totals = np.zeros((n_limbs, n + 1, n_lags))
     for limb in range(n_limbs):
-        path, unreached = _cover(squared[:, limb])
-        rows[:, limb] = path
-        rows[:, width + limb] = unreached
         totals[limb] = _accumulate(squared[:, limb])
-    path, unreached = _cover(common)
-    rows[:, n_limbs] = path
-    rows[:, width + n_limbs] = unreached
-    together = _accumulate(common)
-    sums = _accumulate(rows)
+    together, sums = _accumulate(common), _accumulate(rows)
     lagged, fit = np.zeros(4), np.zeros(5)
     for i in range(len(frames)):
-        for w in range(n_windows):
+        for w in range(len(halves)):
             first, last = max(frames[i] - halves[w], 0), min(frames[i] + halves[w] + 1, n)
             body_at = _find_lag(together, first, last, price, sharp, lagged)
             out = body_out[i, w]
             body_lag = lagged[2] / rate
-            out[0], out[1], out[2], out[3] = lagged[0], lagged[1], abs(body_lag), lagged[3]
+            out[0], out[1], out[2], out[3] = lagged[0], lagged[1], body_lag, lagged[3]
             _fit_gain(ours, theirs, first, last, 0, -1, limb_of, fit)
-            out[4], out[5] = fit[0], fit[1]
-            _fit_gain(ours, theirs, first, last, body_at - n_lags // 2, -1, limb_of, fit)
-            out[6], out[7] = fit[0], fit[1]
+            out[4:6] = fit[:2]
+            _fit_gain(ours, theirs, first, last, body_at - center, -1, limb_of, fit)
+            out[6:8] = fit[:2]
             out[8] = np.sqrt(max(_mean(sums, first, last, n_limbs), 0.0))
             out[9] = np.sqrt(max(_mean(sums, first, last, width + n_limbs), 0.0))
             out[10] = _mean(sums, first, last, 3 * width + n_limbs)
@@ -432,20 +442,17 @@ def _describe(
             for limb in range(n_limbs):
                 out = limb_out[i, limb, w]
                 at = _find_lag(totals[limb], first, last, price, sharp, lagged)
-                out[0], out[1], out[2], out[3] = lagged[0], lagged[1], abs(lagged[2]) / rate, lagged[3]
+                out[0], out[1], out[2], out[3] = lagged[0], lagged[1], lagged[2] / rate, lagged[3]
                 out[4] = np.sqrt(max(_mean(totals[limb], first, last, body_at), 0.0))
                 out[5] = abs(lagged[2] / rate - body_lag)
                 _fit_gain(ours, theirs, first, last, 0, limb, limb_of, fit)
-                out[6], out[7], out[8], out[9], out[10] = fit[0], fit[1], fit[2], fit[3], fit[4]
-                _fit_gain(ours, theirs, first, last, at - n_lags // 2, limb, limb_of, fit)
-                out[11], out[12] = fit[0], fit[1]
+                out[6:11] = fit
+                _fit_gain(ours, theirs, first, last, at - center, limb, limb_of, fit)
+                out[11:13] = fit[:2]
                 out[13] = np.sqrt(max(_mean(sums, first, last, limb), 0.0))
                 out[14] = np.sqrt(max(_mean(sums, first, last, width + limb), 0.0))
-                most = 0.0
-                for t in range(first, last):
-                    most = max(most, rows[t, width + limb])
-                out[15] = np.sqrt(most)
-                for block in range(2, 7):
-                    mean = _mean(sums, first, last, block * width + limb)
-                    out[14 + block] = np.sqrt(max(mean, 0.0)) if block == 2 else mean
+                out[15] = np.sqrt(rows[first:last, width + limb].max())
+                out[16] = np.sqrt(max(_mean(sums, first, last, 2 * width + limb), 0.0))
+                for block in range(3, 7):
+                    out[14 + block] = _mean(sums, first, last, block * width + limb)
     return limb_out, body_out

@@ -37,6 +37,7 @@ class Deviations:
         both turned so that the reference's body always faces the same way: what is left is the motion of the limbs.
     center : column of no lag.
     step_s : s from column to column.
+    spread : (T, 9) rad, how much takes of the reference differ at each moment; 0 of one take.
     """
 
     squared: FloatArray
@@ -46,6 +47,7 @@ class Deviations:
     reference: FloatArray
     center: int
     step_s: float
+    spread: FloatArray
 
 
 def compute_deviations(reference: Working, performance: Working, frames: FloatArray, weights: FloatArray) -> Deviations:
@@ -79,10 +81,10 @@ def compute_deviations(reference: Working, performance: Working, frames: FloatAr
     facing = np.interp(frames, np.arange(reference.n_frames), reference.heading)
     theirs = rotate_yaw(moved[here], -facing)
     ours = rotate_yaw(performance.segments, -facing - yaw[:, reach])
-    return Deviations(squared, yaw, judged, ours, theirs, reach, 1.0 / performance.frame_rate)
+    return Deviations(squared, yaw, judged, ours, theirs, reach, 1.0 / performance.frame_rate, np.zeros(judged.shape))
 
 
-def merge_takes(takes: Sequence[Deviations]) -> tuple[Deviations, FloatArray]:
+def merge_takes(takes: Sequence[Deviations]) -> Deviations:
     """Deviations from the nearest of several takes, and how much the takes differ.
 
     Parameters
@@ -91,13 +93,13 @@ def merge_takes(takes: Sequence[Deviations]) -> tuple[Deviations, FloatArray]:
 
     Returns
     -------
-    deviations : the smallest of all; its reference is the median of the takes, so that one take's slip does not count.
-        Where a take is not seen the others speak.
-    spread : (T, 9) rad, median angle of the takes from that median, averaged over `_SPREAD_S`; 0 of one take.
+    The smallest deviations of all; the reference is the median of the takes, so that one take's slip does not count,
+    and the spread the median angle of the takes from it, averaged over 0.3 s. Where a take is not seen the others
+    speak.
     """
     first = takes[0]
     if len(takes) == 1:
-        return first, np.zeros(first.judged.shape)
+        return first
     squared = first.squared
     for other in takes[1:]:
         squared = take_nearest(squared, other.squared)
@@ -108,7 +110,7 @@ def merge_takes(takes: Sequence[Deviations]) -> tuple[Deviations, FloatArray]:
     half = max(1, round(0.5 * _SPREAD_S / first.step_s))
     total = np.cumsum(np.pad(far, ((half + 1, half), (0, 0)), mode="edge"), axis=0)
     spread = (total[2 * half + 1 :] - total[: -2 * half - 1]) / (2 * half + 1)
-    return replace(first, squared=squared, reference=middle), spread
+    return replace(first, squared=squared, reference=middle, spread=spread)
 
 
 def take_nearest(mine: FloatArray, its: FloatArray) -> FloatArray:

@@ -35,7 +35,7 @@ class Judge:
     decoding: Decoding
 
     def weigh(self, descriptors: Descriptors) -> tuple[FloatArray, FloatArray]:
-        """(N, 5, 4) and (N, 4) log probabilities of the classes of limbs and body, see `dousa.evaluation.errors.decode`."""
+        """(N, 5, 4) and (N, 4) log probabilities of the classes of limbs and body, see `decode`."""
         count = len(descriptors.frames)
         rows = descriptors.limbs.reshape(count * N_LIMBS, -1)
         limbs = self.limbs.predict_log_proba(rows).reshape(count, N_LIMBS, -1)
@@ -60,6 +60,6 @@ class Judge:
 @lru_cache(maxsize=1)
 def load_judge() -> Judge:
     """The judge of the package."""
-    with resources.files("dousa.evaluation.errors").joinpath(_FILE).open("rb") as file:
-        with np.load(file, allow_pickle=False) as arrays:
-            return Judge.from_arrays(arrays)
+    source = resources.files("dousa.evaluation.errors").joinpath(_FILE)
+    with source.open("rb") as file, np.load(file, allow_pickle=False) as arrays:
+        return Judge.from_arrays(arrays)

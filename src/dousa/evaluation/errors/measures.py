@@ -7,7 +7,6 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from dousa.arrays import FloatArray
 from dousa.evaluation.alignment.dynamic_programming import follow_lag
 from dousa.evaluation.errors.decode import Suspect
 from dousa.evaluation.errors.evidence import LAG_CHANGE, Evidence

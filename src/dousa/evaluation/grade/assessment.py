@@ -19,17 +19,23 @@ from dousa.evaluation.errors.evidence import (
     Tolerance,
     at_lag,
     gather_evidence,
-    measure_unsteadiness,
     refine_lag,
     runs_of,
 )
-from dousa.evaluation.errors.explain import Finding, explain_all
+from dousa.evaluation.errors.explain import Finding
 from dousa.evaluation.errors.lapses import find_lapses
 from dousa.evaluation.figures.curves import Curves, compute_curves
 from dousa.evaluation.figures.eigenspace import Eigenspace
 from dousa.evaluation.figures.furi import Furi, find_furi, fit_furi_eigenspaces, pool_takes, scale_furi
 from dousa.evaluation.grade.events import describe_findings, describe_gaps, describe_warnings
-from dousa.evaluation.grade.references import Comparison, ReferenceTakes, compare, prepare_references
+from dousa.evaluation.grade.references import (
+    Comparison,
+    ReferenceTakes,
+    choose_tolerance,
+    compare,
+    find_errors,
+    prepare_references,
+)
 from dousa.evaluation.grade.result import Assessment, FuriAssessment
 from dousa.evaluation.grade.score import compute_deviation, compute_score
 from dousa.evaluation.posture.offset import take_out_of_postures
@@ -171,7 +177,7 @@ def weigh(
     references: ReferenceTakes, performance: PostureSequence, comparison: Comparison, weights: FloatArray
 ) -> Weighed:
     """Tell the errors of a performance from how it compares with the takes; weights (9,), those above 0 of mean 1."""
-    tolerance = choose_tolerance(references, comparison)
+    tolerance = choose_tolerance(comparison.deviations)
     return _weigh(references, performance, comparison, tolerance, weights, None)
 
 
@@ -196,7 +202,7 @@ def _weigh(
     else:
         late_frames, late_yaw = find_resembled(first, performance, matched, pairing.frames, pairing.yaw)
         pairing = replace(pairing, late_frames=late_frames, late_yaw=late_yaw)
-    findings = tuple(explain_all(evidence))
+    findings = tuple(find_errors(references, comparison.alignment.frames, evidence))
     return Weighed(comparison, weights, tolerance, findings, same, matched, lag, pairing)
 
 
@@ -256,14 +262,6 @@ def look_at_figures(
         warnings=describe_warnings(references, furi, performance, working, comparison, curves, tempo, weights, side),
         side=side,
     )
-
-
-def choose_tolerance(references: ReferenceTakes, comparison: Comparison) -> Tolerance:
-    """What the takes show; of the angles no less than the performer's own steadiness asks for."""
-    own = measure_unsteadiness(comparison.deviations)
-    if references.tolerance is None:
-        return own
-    return Tolerance(np.maximum(own.angle, references.tolerance.angle), references.tolerance.lag_s)
 
 
 def _make_clocks(

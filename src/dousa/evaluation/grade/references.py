@@ -10,10 +10,12 @@ import numpy as np
 from dousa.arrays import FloatArray, IndexArray
 from dousa.evaluation.alignment.dynamic_programming import follow_lag
 from dousa.evaluation.alignment.lines import OUTSIDE, Alignment, align, to_cost
-from dousa.evaluation.errors.descriptors import Descriptors, Surroundings, describe_moments
+from dousa.evaluation.errors.descriptors import Descriptors, choose_stride, describe_moments
 from dousa.evaluation.errors.deviation import Deviations, compute_deviations, merge_takes
-from dousa.evaluation.errors.evidence import Tolerance, gather_evidence, measure_unsteadiness
-from dousa.evaluation.errors.explain import explain_all
+from dousa.evaluation.errors.evidence import Evidence, Tolerance, measure_unsteadiness
+from dousa.evaluation.errors.explain import Finding, explain_all
+from dousa.evaluation.errors.judge import load_judge
+from dousa.evaluation.errors.measures import measure_suspects
 from dousa.evaluation.grade.score import compute_deviation
 from dousa.evaluation.posture.offset import Offset, estimate_offset, learn_between, take_out
 from dousa.evaluation.posture.posture import PostureSequence, Working, interpolate_segments, thin_postures
@@ -31,7 +33,6 @@ class ReferenceTakes:
     postures : of the first take, at the performance's rate.
     working : of the first take and of each further one that is like it, at the working rate, warped onto the first.
     warped : the further ones at the full rate, warped onto the first.
-    tolerance : learned from the takes; None if there is one only.
     clock : (U,) frame of the first take at the working rate that belongs to each frame of ``working``: the takes are
         put on the clock that most of them keep, not on the first one's own.
     time_spread : (U,) s, how much the takes' timing differs there.
@@ -44,7 +45,6 @@ class ReferenceTakes:
     postures: PostureSequence
     working: tuple[Working, ...]
     warped: tuple[PostureSequence, ...]
-    tolerance: Tolerance | None
     clock: FloatArray
     time_spread: FloatArray
     deviations: tuple[float, ...]
@@ -64,7 +64,6 @@ class Comparison:
     from_first : (T, 9) rad, from the first take at the same time; nan where nothing is judged.
     offset : of the performer's body against the first take's, taken out of all of them.
     performance : at the working rate, after that.
-    spread : (T, 9) rad, how much the takes differ at each moment, see `merge_takes`.
     """
 
     alignment: Alignment
@@ -72,7 +71,6 @@ class Comparison:
     from_first: FloatArray
     offset: Offset
     performance: Working
-    spread: FloatArray
 
 
 def prepare_references(takes: Sequence[PostureSequence], tempo: str, weights: FloatArray) -> ReferenceTakes:
@@ -97,14 +95,11 @@ def prepare_references(takes: Sequence[PostureSequence], tempo: str, weights: Fl
     paths = [_follow_take(first, takes[i + 1], weights) for i in like]
     warped = tuple(_warp(first, takes[i + 1], path) for i, path in zip(like, paths, strict=True))
     working, common, time_spread = _keep_common_clock((*clock, *(thin_postures(take) for take in warped)), first, paths)
-    tolerance = None
     deviations = tuple(apart[i] for i in like)
     left_out = tuple(i + 2 for i in range(len(unwarped)) if i not in like)
     from_first = tuple(alone[i].from_first for i in like)
     between = learn_between([alone[i].offset for i in like]) if like else None
-    return ReferenceTakes(
-        first, working, warped, tolerance, common, time_spread, deviations, left_out, from_first, between
-    )
+    return ReferenceTakes(first, working, warped, common, time_spread, deviations, left_out, from_first, between)
 
 
 def reweigh_references(references: ReferenceTakes, weights: FloatArray) -> ReferenceTakes:
@@ -204,8 +199,7 @@ def compare(
     ]
     chord = np.sqrt(takes[0].squared[:, takes[0].center])
     from_first = np.where(takes[0].judged, 2.0 * np.arcsin(np.minimum(0.5 * chord, 1.0)), np.nan)
-    deviations, spread = merge_takes(takes)
-    return Comparison(alignment, deviations, from_first, bodies[0], bare[0], spread)
+    return Comparison(alignment, merge_takes(takes), from_first, bodies[0], bare[0])
 
 
 _PAIRED_RATE = 10.0  # Hz: a body does not change faster
@@ -241,19 +235,23 @@ def _compare_poses(a: FloatArray, b: FloatArray, shares: FloatArray) -> FloatArr
 _WIDER_BY_SPREAD = 2.0
 
 
-def choose_tolerance(comparison: Comparison) -> Tolerance:
+def choose_tolerance(deviations: Deviations) -> Tolerance:
     """What the performer's own steadiness asks for, and how much the takes differ."""
-    own = measure_unsteadiness(comparison.deviations)
-    if not comparison.spread.any():
+    own = measure_unsteadiness(deviations)
+    if not deviations.spread.any():
         return own
-    return Tolerance(np.maximum(own.angle, _WIDER_BY_SPREAD * np.median(comparison.spread, axis=0)), own.lag_s)
+    return Tolerance(np.maximum(own.angle, _WIDER_BY_SPREAD * np.median(deviations.spread, axis=0)), own.lag_s)
 
 
-def describe(references: ReferenceTakes, comparison: Comparison, weights: FloatArray) -> Descriptors:
-    """What the judge sees of a performance; weights (9,) of the segments, those above 0 of mean 1."""
-    frames = np.arange(len(references.time_spread))
-    time_spread = np.interp(comparison.alignment.frames, frames, references.time_spread)
-    around = Surroundings(comparison.spread, time_spread, len(references.working))
-    tolerance = choose_tolerance(comparison)
-    evidence = gather_evidence(comparison.deviations, tolerance.angle, tolerance.lag_s, weights)
-    return describe_moments(comparison.deviations, around, explain_all(evidence))
+def describe(references: ReferenceTakes, frames: FloatArray, evidence: Evidence) -> Descriptors:
+    """What the judge sees of a performance along reference frames (T,)."""
+    clock = np.arange(len(references.time_spread))
+    time_spread = np.interp(frames, clock, references.time_spread)
+    return describe_moments(evidence, time_spread, len(references.working), explain_all(evidence))
+
+
+def find_errors(references: ReferenceTakes, frames: FloatArray, evidence: Evidence) -> list[Finding]:
+    """All errors of a performance along reference frames (T,), in order of time."""
+    descriptors = describe(references, frames, evidence)
+    suspects = load_judge().find(descriptors, evidence.rate / choose_stride(evidence.rate))
+    return measure_suspects(evidence, suspects, descriptors.frames)

@@ -5,7 +5,6 @@ The line is searched as `align` does it, carried on frame by frame; along it are
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Any
@@ -29,10 +28,10 @@ from dousa.evaluation.alignment.lines import (
     to_cost,
 )
 from dousa.evaluation.errors.deviation import YAW_WINDOW_S, Deviations, compute_deviations, merge_takes
-from dousa.evaluation.errors.evidence import Tolerance, find_stretches, gather_evidence, measure_unsteadiness
-from dousa.evaluation.errors.explain import Finding, explain
+from dousa.evaluation.errors.evidence import Tolerance, gather_evidence
+from dousa.evaluation.errors.explain import Finding
 from dousa.evaluation.errors.lapses import Lapse, find_lapses
-from dousa.evaluation.grade.references import ReferenceTakes
+from dousa.evaluation.grade.references import ReferenceTakes, choose_tolerance, find_errors
 from dousa.evaluation.posture.posture import Working
 
 _KEPT_S = 30.0  # for which the past may still be seen otherwise
@@ -222,8 +221,8 @@ class LineFollower:
 
 _SHORT_S, _LONG_S = 12.0, 30.0
 _CONTEXT_S = 2.5  # before a stretch that is still open
-_JOIN_S = 0.35  # errors nearer than this may become one
 _LEAST_LEFT_S = 0.5
+_LATE_NEWS_S = 1.0  # an error that ended longer ago is not reported any more
 _MOVED = 0.25  # frames by which a line must have moved for its deviations to be measured again
 _HISTORY_S, _NEAR_S = 180.0, 0.6
 _GROWTH = 1.1
@@ -250,9 +249,10 @@ class Window:
         self._parts: Deviations | None = None
         self._open: int | None = None  # first frame of a stretch that has not ended
         self._settled_to = 0
-        self._history: list[tuple[FloatArray, FloatArray]] = []
+        self._reported: list[Finding] = []
+        self._history: list[tuple[FloatArray, FloatArray, FloatArray]] = []
         self._counted, self._measured = 0, 0
-        self.tolerance = references.tolerance or _START
+        self.tolerance = _START
         self.lapses: list[Lapse] = []
 
     @property
@@ -294,25 +294,29 @@ class Window:
         self._find_lapses(performance, until)
         tolerance = self.tolerance
         evidence = gather_evidence(self._parts, tolerance.angle, tolerance.lag_s, self._weights)
-        found: list[Finding] = []
-        self._open = None
-        for group in _group(find_stretches(evidence), _JOIN_S * self._rate):
-            stretches = [(start + self._first, end + self._first) for start, end in group]
-            end = stretches[-1][1]
-            if end > until:
-                self._open = max(stretches[0][0], self._settled_to)
-                if until - self._open < (_LONG_S - _CONTEXT_S) * self._rate:
-                    continue
-                # Nobody waits for ever: what has been wrong for so long is reported in pieces.
-                stretches = [(start, min(stop, until)) for start, stop in stretches if start < until]
-                end, self._open = until, until
-            for start, stop in stretches:
-                begin = max(start, self._settled_to)
-                if start < begin and stop - begin < _LEAST_LEFT_S * self._rate:
-                    continue
-                found += explain(evidence, begin - self._first, stop - self._first) if stop > begin else []
-            self._settled_to = max(self._settled_to, end)
-        return [_move(finding, self._first) for finding in found]
+        found = [_move(one, self._first) for one in find_errors(self._references, self._frames, evidence)]
+        self._open = min((one.start for one in found if one.start < until < one.end), default=None)
+        settled = [one for one in found if one.end <= until]
+        if self._open is not None and until - self._open >= (_LONG_S - _CONTEXT_S) * self._rate:
+            # Nobody waits for ever: what has been wrong for so long is reported in pieces.
+            settled += [replace(one, end=until) for one in found if one.start == self._open and one.end > until]
+            self._open = until
+        fresh = [one for one in (self._cut_off(one) for one in settled) if one is not None]
+        self._reported = [one for one in self._reported if one.end >= self._first] + fresh
+        self._settled_to = until
+        return sorted(fresh, key=lambda one: one.start)
+
+    def _cut_off(self, finding: Finding) -> Finding | None:
+        """What of an error was not reported yet; None if it was, or too little is left."""
+        start = finding.start
+        for told in self._reported:
+            same = told.kind == finding.kind and set(told.segments) & set(finding.segments)
+            if same and told.start < finding.end and start < told.end:
+                start = told.end
+        if start > finding.start and finding.end - start < _LEAST_LEFT_S * self._rate:
+            return None
+        recent = finding.end > self._settled_to - _LATE_NEWS_S * self._rate
+        return replace(finding, start=start, worst=max(finding.worst, start)) if recent else None
 
     def _choose_first(self, count: int) -> int:
         first = count - round(_SHORT_S * self._rate)
@@ -327,7 +331,7 @@ class Window:
     def _measure(self, part: Working, frames: FloatArray) -> Deviations:
         """As `compare` does, along a line that is known."""
         takes = [compute_deviations(take, part, frames, self._weights) for take in self._references.working]
-        return merge_takes(takes)[0]
+        return merge_takes(takes)
 
     def _learn(self) -> None:
         """The tolerance, from what has been seen so far, whenever a tenth more has been."""
@@ -337,7 +341,9 @@ class Window:
         columns = slice(self._parts.center - reach, self._parts.center + reach + 1)
         if last > self._counted and self._line.known:
             rows = slice(max(self._counted, self._first) - self._first, last - self._first)
-            self._history.append((self._parts.squared[rows, columns].copy(), self._parts.reference[rows]))
+            self._history.append(
+                (self._parts.squared[rows, columns].copy(), self._parts.reference[rows], self._parts.spread[rows])
+            )
             self._counted = last
             while sum(len(part[0]) for part in self._history[1:]) > _HISTORY_S * self._rate:
                 self._measured -= len(self._history.pop(0)[0])
@@ -346,11 +352,8 @@ class Window:
             return
         self._measured = seen
         parts = [np.concatenate(values) for values in zip(*self._history, strict=True)]
-        sample = replace(self._parts, squared=parts[0], reference=parts[1], center=reach)
-        own, learned = measure_unsteadiness(sample), self._references.tolerance
-        if learned is not None:
-            own = Tolerance(np.maximum(own.angle, learned.angle), learned.lag_s)
-        self.tolerance = own
+        sample = replace(self._parts, squared=parts[0], reference=parts[1], spread=parts[2], center=reach)
+        self.tolerance = choose_tolerance(sample)
 
     def _find_lapses(self, performance: Working, until: int) -> None:
         inner = [run.start for run in self._line.runs[1:] if self._first < run.start <= until]
@@ -387,7 +390,7 @@ def _cut(working: Working, start: int, end: int) -> Working:
 
 
 # Arrays of deviations with a row a frame.
-_BY_FRAME = ("squared", "yaw", "judged", "performance", "reference")
+_BY_FRAME = ("squared", "yaw", "judged", "performance", "reference", "spread")
 
 
 def _rows(deviations: Deviations, part: slice) -> Deviations:
@@ -397,17 +400,6 @@ def _rows(deviations: Deviations, part: slice) -> Deviations:
 def _join(past: Deviations, new: Deviations) -> Deviations:
     parts: dict[str, Any] = {name: np.concatenate([getattr(past, name), getattr(new, name)]) for name in _BY_FRAME}
     return replace(new, **parts)
-
-
-def _group(stretches: Sequence[tuple[int, int]], gap: float) -> list[list[tuple[int, int]]]:
-    """Stretches near each other belong together."""
-    groups: list[list[tuple[int, int]]] = []
-    for stretch in stretches:
-        if groups and stretch[0] - groups[-1][-1][1] <= gap:
-            groups[-1].append(stretch)
-        else:
-            groups.append([stretch])
-    return groups
 
 
 def _move(finding: Finding, by: int) -> Finding:

@@ -1,7 +1,7 @@
 """How well reported errors agree with true ones: by class and time, event by event.
 
-A report and an error agree if they are of one class and overlap by half (intersection over union); best pairs first, each
-once.
+A report and an error agree if they are of one class and overlap by half (intersection over union): best pairs first,
+each once.
 """
 
 from __future__ import annotations

@@ -10,8 +10,9 @@ from numpy.typing import NDArray
 
 from dousa.evaluation.errors.boosting import BoostedTrees
 from dousa.evaluation.errors.descriptors import LIMB_OF, N_LIMBS, Descriptors
+from dousa.evaluation.errors.evidence import gather_evidence
 from dousa.evaluation.grade.assessment import compute_all_postures
-from dousa.evaluation.grade.references import compare, describe, prepare_references
+from dousa.evaluation.grade.references import choose_tolerance, compare, describe, prepare_references
 from dousa.evaluation.posture.posture import SEGMENTS, thin_postures
 from dousa.evaluation.posture.weights import spread_weights
 from dousa.experiments.injection.injection import Error
@@ -78,7 +79,9 @@ def describe_trial(trial: Trial) -> tuple[Descriptors, Labels]:
     references = prepare_references(postures, "same", weights)
     working = thin_postures(played)
     comparison = compare(references.working, working, "same", weights, references.between)
-    descriptors = describe(references, comparison, weights)
+    tolerance = choose_tolerance(comparison.deviations)
+    evidence = gather_evidence(comparison.deviations, tolerance.angle, tolerance.lag_s, weights)
+    descriptors = describe(references, comparison.alignment.frames, evidence)
     times = (descriptors.frames + 0.5) / working.frame_rate
     return descriptors, label_moments(times, trial.errors)
 
