@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from oracles.slow_deviations import measure
 from oracles.wrong_dances import ARM, choose, get_dance, lose, place, turn_limb
 
-from dousa.evaluation.errors.deviation import MAX_LAG_S, YAW_SCALE, choose_nearest, compute_deviations
+from dousa.evaluation.errors.deviation import MAX_LAG_S, YAW_SCALE, compute_deviations, merge_takes
 from dousa.evaluation.posture.posture import Working, compute_postures, interpolate_segments, thin_postures
 from dousa.motion import CanonicalMotion
 
@@ -127,9 +127,9 @@ def test_the_nearer_take_counts_and_a_gap_in_it_excuses_nothing() -> None:
     near = compute_deviations(work(wrong), work(wrong), clock, EVEN)
     gone = compute_deviations(work(lose(motion, ["left_elbow", "left_wrist"], 2.0, 6.0)), work(wrong), clock, EVEN)
     for pair in ((far, near), (near, far)):
-        assert np.allclose(choose_nearest(*pair).squared[:, far.center], near.squared[:, far.center], atol=1e-9)
+        assert np.allclose(merge_takes(pair).squared[:, far.center], near.squared[:, far.center], atol=1e-9)
     for pair in ((far, gone), (gone, far)):
-        both = choose_nearest(*pair).squared[70:170, far.center]
+        both = merge_takes(pair).squared[70:170, far.center]
         assert np.allclose(both[:, 1:3], far.squared[70:170, far.center, 1:3], rtol=0.2)
 
 

@@ -61,7 +61,7 @@ class Suspect:
 
 
 @njit(cache=True, nogil=True)
-def _follow_classes(scores: FloatArray, change: float) -> np.ndarray:  # pragma: no cover - compiled
+def follow_classes(scores: FloatArray, change: float) -> np.ndarray:  # pragma: no cover - compiled
     """(N,) the classes with the largest sum of (N, C) scores; every change of class costs."""
     n, n_classes = scores.shape
     came = np.empty((n, n_classes), np.int8)
@@ -118,7 +118,7 @@ def _find_runs(
 ) -> list[Suspect]:
     scores = logs.copy()
     scores[:, 1:] += how.bias
-    classes = _follow_classes(np.ascontiguousarray(scores * (15.0 / rate)), how.change)
+    classes = follow_classes(np.ascontiguousarray(scores * (15.0 / rate)), how.change)
     edges = [0, *(np.flatnonzero(np.diff(classes)) + 1), len(classes)]
     found = []
     for start, end in pairwise(edges):

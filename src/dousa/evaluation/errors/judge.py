@@ -57,9 +57,21 @@ class Judge:
         return cls(limbs, body, Decoding(*(float(value) for value in arrays["decoding"])))
 
 
-@lru_cache(maxsize=1)
+_chosen: list[Judge] = []
+
+
 def load_judge() -> Judge:
-    """The judge of the package."""
+    """The judge of the package, or the one given to `use_judge`."""
+    return _chosen[-1] if _chosen else _read_judge()
+
+
+def use_judge(judge: Judge | None) -> None:
+    """Let another judge decide in this process, for trials; None for the package's own."""
+    _chosen[:] = [] if judge is None else [judge]
+
+
+@lru_cache(maxsize=1)
+def _read_judge() -> Judge:
     source = resources.files("dousa.evaluation.errors").joinpath(_FILE)
     with source.open("rb") as file, np.load(file, allow_pickle=False) as arrays:
         return Judge.from_arrays(arrays)

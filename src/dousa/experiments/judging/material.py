@@ -171,12 +171,13 @@ def _make_trial(
     donors: Sequence[CanonicalMotion],
     rng: np.random.Generator,
 ) -> Trial | None:
-    perform = performers[rng.integers(len(performers))]
+    perform = performers[int(rng.integers(len(performers)))]
     by_take = bool(others) and rng.random() < 0.6
     n_references = int(rng.choice([1, 2, 3, 5], p=[0.55, 0.1, 0.15, 0.2]))
     if one.motion.duration < 1.0:
         return None
-    motion, errors = one.motion, ()
+    motion = one.motion
+    errors: tuple[Error, ...] = ()
     if generator is not None:
         n_errors = 1 + int(rng.random() < 0.35) + int(one.motion.duration / 8.0)
         injection = generator(one.motion, rng, donors, n_errors)
