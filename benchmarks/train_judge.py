@@ -18,6 +18,7 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
+from _judge_recordings import read_recordings
 
 import dousa.evaluation.errors
 from dousa.evaluation import assess
@@ -33,7 +34,6 @@ from dousa.experiments.judging.material import (
     Trial,
     make_trials,
     perform_steadily,
-    read_recordings,
 )
 from dousa.experiments.judging.metrics import KINDS, Report, Score
 from dousa.experiments.judging.trial import (

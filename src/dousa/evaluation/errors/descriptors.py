@@ -17,7 +17,6 @@ from numpy.typing import NDArray
 
 from dousa.arrays import FloatArray
 from dousa.evaluation.alignment.dynamic_programming import follow_lag
-from dousa.evaluation.errors.deviation import Deviations
 from dousa.evaluation.errors.evidence import LAG_CHANGE, Evidence
 from dousa.evaluation.errors.explain import Finding
 from dousa.evaluation.posture.posture import LIMBS, MIRRORED_SEGMENTS, SEGMENTS
@@ -119,7 +118,7 @@ def describe_moments(
     """
     deviations, rate = evidence.deviations, evidence.rate
     frames = np.arange(0, len(deviations.judged), choose_stride(rate))
-    limb_table, body_table = _measure_windows(deviations, time_spread, frames)
+    limb_table, body_table = _measure_windows(evidence, time_spread, frames)
     n = len(frames)
     clip = _summarise(limb_table)
     clips = np.broadcast_to(clip, (n, *clip.shape))
@@ -142,15 +141,18 @@ def describe_moments(
 
 
 def _measure_windows(
-    deviations: Deviations, time_spread: FloatArray, frames: NDArray[np.intp]
+    evidence: Evidence, time_spread: FloatArray, frames: NDArray[np.intp]
 ) -> tuple[FloatArray, FloatArray]:
     """(N, 5, W, 21) and (N, W, 15), see `_describe`."""
-    rate = 1.0 / deviations.step_s
+    deviations, rate = evidence.deviations, evidence.rate
     reach = min(round(_REACH_S * rate), deviations.center)
     part = slice(deviations.center - reach, deviations.center + reach + 1)
-    squared, common = _pool_limbs(deviations.squared[:, part], LIMB_OF, N_LIMBS, _CAP, _CAP_IN_COMMON)
+    # What has no weight, or is never seen, is as it should be.
+    counts = evidence.ratio.any(axis=(0, 1))
+    squared, common = _pool_limbs(deviations.squared[:, part] * counts, LIMB_OF, N_LIMBS, _CAP, _CAP_IN_COMMON)
     mirrored = deviations.reference[:, MIRRORED_SEGMENTS, :] * np.array([-1.0, 1.0, 1.0])
-    motions = (deviations.performance, deviations.reference, mirrored, deviations.spread, time_spread)
+    performance = np.where(counts[:, None], deviations.performance, deviations.reference)
+    motions = (performance, deviations.reference, mirrored, deviations.spread, time_spread)
     ours, theirs, mirrored, spread, timing = (np.ascontiguousarray(values) for values in motions)
     judged = deviations.judged.astype(np.float64)
     rows = _collect_rows(squared, common, ours, theirs, mirrored, judged, LIMB_OF, rate, spread, timing)

@@ -5,6 +5,7 @@ The line is searched as `align` does it, carried on frame by frame; along it are
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Any
@@ -221,6 +222,7 @@ class LineFollower:
 
 _SHORT_S, _LONG_S = 12.0, 30.0
 _CONTEXT_S = 2.5  # before a stretch that is still open
+_JOIN_S = 0.35  # errors nearer than this may become one
 _LEAST_LEFT_S = 0.5
 _LATE_NEWS_S = 1.0  # an error that ended longer ago is not reported any more
 _MOVED = 0.25  # frames by which a line must have moved for its deviations to be measured again
@@ -295,12 +297,17 @@ class Window:
         tolerance = self.tolerance
         evidence = gather_evidence(self._parts, tolerance.angle, tolerance.lag_s, self._weights)
         found = [_move(one, self._first) for one in find_errors(self._references, self._frames, evidence)]
-        self._open = min((one.start for one in found if one.start < until < one.end), default=None)
-        settled = [one for one in found if one.end <= until]
-        if self._open is not None and until - self._open >= (_LONG_S - _CONTEXT_S) * self._rate:
-            # Nobody waits for ever: what has been wrong for so long is reported in pieces.
-            settled += [replace(one, end=until) for one in found if one.start == self._open and one.end > until]
-            self._open = until
+        self._open, settled = None, list[Finding]()
+        for group in _group(found, _JOIN_S * self._rate):
+            if max(one.end for one in group) <= until:
+                settled += group
+                continue
+            # What touches an error that goes on may become part of it, or of a lapse that is not known yet.
+            self._open = group[0].start
+            if until - self._open >= (_LONG_S - _CONTEXT_S) * self._rate:
+                # Nobody waits for ever: what has been wrong for so long is reported in pieces.
+                settled += [replace(one, end=min(one.end, until)) for one in group if one.start < until]
+                self._open = until
         fresh = [one for one in (self._cut_off(one) for one in settled) if one is not None]
         self._reported = [one for one in self._reported if one.end >= self._first] + fresh
         self._settled_to = until
@@ -400,6 +407,17 @@ def _rows(deviations: Deviations, part: slice) -> Deviations:
 def _join(past: Deviations, new: Deviations) -> Deviations:
     parts: dict[str, Any] = {name: np.concatenate([getattr(past, name), getattr(new, name)]) for name in _BY_FRAME}
     return replace(new, **parts)
+
+
+def _group(findings: Sequence[Finding], gap: float) -> list[list[Finding]]:
+    """Errors near each other belong together."""
+    groups: list[list[Finding]] = []
+    for finding in sorted(findings, key=lambda one: one.start):
+        if groups and finding.start - max(one.end for one in groups[-1]) <= gap:
+            groups[-1].append(finding)
+        else:
+            groups.append([finding])
+    return groups
 
 
 def _move(finding: Finding, by: int) -> Finding:
