@@ -9,6 +9,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from dousa.experiments.judging.material import Recording
+from dousa.formats.motion_files import read_canonical
 from dousa.motion import CanonicalMotion
 
 _EXAM_SHARE = 3  # one of so many pairs of gesture and style is left to the exam

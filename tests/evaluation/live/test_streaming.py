@@ -120,9 +120,9 @@ def test_an_error_gives_the_advice_that_it_gives_in_the_whole() -> None:
             other = max(whole.events, key=lambda one: overlap(one, event))
             if (other.kind, other.segments) == (event.kind, event.segments) and overlap(other, event) > 0.9:
                 same = full[whole.events.index(other)]
-                assert (said.segments, said.furi) == (same.segments, same.furi)
+                assert said.furi == same.furi
                 # Spans differ by a moment or two: where two directions are as large the other one may be named.
-                agreed += said.direction == same.direction
+                agreed += (said.direction, said.segments) == (same.direction, same.segments)
                 compared += 1
     assert compared >= len(SEEDS) and agreed >= 0.8 * compared
 
