@@ -148,7 +148,7 @@ def _measure_windows(
     reach = min(round(_REACH_S * rate), deviations.center)
     part = slice(deviations.center - reach, deviations.center + reach + 1)
     # What has no weight, or is never seen, is as it should be.
-    counts = evidence.ratio.any(axis=(0, 1))
+    counts: NDArray[np.bool_] = np.any(evidence.ratio > 0.0, axis=(0, 1), keepdims=True)[0, 0]
     squared, common = _pool_limbs(deviations.squared[:, part] * counts, LIMB_OF, N_LIMBS, _CAP, _CAP_IN_COMMON)
     mirrored = deviations.reference[:, MIRRORED_SEGMENTS, :] * np.array([-1.0, 1.0, 1.0])
     performance = np.where(counts[:, None], deviations.performance, deviations.reference)
@@ -327,12 +327,12 @@ def _find_lag(
     out[1] = np.sqrt(here)
     out[2] = best - center
     out[3] = 0.5 * (np.sqrt(left) + np.sqrt(right)) - np.sqrt(here)
-    return best
+    return int(best)
 
 
 @njit(cache=True, nogil=True)
 def _mean(total: FloatArray, first: int, last: int, column: int) -> float:  # pragma: no cover - compiled
-    return (total[last, column] - total[first, column]) / (last - first)
+    return float((total[last, column] - total[first, column]) / (last - first))
 
 
 @njit(cache=True, nogil=True)

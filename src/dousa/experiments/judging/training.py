@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from dousa.arrays import FloatArray
 from dousa.evaluation.errors.boosting import BoostedTrees
 from dousa.evaluation.errors.descriptors import LIMB_OF, N_LIMBS, Descriptors
 from dousa.evaluation.errors.evidence import gather_evidence
@@ -44,7 +45,7 @@ def is_of_body(error: Error) -> bool:
     return error.kind == "global" or len(error.segments) >= _BODY_SEGMENTS or len(limbs) >= N_LIMBS - 1
 
 
-def label_moments(times: NDArray[np.float64], errors: Sequence[Error]) -> Labels:
+def label_moments(times: FloatArray, errors: Sequence[Error]) -> Labels:
     """Labels of the moments (N,) s of a performance.
 
     Limbs are held against the body: of a late body no limb is late. What a limb does while the body does another figure
@@ -82,7 +83,7 @@ def describe_trial(trial: Trial) -> tuple[Descriptors, Labels]:
     tolerance = choose_tolerance(comparison.deviations)
     evidence = gather_evidence(comparison.deviations, tolerance.angle, tolerance.lag_s, weights)
     descriptors = describe(references, comparison.alignment.frames, evidence)
-    times = (descriptors.frames + 0.5) / working.frame_rate
+    times = np.asarray((descriptors.frames + 0.5) / working.frame_rate, np.float64)
     return descriptors, label_moments(times, trial.errors)
 
 
