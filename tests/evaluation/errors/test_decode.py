@@ -10,7 +10,7 @@ import pytest
 from dousa.evaluation.errors.decode import BODY_CLASSES, LIMB_CLASSES, Decoding, decode, follow_classes
 
 RATE = 15.0
-PLAIN = Decoding(change=2.0, bias=0.0, shortest_s=0.25, surest=0.0)
+PLAIN = Decoding(change=2.0, shortest_s=0.25, surest=0.0)
 
 
 def make_logs(

@@ -50,6 +50,7 @@ class BoostedTrees:
         return cls(**{name: np.ascontiguousarray(arrays[f"{prefix}_{name}"]) for name in _ARRAYS})
 
 
+_BLOCK = 128
 _ARRAYS = ("feature", "threshold", "left", "right", "roots", "start")
 
 
@@ -64,13 +65,16 @@ def _add_up(
     start: np.ndarray,
 ) -> FloatArray:  # pragma: no cover - compiled
     logits = np.empty((len(rows), len(start)))
-    for i in range(len(rows)):
-        for c in range(len(start)):
-            total = start[c]
-            for turn in range(len(roots)):
-                node = roots[turn, c]
-                while left[node] >= 0:
-                    node = left[node] if rows[i, feature[node]] <= threshold[node] else right[node]
-                total += threshold[node]
-            logits[i, c] = total
+    logits[:] = start
+    # A tree for a block of rows: both stay in the nearest cache.
+    for first in range(0, len(rows), _BLOCK):
+        last = min(first + _BLOCK, len(rows))
+        for turn in range(len(roots)):
+            for c in range(len(start)):
+                root = roots[turn, c]
+                for i in range(first, last):
+                    node = root
+                    while left[node] >= 0:
+                        node = left[node] if rows[i, feature[node]] <= threshold[node] else right[node]
+                    logits[i, c] += threshold[node]
     return logits

@@ -25,13 +25,17 @@ class Decoding:
     Parameters
     ----------
     change : price of beginning or ending an error, nats.
-    bias : of an error against none at every moment, nats.
+    shift, incomplete, partial, whole : what speaks for an error of the class at every moment, nats; ``whole`` for
+        global motion errors.
     shortest_s : a shorter error is none.
     surest : mean log odds against "ok" that an error must have, nats.
     """
 
     change: float = 3.0
-    bias: float = 0.0
+    shift: float = 0.0
+    incomplete: float = 0.0
+    partial: float = 0.0
+    whole: float = 0.0
     shortest_s: float = 0.25
     surest: float = 0.5
 
@@ -117,7 +121,7 @@ def _find_runs(
     logs: FloatArray, names: Sequence[str], limbs: tuple[int, ...], rate: float, how: Decoding
 ) -> list[Suspect]:
     scores = logs.copy()
-    scores[:, 1:] += how.bias
+    scores[:, 1:] += [how.shift, how.incomplete, how.partial if "partial" in names else how.whole]
     classes = follow_classes(np.ascontiguousarray(scores * (15.0 / rate)), how.change)
     edges = [0, *(np.flatnonzero(np.diff(classes)) + 1), len(classes)]
     found = []
@@ -125,7 +129,7 @@ def _find_runs(
         name = names[classes[start]] if end > start else "ok"
         if name == "ok" or end - start < how.shortest_s * rate:
             continue
-        odds = logs[start:end, classes[start]] - logs[start:end, 0]
+        odds = scores[start:end, classes[start]] - scores[start:end, 0]
         if odds.mean() >= how.surest:
             found.append(Suspect(name, int(start), int(end), limbs, float(odds.mean())))
     return found

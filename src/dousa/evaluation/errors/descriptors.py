@@ -60,6 +60,8 @@ _PER_WINDOW = (
 _LAG = _PER_WINDOW.index("lag")
 _SLIGHT = 0.03  # rad
 _KERNEL = np.ones(9) / 9.0
+_FLIP = np.array([-1.0, 1.0, 1.0])
+_FARTHEST = 4.0  # squared chord of opposite directions
 _SORTED = ("own", "best", "at_body", "path", "left_by_gain", "gain", "lag_beside_body")
 
 
@@ -149,16 +151,27 @@ def _measure_windows(
     part = slice(deviations.center - reach, deviations.center + reach + 1)
     # What has no weight, or is never seen, is as it should be.
     counts: NDArray[np.bool_] = np.any(evidence.ratio > 0.0, axis=(0, 1), keepdims=True)[0, 0]
-    squared, common = _pool_limbs(deviations.squared[:, part] * counts, LIMB_OF, N_LIMBS, _CAP, _CAP_IN_COMMON)
-    mirrored = deviations.reference[:, MIRRORED_SEGMENTS, :] * np.array([-1.0, 1.0, 1.0])
-    performance = np.where(counts[:, None], deviations.performance, deviations.reference)
-    motions = (performance, deviations.reference, mirrored, deviations.spread, time_spread)
-    ours, theirs, mirrored, spread, timing = (np.ascontiguousarray(values) for values in motions)
-    judged = deviations.judged.astype(np.float64)
-    rows = _collect_rows(squared, common, ours, theirs, mirrored, judged, LIMB_OF, rate, spread, timing)
+    squared, common = _pool_limbs(deviations.squared[:, part] * counts)
+    theirs = np.ascontiguousarray(deviations.reference)
+    ours = np.ascontiguousarray(np.where(counts[:, None], deviations.performance, theirs))
+    far = ((ours - theirs[:, MIRRORED_SEGMENTS, :] * _FLIP) ** 2).sum(axis=2)
+    covered = np.array([_cover(np.ascontiguousarray(one)) for one in (*squared, common)])
+    blocks = [
+        covered[:, 0].T,
+        covered[:, 1].T,
+        _by_limb(np.minimum(far, _FARTHEST) * deviations.judged),
+        _by_limb(_measure_speeds(theirs, rate)),
+        _by_limb(_measure_speeds(ours, rate)),
+        _by_limb(deviations.spread),
+        np.repeat(time_spread[:, None], N_LIMBS + 1, axis=1),
+    ]
+    rows = np.concatenate(blocks, axis=1)
     halves = np.array([max(1, round(0.5 * seconds * rate)) for seconds in _WINDOWS_S])
     sharp = max(1, round(_SHARP_S * rate))
-    return _describe(squared, common, ours, theirs, rows, LIMB_OF, frames, halves, sharp, _LAG_PRICE / rate, rate)
+    totals, together, sums = _accumulate(squared), _accumulate(common), _accumulate(rows)
+    return _describe(
+        totals, together, ours, theirs, rows, sums, LIMB_OF, frames, halves, sharp, _LAG_PRICE / rate, rate
+    )
 
 
 def _compare_lags(limb_table: FloatArray, body_table: FloatArray) -> FloatArray:
@@ -178,23 +191,59 @@ def _compare_lags(limb_table: FloatArray, body_table: FloatArray) -> FloatArray:
 
 
 def _follow_lags(evidence: Evidence) -> FloatArray:
-    """(T, 6, 4) of limbs and, last, the body along the cheapest course of lag: its size, its size beside the clip's
-    usual lag, what it explains, and for how long it has one sense."""
+    """(T, 6, 8) of limbs and, last, the body along the cheapest course of lag.
+
+    Its size; its size beside the clip's usual lag, beside the lag a while before and after (twice), beside the clip's
+    trend, and beside the body's; what it explains; and for how long it has one sense. People who dance as they please
+    drift; an error comes and goes.
+    """
     prices, change = evidence.lag_prices, LAG_CHANGE * 30.0 / evidence.rate
-    result = np.empty((len(evidence.ordinary), N_LIMBS + 1, 4))
-    for limb in range(N_LIMBS + 1):
+    count, step_s = len(evidence.ordinary), evidence.deviations.step_s
+    result = np.empty((count, N_LIMBS + 1, 8))
+    trend: FloatArray = np.zeros(count)
+    together: FloatArray = trend
+    for limb in range(N_LIMBS, -1, -1):
         segments = np.flatnonzero(limb == LIMB_OF) if limb < N_LIMBS else np.arange(len(SEGMENTS))
         cost = evidence.ratio[:, :, segments].sum(axis=2)
         share = len(segments) / len(SEGMENTS)
         course = follow_lag(cost + share * prices, share * change).astype(np.intp)
-        lag = (evidence.center - course) * evidence.deviations.step_s
+        lag: FloatArray = np.asarray((evidence.center - course) * step_s, np.float64)
+        if limb == N_LIMBS:
+            together, trend = lag, _find_trend(lag)
         here = np.take_along_axis(cost, course[:, None], axis=1)[:, 0]
-        explained = np.convolve(cost[:, evidence.center] - here, _KERNEL, mode="same")[: len(lag)] / len(segments)
+        explained = np.convolve(cost[:, evidence.center] - here, _KERNEL, mode="same")[:count] / len(segments)
         edges = np.concatenate([[True], np.sign(lag[1:]) != np.sign(lag[:-1])])
         run = np.cumsum(edges) - 1
-        lasts = np.bincount(run)[run] * evidence.deviations.step_s
-        result[:, limb] = np.stack([np.abs(lag), np.abs(lag - np.median(lag)), explained, lasts], axis=1)
+        lasts = np.bincount(run)[run] * step_s
+        around = [_look_beside(lag, round(seconds * evidence.rate)) for seconds in _BESIDE_S]
+        beside = np.stack([np.full(count, np.median(lag)), *around, trend, together])
+        result[:, limb] = np.stack([np.abs(lag), *np.abs(lag - beside), explained, lasts], axis=1)
     return result
+
+
+_BESIDE_S = (1.0, 2.0)
+_TREND_ROUNDS = 8
+
+
+def _look_beside(values: FloatArray, reach: int) -> FloatArray:
+    """Mean of the values so many frames before and after, those at the ends held."""
+    frames = np.arange(len(values))
+    before, after = values[np.maximum(frames - reach, 0)], values[np.minimum(frames + reach, len(values) - 1)]
+    return 0.5 * (before + after)
+
+
+def _find_trend(values: FloatArray) -> FloatArray:
+    """Straight line through most of the values: least absolute differences, by weights."""
+    x = np.linspace(-1.0, 1.0, len(values)) if len(values) > 1 else np.zeros(1)
+    weights = np.ones(len(values))
+    slope, middle = 0.0, float(np.median(values))
+    for _ in range(_TREND_ROUNDS):
+        total = weights.sum()
+        mean_x, mean_y = (weights * x).sum() / total, (weights * values).sum() / total
+        slope = (weights * (x - mean_x) * (values - mean_y)).sum() / max((weights * (x - mean_x) ** 2).sum(), 1e-9)
+        middle = mean_y - slope * mean_x
+        weights = 1.0 / np.maximum(np.abs(values - middle - slope * x), _SLIGHT)
+    return middle + slope * x
 
 
 def _summarise(limb_table: FloatArray) -> FloatArray:
@@ -214,33 +263,33 @@ def _describe_others(limb_table: FloatArray) -> FloatArray:
     return result
 
 
-@njit(cache=True, nogil=True)
-def _pool_limbs(
-    squared: FloatArray, limb_of: np.ndarray, n_limbs: int, cap: float, common_cap: float
-) -> tuple[FloatArray, FloatArray]:  # pragma: no cover - compiled
-    """(T, L, K) mean squared chord of each limb, and (T, K) of the body with each limb's say limited."""
-    n, n_lags, n_segments = squared.shape
-    limbs = np.zeros((n, n_limbs, n_lags))
-    common = np.zeros((n, n_lags))
-    count = np.zeros(n_limbs)
-    for s in range(n_segments):
-        count[limb_of[s]] += 1.0
-    for t in range(n):
-        for k in range(n_lags):
-            for s in range(n_segments):
-                limbs[t, limb_of[s], k] += min(squared[t, k, s], cap) / count[limb_of[s]]
-            for limb in range(n_limbs):
-                common[t, k] += min(limbs[t, limb, k], common_cap) / n_limbs
-    return limbs, common
+def _pool_limbs(squared: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """(L, T, K) mean squared chord of each limb, and (T, K) of the body with each limb's say limited."""
+    capped = np.minimum(squared, _CAP)
+    limbs = np.stack([capped[:, :, list(limb)].mean(axis=2) for limb in LIMBS.values()])
+    return limbs, np.minimum(limbs, _CAP_IN_COMMON).mean(axis=0)
 
 
-@njit(cache=True, nogil=True)
-def _accumulate(values: FloatArray) -> FloatArray:  # pragma: no cover - compiled
-    total = np.zeros((values.shape[0] + 1, values.shape[1]))
-    for t in range(values.shape[0]):
-        for k in range(values.shape[1]):
-            total[t + 1, k] = total[t, k] + values[t, k]
+def _accumulate(values: FloatArray) -> FloatArray:
+    """Sums along the last axis but one, from none."""
+    total = np.zeros((*values.shape[:-2], values.shape[-2] + 1, values.shape[-1]))
+    np.cumsum(values, axis=-2, out=total[..., 1:, :])
     return total
+
+
+def _measure_speeds(motion: FloatArray, rate: float) -> FloatArray:
+    """(T, 9) rad/s."""
+    frames = np.arange(len(motion))
+    before, after = np.maximum(frames - 1, 0), np.minimum(frames + 1, len(motion) - 1)
+    steps = np.linalg.norm(motion[after] - motion[before], axis=2)
+    speeds: FloatArray = steps * rate / np.maximum(after - before, 1)[:, None]
+    return speeds
+
+
+def _by_limb(values: FloatArray) -> FloatArray:
+    """(T, L + 1) means over the segments of each limb, and of the limbs, of (T, 9)."""
+    limbs = np.stack([values[:, list(limb)].mean(axis=1) for limb in LIMBS.values()], axis=1)
+    return np.concatenate([limbs, limbs.mean(axis=1, keepdims=True)], axis=1)
 
 
 @njit(cache=True, nogil=True)
@@ -336,76 +385,13 @@ def _mean(total: FloatArray, first: int, last: int, column: int) -> float:  # pr
 
 
 @njit(cache=True, nogil=True)
-def _measure_speeds(motion: FloatArray, rate: float, limb_of: np.ndarray, n_limbs: int) -> FloatArray:
-    """(T, L) rad/s."""  # pragma: no cover - compiled
-    n = len(motion)
-    speeds = np.zeros((n, n_limbs))
-    count = np.zeros(n_limbs)
-    for s in range(len(limb_of)):
-        count[limb_of[s]] += 1.0
-    for t in range(n):
-        low, high = max(t - 1, 0), min(t + 1, n - 1)
-        if high == low:
-            continue
-        for s in range(len(limb_of)):
-            far = 0.0
-            for axis in range(3):
-                step = motion[high, s, axis] - motion[low, s, axis]
-                far += step * step
-            speeds[t, limb_of[s]] += np.sqrt(far) * rate / (high - low) / count[limb_of[s]]
-    return speeds
-
-
-@njit(cache=True, nogil=True)
-def _collect_rows(
-    squared: FloatArray,
-    common: FloatArray,
-    ours: FloatArray,
-    theirs: FloatArray,
-    mirrored: FloatArray,
-    judged: FloatArray,
-    limb_of: np.ndarray,
-    rate: float,
-    spread: FloatArray,
-    time_spread: FloatArray,
-) -> FloatArray:  # pragma: no cover - compiled
-    """(T, 7 * (L + 1)): path, unreached, mirrored, their and our speed, spreads of the limbs and, last, the body."""
-    n, n_limbs = squared.shape[:2]
-    width = n_limbs + 1
-    rows = np.zeros((n, 7 * width))
-    theirs_speed = _measure_speeds(theirs, rate, limb_of, n_limbs)
-    ours_speed = _measure_speeds(ours, rate, limb_of, n_limbs)
-    count = np.zeros(n_limbs)
-    for s in range(len(limb_of)):
-        count[limb_of[s]] += 1.0
-    for t in range(n):
-        for s in range(len(limb_of)):
-            limb = limb_of[s]
-            far = 0.0
-            for axis in range(3):
-                step = ours[t, s, axis] - mirrored[t, s, axis]
-                far += step * step
-            rows[t, 2 * width + limb] += min(far, 4.0) / count[limb] * judged[t, s]
-            rows[t, 5 * width + limb] += spread[t, s] / count[limb]
-        for limb in range(n_limbs):
-            rows[t, 3 * width + limb] = theirs_speed[t, limb]
-            rows[t, 4 * width + limb] = ours_speed[t, limb]
-            for block in range(2, 6):
-                rows[t, block * width + n_limbs] += rows[t, block * width + limb] / n_limbs
-        rows[t, 6 * width :] = time_spread[t]
-    for limb in range(n_limbs):
-        rows[:, limb], rows[:, width + limb] = _cover(squared[:, limb])
-    rows[:, n_limbs], rows[:, width + n_limbs] = _cover(common)
-    return rows
-
-
-@njit(cache=True, nogil=True)
 def _describe(
-    squared: FloatArray,
-    common: FloatArray,
+    totals: FloatArray,
+    together: FloatArray,
     ours: FloatArray,
     theirs: FloatArray,
     rows: FloatArray,
+    sums: FloatArray,
     limb_of: np.ndarray,
     frames: np.ndarray,
     halves: np.ndarray,
@@ -413,16 +399,19 @@ def _describe(
     price: float,
     rate: float,
 ) -> tuple[FloatArray, FloatArray]:  # pragma: no cover - compiled
-    """(N, L, W, 21) features of limbs and (N, W, 15) of the body, in the order of `_PER_WINDOW`."""
-    n, n_limbs, n_lags = squared.shape
-    width, center = n_limbs + 1, n_lags // 2
+    """(N, L, W, 21) features of limbs and (N, W, 15) of the body, in the order of `_PER_WINDOW`.
+
+    Parameters
+    ----------
+    totals, together : (L, T + 1, K) and (T + 1, K), squared deviations of limbs and body summed up.
+    ours, theirs : (T, 9, 3).
+    rows, sums : (T, 7 * (L + 1)) and summed up: path, unreached, mirrored, their and our speed, spreads.
+    """
+    n_limbs, n = len(totals), len(ours)
+    width, center = n_limbs + 1, together.shape[1] // 2
     limb_out = np.zeros((len(frames), n_limbs, len(halves), 21))
     body_out = np.zeros((len(frames), len(halves), 15))
-    totals = np.zeros((n_limbs, n + 1, n_lags))
-    for limb in range(n_limbs):
-        totals[limb] = _accumulate(squared[:, limb])
-    together, sums = _accumulate(common), _accumulate(rows)
-    lagged, fit = np.zeros(4), np.zeros(5)
+    lagged, fit, late = np.zeros(4), np.zeros(5), np.zeros(5)
     for i in range(len(frames)):
         for w in range(len(halves)):
             first, last = max(frames[i] - halves[w], 0), min(frames[i] + halves[w] + 1, n)
@@ -431,9 +420,8 @@ def _describe(
             body_lag = lagged[2] / rate
             out[0], out[1], out[2], out[3] = lagged[0], lagged[1], body_lag, lagged[3]
             _fit_gain(ours, theirs, first, last, 0, -1, limb_of, fit)
-            out[4:6] = fit[:2]
-            _fit_gain(ours, theirs, first, last, body_at - center, -1, limb_of, fit)
-            out[6:8] = fit[:2]
+            _fit_gain(ours, theirs, first, last, body_at - center, -1, limb_of, late)
+            out[4], out[5], out[6], out[7] = fit[0], fit[1], late[0], late[1]
             out[8] = np.sqrt(max(_mean(sums, first, last, n_limbs), 0.0))
             out[9] = np.sqrt(max(_mean(sums, first, last, width + n_limbs), 0.0))
             out[10] = _mean(sums, first, last, 3 * width + n_limbs)
@@ -448,13 +436,18 @@ def _describe(
                 out[4] = np.sqrt(max(_mean(totals[limb], first, last, body_at), 0.0))
                 out[5] = abs(lagged[2] / rate - body_lag)
                 _fit_gain(ours, theirs, first, last, 0, limb, limb_of, fit)
-                out[6:11] = fit
-                _fit_gain(ours, theirs, first, last, at - center, limb, limb_of, fit)
-                out[11:13] = fit[:2]
-                out[13] = np.sqrt(max(_mean(sums, first, last, limb), 0.0))
-                out[14] = np.sqrt(max(_mean(sums, first, last, width + limb), 0.0))
-                out[15] = np.sqrt(rows[first:last, width + limb].max())
-                out[16] = np.sqrt(max(_mean(sums, first, last, 2 * width + limb), 0.0))
-                for block in range(3, 7):
-                    out[14 + block] = _mean(sums, first, last, block * width + limb)
+                _fit_gain(ours, theirs, first, last, at - center, limb, limb_of, late)
+                for k in range(5):
+                    out[6 + k] = fit[k]
+                out[11], out[12] = late[0], late[1]
+                most = 0.0
+                for t in range(first, last):
+                    most = max(most, rows[t, width + limb])
+                out[15] = np.sqrt(most)
+                for block in range(7):
+                    mean = _mean(sums, first, last, block * width + limb)
+                    if block < 2:
+                        out[13 + block] = np.sqrt(max(mean, 0.0))
+                    else:
+                        out[14 + block] = np.sqrt(max(mean, 0.0)) if block == 2 else mean
     return limb_out, body_out

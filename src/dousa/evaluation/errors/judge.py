@@ -34,12 +34,11 @@ class Judge:
     body: BoostedTrees
     decoding: Decoding
 
-    def weigh(self, descriptors: Descriptors) -> tuple[FloatArray, FloatArray]:
-        """(N, 5, 4) and (N, 4) log probabilities of the classes of limbs and body, see `decode`."""
-        count = len(descriptors.frames)
-        rows = descriptors.limbs.reshape(count * N_LIMBS, -1)
-        limbs = self.limbs.predict_log_proba(rows).reshape(count, N_LIMBS, -1)
-        return limbs, self.body.predict_log_proba(descriptors.body)
+    def weigh(self, descriptors: Descriptors, first: int = 0) -> tuple[FloatArray, FloatArray]:
+        """(N, 5, 4) and (N, 4) log probabilities of the classes of limbs and body; moments from ``first`` on."""
+        limbs, body = descriptors.limbs[first:], descriptors.body[first:]
+        of_limbs = self.limbs.predict_log_proba(limbs.reshape(-1, limbs.shape[2]))
+        return of_limbs.reshape(len(limbs), N_LIMBS, -1), self.body.predict_log_proba(body)
 
     def find(self, descriptors: Descriptors, rate: float) -> list[Suspect]:
         """Errors in moments, of which there are ``rate`` a second."""

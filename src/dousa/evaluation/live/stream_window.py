@@ -28,11 +28,15 @@ from dousa.evaluation.alignment.lines import (
     smooth_course,
     to_cost,
 )
+from dousa.evaluation.errors.decode import decode
+from dousa.evaluation.errors.descriptors import choose_stride
 from dousa.evaluation.errors.deviation import YAW_WINDOW_S, Deviations, compute_deviations, merge_takes
-from dousa.evaluation.errors.evidence import Tolerance, gather_evidence
+from dousa.evaluation.errors.evidence import Evidence, Tolerance, gather_evidence
 from dousa.evaluation.errors.explain import Finding
+from dousa.evaluation.errors.judge import load_judge
 from dousa.evaluation.errors.lapses import Lapse, find_lapses
-from dousa.evaluation.grade.references import ReferenceTakes, choose_tolerance, find_errors
+from dousa.evaluation.errors.measures import measure_suspects
+from dousa.evaluation.grade.references import ReferenceTakes, choose_tolerance, describe
 from dousa.evaluation.posture.posture import Working
 
 _KEPT_S = 30.0  # for which the past may still be seen otherwise
@@ -224,12 +228,23 @@ _SHORT_S, _LONG_S = 12.0, 30.0
 _CONTEXT_S = 2.5  # before a stretch that is still open
 _JOIN_S = 0.35  # errors nearer than this may become one
 _LEAST_LEFT_S = 0.5
+_AGAIN_S = 0.5  # judged once more before the look-ahead
 _LATE_NEWS_S = 1.0  # an error that ended longer ago is not reported any more
 _MOVED = 0.25  # frames by which a line must have moved for its deviations to be measured again
 _HISTORY_S, _NEAR_S = 180.0, 0.6
 _GROWTH = 1.1
 _FEW_S = 1.0
 _ORDER = ("stop", "skip", "repeat")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Weighed:
+    """Log probabilities of moments ``first`` and on; up to ``end`` (both of the whole) they had all that matters."""
+
+    first: int
+    end: int
+    limbs: FloatArray
+    body: FloatArray
 
 
 class Window:
@@ -252,6 +267,8 @@ class Window:
         self._open: int | None = None  # first frame of a stretch that has not ended
         self._settled_to = 0
         self._reported: list[Finding] = []
+        self._weighed: _Weighed | None = None
+        self._hop = round(_AGAIN_S * self._rate)
         self._history: list[tuple[FloatArray, FloatArray, FloatArray]] = []
         self._counted, self._measured = 0, 0
         self.tolerance = _START
@@ -296,7 +313,7 @@ class Window:
         self._find_lapses(performance, until)
         tolerance = self.tolerance
         evidence = gather_evidence(self._parts, tolerance.angle, tolerance.lag_s, self._weights)
-        found = [_move(one, self._first) for one in find_errors(self._references, self._frames, evidence)]
+        found = [_move(one, self._first) for one in self._judge(evidence, until)]
         self._open, settled = None, list[Finding]()
         for group in _group(found, _JOIN_S * self._rate):
             if max(one.end for one in group) <= until:
@@ -312,6 +329,20 @@ class Window:
         self._reported = [one for one in self._reported if one.end >= self._first] + fresh
         self._settled_to = until
         return sorted(fresh, key=lambda one: one.start)
+
+    def _judge(self, evidence: Evidence, until: int) -> list[Finding]:
+        """As `find_errors`, of the kept frames; what was judged with all that matters around it is not judged again."""
+        judge, stride = load_judge(), choose_stride(self._rate)
+        descriptors = describe(self._references, self._frames, evidence)
+        begin, kept = self._first // stride, self._weighed
+        # A hop ago the look-ahead was as long as it is now: before that nothing is new.
+        old = min(max(kept.end - self._hop // stride - begin, 0), len(descriptors.frames)) if kept else 0
+        new = judge.weigh(descriptors, old)
+        past = [one[begin - kept.first :][:old] for one in (kept.limbs, kept.body)] if kept and old else []
+        limbs, body = (np.concatenate(both) for both in zip(past, new, strict=True)) if past else new
+        self._weighed = _Weighed(begin, begin + max(0, (until - self._first) // stride), limbs, body)
+        suspects = decode(limbs, body, self._rate / stride, judge.decoding)
+        return measure_suspects(evidence, suspects, descriptors.frames)
 
     def _cut_off(self, finding: Finding) -> Finding | None:
         """What of an error was not reported yet; None if it was, or too little is left."""
@@ -332,8 +363,9 @@ class Window:
         if not self._line.known:
             first = 0
         first = max(first, count - round(_LONG_S * self._rate), 0)
-        # What was dropped is gone.
-        return max(first, self._first)
+        # What was dropped is gone; moments are every so many frames of the whole.
+        stride = choose_stride(self._rate)
+        return max(first, self._first) // stride * stride
 
     def _measure(self, part: Working, frames: FloatArray) -> Deviations:
         """As `compare` does, along a line that is known."""

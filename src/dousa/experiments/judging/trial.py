@@ -132,13 +132,27 @@ def score_decoding(
 
 
 def choose_decoding(logs: Sequence[tuple[np.ndarray, np.ndarray]], described: Sequence[Described]) -> Decoding:
-    """The prices with the best macro F, of a few."""
-    best, most = Decoding(), -1.0
-    for change in (2.0, 3.0, 5.0, 8.0):
-        for bias in (-1.0, -0.5, 0.0, 0.5, 1.0, 1.5):
-            for surest in (0.0, 0.5, 1.0):
-                how = Decoding(change=change, bias=bias, surest=surest)
+    """The prices with the best macro F, one after the other, round by round."""
+    best = Decoding()
+    most = score_decoding(logs, described, best).macro_f
+    for _ in range(_ROUNDS_OF_CHOICE):
+        for name, values in _CHOICES.items():
+            for value in values:
+                how = replace(best, **{name: value})
                 found = score_decoding(logs, described, how).macro_f
                 if found > most:
                     best, most = how, found
     return best
+
+
+_ROUNDS_OF_CHOICE = 3
+_BIASES = tuple(np.arange(-1.0, 4.1, 0.5).tolist())
+_CHOICES: dict[str, tuple[float, ...]] = {
+    "change": (2.0, 3.0, 5.0, 8.0),
+    "shift": _BIASES,
+    "incomplete": _BIASES,
+    "partial": _BIASES,
+    "whole": _BIASES,
+    "surest": (-0.5, 0.0, 0.5, 1.0),
+    "shortest_s": (0.2, 0.3, 0.4),
+}
