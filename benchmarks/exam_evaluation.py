@@ -719,8 +719,10 @@ def baseline(references, performance):
         np.stack(v) for v in zip(*(baseline_one(to_30(r), y) for r in references), strict=True)
     )
     grade = float(np.clip(100 - 3 * off.mean((1, 2)).min(), 0, 100))
+
     def pick(v):
         return np.take_along_axis(v, np.abs(v).argmin(0)[None], 0)[0]
+
     lag, off, limb_lag, missing = pick(lag), off.min(0), pick(limb_lag), missing.min(0)
     late = np.abs(lag) > 0.08
     small = missing > 15
@@ -957,8 +959,10 @@ def irds_plain(references, performance):
     """One dimension: the angle from the start of the segment that moves most, its range and its DTW distance."""
     refs, y = [to_30(r) for r in references], to_30(performance)
     main = int(np.mean([spread(x) for x in refs], 0).argmax())
+
     def curve(x):
         return angle(x[:, main], x[0, main])
+
     mine, marks = curve(y), []
     for x in refs:
         theirs = curve(x)
@@ -971,10 +975,10 @@ def irds_check(root, ask):
     """AUROC of the grade for repetitions that a physiotherapist called correct, first five as references."""
     rows, labels, grades, means = {}, [], [], []
     for folder in sorted((Path(root) / "irds").glob("g*")):
+
         def load(kind, f=folder):
-            return [
-                    dousa.canonicalise(dousa.read_motion(p)) for p in sorted((f / kind).glob("*.trc"))
-                ]
+            return [dousa.canonicalise(dousa.read_motion(p)) for p in sorted((f / kind).glob("*.trc"))]
+
         good, bad = load("correct"), load("incorrect")
         if len(good) < 5:
             continue

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from dousa.arrays import FloatArray
 from dousa.evaluation.alignment.dynamic_programming import follow_lag
 from dousa.evaluation.errors.decode import Suspect
 from dousa.evaluation.errors.evidence import LAG_CHANGE, Evidence
@@ -14,6 +15,7 @@ from dousa.evaluation.errors.explain import BODY, Finding, fade_gain, find_chang
 from dousa.evaluation.errors.extent import fit_gain, measure_missing_range
 
 _PLATEAU = 0.75  # of the largest lag: the rest is fading in and out
+_EDGE, _LEAST_KEPT = 0.3, 0.5  # of the lag; of the span
 _SMOOTH_S = 0.3
 _PARTLY_WRONG = 1.0  # mean squared multiple of the tolerance from which a segment of a wrong limb is wrong itself
 
@@ -42,14 +44,19 @@ def measure_suspects(evidence: Evidence, suspects: Sequence[Suspect], frames: ND
 
 
 def _measure_shift(evidence: Evidence, start: int, end: int, segments: NDArray[np.intp]) -> Finding:
-    lag = measure_lag(evidence, start, end, segments)
+    course = follow_limb(evidence, start, end, segments)
+    lag = choose_lasting(course)
+    # It begins and ends where it is seen to.
+    late = np.flatnonzero(course * np.sign(lag) >= _EDGE * abs(lag))
+    if len(late) and late[-1] - late[0] >= _LEAST_KEPT * (end - start):
+        start, end = start + int(late[0]), start + int(late[-1]) + 1
     far = evidence.punctual[start:end, segments].sum(axis=1)
     worst = start + int(np.argmax(far))
     return Finding("shift", start, end, _name(segments), max(abs(lag) / evidence.slack_s, 1.0), worst, lag)
 
 
-def measure_lag(evidence: Evidence, start: int, end: int, segments: NDArray[np.intp]) -> float:
-    """Largest lasting lag of some segments in s; positive is late.
+def follow_limb(evidence: Evidence, start: int, end: int, segments: NDArray[np.intp]) -> FloatArray:
+    """(end - start,) s, lag of some segments over time; positive is late.
 
     The course of the lag that leaves least, smoothed, to a fraction of a frame by a parabola.
     """
@@ -66,7 +73,11 @@ def measure_lag(evidence: Evidence, start: int, end: int, segments: NDArray[np.i
     left, here, right = (squared[rows, inner + step] for step in (-1, 0, 1))
     bend = left - 2.0 * here + right
     part = np.where(bend > 1e-9, 0.5 * (left - right) / np.maximum(bend, 1e-9), 0.0)
-    lag = -(inner - deviations.center + np.clip(part, -1.0, 1.0)) * deviations.step_s
+    return np.asarray(-(inner - deviations.center + np.clip(part, -1.0, 1.0)) * deviations.step_s)
+
+
+def choose_lasting(lag: FloatArray) -> float:
+    """Largest lasting lag of a course in s."""
     most = float(np.abs(lag).max())
     late = lag.sum() >= 0.0
     lasting = lag[(np.abs(lag) >= _PLATEAU * most) & ((lag >= 0.0) == late)]

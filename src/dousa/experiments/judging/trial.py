@@ -132,9 +132,15 @@ def score_decoding(
 
 
 def choose_decoding(logs: Sequence[tuple[np.ndarray, np.ndarray]], described: Sequence[Described]) -> Decoding:
-    """The prices with the best macro F, one after the other, round by round."""
-    best = Decoding()
-    most = score_decoding(logs, described, best).macro_f
+    """The prices with the best macro F: one after the other, round by round, from several starts."""
+    found = [_improve(start, logs, described) for start in _STARTS]
+    return max(found, key=lambda pair: pair[1])[0]
+
+
+def _improve(
+    start: Decoding, logs: Sequence[tuple[np.ndarray, np.ndarray]], described: Sequence[Described]
+) -> tuple[Decoding, float]:
+    best, most = start, score_decoding(logs, described, start).macro_f
     for _ in range(_ROUNDS_OF_CHOICE):
         for name, values in _CHOICES.items():
             for value in values:
@@ -142,9 +148,10 @@ def choose_decoding(logs: Sequence[tuple[np.ndarray, np.ndarray]], described: Se
                 found = score_decoding(logs, described, how).macro_f
                 if found > most:
                     best, most = how, found
-    return best
+    return best, most
 
 
+_STARTS = (Decoding(), Decoding(change=2.0, shift=1.0, incomplete=0.5), Decoding(change=5.0, shift=1.5, surest=0.5))
 _ROUNDS_OF_CHOICE = 3
 _BIASES = tuple(np.arange(-1.0, 4.1, 0.5).tolist())
 _CHOICES: dict[str, tuple[float, ...]] = {
