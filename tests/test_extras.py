@@ -17,7 +17,7 @@ PROJECT = tomllib.loads((Path(__file__).parents[1] / "pyproject.toml").read_text
 # Run where these packages cannot be imported.
 HIDDEN = """
 import sys
-for name in ("cv2", "matplotlib", "fontTools", "fastapi", "uvicorn", "jinja2", "scipy", "PIL"):
+for name in ("cv2", "matplotlib", "fontTools", "fastapi", "uvicorn", "jinja2", "scipy", "PIL", "librosa"):
     sys.modules[name] = None
 """
 CASES = [
@@ -25,6 +25,7 @@ CASES = [
     ("film", "from dousa.estimation.silhouettes.images import read_image; read_image('x.png')"),
     ("pictures", "from dousa.app.pictures.canvas import new_figure; new_figure(2.0, 1.0)"),
     ("pictures", "from dousa.app.pictures.canvas import drawable; drawable('x')"),
+    ("music", "from dousa.evaluation import find_beats; find_beats('x.wav')"),
     ("studio", "from dousa.app.studio import create_app"),
 ]
 

@@ -26,13 +26,13 @@ def read_diagrams() -> dict[str, list[list[str]]]:
     """Per folder the lines of its diagram, from what knows nobody to what nobody knows.
 
     A diagram is a block whose first line names the folder below ``src/dousa`` (``.`` is the package itself); names in
-    one place of a line, separated by commas, do not know each other.
+    one place of a line, separated by commas, do not know each other; one alone in a line knows nobody of the folder.
     """
     found = {}
     for block in re.findall(r"^```\n(.*?)^```$", PAGE.read_text(encoding="utf-8"), re.MULTILINE | re.DOTALL):
         folder, *lines = block.splitlines()
         if "<-" in block and "<-" not in folder:
-            places = [re.split(r" +<-+ +", line.strip()) for line in lines if "<-" in line]
+            places = [re.split(r" +<-+ +", line.strip()) for line in lines if line.strip()]
             found[folder.strip().rstrip("/:")] = places
     return found
 

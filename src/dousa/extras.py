@@ -5,6 +5,7 @@ extra       what it is for                                                      
 ==========  ===================================================================  =====================================
 film        estimation from silhouettes, films, overlays                         OpenCV
 pictures    contact sheets, timelines; Japanese text in pictures and reports     matplotlib, fontTools, a Japanese font
+music       the beats of a piece of music                                        librosa
 studio      the page in the browser, with all of the above                       FastAPI, uvicorn, Jinja
 ==========  ===================================================================  =====================================
 

@@ -3,6 +3,10 @@ from .advice.directions import Correction
 from .advice.progress import Attempt, Progress, compare_attempts, read_attempt
 from .alignment.correlation import compute_correlation_matrix
 from .alignment.correspondence import Line, find_lines, find_path
+from .beats.accents import ACCENTS, Accent, find_accents
+from .beats.beat_times import Beats, read_beats, to_beats
+from .beats.music import find_beats
+from .beats.timing import BeatTiming, TimedAccent, assess_timing
 from .errors.lapses import Lapse
 from .exercises.range_of_motion import (
     ANGLE_NAMES,
@@ -44,6 +48,7 @@ from .words import describe_event, describe_heading, describe_lapse, describe_se
 
 __all__ = [
     "ABOUT_REFERENCES",
+    "ACCENTS",
     "ANGLES",
     "ANGLE_NAMES",
     "LIMBS",
@@ -51,11 +56,14 @@ __all__ = [
     "PAIRED_ANGLES",
     "SEGMENTS",
     "SEGMENT_JOINTS",
+    "Accent",
     "AdjustableAssessment",
     "Advice",
     "AssessedRepetition",
     "Assessment",
     "Attempt",
+    "BeatTiming",
+    "Beats",
     "Correction",
     "Eigenspace",
     "ErrorEvent",
@@ -71,10 +79,12 @@ __all__ = [
     "Repetition",
     "RepetitionSplit",
     "RepetitionsAssessment",
+    "TimedAccent",
     "Trend",
     "advise",
     "assess",
     "assess_repetitions",
+    "assess_timing",
     "compare_attempts",
     "compute_complex_correlation",
     "compute_correlation_matrix",
@@ -95,6 +105,8 @@ __all__ = [
     "estimate_robust_yaw",
     "estimate_trend",
     "estimate_yaw",
+    "find_accents",
+    "find_beats",
     "find_furi",
     "find_lines",
     "find_path",
@@ -105,8 +117,10 @@ __all__ = [
     "mirror_postures",
     "praise",
     "read_attempt",
+    "read_beats",
     "read_furi",
     "read_weights",
     "rotate_yaw",
+    "to_beats",
     "write_furi",
 ]

@@ -91,6 +91,24 @@ def evaluate(
         Path | None,
         typer.Option("--picture", metavar="FILE", help="With --repetitions: draw them (.png, .svg or .pdf)."),
     ] = None,
+    music: Annotated[
+        Path | None,
+        typer.Option("--music", metavar="FILE", help="The music: how early or late the accents are to its beats."),
+    ] = None,
+    beats: Annotated[
+        Path | None,
+        typer.Option(
+            "--beats", metavar="FILE", help="Its beats instead: one time in seconds a line, or Audacity labels."
+        ),
+    ] = None,
+    music_start: Annotated[
+        float | None,
+        typer.Option(
+            "--music-start",
+            metavar="SECONDS",
+            help="Where the music begins in the recording of the performance. Default: estimated.",
+        ),
+    ] = None,
     unit: o.Unit = None,
     up: o.Up = None,
     skeleton: o.SkeletonFile = None,
@@ -108,12 +126,14 @@ def evaluate(
     Example: dousa evaluate squat.trc --performance squats.trc --repetitions --csv squats.csv
     """
     from dousa.app.cli.exercises import check_exercise_options, evaluate_exercise
+    from dousa.app.pipelines.beats import check_beat_options, load_beats, time_accents
     from dousa.app.pipelines.evaluate import check_folder, evaluate_files, find_references
     from dousa.formats.motion_files import ReadOptions
 
     if performance is None:
         raise OptionError("evaluation_cli.no_performance")
     check_exercise_options(repetitions, csv, picture, {"--output": output, "--furi": furi})
+    check_beat_options(music, beats, music_start, repetitions)
     if output is not None:
         check_folder(output)
     if not performance.exists():
@@ -125,6 +145,7 @@ def evaluate(
         loaded = _load_weights(weights)
         evaluate_exercise(files, performance, options, side, loaded, csv=csv, picture=picture, json=json)
         return
+    known = load_beats(music, beats)
     with progress_bar() as progress:
         done = evaluate_files(
             files,
@@ -136,6 +157,7 @@ def evaluate(
             weights=_load_weights(weights),
             progress=progress,
         )
+        timing = None if known is None else time_accents(done, known, music_start)
         page = None
         if output is not None:
             from dousa.app.report import write_report
@@ -144,11 +166,13 @@ def evaluate(
             page = write_report(done.assessment, output, language=language)
     _warn(done)
     if json:
-        print_json(_describe(done, page, detail))
+        print_json(_describe(done, page, detail) | ({} if timing is None else {"beats": timing.to_json()}))
     else:
         from dousa.app.tables.answers import print_assessment
 
         print_assessment(console(), done.assessment, detail)
+        for message in () if timing is None else timing.messages:
+            console().print(str(message), markup=False, soft_wrap=True)
         if page is not None:
             console().print(str(Message("evaluation_cli.report", path=page)), markup=False, soft_wrap=True)
 

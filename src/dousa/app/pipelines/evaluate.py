@@ -38,12 +38,14 @@ class Evaluation:
     references : files of the reference takes, the first is the model.
     performance : the file judged.
     notes : (file, warning) what reading the files said.
+    motion : what that file holds.
     """
 
     assessment: Assessment
     references: tuple[Path, ...]
     performance: Path
     notes: tuple[tuple[Path, Message], ...]
+    motion: CanonicalMotion
 
 
 def find_references(paths: Sequence[Path]) -> list[Path]:
@@ -120,7 +122,7 @@ def evaluate_files(
         shortest = min(range(len(references)), key=lambda number: takes[number].duration)
         where = references[shortest] if error.code in ABOUT_REFERENCES else performance
         raise InvalidMotionError("cli.file_problem", path=where, reason=error.located) from error
-    return Evaluation(assessment, tuple(references), performance, tuple(notes))
+    return Evaluation(assessment, tuple(references), performance, tuple(notes), takes[-1])
 
 
 def read_take(path: Path, options: ReadOptions, notes: list[tuple[Path, Message]]) -> CanonicalMotion:

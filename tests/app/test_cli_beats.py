@@ -1,0 +1,74 @@
+"""``dousa evaluate --beats`` and ``--music`` as a person uses them: sentences, JSON, and mistakes in one line."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from dousa.formats.registry import write_motion
+from evaluation.beats.accented import make_body, wave
+
+BEATS = np.arange(0.0, 20.0, 0.5)
+
+
+@pytest.fixture(scope="module")
+def files(tmp_path_factory) -> Path:
+    """dance.trc, whose hand rests 80 ms after every second beat; beats.csv, and others that cannot be used."""
+    folder = tmp_path_factory.mktemp("beats")
+    body = make_body({"left_hand": wave(BEATS[2:34:2] + 0.08, 60.0)}, 60.0)
+    write_motion(body.to_trajectories(), folder / "dance.trc")
+    for name, beats in (("beats", BEATS), ("unsorted", BEATS[::-1]), ("short", BEATS[:6]), ("empty", ())):
+        (folder / f"{name}.csv").write_text("time\n" + "".join(f"{beat}\n" for beat in beats))
+    return folder
+
+
+def evaluate(dousa, files, *words):
+    return dousa("evaluate", files / "dance.trc", "--performance", files / "dance.trc", *words)
+
+
+def test_the_sentences(dousa, files):
+    code, out, _ = evaluate(dousa, files, "--beats", files / "beats.csv", "--music-start", "0")
+    assert code == 0
+    assert "16 of 16 accents belong to beats of the music (120 a minute), " in out and " ms late in the median" in out
+    assert "no drift over the song" in out
+
+
+def test_the_sentences_in_japanese_where_the_start_is_estimated(dousa, files):
+    code, out, _ = evaluate(dousa, files, "--beats", files / "beats.csv", "--lang", "ja")
+    assert code == 0
+    assert "拍との一致: アクセント 16 個のうち 16 個" in out and "音楽の開始はアクセントから推定しました" in out
+
+
+def test_json_has_beats_only_when_asked(dousa, files):
+    code, out, _ = evaluate(dousa, files, "--beats", files / "beats.csv", "--music-start", "0", "--json")
+    beats = json.loads(out)["beats"]
+    assert code == 0
+    assert beats["median_ms"] == pytest.approx(80.0, abs=25.0)
+    assert len(beats["accents"]) == 16
+    code, out, _ = evaluate(dousa, files, "--json")
+    assert code == 0 and "beats" not in json.loads(out)
+
+
+@pytest.mark.parametrize(
+    ("words", "says"),
+    [
+        (("--beats", "unsorted.csv"), "expected rising times"),
+        (("--beats", "empty.csv"), "expected at least 4"),
+        (("--beats", "short.csv"), "shorter than the dance"),
+        (("--beats", "none.csv"), "none.csv"),
+        (("--beats", "beats.csv", "--music-start", "100"), "check --music-start"),
+        (("--beats", "beats.csv", "--music-start", "nan"), "expected seconds"),
+        (("--beats", "beats.csv", "--music", "song.wav"), "cannot be combined"),
+        (("--beats", "beats.csv", "--repetitions"), "cannot be combined with --repetitions"),
+        (("--music-start", "1"), "needs --music or --beats"),
+    ],
+)
+def test_mistakes_are_one_line(dousa, files, monkeypatch, words, says):
+    monkeypatch.chdir(files)
+    code, out, err = evaluate(dousa, files, *words)
+    assert (code, out) == (2, "")
+    assert says in err
+    assert len([line for line in err.splitlines() if not line.startswith("note")]) == 1
