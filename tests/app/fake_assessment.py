@@ -226,7 +226,7 @@ def make_assessment(
         events=_make_events(windows, lambda t: int(np.searchsorted(cuts, t, "right")), words),
         lapses=(Lapse("skip", 0.95 * seconds, 0.95 * seconds, 0.9 * seconds, 0.95 * seconds),),
         score=71.0, score_formula=Message("text.verbatim", text="100 - 10 x 2.9 = 71"), calibrated=False,
-        n_references=1, tempo=1.0,
+        n_references=1, tempo=1.0, coverage=0.95, score_interval=(64.0, 77.0),
         gaps=(gap,), warnings=(Message("text.verbatim", text="one take of the reference: the limits are guessed"),),
     )  # fmt: skip
 

@@ -63,15 +63,16 @@ def asked(monkeypatch):
 def test_the_table_tells_grade_errors_and_order(run, takes, asked):
     code, out, err = run("evaluate", takes / "takes/t0.bvh", "--performance", takes / "pupil.bvh")
     assert code == 0
-    for word in ("grade 71", "100 - 10 x 2.9 = 71", "not calibrated", "global motion error", "order: skip",
-                 "partial motion error", "24 deg short", "200 ms late", " 1.4 "):  # fmt: skip
+    said = ("95 % of the reference", "(64 to 77)", "grade 71", "100 - 10 x 2.9 = 71", "not calibrated", "24 deg short",
+            "global motion error", "order: skip", "partial motion error", "200 ms late", " 1.4 ")  # fmt: skip
+    for word in said:
         assert word in out
     assert len(re.findall(r"^ ?0:\d\d\.\d-0:\d\d\.\d", out, re.MULTILINE)) == 5
     assert "the limits are guessed" in err and "Traceback" not in err
     ((references, performance, options),) = asked.assess
     assert len(references) == 1 and performance.n_frames > 10
     assert options.pop("names") == ["t0.bvh", "pupil.bvh"]
-    assert options == {"furi": None, "side": "same", "tempo": "same", "weights": None}
+    assert options == {"furi": None, "side": "same", "tempo": "same", "weights": None, "importance": "learned"}
     assert asked.report == []
 
 
@@ -99,7 +100,7 @@ def test_options_reach_the_assessment(run, takes, asked, tmp_path):
     options = asked.assess[0][2]
     assert (options["side"], options["tempo"]) == ("mirrored", "free")
     assert options["weights"]["left_forearm"] == 2.0 and options["weights"]["trunk"] == 1.0
-    for word in ("評価 71", "全体振りミス", "左腕：24度足りません", "時刻", "しきい値は未校正", "順序: 抜け"):
+    for word in ("評価 71", "全体振りミス", "左腕：24度足りません", "時刻", "未校正", "64～77", "順序: 抜け"):
         assert word in out
     assert asked.report[0][1] == "ja" and (tmp_path / "out/report.html").read_text() == "ja"
 
@@ -136,7 +137,8 @@ def test_nothing_found_and_no_grade(run, takes, asked, monkeypatch):
     monkeypatch.setitem(dousa.evaluation.__dict__, "assess", lambda *_, **__: made)
     code, out, _ = run("evaluate", takes / "takes", "-p", takes / "pupil.bvh")
     assert code == 0
-    assert out.startswith("100 - 10") and "of 100" not in out  # why there is none stands for the grade
+    # Why there is none stands for the grade.
+    assert out.splitlines()[1].startswith("100 - 10") and "of 100" not in out
     assert "no error was found" in out and "1.0 s of gaps" in out
 
 
@@ -313,15 +315,15 @@ def test_brief_is_the_grade_and_what_to_work_on(run, takes, asked):
     code, out, _ = run(*words, "--detail", "brief")
     assert code == 0
     lines = out.splitlines()
-    assert lines[0].startswith("grade 71")
-    assert [line[:3] for line in lines[1:4]] == ["1. ", "2. ", "3. "]
-    assert "went well" in lines[4]
-    assert lines[5:] == ["2 more things to work on: --detail full"]
+    assert lines[0].startswith("95 %") and lines[1].startswith("grade 71")
+    assert [line[:3] for line in lines[2:5]] == ["1. ", "2. ", "3. "]
+    assert "went well" in lines[5]
+    assert lines[6:] == ["2 more things to work on: --detail full"]
     full = run(*words)[1]
     assert full.startswith("\n".join(lines[:5])) and "partial motion error" in full
     brief, whole = (json.loads(run(*words, "--json", "--detail", one)[1])["advice"] for one in ("brief", "full"))
     assert len(brief) == 3 and sorted(one["event"] for one in whole if one["event"] is not None) == [0, 1, 2, 3]
-    assert lines[1] == f"1. {brief[0]['says']}"
+    assert lines[2] == f"1. {brief[0]['says']}"
 
 
 def test_progress_over_answers(run, takes, asked, tmp_path):
@@ -352,3 +354,10 @@ def test_progress_over_something_else(run, tmp_path, content, says):
         file.write_text(content)
     code, out, err = run("progress", file, file)
     assert code == 2 and out == "" and says in err and len(err.splitlines()) == 1
+
+
+def test_equal_weights_are_no_file(run, takes, asked):
+    code, _, _ = run("evaluate", takes / "takes/t0.bvh", "-p", takes / "pupil.bvh", "--weights", "equal")
+    assert code == 0
+    options = asked.assess[0][2]
+    assert options["importance"] == "equal" and options["weights"] is None

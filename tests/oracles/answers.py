@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 
 import pytest
 
@@ -21,11 +22,18 @@ def judge(performance: CanonicalMotion, reference: CanonicalMotion, **options: o
 
 def check(assessment: Assessment) -> None:
     text = json.dumps(assessment.to_json(), allow_nan=False, ensure_ascii=False)
-    assert json.loads(text)["score"] == pytest.approx(assessment.score, abs=0.051)
+    said = json.loads(text)["score"]
+    # There is a grade, or a reason why there is none.
+    ungraded = assessment.score_formula.code in ("grade.unlike", "grade.nothing")
+    assert ungraded == (said is None) == math.isnan(assessment.score)
+    if not ungraded:
+        assert said == pytest.approx(assessment.score, abs=0.051) and 0.0 <= assessment.score <= 100.0
+        low, high = assessment.score_interval
+        assert 0.0 <= low <= assessment.score <= high <= 100.0
+    assert 0.0 <= assessment.coverage <= 1.0
     count = assessment.performance.n_frames
     for name in ("same_time", "matched_time", "d_space_limit", "d_within_limit", *CURVES):
         assert len(getattr(assessment, name)) == count, name
-    assert 0.0 <= assessment.score <= 100.0
     for event in assessment.events:
         assert event.kind in ("global", "partial", "incomplete", "shift")
         assert 0.0 <= event.start_s < event.end_s <= assessment.performance.duration + 1e-9

@@ -1,4 +1,4 @@
-"""The grade: identity, the spread of the takes, missing values, both languages."""
+"""The grade: identity, order, what is left out, doubt, both languages."""
 
 from __future__ import annotations
 
@@ -8,9 +8,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from dousa.errors import InvalidMotionError
-from dousa.evaluation.grade.score import UNCALIBRATED_SPREAD, compute_deviation, compute_score
-
-degrees = st.floats(0.0, 60.0)
+from dousa.evaluation.grade.parts import PARTS, compute_deviation
+from dousa.evaluation.grade.score import compute_grade, load_model
 
 
 def test_deviation_is_the_mean_of_the_root_mean_square_in_degrees() -> None:
@@ -50,54 +49,84 @@ def test_other_shapes_are_refused(shape: tuple[int, ...]) -> None:
         compute_deviation(np.zeros(shape))
 
 
-@pytest.mark.parametrize("takes", [[], [8.0], [8.0, 9.0, 7.5]])
-def test_no_deviation_is_100(takes: list[float]) -> None:
-    assert compute_score(0.0, takes)[0] == 100.0
+MODEL = load_model()
+NO_TAKES = np.zeros((0, len(PARTS)))
+parts_of_a_grade = st.lists(st.floats(0.0, 60.0), min_size=len(PARTS), max_size=len(PARTS)).map(np.array)
+takes_of_a_reference = st.lists(parts_of_a_grade, max_size=4).map(lambda rows: np.reshape(rows, (-1, len(PARTS))))
 
 
-def test_ten_points_for_each_standard_deviation_beyond_the_mean_of_the_takes() -> None:
-    takes = [6.0, 8.0, 10.0]  # mean 8
-    # Squares about the mean, the usual spread of 4 deg as one take more, over three.
-    spread = ((4.0 + 0.0 + 4.0 + UNCALIBRATED_SPREAD**2) / 3.0) ** 0.5
-    assert compute_score(8.0, takes)[0] == 100.0
-    assert compute_score(8.0 + spread, takes)[0] == pytest.approx(90.0)
-    assert compute_score(8.0 + 3.5 * spread, takes)[0] == pytest.approx(65.0)
-    assert compute_score(100.0, takes)[0] == 0.0
-    assert compute_score(15.0, takes)[2]
+def test_the_numbers_that_are_shipped_make_sense() -> None:
+    assert MODEL.usual.shape == (len(MODEL.n_references), len(PARTS)) and (MODEL.usual >= 0.0).all()
+    assert (MODEL.strengths >= 0.0).all() and MODEL.strengths.sum() > 0.0 and (MODEL.floors > 0.0).all()
+    assert MODEL.curve[0].tolist() == [0.0, 100.0] and MODEL.curve[-1, 1] == 0.0
+    assert (np.diff(MODEL.curve[:, 0]) > 0.0).all() and (np.diff(MODEL.curve[:, 1]) < 0.0).all()
+    # More takes of the reference leave less doubt.
+    assert (np.diff(MODEL.doubt) <= 0.0).all()
 
 
-@pytest.mark.parametrize("takes", [[], [8.0], [8.0, float("nan")]])
-def test_too_few_takes_are_not_calibrated(takes: list[float]) -> None:
-    score, formula, calibrated = compute_score(2.0 * UNCALIBRATED_SPREAD, takes)
-    assert score == pytest.approx(80.0)
-    assert not calibrated
-    assert "not calibrated" in str(formula)
+@given(takes_of_a_reference)
+def test_the_same_motion_is_graded_100(takes: np.ndarray) -> None:
+    assert compute_grade(np.zeros(len(PARTS)), 1.0, takes, len(takes) + 1).score == 100.0
+
+
+@pytest.mark.parametrize("count", [1, 3, 5])
+def test_what_is_usual_between_takes_is_graded_about_90(count: int) -> None:
+    usual = MODEL.find_usual(NO_TAKES, count)
+    assert compute_grade(usual, 1.0, NO_TAKES, count).score == pytest.approx(90.0, abs=6.0)
+
+
+@given(parts_of_a_grade, st.integers(0, len(PARTS) - 1), st.floats(0.0, 40.0), takes_of_a_reference)
+def test_more_of_any_part_never_grades_better(parts: np.ndarray, number: int, more: float, takes: np.ndarray) -> None:
+    worse = parts + more * np.eye(len(PARTS))[number]
+    count = len(takes) + 1
+    assert compute_grade(worse, 1.0, takes, count).score <= compute_grade(parts, 1.0, takes, count).score
+
+
+@given(parts_of_a_grade, st.floats(0.0, 1.0), st.floats(0.0, 1.0))
+def test_what_is_left_out_counts(parts: np.ndarray, one: float, other: float) -> None:
+    less, more = (compute_grade(parts, share, NO_TAKES, 1) for share in sorted((one, other)))
+    assert less.score <= more.score <= 100.0
+    assert less.score <= 100.0 * (less.coverage + 0.02) + 1e-3
+
+
+def test_a_fourteenth_of_the_dance_is_no_good_performance() -> None:
+    assert compute_grade(np.zeros(len(PARTS)), 0.07, NO_TAKES, 1).score < 10.0
+
+
+def test_the_interval_holds_the_grade_and_narrows_with_more_takes() -> None:
+    widths = []
+    for count in (1, 3, 5):
+        usual = MODEL.find_usual(NO_TAKES, count)
+        found = compute_grade(usual, 1.0, np.tile(usual, (count - 1, 1)), count)
+        low, high = found.interval
+        assert low <= found.score <= high
+        widths.append(high - low)
+    assert widths[0] > widths[1] >= widths[2] > 0.0
+
+
+@pytest.mark.parametrize("count", [0, 1])
+def test_too_few_takes_are_not_calibrated(count: int) -> None:
+    takes = np.tile(MODEL.usual[0], (count, 1))
+    found = compute_grade(MODEL.usual[0], 1.0, takes, count + 1)
+    assert not found.calibrated and found.formula.code == "grade.uncalibrated"
+    more = compute_grade(MODEL.usual[0], 1.0, np.tile(MODEL.usual[0], (2, 1)), 3)
+    assert more.calibrated and more.formula.code == "grade.calibrated"
 
 
 def test_takes_that_happen_to_agree_do_not_make_the_grade_mad() -> None:
-    assert compute_score(10.5, [10.0, 10.0])[0] > 95.0
-    assert compute_score(0.5, [0.0, 0.0, 0.0, 0.0])[0] > 95.0
+    usual = MODEL.find_usual(NO_TAKES, 5)
+    agreed = compute_grade(0.5 * usual, 1.0, np.zeros((4, len(PARTS))), 5).score
+    assert agreed > 75.0
 
 
-def test_nothing_to_compare_is_0_and_says_so() -> None:
-    score, formula, _ = compute_score(float("nan"), [5.0, 6.0])
-    assert score == 0.0
-    assert "no moment" in str(formula)
+@pytest.mark.parametrize(("unlike", "code"), [(True, "grade.unlike"), (False, "grade.nothing")])
+def test_no_grade_says_why(unlike: bool, code: str) -> None:
+    found = compute_grade(np.full(len(PARTS), np.nan), 0.0, NO_TAKES, 1, unlike=unlike)
+    assert np.isnan(found.score) and np.isnan(found.interval).all() and found.formula.code == code
 
 
 def test_the_formula_holds_its_numbers() -> None:
-    said = compute_score(10.0, [6.0, 8.0, 10.0])[1]
-    formula, japanese = said.render("en"), said.render("ja")
-    assert formula.startswith("100 - 10 x (10.0 - 8.0) / 2.8 = 92.9")
-    assert "3 other takes" in formula
-    assert japanese.startswith("100 - 10 × (10.0 - 8.0) / 2.8 = 92.9")
-    assert "3テイク" in japanese
-    assert "未校正" in compute_score(10.0, [])[1].render("ja")
-    assert "limited to the range 0 to 100: 0" in str(compute_score(90.0, [])[1])
-
-
-@given(degrees, degrees, st.lists(degrees, max_size=6))
-def test_a_larger_deviation_never_scores_better(one: float, other: float, takes: list[float]) -> None:
-    low, high = sorted([one, other])
-    better, worse = compute_score(low, takes)[0], compute_score(high, takes)[0]
-    assert 0.0 <= worse <= better <= 100.0
+    found = compute_grade(MODEL.usual[0], 0.5, NO_TAKES, 1)
+    for language in ("en", "ja"):
+        said = found.formula.render(language)
+        assert f"{found.score:.0f}" in said and "52 %" in said and f"{MODEL.usual[0][0]:.1f}" in said

@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from dousa.experiments.errors import NamedMotion
 
 _SHOWN_PROBLEMS = 3
+_EQUAL = Path("equal")  # as --weights
 
 
 Which = Literal["all", "tuning", "held-out"]
@@ -71,7 +72,12 @@ def evaluate(
     ] = "same",
     weights: Annotated[
         Path | None,
-        typer.Option("--weights", metavar="FILE", help="Weights: lines such as 'arms = 2', 'left_shank = 0'."),
+        typer.Option(
+            "--weights",
+            metavar="FILE",
+            help="Weights: lines such as 'arms = 2', 'left_shank = 0', multiplied with what matters in the reference. "
+            "'equal' instead of a file: all segments count alike.",
+        ),
     ] = None,
     detail: Annotated[
         Literal["brief", "full"],
@@ -155,6 +161,7 @@ def evaluate(
             side=side,
             tempo=tempo,
             weights=_load_weights(weights),
+            importance="equal" if weights == _EQUAL else "learned",
             progress=progress,
         )
         timing = None if known is None else time_accents(done, known, music_start)
@@ -207,7 +214,7 @@ def progress(
 
 
 def _load_weights(path: Path | None) -> dict[str, float] | None:
-    if path is None:
+    if path is None or path == _EQUAL:
         return None
     from dousa.evaluation import read_weights
 

@@ -79,6 +79,7 @@ def evaluate_files(
     side: str = "same",
     tempo: str = "same",
     weights: Mapping[str, float] | None = None,
+    importance: str = "learned",
     progress: ProgressCallback | None = None,
 ) -> Evaluation:
     """Read the takes of the reference and the performance, and assess.
@@ -89,7 +90,7 @@ def evaluate_files(
     performance : file.
     options : what is said about all of them.
     furi_file : cuts of the figures, in frames of the first reference; by default they are found.
-    side, tempo, weights : as in `dousa.evaluation.assess`.
+    side, tempo, weights, importance : as in `dousa.evaluation.assess`.
     progress : called with (steps done, steps, what is being done).
 
     Raises
@@ -115,6 +116,7 @@ def evaluate_files(
             side=side,
             tempo=tempo,
             weights=weights,
+            importance=importance,
             names=[path.name for path in (*references, performance)],
         )
     except InvalidMotionError as error:

@@ -63,6 +63,7 @@ def _grade(assessment: Assessment, words: Mapping[str, str], language: str) -> s
     meter = element(
         "div", {"class": "meter", "aria-hidden": "true"}, inner=element("i", {"style": f"width:{score:.1f}%"})
     )
+    coverage = words["coverage"].format(percent=format_number(100.0 * assessment.coverage, 0))
     if assessment.calibrated:
         text = words["calibrated"].format(count=assessment.n_references)
         state = element("p", {"class": "badge sure"}, text)
@@ -72,8 +73,10 @@ def _grade(assessment: Assessment, words: Mapping[str, str], language: str) -> s
         note = element("p", {"class": "note"}, words["uncalibrated_note"].format(count=assessment.n_references))
     inner = (
         element("h2", None, words["grade"])
+        + element("p", {"class": "note"}, coverage)
         + element("div", {"class": "figures"}, inner=figure + state)
         + meter
+        + element("p", {"class": "note"}, _say_interval(assessment, words))
         + element("p", {"class": "formula"}, assessment.score_formula.render(language))
         + note
     )
@@ -81,9 +84,15 @@ def _grade(assessment: Assessment, words: Mapping[str, str], language: str) -> s
     return element("section", {"class": css}, inner=inner)
 
 
+def _say_interval(assessment: Assessment, words: Mapping[str, str]) -> str:
+    low, high = (format_number(value, 0) for value in assessment.score_interval)
+    return words["interval"].format(low=low, high=high)
+
+
 def _no_grade(assessment: Assessment, words: Mapping[str, str], language: str) -> str:
     """Instead of a number why there is none, as for another dance."""
-    state = element("p", {"class": "badge unsure"}, words["no_grade"])
+    why = "another_dance" if assessment.score_formula.code == "grade.unlike" else "no_grade"
+    state = element("p", {"class": "badge unsure"}, words[why])
     inner = element("h2", None, words["grade"]) + element("div", {"class": "figures"}, inner=state)
     inner += element("p", {"class": "formula"}, assessment.score_formula.render(language))
     return element("section", {"class": "card grade uncalibrated"}, inner=inner)

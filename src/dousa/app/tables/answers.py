@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from collections.abc import Iterable
 from typing import TYPE_CHECKING, Any
@@ -371,11 +372,9 @@ def print_assessment(out: Console, assessment: Assessment, detail: str = "full")
     """
     from dousa.evaluation import advise, praise
 
-    is_graded = bool(np.isfinite(assessment.score))
-    grade = assessment.score_formula
-    if is_graded:
-        code = "graded.calibrated" if assessment.calibrated else "graded.uncalibrated"
-        grade = Message(code, score=f"{assessment.score:.0f}", n=assessment.n_references)
+    out.print(str(Message("graded.coverage", percent=100.0 * assessment.coverage)), markup=False)
+    is_graded = math.isfinite(assessment.score)
+    grade = _describe_grade(assessment) if is_graded else assessment.score_formula
     out.print(str(grade), style="bold", markup=False, soft_wrap=True)
     said = advise(assessment, "brief")
     good = praise(assessment)
@@ -409,6 +408,15 @@ def _print_errors(out: Console, assessment: Assessment) -> None:
     if assessment.gaps:
         seconds = _covered([(start, end) for start, end, _ in assessment.gaps])
         out.print(str(Message("graded.gaps", seconds=seconds)), markup=False)
+
+
+def _describe_grade(assessment: Assessment) -> Message:
+    """The grade with its interval."""
+    low, high = (f"{value:.0f}" for value in assessment.score_interval)
+    values = {"score": f"{assessment.score:.0f}", "low": low, "high": high, "n": assessment.n_references}
+    if assessment.calibrated:
+        return Message("graded.calibrated", **values)
+    return Message("graded.uncalibrated", **values)
 
 
 Row = tuple[float, tuple[str, str, str, str, str]]

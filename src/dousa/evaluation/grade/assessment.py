@@ -27,6 +27,7 @@ from dousa.evaluation.errors.lapses import find_lapses
 from dousa.evaluation.figures.curves import Curves, compute_curves
 from dousa.evaluation.figures.eigenspace import Eigenspace
 from dousa.evaluation.figures.furi import Furi, find_furi, fit_furi_eigenspaces, pool_takes, scale_furi
+from dousa.evaluation.grade.bodies import describe_offset
 from dousa.evaluation.grade.events import describe_findings, describe_gaps, describe_warnings
 from dousa.evaluation.grade.references import (
     Comparison,
@@ -37,7 +38,7 @@ from dousa.evaluation.grade.references import (
     prepare_references,
 )
 from dousa.evaluation.grade.result import Assessment, FuriAssessment
-from dousa.evaluation.grade.score import compute_deviation, compute_score
+from dousa.evaluation.grade.score import grade_performance, share_weights
 from dousa.evaluation.posture.offset import take_out_of_postures
 from dousa.evaluation.posture.posture import (
     PostureSequence,
@@ -62,6 +63,7 @@ def assess(
     tempo: str = "same",
     weights: Mapping[str, float] | None = None,
     names: Sequence[str] = (),
+    importance: str = "learned",
 ) -> Assessment:
     """Say what differs between a performance and its reference, where, and by how much.
 
@@ -76,6 +78,8 @@ def assess(
         few seconds is.
     weights : of segments, limbs, ``arms`` or ``legs``; 1 for those not named.
     names : of the references and, last, of the performance.
+    importance : ``"learned"``: in the grade segments count as much as they matter in the reference;
+        ``"equal"``: they all count alike. The weights are multiplied with it.
 
     Returns
     -------
@@ -91,8 +95,9 @@ def assess(
     """
     takes = [reference] if isinstance(reference, CanonicalMotion) else list(reference)
     shares = spread_weights(weights)
+    check_importance(importance)
     postures, played = compute_all_postures(takes, performance, side=side, tempo=tempo, names=names)
-    references = prepare_references(postures, tempo, shares)
+    references = prepare_references(postures, tempo, shares, importance=importance)
     figures = scale_furi(furi, takes[0], references.postures) if furi else find_furi(references.postures)
     return judge(references, figures, played, side=side, tempo=tempo, weights=shares)
 
@@ -233,7 +238,8 @@ def look_at_figures(
         facing=curves.facing,
         furi_index=curves.furi_index,
     )
-    score, formula, calibrated = compute_score(compute_deviation(comparison.from_first, weights), references.deviations)
+    shares = share_weights(references, weights)
+    grade = grade_performance(references, comparison, shares)
     return Assessment(
         frame_rate=performance.frame_rate,
         reference=references.postures,
@@ -250,16 +256,23 @@ def look_at_figures(
         residual=curves.residual,
         residual_limit=tolerance.angle,
         path=_make_path(matched, references.postures),
-        furi=_assess_furi(furi, spaces, curves, comparison, references, same, performance, working, weights),
+        furi=_assess_furi(furi, spaces, curves, comparison, references, same, performance, working, shares),
         events=events,
         lapses=lapses,
-        score=score,
-        score_formula=formula,
-        calibrated=calibrated,
+        score=grade.score,
+        score_formula=grade.formula,
+        calibrated=grade.calibrated,
         n_references=len(references.working),
         tempo=comparison.alignment.tempo,
+        coverage=grade.coverage,
+        score_interval=grade.interval,
+        weights=shares,
+        offset_deg=comparison.offset.degrees,
         gaps=describe_gaps(performance),
-        warnings=describe_warnings(references, furi, performance, working, comparison, curves, tempo, weights, side),
+        warnings=(
+            *describe_warnings(references, furi, performance, working, comparison, curves, tempo, weights, side),
+            *describe_offset(comparison.offset, references.working[0]),
+        ),
         side=side,
     )
 
@@ -337,10 +350,7 @@ def _assess_furi(
     for number, one in enumerate(furi):
         spans = runs_of(curves.furi_index == number)
         longest = max(spans, key=lambda span: span[1] - span[0], default=None)
-        angles = comparison.from_first[thinned == number]
-        score = np.nan
-        if len(angles) and np.isfinite(angles).any():
-            score = compute_score(compute_deviation(angles, weights), references.deviations)[0]
+        score = grade_performance(references, comparison, weights, thinned == number).score
         result.append(
             FuriAssessment(
                 start_s=longest[0] / rate if longest else np.nan,
@@ -380,6 +390,12 @@ def check_takes(takes: Sequence[CanonicalMotion], performance: CanonicalMotion, 
                 rate=motion.frame_rate,
                 duration=motion.duration,
             )
+
+
+def check_importance(importance: str) -> None:
+    """Say what can be chosen."""
+    if importance not in ("learned", "equal"):
+        raise OptionError("evaluation.importance", importance=importance)
 
 
 def check_seen(postures: PostureSequence, *, is_reference: bool) -> None:

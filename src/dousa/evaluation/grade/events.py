@@ -14,9 +14,9 @@ from dousa.evaluation.errors.extent import measure_ranges
 from dousa.evaluation.errors.lapses import Lapse
 from dousa.evaluation.figures.curves import Curves
 from dousa.evaluation.figures.furi import Furi
-from dousa.evaluation.grade.references import MOST_DEVIATION, MOST_MISMATCH, Comparison, ReferenceTakes
+from dousa.evaluation.grade.references import Comparison, ReferenceTakes
 from dousa.evaluation.grade.result import ErrorEvent
-from dousa.evaluation.grade.score import compute_deviation
+from dousa.evaluation.grade.score import is_unlike, share_weights
 from dousa.evaluation.posture.posture import (
     SEGMENTS,
     PostureSequence,
@@ -159,8 +159,7 @@ def describe_warnings(
     first, mismatch = references.working[0], comparison.alignment.mismatch
     found = [Message("assessment.sides")] if side == "mirrored" else []
     found += [Message("assessment.left_out", number=number) for number in references.left_out]
-    deviation = compute_deviation(comparison.from_first, weights)
-    unlike = mismatch > MOST_MISMATCH or deviation > MOST_DEVIATION
+    unlike = is_unlike(comparison, share_weights(references, weights))
     if unlike:
         found.append(Message("assessment.unlike", mismatch=mismatch))
     if mismatch > _ALIKE:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -16,7 +16,8 @@ from dousa.evaluation.errors.evidence import Evidence, Tolerance, measure_unstea
 from dousa.evaluation.errors.explain import Finding, explain_all
 from dousa.evaluation.errors.judge import load_judge
 from dousa.evaluation.errors.measures import measure_suspects
-from dousa.evaluation.grade.score import compute_deviation
+from dousa.evaluation.grade.importance import learn_importance
+from dousa.evaluation.grade.parts import Measured, compute_deviation, measure_parts
 from dousa.evaluation.posture.offset import Offset, estimate_offset, learn_between, take_out
 from dousa.evaluation.posture.posture import PostureSequence, Working, interpolate_segments, thin_postures
 
@@ -40,6 +41,8 @@ class ReferenceTakes:
     left_out : numbers, from 1, of takes that are not like the first.
     from_first : (U, 9) rad of each of the further ones, from the first take at the same time; nan where unseen.
     between : (9,) rad, root mean square of what bodies differ by; None where one take does not tell.
+    measured : of each of the further ones against all others.
+    importance : (9,) weights of the segments in the grade, see `learn_importance`.
     """
 
     postures: PostureSequence
@@ -51,6 +54,8 @@ class ReferenceTakes:
     left_out: tuple[int, ...] = ()
     from_first: tuple[FloatArray, ...] = ()
     between: FloatArray | None = None
+    measured: tuple[Measured, ...] = ()
+    importance: FloatArray = field(default_factory=lambda: np.ones(9))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -64,6 +69,7 @@ class Comparison:
     from_first : (T, 9) rad, from the first take at the same time; nan where nothing is judged.
     offset : of the performer's body against the first take's, taken out of all of them.
     performance : at the working rate, after that.
+    measured : what the grade is made of.
     """
 
     alignment: Alignment
@@ -71,9 +77,12 @@ class Comparison:
     from_first: FloatArray
     offset: Offset
     performance: Working
+    measured: Measured
 
 
-def prepare_references(takes: Sequence[PostureSequence], tempo: str, weights: FloatArray) -> ReferenceTakes:
+def prepare_references(
+    takes: Sequence[PostureSequence], tempo: str, weights: FloatArray, *, importance: str = "learned"
+) -> ReferenceTakes:
     """Warp the takes that are like the first onto it, and learn what is tolerated from how they differ.
 
     Parameters
@@ -81,6 +90,7 @@ def prepare_references(takes: Sequence[PostureSequence], tempo: str, weights: Fl
     takes : at one frame rate, one or more.
     tempo : of the performance's comparison; the takes are held to the same.
     weights : (9,) of the segments, those above 0 of mean 1.
+    importance : ``"learned"`` or ``"equal"``: what the segments count in the grade besides.
     """
     first = takes[0]
     clock = (thin_postures(first),)
@@ -99,7 +109,22 @@ def prepare_references(takes: Sequence[PostureSequence], tempo: str, weights: Fl
     left_out = tuple(i + 2 for i in range(len(unwarped)) if i not in like)
     from_first = tuple(alone[i].from_first for i in like)
     between = learn_between([alone[i].offset for i in like]) if like else None
-    return ReferenceTakes(first, working, warped, common, time_spread, deviations, left_out, from_first, between)
+    held = _compare_takes(working, [unwarped[i] for i in like], tempo, weights, between)
+    measured = tuple(one.measured for one in held)
+    shares = learn_importance(working, measured) if importance == "learned" else np.ones(9)
+    return ReferenceTakes(
+        first,
+        working,
+        warped,
+        common,
+        time_spread,
+        deviations,
+        left_out,
+        from_first,
+        between,
+        measured,
+        shares,
+    )
 
 
 def reweigh_references(references: ReferenceTakes, weights: FloatArray) -> ReferenceTakes:
@@ -199,7 +224,9 @@ def compare(
     ]
     chord = np.sqrt(takes[0].squared[:, takes[0].center])
     from_first = np.where(takes[0].judged, 2.0 * np.arcsin(np.minimum(0.5 * chord, 1.0)), np.nan)
-    return Comparison(alignment, merge_takes(takes), from_first, bodies[0], bare[0])
+    deviations = merge_takes(takes)
+    measured = measure_parts(references, bare[0], deviations, alignment.frames)
+    return Comparison(alignment, deviations, from_first, bodies[0], bare[0], measured)
 
 
 _PAIRED_RATE = 10.0  # Hz: a body does not change faster
@@ -233,6 +260,17 @@ def _compare_poses(a: FloatArray, b: FloatArray, shares: FloatArray) -> FloatArr
 
 
 _WIDER_BY_SPREAD = 2.0
+
+
+def _compare_takes(
+    working: Sequence[Working], takes: Sequence[Working], tempo: str, weights: FloatArray, between: FloatArray | None
+) -> list[Comparison]:
+    """Each of the further takes against all others."""
+    comparisons = []
+    for number, take in enumerate(takes, start=1):
+        others = [other for index, other in enumerate(working) if index != number]
+        comparisons.append(compare(others, take, tempo, weights, between))
+    return comparisons
 
 
 def choose_tolerance(deviations: Deviations) -> Tolerance:

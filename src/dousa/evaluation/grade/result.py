@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -141,7 +141,7 @@ class Assessment:
     furi : figures in order of the reference.
     events : errors in order of time.
     lapses : in order of time, see `Lapse`.
-    score : 0 to 100.
+    score : 0 to 100; nan if it is not the same dance.
     score_formula : how the score came about, with its numbers.
     calibrated : whether the grade rests on three takes of the reference or more.
     n_references : takes of the reference that were used; those left out are not counted.
@@ -149,6 +149,10 @@ class Assessment:
     gaps : (start_s, end_s, segment name) of spans that were not seen and not judged.
     warnings : what a person should know before believing the grade.
     side : ``"mirrored"`` if the performance was mirrored first: left and right are the reference's, then.
+    coverage : share of the reference's motion that was danced, 0 to 1.
+    score_interval : (low, high); four of five takes of one quality are graded in it. nan where the score is.
+    weights : (9,) what the segments count in the grade.
+    offset_deg : (9,) what was taken off as another body, see `dousa.evaluation.posture.offset`.
     """
 
     frame_rate: float
@@ -177,6 +181,10 @@ class Assessment:
     gaps: tuple[tuple[float, float, str], ...] = ()
     warnings: tuple[Message, ...] = ()
     side: str = "same"
+    coverage: float = 1.0
+    score_interval: tuple[float, float] = (math.nan, math.nan)
+    weights: FloatArray = field(default_factory=lambda: np.ones(len(SEGMENTS)))
+    offset_deg: FloatArray = field(default_factory=lambda: np.zeros(len(SEGMENTS)))
 
     @property
     def times(self) -> FloatArray:
@@ -219,6 +227,10 @@ def describe_assessment(assessment: Assessment, language: str | None = None) -> 
             {"start_s": _number(start, _SECONDS), "end_s": _number(end, _SECONDS), "segment": segment}
             for start, end, segment in assessment.gaps
         ],
+        "coverage": _number(assessment.coverage, 3),
+        "score_interval": [_number(value, 1) for value in assessment.score_interval],
+        "weights": _by_segment(assessment.weights, 2),
+        "posture_offsets": _by_segment(assessment.offset_deg, _DEGREES),
         "warnings": [message.render(language) for message in assessment.warnings],
         "warning_codes": [message.code for message in assessment.warnings],
     }
@@ -247,8 +259,12 @@ def _write(name: str, value: Any, language: str | None) -> Any:
     return to_json_value(value) if digits is None else _number(value, digits)
 
 
+def _by_segment(values: FloatArray, digits: int) -> dict[str, float | None]:
+    return {name: _number(value, digits) for name, value in zip(SEGMENTS, values, strict=True)}
+
+
 def _describe_furi(furi: FuriAssessment) -> dict[str, Any]:
-    gain = {name: _number(value, 3) for name, value in zip(SEGMENTS, furi.gain, strict=True)}
+    gain = _by_segment(furi.gain, 3)
     return {**_describe(furi, _FURI), "lag_ms": _number(1000 * furi.lag_s, 1), "gain": gain}
 
 

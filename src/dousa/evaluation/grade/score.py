@@ -1,97 +1,187 @@
-"""The grade: 100 is the mean of the reference takes, and 10 go for every standard deviation between them.
+"""The grade: 90 is another take by the same person, 80 the same by another competent person.
 
-The measure behind it is one angle: how far, on average, the segments are from where the reference has them at that
-moment.
+Each part of `PARTS` is held against what is usual between takes: of the reference where there are some, of people
+where there are none. The weighted sum of the logarithms falls on a curve from 100 to 0; what is left out takes its
+share off. The few numbers are fitted by benchmarks/calibrate_grade.py and lie in grade.toml.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import tomllib
+from dataclasses import dataclass
+from functools import cache
+from importlib.resources import files
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import NDArray
 
-from dousa.errors import InvalidMotionError
-from dousa.evaluation.posture.posture import SEGMENTS, check_weights
+from dousa.arrays import FloatArray
+from dousa.evaluation.grade.parts import PARTS
+from dousa.evaluation.grade.references import Comparison, ReferenceTakes
 from dousa.messages import Message
 
-UNCALIBRATED_SPREAD = 4.0
-"""deg, standard deviation where the takes are too few to tell. Measured at the same time, tempo kept: how far the
-clean takes of one person are from the first of them has a pooled standard deviation of 4.0 deg (and a median of
-10.5 deg) in 450 pairs of 87 classes and styles of Bandai-Namco and HDM05, none of them held out."""
-
-_POINTS = 10.0  # for a standard deviation
-_FEWEST = 2  # takes beside the first that have a spread
+_FEWEST = 2  # takes beside the first that tell what is usual
+_MOSTLY = 1.28  # standard deviations around which four of five lie
+_SAME_LENGTH = 0.02  # of the reference that nobody misses
 
 
-def compute_deviation(residual: ArrayLike, weights: ArrayLike | None = None) -> float:
-    """Mean angle between a performance and its reference.
+@dataclass(frozen=True, slots=True, eq=False)
+class GradeModel:
+    """The numbers of grade.toml.
 
     Parameters
     ----------
-    residual : (T, 9) rad, angle of each segment to the reference's at the same time; nan is left out.
-    weights : (9,) of the segments, 0 or above; None for equal ones.
-
-    Returns
-    -------
-    deg, the mean over time of the weighted root mean square over the segments; nan where nothing is compared.
-
-    Raises
-    ------
-    InvalidMotionError : another shape.
-    OptionError : wrong weights.
+    n_references : (n,) takes of the reference that the rows below are for, ascending.
+    usual : (n, 7) of `PARTS`, between takes of one person.
+    floors : (7,) added to what is usual: so little is nothing.
+    strengths : (7,) of the logarithms.
+    curve : (K, 2) sum and grade.
+    doubt : (n,) of the sum, standard deviation between takes of one person.
+    prior_takes : what is usual counts as so many takes.
+    unlike : deg, mean angle at the best time from which it is another dance.
+    unlike_mismatch : the same of the mismatch along the lines.
     """
-    angles = np.asarray(residual, np.float64)
-    if angles.ndim != 2 or angles.shape[1] != len(SEGMENTS):
-        raise InvalidMotionError("evaluation.residual", shape=angles.shape)
-    shares = np.where(np.isnan(angles), 0.0, check_weights(weights))
-    total = shares.sum(axis=1)
-    compared = total > 0
-    if not compared.any():
-        return float("nan")
-    squares = (np.nan_to_num(angles) ** 2 * shares).sum(axis=1)[compared] / total[compared]
-    return float(np.degrees(np.sqrt(squares).mean()))
+
+    n_references: FloatArray
+    usual: FloatArray
+    floors: FloatArray
+    strengths: FloatArray
+    curve: FloatArray
+    doubt: FloatArray
+    prior_takes: float
+    unlike: float
+    unlike_mismatch: float
+
+    def find_sum(self, parts: FloatArray, takes: FloatArray, n_references: int) -> float:
+        """How far a performance is from the reference, 0 or above; parts (7,) of it, takes (n, 7) of the others."""
+        return float(self.compare_parts(parts, takes, n_references) @ self.strengths)
+
+    def compare_parts(self, parts: FloatArray, takes: FloatArray, n_references: int) -> FloatArray:
+        """(7,) logarithms of how many times what is usual each part is."""
+        return np.asarray(np.log1p(parts / (self.find_usual(takes, n_references) + self.floors)))
+
+    def find_usual(self, takes: FloatArray, n_references: int) -> FloatArray:
+        """(7,) of `PARTS`, what is usual between takes of this reference."""
+        people = _interpolate(n_references, self.n_references, self.usual)
+        total = self.prior_takes * people + takes.reshape(-1, len(PARTS)).sum(axis=0)
+        return np.asarray(total / (self.prior_takes + len(takes)))
+
+    def find_grade(self, total: float) -> float:
+        """0 to 100 of a sum."""
+        return float(np.interp(total, self.curve[:, 0], self.curve[:, 1]))
 
 
-def compute_score(deviation: float, reference_deviations: Sequence[float]) -> tuple[float, Message, bool]:
-    """The grade of a performance, or of its part of a furi.
+def _interpolate(count: int, counts: FloatArray, values: FloatArray) -> FloatArray:
+    """Rows between those of some numbers of takes, by 1 / n: the tenth take tells less than the second."""
+    place = np.interp(-1.0 / count, -1.0 / counts, np.arange(len(counts)))
+    low = min(int(place), len(counts) - 2)
+    return np.asarray(values[low] + (place - low) * (values[low + 1] - values[low]))
+
+
+@cache
+def load_model() -> GradeModel:
+    """The numbers that the package comes with."""
+    table = tomllib.loads(files("dousa.evaluation.grade").joinpath("grade.toml").read_text("utf-8"))
+    rows = ("n_references", "usual", "floors", "strengths", "curve", "doubt")
+    arrays = {name: np.array(table[name], np.float64) for name in rows}
+    numbers = {name: float(table[name]) for name in ("prior_takes", "unlike", "unlike_mismatch")}
+    return GradeModel(**arrays, **numbers)  # type: ignore[arg-type]  # each name is of one kind
+
+
+@dataclass(frozen=True, slots=True)
+class Grade:
+    """A grade and what it is made of.
 
     Parameters
     ----------
-    deviation : deg, of the performance from the first reference take; nan if nothing could be compared.
-    reference_deviations : deg, of every other reference take from the first; nan are left out.
-
-    Returns
-    -------
-    score : 0 to 100.
-    formula : how it came about, with its numbers.
-        The standard deviation of a handful of takes is uncertain: `UNCALIBRATED_SPREAD` counts as one take more.
-    calibrated : False where there are fewer than two other takes: then 100 is no deviation at all, and the
-        standard deviation is `UNCALIBRATED_SPREAD`.
+    score : 0 to 100; nan if it is not the same dance, or nothing could be compared.
+    interval : (low, high), four of five takes of one quality are graded in it; nan where the score is.
+    coverage : share of the reference's motion that was danced, 0 to 1.
+    formula : how it came about, with its numbers, or why there is none.
+    calibrated : whether takes of the reference tell what is usual: three or more.
     """
-    takes = np.array([value for value in reference_deviations if np.isfinite(value)])
+
+    score: float
+    interval: tuple[float, float]
+    coverage: float
+    formula: Message
+    calibrated: bool
+
+
+def compute_grade(
+    parts: FloatArray, coverage: float, takes: FloatArray, n_references: int, *, unlike: bool = False
+) -> Grade:
+    """The grade of a performance.
+
+    Parameters
+    ----------
+    parts : (7,) values of `PARTS`; nan if nothing could be compared.
+    coverage : share of the reference that was danced, 0 to 1.
+    takes : (n, 7) parts of the further takes of the reference, each against the others.
+    n_references : takes of the reference.
+    unlike : it is not the same dance: no grade.
+    """
     calibrated = len(takes) >= _FEWEST
-    mean, spread = 0.0, UNCALIBRATED_SPREAD
-    if calibrated:
-        mean = float(takes.mean())
-        # A handful of takes shows its spread badly: the usual one counts as one take more.
-        squares = float(((takes - mean) ** 2).sum()) + UNCALIBRATED_SPREAD**2
-        spread = float(np.sqrt(squares / len(takes)))
-    if not np.isfinite(deviation):
-        return 0.0, Message("grade.nothing"), calibrated
+    nothing = float("nan")
+    if unlike or not np.isfinite(parts).all():
+        why = Message("grade.unlike") if unlike else Message("grade.nothing")
+        return Grade(nothing, (nothing, nothing), coverage, why, calibrated)
+    model = load_model()
+    total = model.find_sum(parts, takes, n_references)
+    danced = min(1.0, coverage + _SAME_LENGTH)
+    doubt = _MOSTLY * float(_interpolate(n_references, model.n_references, model.doubt))
+    quality = model.find_grade(total)
     # Rounded, so that rounding errors in angles do not keep the same motion from 100.
-    score = round(float(np.clip(100.0 - _POINTS * (deviation - mean) / spread, 0.0, 100.0)), 4)
-    values = {"points": _POINTS, "own": float(deviation), "spread": spread}
-    raw = 100.0 - _POINTS * (deviation - mean) / spread
-    if calibrated:
-        total = Message("grade.from_mean", **values, mean=mean, raw=raw)
-    else:
-        total = Message("grade.from_none", **values, raw=raw)
-    # The grade lies between 0 and 100, whatever the sum.
-    if not 0.0 <= raw <= 100.0:
-        total = Message("grade.bounded", sum=total, score=score)
-    if calibrated:
-        formula = Message("grade.calibrated", **values, sum=total, mean=mean, takes=len(takes))
-    else:
-        formula = Message("grade.uncalibrated", **values, sum=total)
-    return score, formula, calibrated
+    score = round(danced * quality, 3)
+    interval = (danced * model.find_grade(total + doubt), danced * model.find_grade(max(total - doubt, 0.0)))
+    usual = model.find_usual(takes, n_references)
+    values = {
+        f"{name}{end}": float(x)
+        for end, row in (("", parts), ("_usual", usual))
+        for name, x in zip(PARTS, row, strict=True)
+    }
+    code = "grade.calibrated" if calibrated else "grade.uncalibrated"
+    formula = Message(
+        code,
+        score=score,
+        quality=quality,
+        percent=100.0 * danced,
+        parts=Message("grade.parts", **values),
+        takes=len(takes),
+    )
+    return Grade(score, interval, coverage, formula, calibrated)
+
+
+def share_weights(references: ReferenceTakes, weights: FloatArray) -> FloatArray:
+    """(9,) what the segments count in the grade, of mean 1 above 0: the user's weights times what matters."""
+    shares = weights * references.importance
+    return np.asarray(shares / shares[shares > 0.0].mean())
+
+
+def is_unlike(comparison: Comparison, weights: FloatArray) -> bool:
+    """Whether it is not the same dance: even at the best times hardly any pose is like the reference's."""
+    model = load_model()
+    shape = comparison.measured.find_parts(weights)[PARTS.index("shape")]
+    return bool(comparison.alignment.mismatch > model.unlike_mismatch or shape > model.unlike)
+
+
+def grade_performance(
+    references: ReferenceTakes,
+    comparison: Comparison,
+    weights: FloatArray,
+    frames: NDArray[np.bool_] | None = None,
+) -> Grade:
+    """The grade of a performance, or of some of its working frames (T,): of a furi.
+
+    Parameters
+    ----------
+    references, comparison : what was compared.
+    weights : (9,) of `share_weights`.
+    frames : where only a part is graded; what is left out does not count then, nor does the range.
+    """
+    parts = comparison.measured.find_parts(weights, frames)
+    coverage = comparison.measured.find_coverage(weights) if frames is None else 1.0
+    takes = np.array([one.find_parts(weights) for one in references.measured]).reshape(-1, len(PARTS))
+    takes = takes[np.isfinite(takes).all(axis=1)]
+    unlike = frames is None and is_unlike(comparison, weights)
+    return compute_grade(parts, coverage, takes, len(references.working), unlike=unlike)

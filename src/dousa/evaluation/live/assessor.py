@@ -25,10 +25,11 @@ from dousa.evaluation.grade.assessment import FEWEST_FRAMES, SHORTEST_S, check_t
 from dousa.evaluation.grade.events import describe_findings
 from dousa.evaluation.grade.references import prepare_references
 from dousa.evaluation.grade.result import Assessment, ErrorEvent
-from dousa.evaluation.live.stream_frame import FigureMeter, LagWatcher, PoseReader, compare_with_reference
+from dousa.evaluation.live.stream_frame import FigureMeter, LagWatcher, PoseReader, compare_with_reference, find_front
 from dousa.evaluation.live.stream_window import LineFollower, Window
 from dousa.evaluation.posture.offset import (
     estimate_offset,
+    find_turns,
     make_no_offset,
     take_out,
     take_out_of_pose,
@@ -42,7 +43,6 @@ from dousa.evaluation.posture.posture import (
     Working,
     compute_postures,
     interpolate_segments,
-    measure_heading,
     mirror_postures,
     thin_postures,
 )
@@ -54,6 +54,7 @@ from dousa.motion.canonical.joints import CANONICAL_JOINTS
 _HOP_S = 1.0
 _LOOK_AHEAD_S = 2.0
 _REPLAYED_S = 0.5
+_MOST_MOMENTS = 600  # that tell the performer's body
 _MARGIN_S = 1.0
 _MOVED = 0.25  # frames by which the line must move for the lag to be followed from the beginning again
 _FLIP = np.array([-1.0, 1.0, 1.0])
@@ -150,6 +151,7 @@ class IncrementalAssessor:
         self._seen, self._yaw = _Rows((9,), np.bool_), _Rows(())
         self._heading, self._matched, self._faces = _Rows(()), _Rows(()), 0.0
         self._offset = make_no_offset()
+        self._turns = find_turns(self._offset)
         self._poses = np.zeros((self._stride, 9, 3))
         self._poses_seen = np.zeros((self._stride, 9), np.bool_)
         self._settled: list[ErrorEvent] = []
@@ -199,7 +201,7 @@ class IncrementalAssessor:
         number = self.n_frames
         self._joints.add(points)
         pose, seen = self._reader.read(points)
-        faces = float(measure_heading(points[None])[0])
+        faces = find_front(points)
         if self._mirrored:
             pose, seen, faces = pose[MIRRORED_SEGMENTS, :] * _FLIP, seen[list(MIRRORED_SEGMENTS)], -faces
         self._faces = faces if np.isfinite(faces) else self._faces
@@ -207,7 +209,7 @@ class IncrementalAssessor:
         self._poses[slot], self._poses_seen[slot] = pose, seen
         if slot == self._stride - 1:
             self._take_working_frame()
-        bare = take_out_of_pose(pose, self._faces, self._offset)
+        bare = take_out_of_pose(pose, self._faces, self._turns)
         return self._describe(number, bare, seen & ~self._offset.missing)
 
     def finish(self) -> Assessment:
@@ -252,7 +254,7 @@ class IncrementalAssessor:
 
     def _watch(self, frame: int) -> None:
         there = float(self._line.locate(frame, frame + 1)[0])
-        pose = take_out_of_pose(self._group.values[frame], self._heading.values[frame], self._offset)
+        pose = take_out_of_pose(self._group.values[frame], float(self._heading.values[frame]), self._turns)
         seen = self._seen.values[frame] & ~self._offset.missing
         self._watcher.look(pose, seen, there, self._window.tolerance)
         if frame == self._yaw.count:
@@ -286,9 +288,11 @@ class IncrementalAssessor:
         matched = self._matched.values
         known = np.flatnonzero((matched >= 0.0) & (matched <= self._references.working[0].n_frames - 1.0))
         if len(known):
+            known = known[:: max(1, len(known) // _MOST_MOMENTS)]
             pairs = np.column_stack([np.rint(matched[known]).astype(np.intp), known])
             reference, between = self._references.working[0], self._references.between
             self._offset = estimate_offset(reference, performance, pairs, between)
+            self._turns = find_turns(self._offset)
 
     def _tell(self, found: Sequence[Finding], performance: Working) -> tuple[ErrorEvent, ...]:
         """Events in words, from the curves of the last seconds."""

@@ -15,6 +15,7 @@ from dousa.evaluation.figures.curves import turn_reference
 from dousa.evaluation.figures.eigenspace import Eigenspace
 from dousa.evaluation.figures.furi import Furi
 from dousa.evaluation.posture.posture import PostureSequence, Working, compute_segments
+from dousa.motion.canonical.joints import JOINT_INDEX as J
 
 _SMOOTH = 5  # poses whose costs give the lag to a fraction of a frame
 
@@ -34,6 +35,15 @@ class PoseReader:
             segments[~seen] = self._last[~seen]
         self._last = segments
         return segments, seen
+
+
+_SIDES = np.array([[J[f"{side}_{joint}"] for joint in ("hip", "shoulder")] for side in ("left", "right")])
+
+
+def find_front(joints: FloatArray) -> float:
+    """rad about +Y that the body of (20, 3) joints faces; nan where hips or shoulders are not seen."""
+    left, right = joints[_SIDES].sum(axis=1)
+    return math.atan2(left[0] - right[0], left[2] - right[2])
 
 
 class LagWatcher:

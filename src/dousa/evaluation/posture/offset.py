@@ -7,6 +7,7 @@ time do not bend it, and taken out before deviations are measured; no more of it
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -173,18 +174,23 @@ def take_out_of_postures(performance: PostureSequence, working: Working, offset:
     return replace(performance, segments=segments, seen=performance.seen & ~offset.missing)
 
 
-def take_out_of_pose(pose: FloatArray, heading: float, offset: Offset) -> FloatArray:
-    """The same of one pose (9, 3) whose performer faces ``heading`` rad."""
-    bare: FloatArray = _take_out(pose[None], np.array([heading]), offset)[0]
-    return bare
+def take_out_of_pose(pose: FloatArray, heading: float, turns: FloatArray) -> FloatArray:
+    """The same of one pose (9, 3) whose performer faces ``heading`` rad; ``turns`` (9, 3, 3) of `find_turns`."""
+    cosine, sine = math.cos(heading), math.sin(heading)
+    yaw = np.array([[cosine, 0.0, sine], [0.0, 1.0, 0.0], [-sine, 0.0, cosine]])
+    return np.asarray((turns @ (pose @ yaw)[..., None])[..., 0] @ yaw.T)
+
+
+def find_turns(offset: Offset) -> FloatArray:
+    """(9, 3, 3) rotations that take the offset out, in the performer's own frame."""
+    return np.asarray(rotations.to_matrix(rotations.from_axis_angle(-offset.taken)))
 
 
 def _take_out(segments: FloatArray, heading: FloatArray, offset: Offset) -> FloatArray:
     if not offset.taken.any():
         return segments.copy()
     # In the performer's own frame, in one go: turn back by the heading, the offset, and the heading again.
-    back = rotations.to_matrix(rotations.from_axis_angle(-offset.taken))
-    return rotate_yaw(np.einsum("sij,tsj->tsi", back, rotate_yaw(segments, -heading)), heading)
+    return rotate_yaw(np.einsum("sij,tsj->tsi", find_turns(offset), rotate_yaw(segments, -heading)), heading)
 
 
 def measure_offset(

@@ -297,11 +297,11 @@ def thin_postures(postures: PostureSequence) -> Working:
     groups = groups / np.maximum(length, 1e-9)
     seen: NDArray[np.bool_] = np.all(postures.seen[: count * stride].reshape(count, stride, 9), axis=1)
     rate = postures.frame_rate / stride
-    heading = measure_heading(postures.positions[: count * stride : stride], round(0.5 * _HEADING_S * rate))
+    heading = _measure_heading(postures.positions[: count * stride : stride], round(0.5 * _HEADING_S * rate))
     return Working(groups, seen, heading, rate, stride)
 
 
-def measure_heading(positions: FloatArray, half: int = 0) -> FloatArray:
+def _measure_heading(positions: FloatArray, half: int) -> FloatArray:
     """(T,) rad about +Y of the front of the body, averaged over ``2 half + 1`` frames."""
     left, right = (positions[:, J[f"{side}_hip"]] + positions[:, J[f"{side}_shoulder"]] for side in ("left", "right"))
     across = left - right
