@@ -16,6 +16,7 @@ from dousa.evaluation.errors.extent import fit_gain, measure_missing_range
 
 _PLATEAU = 0.75  # of the largest lag: the rest is fading in and out
 _EDGE, _LEAST_KEPT = 0.3, 0.5  # of the lag; of the span
+_EDGE_BETWEEN, _MOSTLY = 0.5, 0.8  # of the lag between two shifts that are one; of the moments there
 _SMOOTH_S = 0.3
 _PARTLY_WRONG = 1.0  # mean squared multiple of the tolerance from which a segment of a wrong limb is wrong itself
 
@@ -40,7 +41,32 @@ def measure_suspects(evidence: Evidence, suspects: Sequence[Suspect], frames: ND
         segments = np.array(suspect.segments)
         if end > start and evidence.deviations.judged[start:end, segments].any():
             found.append(_MEASURES[suspect.kind](evidence, start, end, segments))
-    return sorted(found, key=lambda one: (one.start, one.end))
+    return sorted(_bridge(evidence, found), key=lambda one: (one.start, one.end))
+
+
+def _bridge(evidence: Evidence, findings: Sequence[Finding]) -> list[Finding]:
+    """Shifts of the same limbs between which the lag lasts are one."""
+    joined: list[Finding] = []
+    for one in sorted(findings, key=lambda finding: (finding.kind, finding.segments, finding.start)):
+        last = joined[-1] if joined else None
+        if last is not None and _lasts_between(evidence, last, one):
+            both = _measure_shift(evidence, last.start, max(one.end, last.end), np.array(one.segments))
+            joined[-1] = both
+        else:
+            joined.append(one)
+    return joined
+
+
+def _lasts_between(evidence: Evidence, last: Finding, one: Finding) -> bool:
+    if last.kind != "shift" or one.kind != "shift" or last.segments != one.segments:
+        return False
+    if last.lag_s is None or one.lag_s is None or last.lag_s * one.lag_s <= 0.0:
+        return False
+    if one.start <= last.end:
+        return True
+    least = _EDGE_BETWEEN * min(abs(last.lag_s), abs(one.lag_s))
+    gap = follow_limb(evidence, last.end, one.start, np.array(one.segments)) * np.sign(one.lag_s)
+    return bool((gap >= least).mean() >= _MOSTLY)
 
 
 def _measure_shift(evidence: Evidence, start: int, end: int, segments: NDArray[np.intp]) -> Finding:
