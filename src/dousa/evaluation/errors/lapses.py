@@ -15,7 +15,7 @@ from dousa.messages import Message
 
 _SHORTEST_END_S = 0.7  # recordings are cut half a second earlier or later as it comes
 _SHORTEST_S = 0.3  # a smaller step between two lines is a matter of lag
-_NO_LIKENESS = 0.74  # mismatch of a performance whose lines mean nothing
+NO_LIKENESS = 0.74  # mismatch of a performance whose lines mean nothing
 _SPEED_WINDOW_S = 0.3
 _STILL = 0.35  # of the reference's speed, below which a performer stands still
 _SLOWEST = 0.25  # rad/s, as fast as a standing person and a tracker waver
@@ -67,7 +67,7 @@ def find_lapses(alignment: Alignment, reference: Working, performance: Working) 
 
     Not in the paper.
     """
-    if alignment.mismatch > _NO_LIKENESS or performance.n_frames == 0:
+    if alignment.mismatch > NO_LIKENESS or performance.n_frames == 0:
         return ()
     speed = _measure_speed(performance)
     usual = _measure_speed(reference)

@@ -229,7 +229,7 @@ def describe_assessment(assessment: Assessment, language: str | None = None) -> 
         ],
         "coverage": _number(assessment.coverage, 3),
         "score_interval": [_number(value, 1) for value in assessment.score_interval],
-        "weights": _by_segment(assessment.weights, 2),
+        "segment_weights": _by_segment(assessment.weights, 2),
         "posture_offsets": _by_segment(assessment.offset_deg, _DEGREES),
         "warnings": [message.render(language) for message in assessment.warnings],
         "warning_codes": [message.code for message in assessment.warnings],

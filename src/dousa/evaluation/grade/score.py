@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dousa.arrays import FloatArray
+from dousa.evaluation.errors.lapses import NO_LIKENESS
 from dousa.evaluation.grade.parts import PARTS
 from dousa.evaluation.grade.references import Comparison, ReferenceTakes
 from dousa.messages import Message
@@ -158,11 +159,19 @@ def share_weights(references: ReferenceTakes, weights: FloatArray) -> FloatArray
     return np.asarray(shares / shares[shares > 0.0].mean())
 
 
+_HARDLY_SHOWN = 0.3  # of the reference
+
+
 def is_unlike(comparison: Comparison, weights: FloatArray) -> bool:
-    """Whether it is not the same dance: even at the best times hardly any pose is like the reference's."""
+    """Whether it is not the same dance.
+
+    Even at the best times hardly any pose is like the reference's, or no line can be followed and next to nothing of
+    the reference is shown.
+    """
     model = load_model()
+    lost = comparison.alignment.mismatch > NO_LIKENESS and comparison.measured.find_coverage(weights) < _HARDLY_SHOWN
     shape = comparison.measured.find_parts(weights)[PARTS.index("shape")]
-    return bool(comparison.alignment.mismatch > model.unlike_mismatch or shape > model.unlike)
+    return bool(lost or comparison.alignment.mismatch > model.unlike_mismatch or shape > model.unlike)
 
 
 def grade_performance(
