@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from oracles.slow_rasteriser import depth_in_hull, part_depths, project
 
@@ -70,6 +70,7 @@ many_discs = st.lists(st.tuples(places, places, radii), min_size=1, max_size=7)
 
 @settings(max_examples=60, deadline=None)
 @given(many_discs, st.integers(1, 130), st.integers(1, 24))
+@example([(0.0, 0.0, 0.0), (0.0, 2.0, 2.0)], 2, 2)  # a point on top of a disc
 def test_hull_of_discs_is_the_oracles(discs, width, height):
     assert_agrees(draw_discs(discs, width, height), depth_in_hull(discs, width, height))
 

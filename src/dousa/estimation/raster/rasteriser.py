@@ -173,9 +173,10 @@ def _trace_side(side, discs, count, pairs, top, first, last, width, columns):  #
     From the disc at hand the next is the one whose outer tangent turns least, that is, whose normal points up most.
     """
     here, outmost = 0, -np.inf
-    for i in range(count):  # of several that are as high the outermost
-        if discs[i, 1] - discs[i, 2] <= top and side * discs[i, 0] > outmost:
-            here, outmost = i, side * discs[i, 0]
+    for i in range(count):  # of several that are as high the outermost, of those the largest, which holds the others
+        out = side * discs[i, 0]
+        if discs[i, 1] - discs[i, 2] <= top and (out > outmost or (out == outmost and discs[i, 2] > discs[here, 2])):
+            here, outmost = i, out
     row, up_here = first, -1.0
     for _ in range(2 * count):
         x, y, r = side * discs[here, 0], discs[here, 1], discs[here, 2]
