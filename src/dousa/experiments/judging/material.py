@@ -65,6 +65,9 @@ class Trial:
     carrier: str
 
 
+_SHORTEST_S = 1.0
+
+
 def make_trials(
     recordings: Sequence[Recording],
     generators: Mapping[str, Generator],
@@ -86,6 +89,8 @@ def make_trials(
     takes: dict[tuple[str, str, str], list[CanonicalMotion]] = defaultdict(list)
     donors: dict[str, list[CanonicalMotion]] = defaultdict(list)
     for one in recordings:
+        if one.motion.duration < _SHORTEST_S:
+            continue
         takes[one.set_name, one.person, one.motion_name].append(one.motion)
         donors[one.set_name].append(one.motion)
     for number, one in enumerate(recordings):
@@ -111,7 +116,7 @@ def _make_trial(
     perform = performers[int(rng.integers(len(performers)))]
     by_take = bool(others) and rng.random() < 0.6
     n_references = int(rng.choice([1, 2, 3, 5], p=[0.55, 0.1, 0.15, 0.2]))
-    if one.motion.duration < 1.0:
+    if one.motion.duration < _SHORTEST_S:
         return None
     motion = one.motion
     errors: tuple[Error, ...] = ()
