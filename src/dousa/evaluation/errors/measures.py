@@ -18,6 +18,7 @@ _PLATEAU = 0.75  # of the largest lag: the rest is fading in and out
 _EDGE, _LEAST_KEPT = 0.3, 0.5  # of the lag; of the span
 _EDGE_BETWEEN, _MOSTLY = 0.5, 0.8  # of the lag between two shifts that are one; of the moments there
 _SMOOTH_S = 0.3
+_REACH_S, _MOST = 0.8, 0.5  # lags that are looked at; squared chord, further away says no more
 _PARTLY_WRONG = 1.0  # mean squared multiple of the tolerance from which a segment of a wrong limb is wrong itself
 
 
@@ -87,19 +88,24 @@ def follow_limb(evidence: Evidence, start: int, end: int, segments: NDArray[np.i
     The course of the lag that leaves least, smoothed, to a fraction of a frame by a parabola.
     """
     deviations = evidence.deviations
-    squared = np.minimum(deviations.squared[start:end][:, :, segments], 0.5).mean(axis=2)
+    reach = min(round(_REACH_S * evidence.rate), deviations.center)
+    near = slice(deviations.center - reach, deviations.center + reach + 1)
+    seen = deviations.squared[start:end, near][:, :, segments]
+    # What is not seen speaks for no lag.
+    seen = np.where(seen > 0.0, seen, seen[:, reach : reach + 1])
+    squared = np.minimum(seen, _MOST).mean(axis=2)
     half = min(max(1, round(0.5 * _SMOOTH_S * evidence.rate)), max((end - start) // 2, 1))
     total = np.cumsum(np.pad(squared, ((half + 1, half), (0, 0)), mode="edge"), axis=0)
     squared = (total[2 * half + 1 :] - total[: -2 * half - 1]) / (2 * half + 1)
     scale = float(np.mean(evidence.tolerance[segments] ** 2))
-    prices = evidence.lag_prices / 9.0
+    prices = evidence.lag_prices[near] / 9.0
     course = follow_lag(squared / scale + prices, LAG_CHANGE / 9.0 * 30.0 / evidence.rate).astype(np.intp)
     rows = np.arange(len(course))
     inner = np.clip(course, 1, squared.shape[1] - 2)
     left, here, right = (squared[rows, inner + step] for step in (-1, 0, 1))
     bend = left - 2.0 * here + right
     part = np.where(bend > 1e-9, 0.5 * (left - right) / np.maximum(bend, 1e-9), 0.0)
-    return np.asarray(-(inner - deviations.center + np.clip(part, -1.0, 1.0)) * deviations.step_s)
+    return np.asarray(-(inner - reach + np.clip(part, -1.0, 1.0)) * deviations.step_s)
 
 
 def choose_lasting(lag: FloatArray) -> float:
