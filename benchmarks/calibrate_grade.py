@@ -139,7 +139,8 @@ def measure(data: str, kind: str, size: int, series: int, references: ReferenceT
 TARGETS = {"same": 0.1, "other": 0.22, "different": 2.3}
 """-log(grade / 100) that the sum is fitted to; an error counts between these by its size."""
 ERROR_TARGETS = (0.1, 0.25, 0.35, 0.5)
-_DRAWN, _LEAST = 0.05, 1.0
+LEAST = 0.01
+"""Strength of every part: each counts, whether the sum needs it or not."""
 PRIORS = (1.0, 2.0, 4.0, 8.0)
 LEFT_OUT = 7  # column of what is left out
 
@@ -172,11 +173,9 @@ def fit_model(trials: Sequence[Trial], prior_takes: float) -> GradeModel:
     targets = np.array([find_target(one) for one in trials])
     keys = [(one.data, one.kind, one.size) for one in trials]
     share = np.array([1.0 / np.sqrt(keys.count(key)) for key in keys]) / targets
-    # Every part counts: what the sum does not need is drawn to a small common strength.
-    drawn = np.sqrt(_DRAWN * ((rows * share[:, None]) ** 2).sum(axis=0))
-    least = _LEAST * float(np.median(targets)) / len(drawn)
-    left = np.vstack([rows * share[:, None], np.diag(drawn)])
-    model = replace(model, strengths=nnls(left, np.concatenate([targets * share, drawn * least]))[0])
+    least = np.full(LEFT_OUT, LEAST)
+    more = nnls(rows * share[:, None], (targets - rows @ least) * share)[0]
+    model = replace(model, strengths=least + more)
     return fit_curve(model, trials)
 
 

@@ -11,7 +11,14 @@ from oracles.wandering import make_wandering_motion
 from dousa.arrays import FloatArray
 from dousa.evaluation import assess
 from dousa.evaluation.grade.references import compare
-from dousa.evaluation.posture.offset import BETWEEN_DEG, Offset, estimate_offset, learn_between, turn_segments
+from dousa.evaluation.posture.offset import (
+    BETWEEN_DEG,
+    Offset,
+    estimate_offset,
+    find_missing,
+    learn_between,
+    turn_segments,
+)
 from dousa.evaluation.posture.posture import SEGMENTS, Working, compute_postures, thin_postures
 from dousa.evaluation.posture.yaw import rotate_yaw
 from dousa.motion.canonical.joints import JOINT_INDEX as J
@@ -115,3 +122,19 @@ def test_who_sits_is_judged_by_the_arms() -> None:
     assert np.isnan(found.residual[:, 5:]).all()
     assert found.events == ()
     assert found.score > 90.0
+
+
+def test_a_limb_that_is_held_still_is_no_missing_part() -> None:
+    # A breath of motion is enough: who does not move a limb that should move makes an error.
+    segments = np.array(REFERENCE.segments)
+    breath = 0.01 * np.sin(FRAMES / 7.0)
+    segments[:, 1] = np.column_stack([breath, -np.sqrt(1.0 - breath**2), np.zeros(len(FRAMES))])
+    assert not find_missing(REFERENCE, replace(REFERENCE, segments=segments)).any()
+    segments[:, 1] = [0.0, -1.0, 0.0]
+    assert np.flatnonzero(find_missing(REFERENCE, replace(REFERENCE, segments=segments))).tolist() == [1]
+
+
+def test_what_is_never_seen_is_missing() -> None:
+    seen = np.array(REFERENCE.seen)
+    seen[:, [6, 8]] = False
+    assert np.flatnonzero(find_missing(replace(REFERENCE, seen=seen), REFERENCE)).tolist() == [6, 8]

@@ -29,6 +29,7 @@ _IN_STEP = 1.4  # motions of equal length begin together, unless another offset 
 _SHORTEST_RUN_S = 1.5
 _PAUSE_S = 1.0  # s for which the reference rests before this is a stop and not a slow passage
 _SLOPES = (0.4, 2.5)  # reference per performance time
+_SHORT_S, _SHORT_RATIO, _SHORT_SHARE = 8.0, 2.0, 0.65
 _FEWEST_FOR_TEMPO = 12  # coarse frames
 _SMOOTH_S = 6.0  # s over which a free tempo is averaged
 
@@ -98,11 +99,34 @@ def align(reference: Working, performance: Working, tempo: str, weights: FloatAr
             frames[first:last] = extrapolate(here, clock[run.start : run.end], line * step)
         else:
             frames[first:last] = here + _refine(run, step, reference, performance, weights)
+    if tempo == "same" and _hangs_by_an_end(frames, reference.n_frames, performance.frame_rate):
+        starts, edges = [0], [0, performance.n_frames]
+        frames = _keep_whole(reference, performance, weights)
     ends = edges[1:]
     final = tuple(Run(start, end, float(frames[start] - start)) for start, end in zip(starts, ends, strict=True))
     on_clock = np.interp(clock, np.arange(performance.n_frames), frames) / step
     mismatch = _measure_mismatch(on_clock, cost)
     return Alignment(frames, final, mismatch, _measure_tempo(frames, final))
+
+
+def _hangs_by_an_end(frames: FloatArray, n_reference: int, rate: float) -> bool:
+    """Whether two short motions of about one length touch each other with little more than their ends.
+
+    Takes of one short exercise have no common timing: leaving most of both out may look cheaper than being late.
+    """
+    count = len(frames)
+    inside = int(((frames >= -0.5) & (frames <= n_reference - 0.5)).sum())
+    short = max(count, n_reference) <= _SHORT_S * rate
+    alike = max(count, n_reference) <= _SHORT_RATIO * min(count, n_reference)
+    return short and alike and inside < _SHORT_SHARE * min(count, n_reference)
+
+
+def _keep_whole(reference: Working, performance: Working, weights: FloatArray) -> FloatArray:
+    """(T,) reference frames at the offset that dynamic time warping from end to end mostly has."""
+    from dousa.evaluation.alignment.correspondence import find_path
+
+    path = find_path(reference.segments, performance.segments, weights=weights)
+    return np.arange(performance.n_frames, dtype=np.float64) + float(np.median(path[:, 0] - path[:, 1]))
 
 
 def _follow(

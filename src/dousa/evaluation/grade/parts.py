@@ -25,8 +25,8 @@ time, at the best time nearby (deg); lag of the limbs (s); range of motion that 
 length of the way that the segments go (logarithm of the ratio)."""
 
 _RATE = 10.0  # Hz, of the moments that are measured
-_CAP = np.radians(24.0) ** 2  # squared chord beyond which a moment is simply elsewhere
-_CHANGE, _LATE = 0.25, 0.01  # prices of 0.1 s more or less of lag, and of being late, in capped moments
+_NEAR = np.radians(12.0) ** 2  # squared chord from which a moment is hardly the same
+_CHANGE, _LATE = 0.4, 0.02  # prices of 0.1 s more or less of lag, and of being late, against log(1 + chord^2 / near)
 _RESEMBLED = np.radians(25.0) ** 2  # squared chord of all segments of a pose that was danced, at whatever time
 _STEP_S = 0.5  # a performance that goes on by no more than this in the reference leaves nothing out
 _MOST_POSES = 90
@@ -161,7 +161,7 @@ def _follow_limbs(squared: FloatArray, center: int, rate: float) -> tuple[NDArra
     change = _CHANGE * _RATE / rate
     for segments in LIMBS.values():
         part = squared[:, :, list(segments)]
-        cost = np.minimum(part, _CAP).sum(axis=2) / (_CAP * len(segments))
+        cost = np.log1p(part / _NEAR).mean(axis=2)
         course = follow_lag(cost + _LATE * _RATE * lags, change)
         for segment in segments:
             columns[:, segment] = course - center

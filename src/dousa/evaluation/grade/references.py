@@ -17,12 +17,12 @@ from dousa.evaluation.errors.explain import Finding, explain_all
 from dousa.evaluation.errors.judge import load_judge
 from dousa.evaluation.errors.measures import measure_suspects
 from dousa.evaluation.grade.importance import learn_importance
-from dousa.evaluation.grade.parts import Measured, compute_deviation, measure_parts
-from dousa.evaluation.posture.offset import Offset, estimate_offset, learn_between, take_out
+from dousa.evaluation.grade.parts import PARTS, Measured, compute_deviation, measure_parts
+from dousa.evaluation.posture.offset import Offset, estimate_offset, find_missing, learn_between, take_out
 from dousa.evaluation.posture.posture import PostureSequence, Working, interpolate_segments, thin_postures
 
-MOST_MISMATCH, MOST_DEVIATION = 0.85, 36.0
-"""Along the lines (0 to 1), and degrees: motions that differ more have nothing in common."""
+MOST_MISMATCH, MOST_DEVIATION = 0.85, 26.0
+"""Along the lines (0 to 1), and degrees at the best times: motions that differ more have nothing in common."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -97,9 +97,11 @@ def prepare_references(
     unwarped = [thin_postures(take) for take in takes[1:]]
     alone = [compare(clock, take, tempo, weights) for take in unwarped]
     apart = [compute_deviation(one.from_first, weights) for one in alone]
+    # Takes without common timing are takes all the same: what counts is how alike they get at the best times.
+    shapes = [one.measured.find_parts(weights)[PARTS.index("shape")] for one in alone]
     like = [
         i
-        for i, (one, angle) in enumerate(zip(alone, apart, strict=True))
+        for i, (one, angle) in enumerate(zip(alone, shapes, strict=True))
         if one.alignment.mismatch <= MOST_MISMATCH and angle <= MOST_DEVIATION
     ]
     paths = [_follow_take(first, takes[i + 1], weights) for i in like]
@@ -214,6 +216,10 @@ def compare(
     What one take does is right: each deviation is from the take nearest to it, after what another body does
     differently throughout is taken out; ``between`` (9,) rad is what bodies differ by.
     """
+    missing = find_missing(references[0], performance)
+    if missing.any() and (weights * ~missing).any():
+        weights = weights * ~missing
+        performance = replace(performance, seen=performance.seen & ~missing)
     alignment = align(references[0], performance, tempo, weights)
     pairs = _pair_poses(references[0], performance, alignment.frames, weights)
     bodies = [estimate_offset(reference, performance, pairs, between) for reference in references]

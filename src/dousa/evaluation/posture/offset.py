@@ -38,13 +38,13 @@ _YAW_WINDOW_S = 0.6
 _SCALES = np.radians([3.0, 10.0]) ** 2  # squared deviation from which a moment loses its say, at least and at most
 _STEADY = 4.0  # of the median squared deviation
 _N_YAWS, _N_ROUNDS = 2, 5
-_MOST_MOMENTS = 3000
+_MOST_MOMENTS = 1500
 _RIDGE = 0.03  # of the moments: about its own axis a segment that hardly moves has no offset
 
 _SEEN = 0.1  # of the time: less says nothing of a part
-_STILL = np.radians(2.0)  # nobody holds a limb so still: a joint that is not tracked
+_STILL = np.radians(0.1)  # nobody holds a limb so still: a joint that is not tracked
 _MOVES = np.radians(15.0)
-_ELSEWHERE = np.radians(45.0)  # of both thighs throughout: who sits does not stand badly
+_HIGHER = 0.5  # vertical part of both thighs, mostly: who sits does not stand badly
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -97,7 +97,7 @@ def estimate_offset(
     heading = np.nan_to_num(performance.heading[ours])
     a, b = reference.segments[theirs], performance.segments[ours]
     measured, seconds = measure_offset(a, b, judged, heading, rate)
-    missing = _find_missing(a, b, judged, measured)
+    missing = find_missing(reference, performance)
     shown = ~missing & (seconds > 0.0)
     common = np.median(measured[shown], axis=0) * (1.0, 0.0, 1.0) if shown.any() else np.zeros(3)
     tilt = _limit(common[None], np.radians([TILT_DEG]))
@@ -129,30 +129,33 @@ def learn_between(measured: Sequence[Offset]) -> FloatArray:
     return np.asarray(np.sqrt(total / (_PRIOR_TAKES + len(squares))))
 
 
-def _find_missing(
-    reference: FloatArray, performance: FloatArray, judged: NDArray[np.bool_], measured: FloatArray
-) -> NDArray[np.bool_]:
-    """(9,) what cannot be judged: not seen together, not tracked in one of them, or sitting against standing."""
-    missing: NDArray[np.bool_] = np.mean(judged, axis=0) < _SEEN
-    ranges = np.array([_measure_spread(a, judged) for a in (reference, performance)])
-    missing |= (ranges.min(axis=0) < _STILL) & (ranges.max(axis=0) > _MOVES)
-    size = np.linalg.norm(measured, axis=1)
-    legs = [*LIMBS["left_leg"], *LIMBS["right_leg"]]
-    thighs = [LIMBS["left_leg"][0], LIMBS["right_leg"][0]]
-    if (size[thighs] > _ELSEWHERE).all() and (ranges[:, thighs].min(axis=0) < _MOVES).all():
+def find_missing(reference: Working, performance: Working) -> NDArray[np.bool_]:
+    """(9,) what cannot be judged: not seen, not tracked in one of the two, or sitting against standing."""
+    both = (reference, performance)
+    missing: NDArray[np.bool_] = np.min([one.seen.mean(axis=0) for one in both], axis=0) < _SEEN
+    reach = np.array([_measure_reach(one, 99.0) for one in both])
+    missing |= (reach.min(axis=0) < _STILL) & (reach.max(axis=0) > _MOVES)
+    legs, thighs = [*LIMBS["left_leg"], *LIMBS["right_leg"]], [LIMBS["left_leg"][0], LIMBS["right_leg"][0]]
+    if missing[thighs].any():
+        return missing
+    height = np.array([[np.median(one.segments[one.seen[:, k], k, 1]) for k in thighs] for one in both])
+    rests = np.array([_measure_reach(one, 80.0)[thighs].max() for one in both]) < _MOVES
+    # Of the two that one sits whose thighs are higher; who squats moves.
+    sitting = int(height.mean(axis=1).argmax())
+    if (height[sitting] - height[1 - sitting] > _HIGHER).all() and rests[sitting]:
         missing[legs] = True
     return missing
 
 
-def _measure_spread(segments: FloatArray, judged: NDArray[np.bool_]) -> FloatArray:
-    """(9,) rad, how far a segment gets from where it mostly is, nine tenths of the time."""
-    spread = np.zeros(9)
-    for segment in np.flatnonzero(judged.any(axis=0)):
-        some = segments[judged[:, segment], segment]
+def _measure_reach(motion: Working, percent: float) -> FloatArray:
+    """(9,) rad, how far each segment gets from where it mostly is, so much of the time."""
+    reach = np.zeros(9)
+    for segment in np.flatnonzero(motion.seen.any(axis=0)):
+        some = motion.segments[motion.seen[:, segment], segment]
         middle = np.median(some, axis=0)
         far = np.linalg.norm(some - middle / max(float(np.linalg.norm(middle)), 1e-9), axis=1)
-        spread[segment] = np.percentile(far, 90.0)
-    return spread
+        reach[segment] = np.percentile(far, percent)
+    return reach
 
 
 def take_out(performance: Working, offset: Offset) -> Working:
