@@ -21,7 +21,7 @@ from dousa.app.pipelines.estimation_request import EstimationRequest, Outputs
 from dousa.app.pipelines.render import RenderRequest, render_file
 from dousa.estimation import TrackerSettings, fit_body, make_human
 from dousa.evaluation import assess
-from dousa.evaluation.grade.score import compute_deviation
+from dousa.evaluation.grade.parts import compute_deviation
 from dousa.files.disk import atomic_write
 from dousa.formats import ReadOptions, read_canonical
 from dousa.library import Library

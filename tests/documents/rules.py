@@ -91,7 +91,7 @@ _ONE_CATEGORY = {
 BENCHMARKS = {
     "assess.py": "--memory --minutes 0.2 --rate 30",
     "compare_versions.py": f"--before '{ROOT}' --only features",
-    "irds_grade.py": "../shared/data/irds",
+    "irds_grade.py": "--help",
     "count_repetitions.py": "../shared/data --only synthetic --repeats 1",
     "correlation_matrix.py": "--frames 200 --repeats 1",
     "correspondence.py": "--memory --frames 400",
