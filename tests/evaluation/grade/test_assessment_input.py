@@ -88,7 +88,7 @@ def test_errors_beside_a_lapse_are_found_at_their_place() -> None:
 def test_gaps_are_marked_and_not_judged(joints: list[str]) -> None:
     found = judge(lose(MOTION, joints, 6.0, 8.0))
     assert found.events == () and found.lapses == ()
-    assert found.score == pytest.approx(100.0, abs=0.1)
+    assert found.score == pytest.approx(100.0, abs=0.5)
     names = {name for *_, name in found.gaps}
     assert "left_forearm" in names and (len(names) == 9) == (len(joints) == 20)
     assert all((start, end) == pytest.approx((6.0, 8.0)) for start, end, _ in found.gaps)
