@@ -13,6 +13,7 @@
     ├── TrainingError           the clips at hand cannot train or test anything
     ├── NotTrainedError         the forest is asked before it was trained
     ├── SilhouetteError         masks or videos that no silhouettes can be had from
+    ├── KeypointError           keypoints that cannot be had: their file, their numbers, the models that find them
     ├── CalibrationError        a camera that cannot be: its file, its numbers, or its views disagree
     ├── BodyModelError          a body model that cannot be: its file, its measures, or its tree
     ├── OptionError             a command or function was called with a value outside its range
@@ -185,6 +186,10 @@ class _LocatableError(DousaError, ValueError):
 
 class SilhouetteError(_LocatableError):
     """Masks or videos that no silhouettes can be had from."""
+
+
+class KeypointError(_LocatableError):
+    """Keypoints that cannot be had: their file, their numbers, or the models that find them."""
 
 
 class CalibrationError(_LocatableError):

@@ -7,6 +7,9 @@ from .cameras.camera import Camera
 from .cameras.camera_files import read_cameras, write_cameras
 from .cameras.camera_formats import cameras_to_arrays
 from .cameras.camera_sets import fit_cameras, make_ring, make_view, match_cameras
+from .keypoints.keypoint_files import write_keypoints
+from .keypoints.keypoint_input import read_keypoints
+from .keypoints.keypoints import MEDIAPIPE_NAMES, PersonMasks, PersonTrack, ViewKeypoints
 from .raster.rendering import poses_from_motion, render, spoil
 from .silhouettes.cleaning import clean_mask, describe_mask
 from .silhouettes.mask_npz import read_silhouettes, write_silhouettes
@@ -19,6 +22,7 @@ from .tracking.tracker import PartialTrack, estimate
 
 __all__ = [
     "EVIDENCES",
+    "MEDIAPIPE_NAMES",
     "PAPER",
     "READINGS",
     "BodyModel",
@@ -26,9 +30,12 @@ __all__ = [
     "Estimate",
     "PackedSilhouettes",
     "PartialTrack",
+    "PersonMasks",
+    "PersonTrack",
     "Silhouettes",
     "TrackedFrame",
     "TrackerSettings",
+    "ViewKeypoints",
     "body_from_motion",
     "cameras_to_arrays",
     "clean_mask",
@@ -48,11 +55,13 @@ __all__ = [
     "poses_from_motion",
     "read_body",
     "read_cameras",
+    "read_keypoints",
     "read_silhouettes",
     "render",
     "spoil",
     "standing_state",
     "write_body",
     "write_cameras",
+    "write_keypoints",
     "write_silhouettes",
 ]
