@@ -10,7 +10,8 @@ import pytest
 from hypothesis import settings
 
 os.environ["DOUSA_LANG"] = "en"  # whatever the locale of the machine is; commands in processes of their own inherit it
-settings.register_profile("dousa", deadline=None)  # a loaded machine is slow, not wrong
+# A loaded machine is slow, not wrong; CI tries the same examples each time, whoever works at it tries new ones.
+settings.register_profile("dousa", deadline=None, derandomize="CI" in os.environ)
 settings.load_profile("dousa")
 
 TESTS = Path(__file__).resolve().parent

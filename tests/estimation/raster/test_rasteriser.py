@@ -71,6 +71,8 @@ many_discs = st.lists(st.tuples(places, places, radii), min_size=1, max_size=7)
 @settings(max_examples=60, deadline=None)
 @given(many_discs, st.integers(1, 130), st.integers(1, 24))
 @example([(0.0, 0.0, 0.0), (0.0, 2.0, 2.0)], 2, 2)  # a point on top of a disc
+@example([(2.0, 0.0, 5e-324), (0.5, 2.0, 2.0)], 3, 3)  # next to nothing, next to nothing higher
+@example([(1e-9, 1e-20, 1.0), (1e-20, 1.0, 2.0)], 3, 3)  # a disc that touches the one it lies in, on top
 def test_hull_of_discs_is_the_oracles(discs, width, height):
     assert_agrees(draw_discs(discs, width, height), depth_in_hull(discs, width, height))
 

@@ -154,16 +154,38 @@ def outline_discs(discs, count, width, height, pairs, low, high):  # type: ignor
 
 @njit(cache=True, nogil=True, forceinline=True)
 def _measure_pairs(discs, count, pairs):  # type: ignore[no-untyped-def]
-    """For each pair: length of its outer tangents, -1 if one disc lies in the other, and 1 / squared distance."""
+    """For each pair: length of its outer tangents and 1 / squared distance; ``pairs[i, i, 0]`` is -1 of a held disc.
+
+    A disc that lies in another one adds nothing to the hull.
+    """
     for i in range(count):
+        pairs[i, i, 0] = 0.0
         for j in range(i):
             dx, dy, dr = discs[j, 0] - discs[i, 0], discs[j, 1] - discs[i, 1], discs[j, 2] - discs[i, 2]
             square = dx * dx + dy * dy
             rest = square - dr * dr
-            root = np.sqrt(rest) if rest > 0.0 else -1.0
+            if rest <= 0.0:
+                smaller = j if dr < 0.0 else i
+                pairs[smaller, smaller, 0] = -1.0
+            root = np.sqrt(max(rest, 0.0))
             inverse = 1.0 / square if square > 0.0 else 0.0
             pairs[i, j, 0], pairs[i, j, 1] = root, inverse
             pairs[j, i, 0], pairs[j, i, 1] = root, inverse
+
+
+_AS_HIGH = 1e-9  # px, of coordinates up to 1: what differs by less lies in one row
+_LEVEL = 1e-18  # share of a normal that points sideways: a tangent with less has no slope
+
+
+@njit(cache=True, nogil=True, forceinline=True)
+def _find_start(side, discs, count, pairs, top):  # type: ignore[no-untyped-def]
+    """Of the discs that reach as high as any and lie in no other, the outermost: there the walk begins."""
+    here, outmost = 0, -np.inf
+    for i in range(count):
+        high = discs[i, 1] - discs[i, 2] <= top + _AS_HIGH * max(1.0, abs(top))
+        if high and pairs[i, i, 0] >= 0.0 and side * discs[i, 0] > outmost:
+            here, outmost = i, side * discs[i, 0]
+    return here
 
 
 @njit(cache=True, nogil=True, forceinline=True)
@@ -172,23 +194,19 @@ def _trace_side(side, discs, count, pairs, top, first, last, width, columns):  #
 
     From the disc at hand the next is the one whose outer tangent turns least, that is, whose normal points up most.
     """
-    here, outmost = 0, -np.inf
-    for i in range(count):  # of several that are as high the outermost, of those the largest, which holds the others
-        out = side * discs[i, 0]
-        if discs[i, 1] - discs[i, 2] <= top and (out > outmost or (out == outmost and discs[i, 2] > discs[here, 2])):
-            here, outmost = i, out
+    here = _find_start(side, discs, count, pairs, top)
     row, up_here = first, -1.0
     for _ in range(2 * count):
         x, y, r = side * discs[here, 0], discs[here, 1], discs[here, 2]
         best, best_up, best_out = -1, 1.0, 0.0
         for j in range(count):
-            root = pairs[here, j, 0]
-            if j == here or root < 0.0:
+            if j == here or pairs[j, j, 0] < 0.0:
                 continue
+            root = pairs[here, j, 0]
             dx, dy, dr = side * discs[j, 0] - x, discs[j, 1] - y, discs[j, 2] - r
             up = (-dr * dy - root * dx) * pairs[here, j, 1]
             out = (-dr * dx + root * dy) * pairs[here, j, 1]
-            if out > 0.0 and up_here - 1e-9 <= up < best_up:
+            if out > _LEVEL and up_here - 1e-9 <= up < best_up:
                 best, best_up, best_out = j, up, out
         leave = y + r * best_up if best >= 0 else _FAR
         end = last if leave >= last else int(np.floor(leave))
