@@ -52,6 +52,36 @@ def test_the_table_csv_and_picture(run, files, tmp_path):
     assert (tmp_path / "kicks.png").read_bytes().startswith(b"\x89PNG")
 
 
+def test_brief_is_the_answer_without_the_table(run, files):
+    words = ("evaluate", files / "kick.trc", "--performance", files / "kicks.trc", "--repetitions")
+    code, full, _ = run(*words)
+    assert code == 0
+    code, brief, _ = run(*words, "--detail", "brief")
+    assert code == 0
+    lines = brief.splitlines()
+    assert lines[0].startswith("3 repetitions, 1 incomplete")
+    assert lines[1].startswith("grade ")
+    assert "repetition 2 was broken off" in brief and "no trend" in lines[-1]
+    assert set(lines) < set(full.splitlines())
+    assert "no. " in full and "no. " not in brief
+
+
+def test_tempo_weights_and_importance_count(run, files):
+    words = ("evaluate", files / "kick.trc", "--performance", files / "kicks.trc", "--repetitions", "--json")
+    usual = json.loads(run(*words)[1])
+    assert usual["tempo"] == "free"
+    assert usual["says_codes"][1] == "exercise_summary.broken_off"
+    free, same, equal, alike = (
+        json.loads(run(*words, *more)[1])
+        for more in (("--tempo", "free"), ("--tempo", "same"), ("--importance", "equal"), ("--weights", "equal"))
+    )
+    assert free == usual
+    assert same["tempo"] == "same"
+    scores = [[one["score"] for one in answer["repetitions"]] for answer in (usual, same, equal)]
+    assert scores[0] != scores[1] and scores[0] != scores[2]
+    assert alike == equal
+
+
 def test_json_alone_is_on_standard_output(run, files):
     words = ("--performance", files / "kicks.trc", "--repetitions", "--json")
     code, out, _ = run("evaluate", files / "kick.trc", *words)

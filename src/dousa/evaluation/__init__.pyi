@@ -18,6 +18,7 @@ from .exercises.range_of_motion import (
 )
 from .exercises.repetitions import AssessedRepetition, RepetitionsAssessment, assess_repetitions
 from .exercises.split import Repetition, RepetitionSplit, find_repetitions
+from .exercises.summary import describe_exercise, describe_trends
 from .exercises.trend import Trend, estimate_trend
 from .figures.eigenspace import (
     Eigenspace,
@@ -99,9 +100,11 @@ __all__ = [
     "describe_advice",
     "describe_assessment",
     "describe_event",
+    "describe_exercise",
     "describe_heading",
     "describe_lapse",
     "describe_segments",
+    "describe_trends",
     "estimate_robust_yaw",
     "estimate_trend",
     "estimate_yaw",

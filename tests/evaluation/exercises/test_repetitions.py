@@ -11,8 +11,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from dousa.errors import InvalidMotionError
-from dousa.evaluation import assess_repetitions, find_repetitions
+from dousa.errors import InvalidMotionError, OptionError
+from dousa.evaluation import assess, assess_repetitions, find_repetitions
 from dousa.evaluation.exercises.split import Repetition, find_reference_repetitions
 from dousa.experiments.exercises.sets import ExerciseSet, join_repetitions
 from dousa.formats.motion_files import ReadOptions, read_canonical
@@ -144,6 +144,37 @@ def test_the_assessment_measures_each_repetition(squats: tuple[CanonicalMotion, 
     pauses = [one.pause_s for one in done.repetitions]
     assert all(pause >= 0 for pause in pauses[:-1])
     assert math.isnan(pauses[-1])
+
+
+def test_the_grade_is_that_of_assess_with_the_same_options(squats: tuple[CanonicalMotion, ExerciseSet]) -> None:
+    reference, truth = squats
+    options = {"tempo": "same", "importance": "equal", "weights": {"legs": 2.0}}
+    done = assess_repetitions(reference, truth.motion, **options)
+    assert done.tempo == "same" == done.to_json()["tempo"]
+    one = done.complete[0]
+    first, last = round(one.first_s * 30), min(one.repetition.end + 8, truth.motion.n_frames)
+    cut = dataclasses.replace(truth.motion, positions=truth.motion.positions[first:last])
+    (span,) = find_reference_repetitions(reference)
+    model = reference.positions[max(span[0] - 8, 0) : span[1] + 8]
+    whole = assess(dataclasses.replace(reference, positions=model), cut, **options)
+    assert one.assessment is not None
+    assert (one.score, one.assessment.to_json()) == (whole.score, whole.to_json())
+    assert one.score != assess_repetitions(reference, truth.motion, weights={"legs": 2.0}).complete[0].score
+
+
+def test_being_slower_costs_points_only_if_asked() -> None:
+    squat, *clips = make_clips("squat", 4)
+    slow = [dataclasses.replace(clip, frame_rate=clip.frame_rate / 1.6) for clip in clips]
+    motion = join_repetitions(slow, np.random.default_rng(3), tempo=(1.0, 1.0)).motion
+    free, same = (assess_repetitions(squat, motion, tempo=tempo) for tempo in ("free", "same"))
+    assert free.count == same.count == 3
+    assert min(one.score for one in free.complete) > max(one.score for one in same.complete)
+
+
+def test_wrong_options_are_told(squats: tuple[CanonicalMotion, ExerciseSet]) -> None:
+    for option in ({"tempo": "slow"}, {"importance": "some"}, {"side": "left"}):
+        with pytest.raises(OptionError, match=next(iter(option))):
+            assess_repetitions(squats[0], squats[1].motion, **option)
 
 
 def test_json_has_no_nan_and_says_the_same(squats: tuple[CanonicalMotion, ExerciseSet]) -> None:

@@ -67,21 +67,35 @@ def evaluate(
         bool, typer.Option("--mirror", help="The performer faced the reference and danced its mirror image.")
     ] = False,
     tempo: Annotated[
-        Literal["same", "free"],
-        typer.Option("--tempo", help="same: lateness counts; free: being slower throughout does not."),
-    ] = "same",
+        Literal["same", "free"] | None,
+        typer.Option(
+            "--tempo",
+            help="same: lateness counts; free: being slower throughout does not. Default: same; with --repetitions "
+            "free.",
+            show_default=False,
+        ),
+    ] = None,
     weights: Annotated[
         Path | None,
         typer.Option(
             "--weights",
             metavar="FILE",
             help="Weights: lines such as 'arms = 2', 'left_shank = 0', multiplied with what matters in the reference. "
-            "'equal' instead of a file: all segments count alike.",
+            "'equal' instead of a file: as --importance equal.",
         ),
     ] = None,
+    importance: Annotated[
+        Literal["learned", "equal"],
+        typer.Option(
+            "--importance",
+            help="learned: in the grade segments count as they matter in the reference; equal: all alike.",
+        ),
+    ] = "learned",
     detail: Annotated[
         Literal["brief", "full"],
-        typer.Option("--detail", help="brief: the grade and what to work on first; full: every error as well."),
+        typer.Option(
+            "--detail", help="brief: the grade and what to work on first; full: every error, or repetition, as well."
+        ),
     ] = "full",
     repetitions: Annotated[
         bool,
@@ -131,7 +145,7 @@ def evaluate(
 
     Example: dousa evaluate squat.trc --performance squats.trc --repetitions --csv squats.csv
     """
-    from dousa.app.cli.exercises import check_exercise_options, evaluate_exercise
+    from dousa.app.cli.exercises import ExerciseOptions, check_exercise_options, evaluate_exercise
     from dousa.app.pipelines.beats import check_beat_options, load_beats, time_accents
     from dousa.app.pipelines.evaluate import check_folder, evaluate_files, find_references
     from dousa.formats.motion_files import ReadOptions
@@ -147,9 +161,11 @@ def evaluate(
     files, language = find_references(reference), get_language()
     options = ReadOptions(o.load_joint_map(joint_map), unit, up, skeleton)
     side = "mirrored" if mirror else "same"
+    if weights == _EQUAL:
+        importance = "equal"
     if repetitions:
-        loaded = _load_weights(weights)
-        evaluate_exercise(files, performance, options, side, loaded, csv=csv, picture=picture, json=json)
+        wanted = ExerciseOptions(side, tempo or "free", _load_weights(weights), importance)
+        evaluate_exercise(files, performance, options, wanted, detail=detail, csv=csv, picture=picture, json=json)
         return
     known = load_beats(music, beats)
     with progress_bar() as progress:
@@ -159,9 +175,9 @@ def evaluate(
             options=options,
             furi_file=furi,
             side=side,
-            tempo=tempo,
+            tempo=tempo or "same",
             weights=_load_weights(weights),
-            importance="equal" if weights == _EQUAL else "learned",
+            importance=importance,
             progress=progress,
         )
         timing = None if known is None else time_accents(done, known, music_start)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from dousa.app.output import console, print_json, progress_bar, warn
@@ -13,6 +14,7 @@ if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
     from pathlib import Path
 
+    from dousa.evaluation import RepetitionsAssessment
     from dousa.formats.motion_files import ReadOptions
 
 
@@ -32,24 +34,41 @@ def check_exercise_options(
             raise OptionError("exercises.not_with", option=option)
 
 
+@dataclass(frozen=True, slots=True)
+class ExerciseOptions:
+    """How repetitions are assessed: options of `dousa.evaluation.assess_repetitions`."""
+
+    side: str
+    tempo: str
+    weights: Mapping[str, float] | None
+    importance: str
+
+
 def evaluate_exercise(
     references: Sequence[Path],
     performance: Path,
     options: ReadOptions,
-    side: str,
-    weights: Mapping[str, float] | None,
+    wanted: ExerciseOptions,
     *,
+    detail: str,
     csv: Path | None,
     picture: Path | None,
     json: bool,
 ) -> None:
     """Assess the repetitions in a file; print a table or JSON, write CSV and picture."""
     from dousa.app.pipelines.repetitions import evaluate_repetitions
-    from dousa.app.tables.repetitions import choose_angles, print_repetitions, to_repetitions_csv
+    from dousa.app.tables.repetitions import print_repetitions, to_repetitions_csv
 
     with progress_bar() as progress:
         done = evaluate_repetitions(
-            references, performance, options=options, side=side, weights=weights, progress=progress
+            references,
+            performance,
+            options=options,
+            side=wanted.side,
+            tempo=wanted.tempo,
+            weights=wanted.weights,
+            importance=wanted.importance,
+            progress=progress,
         )
     assessment = done.assessment
     if csv is not None:
@@ -57,6 +76,7 @@ def evaluate_exercise(
             file.write(to_repetitions_csv(assessment))
     if picture is not None:
         from dousa.app.pictures.repetitions_sheet import draw_repetitions
+        from dousa.evaluation.exercises.summary import choose_angles
 
         draw_repetitions(assessment, done.motion, picture, choose_angles(assessment))
     for path, note in dict.fromkeys(done.notes):
@@ -70,9 +90,17 @@ def evaluate_exercise(
             "csv": None if csv is None else str(csv),
             "picture": None if picture is None else str(picture),
         }
-        print_json({**assessment.to_json(), **files})
+        print_json({**assessment.to_json(), **_describe(assessment), **files})
         return
-    print_repetitions(console(), assessment)
+    print_repetitions(console(), assessment, detail)
     for code, written in (("exercise_table.csv", csv), ("exercise_table.picture", picture)):
         if written is not None:
             console().print(str(Message(code, path=written)), markup=False, soft_wrap=True)
+
+
+def _describe(assessment: RepetitionsAssessment) -> dict[str, Any]:
+    """What to know first, as sentences and codes."""
+    from dousa.evaluation import describe_exercise, describe_trends
+
+    said = (*describe_exercise(assessment), *describe_trends(assessment))
+    return {"says": [str(message) for message in said], "says_codes": [message.code for message in said]}

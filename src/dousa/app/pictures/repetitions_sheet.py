@@ -12,6 +12,7 @@ import numpy as np
 from dousa.app.pictures.canvas import BLUE, FAINT, GREEN, GREY, INK, PURPLE, VERMILLION, new_figure, save_figure, write
 from dousa.evaluation.exercises.range_of_motion import ANGLE_NAMES, compute_joint_angles
 from dousa.messages import Message
+from dousa.motion.canonical.canonicalise import mirror_canonical
 
 if TYPE_CHECKING:
     from dousa.evaluation import RepetitionsAssessment
@@ -41,6 +42,8 @@ def draw_repetitions(
     OptionError : another suffix.
     MotionWriteError : the picture cannot be written.
     """
+    if assessment.side == "mirrored":
+        performance = mirror_canonical(performance)  # as it was measured: left and right are the reference's
     figure = new_figure(_WIDTH, _HEIGHT)
     incomplete = len(assessment.repetitions) - assessment.count
     title = Message("exercise_table.picture_title", n=assessment.count, incomplete=incomplete)

@@ -44,7 +44,9 @@ def evaluate_repetitions(
     *,
     options: ReadOptions,
     side: str = "same",
+    tempo: str = "free",
     weights: Mapping[str, float] | None = None,
+    importance: str = "learned",
     progress: ProgressCallback | None = None,
 ) -> ExerciseEvaluation:
     """Read the files, split the performance into repetitions, and assess each.
@@ -53,7 +55,7 @@ def evaluate_repetitions(
     ----------
     references, performance : files, see `dousa.app.pipelines.evaluate.find_references`.
     options : what is said about all of them.
-    side, weights : as in `dousa.evaluation.assess_repetitions`.
+    side, tempo, weights, importance : as in `dousa.evaluation.assess_repetitions`.
     progress : called with (steps done, steps, what is being done).
 
     Raises
@@ -71,7 +73,9 @@ def evaluate_repetitions(
         takes.append(read_take(path, options, notes))
     report(steps - 1, steps, Message("progress.comparing"))
     try:
-        assessment = assess_repetitions(takes[:-1], takes[-1], side=side, weights=weights)
+        assessment = assess_repetitions(
+            takes[:-1], takes[-1], side=side, tempo=tempo, weights=weights, importance=importance
+        )
     except InvalidMotionError as error:
         about_references = error.code in (*ABOUT_REFERENCES, "exercises.still_reference")
         shortest = min(range(len(references)), key=lambda number: takes[number].duration)

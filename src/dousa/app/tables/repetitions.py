@@ -11,25 +11,15 @@ from rich.markup import escape
 from rich.table import Table
 
 from dousa.app.output import one_line
-from dousa.evaluation.exercises.range_of_motion import ANGLE_NAMES, ANGLES, PAIRED_ANGLES
+from dousa.evaluation.exercises.range_of_motion import ANGLE_NAMES, ANGLES
+from dousa.evaluation.exercises.summary import choose_angles, choose_pair, describe_exercise, describe_trends
 from dousa.evaluation.words import format_time
 from dousa.messages import Message
 
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from dousa.evaluation import AssessedRepetition, RepetitionsAssessment, Trend
-
-PAIR_NAMES = {
-    "elbow_flexion": Message("exercise_table.elbow_flexion"),
-    "shoulder_elevation": Message("exercise_table.shoulder_elevation"),
-    "shoulder_flexion": Message("exercise_table.shoulder_flexion"),
-    "shoulder_abduction": Message("exercise_table.shoulder_abduction"),
-    "hip_flexion": Message("exercise_table.hip_flexion"),
-    "hip_abduction": Message("exercise_table.hip_abduction"),
-    "knee_flexion": Message("exercise_table.knee_flexion"),
-}
-"""Angle of both sides -> its name."""
+    from dousa.evaluation import AssessedRepetition, RepetitionsAssessment
 
 _HEADINGS = (
     Message("exercise_table.number"),
@@ -38,35 +28,30 @@ _HEADINGS = (
     Message("exercise_table.tempo"),
     Message("exercise_table.grade"),
 )
-_MOST_ANGLES = 4  # that a table has room for
 
 
-def choose_angles(assessment: RepetitionsAssessment, most: int = _MOST_ANGLES) -> tuple[str, ...]:
-    """The joint angles that move most in the reference, in the order of `ANGLES`; of each joint one, at least one.
+def print_repetitions(out: Console, assessment: RepetitionsAssessment, detail: str = "full") -> None:
+    """The count, what to know first, a row for each repetition, and the trends, in the language in use.
 
-    A shoulder that is raised has an elevation, a flexion and an abduction; the one that moves most stands for it, the
-    same on both sides.
+    Parameters
+    ----------
+    out : where it goes.
+    assessment : what is told.
+    detail : ``"brief"`` leaves out the table.
     """
-    ranges = {name: value if math.isfinite(value) else 0.0 for name, value in assessment.reference_ranges.items()}
-    kinds: dict[str, tuple[float, str]] = {}
-    for name in ANGLES:
-        kind = name.removeprefix("left_").removeprefix("right_")
-        joint = kind.split("_")[0]
-        kinds[joint] = max(kinds.get(joint, (-1.0, "")), (ranges[name], kind))
-    chosen = {kind for _, kind in kinds.values()}
-    mine = [name for name in ANGLES if name.removeprefix("left_").removeprefix("right_") in chosen]
-    moving = [name for name in mine if name in assessment.angles] or mine[:1]
-    kept = sorted(moving, key=lambda name: -ranges[name])[:most]
-    return tuple(name for name in ANGLES if name in kept)
-
-
-def print_repetitions(out: Console, assessment: RepetitionsAssessment) -> None:
-    """The count, a row for each repetition, the trends, in the language in use."""
     incomplete = len(assessment.repetitions) - assessment.count
     head = Message("exercise_table.count", n=assessment.count, incomplete=incomplete, seconds=assessment.reference_s)
-    out.print(str(head), markup=False, soft_wrap=True)
+    for line in (head, *describe_exercise(assessment)):
+        out.print(str(line), markup=False, soft_wrap=True)
+    if detail == "full":
+        out.print(_make_table(assessment))
+    for line in describe_trends(assessment):
+        out.print(str(line), markup=False, soft_wrap=True)
+
+
+def _make_table(assessment: RepetitionsAssessment) -> Table:
     angles = choose_angles(assessment)
-    sides = _most_telling_pair(assessment)
+    sides = choose_pair(assessment)
     table = Table(box=None)
     for heading in _HEADINGS:
         table.add_column(str(heading), justify="right", overflow="fold")
@@ -78,15 +63,7 @@ def print_repetitions(out: Console, assessment: RepetitionsAssessment) -> None:
         table.add_column(str(Message("exercise_table.symmetry")), justify="right", overflow="fold")
     for number, one in enumerate(assessment.repetitions, 1):
         table.add_row(*(escape(one_line(cell)) for cell in _row(number, one, angles, sides)))
-    out.print(table)
-    for line in describe_trends(assessment):
-        out.print(str(line), markup=False, soft_wrap=True)
-
-
-def _most_telling_pair(assessment: RepetitionsAssessment) -> str | None:
-    """The angle of both sides that moves most in the reference."""
-    pairs = [name for name in PAIRED_ANGLES if assessment.complete and name in assessment.complete[0].symmetry]
-    return max(pairs, key=lambda name: assessment.reference_ranges[f"left_{name}"], default=None)
+    return table
 
 
 def _row(number: int, one: AssessedRepetition, angles: tuple[str, ...], sides: str | None) -> list[str]:
@@ -107,31 +84,6 @@ def _row(number: int, one: AssessedRepetition, angles: tuple[str, ...], sides: s
 
 def _number(value: float, digits: int) -> str:
     return f"{value:.{digits}f}" if math.isfinite(value) else "–"
-
-
-def describe_trends(assessment: RepetitionsAssessment) -> list[Message]:
-    """The trends that can be told from chance, or that there are none."""
-    found = [_say_trend(name, trend) for name, trend in assessment.trends.items() if trend.distinguishable]
-    return found or [Message("exercise_table.no_trend")]
-
-
-def _say_trend(name: str, trend: Trend) -> Message:
-    if name == "duration_s":
-        what = Message("exercise_table.measure_duration")
-        return Message("exercise_table.trend_seconds", what=what, slope=trend.slope, p=trend.adjusted_p)
-    if name == "pause_s":
-        what = Message("exercise_table.measure_pause")
-        return Message("exercise_table.trend_seconds", what=what, slope=trend.slope, p=trend.adjusted_p)
-    if name == "score":
-        what = Message("exercise_table.measure_score")
-        return Message("exercise_table.trend_points", what=what, slope=trend.slope, p=trend.adjusted_p)
-    if name == "extent":
-        what = Message("exercise_table.measure_extent")
-        return Message("exercise_table.trend_percent", what=what, slope=100 * trend.slope, p=trend.adjusted_p)
-    if name.startswith("symmetry_"):
-        what = Message("exercise_table.measure_symmetry", angle=PAIR_NAMES[name.removeprefix("symmetry_")])
-        return Message("exercise_table.trend_percent", what=what, slope=trend.slope, p=trend.adjusted_p)
-    return Message("exercise_table.trend_degrees", what=ANGLE_NAMES[name], slope=trend.slope, p=trend.adjusted_p)
 
 
 def to_repetitions_csv(assessment: RepetitionsAssessment) -> bytes:

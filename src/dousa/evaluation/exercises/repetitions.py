@@ -22,7 +22,8 @@ from dousa.evaluation.exercises.range_of_motion import (
 )
 from dousa.evaluation.exercises.split import Repetition, find_reference_repetitions, find_repetitions
 from dousa.evaluation.exercises.trend import Trend, adjust_for_many, estimate_trend
-from dousa.evaluation.grade.assessment import assess, check_seen, check_takes
+from dousa.evaluation.grade.assessment import assess, check_importance, check_seen, check_takes
+from dousa.evaluation.grade.result import Assessment
 from dousa.evaluation.posture.posture import compute_postures
 from dousa.messages import Message
 from dousa.motion import CanonicalMotion
@@ -48,6 +49,8 @@ class AssessedRepetition:
     symmetry : angle of both sides -> symmetry index, percent, see `compute_symmetry_index`; only angles that move on
         both sides in the reference.
     pause_s : from its end to the beginning of the next one; nan for the last.
+    assessment : what the grade comes from, its times counted from ``first_s``; None without a grade.
+    first_s : s of the recording at which what was graded begins: a moment before the repetition.
     """
 
     repetition: Repetition
@@ -56,6 +59,8 @@ class AssessedRepetition:
     ranges: tuple[RangeOfMotion, ...]
     symmetry: Mapping[str, float]
     pause_s: float
+    assessment: Assessment | None = None
+    first_s: float = _NAN
 
     def get_range(self, angle: str) -> RangeOfMotion:
         """The range of one angle of `ANGLES`."""
@@ -79,6 +84,7 @@ class RepetitionsAssessment:
     duration_s : of the performance.
     side : ``"mirrored"`` if left and right are the reference's.
     warnings : what a person should know.
+    tempo : ``"free"``: being slower than the reference costs nothing; ``"same"``: it does.
     """
 
     repetitions: tuple[AssessedRepetition, ...]
@@ -91,6 +97,7 @@ class RepetitionsAssessment:
     duration_s: float
     side: str = "same"
     warnings: tuple[Message, ...] = ()
+    tempo: str = "free"
 
     @property
     def complete(self) -> tuple[AssessedRepetition, ...]:
@@ -125,6 +132,7 @@ class RepetitionsAssessment:
             "frame_rate": _number(self.frame_rate, 6),
             "duration_s": _number(self.duration_s, 3),
             "side": self.side,
+            "tempo": self.tempo,
             "warnings": [message.render(language) for message in self.warnings],
             "warning_codes": [message.code for message in self.warnings],
         }
@@ -135,7 +143,9 @@ def assess_repetitions(
     performance: CanonicalMotion,
     *,
     side: str = "same",
+    tempo: str = "free",
     weights: Mapping[str, float] | None = None,
+    importance: str = "learned",
 ) -> RepetitionsAssessment:
     """Split a recording into repetitions and measure each against the reference.
 
@@ -144,18 +154,20 @@ def assess_repetitions(
     references : the exercise done well: one take or several, each of one or several repetitions.
     performance : any frame rate, place, heading and stature; pauses, and walking into place, may come with it.
     side : ``"mirrored"`` for somebody who did the reference's mirror image.
-    weights : of segments for the grade, as in `dousa.evaluation.assess`.
+    tempo : ``"free"``: a repetition may be slower or faster than the reference's, its tempo is told beside the grade;
+        ``"same"``: being late costs points.
+    weights, importance : of segments for the grade, as in `dousa.evaluation.assess`.
 
     Raises
     ------
     InvalidMotionError : no repetition of the exercise in the performance, nobody moving in the references, a motion
         shorter than half a second or hardly seen, no reference.
-    OptionError : an unknown side or segment.
-
-    The grade leaves the tempo free: each repetition's duration is told beside it.
+    OptionError : an unknown side, tempo, importance or segment.
     """
     takes = [references] if isinstance(references, CanonicalMotion) else list(references)
-    check_takes(takes, performance, side, "free")
+    check_takes(takes, performance, side, tempo)
+    check_importance(importance)
+    grading = _Grading(tempo, weights, importance)
     for motion in (*takes, performance):
         check_seen(compute_postures(motion), is_reference=motion is not performance)
     played = mirror_canonical(performance) if side == "mirrored" else performance
@@ -170,10 +182,26 @@ def assess_repetitions(
             reference_s=_median([_seconds(take, span) for take, span in examples]),
             n_incomplete=len(found),
         )
-    return _measure(examples, played, found, side, weights)
+    return _measure(examples, played, found, side, grading)
 
 
 _Example = tuple[CanonicalMotion, tuple[int, int]]
+
+
+@dataclass(frozen=True, slots=True)
+class _Grading:
+    """How a repetition is graded: options of `assess`."""
+
+    tempo: str
+    weights: Mapping[str, float] | None
+    importance: str
+
+    def assess(self, models: Sequence[CanonicalMotion], cut: CanonicalMotion) -> Assessment | None:
+        """Of one repetition; None for one that is too short, or not seen, to be graded."""
+        try:
+            return assess(models, cut, tempo=self.tempo, weights=self.weights, importance=self.importance)
+        except InvalidMotionError:
+            return None
 
 
 def _measure(
@@ -181,7 +209,7 @@ def _measure(
     played: CanonicalMotion,
     found: Sequence[Repetition],
     side: str,
-    weights: Mapping[str, float] | None,
+    grading: _Grading,
 ) -> RepetitionsAssessment:
     expected = _measure_examples(examples)
     moving = tuple(name for name in ANGLES if expected[name] >= MOVING_DEG)
@@ -192,14 +220,17 @@ def _measure(
     assessed = []
     for number, one in enumerate(found):
         ranges = measure_ranges(angles, one.start, one.end, played.frame_rate, expected)
+        graded = grading.assess(models, _cut(played, one.start, one.end)) if one.complete else None
         assessed.append(
             AssessedRepetition(
                 repetition=one,
                 tempo=one.duration_s / reference_s if one.complete else _NAN,
-                score=_grade(models, _cut(played, one.start, one.end), weights) if one.complete else _NAN,
+                score=_NAN if graded is None else float(graded.score),
                 ranges=ranges,
                 symmetry={name: _compare_sides(ranges, name) for name in pairs},
                 pause_s=found[number + 1].start_s - one.end_s if number + 1 < len(found) else _NAN,
+                assessment=graded,
+                first_s=max(one.start - _count_margin(played), 0) / played.frame_rate,
             )
         )
     complete = [one for one in assessed if one.repetition.complete]
@@ -214,6 +245,7 @@ def _measure(
         duration_s=played.duration,
         side=side,
         warnings=_warn(complete, reference_s),
+        tempo=grading.tempo,
     )
 
 
@@ -246,18 +278,14 @@ def _choose_examples(examples: Sequence[_Example], typical_s: float) -> list[_Ex
 
 def _cut(motion: CanonicalMotion, start: int, end: int) -> CanonicalMotion:
     """A span of a motion and a moment around it."""
-    margin = round(_MARGIN_S * motion.frame_rate)
+    margin = _count_margin(motion)
     first, last = max(start - margin, 0), min(end + margin, motion.n_frames)
     missing = None if motion.missing is None else motion.missing[first:last]
     return dataclasses.replace(motion, positions=motion.positions[first:last], missing=missing)
 
 
-def _grade(models: Sequence[CanonicalMotion], cut: CanonicalMotion, weights: Mapping[str, float] | None) -> float:
-    """Grade of one repetition; nan for one that is too short, or not seen, to be graded."""
-    try:
-        return float(assess(models, cut, tempo="free", weights=weights).score)
-    except InvalidMotionError:
-        return _NAN
+def _count_margin(motion: CanonicalMotion) -> int:
+    return round(_MARGIN_S * motion.frame_rate)
 
 
 def _find_pairs(expected: Mapping[str, float]) -> tuple[str, ...]:

@@ -1,8 +1,8 @@
 """An assessment that answers again quickly when figures or weights are changed: what they do not touch is kept.
 
 Where the figures are cut changes the eigenspaces of the figures concerned and the curves; weights change everything,
-since they turn the bodies onto each other. `preview` keeps how the bodies were turned onto each other and changes
-only what the segments count; `assess` does all of it.
+since they turn the bodies onto each other; importance changes the grades alone. `preview` keeps how the bodies were
+turned onto each other and changes only what the segments count; `assess` does all of it.
 """
 
 from __future__ import annotations
@@ -16,13 +16,19 @@ from dousa.evaluation.figures.eigenspace import Eigenspace
 from dousa.evaluation.figures.furi import Furi, find_furi, fit_furi_eigenspaces, pool_takes, scale_furi
 from dousa.evaluation.grade.assessment import (
     Weighed,
+    check_importance,
     compare_bodies,
     compute_all_postures,
     look_at_figures,
     reweigh,
     weigh,
 )
-from dousa.evaluation.grade.references import ReferenceTakes, prepare_references, reweigh_references
+from dousa.evaluation.grade.references import (
+    ReferenceTakes,
+    prepare_references,
+    reweigh_references,
+    set_importance,
+)
 from dousa.evaluation.grade.result import Assessment
 from dousa.evaluation.posture.posture import PostureSequence
 from dousa.evaluation.posture.weights import spread_weights
@@ -131,25 +137,32 @@ class AdjustableAssessment:
         self,
         furi: Sequence[Furi] | None = None,
         weights: Mapping[str, float] | None = None,
+        *,
+        importance: str = "learned",
     ) -> Assessment:
-        """What `dousa.evaluation.assess` says of these figures and weights.
+        """What `dousa.evaluation.assess` says of these figures, weights and importance.
 
         Parameters
         ----------
         furi : in frames of the first take at its own rate; None for those that are found.
         weights : of segments or limbs.
+        importance : ``"learned"`` or ``"equal"``: whether what matters in the reference counts more in the grade.
 
         Raises
         ------
-        OptionError : furi outside the reference, weights that cannot be.
+        OptionError : furi outside the reference, weights that cannot be, another importance.
         """
+        check_importance(importance)
         prepared = self._prepare(spread_weights(weights))
-        return self._look(prepared, prepared.references, prepared.weighed, furi)
+        references = set_importance(prepared.references, importance)
+        return self._look(prepared, references, prepared.weighed, furi)
 
     def preview(
         self,
         furi: Sequence[Furi] | None = None,
         weights: Mapping[str, float] | None = None,
+        *,
+        importance: str = "learned",
     ) -> tuple[Assessment, bool]:
         """The same in a fraction of the time, and whether it is exactly the same.
 
@@ -158,13 +171,14 @@ class AdjustableAssessment:
 
         Parameters
         ----------
-        furi, weights : as in `assess`.
+        furi, weights, importance : as in `assess`.
         """
+        check_importance(importance)
         shares = spread_weights(weights)
         if shares.tobytes() in self._prepared or not self._prepared:
-            return self.assess(furi, weights), True
+            return self.assess(furi, weights, importance=importance), True
         prepared = next(reversed(self._prepared.values()))
-        references = reweigh_references(prepared.references, shares)
+        references = set_importance(reweigh_references(prepared.references, shares), importance)
         weighed = reweigh(prepared.weighed, references, prepared.performance, shares)
         return self._look(prepared, references, weighed, furi), False
 

@@ -113,8 +113,7 @@ def prepare_references(
     between = learn_between([alone[i].offset for i in like]) if like else None
     held = _compare_takes(working, [unwarped[i] for i in like], tempo, weights, between)
     measured = tuple(one.measured for one in held)
-    shares = learn_importance(working, measured) if importance == "learned" else np.ones(9)
-    return ReferenceTakes(
+    references = ReferenceTakes(
         first,
         working,
         warped,
@@ -125,8 +124,14 @@ def prepare_references(
         from_first,
         between,
         measured,
-        shares,
+        learn_importance(working, measured),
     )
+    return set_importance(references, importance)
+
+
+def set_importance(references: ReferenceTakes, importance: str) -> ReferenceTakes:
+    """The same takes; with ``"equal"`` all segments count alike in the grade, with ``"learned"`` as they matter."""
+    return references if importance == "learned" else replace(references, importance=np.ones(9))
 
 
 def reweigh_references(references: ReferenceTakes, weights: FloatArray) -> ReferenceTakes:

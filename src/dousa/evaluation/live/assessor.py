@@ -21,7 +21,7 @@ from dousa.evaluation.errors.explain import Finding
 from dousa.evaluation.errors.lapses import Lapse
 from dousa.evaluation.figures.curves import take_off_median
 from dousa.evaluation.figures.furi import Furi, find_furi, fit_furi_eigenspaces, pool_takes, scale_furi
-from dousa.evaluation.grade.assessment import FEWEST_FRAMES, SHORTEST_S, check_takes, judge
+from dousa.evaluation.grade.assessment import FEWEST_FRAMES, SHORTEST_S, check_importance, check_takes, judge
 from dousa.evaluation.grade.events import describe_findings
 from dousa.evaluation.grade.references import prepare_references
 from dousa.evaluation.grade.result import Assessment, ErrorEvent
@@ -93,7 +93,7 @@ class IncrementalAssessor:
 
     Parameters
     ----------
-    reference, furi, side, tempo, weights : as for `assess`.
+    reference, furi, side, tempo, weights, importance : as for `assess`.
     frame_rate : Hz, of the frames that will come.
     look_ahead_s : s, 1 or more, after which an error that is over is reported. With ``tempo="free"`` the line bends for
         3 s after a moment, so that a shorter look-ahead is less accurate.
@@ -120,6 +120,7 @@ class IncrementalAssessor:
         side: str = "same",
         tempo: str = "same",
         weights: Mapping[str, float] | None = None,
+        importance: str = "learned",
         look_ahead_s: float = _LOOK_AHEAD_S,
         offset_s: float | None = None,
     ) -> None:
@@ -128,12 +129,13 @@ class IncrementalAssessor:
         if not takes:
             raise InvalidMotionError("evaluation.no_reference")
         check_takes(takes, takes[0], side, tempo)
+        check_importance(importance)
         self._weights = spread_weights(weights)
         self._rate, self._mirrored = float(frame_rate), side == "mirrored"
         self._tempo, self._look_ahead_s = tempo, look_ahead_s
         self._model = takes[0]
         postures = [compute_postures(take, self._rate) for take in takes]
-        self._references = prepare_references(postures, tempo, self._weights)
+        self._references = prepare_references(postures, tempo, self._weights, importance=importance)
         first = self._references.postures
         self._furi = scale_furi(furi, takes[0], first) if furi else find_furi(first)
         more = pool_takes(self._references.warped, self._furi)
