@@ -3,7 +3,7 @@
 ==========  ===================================================================  =====================================
 extra       what it is for                                                       what it brings
 ==========  ===================================================================  =====================================
-film        estimation from silhouettes, films, overlays                         OpenCV
+film        estimation from silhouettes, films, overlays; keypoints of films     OpenCV, PyAV, LiteRT
 pictures    contact sheets, timelines; Japanese text in pictures and reports     matplotlib, fontTools, a Japanese font
 music       the beats of a piece of music                                        librosa
 studio      the page in the browser, with all of the above                       FastAPI, uvicorn, Jinja

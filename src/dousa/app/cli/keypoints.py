@@ -1,0 +1,77 @@
+"""Commands of learned evidence: the models, and the keypoints of films."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Literal
+
+import typer
+
+from dousa.app.cli import options as o
+from dousa.app.output import console, print_json, progress_bar
+from dousa.errors import OptionError
+from dousa.messages import Message
+
+_STATES = {"installed": "models.state_installed", "missing": "models.state_missing", "damaged": "models.state_damaged"}
+
+
+def register(app: typer.Typer) -> None:
+    """Register this module's commands with the application."""
+    app.command(rich_help_panel="Estimation")(models)
+
+
+def models(
+    action: Annotated[
+        Literal["list", "install"],
+        typer.Argument(metavar="list|install", help="What to do."),
+    ] = "list",
+    names: Annotated[
+        list[str] | None,
+        typer.Argument(metavar="[NAME]...", help="detector, lite, full, heavy. Default: all."),
+    ] = None,
+    source: Annotated[
+        Path | None,
+        typer.Option(
+            "--from",
+            metavar="FILE",
+            help="A package that you have (.tgz of npm, .whl of MediaPipe) or a model (.tflite), instead of fetching.",
+        ),
+    ] = None,
+    json: o.Json = False,
+) -> None:
+    """The optional models that find people's keypoints in films: list them, or install them.
+
+    install takes them out of a published package (npm @mediapipe/pose, else
+    the pip wheel of mediapipe), checks their SHA-256 and keeps them in the
+    user's cache folder, or that of DOUSA_MODELS. dousa takes nothing from
+    the net unless this command is run.
+
+    Example: dousa models install
+
+    Example: dousa models install --from mediapipe-pose-0.5.1675469404.tgz
+    """
+    from dousa.estimation.keypoints import model_archives, pose_models
+
+    installed: tuple[Path, ...] = ()
+    if action == "install":
+        with progress_bar() as progress:
+            installed = model_archives.install_models(names or (), source, progress)
+    elif names or source is not None:
+        raise OptionError("models.needs_install")
+    rows = [(model, pose_models.check_pose_model(model)) for model in pose_models.POSE_MODELS]
+    folder = pose_models.models_folder()
+    if json:
+        answer = {
+            "folder": str(folder),
+            "models": {model.name: {"file": model.file_name, "state": state} for model, state in rows},
+            "installed": [str(path) for path in installed],
+        }
+        print_json(answer)
+        return
+    lines = [Message("models.folder", path=folder)]
+    for model, state in rows:
+        size = model.forms[0].n_bytes / 1e6
+        lines.append(Message("models.row", model=model.name, megabytes=size, state=Message(_STATES[state])))
+    lines.append(Message("models.licence", npm=model_archives.NPM_PACKAGE, pip=model_archives.PIP_PACKAGE))
+    for line in lines:
+        console().print(str(line), markup=False, soft_wrap=True)
