@@ -183,6 +183,7 @@ def _count_values(words: list[str]) -> int:
 
 def make_small(text: str) -> str:
     """A long command as it is tried: the same with one repeat and less of the rest."""
+    assert "--write" not in text, f"{text} would change what the package ships: write the option outside of the command"
     small = re.sub(r"--repeats [1-9]\d*", "--repeats 1", fill_in(text))
     if re.match(_INJECTED, text):
         for whole, part in _ONE_CATEGORY.items():
