@@ -16,7 +16,6 @@ else waits for it.
 from __future__ import annotations
 
 import importlib
-from importlib import metadata
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -55,6 +54,8 @@ def find_font() -> Path | None:
 
     Its package is not imported: that would change the settings of matplotlib.
     """
+    from importlib import metadata
+
     try:
         files = metadata.files(FONT_PACKAGE) or ()
     except metadata.PackageNotFoundError:

@@ -8,11 +8,10 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-import typer
 from oracles.made_clips import write_clip
 from typer.testing import CliRunner
 
-from dousa.app.cli import experiments as cli_estimation_trials
+from dousa.app.cli.main import app
 from dousa.errors import BodyModelError, OptionError
 from dousa.estimation.body.kinematics import point_names
 from dousa.estimation.tracking.settings import PAPER, Estimate
@@ -34,9 +33,6 @@ def hold_start(silhouettes, cameras, body, start=None, *, settings, girths="fit"
 def run(monkeypatch):
     module = SimpleNamespace(estimate=hold_start, PAPER=PAPER)
     monkeypatch.setitem(sys.modules, "dousa.estimation.tracking.tracker", module)
-    app = typer.Typer()
-    app.callback()(lambda: None)  # one command alone would need no name
-    cli_estimation_trials.register(app)
     return lambda *words: CliRunner().invoke(app, ["experiment-estimation", *map(str, words)], catch_exceptions=True)
 
 

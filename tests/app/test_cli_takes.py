@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from dousa.app.cli.library import RankingName
-from dousa.app.cli.options import FeatureSetName
+from dousa.app.cli.options.shared import FeatureSetName
 from dousa.formats.registry import read_motion, write_motion
 from dousa.library import Library
 from dousa.motion import CANONICAL_JOINTS, Trajectories, canonicalise, compute_trajectories

@@ -4,11 +4,18 @@ from __future__ import annotations
 
 from collections import Counter
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from dousa.app.cli import options as o
+from dousa.app.cli.options import shared as o
+from dousa.app.cli.options.evaluation import (
+    BeatOptions,
+    ExerciseOptions,
+    InjectionOptions,
+    JudgingOptions,
+    TakesOptions,
+)
 from dousa.app.output import console, print_json, progress_bar, warn, warn_skipped
 from dousa.errors import OptionError
 from dousa.messages import Message, get_language
@@ -18,15 +25,11 @@ if TYPE_CHECKING:
 
     from dousa.app.output import ProgressCallback
     from dousa.app.pipelines.evaluate import Evaluation
-    from dousa.experiments.error_results import SecondTakes
+    from dousa.experiments.error_results import ErrorExperimentResult, SecondTakes
     from dousa.experiments.errors import NamedMotion
+    from dousa.formats.motion_files import ReadOptions
 
 _SHOWN_PROBLEMS = 3
-_EQUAL = Path("equal")  # as --weights
-
-
-Which = Literal["all", "tuning", "held-out"]
-"""Which motions an experiment uses."""
 
 
 def register(app: typer.Typer) -> None:
@@ -55,84 +58,11 @@ def evaluate(
         Path | None,
         typer.Option("--output", "-o", metavar="DIR", help="Write the report (HTML) and the curves (CSV) there."),
     ] = None,
-    furi: Annotated[
-        Path | None,
-        typer.Option(
-            "--furi",
-            metavar="FILE",
-            help="Boundaries of the figures, in frames or seconds of the first REFERENCE. Default: detected.",
-        ),
-    ] = None,
-    mirror: Annotated[
-        bool, typer.Option("--mirror", help="The performer faced the reference and danced its mirror image.")
-    ] = False,
-    tempo: Annotated[
-        Literal["same", "free"] | None,
-        typer.Option(
-            "--tempo",
-            help="same: lateness counts; free: being slower throughout does not. Default: same; with --repetitions "
-            "free.",
-            show_default=False,
-        ),
-    ] = None,
-    weights: Annotated[
-        Path | None,
-        typer.Option(
-            "--weights",
-            metavar="FILE",
-            help="Weights: lines such as 'arms = 2', 'left_shank = 0', multiplied with what matters in the reference. "
-            "'equal' instead of a file: as --importance equal.",
-        ),
-    ] = None,
-    importance: Annotated[
-        Literal["learned", "equal"],
-        typer.Option(
-            "--importance",
-            help="learned: in the grade segments count as they matter in the reference; equal: all alike.",
-        ),
-    ] = "learned",
-    detail: Annotated[
-        Literal["brief", "full"],
-        typer.Option(
-            "--detail", help="brief: the grade and what to work on first; full: every error, or repetition, as well."
-        ),
-    ] = "full",
-    repetitions: Annotated[
-        bool,
-        typer.Option(
-            "--repetitions",
-            help="An exercise: count the repetitions, grade and measure each, and say how they develop.",
-        ),
-    ] = False,
-    csv: Annotated[
-        Path | None, typer.Option("--csv", metavar="FILE", help="With --repetitions: write a row for each.")
-    ] = None,
-    picture: Annotated[
-        Path | None,
-        typer.Option("--picture", metavar="FILE", help="With --repetitions: draw them (.png, .svg or .pdf)."),
-    ] = None,
-    music: Annotated[
-        Path | None,
-        typer.Option("--music", metavar="FILE", help="The music: how early or late the accents are to its beats."),
-    ] = None,
-    beats: Annotated[
-        Path | None,
-        typer.Option(
-            "--beats", metavar="FILE", help="Its beats instead: one time in seconds a line, or Audacity labels."
-        ),
-    ] = None,
-    music_start: Annotated[
-        float | None,
-        typer.Option(
-            "--music-start",
-            metavar="SECONDS",
-            help="Where the music begins in the recording of the performance. Default: estimated.",
-        ),
-    ] = None,
-    unit: o.Unit = None,
-    up: o.Up = None,
-    skeleton: o.SkeletonFile = None,
-    joint_map: o.JointMap = None,
+    *,
+    judging_options: JudgingOptions,
+    exercise_options: ExerciseOptions,
+    beat_options: BeatOptions,
+    motion_options: o.MotionOptions,
     json: o.Json = False,
 ) -> None:
     """Show what differs between a performance and its reference, where, and by how much.
@@ -145,59 +75,71 @@ def evaluate(
 
     Example: dousa evaluate squat.trc --performance squats.trc --repetitions --csv squats.csv
     """
-    from dousa.app.cli.exercises import ExerciseOptions, check_exercise_options, evaluate_exercise
-    from dousa.app.pipelines.beats import check_beat_options, load_beats, time_accents
-    from dousa.app.pipelines.evaluate import check_folder, evaluate_files, find_references
-    from dousa.formats.motion_files import ReadOptions
+    from dousa.app.cli.exercises import check_exercise_options, evaluate_exercise
+    from dousa.app.pipelines.beats import check_beat_options
+    from dousa.app.pipelines.evaluate import check_folder, find_references
 
     if performance is None:
         raise OptionError("evaluation_cli.no_performance")
-    check_exercise_options(repetitions, csv, picture, {"--output": output, "--furi": furi})
-    check_beat_options(music, beats, music_start, repetitions)
+    check_exercise_options(exercise_options, {"--output": output, "--furi": judging_options.furi})
+    check_beat_options(beat_options.music, beat_options.beats, beat_options.music_start, exercise_options.repetitions)
     if output is not None:
         check_folder(output)
     if not performance.exists():
         raise OptionError("evaluation_cli.performance_not_found", path=performance)
-    files, language = find_references(reference), get_language()
-    options = ReadOptions(o.load_joint_map(joint_map), unit, up, skeleton)
-    side = "mirrored" if mirror else "same"
-    if weights == _EQUAL:
-        importance = "equal"
-    if repetitions:
-        wanted = ExerciseOptions(side, tempo or "free", _load_weights(weights), importance)
-        evaluate_exercise(files, performance, options, wanted, detail=detail, csv=csv, picture=picture, json=json)
-        return
-    known = load_beats(music, beats)
+    files = find_references(reference)
+    options = motion_options.load()
+    if exercise_options.repetitions:
+        evaluate_exercise(files, performance, options, judging_options, exercise_options, json=json)
+    else:
+        _evaluate_dance(files, performance, options, judging_options, beat_options, output=output, json=json)
+
+
+def _evaluate_dance(
+    references: Sequence[Path],
+    performance: Path,
+    options: ReadOptions,
+    judging: JudgingOptions,
+    music: BeatOptions,
+    *,
+    output: Path | None,
+    json: bool,
+) -> None:
+    """Assess a dance as a whole; print a table or JSON, write the report."""
+    from dousa.app.pipelines.beats import load_beats, time_accents
+    from dousa.app.pipelines.evaluate import evaluate_files
+
+    beats = load_beats(music.music, music.beats)
     with progress_bar() as progress:
         done = evaluate_files(
-            files,
+            references,
             performance,
             options=options,
-            furi_file=furi,
-            side=side,
-            tempo=tempo or "same",
-            weights=_load_weights(weights),
-            importance=importance,
+            furi_file=judging.furi,
+            side=judging.side,
+            tempo=judging.tempo or "same",
+            **judging.choose_weights(),
             progress=progress,
         )
-        timing = None if known is None else time_accents(done, known, music_start)
+        timing = None if beats is None else time_accents(done, beats, music.music_start)
         page = None
         if output is not None:
             from dousa.app.report import write_report
 
-            progress(len(files) + 1, len(files) + 2, Message("evaluation_cli.writing_report"))
-            page = write_report(done.assessment, output, language=language)
+            progress(len(references) + 1, len(references) + 2, Message("evaluation_cli.writing_report"))
+            page = write_report(done.assessment, output, language=get_language())
     _warn(done)
     if json:
-        print_json(_describe(done, page, detail) | ({} if timing is None else {"beats": timing.to_json()}))
-    else:
-        from dousa.app.tables.answers import print_assessment
+        print_json(_describe(done, page, judging.detail) | ({} if timing is None else {"beats": timing.to_json()}))
+        return
+    from dousa.app.tables.answers import print_assessment
 
-        print_assessment(console(), done.assessment, detail)
-        for message in () if timing is None else timing.messages:
-            console().print(str(message), markup=False, soft_wrap=True)
-        if page is not None:
-            console().print(str(Message("evaluation_cli.report", path=page)), markup=False, soft_wrap=True)
+    print_assessment(console(), done.assessment, judging.detail)
+    words = [] if timing is None else list(timing.messages)
+    if page is not None:
+        words.append(Message("evaluation_cli.report", path=page))
+    for message in words:
+        console().print(str(message), markup=False, soft_wrap=True)
 
 
 def progress(
@@ -229,15 +171,6 @@ def progress(
         draw_progress(found, picture)
 
 
-def _load_weights(path: Path | None) -> dict[str, float] | None:
-    if path is None or path == _EQUAL:
-        return None
-    from dousa.evaluation import read_weights
-
-    weights: dict[str, float] = read_weights(path)
-    return weights
-
-
 def _describe(done: Evaluation, page: Path | None, detail: str) -> dict[str, Any]:
     from dousa.evaluation import advise, describe_advice
 
@@ -267,45 +200,10 @@ def _warn(done: Evaluation) -> None:
 
 def experiment_errors(
     path: Annotated[list[Path], typer.Argument(metavar="PATH...", help="Correct motions: files, or folders of them.")],
-    repeats: Annotated[
-        int,
-        typer.Option(
-            "--repeats", min=0, help="Number of repeats, with different errors; 0: no errors (see --takes-from)."
-        ),
-    ] = 1,
-    seed: Annotated[int, typer.Option("--seed", min=0, help="The same seed gives the same table.")] = 0,
-    noise: Annotated[
-        float,
-        typer.Option(
-            "--noise", min=0.0, max=90.0, metavar="DEG", help="Fluctuation of the simulated performer's pose."
-        ),
-    ] = 3.0,
-    timing: Annotated[
-        float,
-        typer.Option(
-            "--timing", min=0.0, max=5000.0, metavar="MS", help="Fluctuation of the simulated performer's timing."
-        ),
-    ] = 20.0,
-    which: Annotated[
-        Which,
-        typer.Option("--which", help="held-out: the 30 % of the files, by name, that nothing was tuned on."),
-    ] = "all",
-    takes_from: Annotated[
-        str | None,
-        typer.Option(
-            "--takes-from",
-            metavar="RULE",
-            help="Which files are takes of the same motion by one person (folder, name:REGEX, path:REGEX, csv:FILE): "
-            "counts the false alarms between them.",
-        ),
-    ] = None,
-    references: Annotated[
-        int, typer.Option("--references", min=1, help="Reference takes for each take of --takes-from.")
-    ] = 5,
-    unit: o.Unit = None,
-    up: o.Up = None,
-    skeleton: o.SkeletonFile = None,
-    joint_map: o.JointMap = None,
+    *,
+    injection_options: InjectionOptions,
+    takes_options: TakesOptions,
+    motion_options: o.MotionOptions,
     jobs: o.Jobs = None,
     json: o.Json = False,
 ) -> None:
@@ -319,31 +217,20 @@ def experiment_errors(
     Example: dousa experiment-errors hdm05/ --repeats 0 --takes-from 'name:HDM_(.+)_[0-9]+_120'
     """
     from dousa.app.pipelines.evaluate import read_takes
-    from dousa.formats.motion_files import ReadOptions
     from dousa.library import parse_label_rule
 
-    if repeats == 0 and takes_from is None:
+    if injection_options.repeats == 0 and takes_options.takes_from is None:
         raise OptionError("evaluation_cli.nothing_to_do")
-    rule = parse_label_rule(takes_from, "takes")
-    options = ReadOptions(o.load_joint_map(joint_map), unit, up, skeleton)
+    rule = parse_label_rule(takes_options.takes_from, "takes")
+    options = motion_options.load()
     trials = second_takes = None
     with progress_bar() as progress:
         takes, skipped = read_takes(path, rule, options=options, n_jobs=jobs, progress=progress)
-        if repeats:
-            from dousa.experiments import run_error_experiment
-
-            trials = run_error_experiment(
-                [motion for motion, _ in takes],
-                repeats=repeats,
-                seed=seed,
-                noise_deg=noise,
-                timing_ms=timing,
-                which=which,
-                n_jobs=jobs or -1,
-                progress=lambda done, total, _: progress(done, total, Message("evaluation_cli.trials")),
-            )
-        if takes_from is not None:
-            second_takes = _compare_takes(takes, which, references, seed, jobs, progress)
+        if injection_options.repeats:
+            trials = _inject_errors([motion for motion, _ in takes], injection_options, jobs, progress)
+        if takes_options.takes_from is not None:
+            n, seed = takes_options.references, injection_options.seed
+            second_takes = _compare_takes(takes, injection_options.which, n, seed, jobs, progress)
     if json:
         seconds = {"second_takes": second_takes} if second_takes else {}
         print_json({**(trials.to_json() if trials else {}), **seconds, "skipped": skipped})
@@ -358,6 +245,23 @@ def experiment_errors(
         if len(problems) > _SHOWN_PROBLEMS:
             warn(Message("answers.more_trials_failed", n=len(problems) - _SHOWN_PROBLEMS))
     warn_skipped(skipped)
+
+
+def _inject_errors(
+    motions: Sequence[NamedMotion], options: InjectionOptions, jobs: int | None, progress: ProgressCallback
+) -> ErrorExperimentResult:
+    from dousa.experiments import run_error_experiment
+
+    return run_error_experiment(
+        motions,
+        repeats=options.repeats,
+        seed=options.seed,
+        noise_deg=options.noise,
+        timing_ms=options.timing,
+        which=options.which,
+        n_jobs=jobs or -1,
+        progress=lambda done, total, _: progress(done, total, Message("evaluation_cli.trials")),
+    )
 
 
 def _compare_takes(

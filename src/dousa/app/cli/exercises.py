@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from dousa.app.output import console, print_json, progress_bar, warn
@@ -14,60 +13,48 @@ if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
     from pathlib import Path
 
+    from dousa.app.cli.options.evaluation import ExerciseOptions, JudgingOptions
     from dousa.evaluation import RepetitionsAssessment
     from dousa.formats.motion_files import ReadOptions
 
 
-def check_exercise_options(
-    repetitions: bool, csv: Path | None, picture: Path | None, others: Mapping[str, Path | None]
-) -> None:
+def check_exercise_options(options: ExerciseOptions, others: Mapping[str, Path | None]) -> None:
     """Whether the options go together, before the long work.
 
     Raises
     ------
     OptionError : ``--csv`` or ``--picture`` without ``--repetitions``, or one of the others with it.
     """
-    if not repetitions and (csv is not None or picture is not None):
+    if not options.repetitions and (options.csv is not None or options.picture is not None):
         raise OptionError("exercises.csv_with")
     for option, value in others.items():
-        if repetitions and value is not None:
+        if options.repetitions and value is not None:
             raise OptionError("exercises.not_with", option=option)
-
-
-@dataclass(frozen=True, slots=True)
-class ExerciseOptions:
-    """How repetitions are assessed: options of `dousa.evaluation.assess_repetitions`."""
-
-    side: str
-    tempo: str
-    weights: Mapping[str, float] | None
-    importance: str
 
 
 def evaluate_exercise(
     references: Sequence[Path],
     performance: Path,
     options: ReadOptions,
-    wanted: ExerciseOptions,
+    judging: JudgingOptions,
+    exercise: ExerciseOptions,
     *,
-    detail: str,
-    csv: Path | None,
-    picture: Path | None,
     json: bool,
 ) -> None:
     """Assess the repetitions in a file; print a table or JSON, write CSV and picture."""
     from dousa.app.pipelines.repetitions import evaluate_repetitions
     from dousa.app.tables.repetitions import print_repetitions, to_repetitions_csv
 
+    csv, picture = exercise.csv, exercise.picture
+    weights = judging.choose_weights()
     with progress_bar() as progress:
         done = evaluate_repetitions(
             references,
             performance,
             options=options,
-            side=wanted.side,
-            tempo=wanted.tempo,
-            weights=wanted.weights,
-            importance=wanted.importance,
+            side=judging.side,
+            tempo=judging.tempo or "free",
+            **weights,
             progress=progress,
         )
     assessment = done.assessment
@@ -92,7 +79,7 @@ def evaluate_exercise(
         }
         print_json({**assessment.to_json(), **_describe(assessment), **files})
         return
-    print_repetitions(console(), assessment, detail)
+    print_repetitions(console(), assessment, judging.detail)
     for code, written in (("exercise_table.csv", csv), ("exercise_table.picture", picture)):
         if written is not None:
             console().print(str(Message(code, path=written)), markup=False, soft_wrap=True)

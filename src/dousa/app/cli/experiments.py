@@ -4,13 +4,24 @@ from __future__ import annotations
 
 import enum
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from dousa.app.cli import options as o
+from dousa.app.cli.options import shared as o
+from dousa.app.cli.options.experiments import (
+    SAMPLES,
+    KindOptions,
+    PaperOptions,
+    SplitOptions,
+    SystemName,
+    SystemOptions,
+    TrialOptions,
+    VariantName,
+)
 from dousa.app.output import ProgressCallback, console, print_json, progress_bar, warn, warn_skipped
 from dousa.errors import OptionError
 from dousa.extras import require
@@ -19,42 +30,7 @@ from dousa.messages import Message
 if TYPE_CHECKING:
     from dousa.estimation.tracking.settings import TrackerSettings
     from dousa.experiments.table import Result
-    from dousa.formats.motion_files import Skipped
     from dousa.retrieval import LabelledClip
-
-
-SplitName = Literal["half", "leave-performer-out"]
-
-
-class SystemName(enum.StrEnum):
-    """What is compared: the first four tell categories apart, the last seven rank."""
-
-    FULL_TREE = "full_tree"
-    RANDOM_TREE = "random_tree"
-    FOREST = "forest"
-    MOTION_TEMPLATES = "motion_templates"
-    FUSED = "fused"
-    HISTOGRAM = "histogram"
-    LEAVES = "leaves"
-    POSE = "pose"
-    EUCLIDEAN = "euclidean"
-    DTW = "dtw"
-
-
-class VariantName(enum.StrEnum):
-    """Kinds of sequences, by the ends of their names."""
-
-    CLEAN = "clean"
-    NOISY = "noisy"
-
-
-StartName = Literal["truth", "auto"]
-
-BodyName = Literal["stature", "start"]
-
-ViewChoiceName = Literal["first", "all"]
-
-_SAMPLES = 8
 
 
 def register(app: typer.Typer) -> None:
@@ -66,56 +42,12 @@ def register(app: typer.Typer) -> None:
 
 def experiment(
     path: Annotated[list[Path], typer.Argument(metavar="PATH...", help="Folders of motion files.")],
-    test: Annotated[
-        list[Path] | None,
-        typer.Option("--test", help="Train on PATH and test on this folder instead of splitting."),
-    ] = None,
-    split: Annotated[SplitName | None, typer.Option("--split", help="How PATH is split.", show_default="half")] = None,
-    train_share: Annotated[
-        float | None,
-        typer.Option("--train-share", help="Share of every category to train on, instead of half.", show_default="0.5"),
-    ] = None,
-    repeats: Annotated[int, typer.Option("--repeats", min=1, help="Number of repeats, with different seeds.")] = 1,
-    ranking: Annotated[
-        bool,
-        typer.Option("--ranking", help="Evaluate the ranking of retrieved clips instead of their categories."),
-    ] = False,
-    takes: Annotated[
-        bool,
-        typer.Option("--takes", help="Evaluate labelling and search of takes concatenated from clips."),
-    ] = False,
-    unknown: Annotated[
-        bool,
-        typer.Option("--unknown", help="Evaluate detection of unknown motions and learning of new categories."),
-    ] = False,
-    features: Annotated[
-        o.FeatureSetName | None,
-        typer.Option(
-            "--features",
-            help="paper: the 56 pose features; extended: also speeds, spreads, trends.",
-            show_default="paper; extended with --ranking, --takes and --unknown",
-        ),
-    ] = None,
-    system: Annotated[
-        list[SystemName] | None,
-        typer.Option(
-            "--system",
-            help="Only this system; can be repeated.",
-            show_default="all four; with --ranking the last seven",
-        ),
-    ] = None,
-    samples: Annotated[
-        int,
-        typer.Option("--samples", min=1, help="Poses averaged for each of the 10 frames; 1 is plain downsampling."),
-    ] = _SAMPLES,
-    trees: Annotated[int, typer.Option("--trees", min=1, help="Trees of the forest.")] = 100,
-    seed: Annotated[int, typer.Option("--seed", min=0, help="The same seed gives the same table.")] = 0,
-    category_from: o.CategoryFrom = "folder",
-    performer_from: o.PerformerFrom = None,
-    unit: o.Unit = None,
-    up: o.Up = None,
-    skeleton: o.SkeletonFile = None,
-    joint_map: o.JointMap = None,
+    *,
+    split_options: SplitOptions,
+    kind_options: KindOptions,
+    system_options: SystemOptions,
+    label_options: o.LabelOptions,
+    motion_options: o.MotionOptions,
     jobs: o.Jobs = None,
     figure: Annotated[Path | None, typer.Option("--figure", help="Draw the table: .png, .svg or .pdf.")] = None,
     json: o.Json = False,
@@ -131,50 +63,32 @@ def experiment(
     """
     from dousa.app.pipelines.experiment_clips import read_labelled_clips, refuse_clips_in_both
     from dousa.app.tables.answers import print_tables
-    from dousa.formats.motion_files import ReadOptions
 
-    kind = _choose_kind(ranking=ranking, takes=takes, unknown=unknown)
-    _check_split(split, bool(test), performer_from)
-    given = {
-        "--train-share": train_share is not None,
-        "--repeats": repeats != 1,
-        "--samples": samples != _SAMPLES,
-        "--figure": figure is not None,
-        "--split": split is not None,
-        "--test": bool(test),
-        "--system": bool(system),
-    }
-    _refuse_ignored(kind, given)
-    if figure:
-        require("matplotlib", "pictures")
-    if train_share is not None and (test or split == "leave-performer-out"):
-        raise OptionError("experiments_cli.train_share")
-    systems = _choose_systems(system, ranking)
-    options = ReadOptions(o.load_joint_map(joint_map), unit, up, skeleton)
+    kind = _choose_kind(kind_options)
+    test = split_options.test
+    _check_options(kind, split_options, system_options, label_options, figure)
+    systems = _choose_systems(system_options.system, kind)
+    options = motion_options.load()
     with progress_bar() as progress:
-
-        def read(paths: list[Path]) -> tuple[list[LabelledClip], list[Skipped]]:
-            return read_labelled_clips(
-                paths,
-                category_from=category_from,
-                performer_from=performer_from,
-                options=options,
-                n_jobs=jobs,
-                progress=progress,
-            )
-
+        read = partial(
+            read_labelled_clips,
+            category_from=label_options.category_from,
+            performer_from=label_options.performer_from,
+            options=options,
+            n_jobs=jobs,
+            progress=progress,
+        )
         clips, skipped = read(path)
         tested, more = read(test) if test else (None, [])
         refuse_clips_in_both(clips, tested or [])
         shared: dict[str, Any] = {
-            "feature_set": (features or kind.usual_features).value,
-            "n_trees": trees,
-            "random_state": seed,
+            "feature_set": (system_options.features or kind.usual_features).value,
+            "n_trees": system_options.trees,
+            "random_state": system_options.seed,
             "n_jobs": jobs or -1,
             "progress": progress,
         }
-        trial = _Trial(clips, tested, None if test else split or "half", systems, repeats, shared)
-        result = trial.run(kind, train_share or 0.5, samples)
+        result = _run_trial(kind, clips, tested, split_options, systems, system_options.samples, shared)
     skipped += more
     warn_skipped(skipped)
     answer = {**result.to_json(), "skipped": [item.to_json() for item in skipped]}
@@ -205,76 +119,87 @@ class _Kind(enum.Enum):
         return o.FeatureSetName.PAPER if self is _Kind.RECOGNITION else o.FeatureSetName.EXTENDED
 
 
-def _choose_kind(*, ranking: bool, takes: bool, unknown: bool) -> _Kind:
-    asked = {_Kind.RANKING: ranking, _Kind.TAKES: takes, _Kind.UNKNOWN: unknown}
+def _choose_kind(options: KindOptions) -> _Kind:
+    asked = {_Kind.RANKING: options.ranking, _Kind.TAKES: options.takes, _Kind.UNKNOWN: options.unknown}
     kinds = [kind for kind, wanted in asked.items() if wanted]
     if len(kinds) > 1:
         raise OptionError("experiments_cli.one_kind", found=[kind.value[0] for kind in kinds])
     return kinds[0] if kinds else _Kind.RECOGNITION
 
 
-def _refuse_ignored(kind: _Kind, given: dict[str, bool]) -> None:
-    """Refuse what would be ignored."""
+def _check_options(
+    kind: _Kind, split: SplitOptions, systems: SystemOptions, labels: o.LabelOptions, figure: Path | None
+) -> None:
+    """Refuse what does not go together, or would be ignored, before the long work."""
+    if split.test and split.split is not None:
+        raise OptionError("experiments_cli.split_and_test")
+    if split.split == "leave-performer-out" and labels.performer_from is None:
+        raise OptionError("experiments_cli.no_performers")
+    given = {
+        "--train-share": split.train_share is not None,
+        "--repeats": split.repeats != 1,
+        "--samples": systems.samples != SAMPLES,
+        "--figure": figure is not None,
+        "--split": split.split is not None,
+        "--test": bool(split.test),
+        "--system": bool(systems.system),
+    }
     name, ignored = kind.value
     for option in ignored:
         if given[option]:
             raise OptionError("experiments_cli.not_with", option=option, kind=name)
+    if figure:
+        require("matplotlib", "pictures")
+    if split.train_share is not None and (split.test or split.split == "leave-performer-out"):
+        raise OptionError("experiments_cli.train_share")
 
 
-@dataclass(frozen=True, slots=True)
-class _Trial:
-    """What all kinds of experiments are asked; ``shared`` are the options that all have."""
-
-    clips: list[LabelledClip]
-    tested: list[LabelledClip] | None
-    split: str | None
-    systems: list[str]
-    repeats: int
-    shared: dict[str, Any]
-
-    def run(self, kind: _Kind, train_share: float, samples: int) -> Result:
-        """Tell categories apart, put clips in order, label takes, or detect what is unknown."""
-        from dousa import experiments
-
-        if kind is _Kind.RANKING:
-            return experiments.run_ranking_experiment(
-                self.clips, test_clips=self.tested, split=self.split, systems=self.systems, **self.shared
-            )
-        if kind is _Kind.TAKES:
-            return experiments.run_takes_experiment(self.clips, **self.shared)
-        if kind is _Kind.UNKNOWN:
-            return experiments.run_novelty_experiment(self.clips, repeats=self.repeats, **self.shared)
-        return experiments.run_experiment(
-            self.clips,
-            test_clips=self.tested,
-            split=self.split,
-            train_share=train_share,
-            repeats=self.repeats,
-            systems=self.systems,
-            samples_per_frame=samples,
-            **self.shared,
-        )
-
-
-def _choose_systems(asked: list[SystemName] | None, ranking: bool) -> list[str]:
+def _choose_systems(asked: list[SystemName] | None, kind: _Kind) -> list[str]:
     """The systems asked for, or all that this kind of experiment has."""
     from dousa.experiments.ranking_systems import RANKING_SYSTEMS
     from dousa.experiments.recognition import SYSTEMS
 
-    able = RANKING_SYSTEMS if ranking else SYSTEMS
+    able = RANKING_SYSTEMS if kind is _Kind.RANKING else SYSTEMS
     names = [str(name) for name in dict.fromkeys(asked or able)]
     wrong = [name for name in names if name not in able]
     if wrong:
-        code = "experiments_cli.not_a_ranking" if ranking else "experiments_cli.not_a_classifier"
+        code = "experiments_cli.not_a_ranking" if kind is _Kind.RANKING else "experiments_cli.not_a_classifier"
         raise OptionError(code, expected=able, found=wrong)
     return names
 
 
-def _check_split(split: SplitName | None, test_given: bool, performer_from: str | None) -> None:
-    if test_given and split is not None:
-        raise OptionError("experiments_cli.split_and_test")
-    if split == "leave-performer-out" and performer_from is None:
-        raise OptionError("experiments_cli.no_performers")
+def _run_trial(
+    kind: _Kind,
+    clips: list[LabelledClip],
+    tested: list[LabelledClip] | None,
+    split: SplitOptions,
+    systems: list[str],
+    samples: int,
+    shared: dict[str, Any],
+) -> Result:
+    """Tell categories apart, put clips in order, label takes, or detect what is unknown.
+
+    ``shared`` are the arguments that all kinds of experiments have.
+    """
+    from dousa import experiments
+
+    if kind is _Kind.TAKES:
+        return experiments.run_takes_experiment(clips, **shared)
+    if kind is _Kind.UNKNOWN:
+        return experiments.run_novelty_experiment(clips, repeats=split.repeats, **shared)
+    parts = None if tested else split.split or "half"
+    if kind is _Kind.RANKING:
+        return experiments.run_ranking_experiment(clips, test_clips=tested, split=parts, systems=systems, **shared)
+    return experiments.run_experiment(
+        clips,
+        test_clips=tested,
+        split=parts,
+        train_share=split.train_share or 0.5,
+        repeats=split.repeats,
+        systems=systems,
+        samples_per_frame=samples,
+        **shared,
+    )
 
 
 def experiment_estimation(
@@ -285,53 +210,9 @@ def experiment_estimation(
             help="Sequences (.npz) with masks, cameras, stature and true joints, or folders of them.",
         ),
     ],
-    views: Annotated[
-        str, typer.Option("--views", metavar="N,N...", help="Numbers of views to evaluate, each in turn.")
-    ] = "1,2,4",
-    choice: Annotated[
-        ViewChoiceName,
-        typer.Option(
-            "--choice",
-            help="first: one view is the first, two are it and the one most nearly at right angles to it; all: "
-            "every choice, averaged.",
-        ),
-    ] = "first",
-    variant: Annotated[
-        list[VariantName] | None,
-        typer.Option(
-            "--variant",
-            help="Only files of a folder whose names end in this; can be repeated.",
-            show_default="both",
-        ),
-    ] = None,
-    start: Annotated[
-        StartName,
-        typer.Option("--start", help="truth: the true joints of the first frame are given; auto: the start is found."),
-    ] = "truth",
-    body: Annotated[
-        BodyName,
-        typer.Option("--body", help="stature: from tables; start: also the bones that the first frame shows."),
-    ] = "stature",
-    reading: Annotated[
-        list[o.Reading] | None,
-        typer.Option("--reading", help="Reading of eq. 2; with --paper several.", show_default="masked"),
-    ] = None,
-    evidence: Annotated[
-        list[o.Evidence] | None,
-        typer.Option(
-            "--evidence",
-            help="How image and inertia are weighted; with --paper several.",
-            show_default="log",
-        ),
-    ] = None,
-    paper: Annotated[
-        bool,
-        typer.Option("--paper", help="The paper's experiment on one PATH: all readings, dR = 6 deg, s = 1 deg."),
-    ] = False,
-    frames: Annotated[
-        str | None,
-        typer.Option("--frames", metavar="FIRST:STOP", help="Frames of --paper, from 0.", show_default="40:76"),
-    ] = None,
+    *,
+    trial_options: TrialOptions,
+    paper_options: PaperOptions,
     jobs: o.Jobs = None,
     json: o.Json = False,
 ) -> None:
@@ -345,27 +226,26 @@ def experiment_estimation(
 
     Example: dousa experiment-estimation silhouette_bench/cmu86_walk_clean.npz --paper
     """
-    counts = _parse_views(views)
-    if frames is not None and not paper:
+    counts = _parse_views(trial_options.views)
+    if paper_options.frames is not None and not paper_options.paper:
         raise OptionError("experiments_cli.frames_without_paper")
-    readings, evidences = ([name.value for name in names or ()] for names in (reading, evidence))
     result: Result
     problems: Sequence[Message] = ()
     with progress_bar() as progress:
-        if paper:
-            _check_paper(path, start, body, choice, variant)
-            result = _run_paper(path[0], counts, readings, evidences, frames, jobs, progress)
+        if paper_options.paper:
+            _check_paper(path, trial_options)
+            result = _run_paper(path[0], counts, trial_options, paper_options.frames, jobs, progress)
         else:
             from dousa.experiments import run_bench
 
             result = bench = run_bench(
                 path,
                 views=counts,
-                choice=choice,
-                variants=[name.value for name in variant or VariantName],
-                settings=_choose_settings(readings, evidences),
-                start=start,
-                body=body,
+                choice=trial_options.choice,
+                variants=[name.value for name in trial_options.variant or VariantName],
+                settings=_choose_settings(trial_options),
+                start=trial_options.start,
+                body=trial_options.body,
                 n_jobs=jobs or -1,
                 progress=progress,
             )
@@ -397,11 +277,11 @@ def _parse_frames(text: str) -> tuple[int, int]:
     return int(first), int(stop)
 
 
-def _choose_settings(readings: Sequence[str], evidences: Sequence[str]) -> TrackerSettings:
+def _choose_settings(options: TrialOptions) -> TrackerSettings:
     from dousa.estimation.tracking.settings import TrackerSettings
 
     settings = TrackerSettings()
-    for name, values in (("reading", readings), ("evidence", evidences)):
+    for name, values in (("reading", options.readings), ("evidence", options.evidences)):
         if len(values) > 1:
             raise OptionError("experiments_cli.several_without_paper", option=f"--{name}")
         if values:
@@ -409,25 +289,18 @@ def _choose_settings(readings: Sequence[str], evidences: Sequence[str]) -> Track
     return settings
 
 
-def _check_paper(
-    path: Sequence[Path],
-    start: StartName,
-    body: BodyName,
-    choice: ViewChoiceName,
-    variant: Sequence[VariantName] | None,
-) -> None:
+def _check_paper(path: Sequence[Path], options: TrialOptions) -> None:
     if len(path) != 1 or not path[0].is_file():
         raise OptionError("experiments_cli.paper_sequence")
     kept = ("truth", "stature", "first")
-    if (start, body, choice) != kept or variant:
+    if (options.start, options.body, options.choice) != kept or options.variant:
         raise OptionError("experiments_cli.paper_options")
 
 
 def _run_paper(
     path: Path,
     views: Sequence[int],
-    readings: Sequence[str],
-    evidences: Sequence[str],
+    options: TrialOptions,
     frames: str | None,
     jobs: int | None,
     progress: ProgressCallback,
@@ -439,8 +312,8 @@ def _run_paper(
         path,
         frames=WALKING if frames is None else _parse_frames(frames),
         views=views,
-        readings=readings or READINGS,  # type: ignore[arg-type]  # checked by the option
-        evidences=evidences or EVIDENCES,  # type: ignore[arg-type]
+        readings=options.readings or READINGS,  # type: ignore[arg-type]  # checked by the option
+        evidences=options.evidences or EVIDENCES,  # type: ignore[arg-type]
         n_jobs=jobs or -1,
         progress=progress,
     )
@@ -453,8 +326,8 @@ def demo(
     output: Annotated[
         Path, typer.Option("--output", "-o", help="Folder for the motions, the library and the picture.")
     ] = Path("demo-output"),
-    category_from: o.CategoryFrom = "folder",
-    performer_from: o.PerformerFrom = None,
+    *,
+    label_options: o.LabelOptions,
     seed: Annotated[int, typer.Option("--seed", min=0, help="Other performers and motions.")] = 0,
     jobs: o.Jobs = None,
     studio: Annotated[
@@ -494,8 +367,7 @@ def demo(
         output,
         seed=seed,
         n_jobs=jobs,
-        category_from=category_from,
-        performer_from=performer_from,
+        **o.list_values(label_options),
     )
     if data is None:
         run_dance_demo(console(), output, seed=seed)

@@ -7,15 +7,14 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from dousa.app.cli import options as o
+from dousa.app.cli.options import shared as o
 from dousa.app.output import console, fail, print_json, warn
 from dousa.errors import DousaError
 from dousa.messages import Message
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
-
     from dousa.app.pictures.stick_figures import Drawable
+    from dousa.formats.motion_files import ReadOptions
     from dousa.motion import Motion, Trajectories
 
 
@@ -28,21 +27,19 @@ def register(app: typer.Typer) -> None:
 
 def info(
     files: Annotated[list[Path], typer.Argument(metavar="FILE...", help="Motion files: BVH, AMC, C3D, TRC, NPZ.")],
-    unit: o.Unit = None,
-    up: o.Up = None,
-    skeleton: o.SkeletonFile = None,
-    joint_map: o.JointMap = None,
+    *,
+    motion_options: o.MotionOptions,
     json: o.Json = False,
 ) -> None:
     """Show what is in a motion file: length, rate, unit, up axis, joints and how they were identified.
 
     Example: dousa info walk.bvh take01.amc
     """
-    mapping = o.load_joint_map(joint_map)
+    options = motion_options.load()
     answers, failed = [], 0
     for path in files:
         try:
-            answers.append(_describe(path, unit, up, skeleton, mapping))
+            answers.append(_describe(path, options))
         except DousaError as error:
             failed += 1
             fail(error)
@@ -57,19 +54,17 @@ def info(
         raise typer.Exit(2)
 
 
-def _read(path: Path, unit: str | None, up: str | None, skeleton: Path | None) -> Motion | Trajectories:
+def _read(path: Path, options: ReadOptions) -> Motion | Trajectories:
     from dousa.formats.registry import read_motion
 
-    return read_motion(path, unit=unit, up=up, skeleton=skeleton)
+    return read_motion(path, unit=options.unit, up=options.up, skeleton=options.skeleton)
 
 
-def _describe(
-    path: Path, unit: str | None, up: str | None, skeleton: Path | None, joint_map: Mapping[str, Any] | None
-) -> dict[str, Any]:
+def _describe(path: Path, options: ReadOptions) -> dict[str, Any]:
     from dousa.errors import JointMappingError
     from dousa.motion import Motion, canonicalise
 
-    motion = _read(path, unit, up, skeleton)
+    motion = _read(path, options)
     origin = motion.provenance
     if isinstance(motion, Motion):
         names, ends = motion.skeleton.names, list(motion.skeleton.end_sites)
@@ -90,7 +85,7 @@ def _describe(
         "joints": [name for name, end in zip(names, ends, strict=True) if not end],
     }
     try:
-        canonical = canonicalise(motion, joint_map)
+        canonical = canonicalise(motion, options.joint_map)
     except JointMappingError as error:
         return {**answer, "mapping": None, "height_m": None, "warnings": [str(error.problem)]}
     found = canonical.mapping
@@ -110,9 +105,8 @@ def convert(
     source: Annotated[Path, typer.Argument(metavar="IN", help="Motion file to read.")],
     target: Annotated[Path, typer.Argument(metavar="OUT", help="File to write: .bvh, .trc, .c3d or .npz.")],
     frame_rate: Annotated[float | None, typer.Option("--frame-rate", help="Resample to this rate in Hz.")] = None,
-    unit: o.Unit = None,
-    up: o.Up = None,
-    skeleton: o.SkeletonFile = None,
+    *,
+    file_options: o.FileOptions,
     json: o.Json = False,
 ) -> None:
     """Convert a motion file to another format; nothing the target can hold is lost.
@@ -124,7 +118,7 @@ def convert(
     from dousa.formats.registry import write_motion
     from dousa.motion import Motion, resample
 
-    motion = _read(source, unit, up, skeleton)
+    motion = _read(source, file_options.load())
     if frame_rate is not None:
         motion = resample(motion, frame_rate)  # type: ignore[type-var]  # either, not both
     fit_error = None
@@ -163,10 +157,8 @@ def plot(
     file: Annotated[Path, typer.Argument(metavar="FILE", help="Motion file.")],
     output: Annotated[Path, typer.Option("--output", "-o", help="Picture to write: .png, .svg or .pdf.")],
     poses: Annotated[int, typer.Option("--poses", min=1, max=60, help="How many poses to draw.")] = 10,
-    unit: o.Unit = None,
-    up: o.Up = None,
-    skeleton: o.SkeletonFile = None,
-    joint_map: o.JointMap = None,
+    *,
+    motion_options: o.MotionOptions,
     json: o.Json = False,
 ) -> None:
     """Draw a contact sheet: the poses of a motion from the front and from the side.
@@ -177,9 +169,10 @@ def plot(
     from dousa.errors import JointMappingError
     from dousa.motion import canonicalise
 
-    motion = _read(file, unit, up, skeleton)
+    options = motion_options.load()
+    motion = _read(file, options)
     try:
-        drawn: Drawable = canonicalise(motion, o.load_joint_map(joint_map))
+        drawn: Drawable = canonicalise(motion, options.joint_map)
     except JointMappingError as error:
         warn(Message("files_cli.drawn_as_points", path=file, problem=error.problem))
         drawn = motion

@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 
 import typer
 
-from dousa.app.cli import options as o
+from dousa.app.cli.options import shared as o
 from dousa.app.output import console, print_json, progress_bar
 from dousa.errors import OptionError
 from dousa.messages import Message

@@ -8,13 +8,14 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
-from dousa.app.cli import options as o
+from dousa.app.cli.options import shared as o
 from dousa.app.output import console, print_json, progress_bar, warn
 from dousa.errors import LibraryVersionError, OptionError
 from dousa.extras import require
 from dousa.messages import Message
 
 if TYPE_CHECKING:
+    from dousa.formats.motion_files import ReadOptions
     from dousa.library import Library
 
 Query = Annotated[str, typer.Argument(metavar="QUERY", help="A motion file, or the number of a clip (see dousa list).")]
@@ -80,12 +81,9 @@ def add(
         bool,
         typer.Option("--takes", help="These are uncut recordings: to search with dousa find, not to train on."),
     ] = False,
-    category_from: o.CategoryFrom = "folder",
-    performer_from: o.PerformerFrom = None,
-    unit: o.Unit = None,
-    up: o.Up = None,
-    skeleton: o.SkeletonFile = None,
-    joint_map: o.JointMap = None,
+    *,
+    label_options: o.LabelOptions,
+    motion_options: o.MotionOptions,
     jobs: o.Jobs = None,
     json: o.Json = False,
 ) -> None:
@@ -97,18 +95,15 @@ def add(
 
     Example: dousa add moves.dousa recordings/ --performer-from 'name:HDM_(..)_'
     """
-    if takes and category_from != "folder":
+    if takes and label_options.category_from != "folder":
         raise OptionError("library_cli.takes_without_category")
-    from dousa.formats.motion_files import ReadOptions
-
-    options = ReadOptions(o.load_joint_map(joint_map), unit, up, skeleton)
-    _check_before_making(paths, category_from, performer_from, unit, up)
+    options = motion_options.load()
+    _check_before_making(paths, label_options, options)
     with open_library(library, create=True) as opened, progress_bar() as progress:
         report = opened.add(
             paths,
             kind="take" if takes else "clip",
-            category_from=category_from,
-            performer_from=performer_from,
+            **o.list_values(label_options),
             options=options,
             n_jobs=jobs,
             progress=lambda done, total, path: progress(done, total, Message("library_cli.adding")),
@@ -124,20 +119,17 @@ def add(
         raise typer.Exit(2)
 
 
-def _check_before_making(
-    paths: list[Path], category_from: str, performer_from: str | None, unit: str | None, up: str | None
-) -> None:
+def _check_before_making(paths: list[Path], label_options: o.LabelOptions, options: ReadOptions) -> None:
     """Find mistakes in the words of a command before it leaves an empty library behind."""
     from dousa.library import parse_label_rule
     from dousa.motion.canonical.reference_frame import parse_unit, parse_up
 
-    if unit is not None:
-        parse_unit(unit)
-    if up is not None:
-        parse_up(up)
-
-    parse_label_rule(category_from, "category")
-    parse_label_rule(performer_from, "performer")
+    if options.unit is not None:
+        parse_unit(options.unit)
+    if options.up is not None:
+        parse_up(options.up)
+    parse_label_rule(label_options.category_from, "category")
+    parse_label_rule(label_options.performer_from, "performer")
     if not any(os.path.lexists(path) for path in paths):
         raise OptionError("library_cli.no_such_path", path=paths[0])
 
@@ -218,10 +210,8 @@ def search(
     picture: Annotated[
         Path | None, typer.Option("--picture", help="Draw query and results: .png, .svg or .pdf.")
     ] = None,
-    unit: o.Unit = None,
-    up: o.Up = None,
-    skeleton: o.SkeletonFile = None,
-    joint_map: o.JointMap = None,
+    *,
+    motion_options: o.MotionOptions,
     json: o.Json = False,
 ) -> None:
     """Find the clips most similar to a motion, and classify it.
@@ -231,13 +221,11 @@ def search(
 
     Example: dousa search moves.dousa kick.bvh -k 5
     """
-    from dousa.formats.motion_files import ReadOptions
-
     if picture:
         require("matplotlib", "pictures")
     with open_to_read(library) as opened:
         wanted = clip_or_path(query)
-        options = ReadOptions(o.load_joint_map(joint_map), unit, up, skeleton)
+        options = motion_options.load()
         result = opened.search(
             wanted,
             k,
@@ -266,10 +254,8 @@ def classify(
     mirror: Mirror = False,
     explain: Explain = False,
     threshold: Threshold = None,
-    unit: o.Unit = None,
-    up: o.Up = None,
-    skeleton: o.SkeletonFile = None,
-    joint_map: o.JointMap = None,
+    *,
+    motion_options: o.MotionOptions,
     jobs: o.Jobs = None,
     json: o.Json = False,
 ) -> None:
@@ -277,10 +263,8 @@ def classify(
 
     Example: dousa classify moves.dousa new/*.bvh
     """
-    from dousa.formats.motion_files import ReadOptions
-
     with open_to_read(library) as opened:
-        options = ReadOptions(o.load_joint_map(joint_map), unit, up, skeleton)
+        options = motion_options.load()
         answers = opened.classify(
             files, mirror=mirror, explain=explain, threshold=threshold, options=options, n_jobs=jobs
         )

@@ -29,7 +29,7 @@ from dousa.app.cli.usage import (
     UsageError,
     choose_language,
     describe_usage,
-    with_language,
+    to_typer_command,
 )
 from dousa.app.output import fail, survive_narrow_encodings
 from dousa.errors import DousaError, OptionError
@@ -39,11 +39,11 @@ FAILED, INTERRUPTED = 2, 130
 
 
 class _Application(typer.Typer):
-    """Every command has ``--lang``, and its mistakes are described by us."""
+    """Every command may have groups of options and has ``--lang``, and its mistakes are described by us."""
 
     def command(self, name: str | None = None, **settings: Any) -> Callable[..., Any]:
         add = super().command(name, cls=Command, **settings)
-        return lambda command: add(with_language(command))
+        return lambda command: add(to_typer_command(command))
 
 
 app = _Application(

@@ -7,8 +7,6 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from dousa.app.demo.evaluation import PUPIL, REFERENCE
-from dousa.app.demo.takes import TAKE
 from dousa.errors import OptionError
 
 if TYPE_CHECKING:
@@ -54,7 +52,6 @@ def studio(
 
 
 LIBRARY = "demo.dousa"
-_TAKES = (TAKE, REFERENCE, PUPIL, "teacher_*.bvh")
 
 
 def prepare_studio(output: Path) -> Path:
@@ -64,12 +61,15 @@ def prepare_studio(output: Path) -> Path:
     ------
     OptionError : the demonstration was not run into this folder.
     """
+    from dousa.app.demo.evaluation import PUPIL, REFERENCE
+    from dousa.app.demo.takes import TAKE
     from dousa.library import Library
 
     path = output / LIBRARY
     if not path.is_file():
         raise OptionError("demo.no_library", path=path, output=output)
-    takes = sorted(found for name in _TAKES for found in output.glob(name))
+    names = (TAKE, REFERENCE, PUPIL, "teacher_*.bvh")
+    takes = sorted(found for name in names for found in output.glob(name))
     with Library.open(path) as library:
         library.add(takes, kind="take")
     return path

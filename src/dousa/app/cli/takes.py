@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from dousa.app.cli import options as o
 from dousa.app.cli.library import Mirror, Query, clip_or_path, open_library, open_to_read
+from dousa.app.cli.options import shared as o
 from dousa.app.output import console, print_json, progress_bar, warn, warn_skipped
 from dousa.errors import InvalidMotionError, OptionError
 from dousa.extras import require
@@ -46,10 +46,8 @@ def find(
     ] = None,
     k: Annotated[int, typer.Option("-k", min=1, help="Number of hits.")] = 10,
     mirror: Mirror = False,
-    unit: o.Unit = None,
-    up: o.Up = None,
-    skeleton: o.SkeletonFile = None,
-    joint_map: o.JointMap = None,
+    *,
+    motion_options: o.MotionOptions,
     jobs: o.Jobs = None,
     json: o.Json = False,
 ) -> None:
@@ -59,15 +57,13 @@ def find(
 
     Example: dousa find moves.dousa kick.bvh
     """
-    from dousa.formats.motion_files import ReadOptions
-
     with open_to_read(library) as opened:
         answer = opened.find(
             clip_or_path(query),
             None if not takes else [clip_or_path(take) for take in takes],
             k,
             mirror=mirror,
-            options=ReadOptions(o.load_joint_map(joint_map), unit, up, skeleton),
+            options=motion_options.load(),
             n_jobs=jobs,
         )
     if json:
@@ -106,10 +102,8 @@ def label(
             show_default="estimated from the first second",
         ),
     ] = None,
-    unit: o.Unit = None,
-    up: o.Up = None,
-    skeleton: o.SkeletonFile = None,
-    joint_map: o.JointMap = None,
+    *,
+    motion_options: o.MotionOptions,
     jobs: o.Jobs = None,
     json: o.Json = False,
 ) -> None:
@@ -120,11 +114,9 @@ def label(
 
     Example: dousa label moves.dousa recordings/session.bvh --picture session.png
     """
-    from dousa.formats.motion_files import ReadOptions
-
-    options = ReadOptions(o.load_joint_map(joint_map), unit, up, skeleton)
+    options = motion_options.load()
     if take == _STANDARD_INPUT:
-        if csv or picture or options != ReadOptions():
+        if csv or picture or motion_options != o.MotionOptions():
             raise OptionError("takes_cli.live_options")
         with open_library(library) as opened:
             _label_live(opened, height, threshold, jobs)

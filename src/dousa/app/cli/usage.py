@@ -1,7 +1,8 @@
-"""Command line arguments: the language they select, and usage errors as errors of ours."""
+"""Command line arguments: their groups, the language they select, and usage errors as errors of ours."""
 
 from __future__ import annotations
 
+import dataclasses
 import difflib
 import functools
 import inspect
@@ -9,7 +10,7 @@ import itertools
 import os
 import sys
 from collections.abc import Callable, Mapping, Sequence
-from typing import Annotated, Any
+from typing import Annotated, Any, get_type_hints
 
 import typer
 from typer.core import TyperCommand, TyperGroup
@@ -72,18 +73,44 @@ def _check(source: str, language: str) -> str:
     return language
 
 
-def with_language(command: Callable[..., None]) -> Callable[..., None]:
-    """The command with the option ``--lang``, which is used before it runs."""
+def to_typer_command(command: Callable[..., None]) -> Callable[..., None]:
+    """The command as Typer wants it: every option in the signature by itself, and ``--lang``, which is used before it
+    runs.
+
+    A parameter of the command whose type is a dataclass is a group of options, spelled once for all commands that have
+    it: the options of its fields stand in its place in the signature, and the command gets them in one object.
+    """
+    parameters: list[inspect.Parameter] = []
+    groups: list[tuple[str, Callable[..., Any], list[str]]] = []
+    signature = inspect.signature(command, eval_str=True)
+    for parameter in signature.parameters.values():
+        if dataclasses.is_dataclass(parameter.annotation):
+            group: Any = parameter.annotation
+            options = _list_options(group)
+            groups.append((parameter.name, group, [option.name for option in options]))
+            parameters += options
+        else:
+            parameters.append(parameter)
+    parameters.append(_option("lang", Language, None))
 
     @functools.wraps(command)
-    def run(*args: Any, lang: str | None = None, **options: Any) -> None:
-        command(*args, **options)
+    def run(*, lang: str | None = None, **values: Any) -> None:
+        made = {name: kind(**{option: values.pop(option) for option in names}) for name, kind, names in groups}
+        command(**values, **made)
 
-    parameter = inspect.Parameter("lang", inspect.Parameter.KEYWORD_ONLY, default=None, annotation=Language)
-    signature = inspect.signature(command, eval_str=True)
-    run.__signature__ = signature.replace(parameters=[*signature.parameters.values(), parameter])  # type: ignore[attr-defined]
-    run.__annotations__ = {**command.__annotations__, "lang": Language}
+    run.__signature__ = signature.replace(parameters=parameters)  # type: ignore[attr-defined]
+    run.__annotations__ = {parameter.name: parameter.annotation for parameter in parameters}
     return run
+
+
+@functools.cache
+def _list_options(group: Any) -> list[inspect.Parameter]:
+    hints = get_type_hints(group, include_extras=True)
+    return [_option(field.name, hints[field.name], field.default) for field in dataclasses.fields(group)]
+
+
+def _option(name: str, annotation: Any, default: Any) -> inspect.Parameter:
+    return inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=default, annotation=annotation)
 
 
 # Typer brings its own copy of click in newer versions: the classes are had from where its errors are made.
