@@ -139,7 +139,7 @@ def measure(data: str, kind: str, size: int, series: int, references: ReferenceT
 TARGETS = {"same": 0.1, "other": 0.22, "different": 2.3}
 """-log(grade / 100) that the sum is fitted to; an error counts between these by its size."""
 ERROR_TARGETS = (0.1, 0.25, 0.35, 0.5)
-LEAST = 0.01
+LEAST = 0.003
 """Strength of every part: each counts, whether the sum needs it or not."""
 PRIORS = (1.0, 2.0, 4.0, 8.0)
 LEFT_OUT = 7  # column of what is left out

@@ -122,6 +122,7 @@ def test_sentences_that_older_versions_stored_are_read(board, tmp_path, work):
     job = board.submit("slow", {}, "slow")
     work.go.set()
     until(lambda: job.state == "done")
+    board.close()  # its last word is on the disk
     path = board.folder(job) / "job.json"
     stored = json.loads(path.read_bytes())
     del stored["language"]
