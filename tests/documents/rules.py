@@ -20,6 +20,7 @@ class How(enum.Enum):
     FOLLOWED = "run as it is written, in the order of the page, on files that dousa makes or on ../shared/data"
     SMALL = "run on a few files of each kind of ../shared/data, once instead of --repeats N, with less of the rest"
     BENCHMARK = "its program is run on as little as its options allow"
+    WRITES = "never run, it would write what the package ships: its program must exist and know its options"
     DRY = "not run: make -n says what it would do, and what it names must be there"
     INSTALLED = "not run, it needs the net: what it installs must be this project and its extras"
     SERVED = "not run here: tests/app/studio starts the server; its options must exist"
@@ -35,6 +36,7 @@ class _Rule:
 
 # From above; the first row that fits the whole command counts.
 _RULES = (
+    _Rule(r"(?:.*\s)?--write(?:[\s=].*)?", How.WRITES),  # before all others: on little data it would ship a bad judge
     _Rule(
         r"make (?:demo|studio|test|test-slow|test-all|types|coverage|wheel|lint|fuzz|bench|peers|figures|docs|lock"
         r"|clean)",
@@ -94,6 +96,7 @@ BENCHMARKS = {
     "irds_grade.py": "--help",
     "count_repetitions.py": "../shared/data --only synthetic --repeats 1",
     "correlation_matrix.py": "--frames 200 --repeats 1",
+    "body_offsets.py": "--pairs 1",
     "correspondence.py": "--memory --frames 400",
     "estimate.py": "--length 4 --threads 1",
     "few_clips.py": "../shared/data/bandai --share 0.5",
@@ -112,7 +115,7 @@ BENCHMARKS = {
     **{path.name: "--help" for path in sorted((ROOT / "benchmarks").glob("studio_*.py"))},
     "silhouette_candidates.py": "--candidates 100 --limbs left_forearm",
     "weigh_install.py": "--help",  # it needs the package index
-    # These take minutes to an hour, and write what the package ships.
+    # These take minutes to an hour; two of them write what the package ships.
     **dict.fromkeys(("calibrate_grade.py", "exam_evaluation.py", "train_judge.py"), "--help"),
 }
 

@@ -194,6 +194,24 @@ def test_benchmarks_run_on_little_data(name: str, small: Path):
 # Commands that are not run
 
 
+@pytest.mark.parametrize("text", sorted({command.text for command in find_commands(How.WRITES)}))
+def test_what_would_write_into_the_package_is_only_asked_for_its_options(text: str, tmp_path: Path):
+    words = shlex.split(text.removeprefix("python "))
+    asked = run_line(f"python {words[0]} --help", tmp_path)
+    asked.expect_success(text)
+    for option in (word.partition("=")[0] for word in words if word.startswith("--")):
+        assert re.search(rf"{option}\b", asked.said), f"{words[0]} has no {option}"
+
+
+def test_no_command_that_is_run_writes_into_the_package():
+    assert find_commands(How.WRITES), "docs/evaluation.md says what writes the numbers of the grade"
+    run = [make_small(command.text) for command in find_commands(How.SMALL)]
+    run += [command.text for how in (How.FOLLOWED, How.BENCHMARK) for command in find_commands(how)]
+    assert not [text for text in (*run, *BENCHMARKS.values()) if "--write" in text]
+    for text in ("benchmarks/train_judge.py ../shared/data --write", "python benchmarks/calibrate_grade.py --write"):
+        assert choose_rule(Command("any.md", 1, text, "block")) is How.WRITES
+
+
 @pytest.mark.parametrize("command", find_commands(How.MENTIONED) + find_commands(How.SERVED), ids=str)
 def test_what_is_mentioned_exists(command: Command):
     check_options(command.text)
