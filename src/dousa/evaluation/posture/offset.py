@@ -21,10 +21,12 @@ from dousa.motion import rotations
 
 BETWEEN_DEG = np.array([3.5, 9.0, 9.5, 9.0, 9.5, 6.0, 5.5, 6.0, 5.5])
 """(9,) deg, root mean square of the offsets between people who do the same thing, beyond those between takes of one
-person: HDM05 (bd, bk) and UTD-MHAD (s1, s3, s5), by benchmarks/calibrate_grade.py."""
+person. Chosen by hand, left as right: within 2.5 deg of the medians that benchmarks/body_offsets.py prints for HDM05
+(bd, bk) and UTD-MHAD (s1, s3, s5), between which they lie; five people do not say it more exactly."""
 
 WITHIN_DEG = np.array([2.5, 4.5, 5.0, 4.5, 5.0, 2.5, 3.0, 2.5, 3.0])
-"""(9,) deg, the same between two takes of one person that last `WITHIN_S`: what a short clip leaves open."""
+"""(9,) deg, the same between two takes of one person that last `WITHIN_S`: what a short clip leaves open. Chosen by
+hand, within 1 deg of the root mean squares that benchmarks/body_offsets.py prints for both sets."""
 
 WITHIN_S = 2.5
 TILT_DEG = 5.0
@@ -99,8 +101,7 @@ def estimate_offset(
     measured, seconds = measure_offset(a, b, judged, heading, rate)
     missing = find_missing(reference, performance)
     shown = ~missing & (seconds > 0.0)
-    common = np.median(measured[shown], axis=0) * (1.0, 0.0, 1.0) if shown.any() else np.zeros(3)
-    tilt = _limit(common[None], np.radians([TILT_DEG]))
+    tilt = find_tilt(measured, shown)
     spread = np.radians(BETWEEN_DEG) if between is None else between
     # A short clip hardly tells a body from a take.
     noise = np.radians(WITHIN_DEG) ** 2 * WITHIN_S / np.maximum(seconds, 1e-6)
@@ -108,6 +109,12 @@ def estimate_offset(
     taken = tilt * sure.min(initial=1.0, where=shown) + _limit(measured - tilt, spread) * sure[:, None]
     taken[~shown] = 0.0
     return Offset(measured, taken, seconds, missing)
+
+
+def find_tilt(measured: FloatArray, shown: NDArray[np.bool_]) -> FloatArray:
+    """(1, 3) rad, the tilt that all segments (9,) which are shown have in common: of a sensor, not of a body."""
+    common = np.median(measured[shown], axis=0) * (1.0, 0.0, 1.0) if shown.any() else np.zeros(3)
+    return _limit(common[None], np.radians([TILT_DEG]))
 
 
 def _limit(vectors: FloatArray, spread: FloatArray) -> FloatArray:
