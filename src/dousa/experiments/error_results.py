@@ -68,7 +68,7 @@ class Trial:
     Parameters
     ----------
     name : of the motion.
-    held_out : whether nobody tuned on it.
+    held_out : see `is_held_out`.
     repeat : from 0.
     duration_s : of the performance.
     errors : injected, in order of time; none for a clean trial.

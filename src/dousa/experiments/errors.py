@@ -87,7 +87,10 @@ class NamedMotion:
 
 
 def is_held_out(name: str) -> bool:
-    """Whether a motion belongs to the 30 % that nothing was tuned on.
+    """Whether a motion belongs to the 30 % that no limit of the explanations was chosen on.
+
+    The judge that the package ships has learned from people, not from files: people of the sets that it knows are in
+    both parts.
 
     Parameters
     ----------

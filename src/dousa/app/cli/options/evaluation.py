@@ -145,7 +145,7 @@ class InjectionOptions:
     ] = 20.0
     which: Annotated[
         Which,
-        typer.Option("--which", help="held-out: the 30 % of the files, by name, that nothing was tuned on."),
+        typer.Option("--which", help="held-out: the 30 % of the files, by name, that no limit was chosen on."),
     ] = "all"
 
 
