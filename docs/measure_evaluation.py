@@ -14,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
-from dousa.app.pipelines.evaluate import read_takes
+from dousa.app.pipelines.experiment_clips import read_takes
 from dousa.evaluation import compute_postures, find_furi
 from dousa.experiments import is_held_out, run_severity_sweep
 from dousa.formats import ReadOptions

@@ -65,6 +65,11 @@ def print_json(answer: Any) -> None:
     sys.stdout.write(text + "\n")
 
 
+def say(message: Message | str) -> None:
+    """One line of answer on standard output, which a terminal breaks where it is full."""
+    console().print(str(message), markup=False, soft_wrap=True)
+
+
 def one_line(text: str) -> str:
     """The text with control characters, as file names may hold them, spelled as their codes."""
     return "".join(

@@ -7,6 +7,7 @@ from typing import Annotated, Literal
 
 import typer
 
+from dousa.app import tables
 from dousa.app.cli.options import shared as o
 from dousa.app.cli.options.estimation import (
     BodyOptions,
@@ -17,7 +18,7 @@ from dousa.app.cli.options.estimation import (
     StartOptions,
     ViewOptions,
 )
-from dousa.app.output import console, print_json, progress_bar, warn
+from dousa.app.output import console, print_json, progress_bar, say, warn
 from dousa.app.pipelines import estimation_request as r
 from dousa.errors import OptionError
 from dousa.messages import Message
@@ -76,9 +77,7 @@ def estimate(
     if json:
         print_json(done.to_json())
     else:
-        from dousa.app.tables.answers import print_estimation
-
-        print_estimation(console(), done)
+        tables.print_estimation(console(), done)
 
 
 def render(
@@ -145,8 +144,7 @@ def render(
         print_json(answer)
     else:
         shape = {"n": answer["n_frames"], "rate": answer["frame_rate"], "views": len(answer["views"])}
-        words = Message("estimation_cli.rendered", path=output, **shape)
-        console().print(str(words), markup=False, soft_wrap=True)
+        say(Message("estimation_cli.rendered", path=output, **shape))
 
 
 def sort_sources(source: list[Path], background: list[Path] | None) -> tuple[tuple[Path, ...], tuple[Path, ...]]:

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from dousa.app import tables
 from dousa.app.cli.options import shared as o
 from dousa.app.cli.options.evaluation import (
     BeatOptions,
@@ -16,7 +17,7 @@ from dousa.app.cli.options.evaluation import (
     JudgingOptions,
     TakesOptions,
 )
-from dousa.app.output import console, print_json, progress_bar, warn, warn_skipped
+from dousa.app.output import console, print_json, progress_bar, say, warn, warn_skipped
 from dousa.errors import OptionError
 from dousa.messages import Message, get_language
 
@@ -132,14 +133,12 @@ def _evaluate_dance(
     if json:
         print_json(_describe(done, page, judging.detail) | ({} if timing is None else {"beats": timing.to_json()}))
         return
-    from dousa.app.tables.answers import print_assessment
-
-    print_assessment(console(), done.assessment, judging.detail)
+    tables.print_assessment(console(), done.assessment, judging.detail)
     words = [] if timing is None else list(timing.messages)
     if page is not None:
         words.append(Message("evaluation_cli.report", path=page))
     for message in words:
-        console().print(str(message), markup=False, soft_wrap=True)
+        say(message)
 
 
 def progress(
@@ -162,9 +161,7 @@ def progress(
     if json:
         print_json(found.to_json())
     else:
-        from dousa.app.tables.progress import print_progress
-
-        print_progress(console(), found)
+        tables.print_progress(console(), found)
     if picture is not None:
         from dousa.app.pictures.progress import draw_progress
 
@@ -216,7 +213,7 @@ def experiment_errors(
 
     Example: dousa experiment-errors hdm05/ --repeats 0 --takes-from 'name:HDM_(.+)_[0-9]+_120'
     """
-    from dousa.app.pipelines.evaluate import read_takes
+    from dousa.app.pipelines.experiment_clips import read_takes
     from dousa.library import parse_label_rule
 
     if injection_options.repeats == 0 and takes_options.takes_from is None:
@@ -235,10 +232,8 @@ def experiment_errors(
         seconds = {"second_takes": second_takes} if second_takes else {}
         print_json({**(trials.to_json() if trials else {}), **seconds, "skipped": skipped})
     else:
-        from dousa.app.tables.answers import print_tables
-
         for result in (trials, second_takes):
-            print_tables(console(), result.to_tables() if result else ())
+            tables.print_tables(console(), result.to_tables() if result else ())
         problems = trials.problems if trials else ()
         for problem in problems[:_SHOWN_PROBLEMS]:
             warn(problem)

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-from dousa.app.output import console, print_json, progress_bar, warn
+from dousa.app import tables
+from dousa.app.output import console, print_json, progress_bar, say, warn
 from dousa.errors import OptionError
 from dousa.files.disk import atomic_write
 from dousa.messages import Message
@@ -43,7 +44,6 @@ def evaluate_exercise(
 ) -> None:
     """Assess the repetitions in a file; print a table or JSON, write CSV and picture."""
     from dousa.app.pipelines.repetitions import evaluate_repetitions
-    from dousa.app.tables.repetitions import print_repetitions, to_repetitions_csv
 
     csv, picture = exercise.csv, exercise.picture
     weights = judging.choose_weights()
@@ -60,7 +60,7 @@ def evaluate_exercise(
     assessment = done.assessment
     if csv is not None:
         with atomic_write(csv) as file:
-            file.write(to_repetitions_csv(assessment))
+            file.write(tables.to_repetitions_csv(assessment))
     if picture is not None:
         from dousa.app.pictures.repetitions_sheet import draw_repetitions
         from dousa.evaluation.exercises.summary import choose_angles
@@ -79,10 +79,10 @@ def evaluate_exercise(
         }
         print_json({**assessment.to_json(), **_describe(assessment), **files})
         return
-    print_repetitions(console(), assessment, judging.detail)
+    tables.print_repetitions(console(), assessment, judging.detail)
     for code, written in (("exercise_table.csv", csv), ("exercise_table.picture", picture)):
         if written is not None:
-            console().print(str(Message(code, path=written)), markup=False, soft_wrap=True)
+            say(Message(code, path=written))
 
 
 def _describe(assessment: RepetitionsAssessment) -> dict[str, Any]:

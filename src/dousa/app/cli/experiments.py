@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from dousa.app import tables
 from dousa.app.cli.options import shared as o
 from dousa.app.cli.options.experiments import (
     SAMPLES,
@@ -62,7 +63,6 @@ def experiment(
     Example: dousa experiment hdm05/ --split leave-performer-out --performer-from 'name:HDM_(..)_'
     """
     from dousa.app.pipelines.experiment_clips import read_labelled_clips, refuse_clips_in_both
-    from dousa.app.tables.answers import print_tables
 
     kind = _choose_kind(kind_options)
     test = split_options.test
@@ -95,7 +95,7 @@ def experiment(
     if json:
         print_json(answer)
     else:
-        print_tables(console(), result.to_tables())
+        tables.print_tables(console(), result.to_tables())
     if figure:  # last, so that an answer that took long is not lost where the picture cannot be written
         from dousa.app.pictures.sheets import draw_experiment_figure
 
@@ -253,9 +253,7 @@ def experiment_estimation(
     if json:
         print_json(result)
         return
-    from dousa.app.tables.answers import print_tables
-
-    print_tables(console(), result.to_tables())
+    tables.print_tables(console(), result.to_tables())
     for problem in problems:
         warn(problem)
 

@@ -7,8 +7,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from dousa.app import tables
 from dousa.app.cli.options import shared as o
-from dousa.app.output import console, fail, print_json, warn
+from dousa.app.output import console, fail, print_json, say, warn
 from dousa.errors import DousaError
 from dousa.messages import Message
 
@@ -47,9 +48,7 @@ def info(
         print_json(answers)
     else:
         for answer in answers:
-            from dousa.app.tables import answers as _tables
-
-            _tables.print_info(console(), answer)
+            tables.print_info(console(), answer)
     if failed:
         raise typer.Exit(2)
 
@@ -137,8 +136,7 @@ def convert(
             }
         )
     else:
-        words = Message("files_cli.converted", path=target, n=motion.n_frames, rate=motion.frame_rate)
-        console().print(str(words), markup=False)
+        say(Message("files_cli.converted", path=target, n=motion.n_frames, rate=motion.frame_rate))
 
 
 def _fit(positions: Trajectories) -> tuple[Motion, float]:
@@ -180,4 +178,4 @@ def plot(
     if json:
         print_json({"path": str(file), "picture": str(output), "poses": min(poses, motion.n_frames)})
     else:
-        console().print(f"{output}: {file.name}", markup=False)
+        say(f"{output}: {file.name}")

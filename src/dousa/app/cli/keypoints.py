@@ -8,7 +8,7 @@ from typing import Annotated, Literal
 import typer
 
 from dousa.app.cli.options import shared as o
-from dousa.app.output import console, print_json, progress_bar
+from dousa.app.output import print_json, progress_bar, say
 from dousa.errors import OptionError
 from dousa.messages import Message
 
@@ -74,4 +74,4 @@ def models(
         lines.append(Message("models.row", model=model.name, megabytes=size, state=Message(_STATES[state])))
     lines.append(Message("models.licence", npm=model_archives.NPM_PACKAGE, pip=model_archives.PIP_PACKAGE))
     for line in lines:
-        console().print(str(line), markup=False, soft_wrap=True)
+        say(line)

@@ -8,8 +8,9 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
+from dousa.app import tables
 from dousa.app.cli.options import shared as o
-from dousa.app.output import console, print_json, progress_bar, warn
+from dousa.app.output import console, print_json, progress_bar, say, warn
 from dousa.errors import LibraryVersionError, OptionError
 from dousa.extras import require
 from dousa.messages import Message
@@ -111,9 +112,7 @@ def add(
     if json:
         print_json(report.to_json())
     else:
-        from dousa.app.tables import answers as _tables
-
-        _tables.print_add(console(), report)
+        tables.print_add(console(), report)
     used = (report.added, report.replaced, report.moved, report.unchanged, report.duplicates)
     if report.skipped and not any(used):
         raise typer.Exit(2)
@@ -180,13 +179,13 @@ def train(
         print_json(report.to_json())
         return
     learned = {"trees": report.n_trees, "clips": report.n_clips, "seconds": report.seconds}
-    console().print(str(Message("library_cli.trained", categories=len(report.categories), **learned)))
+    say(Message("library_cli.trained", categories=len(report.categories), **learned))
     calibration = report.calibration
     if calibration is None:
         warn(Message("library_cli.no_calibration"))
     else:
         shares = {"known": calibration.false_alarms, "others": 1 - calibration.misses}
-        console().print(str(Message("library_cli.calibrated", **shares)))
+        say(Message("library_cli.calibrated", **shares))
     if report.n_unlabelled:
         warn(Message("library_cli.unlabelled", n=report.n_unlabelled))
     if report.single:
@@ -243,9 +242,7 @@ def search(
     if json:
         print_json(result.to_json())
     else:
-        from dousa.app.tables import answers as _tables
-
-        _tables.print_search(console(), result)
+        tables.print_search(console(), result)
 
 
 def classify(
@@ -271,9 +268,7 @@ def classify(
     if json:
         print_json([answer.to_json() for answer in answers])
     else:
-        from dousa.app.tables import answers as _tables
-
-        _tables.print_classes(console(), answers)
+        tables.print_classes(console(), answers)
     problems = [answer for answer in answers if answer.problem is not None]
     for answer in problems:
         warn(Message("cli.file_problem", path=answer.path, reason=answer.problem))
@@ -299,13 +294,9 @@ def list_clips(
     if json:
         print_json({**stats.to_json(), "clips": [clip.to_json() for clip in rows]})
     elif rows:
-        from dousa.app.tables import answers as _tables
-
-        _tables.print_clips(console(), [clip.to_json() for clip in rows])
+        tables.print_clips(console(), [clip.to_json() for clip in rows])
     else:
-        from dousa.app.tables import answers as _tables
-
-        _tables.print_stats(console(), library, stats.to_json())
+        tables.print_stats(console(), library, stats.to_json())
 
 
 def _selection(clips: list[str] | None) -> list[int | str]:
@@ -328,9 +319,7 @@ def remove(
     if json:
         print_json({"removed": removed})
     else:
-        from dousa.app.tables import answers as _tables
-
-        _tables.print_some(console(), Message("library_cli.removed", n=len(removed)), list(removed))
+        tables.print_some(console(), Message("library_cli.removed", n=len(removed)), list(removed))
 
 
 def relabel(
@@ -363,6 +352,4 @@ def relabel(
     if json:
         print_json({"relabelled": changed})
     else:
-        from dousa.app.tables import answers as _tables
-
-        _tables.print_some(console(), Message("library_cli.relabelled", n=len(changed)), list(changed))
+        tables.print_some(console(), Message("library_cli.relabelled", n=len(changed)), list(changed))

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from dousa.app import tables
 from dousa.app.cli.library import Mirror, Query, clip_or_path, open_library, open_to_read
 from dousa.app.cli.options import shared as o
 from dousa.app.output import console, print_json, progress_bar, warn, warn_skipped
@@ -69,9 +70,7 @@ def find(
     if json:
         print_json(answer.to_json())
     else:
-        from dousa.app.tables import answers as _take_tables
-
-        _take_tables.print_places(console(), answer, mirrored=mirror)
+        tables.print_places(console(), answer, mirrored=mirror)
     warn_skipped(answer.skipped)
     if answer.skipped and not answer.n_takes:
         raise typer.Exit(2)
@@ -133,9 +132,7 @@ def label(
         if json:
             print_json(answer.to_json())
         else:
-            from dousa.app.tables import answers as _take_tables
-
-            _take_tables.print_timeline(console(), answer)
+            tables.print_timeline(console(), answer)
         # Last, so that an answer is not lost where a file cannot be written.
         if csv:
             from dousa.retrieval.takes.label import write_timeline_csv

@@ -1,4 +1,4 @@
-"""From motion files to an assessment, and to the takes of an experiment: the commands without their options."""
+"""From motion files to an assessment: the command without its options."""
 
 from __future__ import annotations
 
@@ -8,23 +8,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from dousa.errors import DousaError, InvalidMotionError, OptionError
-from dousa.formats.motion_files import (
-    ReadOptions,
-    Skipped,
-    describe_problem,
-    find_motion_files,
-    read_canonical,
-)
-from dousa.library import choose_jobs
+from dousa.errors import InvalidMotionError, OptionError
+from dousa.formats.motion_files import ReadOptions, find_motion_files, read_canonical
 from dousa.messages import Message
 
 if TYPE_CHECKING:
     from dousa.app.output import ProgressCallback
     from dousa.evaluation import Assessment, Furi
-    from dousa.experiments.errors import NamedMotion
-    from dousa.formats.motion_files import FoundFile
-    from dousa.library.labels import LabelRule
     from dousa.motion import CanonicalMotion
 
 
@@ -157,66 +147,3 @@ def check_folder(folder: Path) -> None:
         raise OptionError("evaluate.folder_below_file", folder=folder, place=place)
     if not os.access(place, os.W_OK | os.X_OK):
         raise OptionError("evaluate.folder_not_writable", folder=folder, place=place)
-
-
-def read_takes(
-    paths: Sequence[Path],
-    group_of: LabelRule,
-    *,
-    options: ReadOptions,
-    n_jobs: int | None = None,
-    progress: ProgressCallback | None = None,
-) -> tuple[list[tuple[NamedMotion, str | None]], list[Skipped]]:
-    """Read all motion files below some paths for an experiment.
-
-    Parameters
-    ----------
-    paths : files and folders.
-    group_of : tells which files are takes of one thing.
-    options : what is said about the files.
-    n_jobs : files at a time; None for every core.
-    progress : called with (done, total, "reading").
-
-    Returns
-    -------
-    takes : motions and their groups, in the order of the files.
-    skipped : the other files, and why.
-
-    Raises
-    ------
-    OptionError : no motion could be read.
-    """
-    import joblib
-
-    files, skipped = find_motion_files(paths)
-    parallel = joblib.Parallel(n_jobs=choose_jobs(n_jobs), prefer="threads", return_as="generator")
-    takes: list[tuple[NamedMotion, str | None]] = []
-    answers = parallel(joblib.delayed(_read_take)(file, options) for file in files)
-    for done, (file, answer) in enumerate(zip(files, answers, strict=True), 1):
-        if isinstance(answer, Skipped):
-            skipped.append(answer)
-        else:
-            takes.append((answer, group_of(file.root, file.path)))
-        if progress is not None:
-            progress(done, len(files), Message("progress.reading"))
-    if not takes:
-        if not skipped:
-            raise OptionError("evaluate.nothing_found", paths=paths)
-        raise OptionError(
-            "evaluate.nothing_readable",
-            paths=paths,
-            n=len(skipped),
-            first=skipped[0].path,
-            reason=skipped[0].reason,
-        )
-    return takes, skipped
-
-
-def _read_take(file: FoundFile, options: ReadOptions) -> NamedMotion | Skipped:
-    from dousa.experiments.errors import NamedMotion
-
-    path = str(file.path)
-    try:
-        return NamedMotion(path, read_canonical(path, options)[0])
-    except DousaError as error:
-        return Skipped(path, describe_problem(path, error))

@@ -1,10 +1,10 @@
-"""From folders of motion files to the labelled clips of an experiment."""
+"""From folders of motion files to the labelled clips, or the takes, of an experiment."""
 
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from collections.abc import Callable, Iterator, Sequence
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from dousa.errors import DousaError, OptionError, TrainingError
 from dousa.formats.motion_files import (
@@ -20,7 +20,12 @@ from dousa.messages import Message
 
 if TYPE_CHECKING:
     from dousa.app.output import ProgressCallback
+    from dousa.experiments.errors import NamedMotion
+    from dousa.library.labels import LabelRule
+    from dousa.motion import CanonicalMotion
     from dousa.retrieval.features.posed_motion import LabelledClip
+
+_Read = TypeVar("_Read")
 
 
 def read_labelled_clips(
@@ -52,32 +57,62 @@ def read_labelled_clips(
     OptionError : a rule that cannot be understood.
     TrainingError : no clip could be read.
     """
-    import joblib
-
     rules = parse_label_rule(category_from, "category"), parse_label_rule(performer_from, "performer")
     files, skipped = find_motion_files(paths)
-    labels = [tuple(rule(file.root, file.path) for rule in rules) for file in files]
-    parallel = joblib.Parallel(n_jobs=choose_jobs(n_jobs), prefer="threads", return_as="generator")
+    tasks = [(file, options, *(rule(file.root, file.path) for rule in rules)) for file in files]
     clips: list[LabelledClip] = []
-    answers = parallel(
-        joblib.delayed(_read_clip)(file, category, performer, options)
-        for file, (category, performer) in zip(files, labels, strict=True)
-    )
-    for done, answer in enumerate(answers, 1):
-        (skipped if isinstance(answer, Skipped) else clips).append(answer)
-        if progress is not None:
-            progress(done, len(files), Message("progress.reading"))
+    for answer in _read_each(_read_clip, tasks, n_jobs, progress):
+        if isinstance(answer, Skipped):
+            skipped.append(answer)
+        else:
+            clips.append(answer)
+    if not clips and not skipped:
+        raise TrainingError("experiments_cli.nothing_found", paths=paths)
     if not clips:
-        if not skipped:
-            raise TrainingError("experiments_cli.nothing_found", paths=paths)
-        raise TrainingError(
-            "experiments_cli.nothing_readable",
-            paths=paths,
-            n=len(skipped),
-            first=skipped[0].path,
-            reason=skipped[0].reason,
-        )
+        raise TrainingError("experiments_cli.nothing_readable", paths=paths, **_show_first(skipped))
     return clips, skipped
+
+
+def read_takes(
+    paths: Sequence[str | os.PathLike[str]],
+    group_of: LabelRule,
+    *,
+    options: ReadOptions,
+    n_jobs: int | None = None,
+    progress: ProgressCallback | None = None,
+) -> tuple[list[tuple[NamedMotion, str | None]], list[Skipped]]:
+    """Read all motion files below some paths for an experiment.
+
+    Parameters
+    ----------
+    paths : files and folders.
+    group_of : tells which files are takes of one thing.
+    options : what is said about the files.
+    n_jobs : files at a time; None for every core.
+    progress : called with (done, total, "reading").
+
+    Returns
+    -------
+    takes : motions and their groups, in the order of the files.
+    skipped : the other files, and why.
+
+    Raises
+    ------
+    OptionError : no motion could be read.
+    """
+    files, skipped = find_motion_files(paths)
+    takes: list[tuple[NamedMotion, str | None]] = []
+    answers = _read_each(_read_take, [(file, options) for file in files], n_jobs, progress)
+    for file, answer in zip(files, answers, strict=True):
+        if isinstance(answer, Skipped):
+            skipped.append(answer)
+        else:
+            takes.append((answer, group_of(file.root, file.path)))
+    if not takes and not skipped:
+        raise OptionError("evaluate.nothing_found", paths=paths)
+    if not takes:
+        raise OptionError("evaluate.nothing_readable", paths=paths, **_show_first(skipped))
+    return takes, skipped
 
 
 def refuse_clips_in_both(clips: Sequence[LabelledClip], tested: Sequence[LabelledClip]) -> None:
@@ -87,16 +122,50 @@ def refuse_clips_in_both(clips: Sequence[LabelledClip], tested: Sequence[Labelle
         raise OptionError("experiments_cli.train_and_test", n=len(both), total=len(tested), first=both[0])
 
 
+def _read_each(
+    read: Callable[..., _Read | Skipped],
+    tasks: Sequence[tuple[Any, ...]],
+    n_jobs: int | None,
+    progress: ProgressCallback | None,
+) -> Iterator[_Read | Skipped]:
+    """The answers to the tasks in their order, several worked on at a time."""
+    import joblib
+
+    parallel = joblib.Parallel(n_jobs=choose_jobs(n_jobs), prefer="threads", return_as="generator")
+    for done, answer in enumerate(parallel(joblib.delayed(read)(*task) for task in tasks), 1):
+        if progress is not None:
+            progress(done, len(tasks), Message("progress.reading"))
+        yield answer
+
+
 def _read_clip(
-    file: FoundFile, category: str | None, performer: str | None, options: ReadOptions
+    file: FoundFile, options: ReadOptions, category: str | None, performer: str | None
 ) -> LabelledClip | Skipped:
     from dousa.retrieval.features.posed_motion import LabelledClip
 
-    path = str(file.path)
     if category is None:
-        return Skipped(path, Message("motion_files.no_category"))
+        return Skipped(str(file.path), Message("motion_files.no_category"))
+    motion = _read_file(file, options)
+    if isinstance(motion, Skipped):
+        return motion
+    return LabelledClip(str(file.path), category, performer, motion.positions, motion.frame_rate, motion.height)
+
+
+def _read_take(file: FoundFile, options: ReadOptions) -> NamedMotion | Skipped:
+    from dousa.experiments.errors import NamedMotion
+
+    motion = _read_file(file, options)
+    return motion if isinstance(motion, Skipped) else NamedMotion(str(file.path), motion)
+
+
+def _read_file(file: FoundFile, options: ReadOptions) -> CanonicalMotion | Skipped:
+    path = str(file.path)
     try:
-        motion, _ = read_canonical(path, options)
+        return read_canonical(path, options)[0]
     except DousaError as error:
         return Skipped(path, describe_problem(path, error))
-    return LabelledClip(path, category, performer, motion.positions, motion.frame_rate, motion.height)
+
+
+def _show_first(skipped: Sequence[Skipped]) -> dict[str, Any]:
+    """Values of a message that says how many files were skipped, and why the first was."""
+    return {"n": len(skipped), "first": skipped[0].path, "reason": skipped[0].reason}

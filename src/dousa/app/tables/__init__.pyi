@@ -1,0 +1,36 @@
+from .answers import (
+    describe_votes,
+    print_add,
+    print_assessment,
+    print_classes,
+    print_clips,
+    print_estimation,
+    print_info,
+    print_places,
+    print_search,
+    print_some,
+    print_stats,
+    print_tables,
+    print_timeline,
+)
+from .progress import print_progress
+from .repetitions import print_repetitions, to_repetitions_csv
+
+__all__ = [
+    "describe_votes",
+    "print_add",
+    "print_assessment",
+    "print_classes",
+    "print_clips",
+    "print_estimation",
+    "print_info",
+    "print_places",
+    "print_progress",
+    "print_repetitions",
+    "print_search",
+    "print_some",
+    "print_stats",
+    "print_tables",
+    "print_timeline",
+    "to_repetitions_csv",
+]
