@@ -30,7 +30,7 @@ def _cut(assessment: Assessment, n_frames: int) -> Assessment:
     changes: dict[str, Any] = {}
     for field in dataclasses.fields(assessment):
         value = getattr(assessment, field.name)
-        if isinstance(value, np.ndarray) and field.name not in ("residual_limit", "path"):
+        if isinstance(value, np.ndarray) and field.name not in ("residual_limit", "path", "weights", "offset_deg"):
             changes[field.name] = value[:n_frames]
     for name in ("reference", "performance"):
         whole = getattr(assessment, name)

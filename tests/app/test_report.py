@@ -23,10 +23,11 @@ from dousa.app.report import fonts as _fonts
 from dousa.app.report import write_report
 from dousa.app.report.curves import thin_curve
 from dousa.app.report.markup import element, format_number, trace
-from dousa.app.report.page import build_page
+from dousa.app.report.page import build_page, build_parts
 from dousa.app.report.timeline import choose_ticks, encode_map, time_ticks, viridis_table
 from dousa.errors import OptionError
 from dousa.evaluation import advise
+from dousa.evaluation.words import SEGMENT_NAMES, name_all
 from dousa.messages import Message, load_section
 
 _VOID = {"meta", "img", "br", "link", "input", "col", "hr"}
@@ -74,6 +75,32 @@ def english() -> str:
 @pytest.fixture(scope="module")
 def japanese() -> str:
     return build_page(make_assessment(), "ja")
+
+
+def test_what_counts_stands_beside_the_figures_of_the_segments() -> None:
+    weights = np.array([0.78, 1.16, 1.13, 1.18, 1.14, 0.91, 0.89, 0.92, 0.90])
+    assessment = make_assessment()
+    residual = np.full_like(assessment.residual, 0.1)
+    residual[: len(residual) // 4, 3] = 0.5
+    residual[:, 8] = np.nan
+    shown = change(assessment, weights=weights, residual=residual, offset_deg=np.arange(9.0))
+    parts = build_parts(shown, "en", ("segments", "furi"))
+    rows = re.findall(r"<tr><th scope=\"row\">(.*?)</tr>", parts["segments"])
+    texts = [re.sub(r"<[^>]+>", "|", row) for row in rows]
+    assert [text.split("|")[0] for text in texts] == list(name_all(SEGMENT_NAMES, "en").values())
+    assert [re.search(r"× ([\d.]+)", text)[1] for text in texts] == [f"{weight:.2f}" for weight in weights]  # type: ignore[index]
+    assert texts[3].endswith("|6°||25 %||17°||3°|")
+    assert texts[8].endswith("|–||–||17°||8°|")
+    widths = [float(width) for width in re.findall(r"width:([\d.]+)em", parts["segments"])]
+    assert widths.index(max(widths)) == 3 and widths[0] / widths[3] == pytest.approx(0.78 / 1.18, abs=0.01)
+    (counts,) = re.findall(r'<tr class="counts-row">(.*?)</tr>', parts["furi"])
+    assert re.findall(r"× ([\d.]+)", counts) == [f"{weight:.2f}" for weight in weights]
+
+
+def test_all_alike_is_said() -> None:
+    words = load_section("report", "ja")
+    shown = build_parts(make_assessment(), "ja", ("segments",))["segments"]
+    assert words["segments_alike"] in shown and words["segments_text"] not in shown
 
 
 def test_three_files_are_written(tmp_path: Path) -> None:
@@ -165,7 +192,7 @@ def test_every_text_of_the_report_is_used() -> None:
     sources = "".join(
         file.read_text(encoding="utf-8") for file in folder.iterdir() if file.name.endswith((".py", ".js", ".html"))
     )
-    made = tuple("col_ d_ fact_ furi_ kind_short_ letter_ matrix_ read_ seen_from_ view_ row_".split())
+    made = tuple("col_ d_ fact_ furi_ kind_short_ letter_ matrix_ read_ seen_from_ view_ row_ segments_".split())
     unused = [
         name
         for name in load_section("report", "en")
@@ -246,8 +273,8 @@ def test_every_picture_has_words_and_a_table(english: str) -> None:
         if tag == "img":
             assert attrs.get("alt")
     tables = [attrs for tag, attrs in reader.elements if tag == "table"]
-    # Furi, one a figure, one a moment, events, lapses, seconds, gaps.
-    assert len(tables) == 1 + len(reader.with_class("shape-card")) + len(reader.with_class("moment")) + 4
+    # Segments, furi, one a figure, one a moment, events, lapses, seconds, gaps.
+    assert len(tables) == 2 + len(reader.with_class("shape-card")) + len(reader.with_class("moment")) + 4
     captions = [tag for tag, _ in reader.elements if tag == "caption"]
     assert len(captions) == len(tables)
 

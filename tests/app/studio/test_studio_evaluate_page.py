@@ -98,12 +98,19 @@ def test_from_files_to_a_grade(show, dances):
     assert page.messages() == []
 
 
+def _compare_counts(page):
+    sliders = page.run("return [...document.querySelectorAll('[data-counts^=segment]')].map((e) => e.textContent)")
+    shown = page.run("return [...document.querySelectorAll('.segment-table .counts span')].map((e) => e.textContent)")
+    assert len(shown) == 9
+    assert [text.removeprefix("counts ") for text in sliders] == shown
+
+
 def test_the_report_follows_cuts_and_weights(show, address):
     from selenium.webdriver import ActionChains
 
     page = show(address)
     _grade(page)
-    count = page.run("return document.querySelectorAll('.furi-table tbody tr').length")
+    count = page.run("return document.querySelectorAll('.furi-table tbody tr:not(.counts-row)').length")
     # A cut is moved by keyboard, and one is taken away by mouse.
     page.run("document.querySelectorAll('.tl-cut')[1].focus()")
     page.press("\ue014", "\ue014", "\ue014")
@@ -112,11 +119,15 @@ def test_the_report_follows_cuts_and_weights(show, address):
     cut = page.find("#cuts-timeline .tl-cut:nth-child(3)")
     page.run("arguments[0].scrollIntoView({block: 'center', behavior: 'instant'})", cut)
     ActionChains(page.driver).double_click(cut).perform()
-    page.wait(f"return document.querySelectorAll('.furi-table tbody tr').length === {count - 1}", seconds=60)
+    page.wait(
+        f"return document.querySelectorAll('.furi-table tbody tr:not(.counts-row)').length === {count - 1}", seconds=60
+    )
     _settled(page)
     assert page.run("return document.querySelectorAll('#lanes .band').length") == count - 1
     page.find("#reset-cuts").click()
-    page.wait(f"return document.querySelectorAll('.furi-table tbody tr').length === {count}", seconds=60)
+    page.wait(
+        f"return document.querySelectorAll('.furi-table tbody tr:not(.counts-row)').length === {count}", seconds=60
+    )
     # What does not count does not count.
     before = _score(page)
     _slide(page, "limb-arms", 0)
@@ -125,6 +136,15 @@ def test_the_report_follows_cuts_and_weights(show, address):
     assert "Arms 0" in page.run("return document.querySelector('#adjust-changed').textContent")
     shown = float(page.run("return document.querySelector('.grade .number').textContent"))
     assert shown == pytest.approx(_score(page), abs=0.6)
+    # Beside the sliders stands what the report says that the segments count.
+    _compare_counts(page)
+    page.find("#learned-importance").click()
+    page.wait(
+        "return document.querySelector('[data-counts=segment-trunk]').textContent === 'counts × 1.00'", seconds=60
+    )
+    _settled(page)
+    _compare_counts(page)
+    assert "all segments alike" in page.run("return document.querySelector('#adjust-changed').textContent")
     # Nothing that counts is refused in words, and the report stays.
     for limb in ("trunk", "legs"):
         _slide(page, f"limb-{limb}", 0)

@@ -25,6 +25,7 @@ from dousa.app.report.sections import (
     build_reading,
     make_title,
 )
+from dousa.app.report.segments import build_segments
 from dousa.app.report.timeline import draw_matrix, draw_timeline
 from dousa.arrays import FloatArray
 from dousa.errors import MotionWriteError, OptionError
@@ -40,6 +41,7 @@ PARTS: Mapping[str, Callable[[Assessment, Mapping[str, str], str], str]] = Mappi
         "advice": build_advice,
         "events": build_events,
         "facts": build_facts,
+        "segments": build_segments,
         "timeline": draw_timeline,
         "matrix": lambda assessment, words, language: draw_matrix(assessment, words),
         "furi": build_furi,
@@ -50,7 +52,7 @@ PARTS: Mapping[str, Callable[[Assessment, Mapping[str, str], str], str]] = Mappi
 )
 """What builds each part, besides the header."""
 
-QUICK_PARTS = ("header", "advice", "events", "facts", "timeline", "tables")
+QUICK_PARTS = ("header", "advice", "events", "facts", "segments", "timeline", "tables")
 """Parts with few figures of people: what follows while somebody is still changing something."""
 
 

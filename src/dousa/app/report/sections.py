@@ -20,6 +20,7 @@ from dousa.app.report.figures import (
     view_moment,
 )
 from dousa.app.report.markup import draw_mark, element, format_number
+from dousa.app.report.segments import build_counts_row
 from dousa.evaluation.grade.result import Assessment, ErrorEvent, FuriAssessment
 from dousa.evaluation.posture.posture import SEGMENTS
 from dousa.evaluation.words import (
@@ -233,7 +234,8 @@ def _furi_table(assessment: Assessment, words: Mapping[str, str], language: str)
     below = "".join(
         element("th", {"scope": "col", "class": "narrow"}, SEGMENT_NAMES[name].render(language)) for name in SEGMENTS
     )
-    rows = "".join(_furi_row(number, furi, words) for number, furi in enumerate(assessment.furi))
+    rows = build_counts_row(assessment, len(fixed), words)
+    rows += "".join(_furi_row(number, furi, words) for number, furi in enumerate(assessment.furi))
     inner = (
         element("caption", {"class": "sr"}, words["furi_title"])
         + element("thead", None, inner=element("tr", None, inner=top) + element("tr", None, inner=below))

@@ -154,7 +154,7 @@ def _write(name: str, studio: Studio, job_id: str, language: Language) -> str | 
         figures = ready.to_furi(adjustment.furi) or ready.assessment.found
         return format_furi(figures, ready.assessment.frame_rate)
     if name == "weights.toml":
-        return format_weights(adjustment.weights)
+        return format_weights(adjustment.weights, adjustment.importance)
     assessment = ready.assess(adjustment)
     if name == "report.html":
         return build_page(assessment, language).encode("utf-8", "replace")

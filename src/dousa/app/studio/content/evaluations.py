@@ -54,9 +54,15 @@ class Adjustment(BaseModel):
     weights: Annotated[dict[_Name, _Weight], Field(max_length=20)] = Field(
         default_factory=dict, description="of segments or limbs; 1 for those not named"
     )
+    importance: Literal["learned", "equal"] = Field(
+        "learned", description="learned: segments count as they matter in the reference; equal: all alike"
+    )
     furi: Annotated[list[Cut], Field(min_length=1, max_length=400)] | None = Field(
         None, description="figures; those that are found if null"
     )
+
+
+_ADJUSTABLE = set(Adjustment.model_fields)
 
 
 class EvaluationRequest(Adjustment):
@@ -95,11 +101,11 @@ class Ready:
         ------
         RefusedError, OptionError : figures or weights that cannot be.
         """
-        key = adjustment.model_dump_json(include={"weights", "furi"})
+        key = adjustment.model_dump_json(include=_ADJUSTABLE)
         with self.lock:
             if self.last is None or self.last[0] != key:
                 furi = self.to_furi(adjustment.furi)
-                found = self.assessment.assess(furi, adjustment.weights)
+                found = self.assessment.assess(furi, adjustment.weights, importance=adjustment.importance)
                 self.last = (key, _add_page_warnings(found))
             return self.last[1]
 
@@ -107,7 +113,7 @@ class Ready:
         """The same quickly, and whether it is exactly the same; see `dousa.evaluation.AdjustableAssessment`."""
         with self.lock:
             furi = self.to_furi(adjustment.furi)
-            found, is_exact = self.assessment.preview(furi, adjustment.weights)
+            found, is_exact = self.assessment.preview(furi, adjustment.weights, importance=adjustment.importance)
         return _add_page_warnings(found), is_exact
 
     def to_furi(self, cuts: Sequence[Cut] | None) -> list[Furi] | None:
@@ -209,14 +215,14 @@ class Evaluations:
         with suppress(OSError, ValueError):
             return Adjustment.model_validate_json((self._board.folder(job) / _ADJUSTED).read_bytes())
         asked = EvaluationRequest.model_validate(job.request)
-        return Adjustment(weights=asked.weights, furi=asked.furi)
+        return Adjustment(weights=asked.weights, furi=asked.furi, importance=asked.importance)
 
     def write_adjustment(self, job_id: str, adjustment: Adjustment) -> None:
         """Keep what somebody changed, for every page that shows the evaluation, and for the files of it."""
         from dousa.files.disk import atomic_write
 
         with atomic_write(self._board.folder(self._done(job_id)) / _ADJUSTED) as file:
-            file.write(json.dumps(adjustment.model_dump(include={"weights", "furi"})).encode())
+            file.write(json.dumps(adjustment.model_dump(include=_ADJUSTABLE)).encode())
 
     def compare_with_earlier(self, job_id: str) -> Progress | None:
         """This evaluation and those before it against the same reference, as they were asked for; None if it is the
@@ -345,6 +351,7 @@ def describe(ready: Ready, assessment: Assessment, adjustment: Adjustment, langu
         "furi_used": furi,
         "furi_found": found,
         "weights": dict(adjustment.weights),
+        "importance": adjustment.importance,
     }
 
 
@@ -358,7 +365,9 @@ def _add_page_warnings(assessment: Assessment) -> Assessment:
     return replace(assessment, warnings=tuple(warnings))
 
 
-def format_weights(weights: Mapping[str, float]) -> str:
-    """The text of a file for ``dousa evaluate --weights``."""
+def format_weights(weights: Mapping[str, float], importance: str = "learned") -> str:
+    """The text of a file for ``dousa evaluate --weights``; equal importance is another option, named in it."""
     lines = [f"{name} = {value:g}" for name, value in weights.items()]
+    if importance != "learned":
+        lines.insert(0, f"# use it with --importance {importance}")
     return "\n".join(["# weights of segments and limbs; what is not named weighs 1", *lines]) + "\n"

@@ -5,7 +5,7 @@ import { Cuts } from "./cuts.js";
 import { isSameFigures } from "./figures.js";
 import { Weights, describeWeights, gather, spread } from "./weights.js";
 
-/** onChange({weights, furi}, done), onSeek(s of the reference); names: of the nine segments */
+/** onChange({weights, importance, furi}, done), onSeek(s of the reference); names: of the nine segments */
 export class Adjust {
   constructor(assessment, names, { onChange, onSeek }) {
     Object.assign(this, { found: assessment.furi_found, names, onChange, first: null });
@@ -25,13 +25,13 @@ export class Adjust {
     });
     this.weights = new Weights(weights, { names, onChange: (_, done) => this.tell(done) });
     this.cuts.show(assessment.furi_used);
-    this.weights.show(spread(assessment.weights));
+    this.weights.show(spread(assessment.weights), assessment.importance);
     this.take({ assessment, exact: true, kept: true });
   }
 
   values() {
     const { figures } = this.cuts;
-    return { weights: gather(this.weights.values), furi: isSameFigures(figures, this.found) ? null : figures };
+    return { weights: gather(this.weights.values), importance: this.weights.importance, furi: isSameFigures(figures, this.found) ? null : figures };
   }
 
   tell(done) {
@@ -49,6 +49,7 @@ export class Adjust {
     this.before.textContent = score !== this.first ? t("before_change", { score: this.first?.toFixed(1) ?? "–" }) : "";
     this.setState(exact && kept ? "exact" : exact ? "working" : "approximate");
     this.cuts.showScores(assessment.furi);
+    this.weights.showCounts(assessment.segment_weights);
     this.sayChanged();
   }
 
@@ -73,6 +74,7 @@ export class Adjust {
     }
     const list = describeWeights(this.weights.values, this.names);
     if (list) said.push(t("changed_weights", { list }));
+    if (this.weights.importance === "equal") said.push(t("equal_importance"));
     this.changed.textContent = said.join(" · ") || t("as_found");
     this.changed.classList.toggle("is-changed", said.length > 0);
     this.cuts.reset.disabled = isSameFigures(figures, this.found);

@@ -34,13 +34,20 @@ export function describeWeights(values, names) {
 /** onChange(values of the nine segments, done) */
 export class Weights {
   constructor(element, { names, onChange }) {
-    Object.assign(this, { values: SEGMENTS.map(() => 1), onChange, sliders: [] });
+    Object.assign(this, { values: SEGMENTS.map(() => 1), counts: null, onChange, sliders: [] });
+    this.learned = h("input", { type: "checkbox", id: "learned-importance", checked: "" });
+    this.learned.addEventListener("change", () => this.onChange(this.values, true));
     const limbs = Object.entries(LIMBS).map(([limb, members]) => this.makeSlider(t(limb), members, `limb-${limb}`));
     const single = SEGMENTS.map((name, k) => this.makeSlider(names[k], [k], `segment-${name}`));
-    const reset = h("button", { type: "button", class: "small", id: "reset-weights", onclick: () => this.take(SEGMENTS.map(() => 1), true) }, t("reset_weights"));
+    const start = () => {
+      this.learned.checked = true;
+      this.take(SEGMENTS.map(() => 1), true);
+    };
+    const reset = h("button", { type: "button", class: "small", id: "reset-weights", onclick: start }, t("reset_weights"));
     element.append(
       h("header", { class: "row" }, h("h3", {}, t("weights")), h("span", { class: "push" }), reset),
       h("p", { class: "note" }, t("weights_hint")),
+      h("label", { class: "choice" }, this.learned, h("span", {}, t("learned_importance"))),
       h("div", { class: "sliders" }, ...limbs),
       h("details", { class: "each" }, h("summary", {}, t("each_segment")), h("div", { class: "sliders" }, ...single)),
     );
@@ -48,7 +55,7 @@ export class Weights {
   }
 
   makeSlider(word, members, name) {
-    const output = h("output", {});
+    const [output, counts] = [h("output", {}), h("span", { class: "counts-as", dataset: { counts: name } })];
     const input = h("input", { type: "range", min: "0", max: String(MOST), step: "0.1", "aria-label": word, dataset: { weight: name } });
     const set = (done) => {
       const value = Number(input.value);
@@ -56,8 +63,8 @@ export class Weights {
     };
     input.addEventListener("input", () => set(false));
     input.addEventListener("change", () => set(true));
-    this.sliders.push({ input, output, members });
-    return h("label", { class: "slider" }, h("span", {}, word), input, output);
+    this.sliders.push({ input, output, counts, members });
+    return h("label", { class: "slider" }, h("span", {}, word), input, output, counts);
   }
 
   take(values, done) {
@@ -67,19 +74,34 @@ export class Weights {
   }
 
   /** Show other weights; nobody is told. */
-  show(values) {
+  show(values, importance) {
     this.values = [...values];
+    this.learned.checked = importance !== "equal";
+    this.draw();
+  }
+
+  get importance() {
+    return this.learned.checked ? "learned" : "equal";
+  }
+
+  /** What the segments count in the grade, {segment: number}: the weights times what matters in the reference. */
+  showCounts(weights) {
+    this.counts = SEGMENTS.map((name) => weights[name]);
     this.draw();
   }
 
   draw() {
-    for (const { input, output, members } of this.sliders) {
+    for (const { input, output, counts, members } of this.sliders) {
       const inside = members.map((k) => this.values[k]);
       const mean = inside.reduce((sum, value) => sum + value, 0) / inside.length;
       const mixed = inside.some((value) => value !== inside[0]);
       if (document.activeElement !== input || mixed) input.value = String(mean);
       output.textContent = mixed ? t("mixed") : short(mean);
-      input.setAttribute("aria-valuetext", output.textContent);
+      if (this.counts) {
+        const shares = members.map((k) => this.counts[k]);
+        counts.textContent = t("counts_as", { value: (shares.reduce((sum, one) => sum + one, 0) / shares.length).toFixed(2) });
+      }
+      input.setAttribute("aria-valuetext", `${output.textContent}, ${counts.textContent}`);
     }
   }
 }
