@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import math
 import time
 from collections import Counter
 from pathlib import Path
@@ -30,12 +31,12 @@ SEED = 20140
 
 
 def ask_dousa(references, performance):
-    """(events, grade) of the candidate; what it refuses has no events and no grade."""
+    """(events, grade) of the candidate; what it refuses has no events and no grade, nor has what it does not grade."""
     try:
         answer = assess(references, performance)
     except DousaError:
         return [], None
-    return list(answer.events), answer.score
+    return list(answer.events), None if math.isnan(answer.score) else answer.score
 
 
 def read_options():
