@@ -35,15 +35,13 @@ from dousa.experiments.runner import (
     check_at_least,
     check_categories,
     check_some,
-    check_split,
+    choose_split,
     make_folds,
 )
 from dousa.experiments.table import Cell, Result, ResultTable, show
 from dousa.messages import Message
 from dousa.retrieval.features.feature_sets import DEFAULT_FEATURE_SET, get_feature_set
 from dousa.retrieval.features.posed_motion import LabelledClip
-
-__all__ = ["RANKING_SYSTEMS", "RankingFold", "RankingResult", "RankingSystemResult", "run_ranking_experiment"]
 
 _MAP = RANKING_SCORES.index("map")
 _P_AT_10 = 10
@@ -257,24 +255,23 @@ def run_ranking_experiment(
         are left out, or no query with anything to find.
     OptionError : an unknown split, system or feature set, or a number outside its range.
     """
-    check_split(split, test_clips is not None)
+    split = choose_split(split, test_clips is not None)
     check_some("rankings", systems, RANKING_SYSTEMS)
     check_at_least(seed=(random_state, 0), resamples=(n_resamples, 1))
     everything = [*clips, *(test_clips or ())]
     check_categories(everything)
-    name = "given" if test_clips is not None else split or "half"
-    folds = make_folds(everything, len(clips), name, [random_state, 0])
+    folds = make_folds(everything, len(clips), split, [random_state, 0])
     settings = RankingSettings(get_feature_set(feature_set), n_trees, n_jobs)
     material = describe_clips(everything, systems, settings.feature_set, progress)
     queries, without = _choose_queries(material, folds)
     runs = _run_folds(systems, material, folds, queries, settings, random_state, progress)
     performers = [clip.performer for clip in everything]
     return RankingResult(
-        systems=_summarise(systems, runs, performers, n_resamples, random_state, name),
+        systems=_summarise(systems, runs, performers, n_resamples, random_state, split),
         n_queries=sum(len(run.queries) for run in runs),
         n_gallery=round(float(np.average([r.n_gallery for r in runs], weights=[len(r.queries) for r in runs]))),
         categories=tuple(sorted(set(material.categories))),
-        split=name,
+        split=split,
         feature_set=feature_set,
         n_trees=n_trees,
         random_state=random_state,

@@ -25,7 +25,7 @@ from dousa.experiments.runner import (
     check_at_least,
     check_categories,
     check_some,
-    check_split,
+    choose_split,
     make_folds,
     make_forest,
 )
@@ -33,8 +33,6 @@ from dousa.experiments.table import Cell, Result, ResultTable, show
 from dousa.messages import Message
 from dousa.retrieval.features.feature_sets import FeatureSet, get_feature_set
 from dousa.retrieval.features.posed_motion import LabelledClip
-
-__all__ = ["SYSTEMS", "ExperimentResult", "FoldResult", "LabelledClip", "SystemResult", "run_experiment"]
 
 SYSTEMS: tuple[str, ...] = ("full_tree", "random_tree", "forest", "motion_templates")
 
@@ -227,13 +225,12 @@ def run_experiment(
         an unknown performer where performers are left out.
     OptionError : an unknown split or system, or a number outside its range.
     """
-    check_split(split, test_clips is not None)
+    split = choose_split(split, test_clips is not None)
     check_some("systems", systems, SYSTEMS)
     check_at_least(repeats=(repeats, 1), seed=(random_state, 0))
     settings = _Settings(get_feature_set(feature_set), n_trees, sampling_rate, template_threshold, n_jobs)
     tested = [*clips, *(test_clips or ())]
     _check_clips(clips, test_clips)
-    split = "given" if test_clips is not None else split or "half"
     first = make_folds(tested, len(clips), split, [random_state, 0], train_share)
     redrawn = split == "half"
     rounds = [first] + [

@@ -111,12 +111,18 @@ def check_some(name: str, found: Sequence[str], known: Collection[str]) -> None:
         raise OptionError(code, name=name, known=tuple(known), found=unknown)
 
 
-def check_split(split: str | None, test_given: bool) -> None:
-    """OptionError for a way of dividing clips that is not known, or where there is nothing to divide."""
+def choose_split(split: str | None, test_given: bool) -> str:
+    """How clips are divided, by default in halves: of `SPLITS`, or ``"given"``.
+
+    Raises
+    ------
+    OptionError : a way that is not known, or there is nothing to divide.
+    """
     if split is not None:
         check_choice("split", split, SPLITS)
         if test_given:
             raise OptionError("trials.split_and_test")
+    return "given" if test_given else split or SPLITS[0]
 
 
 def check_categories(clips: Sequence[LabelledClip]) -> None:

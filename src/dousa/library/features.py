@@ -17,6 +17,7 @@ from dousa.library.engine import choose_jobs
 from dousa.library.schema import pack, stack, unpack
 from dousa.library.selection import fetch_in, portions
 from dousa.motion import CANONICAL_JOINTS
+from dousa.motion.canonical.joints import CanonicalPoses
 from dousa.retrieval.features.posed_motion import SLOWEST_RATE
 
 if TYPE_CHECKING:
@@ -29,7 +30,7 @@ BEYOND_MEASURE = 1e9
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class StoredMotion:
+class StoredMotion(CanonicalPoses):
     """A motion as the library keeps it: canonical joints, without where they came from.
 
     Parameters
@@ -39,19 +40,7 @@ class StoredMotion:
     height : m, body height.
     """
 
-    positions: FloatArray
-    frame_rate: float
     height: float
-
-    @property
-    def n_frames(self) -> int:
-        """Number of poses."""
-        return len(self.positions)
-
-    @property
-    def duration(self) -> float:
-        """Seconds from the first pose to the end of the last."""
-        return self.n_frames / self.frame_rate
 
     def mirror(self) -> StoredMotion:
         """Its mirror image."""

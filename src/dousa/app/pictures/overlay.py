@@ -1,4 +1,4 @@
-"""Success and failure at a glance: the model drawn over the silhouettes, as a video and as a contact sheet.
+"""Success and failure at a glance: the model drawn over the silhouettes, as a video.
 
 Every view shows the video's image or the silhouette in grey, the outline of the silhouette, and the model with its
 skeleton; left and right differ by colour, line and letter; what is lost or missing is said in words.
@@ -15,14 +15,16 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from dousa.app.pictures.overlay_sheet import Timeline, draw_overlay_sheet
+from dousa.app.pictures.overlay_sheet import Timeline
 from dousa.app.pictures.overlay_view import (
     ALARM,
     DARK,
     HALF_DARK,
     SIDE_COLOURS,
     WHITE,
+    ReadImages,
     ViewPainter,
+    check_views,
     draw_dashed,
     draw_line,
     measure_text,
@@ -38,10 +40,6 @@ if TYPE_CHECKING:
     from dousa.estimation.cameras.camera import Camera
     from dousa.estimation.silhouettes.silhouettes import Silhouettes
     from dousa.estimation.tracking.settings import Estimate
-
-__all__ = ["draw_overlay_sheet", "write_overlay"]
-
-ReadImages = Callable[[int], Sequence[Image | None]]
 
 _WIDEST, _HIGHEST = 1920, 960  # px, all views together
 _COMMON_HEIGHT = 480  # px, what small images are enlarged to
@@ -135,13 +133,7 @@ class _Page:
     """Where everything goes in the video's picture, and how it is painted."""
 
     def __init__(self, estimate: Estimate, silhouettes: Silhouettes, cameras: Sequence[Camera]) -> None:
-        if not len(cameras) == silhouettes.n_views == estimate.iou.shape[1]:
-            raise OptionError(
-                "pictures.views_differ",
-                cameras=len(cameras),
-                silhouettes=silhouettes.n_views,
-                estimate=estimate.iou.shape[1],
-            )
+        check_views(estimate, silhouettes, cameras)
         self._estimate, self._silhouettes = estimate, silhouettes
         self._cells, width, height = lay_out([(camera.width, camera.height) for camera in cameras])
         self._legend = _make_legend(width, bool(estimate.occluded.any()))

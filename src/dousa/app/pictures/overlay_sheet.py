@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from itertools import pairwise
 from typing import TYPE_CHECKING, Any
 
@@ -28,7 +28,9 @@ from dousa.app.pictures.overlay_view import (
     HALF_DARK,
     PALE,
     WHITE,
+    ReadImages,
     ViewPainter,
+    check_views,
     draw_line,
     hatch,
     measure_text,
@@ -153,7 +155,7 @@ def draw_overlay_sheet(
     cameras: Sequence[Camera],
     path: str | os.PathLike[str],
     *,
-    images: Callable[[int], Sequence[Image | None]] | None = None,
+    images: ReadImages | None = None,
     n_frames: int = 9,
     title: str = "",
 ) -> None:
@@ -176,13 +178,7 @@ def draw_overlay_sheet(
     """
     if not 1 <= n_frames <= 24:
         raise OptionError("pictures.sheet_frames", found=n_frames)
-    if not len(cameras) == silhouettes.n_views == estimate.iou.shape[1]:
-        raise OptionError(
-            "pictures.views_differ",
-            cameras=len(cameras),
-            silhouettes=silhouettes.n_views,
-            estimate=estimate.iou.shape[1],
-        )
+    check_views(estimate, silhouettes, cameras)
     frames, worst = choose_frames(estimate, min(estimate.n_frames, silhouettes.n_frames), n_frames)
     masks = [silhouettes.read(frame) for frame in frames]
     cuts = [_CutOut(estimate, camera, [mask[view] for mask in masks], frames) for view, camera in enumerate(cameras)]

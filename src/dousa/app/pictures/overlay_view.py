@@ -6,7 +6,7 @@ red as OpenCV has them.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import lru_cache
 from typing import TYPE_CHECKING, Any
 
@@ -15,10 +15,16 @@ from numpy.typing import NDArray
 
 from dousa.app.pictures.canvas import BLUE, FAINT, GREEN, GREY, INK, VERMILLION
 from dousa.arrays import FloatArray, Image, Mask
+from dousa.errors import OptionError
 
 if TYPE_CHECKING:
     from dousa.estimation.body.body import BodyModel
     from dousa.estimation.cameras.camera import Camera
+    from dousa.estimation.silhouettes.silhouettes import Silhouettes
+    from dousa.estimation.tracking.settings import Estimate
+
+ReadImages = Callable[[int], Sequence[Image | None]]
+"""Frame -> (V,) images (H, W, 3) blue, green, red, or None."""
 
 Colour = tuple[int, int, int]
 Points = NDArray[np.float64]
@@ -36,6 +42,17 @@ _FRACTION_BITS = 4  # OpenCV draws at whole pixels unless told how many bits are
 _FAR = 20_000.0  # px, outside any picture; with the fraction it fits 32 bits
 _LONGEST = 10_000.0  # px of a broken line: what leaves the picture so far is drawn whole
 _DASH, _GAP = 8, 7  # px
+
+
+def check_views(estimate: Estimate, silhouettes: Silhouettes, cameras: Sequence[Camera]) -> None:
+    """OptionError where cameras, silhouettes and estimate are of different numbers of views."""
+    if not len(cameras) == silhouettes.n_views == estimate.iou.shape[1]:
+        raise OptionError(
+            "pictures.views_differ",
+            cameras=len(cameras),
+            silhouettes=silhouettes.n_views,
+            estimate=estimate.iou.shape[1],
+        )
 
 
 def to_rgb(image: Image) -> Image:

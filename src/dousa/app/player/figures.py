@@ -12,7 +12,7 @@ import numpy as np
 from dousa.arrays import FloatArray
 from dousa.errors import InvalidMotionError, OptionError
 from dousa.motion.canonical.geometry import chain_height
-from dousa.motion.canonical.joints import CANONICAL_JOINTS, CANONICAL_PARENTS
+from dousa.motion.canonical.joints import CANONICAL_JOINTS, CANONICAL_PARENTS, CanonicalPoses
 from dousa.motion.canonical.joints import JOINT_INDEX as J
 from dousa.motion.canonical.tree_shape import compute_forward
 from dousa.motion.resampling import fill_gaps
@@ -37,8 +37,8 @@ class Posed(Protocol):
     def frame_rate(self) -> float: ...  # Hz
 
 
-@dataclass(frozen=True, slots=True)
-class Figure:
+@dataclass(frozen=True, slots=True, eq=False)
+class Figure(CanonicalPoses):
     """A motion that can be drawn: no gaps.
 
     Parameters
@@ -49,20 +49,8 @@ class Figure:
     missing : always None: what was not seen has been filled.
     """
 
-    positions: FloatArray
-    frame_rate: float
     name: str = ""
     missing: None = None
-
-    @property
-    def n_frames(self) -> int:
-        """Number of poses."""
-        return len(self.positions)
-
-    @property
-    def duration(self) -> float:
-        """Seconds."""
-        return self.n_frames / self.frame_rate
 
 
 @dataclass(frozen=True, slots=True)

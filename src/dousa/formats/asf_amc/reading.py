@@ -20,23 +20,11 @@ from numpy.typing import NDArray
 from dousa.arrays import FloatArray, IntArray
 from dousa.errors import MotionFileError
 from dousa.files.disk import read_bytes
-from dousa.formats.asf_amc.skeleton import AsfBone, AsfSkeleton, channel_program, read_asf
+from dousa.formats.asf_amc.skeleton import AsfSkeleton, channel_program, read_asf
 from dousa.formats.channels import FileUnits, build_motion
 from dousa.formats.numbers import Bytes, line_number, scan_short, scannable, settle
 from dousa.messages import Message
 from dousa.motion.types import Motion, Provenance
-
-__all__ = [
-    "TOP",
-    "AmcHeader",
-    "AsfBone",
-    "AsfSkeleton",
-    "find_skeleton",
-    "parse_frames",
-    "parse_header",
-    "read_amc",
-    "read_asf",
-]
 
 _DONE, _BAD_NUMBER, _SKIPPED, _MISSING, _UNKNOWN, _TWICE, _COUNT = range(7)
 _LINE = re.compile(rb"[^\r\n]*")

@@ -24,7 +24,7 @@ from dousa.arrays import BoolArray, FloatArray
 from dousa.errors import InvalidMotionError, JointMappingError
 from dousa.messages import Message
 from dousa.motion.canonical.geometry import body_points, chain_height, measure_rest
-from dousa.motion.canonical.joints import CANONICAL_JOINTS, CANONICAL_PARENTS, MIRRORED_JOINTS
+from dousa.motion.canonical.joints import CANONICAL_JOINTS, CANONICAL_PARENTS, MIRRORED_JOINTS, CanonicalPoses
 from dousa.motion.canonical.joints import JOINT_INDEX as J
 from dousa.motion.canonical.naming import NameMatch
 from dousa.motion.canonical.recipes import HAND_REACH, JointMap, Recipe, named_recipe, recipe_from_joint_map
@@ -74,7 +74,7 @@ class JointMapping:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class CanonicalMotion:
+class CanonicalMotion(CanonicalPoses):
     """The 20 canonical joints of a motion over time.
 
     Parameters
@@ -88,23 +88,11 @@ class CanonicalMotion:
     missing : (T, 20) True where a joint was not seen and its place was filled in; None if all were seen.
     """
 
-    positions: FloatArray
-    frame_rate: float
     height: float
     height_source: str
     mapping: JointMapping
     warnings: tuple[Message, ...] = ()
     missing: BoolArray | None = None
-
-    @property
-    def n_frames(self) -> int:
-        """Number of poses."""
-        return len(self.positions)
-
-    @property
-    def duration(self) -> float:
-        """Seconds from the first pose to the end of the last."""
-        return self.n_frames / self.frame_rate
 
     def to_trajectories(self) -> Trajectories:
         """The same positions as trajectories with canonical names and parents."""

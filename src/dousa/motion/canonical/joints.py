@@ -6,7 +6,12 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from itertools import pairwise
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from dousa.arrays import FloatArray
 
 # Every chain begins with the joint that it hangs on.
 _CHAINS = (
@@ -36,3 +41,27 @@ def _mirror(name: str) -> str:
 
 MIRRORED_JOINTS: tuple[int, ...] = tuple(JOINT_INDEX[_mirror(name)] for name in CANONICAL_JOINTS)
 """Index of each joint's mirror image: left and right change places, the trunk stays."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CanonicalPoses:
+    """The canonical joints over time: what all motions that hold them have in common.
+
+    Parameters
+    ----------
+    positions : (T, 20, 3) m, order of `CANONICAL_JOINTS`.
+    frame_rate : Hz.
+    """
+
+    positions: FloatArray
+    frame_rate: float
+
+    @property
+    def n_frames(self) -> int:
+        """Number of poses."""
+        return len(self.positions)
+
+    @property
+    def duration(self) -> float:
+        """Seconds from the first pose to the end of the last."""
+        return self.n_frames / self.frame_rate

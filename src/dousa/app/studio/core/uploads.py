@@ -19,8 +19,6 @@ from dousa.app.studio.core.answers import RefusedError, describe_disk
 from dousa.app.studio.core.workspace import Settings, Workspace, safe_parts
 from dousa.messages import Message
 
-__all__ = ["MOTIONS", "Received", "receive"]
-
 MOTIONS = frozenset({".bvh", ".amc", ".c3d", ".trc", ".npz"})
 SKELETONS = frozenset({".asf"})
 VIDEOS = frozenset({".mp4", ".avi", ".mov", ".mkv", ".webm", ".m4v"})
