@@ -42,6 +42,15 @@ def test_the_sentences_in_japanese_where_the_start_is_estimated(dousa, files):
     assert "拍との一致: アクセント 16 個のうち 16 個" in out and "音楽の開始はアクセントから推定しました" in out
 
 
+@pytest.mark.parametrize(("language", "title"), [("en", "On the beat"), ("ja", "音楽の拍との一致")])
+def test_the_report_has_a_section(dousa, files, tmp_path, language, title):
+    words = ("--beats", files / "beats.csv", "--music-start", "0", "-o", tmp_path, "--lang", language)
+    assert evaluate(dousa, files, *words)[0] == 0
+    page = (tmp_path / "report.html").read_text(encoding="utf-8")
+    section = page[page.index('<section id="beats">') :]
+    assert f"<h2>{title}</h2>" in section and section.count('class="dot stop" style') == 16
+
+
 def test_json_has_beats_only_when_asked(dousa, files):
     code, out, _ = evaluate(dousa, files, "--beats", files / "beats.csv", "--music-start", "0", "--json")
     beats = json.loads(out)["beats"]

@@ -128,7 +128,7 @@ def _evaluate_dance(
             from dousa.app.report import write_report
 
             progress(len(references) + 1, len(references) + 2, Message("evaluation_cli.writing_report"))
-            page = write_report(done.assessment, output, language=get_language())
+            page = write_report(done.assessment, output, language=get_language(), timing=timing)
     _warn(done)
     if json:
         print_json(_describe(done, page, judging.detail) | ({} if timing is None else {"beats": timing.to_json()}))

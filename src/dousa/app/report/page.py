@@ -13,6 +13,7 @@ from types import MappingProxyType
 from typing import Any
 
 from dousa.app.report.advice import build_advice
+from dousa.app.report.beats import build_beats
 from dousa.app.report.curves import build_tables, furi_numbers, to_curves_csv, to_events_csv
 from dousa.app.report.fonts import embed_font, font_rule
 from dousa.app.report.markup import element, escape
@@ -29,6 +30,7 @@ from dousa.app.report.segments import build_segments
 from dousa.app.report.timeline import draw_matrix, draw_timeline
 from dousa.arrays import FloatArray
 from dousa.errors import MotionWriteError, OptionError
+from dousa.evaluation.beats.timing import BeatTiming
 from dousa.evaluation.grade.result import Assessment
 from dousa.evaluation.words import SEGMENT_NAMES, check_language, name_all
 from dousa.files.disk import atomic_write
@@ -77,7 +79,7 @@ def build_parts(assessment: Assessment, language: str, names: Collection[str] | 
 
 def build_frame(language: str) -> str:
     """The markup around the parts, which are empty: elements with ``data-part``."""
-    slots = dict.fromkeys((*PARTS, "header", "files"), "")
+    slots = dict.fromkeys((*PARTS, "header", "files", "beats"), "")
     slots |= {f"text_{name}": escape(text) for name, text in load_section("report", language).items()}
     return fill_slots(read_file("report.html"), slots)
 
@@ -151,7 +153,9 @@ def _say_warnings(assessment: Assessment, language: str) -> tuple[str, ...]:
     return tuple(message.render(language) for message in assessment.warnings)
 
 
-def build_page(assessment: Assessment, language: str, title: str | None = None) -> str:
+def build_page(
+    assessment: Assessment, language: str, title: str | None = None, timing: BeatTiming | None = None
+) -> str:
     """The page.
 
     Parameters
@@ -159,6 +163,7 @@ def build_page(assessment: Assessment, language: str, title: str | None = None) 
     assessment : what it shows.
     language : ``"en"`` or ``"ja"``.
     title : its title; None for who against whom.
+    timing : of its accents against the beats of music, if there is any.
 
     Returns
     -------
@@ -178,6 +183,7 @@ def build_page(assessment: Assessment, language: str, title: str | None = None) 
         "language": language,
         "title": escape(title),
         "files": _files(words),
+        "beats": build_beats(timing, assessment.performance.duration, language),
         "data": format_player_data(collect_data(assessment, language)),
         "player_data": format_player_data(encode_player_data(assessment, language)),
         "player_style": read_player_style(),
@@ -218,7 +224,12 @@ _PAGE_NAME = "report.html"
 
 
 def write_report(
-    assessment: Assessment, folder: str | os.PathLike[str], *, language: str = "en", title: str | None = None
+    assessment: Assessment,
+    folder: str | os.PathLike[str],
+    *,
+    language: str = "en",
+    title: str | None = None,
+    timing: BeatTiming | None = None,
 ) -> Path:
     """Write ``report.html``, ``curves.csv`` and ``events.csv``.
 
@@ -228,6 +239,7 @@ def write_report(
     folder : made if it is missing; files of these names in it are replaced.
     language : ``"en"`` or ``"ja"``, of the page and its sentences.
     title : of the page; None for who against whom.
+    timing : accents against the beats of music, of `dousa.evaluation.assess_timing`; None for no section on it.
 
     Returns
     -------
@@ -239,7 +251,7 @@ def write_report(
     OptionError : a language that there is not, or a folder that cannot be made or written.
     """
     check_language(language)
-    page = build_page(assessment, language, title)
+    page = build_page(assessment, language, title, timing)
     home = Path(folder)
     contents = {
         CURVES_NAME: to_curves_csv(assessment),
