@@ -17,12 +17,14 @@ PROJECT = tomllib.loads((Path(__file__).parents[1] / "pyproject.toml").read_text
 # Run where these packages cannot be imported.
 HIDDEN = """
 import sys
-for name in ("cv2", "matplotlib", "fontTools", "fastapi", "uvicorn", "jinja2", "scipy", "PIL", "librosa"):
+for name in ("cv2", "matplotlib", "fontTools", "fastapi", "uvicorn", "jinja2", "scipy", "PIL", "librosa", "av",
+             "ai_edge_litert"):
     sys.modules[name] = None
 """
 CASES = [
     ("film", "from dousa.extras import cv2"),
     ("film", "from dousa.estimation.silhouettes.images import read_image; read_image('x.png')"),
+    ("film", "from dousa.estimation import find_keypoints; find_keypoints('x.png', cache=False)"),
     ("pictures", "from dousa.app.pictures.canvas import new_figure; new_figure(2.0, 1.0)"),
     ("pictures", "from dousa.app.pictures.canvas import drawable; drawable('x')"),
     ("music", "from dousa.evaluation import find_beats; find_beats('x.wav')"),

@@ -9,6 +9,7 @@ from .cameras.camera_formats import cameras_to_arrays
 from .cameras.camera_sets import fit_cameras, make_ring, make_view, match_cameras
 from .keypoints.keypoint_files import write_keypoints
 from .keypoints.keypoint_input import read_keypoints
+from .keypoints.keypoint_search import find_keypoints
 from .keypoints.keypoints import MEDIAPIPE_NAMES, PersonMasks, PersonTrack, ViewKeypoints
 from .raster.rendering import poses_from_motion, render, spoil
 from .silhouettes.cleaning import clean_mask, describe_mask
@@ -41,6 +42,7 @@ __all__ = [
     "clean_mask",
     "describe_mask",
     "estimate",
+    "find_keypoints",
     "find_start",
     "fit_body",
     "fit_cameras",

@@ -81,17 +81,20 @@ POSE_MODELS = (
 )
 
 
+def user_cache() -> Path:
+    """The folder of this user's cache that is dousa's."""
+    if sys.platform == "win32":
+        base = Path(os.environ.get("LOCALAPPDATA") or Path.home() / "AppData" / "Local")
+        return base / "dousa" / "Cache"
+    if sys.platform == "darwin":
+        return Path.home() / "Library" / "Caches" / "dousa"
+    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "dousa"
+
+
 def models_folder() -> Path:
     """Where models are kept: ``DOUSA_MODELS``, else a folder of the user's cache."""
     named = os.environ.get(FOLDER_VARIABLE)
-    if named:
-        return Path(named)
-    if sys.platform == "win32":
-        base = Path(os.environ.get("LOCALAPPDATA") or Path.home() / "AppData" / "Local")
-        return base / "dousa" / "Cache" / "models"
-    if sys.platform == "darwin":
-        return Path.home() / "Library" / "Caches" / "dousa" / "models"
-    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "dousa" / "models"
+    return Path(named) if named else user_cache() / "models"
 
 
 def get_pose_model(name: str) -> PoseModel:

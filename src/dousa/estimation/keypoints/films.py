@@ -1,0 +1,150 @@
+"""Frames of a film with the time of each, upright.
+
+Phones do not film at a steady rate, and turn their pictures by a flag: here every frame comes with its own time stamp
+and as it is meant to be seen. Frames are decoded one at a time, in the order in which they are shown.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from types import TracebackType
+from typing import Any, Self
+
+import numpy as np
+
+from dousa.arrays import Image
+from dousa.errors import KeypointError
+from dousa.extras import require
+
+_DEFAULT_RATE = 30.0
+_MOST_PIXELS = 100_000_000
+
+
+class FilmFrames:
+    """A film that is read once from its beginning to its end.
+
+    Parameters
+    ----------
+    path : the film.
+
+    ``size`` is width and height in px, upright; ``n_stated`` the number of frames by the header, 0 where it does not
+    say; ``nominal_rate`` Hz; ``n_damaged`` packets that could not be decoded so far.
+
+    Raises
+    ------
+    KeypointError : missing, no film, a codec that is lacking, nothing that can be decoded.
+    MissingExtraError : PyAV is not installed.
+    """
+
+    def __init__(self, path: str | os.PathLike[str]) -> None:
+        self.path = os.fspath(path)
+        self.n_damaged = 0
+        if not os.path.exists(path):
+            raise KeypointError("film.missing").at(path)
+        if not os.path.isfile(path):
+            raise KeypointError("film.no_file").at(path)
+        self._av = require("av", "film")
+        self._av.logging.set_level(self._av.logging.PANIC)
+        try:
+            self._container = self._av.open(self.path)
+        except (self._av.error.FFmpegError, OSError, ValueError) as error:
+            raise KeypointError("keypoint_film.unreadable", reason=str(error)[:200]).at(path) from error
+        streams = self._container.streams.video
+        if not streams:
+            self.close()
+            raise KeypointError("keypoint_film.no_pictures").at(path)
+        self._stream = streams[0]
+        self._stream.thread_type = "AUTO"
+        rate = self._stream.average_rate or self._stream.guessed_rate or _DEFAULT_RATE
+        self.nominal_rate = float(rate) if 0 < float(rate) <= 2000 else _DEFAULT_RATE
+        self.n_stated = self._count()
+        self._frames = self._decode()
+        first = next(self._frames, None)
+        if first is None:
+            self.close()
+            raise KeypointError("film.no_frame").at(path)
+        self._first: Any = first
+        width, height = int(first.width), int(first.height)
+        if width * height > _MOST_PIXELS:
+            self.close()
+            raise KeypointError("keypoint_film.large", width=width, height=height).at(path)
+        self._size = (width, height)
+        self._turns = count_turns(first)
+        self.size = (height, width) if self._turns % 2 else (width, height)
+
+    def _count(self) -> int:
+        if self._stream.frames > 0:
+            return int(self._stream.frames)
+        seconds = 0.0
+        if self._stream.duration is not None and self._stream.time_base is not None:
+            seconds = float(self._stream.duration * self._stream.time_base)
+        elif self._container.duration is not None:
+            seconds = self._container.duration / self._av.time_base
+        return max(0, round(seconds * self.nominal_rate))
+
+    def _decode(self) -> Iterator[Any]:
+        """Decoded frames; packets that are damaged are left out."""
+        error_kinds = (self._av.error.FFmpegError, ValueError)
+        packets = self._container.demux(self._stream)
+        while True:
+            try:
+                packet = next(packets, None)
+            except error_kinds:  # the container itself is damaged from here on
+                self.n_damaged += 1
+                return
+            if packet is None:
+                return
+            try:
+                yield from packet.decode()
+            except error_kinds:
+                self.n_damaged += 1
+
+    def read(self, skip: int = 0) -> Iterator[tuple[int, float, Image]]:
+        """Frame number, s since the first frame, and picture (H, W, 3) red, green, blue; only once.
+
+        Parameters
+        ----------
+        skip : frames at the beginning that are not given.
+
+        Raises
+        ------
+        KeypointError : the size of the pictures changes.
+        """
+        start, last = None, -np.inf
+        frame, waiting = 0, self._first
+        self._first = None
+        while waiting is not None:
+            time = waiting.time
+            if start is None:
+                start = 0.0 if time is None else float(time)
+            elapsed = frame / self.nominal_rate if time is None else float(time) - start
+            if elapsed <= last:  # stamps that stand still or go back
+                elapsed = last + 0.25 / self.nominal_rate
+            last = elapsed
+            if frame >= skip:
+                yield frame, elapsed, self._show(waiting, frame)
+            frame, waiting = frame + 1, next(self._frames, None)
+
+    def _show(self, decoded: Any, frame: int) -> Image:
+        if (decoded.width, decoded.height) != self._size:
+            raise KeypointError("keypoint_film.size_changes", frame=frame).at(self.path)
+        picture = np.asarray(decoded.to_ndarray(format="rgb24"), np.uint8)
+        return np.ascontiguousarray(np.rot90(picture, self._turns)) if self._turns else picture
+
+    def close(self) -> None:
+        """Let go of the file."""
+        self._container.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+
+def count_turns(frame: Any) -> int:
+    """Quarter turns against the clock, 0 to 3, that make a decoded frame upright, by its display matrix."""
+    return round(int(getattr(frame, "rotation", 0)) / 90) % 4

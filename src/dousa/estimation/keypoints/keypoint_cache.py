@@ -1,0 +1,226 @@
+"""What was found in a film is kept in the user's cache: finished, to be read again; unfinished, to go on from.
+
+A film is known by its content, so that it may be moved or renamed. While a film is looked at, sightings go to the disk
+frame by frame in a folder of this process; where that is interrupted, the folder is left for the next one that looks
+at the same film in the same way. Nothing of it grows in memory with the film.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import shutil
+import tempfile
+import time
+from collections.abc import Mapping
+from contextlib import suppress
+from pathlib import Path
+from typing import IO, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dousa.arrays import FloatArray
+from dousa.errors import DousaError, KeypointError
+from dousa.estimation.keypoints.keypoint_files import read_keypoint_npz, write_keypoints
+from dousa.estimation.keypoints.keypoints import PersonMasks, PersonTrack, ViewKeypoints
+from dousa.estimation.keypoints.people import SIGHTING
+
+_SAMPLES, _SAMPLE = 48, 262_144
+_ABANDONED_S = 60.0  # without a write, after which an unfinished folder is nobody's
+_FLUSH_S = 2.0
+_SIGHTINGS, _TIMES = "sightings.bin", "times.bin"
+_POINTS, _MASKS, _CROPS = "keypoints.npz", "masks.npy", "crops.npy"
+
+
+def fingerprint_film(path: str | os.PathLike[str], settings: Mapping[str, Any]) -> str:
+    """A short text for a film's content and the settings: of a large film, its size and samples of its bytes."""
+    digest = hashlib.sha256(json.dumps(dict(settings), sort_keys=True, default=str).encode())
+    try:
+        with open(path, "rb") as file:
+            size = file.seek(0, os.SEEK_END)
+            digest.update(str(size).encode())
+            for place in np.linspace(0, max(0, size - _SAMPLE), _SAMPLES).astype(int).tolist():
+                file.seek(place)
+                digest.update(file.read(_SAMPLE))
+    except OSError as error:
+        raise KeypointError("disk.unreadable", reason=error).at(path) from error
+    return digest.hexdigest()[:40]
+
+
+class KeypointCache:
+    """The place of one film's keypoints.
+
+    Parameters
+    ----------
+    folder : of all films; None keeps nothing.
+    key : of the film and the settings, see `fingerprint_film`.
+    """
+
+    def __init__(self, folder: Path | None, key: str) -> None:
+        self._final = None if folder is None else folder / key
+        self._files: list[IO[bytes]] = []
+        self._work: Path | None = None
+        self._last_flush = time.monotonic()
+
+    def load(self, source: str) -> ViewKeypoints | None:
+        """The finished keypoints, with masks that stay in the file; None where there are none, or damaged ones."""
+        if self._final is None or not self._final.is_dir():
+            return None
+        try:
+            return _load(self._final, source, in_memory=False)
+        except (DousaError, OSError, ValueError):
+            shutil.rmtree(self._final, ignore_errors=True)
+            return None
+
+    def open(self) -> tuple[NDArray[np.void], FloatArray]:
+        """Begin, or go on: sightings and times (T,) of the frames that an earlier run looked at."""
+        self._work = self._take_folder()
+        times, sightings = self._work / _TIMES, self._work / _SIGHTINGS
+        for path in (times, sightings):
+            path.touch()
+        n_frames = times.stat().st_size // 8
+        os.truncate(times, 8 * n_frames)
+        n_sightings = sightings.stat().st_size // SIGHTING.itemsize
+        known = np.fromfile(sightings, SIGHTING, n_sightings)
+        known = known[: int(np.searchsorted(known["frame"], n_frames))]
+        os.truncate(sightings, SIGHTING.itemsize * len(known))
+        self._files = [open(path, "ab") for path in (sightings, times)]  # noqa: SIM115 - closed in `_close`
+        return known, np.fromfile(times, np.float64)
+
+    def _take_folder(self) -> Path:
+        """A folder of this process's own: one that was left, else a new one, else one that is not kept."""
+        if self._final is not None:
+            with suppress(OSError):
+                self._final.parent.mkdir(parents=True, exist_ok=True)
+                mine = self._final.with_name(f"{self._final.name}.{os.getpid()}")
+                shutil.rmtree(mine, ignore_errors=True)
+                for left in sorted(self._final.parent.glob(f"{self._final.name}.*")):
+                    free = left.suffix == ".left" or time.time() - _last_write(left) > _ABANDONED_S
+                    if free and not mine.exists():
+                        with suppress(OSError):
+                            os.rename(left, mine)
+                mine.mkdir(exist_ok=True)
+                return mine
+        self._final = None
+        return Path(tempfile.mkdtemp(prefix="dousa-keypoints-"))
+
+    def add(self, seconds: float, sightings: NDArray[np.void]) -> None:
+        """Keep one more frame."""
+        try:
+            self._files[0].write(sightings.tobytes())
+            self._files[1].write(np.float64(seconds).tobytes())
+            if time.monotonic() - self._last_flush > _FLUSH_S:
+                self._flush()
+        except OSError as error:
+            raise KeypointError("keypoints.cache_disk", folder=self._work, reason=error) from error
+
+    def _flush(self) -> None:
+        for file in self._files:  # the sightings first: a frame counts once its time is there
+            file.flush()
+        self._last_flush = time.monotonic()
+
+    def read(self) -> tuple[NDArray[np.void], FloatArray]:
+        """All sightings, which stay in the file, and the times (T,)."""
+        assert self._work is not None
+        self._flush()
+        path = self._work / _SIGHTINGS
+        if not path.stat().st_size:
+            return np.zeros(0, SIGHTING), np.fromfile(self._work / _TIMES, np.float64)
+        return np.memmap(path, SIGHTING, "r"), np.fromfile(self._work / _TIMES, np.float64)
+
+    def finish(
+        self, keypoints: ViewKeypoints, sightings: NDArray[np.void], people: list[NDArray[np.int64]]
+    ) -> ViewKeypoints:
+        """Write keypoints and masks, and read them back.
+
+        Parameters
+        ----------
+        keypoints : without masks.
+        sightings : all.
+        people : for each person of the keypoints the places among the sightings.
+        """
+        assert self._work is not None
+        try:
+            write_keypoints(self._work / _POINTS, keypoints, masks=False)
+            _write_masks(self._work, keypoints.n_frames, sightings, people)
+            self._close()
+            del sightings
+            kept = self._final is not None and self._move()
+            return _load(self._final if kept and self._final else self._work, keypoints.source, in_memory=not kept)
+        except OSError as error:
+            raise KeypointError("keypoints.cache_disk", folder=self._work, reason=error) from error
+        finally:
+            if self._work is not None and self._work.exists():
+                shutil.rmtree(self._work, ignore_errors=True)
+            self._work = None
+
+    def _move(self) -> bool:
+        """Put the finished folder where it will be found; whether that was possible."""
+        assert self._work is not None and self._final is not None
+        for name in (_SIGHTINGS, _TIMES):
+            with suppress(OSError):  # on some systems a mapped file cannot be removed
+                (self._work / name).unlink()
+        if self._final.exists():  # another process was quicker
+            return True
+        try:
+            os.rename(self._work, self._final)
+        except OSError:
+            return False
+        return True
+
+    def _close(self) -> None:
+        for file in self._files:
+            with suppress(OSError):
+                file.close()
+        self._files = []
+
+    def leave(self) -> None:
+        """Leave an unfinished folder to the next process; nothing is left where nothing is kept."""
+        self._close()
+        if self._work is None:
+            return
+        if self._final is None:
+            shutil.rmtree(self._work, ignore_errors=True)
+        else:
+            with suppress(OSError):
+                os.rename(self._work, self._final.with_name(f"{self._final.name}.left"))
+        self._work = None
+
+
+def _last_write(folder: Path) -> float:
+    try:
+        return max(os.stat(path).st_mtime for path in (folder, *folder.iterdir()))
+    except OSError:
+        return time.time()
+
+
+def _write_masks(folder: Path, n_frames: int, sightings: NDArray[np.void], people: list[NDArray[np.int64]]) -> None:
+    from dousa.estimation.keypoints.person_crops import PersonCrop
+
+    shape = (len(people), n_frames, *SIGHTING["mask"].shape)
+    crops = np.full((*shape[:2], 2, 3), np.nan)
+    masks = np.lib.format.open_memmap(folder / _MASKS, "w+", np.uint8, shape) if people else None
+    for person, rows in enumerate(people):
+        for row in rows:
+            seen = sightings[row]
+            if masks is not None:
+                masks[person, seen["frame"]] = seen["mask"]
+            crop = PersonCrop(*(float(value) for value in seen["crop"]))
+            crops[person, seen["frame"]] = crop.matrix(shape[2])
+    if masks is not None:
+        masks.flush()
+    np.save(folder / _CROPS, crops)
+
+
+def _load(folder: Path, source: str, *, in_memory: bool) -> ViewKeypoints:
+    found = read_keypoint_npz(folder / _POINTS)
+    people: list[PersonTrack] = []
+    if found.people:
+        crops = np.load(folder / _CROPS, allow_pickle=False)
+        masks = np.load(folder / _MASKS, mmap_mode=None if in_memory else "r", allow_pickle=False)
+        for place, one in enumerate(found.people):
+            own = PersonMasks(masks[place], crops[place])
+            people.append(PersonTrack(one.points, one.visibility, one.world, own))
+    return ViewKeypoints(found.names, tuple(people), found.times, found.size, source)

@@ -1,0 +1,135 @@
+"""Finding the keypoints of the people in a film."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dousa.arrays import FloatArray
+from dousa.errors import OptionError
+from dousa.estimation.keypoints.films import FilmFrames
+from dousa.estimation.keypoints.identities import find_identities
+from dousa.estimation.keypoints.keypoint_cache import KeypointCache, fingerprint_film
+from dousa.estimation.keypoints.keypoints import MEDIAPIPE_NAMES, PersonTrack, ViewKeypoints
+from dousa.estimation.keypoints.people import SIGHTING, PeopleFollower
+from dousa.estimation.keypoints.pose_models import DETECTOR, LANDMARK_MODELS, find_pose_model, user_cache
+from dousa.estimation.keypoints.pose_networks import N_BODY, LandmarkNetwork, PersonDetector
+from dousa.messages import Message
+
+LandmarkModel = Literal["lite", "full", "heavy"]
+Progress = Callable[[int, int, Message], None]
+
+_VERSION = 1  # of the method: raised when it finds other keypoints than before
+_MOST_PEOPLE = 16
+
+
+def find_keypoints(
+    film: str | os.PathLike[str],
+    model: LandmarkModel = "full",
+    *,
+    most_people: int = 4,
+    cache: bool | str | os.PathLike[str] = True,
+    threads: int | None = None,
+    progress: Progress | None = None,
+) -> ViewKeypoints:
+    """Find the keypoints and masks of the people in a film, with learned networks.
+
+    Every person is followed in a crop that the last frame's landmarks place; the detector runs when somebody is lost
+    and twice a second or so. Who is who is settled over the whole film (`identities.find_identities`). The models are
+    those of `dousa models install`; nothing is fetched here. What was found is kept in the user's cache, so that the
+    same film is looked at once, and an interrupted search goes on where it stopped.
+
+    Parameters
+    ----------
+    film : whatever FFmpeg reads; turned and with unsteady frame rates too.
+    model : ``"lite"``, ``"full"`` or ``"heavy"``: the more precise the slower.
+    most_people : that are followed at a time, 1 to 16.
+    cache : keep the result in the user's cache, in another folder, or not at all (False).
+    threads : of the processor for the networks; by default up to four.
+    progress : called with (frames done, frames in all, what).
+
+    Returns
+    -------
+    The 33 points of `MEDIAPIPE_NAMES` of each person, who is seen most (for long, large) first; ``people`` is empty
+    where there is nobody, and ``warnings`` says so.
+
+    Raises
+    ------
+    KeypointError : a model is not installed; the film is missing, damaged, or none.
+    MissingExtraError : PyAV, LiteRT or OpenCV is not installed: ``pip install 'dousa[film]'``.
+    OptionError : an unknown model, or a number of people that cannot be.
+
+    Source: Bazarevsky and others, "BlazePose: On-device Real-time Body Pose tracking" (2020), and MediaPipe's graphs
+    pose_detection and pose_landmark. Other than these we smooth nothing, look for small people in parts of the
+    picture, and paint over other people in a person's crop.
+    """
+    if model not in LANDMARK_MODELS:
+        raise OptionError("keypoints.model", found=str(model), known=LANDMARK_MODELS)
+    if not 1 <= most_people <= _MOST_PEOPLE:
+        raise OptionError("keypoints.most_people", most=_MOST_PEOPLE, found=most_people)
+    report = progress or (lambda done, total, what: None)
+    with FilmFrames(film) as frames:
+        key = fingerprint_film(
+            film, {"model": model, "people": most_people, "version": _VERSION, "kept": SIGHTING.descr}
+        )
+        kept = KeypointCache(_choose_folder(cache), key)
+        known = kept.load(frames.path)
+        if known is None:
+            # before the work: a missing model is said at once
+            paths = [find_pose_model(name) for name in (DETECTOR, model)]
+            assert all(path.is_file() for path in paths)
+            follower = PeopleFollower(PersonDetector(threads), LandmarkNetwork(model, threads), most_people)
+            known = _search(frames, follower, kept, report)
+        return _with_warnings(known, frames)
+
+
+def _choose_folder(cache: bool | str | os.PathLike[str]) -> Path | None:
+    if isinstance(cache, bool):
+        return user_cache() / "keypoints" if cache else None
+    return Path(cache)
+
+
+def _search(frames: FilmFrames, follower: PeopleFollower, kept: KeypointCache, report: Progress) -> ViewKeypoints:
+    try:
+        sightings, times = kept.open()
+        n_done = len(times)
+        if n_done:
+            follower.resume(sightings, n_done - 1)
+        del sightings
+        what = Message("keypoints.finding", film=os.path.basename(frames.path))
+        report(n_done, max(frames.n_stated, n_done), what)
+        for frame, seconds, picture in frames.read(skip=n_done):
+            kept.add(seconds, follower.see(frame, picture))
+            report(frame + 1, max(frames.n_stated, frame + 1), what)
+        sightings, times = kept.read()
+        people = find_identities(sightings, times)
+        tracks = tuple(_make_track(sightings[rows], len(times)) for rows in people)
+        found = ViewKeypoints(MEDIAPIPE_NAMES, tracks, times, frames.size, frames.path)
+        return kept.finish(found, sightings, people)
+    finally:
+        kept.leave()
+
+
+def _make_track(seen: NDArray[np.void], n_frames: int) -> PersonTrack:
+    points: FloatArray = np.full((n_frames, N_BODY, 2), np.nan)
+    world: FloatArray = np.full((n_frames, N_BODY, 3), np.nan)
+    visibility: FloatArray = np.zeros((n_frames, N_BODY))
+    points[seen["frame"]] = seen["points"]
+    world[seen["frame"]] = seen["world"]
+    visibility[seen["frame"]] = np.clip(seen["visibility"], 0, 1)
+    return PersonTrack(points, visibility, world)
+
+
+def _with_warnings(found: ViewKeypoints, frames: FilmFrames) -> ViewKeypoints:
+    warnings: list[Message] = []
+    name = Path(frames.path).name
+    if not found.people:
+        warnings.append(Message("keypoints.nobody", film=name))
+    if frames.n_stated and found.n_frames < 0.98 * frames.n_stated - 1:
+        warnings.append(Message("film.truncated", view=name, frames=found.n_frames, stated=frames.n_stated))
+    return ViewKeypoints(found.names, found.people, found.times, found.size, found.source, tuple(warnings))

@@ -1,0 +1,308 @@
+"""A film is looked at once, goes on after an interruption, and is upright and on time; without networks."""
+
+from __future__ import annotations
+
+import os
+from fractions import Fraction
+from typing import ClassVar
+
+import numpy as np
+import pytest
+from oracles.made_people import see
+
+from dousa.errors import KeypointError, OptionError
+from dousa.estimation import find_keypoints
+from dousa.estimation.keypoints import keypoint_search
+from dousa.estimation.keypoints.films import FilmFrames
+from dousa.estimation.keypoints.people import SIGHTING, PeopleFollower
+from dousa.estimation.keypoints.person_crops import PersonCrop
+from dousa.estimation.keypoints.pose_networks import Landmarks
+
+av = pytest.importorskip("av", reason="PyAV is not installed (dousa[film])")
+cv2 = pytest.importorskip("cv2", reason="OpenCV is not installed (dousa[film])")
+
+N_FRAMES = 24
+MS = Fraction(1, 1000)
+
+
+def write_film(path, times=None, size=(96, 64), codec="mpeg4"):
+    """A film whose left half is dark and whose upper part is light, a frame at each time in ms."""
+    times = list(range(0, N_FRAMES * 40, 40)) if times is None else times
+    with av.open(str(path), "w") as container:
+        stream = container.add_stream(codec, rate=25)
+        stream.width, stream.height, stream.pix_fmt = *size, "yuv420p"
+        stream.codec_context.time_base = MS
+        for number, time in enumerate(times):
+            picture = np.full((size[1], size[0], 3), 40, np.uint8)
+            picture[: size[1] // 2, size[0] // 2 :] = 220
+            picture[-8:, : 2 * number + 1] = 255
+            frame = av.VideoFrame.from_ndarray(picture, format="rgb24")
+            frame.pts, frame.time_base = time, MS
+            container.mux(stream.encode(frame))
+        container.mux(stream.encode())
+    return path
+
+
+def turn_film(path, target, matrix):
+    """The same film with another display matrix in its header."""
+    data = bytearray(path.read_bytes())
+    place = data.index(b"tkhd") + 4
+    place += 40 if data[place] == 0 else 52
+    for k, value in zip((0, 1, 3, 4), matrix, strict=True):
+        data[place + 4 * k : place + 4 * k + 4] = int(value * 65536).to_bytes(4, "big", signed=True)
+    target.write_bytes(bytes(data))
+    return target
+
+
+def read_all(path):
+    with FilmFrames(path) as film:
+        return film.size, list(film.read())
+
+
+def test_frames_have_their_own_times(tmp_path):
+    times = [0, 33, 70, 100, 180, 200, 240]
+    size, frames = read_all(write_film(tmp_path / "a.mp4", times))
+    assert size == (96, 64)
+    np.testing.assert_allclose([time for _, time, _ in frames], np.array(times) / 1000, atol=1e-6)
+    assert [number for number, *_ in frames] == list(range(7))
+
+
+@pytest.mark.parametrize(
+    ("matrix", "size"), [((0, 1, -1, 0), (64, 96)), ((0, -1, 1, 0), (64, 96)), ((-1, 0, 0, -1), (96, 64))]
+)
+def test_turned_films_come_upright_as_players_show_them(tmp_path, matrix, size):
+    path = turn_film(write_film(tmp_path / "a.mp4"), tmp_path / "turned.mp4", matrix)
+    found, frames = read_all(path)
+    assert found == size
+    capture = cv2.VideoCapture(str(path))
+    good, expected = capture.read()
+    capture.release()
+    assert good and expected.shape == frames[0][2].shape
+    assert np.abs(expected[..., ::-1].astype(int) - frames[0][2]).mean() < 3
+
+
+def test_a_film_cut_off_ends_early_and_says_so(tmp_path, found_by):
+    path = write_film(tmp_path / "a.mkv")
+    data = path.read_bytes()
+    path.write_bytes(data[: len(data) * 6 // 10])
+    view = find_keypoints(path, cache=tmp_path / "cache")
+    assert 1 < view.n_frames < N_FRAMES
+    assert [warning.code for warning in view.warnings] == ["film.truncated"]
+
+
+@pytest.mark.parametrize(
+    ("content", "code"),
+    [(None, "film.missing"), (b"", "keypoint_film.unreadable"), (b"hello" * 99, "keypoint_film.unreadable")],
+)
+def test_what_is_no_film_is_one_clear_error(tmp_path, content, code):
+    path = tmp_path / "film.mp4"
+    if content is not None:
+        path.write_bytes(content)
+    with pytest.raises(KeypointError, match=r"film\.mp4") as caught:
+        find_keypoints(path, cache=False)
+    assert caught.value.code == code
+    with pytest.raises(KeypointError):
+        find_keypoints(tmp_path, cache=False)
+
+
+def test_bad_options(tmp_path):
+    with pytest.raises(OptionError, match="lite, full or heavy"):
+        find_keypoints(tmp_path / "a.mp4", "huge")
+    with pytest.raises(OptionError, match="1 to 16"):
+        find_keypoints(tmp_path / "a.mp4", most_people=0)
+
+
+class FakeDetector:
+    """Finds nobody."""
+
+    def __init__(self, threads=None):
+        self.n_asked = 0
+
+    def find(self, picture, part=None):
+        self.n_asked += 1
+        return []
+
+
+class FakeLandmarks:
+    """Is asked nothing."""
+
+    def __init__(self, model="full", threads=None):
+        self.model = model
+
+
+class FakeFollower(PeopleFollower):
+    """Two people who walk, known from the number of the frame alone."""
+
+    asked: ClassVar[list[int]] = []
+    stop_at: int | None = None
+    resumed: ClassVar[list[int]] = []
+
+    def see(self, frame, picture):
+        if frame == type(self).stop_at:
+            raise KeyboardInterrupt
+        type(self).asked.append(frame)
+        rows = [see(frame, 0, 20 + frame, colour=1, size=60), see(frame, 1, 80 - frame, y=9, colour=2, size=30)]
+        return np.array(rows, SIGHTING)
+
+    def resume(self, sightings, last_frame):
+        type(self).resumed.append(last_frame)
+        super().resume(sightings, last_frame)
+
+
+@pytest.fixture
+def found_by(tmp_path, monkeypatch):
+    """The search with made networks; the follower that was used."""
+    model = tmp_path / "model.tflite"
+    model.write_bytes(b"model")
+    monkeypatch.setattr(keypoint_search, "find_pose_model", lambda name: model)
+    monkeypatch.setattr(keypoint_search, "PersonDetector", FakeDetector)
+    monkeypatch.setattr(keypoint_search, "LandmarkNetwork", FakeLandmarks)
+    monkeypatch.setattr(keypoint_search, "PeopleFollower", FakeFollower)
+    FakeFollower.asked, FakeFollower.resumed, FakeFollower.stop_at = [], [], None
+    return FakeFollower
+
+
+def assert_same(one, other):
+    assert one.n_people == other.n_people and one.size == other.size
+    np.testing.assert_array_equal(one.times, other.times)
+    for first, second in zip(one.people, other.people, strict=True):
+        np.testing.assert_array_equal(first.points, second.points)
+        np.testing.assert_array_equal(first.visibility, second.visibility)
+        np.testing.assert_array_equal(first.world, second.world)
+        np.testing.assert_array_equal(first.masks.packed, second.masks.packed)
+        np.testing.assert_array_equal(first.masks.crops, second.masks.crops)
+
+
+def test_a_film_is_looked_at_once(tmp_path, found_by):
+    path, cache = write_film(tmp_path / "a.mp4"), tmp_path / "cache"
+    progress = []
+    first = find_keypoints(path, cache=cache, progress=lambda done, total, what: progress.append((done, total)))
+    assert found_by.asked == list(range(N_FRAMES)) and progress[-1] == (N_FRAMES, N_FRAMES)
+    assert first.n_people == 2 and first.n_frames == N_FRAMES
+    assert first.people[0].points[3, 0, 0] > first.people[1].points[3, 0, 0] - 100
+    moved = tmp_path / "moved.mp4"
+    os.rename(path, moved)
+    again = find_keypoints(moved, cache=cache)
+    assert len(found_by.asked) == N_FRAMES and again.source == str(moved)
+    assert_same(first, again)
+    find_keypoints(moved, "heavy", cache=cache)
+    assert len(found_by.asked) == 2 * N_FRAMES
+
+
+@pytest.mark.parametrize("stop_at", [1, 7, N_FRAMES - 1])
+def test_an_interrupted_search_goes_on(tmp_path, found_by, stop_at):
+    path = write_film(tmp_path / "a.mp4")
+    whole = find_keypoints(path, cache=False)
+    assert found_by.resumed == []
+    found_by.asked, found_by.stop_at = [], stop_at
+    with pytest.raises(KeyboardInterrupt):
+        find_keypoints(path, cache=tmp_path / "cache")
+    found_by.stop_at = None
+    assert_same(find_keypoints(path, cache=tmp_path / "cache"), whole)
+    assert found_by.asked == list(range(N_FRAMES)) and found_by.resumed == [stop_at - 1]
+    assert len(list((tmp_path / "cache").iterdir())) == 1
+
+
+def test_what_was_half_written_does_not_count(tmp_path, found_by):
+    path, cache = write_film(tmp_path / "a.mp4"), tmp_path / "cache"
+    whole = find_keypoints(path, cache=False)
+    found_by.stop_at = 9
+    with pytest.raises(KeyboardInterrupt):
+        find_keypoints(path, cache=cache)
+    (left,) = cache.iterdir()
+    with open(left / "sightings.bin", "ab") as file:
+        file.write(b"\x05" * 100)
+    with open(left / "times.bin", "rb+") as file:
+        file.truncate(8 * 6 + 3)
+    found_by.stop_at, found_by.asked = None, []
+    assert_same(find_keypoints(path, cache=cache), whole)
+    assert found_by.asked == list(range(6, N_FRAMES))
+
+
+def test_a_damaged_cache_is_made_anew(tmp_path, found_by):
+    path, cache = write_film(tmp_path / "a.mp4"), tmp_path / "cache"
+    whole = find_keypoints(path, cache=cache)
+    masks = np.array(whole.people[0].masks.packed)
+    (kept,) = cache.iterdir()
+    (kept / "keypoints.npz").write_bytes(b"PK broken")
+    found_by.asked = []
+    np.testing.assert_array_equal(find_keypoints(path, cache=cache).people[0].masks.packed, masks)
+    assert len(found_by.asked) == N_FRAMES
+
+
+def test_nobody_in_the_film_is_said(tmp_path, found_by, monkeypatch):
+    monkeypatch.setattr(found_by, "see", lambda self, frame, picture: np.zeros(0, SIGHTING))
+    view = find_keypoints(write_film(tmp_path / "a.mp4"), cache=tmp_path / "cache")
+    assert view.people == () and [warning.code for warning in view.warnings] == ["keypoints.nobody"]
+    assert find_keypoints(tmp_path / "a.mp4", cache=tmp_path / "cache").people == ()
+
+
+class PlannedLandmarks:
+    """Landmarks of people who stand at planned places; a crop shows the nearest."""
+
+    def __init__(self, places):
+        self.places, self.frame = places, 0
+
+    def find(self, picture, crop, others=(), own=None):
+        shown = [place for place in self.places(self.frame) if np.hypot(place[0] - crop.x, place[1] - crop.y) < 40]
+        x, y = min(shown, key=lambda place: np.hypot(place[0] - crop.x, place[1] - crop.y), default=(crop.x, crop.y))
+        row = see(0, 0, x, y, size=60)
+        mask = np.zeros((128, 128), bool)
+        mask[20:100, 40:90] = bool(shown)
+        at = PersonCrop(x, y, 60.0, 0.0)
+        points, visible = row["points"].astype(float), row["visibility"].astype(float)
+        colours = np.zeros((256, 256, 3), np.uint8)
+        return Landmarks(float(bool(shown)), points, visible, np.zeros((33, 3)), crop, at, mask, colours)
+
+
+class PlannedDetector:
+    """Finds all people who stand at planned places."""
+
+    def __init__(self, landmarks):
+        self.landmarks, self.n_asked = landmarks, 0
+
+    def find(self, picture, part=None):
+        from dousa.estimation.keypoints.person_crops import Detection
+
+        self.n_asked += 1
+        places = self.landmarks.places(self.landmarks.frame)
+        return [Detection(0.9, np.zeros(4), PersonCrop(x + 2, y, 60.0, 0.0)) for x, y in places]
+
+
+def follow(places, n_frames, resume_at=None, most=4):
+    landmarks = PlannedLandmarks(places)
+    detector = PlannedDetector(landmarks)
+    follower, rows = PeopleFollower(detector, landmarks, most), []
+    for frame in range(n_frames):
+        landmarks.frame = frame
+        if frame == resume_at:
+            follower = PeopleFollower(detector, landmarks, most)
+            follower.resume(np.concatenate(rows), frame - 1)
+        rows.append(follower.see(frame, np.zeros((200, 300, 3), np.uint8)))
+    return np.concatenate(rows), detector.n_asked
+
+
+def walk(frame):
+    return [(50 + 2 * frame, 80)] + ([(250, 120)] if not 20 <= frame < 34 else [])
+
+
+def test_people_are_followed_and_the_detector_rests():
+    rows, n_asked = follow(walk, 60)
+    assert (rows["stretch"] == 0).sum() == 60
+    assert np.unique(rows["stretch"]).tolist() == [0, 1, 2]
+    assert rows["frame"][rows["stretch"] == 2].min() in (34, 35, 36)  # looked for where he was lost
+    assert n_asked < 25
+
+
+@pytest.mark.parametrize("resume_at", [1, 20, 22, 36, 59])
+def test_following_goes_on_as_if_nothing_had_happened(resume_at):
+    rows, _ = follow(walk, 60)
+    again, _ = follow(walk, 60, resume_at)
+    assert rows.tobytes() == again.tobytes()
+
+
+def test_no_more_people_than_asked_for_and_none_twice():
+    rows, _ = follow(lambda frame: [(50, 80), (150, 80), (250, 80)], 20, most=2)
+    assert set(np.unique(rows["frame"], return_counts=True)[1].tolist()) == {2}
+    rows, _ = follow(lambda frame: [(50 + 5 * min(frame, 10), 80), (100, 80)], 20)
+    assert (rows["frame"] == 19).sum() == 1
