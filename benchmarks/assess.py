@@ -134,16 +134,18 @@ def measure_running(options: argparse.Namespace, rate: float, seconds: float = 9
     assessor = IncrementalAssessor(reference, rate)
     ready = time.perf_counter() - start
     waits = []
+    spent = time.process_time()
     for joints in performance.positions:
         start = time.perf_counter()
         assessor.push(joints)
         waits.append(time.perf_counter() - start)
+    spent = time.process_time() - spent
     found = len(assessor.settled)
     say(f"running at {rate:g} Hz", len(waits) / sum(waits), 1000.0, "frames a second", more_is_better=True)
     typical, longest = 1000.0 * float(np.median(waits)), 1000.0 * max(waits)
     print(
         f"  ready after {ready:.2f} s; a frame takes {typical:.2f} ms, the longest wait is {longest:.0f} ms; "
-        f"{found} errors settled"
+        f"{found} errors settled; {len(waits) / spent:,.0f} frames a second of processor time"
     )
 
 
