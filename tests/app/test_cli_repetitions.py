@@ -82,6 +82,18 @@ def test_tempo_weights_and_importance_count(run, files):
     assert alike == equal
 
 
+@pytest.mark.parametrize(("language", "title"), [("en", "kicks.trc: repetitions"), ("ja", "kicks.trc：手本と")])
+def test_the_report(run, files, tmp_path, language, title):
+    words = ("evaluate", files / "kick.trc", "--performance", files / "kicks.trc", "--repetitions", "--lang", language)
+    code, out, _ = run(*words, "-o", tmp_path / "report")
+    assert code == 0 and str(tmp_path / "report" / "report.html") in out
+    page = (tmp_path / "report" / "report.html").read_text(encoding="utf-8")
+    assert f"<title>{title}" in page
+    assert len((tmp_path / "report" / "repetitions.csv").read_text().splitlines()) == 5
+    code, out, _ = run(*words, "-o", tmp_path / "report", "--json")
+    assert json.loads(out)["report"] == str(tmp_path / "report" / "report.html")
+
+
 def test_json_alone_is_on_standard_output(run, files):
     words = ("--performance", files / "kicks.trc", "--repetitions", "--json")
     code, out, _ = run("evaluate", files / "kick.trc", *words)
@@ -105,7 +117,8 @@ def test_the_table_in_japanese(run, files):
         (("kick.trc", "-p", "still.trc", "--repetitions"), "expected at least one repetition of the reference"),
         (("still.trc", "-p", "kicks.trc", "--repetitions"), "still.trc: reference: expected an exercise"),
         (("kick.trc", "-p", "kicks.trc", "--csv", "a.csv"), "--csv and --picture need --repetitions"),
-        (("kick.trc", "-p", "kicks.trc", "--repetitions", "-o", "report"), "--output cannot be combined"),
+        (("kick.trc", "-p", "kicks.trc", "--repetitions", "--furi", "a.txt"), "--furi cannot be combined"),
+        (("kick.trc", "-p", "kicks.trc", "--repetitions", "-o", "kick.trc"), "kick.trc"),
         (("kick.trc", "-p", "kicks.trc", "--repetitions", "--picture", "a.gif"), ".png"),
         (("kick.trc", "-p", "kicks.trc", "--repetitions", "--csv", "none/a.csv"), "none"),
     ],

@@ -82,7 +82,7 @@ def evaluate(
 
     if performance is None:
         raise OptionError("evaluation_cli.no_performance")
-    check_exercise_options(exercise_options, {"--output": output, "--furi": judging_options.furi})
+    check_exercise_options(exercise_options, {"--furi": judging_options.furi})
     check_beat_options(beat_options.music, beat_options.beats, beat_options.music_start, exercise_options.repetitions)
     if output is not None:
         check_folder(output)
@@ -91,7 +91,7 @@ def evaluate(
     files = find_references(reference)
     options = motion_options.load()
     if exercise_options.repetitions:
-        evaluate_exercise(files, performance, options, judging_options, exercise_options, json=json)
+        evaluate_exercise(files, performance, options, judging_options, exercise_options, output=output, json=json)
     else:
         _evaluate_dance(files, performance, options, judging_options, beat_options, output=output, json=json)
 

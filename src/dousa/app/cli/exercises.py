@@ -8,7 +8,7 @@ from dousa.app import tables
 from dousa.app.output import console, print_json, progress_bar, say, warn
 from dousa.errors import OptionError
 from dousa.files.disk import atomic_write
-from dousa.messages import Message
+from dousa.messages import Message, get_language
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -40,10 +40,12 @@ def evaluate_exercise(
     judging: JudgingOptions,
     exercise: ExerciseOptions,
     *,
+    output: Path | None,
     json: bool,
 ) -> None:
     """Assess the repetitions in a file; print a table or JSON, write CSV and picture."""
     from dousa.app.pipelines.repetitions import evaluate_repetitions
+    from dousa.app.report import to_repetitions_csv, write_exercise_report
 
     csv, picture = exercise.csv, exercise.picture
     weights = judging.choose_weights()
@@ -60,12 +62,16 @@ def evaluate_exercise(
     assessment = done.assessment
     if csv is not None:
         with atomic_write(csv) as file:
-            file.write(tables.to_repetitions_csv(assessment))
+            file.write(to_repetitions_csv(assessment))
     if picture is not None:
         from dousa.app.pictures.repetitions_sheet import draw_repetitions
         from dousa.evaluation.exercises.summary import choose_angles
 
         draw_repetitions(assessment, done.motion, picture, choose_angles(assessment))
+    page = None
+    if output is not None:
+        name = performance.name
+        page = write_exercise_report(assessment, done.motion, output, language=get_language(), name=name)
     for path, note in dict.fromkeys(done.notes):
         warn(Message("evaluation_cli.note", path=path, note=note))
     for warning in assessment.warnings:
@@ -76,11 +82,13 @@ def evaluate_exercise(
             "performance": str(done.performance),
             "csv": None if csv is None else str(csv),
             "picture": None if picture is None else str(picture),
+            "report": None if page is None else str(page),
         }
         print_json({**assessment.to_json(), **_describe(assessment), **files})
         return
     tables.print_repetitions(console(), assessment, judging.detail)
-    for code, written in (("exercise_table.csv", csv), ("exercise_table.picture", picture)):
+    outputs = (("exercise_table.csv", csv), ("exercise_table.picture", picture), ("evaluation_cli.report", page))
+    for code, written in outputs:
         if written is not None:
             say(Message(code, path=written))
 

@@ -27,6 +27,7 @@ from dousa.app.player.figures import (
     read_figure,
 )
 from dousa.app.player.in_step import find_turn
+from dousa.evaluation.exercises.repetitions import RepetitionsAssessment
 from dousa.evaluation.grade.result import Assessment
 from dousa.messages import load_section
 from dousa.motion.canonical.joints import CANONICAL_JOINTS, CANONICAL_PARENTS
@@ -240,6 +241,53 @@ def encode_pair(
         "performance": encode_figure(ours, ours.name, rate, Placed(turn)),
         "step": _encode_times(times, theirs),
         "time": _encode_times(np.arange(len(times)) / rate, theirs),
+    }
+
+
+def encode_repetitions(
+    done: RepetitionsAssessment, performance: Posed, name: str = "", *, language: str = "en", max_rate: float = 30.0
+) -> dict[str, Any]:
+    """An exercise as the player wants it: beside each repetition that was graded the reference does one.
+
+    Parameters
+    ----------
+    done : the repetitions.
+    performance : the recording that they are of, mirrored if they were measured so.
+    name : shown over the figure.
+    language, max_rate : as of `encode_player_data`.
+
+    Returns
+    -------
+    As `encode_pair`; ``furi`` are the repetitions by number. ``reference`` is None where nothing was graded. ``step``
+    shows the reference's matching pose, ``time`` the reference at its own tempo; between repetitions it waits.
+    """
+    graded = [one for one in done.repetitions if one.assessment is not None]
+    spans = [(one.repetition.start_s, one.repetition.end_s) for one in done.repetitions]
+    furi = [{"start": _seconds(a), "end": _seconds(b), "label": str(n)} for n, (a, b) in enumerate(spans, 1)]
+    ours = read_figure(performance, name)
+    if not graded or graded[0].assessment is None:
+        return {**encode_motion(ours, name, language=language, max_rate=max_rate), "furi": furi}
+    _check(language, max_rate)
+    first = graded[0].assessment
+    model = first.reference
+    rate = choose_rate(ours.frame_rate, ours.duration + model.duration, max_rate)
+    matched, same = np.full((2, len(ours.positions)), np.nan)
+    for one in graded:
+        if one.assessment is not None:
+            start = round(one.first_s * ours.frame_rate)
+            times = one.assessment.matched_time[: len(matched) - start]
+            matched[start : start + len(times)] = times
+            own = np.arange(len(times)) / ours.frame_rate
+            same[start : start + len(times)] = np.where(own < model.duration, own, np.nan)
+    frames, end = frames_at(ours, rate), (model.n_frames - 1) / model.frame_rate
+    turn = -mean_heading(first.performance.positions)
+    return {
+        **_describe(language, rate, load_section("player_pair", language)),
+        "reference": encode_figure(model, model.name, rate, Placed(turn + _relative_heading(first))),
+        "performance": encode_figure(ours, ours.name, rate, Placed(turn)),
+        "step": encode_array(encode_match(matched, frames, end), "<i4"),
+        "time": encode_array(encode_match(same, frames, end), "<i4"),
+        "furi": furi,
     }
 
 

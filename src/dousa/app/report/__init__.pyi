@@ -1,4 +1,6 @@
 from .curves import to_curves_csv, to_events_csv
+from .exercise_page import build_exercise_page, write_exercise_report
+from .exercise_tables import to_repetitions_csv
 from .page import (
     QUICK_PARTS,
     build_frame,
@@ -12,6 +14,7 @@ from .page import (
 
 __all__ = [
     "QUICK_PARTS",
+    "build_exercise_page",
     "build_frame",
     "build_page",
     "build_parts",
@@ -20,5 +23,7 @@ __all__ = [
     "read_report_style",
     "to_curves_csv",
     "to_events_csv",
+    "to_repetitions_csv",
+    "write_exercise_report",
     "write_report",
 ]

@@ -192,7 +192,7 @@ def build_page(
         "script": read_file("report.js") + read_file("page.js"),
     }
     slots.update({f"text_{name}": escape(text) for name, text in words.items()})
-    shown = _collect_text(
+    shown = collect_text(
         *slots.values(), build_header(assessment, title, _say_warnings(assessment, language), words, language)
     )
     font = embed_font(shown)
@@ -205,7 +205,7 @@ def build_page(
     return fill_slots(read_file("page.html"), slots)
 
 
-def _collect_text(*markup: str) -> str:
+def collect_text(*markup: str) -> str:
     """Every character that may be shown; tags and codes do no harm."""
     text = "".join(markup)
     text = re.sub(r"\\u([0-9a-fA-F]{4})", lambda match: chr(int(match.group(1), 16)), text)

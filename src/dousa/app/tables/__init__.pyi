@@ -14,7 +14,7 @@ from .answers import (
     print_timeline,
 )
 from .progress import print_progress
-from .repetitions import print_repetitions, to_repetitions_csv
+from .repetitions import print_repetitions
 
 __all__ = [
     "describe_votes",
@@ -32,5 +32,4 @@ __all__ = [
     "print_stats",
     "print_tables",
     "print_timeline",
-    "to_repetitions_csv",
 ]

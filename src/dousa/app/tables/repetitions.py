@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-import io
 import math
 from typing import TYPE_CHECKING
 
@@ -11,7 +9,7 @@ from rich.markup import escape
 from rich.table import Table
 
 from dousa.app.output import one_line
-from dousa.evaluation.exercises.range_of_motion import ANGLE_NAMES, ANGLES
+from dousa.evaluation.exercises.range_of_motion import ANGLE_NAMES
 from dousa.evaluation.exercises.summary import choose_angles, choose_pair, describe_exercise, describe_trends
 from dousa.evaluation.words import format_time
 from dousa.messages import Message
@@ -84,28 +82,3 @@ def _row(number: int, one: AssessedRepetition, angles: tuple[str, ...], sides: s
 
 def _number(value: float, digits: int) -> str:
     return f"{value:.{digits}f}" if math.isfinite(value) else "–"
-
-
-def to_repetitions_csv(assessment: RepetitionsAssessment) -> bytes:
-    """A row for each repetition, the incomplete ones too: all angles in degrees, nothing where there is no value."""
-    pairs = tuple(assessment.repetitions[0].symmetry) if assessment.repetitions else ()
-    names = ["number", "complete", "start_s", "end_s", "duration_s", "pause_s", "extent", "tempo", "score"]
-    names += [f"{angle}_{what}" for angle in ANGLES for what in ("least_deg", "most_deg", "range_deg", "reference_deg")]
-    names += [f"{pair}_symmetry_percent" for pair in pairs]
-    text = io.StringIO(newline="")
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(names)
-    for number, one in enumerate(assessment.repetitions, 1):
-        found = one.repetition
-        row: list[object] = [number, int(found.complete)]
-        row += [_cell(value, 3) for value in (found.start_s, found.end_s, found.duration_s, one.pause_s, found.extent)]
-        row += [_cell(one.tempo, 3), _cell(one.score, 1)]
-        for ranged in one.ranges:
-            values = (ranged.least_deg, ranged.most_deg, ranged.range_deg, ranged.reference_deg)
-            row += [_cell(value, 1) for value in values]
-        writer.writerow(row + [_cell(one.symmetry[pair], 1) for pair in pairs])
-    return text.getvalue().encode()
-
-
-def _cell(value: float, digits: int) -> str:
-    return f"{value:.{digits}f}" if math.isfinite(value) else ""

@@ -28,6 +28,7 @@ SHORT, FAR = 85.0, 120.0
 _SLOWER, _FASTER = 1.2, 1 / 1.2  # of the reference's duration
 _WEAK = 5.0  # points below the median from which a repetition is named
 _UNEVEN = 15.0  # percent, symmetry index that is told
+_UNEVEN_CHANGE = 0.5  # percent a repetition: a slower change of the sides is true, and of no use to anybody
 _UNLIKE_REFERENCE = 10.0  # and by how much it must be beyond the reference's own
 _MOST_ANGLES = 4  # that a table has room for
 
@@ -74,8 +75,18 @@ def describe_exercise(assessment: RepetitionsAssessment) -> tuple[Message, ...]:
 
 
 def describe_trends(assessment: RepetitionsAssessment) -> tuple[Message, ...]:
-    """The trends that can be told from chance, or that there are none."""
-    found = [_say_trend(name, trend) for name, trend in assessment.trends.items() if trend.distinguishable]
+    """The trends that can be told from chance, or that there are none.
+
+    Of the joints those of `choose_angles` and `choose_pair`; all others are in ``assessment.trends``.
+    """
+    told = {"duration_s", "score", "pause_s", "extent", *choose_angles(assessment)}
+    pair = choose_pair(assessment)
+    uneven = f"symmetry_{pair}"
+    found = [
+        _say_trend(name, trend)
+        for name, trend in assessment.trends.items()
+        if trend.distinguishable and (name in told or (name == uneven and abs(trend.slope) >= _UNEVEN_CHANGE))
+    ]
     return tuple(found) or (Message("exercise_table.no_trend"),)
 
 
