@@ -8,7 +8,7 @@ from typing import Annotated, Literal
 import typer
 
 from dousa.app.cli.options import shared as o
-from dousa.app.output import print_json, progress_bar, say
+from dousa.app.output import print_json, progress_bar, say, warn
 from dousa.errors import OptionError
 from dousa.messages import Message
 
@@ -17,7 +17,52 @@ _STATES = {"installed": "models.state_installed", "missing": "models.state_missi
 
 def register(app: typer.Typer) -> None:
     """Register this module's commands with the application."""
+    app.command(rich_help_panel="Estimation")(keypoints)
     app.command(rich_help_panel="Estimation")(models)
+
+
+def keypoints(
+    films: Annotated[list[Path], typer.Argument(metavar="FILM...", help="Films of people; one for each view.")],
+    output: Annotated[
+        Path, typer.Option("--output", "-o", metavar="DIR", help="Folder for NAME.npz of each film NAME.")
+    ] = Path("keypoints"),
+    model: Annotated[
+        Literal["lite", "full", "heavy"],
+        typer.Option("--model", help="From the quickest to the most precise."),
+    ] = "full",
+    people: Annotated[
+        int, typer.Option("--people", min=1, max=16, metavar="N", help="People that are followed at a time, at most.")
+    ] = 4,
+    overlay: Annotated[
+        bool, typer.Option("--overlay", help="Write NAME_keypoints.mp4 too: the keypoints over the film.")
+    ] = False,
+    sheet: Annotated[
+        bool, typer.Option("--sheet", help="Write NAME_keypoints.png too: the same as a contact sheet.")
+    ] = False,
+    json: o.Json = False,
+) -> None:
+    """Keypoints of the people in films: 33 points of each body, frame by frame, and who is who.
+
+    Needs the models once: dousa models install. What was found in a film is
+    kept in the user's cache; an interrupted run resumes when the same
+    command is run again.
+
+    Example: dousa keypoints left.mp4 front.mp4 -o keypoints --sheet
+    """
+    from dousa.app.pipelines.keypoints import KeypointRequest, describe_found, find_in_films
+
+    request = KeypointRequest(films, output, model, people, overlay, sheet)
+    with progress_bar() as progress:
+        done = find_in_films(request, progress)
+    for found in done:
+        for text in found.keypoints.warnings:
+            warn(text)
+    if json:
+        print_json({"model": model, "films": [found.to_json() for found in done]})
+        return
+    for found in done:
+        for line in describe_found(found):
+            say(line)
 
 
 def models(

@@ -7,7 +7,7 @@ skeleton; left and right differ by colour, line and letter; what is lost or miss
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING
@@ -73,23 +73,55 @@ def write_overlay(
     OptionError : another suffix; cameras, silhouettes and estimate of different numbers of views.
     MotionWriteError : the folder is missing or the disk refuses; the target is left as it was.
     """
+    _check_suffix(path)
+    n_frames = min(estimate.n_frames, silhouettes.n_frames)
+    page = _Page(estimate, silhouettes, cameras)
+
+    def paint() -> Iterator[Image]:
+        for frame in range(n_frames):
+            pictures = images(frame) if images is not None else (None,) * len(cameras)
+            yield page.paint(frame, pictures)
+            if progress is not None and (frame % _REPORT_EVERY == 0 or frame == n_frames - 1):
+                progress(frame + 1, n_frames, Message("pictures.overlay_video"))
+
+    write_video(path, paint(), n_frames, estimate.frame_rate, page.size)
+
+
+def _check_suffix(path: str | os.PathLike[str]) -> str:
     suffix = os.path.splitext(os.fspath(path))[1].lower()
     if suffix not in _CODECS:
         raise OptionError("pictures.video_suffix", path=path, expected=tuple(_CODECS), found=suffix)
-    n_frames = min(estimate.n_frames, silhouettes.n_frames)
-    page = _Page(estimate, silhouettes, cameras)
+    return suffix
+
+
+def write_video(
+    path: str | os.PathLike[str], pictures: Iterable[Image], n_frames: int, frame_rate: float, size: tuple[int, int]
+) -> None:
+    """Write a video, which appears whole or not at all.
+
+    Parameters
+    ----------
+    path : of the video, .mp4, .mkv or .avi.
+    pictures : (height, width, 3) each, blue, green, red.
+    n_frames : how many they are.
+    frame_rate : Hz.
+    size : width and height of the pictures in px.
+
+    Raises
+    ------
+    OptionError : another suffix.
+    MotionWriteError : the folder is missing or the disk refuses; the target is left as it was.
+    """
+    suffix = _check_suffix(path)
     with (
         atomic_write(path) as file,
         TemporaryDirectory(prefix=".overlay", dir=os.path.dirname(file.name)) as folder,
     ):
         video = os.path.join(folder, f"overlay{suffix}")
-        writer = _open_video(path, video, _CODECS[suffix], estimate.frame_rate, page.size)
+        writer = _open_video(path, video, _CODECS[suffix], frame_rate, size)
         try:
-            for frame in range(n_frames):
-                pictures = images(frame) if images is not None else (None,) * len(cameras)
-                writer.write(page.paint(frame, pictures))
-                if progress is not None and (frame % _REPORT_EVERY == 0 or frame == n_frames - 1):
-                    progress(frame + 1, n_frames, Message("pictures.overlay_video"))
+            for picture in pictures:
+                writer.write(picture)
         finally:
             writer.release()
         _copy_whole(path, video, n_frames, file)
