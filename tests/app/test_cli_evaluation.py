@@ -48,7 +48,7 @@ def asked(monkeypatch):
         made = make_assessment()
         return dataclasses.replace(made, n_references=len(references), calibrated=len(references) >= 5)
 
-    def write_report(assessment, folder, language="en"):
+    def write_report(assessment, folder, language="en", timing=None):
         calls.report.append((Path(folder), language))
         Path(folder).mkdir(parents=True, exist_ok=True)
         for name in ("report.html", "curves.csv"):

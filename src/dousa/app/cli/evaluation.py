@@ -26,6 +26,7 @@ if TYPE_CHECKING:
 
     from dousa.app.output import ProgressCallback
     from dousa.app.pipelines.evaluate import Evaluation
+    from dousa.evaluation import Assessment
     from dousa.experiments.error_results import ErrorExperimentResult, SecondTakes
     from dousa.experiments.errors import NamedMotion
     from dousa.formats.motion_files import ReadOptions
@@ -168,7 +169,7 @@ def progress(
         draw_progress(found, picture)
 
 
-def _describe(done: Evaluation, page: Path | None, detail: str) -> dict[str, Any]:
+def _describe(done: Evaluation[Assessment], page: Path | None, detail: str) -> dict[str, Any]:
     from dousa.evaluation import advise, describe_advice
 
     return {
@@ -180,7 +181,7 @@ def _describe(done: Evaluation, page: Path | None, detail: str) -> dict[str, Any
     }
 
 
-def _warn(done: Evaluation) -> None:
+def _warn(done: Evaluation[Assessment]) -> None:
     """What a person should know, on standard error."""
     import os
 

@@ -44,7 +44,7 @@ def evaluate_exercise(
     json: bool,
 ) -> None:
     """Assess the repetitions in a file; print a table or JSON, write CSV and picture."""
-    from dousa.app.pipelines.repetitions import evaluate_repetitions
+    from dousa.app.pipelines.evaluate import evaluate_repetitions
     from dousa.app.report import to_repetitions_csv, write_exercise_report
 
     csv, picture = exercise.csv, exercise.picture

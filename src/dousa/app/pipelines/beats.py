@@ -9,7 +9,7 @@ from dousa.errors import InvalidMotionError, OptionError
 
 if TYPE_CHECKING:
     from dousa.app.pipelines.evaluate import Evaluation
-    from dousa.evaluation import Beats, BeatTiming
+    from dousa.evaluation import Assessment, Beats, BeatTiming
 
 
 def check_beat_options(music: Path | None, beats: Path | None, start_s: float | None, repetitions: bool) -> None:
@@ -36,7 +36,7 @@ def load_beats(music: Path | None, beats: Path | None) -> Beats | None:
     return None if music is None else find_beats(music)
 
 
-def time_accents(done: Evaluation, beats: Beats, start_s: float | None) -> BeatTiming:
+def time_accents(done: Evaluation[Assessment], beats: Beats, start_s: float | None) -> BeatTiming:
     """The accents of the performance of an evaluation against the beats.
 
     Raises

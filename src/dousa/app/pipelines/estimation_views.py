@@ -31,17 +31,31 @@ def open_views(request: EstimationRequest, report: ProgressCallback) -> Silhouet
     ------
     DousaError : sources that cannot be read, or whose cameras nobody tells.
     """
-    from dousa.estimation.silhouettes.silhouette_files import open_silhouettes
-
     if request.cameras is None and not _is_npz(request.sources) and all(map(Path.exists, request.sources)):
         raise OptionError("estimate.no_cameras")
+    return open_bare_views(request, report, _find_sizes(request))
+
+
+def open_bare_views(
+    request: EstimationRequest, report: ProgressCallback, sizes: list[tuple[int, int]] | None = None
+) -> Silhouettes:
+    """The same without a look at the cameras: silhouettes to be seen, though not used.
+
+    Parameters
+    ----------
+    request : its sources and how they are understood.
+    report : called with (done, total, what).
+    sizes : width and height of the masks of videos, px; None for their own.
+    """
+    from dousa.estimation.silhouettes.silhouette_files import open_silhouettes
+
     opened: Silhouettes = open_silhouettes(
         request.sources,
         backgrounds=request.backgrounds,
         method=request.background_method,
         kind=request.kind,
         frame_rate=request.rate,
-        sizes=_find_sizes(request),
+        sizes=sizes,
         progress=report,
     )
     return MirroredSilhouettes(opened) if request.mirrored else opened

@@ -1,12 +1,13 @@
-"""From motion files to an assessment: the command without its options."""
+"""From motion files to an assessment, of a dance or of the repetitions of an exercise."""
 
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Generic, TypeVar
 
 from dousa.errors import InvalidMotionError, OptionError
 from dousa.formats.motion_files import ReadOptions, find_motion_files, read_canonical
@@ -14,12 +15,15 @@ from dousa.messages import Message
 
 if TYPE_CHECKING:
     from dousa.app.output import ProgressCallback
-    from dousa.evaluation import Assessment, Furi
+    from dousa.evaluation import Assessment, Furi, RepetitionsAssessment
     from dousa.motion import CanonicalMotion
 
 
+_Assessment = TypeVar("_Assessment")
+
+
 @dataclass(frozen=True, slots=True, eq=False)
-class Evaluation:
+class Evaluation(Generic[_Assessment]):
     """An assessment and the files that it is about.
 
     Parameters
@@ -31,7 +35,7 @@ class Evaluation:
     motion : what that file holds.
     """
 
-    assessment: Assessment
+    assessment: _Assessment
     references: tuple[Path, ...]
     performance: Path
     notes: tuple[tuple[Path, Message], ...]
@@ -71,7 +75,7 @@ def evaluate_files(
     weights: Mapping[str, float] | None = None,
     importance: str = "learned",
     progress: ProgressCallback | None = None,
-) -> Evaluation:
+) -> Evaluation[Assessment]:
     """Read the takes of the reference and the performance, and assess.
 
     Parameters
@@ -87,18 +91,11 @@ def evaluate_files(
     ------
     DousaError : a file, furi file or motion that cannot be used; the message says which.
     """
-    steps = len(references) + 2
-    report = progress or (lambda done, total, what: None)
-    notes: list[tuple[Path, Message]] = []
-    takes: list[CanonicalMotion] = []
-    for number, path in enumerate((*references, performance)):
-        report(number, steps, Message("progress.reading"))
-        takes.append(read_take(path, options, notes))
+    takes, notes = _read_takes((*references, performance), options, progress)
     furi = None if furi_file is None else _read_furi(furi_file, takes[0])
-    report(steps - 1, steps, Message("progress.comparing"))
-    from dousa.evaluation import ABOUT_REFERENCES, assess
+    from dousa.evaluation import assess
 
-    try:
+    with _compare(references, performance, takes, progress):
         assessment = assess(
             takes[:-1],
             takes[-1],
@@ -109,21 +106,79 @@ def evaluate_files(
             importance=importance,
             names=[path.name for path in (*references, performance)],
         )
+    return Evaluation(assessment, tuple(references), performance, notes, takes[-1])
+
+
+def evaluate_repetitions(
+    references: Sequence[Path],
+    performance: Path,
+    *,
+    options: ReadOptions,
+    side: str = "same",
+    tempo: str = "free",
+    weights: Mapping[str, float] | None = None,
+    importance: str = "learned",
+    progress: ProgressCallback | None = None,
+) -> Evaluation[RepetitionsAssessment]:
+    """Read the files, split the performance into repetitions, and assess each.
+
+    Parameters
+    ----------
+    references, performance : files, see `find_references`.
+    options : what is said about all of them.
+    side, tempo, weights, importance : as in `dousa.evaluation.assess_repetitions`.
+    progress : called with (steps done, steps, what is being done).
+
+    Raises
+    ------
+    DousaError : a file or motion that cannot be used; the message says which.
+    """
+    takes, notes = _read_takes((*references, performance), options, progress)
+    from dousa.evaluation import assess_repetitions
+
+    with _compare(references, performance, takes, progress):
+        assessment = assess_repetitions(
+            takes[:-1], takes[-1], side=side, tempo=tempo, weights=weights, importance=importance
+        )
+    return Evaluation(assessment, tuple(references), performance, notes, takes[-1])
+
+
+def _read_takes(
+    paths: Sequence[Path], options: ReadOptions, progress: ProgressCallback | None
+) -> tuple[list[CanonicalMotion], tuple[tuple[Path, Message], ...]]:
+    """What is in the files, and (file, warning) what reading them said."""
+    takes: list[CanonicalMotion] = []
+    notes: list[tuple[Path, Message]] = []
+    for number, path in enumerate(paths):
+        if progress is not None:
+            progress(number, len(paths) + 1, Message("progress.reading"))
+        if path.is_dir():
+            raise OptionError("evaluate.performance_is_folder", path=path)
+        motion, _ = read_canonical(os.fspath(path), options)
+        takes.append(motion)
+        notes.extend((path, warning) for warning in motion.warnings)
+    return takes, tuple(notes)
+
+
+@contextmanager
+def _compare(
+    references: Sequence[Path],
+    performance: Path,
+    takes: Sequence[CanonicalMotion],
+    progress: ProgressCallback | None,
+) -> Iterator[None]:
+    """Say that the takes are compared; an error about one of them gets the name of its file, which the person wants."""
+    from dousa.evaluation import ABOUT_REFERENCES
+
+    if progress is not None:
+        progress(len(takes), len(takes) + 1, Message("progress.comparing"))
+    try:
+        yield
     except InvalidMotionError as error:
-        # The person wants the name of the file.
         shortest = min(range(len(references)), key=lambda number: takes[number].duration)
-        where = references[shortest] if error.code in ABOUT_REFERENCES else performance
+        about_references = error.code in (*ABOUT_REFERENCES, "exercises.still_reference")
+        where = references[shortest] if about_references else performance
         raise InvalidMotionError("cli.file_problem", path=where, reason=error.located) from error
-    return Evaluation(assessment, tuple(references), performance, tuple(notes), takes[-1])
-
-
-def read_take(path: Path, options: ReadOptions, notes: list[tuple[Path, Message]]) -> CanonicalMotion:
-    """One motion file; what reading it said is added to ``notes``."""
-    if path.is_dir():
-        raise OptionError("evaluate.performance_is_folder", path=path)
-    motion, _ = read_canonical(os.fspath(path), options)
-    notes.extend((path, warning) for warning in motion.warnings)
-    return motion
 
 
 def _read_furi(path: Path, take: CanonicalMotion) -> Sequence[Furi]:

@@ -8,7 +8,7 @@ from typing import Annotated, Literal
 from fastapi import APIRouter, Depends, Query, Response
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
-from dousa.app.studio.content.clips import Asked, Snapshot
+from dousa.app.studio.content.clips import Asked, Snapshot, Sort
 from dousa.app.studio.content.studio import StudioNow
 from dousa.app.studio.core.answers import BYTES, Answer, RefusedError
 
@@ -64,7 +64,7 @@ def _read_asked(
     min_s: _Seconds = None,
     max_s: _Seconds = None,
     batch: Annotated[str | None, Query(pattern="^[0-9a-f]{16}$", description="of an upload")] = None,
-    sort: Literal["path", "-path", "duration", "-duration", "category", "-id"] = "path",
+    sort: Sort = "path",
 ) -> Asked:
     labels: dict[str, Sequence[str]] = {"category": category or (), "performer": performer or ()}
     labels["kind"] = () if kind is None else (kind,)

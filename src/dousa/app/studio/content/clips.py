@@ -18,7 +18,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import closing, contextmanager, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -43,7 +43,7 @@ LENGTHS: dict[str, tuple[float, float]] = {
 }
 """The facet of lengths: name, from so many seconds on, and below so many."""
 
-SORTS = ("path", "-path", "duration", "-duration", "category", "-id")
+Sort = Literal["path", "-path", "duration", "-duration", "category", "-id"]
 """What a list may be ordered by; a minus turns it round."""
 
 _LABELS = ("category", "performer", "kind")
@@ -61,7 +61,7 @@ class Asked:
     labels : ``category``, ``performer`` or ``kind`` to the names that fit, `NO_LABEL` for none; all if it is empty.
     min_s, max_s : at least so long, and shorter than that; None for any.
     batch : only what came with this batch of uploads.
-    sort : one of `SORTS`.
+    sort : the order.
     """
 
     text: str = ""
@@ -69,7 +69,7 @@ class Asked:
     min_s: float | None = None
     max_s: float | None = None
     batch: str | None = None
-    sort: str = "path"
+    sort: Sort = "path"
 
 
 @dataclass(frozen=True, slots=True, eq=False)

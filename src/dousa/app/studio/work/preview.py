@@ -74,9 +74,7 @@ def _look(request: dict[str, Any], context: Context, answer: dict[str, Any]) -> 
 
 def _open(asked: EstimationRequest, context: Context, answer: dict[str, Any]) -> Silhouettes:
     """The silhouettes; without a calibration they can be looked at, though not used."""
-    from dousa.app.pipelines.doubts import MirroredSilhouettes
-    from dousa.app.pipelines.estimation_views import open_views
-    from dousa.estimation.silhouettes.silhouette_files import open_silhouettes
+    from dousa.app.pipelines.estimation_views import open_bare_views, open_views
 
     bare = asked.cameras is None and any(path.suffix.lower() != ".npz" for path in asked.sources)
     try:
@@ -85,15 +83,7 @@ def _open(asked: EstimationRequest, context: Context, answer: dict[str, Any]) ->
         answer["missing"] = Message("estimate.no_cameras")
     except (CalibrationError, OptionError) as error:
         answer["missing"] = name_error(error, context.home)
-    opened: Silhouettes = open_silhouettes(
-        asked.sources,
-        backgrounds=asked.backgrounds,
-        method=asked.background_method,
-        kind=asked.kind,
-        frame_rate=asked.rate,
-        progress=context.progress,
-    )
-    return MirroredSilhouettes(opened) if asked.mirrored else opened
+    return open_bare_views(asked, context.progress)
 
 
 def _match(asked: EstimationRequest, views: Silhouettes, answer: dict[str, Any]) -> tuple[Camera, ...]:
