@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -16,7 +16,20 @@ from dousa.files.json_values import to_json_value
 from dousa.messages import Message
 
 
-def compute_overlap(error: Error, event: ErrorEvent) -> float:
+class Stretch(Protocol):
+    """A stretch of time of a class: an error as it was made, or as somebody reports it."""
+
+    @property
+    def kind(self) -> str: ...
+
+    @property
+    def start_s(self) -> float: ...
+
+    @property
+    def end_s(self) -> float: ...
+
+
+def compute_overlap(error: Stretch, event: Stretch) -> float:
     """Intersection over union of two stretches of time, 0 to 1."""
     common = min(error.end_s, event.end_s) - max(error.start_s, event.start_s)
     union = max(error.end_s, event.end_s) - min(error.start_s, event.start_s)
@@ -24,7 +37,7 @@ def compute_overlap(error: Error, event: ErrorEvent) -> float:
 
 
 def match_events(
-    errors: Sequence[Error], events: Sequence[ErrorEvent], least: float = 0.5
+    errors: Sequence[Stretch], events: Sequence[Stretch], least: float = 0.5
 ) -> tuple[tuple[int, int], ...]:
     """Pair errors with events of the same class, best overlap first, each at most once.
 

@@ -30,6 +30,13 @@ def to_json_value(value: Any) -> Any:
     return plain if plain is value else to_json_value(plain)
 
 
+def round_number(value: float | None, digits: int) -> float | None:
+    """Rounded; None for what is no finite number, and never -0.0."""
+    if value is None or not math.isfinite(value):
+        return None
+    return round(float(value), digits) + 0.0
+
+
 def _simplify(value: Any) -> Any:
     """Arrays as lists, objects by what they say of themselves, dataclasses by their fields."""
     if hasattr(value, "tolist"):  # numpy scalars and arrays

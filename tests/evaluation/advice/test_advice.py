@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from app.fake_assessment import make_assessment
 from dousa.errors import OptionError
-from dousa.evaluation import SEGMENTS, Assessment, ErrorEvent, Lapse, PostureSequence, advise, describe_advice
+from dousa.evaluation import SEGMENTS, Assessment, ErrorEvent, Lapse, PostureSequence, advise, describe_advice, praise
 from dousa.evaluation.posture.posture import compute_segments
 from dousa.messages import Message
 from dousa.motion import JOINT_INDEX as J
@@ -305,6 +305,7 @@ def test_nothing_wrong_and_another_dance():
     unlike = (Message("assessment.unlike", mismatch=0.9),)
     (found,) = advise(judged(stand(), squat(80.0), event("global"), warnings=unlike))
     assert found.message == Message("advice.other_dance")
+    assert praise(judged(stand(), stand(), warnings=unlike)) is None
     with pytest.raises(OptionError, match="brief"):
         advise(judged(stand(), stand()), "some")
 

@@ -166,3 +166,15 @@ def test_working_frames_are_means_of_groups(rate: float, stride: int) -> None:
     lost = np.flatnonzero(~working.seen[:, 2])
     assert np.array_equal(lost, np.unique(np.arange(30, 33) // stride))
     assert working.to_seconds(0) == pytest.approx(0.5 * (stride - 1) / rate)
+
+
+def test_where_a_take_is_not_seen_the_others_speak() -> None:
+    dance = get_dance()
+    hidden = lose(dance, ["left_elbow", "left_wrist"], 2.0, 5.0)
+    first, second = work(dance), work(hidden)
+    frames = np.arange(first.n_frames, dtype=np.float64)
+    takes = [compute_deviations(take, first, frames, EVEN) for take in (first, second)]
+    merged = merge_takes(takes)
+    assert not takes[1].judged.all() and takes[0].judged.all()
+    assert np.allclose(merged.reference, takes[0].reference, atol=1e-9)
+    assert merged.spread.max() < 1e-9

@@ -87,8 +87,8 @@ def test_an_error_of_most_of_a_short_clip_is_still_seen() -> None:
     wrong = turn_body(make_vectors(40.0, "left_upper_arm"), slice(0, 36))
     short = replace(wrong, segments=wrong.segments[:60], seen=wrong.seen[:60], heading=wrong.heading[:60])
     found = compare([REFERENCE], short, "same", np.ones(9))
-    angles = np.degrees(found.from_first[:36, 1])
-    assert np.median(angles) > 25.0
+    chords = np.sqrt(found.deviations.squared[:36, found.deviations.center, 1])
+    assert np.median(np.degrees(2.0 * np.arcsin(0.5 * chords))) > 25.0
 
 
 def test_takes_of_several_people_widen_the_limit_and_those_of_one_narrow_it() -> None:

@@ -92,7 +92,7 @@ def _say_interval(assessment: Assessment, words: Mapping[str, str]) -> str:
 
 def _no_grade(assessment: Assessment, words: Mapping[str, str], language: str) -> str:
     """Instead of a number why there is none, as for another dance."""
-    why = "another_dance" if assessment.score_formula.code == "grade.unlike" else "no_grade"
+    why = "another_dance" if assessment.is_other_dance else "no_grade"
     state = element("p", {"class": "badge unsure"}, words[why])
     inner = element("h2", None, words["grade"]) + element("div", {"class": "figures"}, inner=state)
     inner += element("p", {"class": "formula"}, assessment.score_formula.render(language))
@@ -191,7 +191,7 @@ def build_events(assessment: Assessment, words: Mapping[str, str], language: str
         tag = {"type": "button", "class": "event lapse", "data-lapse": str(k)}
         items.append((lapse.start_s, element("button", tag, inner=inner)))
     if not items:
-        return element("p", {"class": "good"}, words["events_none"])
+        return element("p", {"class": "good"}, words["not_looked_for" if assessment.is_other_dance else "events_none"])
     items.sort(key=lambda item: item[0] if math.isfinite(item[0]) else math.inf)
     return element(
         "ol",
@@ -313,7 +313,7 @@ def build_moments(assessment: Assessment, words: Mapping[str, str], language: st
     """Up to six of the worst moments, as pictures with words and numbers."""
     picks = pick_worst(assessment, _MOMENTS)
     if not picks:
-        return element("p", {"class": "good"}, words["worst_none"])
+        return element("p", {"class": "good"}, words["not_looked_for" if assessment.is_other_dance else "worst_none"])
     cards = "".join(_moment(assessment, k, words, language) for k in picks)
     return element("p", {"class": "lead"}, words["moments_text"]) + element("div", {"class": "moments"}, inner=cards)
 

@@ -26,6 +26,7 @@ from dousa.evaluation.errors.lapses import Lapse
 from dousa.evaluation.figures.furi import Furi
 from dousa.evaluation.grade.result import Assessment, ErrorEvent, FuriAssessment
 from dousa.evaluation.posture.posture import SEGMENTS
+from dousa.files.json_values import round_number
 from dousa.messages import Message
 
 DETAILS = ("brief", "full")
@@ -37,7 +38,6 @@ _LEAST_S = 0.3
 _TURNED, _TURNED_S = math.radians(40.0), 1.0
 _MOST_PRAISED = 3
 _PRAISED_SCORE = 70.0
-_OTHER_DANCE = ("assessment.unlike",)
 _UNSAID_LAPSES = ("lead-in", "lead-out")
 
 
@@ -115,7 +115,7 @@ def advise(assessment: Assessment, detail: str = "brief") -> tuple[Advice, ...]:
     """
     if detail not in DETAILS:
         raise OptionError("advice.detail", known=DETAILS, detail=detail)
-    if any(warning.code in _OTHER_DANCE for warning in assessment.warnings):
+    if assessment.is_other_dance:
         return (Advice(Message("advice.other_dance"), "dance"),)
     labels = [one.label for one in assessment.furi]
     dancers = PairedDancers(assessment.reference, assessment.performance, assessment.same_time)
@@ -335,12 +335,14 @@ def _say_facing(assessment: Assessment, labels: Sequence[str]) -> tuple[Advice, 
 
 
 def praise(assessment: Assessment) -> Advice | None:
-    """Figures that were right throughout, those with most movement first; None if there are none.
+    """Figures that were right throughout, those with most movement first; None if there are none, or no such dance.
 
     Parameters
     ----------
     assessment : of a performance.
     """
+    if assessment.is_other_dance:
+        return None
     spoilt = [(event.start_s, event.end_s) for event in assessment.events]
     spoilt += [(lapse.start_s, lapse.end_s) for lapse in assessment.lapses]
     right = [
@@ -387,18 +389,14 @@ def describe_advice(said: Sequence[Advice], language: str | None = None) -> list
             "about": one.about,
             "event": one.event,
             "lapse": one.lapse,
-            "time_s": _round(one.time_s, 3),
-            "times_s": [_round(time, 3) for time in one.times],
-            "reference_s": _round(one.reference_s, 3),
+            "time_s": round_number(one.time_s, 3),
+            "times_s": [round_number(time, 3) for time in one.times],
+            "reference_s": round_number(one.reference_s, 3),
             "segments": list(one.segments),
             "direction": one.direction,
-            "amount_deg": _round(one.amount_deg, 1),
-            "lag_ms": _round(one.lag_ms, 1),
+            "amount_deg": round_number(one.amount_deg, 1),
+            "lag_ms": round_number(one.lag_ms, 1),
             "furi": list(one.furi),
         }
         for one in said
     ]
-
-
-def _round(value: float | None, digits: int) -> float | None:
-    return None if value is None or not math.isfinite(value) else round(float(value), digits) + 0.0

@@ -275,11 +275,11 @@ def _diagonal_costs(
 
 
 def pair_similarity(a: FloatArray, b: FloatArray, weights: FloatArray) -> FloatArray:
-    """S of the spec, pose by pose."""
+    """S of the spec, pose by pose; weights (..., 9), of all poses or of each (0 of what is not seen)."""
     across = (a[..., 2] + 1j * a[..., 0]) * (b[..., 2] - 1j * b[..., 0])
     upright = a[..., 1] * b[..., 1]
-    similarity: FloatArray = (np.abs(across @ weights) + upright @ weights) / weights.sum()
-    return similarity
+    total = np.abs((across * weights).sum(axis=-1)) + (upright * weights).sum(axis=-1)
+    return np.asarray(total / np.maximum(weights.sum(axis=-1), 1e-9))
 
 
 def smooth_course(course: np.ndarray, run: Run, rate: float) -> FloatArray:

@@ -21,6 +21,7 @@ from dousa.arrays import FloatArray
 from dousa.errors import InvalidMotionError, OptionError
 from dousa.evaluation.beats.accents import Accent, find_accents
 from dousa.evaluation.beats.beat_times import Beats, to_beats
+from dousa.files.json_values import round_number
 from dousa.messages import Message
 from dousa.motion import CanonicalMotion
 
@@ -115,9 +116,9 @@ class BeatTiming:
             "subdivision": self.subdivision,
             "n_accents": len(self.accents),
             "n_on_beat": len(self.on_beat),
-            "median_ms": _number(self.median_ms),
-            "spread_ms": _number(self.spread_ms),
-            "drift_ms_per_min": _number(self.drift_ms_per_min),
+            "median_ms": round_number(self.median_ms, 1),
+            "spread_ms": round_number(self.spread_ms, 1),
+            "drift_ms_per_min": round_number(self.drift_ms_per_min, 1),
             "drift_distinguishable": self.drift_distinguishable,
             "accents": [
                 {
@@ -127,17 +128,13 @@ class BeatTiming:
                     "strength": round(one.accent.strength, 2),
                     "beat": one.beat,
                     "beat_s": None if one.beat_s is None else round(one.beat_s, 3),
-                    "off_ms": _number(one.off_ms),
+                    "off_ms": round_number(one.off_ms, 1),
                 }
                 for one in self.accents
             ],
             "says": [message.render(language) for message in self.messages],
             "says_codes": [message.code for message in self.messages],
         }
-
-
-def _number(value: float | None) -> float | None:
-    return round(float(value), 1) + 0.0 if value is not None and math.isfinite(value) else None
 
 
 def assess_timing(

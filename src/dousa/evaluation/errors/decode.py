@@ -15,7 +15,6 @@ from dousa.evaluation.posture.posture import LIMBS
 LIMB_CLASSES = ("ok", "shift", "incomplete", "partial")
 BODY_CLASSES = ("ok", "shift", "incomplete", "global")
 _LIMB_SEGMENTS = tuple(LIMBS.values())
-_BODY = tuple(range(9))
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,6 +67,8 @@ class Suspect:
 def follow_classes(scores: FloatArray, change: float) -> np.ndarray:  # pragma: no cover - compiled
     """(N,) the classes with the largest sum of (N, C) scores; every change of class costs."""
     n, n_classes = scores.shape
+    if n == 0:
+        return np.empty(0, np.int8)
     came = np.empty((n, n_classes), np.int8)
     best = scores[0].copy()
     for t in range(1, n):
@@ -84,8 +85,6 @@ def follow_classes(scores: FloatArray, change: float) -> np.ndarray:  # pragma: 
         for c in range(n_classes):
             best[c] += scores[t, c]
     classes = np.empty(n, np.int8)
-    if n == 0:
-        return classes
     last = 0
     for c in range(n_classes):
         if best[c] > best[last]:

@@ -104,13 +104,22 @@ def merge_takes(takes: Sequence[Deviations]) -> Deviations:
     for other in takes[1:]:
         squared = take_nearest(squared, other.squared)
     poses = np.stack([take.reference for take in takes])
-    middle = np.median(poses, axis=0)
+    # What is judged of no take is of no interest; any of them may stand for it.
+    known = np.stack([take.judged for take in takes]) | ~np.any([take.judged for take in takes], axis=0)
+    middle = _take_median(poses, known[..., None])
     middle /= np.maximum(np.linalg.norm(middle, axis=2, keepdims=True), 1e-9)
-    far = np.median(np.linalg.norm(poses - middle, axis=3), axis=0)
+    far = _take_median(np.linalg.norm(poses - middle, axis=3), known)
     half = max(1, round(0.5 * _SPREAD_S / first.step_s))
     total = np.cumsum(np.pad(far, ((half + 1, half), (0, 0)), mode="edge"), axis=0)
     spread = (total[2 * half + 1 :] - total[: -2 * half - 1]) / (2 * half + 1)
     return replace(first, squared=squared, reference=middle, spread=spread)
+
+
+def _take_median(values: FloatArray, known: NDArray[np.bool_]) -> FloatArray:
+    """Median over the takes (first axis) of what is known; something of each is."""
+    if known.all():
+        return np.asarray(np.median(values, axis=0))
+    return np.asarray(np.nanmedian(np.where(known, values, np.nan), axis=0))
 
 
 def take_nearest(mine: FloatArray, its: FloatArray) -> FloatArray:

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from dousa.arrays import FloatArray
 from dousa.errors import InvalidMotionError
 from dousa.evaluation.exercises.range_of_motion import (
     ANGLES,
@@ -22,9 +23,19 @@ from dousa.evaluation.exercises.range_of_motion import (
 )
 from dousa.evaluation.exercises.split import Repetition, find_reference_repetitions, find_repetitions
 from dousa.evaluation.exercises.trend import Trend, adjust_for_many, estimate_trend
-from dousa.evaluation.grade.assessment import assess, check_importance, check_seen, check_takes
+from dousa.evaluation.figures.furi import Furi, find_furi
+from dousa.evaluation.grade.assessment import (
+    check_importance,
+    check_seen,
+    check_takes,
+    compute_all_postures,
+    judge,
+)
+from dousa.evaluation.grade.references import ReferenceTakes, prepare_references
 from dousa.evaluation.grade.result import Assessment
 from dousa.evaluation.posture.posture import compute_postures
+from dousa.evaluation.posture.weights import spread_weights
+from dousa.files.json_values import round_number
 from dousa.messages import Message
 from dousa.motion import CanonicalMotion
 from dousa.motion.canonical.canonicalise import mirror_canonical
@@ -116,21 +127,21 @@ class RepetitionsAssessment:
             "n_incomplete": len(self.repetitions) - self.count,
             "repetitions": [_describe(one, number) for number, one in enumerate(self.repetitions, 1)],
             "angles": list(self.angles),
-            "reference_range_deg": {name: _number(value, 1) for name, value in self.reference_ranges.items()},
-            "reference_s": _number(self.reference_s, 3),
+            "reference_range_deg": {name: round_number(value, 1) for name, value in self.reference_ranges.items()},
+            "reference_s": round_number(self.reference_s, 3),
             "n_references": self.n_references,
             "trends": {
                 name: {
-                    "slope": _number(trend.slope, 4),
-                    "p_value": _number(trend.p_value, 4),
-                    "adjusted_p": _number(trend.adjusted_p, 4),
+                    "slope": round_number(trend.slope, 4),
+                    "p_value": round_number(trend.p_value, 4),
+                    "adjusted_p": round_number(trend.adjusted_p, 4),
                     "distinguishable": trend.distinguishable,
                     "n": trend.n,
                 }
                 for name, trend in self.trends.items()
             },
-            "frame_rate": _number(self.frame_rate, 6),
-            "duration_s": _number(self.duration_s, 3),
+            "frame_rate": round_number(self.frame_rate, 6),
+            "duration_s": round_number(self.duration_s, 3),
             "side": self.side,
             "tempo": self.tempo,
             "warnings": [message.render(language) for message in self.warnings],
@@ -167,41 +178,48 @@ def assess_repetitions(
     takes = [references] if isinstance(references, CanonicalMotion) else list(references)
     check_takes(takes, performance, side, tempo)
     check_importance(importance)
-    grading = _Grading(tempo, weights, importance)
+    shares = spread_weights(weights)
     for motion in (*takes, performance):
         check_seen(compute_postures(motion), is_reference=motion is not performance)
     played = mirror_canonical(performance) if side == "mirrored" else performance
     examples = [(take, span) for take in takes for span in find_reference_repetitions(take)]
     if not examples:
         raise InvalidMotionError("exercises.still_reference")
+    reference_s = _median([_seconds(take, span) for take, span in examples])
     found = find_repetitions(played, takes).repetitions
     if not any(one.complete for one in found):
         raise InvalidMotionError(
             "exercises.no_repetition",
             duration=played.duration,
-            reference_s=_median([_seconds(take, span) for take, span in examples]),
+            reference_s=reference_s,
             n_incomplete=len(found),
         )
-    return _measure(examples, played, found, side, grading)
+    models = [_cut(take, *span) for take, span in _choose_examples(examples, reference_s)]
+    return _measure(examples, played, found, side, _Grading(models, tempo, shares, importance))
 
 
 _Example = tuple[CanonicalMotion, tuple[int, int]]
 
 
-@dataclass(frozen=True, slots=True)
 class _Grading:
-    """How a repetition is graded: options of `assess`."""
+    """Grades repetitions, as `assess` does, by the same ones of the reference, which are prepared once."""
 
-    tempo: str
-    weights: Mapping[str, float] | None
-    importance: str
+    def __init__(self, models: Sequence[CanonicalMotion], tempo: str, weights: FloatArray, importance: str) -> None:
+        self.tempo = tempo
+        self._models, self._weights, self._importance = models, weights, importance
+        self._ready: tuple[ReferenceTakes, tuple[Furi, ...]] | None = None
 
-    def assess(self, models: Sequence[CanonicalMotion], cut: CanonicalMotion) -> Assessment | None:
+    def assess(self, cut: CanonicalMotion) -> Assessment | None:
         """Of one repetition; None for one that is too short, or not seen, to be graded."""
         try:
-            return assess(models, cut, tempo=self.tempo, weights=self.weights, importance=self.importance)
+            postures, played = compute_all_postures(self._models, cut, side="same", tempo=self.tempo)
         except InvalidMotionError:
             return None
+        if self._ready is None:
+            references = prepare_references(postures, self.tempo, self._weights, importance=self._importance)
+            self._ready = references, find_furi(references.postures)
+        references, figures = self._ready
+        return judge(references, figures, played, tempo=self.tempo, weights=self._weights)
 
 
 def _measure(
@@ -214,13 +232,12 @@ def _measure(
     expected = _measure_examples(examples)
     moving = tuple(name for name in ANGLES if expected[name] >= MOVING_DEG)
     reference_s = _median([_seconds(take, span) for take, span in examples])
-    models = [_cut(take, *span) for take, span in _choose_examples(examples, reference_s)]
     angles = compute_joint_angles(played)
     pairs = _find_pairs(expected)
     assessed = []
     for number, one in enumerate(found):
         ranges = measure_ranges(angles, one.start, one.end, played.frame_rate, expected)
-        graded = grading.assess(models, _cut(played, one.start, one.end)) if one.complete else None
+        graded = grading.assess(_cut(played, one.start, one.end)) if one.complete else None
         assessed.append(
             AssessedRepetition(
                 repetition=one,
@@ -244,7 +261,7 @@ def _measure(
         frame_rate=played.frame_rate,
         duration_s=played.duration,
         side=side,
-        warnings=_warn(complete, reference_s),
+        warnings=_warn(complete),
         tempo=grading.tempo,
     )
 
@@ -259,13 +276,10 @@ def _median(values: Sequence[float]) -> float:
 
 def _measure_examples(examples: Sequence[_Example]) -> dict[str, float]:
     """Range of every angle, median of the repetitions of the reference, degrees."""
-    by_take: dict[int, Mapping[str, Any]] = {}
+    angles = {id(take): compute_joint_angles(take) for take in {id(take): take for take, _ in examples}.values()}
     found: dict[str, list[float]] = {name: [] for name in ANGLES}
     for take, (start, end) in examples:
-        angles = (
-            by_take.setdefault(id(take), compute_joint_angles(take)) if id(take) not in by_take else by_take[id(take)]
-        )
-        for one in measure_ranges(angles, start, end, take.frame_rate):
+        for one in measure_ranges(angles[id(take)], start, end, take.frame_rate):
             found[one.angle].append(one.range_deg)
     return {name: _median(values) for name, values in found.items()}
 
@@ -317,7 +331,7 @@ def _find_trends(
     return adjust_for_many({name: estimate_trend(values) for name, values in measures.items()})
 
 
-def _warn(complete: Sequence[AssessedRepetition], reference_s: float) -> tuple[Message, ...]:
+def _warn(complete: Sequence[AssessedRepetition]) -> tuple[Message, ...]:
     warnings = []
     if len(complete) < _FEWEST_FOR_TREND:
         warnings.append(Message("exercises.few", n=len(complete)))
@@ -331,22 +345,18 @@ def _describe(one: AssessedRepetition, number: int) -> dict[str, Any]:
     return {
         "number": number,
         "complete": one.repetition.complete,
-        "start_s": _number(one.repetition.start_s, 3),
-        "end_s": _number(one.repetition.end_s, 3),
-        "duration_s": _number(one.repetition.duration_s, 3),
-        "pause_s": _number(one.pause_s, 3),
-        "extent": _number(one.repetition.extent, 3),
-        "tempo": _number(one.tempo, 3),
-        "score": _number(one.score, 1),
-        "range_deg": {ranged.angle: _number(ranged.range_deg, 1) for ranged in one.ranges},
-        "least_deg": {ranged.angle: _number(ranged.least_deg, 1) for ranged in one.ranges},
-        "most_deg": {ranged.angle: _number(ranged.most_deg, 1) for ranged in one.ranges},
+        "start_s": round_number(one.repetition.start_s, 3),
+        "end_s": round_number(one.repetition.end_s, 3),
+        "duration_s": round_number(one.repetition.duration_s, 3),
+        "pause_s": round_number(one.pause_s, 3),
+        "extent": round_number(one.repetition.extent, 3),
+        "tempo": round_number(one.tempo, 3),
+        "score": round_number(one.score, 1),
+        "range_deg": {ranged.angle: round_number(ranged.range_deg, 1) for ranged in one.ranges},
+        "least_deg": {ranged.angle: round_number(ranged.least_deg, 1) for ranged in one.ranges},
+        "most_deg": {ranged.angle: round_number(ranged.most_deg, 1) for ranged in one.ranges},
         "range_percent": {
-            ranged.angle: _number(ranged.percent, 1) for ranged in one.ranges if math.isfinite(ranged.percent)
+            ranged.angle: round_number(ranged.percent, 1) for ranged in one.ranges if math.isfinite(ranged.percent)
         },
-        "symmetry_percent": {name: _number(value, 1) for name, value in one.symmetry.items()},
+        "symmetry_percent": {name: round_number(value, 1) for name, value in one.symmetry.items()},
     }
-
-
-def _number(value: float, digits: int) -> float | None:
-    return round(float(value), digits) + 0.0 if math.isfinite(value) else None

@@ -11,7 +11,6 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
@@ -95,19 +94,6 @@ class RepetitionSplit:
     def count(self) -> int:
         """How many count."""
         return len(self.complete)
-
-    def to_json(self) -> dict[str, Any]:
-        """The count and the bounds as JSON has them."""
-        names = ("start_s", "end_s", "extent")
-        return {
-            "count": self.count,
-            "n_incomplete": len(self.repetitions) - self.count,
-            "guided": self.guided,
-            "repetitions": [
-                {**{name: round(getattr(one, name), 3) for name in names}, "complete": one.complete}
-                for one in self.repetitions
-            ],
-        }
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -26,7 +26,6 @@ from dousa.evaluation.grade.assessment import (
 from dousa.evaluation.grade.references import (
     ReferenceTakes,
     prepare_references,
-    reweigh_references,
     set_importance,
 )
 from dousa.evaluation.grade.result import Assessment
@@ -178,7 +177,7 @@ class AdjustableAssessment:
         if shares.tobytes() in self._prepared or not self._prepared:
             return self.assess(furi, weights, importance=importance), True
         prepared = next(reversed(self._prepared.values()))
-        references = set_importance(reweigh_references(prepared.references, shares), importance)
+        references = set_importance(prepared.references, importance)
         weighed = reweigh(prepared.weighed, references, prepared.performance, shares)
         return self._look(prepared, references, weighed, furi), False
 

@@ -74,7 +74,7 @@ def _find_way(limb: str, moved: FloatArray) -> tuple[str, float]:
         way = "left" if forward else "right"
     else:
         way = "out" if forward == limb.startswith("left") else "in"
-    return way, float(np.linalg.norm(moved))
+    return way, float(abs(moved[axis]))
 
 
 def _belong(one: tuple[str, float], other: tuple[str, float]) -> bool:

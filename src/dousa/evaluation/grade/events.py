@@ -188,7 +188,7 @@ def _describe_coverage(
 ) -> list[Message]:
     """What of both motions is not compared."""
     found: list[Message] = []
-    compared = float(np.isfinite(comparison.from_first).any(axis=1).mean())
+    compared = float(comparison.deviations.judged.any(axis=1).mean())
     if compared < _MOSTLY:
         found.append(Message("assessment.compared", percent=100.0 * compared))
     if not performance.seen.all():

@@ -9,7 +9,7 @@ import numpy as np
 
 from dousa.arrays import FloatArray, IndexArray
 from dousa.evaluation.alignment.dynamic_programming import follow_lag
-from dousa.evaluation.alignment.lines import OUTSIDE, Alignment, align, to_cost
+from dousa.evaluation.alignment.lines import OUTSIDE, Alignment, align, pair_similarity, to_cost
 from dousa.evaluation.errors.descriptors import Descriptors, choose_stride, describe_moments
 from dousa.evaluation.errors.deviation import Deviations, compute_deviations, merge_takes
 from dousa.evaluation.errors.evidence import Evidence, Tolerance, measure_unsteadiness
@@ -17,7 +17,7 @@ from dousa.evaluation.errors.explain import Finding, explain_all
 from dousa.evaluation.errors.judge import load_judge
 from dousa.evaluation.errors.measures import measure_suspects
 from dousa.evaluation.grade.importance import learn_importance
-from dousa.evaluation.grade.parts import PARTS, Measured, compute_deviation, measure_parts
+from dousa.evaluation.grade.parts import PARTS, Measured, measure_parts
 from dousa.evaluation.posture.offset import Offset, estimate_offset, find_missing, learn_between, take_out
 from dousa.evaluation.posture.posture import PostureSequence, Working, interpolate_segments, thin_postures
 
@@ -37,10 +37,8 @@ class ReferenceTakes:
     clock : (U,) frame of the first take at the working rate that belongs to each frame of ``working``: the takes are
         put on the clock that most of them keep, not on the first one's own.
     time_spread : (U,) s, how much the takes' timing differs there.
-    deviations : degrees, mean deviation of each of the further ones from the first.
     left_out : numbers, from 1, of takes that are not like the first.
-    from_first : (U, 9) rad of each of the further ones, from the first take at the same time; nan where unseen.
-    between : (9,) rad, root mean square of what bodies differ by; None where one take does not tell.
+    between : (9,) rad, root mean square of what bodies differ by.
     measured : of each of the further ones against all others.
     importance : (9,) weights of the segments in the grade, see `learn_importance`.
     """
@@ -50,10 +48,8 @@ class ReferenceTakes:
     warped: tuple[PostureSequence, ...]
     clock: FloatArray
     time_spread: FloatArray
-    deviations: tuple[float, ...]
+    between: FloatArray
     left_out: tuple[int, ...] = ()
-    from_first: tuple[FloatArray, ...] = ()
-    between: FloatArray | None = None
     measured: tuple[Measured, ...] = ()
     importance: FloatArray = field(default_factory=lambda: np.ones(9))
 
@@ -66,17 +62,13 @@ class Comparison:
     ----------
     alignment : lines.
     deviations : from the nearest take.
-    from_first : (T, 9) rad, from the first take at the same time; nan where nothing is judged.
     offset : of the performer's body against the first take's, taken out of all of them.
-    performance : at the working rate, after that.
     measured : what the grade is made of.
     """
 
     alignment: Alignment
     deviations: Deviations
-    from_first: FloatArray
     offset: Offset
-    performance: Working
     measured: Measured
 
 
@@ -96,7 +88,6 @@ def prepare_references(
     clock = (thin_postures(first),)
     unwarped = [thin_postures(take) for take in takes[1:]]
     alone = [compare(clock, take, tempo, weights) for take in unwarped]
-    apart = [compute_deviation(one.from_first, weights) for one in alone]
     # Takes without common timing are takes all the same: what counts is how alike they get at the best times.
     shapes = [one.measured.find_parts(weights)[PARTS.index("shape")] for one in alone]
     like = [
@@ -107,10 +98,8 @@ def prepare_references(
     paths = [_follow_take(first, takes[i + 1], weights) for i in like]
     warped = tuple(_warp(first, takes[i + 1], path) for i, path in zip(like, paths, strict=True))
     working, common, time_spread = _keep_common_clock((*clock, *(thin_postures(take) for take in warped)), first, paths)
-    deviations = tuple(apart[i] for i in like)
     left_out = tuple(i + 2 for i in range(len(unwarped)) if i not in like)
-    from_first = tuple(alone[i].from_first for i in like)
-    between = learn_between([alone[i].offset for i in like]) if like else None
+    between = learn_between([alone[i].offset for i in like])
     held = _compare_takes(working, [unwarped[i] for i in like], tempo, weights, between)
     measured = tuple(one.measured for one in held)
     references = ReferenceTakes(
@@ -119,10 +108,8 @@ def prepare_references(
         warped,
         common,
         time_spread,
-        deviations,
-        left_out,
-        from_first,
         between,
+        left_out,
         measured,
         learn_importance(working, measured),
     )
@@ -132,12 +119,6 @@ def prepare_references(
 def set_importance(references: ReferenceTakes, importance: str) -> ReferenceTakes:
     """The same takes; with ``"equal"`` all segments count alike in the grade, with ``"learned"`` as they matter."""
     return references if importance == "learned" else replace(references, importance=np.ones(9))
-
-
-def reweigh_references(references: ReferenceTakes, weights: FloatArray) -> ReferenceTakes:
-    """The same takes, held to each other with other weights (9,); what is tolerated of a segment stays as it is."""
-    apart = tuple(compute_deviation(one, weights) for one in references.from_first)
-    return replace(references, deviations=apart)
 
 
 def _follow_take(first: PostureSequence, take: PostureSequence, weights: FloatArray) -> FloatArray:
@@ -233,11 +214,9 @@ def compare(
         compute_deviations(reference, ours, alignment.frames, weights)
         for reference, ours in zip(references, bare, strict=True)
     ]
-    chord = np.sqrt(takes[0].squared[:, takes[0].center])
-    from_first = np.where(takes[0].judged, 2.0 * np.arcsin(np.minimum(0.5 * chord, 1.0)), np.nan)
     deviations = merge_takes(takes)
     measured = measure_parts(references, bare[0], deviations, alignment.frames)
-    return Comparison(alignment, deviations, from_first, bodies[0], bare[0], measured)
+    return Comparison(alignment, deviations, bodies[0], measured)
 
 
 _PAIRED_RATE = 10.0  # Hz: a body does not change faster
@@ -255,19 +234,12 @@ def _pair_poses(reference: Working, performance: Working, frames: FloatArray, we
     inside = (there >= 0) & (there < reference.n_frames)
     near = np.clip(there, 0, reference.n_frames - 1)
     shares = weights * (performance.seen[rows, None] & reference.seen[near])
-    likeness = _compare_poses(performance.segments[rows, None], reference.segments[near], shares)
+    likeness = pair_similarity(performance.segments[rows, None], reference.segments[near], shares)
     cost = np.where(inside, to_cost(likeness), OUTSIDE)
     course = follow_lag(cost + _LATE * np.abs(lags), _TURN)
     pairs = np.column_stack([there[np.arange(len(rows)), course], rows])
     known: IndexArray = pairs[inside[np.arange(len(rows)), course]]
     return known
-
-
-def _compare_poses(a: FloatArray, b: FloatArray, shares: FloatArray) -> FloatArray:
-    """S of the spec, pose by pose, of what both show; shares (..., 9) of the segments."""
-    across = (a[..., 2] + 1j * a[..., 0]) * (b[..., 2] - 1j * b[..., 0])
-    total = np.abs((across * shares).sum(axis=-1)) + (a[..., 1] * b[..., 1] * shares).sum(axis=-1)
-    return np.asarray(total / np.maximum(shares.sum(axis=-1), 1e-9))
 
 
 _WIDER_BY_SPREAD = 2.0

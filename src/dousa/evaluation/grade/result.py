@@ -13,7 +13,7 @@ from dousa.evaluation.errors.lapses import Lapse
 from dousa.evaluation.figures.eigenspace import Eigenspace
 from dousa.evaluation.posture.posture import SEGMENTS, PostureSequence
 from dousa.evaluation.words import date, describe_event
-from dousa.files.json_values import to_json_value
+from dousa.files.json_values import round_number, to_json_value
 from dousa.messages import Message
 
 # Digits after the point: a millisecond, a tenth of a degree; finer than anything that was measured.
@@ -187,6 +187,11 @@ class Assessment:
     offset_deg: FloatArray = field(default_factory=lambda: np.zeros(len(SEGMENTS)))
 
     @property
+    def is_other_dance(self) -> bool:
+        """Whether it is hardly the same dance: there is no grade, and no praise either."""
+        return any(warning.code == "assessment.unlike" for warning in self.warnings)
+
+    @property
     def times(self) -> FloatArray:
         """(T,) s, of the frames of the performance."""
         return np.arange(self.performance.n_frames) / self.frame_rate
@@ -211,24 +216,24 @@ def describe_assessment(assessment: Assessment, language: str | None = None) -> 
     the key begins with ``reference``; lags are positive where the performance is late.
     """
     return {
-        "score": _number(assessment.score, 1),
+        "score": round_number(assessment.score, 1),
         "calibrated": bool(assessment.calibrated),
         "furi": [_describe_furi(furi) for furi in assessment.furi],
         "events": [_describe(event, _EVENT, language) for event in assessment.events],
         "lag_ms": _summarise_lag(assessment.lag),
-        "frame_rate": _number(assessment.frame_rate, 6),
+        "frame_rate": round_number(assessment.frame_rate, 6),
         "n_references": int(assessment.n_references),
         "score_formula": assessment.score_formula.render(language),
         "side": assessment.side,
-        "tempo": _number(assessment.tempo, _SHARES),
+        "tempo": round_number(assessment.tempo, _SHARES),
         "facing_deg": _summarise_facing(assessment.facing),
         "lapses": [_describe(lapse, _LAPSE, language) for lapse in assessment.lapses],
         "gaps": [
-            {"start_s": _number(start, _SECONDS), "end_s": _number(end, _SECONDS), "segment": segment}
+            {"start_s": round_number(start, _SECONDS), "end_s": round_number(end, _SECONDS), "segment": segment}
             for start, end, segment in assessment.gaps
         ],
-        "coverage": _number(assessment.coverage, 3),
-        "score_interval": [_number(value, 1) for value in assessment.score_interval],
+        "coverage": round_number(assessment.coverage, 3),
+        "score_interval": [round_number(value, 1) for value in assessment.score_interval],
         "segment_weights": _by_segment(assessment.weights, 2),
         "posture_offsets": _by_segment(assessment.offset_deg, _DEGREES),
         "warnings": [message.render(language) for message in assessment.warnings],
@@ -256,16 +261,16 @@ def _write(name: str, value: Any, language: str | None) -> Any:
     if isinstance(value, Message):
         return value.render(language)
     digits = _SECONDS if name.endswith("_s") else _DIGITS.get(name)
-    return to_json_value(value) if digits is None else _number(value, digits)
+    return to_json_value(value) if digits is None else round_number(value, digits)
 
 
 def _by_segment(values: FloatArray, digits: int) -> dict[str, float | None]:
-    return {name: _number(value, digits) for name, value in zip(SEGMENTS, values, strict=True)}
+    return {name: round_number(value, digits) for name, value in zip(SEGMENTS, values, strict=True)}
 
 
 def _describe_furi(furi: FuriAssessment) -> dict[str, Any]:
     gain = _by_segment(furi.gain, 3)
-    return {**_describe(furi, _FURI), "lag_ms": _number(1000 * furi.lag_s, 1), "gain": gain}
+    return {**_describe(furi, _FURI), "lag_ms": round_number(1000 * furi.lag_s, 1), "gain": gain}
 
 
 def _summarise_lag(lag: FloatArray) -> dict[str, float | None]:
@@ -275,10 +280,10 @@ def _summarise_lag(lag: FloatArray) -> dict[str, float | None]:
     if not len(known):
         return {"median": None, "mean_abs": None, "max": None, "min": None}
     return {
-        "median": _number(np.median(known), 1),
-        "mean_abs": _number(np.abs(known).mean(), 1),
-        "max": _number(known.max(), 1),
-        "min": _number(known.min(), 1),
+        "median": round_number(np.median(known), 1),
+        "mean_abs": round_number(np.abs(known).mean(), 1),
+        "max": round_number(known.max(), 1),
+        "min": round_number(known.min(), 1),
     }
 
 
@@ -288,11 +293,4 @@ def _summarise_facing(facing: FloatArray) -> dict[str, float | None]:
     sizes = sizes[np.isfinite(sizes)]
     if not len(sizes):
         return {"median": None, "max": None}
-    return {"median": _number(np.median(sizes), _DEGREES), "max": _number(sizes.max(), _DEGREES)}
-
-
-def _number(value: float | None, digits: int) -> float | None:
-    """Rounded; None for what is no finite number, and never -0.0."""
-    if value is None or not math.isfinite(value):
-        return None
-    return round(float(value), digits) + 0.0
+    return {"median": round_number(np.median(sizes), _DEGREES), "max": round_number(sizes.max(), _DEGREES)}

@@ -102,9 +102,9 @@ def estimate_offset(
     missing = find_missing(reference, performance)
     shown = ~missing & (seconds > 0.0)
     tilt = find_tilt(measured, shown)
-    spread = np.radians(BETWEEN_DEG) if between is None else between
     # A short clip hardly tells a body from a take.
     noise = np.radians(WITHIN_DEG) ** 2 * WITHIN_S / np.maximum(seconds, 1e-6)
+    spread = np.radians(BETWEEN_DEG) if between is None else between
     sure = spread**2 / (spread**2 + noise)
     taken = tilt * sure.min(initial=1.0, where=shown) + _limit(measured - tilt, spread) * sure[:, None]
     taken[~shown] = 0.0
@@ -157,8 +157,10 @@ def find_missing(reference: Working, performance: Working) -> NDArray[np.bool_]:
 def _measure_reach(motion: Working, percent: float) -> FloatArray:
     """(9,) rad, how far each segment gets from where it mostly is, so much of the time."""
     reach = np.zeros(9)
-    for segment in np.flatnonzero(motion.seen.any(axis=0)):
-        some = motion.segments[motion.seen[:, segment], segment]
+    step = max(1, motion.n_frames // _MOST_MOMENTS)
+    segments, seen = motion.segments[::step], motion.seen[::step]
+    for segment in np.flatnonzero(seen.any(axis=0)):
+        some = segments[seen[:, segment], segment]
         middle = np.median(some, axis=0)
         far = np.linalg.norm(some - middle / max(float(np.linalg.norm(middle)), 1e-9), axis=1)
         reach[segment] = np.percentile(far, percent)

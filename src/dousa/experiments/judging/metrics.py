@@ -15,10 +15,10 @@ import numpy as np
 from dousa.evaluation.errors.descriptors import LIMB_OF
 from dousa.evaluation.grade.result import ErrorEvent
 from dousa.evaluation.posture.posture import SEGMENTS
+from dousa.experiments.error_results import match_events
 from dousa.experiments.injection.injection import Error
 
 KINDS = ("shift", "incomplete", "partial", "global")
-_OVERLAP = 0.5
 _LIMBS_OF_BODY = 4
 
 
@@ -38,28 +38,6 @@ class Report:
         """The same of an event."""
         segments = tuple(SEGMENTS.index(name) for name in event.segments)
         return cls(event.kind, event.start_s, event.end_s, segments, event.lag_ms, event.shortfall_deg)
-
-
-def match(reports: Sequence[Report], errors: Sequence[Error]) -> list[tuple[int, int]]:
-    """Pairs (report, error) that agree."""
-    pairs = []
-    for i, report in enumerate(reports):
-        for j, error in enumerate(errors):
-            if report.kind == error.kind:
-                overlap = _overlap(report, error)
-                if overlap >= _OVERLAP:
-                    pairs.append((-overlap, i, j))
-    taken: list[tuple[int, int]] = []
-    for _, i, j in sorted(pairs):
-        if all(i != a and j != b for a, b in taken):
-            taken.append((i, j))
-    return taken
-
-
-def _overlap(report: Report, error: Error) -> float:
-    shared = min(report.end_s, error.end_s) - max(report.start_s, error.start_s)
-    either = max(report.end_s, error.end_s) - min(report.start_s, error.start_s)
-    return shared / either if shared > 0.0 else 0.0
 
 
 def name_variant(error: Error) -> str:
@@ -95,12 +73,11 @@ class Score:
         if not errors:
             self.false_events += len(reports)
             self.clean_s += duration_s
-        pairs = match(reports, errors)
-        for i, report in enumerate(reports):
-            if all(i != a for a, _ in pairs):
-                self.wrong[report.kind] += 1
-        for j, error in enumerate(errors):
-            partner = next((reports[a] for a, b in pairs if b == j), None)
+        partners = {i: reports[j] for i, j in match_events(errors, reports)}
+        self.wrong.update(report.kind for report in reports)
+        self.wrong.subtract(partner.kind for partner in partners.values())
+        for i, error in enumerate(errors):
+            partner = partners.get(i)
             (self.missed if partner is None else self.agreed)[error.kind] += 1
             name = name_variant(error)
             done, total = self.found.get(name, (0, 0))

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from dousa.arrays import FloatArray
 from dousa.evaluation.errors.boosting import BoostedTrees
+from dousa.evaluation.errors.decode import BODY_CLASSES, LIMB_CLASSES
 from dousa.evaluation.errors.descriptors import LIMB_OF, N_LIMBS, Descriptors
 from dousa.evaluation.errors.evidence import gather_evidence
 from dousa.evaluation.grade.assessment import compute_all_postures
@@ -19,8 +20,6 @@ from dousa.evaluation.posture.weights import spread_weights
 from dousa.experiments.injection.injection import Error
 from dousa.experiments.judging.material import Trial
 
-LIMB_CLASSES = ("ok", "shift", "incomplete", "partial")
-BODY_CLASSES = ("ok", "shift", "incomplete", "global")
 _BODY_SEGMENTS = 8  # an error of so many segments, or of all limbs but one, is the body's
 _UNSURE_S = 0.1  # beside an error's edges
 
