@@ -1,0 +1,174 @@
+"""Keypoints of other programs are read: forms, units, who is who, and damage."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+
+from dousa.errors import KeypointError
+from dousa.estimation import MEDIAPIPE_NAMES, read_keypoints
+from dousa.estimation.keypoints.keypoint_schemes import BODY_25, COCO_17, HALPE_26, SCHEMES
+
+SIZE = (640, 480)
+
+
+def make_points(n_points, x=100.0, y=50.0):
+    """x, y, confidence of a person."""
+    rng = np.random.default_rng(n_points)
+    return np.concatenate([rng.uniform(x, x + 80, (n_points, 1)), rng.uniform(y, y + 80, (n_points, 1)),
+                           rng.uniform(0.3, 1, (n_points, 1))], axis=1)  # fmt: skip
+
+
+def write(path, content):
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text(json.dumps(content), encoding="utf-8")
+    return path
+
+
+def say_openpose(people):
+    return {
+        "version": 1.3,
+        "people": [{"person_id": [-1], "pose_keypoints_2d": points.reshape(-1).tolist()} for points in people],
+    }
+
+
+@pytest.mark.parametrize("n_points", [17, 18, 25, 26, 33])
+def test_a_folder_of_openpose_files(tmp_path, n_points):
+    for frame in range(5):
+        people = [make_points(n_points, 100 + 2 * frame), make_points(n_points, 400 - 2 * frame)]
+        order = people[::-1] if frame % 2 else people  # who is first changes
+        write(tmp_path / "view" / f"cam_{frame:012d}_keypoints.json", say_openpose(order))
+    view = read_keypoints(tmp_path / "view", size=SIZE, frame_rate=50)
+    assert view.names == SCHEMES[n_points] and view.n_people == 2 and view.frame_rate == pytest.approx(50)
+    for person in view.people:
+        assert np.abs(np.diff(person.points, axis=0)).max() == pytest.approx(2)
+    left = min(view.people, key=lambda person: person.points[0, 0, 0])
+    np.testing.assert_allclose(left.points[4], make_points(n_points, 108)[:, :2])
+    np.testing.assert_allclose(left.visibility[4], make_points(n_points)[:, 2])
+
+
+def test_points_that_are_zero_were_not_seen_and_missing_frames_have_nobody(tmp_path):
+    points = make_points(25)
+    points[3] = 0
+    for frame in (0, 1, 3):
+        write(tmp_path / "view" / f"{frame}.json", say_openpose([points]))
+    view = read_keypoints(tmp_path / "view", size=SIZE, frame_rate=30)
+    (person,) = view.people
+    assert person.present.tolist() == [True, True, False, True]
+    assert np.isnan(person.points[0, 3]).all() and person.visibility[0, 3] == 0
+
+
+def test_alphapose_says_who_is_who(tmp_path):
+    rows = []
+    for frame in range(12):
+        for who in (0, 1):
+            points = make_points(26, 300 * (who ^ (frame > 9)))  # they jump, but are who they are
+            if (frame, who) != (5, 1):
+                rows.append({"image_id": f"{frame}.jpg", "keypoints": points.reshape(-1).tolist(), "idx": who})
+    view = read_keypoints(write(tmp_path / "alphapose-results.json", rows), size=SIZE, frame_rate=30)
+    assert view.names == HALPE_26 and view.n_frames == 12
+    assert [int(person.present.sum()) for person in view.people] == [12, 11]
+    assert view.people[0].points[11, 0, 0] == pytest.approx(make_points(26, 300)[0, 0])
+
+
+def test_annotations_of_coco_have_flags_and_sizes(tmp_path):
+    points = make_points(17)
+    points[:, 2] = 2
+    points[4, 2], points[5] = 1, 0
+    content = {
+        "images": [{"id": 1, "width": 640, "height": 480}],
+        "annotations": [{"image_id": 1, "id": 7, "keypoints": points.reshape(-1).tolist()}],
+    }
+    view = read_keypoints(write(tmp_path / "coco.json", content))
+    assert view.names == COCO_17 and view.size == SIZE
+    assert view.people[0].visibility[0, 3:6].tolist() == [1, 0.5, 0]
+    assert [warning.code for warning in view.warnings] == ["mask_npz.rate"]
+
+
+def test_mmpose(tmp_path):
+    points = make_points(133)
+    person = {"keypoints": points[:, :2].tolist(), "keypoint_scores": points[:, 2].tolist()}
+    content = {"instance_info": [{"frame_id": n + 1, "instances": [person] if n else []} for n in range(3)]}
+    view = read_keypoints(write(tmp_path / "mmpose.json", content), size=SIZE, frame_rate=30)
+    assert len(view.names) == 23 and view.people[0].present.tolist() == [False, True, True]
+    np.testing.assert_allclose(view.people[0].points[1], points[:23, :2])
+    np.testing.assert_allclose(view.people[0].visibility[2], points[:23, 2])
+
+
+@pytest.mark.parametrize("form", ["list", "key", "several"])
+def test_landmarks_of_mediapipe_are_shares_of_the_picture(tmp_path, form):
+    shares = np.random.default_rng(0).uniform(0.1, 0.9, (33, 2))
+    landmarks = [{"x": x, "y": y, "z": -0.1, "visibility": 0.8} for x, y in shares]
+    frame = {"list": landmarks, "key": {"pose_landmarks": landmarks}, "several": {"pose_landmarks": [landmarks]}}[form]
+    path = write(tmp_path / "mediapipe.json", {"frames": [frame, [] if form == "list" else {"pose_landmarks": []}]})
+    view = read_keypoints(path, size=SIZE, frame_rate=30)
+    assert view.names == MEDIAPIPE_NAMES and view.people[0].present.tolist() == [True, False]
+    np.testing.assert_allclose(view.people[0].points[0], shares * SIZE - 0.5)
+    assert set(view.people[0].visibility[0]) == {0.8}
+    with pytest.raises(KeypointError, match="size of the pictures"):
+        read_keypoints(path)
+
+
+def test_left_is_the_persons_left_in_every_scheme():
+    for names in SCHEMES.values():
+        assert len(set(names)) == len(names)
+        for name in names:
+            if name.startswith("left_"):
+                assert name.replace("left_", "right_") in names
+    assert (BODY_25[2], BODY_25[5], BODY_25[8], BODY_25[19], BODY_25[24]) == (
+        "right_shoulder", "left_shoulder", "mid_hip", "left_big_toe", "right_heel",
+    )  # fmt: skip
+    assert (HALPE_26[5], HALPE_26[17], HALPE_26[19], HALPE_26[25]) == (
+        "left_shoulder", "head_top", "mid_hip", "right_heel",
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("content", "code"),
+    [
+        ({"people": [{"pose_keypoints_2d": [1.0] * 30}]}, "keypoint_json.points"),
+        ({"people": [{"pose_keypoints_2d": ["a"] * 75}]}, "keypoint_json.unknown"),
+        ({"people": [{"pose_keypoints_2d": None}]}, "keypoint_json.unknown"),
+        ({"people": [{}]}, "keypoint_json.unknown"),
+        ({"persons": 5}, "keypoint_json.unknown"),
+        ({"hello": []}, "keypoint_json.unknown"),
+        ([], "keypoint_json.unknown"),
+        ("text", "keypoint_json.unknown"),
+        ([{"people": [{"keypoints": [5.0] * 51}]}, {"people": [{"keypoints": [5.0] * 75}]}], "keypoint_json.mixed"),
+        ([{"image_id": 0, "keypoints": [5.0] * 51}, {"image_id": 10**12, "keypoints": [5.0] * 51}], None),
+    ],
+)
+def test_what_is_not_understood_is_one_clear_error(tmp_path, content, code):
+    path = write(tmp_path / "view.json", content)
+    if code is None:  # numbers that are no frame numbers
+        assert read_keypoints(path, size=SIZE).n_frames == 2
+        return
+    with pytest.raises(KeypointError, match=r"view\.json") as caught:
+        read_keypoints(path, size=SIZE)
+    assert caught.value.code == code
+
+
+@pytest.mark.parametrize(
+    "data", [b"", b"{", b"[" * 100_000, b"\xff\xfe", b"NaN", b'{"people": [{"keypoints": [NaN, 1]}]}']
+)
+def test_damaged_json_is_one_clear_error(tmp_path, data):
+    (tmp_path / "view.json").write_bytes(data)
+    with pytest.raises(KeypointError, match=r"view\.json"):
+        read_keypoints(tmp_path / "view.json", size=SIZE)
+
+
+def test_an_empty_folder_and_a_broken_frame_are_named(tmp_path):
+    (tmp_path / "view").mkdir()
+    with pytest.raises(KeypointError, match="found none"):
+        read_keypoints(tmp_path / "view", size=SIZE)
+    write(tmp_path / "view" / "000.json", say_openpose([make_points(25)]))
+    (tmp_path / "view" / "001.json").write_text("{", encoding="utf-8")
+    with pytest.raises(KeypointError, match=r"001\.json"):
+        read_keypoints(tmp_path / "view", size=SIZE)
+
+
+def test_nobody_in_any_frame(tmp_path):
+    view = read_keypoints(write(tmp_path / "view.json", [{"people": []}] * 3), size=SIZE, frame_rate=30)
+    assert view.people == () and view.n_frames == 3
