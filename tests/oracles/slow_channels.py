@@ -1,4 +1,8 @@
-"""The channels of the extended features, written with whole arrays of NumPy and SciPy's Gaussian filter."""
+"""The channels of the extended features, written with whole arrays of NumPy and SciPy's Gaussian filter.
+
+The joints and pairs are written out again, and not imported: stored forests ask for channels by their place, so that a
+change of the table or of its order has to be noticed here.
+"""
 
 from __future__ import annotations
 
