@@ -97,6 +97,11 @@ def test_what_counts_stands_beside_the_figures_of_the_segments() -> None:
     assert re.findall(r"× ([\d.]+)", counts) == [f"{weight:.2f}" for weight in weights]
 
 
+def test_how_the_grade_came_about_is_there_for_who_asks() -> None:
+    header = build_parts(make_assessment(), "en", ("header",))["header"]
+    assert re.search(r"<details><summary>How the grade came about</summary><p class=.formula.>100 - 10 x 2.9", header)
+
+
 def test_all_alike_is_said() -> None:
     words = load_section("report", "ja")
     shown = build_parts(make_assessment(), "ja", ("segments",))["segments"]

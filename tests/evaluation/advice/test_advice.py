@@ -282,6 +282,12 @@ def test_the_figure_that_was_danced_instead_is_named():
     assert found == ["at 0:01 comes figure 1, but you danced something else"]
 
 
+def test_the_time_of_a_wrong_figure_is_inside_of_it():
+    one = event("global", start=12.6, furi=1)  # it begins in the figure before; its worst moment is in figure 2
+    (said,) = say(dance(), dance(), dataclasses.replace(one, worst_s=14.2, end_s=15.0), furi=figures("A", "B"))
+    assert said.startswith("at 0:14 comes figure 2")
+
+
 def test_lapses_are_said_too():
     lapses = (Lapse("stop", 2.0, 3.5, 2.0, 2.0), Lapse("lead-in", 0.0, 1.0, 0.0, 0.0))
     assert say(stand(), stand(), lapses=lapses) == ["keep going at 0:02: you stood still for 1.5 s"]

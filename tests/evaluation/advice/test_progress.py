@@ -54,6 +54,20 @@ def test_the_same_again_is_neither() -> None:
     assert str(unknown.summary) == "the grades cannot be compared; better: partial motion error (1, now 0)"
 
 
+def test_what_fails_every_time_is_told_by_kind_and_figure() -> None:
+    arms = ("left_upper_arm", "left_forearm", "right_upper_arm", "right_forearm")
+    faults = [event("incomplete", 9, arms), event("shift", 0, SEGMENTS), event("global", 5, SEGMENTS)]
+    attempt = read_attempt(answer(70.0, *faults), "a")
+    found = compare_attempts([attempt, attempt])
+    assert str(found.summary) == (
+        "the grade stayed at 70; every time: global motion error of the whole body in figure 6, "
+        "incomplete motion of both arms in figure 10 and time shift of the whole body in figure 1"
+    )
+    assert [one["limb"] for one in found.to_json()["still"]] == [None, "left_arm", "right_arm", None]
+    many = read_attempt(answer(70.0, *(event("global", number, SEGMENTS) for number in range(6))), "b")
+    assert compare_attempts([many, many]).summary.render("en").endswith("in figure 4, and 2 more")
+
+
 def test_answers_of_assessments_can_be_read() -> None:
     attempt = read_attempt(make_assessment().to_json(), "pupil.bvh")
     assert attempt.score == 71.0 and attempt.lapses == 1

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import logging
 import os
 from functools import lru_cache
 from typing import TYPE_CHECKING, Any
@@ -65,6 +66,8 @@ def _fonts() -> tuple[tuple[str, ...], tuple[Any, ...]]:
     require("matplotlib", "pictures")
     from matplotlib import font_manager
 
+    # The Japanese font has no bold: that its plain letters stand for them is nobody's concern.
+    logging.getLogger("matplotlib.font_manager").setLevel(logging.ERROR)
     japanese = find_font()
     if japanese is not None:
         font_manager.fontManager.addfont(str(japanese))

@@ -78,7 +78,9 @@ def _grade(assessment: Assessment, words: Mapping[str, str], language: str) -> s
         + element("div", {"class": "figures"}, inner=figure + state)
         + meter
         + element("p", {"class": "note"}, _say_interval(assessment, words))
-        + element("p", {"class": "formula"}, assessment.score_formula.render(language))
+        + build_details(
+            words["formula_title"], element("p", {"class": "formula"}, assessment.score_formula.render(language))
+        )
         + note
     )
     css = "card grade" + ("" if assessment.calibrated else " uncalibrated")

@@ -273,7 +273,8 @@ def _say_undirected(event: ErrorEvent, where: Message) -> Message:
 def _say_figure(event: ErrorEvent, other: int | None, where: Message) -> Message:
     if event.furi is None:
         return Message("advice.something_else", where=where)
-    time = format_moment(event.start_s)
+    # The figure is that of the worst moment; the error may begin at the end of the figure before it.
+    time = format_moment(event.worst_s if math.isfinite(event.worst_s) else event.start_s)
     if other is None:
         return Message("advice.other_figure", time=time, number=event.furi + 1)
     return Message("advice.figure_instead", time=time, number=event.furi + 1, other=other + 1)

@@ -18,7 +18,7 @@ from dousa.messages import Message
 
 _SMALLER = 0.75  # of the size before, from which an error counts as smaller
 _LEAST_POINTS = 1.0
-_MOST_SAID = 2
+_MOST_SAID = 4
 _KEYS = ("score", "events", "lapses")
 _SIZES: Mapping[str, Callable[[Mapping[str, Any]], float | None]] = {
     "global": lambda event: event["end_s"] - event["start_s"],
@@ -160,7 +160,7 @@ def compare_attempts(attempts: Sequence[Attempt]) -> Progress:
     if worse:
         parts.append(Message("progress.worse", kinds=tuple(_say_change(kind, first, last) for kind in worse)))
     if still:
-        parts.append(Message("progress.still", faults=tuple(_say_fault(one) for one in still[:_MOST_SAID])))
+        parts.append(_say_still(still))
     summary = reduce(lambda one, other: Message("progress.and_also", one=one, other=other), parts)
     return Progress(tuple(attempts), summary, better, worse, still)
 
@@ -212,7 +212,18 @@ def describe_errors(kind: str, attempt: Attempt) -> Message:
     return Message("progress.cell", n=count, size=_say_size(kind, attempt))
 
 
-def _say_fault(fault: Fault) -> Message:
-    kind, furi, limb = fault
-    segments = [SEGMENTS[index] for index in LIMBS[limb]] if limb else []
+def _say_still(faults: Sequence[Fault]) -> Message:
+    """What fails every time: the limbs of one kind in one figure together."""
+    groups: dict[tuple[str, int], list[str]] = {}
+    for kind, furi, limb in faults:
+        groups.setdefault((kind, furi), []).append(limb)
+    said = tuple(_say_fault(kind, furi, limbs) for (kind, furi), limbs in groups.items())
+    if len(said) > _MOST_SAID:
+        return Message("progress.still_more", faults=said[:_MOST_SAID], n=len(said) - _MOST_SAID)
+    return Message("progress.still", faults=said)
+
+
+def _say_fault(kind: str, furi: int, limbs: Sequence[str]) -> Message:
+    """One kind of error in one figure; no limbs stand for the whole body."""
+    segments = [SEGMENTS[index] for limb in limbs if limb for index in LIMBS[limb]]
     return Message("progress.fault", kind=KINDS[kind], who=name_parts(segments), number=furi + 1)
