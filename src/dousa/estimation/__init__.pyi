@@ -16,6 +16,9 @@ from .silhouettes.cleaning import clean_mask, describe_mask
 from .silhouettes.mask_npz import read_silhouettes, write_silhouettes
 from .silhouettes.silhouette_files import open_silhouettes
 from .silhouettes.silhouettes import PackedSilhouettes, Silhouettes
+from .sync.sound import Sound, read_sound
+from .sync.sync_file import read_offsets, write_offsets
+from .sync.synchronise import Synchronisation, sync
 from .tracking.measures import fit_girths
 from .tracking.settings import EVIDENCES, PAPER, READINGS, Estimate, TrackedFrame, TrackerSettings
 from .tracking.start import find_start
@@ -34,6 +37,8 @@ __all__ = [
     "PersonMasks",
     "PersonTrack",
     "Silhouettes",
+    "Sound",
+    "Synchronisation",
     "TrackedFrame",
     "TrackerSettings",
     "ViewKeypoints",
@@ -58,12 +63,16 @@ __all__ = [
     "read_body",
     "read_cameras",
     "read_keypoints",
+    "read_offsets",
     "read_silhouettes",
+    "read_sound",
     "render",
     "spoil",
     "standing_state",
+    "sync",
     "write_body",
     "write_cameras",
     "write_keypoints",
+    "write_offsets",
     "write_silhouettes",
 ]

@@ -1,0 +1,1 @@
+"""The films of one scene: their keypoints, times and cameras."""

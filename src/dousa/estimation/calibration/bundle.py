@@ -1,0 +1,400 @@
+"""Bundle adjustment of a moving body: cameras, points, limb lengths, focal lengths and times in one least-squares fit.
+
+The unknowns are the rig (a pose, a focal length and a time offset of each camera), the length of each limb, and the
+place of each point at each moment. Residuals are distances in the images by the spread expected there, and how far a
+limb is from its length, which ties the scale of the points at different moments together. Both are weighted by a
+robust function (Cauchy's), so that left and right exchanged, or a wrong point, pull little.
+
+The points of one moment meet those of another only through the rig, so the normal equations are solved by eliminating
+them moment by moment (Schur's complement; Triggs et al., Bundle adjustment - a modern synthesis, 2000, section 6.1):
+the cost of a step grows linearly with the number of moments. `scipy.optimize.least_squares` with the same residuals is
+the oracle of the tests.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from dousa.arrays import BoolArray, FloatArray
+from dousa.motion.rotations import from_axis_angle, to_matrix
+
+CAMERA_UNKNOWNS = 8
+"""Of each camera: turn (3) rad, place (3), the logarithm of the focal length, time offset (s)."""
+
+_TURN, _MOVE, _FOCAL, _TIME = slice(0, 3), slice(3, 6), 6, 7
+_NEAR = 0.05  # of the unit: nothing is seen closer to a camera
+_CAUCHY = 2.0  # spreads: where the robust function begins to give in
+_LEAST_DAMPING, _MOST_DAMPING = 1e-9, 1e9
+_SETTLED = 1e-6  # relative change of the cost
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Rig:
+    """The cameras.
+
+    Parameters
+    ----------
+    rotations : (V, 3, 3) from the world to the camera's axes (x right, y down, z forward).
+    translations : (V, 3) x_camera = R x_world + t, in the unit of the world.
+    focals : (V,) px.
+    offsets : (V,) s, what is added to a camera's own time to get the common time.
+    """
+
+    rotations: FloatArray
+    translations: FloatArray
+    focals: FloatArray
+    offsets: FloatArray
+
+    @property
+    def n_views(self) -> int:
+        """V."""
+        return len(self.rotations)
+
+    @property
+    def positions(self) -> FloatArray:
+        """(V, 3) where the cameras stand."""
+        return np.asarray(-np.einsum("vij,vi->vj", self.rotations, self.translations))
+
+    def to_camera(self, points: FloatArray) -> FloatArray:
+        """Points (T, K, 3) of the world along the axes of each camera, (V, T, K, 3)."""
+        return np.asarray(np.einsum("vij,tkj->vtki", self.rotations, points) + self.translations[:, None, None])
+
+    def project(self, points: FloatArray) -> FloatArray:
+        """Where points (T, K, 3) are seen, (V, T, K, 2) px from the principal points; nan behind a camera."""
+        local = self.to_camera(points)
+        depth = np.where(local[..., 2:] > _NEAR, local[..., 2:], np.nan)
+        return np.asarray(self.focals[:, None, None, None] * local[..., :2] / depth)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Sightings:
+    """What the cameras saw at common moments.
+
+    Parameters
+    ----------
+    points : (V, T, K, 2) px from the principal points, without distortion; anything where the weight is 0.
+    weights : (V, T, K) 0 to 1, how much a point counts; 0 where it was not seen.
+    spreads : (V,) px, by how far a point is expected to be off.
+    velocities : (V, T, K, 2) px/s, by which the points follow a change of the time offset.
+    offsets : (V,) s, the time offsets with which the points were read.
+    """
+
+    points: FloatArray
+    weights: FloatArray
+    spreads: FloatArray
+    velocities: FloatArray
+    offsets: FloatArray
+
+    @property
+    def seen_twice(self) -> BoolArray:
+        """(T, K) True where at least two cameras saw a point, so that it has a place."""
+        return np.asarray((self.weights > 0).sum(axis=0) >= 2)
+
+
+@dataclass(frozen=True, slots=True)
+class Limb:
+    """Two points whose distance hardly changes.
+
+    Parameters
+    ----------
+    first, second : places among the points.
+    kind : limbs of one kind are equally long (left and right).
+    spread : relative; how much the distance of the points as they are seen changes.
+    """
+
+    first: int
+    second: int
+    kind: int
+    spread: float
+
+
+@dataclass(frozen=True, slots=True)
+class Freedom:
+    """What may change, besides points and limb lengths.
+
+    Parameters
+    ----------
+    poses : the poses of all cameras but the first, which stays where it is.
+    focals : the focal lengths.
+    offsets : the time offsets of all cameras but the first.
+    focal_spread : relative; how far the focal lengths are expected to be from their first values.
+    """
+
+    poses: bool = True
+    focals: bool = False
+    offsets: bool = False
+    focal_spread: float = 0.3
+
+    def mask(self, n_views: int) -> BoolArray:
+        """(V * 8,) True where a camera's unknown may change."""
+        free = np.zeros((n_views, CAMERA_UNKNOWNS), bool)
+        free[1:, :6] = self.poses
+        free[:, _FOCAL] = self.focals
+        free[1:, _TIME] = self.offsets
+        return free.ravel()
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Fit:
+    """A fitted scene.
+
+    Parameters
+    ----------
+    rig : the cameras.
+    points : (T, K, 3) in the unit of the world; nan where fewer than two cameras saw a point.
+    lengths : (L,) of each kind of limb.
+    cost : half the sum of the robust squares.
+    covariance : (V * 8, V * 8) of the cameras' unknowns for independent residuals of the expected spread; 0 where one
+        was not free.
+    """
+
+    rig: Rig
+    points: FloatArray
+    lengths: FloatArray
+    cost: float
+    covariance: FloatArray = field(repr=False)
+
+
+def adjust(
+    sightings: Sightings,
+    rig: Rig,
+    points: FloatArray,
+    limbs: Sequence[Limb] = (),
+    freedom: Freedom = Freedom(),
+    steps: int = 50,
+) -> Fit:
+    """Improve cameras and points together, by Levenberg's and Marquardt's method on reweighted squares.
+
+    Parameters
+    ----------
+    sightings : V views, T moments, K points.
+    rig : first guess.
+    points : (T, K, 3) first guess; nan where there is none.
+    limbs : what keeps its length; those with an end that is not there do not count.
+    freedom : what may change.
+    steps : at most.
+
+    Returns
+    -------
+    The fitted scene; its first camera is where it was.
+    """
+    known = sightings.seen_twice & np.isfinite(points).all(axis=-1)
+    problem = _Problem(sightings, known, tuple(limbs), freedom, np.log(rig.focals))
+    state = _State(rig, np.where(known[..., None], points, 0.0), _measure_limbs(points, known, limbs))
+    cost, damping = problem.cost(state), 1e-3
+    for _ in range(steps):
+        system = problem.linearise(state)
+        while True:
+            trial = problem.move(state, *system.solve(damping))
+            new = problem.cost(trial)
+            if new < cost or damping > _MOST_DAMPING:
+                break
+            damping *= 10.0
+        if not new < cost:
+            break
+        gain, cost, state = cost - new, new, trial
+        damping = max(damping / 10.0, _LEAST_DAMPING)
+        if gain < _SETTLED * cost:
+            break
+    covariance = problem.linearise(state).covariance()
+    return Fit(state.rig, np.where(known[..., None], state.points, np.nan), np.exp(state.lengths), cost, covariance)
+
+
+def _measure_limbs(points: FloatArray, known: BoolArray, limbs: Sequence[Limb]) -> FloatArray:
+    """(L,) logarithms of the middle lengths of the kinds of limbs; of one never seen the middle of the others."""
+    n_kinds = 1 + max((limb.kind for limb in limbs), default=-1)
+    found: list[list[FloatArray]] = [[] for _ in range(n_kinds)]
+    for limb in limbs:
+        both = known[:, limb.first] & known[:, limb.second]
+        found[limb.kind].append(np.linalg.norm(points[both, limb.first] - points[both, limb.second], axis=-1))
+    middle = [float(np.median(every)) if len(every := np.concatenate(some)) else np.nan for some in found]
+    lengths = np.array(middle)
+    lengths[~(lengths > 0)] = np.nanmedian(lengths) if (lengths > 0).any() else 1.0
+    return np.asarray(np.log(lengths))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _State:
+    rig: Rig
+    points: FloatArray
+    lengths: FloatArray  # logarithms
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Problem:
+    """Residuals, and their derivatives."""
+
+    sightings: Sightings
+    known: BoolArray
+    limbs: tuple[Limb, ...]
+    freedom: Freedom
+    log_focals: FloatArray
+
+    def cost(self, state: _State) -> float:
+        off, counts = self._image_residuals(state)
+        squares = (off**2).sum(axis=-1)
+        total = float((counts * np.log1p(squares / _CAUCHY**2)).sum())
+        for limb in self.limbs:
+            rest, both, _, _ = self._limb_residuals(state, limb)
+            total += float(np.log1p(rest[both] ** 2 / _CAUCHY**2).sum())
+        total *= _CAUCHY**2
+        if self.freedom.focals:
+            total += float((((np.log(state.rig.focals) - self.log_focals) / self.freedom.focal_spread) ** 2).sum())
+        return 0.5 * total
+
+    def _image_residuals(self, state: _State) -> tuple[FloatArray, FloatArray]:
+        """Residuals (V, T, K, 2) in spreads, and how much each counts (V, T, K)."""
+        seen = self.sightings
+        local = state.rig.to_camera(state.points)
+        depth = local[..., 2:]
+        behind = depth <= _NEAR
+        places = state.rig.focals[:, None, None, None] * local[..., :2] / np.where(behind, _NEAR, depth)
+        late = (state.rig.offsets - seen.offsets)[:, None, None, None]
+        off = (places - seen.points + late * seen.velocities) / seen.spreads[:, None, None, None]
+        counts = np.where(self.known, seen.weights, 0.0)
+        return np.where(counts[..., None] > 0, off, 0.0), counts
+
+    def _limb_residuals(self, state: _State, limb: Limb) -> tuple[FloatArray, BoolArray, FloatArray, FloatArray]:
+        """Residuals (T,) in spreads, where they are known, the vectors along the limb (T, 3) and their lengths."""
+        both = self.known[:, limb.first] & self.known[:, limb.second]
+        along = state.points[:, limb.first] - state.points[:, limb.second]
+        length = np.maximum(np.linalg.norm(along, axis=-1), 1e-9)
+        rest = np.where(both, (np.log(length) - state.lengths[limb.kind]) / limb.spread, 0.0)
+        return rest, both, along, length
+
+    def linearise(self, state: _State) -> _System:
+        """Normal equations about a state."""
+        n_views, n_frames, n_points = self.sightings.weights.shape
+        n_cameras, n_kinds = n_views * CAMERA_UNKNOWNS, len(state.lengths)
+        system = _System(
+            np.zeros((n_cameras + n_kinds, n_cameras + n_kinds)),
+            np.zeros(n_cameras + n_kinds),
+            np.zeros((n_frames, n_points, 3, n_points, 3)),
+            np.zeros((n_frames, n_points, 3)),
+            np.zeros((n_frames, n_cameras + n_kinds, n_points, 3)),
+            np.concatenate((self.freedom.mask(n_views), np.ones(n_kinds, bool))),
+            n_cameras,
+        )
+        self._add_images(state, system)
+        for limb in self.limbs:
+            self._add_limb(state, limb, system, n_cameras + limb.kind)
+        if self.freedom.focals:
+            places = np.arange(n_views) * CAMERA_UNKNOWNS + _FOCAL
+            system.hessian[places, places] += self.freedom.focal_spread**-2
+            system.gradient[places] += (np.log(state.rig.focals) - self.log_focals) * self.freedom.focal_spread**-2
+        return system
+
+    def _add_images(self, state: _State, system: _System) -> None:
+        off, counts = self._image_residuals(state)
+        weights = counts / (1.0 + (off**2).sum(axis=-1) / _CAUCHY**2)
+        local = state.rig.to_camera(state.points)
+        each = np.arange(self.known.shape[1])
+        for view in range(state.rig.n_views):
+            by_camera, by_point = self._derivatives(state.rig, view, local[view])
+            weighted = weights[view, ..., None, None] * by_camera
+            here = slice(view * CAMERA_UNKNOWNS, (view + 1) * CAMERA_UNKNOWNS)
+            system.hessian[here, here] += np.einsum("tkia,tkib->ab", weighted, by_camera)
+            system.gradient[here] += np.einsum("tkia,tki->a", weighted, off[view])
+            own = np.einsum("tk,tkia,tkib->tkab", weights[view], by_point, by_point)
+            # Advanced indices in two places move to the front: (K, T, 3, 3).
+            system.blocks[:, each, :, each, :] += own.swapaxes(0, 1)
+            system.forces[...] += np.einsum("tk,tkia,tki->tka", weights[view], by_point, off[view])
+            system.mixed[:, here] += np.einsum("tkia,tkib->takb", weighted, by_point)
+
+    def _derivatives(self, rig: Rig, view: int, local: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Of one view's residuals, by the camera's unknowns (T, K, 2, 8) and by the points (T, K, 2, 3)."""
+        spread, focal = self.sightings.spreads[view], rig.focals[view]
+        depth = np.maximum(local[..., 2], _NEAR)
+        by_local = np.zeros((*local.shape[:2], 2, 3))
+        by_local[..., 0, 0] = by_local[..., 1, 1] = focal / depth / spread
+        by_local[..., 2] = -focal * local[..., :2] / depth[..., None] ** 2 / spread
+        by_camera = np.empty((*local.shape[:2], 2, CAMERA_UNKNOWNS))
+        turned = local - rig.translations[view]
+        by_camera[..., _TURN] = np.cross(turned[..., None, :], by_local)
+        by_camera[..., _MOVE] = by_local
+        by_camera[..., _FOCAL] = focal * local[..., :2] / depth[..., None] / spread
+        # With a greater offset the same moment lies earlier in the camera's own time.
+        by_camera[..., _TIME] = self.sightings.velocities[view] / spread
+        return by_camera, by_local @ rig.rotations[view]
+
+    def _add_limb(self, state: _State, limb: Limb, system: _System, place: int) -> None:
+        rest, both, along, length = self._limb_residuals(state, limb)
+        weights = both / (1.0 + rest**2 / _CAUCHY**2)
+        slope = along / length[:, None] ** 2 / limb.spread
+        outer = np.einsum("t,ta,tb->tab", weights, slope, slope)
+        i, j = limb.first, limb.second
+        system.blocks[:, i, :, i] += outer
+        system.blocks[:, j, :, j] += outer
+        system.blocks[:, i, :, j] -= outer
+        system.blocks[:, j, :, i] -= outer
+        push = (weights * rest)[:, None] * slope
+        system.forces[:, i] += push
+        system.forces[:, j] -= push
+        system.hessian[place, place] += weights.sum() / limb.spread**2
+        system.gradient[place] -= (weights * rest).sum() / limb.spread
+        cross = weights[:, None] * slope / limb.spread
+        system.mixed[:, place, i] -= cross
+        system.mixed[:, place, j] += cross
+
+    def move(self, state: _State, step: FloatArray, shifts: FloatArray) -> _State:
+        """The state after a step of the global unknowns and of the points."""
+        rig = state.rig
+        n_cameras = rig.n_views * CAMERA_UNKNOWNS
+        cameras = step[:n_cameras].reshape(-1, CAMERA_UNKNOWNS)
+        moved = replace(
+            rig,
+            rotations=to_matrix(from_axis_angle(cameras[:, _TURN])) @ rig.rotations,
+            translations=rig.translations + cameras[:, _MOVE],
+            focals=rig.focals * np.exp(np.clip(cameras[:, _FOCAL], -0.5, 0.5)),
+            offsets=rig.offsets + cameras[:, _TIME],
+        )
+        return _State(moved, state.points + shifts, state.lengths + np.clip(step[n_cameras:], -0.5, 0.5))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _System:
+    """Normal equations: global unknowns (G,), points (T, K, 3), and what couples them."""
+
+    hessian: FloatArray  # (G, G)
+    gradient: FloatArray  # (G,)
+    blocks: FloatArray  # (T, K, 3, K, 3)
+    forces: FloatArray  # (T, K, 3)
+    mixed: FloatArray  # (T, G, K, 3)
+    free: BoolArray  # (G,)
+    n_cameras: int  # of the global unknowns, those of the cameras; the rest are limbs
+
+    def solve(self, damping: float) -> tuple[FloatArray, FloatArray]:
+        """The step (G,) of the global unknowns and (T, K, 3) of the points."""
+        n_frames, n_points = self.forces.shape[:2]
+        reduced, force, solved_forces, solved_mixed = self._reduce(damping)
+        step = np.zeros(len(self.gradient))
+        step[self.free] = np.linalg.solve(reduced, -force)
+        shifts = -(solved_forces + solved_mixed @ step[self.free])
+        return step, shifts.reshape(n_frames, n_points, 3)
+
+    def _reduce(self, damping: float) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+        """Schur's complement of the points: (F, F) and (F,) of the free unknowns, and what gives the points."""
+        n_frames, size = len(self.forces), 3 * self.forces.shape[1]
+        blocks = self.blocks.reshape(n_frames, size, size).copy()
+        diagonal = np.arange(size)
+        # What nobody saw has no equations; it stays where it is.
+        blocks[:, diagonal, diagonal] += damping * blocks[:, diagonal, diagonal] + 1e-9
+        mixed = self.mixed[:, self.free].reshape(n_frames, -1, size).swapaxes(1, 2)
+        right = np.concatenate((mixed, self.forces.reshape(n_frames, size, 1)), axis=2)
+        solved = np.asarray(np.linalg.solve(blocks, right), np.float64)
+        hessian = self.hessian[np.ix_(self.free, self.free)].copy()
+        count = np.arange(len(hessian))
+        hessian[count, count] += damping * hessian[count, count] + 1e-12
+        reduced = hessian - np.einsum("tsa,tsb->ab", mixed, solved[..., :-1], optimize=True)
+        force = self.gradient[self.free] - np.einsum("tsa,ts->a", mixed, solved[..., -1], optimize=True)
+        return reduced, force, solved[..., -1], solved[..., :-1]
+
+    def covariance(self) -> FloatArray:
+        """Of the cameras' unknowns, (V * 8, V * 8)."""
+        reduced = self._reduce(0.0)[0]
+        whole = np.zeros((len(self.free), len(self.free)))
+        whole[np.ix_(self.free, self.free)] = np.linalg.pinv(reduced, hermitian=True)
+        return whole[: self.n_cameras, : self.n_cameras]

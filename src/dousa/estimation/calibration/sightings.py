@@ -1,0 +1,198 @@
+"""What several films saw at common moments: keypoints between the frames, without distortion, from the principal point.
+
+A film has its own clock and rate, and its frames may come at unsteady intervals. A point is read at any time by a local
+quadratic fit under a Gaussian window of some 25 ms, which gives its velocity too and takes out the jitter of networks
+that look at each frame alone.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from dousa.arrays import BoolArray, FloatArray, IndexArray
+from dousa.estimation.calibration.bundle import Limb, Sightings
+from dousa.estimation.cameras.camera import Camera
+
+WINDOW = 0.025
+"""s, standard deviation of the window in which a point is smoothed."""
+
+LEAST_VISIBILITY = 0.5
+"""Points that are less sure are not used."""
+
+_SPREAD = 0.015  # of a person's height in the picture, by which keypoints are off
+_REACH = 3.0  # windows
+_LEAST_FRAMES = 3
+_JUMP = 0.4  # of the middle distance of points from the person's middle: some 20 cm, farther than a hand in a frame
+
+# Points that tell something of their own: of a face with eleven points a nose and two ears.
+_POINTS = (
+    "nose", "left_ear", "right_ear", "left_shoulder", "right_shoulder", "left_elbow", "right_elbow", "left_wrist",
+    "right_wrist", "left_index", "right_index", "left_hip", "right_hip", "left_knee", "right_knee", "left_ankle",
+    "right_ankle", "left_heel", "right_heel", "left_foot_index", "right_foot_index", "left_big_toe", "right_big_toe",
+    "neck", "head", "head_top",
+)  # fmt: skip
+
+# Pairs of points whose distance changes little, and by how much as networks see it.
+_SIDED_LIMBS = (
+    ("shoulder", "elbow", 0.06),
+    ("elbow", "wrist", 0.06),
+    ("hip", "knee", 0.06),
+    ("knee", "ankle", 0.06),
+    ("ankle", "heel", 0.2),
+    ("ankle", "foot_index", 0.2),
+    ("ankle", "big_toe", 0.2),
+    ("wrist", "index", 0.25),
+)
+_MIDDLE_LIMBS = (
+    ("left_shoulder", "right_shoulder", 0.12),
+    ("left_hip", "right_hip", 0.12),
+    ("left_ear", "right_ear", 0.2),
+    ("nose", "neck", 0.2),
+)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Track:
+    """One person in one film.
+
+    Parameters
+    ----------
+    times : (T,) s, of the film's own clock, rising.
+    points : (T, K, 2) px from the principal point, without distortion.
+    weights : (T, K) 0 to 1; 0 where a point was not seen.
+    focal : px, of the camera, known or a guess.
+    """
+
+    times: FloatArray
+    points: FloatArray
+    weights: FloatArray
+    focal: float
+
+    @property
+    def interval(self) -> float:
+        """s, middle distance between two frames."""
+        return float(np.median(np.diff(self.times))) if len(self.times) > 1 else 1.0
+
+    @property
+    def height(self) -> float:
+        """px, middle extent of the person in the picture."""
+        seen = np.where(self.weights[..., None] > 0, self.points, np.nan)
+        seen = seen[(self.weights > 0).sum(axis=1) >= 4]
+        if not len(seen):
+            return 1.0
+        return float(np.median((np.nanmax(seen, axis=1) - np.nanmin(seen, axis=1)).max(axis=1)))
+
+    def read(self, moments: FloatArray, window: float = WINDOW) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Points between the frames.
+
+        Parameters
+        ----------
+        moments : (M,) s of the film's own clock.
+        window : s, in which points are smoothed; more where frames are far apart.
+
+        Returns
+        -------
+        Points (M, K, 2) px, velocities (M, K, 2) px/s, and weights (M, K), 0 where nothing can be said.
+        """
+        window = max(window, 0.7 * self.interval)
+        frames, inside = self._find_frames(moments, _REACH * window)
+        late = (self.times[frames] - moments[:, None]) / window
+        kernel = np.where(inside, np.exp(-0.5 * late**2), 0.0)
+        weights = kernel[..., None] * self.weights[frames]
+        powers = late[..., None] ** np.arange(5)
+        sums = np.einsum("mwk,mwp->mkp", weights, powers)
+        normal = sums[..., np.add.outer(np.arange(3), np.arange(3))]
+        points = np.where(weights[..., None] > 0, self.points[frames], 0.0)
+        right = np.einsum("mwk,mwp,mwkx->mkpx", weights, powers[..., :3], points, optimize=True)
+        good = (weights > 0).sum(axis=1) >= _LEAST_FRAMES
+        good &= (weights * (late[..., None] <= 0)).sum(axis=1) > 0.05 * sums[..., 0]
+        good &= (weights * (late[..., None] >= 0)).sum(axis=1) > 0.05 * sums[..., 0]
+        normal[~good] = np.eye(3)
+        found = np.linalg.solve(normal + 1e-9 * np.eye(3), right)
+        sure = sums[..., 0] / np.maximum(kernel.sum(axis=1), 1e-9)[:, None]
+        return found[..., 0, :], found[..., 1, :] / window, np.where(good & (sure >= LEAST_VISIBILITY), sure, 0.0)
+
+    def _find_frames(self, moments: FloatArray, reach: float) -> tuple[IndexArray, BoolArray]:
+        """Frames (M, W) about each moment, and whether each is within reach."""
+        first = np.searchsorted(self.times, moments - reach)
+        last = np.searchsorted(self.times, moments + reach, side="right")
+        frames = first[:, None] + np.arange(max(1, int((last - first).max(initial=1))))
+        return np.minimum(frames, len(self.times) - 1), frames < last[:, None]
+
+
+def choose_points(names: Sequence[str]) -> list[int]:
+    """The places among names of points that tell something of their own; all where none of them is known."""
+    found = [names.index(name) for name in _POINTS if name in names]
+    return found if len(found) >= 8 else list(range(len(names)))
+
+
+def list_limbs(names: Sequence[str]) -> tuple[Limb, ...]:
+    """The limbs between points of these names."""
+    pairs = [
+        [(f"{side}_{first}", f"{side}_{second}") for side in ("left", "right")] for first, second, _ in _SIDED_LIMBS
+    ] + [[(first, second)] for first, second, _ in _MIDDLE_LIMBS]
+    spreads = [spread for *_, spread in (*_SIDED_LIMBS, *_MIDDLE_LIMBS)]
+    limbs: list[Limb] = []
+    kind = 0
+    for some, spread in zip(pairs, spreads, strict=True):
+        there = [(first, second) for first, second in some if first in names and second in names]
+        limbs += [Limb(names.index(first), names.index(second), kind, spread) for first, second in there]
+        kind += bool(there)
+    return tuple(limbs)
+
+
+def make_track(times: FloatArray, points: FloatArray, visibility: FloatArray, camera: Camera) -> Track:
+    """A track from keypoints in a picture.
+
+    Parameters
+    ----------
+    times : (T,) s, rising.
+    points : (T, K, 2) px, nan where not seen.
+    visibility : (T, K) 0 to 1.
+    camera : its matrix and distortion.
+    """
+    k = camera.matrix
+    seen = (visibility >= LEAST_VISIBILITY) & np.isfinite(points).all(axis=-1)
+    image = np.where(seen[..., None], points, k[:2, 2])
+    y = (image[..., 1] - k[1, 2]) / k[1, 1]
+    x = (image[..., 0] - k[0, 2] - k[0, 1] * y) / k[0, 0]
+    flat = camera.undistort(np.stack((x, y), axis=-1)) * k[0, 0]
+    seen &= np.isfinite(flat).all(axis=-1)
+    seen &= ~_find_jumps(np.where(seen[..., None], flat, np.nan))
+    points, weights = np.where(seen[..., None], flat, 0.0), np.where(seen, visibility, 0.0)
+    return Track(np.asarray(times, np.float64), points, weights, float(k[0, 0]))
+
+
+def _find_jumps(points: FloatArray) -> BoolArray:
+    """(T, K) True where a point (T, K, 2) jumps away and back: far from the median of the five frames about it."""
+    if points.shape[1] < 4 or not np.isfinite(points).any():
+        return np.zeros(points.shape[:2], bool)
+    apart = np.linalg.norm(points - _median(points, axis=1)[:, None], axis=-1)
+    around = np.concatenate((points[:1], points[:1], points, points[-1:], points[-1:]))
+    five = np.stack([around[shift : shift + len(points)] for shift in range(5)])
+    off = np.linalg.norm(points - _median(five, axis=0), axis=-1)
+    return np.asarray(np.nan_to_num(off) > _JUMP * np.nanmedian(apart))
+
+
+def _median(values: FloatArray, axis: int) -> FloatArray:
+    """The median of what is known; 0 where nothing is."""
+    nothing = np.isnan(values).all(axis=axis, keepdims=True)
+    return np.asarray(np.nanmedian(np.where(nothing, 0.0, values), axis=axis))
+
+
+def read_sightings(tracks: Sequence[Track], offsets: FloatArray, moments: FloatArray) -> Sightings:
+    """What the films saw at common moments.
+
+    Parameters
+    ----------
+    tracks : V films of one person, with the same points.
+    offsets : (V,) s, what is added to each film's own time to get the common time.
+    moments : (M,) s of the common time.
+    """
+    read = [track.read(moments - offset) for track, offset in zip(tracks, offsets, strict=True)]
+    points, velocities, weights = (np.stack(every) for every in zip(*read, strict=True))
+    spreads = np.array([_SPREAD * track.height for track in tracks])
+    return Sightings(points, weights, spreads, velocities, np.array(offsets, np.float64))

@@ -1,0 +1,156 @@
+"""The sound of films, and the time between two recordings of it.
+
+Generalised cross-correlation with the phase transform (Knapp and Carter, The generalized correlation method for
+estimation of time delay, 1976): all frequencies of a voice or a room count alike, so that the peak is sharp whatever
+made the sound. Bands in which a recording is silent would be noise made loud, and count less.
+"""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass
+
+import numpy as np
+
+from dousa.arrays import FloatArray
+from dousa.errors import CalibrationError
+from dousa.extras import require
+
+SOUND_RATE = 8000
+"""Hz, at which sound is compared."""
+
+_LONGEST = 1800.0  # s of a film that are listened to
+_LEAST = 0.5  # s
+_BAND = (80.0, 3600.0)  # Hz: below is wind and hum, above phones differ
+_WHITENING = 0.8  # 1 is the phase transform
+_LEAST_HEIGHT = 7.0  # of a peak by the spread of the rest
+_LEAST_CLARITY = 1.4
+_AROUND = 0.1  # s about a peak that belong to it: echoes
+_SILENT = 1e-4  # of full scale
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Sound:
+    """The sound of a film.
+
+    Parameters
+    ----------
+    samples : (N,) -1 to 1, one channel at `SOUND_RATE`.
+    start : s, of the first sample, since the first picture of the film.
+    """
+
+    samples: FloatArray
+    start: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class SoundLag:
+    """The time between two recordings of one sound.
+
+    Parameters
+    ----------
+    lag : s, what is added to the second film's own time to get that of the first.
+    clarity : height of the peak by that of the next one elsewhere; about 1 by chance.
+    """
+
+    lag: float
+    clarity: float
+
+
+def read_sound(path: str | os.PathLike[str]) -> Sound | None:
+    """The sound of a film, None where it has none or none that can be heard.
+
+    Parameters
+    ----------
+    path : the film; half an hour of it is read.
+
+    Raises
+    ------
+    CalibrationError : missing, or no film.
+    MissingExtraError : PyAV is not installed.
+    """
+    av = require("av", "film")
+    if not os.path.isfile(path):
+        raise CalibrationError("sync.no_film").at(path)
+    av.logging.set_level(av.logging.PANIC)
+    try:
+        with av.open(os.fspath(path)) as container:
+            if not container.streams.audio:
+                return None
+            first = _find_first_picture(container)
+        with av.open(os.fspath(path)) as container:
+            return _decode(av, container, first)
+    except (av.error.FFmpegError, OSError, ValueError) as error:
+        raise CalibrationError("sync.unreadable", reason=str(error)[:200]).at(path) from error
+
+
+def _find_first_picture(container: object) -> float:
+    """s of the container's clock at which the first picture is shown."""
+    if not container.streams.video:  # type: ignore[attr-defined]
+        return 0.0
+    for frame in container.decode(video=0):  # type: ignore[attr-defined]
+        return float(frame.time or 0.0)
+    return 0.0
+
+
+def _decode(av: object, container: object, first: float) -> Sound | None:
+    resampler = av.AudioResampler(format="flt", layout="mono", rate=SOUND_RATE)  # type: ignore[attr-defined]
+    parts: list[FloatArray] = []
+    start: float | None = None
+    count = 0
+    try:
+        for frame in container.decode(audio=0):  # type: ignore[attr-defined]
+            start = float(frame.time or 0.0) if start is None else start
+            for piece in resampler.resample(frame):
+                parts.append(np.asarray(piece.to_ndarray(), np.float64).ravel())
+                count += len(parts[-1])
+            if count > _LONGEST * SOUND_RATE:
+                break
+    except av.error.FFmpegError:  # type: ignore[attr-defined]
+        pass  # what was decoded so far counts
+    samples = np.concatenate(parts) if parts else np.zeros(0)
+    if len(samples) < _LEAST * SOUND_RATE or np.sqrt(np.mean(samples**2)) < _SILENT:
+        return None
+    return Sound(samples, (start or 0.0) - first)
+
+
+def find_sound_lag(first: Sound, second: Sound) -> SoundLag | None:
+    """The time between two recordings of one sound; None where they have no clear common sound.
+
+    Parameters
+    ----------
+    first, second : recordings of half a second or more.
+    """
+    if min(len(first.samples), len(second.samples)) < _LEAST * SOUND_RATE:
+        return None
+    size = 1 << (len(first.samples) + len(second.samples) - 1).bit_length()
+    one, two = (np.fft.rfft(sound.samples - sound.samples.mean(), size) for sound in (first, second))
+    cross = one * np.conj(two)
+    frequencies = np.fft.rfftfreq(size, 1.0 / SOUND_RATE)
+    inside = (frequencies >= _BAND[0]) & (frequencies <= _BAND[1])
+    strength = np.abs(cross)
+    floor = 1e-3 * float(strength[inside].mean()) + 1e-12
+    cross = np.where(inside, cross / (strength + floor) ** _WHITENING, 0.0)
+    correlation = np.fft.irfft(cross, size)
+    # Sample i + s of the first is sample i of the second.
+    shifts = np.arange(-(len(second.samples) - 1), len(first.samples))
+    found = correlation[shifts]
+    peak = int(np.argmax(found))
+    around = int(_AROUND * SOUND_RATE)
+    others = np.delete(found, slice(max(0, peak - around), peak + around + 1))
+    if not len(others) or found[peak] < _LEAST_HEIGHT * others.std() or found[peak] <= 0:
+        return None
+    clarity = float(found[peak] / max(1e-12, others.max()))
+    if clarity < _LEAST_CLARITY:
+        return None
+    lag = (shifts[peak] + _refine(found, peak)) / SOUND_RATE + first.start - second.start
+    return SoundLag(float(lag), clarity)
+
+
+def _refine(values: FloatArray, peak: int) -> float:
+    """Where between the samples the top of a parabola is, -0.5 to 0.5."""
+    if not 0 < peak < len(values) - 1:
+        return 0.0
+    before, top, after = values[peak - 1 : peak + 2]
+    bend = before - 2.0 * top + after
+    return 0.0 if bend >= 0 else float(np.clip(0.5 * (before - after) / bend, -0.5, 0.5))

@@ -1,0 +1,346 @@
+"""Time offsets of films of one scene: by the movement of the people in them, and by their sound."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from dousa.arrays import FloatArray
+from dousa.errors import CalibrationError, OptionError
+from dousa.estimation.calibration.bundle import Limb, Rig
+from dousa.estimation.calibration.sightings import Track, choose_points, list_limbs, make_track
+from dousa.estimation.cameras.camera import Camera
+from dousa.estimation.cameras.camera_sets import make_view
+from dousa.estimation.keypoints.keypoints import ViewKeypoints
+from dousa.estimation.sync.sound import Sound, SoundLag, find_sound_lag
+from dousa.estimation.sync.speeds import Agreement, Movement, choose_step, correlate, describe_movement
+from dousa.estimation.sync.timing import TimedRig, fit_times
+from dousa.messages import Message
+
+Progress = Callable[[int, int, Message], None]
+
+USUAL_FOCAL = 0.85
+"""Focal length by the longer side of the picture, of phones and of most other cameras that film people."""
+
+_MOST_PEOPLE = 3  # of a view, who are tried
+_MOST_LAGS = 5  # of a pair
+_BEAM = 60
+_MOST_STARTS = 3  # sets of offsets whose geometry is tried
+_FEW_MOMENTS, _FEW_ROUNDS = 60, 3
+_CLEAR = 2.0  # score of a pair of films by which the best start needs no other beside it
+_LEAST_SPEED = 0.12  # heights of the person per second
+_CLEARLY_BETTER = 0.8  # misfit by that at other times
+_OTHER_TIME = 0.5  # s
+_ALIKE = 0.05  # s, offsets that differ by less are one answer
+_SOUND_SPREAD = 0.015  # s: sound takes 3 ms for a metre, and phones record it some ms beside the picture
+_LARGEST_SPREAD = 0.25  # s
+_DIFFERS = 0.06  # s, between sound and movement
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Synchronisation:
+    """How films lie to each other in time.
+
+    Parameters
+    ----------
+    offsets : (V,) s: a film's own time plus its offset is the time of the first film, whose offset is 0.
+    spreads : (V,) s, standard deviations of the offsets.
+    basis : (V,) by what each was found: ``"movement"``, ``"sound"``, ``"both"`` or, for the first, ``"reference"``.
+    people : (V,) place of the person by whom the films were compared among those of each view.
+    by_sound : (V,) s, the offsets by sound alone; nan where there is none.
+    misfit : cost of a sighting, see `TimedRig`; nan without geometry.
+    warnings : what a person should know.
+    """
+
+    offsets: FloatArray
+    spreads: FloatArray
+    basis: tuple[str, ...]
+    people: tuple[int, ...]
+    by_sound: FloatArray
+    misfit: float
+    warnings: tuple[Message, ...] = ()
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Start:
+    """A first guess: offsets (V,) s, people (V,), and how well the movements agree."""
+
+    offsets: FloatArray
+    people: tuple[int, ...]
+    score: float
+
+
+def sync(
+    views: Sequence[ViewKeypoints],
+    *,
+    cameras: Sequence[Camera] | None = None,
+    sounds: Sequence[Sound | None] | None = None,
+    progress: Progress | None = None,
+) -> Synchronisation:
+    """Find the time offsets of films of one scene.
+
+    Parameters
+    ----------
+    views : (V,) keypoints of the films with their time stamps; their rates may differ and change.
+    cameras : (V,) calibrated, in one world: makes it more exact. Unknown cameras are found on the way.
+    sounds : (V,) of the films, None for one without.
+    progress : called with (done, total, what).
+
+    Returns
+    -------
+    Offsets, their standard deviations, and by what they were found.
+
+    Raises
+    ------
+    OptionError : fewer than two films, another number of cameras or sounds.
+    CalibrationError : nothing tells the time: nobody moves or is seen, the films are of different moments or people.
+    """
+    for what, given in (("cameras", cameras), ("sounds", sounds)):
+        if given is not None and len(given) != len(views):
+            raise OptionError("sync.count", what=what, found=len(given), films=len(views))
+    if len(views) < 2:
+        raise OptionError("sync.one_film")
+    names = [_name(view, place) for place, view in enumerate(views)]
+    by_sound, heard = _listen(sounds, len(views))
+    tell = progress or (lambda done, total, what: None)
+    shared = [name for name in views[0].names if all(name in view.names for view in views)]
+    tracks = [_make_tracks(view, shared, camera) for view, camera in zip(views, cameras or _guess(views), strict=True)]
+    problem = _find_problem(tracks, names, len(shared))
+    if problem is not None:
+        return _by_sound_only(by_sound, heard, problem)
+    starts = _find_starts(tracks)
+    if heard:
+        starts.insert(0, _Start(by_sound, starts[0].people if starts else (0,) * len(views), 0.0))
+    chosen = [shared[place] for place in choose_points(shared)]
+    judge = _Judge(tracks, list_limbs(chosen), cameras, tell)
+    found = judge.compare(starts)
+    if found is None:
+        return _by_sound_only(by_sound, heard, CalibrationError("sync.no_agreement", films=tuple(names)))
+    best, start, other = found
+    moves = judge.is_told_by_movement(best, start)
+    best = judge.refine(best, start)
+    unsure = best.spreads > _LARGEST_SPREAD
+    if not moves or unsure.any():
+        worst = names[int(np.argmax(best.spreads))]
+        return _by_sound_only(by_sound, heard, CalibrationError("sync.no_time", films=tuple(names), film=worst))
+    return _answer(best, start, other, by_sound, heard, names)
+
+
+def _name(view: ViewKeypoints, place: int) -> str:
+    return view.source or f"view{place + 1}"
+
+
+def _guess(views: Sequence[ViewKeypoints]) -> list[Camera]:
+    """Cameras with a usual focal length; where they stand does not matter."""
+    return [
+        make_view((0.0, 1.0, 3.0), (0.0, 1.0, 0.0), size=view.size, focal=USUAL_FOCAL * max(view.size))
+        for view in views
+    ]
+
+
+def _make_tracks(view: ViewKeypoints, shared: Sequence[str], camera: Camera) -> list[Track]:
+    """The first people of a view with the points that all views have and that tell something of their own."""
+    places = [view.find([shared[place]])[0] for place in choose_points(shared)]
+    return [
+        make_track(view.times, person.points[:, places], person.visibility[:, places], camera)
+        for person in view.people[:_MOST_PEOPLE]
+    ]
+
+
+def _find_problem(tracks: Sequence[Sequence[Track]], names: Sequence[str], n_shared: int) -> CalibrationError | None:
+    """Why the movement of people cannot tell the time."""
+    if n_shared < 4:
+        return CalibrationError("sync.few_points", found=n_shared)
+    for some, name in zip(tracks, names, strict=True):
+        if not any((track.weights > 0).any(axis=1).sum() >= 3 for track in some):
+            return CalibrationError("sync.nobody", film=name)
+    for some, name in zip(tracks, names, strict=True):
+        if max(describe_movement(track, choose_step([track])).speed for track in some) < _LEAST_SPEED:
+            return CalibrationError("sync.still", film=name)
+    return None
+
+
+def _listen(sounds: Sequence[Sound | None] | None, n_views: int) -> tuple[FloatArray, bool]:
+    """Offsets by sound (V,) s, nan where there is none, and whether all are there."""
+    offsets = np.full(n_views, np.nan)
+    offsets[0] = 0.0
+    if sounds is None:
+        return offsets, False
+    lags: dict[tuple[int, int], SoundLag] = {}
+    for one, other in itertools.combinations(range(n_views), 2):
+        first, second = sounds[one], sounds[other]
+        lag = None if first is None or second is None else find_sound_lag(first, second)
+        if lag is not None:
+            lags[one, other] = lag
+    known = {0}
+    while True:  # from film to film, by the clearest pair
+        ways = [(lag.clarity, pair) for pair, lag in lags.items() if len(known & set(pair)) == 1]
+        if not ways:
+            break
+        one, other = max(ways)[1]
+        if one in known:
+            offsets[other] = offsets[one] + lags[one, other].lag
+        else:
+            offsets[one] = offsets[other] - lags[one, other].lag
+        known |= {one, other}
+    return offsets, len(known) == n_views
+
+
+def _by_sound_only(by_sound: FloatArray, heard: bool, problem: CalibrationError) -> Synchronisation:
+    if not heard:
+        raise problem
+    n_views = len(by_sound)
+    spreads = np.full(n_views, _SOUND_SPREAD)
+    spreads[0] = 0.0
+    basis = ("reference", *("sound",) * (n_views - 1))
+    note = Message("sync.sound_only", reason=problem.message)
+    return Synchronisation(by_sound, spreads, basis, (0,) * n_views, by_sound, np.nan, (note,))
+
+
+def _find_starts(tracks: Sequence[Sequence[Track]]) -> list[_Start]:
+    """Sets of offsets with which the movements agree, the best first; different ones."""
+    step = choose_step([track for some in tracks for track in some])
+    movements = [[describe_movement(track, step) for track in some] for some in tracks]
+    agreements: dict[tuple[int, int, int, int], Agreement] = {}
+    for one, other in itertools.combinations(range(len(tracks)), 2):
+        for p, q in itertools.product(range(len(movements[one])), range(len(movements[other]))):
+            agreements[one, p, other, q] = correlate(movements[one][p], movements[other][q])
+    found: list[_Start] = []
+    for root in range(len(tracks)):
+        found += _grow(root, movements, agreements)
+    different: list[_Start] = []
+    for start in sorted(found, key=lambda one: -one.score):
+        same = any(
+            start.people == other.people and np.abs(start.offsets - other.offsets).max() < _ALIKE * 2
+            for other in different
+        )
+        if not same:
+            different.append(start)
+    n_pairs = len(tracks) * (len(tracks) - 1) / 2
+    if len(different) > 1 and different[0].score > max(_CLEAR * n_pairs, 2.0 * different[1].score):
+        return different[:1]
+    return different[:_MOST_STARTS]
+
+
+def _grow(
+    root: int,
+    movements: Sequence[Sequence[Movement]],
+    agreements: dict[tuple[int, int, int, int], Agreement],
+) -> list[_Start]:
+    """Offsets of all films from those of one, film by film; the best partial sets are kept."""
+
+    def score(one: int, p: int, other: int, q: int, lag: float) -> float:
+        if one < other:
+            return agreements[one, p, other, q].at(lag)
+        return agreements[other, q, one, p].at(-lag)
+
+    beam = [({root: (0.0, person)}, 0.0) for person in range(len(movements[root]))]
+    for view in range(len(movements)):
+        if view == root:
+            continue
+        grown = []
+        for placed, total in beam:
+            person = placed[root][1]
+            for q in range(len(movements[view])):
+                key = (root, person, view, q) if root < view else (view, q, root, person)
+                sign = 1.0 if root < view else -1.0
+                for candidate in agreements[key].find(_MOST_LAGS):
+                    lag = sign * candidate.lag
+                    gain = sum(score(o, p, view, q, lag - at) for o, (at, p) in placed.items())
+                    grown.append(({**placed, view: (lag, q)}, total + gain))
+        beam = sorted(grown, key=lambda item: -item[1])[:_BEAM]
+    starts = []
+    for placed, total in beam[:_MOST_STARTS]:
+        offsets = np.array([placed[view][0] for view in range(len(movements))])
+        people = tuple(placed[view][1] for view in range(len(movements)))
+        starts.append(_Start(offsets - offsets[0], people, total))
+    return starts
+
+
+class _Judge:
+    """Compares sets of offsets by the geometry."""
+
+    def __init__(
+        self,
+        tracks: Sequence[Sequence[Track]],
+        limbs: Sequence[Limb],
+        cameras: Sequence[Camera] | None,
+        tell: Progress,
+    ) -> None:
+        self._tracks, self._limbs, self._tell = tracks, limbs, tell
+        self._done = 0
+        self._rig = None if cameras is None else rig_of(cameras)
+
+    def _fit(self, start: _Start, offsets: FloatArray) -> TimedRig | None:
+        tracks = [some[person] for some, person in zip(self._tracks, start.people, strict=True)]
+        focals = np.array([track.focal for track in tracks])
+        self._tell(self._done, self._done + 1, Message("sync.progress"))
+        self._done += 1
+        known = self._rig is not None
+        return fit_times(tracks, offsets, self._limbs, focals, self._rig, known, _FEW_MOMENTS, _FEW_ROUNDS)
+
+    def refine(self, best: TimedRig, start: _Start) -> TimedRig:
+        """The same answer from more moments."""
+        tracks = [some[person] for some, person in zip(self._tracks, start.people, strict=True)]
+        known = self._rig is not None
+        return fit_times(tracks, best.offsets, self._limbs, best.rig.focals, best.rig, known) or best
+
+    def compare(self, starts: Sequence[_Start]) -> tuple[TimedRig, _Start, TimedRig | None] | None:
+        """The best of some starts, its start, and another answer that fits hardly worse; None where none fits."""
+        found = [(timed, start) for start in starts for timed in [self._fit(start, start.offsets)] if timed]
+        if not found:
+            return None
+        found.sort(key=lambda item: item[0].misfit)
+        best, start = found[0]
+        for other, _ in found[1:]:
+            apart = float(np.abs(other.offsets - best.offsets).max())
+            if apart > _ALIKE and best.misfit > 0.9 * other.misfit:
+                return best, start, other
+        return best, start, None
+
+    def is_told_by_movement(self, best: TimedRig, start: _Start) -> bool:
+        """Whether other times fit clearly worse, or lead back to the same answer."""
+        shifts = np.where(np.arange(len(best.offsets)) % 2 == 1, _OTHER_TIME, 0.0)
+        for sign in (1.0, -1.0):
+            other = self._fit(start, best.offsets + sign * shifts)
+            if other is None:
+                continue
+            if np.abs(other.offsets - best.offsets).max() < _ALIKE:
+                return True
+            return best.misfit < _CLEARLY_BETTER * other.misfit
+        return True
+
+
+def rig_of(cameras: Sequence[Camera]) -> Rig:
+    """Calibrated cameras as the bundle adjustment takes them."""
+    return Rig(
+        np.stack([camera.rotation for camera in cameras]),
+        np.stack([camera.translation for camera in cameras]),
+        np.array([camera.matrix[0, 0] for camera in cameras]),
+        np.zeros(len(cameras)),
+    )
+
+
+def _answer(
+    best: TimedRig,
+    start: _Start,
+    other: TimedRig | None,
+    by_sound: FloatArray,
+    heard: bool,
+    names: Sequence[str],
+) -> Synchronisation:
+    notes = []
+    if other is not None:
+        worst = int(np.argmax(np.abs(other.offsets - best.offsets)))
+        values = {"offset": best.offsets[worst], "other": other.offsets[worst]}
+        notes.append(Message("sync.ambiguous", film=names[worst], **values))
+    apart = np.abs(by_sound - best.offsets)
+    for view in np.flatnonzero(apart > _DIFFERS).tolist():
+        values = {"movement": best.offsets[view], "sound": by_sound[view]}
+        notes.append(Message("sync.disagree", film=names[view], **values))
+    both = (apart <= _DIFFERS).tolist()
+    basis = ("reference", *("both" if agree else "movement" for agree in both[1:]))
+    return Synchronisation(best.offsets, best.spreads, basis, start.people, by_sound, best.misfit, tuple(notes))
