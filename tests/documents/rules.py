@@ -48,6 +48,7 @@ _RULES = (
     _Rule(r"python docs/measure_\w+\.py .*", How.SMALL),
     _Rule(r"dousa experiment(?:-\w+)? .*\.\./shared/data/.*", How.SMALL),
     _Rule(r"dousa studio(?: .*)?|dousa demo --studio", How.SERVED),
+    _Rule(r"dousa (?:models install|keypoints) ?.*", How.MENTIONED),  # it needs the net; it needs what that installs
     _Rule(r"curl .*|[A-Z]+=\$\(python3 -c .*\)", How.ASKED),
     _Rule(r"dousa .*", How.FOLLOWED),
     _Rule(r"tracker \| dousa label .*", How.FOLLOWED),
@@ -94,6 +95,7 @@ BENCHMARKS = {
     "assess.py": "--memory --minutes 0.2 --rate 30",
     "compare_versions.py": f"--before '{ROOT}' --only features",
     "irds_grade.py": "--help",
+    "keypoints.py": "--help",  # it needs the pose models
     "count_repetitions.py": "../shared/data --only synthetic --repeats 1",
     "correlation_matrix.py": "--frames 200 --repeats 1",
     "body_offsets.py": "--pairs 1",

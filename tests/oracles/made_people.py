@@ -16,7 +16,7 @@ def make_colours(number):
     return colours
 
 
-def see(frame, stretch, x, y=300.0, colour=0, score=1.0, size=SIZE):
+def see(frame, stretch, x, y=300.0, colour=0, score=1.0, size=SIZE, ghost=False):
     """One sighting."""
     row = np.zeros((), SIGHTING)
     row["frame"], row["stretch"], row["score"] = frame, stretch, score
@@ -25,6 +25,7 @@ def see(frame, stretch, x, y=300.0, colour=0, score=1.0, size=SIZE):
     row["visibility"] = 0.95
     row["crop"] = row["next_crop"] = (x, y, size, 0.0)
     row["colours"] = make_colours(colour)
+    row["mask"] = 255 * (not ghost)
     return row
 
 

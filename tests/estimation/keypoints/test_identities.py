@@ -87,6 +87,7 @@ def test_ghosts_are_nobody():
     rows = [see(frame, 0, 100, colour=1) for frame in range(120)]
     rows += [see(frame, 1, 600, colour=5) for frame in range(40, 46)]  # a fifth of a second
     rows += [see(frame, 2, 900, colour=6, score=0.55) for frame in range(20, 100)]  # a lamp
+    rows += [see(frame, 3, 300, colour=7, ghost=True) for frame in range(20, 100)]  # the sun, without a body
     sightings = collect(rows)
     assert [len(rows) for rows in find_identities(sightings, TIMES)] == [120]
     assert find_identities(sightings[:0], TIMES) == []

@@ -27,7 +27,8 @@ _COLOUR, _PLACE, _SIZE, _SAME_STRETCH = 2.0, 0.5, 0.25, 0.6  # weights of the co
 _REACH, _SPEED = 0.15, 1.5  # crop sizes that a person may be off at once, and more per second
 _MOST = 3.0
 _GOES_ON_S = 0.6  # that somebody who is not seen is thought to go on as before
-_LEAST_S, _LEAST_QUALITY = 0.3, 0.65
+_LEAST_S, _LEAST_QUALITY, _LEAST_INSIDE = 0.3, 0.65, 0.95
+_VISIBLE, _NEAR, _MOST_LOOKED_AT = 0.5, 2, 200  # visibility, px of the mask, sightings
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -94,7 +95,26 @@ def is_somebody(seen: NDArray[np.void], step: float) -> bool:
         return False
     visible = seen["visibility"][:, list(CORE)].astype(np.float64)
     best = np.maximum(visible[:, :6].mean(axis=1), visible[:, 4:].mean(axis=1))  # arms and hips, hips and legs
-    return bool(np.percentile(best * seen["score"], 25) >= _LEAST_QUALITY)
+    if np.percentile(best * seen["score"], 25) < _LEAST_QUALITY:
+        return False
+    sample = seen[:: max(1, len(seen) // _MOST_LOOKED_AT)]
+    return float(np.percentile([measure_inside(row) for row in sample], 25)) >= _LEAST_INSIDE
+
+
+def measure_inside(row: np.void) -> float:
+    """Share of the visible landmarks of a sighting that lie on its mask: nearly all do, unless nobody is there."""
+    points = row["points"][list(CORE)][row["visibility"][list(CORE)] > _VISIBLE].astype(np.float64)
+    side = len(row["mask"])
+    x, y, size, angle = row["crop"].tolist()
+    inverse = np.array([[math.cos(angle), math.sin(angle)], [-math.sin(angle), math.cos(angle)]]) * (side / size)
+    places = (points - (x, y)) @ inverse.T + (side - 1) / 2
+    mask = np.pad(np.unpackbits(row["mask"], axis=1).astype(bool), _NEAR)
+    columns, rows = np.clip(np.rint(places).astype(int) + _NEAR, 0, side + 2 * _NEAR - 1).T
+    near = [
+        mask[max(0, down - _NEAR) : down + _NEAR + 1, max(0, column - _NEAR) : column + _NEAR + 1].any()
+        for down, column in zip(rows, columns, strict=True)
+    ]
+    return float(np.mean(near)) if near else 0.0
 
 
 def cut_stretches(sightings: NDArray[np.void]) -> list[Piece]:
