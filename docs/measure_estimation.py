@@ -3,10 +3,12 @@
     python docs/measure_estimation.py kinect FOLDER [--start kinect|auto] [--quick] [--cache FOLDER]
     python docs/measure_estimation.py retrieval FOLDER [--start kinect|auto] [--quick] [--cache FOLDER]
     python docs/measure_estimation.py video FOLDER [--start reference|auto] [--cache FOLDER]
+    python docs/measure_estimation.py films FOLDER [--models heavy,full] [--views 4,2,1]
 
 ``kinect`` tracks the silhouettes of UTD-MHAD, one view, and compares with the joints of the Kinect; ``retrieval``
 classifies the motions so estimated by forests that were trained on skeletons of other people. ``video`` goes the whole
-way from the four videos of the Pose2Sim demo and compares with its markerless reference. ``--cache`` keeps what was
+way from the four videos of the Pose2Sim demo and compares with its markerless reference. ``films`` does so
+with nothing but the calibration, from keypoints. ``--cache`` keeps what was
 estimated: empty that folder after a change of the tracker.
 """
 
@@ -15,6 +17,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
+from measured_films import measure_films
 from measured_kinect import list_clips, measure_kinect, measure_retrieval
 from measured_video import measure_video
 
@@ -39,7 +42,14 @@ def main() -> None:
     video.add_argument("--cache", type=Path)
     video.add_argument("--views", default="1,2,3,4")
     video.add_argument("--pictures", type=Path, help="folder for an overlay video and a contact sheet")
+    films = commands.add_parser("films")
+    films.add_argument("folder", type=Path)
+    films.add_argument("--models", default="heavy,full")
+    films.add_argument("--views", default="4,2,1", help="how many at a time, with commas: every choice of so many")
     given = parser.parse_args()
+    if given.command == "films":
+        measure_films(given.folder, given.models.split(","), [int(count) for count in given.views.split(",")])
+        return
     if given.command == "video":
         views = [int(view) for view in given.views.split(",")]
         measure_video(given.folder, given.start, views, given.cache, given.pictures)

@@ -18,6 +18,12 @@ def browser(tmp_path_factory: pytest.TempPathFactory) -> Page:
         yield page
 
 
+@pytest.fixture(autouse=True)
+def no_pose_models(tmp_path, monkeypatch):
+    """Films are estimated from silhouettes, whatever models the machine has; a test of models names its own folder."""
+    monkeypatch.setenv("DOUSA_MODELS", str(tmp_path / "no models"))
+
+
 @pytest.fixture
 def dousa(monkeypatch, capsys):
     """Runs a command in this process: (exit code, standard output, standard error)."""

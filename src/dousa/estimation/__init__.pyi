@@ -11,6 +11,10 @@ from .keypoints.keypoint_files import write_keypoints
 from .keypoints.keypoint_input import read_keypoints
 from .keypoints.keypoint_search import find_keypoints
 from .keypoints.keypoints import MEDIAPIPE_NAMES, PersonMasks, PersonTrack, ViewKeypoints
+from .multiview.keypoint_fit import KeypointFit, fit_keypoints
+from .multiview.people import MatchedPerson, match_people
+from .multiview.sides import repair_sides
+from .multiview.triangulation import Triangulated, triangulate
 from .raster.rendering import poses_from_motion, render, spoil
 from .silhouettes.cleaning import clean_mask, describe_mask
 from .silhouettes.mask_npz import read_silhouettes, write_silhouettes
@@ -32,6 +36,8 @@ __all__ = [
     "BodyModel",
     "Camera",
     "Estimate",
+    "KeypointFit",
+    "MatchedPerson",
     "PackedSilhouettes",
     "PartialTrack",
     "PersonMasks",
@@ -41,6 +47,7 @@ __all__ = [
     "Synchronisation",
     "TrackedFrame",
     "TrackerSettings",
+    "Triangulated",
     "ViewKeypoints",
     "body_from_motion",
     "cameras_to_arrays",
@@ -52,12 +59,14 @@ __all__ = [
     "fit_body",
     "fit_cameras",
     "fit_girths",
+    "fit_keypoints",
     "fit_pose",
     "fit_poses",
     "make_human",
     "make_ring",
     "make_view",
     "match_cameras",
+    "match_people",
     "open_silhouettes",
     "poses_from_motion",
     "read_body",
@@ -67,9 +76,11 @@ __all__ = [
     "read_silhouettes",
     "read_sound",
     "render",
+    "repair_sides",
     "spoil",
     "standing_state",
     "sync",
+    "triangulate",
     "write_body",
     "write_cameras",
     "write_keypoints",

@@ -13,6 +13,7 @@ from dousa.app.cli.options.estimation import (
     BodyOptions,
     Frames,
     OutputOptions,
+    PeopleOptions,
     SearchOptions,
     SequenceOptions,
     StartOptions,
@@ -47,11 +48,16 @@ def estimate(
     body_options: BodyOptions,
     start_options: StartOptions,
     sequence_options: SequenceOptions,
+    people_options: PeopleOptions,
     search_options: SearchOptions,
     motion_options: o.MotionOptions,
     json: o.Json = False,
 ) -> None:
-    """Joint angles from silhouettes of one or more calibrated views.
+    """Joint angles from films or silhouettes of one or more calibrated views.
+
+    Films need nothing prepared once dousa models install was run: people are
+    found by a learned network (--cues keypoints), and a body is fitted to
+    them. Otherwise silhouettes are tracked.
 
     --unit, --up, --skeleton and --joint-map are about the motion files of
     --start and --body. An interrupted run resumes when the same command is
@@ -62,22 +68,24 @@ def estimate(
     Example: dousa estimate cam1.mp4 cam2.mp4 --cameras calib.toml --background bg1.png bg2.png
     --stature 1.75 -o walk.bvh
     """
-    from dousa.app.pipelines.estimate import estimate_files
+    from dousa.app.films.film_estimate import estimate_sources
 
     groups = (output_options, view_options, body_options, start_options, sequence_options, search_options)
-    given = o.list_values(*groups, motion_options.load())
+    given = o.list_values(*groups, people_options, motion_options.load())
     given["sources"], given["backgrounds"] = sort_sources(sources, view_options.backgrounds)
     request = r.EstimationRequest.from_dict(given)
     if not request.outputs.named:
         warn(Message("estimation_cli.no_output"))
     with progress_bar() as progress:
-        done = estimate_files(request, progress, warn)
-    for text in done.warnings:
+        answers = estimate_sources(request, progress, warn)
+    for text in dict.fromkeys(text for done in answers for text in done.warnings):
         warn(text)
     if json:
-        print_json(done.to_json())
+        documents = [done.to_json() for done in answers]
+        print_json({"people": documents} if people_options.everybody else documents[0])
     else:
-        tables.print_estimation(console(), done)
+        for done in answers:
+            tables.print_estimation(console(), done)
 
 
 def render(

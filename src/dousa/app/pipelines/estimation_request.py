@@ -20,6 +20,8 @@ SourceKind = Literal["mask", "video"]
 BackgroundMethod = Literal["plate", "median", "mog2"]
 Bones = Literal["auto", "tables", "start"]
 Preset = Literal["default", "paper"]
+Cues = Literal["keypoints", "silhouettes"]
+Model = Literal["lite", "full", "heavy"]
 
 
 @dataclasses.dataclass(frozen=True, slots=True)
@@ -84,6 +86,11 @@ class EstimationRequest:
     body, stature, sex : body file, body height in m, and proportions, see `choose_body`.
     start : ``FILE:FRAME``; found by default.
     bones : ``"tables"``; ``"start"``: as long as the joints of the start; ``"auto"``, see `choose_body`.
+    cues : what of the pictures is fitted; None takes keypoints for films without plates where models are installed.
+    model : that finds keypoints; None for the most precise that is installed.
+    person : whose motion, by how much is seen of them: 1 is who is seen most.
+    everybody : one motion for each person.
+    offsets : (V,) s of each film at one common moment; 0 by default.
     options : how motion files are read.
 
     Raises
@@ -106,6 +113,11 @@ class EstimationRequest:
     sex: Sex = "average"
     start: str | None = None
     bones: Bones = "auto"
+    cues: Cues | None = None
+    model: Model | None = None
+    person: int = 1
+    everybody: bool = False
+    offsets: tuple[float, ...] | None = None
     options: ReadOptions = dataclasses.field(default_factory=lambda: _read_options({}))
 
     def __post_init__(self) -> None:
@@ -114,6 +126,8 @@ class EstimationRequest:
             ("kind", (None, *get_args(SourceKind))),
             ("sex", get_args(Sex)),
             ("bones", get_args(Bones)),
+            ("cues", (None, *get_args(Cues))),
+            ("model", (None, *get_args(Model))),
         ):
             if getattr(self, name) not in choices:
                 expected = [choice for choice in choices if choice is not None]
@@ -140,6 +154,8 @@ class EstimationRequest:
         for name in ("sources", "backgrounds"):
             if name in values:
                 values[name] = tuple(Path(path) for path in values[name])
+        if "offsets" in values:
+            values["offsets"] = tuple(float(offset) for offset in values["offsets"])
         values["settings"] = choose_settings(values)
         values["outputs"] = Outputs(**_pick(values, Outputs))
         values["options"] = _read_options(values)

@@ -172,3 +172,28 @@ class SearchOptions:
             show_default="3; 1 with paper",
         ),
     ] = None
+
+
+@dataclass(frozen=True, slots=True)
+class PeopleOptions:
+    """What of films is taken, and whose motion."""
+
+    cues: Annotated[
+        r.Cues | None,
+        typer.Option(
+            "--cues",
+            help="What is fitted: keypoints of a learned network, or silhouettes. Default: keypoints for films "
+            "without --background and --start, if dousa models install was run.",
+        ),
+    ] = None
+    model: Annotated[
+        r.Model | None,
+        typer.Option("--model", help="Network for keypoints. Default: the most precise that is installed."),
+    ] = None
+    person: Annotated[
+        int, typer.Option("--person", min=1, metavar="N", help="Whose motion: 1 is the person seen most.")
+    ] = 1
+    everybody: Annotated[
+        bool,
+        typer.Option("--everybody", help="One motion for each person: OUT.bvh, OUT-2.bvh and so on."),
+    ] = False

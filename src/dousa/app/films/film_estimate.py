@@ -1,0 +1,241 @@
+"""``dousa estimate`` for films with nothing prepared: keypoints, who is who, and a motion of each person asked for."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from dousa.app.films.film_scene import (
+    FilmScene,
+    PersonSilhouettes,
+    has_models,
+    is_films,
+    open_films,
+    shows_masks,
+    with_outputs,
+)
+from dousa.app.pipelines.doubts import describe_doubts
+from dousa.app.pipelines.estimate import Estimation, estimate_files
+from dousa.app.pipelines.estimation_output import check_outputs, write_outputs
+from dousa.app.pipelines.estimation_views import Scene, Watcher, pictures_of
+from dousa.errors import KeypointError, OptionError
+from dousa.extras import require
+from dousa.messages import Message
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from dousa.app.output import ProgressCallback
+    from dousa.app.pipelines.estimation_request import EstimationRequest
+    from dousa.estimation import BodyModel, Camera
+    from dousa.estimation.multiview.keypoint_fit import KeypointFit
+    from dousa.estimation.multiview.people import MatchedPerson
+    from dousa.estimation.tracking.settings import Estimate
+
+_GIRTH_FRAMES, _OVERLAP_FRAMES = 12, 600
+_POOR_PIXELS = 0.04  # of a person's height in the picture: reprojection that tells of a wrong calibration
+_DEPTH_DOUBT = 0.08  # m
+
+Tell = Callable[[Message], None]
+
+
+def estimate_sources(
+    request: EstimationRequest,
+    progress: ProgressCallback | None = None,
+    tell: Tell | None = None,
+    watcher: Watcher | None = None,
+) -> tuple[Estimation, ...]:
+    """Estimate from whatever there is: keypoints of films where that can be done, silhouettes otherwise.
+
+    Parameters
+    ----------
+    request : from what, how, and where to; its ``cues`` choose, None takes keypoints for films.
+    progress, tell, watcher : see `estimate_files`.
+
+    Returns
+    -------
+    One estimate, or with ``everybody`` one for each person, who is seen most first.
+
+    Raises
+    ------
+    DousaError : what can be put right by the person who reads it.
+    """
+    if _takes_keypoints(request, tell):
+        return estimate_films(request, progress, watcher)
+    for option, given in (("--person", request.person != 1), ("--everybody", request.everybody)):
+        if given:
+            raise OptionError("film_estimate.needs_keypoints", option=option)
+    return (estimate_files(request, progress, tell, watcher),)
+
+
+def _takes_keypoints(request: EstimationRequest, tell: Tell | None) -> bool:
+    films = is_films(request)
+    if request.cues == "keypoints":
+        if not films:
+            raise OptionError("film_estimate.no_films")
+        return True
+    if (
+        request.cues is not None
+        or not films
+        or request.cameras is None
+        or any(shows_masks(path) for path in request.sources)
+    ):
+        return False
+    if has_models():
+        return True
+    if tell is not None:
+        tell(Message("film_estimate.models"))
+    return False
+
+
+def estimate_films(
+    request: EstimationRequest, progress: ProgressCallback | None = None, watcher: Watcher | None = None
+) -> tuple[Estimation, ...]:
+    """Estimate the motions of people in films from their keypoints.
+
+    Raises
+    ------
+    DousaError : what can be put right by the person who reads it.
+    """
+    from dousa.estimation.multiview.people import match_people
+
+    report = progress or (lambda done, total, what: None)
+    check_outputs(request.outputs, request.inputs)
+    if request.mirrored:
+        raise OptionError("film_estimate.mirrored")
+    require("cv2", "film")
+    films = open_films(request, report)
+    names = films.found[0].names
+    people = match_people(films.cameras, films.list_people(), names)
+    if not people:
+        raise KeypointError("multiview.nobody")
+    chosen = list(enumerate(people, 1)) if request.everybody else [(request.person, _pick(people, request.person))]
+    answers = []
+    for number, person in chosen:
+        own = with_outputs(request, number) if request.everybody else request
+        if own is not request:
+            check_outputs(own.outputs, own.inputs)
+        try:
+            answers.append(_estimate_person(own, films, person, report, watcher))
+        except KeypointError:
+            if not answers:
+                raise
+            # of people in the background too little is seen
+    return tuple(answers)
+
+
+def _pick(people: Sequence[MatchedPerson], number: int) -> MatchedPerson:
+    if not 1 <= number <= len(people):
+        raise OptionError("film_estimate.no_such_person", number=number, people=len(people))
+    return people[number - 1]
+
+
+def _estimate_person(
+    request: EstimationRequest,
+    films: FilmScene,
+    person: MatchedPerson,
+    report: ProgressCallback,
+    watcher: Watcher | None,
+) -> Estimation:
+    from dousa.app.pipelines.estimation_body import load_given_body
+    from dousa.estimation.multiview.keypoint_fit import fit_keypoints
+
+    if request.body is not None and request.stature is not None:
+        raise OptionError("estimate.body_and_stature")
+    given, notes = (None, ()) if request.body is None else load_given_body(request.body, request.options)
+    fit = fit_keypoints(
+        films.cameras,
+        person.tracks,
+        films.found[0].names,
+        films.frame_rate,
+        body=given,
+        stature=request.stature,
+        sex=request.sex,
+        progress=report,
+    )
+    silhouettes = PersonSilhouettes(films, person.members)
+    cameras = silhouettes.fit_cameras(films.cameras)
+    estimate = add_overlap(fit.estimate, silhouettes, cameras)
+    said = [*films.warnings, *notes, *describe_fit(fit, films.cameras, request.stature is not None)]
+    said += describe_doubts(estimate, estimate.body, films.names, cameras)
+    if watcher is not None:
+        watcher.begin(Scene(films.names, cameras, films.frame_rate, estimate.n_frames, 0))
+        watcher.end(estimate)
+    written = write_outputs(
+        request.outputs,
+        estimate,
+        silhouettes,
+        cameras,
+        lambda: pictures_of(request.sources, silhouettes, films.first_frame),
+        report,
+    )
+    words = _body_words(request, estimate.body)
+    return Estimation(estimate, films.names, words, Message("estimate.start_keypoints"), films.first_frame, 0, written,
+                      tuple(dict.fromkeys(said)))  # fmt: skip
+
+
+def _body_words(request: EstimationRequest, body: BodyModel) -> Message:
+    if request.body is not None:
+        return Message("text.verbatim", text=request.body)
+    if request.stature is not None:
+        return Message("body.stature_given", stature=request.stature)
+    if len(request.sources) == 1:
+        return Message("body.assumed", stature=body.stature)
+    return Message("body.of_keypoints", stature=body.stature)
+
+
+def add_overlap(estimate: Estimate, silhouettes: PersonSilhouettes, cameras: Sequence[Camera]) -> Estimate:
+    """The body's girths fitted to the person's masks, and the overlap with them in frames from all over the film."""
+    from dataclasses import replace
+
+    from dousa.errors import DousaError
+    from dousa.estimation.raster.rasteriser import draw_body
+    from dousa.estimation.tracking.measures import fit_girths
+
+    if not silhouettes.has_masks:
+        return estimate
+    good = np.flatnonzero(~estimate.lost)
+    body = estimate.body
+    if len(good):
+        frames = good[np.unique(np.linspace(0, len(good) - 1, _GIRTH_FRAMES).astype(int))]
+        read = [silhouettes.read(int(frame)) for frame in frames]
+        shown = [view for view in range(silhouettes.n_views) if all(masks[view] is not None for masks in read)]
+        if shown:
+            stacked = [np.stack([masks[view] for masks in read]) for view in shown]  # type: ignore[misc]
+            try:
+                body = fit_girths(body, estimate.poses[frames], stacked, [cameras[view] for view in shown])
+            except DousaError:
+                body = estimate.body
+    overlap = np.full((estimate.n_frames, silhouettes.n_views), np.nan)
+    for frame in np.unique(np.linspace(0, estimate.n_frames - 1, _OVERLAP_FRAMES).astype(int)):
+        for view, mask in enumerate(silhouettes.read(int(frame))):
+            if mask is not None and mask.any():
+                drawn = draw_body(body, estimate.poses[frame][None], cameras[view])[0]
+                overlap[frame, view] = (drawn & mask).sum() / max(1, (drawn | mask).sum())
+    return replace(estimate, body=body, iou=overlap)
+
+
+def describe_fit(fit: KeypointFit, cameras: Sequence[Camera], stature_given: bool) -> list[Message]:
+    """What a person should know about the fit."""
+    said = []
+    n_views = int(fit.seen.seen.any(axis=(1, 2)).sum())
+    exchanged = int(fit.exchanged.any(axis=(0, 2)).sum())
+    if exchanged:
+        said.append(Message("film_estimate.exchanged", frames=exchanged, total=fit.estimate.n_frames))
+    heights = [np.ptp(points[np.isfinite(points[:, :, 1]).all(axis=1)][..., 1], axis=1).mean()
+               if np.isfinite(points[:, :, 1]).all(axis=1).any() else np.nan for points in fit.seen.points]  # fmt: skip
+    for camera, errors, height in zip(cameras, fit.errors, heights, strict=True):
+        if np.isfinite(errors).any() and np.nanmedian(errors) > _POOR_PIXELS * height:
+            said.append(Message("film_estimate.off", view=camera.name, error=float(np.nanmedian(errors)),
+                                share=float(np.nanmedian(errors) / height)))  # fmt: skip
+    if n_views == 1:
+        unsure = int((fit.depth_doubt > _DEPTH_DOUBT).sum())
+        doubt = float(np.median(fit.depth_doubt))
+        said.append(Message("film_estimate.one_view", doubt=doubt, frames=unsure, total=fit.estimate.n_frames))
+        if not stature_given:
+            said.append(Message("body.stature_assumed", stature=1.72))
+    if fit.estimate.lost.any():
+        said.append(Message("film_estimate.lost", lost=int(fit.estimate.lost.sum()), frames=fit.estimate.n_frames))
+    return said

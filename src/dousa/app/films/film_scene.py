@@ -1,0 +1,217 @@
+"""The films of an estimate: keypoints of each, on one clock, a camera each; people's masks as silhouettes."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from dousa.app.pipelines.doubts import parse_frames
+from dousa.arrays import FloatArray, IndexArray, Mask
+from dousa.errors import CalibrationError, KeypointError, OptionError
+from dousa.estimation.silhouettes.silhouettes import Silhouettes
+from dousa.messages import Message
+
+if TYPE_CHECKING:
+    from dousa.app.output import ProgressCallback
+    from dousa.app.pipelines.estimation_request import EstimationRequest, Model
+    from dousa.estimation import Camera, PersonMasks, PersonTrack, ViewKeypoints
+
+_LONGEST_SIDE = 640  # px of masks for drawings
+_SAME_RATE = 0.002
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FilmScene:
+    """Films on one clock.
+
+    Parameters
+    ----------
+    names : (V,) of the views.
+    found : (V,) keypoints of each film.
+    cameras : (V,) of the size of the films' pictures.
+    frame_rate : Hz of the common clock.
+    moments : (T,) s on the common clock.
+    offsets : (V,) s, what each film's own clock shows at moment 0.
+    first_frame : number of the first moment.
+    warnings : what a person should know.
+    """
+
+    names: tuple[str, ...]
+    found: tuple[ViewKeypoints, ...]
+    cameras: tuple[Camera, ...]
+    frame_rate: float
+    moments: FloatArray
+    offsets: FloatArray
+    first_frame: int
+    warnings: tuple[Message, ...]
+
+    def list_people(self) -> list[list[PersonTrack]]:
+        """(V,) the people of each view at the common moments, where anybody is seen."""
+        from dousa.estimation.multiview.people import resample_track
+
+        return [
+            [resample_track(person, view.times, self.moments + offset) for person in view.people]
+            for view, offset in zip(self.found, self.offsets, strict=True)
+        ]
+
+
+def open_films(request: EstimationRequest, report: ProgressCallback) -> FilmScene:
+    """Keypoints and cameras of all films.
+
+    Raises
+    ------
+    DousaError : a film or calibration that cannot be used, or models that are not installed.
+    """
+    from dousa.estimation.keypoints.keypoint_search import find_keypoints
+
+    model = request.model or choose_model()
+    found = tuple(find_keypoints(path, model, progress=report) for path in request.sources)
+    names = tuple(path.stem for path in request.sources)
+    cameras, notes = match_film_cameras(request, names, found)
+    rates = [view.frame_rate for view in found]
+    rate = request.rate or min(rates)
+    if max(rates) > min(rates) * (1 + _SAME_RATE):
+        notes.append(Message("masks.rates", rates=rates, rate=rate))
+    offsets = np.array([0.0 if request.offsets is None else value for value in request.offsets or [0.0] * len(found)])
+    if len(offsets) != len(found):
+        raise OptionError("film_estimate.offsets", found=len(offsets), views=len(found))
+    offsets = offsets - offsets.min()
+    length = min(view.times[-1] - offset for view, offset in zip(found, offsets, strict=True))
+    if length < 0:
+        raise KeypointError("film_estimate.no_common_moment")
+    n_frames = int(length * rate + 1e-6) + 1
+    first, stop = parse_frames(request.frames, n_frames, Message("frames.recording"))
+    notes += [note for view in found for note in view.warnings]
+    return FilmScene(names, found, cameras, rate, np.arange(first, stop) / rate, offsets, first, tuple(notes))
+
+
+def choose_model() -> Model:
+    """The most precise of the models that are installed; ``"full"`` where none is, so that its error is said."""
+    from dousa.estimation.keypoints.pose_models import check_pose_model, get_pose_model
+
+    names: tuple[Model, ...] = ("heavy", "full", "lite")
+    for name in names:
+        if check_pose_model(get_pose_model(name)) == "installed":
+            return name
+    return "full"
+
+
+def has_models() -> bool:
+    """Whether keypoints can be found: models and the packages that run them are installed."""
+    from importlib.util import find_spec
+
+    from dousa.estimation.keypoints.pose_models import DETECTOR, check_pose_model, get_pose_model
+
+    packages = all(find_spec(name) is not None for name in ("ai_edge_litert", "av", "cv2"))
+    names = (DETECTOR, choose_model()) if packages else ()
+    return packages and all(check_pose_model(get_pose_model(name)) == "installed" for name in names)
+
+
+def match_film_cameras(
+    request: EstimationRequest, names: Sequence[str], found: Sequence[ViewKeypoints]
+) -> tuple[tuple[Camera, ...], list[Message]]:
+    """A camera for each film, of the size of its pictures."""
+    from dousa.estimation.cameras.camera_files import read_cameras
+    from dousa.estimation.cameras.camera_sets import fit_cameras, match_cameras
+
+    if request.cameras is None:
+        raise OptionError("estimate.no_cameras")
+    calibrated = read_cameras(request.cameras)
+    if len(calibrated) < len(names):
+        raise CalibrationError("estimate.too_few_cameras", path=request.cameras, found=len(calibrated), views=names)
+    matched, notes = match_cameras(calibrated, names)
+    cameras, more = fit_cameras(matched, [view.size for view in found])
+    return cameras, [*notes, *more]
+
+
+class PersonSilhouettes(Silhouettes):
+    """The masks that a network found of one person, at the common moments and of a moderate size.
+
+    Parameters
+    ----------
+    films : on one clock.
+    members : (V,) numbers of the people of each view who are the person.
+    """
+
+    def __init__(self, films: FilmScene, members: Sequence[Sequence[int]]) -> None:
+        from dousa.estimation.silhouettes.video import reduce_size
+
+        self.names, self.frame_rate = films.names, films.frame_rate
+        self.n_frames = len(films.moments)
+        self.sizes = tuple(reduce_size(view.size, _LONGEST_SIDE) for view in films.found)
+        self._found = films.found
+        self._frames = [nearest_frames(view.times, films.moments + offset)
+                        for view, offset in zip(films.found, films.offsets, strict=True)]  # fmt: skip
+        self._masks: list[list[PersonMasks]] = [
+            [masks for number in numbers if (masks := view.people[number].masks) is not None]
+            for view, numbers in zip(films.found, members, strict=True)
+        ]
+
+    @property
+    def has_masks(self) -> bool:
+        """Whether any view has masks."""
+        return any(self._masks)
+
+    def read(self, frame: int) -> tuple[Mask | None, ...]:
+        """The masks (height, width) of all views in one frame; None where a view has no image then."""
+        masks: list[Mask | None] = []
+        for view, found in enumerate(self._found):
+            place = int(self._frames[view][frame])
+            drawn = (own.read(place, self.sizes[view], of=found.size) for own in self._masks[view])
+            masks.append(next((mask for mask in drawn if mask is not None), None))
+        return tuple(masks)
+
+    def fit_cameras(self, cameras: Sequence[Camera]) -> tuple[Camera, ...]:
+        """Cameras (V,) of the films' pictures for pictures of the masks' size."""
+        return tuple(camera.resized(*size) for camera, size in zip(cameras, self.sizes, strict=True))
+
+
+def nearest_frames(times: FloatArray, moments: FloatArray) -> IndexArray:
+    """(S,) the frame that is nearest to each moment."""
+    after = np.clip(np.searchsorted(times, moments), 1, max(len(times) - 1, 1))
+    before = after - 1
+    if len(times) == 1:
+        return np.zeros(len(moments), np.intp)
+    return np.where(moments - times[before] <= times[after] - moments, before, after)
+
+
+def is_films(request: EstimationRequest) -> bool:
+    """Whether the sources are films of a scene: no folders or npz, and no plates that go with them."""
+    from dousa.estimation.silhouettes.images import IMAGE_ENDINGS
+
+    endings = (".npz", *IMAGE_ENDINGS)
+    if request.kind == "mask" or request.backgrounds or request.background_method is not None:
+        return False
+    if request.start is not None or not request.sources:
+        return False
+    return all(path.is_file() and path.suffix.lower() not in endings for path in request.sources)
+
+
+def shows_masks(path: Path) -> bool:
+    """Whether a film is one of masks."""
+    from dousa.estimation.silhouettes.video import VideoFile, guess_video_kind
+
+    file = VideoFile(path)
+    try:
+        places = np.unique(np.linspace(0, file.n_frames - 1, 3).astype(int))
+        images = [file.read(int(place)) for place in places]
+    finally:
+        file.close()
+    return guess_video_kind([image for image in images if image is not None]) == "mask"
+
+
+def with_outputs(request: EstimationRequest, number: int) -> EstimationRequest:
+    """The same request for one person of several: files named ``OUT-2.bvh`` and so on from the second on."""
+    if number == 1:
+        return request
+    outputs = request.outputs
+    changed = {
+        name: path.with_name(f"{path.stem}-{number}{path.suffix}")
+        for name in ("motion", "trc", "angles", "overlay", "sheet")
+        if (path := getattr(outputs, name)) is not None
+    }
+    return replace(request, outputs=replace(outputs, **changed))

@@ -1,0 +1,321 @@
+"""From keypoints of one person in calibrated views to a motion: the whole way.
+
+Sides put right, points triangulated without the views that disagree, stature and bones from the whole film, then the
+most likely trajectory of the body. No silhouettes, no first pose, no stature are needed; with one view stature and the
+network's own places in space stand in for what one view does not tell.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from time import perf_counter
+
+import numpy as np
+
+from dousa.arrays import BoolArray, FloatArray, IndexArray
+from dousa.errors import BodyModelError, KeypointError
+from dousa.estimation.body.body import BodyModel
+from dousa.estimation.body.human import make_human
+from dousa.estimation.body.kinematics import compute_points, point_names
+from dousa.estimation.body.posing import fit_poses
+from dousa.estimation.cameras.camera import Camera
+from dousa.estimation.keypoints.keypoints import PersonTrack
+from dousa.estimation.multiview.body_fit import BodyParameters, fit_body_parameters
+from dousa.estimation.multiview.known_values import known_median
+from dousa.estimation.multiview.landmarks import (
+    SHIFTS,
+    Landmarks,
+    SeenLandmarks,
+    gather,
+    place_landmarks,
+)
+from dousa.estimation.multiview.pose_residuals import Terms, place_points, point_slopes
+from dousa.estimation.multiview.sides import repair_sides
+from dousa.estimation.multiview.trajectory import Trajectory, fit_trajectory
+from dousa.estimation.multiview.triangulation import Triangulated, pixels_per_metre, triangulate
+from dousa.estimation.tracking.settings import Estimate
+from dousa.messages import Message
+from dousa.motion import rotations as rot
+
+USUAL_STATURE = 1.72
+"""m, where nothing tells."""
+
+_MEASURES = ("upper_arm", "forearm", "thigh", "shank", "trunk", "shoulder_breadth", "hip_breadth", "head", "foot")
+_STATURE_SIGMA, _GIVEN_SIGMA, _MEASURE_SIGMA = 0.03, 0.01, 0.06  # of logarithms
+_FIRST_S = 0.1  # between two poses that the trajectory begins with
+_BODY_FRAMES = 60
+_BODY_RATE = 40.0  # Hz: a network's errors are much the same all over a film, so that a frame counts as a quarter
+_BONES = (("hip", "knee", 0.236), ("knee", "ankle", 0.246), ("shoulder", "elbow", 0.162), ("elbow", "wrist", 0.158))
+_LOST_SIGMA = 0.10  # m, mean uncertainty of the joints of a frame that is lost
+_LOST_SEEN = 0.35  # share of the landmarks that two views, or the only one, must show
+_LOST_ERROR = 3.0  # sigmas, middle error of a frame's points
+
+Progress = Callable[[int, int, Message], None]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class KeypointFit:
+    """A motion from keypoints.
+
+    Parameters
+    ----------
+    estimate : the motion and how far to trust it.
+    landmarks : on its body.
+    seen : (V, T, L) what was fitted, sides put right.
+    exchanged : (V, T, G) where left and right were exchanged.
+    errors : (V, T, L) px, reprojection errors; nan where a point is not seen.
+    depth_doubt : (T,) m, mean uncertainty of the joints along the first view's axis.
+    """
+
+    estimate: Estimate
+    landmarks: Landmarks
+    seen: SeenLandmarks
+    exchanged: BoolArray
+    errors: FloatArray
+    depth_doubt: FloatArray
+
+    @property
+    def points(self) -> FloatArray:
+        """Places (T, L, 3) m of the landmarks on the body."""
+        return place_points(self.estimate.body, self.estimate.poses, self.landmarks)
+
+
+def fit_keypoints(
+    cameras: Sequence[Camera],
+    tracks: Sequence[PersonTrack | None],
+    names: Sequence[str],
+    frame_rate: float,
+    *,
+    body: BodyModel | None = None,
+    stature: float | None = None,
+    sex: str = "average",
+    progress: Progress | None = None,
+) -> KeypointFit:
+    """Fit a body to one person's keypoints.
+
+    Parameters
+    ----------
+    cameras : (V,) calibrated, one at least, for pictures of the keypoints' size.
+    tracks : (V,) of the person, of T frames at the same moments; None where a view does not show them.
+    names : (K,) of the keypoints, such as `MEDIAPIPE_NAMES`.
+    frame_rate : Hz.
+    body : whose lengths are known; by default they are found.
+    stature : m; by default several views tell it, and one view assumes `USUAL_STATURE`.
+    sex : of the proportions, where there is no body.
+    progress : called with steps done, steps in all and what is being done.
+
+    Returns
+    -------
+    The motion. Frames whose joints are not known within 100 mm, that too few points are seen in, or whose points the
+    body does not meet, are ``lost``.
+
+    Raises
+    ------
+    KeypointError : no frame shows enough of the person, or the names are not those of a body's points.
+    """
+    begun = perf_counter()
+    tell = progress or (lambda done, total, what: None)
+    n_frames = max((track.n_frames for track in tracks if track is not None), default=0)
+    if len(tracks) != len(cameras) or any(track is not None and track.n_frames != n_frames for track in tracks):
+        raise KeypointError("multiview.views", cameras=len(cameras), tracks=len(tracks))
+    if n_frames == 0:
+        raise KeypointError("multiview.nobody")
+    tell(0, 4, Message("multiview.triangulating"))
+    seen, exchanged = repair_sides(cameras, gather(tracks, names, n_frames))
+    shown = [view for view in range(len(cameras)) if seen.seen[view].any()]
+    places = _first_places(cameras, seen, shown)
+    tell(1, 4, Message("multiview.body"))
+    given = body if body is not None else make_human(stature or _guess_stature(places, seen.names, len(shown)), sex)
+    poses, told = _first_poses(given, places, seen.names, frame_rate)
+    terms = Terms(cameras, seen, frame_rate, 1.0 if len(shown) == 1 else 0.0)
+    own, landmarks, poses = _find_body(given, body is None, stature, sex, poses, told, terms)
+    tell(2, 4, Message("multiview.fitting"))
+    fitted = fit_trajectory(own, poses, landmarks, terms,
+                            lambda done, total: tell(2, 4, Message("multiview.fitting")))  # fmt: skip
+    seconds = perf_counter() - begun
+    return _answer(own, landmarks, fitted, terms, exchanged, n_frames / max(seconds, 1e-9))
+
+
+def _first_places(cameras: Sequence[Camera], seen: SeenLandmarks, shown: Sequence[int]) -> FloatArray:
+    """(T, L, 3) m, nan where not told."""
+    if not shown:
+        raise KeypointError("multiview.nobody")
+    if len(shown) > 1:
+        some = list(shown)
+        found: Triangulated = triangulate([cameras[v] for v in some], seen.points[some], seen.visibility[some])
+        return found.points
+    view = shown[0]
+    return _place_world(cameras[view], seen.points[view], seen.visibility[view], seen.world[view])
+
+
+def _place_world(camera: Camera, points: FloatArray, visibility: FloatArray, world: FloatArray) -> FloatArray:
+    """The network's own places in space, moved to where they are seen: linear in the way there."""
+    if not np.isfinite(world).any():
+        raise KeypointError("multiview.one_view")
+    _, ways = camera.compute_rays(np.nan_to_num(points))
+    ways = ways @ camera.rotation.T  # the camera's axes
+    good = np.isfinite(points[..., 0]) & np.isfinite(world).all(axis=-1)
+    weight = np.where(good, visibility, 0.0)
+    ways, world = np.where(good[..., None], ways, 0.0), np.where(good[..., None], world, 0.0)
+    across = np.eye(3) - ways[..., :, None] * ways[..., None, :]  # what lies off the ray
+    square = np.einsum("tl,tlij->tij", weight, across) + 1e-9 * np.eye(3)
+    rest = -np.einsum("tl,tlij,tlj->ti", weight, across, world)
+    move = np.linalg.solve(square, rest[..., None])[..., 0]
+    placed = np.where(good[..., None], world + move[:, None], np.nan)
+    placed[move[:, 2] <= 0] = np.nan
+    return np.asarray((placed - camera.translation) @ camera.rotation)
+
+
+def _guess_stature(places: FloatArray, names: tuple[str, ...], n_views: int) -> float:
+    """By the limbs' middle lengths, which tables know in statures."""
+    if n_views < 2:
+        return USUAL_STATURE
+    ratios = []
+    for one, other, share in _BONES:
+        for side in ("left_", "right_"):
+            if side + one in names and side + other in names:
+                ways = places[:, names.index(side + one)] - places[:, names.index(side + other)]
+                length = np.nanmedian(np.linalg.norm(ways, axis=1)) if np.isfinite(ways).any() else np.nan
+                ratios.append(length / share)
+    told = [ratio for ratio in ratios if np.isfinite(ratio)]
+    return float(np.clip(np.median(told), 0.5, 2.3)) if told else USUAL_STATURE
+
+
+def _first_poses(
+    body: BodyModel, places: FloatArray, names: tuple[str, ...], frame_rate: float
+) -> tuple[FloatArray, BoolArray]:
+    """Poses (T, 7 + A) to begin with, and (T,) whether the frame told enough."""
+    known = set(point_names(body))
+    rows = [row for row, name in enumerate(names) if name in known and not name.endswith("neck")]
+    told = np.isfinite(places[:, rows, 0])
+    filled = places.copy()
+    frames = np.arange(len(places))
+    for row in rows:
+        own = np.isfinite(places[:, row, 0])
+        if own.sum() > 1:
+            for axis in range(3):
+                filled[:, row, axis] = np.interp(frames, frames[own], places[own, row, axis])
+    some = np.unique(np.append(np.arange(0, len(places), max(1, round(_FIRST_S * frame_rate))), len(places) - 1))
+    try:
+        poses, _ = fit_poses(body, filled[some][:, rows], [names[row] for row in rows])
+    except BodyModelError as error:
+        raise KeypointError("multiview.nobody") from error
+    return _fill_between(poses, some, len(places)), np.asarray(told.mean(axis=1) > 0.6)
+
+
+def _fill_between(poses: FloatArray, frames: IndexArray, n_frames: int) -> FloatArray:
+    """Poses (T, 7 + A) of all frames, between those at ``frames`` in straight lines."""
+    poses = poses.copy()
+    for t in range(1, len(poses)):
+        if poses[t, 3:7] @ poses[t - 1, 3:7] < 0:
+            poses[t, 3:7] *= -1.0
+    filled = np.stack([np.interp(np.arange(n_frames), frames, column) for column in poses.T], axis=1)
+    filled[:, 3:7] = rot.normalise(filled[:, 3:7])
+    return filled
+
+
+def _find_body(
+    given: BodyModel,
+    free: bool,
+    stature: float | None,
+    sex: str,
+    poses: FloatArray,
+    told: BoolArray,
+    terms: Terms,
+) -> tuple[BodyModel, Landmarks, FloatArray]:
+    """The body, its landmarks, and the poses to begin with, from frames of the whole film."""
+    chosen = np.flatnonzero(told)
+    if not len(chosen):
+        chosen = np.arange(len(poses))
+    chosen = chosen[np.unique(np.linspace(0, len(chosen) - 1, _BODY_FRAMES).astype(int))]
+    names = terms.seen.names
+    groups = tuple(group for group in SHIFTS if group in place_landmarks(given, names).groups)
+    usual = given.stature
+
+    def build(values: FloatArray) -> BodyModel:
+        if not free:
+            return given
+        scale = usual * float(np.exp(values[0]))
+        table = make_human(scale, sex)
+        sizes = {name: float(np.exp(value)) for name, value in zip(_MEASURES, values[1:], strict=True)}
+        return table if not any(values[1:]) else _resize(scale, sex, sizes)
+
+    first = _GIVEN_SIGMA if stature is not None or len(terms.cameras) == 1 else _STATURE_SIGMA
+    sigmas = np.array([first, *[_MEASURE_SIGMA] * len(_MEASURES)]) if free else np.zeros(0)
+    seen = terms.seen
+    part = SeenLandmarks(names, seen.points[:, chosen], seen.visibility[:, chosen], seen.world[:, chosen])
+    few = replace(terms, seen=part, frame_rate=_BODY_RATE)
+    parameters = BodyParameters(build, sigmas, groups)
+    body, landmarks, _ = fit_body_parameters(parameters, lambda own: place_landmarks(own, names), poses[chosen], few)
+    return body, landmarks, poses
+
+
+def _resize(scale: float, sex: str, sizes: dict[str, float]) -> BodyModel:
+    from dousa.estimation.body.human import LENGTHS, SEX_FACTORS
+
+    factors = SEX_FACTORS[sex]
+    measures = {name: scale * LENGTHS[name] * factors.get(name, 1.0) * size for name, size in sizes.items()}
+    return make_human(scale, sex, measures)
+
+
+def _answer(
+    body: BodyModel, landmarks: Landmarks, fitted: Trajectory, terms: Terms, exchanged: BoolArray, speed: float
+) -> KeypointFit:
+    limits = body.angle_limits
+    poses = fitted.poses.copy()
+    poses[:, 7:] = np.clip(poses[:, 7:], limits[:, 0], limits[:, 1])
+    covariance = _joint_covariance(body, poses, fitted.covariance)
+    uncertainty = np.sqrt(np.trace(covariance, axis1=-2, axis2=-1))
+    forward = terms.cameras[0].rotation[2]
+    doubt = np.sqrt(np.einsum("tkij,i,j->tk", covariance, forward, forward)).mean(axis=1)
+    places = place_points(body, poses, landmarks)
+    errors = np.stack([np.linalg.norm(camera.project(places) - terms.seen.points[view], axis=-1)
+                       for view, camera in enumerate(terms.cameras)])  # fmt: skip
+    sigma = np.stack([landmarks.spread * pixels_per_metre(camera, places) for camera in terms.cameras])
+    visible = np.asarray(terms.seen.visibility > 0.3)
+    off = np.where(visible, errors / sigma, np.nan)
+    n_needed = min(2, len(terms.cameras))
+    told = (visible.sum(axis=0) >= n_needed).mean(axis=1)
+    middle = known_median(np.moveaxis(off, 1, 0).reshape(len(poses), -1), axis=1)
+    middle = np.where(np.isfinite(middle), middle, np.inf)
+    lost = (uncertainty.mean(axis=1) > _LOST_SIGMA) | (told < _LOST_SEEN) | (middle > _LOST_ERROR)
+    if len(terms.cameras) == 1:
+        lost = (told < _LOST_SEEN) | (middle > _LOST_ERROR)
+    estimate = Estimate(
+        body,
+        poses,
+        terms.frame_rate,
+        np.full((len(poses), len(terms.cameras)), np.nan),
+        uncertainty,
+        _find_hidden(body, landmarks, terms.seen),
+        lost,
+        (),
+        speed,
+    )
+    return KeypointFit(estimate, landmarks, terms.seen, exchanged, errors, doubt)
+
+
+def _joint_covariance(body: BodyModel, poses: FloatArray, covariance: FloatArray) -> FloatArray:
+    """(T, P + K, 3, 3) m^2."""
+    parts = np.concatenate((np.arange(body.n_parts), body.tip_parts))
+    places = np.concatenate((np.zeros((body.n_parts, 3)), body.tip_offsets))
+    points = Landmarks(point_names(body), parts, places, np.ones(len(parts)), ("",) * len(parts))
+    _, slopes = point_slopes(body, poses, points)
+    return np.asarray(np.einsum("tkid,tde,tkje->tkij", slopes, covariance, slopes, optimize=True))
+
+
+def _find_hidden(body: BodyModel, landmarks: Landmarks, seen: SeenLandmarks) -> BoolArray:
+    """(T, P) parts none of whose points a view shows, their own or those of the part beyond."""
+    shown = np.asarray((seen.visibility > 0.3).any(axis=0))
+    hidden = np.ones((shown.shape[0], body.n_parts), bool)
+    for row, part in enumerate(landmarks.parts):
+        for owner in (int(part), int(body.parents[part])):
+            if owner >= 0:
+                hidden[:, owner] &= ~shown[:, row]
+    return hidden
+
+
+def joint_places(fit: KeypointFit) -> FloatArray:
+    """Places (T, P + K, 3) m of the joints and tips."""
+    return compute_points(fit.estimate.body, fit.estimate.poses)

@@ -1,0 +1,199 @@
+"""Where keypoints lie on the body: the part that each hangs on, its place there, and how well networks find it.
+
+Places are of the standing body in statures (see ``anthropometry.toml``), where the networks' makers draw their points;
+the body's own joints are taken where a point is meant to be a joint. Nothing here was fitted to a recording with known
+joints: how far off a network's hips, shoulders or feet are is found anew in every film (`body_fit`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dousa.arrays import FloatArray, IndexArray
+from dousa.errors import KeypointError
+from dousa.estimation.body.body import BodyModel
+from dousa.estimation.keypoints.keypoints import PersonTrack
+
+_MIDDLE: dict[str, tuple[str, tuple[float, float, float], float, str]] = {
+    "nose": ("head", (0.0, 0.070, 0.086), 0.025, "head"),
+    "neck": ("head", (0.0, 0.0, 0.0), 0.035, "neck"),
+    "head": ("head", (0.0, 0.140, 0.018), 0.035, "crown"),
+}
+_LEFT: dict[str, tuple[str, tuple[float, float, float], float, str]] = {
+    "eye": ("head", (0.018, 0.083, 0.076), 0.025, "head"),
+    "ear": ("head", (0.043, 0.075, 0.026), 0.025, "head"),
+    "mouth": ("head", (0.014, 0.052, 0.078), 0.025, "head"),
+    "shoulder": ("upper_arm", (0.0, 0.0, 0.0), 0.03, "shoulder"),
+    "elbow": ("forearm", (0.0, 0.0, 0.0), 0.03, ""),
+    "wrist": ("hand", (0.0, 0.0, 0.0), 0.03, ""),
+    "hand": ("hand", (0.0, -0.048, 0.0), 0.04, "hand"),
+    "hip": ("thigh", (0.0, 0.0, 0.0), 0.035, "hip"),
+    "knee": ("shank", (0.0, 0.0, 0.0), 0.03, ""),
+    "ankle": ("foot", (0.0, 0.0, 0.0), 0.03, ""),
+    "heel": ("foot", (0.0, -0.033, -0.024), 0.035, "heel"),
+    "toe": ("foot", (0.0, -0.027, 0.088), 0.035, "toe"),
+}
+"""Point -> part, place, m by which networks are off, and the group of points that are off together."""
+
+SHIFTS = {"head": 0.02, "neck": 0.03, "crown": 0.03, "shoulder": 0.02, "hand": 0.015, "hip": 0.03, "heel": 0.015,
+          "toe": 0.015}  # fmt: skip
+"""m, how far the points of a group may lie beside their places on the body."""
+
+_SOURCES: dict[str, tuple[tuple[str, ...], ...]] = {
+    "mouth": (("mouth_left",), ("mouth_right",)),
+    "hand": (("left_index", "left_pinky"), ("right_index", "right_pinky")),
+    "toe": (("left_foot_index",), ("right_foot_index",)),
+}
+_OTHERWISE: dict[str, tuple[tuple[str, ...], ...]] = {
+    "toe": (("left_big_toe", "left_small_toe"), ("right_big_toe", "right_small_toe")),
+    "hand": (("left_hand",), ("right_hand",)),
+}
+_SIDES = ("left", "right")
+_LEAST = 6  # landmarks, of which a body can be told
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Landmarks:
+    """Points on a body that keypoints show.
+
+    Parameters
+    ----------
+    names : (L,), such as ``"left_hip"``.
+    parts : (L,) of the body.
+    places : (L, 3) m in the part's axes.
+    spread : (L,) m, how far off a network puts them, one sigma, where they are seen well.
+    groups : (L,) name of the group that is off together, "" for points that are joints.
+    """
+
+    names: tuple[str, ...]
+    parts: IndexArray
+    places: FloatArray
+    spread: FloatArray
+    groups: tuple[str, ...]
+
+    @property
+    def mirrored(self) -> IndexArray:
+        """(L,) the place of each point's mirror image."""
+        return np.array([self.names.index(_mirror(name)) if _mirror(name) in self.names else row
+                         for row, name in enumerate(self.names)])  # fmt: skip
+
+    def shifted(self, shifts: dict[str, FloatArray]) -> Landmarks:
+        """The same with groups moved by (3,) m to the left, up and ahead; the right side's by the mirror image."""
+        places = self.places.copy()
+        for row, (name, group) in enumerate(zip(self.names, self.groups, strict=True)):
+            if group in shifts:
+                side = -1.0 if name.startswith("right_") else 1.0
+                places[row] += shifts[group] * np.array([side, 1.0, 1.0])
+        return replace(self, places=places)
+
+
+def _mirror(name: str) -> str:
+    if name.startswith("left_"):
+        return "right_" + name[5:]
+    return "left_" + name[6:] if name.startswith("right_") else name
+
+
+def find_sources(names: Sequence[str]) -> dict[str, tuple[int, ...]]:
+    """Landmark -> the keypoints whose mean it is, of those that a network gives.
+
+    Raises
+    ------
+    KeypointError : too few of them are points of a body.
+    """
+    place = {name: row for row, name in enumerate(names)}
+    found: dict[str, tuple[int, ...]] = {}
+    for name in _MIDDLE:
+        if name in place:
+            found[name] = (place[name],)
+    for point in _LEFT:
+        for number, side in enumerate(_SIDES):
+            usual = ((f"{side}_{point}",),)
+            for sources in (*_choices(_SOURCES, point, number), *_choices(_OTHERWISE, point, number), *usual):
+                if all(source in place for source in sources):
+                    found[f"{side}_{point}"] = tuple(place[source] for source in sources)
+                    break
+    if sum(name.split("_")[-1] in ("shoulder", "hip", "knee", "elbow", "wrist", "ankle") for name in found) < _LEAST:
+        raise KeypointError("multiview.no_body", names=tuple(names))
+    return found
+
+
+def _choices(table: dict[str, tuple[tuple[str, ...], ...]], point: str, number: int) -> tuple[tuple[str, ...], ...]:
+    return (table[point][number],) if point in table else ()
+
+
+def place_landmarks(body: BodyModel, names: Sequence[str]) -> Landmarks:
+    """The landmarks of these names on a person's body.
+
+    Parameters
+    ----------
+    body : with the parts of `make_human`.
+    names : of `find_sources`.
+
+    Raises
+    ------
+    KeypointError : the body lacks the parts of a person.
+    """
+    rows = []
+    for name in names:
+        side, _, point = name.rpartition("_")
+        part, place, spread, group = _LEFT[point] if side else _MIDDLE[name]
+        owner = part if part in body.names else f"{side}_{part}"
+        if owner not in body.names:
+            raise KeypointError("multiview.no_part", part=owner)
+        mirror = -1.0 if side == "right" else 1.0
+        rows.append((body.names.index(owner), (mirror * place[0], place[1], place[2]), spread, group))
+    parts, places, spreads, groups = zip(*rows, strict=True)
+    scaled = body.stature * np.array(places)
+    return Landmarks(tuple(names), np.array(parts), scaled, np.array(spreads), tuple(groups))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SeenLandmarks:
+    """Landmarks in the pictures of V views at T moments.
+
+    Parameters
+    ----------
+    names : (L,).
+    points : (V, T, L, 2) px, nan where not seen.
+    visibility : (V, T, L) 0 to 1.
+    world : (V, T, L, 3) m, what the network says of the place in space, about the hips along the camera's axes; nan
+        where it does not.
+    """
+
+    names: tuple[str, ...]
+    points: FloatArray
+    visibility: FloatArray
+    world: FloatArray
+
+    @property
+    def seen(self) -> NDArray[np.bool_]:
+        """(V, T, L) whether there is a point at all."""
+        return np.asarray(np.isfinite(self.points[..., 0]))
+
+
+def gather(tracks: Sequence[PersonTrack | None], names: Sequence[str], n_frames: int) -> SeenLandmarks:
+    """The landmarks of one person in all views.
+
+    Parameters
+    ----------
+    tracks : (V,) of the person, of T frames at the same moments; None where a view does not show them.
+    names : (K,) of the keypoints.
+    n_frames : T.
+    """
+    sources = find_sources(names)
+    shape = (len(tracks), n_frames, len(sources))
+    points, visibility, world = np.full((*shape, 2), np.nan), np.zeros(shape), np.full((*shape, 3), np.nan)
+    for view, track in enumerate(tracks):
+        if track is None:
+            continue
+        for row, rows in enumerate(sources.values()):
+            points[view, :, row] = track.points[:, rows].mean(axis=1)
+            visibility[view, :, row] = track.visibility[:, rows].min(axis=1)
+            if track.world is not None:
+                world[view, :, row] = track.world[:, rows].mean(axis=1)
+    visibility[~np.isfinite(points[..., 0])] = 0.0
+    return SeenLandmarks(tuple(sources), points, visibility, world)

@@ -1,0 +1,201 @@
+"""Who is who across views: people whose rays meet are one person (epipolar geometry), as long as all frames say so."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import combinations
+
+import numpy as np
+
+from dousa.arrays import FloatArray, IndexArray
+from dousa.estimation.cameras.camera import Camera
+from dousa.estimation.keypoints.keypoints import PersonTrack
+from dousa.estimation.multiview.landmarks import find_sources
+from dousa.estimation.multiview.triangulation import meet, pixels_per_metre
+
+_SAME = 0.12  # m between the rays of one person's points, in the middle of points and frames
+_MOST_FRAMES = 80
+_LEAST_FRAMES = 3
+_TOGETHER = 0.05  # share of frames that two tracks of one view may share and still be one person's
+_LEAST_VISIBLE = 0.3
+_TRUNK = (0.2, 0.9)  # m from the hips to the shoulders
+_SHORT = 0.1  # of the longest track's frames: shorter ones are nobody's
+
+
+Node = tuple[int, int]
+"""A view, and the number of a person in it."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MatchedPerson:
+    """One person in all views.
+
+    Parameters
+    ----------
+    tracks : (V,) None where a view does not show them.
+    members : (V,) numbers of the people of each view who are this person.
+    """
+
+    tracks: tuple[PersonTrack | None, ...]
+    members: tuple[tuple[int, ...], ...]
+
+    @property
+    def seen(self) -> float:
+        """How much is seen of them: visibilities added up, and seen by one view alone counts for little."""
+        shown = [float(track.visibility.sum()) for track in self.tracks if track is not None]
+        return sum(shown) if len(shown) > 1 or len(self.tracks) == 1 else 0.1 * sum(shown)
+
+
+def match_people(
+    cameras: Sequence[Camera], views: Sequence[Sequence[PersonTrack]], names: Sequence[str]
+) -> tuple[MatchedPerson, ...]:
+    """The people of several views, each person once, who is seen most first.
+
+    Every two people of two views propose somebody in space; whoever of the other views is seen there joins. The
+    proposal that most views agree with, and best, is a person; then the next among those that are left.
+
+    Parameters
+    ----------
+    cameras : (V,).
+    views : (V,) people of each view, of T frames at the same moments.
+    names : (K,) of the keypoints.
+    """
+    rows = [row for sources in find_sources(names).values() for row in sources[:1]]
+    nodes = [(view, number) for view, people in enumerate(views) for number in range(len(people))]
+    longest = max((int(views[v][n].present.sum()) for v, n in nodes), default=0)
+    left = [(v, n) for v, n in nodes if views[v][n].present.sum() >= max(_SHORT * longest, 1)]
+    groups: list[list[Node]] = []
+    while left:
+        proposals = [_propose(cameras, views, names, rows, left, pair) for pair in combinations(left, 2)
+                     if pair[0][0] != pair[1][0]]  # fmt: skip
+        found = [proposal for proposal in proposals if proposal is not None]
+        if not found:
+            groups += [[node] for node in left]
+            break
+        best = min(found, key=lambda pair: (-len({view for view, _ in pair[0]}), -len(pair[0]), pair[1]))[0]
+        groups.append(best)
+        left = [node for node in left if node not in best]
+    people = [_merge(group, views) for group in groups]
+    return tuple(sorted(people, key=lambda person: -person.seen))
+
+
+def _propose(
+    cameras: Sequence[Camera],
+    views: Sequence[Sequence[PersonTrack]],
+    names: Sequence[str],
+    rows: Sequence[int],
+    left: Sequence[Node],
+    pair: tuple[Node, Node],
+) -> tuple[list[Node], float] | None:
+    """Who is seen where the two meet, and by how many metres they are off; None where these two are not one person."""
+    (v, i), (w, j) = pair
+    one, other = views[v][i], views[w][j]
+    common = np.flatnonzero(one.present & other.present)
+    if len(common) < _LEAST_FRAMES:
+        return None
+    common = common[np.unique(np.linspace(0, len(common) - 1, _MOST_FRAMES).astype(int))]
+    pick = np.ix_(common, rows)
+    flat = [track.points[pick].reshape(-1, 2) for track in (one, other)]
+    good = np.minimum(one.visibility[pick], other.visibility[pick]).ravel() > _LEAST_VISIBLE
+    place = meet([camera.compute_rays(np.where(good[:, None], own, 0.0)) for camera, own in
+                  zip((cameras[v], cameras[w]), flat, strict=True)])  # fmt: skip
+    place[~good] = np.nan
+    place = place.reshape(len(common), len(rows), 3)
+    offs = [_distance(cameras[view], views[view][number], place, pick) for view, number in pair]
+    if not max(offs) < _SAME or not _is_body(place, [names[row] for row in rows]):
+        return None
+    members: list[Node] = list(pair)
+    others = [(_distance(cameras[view], views[view][number], place, pick), (view, number))
+              for view, number in left if (view, number) not in pair]  # fmt: skip
+    for off, (view, number) in sorted(others):
+        if off < _SAME and not any(_overlap(views[view][number], views[view][n]) for u, n in members if u == view):
+            members.append((view, number))
+            offs.append(off)
+    return members, float(np.mean(offs))
+
+
+def _distance(camera: Camera, track: PersonTrack, place: FloatArray, pick: tuple[IndexArray, ...]) -> float:
+    """m by which points of space are off where a view sees them, in the middle; infinite where they are not seen."""
+    points, visibility = track.points[pick], track.visibility[pick]
+    off = np.linalg.norm(camera.project(place) - points, axis=-1) / pixels_per_metre(camera, place)
+    known = np.isfinite(points[..., 0]) & (visibility > _LEAST_VISIBLE) & np.isfinite(place[..., 0])
+    if known.sum() < 3 * _LEAST_FRAMES:
+        return float("inf")
+    return float(np.median(np.where(np.isfinite(off[known]), off[known], np.inf)))
+
+
+def _overlap(one: PersonTrack, other: PersonTrack) -> bool:
+    """Whether two tracks of one view are there at once, so that they are two people."""
+    both = (one.present & other.present).sum()
+    return bool(both > _TOGETHER * max(1, min(one.present.sum(), other.present.sum())))
+
+
+def _is_body(place: FloatArray, names: Sequence[str]) -> bool:
+    """Whether the trunk is as long as trunks are: rays of two people can meet where nobody is."""
+    wanted = ("left_shoulder", "right_shoulder", "left_hip", "right_hip")
+    if not set(wanted) <= set(names):
+        return True
+    left_top, right_top, left_low, right_low = (place[:, names.index(name)] for name in wanted)
+    lengths = 0.5 * np.linalg.norm(left_top + right_top - left_low - right_low, axis=1)
+    known = lengths[np.isfinite(lengths)]
+    return len(known) == 0 or bool(_TRUNK[0] < np.median(known) < _TRUNK[1])
+
+
+def _merge(nodes: Sequence[tuple[int, int]], views: Sequence[Sequence[PersonTrack]]) -> MatchedPerson:
+    tracks: list[PersonTrack | None] = []
+    members = []
+    for view, people in enumerate(views):
+        own = sorted(number for v, number in nodes if v == view)
+        members.append(tuple(own))
+        tracks.append(_join([people[number] for number in own]) if own else None)
+    return MatchedPerson(tuple(tracks), tuple(members))
+
+
+def _join(tracks: Sequence[PersonTrack]) -> PersonTrack:
+    """Tracks of one person in one view, who was lost between them."""
+    if len(tracks) == 1:
+        return tracks[0]
+    chosen = np.stack([np.where(track.present, track.visibility.sum(axis=1), -1.0) for track in tracks]).argmax(axis=0)
+    frames = np.arange(len(chosen))
+
+    def take(arrays: Sequence[FloatArray]) -> FloatArray:
+        return np.asarray(np.stack(arrays)[chosen, frames])
+
+    worlds = [np.full((*track.points.shape[:2], 3), np.nan) if track.world is None else track.world for track in tracks]
+    return PersonTrack(take([one.points for one in tracks]), take([one.visibility for one in tracks]), take(worlds))
+
+
+def resample_track(track: PersonTrack, times: FloatArray, moments: FloatArray) -> PersonTrack:
+    """A track at other moments, between its frames in straight lines.
+
+    Parameters
+    ----------
+    track : of frames at ``times``.
+    times : (T,) s, rising.
+    moments : (S,) s.
+
+    Returns
+    -------
+    S frames without masks; not seen where either frame beside is not, and outside the film.
+    """
+    after = np.clip(np.searchsorted(times, moments), 1, max(len(times) - 1, 1))
+    before = after - 1
+    if len(times) == 1:
+        after = before = np.zeros(len(moments), int)
+    span = np.where(after > before, times[after] - times[before], 1.0)
+    share = np.clip((moments - times[before]) / span, 0.0, 1.0)
+    step = float(np.median(np.diff(times))) if len(times) > 1 else np.inf
+    outside = (moments < times[0] - 0.5 * step) | (moments > times[-1] + 0.5 * step)
+
+    def mix(array: FloatArray) -> FloatArray:
+        part = share.reshape(-1, *[1] * (array.ndim - 1))
+        # a frame that is hit exactly does not need the one beside it
+        mixed = np.where(part == 0, array[before], np.where(part == 1, array[after],
+                         (1.0 - part) * array[before] + part * array[after]))  # fmt: skip
+        mixed[outside] = np.nan
+        return np.asarray(mixed)
+
+    points = mix(track.points)
+    visibility = np.nan_to_num(np.clip(mix(track.visibility), 0.0, 1.0))
+    return PersonTrack(points, visibility, None if track.world is None else mix(track.world))

@@ -1,0 +1,173 @@
+"""What a pose is judged by: reprojection of landmarks, reach of the joints, rest, the network's own places in space.
+
+Every term is a normal distribution in metres or radians, so that a pose's uncertainty follows from how sharply its
+terms rise. Errors of keypoints do not change from frame to frame as noise does: a picture counts as
+`1 / (rate * CORRELATED_S)` of an independent one, so that results do not depend on the frame rate.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from dousa.arrays import FloatArray
+from dousa.estimation.body.body import BodyModel
+from dousa.estimation.body.kinematics import place_parts
+from dousa.estimation.cameras.camera import Camera
+from dousa.estimation.multiview.landmarks import Landmarks, SeenLandmarks
+from dousa.estimation.multiview.triangulation import pixels_per_metre, project_slope
+from dousa.motion import rotations as rot
+
+CORRELATED_S = 0.1
+"""s over which the errors of a network's points stay much the same."""
+
+_STEP = 1e-5  # rad and m, for slopes
+_TAIL = 4.0  # degrees of freedom of Student's t: points that are far off count little
+_LEAST_VISIBLE = 0.05
+_LIMIT = 0.05  # rad beyond a limit, one sigma
+_REST = 0.8  # of half a joint's range, one sigma about the angle at ease, for stiffness 1
+_WORLD = 0.08  # m, one sigma of the network's places in space about the hips
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Terms:
+    """What is known of T poses.
+
+    Parameters
+    ----------
+    cameras : (V,).
+    seen : (V, T, L).
+    frame_rate : Hz.
+    world_weight : how much the network's own places in space count, 0 to 1.
+    """
+
+    cameras: Sequence[Camera]
+    seen: SeenLandmarks
+    frame_rate: float
+    world_weight: float = 0.0
+
+
+def step_poses(poses: FloatArray, steps: FloatArray) -> FloatArray:
+    """Poses (..., 7 + A) moved by (..., 6 + A): place, turn in the root's axes, angles."""
+    moved = np.concatenate(
+        (
+            poses[..., :3] + steps[..., :3],
+            rot.normalise(rot.multiply(poses[..., 3:7], rot.from_axis_angle(steps[..., 3:6]))),
+            poses[..., 7:] + steps[..., 6:],
+        ),
+        axis=-1,
+    )
+    return np.asarray(moved)
+
+
+def place_points(body: BodyModel, poses: FloatArray, landmarks: Landmarks) -> FloatArray:
+    """Places (..., L, 3) m of landmarks in poses (..., 7 + A)."""
+    rotations, positions = place_parts(body, poses)
+    turned = np.einsum("...lij,lj->...li", rotations[..., landmarks.parts, :, :], landmarks.places)
+    return np.asarray(positions[..., landmarks.parts, :] + turned)
+
+
+def point_slopes(body: BodyModel, poses: FloatArray, landmarks: Landmarks) -> tuple[FloatArray, FloatArray]:
+    """Places (T, L, 3) and their slopes (T, L, 3, 6 + A)."""
+    n_steps = 6 + body.n_angles
+    tried = step_poses(poses[:, None], np.broadcast_to(_STEP * np.eye(n_steps), (len(poses), n_steps, n_steps)))
+    here = place_points(body, poses, landmarks)
+    there = place_points(body, tried, landmarks)
+    return here, np.asarray(np.moveaxis(there - here[:, None], 1, -1) / _STEP)
+
+
+def image_weights(
+    terms: Terms, landmarks: Landmarks, places: FloatArray, share: float
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Errors (V, T, L, 2) px, and what a squared pixel costs (V, T, L); the cost of all, robust, (T,)."""
+    errors, weights, costs = [], [], np.zeros(len(places))
+    for view, camera in enumerate(terms.cameras):
+        visibility = terms.seen.visibility[view]
+        off = terms.seen.points[view] - camera.project(places)
+        sigma = landmarks.spread * pixels_per_metre(camera, places)
+        square = (off**2).sum(axis=-1) / sigma**2
+        good = np.isfinite(square) & (visibility > _LEAST_VISIBLE)
+        trust = np.where(good, visibility, 0.0)
+        square = np.where(good, square, 0.0)
+        costs += share * (trust * 0.5 * (_TAIL + 2) * np.log1p(square / _TAIL)).sum(axis=1)
+        weights.append(share * trust * (_TAIL + 2) / (_TAIL + square) / np.where(good, sigma, 1.0) ** 2)
+        errors.append(np.where(good[..., None], off, 0.0))
+    return np.stack(errors), np.stack(weights), costs
+
+
+def normal_equations(
+    body: BodyModel, poses: FloatArray, landmarks: Landmarks, terms: Terms
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Curvature (T, D, D), gradient (T, D) and cost (T,) of the frames' own terms, at poses (T, 7 + A); D = 6 + A."""
+    share = min(1.0, 1.0 / (terms.frame_rate * CORRELATED_S))
+    places, slopes = point_slopes(body, poses, landmarks)
+    errors, weights, costs = image_weights(terms, landmarks, places, share)
+    n_frames, n_steps = len(poses), slopes.shape[-1]
+    square, gradient = np.zeros((n_frames, n_steps, n_steps)), np.zeros((n_frames, n_steps))
+    for view, camera in enumerate(terms.cameras):
+        flow = np.nan_to_num(project_slope(camera, places)) @ slopes  # (T, L, 2, D)
+        rooted = (np.sqrt(weights[view])[..., None, None] * flow).reshape(n_frames, -1, n_steps)
+        square += np.swapaxes(rooted, 1, 2) @ rooted
+        gradient -= np.einsum("tlid,tl,tli->td", flow, weights[view], errors[view])
+    if terms.world_weight > 0:
+        _add_world(terms, landmarks, places, slopes, share, square, gradient, costs)
+    _add_angles(body, poses, share, square, gradient, costs)
+    return square, gradient, costs
+
+
+def _add_world(
+    terms: Terms,
+    landmarks: Landmarks,
+    places: FloatArray,
+    slopes: FloatArray,
+    share: float,
+    square: FloatArray,
+    gradient: FloatArray,
+    costs: FloatArray,
+) -> None:
+    """The network's own places about the hips, in place."""
+    hips = [row for row, name in enumerate(landmarks.names) if name in ("left_hip", "right_hip")]
+    if len(hips) < 2:
+        return
+    about = places - places[:, hips].mean(axis=1, keepdims=True)
+    ways = slopes - slopes[:, hips].mean(axis=1, keepdims=True)
+    for view, camera in enumerate(terms.cameras):
+        told = terms.seen.world[view] @ camera.rotation
+        told = told - told[:, hips].mean(axis=1, keepdims=True)
+        off = told - about
+        known = np.isfinite(off).all(axis=-1)
+        off = np.where(known[..., None], off, 0.0)
+        far = (off**2).sum(axis=-1) / _WORLD**2
+        scale = terms.world_weight * share * np.where(known, 1.0, 0.0)
+        costs += (scale * 0.5 * (_TAIL + 3) * np.log1p(far / _TAIL)).sum(axis=1)
+        weight = scale * (_TAIL + 3) / (_TAIL + far) / _WORLD**2
+        rooted = (np.sqrt(weight)[..., None, None] * ways).reshape(len(places), -1, square.shape[1])
+        square += np.swapaxes(rooted, 1, 2) @ rooted
+        gradient -= np.einsum("tlid,tl,tli->td", ways, weight, off)
+
+
+def angle_rest(body: BodyModel) -> tuple[FloatArray, FloatArray]:
+    """(A,) angles at ease, and what a squared radian off them costs."""
+    ease, cost = [], []
+    for part, count in enumerate(body.n_axes):
+        half = 0.5 * np.ptp(body.limits[part, :count], axis=1)
+        ease.append(body.neutral[part, :count])
+        cost.append(body.stiffness[part] / (_REST * np.maximum(half, 0.05)) ** 2)
+    return np.concatenate(ease), np.concatenate(cost)
+
+
+def _add_angles(
+    body: BodyModel, poses: FloatArray, share: float, square: FloatArray, gradient: FloatArray, costs: FloatArray
+) -> None:
+    """Limits and ease of the joints, in place."""
+    angles, limits = poses[:, 7:], body.angle_limits
+    beyond = angles - np.clip(angles, limits[:, 0], limits[:, 1])
+    ease, rest = angle_rest(body)
+    off, rest = angles - ease, share * rest
+    hard = share * (beyond != 0) / _LIMIT**2
+    rows = np.arange(6, square.shape[1])
+    square[:, rows, rows] += hard + rest
+    gradient[:, 6:] += hard * beyond + rest * off
+    costs += 0.5 * (hard * beyond**2 + rest * off**2).sum(axis=1)

@@ -1,0 +1,155 @@
+"""Points of space from points in several pictures, wrong ones left out (Hartley and Zisserman, section 12).
+
+Each pair of views proposes a point (linear triangulation); the proposal that the other views agree with best is kept,
+views that disagree are left out, and the point is refined on its reprojection errors by Gauss-Newton steps.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import combinations
+
+import numpy as np
+
+from dousa.arrays import BoolArray, FloatArray
+from dousa.estimation.cameras.camera import Camera
+
+_AGREES = 3.0  # sigmas: a view farther off is left out
+_STEPS = 4
+_LEAST_ANGLE = 0.06  # rad between two rays; below, they tell no depth
+_DIFFERENCE = 1e-5  # m
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Triangulated:
+    """Points of space.
+
+    Parameters
+    ----------
+    points : (..., 3) m, nan where fewer than two views agree.
+    covariance : (..., 3, 3) m^2, of the pictures' errors; nan likewise.
+    used : (V, ...) the views that agree.
+    errors : (V, ...) px, how far the point is from each view's; nan where there is none.
+    """
+
+    points: FloatArray
+    covariance: FloatArray
+    used: BoolArray
+    errors: FloatArray
+
+
+def triangulate(
+    cameras: Sequence[Camera], points: FloatArray, visibility: FloatArray | None = None, spread: float = 0.03
+) -> Triangulated:
+    """Triangulate points, leaving out views that do not agree.
+
+    Parameters
+    ----------
+    cameras : (V,) two at least.
+    points : (V, ..., 2) px, nan where not seen.
+    visibility : (V, ...) 0 to 1, weights; ones by default.
+    spread : m, one sigma of the points' errors at the distance of the person.
+
+    Returns
+    -------
+    The points of space.
+    """
+    batch = points.shape[1:-1]
+    flat = points.reshape(len(cameras), -1, 2)
+    seen = np.isfinite(flat[..., 0])
+    weights = np.where(seen, 1.0 if visibility is None else visibility.reshape(len(cameras), -1), 0.0)
+    rays = [camera.compute_rays(np.where(seen[v][:, None], flat[v], 0.0)) for v, camera in enumerate(cameras)]
+    n_points = flat.shape[1]
+    best, best_score = np.full((n_points, 3), np.nan), np.full(n_points, np.inf)
+    for pair in combinations(range(len(cameras)), 2):
+        found = meet([rays[view] for view in pair])
+        found[~(seen[pair[0]] & seen[pair[1]])] = np.nan
+        errors, scale = _reproject(cameras, found, flat, spread)
+        off = np.minimum((errors / scale) ** 2, _AGREES**2)
+        score = np.where(seen, weights * np.where(np.isfinite(off), off, _AGREES**2), 0.0).sum(axis=0)
+        score += _AGREES**2 * 1e-3 * (2.0 - weights[list(pair)].sum(axis=0))  # of equals, those that are seen better
+        better = np.isfinite(found[:, 0]) & (score < best_score)
+        best[better], best_score[better] = found[better], score[better]
+    return _refine(cameras, flat, weights, best, spread, batch)
+
+
+def meet(rays: Sequence[tuple[FloatArray, FloatArray]]) -> FloatArray:
+    """(N, 3) the point nearest to two rays; nan where these are nearly parallel or it lies behind a camera."""
+    (start, way), (other_start, other_way) = rays
+    cosine = (way * other_way).sum(axis=1)
+    between = other_start - start
+    a, b = (between * way).sum(axis=1), (between * other_way).sum(axis=1)
+    sine = 1.0 - cosine**2
+    with np.errstate(all="ignore"):
+        here, there = (a - cosine * b) / sine, (cosine * a - b) / sine
+        found = 0.5 * (start + here[:, None] * way + other_start + there[:, None] * other_way)
+    found[(sine < np.sin(_LEAST_ANGLE) ** 2) | ~(here > 0) | ~(there > 0)] = np.nan
+    return np.asarray(found)
+
+
+def pixels_per_metre(camera: Camera, points: FloatArray) -> FloatArray:
+    """(...) px that a metre square to the view has at points (..., 3) m."""
+    focal = float(0.5 * (camera.matrix[0, 0] + camera.matrix[1, 1]))
+    if camera.kind == "orthographic":
+        return np.full(points.shape[:-1], focal)
+    depth = camera.compute_depths(points)
+    return np.asarray(focal / np.where(depth > 0.05, depth, np.nan))
+
+
+def _reproject(
+    cameras: Sequence[Camera], found: FloatArray, flat: FloatArray, spread: float
+) -> tuple[FloatArray, FloatArray]:
+    """Errors (V, N) px, and px of one sigma."""
+    errors = np.stack([np.linalg.norm(camera.project(found) - own, axis=1)
+                       for camera, own in zip(cameras, flat, strict=True)])  # fmt: skip
+    return errors, spread * np.stack([pixels_per_metre(camera, found) for camera in cameras])
+
+
+def _refine(
+    cameras: Sequence[Camera],
+    flat: FloatArray,
+    weights: FloatArray,
+    best: FloatArray,
+    spread: float,
+    batch: tuple[int, ...],
+) -> Triangulated:
+    """Gauss-Newton on the views that agree, with the views chosen anew at each step."""
+    points = best.copy()
+    n_points = len(points)
+    identity = np.eye(3)
+    used = np.zeros(flat.shape[:2], bool)
+    square = np.zeros((n_points, 3, 3))
+    for _ in range(_STEPS):
+        square[:] = 1e-9 * identity
+        gradient = np.zeros((n_points, 3))
+        errors, scale = _reproject(cameras, points, flat, spread)
+        with np.errstate(invalid="ignore"):
+            used = (errors < _AGREES * scale) & (weights > 0)
+        for view, camera in enumerate(cameras):
+            share = np.where(used[view], weights[view] / scale[view] ** 2, 0.0)
+            slope = project_slope(camera, points)
+            off = np.where(used[view][:, None], flat[view] - camera.project(points), 0.0)
+            slope = np.where(np.isfinite(slope), slope, 0.0)
+            share = np.where(np.isfinite(share), share, 0.0)
+            square += np.einsum("n,nij,nik->njk", share, slope, slope)
+            gradient += np.einsum("n,nij,ni->nj", share, slope, off)
+        points = points + np.linalg.solve(square, gradient[..., None])[..., 0]
+    errors, _ = _reproject(cameras, points, flat, spread)
+    told = (used.sum(axis=0) >= 2) & np.isfinite(points).all(axis=1)
+    points[~told] = np.nan
+    covariance = np.full((n_points, 3, 3), np.nan)
+    covariance[told] = np.linalg.inv(square[told])
+    return Triangulated(
+        points.reshape(*batch, 3),
+        covariance.reshape(*batch, 3, 3),
+        (used & told).reshape(len(cameras), *batch),
+        errors.reshape(len(cameras), *batch),
+    )
+
+
+def project_slope(camera: Camera, points: FloatArray) -> FloatArray:
+    """(..., 2, 3) px per metre that the image of points (..., 3) moves as they do."""
+    steps = points[..., None, :] + _DIFFERENCE * np.eye(3)
+    here = camera.project(points)
+    return np.asarray(np.swapaxes(camera.project(steps) - here[..., None, :], -1, -2) / _DIFFERENCE)
