@@ -13,6 +13,7 @@ import pytest
 from rich.console import Console
 
 import dousa.app.pictures.overlay
+import dousa.app.pictures.overlay_sheet
 from dousa.app.demo.estimation import run_estimation_demo, write_performance
 from dousa.errors import OptionError
 from dousa.estimation.body.human import make_human
@@ -36,7 +37,7 @@ def undrawn(monkeypatch):
         path.write_bytes(b"drawn")
 
     monkeypatch.setattr(dousa.app.pictures.overlay, "write_overlay", write)
-    monkeypatch.setattr(dousa.app.pictures.overlay, "draw_overlay_sheet", write)
+    monkeypatch.setattr(dousa.app.pictures.overlay_sheet, "draw_overlay_sheet", write)
 
 
 @pytest.fixture
