@@ -79,26 +79,26 @@ def find_identities(sightings: NDArray[np.void], times: FloatArray) -> list[IntA
         first = last
     found = [np.concatenate([piece.rows for piece in person.pieces]) for person in people]
     step = float(np.median(np.diff(times))) if len(times) > 1 else 1.0
-    kept = [rows for rows in found if is_somebody(sightings[rows], step)]
-    return sorted(kept, key=lambda rows: -_measure_presence(sightings[rows]))
+    kept = [rows for rows in found if is_somebody(sightings, rows, step)]
+    return sorted(kept, key=lambda rows: -_measure_presence(sightings, rows))
 
 
-def _measure_presence(seen: NDArray[np.void]) -> float:
+def _measure_presence(sightings: NDArray[np.void], rows: IntArray) -> float:
     """How much of somebody is seen: frames, weighed by what is visible and by how large it is."""
-    visible = seen["visibility"][:, list(CORE)].astype(np.float64).mean(axis=1)
-    return float((visible * np.sqrt(seen["crop"][:, 2])).sum())
+    visible = sightings["visibility"][rows][:, list(CORE)].astype(np.float64).mean(axis=1)
+    return float((visible * np.sqrt(sightings["crop"][rows, 2])).sum())
 
 
-def is_somebody(seen: NDArray[np.void], step: float) -> bool:
-    """Whether sightings of one person, ``step`` seconds apart, are of a person at all."""
-    if len(seen) * step < _LEAST_S and len(seen) > 0 and step < _LEAST_S:
+def is_somebody(sightings: NDArray[np.void], rows: IntArray, step: float) -> bool:
+    """Whether the sightings at these places, ``step`` seconds apart, are of a person at all."""
+    if len(rows) * step < _LEAST_S and step < _LEAST_S:
         return False
-    visible = seen["visibility"][:, list(CORE)].astype(np.float64)
+    visible = sightings["visibility"][rows][:, list(CORE)].astype(np.float64)
     best = np.maximum(visible[:, :6].mean(axis=1), visible[:, 4:].mean(axis=1))  # arms and hips, hips and legs
-    if np.percentile(best * seen["score"], 25) < _LEAST_QUALITY:
+    if np.percentile(best * sightings["score"][rows], 25) < _LEAST_QUALITY:
         return False
-    sample = seen[:: max(1, len(seen) // _MOST_LOOKED_AT)]
-    return float(np.percentile([measure_inside(row) for row in sample], 25)) >= _LEAST_INSIDE
+    sample = rows[:: max(1, len(rows) // _MOST_LOOKED_AT)]
+    return float(np.percentile([measure_inside(sightings[row]) for row in sample], 25)) >= _LEAST_INSIDE
 
 
 def measure_inside(row: np.void) -> float:

@@ -82,12 +82,12 @@ class KeypointCache:
             path.touch()
         n_frames = times.stat().st_size // 8
         os.truncate(times, 8 * n_frames)
-        n_sightings = sightings.stat().st_size // SIGHTING.itemsize
-        known = np.fromfile(sightings, SIGHTING, n_sightings)
-        known = known[: int(np.searchsorted(known["frame"], n_frames))]
-        os.truncate(sightings, SIGHTING.itemsize * len(known))
+        known = _map(sightings)
+        n_sightings = int(np.searchsorted(known["frame"], n_frames))
+        del known  # some systems do not cut a file that is mapped
+        os.truncate(sightings, SIGHTING.itemsize * n_sightings)
         self._files = [open(path, "ab") for path in (sightings, times)]  # noqa: SIM115 - closed in `_close`
-        return known, np.fromfile(times, np.float64)
+        return _map(sightings), np.fromfile(times, np.float64)
 
     def _take_folder(self) -> Path:
         """A folder of this process's own: one that was left, else a new one, else one that is not kept."""
@@ -125,10 +125,7 @@ class KeypointCache:
         """All sightings, which stay in the file, and the times (T,)."""
         assert self._work is not None
         self._flush()
-        path = self._work / _SIGHTINGS
-        if not path.stat().st_size:
-            return np.zeros(0, SIGHTING), np.fromfile(self._work / _TIMES, np.float64)
-        return np.memmap(path, SIGHTING, "r"), np.fromfile(self._work / _TIMES, np.float64)
+        return _map(self._work / _SIGHTINGS), np.fromfile(self._work / _TIMES, np.float64)
 
     def finish(
         self, keypoints: ViewKeypoints, sightings: NDArray[np.void], people: list[NDArray[np.int64]]
@@ -187,6 +184,14 @@ class KeypointCache:
             with suppress(OSError):
                 os.rename(self._work, self._final.with_name(f"{self._final.name}.left"))
         self._work = None
+
+
+def _map(path: Path) -> NDArray[np.void]:
+    """The whole sightings in a file, which stay in the file."""
+    n_sightings = path.stat().st_size // SIGHTING.itemsize
+    if not n_sightings:
+        return np.zeros(0, SIGHTING)
+    return np.memmap(path, SIGHTING, "r", shape=(n_sightings,))
 
 
 def _last_write(folder: Path) -> float:

@@ -10,7 +10,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from dousa.arrays import FloatArray
+from dousa.arrays import FloatArray, IntArray
 from dousa.errors import OptionError
 from dousa.estimation.keypoints.films import FilmFrames
 from dousa.estimation.keypoints.identities import find_identities
@@ -108,20 +108,21 @@ def _search(frames: FilmFrames, follower: PeopleFollower, kept: KeypointCache, r
             report(frame + 1, max(frames.n_stated, frame + 1), what)
         sightings, times = kept.read()
         people = find_identities(sightings, times)
-        tracks = tuple(_make_track(sightings[rows], len(times)) for rows in people)
+        tracks = tuple(_make_track(sightings, rows, len(times)) for rows in people)
         found = ViewKeypoints(MEDIAPIPE_NAMES, tracks, times, frames.size, frames.path)
         return kept.finish(found, sightings, people)
     finally:
         kept.leave()
 
 
-def _make_track(seen: NDArray[np.void], n_frames: int) -> PersonTrack:
+def _make_track(sightings: NDArray[np.void], rows: IntArray, n_frames: int) -> PersonTrack:
     points: FloatArray = np.full((n_frames, N_BODY, 2), np.nan)
     world: FloatArray = np.full((n_frames, N_BODY, 3), np.nan)
     visibility: FloatArray = np.zeros((n_frames, N_BODY))
-    points[seen["frame"]] = seen["points"]
-    world[seen["frame"]] = seen["world"]
-    visibility[seen["frame"]] = np.clip(seen["visibility"], 0, 1)
+    frames = sightings["frame"][rows]
+    points[frames] = sightings["points"][rows]
+    world[frames] = sightings["world"][rows]
+    visibility[frames] = np.clip(sightings["visibility"][rows], 0, 1)
     return PersonTrack(points, visibility, world)
 
 
