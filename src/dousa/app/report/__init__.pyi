@@ -1,5 +1,5 @@
 from .curves import to_curves_csv, to_events_csv
-from .exercise_page import build_exercise_page, write_exercise_report
+from .exercise_page import build_exercise, build_exercise_page, write_exercise_report
 from .exercise_tables import to_repetitions_csv
 from .page import (
     QUICK_PARTS,
@@ -14,6 +14,7 @@ from .page import (
 
 __all__ = [
     "QUICK_PARTS",
+    "build_exercise",
     "build_exercise_page",
     "build_frame",
     "build_page",

@@ -83,22 +83,10 @@ def build_exercise_page(
     """
     from dousa.app.player.data import encode_repetitions, format_player_data, read_player_script, read_player_style
 
-    played = mirror_canonical(performance) if done.side == "mirrored" else performance
     words = load_section("report_exercise", language)
     title = words["title"].format(name=name or words["unnamed"])
-    slots = {f"text_{key}": escape(text) for key, text in words.items()}
-    slots |= {
-        "summary": _list_sentences(done, language),
-        "list": _list_repetitions(done, words, language),
-        "angles": draw_angles(done, played, words, language),
-        "measures": draw_measures(done, words, language),
-        "poses": draw_poses(done, played, words, language),
-        "table": build_repetitions_table(done, words, language),
-        "joints": build_joints_table(done, words, language),
-        "reading": _explain(done, words),
-        "files": escape(words["files"]).format(csv=element("a", {"href": REPETITIONS_NAME}, REPETITIONS_NAME)),
-        "header": _build_header(done, title, (), words, language),
-    }
+    played = _mirror(done, performance)
+    slots = _fill(done, played, title, language)
     player_data = format_player_data(encode_repetitions(done, played, name, language=language))
     font = embed_font(collect_text(*slots.values(), player_data))
     if font.problem:
@@ -114,10 +102,58 @@ def build_exercise_page(
         "player_style": read_player_style(),
         "player_script": read_player_script(),
         "style": "".join(read_file(file) for file in ("colours.css", "page.css", "report.css", "exercise.css")),
-        "script": read_file("exercise.js"),
+        "script": read_file("exercise.js") + read_file("exercise_page.js"),
         "text_made_by": escape(words["made_by"]),
     }
     return fill_slots(read_file("page.html"), frame)
+
+
+def build_exercise(
+    done: RepetitionsAssessment, performance: CanonicalMotion, language: str, name: str = ""
+) -> dict[str, Any]:
+    """The report for a page that shows other things as well.
+
+    Parameters
+    ----------
+    done, performance, language, name : as of `build_exercise_page`.
+
+    Returns
+    -------
+    ``markup`` of the report; ``data`` for ``dousa.bindExercise``; ``player`` for ``dousa.createPlayer``.
+    """
+    from dousa.app.player.data import encode_repetitions
+
+    words = load_section("report_exercise", language)
+    played = _mirror(done, performance)
+    slots = _fill(done, played, words["title"].format(name=name or words["unnamed"]), language)
+    return {
+        "markup": fill_slots(read_file("exercise.html"), slots),
+        "data": _collect(done),
+        "player": encode_repetitions(done, played, name, language=language),
+    }
+
+
+def _mirror(done: RepetitionsAssessment, performance: CanonicalMotion) -> CanonicalMotion:
+    """The performance as it was measured."""
+    return mirror_canonical(performance) if done.side == "mirrored" else performance
+
+
+def _fill(done: RepetitionsAssessment, played: CanonicalMotion, title: str, language: str) -> dict[str, str]:
+    """What stands in the slots of exercise.html."""
+    words = load_section("report_exercise", language)
+    slots = {f"text_{key}": escape(text) for key, text in words.items()}
+    return slots | {
+        "summary": _list_sentences(done, language),
+        "list": _list_repetitions(done, words, language),
+        "angles": draw_angles(done, played, words, language),
+        "measures": draw_measures(done, words, language),
+        "poses": draw_poses(done, played, words, language),
+        "table": build_repetitions_table(done, words, language),
+        "joints": build_joints_table(done, words, language),
+        "reading": _explain(done, words),
+        "files": escape(words["files"]).format(csv=element("a", {"href": REPETITIONS_NAME}, REPETITIONS_NAME)),
+        "header": _build_header(done, title, (), words, language),
+    }
 
 
 def _collect(done: RepetitionsAssessment) -> dict[str, Any]:

@@ -85,13 +85,15 @@ def build_frame(language: str) -> str:
 
 
 def read_report_script() -> str:
-    """The script that makes ``dousa.bindReport``; the player's comes before it."""
-    return read_file("report.js")
+    """The script that makes ``dousa.bindReport`` and ``dousa.bindExercise``; the player's comes before it."""
+    return read_file("report.js") + read_file("exercise.js")
 
 
 def read_report_style() -> str:
     """The style of the report for a page that shows other things as well: it ends at ``.dousa-report``."""
-    return f"{read_file('colours.css')}:where(.dousa-report) {{\n{read_file('report.css')}}}\n"
+    return (
+        f"{read_file('colours.css')}:where(.dousa-report) {{\n{read_file('report.css')}{read_file('exercise.css')}}}\n"
+    )
 
 
 def read_file(name: str) -> str:

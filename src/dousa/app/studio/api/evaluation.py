@@ -66,6 +66,13 @@ def get_report(studio: StudioNow, job_id: str, language: _Language = "en") -> An
     )
 
 
+@router.get("/evaluations/{job_id}/exercise", summary="The report of an exercise")
+def get_exercise(studio: StudioNow, job_id: str, language: _Language = "en") -> Response:
+    """Of a job with ``repetitions``: the report as markup, what its script needs, and what the player needs."""
+    content = studio.evaluations.read_exercise(job_id, f"exercise-{language}.json")
+    return Response(content, media_type="application/json")
+
+
 @router.post("/evaluations/{job_id}/adjust", summary="Change the figures and weights of an evaluation")
 def adjust(studio: StudioNow, job_id: str, wanted: AdjustRequest) -> Answer:
     """The new assessment and the parts of the report that follow; a quick answer leaves out those with figures."""
@@ -127,13 +134,15 @@ _FILES: dict[str, tuple[str, str]] = {
     "events.csv": ("text/csv", "errors and lapses"),
     "furi.txt": ("text/plain", "the figures, for `dousa evaluate --furi`"),
     "weights.toml": ("text/plain", "the weights, for `dousa evaluate --weights`"),
+    "exercise.html": ("text/html", "the whole report of an exercise as one page that opens anywhere"),
+    "repetitions.csv": ("text/csv", "the repetitions of an exercise, a row for each"),
 }
 
 
 def _make_download(name: str) -> Any:
     def download(studio: StudioNow, job_id: str, language: _Language = "en") -> Response:
         content = _write(name, studio, job_id, language)
-        stem = studio.evaluations.get(job_id).names[-1].rpartition(".")[0] or "performance"
+        stem = studio.evaluations.name_performance(job_id).rpartition(".")[0] or "performance"
         plain, full = f"{job_id}-{name}", quote(f"{stem} {name}", safe="", errors="replace")
         return Response(
             content,
@@ -148,6 +157,9 @@ def _write(name: str, studio: Studio, job_id: str, language: Language) -> str | 
     from dousa.app.report import build_page, to_curves_csv, to_events_csv
     from dousa.evaluation import format_furi
 
+    if name in ("exercise.html", "repetitions.csv"):
+        stored = name if name == "repetitions.csv" else f"exercise-{language}.html"
+        return studio.evaluations.read_exercise(job_id, stored)
     ready = studio.evaluations.get(job_id)
     adjustment = studio.evaluations.read_adjustment(job_id)
     if name == "furi.txt":

@@ -5,8 +5,8 @@ from __future__ import annotations
 import json
 import threading
 from collections import Counter, OrderedDict
-from collections.abc import Callable, Mapping, Sequence
-from contextlib import suppress
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -18,9 +18,12 @@ from dousa.app.studio.core.words import reword
 from dousa.messages import Message, get_language
 
 if TYPE_CHECKING:
+    from pathlib import Path
+
     from dousa.app.studio.content.motions import Motions, Named
     from dousa.app.studio.jobs.board import Job, JobBoard
     from dousa.evaluation import AdjustableAssessment, Assessment, Furi, Progress
+    from dousa.motion import CanonicalMotion
 
 Language = Literal["en", "ja"]
 _Weight = Annotated[float, Field(ge=0, le=1000, allow_inf_nan=False)]
@@ -71,8 +74,14 @@ class EvaluationRequest(Adjustment):
     references: Annotated[list[MotionRef], Field(min_length=1, max_length=50)]
     performance: MotionRef
     side: Literal["same", "mirrored"] = "same"
-    tempo: Literal["same", "free"] = "same"
+    tempo: Literal["same", "free"] | None = Field(None, description="null: same; of repetitions free")
+    repetitions: bool = Field(False, description="an exercise: each repetition is graded and measured")
     language: Language = "en"
+
+    @property
+    def pace(self) -> str:
+        """The tempo, where none is asked for the usual one."""
+        return self.tempo or ("free" if self.repetitions else "same")
 
 
 @dataclass(slots=True, eq=False)
@@ -253,7 +262,30 @@ class Evaluations:
         draw_progress(found, path)
         return path.read_bytes()
 
+    def name_performance(self, job_id: str) -> str:
+        """The name of what was judged."""
+        result = self._find(job_id).result or {}
+        return str(result["names"]["performance"])
+
+    def read_exercise(self, job_id: str, name: str) -> bytes:
+        """A file of the evaluation of an exercise.
+
+        Raises
+        ------
+        RefusedError : no such evaluation, or it is not of an exercise.
+        """
+        job = self._find(job_id)
+        if not job.request.get("repetitions"):
+            raise RefusedError(404, "studio_evaluation.no_exercise")
+        return (self._board.folder(job) / name).read_bytes()
+
     def _done(self, job_id: str) -> Job:
+        job = self._find(job_id)
+        if job.request.get("repetitions"):
+            raise RefusedError(404, "studio_evaluation.exercise")
+        return job
+
+    def _find(self, job_id: str) -> Job:
         job = self._board.get(job_id)
         if job.kind != "evaluate":
             raise RefusedError(404, "studio_evaluation.not_one", job=job_id)
@@ -285,9 +317,25 @@ def make_ready(
     ------
     RefusedError : a motion that cannot be used; the sentence names it.
     """
-    from dousa.errors import InvalidMotionError
-    from dousa.evaluation import ABOUT_REFERENCES, AdjustableAssessment
+    from dousa.evaluation import AdjustableAssessment
 
+    names, takes, performance = read_motions(request, find, progress)
+    with _naming(names, takes):
+        ready = AdjustableAssessment(takes, performance, side=request.side, tempo=request.pace, names=names)
+    return Ready(request, names, ready)
+
+
+def read_motions(
+    request: EvaluationRequest,
+    find: Callable[[MotionRef], Named],
+    progress: Callable[[int, int, Message], None],
+) -> tuple[tuple[str, ...], list[CanonicalMotion], CanonicalMotion]:
+    """Names of all motions, the takes of the reference, and the performance.
+
+    Raises
+    ------
+    RefusedError : as of `make_ready`.
+    """
     refs = [*request.references, request.performance]
     named = []
     for number, ref in enumerate(refs):
@@ -297,13 +345,76 @@ def make_ready(
     progress(len(refs), len(refs) + 1, Message("studio_evaluation.comparing"))
     names = _tell_apart(named)
     *takes, performance = (one.motion for one in named)
+    return names, takes, performance
+
+
+@contextmanager
+def _naming(names: Sequence[str], takes: Sequence[CanonicalMotion]) -> Iterator[None]:
+    """What is wrong with a motion is said with its name."""
+    from dousa.errors import InvalidMotionError
+    from dousa.evaluation import ABOUT_REFERENCES
+
     try:
-        ready = AdjustableAssessment(takes, performance, side=request.side, tempo=request.tempo, names=names)
+        yield
     except InvalidMotionError as error:
         shortest = min(range(len(takes)), key=lambda number: takes[number].duration)
-        name = names[shortest] if error.code in ABOUT_REFERENCES else names[-1]
+        name = names[shortest] if error.code in (*ABOUT_REFERENCES, "exercises.still_reference") else names[-1]
         raise RefusedError(422, Message("text.in_file", path=name, problem=error.message)) from error
-    return Ready(request, names, ready)
+
+
+def assess_exercise(
+    request: EvaluationRequest,
+    find: Callable[[MotionRef], Named],
+    folder: Path,
+    progress: Callable[[int, int, Message], None] = lambda done, total, what: None,
+) -> dict[str, Any]:
+    """Assess the repetitions of an exercise; its reports and its table are written into a folder.
+
+    Parameters
+    ----------
+    request : which, with ``repetitions``.
+    find, progress : as of `make_ready`.
+    folder : of the job.
+
+    Returns
+    -------
+    As ``dousa evaluate --repetitions --json``, with the names of the motions.
+
+    Raises
+    ------
+    RefusedError : as of `make_ready`; no repetition in the performance.
+    """
+    from dousa.app.report import build_exercise, build_exercise_page, to_repetitions_csv
+    from dousa.evaluation import assess_repetitions, describe_exercise, describe_trends
+    from dousa.files.disk import atomic_write
+    from dousa.messages import LANGUAGES
+
+    names, takes, performance = read_motions(request, find, progress)
+    with _naming(names, takes):
+        done = assess_repetitions(
+            takes,
+            performance,
+            side=request.side,
+            tempo=request.pace,
+            weights=request.weights,
+            importance=request.importance,
+        )
+    files = {"repetitions.csv": to_repetitions_csv(done)}
+    for language in LANGUAGES:
+        page = build_exercise_page(done, performance, language, names[-1])
+        files[f"exercise-{language}.html"] = page.encode("utf-8", "replace")
+        files[f"exercise-{language}.json"] = json.dumps(build_exercise(done, performance, language, names[-1])).encode()
+    for name, content in files.items():
+        with atomic_write(folder / name) as file:
+            file.write(content)
+    said = (*describe_exercise(done), *describe_trends(done))
+    return {
+        **done.to_json(request.language),
+        "says": [message.render(request.language) for message in said],
+        "says_codes": [message.code for message in said],
+        "names": {"references": list(names[:-1]), "performance": names[-1]},
+        "options": {"side": request.side, "tempo": request.pace, "repetitions": True},
+    }
 
 
 def _tell_apart(named: Sequence[Named]) -> tuple[str, ...]:
@@ -346,7 +457,7 @@ def describe(ready: Ready, assessment: Assessment, adjustment: Adjustment, langu
             "references": [ref.model_dump(exclude_none=True) for ref in request.references],
             "performance": request.performance.model_dump(exclude_none=True),
         },
-        "options": {"side": request.side, "tempo": request.tempo},
+        "options": {"side": request.side, "tempo": request.pace},
         "reference_duration_s": round(take.n_frames / take.frame_rate, 4),
         "furi_used": furi,
         "furi_found": found,

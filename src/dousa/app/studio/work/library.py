@@ -98,9 +98,11 @@ def label(studio: Studio, request: dict[str, Any], context: Context) -> dict[str
 def evaluate(studio: Studio, request: dict[str, Any], context: Context) -> dict[str, Any]:
     """Judge a performance; ``request`` is an `EvaluationRequest`. What the page changes later is asked of what this
     leaves ready."""
-    from dousa.app.studio.content.evaluations import EvaluationRequest, describe, make_ready
+    from dousa.app.studio.content.evaluations import EvaluationRequest, assess_exercise, describe, make_ready
 
     wanted = EvaluationRequest.model_validate(request)
+    if wanted.repetitions:
+        return assess_exercise(wanted, studio.motions.get, context.folder, context.progress)
     ready = make_ready(wanted, studio.motions.get, context.progress)
     assessment = ready.assess(wanted)
     studio.evaluations.put(context.folder.name, ready)

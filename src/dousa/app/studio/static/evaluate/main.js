@@ -64,14 +64,14 @@ async function over(job) {
   places.progress.replaceChildren(h("p", {}, t("loading")));
   try {
     // What is drawn needs its place on the page first.
-    if (await result.show(job.id, () => show("report"))) drawTools(job);
+    if (await result.show(job, () => show("report"))) drawTools(job);
   } catch (error) {
     setup.show(choiceOf(job));
     show("setup", error.message);
   }
 }
 
-const choiceOf = ({ request }) => ({ performance: request.performance, references: request.references, side: request.side, tempo: request.tempo });
+const choiceOf = ({ request }) => ({ performance: request.performance, references: request.references, side: request.side, tempo: request.tempo ?? (request.repetitions ? "free" : "same"), repetitions: Boolean(request.repetitions) });
 
 function drawTools(job) {
   const again = () => {
@@ -81,7 +81,7 @@ function drawTools(job) {
     keepChoice(setup.choice);
     show("setup");
   };
-  const files = h("details", { class: "menu" }, h("summary", { class: "button" }, t("download")), h("div", { class: "menu-list" }, ...downloadLinks(job.id)));
+  const files = h("details", { class: "menu" }, h("summary", { class: "button" }, t("download")), h("div", { class: "menu-list" }, ...downloadLinks(job)));
   $("#tools").replaceChildren(h("button", { type: "button", id: "again", onclick: again }, t("change_motions")), h("a", { class: "button", href: "/evaluate" }, t("new_evaluation")), files);
   $("#tools").hidden = false;
 }

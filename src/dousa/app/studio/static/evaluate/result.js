@@ -8,9 +8,12 @@ import { putParts } from "./parts.js";
 
 const FILES = { "report.html": "report", "curves.csv": "curves", "events.csv": "events", "furi.txt": "furi", "weights.toml": "weights" };
 
+const EXERCISE_FILES = { "exercise.html": "report", "repetitions.csv": "repetitions" };
+
 /** Links to the files of an evaluation, as somebody has adjusted it. */
-export function downloadLinks(job) {
-  return Object.entries(FILES).map(([file, word]) => h("a", { class: "button small", href: `/api/evaluations/${job}/${file}?language=${language}`, download: "", dataset: { file } }, icon("download"), t(`download_${word}`)));
+export function downloadLinks({ id, request }) {
+  const files = request.repetitions ? EXERCISE_FILES : FILES;
+  return Object.entries(files).map(([file, word]) => h("a", { class: "button small", href: `/api/evaluations/${id}/${file}?language=${language}`, download: "", dataset: { file } }, icon("download"), t(`download_${word}`)));
 }
 
 export class Result {
@@ -19,16 +22,18 @@ export class Result {
   }
 
   /** Show the evaluation of a job; onArrival() before it is drawn. -> whether it is there */
-  async show(job, onArrival) {
+  async show(wanted, onArrival) {
+    const job = wanted.id;
     this.clear();
     const mine = (this.turn = Symbol(job));
+    if (wanted.request.repetitions) return this.showExercise(wanted, mine, onArrival);
     const answer = await get(`/evaluations/${job}/report`, { language });
     if (mine !== this.turn) return false;
     onArrival();
     this.root.innerHTML = answer.frame;
     putParts(this.root, answer.parts);
     this.foldForPhones();
-    $("[data-part='files']", this.root).replaceChildren(h("span", { class: "row" }, ...downloadLinks(job)));
+    $("[data-part='files']", this.root).replaceChildren(h("span", { class: "row" }, ...downloadLinks(wanted)));
     this.data = answer.data;
     this.player = window.dousa.createPlayer($("#player", this.root), answer.player);
     this.report = window.dousa.bindReport(this.root, answer.data, this.player);
@@ -45,6 +50,18 @@ export class Result {
     this.showProgress(job, mine);
     this.endTime = this.player.onTime((seconds) => this.followPlayer(seconds));
     this.followPlayer(this.player.time);
+    return true;
+  }
+
+  /** The report of an exercise: nothing in it can be adjusted. */
+  async showExercise(wanted, mine, onArrival) {
+    const answer = await get(`/evaluations/${wanted.id}/exercise`, { language });
+    if (mine !== this.turn) return false;
+    onArrival();
+    this.root.innerHTML = answer.markup;
+    $("[data-part='files']", this.root).replaceChildren(h("span", { class: "row" }, ...downloadLinks(wanted)));
+    this.player = window.dousa.createPlayer($("#player", this.root), answer.player);
+    this.report = window.dousa.bindExercise(this.root, answer.data, this.player);
     return true;
   }
 

@@ -20,7 +20,7 @@ const upload = async (entries) => (await takeMotions(entries)).map(whole);
 export class Setup {
   constructor(onGrade) {
     this.form = $("#setup");
-    this.choice = { performance: null, references: [], side: "same", tempo: "same" };
+    this.choice = { performance: null, references: [], side: "same", tempo: "same", repetitions: false };
     this.form.addEventListener("submit", (event) => {
       event.preventDefault();
       if (this.isReady()) onGrade(this.request());
@@ -33,8 +33,8 @@ export class Setup {
   }
 
   request() {
-    const { performance, references, side, tempo } = this.choice;
-    return { performance: plain(performance), references: references.map(plain), side, tempo };
+    const { performance, references, side, tempo, repetitions } = this.choice;
+    return { performance: plain(performance), references: references.map(plain), side, tempo, repetitions };
   }
 
   /** Show a choice; it is kept in the address only when somebody changes it. */
@@ -93,6 +93,8 @@ export class Setup {
 
   buildOptions() {
     this.mirrored = h("input", { type: "checkbox", id: "mirrored", onchange: () => this.change({ side: this.mirrored.checked ? "mirrored" : "same" }) });
+    // Each repetition is graded at its own tempo, unless somebody wants it otherwise.
+    this.repetitions = h("input", { type: "checkbox", id: "repetitions", onchange: () => this.change({ repetitions: this.repetitions.checked, tempo: this.repetitions.checked ? "free" : "same" }) });
     const tempo = (value) => {
       const input = h("input", { type: "radio", name: "tempo", value, id: `tempo-${value}`, onchange: () => this.change({ tempo: value }) });
       return h("label", { class: "check" }, input, t(`tempo_${value}`));
@@ -100,13 +102,13 @@ export class Setup {
     this.button = h("button", { type: "submit", class: "primary large", id: "grade" }, t("grade"));
     this.needs = h("p", { class: "note" }, t("needs"));
     $("#options").append(
-      h("div", { class: "options" }, h("label", { class: "check" }, this.mirrored, t("mirrored")), h("fieldset", { class: "row" }, h("legend", {}, t("tempo")), tempo("same"), tempo("free"))),
+      h("div", { class: "options" }, h("label", { class: "check" }, this.mirrored, t("mirrored")), h("label", { class: "check" }, this.repetitions, t("repetitions")), h("fieldset", { class: "row" }, h("legend", {}, t("tempo")), tempo("same"), tempo("free"))),
       h("div", { class: "row go" }, this.button, this.needs),
     );
   }
 
   draw() {
-    const { performance, references, side, tempo } = this.choice;
+    const { performance, references, side, tempo, repetitions } = this.choice;
     this.performance.replaceChildren(
       ...(performance ? [motionRow(performance, { onChange: (ref) => this.change({ performance: ref }), onRemove: () => this.change({ performance: null }) })] : []),
     );
@@ -114,6 +116,7 @@ export class Setup {
     $("#references .drop").classList.toggle("slim", references.length > 0);
     this.references.replaceChildren(...references.map((ref, place) => this.referenceRow(ref, place)));
     this.mirrored.checked = side === "mirrored";
+    this.repetitions.checked = repetitions;
     $(`#tempo-${tempo}`).checked = true;
     this.button.disabled = !this.isReady();
     this.needs.hidden = this.isReady();

@@ -27,11 +27,12 @@ export function readAddress() {
     references: splitNames(asked.get("references")).map(whole),
     side: asked.get("mirror") === "1" ? "mirrored" : "same",
     tempo: asked.get("tempo") === "free" ? "free" : "same",
+    repetitions: asked.get("repetitions") === "1",
   };
 }
 
 /** The choice of motions in the address: reload shows it again. Parts of references are kept by the job only. */
-export function keepChoice({ performance, references, side, tempo }) {
+export function keepChoice({ performance, references, side, tempo, repetitions }) {
   const asked = new URLSearchParams();
   if (performance) {
     asked.set("performance", performance.motion);
@@ -40,6 +41,7 @@ export function keepChoice({ performance, references, side, tempo }) {
   if (references.length) asked.set("references", references.map((ref) => ref.motion).join(","));
   if (side === "mirrored") asked.set("mirror", "1");
   if (tempo === "free") asked.set("tempo", "free");
+  if (repetitions) asked.set("repetitions", "1");
   history.replaceState(null, "", `/evaluate${asked.size ? `?${asked}` : ""}`);
 }
 
