@@ -150,8 +150,24 @@ def test_what_is_not_understood_is_one_clear_error(tmp_path, content, code):
     assert caught.value.code == code
 
 
+def test_places_far_outside_any_picture_are_none(tmp_path):
+    points = make_points(17)
+    points[3, 0], points[4, 1] = 1e300, -1e9
+    view = read_keypoints(write(tmp_path / "view.json", [{"keypoints": points.reshape(-1).tolist()}] * 2), size=SIZE)
+    assert np.isnan(view.people[0].points[1, 3:5]).all() and view.people[0].present.all()
+
+
 @pytest.mark.parametrize(
-    "data", [b"", b"{", b"[" * 100_000, b"\xff\xfe", b"NaN", b'{"people": [{"keypoints": [NaN, 1]}]}']
+    "data",
+    [
+        b"",
+        b"{",
+        b"[" * 100_000,
+        b"\xff\xfe",
+        b"NaN",
+        b"[[%s, 2]]" % (b"9" * 400),
+        b'{"people": [{"keypoints": [NaN, 1]}]}',
+    ],
 )
 def test_damaged_json_is_one_clear_error(tmp_path, data):
     (tmp_path / "view.json").write_bytes(data)

@@ -26,6 +26,7 @@ _POINT_KEYS = ("pose_keypoints_2d", "keypoints", "pose_landmarks", "poseLandmark
 _PEOPLE_KEYS = ("people", "instances", "predictions", "persons", *_POINT_KEYS)
 _SCORE_KEYS = ("keypoint_scores", "scores")
 _NUMBER_KEYS = ("person_id", "track_id", "idx")
+_FARTHEST = 1e6  # px: what is farther out is no place in a picture
 _NORMALISED = 2.0  # no picture of a person is that small in px
 
 
@@ -64,6 +65,8 @@ def read_keypoint_json(path: str | os.PathLike[str]) -> ReadFrames:
         return _read_file(os.fspath(path))
     except KeypointError as error:
         raise error.at(path) from None
+    except OverflowError as error:  # whole numbers of hundreds of digits
+        raise KeypointError("keypoint_json.broken", reason=str(error)).at(path) from error
 
 
 def _parse(path: str) -> Any:
@@ -246,6 +249,6 @@ def settle_units(frames: list[list[ReadPerson]], size: tuple[int, int] | None) -
             if is_share and size is not None:
                 points[:, :2] = points[:, :2] * np.array(size) - 0.5
             points[:, 2] = np.clip(np.nan_to_num(points[:, 2] / (2 if is_flag else 1), nan=0.0), 0, 1)
-            points[nowhere | ~np.isfinite(points).all(axis=1)] = (np.nan, np.nan, 0.0)
+            points[nowhere | ~(np.abs(points[:, :2]) < _FARTHEST).all(axis=1)] = (np.nan, np.nan, 0.0)
             settled.append(ReadPerson(points, person.number))
         yield settled
