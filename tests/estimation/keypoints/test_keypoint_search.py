@@ -90,6 +90,21 @@ def test_a_film_cut_off_ends_early_and_says_so(tmp_path, found_by):
     assert [warning.code for warning in view.warnings] == ["film.truncated"]
 
 
+def test_a_film_damaged_in_the_middle_says_so_each_time(tmp_path, found_by, monkeypatch):
+    path = write_film(tmp_path / "a.mp4")
+
+    def read(self, skip=0):
+        for frame, seconds, picture in read_whole(self, skip):
+            self.n_damaged = max(self.n_damaged, frame // 10)
+            yield frame, seconds, picture
+
+    read_whole = FilmFrames.read
+    monkeypatch.setattr(FilmFrames, "read", read)
+    for _ in range(2):
+        (warning,) = find_keypoints(path, cache=tmp_path / "cache").warnings
+        assert str(warning) == "a.mp4: 2 pieces are damaged; pictures there are missing or wrong"
+
+
 @pytest.mark.parametrize(
     ("content", "code"),
     [(None, "film.missing"), (b"", "keypoint_film.unreadable"), (b"hello" * 99, "keypoint_film.unreadable")],

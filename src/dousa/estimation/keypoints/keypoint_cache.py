@@ -31,7 +31,7 @@ _SAMPLES, _SAMPLE = 48, 262_144
 _ABANDONED_S = 60.0  # without a write, after which an unfinished folder is nobody's
 _FLUSH_S = 2.0
 _SIGHTINGS, _TIMES = "sightings.bin", "times.bin"
-_POINTS, _MASKS, _CROPS = "keypoints.npz", "masks.npy", "crops.npy"
+_POINTS, _MASKS, _CROPS, _DAMAGED = "keypoints.npz", "masks.npy", "crops.npy", "damaged.npy"
 
 
 def fingerprint_film(path: str | os.PathLike[str], settings: Mapping[str, Any]) -> str:
@@ -56,6 +56,8 @@ class KeypointCache:
     ----------
     folder : of all films; None keeps nothing.
     key : of the film and the settings, see `fingerprint_film`.
+
+    ``n_damaged`` is how many packets of the film could not be decoded, once keypoints were loaded or finished.
     """
 
     def __init__(self, folder: Path | None, key: str) -> None:
@@ -63,12 +65,15 @@ class KeypointCache:
         self._files: list[IO[bytes]] = []
         self._work: Path | None = None
         self._last_flush = time.monotonic()
+        self.n_damaged = 0
 
     def load(self, source: str) -> ViewKeypoints | None:
         """The finished keypoints, with masks that stay in the file; None where there are none, or damaged ones."""
         if self._final is None or not self._final.is_dir():
             return None
         try:
+            if (self._final / _DAMAGED).exists():
+                self.n_damaged = int(np.load(self._final / _DAMAGED, allow_pickle=False))
             return _load(self._final, source, in_memory=False)
         except (DousaError, OSError, ValueError):
             shutil.rmtree(self._final, ignore_errors=True)
@@ -128,7 +133,7 @@ class KeypointCache:
         return _map(self._work / _SIGHTINGS), np.fromfile(self._work / _TIMES, np.float64)
 
     def finish(
-        self, keypoints: ViewKeypoints, sightings: NDArray[np.void], people: list[NDArray[np.int64]]
+        self, keypoints: ViewKeypoints, sightings: NDArray[np.void], people: list[NDArray[np.int64]], n_damaged: int
     ) -> ViewKeypoints:
         """Write keypoints and masks, and read them back.
 
@@ -137,10 +142,13 @@ class KeypointCache:
         keypoints : without masks.
         sightings : all.
         people : for each person of the keypoints the places among the sightings.
+        n_damaged : packets of the film that could not be decoded.
         """
+        self.n_damaged = n_damaged
         assert self._work is not None
         try:
             write_keypoints(self._work / _POINTS, keypoints, masks=False)
+            np.save(self._work / _DAMAGED, n_damaged)
             _write_masks(self._work, keypoints.n_frames, sightings, people)
             self._close()
             del sightings

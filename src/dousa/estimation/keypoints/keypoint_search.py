@@ -85,7 +85,7 @@ def find_keypoints(
             assert all(path.is_file() for path in paths)
             follower = PeopleFollower(PersonDetector(threads), LandmarkNetwork(model, threads), most_people)
             known = _search(frames, follower, kept, report)
-        return _with_warnings(known, frames)
+        return _with_warnings(known, frames, kept.n_damaged)
 
 
 def _choose_folder(cache: bool | str | os.PathLike[str]) -> Path | None:
@@ -110,7 +110,7 @@ def _search(frames: FilmFrames, follower: PeopleFollower, kept: KeypointCache, r
         people = find_identities(sightings, times)
         tracks = tuple(_make_track(sightings, rows, len(times)) for rows in people)
         found = ViewKeypoints(MEDIAPIPE_NAMES, tracks, times, frames.size, frames.path)
-        return kept.finish(found, sightings, people)
+        return kept.finish(found, sightings, people, frames.n_damaged)
     finally:
         kept.leave()
 
@@ -126,11 +126,13 @@ def _make_track(sightings: NDArray[np.void], rows: IntArray, n_frames: int) -> P
     return PersonTrack(points, visibility, world)
 
 
-def _with_warnings(found: ViewKeypoints, frames: FilmFrames) -> ViewKeypoints:
+def _with_warnings(found: ViewKeypoints, frames: FilmFrames, n_damaged: int) -> ViewKeypoints:
     warnings: list[Message] = []
     name = Path(frames.path).name
     if not found.people:
         warnings.append(Message("keypoints.nobody", film=name))
+    if n_damaged:
+        warnings.append(Message("keypoints.damaged", film=name, n=n_damaged))
     if frames.n_stated and found.n_frames < 0.98 * frames.n_stated - 1:
         warnings.append(Message("film.truncated", view=name, frames=found.n_frames, stated=frames.n_stated))
     return ViewKeypoints(found.names, found.people, found.times, found.size, found.source, tuple(warnings))
