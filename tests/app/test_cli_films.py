@@ -1,13 +1,14 @@
-"""`dousa sync`: what a person or a program is told about the times of films."""
+"""`dousa sync` and `dousa calibrate`: what a person or a program is told about the times and the cameras of films."""
 
 from __future__ import annotations
 
 import json
 
+import numpy as np
 import pytest
 from oracles.made_films import Performance, film, make_cameras
 
-from dousa.estimation import read_offsets, write_cameras, write_keypoints
+from dousa.estimation import read_cameras, read_offsets, write_cameras, write_keypoints
 
 
 @pytest.fixture(scope="module")
@@ -51,3 +52,43 @@ def test_mistakes_are_one_line_and_leave_nothing(dousa, scene, tmp_path, words, 
     assert (code, out, error.count("\n")) == (2, "", 1), error
     assert any(part in error for part in says.split("|")), error
     assert not target.exists()
+
+
+def test_cameras_are_said_written_and_drawn(dousa, scene, tmp_path):
+    films = [str(scene / "film1.npz"), str(scene / "film2.npz")]
+    target, picture, times = tmp_path / "calib.toml", tmp_path / "cameras.png", tmp_path / "sync.toml"
+    times.write_text('[[film]]\nname = "film1"\noffset = 0.0\n[[film]]\nname = "film2"\noffset = 0.65\n')
+    words = ("calibrate", *films, "--stature", "1.7", "--cameras", str(scene / "calib.toml"), "--sync", str(times))
+    code, out, error = dousa(*words, "-o", str(target), "--picture", str(picture), "--json")
+    assert (code, error) == (0, "")
+    answer = json.loads(out)
+    assert [row["name"] for row in answer["cameras"]] == ["film1", "film2"]
+    assert all(row["focal"] == pytest.approx(1500) and row["share"] > 0.8 for row in answer["cameras"])
+    assert answer["parallax_degrees"] == pytest.approx(75, abs=15) and answer["offsets"] is None
+    made, true = read_cameras(target), read_cameras(scene / "calib.toml")
+    apart = [float(np.linalg.norm(a.position - b.position)) for a, b in (made, true)]
+    assert apart[0] == pytest.approx(apart[1], rel=0.2)
+    assert picture.read_bytes().startswith(b"\x89PNG")
+    code, out, _ = dousa(*words)
+    assert code == 0 and "film2: at (" in out and "between the lines of sight" in out
+
+
+@pytest.mark.parametrize(
+    ("words", "says"),
+    [
+        (("{0}/film1.npz", "{0}/film2.npz"), "either --stature"),
+        (("{0}/film1.npz", "{0}/film2.npz", "--stature", "1.7", "--board", "charuco:5x7:4cm:3cm"), "either --stature"),
+        (("{0}/film1.npz", "--stature", "1.7"), "two films or more"),
+        (("{0}/film1.npz", "{0}/film2.npz", "--stature", "175", "--together"), "0.5 to 2.6 m"),
+        (("{0}/film1.npz", "{0}/film2.npz", "--stature", "1.7", "--focal", "3", "--together"), "focal length"),
+        (("{0}/film1.npz", "{0}/film2.npz", "--stature", "1.7", "--sync", "{0}/none.toml"), "none.toml"),
+        (("{0}/film1.npz", "{0}/film2.npz", "--stature", "1.7", "--sync", "x", "--together"), "either --sync"),
+        (("{0}/film1.npz", "{0}/film2.npz", "--board", "9x6"), "chessboard:9x6:25mm"),
+        (("{0}/calib.toml", "{0}/film2.npz", "--board", "charuco:5x7:40mm:30mm"), "calib.toml"),
+    ],
+)
+def test_mistakes_about_cameras_are_one_line(dousa, scene, tmp_path, words, says):
+    target = tmp_path / "calib.toml"
+    code, out, error = dousa("calibrate", *(word.format(scene) for word in words), "-o", str(target))
+    assert (code, out, error.count("\n")) == (2, "", 1), error
+    assert says in error and not target.exists()

@@ -3,6 +3,8 @@ from .body.body_file import read_body, write_body
 from .body.human import make_human
 from .body.posing import fit_pose, fit_poses, standing_state
 from .body.skeleton_body import body_from_motion, fit_body
+from .calibration.board import Board, calibrate_from_board, calibrate_lens, find_board, parse_board
+from .calibration.person import CalibratedView, Calibration, calibrate_from_person
 from .cameras.camera import Camera
 from .cameras.camera_files import read_cameras, write_cameras
 from .cameras.camera_formats import cameras_to_arrays
@@ -33,7 +35,10 @@ __all__ = [
     "MEDIAPIPE_NAMES",
     "PAPER",
     "READINGS",
+    "Board",
     "BodyModel",
+    "CalibratedView",
+    "Calibration",
     "Camera",
     "Estimate",
     "KeypointFit",
@@ -50,10 +55,14 @@ __all__ = [
     "Triangulated",
     "ViewKeypoints",
     "body_from_motion",
+    "calibrate_from_board",
+    "calibrate_from_person",
+    "calibrate_lens",
     "cameras_to_arrays",
     "clean_mask",
     "describe_mask",
     "estimate",
+    "find_board",
     "find_keypoints",
     "find_start",
     "fit_body",
@@ -68,6 +77,7 @@ __all__ = [
     "match_cameras",
     "match_people",
     "open_silhouettes",
+    "parse_board",
     "poses_from_motion",
     "read_body",
     "read_cameras",

@@ -8,8 +8,9 @@ from oracles.made_films import Performance, film, make_cameras
 
 from dousa.errors import CalibrationError, OptionError
 from dousa.estimation import PersonTrack, Sound, ViewKeypoints, sync
+from dousa.estimation.calibration.person import guess_lenses
 from dousa.estimation.sync.speeds import choose_step, correlate, describe_movement
-from dousa.estimation.sync.synchronise import _guess, _make_tracks
+from dousa.estimation.sync.synchronise import _make_tracks
 
 ACTS = ("punch", "turn_around", "kick_left", "raise_hands", "side_step", "bow")
 
@@ -43,10 +44,15 @@ def test_known_cameras_and_the_right_person_of_several(performance):
     assert found.offsets[1] == pytest.approx(1.2, abs=0.010)
 
 
+def make_tracks(views):
+    lenses = guess_lenses(views)
+    return [_make_tracks(view, view.names, lens)[0] for view, lens in zip(views, lenses, strict=True)]
+
+
 def test_the_lag_that_agrees_best_is_found_among_all(performance):
     cameras = make_cameras(2)
     views = [film(performance, cameras[0], 4.0, 3.0), film(performance, cameras[1], 1.0, 6.0)]
-    tracks = [_make_tracks(view, view.names, camera)[0] for view, camera in zip(views, _guess(views), strict=True)]
+    tracks = make_tracks(views)
     movements = [describe_movement(track, choose_step(tracks)) for track in tracks]
     best, *others = correlate(*movements).find(5)
     assert best.lag == pytest.approx(-3.0, abs=2 * choose_step(tracks))
@@ -56,7 +62,7 @@ def test_the_lag_that_agrees_best_is_found_among_all(performance):
 def test_correlation_at_each_lag_is_that_of_the_overlap(performance):
     cameras = make_cameras(2)
     views = [film(performance, cameras[0], 0.0, 3.0), film(performance, cameras[1], 0.4, 2.0)]
-    tracks = [_make_tracks(view, view.names, camera)[0] for view, camera in zip(views, _guess(views), strict=True)]
+    tracks = make_tracks(views)
     first, second = (describe_movement(track, choose_step(tracks)) for track in tracks)
     found = correlate(first, second)
     for shift in (-20, 0, 13, 40):

@@ -19,11 +19,15 @@ from dousa.estimation.cameras.camera import Camera
 WINDOW = 0.025
 """s, standard deviation of the window in which a point is smoothed."""
 
+USUAL_FOCAL = 0.85
+"""Focal length by the longer side of the picture, of phones and of most other cameras that film people."""
+
 LEAST_VISIBILITY = 0.5
 """Points that are less sure are not used."""
 
 _SPREAD = 0.015  # of a person's height in the picture, by which keypoints are off
 _REACH = 3.0  # windows
+_FINEST = 1.0 / 60.0  # s, between two moments
 _LEAST_FRAMES = 3
 _JUMP = 0.4  # of the middle distance of points from the person's middle: some 20 cm, farther than a hand in a frame
 
@@ -181,6 +185,18 @@ def _median(values: FloatArray, axis: int) -> FloatArray:
     """The median of what is known; 0 where nothing is."""
     nothing = np.isnan(values).all(axis=axis, keepdims=True)
     return np.asarray(np.nanmedian(np.where(nothing, 0.0, values), axis=axis))
+
+
+def choose_moments(tracks: Sequence[Track], offsets: FloatArray, most: int) -> FloatArray:
+    """Moments (M,) s of the common time at which at least two films saw the person, evenly spread."""
+    starts = np.array([track.times[0] for track in tracks]) + offsets
+    ends = np.array([track.times[-1] for track in tracks]) + offsets
+    grid: FloatArray = np.arange(starts.min(), ends.max() + _FINEST, _FINEST)
+    several = ((grid >= starts[:, None]) & (grid <= ends[:, None])).sum(axis=0) >= 2
+    grid = grid[several]
+    if len(grid) <= most:
+        return np.asarray(grid)
+    return np.asarray(grid[np.linspace(0, len(grid) - 1, most).round().astype(int)])
 
 
 def read_sightings(tracks: Sequence[Track], offsets: FloatArray, moments: FloatArray) -> Sightings:

@@ -11,9 +11,9 @@ import numpy as np
 from dousa.arrays import FloatArray
 from dousa.errors import CalibrationError, OptionError
 from dousa.estimation.calibration.bundle import Limb, Rig
+from dousa.estimation.calibration.person import guess_lenses
 from dousa.estimation.calibration.sightings import Track, choose_points, list_limbs, make_track
 from dousa.estimation.cameras.camera import Camera
-from dousa.estimation.cameras.camera_sets import make_view
 from dousa.estimation.keypoints.keypoints import ViewKeypoints
 from dousa.estimation.sync.sound import Sound, SoundLag, find_sound_lag
 from dousa.estimation.sync.speeds import Agreement, Movement, choose_step, correlate, describe_movement
@@ -21,9 +21,6 @@ from dousa.estimation.sync.timing import TimedRig, fit_times
 from dousa.messages import Message
 
 Progress = Callable[[int, int, Message], None]
-
-USUAL_FOCAL = 0.85
-"""Focal length by the longer side of the picture, of phones and of most other cameras that film people."""
 
 _MOST_PEOPLE = 3  # of a view, who are tried
 _MOST_LAGS = 5  # of a pair
@@ -107,7 +104,9 @@ def sync(
     by_sound, heard = _listen(sounds, len(views))
     tell = progress or (lambda done, total, what: None)
     shared = [name for name in views[0].names if all(name in view.names for view in views)]
-    tracks = [_make_tracks(view, shared, camera) for view, camera in zip(views, cameras or _guess(views), strict=True)]
+    tracks = [
+        _make_tracks(view, shared, camera) for view, camera in zip(views, cameras or guess_lenses(views), strict=True)
+    ]
     problem = _find_problem(tracks, names, len(shared))
     if problem is not None:
         return _by_sound_only(by_sound, heard, problem)
@@ -131,14 +130,6 @@ def sync(
 
 def _name(view: ViewKeypoints, place: int) -> str:
     return view.source or f"view{place + 1}"
-
-
-def _guess(views: Sequence[ViewKeypoints]) -> list[Camera]:
-    """Cameras with a usual focal length; where they stand does not matter."""
-    return [
-        make_view((0.0, 1.0, 3.0), (0.0, 1.0, 0.0), size=view.size, focal=USUAL_FOCAL * max(view.size))
-        for view in views
-    ]
 
 
 def _make_tracks(view: ViewKeypoints, shared: Sequence[str], camera: Camera) -> list[Track]:

@@ -15,11 +15,10 @@ import numpy as np
 from dousa.arrays import FloatArray
 from dousa.estimation.calibration.bundle import CAMERA_UNKNOWNS, Fit, Freedom, Limb, Rig, Sightings, adjust
 from dousa.estimation.calibration.rig_search import find_rig
-from dousa.estimation.calibration.sightings import Track, read_sightings
+from dousa.estimation.calibration.sightings import Track, choose_moments, read_sightings
 from dousa.estimation.calibration.two_views import triangulate
 
 _MOST_MOMENTS = 120
-_FINEST = 1.0 / 60.0  # s
 _STEPS = 25
 _SETTLED = 0.0005  # s
 _LEAST_MOMENTS = 12
@@ -44,18 +43,6 @@ class TimedRig:
     spreads: FloatArray
     misfit: float
     rig: Rig
-
-
-def choose_moments(tracks: Sequence[Track], offsets: FloatArray, most: int = _MOST_MOMENTS) -> FloatArray:
-    """Moments (M,) s of the common time at which at least two films saw the person, evenly spread."""
-    starts = np.array([track.times[0] for track in tracks]) + offsets
-    ends = np.array([track.times[-1] for track in tracks]) + offsets
-    grid: FloatArray = np.arange(starts.min(), ends.max() + _FINEST, _FINEST)
-    several = ((grid >= starts[:, None]) & (grid <= ends[:, None])).sum(axis=0) >= 2
-    grid = grid[several]
-    if len(grid) <= most:
-        return np.asarray(grid)
-    return np.asarray(grid[np.linspace(0, len(grid) - 1, most).round().astype(int)])
 
 
 def fit_times(
