@@ -52,6 +52,7 @@ PLAIN = (
     f"evaluate {MODEL} --performance {QUERY} --lang ja -o report",
     f"convert {QUERY} query.trc",
     "info query.trc",
+    "models --json",
     f"render {QUERY} --ring 3 --size 120x90 --frames 0:12 -o seen.npz",
 )
 # What needs an extra, and which.
@@ -61,6 +62,7 @@ EXTRA = (
     (f"label moves.dousa {QUERY} --picture labels.svg", "pictures"),
     ("demo -o demo", "pictures"),
     ("estimate seen.npz --stature 1.7 -o estimated.bvh", "film"),
+    ("keypoints film.mp4", "film"),
     ("studio moves.dousa --no-browser", "studio"),
 )
 
