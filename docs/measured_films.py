@@ -2,7 +2,8 @@
 
 Seventeen points of the reference: hips, knees, ankles, big toes, heels, shoulders, elbows, wrists and the nose. Of the
 fit the joints are those of the body; toes, heels and nose its landmarks. Plain triangulation is linear, of all views
-that are asked for, each point and frame for itself, and not smoothed. Image t is the reference's frame t - 1.
+that are asked for, each point and frame for itself, and not smoothed; with one view it is the network's own places in
+space, with the hips aligned. Image t is the reference's frame t - 1.
 """
 
 from __future__ import annotations
@@ -68,17 +69,20 @@ def measure_films(folder: Path, models: Sequence[str], n_views: Sequence[int]) -
 def measure_choice(
     model: str, choice: Sequence[int], found: Sequence[ViewKeypoints], cameras: Sequence[Camera], truth: FloatArray
 ) -> tuple[float, float, float, float]:
-    """Errors of the fit, of plain triangulation, of the fit with the hips in place (mm), and frames lost."""
+    """Errors of the fit, of the baseline, of the fit with the hips in place (mm), and frames lost.
+
+    The baseline is plain triangulation, or with one view the network's own posture.
+    """
     tracks = [found[view].people[0] for view in choice]
     some = [cameras[view] for view in choice]
     fit = fit_keypoints(some, tracks, found[0].names, 60.0)
     places = list_points(fit)
-    plain = np.nan
-    if len(choice) > 1:
-        seen = gather(tracks, found[0].names, tracks[0].n_frames)
-        plain = compare(triangulate_plainly(some, seen.points)[:, [seen.names.index(name) for name in POINTS]], truth)[
-            0
-        ]
+    seen = gather(tracks, found[0].names, tracks[0].n_frames)
+    rows = [seen.names.index(name) for name in POINTS]
+    if len(choice) == 1:
+        plain = compare((seen.world[0] @ some[0].rotation)[:, rows], truth)[1]
+    else:
+        plain = compare(triangulate_plainly(some, seen.points)[:, rows], truth)[0]
     error, posture = compare(places, truth)
     lost = float(fit.estimate.lost.sum())
     views = ", ".join(str(view + 1) for view in choice)

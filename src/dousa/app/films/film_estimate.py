@@ -13,13 +13,14 @@ from dousa.app.films.film_scene import (
     has_models,
     is_films,
     open_films,
+    open_pictures,
     shows_masks,
     with_outputs,
 )
 from dousa.app.pipelines.doubts import describe_doubts
 from dousa.app.pipelines.estimate import Estimation, estimate_files
 from dousa.app.pipelines.estimation_output import check_outputs, write_outputs
-from dousa.app.pipelines.estimation_views import Scene, Watcher, pictures_of
+from dousa.app.pipelines.estimation_views import Scene, Watcher
 from dousa.errors import KeypointError, OptionError
 from dousa.extras import require
 from dousa.messages import Message
@@ -168,7 +169,7 @@ def _estimate_person(
         estimate,
         silhouettes,
         cameras,
-        lambda: pictures_of(request.sources, silhouettes, films.first_frame),
+        lambda: open_pictures(request.sources, silhouettes),
         report,
     )
     words = _body_words(request, estimate.body)

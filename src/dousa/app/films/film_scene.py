@@ -9,8 +9,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from dousa.app.films.film_views import is_keypoints, open_keypoints
 from dousa.app.pipelines.doubts import parse_frames
-from dousa.arrays import FloatArray, IndexArray, Mask
+from dousa.app.pipelines.estimation_views import VideoPictures
+from dousa.arrays import FloatArray, Image, IndexArray, Mask
 from dousa.errors import CalibrationError, KeypointError, OptionError
 from dousa.estimation.silhouettes.silhouettes import Silhouettes
 from dousa.messages import Message
@@ -22,6 +24,7 @@ if TYPE_CHECKING:
 
 _LONGEST_SIDE = 640  # px of masks for drawings
 _SAME_RATE = 0.002
+_SAME_START = 0.75  # frames by which films may start apart and be taken as they are
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -66,27 +69,51 @@ def open_films(request: EstimationRequest, report: ProgressCallback) -> FilmScen
     ------
     DousaError : a film or calibration that cannot be used, or models that are not installed.
     """
-    from dousa.estimation.keypoints.keypoint_search import find_keypoints
-
-    model = request.model or choose_model()
-    found = tuple(find_keypoints(path, model, progress=report) for path in request.sources)
-    names = tuple(path.stem for path in request.sources)
+    found = open_keypoints(request.sources, request.model or choose_model(), report)
+    names = tuple(view.source for view in found)
     cameras, notes = match_film_cameras(request, names, found)
     rates = [view.frame_rate for view in found]
     rate = request.rate or min(rates)
     if max(rates) > min(rates) * (1 + _SAME_RATE):
         notes.append(Message("masks.rates", rates=rates, rate=rate))
-    offsets = np.array([0.0 if request.offsets is None else value for value in request.offsets or [0.0] * len(found)])
-    if len(offsets) != len(found):
-        raise OptionError("film_estimate.offsets", found=len(offsets), views=len(found))
-    offsets = offsets - offsets.min()
+    offsets, more = find_offsets(request, names, found, cameras, report)
+    notes += more
     length = min(view.times[-1] - offset for view, offset in zip(found, offsets, strict=True))
     if length < 0:
         raise KeypointError("film_estimate.no_common_moment")
-    n_frames = int(length * rate + 1e-6) + 1
+    n_frames = int(length * rate + 0.25) + 1  # a quarter of a frame beyond the end is the last frame
     first, stop = parse_frames(request.frames, n_frames, Message("frames.recording"))
     notes += [note for view in found for note in view.warnings]
     return FilmScene(names, found, cameras, rate, np.arange(first, stop) / rate, offsets, first, tuple(notes))
+
+
+def find_offsets(
+    request: EstimationRequest,
+    names: Sequence[str],
+    found: Sequence[ViewKeypoints],
+    cameras: Sequence[Camera],
+    report: ProgressCallback,
+) -> tuple[FloatArray, list[Message]]:
+    """What each film's own clock shows (V,) s when the last of them begins, and what a person should know."""
+    from dousa.estimation.sync.sync_file import read_offsets
+    from dousa.estimation.sync.synchronise import sync
+
+    together = np.zeros(len(found))
+    if request.offsets == "none" or len(found) < 2:
+        return together, []
+    if request.offsets != "auto":
+        clocks = -np.array(read_offsets(request.offsets, names))
+        return clocks - clocks.min(), []
+    try:
+        answer = sync(found, cameras=cameras, progress=report)
+    except CalibrationError:  # nobody moves: then it does not matter much either
+        return together, [Message("film_estimate.not_synchronised")]
+    frame = 1.0 / min(view.frame_rate for view in found)
+    if (np.abs(answer.offsets) < np.maximum(_SAME_START * frame, 3.0 * answer.spreads)).all():
+        return together, []
+    clocks = -answer.offsets
+    pairs = tuple(f"{name} {offset:+.3f} s" for name, offset in zip(names, answer.offsets, strict=True))
+    return clocks - clocks.min(), [*answer.warnings, Message("film_estimate.synchronised", offsets=pairs)]
 
 
 def choose_model() -> Model:
@@ -144,7 +171,7 @@ class PersonSilhouettes(Silhouettes):
         self.n_frames = len(films.moments)
         self.sizes = tuple(reduce_size(view.size, _LONGEST_SIDE) for view in films.found)
         self._found = films.found
-        self._frames = [nearest_frames(view.times, films.moments + offset)
+        self.frames = [nearest_frames(view.times, films.moments + offset)
                         for view, offset in zip(films.found, films.offsets, strict=True)]  # fmt: skip
         self._masks: list[list[PersonMasks]] = [
             [masks for number in numbers if (masks := view.people[number].masks) is not None]
@@ -160,7 +187,7 @@ class PersonSilhouettes(Silhouettes):
         """The masks (height, width) of all views in one frame; None where a view has no image then."""
         masks: list[Mask | None] = []
         for view, found in enumerate(self._found):
-            place = int(self._frames[view][frame])
+            place = int(self.frames[view][frame])
             drawn = (own.read(place, self.sizes[view], of=found.size) for own in self._masks[view])
             masks.append(next((mask for mask in drawn if mask is not None), None))
         return tuple(masks)
@@ -168,6 +195,32 @@ class PersonSilhouettes(Silhouettes):
     def fit_cameras(self, cameras: Sequence[Camera]) -> tuple[Camera, ...]:
         """Cameras (V,) of the films' pictures for pictures of the masks' size."""
         return tuple(camera.resized(*size) for camera, size in zip(cameras, self.sizes, strict=True))
+
+
+class ScenePictures(VideoPictures):
+    """The films' pictures at the common moments, as large as the masks.
+
+    Parameters
+    ----------
+    sources : (V,) films.
+    silhouettes : of a person in them.
+    """
+
+    def __init__(self, sources: Sequence[Path], silhouettes: PersonSilhouettes) -> None:
+        super().__init__(sources, silhouettes.sizes, silhouettes.frame_rate, 0)
+        self._places = silhouettes.frames
+
+    def _read(self, view: int, frame: int) -> Image | None:
+        from dousa.extras import cv2
+
+        file = self._files[view]
+        image = file.read(min(int(self._places[view][frame]), file.n_frames - 1))
+        return None if image is None else np.asarray(cv2.resize(image, self._sizes[view], interpolation=cv2.INTER_AREA))
+
+
+def open_pictures(sources: Sequence[Path], silhouettes: PersonSilhouettes) -> ScenePictures | None:
+    """The pictures behind a person's masks; None where sources are keypoints."""
+    return None if any(is_keypoints(path) for path in sources) else ScenePictures(sources, silhouettes)
 
 
 def nearest_frames(times: FloatArray, moments: FloatArray) -> IndexArray:
@@ -180,7 +233,7 @@ def nearest_frames(times: FloatArray, moments: FloatArray) -> IndexArray:
 
 
 def is_films(request: EstimationRequest) -> bool:
-    """Whether the sources are films of a scene: no folders or npz, and no plates that go with them."""
+    """Whether the sources are films of a scene, or keypoints that are asked for as such, and no plates go with them."""
     from dousa.estimation.silhouettes.images import IMAGE_ENDINGS
 
     endings = (".npz", *IMAGE_ENDINGS)
@@ -188,6 +241,8 @@ def is_films(request: EstimationRequest) -> bool:
         return False
     if request.start is not None or not request.sources:
         return False
+    if request.cues == "keypoints":
+        return not any(path.suffix.lower() in IMAGE_ENDINGS for path in request.sources)
     return all(path.is_file() and path.suffix.lower() not in endings for path in request.sources)
 
 

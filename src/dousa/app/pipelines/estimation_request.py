@@ -90,7 +90,7 @@ class EstimationRequest:
     model : that finds keypoints; None for the most precise that is installed.
     person : whose motion, by how much is seen of them: 1 is who is seen most.
     everybody : one motion for each person.
-    offsets : (V,) s of each film at one common moment; 0 by default.
+    offsets : of films in time: ``"auto"`` finds them, ``"none"`` where they start together, or a file of them.
     options : how motion files are read.
 
     Raises
@@ -117,7 +117,7 @@ class EstimationRequest:
     model: Model | None = None
     person: int = 1
     everybody: bool = False
-    offsets: tuple[float, ...] | None = None
+    offsets: str = "auto"
     options: ReadOptions = dataclasses.field(default_factory=lambda: _read_options({}))
 
     def __post_init__(self) -> None:
@@ -154,8 +154,6 @@ class EstimationRequest:
         for name in ("sources", "backgrounds"):
             if name in values:
                 values[name] = tuple(Path(path) for path in values[name])
-        if "offsets" in values:
-            values["offsets"] = tuple(float(offset) for offset in values["offsets"])
         values["settings"] = choose_settings(values)
         values["outputs"] = Outputs(**_pick(values, Outputs))
         values["options"] = _read_options(values)

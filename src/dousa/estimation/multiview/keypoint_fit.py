@@ -47,6 +47,7 @@ _FIRST_S = 0.1  # between two poses that the trajectory begins with
 _BODY_FRAMES = 60
 _BODY_RATE = 40.0  # Hz: a network's errors are much the same all over a film, so that a frame counts as a quarter
 _BONES = (("hip", "knee", 0.236), ("knee", "ankle", 0.246), ("shoulder", "elbow", 0.162), ("elbow", "wrist", 0.158))
+_ONE_VIEW_EASE = 4.0  # times the ease of joints that several views need: what one view does not tell is at ease
 _LOST_SIGMA = 0.10  # m, mean uncertainty of the joints of a frame that is lost
 _LOST_SEEN = 0.35  # share of the landmarks that two views, or the only one, must show
 _LOST_ERROR = 3.0  # sigmas, middle error of a frame's points
@@ -128,7 +129,9 @@ def fit_keypoints(
     tell(1, 4, Message("multiview.body"))
     given = body if body is not None else make_human(stature or _guess_stature(places, seen.names, len(shown)), sex)
     poses, told = _first_poses(given, places, seen.names, frame_rate)
-    terms = Terms(cameras, seen, frame_rate, 1.0 if len(shown) == 1 else 0.0)
+    terms = (
+        Terms(cameras, seen, frame_rate, 1.0, _ONE_VIEW_EASE) if len(shown) == 1 else Terms(cameras, seen, frame_rate)
+    )
     own, landmarks, poses = _find_body(given, body is None, stature, sex, poses, told, terms)
     tell(2, 4, Message("multiview.fitting"))
     fitted = fit_trajectory(own, poses, landmarks, terms,

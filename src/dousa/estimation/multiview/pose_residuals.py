@@ -28,7 +28,7 @@ _TAIL = 4.0  # degrees of freedom of Student's t: points that are far off count 
 _LEAST_VISIBLE = 0.05
 _LIMIT = 0.05  # rad beyond a limit, one sigma
 _REST = 0.8  # of half a joint's range, one sigma about the angle at ease, for stiffness 1
-_WORLD = 0.08  # m, one sigma of the network's places in space about the hips
+_WORLD = 0.2  # m, one sigma of the network's places in space about the hips: off by half of it, but all in one way
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -41,12 +41,14 @@ class Terms:
     seen : (V, T, L).
     frame_rate : Hz.
     world_weight : how much the network's own places in space count, 0 to 1.
+    ease : times how much joints are drawn to where they are at ease.
     """
 
     cameras: Sequence[Camera]
     seen: SeenLandmarks
     frame_rate: float
     world_weight: float = 0.0
+    ease: float = 1.0
 
 
 def step_poses(poses: FloatArray, steps: FloatArray) -> FloatArray:
@@ -113,7 +115,7 @@ def normal_equations(
         gradient -= np.einsum("tlid,tl,tli->td", flow, weights[view], errors[view])
     if terms.world_weight > 0:
         _add_world(terms, landmarks, places, slopes, share, square, gradient, costs)
-    _add_angles(body, poses, share, square, gradient, costs)
+    _add_angles(body, poses, share, terms.ease * share, square, gradient, costs)
     return square, gradient, costs
 
 
@@ -159,13 +161,19 @@ def angle_rest(body: BodyModel) -> tuple[FloatArray, FloatArray]:
 
 
 def _add_angles(
-    body: BodyModel, poses: FloatArray, share: float, square: FloatArray, gradient: FloatArray, costs: FloatArray
+    body: BodyModel,
+    poses: FloatArray,
+    share: float,
+    ease_share: float,
+    square: FloatArray,
+    gradient: FloatArray,
+    costs: FloatArray,
 ) -> None:
     """Limits and ease of the joints, in place."""
     angles, limits = poses[:, 7:], body.angle_limits
     beyond = angles - np.clip(angles, limits[:, 0], limits[:, 1])
     ease, rest = angle_rest(body)
-    off, rest = angles - ease, share * rest
+    off, rest = angles - ease, ease_share * rest
     hard = share * (beyond != 0) / _LIMIT**2
     rows = np.arange(6, square.shape[1])
     square[:, rows, rows] += hard + rest

@@ -202,10 +202,11 @@ class Estimate:
             per_view = [
                 float(np.nanmean(column)) if np.isfinite(column).any() else float("nan") for column in self.iou.T
             ]
+        known = [mean for mean in per_view if np.isfinite(mean)]
         return {
             "n_frames": self.n_frames,
             "frame_rate": self.frame_rate,
-            "iou": {"mean": float(np.nanmean(per_view)) if per_view else float("nan"), "per_view": per_view},
+            "iou": {"mean": float(np.mean(known)) if known else float("nan"), "per_view": per_view},
             "lost_frames": np.flatnonzero(self.lost).tolist(),
             "frames_per_second": self.frames_per_second,
             "warnings": [str(warning) for warning in self.warnings],

@@ -197,3 +197,11 @@ class PeopleOptions:
         bool,
         typer.Option("--everybody", help="One motion for each person: OUT.bvh, OUT-2.bvh and so on."),
     ] = False
+    offsets: Annotated[
+        str,
+        typer.Option(
+            "--offsets",
+            metavar="auto|none|FILE",
+            help="When films begin: found by the movement of the person, together, or as dousa sync wrote.",
+        ),
+    ] = "auto"

@@ -1,0 +1,107 @@
+"""``dousa estimate --cues keypoints`` from made keypoints of a made-up performer: no films and no models are needed."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+
+from dousa.estimation import (
+    MEDIAPIPE_NAMES,
+    PersonTrack,
+    ViewKeypoints,
+    make_human,
+    make_ring,
+    poses_from_motion,
+    write_cameras,
+    write_keypoints,
+)
+from dousa.estimation.multiview.landmarks import place_landmarks
+from dousa.estimation.multiview.pose_residuals import place_points
+from dousa.formats.registry import read_motion
+from dousa.motion.synthetic.performers import draw_performer, make_motion
+
+RATE, LATE = 30.0, 12  # frames by which one film begins later
+HANDS = {"foot_index": "toe", "index": "hand", "pinky": "hand"}
+NAMES = tuple(name for name in MEDIAPIPE_NAMES if not any(word in name for word in ("eye", "mouth", "thumb")))
+
+
+@pytest.fixture(scope="module")
+def scene(tmp_path_factory):
+    """Keypoints of three films of two people, the third film late, and the cameras; poses of the first person."""
+    folder = tmp_path_factory.mktemp("scene")
+    cameras = make_ring(3, size=(640, 480), focal=500.0)
+    body = make_human(1.75)
+    poses = poses_from_motion(body, make_motion("throw", draw_performer(3), frame_rate=RATE))[:80]
+    other = poses[::-1].copy()
+    other[:, 0] += 1.2
+    own = tuple(next((name.replace(a, b) for a, b in HANDS.items() if name.endswith(a)), name) for name in NAMES)
+    rng = np.random.default_rng(0)
+    for number, camera in enumerate(cameras):
+        first = LATE if number == 2 else 0
+        people = []
+        for rows in (poses, other):
+            places = place_points(body, rows, place_landmarks(body, own))[first:]
+            points = camera.project(places) + rng.normal(0, 1.0, (*places.shape[:2], 2))
+            people.append(PersonTrack(points, np.full(points.shape[:2], 0.9 if rows is poses else 0.8)))
+        people = people if number else people[::-1]
+        view = ViewKeypoints(NAMES, tuple(people), np.arange(len(points)) / RATE, camera.size)
+        write_keypoints(folder / f"{camera.name}.npz", view)
+    write_cameras(folder / "cameras.toml", cameras)
+    return folder, [folder / f"{camera.name}.npz" for camera in cameras], body, poses
+
+
+def hips_off(path, body, poses):
+    motion = read_motion(path)
+    rows = [motion.names.index(name) for name in ("left_knee", "right_wrist", "left_shoulder")]
+    from dousa.estimation.body.kinematics import compute_points, point_names
+
+    own = [point_names(body).index(motion.names[row]) for row in rows]
+    truth = compute_points(body, poses)[:, own]
+    n_frames = min(len(truth), motion.n_frames)
+    return np.linalg.norm(motion.positions[:n_frames, rows] - truth[:n_frames], axis=2).mean()
+
+
+def test_films_that_start_apart_are_synchronised_and_the_first_person_taken(dousa, scene, tmp_path):
+    folder, sources, body, poses = scene
+    words = ("--cameras", folder / "cameras.toml", "--cues", "keypoints", "--json")
+    code, out, err = dousa("estimate", *sources, *words, "-o", tmp_path / "one.bvh", "--trc", tmp_path / "one.trc")
+    assert code == 0, err
+    answer = json.loads(out)
+    assert answer["n_frames"] == 80 - LATE and not answer["lost_frames"]
+    assert any("synchronised" in warning for warning in answer["warnings"])
+    assert hips_off(tmp_path / "one.trc", body, poses[LATE:]) < 0.035
+
+
+def test_everybody_gets_a_motion(dousa, scene, tmp_path):
+    folder, sources, body, poses = scene
+    words = ("--cameras", folder / "cameras.toml", "--cues", "keypoints", "--json", "--offsets", "none", "--everybody")
+    code, out, err = dousa("estimate", *sources[:2], *words, "-o", tmp_path / "all.trc")
+    assert code == 0, err
+    assert len(json.loads(out)["people"]) == 2
+    assert hips_off(tmp_path / "all.trc", body, poses) < 0.035
+    assert (tmp_path / "all-2.trc").exists()
+
+
+@pytest.mark.parametrize(
+    ("words", "says"),
+    [
+        (("--cues", "keypoints", "--person", "5"), "--person 5"),
+        (("--person", "2"), "--cues keypoints"),
+        (("--cues", "keypoints", "--offsets", "none.toml"), "none.toml"),
+        (("--cues", "keypoints", "--background", "x.png"), "without --background"),
+        (("--cues", "keypoints", "--stature", "175"), "stature"),
+    ],
+)
+def test_mistakes_are_one_line(dousa, scene, tmp_path, words, says):
+    folder, sources, *_ = scene
+    given = ("--offsets", "none") if "--offsets" not in words else ()
+    out_file = tmp_path / "x.bvh"
+    code, out, err = dousa(
+        "estimate", *sources[:2], "--cameras", folder / "cameras.toml", *given, *words, "-o", out_file
+    )
+    lines = [line for line in err.splitlines() if not line.startswith("dousa: note:")]
+    assert (code, out, len(lines)) == (2, "", 1), err
+    assert says in lines[0]
+    assert not out_file.exists()
