@@ -96,7 +96,7 @@ class Plot:
         )
         foot = element("div", {"class": "plot-key"}, inner=keys) if keys else ""
         frame = y_labels(tuple(ticks), *self._up) + area + bottom
-        return element("div", {"class": f"plot {self._class}"}, inner=head + frame + foot)
+        return element("div", {"class": f"chart {self._class}"}, inner=head + frame + foot)
 
 
 def number_labels(names: Sequence[str], most: int = 24) -> str:
