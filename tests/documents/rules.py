@@ -48,7 +48,8 @@ _RULES = (
     _Rule(r"python docs/measure_\w+\.py .*", How.SMALL),
     _Rule(r"dousa experiment(?:-\w+)? .*\.\./shared/data/.*", How.SMALL),
     _Rule(r"dousa studio(?: .*)?|dousa demo --studio", How.SERVED),
-    _Rule(r"dousa (?:models install|keypoints) ?.*", How.MENTIONED),  # it needs the net; it needs what that installs
+    # It needs the net; these need what that installs.
+    _Rule(r"dousa (?:models install|keypoints|sync|calibrate) ?.*", How.MENTIONED),
     _Rule(r"curl .*|[A-Z]+=\$\(python3 -c .*\)", How.ASKED),
     _Rule(r"dousa .*", How.FOLLOWED),
     _Rule(r"tracker \| dousa label .*", How.FOLLOWED),
@@ -96,6 +97,7 @@ BENCHMARKS = {
     "assess.py": "--memory --minutes 0.2 --rate 30",
     "compare_versions.py": f"--before '{ROOT}' --only features",
     "irds_grade.py": "--help",
+    "film_cameras.py": "--help",  # it needs the pose models
     "keypoints.py": "--help",  # it needs the pose models
     "count_repetitions.py": "../shared/data --only synthetic --repeats 1",
     "correlation_matrix.py": "--frames 200 --repeats 1",

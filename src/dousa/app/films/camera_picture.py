@@ -38,7 +38,7 @@ def draw_cameras(found: Calibration, path: str | os.PathLike[str]) -> None:
         (("camera_picture.above", (0, 2), (1.0, -1.0)), ("camera_picture.side", (0, 1), (1.0, 1.0)))
     ):
         axes = figure.add_axes((0.06 + 0.49 * number, 0.1, 0.43, 0.78))
-        axes.set_title(str(Message(code)), fontsize=10, loc="left")
+        write(axes, 0.0, 1.03, str(Message(code)), 10.0, transform=axes.transAxes)
         axes.tick_params(labelsize=8, colors=GREY)
         axes.grid(color=FAINT, linewidth=0.6)
         flat = points.reshape(-1, 3)[:, across] * along
