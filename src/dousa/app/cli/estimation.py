@@ -57,7 +57,8 @@ def estimate(
 
     Films need nothing prepared once dousa models install was run: people are
     found by a learned network (--cues keypoints), and a body is fitted to
-    them. Otherwise silhouettes are tracked.
+    them. Without --cameras, cameras are placed by the person (--stature).
+    Otherwise silhouettes are tracked.
 
     --unit, --up, --skeleton and --joint-map are about the motion files of
     --start and --body. An interrupted run resumes when the same command is

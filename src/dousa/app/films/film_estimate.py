@@ -77,14 +77,12 @@ def _takes_keypoints(request: EstimationRequest, tell: Tell | None) -> bool:
         if not films:
             raise OptionError("film_estimate.no_films")
         return True
-    if (
-        request.cues is not None
-        or not films
-        or request.cameras is None
-        or any(shows_masks(path) for path in request.sources)
-    ):
+    installed = has_models()
+    if request.cues is not None or not films or (request.cameras is None and not installed):
         return False
-    if has_models():
+    if any(shows_masks(path) for path in request.sources):
+        return False
+    if installed:
         return True
     if tell is not None:
         tell(Message("film_estimate.models"))

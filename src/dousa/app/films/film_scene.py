@@ -71,13 +71,55 @@ def open_films(request: EstimationRequest, report: ProgressCallback) -> FilmScen
     """
     found = open_keypoints(request.sources, request.model or choose_model(), report)
     names = tuple(view.source for view in found)
+    if request.cameras is None:
+        return _place_cameras(request, names, found, report)
     cameras, notes = match_film_cameras(request, names, found)
+    offsets, more = find_offsets(request, names, found, cameras, report)
+    return _put_together(request, names, found, cameras, offsets, [*notes, *more])
+
+
+def _place_cameras(
+    request: EstimationRequest, names: tuple[str, ...], found: tuple[ViewKeypoints, ...], report: ProgressCallback
+) -> FilmScene:
+    """Films whose cameras nobody knows: several are placed by the person, one stands upright at a usual height."""
+    from dousa.estimation.calibration.person import calibrate_from_person, guess_lenses
+    from dousa.estimation.sync.sync_file import read_offsets
+    from dousa.estimation.sync.synchronise import sync
+
+    if len(found) == 1:
+        notes = [Message("film_estimate.lens_assumed")]
+        return _put_together(request, names, found, guess_lenses(found), np.zeros(1), notes)
+    if request.stature is None:
+        raise OptionError("film_estimate.no_scale")
+    people, notes = None, []
+    if request.offsets == "auto":
+        answer = sync(found, progress=report)
+        offsets, people, notes = answer.offsets, answer.people, list(answer.warnings)
+    elif request.offsets == "none":
+        offsets = np.zeros(len(found))
+    else:
+        offsets = np.array(read_offsets(request.offsets, names))
+    report(0, 1, Message("film_estimate.calibrating"))
+    made = calibrate_from_person(found, request.stature, offsets=offsets.tolist(), people=people)
+    notes += [*made.warnings, Message("film_estimate.calibrated", views=len(found))]
+    frame = 1.0 / min(view.frame_rate for view in found)
+    clocks = np.zeros(len(found)) if (np.abs(offsets) < _SAME_START * frame).all() else offsets.max() - offsets
+    return _put_together(request, names, found, made.cameras, clocks, notes)
+
+
+def _put_together(
+    request: EstimationRequest,
+    names: tuple[str, ...],
+    found: tuple[ViewKeypoints, ...],
+    cameras: tuple[Camera, ...],
+    offsets: FloatArray,
+    notes: list[Message],
+) -> FilmScene:
+    """Films whose cameras and clocks are known, on one clock."""
     rates = [view.frame_rate for view in found]
     rate = request.rate or min(rates)
     if max(rates) > min(rates) * (1 + _SAME_RATE):
         notes.append(Message("masks.rates", rates=rates, rate=rate))
-    offsets, more = find_offsets(request, names, found, cameras, report)
-    notes += more
     length = min(view.times[-1] - offset for view, offset in zip(found, offsets, strict=True))
     if length < 0:
         raise KeypointError("film_estimate.no_common_moment")
@@ -145,8 +187,7 @@ def match_film_cameras(
     from dousa.estimation.cameras.camera_files import read_cameras
     from dousa.estimation.cameras.camera_sets import fit_cameras, match_cameras
 
-    if request.cameras is None:
-        raise OptionError("estimate.no_cameras")
+    assert request.cameras is not None
     calibrated = read_cameras(request.cameras)
     if len(calibrated) < len(names):
         raise CalibrationError("estimate.too_few_cameras", path=request.cameras, found=len(calibrated), views=names)
