@@ -83,6 +83,17 @@ def test_films_of_other_people_agree_with_no_cameras(performance):
     assert caught.value.code == "calibration.no_agreement"
 
 
+def test_wrong_times_are_doubted_or_refused(performance):
+    cameras, begins = make_cameras(3), (0.5, 1.3, 0.1)
+    views = [film(performance, camera, begin, 4.0) for camera, begin in zip(cameras, begins, strict=True)]
+    try:
+        found = calibrate_from_person(views, performance.stature, cameras=cameras)
+    except CalibrationError as error:
+        assert error.code in ("calibration.no_agreement", "calibration.unsure")
+    else:
+        assert "calibration.few_agree" in [note.code for note in found.warnings]
+
+
 def test_cameras_side_by_side_tell_no_depth(performance):
     near = [make_view((x, 1.4, 4.5), (x, 0.9, 0.0), size=(1920, 1080), focal=1500.0) for x in (0.0, 0.1)]
     near = [replace(camera, name=f"film{place}") for place, camera in enumerate(near)]

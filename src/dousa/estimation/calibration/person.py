@@ -32,7 +32,7 @@ _STEPS = 60
 _FOCAL_SPREAD = 0.15  # relative, of the cameras that film people
 _LEAST_PARALLAX = np.radians(5.0)
 _FITS = 3.0  # spreads, within which a point agrees
-_LEAST_SHARE = 0.75  # of the points that agree
+_LEAST_SHARE, _USUAL_SHARE = 0.75, 0.9  # of the points that agree
 _LIKENESS = 5.0  # errors are shared by neighbouring points and frames, see `sync.timing`
 _DOUBTFUL_TURN, _MOST_TURN = np.radians(8.0), np.radians(15.0)
 _LEAST_MOTION = 0.04  # of the stature
@@ -208,6 +208,9 @@ def _finish(
     if turn > _MOST_TURN:
         raise CalibrationError("calibration.unsure", degrees=np.degrees(turn), motion=100 * motion * stature)
     notes = [] if motion >= _LEAST_MOTION else [Message("calibration.hardly_moves", motion=100 * motion * stature)]
+    least = min(views, key=lambda view: view.share)
+    if least.share < _USUAL_SHARE:
+        notes.append(Message("calibration.few_agree", share=100 * least.share, film=least.name))
     if turn > _DOUBTFUL_TURN:
         notes.append(Message("calibration.doubtful", degrees=np.degrees(turn)))
     cameras = tuple(_make_camera(lens, rig, place, names[place]) for place, lens in enumerate(lenses))
