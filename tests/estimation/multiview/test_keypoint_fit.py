@@ -180,6 +180,16 @@ class TestFit:
         four = fit_keypoints(cameras, tracks, NAMES, RATE, stature=1.80)
         assert fit.depth_doubt.mean() > 1.5 * four.depth_doubt.mean()
 
+    def test_a_long_film_is_fitted_in_stretches(self, body, poses, cameras, monkeypatch):
+        tracks, _ = film(body, poses, cameras)
+        whole = fit_keypoints(cameras, tracks, NAMES, RATE)
+        monkeypatch.setattr("dousa.estimation.multiview.keypoint_fit._WINDOW", 20)
+        monkeypatch.setattr("dousa.estimation.multiview.keypoint_fit._MARGIN", 8)
+        parts = fit_keypoints(cameras, tracks, NAMES, RATE)
+        apart = np.linalg.norm(parts.points - whole.points, axis=2)
+        assert parts.estimate.n_frames == 60 and apart.max() < 0.01
+        np.testing.assert_allclose(parts.estimate.uncertainty, whole.estimate.uncertainty, rtol=0.1)
+
     def test_nobody_is_one_error(self, cameras):
         nothing = PersonTrack(np.full((9, len(NAMES), 2), np.nan), np.zeros((9, len(NAMES))))
         with pytest.raises(KeypointError, match="nobody"):

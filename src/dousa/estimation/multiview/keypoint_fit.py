@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from time import perf_counter
 
 import numpy as np
@@ -32,7 +33,7 @@ from dousa.estimation.multiview.landmarks import (
 )
 from dousa.estimation.multiview.pose_residuals import Terms, place_points, point_slopes
 from dousa.estimation.multiview.sides import repair_sides
-from dousa.estimation.multiview.trajectory import Trajectory, fit_trajectory
+from dousa.estimation.multiview.trajectory import fit_trajectory
 from dousa.estimation.multiview.triangulation import Triangulated, pixels_per_metre, triangulate
 from dousa.estimation.tracking.settings import Estimate
 from dousa.messages import Message
@@ -47,6 +48,7 @@ _FIRST_S = 0.1  # between two poses that the trajectory begins with
 _BODY_FRAMES = 60
 _BODY_RATE = 40.0  # Hz: a network's errors are much the same all over a film, so that a frame counts as a quarter
 _BONES = (("hip", "knee", 0.236), ("knee", "ankle", 0.246), ("shoulder", "elbow", 0.162), ("elbow", "wrist", 0.158))
+_WINDOW, _MARGIN = 600, 60  # frames that are fitted at once, and that are shared with the next
 _ONE_VIEW_EASE = 4.0  # times the ease of joints that several views need: what one view does not tell is at ease
 _LOST_SIGMA = 0.10  # m, mean uncertainty of the joints of a frame that is lost
 _LOST_SEEN = 0.35  # share of the landmarks that two views, or the only one, must show
@@ -134,10 +136,9 @@ def fit_keypoints(
     )
     own, landmarks, poses = _find_body(given, body is None, stature, sex, poses, told, terms)
     tell(2, 4, Message("multiview.fitting"))
-    fitted = fit_trajectory(own, poses, landmarks, terms,
-                            lambda done, total: tell(2, 4, Message("multiview.fitting")))  # fmt: skip
+    poses, covariance = _fit_in_windows(own, poses, landmarks, terms, tell)
     seconds = perf_counter() - begun
-    return _answer(own, landmarks, fitted, terms, exchanged, n_frames / max(seconds, 1e-9))
+    return _answer(own, landmarks, (poses, covariance), terms, exchanged, n_frames / max(seconds, 1e-9))
 
 
 def _first_places(cameras: Sequence[Camera], seen: SeenLandmarks, shown: Sequence[int]) -> FloatArray:
@@ -262,13 +263,37 @@ def _resize(scale: float, sex: str, sizes: dict[str, float]) -> BodyModel:
     return make_human(scale, sex, measures)
 
 
+def _fit_in_windows(
+    body: BodyModel, start: FloatArray, landmarks: Landmarks, terms: Terms, tell: Progress
+) -> tuple[FloatArray, FloatArray]:
+    """Poses (T, 7 + A) and covariance (T, P + K, 3, 3) m^2 of the joints; stretches with some frames beside them, so
+    that long films need no more memory at a time."""
+    n_frames, seen = len(start), terms.seen
+    poses, covariance = [], []
+    edges = [*range(0, max(n_frames - _WINDOW // 2, 1), _WINDOW), n_frames]
+    for begin, end in pairwise(edges):
+        tell(begin, n_frames, Message("multiview.fitting"))
+        first, last = max(0, begin - _MARGIN), min(n_frames, end + _MARGIN)
+        whole = slice(first, last)
+        own = SeenLandmarks(seen.names, seen.points[:, whole], seen.visibility[:, whole], seen.world[:, whole])
+        fitted = fit_trajectory(body, start[whole], landmarks, replace(terms, seen=own))
+        kept = slice(begin - first, end - first)
+        poses.append(fitted.poses[kept])
+        covariance.append(_joint_covariance(body, poses[-1], fitted.covariance[kept]))
+    return np.concatenate(poses), np.concatenate(covariance)
+
+
 def _answer(
-    body: BodyModel, landmarks: Landmarks, fitted: Trajectory, terms: Terms, exchanged: BoolArray, speed: float
+    body: BodyModel,
+    landmarks: Landmarks,
+    fitted: tuple[FloatArray, FloatArray],
+    terms: Terms,
+    exchanged: BoolArray,
+    speed: float,
 ) -> KeypointFit:
     limits = body.angle_limits
-    poses = fitted.poses.copy()
+    poses, covariance = fitted[0].copy(), fitted[1]
     poses[:, 7:] = np.clip(poses[:, 7:], limits[:, 0], limits[:, 1])
-    covariance = _joint_covariance(body, poses, fitted.covariance)
     uncertainty = np.sqrt(np.trace(covariance, axis1=-2, axis2=-1))
     forward = terms.cameras[0].rotation[2]
     doubt = np.sqrt(np.einsum("tkij,i,j->tk", covariance, forward, forward)).mean(axis=1)
