@@ -181,7 +181,7 @@ def _body_words(request: EstimationRequest, body: BodyModel) -> Message:
     if request.stature is not None:
         return Message("body.stature_given", stature=request.stature)
     if len(request.sources) == 1:
-        return Message("body.assumed", stature=body.stature)
+        return Message("body.assumed", stature=round(body.stature, 2))
     return Message("body.of_keypoints", stature=body.stature)
 
 
