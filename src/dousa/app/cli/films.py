@@ -20,8 +20,8 @@ Films = Annotated[
     typer.Argument(metavar="FILM...", help="A film for each camera, or a file of its keypoints (.npz, .json)."),
 ]
 Model = Annotated[
-    Literal["lite", "full", "heavy"],
-    typer.Option("--model", help="The pose model that finds keypoints in films: the more precise the slower."),
+    Literal["lite", "full", "heavy"] | None,
+    typer.Option("--model", help="Network for keypoints. Default: the most precise that is installed."),
 ]
 _BASIS = {
     "reference": "sync.basis_reference",
@@ -47,7 +47,7 @@ def sync(
         typer.Option("--cameras", metavar="FILE", help="Calibration, if there is one: more exact."),
     ] = None,
     sound: Annotated[bool, typer.Option("--sound/--no-sound", help="Listen to the sound of the films too.")] = True,
-    model: Model = "full",
+    model: Model = None,
     json: o.Json = False,
 ) -> None:
     """The time offsets of films of one scene, to a fraction of a frame.
@@ -115,7 +115,7 @@ def calibrate(
         Path | None,
         typer.Option("--picture", metavar="OUT", help="Picture (.png, .svg, .pdf) of where the cameras stand."),
     ] = None,
-    model: Model = "full",
+    model: Model = None,
     json: o.Json = False,
 ) -> None:
     """Where the cameras of films stand, from a person who moves before them or from a board.

@@ -8,12 +8,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from dousa.app.films.film_sync import read_view_cameras
-from dousa.app.films.film_views import PoseModel, name_films, open_keypoints, read_sounds
+from dousa.app.films.film_views import name_films, open_keypoints, read_sounds
 from dousa.errors import OptionError
 
 if TYPE_CHECKING:
     from dousa.app.output import ProgressCallback
     from dousa.estimation import Calibration, Camera, Synchronisation, ViewKeypoints
+    from dousa.estimation.keypoints.pose_models import LandmarkModel
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,7 +30,7 @@ class CalibrationRequest:
     focal : px, of all cameras, where nothing else is known.
     offsets : file of time offsets; None where they are to be found.
     together : the films begin at one moment.
-    model : by which keypoints are found in films.
+    model : by which keypoints are found in films; None for the most precise that is installed.
     """
 
     films: tuple[Path, ...]
@@ -39,7 +40,7 @@ class CalibrationRequest:
     focal: float | None = None
     offsets: Path | None = None
     together: bool = False
-    model: PoseModel = "full"
+    model: LandmarkModel | None = None
 
 
 def calibrate_films(

@@ -19,7 +19,7 @@ from dousa.messages import Message
 
 if TYPE_CHECKING:
     from dousa.app.output import ProgressCallback
-    from dousa.app.pipelines.estimation_request import EstimationRequest, Model
+    from dousa.app.pipelines.estimation_request import EstimationRequest
     from dousa.estimation import Camera, PersonMasks, PersonTrack, ViewKeypoints
 
 _LONGEST_SIDE = 640  # px of masks for drawings
@@ -69,7 +69,7 @@ def open_films(request: EstimationRequest, report: ProgressCallback) -> FilmScen
     ------
     DousaError : a film or calibration that cannot be used, or models that are not installed.
     """
-    found = open_keypoints(request.sources, request.model or choose_model(), report)
+    found = open_keypoints(request.sources, request.model, report)
     names = tuple(view.source for view in found)
     if request.cameras is None:
         return _place_cameras(request, names, found, report)
@@ -158,25 +158,19 @@ def find_offsets(
     return clocks - clocks.min(), [*answer.warnings, Message("film_estimate.synchronised", offsets=pairs)]
 
 
-def choose_model() -> Model:
-    """The most precise of the models that are installed; ``"full"`` where none is, so that its error is said."""
-    from dousa.estimation.keypoints.pose_models import check_pose_model, get_pose_model
-
-    names: tuple[Model, ...] = ("heavy", "full", "lite")
-    for name in names:
-        if check_pose_model(get_pose_model(name)) == "installed":
-            return name
-    return "full"
-
-
 def has_models() -> bool:
     """Whether keypoints can be found: models and the packages that run them are installed."""
     from importlib.util import find_spec
 
-    from dousa.estimation.keypoints.pose_models import DETECTOR, check_pose_model, get_pose_model
+    from dousa.estimation.keypoints.pose_models import (
+        DETECTOR,
+        check_pose_model,
+        choose_pose_model,
+        get_pose_model,
+    )
 
     packages = all(find_spec(name) is not None for name in ("ai_edge_litert", "av", "cv2"))
-    names = (DETECTOR, choose_model()) if packages else ()
+    names = (DETECTOR, choose_pose_model()) if packages else ()
     return packages and all(check_pose_model(get_pose_model(name)) == "installed" for name in names)
 
 

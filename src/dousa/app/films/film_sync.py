@@ -6,19 +6,20 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from dousa.app.films.film_views import PoseModel, open_keypoints, read_sounds
+from dousa.app.films.film_views import open_keypoints, read_sounds
 from dousa.errors import OptionError
 
 if TYPE_CHECKING:
     from dousa.app.output import ProgressCallback
     from dousa.estimation import Camera, Synchronisation, ViewKeypoints
+    from dousa.estimation.keypoints.pose_models import LandmarkModel
 
 
 def sync_films(
     films: Sequence[Path],
     cameras: Path | None,
     listen: bool,
-    model: PoseModel,
+    model: LandmarkModel | None,
     progress: ProgressCallback,
 ) -> tuple[tuple[str, ...], Synchronisation]:
     """Find the time offsets of films.

@@ -5,16 +5,15 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING
 
 from dousa.errors import OptionError
 
 if TYPE_CHECKING:
     from dousa.app.output import ProgressCallback
     from dousa.estimation import ViewKeypoints
+    from dousa.estimation.keypoints.pose_models import LandmarkModel
     from dousa.estimation.sync.sound import Sound
-
-PoseModel = Literal["lite", "full", "heavy"]
 
 _KEYPOINT_SUFFIXES = (".npz", ".json")
 
@@ -39,13 +38,15 @@ def name_films(paths: Sequence[Path]) -> tuple[str, ...]:
     return tuple(names)
 
 
-def open_keypoints(paths: Sequence[Path], model: PoseModel, progress: ProgressCallback) -> tuple[ViewKeypoints, ...]:
+def open_keypoints(
+    paths: Sequence[Path], model: LandmarkModel | None, progress: ProgressCallback
+) -> tuple[ViewKeypoints, ...]:
     """The keypoints of films, and of files of keypoints as they are; of each the source is its name.
 
     Parameters
     ----------
     paths : films, or files of keypoints (npz of dousa, or what other programs write).
-    model : by which keypoints are found in films.
+    model : by which keypoints are found in films; None for the most precise that is installed.
     progress : called with (done, total, what).
 
     Raises
@@ -56,10 +57,14 @@ def open_keypoints(paths: Sequence[Path], model: PoseModel, progress: ProgressCa
     import dataclasses
 
     from dousa.estimation import find_keypoints, read_keypoints
+    from dousa.estimation.keypoints.pose_models import choose_pose_model
 
     views = []
     for path, name in zip(paths, name_films(paths), strict=True):
-        found = read_keypoints(path) if is_keypoints(path) else find_keypoints(path, model, progress=progress)
+        if is_keypoints(path):
+            found = read_keypoints(path)
+        else:
+            found = find_keypoints(path, model or choose_pose_model(), progress=progress)
         views.append(dataclasses.replace(found, source=name))
     return tuple(views)
 

@@ -20,7 +20,8 @@ ModelState = Literal["installed", "missing", "damaged"]
 
 FOLDER_VARIABLE = "DOUSA_MODELS"
 DETECTOR = "detector"
-LANDMARK_MODELS = ("lite", "full", "heavy")
+LandmarkModel = Literal["lite", "full", "heavy"]
+LANDMARK_MODELS: tuple[LandmarkModel, ...] = ("lite", "full", "heavy")
 """From the quickest to the most precise."""
 
 
@@ -114,6 +115,14 @@ def is_model(model: PoseModel, data: bytes) -> bool:
     """Whether bytes are one of the published forms of a model."""
     sizes = [form.n_bytes for form in model.forms]
     return len(data) in sizes and hashlib.sha256(data).hexdigest() in [form.sha256 for form in model.forms]
+
+
+def choose_pose_model() -> LandmarkModel:
+    """The most precise landmark model that is installed; ``"full"`` where none is, so that its error is said."""
+    for name in reversed(LANDMARK_MODELS):
+        if check_pose_model(get_pose_model(name)) == "installed":
+            return name
+    return "full"
 
 
 def check_pose_model(model: PoseModel) -> ModelState:
