@@ -121,7 +121,7 @@ BENCHMARKS = {
     "silhouette_candidates.py": "--candidates 100 --limbs left_forearm",
     "weigh_install.py": "--help",  # it needs the package index
     # These take minutes to an hour; two of them write what the package ships.
-    **dict.fromkeys(("calibrate_grade.py", "exam_evaluation.py", "train_judge.py"), "--help"),
+    **dict.fromkeys(("calibrate_grade.py", "exam_evaluation.py", "exam_film.py", "train_judge.py"), "--help"),
 }
 
 
