@@ -1,4 +1,4 @@
-"""The exam of films without preparation: dousa's command line as a user runs it, against the truth and the plainest baseline.
+"""The exam of films without preparation: the command line as a user runs it, against truth and a plain baseline.
 
     python benchmarks/exam_film.py DATA [--rows 1,2,...] [--dousa COMMAND] [--work FOLDER]
 
