@@ -62,7 +62,6 @@ EXTRA = (
     (f"label moves.dousa {QUERY} --picture labels.svg", "pictures"),
     ("demo -o demo", "pictures"),
     ("estimate seen.npz --stature 1.7 -o estimated.bvh", "film"),
-    ("keypoints film.mp4", "film"),
     ("studio moves.dousa --no-browser", "studio"),
 )
 
