@@ -9,6 +9,7 @@ import numpy as np
 
 from dousa.arrays import FloatArray
 from dousa.errors import InvalidMotionError, MotionFileError, OptionError
+from dousa.messages import Message
 from dousa.motion import Provenance, Trajectories, thin
 from dousa.motion.canonical.reference_frame import (
     infer_reference_frame,
@@ -41,6 +42,7 @@ def settle_trajectories(
     up_in_file: str | None,
     default_up: str | None,
     keep_values: bool = False,
+    notes: tuple[Message, ...] = (),
 ) -> Trajectories:
     """Trajectories in metres with Y up from what a file holds.
 
@@ -54,6 +56,7 @@ def settle_trajectories(
     unit_in_file, up_in_file : what the file says, or None.
     default_up : the habit of the format, where neither says.
     keep_values : keep the file's own numbers in the provenance.
+    notes : what a person should know of how the file was understood.
 
     Raises
     ------
@@ -78,5 +81,6 @@ def settle_trajectories(
         frame.up,
         "declared" if up is None and up_in_file is not None else frame.up_source,
         values=raw.positions if keep_values else None,
+        notes=notes,
     )
     return dataclasses.replace(settled, provenance=provenance)

@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from dousa.arrays import BoolArray, FloatArray, IndexArray
 from dousa.errors import InvalidMotionError
+from dousa.messages import Message
 
 _UNIT_TOLERANCE = 1e-6
 
@@ -71,6 +72,7 @@ class Provenance:
     layout : what only this format knows (channel order, declared frame time ...); see the format's module.
     values : the file's own numbers, kept so that an unchanged motion is written back to the last digit;
         motions derived from this one drop them.
+    notes : what a person should know of how the file was understood: what it declares wrongly, what was assumed.
     """
 
     path: str
@@ -81,6 +83,7 @@ class Provenance:
     up_source: str = "declared"
     layout: Any = None
     values: FloatArray | None = None
+    notes: tuple[Message, ...] = ()
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -86,7 +86,8 @@ def _describe(path: Path, options: ReadOptions) -> dict[str, Any]:
     try:
         canonical = canonicalise(motion, options.joint_map)
     except JointMappingError as error:
-        return {**answer, "mapping": None, "height_m": None, "warnings": [str(error.problem)]}
+        notes = list(map(str, origin.notes)) if origin else []
+        return {**answer, "mapping": None, "height_m": None, "warnings": [*notes, str(error.problem)]}
     found = canonical.mapping
     answer["mapping"] = {
         "table": found.table,
@@ -118,6 +119,8 @@ def convert(
     from dousa.motion import Motion, resample
 
     motion = _read(source, file_options.load())
+    for note in motion.provenance.notes if motion.provenance else ():
+        warn(note)
     if frame_rate is not None:
         motion = resample(motion, frame_rate)  # type: ignore[type-var]  # either, not both
     fit_error = None

@@ -203,7 +203,7 @@ def _finish(moving: Trajectories, recipe: Recipe, points: FloatArray, unseen: Bo
     )
     height, height_source = _measure_height(recipe, sample, moving.rest_positions)
     sides = compare_sides(sample)
-    warnings = []
+    warnings = [] if moving.provenance is None else list(moving.provenance.notes)
     if not _SMALLEST <= height <= _TALLEST:
         warnings.append(Message("canonical.no_person"))
     if recipe.table == "tree shape":
