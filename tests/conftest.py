@@ -38,3 +38,9 @@ def shared_data() -> Callable[[str], Path]:
         return path
 
     return find
+
+
+@pytest.fixture(scope="session")
+def foreign(shared_data: Callable[[str], Path]) -> Callable[[str], Path]:
+    """Path of a file by another producer, below ../shared/data/foreign; skips the test where it is absent."""
+    return lambda relative: shared_data(f"foreign/{relative}")

@@ -108,8 +108,6 @@ def test_a_nameless_marker_gets_a_number(saved):
         (HEADER + "\n" + ROWS.replace("2000", "2,5"), "marker 'LASI', got '2,5'", 7),
         (HEADER + ROWS.replace("6e0", "inf"), "infinite position of marker 'RASI'", 7),
         (HEADER + ROWS.replace("6e0", "1e999"), "infinite position", 7),
-        (HEADER.replace("\t2\t2\tmm", "\t1000000000\t2\tmm") + ROWS.removesuffix("\n"), "truncated", 7),
-        (HEADER + ROWS[:56], "truncated", 7),
     ],
 )
 def test_damaged_files_say_what_and_where(saved, text, message, line):
@@ -117,6 +115,37 @@ def test_damaged_files_say_what_and_where(saved, text, message, line):
         read_trc(saved(text))
     if line is not None:
         assert caught.value.line == line
+
+
+@pytest.mark.parametrize("end", [ROWS.removesuffix("\n"), ROWS[:56]])
+def test_a_row_that_breaks_off_is_left_out(saved, end):
+    got = read_trc(saved(HEADER.replace("\t2\t2\tmm", "\t1000000000\t2\tmm") + end), up="y")
+    assert got.n_frames == 1
+    assert [note.code for note in got.provenance.notes] == ["trc.cut_off"]
+
+
+def test_doubled_tabs_in_the_header(saved):
+    """The values of the header are then in every other column, and the number of frames stood where the unit is."""
+    first, keys, values, rest = HEADER.split("\n", 3)
+    got = read_trc(saved("\n".join((first, keys, values.replace("\t", "\t\t"), rest)) + ROWS), up="y")
+    assert (got.provenance.unit, got.provenance.unit_source) == (0.001, "declared")
+    np.testing.assert_allclose(got.positions[:, 1], EXPECTED[:, 1] * 0.001)
+
+
+@pytest.mark.parametrize("mark", [",", ";"])
+def test_other_separators(saved, mark):
+    got = read_trc(saved((HEADER + ROWS).replace("\t", mark)), up="y")
+    assert got.names == ("LASI", "RASI")
+    np.testing.assert_allclose(got.positions[:, 1], EXPECTED[:, 1] * 0.001)
+
+
+@pytest.mark.parametrize(
+    "name", ["opensim/motion_capture_walk.trc", "opensim/static_walk_2.trc", "addbiomechanics/walk__markers.trc"]
+)
+def test_people_are_as_tall_as_people(foreign, name):
+    got = read_trc(foreign(name))
+    assert got.provenance.unit == 0.001
+    assert 1.2 < np.nanmedian(np.nanmax(got.positions[..., 1], axis=1)) < 2.2
 
 
 def test_latin_bytes_in_a_name(saved):

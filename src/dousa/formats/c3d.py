@@ -29,6 +29,7 @@ from dousa.arrays import FloatArray, IndexArray
 from dousa.errors import MotionFileError, MotionWriteError
 from dousa.files.disk import atomic_write, read_bytes
 from dousa.formats.markers import declared_unit, settle_trajectories
+from dousa.messages import Message
 from dousa.motion import Trajectories
 
 BLOCK = 512
@@ -85,6 +86,8 @@ class Header:
     last_frame: int
     scale: float
     data_block: int
+    n_samples: int
+    """Analog samples per frame and channel."""
     frame_rate: float
 
 
@@ -180,6 +183,7 @@ def _parse_header(data: bytes, processor: int) -> Header:
         last_frame=int(words[4]),
         scale=float(scale),
         data_block=int(words[8]),
+        n_samples=int(words[9]),
         frame_rate=float(rate),
     )
 
@@ -198,6 +202,8 @@ def _parse_parameters(path: str | os.PathLike[str], section: bytes, processor: i
         name = _decode_text(section[place + 2 : place + 2 + length]).upper()
         link = place + 2 + length
         offset = int.from_bytes(section[link : link + 2], order)  # type: ignore[arg-type]
+        if link + offset > len(section):  # files that were turned from one processor to another keep some as they were
+            offset = int.from_bytes(section[link + 1 : link - 1 : -1], order)  # type: ignore[arg-type]
         if number < 0:
             groups.setdefault(-number, name)
         else:
@@ -376,7 +382,7 @@ def read_c3d(path: str | os.PathLike[str], *, unit: float | str | None = None, u
     data = read_bytes(path)
     sections = parse_sections(path, data)
     chosen, names = _choose_points(sections)
-    positions = _read_positions(sections, data, chosen)
+    positions, notes = _read_positions(sections, data, chosen)
     units = sections.texts("POINT:UNITS")
     return settle_trajectories(
         path,
@@ -389,6 +395,7 @@ def read_c3d(path: str | os.PathLike[str], *, unit: float | str | None = None, u
         unit_in_file=declared_unit(units[0]) if units else None,
         up_in_file=_up_axis(sections),
         default_up=None,
+        notes=notes,
     )
 
 
@@ -409,6 +416,9 @@ def _choose_points(sections: Sections) -> tuple[IndexArray, tuple[str, ...]]:
         return np.arange(count), tuple(f"point{number + 1}" for number in range(count))
     left_out = {name for group in _NOT_POSITIONS for name in sections.texts(f"POINT:{group}")}
     chosen = [number for number, label in enumerate(labels) if label and label[0] != "*" and label not in left_out]
+    if not chosen:  # nobody gave the markers names
+        chosen = [number for number, label in enumerate(labels) if label not in left_out]
+        labels = [f"point{number + 1}" for number in range(count)]
     if not chosen:
         raise MotionFileError(sections.path, "c3d.no_labels")
     return np.array(chosen), tuple(labels[number] for number in chosen)
@@ -429,40 +439,76 @@ def _up_axis(sections: Sections) -> str | None:
     return axis if axis.removeprefix("-") in ("x", "y", "z") else None
 
 
-def _read_positions(sections: Sections, data: bytes, chosen: IndexArray) -> FloatArray:
-    """Positions (T, K, 3) of the chosen points in file units, NaN where the residual is negative."""
+def _read_positions(sections: Sections, data: bytes, chosen: IndexArray) -> tuple[FloatArray, tuple[Message, ...]]:
+    """Positions (T, K, 3) of the chosen points in file units, NaN where the residual is negative; and what was odd."""
     scale = sections.number("POINT:SCALE") or sections.header.scale
     if scale == 0 or not np.isfinite(scale):
         raise MotionFileError(sections.path, "c3d.scale", scale=scale)
     width = 4 * _n_points(sections)
-    row = width + _n_analog(sections)
     item_size = 4 if scale < 0 else 2
     start = _data_start(sections)
-    frames = _count_frames(sections, max(0, len(data) - start) // (row * item_size))
+    items = max(0, len(data) - start) // item_size
+    row, frames, notes = _measure_rows(sections, width, items, BLOCK // item_size)
     block = data[start : start + frames * row * item_size]
     if scale < 0:
         values = decode_floats(block, sections.processor)
     else:
         values = np.frombuffer(block, ">i2" if sections.big_endian else "<i2")
-    points = values.reshape(frames, row)[:, :width].reshape(frames, -1, 4)[:, chosen]
+    rows = values.reshape(frames, row)
+    if notes and notes[0].code == "c3d.fewer_frames":
+        rows = rows[: 1 + max(np.flatnonzero(rows.any(axis=1)), default=0)]  # the rest is what fills the last block
+        notes = [Message(notes[0].code, **{**notes[0].values, "held": len(rows)})]
+    points = rows[:, :width].reshape(len(rows), -1, 4)[:, chosen]
     with np.errstate(invalid="ignore"):  # a damaged float may be a signalling NaN
         positions = points[..., :3].astype(np.float64)
         missing = points[..., 3] < 0
     if scale > 0:
         positions *= scale
-    positions[missing] = np.nan
-    return positions
+    if missing.all() and np.count_nonzero(positions) > positions.size // 2:
+        notes.append(Message("c3d.residuals"))  # a program that writes -1 for all: nobody stores what was not seen
+    else:
+        positions[missing] = np.nan
+    return positions, tuple(notes)
 
 
-def _n_analog(sections: Sections) -> int:
-    """Analog samples per frame, all channels together."""
-    count = sections.header.n_analog
+def _measure_rows(sections: Sections, width: int, items: int, slack: int) -> tuple[int, int, list[Message]]:
+    """Items of a frame and number of frames, by the size of the file where the header contradicts it.
+
+    The data fill whole blocks, so the right row leaves less than a block over. Some programs write the number of analog
+    channels where that of their samples belongs: every frame but the first would be read at the wrong place.
+    """
+    held = {}
+    for count in _analog_counts(sections):
+        try:
+            frames = _count_frames(sections, items // (width + count))
+        except MotionFileError:
+            continue
+        held[count] = items - frames * (width + count)
+    counts = _analog_counts(sections)
+    if not held:
+        frames = items // (width + counts[0])
+        declared = _declared_frames(sections)
+        if not frames or not declared:
+            _count_frames(sections, frames)  # says what is wrong
+        return width + counts[0], frames, [Message("c3d.fewer_frames", declared=min(declared), held=frames)]
+    fitting = [count for count in held if held[count] < slack]
+    count = next(iter(held)) if not fitting else fitting[0]
+    notes = [Message("c3d.analog_count", header=counts[0], found=count)] if count != counts[0] else []
+    return width + count, _count_frames(sections, items // (width + count)), notes
+
+
+def _analog_counts(sections: Sections) -> list[int]:
+    """What the analog samples per frame, all channels together, may be: as the header says, then as parameters do."""
+    header = sections.header
     used, rate = sections.number("ANALOG:USED"), sections.number("ANALOG:RATE")
     points_rate = sections.number("POINT:RATE")
-    if count == 0 and used and rate and points_rate and np.isfinite([used, rate, points_rate]).all():
+    counts = [header.n_analog]
+    if used and rate and points_rate and np.isfinite([used, rate, points_rate]).all():
+        samples = max(1, round(min(abs(rate / points_rate), 1e6)))
         # Some programs leave the header word empty.
-        count = int(used) * max(1, round(min(abs(rate / points_rate), 1e6)))
-    return count
+        counts.insert(0 if header.n_analog == 0 else 1, int(used) * samples)
+    counts.append(header.n_analog * header.n_samples)
+    return list(dict.fromkeys(count for count in counts if count >= 0))
 
 
 def _data_start(sections: Sections) -> int:
@@ -475,7 +521,18 @@ def _data_start(sections: Sections) -> int:
 
 
 def _count_frames(sections: Sections, held: int) -> int:
-    """Number of frames: the largest declared one that the file holds.
+    """Number of frames: the largest declared one that the file holds."""
+    declared = _declared_frames(sections)
+    if not declared:
+        raise MotionFileError(sections.path, "c3d.no_frames")
+    fitting = [count for count in declared if count <= held]
+    if not fitting:
+        raise MotionFileError(sections.path, "c3d.frame_count", declared=min(declared), held=held)
+    return max(fitting)
+
+
+def _declared_frames(sections: Sections) -> list[int]:
+    """Numbers of frames, above 0, that are declared.
 
     Four places may declare it; programs keep them with different care, and 16 bits overflow.
     """
@@ -491,10 +548,4 @@ def _count_frames(sections: Sections, held: int) -> int:
         declared.append(int(last[:2] @ words - first[:2] @ words) + 1)
     if max(declared) > _FULL_COUNTER:
         declared = [count for count in declared if count > _FULL_COUNTER]  # the others overflowed
-    declared = [count for count in declared if count > 0]
-    if not declared:
-        raise MotionFileError(sections.path, "c3d.no_frames")
-    fitting = [count for count in declared if count <= held]
-    if not fitting:
-        raise MotionFileError(sections.path, "c3d.frame_count", declared=min(declared), held=held)
-    return max(fitting)
+    return [count for count in declared if count > 0]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import os
+import re
 
 import numpy as np
 
@@ -19,12 +20,13 @@ from dousa.motion.canonical.reference_frame import (
 )
 
 _SAMPLE_FRAMES = 10
+_NUMBER = re.compile(r"[-+.\deE]+")
 
 
 def declared_unit(text: str) -> float | None:
     """Metres per unit of the unit a file names, None where it names none that is known."""
     try:
-        return parse_unit(text)
+        return None if _NUMBER.fullmatch(text.strip()) else parse_unit(text)  # a number slipped from another column
     except OptionError:
         return None
 

@@ -1,12 +1,14 @@
 """TRC: marker positions as a table of text (Motion Analysis Cortex, OpenSim, Pose2Sim).
 
 Three lines of header, a line of marker names over every third column, a line X1 Y1 Z1 X2 ..., and then one row
-per frame: frame number, time, coordinates, separated by tabs. A blank or ``nan`` cell is a missing value; the
-decimal sign is a point or, throughout a file from programs in some languages, a comma.
+per frame: frame number, time, coordinates, separated by tabs, or throughout a file by commas, semicolons or spaces. A
+blank or ``nan`` cell is a missing value; the decimal sign is a point or, throughout a file from programs in some
+languages, a comma.
 Reference: OpenSim documentation, "Marker (.trc) Files". The format does not say which axis points up.
 
 The rows count, not NumFrames and NumMarkers, which published files (those of Pose2Sim) have wrong. A file counts
-as cut off where a row is short, or where frames are missing and the last line does not end.
+as cut off where the last row is short, or where frames are missing and the last line does not end: that row is left
+out, and a note says so.
 """
 
 from __future__ import annotations
@@ -20,6 +22,7 @@ from dousa.arrays import FloatArray
 from dousa.errors import MotionFileError, MotionWriteError
 from dousa.files.disk import atomic_write, read_bytes
 from dousa.formats.markers import declared_unit, settle_trajectories
+from dousa.messages import Message
 from dousa.motion import Trajectories
 
 _HEADER_LINES = 20  # where the header must have appeared
@@ -42,20 +45,25 @@ def read_trc(path: str | os.PathLike[str], *, unit: float | str | None = None, u
 
     Raises
     ------
-    MotionFileError : missing, empty, cut off, text where numbers belong, rows of another width.
+    MotionFileError : missing, empty, text where numbers belong, rows of another width.
     """
     # splitlines would also break at exotic separators inside a name
     text = read_bytes(path).decode("utf-8-sig", errors="replace")
     lines = text.replace("\r\n", "\n").replace("\r", "\n").split("\n")
+    lines = _with_tabs(lines)
     fields, fields_line = _read_fields(path, lines)
     rate = _field_number(path, fields, "datarate", fields_line)
     if not 0 < rate <= 1e6:
         raise MotionFileError(path, "trc.rate", fields_line, rate=rate)
     names, body = _read_names(path, lines)
-    positions = _read_rows(path, lines, body, names)
     declared = _field_number(path, fields, "numframes", fields_line) if "numframes" in fields else 0.0
-    if declared > len(positions) and lines[-1].strip():
-        raise MotionFileError(path, "trc.frame_count", len(lines), declared=declared, found=len(positions))
+    whole = _without_cut_row(lines, body, 2 + 3 * len(names), declared)
+    positions = _read_rows(path, whole, body, names)
+    notes = []
+    if len(whole) < len(lines):
+        notes.append(Message("trc.cut_off", found=len(positions), declared=declared))
+    elif 0 < declared != len(positions):
+        notes.append(Message("trc.frame_count", found=len(positions), declared=declared))
     return settle_trajectories(
         path,
         "trc",
@@ -68,7 +76,33 @@ def read_trc(path: str | os.PathLike[str], *, unit: float | str | None = None, u
         up_in_file=None,
         default_up="y",
         keep_values=True,
+        notes=tuple(notes),
     )
+
+
+def _with_tabs(lines: list[str]) -> list[str]:
+    """The lines with tabs between their cells, whatever separates them."""
+    header = next((line for line in lines[:_HEADER_LINES] if line.lstrip().lower().startswith("datarate")), "")
+    if "\t" in header:
+        return lines
+    mark = next((mark for mark in ",;" if mark in header), None)
+    if mark is not None:
+        return [line.replace(mark, "\t") for line in lines]
+    start = next((n for n, line in enumerate(lines) if line.lstrip().lower().startswith("frame")), len(lines))
+    if start < len(lines) and "\t" in lines[start]:
+        return lines
+    # Blanks cannot mark an empty cell: the names stand one after the other.
+    return lines[:start] + ["\t".join(line.split()) for line in lines[start:]]
+
+
+def _without_cut_row(lines: list[str], body: int, width: int, declared: float) -> list[str]:
+    """The lines without a last row that breaks off, where another is before it."""
+    rows = [number for number in range(body, len(lines)) if lines[number].strip()]
+    if len(rows) < 2:
+        return lines
+    last = lines[rows[-1]]
+    cut = rows[-1] == len(lines) - 1 and (len(rows) < declared or last.count("\t") + 1 < width)
+    return lines[: rows[-1]] if cut else lines
 
 
 def _cells(line: str) -> list[str]:
@@ -83,6 +117,8 @@ def _read_fields(path: str | os.PathLike[str], lines: list[str]) -> tuple[dict[s
             if number + 1 >= len(lines):
                 break
             keys, values = _cells(line), _cells(lines[number + 1])
+            if len(values) > len(keys):  # some programs put two tabs between the values
+                keys, values = [key for key in keys if key], [value for value in values if value]
             return {key.lower(): value for key, value in zip(keys, values, strict=False)}, number + 2
     raise MotionFileError(path, "trc.no_header")
 

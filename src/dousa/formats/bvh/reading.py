@@ -354,9 +354,9 @@ def _parse(path: str, data: bytes, units: FileUnits) -> Motion:
     if hierarchy.n_channels == 0:
         raise BvhSyntaxError(start.end(), "bvh.no_channels")
     n_frames, frames_at, frame_time, values_at = _parse_motion_header(data, motion.end())
-    values = _read_values(data, values_at, hierarchy.n_channels, n_frames, frames_at)
+    values, notes = _read_values(data, values_at, hierarchy.n_channels, n_frames, frames_at)
     layout = BvhLayout(hierarchy.channels, hierarchy.offsets, frame_time, hierarchy.encoding)
-    provenance = Provenance(path, "bvh", layout=layout, values=values)
+    provenance = Provenance(path, "bvh", layout=layout, values=values, notes=notes)
     return build_motion(path, hierarchy.program, values, layout.frame_rate, provenance, units)
 
 
@@ -399,28 +399,51 @@ def _next_text(data: bytes, position: int) -> int:
     return found.start() if found else len(data)
 
 
-def _read_values(data: bytes, start: int, columns: int, n_frames: int, frames_at: int) -> FloatArray:
-    """Channel values (T, C); no more memory than the bytes at hand can fill."""
+def _read_values(
+    data: bytes, start: int, columns: int, n_frames: int, frames_at: int
+) -> tuple[FloatArray, tuple[Message, ...]]:
+    """Channel values (T, C), no more memory than the bytes at hand can fill; and what was odd about the rows."""
     # A value takes two bytes, itself and the space after it.
     rows = min(n_frames, (len(data) - start) // (2 * columns) + 1)
+    values, status, position, filled = _scan(data, start, columns, rows)
+    if status == FULL:  # more rows than the file says
+        values, status, position, filled = _scan(data, start, columns, (len(data) - start) // (2 * columns) + 1)
+    found = filled // columns
+    if found == 0 and status == DONE:
+        raise BvhSyntaxError(frames_at, "bvh.no_values", declared=n_frames, found=found)
+    notes = []
+    if status not in (DONE, FULL):
+        notes.append(_explain_rest(data, position, columns, found, n_frames))
+    elif found != n_frames:
+        notes.append(Message("bvh.frame_count", declared=n_frames, found=found))
+    if found < len(values):
+        values = values[:found].copy()
+    values.flags.writeable = False
+    return values, tuple(notes)
+
+
+def _scan(data: bytes, start: int, columns: int, rows: int) -> tuple[FloatArray, int, int, int]:
+    """At most so many rows: values (rows, C), how the scan ended, where, and how many values it read."""
     values = np.empty((rows, columns))
-    notes = np.empty((rows * columns, 2), np.int64)
+    tokens = np.empty((rows * columns, 2), np.int64)
     flat = values.reshape(-1)
-    status, position, filled, noted = scan_rows(np.frombuffer(data, np.uint8), start, len(data), columns, flat, notes)
-    bad = settle(data, notes[:noted], flat)
+    status, position, filled, noted = scan_rows(np.frombuffer(data, np.uint8), start, len(data), columns, flat, tokens)
+    bad = settle(data, tokens[:noted], flat)
     if bad is not None:
         raise BvhSyntaxError(*bad)
-    if status == FULL:
-        found = rows + sum(1 for line in data[position:].splitlines() if line.strip())
-        raise BvhSyntaxError(frames_at, _wrong_count(n_frames, found))
-    if status != DONE:
-        line = data[position:].lstrip().splitlines()[0]
-        raise BvhSyntaxError(position, "bvh.value_count", expected=columns, found=len(line.split()))
-    if filled != n_frames * columns:
-        raise BvhSyntaxError(frames_at, _wrong_count(n_frames, filled // columns))
-    values.flags.writeable = False
-    return values
+    return values, status, position, filled
 
 
-def _wrong_count(declared: int, found: int) -> Message:
-    return Message("bvh.frame_count" if found else "bvh.no_values", declared=declared, found=found)
+def _explain_rest(data: bytes, position: int, columns: int, found: int, n_frames: int) -> Message:
+    """What stands where a row of another width begins: one row that breaks off, or the rows of another skeleton.
+
+    Raises
+    ------
+    BvhSyntaxError : neither: the file is damaged in the middle.
+    """
+    widths = [len(line.split()) for line in data[position:].splitlines() if line.strip()]
+    if found and len(widths) == 1 and widths[0] < columns:
+        return Message("bvh.cut_off", declared=n_frames, found=found)
+    if found and len(widths) > 1 and len(set(widths)) == 1:
+        return Message("bvh.other_rows", found=found, columns=columns, left_out=len(widths), width=widths[0])
+    raise BvhSyntaxError(position, "bvh.value_count", expected=columns, found=widths[0])
