@@ -48,8 +48,9 @@ def test_an_option_that_two_groups_have_is_refused():
 def test_options_of_a_file_become_those_that_it_is_read_with(tmp_path):
     path = tmp_path / "joints.txt"
     path.write_text("left_knee = L_Kn\n", encoding="utf-8")
-    options = MotionOptions("cm", "z", None, path).load()
-    assert list_values(options) == {"joint_map": {"left_knee": ("L_Kn",)}, "unit": "cm", "up": "z", "skeleton": None}
+    options = MotionOptions("cm", "z", None, 25.0, path).load()
+    read = {"joint_map": {"left_knee": ("L_Kn",)}, "unit": "cm", "up": "z", "skeleton": None, "frame_rate": 25.0}
+    assert list_values(options) == read
     assert FileOptions("cm").load().joint_map is None
     with pytest.raises(OptionError):
         MotionOptions(joint_map=tmp_path / "missing.txt").load()

@@ -10,6 +10,7 @@ import faulthandler
 import io
 import itertools
 import os
+import pickle
 import random
 import re
 import struct
@@ -26,6 +27,7 @@ from dousa.errors import DousaError
 from dousa.formats.registry import SUFFIXES, read_motion, write_motion
 from dousa.motion import Motion, Skeleton, Trajectories, compute_trajectories
 from dousa.motion.rotations import normalise
+from formats import made_files as made
 
 pytestmark = pytest.mark.fuzz
 
@@ -130,6 +132,7 @@ def make_seeds(folder: Path) -> dict[str, list[dict[str, bytes]]]:
         "m.npz": make_motion(),
         "t.npz": points,
         "t.trc": points,
+        "m.csv": make_motion(),
     }.items():
         write_motion(moving, folder / name)
         files[name] = (folder / name).read_bytes()
@@ -137,11 +140,20 @@ def make_seeds(folder: Path) -> dict[str, list[dict[str, bytes]]]:
     labels = ["LASI", "RASI", "SACR"]
     stored = [make_c3d(random_points(), labels, processor=DEC, n_analog=2)]
     stored += [make_c3d(random_points(), labels, processor=MIPS, scale=0.5)]
+    rng = np.random.default_rng(1)
+    smpl = made.make_npz(**made.make_smpl(), mocap_framerate=np.array(60.0))
+    joints = made.make_npz(joints=rng.normal(size=(3, 24, 3)), fps=np.array(25.0))
     return {
         ".bvh": [{"x.bvh": BVH.encode()}, {"x.bvh": files["m.bvh"]}],
         ".amc": [{"x.asf": ASF.encode(), "x.amc": AMC.encode()}],
         ".trc": [{"x.trc": files["t.trc"]}],
-        ".npz": [{"x.npz": files["m.npz"]}, {"x.npz": files["t.npz"]}],
+        ".npz": [{"x.npz": files["m.npz"]}, {"x.npz": files["t.npz"]}, {"x.npz": joints}, {"x.npz": smpl}],
+        ".amass.npz": [{"x.amass.npz": smpl}],
+        ".npy": [{"x.npy": made.make_npy(rng.normal(size=(3, count, 3)))} for count in (22, 25, 17)],
+        ".pkl": [{"x.pkl": made.make_aist()}, {"x.pkl": pickle.dumps({"keypoints3d": rng.normal(size=(3, 17, 3))})}],
+        ".csv": [{"x.csv": made.make_motive()}, {"x.csv": files["m.csv"]}],
+        ".tsv": [{"x.tsv": made.make_qualisys()}, {"x.tsv": made.make_qualisys_skeleton()}],
+        ".mvnx": [{"x.mvnx": made.make_mvnx()}],
         ".c3d": [{"x.c3d": data} for data in ((folder / "t.c3d").read_bytes(), *stored)],
     }
 
@@ -257,7 +269,7 @@ def make_case(seeds: list[dict[str, bytes]], suffix: str, number: int) -> dict[s
     files = dict(rng.choice(seeds))
     chosen = rng.choice(sorted(files))
     data = bytearray(files[chosen])
-    if suffix == ".npz" and rng.random() < 0.7:
+    if suffix.endswith(".npz") and rng.random() < 0.7:
         damage_array(rng, data)
     else:
         for _ in range(rng.choice((1, 1, 1, 2, 3))):

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from dousa.errors import DousaError, JointMappingError
-from dousa.formats.registry import SUFFIXES, read_motion
+from dousa.formats.registry import find_reader, is_motion_file, read_motion
 from dousa.messages import Message
 
 if TYPE_CHECKING:
@@ -30,20 +30,22 @@ class ReadOptions:
     joint_map : canonical joint to the name, or names, in the file; see ``dousa.motion.canonicalise``.
     unit : metres per unit of the file, or a name such as ``"cm"``; see ``dousa.formats.read_motion``.
     up : axis of the file that points up, such as ``"y"`` or ``"-z"``.
-    skeleton : the ``.asf`` of ``.amc`` files.
+    skeleton : the ``.asf`` of ``.amc`` files, the body model of SMPL poses.
+    frame_rate : Hz, of arrays that do not say it.
     """
 
     joint_map: JointMap | None = None
     unit: float | str | None = None
     up: str | None = None
     skeleton: str | os.PathLike[str] | None = None
+    frame_rate: float | None = None
 
     def describe(self) -> str:
         """The options that change how a content is understood, as one line of JSON; empty if there are none."""
         joints = None
         if self.joint_map is not None:
             joints = {key: value if isinstance(value, str) else list(value) for key, value in self.joint_map.items()}
-        given = {"joint_map": joints, "unit": self.unit, "up": self.up}
+        given = {"joint_map": joints, "unit": self.unit, "up": self.up, "frame_rate": self.frame_rate}
         given = {key: value for key, value in given.items() if value is not None}
         return json.dumps(given, sort_keys=True) if given else ""
 
@@ -117,7 +119,7 @@ def _walk(root: Path, closed: list[Skipped]) -> Iterator[Path]:
         seen.add((place.st_dev, place.st_ino))
         subfolders[:] = sorted(name for name in subfolders if not name.startswith("."))
         for name in sorted(names):
-            if not name.startswith(".") and os.path.splitext(name)[1].lower() in SUFFIXES:
+            if not name.startswith(".") and is_motion_file(os.path.join(folder, name)):
                 yield Path(folder, name)
 
 
@@ -146,8 +148,10 @@ def read_canonical(path: str | os.PathLike[str], options: ReadOptions | None = N
     from dousa.motion import canonicalise
 
     path, options = os.fspath(path), options or ReadOptions()
-    skeleton = options.skeleton if path.lower().endswith(".amc") else None
-    motion = read_motion(path, unit=options.unit, up=options.up, skeleton=skeleton)
+    line = find_reader(path)
+    # Of a folder of all kinds, each kind takes what it knows.
+    taken: dict[str, Any] = {name: getattr(options, name) for name in (line.options if line else ())}
+    motion = read_motion(path, unit=options.unit, up=options.up, **taken)
     try:
         return canonicalise(motion, options.joint_map), motion.provenance.format if motion.provenance else ""
     except JointMappingError as error:

@@ -6,8 +6,10 @@ To add a format: write a module with ``read_xxx(path, *, unit=None, up=None)`` a
 
 from __future__ import annotations
 
+import dataclasses
 import importlib
 import os
+import re
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from typing import Any
@@ -35,6 +37,9 @@ class Format:
     reader : name of the function that reads a file, None if the format is only written.
     writer : name of the function that writes a file, None if the format is only read.
     holds : ``"motion"``, ``"trajectories"`` or ``"both"``: what a file of this format can hold.
+    options : what the reader takes besides ``unit`` and ``up``: ``"skeleton"``, ``"frame_rate"``.
+    signs : pattern in the first bytes of such files, where other programs use the suffix for other things; None where
+        the suffix suffices.
     """
 
     name: str
@@ -43,15 +48,37 @@ class Format:
     reader: str | None
     writer: str | None
     holds: str
+    options: tuple[str, ...] = ()
+    signs: bytes | None = None
 
+
+_ARRAYS = ("skeleton", "frame_rate")
+_HEAD_BYTES = 4096
+
+PACKED: tuple[str, ...] = (".gz", ".zip")
+"""Suffixes of packed files, see `dousa.formats.packed`."""
 
 FORMATS: tuple[Format, ...] = (
     Format("bvh", (".bvh",), "dousa.formats.bvh", "read_bvh", "write_bvh", "motion"),
-    Format("amc", (".amc",), "dousa.formats.asf_amc", "read_amc", None, "motion"),
+    Format("amc", (".amc",), "dousa.formats.asf_amc", "read_amc", None, "motion", ("skeleton",)),
     Format("c3d", (".c3d",), "dousa.formats.c3d", "read_c3d", "write_c3d", "trajectories"),
     Format("trc", (".trc",), "dousa.formats.trc", "read_trc", "write_trc", "trajectories"),
-    Format("npz", (".npz",), "dousa.formats.npz", "read_npz", "write_npz", "both"),
-)
+    Format("amass", (".amass.npz",), "dousa.formats.smpl", "read_smpl_npz", "write_amass", "motion", _ARRAYS),
+    Format("npz", (".npz",), "dousa.formats.arrays", "read_any_npz", "write_npz", "both", _ARRAYS),
+    Format(
+        "npy", (".npy",), "dousa.formats.arrays", "read_npy", None, "trajectories", ("frame_rate",),
+        rb"'shape': \(\d+, \d+, \d+\)",
+    ),
+    Format(
+        "pkl", (".pkl",), "dousa.formats.arrays", "read_pickle", None, "both", _ARRAYS, rb"poses|keypoints3d",
+    ),
+    Format(
+        "motive", (".csv",), "dousa.formats.optical", "read_motive", "write_motive", "both", (),
+        rb"\A(?:\xef\xbb\xbf)?\"?Format Version",
+    ),
+    Format("qualisys", (".tsv",), "dousa.formats.optical", "read_qualisys", None, "both", (), rb"\A\s*NO_OF_FRAMES"),
+    Format("mvnx", (".mvnx",), "dousa.formats.mvnx", "read_mvnx", None, "motion"),
+)  # fmt: skip
 
 READERS: dict[str, Format] = {suffix: line for line in FORMATS if line.reader for suffix in line.suffixes}
 """Format by suffix, for reading."""
@@ -60,7 +87,10 @@ WRITERS: dict[str, Format] = {suffix: line for line in FORMATS if line.writer fo
 """Format by suffix, for writing."""
 
 SUFFIXES: tuple[str, ...] = tuple(READERS)
-"""The suffixes that ``read_motion`` knows, lower case with the dot."""
+"""The suffixes that ``read_motion`` knows, lower case with the dot; each also with ``.gz`` or ``.zip`` behind it."""
+
+_ADVICE = {".asf": "formats.asf_alone", ".mot": "formats.coordinates", ".sto": "formats.coordinates"}
+"""Suffixes that are no motion by themselves, and what to do about them."""
 
 
 def _function(line: Format, name: str) -> Callable[..., Any]:
@@ -70,6 +100,36 @@ def _function(line: Format, name: str) -> Callable[..., Any]:
 
 def _suffix(path: str | os.PathLike[str]) -> str:
     return os.path.splitext(os.fspath(path))[1].lower()
+
+
+def _find(path: str | os.PathLike[str], table: dict[str, Format]) -> Format | None:
+    """The line of the longest suffix that the name ends in."""
+    name = os.path.basename(os.fspath(path)).lower()
+    fitting = [suffix for suffix in table if name.endswith(suffix) and name != suffix]
+    return table[max(fitting, key=len)] if fitting else None
+
+
+def find_reader(path: str | os.PathLike[str]) -> Format | None:
+    """The line of the table that a file will be read by, told by its name; None if there is none.
+
+    Parameters
+    ----------
+    path : of a file; that of a packed one has both suffixes, such as ``walk.bvh.gz``.
+    """
+    text = os.fspath(path)
+    return _find(text[: -len(_suffix(text))] if _suffix(text) in PACKED else text, READERS)
+
+
+def is_motion_file(path: str | os.PathLike[str]) -> bool:
+    """Whether a file of a folder is one to read: by its suffix and, where others use the suffix, its first bytes."""
+    line = find_reader(path)
+    if line is None or line.signs is None or _suffix(path) in PACKED:
+        return line is not None
+    try:
+        with open(path, "rb") as file:
+            return re.search(line.signs, file.read(_HEAD_BYTES)) is not None
+    except OSError:
+        return True  # its reader says what is wrong
 
 
 def _no_format(path: str | os.PathLike[str], known: Iterable[str], *, read: bool) -> UnknownFormatError:
@@ -88,21 +148,24 @@ def read_motion(
     unit: float | str | None = None,
     up: str | None = None,
     skeleton: str | os.PathLike[str] | None = None,
+    frame_rate: float | None = None,
 ) -> Motion | Trajectories:
     """Read a motion file of any known format; the suffix tells which.
 
     Parameters
     ----------
-    path : file ending in one of ``SUFFIXES``, in any case.
+    path : file ending in one of ``SUFFIXES``, in any case, as it is or packed (``.gz``, ``.zip``).
     unit : metres per unit of the file, or a name such as ``"cm"``; by default what the file declares, else
         inferred from body height.
     up : axis of the file that points up, such as ``"y"`` or ``"-z"``; by default what the file declares, else
         inferred.
-    skeleton : the ``.asf`` of an ``.amc``; by default looked for beside and above it.
+    skeleton : the ``.asf`` of an ``.amc``; by default looked for beside and above it. The body model of SMPL poses;
+        by default the mean body.
+    frame_rate : Hz, of arrays that do not say it.
 
     Returns
     -------
-    A Motion (BVH, AMC) or Trajectories (C3D, TRC), metres, Y up; NPZ gives what was written.
+    A Motion (joint rotations) or Trajectories (positions), metres, Y up; NPZ gives what was written.
 
     Raises
     ------
@@ -110,9 +173,11 @@ def read_motion(
     MotionFileError : the file is missing, damaged or not of this format.
     OptionError : a unit or axis that does not exist.
     """
-    if _suffix(path) == ".asf":
-        raise UnknownFormatError(path, "formats.asf_alone")
-    line = READERS.get(_suffix(path))
+    if _suffix(path) in PACKED:
+        return _read_packed(path, unit=unit, up=up, skeleton=skeleton, frame_rate=frame_rate)
+    if _suffix(path) in _ADVICE:
+        raise UnknownFormatError(path, _ADVICE[_suffix(path)])
+    line = find_reader(path)
     if line is None or line.reader is None:
         raise _no_format(path, READERS, read=True)
     from dousa.motion.canonical.reference_frame import parse_unit, parse_up
@@ -121,13 +186,22 @@ def read_motion(
         "unit": None if unit is None else parse_unit(unit),
         "up": None if up is None else parse_up(up),
     }
-    if skeleton is not None:
-        if line.name != "amc":
-            raise OptionError("formats.skeleton", path=path)
-        options["skeleton"] = skeleton
+    for name, value, code in (
+        ("skeleton", skeleton, "formats.skeleton"),
+        ("frame_rate", frame_rate, "formats.frame_rate"),
+    ):
+        if value is not None:
+            if name not in line.options:
+                raise OptionError(code, path=path)
+            options[name] = value
+    if frame_rate is not None and not 0 < frame_rate <= 1e6:
+        raise OptionError("resampling.rate", rate=frame_rate)
+    import numpy as np
+
     reader = _function(line, line.reader)
     try:
-        motion: Motion | Trajectories = reader(path, **options)
+        with np.errstate(over="ignore", invalid="ignore"):  # a damaged file may hold 1e300
+            motion: Motion | Trajectories = reader(path, **options)
     except DousaError as error:
         if isinstance(error, MotionFileError | OptionError):
             raise
@@ -140,6 +214,21 @@ def read_motion(
             path, "formats.damaged", format=line.name.upper(), kind=type(error).__name__, reason=error
         ) from error
     return motion
+
+
+def _read_packed(path: str | os.PathLike[str], **options: Any) -> Motion | Trajectories:
+    from dousa.formats.packed import unpack
+
+    with unpack(path, SUFFIXES) as inner:
+        try:
+            motion = read_motion(inner, **options)
+        except MotionFileError as error:
+            if os.path.dirname(error.path) == os.path.dirname(inner):
+                error.path = os.fspath(path)
+            raise
+    if motion.provenance is None:
+        return motion
+    return dataclasses.replace(motion, provenance=dataclasses.replace(motion.provenance, path=os.fspath(path)))
 
 
 def _fit(motion: Trajectories, path: str | os.PathLike[str]) -> Motion:
@@ -168,7 +257,7 @@ def write_motion(motion: Motion | Trajectories, path: str | os.PathLike[str]) ->
     UnknownFormatError : the suffix is not known, or this format is only read.
     MotionWriteError : the motion does not fit the format, or the disk refuses.
     """
-    line = WRITERS.get(_suffix(path))
+    line = _find(path, WRITERS)
     if line is None or line.writer is None:
         raise _no_format(path, WRITERS, read=False)
     if line.holds == "trajectories" and isinstance(motion, Motion):

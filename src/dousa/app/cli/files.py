@@ -56,7 +56,7 @@ def info(
 def _read(path: Path, options: ReadOptions) -> Motion | Trajectories:
     from dousa.formats.registry import read_motion
 
-    return read_motion(path, unit=options.unit, up=options.up, skeleton=options.skeleton)
+    return read_motion(path, unit=options.unit, up=options.up, skeleton=options.skeleton, frame_rate=options.frame_rate)
 
 
 def _describe(path: Path, options: ReadOptions) -> dict[str, Any]:

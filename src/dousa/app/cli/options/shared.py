@@ -64,14 +64,21 @@ class FileOptions:
     ] = None
     skeleton: Annotated[
         Path | None,
-        typer.Option("--skeleton", help="The .asf of an .amc. Default: searched for next to and above it."),
+        typer.Option(
+            "--skeleton",
+            help="The .asf of an .amc (default: searched for next to and above it), or the body model of SMPL poses.",
+        ),
+    ] = None
+    file_rate: Annotated[
+        float | None,
+        typer.Option("--file-rate", metavar="HZ", help="Frame rate of a file that does not say it: arrays."),
     ] = None
 
     def load(self) -> ReadOptions:
         """The options in the form in which files are read; the files that they name are read."""
         from dousa.formats.motion_files import ReadOptions
 
-        return ReadOptions(unit=self.unit, up=self.up, skeleton=self.skeleton)
+        return ReadOptions(unit=self.unit, up=self.up, skeleton=self.skeleton, frame_rate=self.file_rate)
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,0 +1,191 @@
+"""Positions of joints as a bare array (T, J, 3), as data sets and methods of machine learning save them.
+
+Such a file says neither names nor unit nor rate. The number of joints tells the layout; where two layouts have the same
+number, the one wins whose bones keep their lengths over the frames and are alike on the left and on the right.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+import tomllib
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import lru_cache
+from importlib import resources
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dousa.arrays import FloatArray
+from dousa.errors import MotionFileError
+from dousa.files.disk import read_bytes
+from dousa.formats.markers import settle_trajectories
+from dousa.formats.smpl.body import mean_body
+from dousa.messages import Message
+from dousa.motion import Trajectories
+from dousa.motion.canonical.naming import match_names
+
+_NAMES = ("joints", "positions", "keypoints3d_optim", "keypoints3d", "keypoints_3d", "joints3d", "poses_3d", "motion")
+_LIMBS = (("shoulder", "elbow"), ("elbow", "wrist"), ("hip", "knee"), ("knee", "ankle"))
+_MAGIC = b"\x93NUMPY"
+_HEADER = re.compile(
+    r"\{'descr': '([<>|=]?[iuf]\d{1,2})', 'fortran_order': (True|False), 'shape': \(([\d, ]{0,200})\), ?\}\s*"
+)
+_MOST_JOINTS = 1000
+
+
+@dataclass(frozen=True, slots=True)
+class Layout:
+    """The order of joints of a data set: names, the rate in Hz and the up axis that its files have."""
+
+    title: str
+    names: tuple[str, ...]
+    rate: float
+    up: str | None
+
+
+@lru_cache(maxsize=1)
+def list_layouts() -> tuple[Layout, ...]:
+    """The layouts of ``layouts.toml``."""
+    table: dict[str, Any] = tomllib.loads(resources.files(__package__).joinpath("layouts.toml").read_text("utf-8"))
+    counts = {"SMPL-H": 52, "SMPL-X": 55}
+    return tuple(
+        Layout(
+            title,
+            mean_body(counts[title]).names if title in counts else tuple(row["names"]),
+            row["rate"],
+            row.get("up"),
+        )
+        for title, row in table.items()
+    )
+
+
+def is_joint_array(shape: tuple[int, ...]) -> bool:
+    """Whether an array of this shape can hold positions of joints over time."""
+    trimmed = tuple(axis for axis in shape if axis != 1)
+    counts = {len(layout.names) for layout in list_layouts()}
+    return len(trimmed) == 3 and (trimmed[2] == 3 or (trimmed[0] in counts and trimmed[1] == 3))
+
+
+def find_joints(arrays: Mapping[str, Any]) -> str | None:
+    """The name of the array that holds joints: a usual name, else the only one of such a shape."""
+    fitting = [name for name, array in arrays.items() if is_joint_array(array.shape)]
+    return next((name for name in _NAMES if name in fitting), fitting[0] if len(fitting) == 1 else None)
+
+
+def read_npy(
+    path: str | os.PathLike[str],
+    *,
+    unit: float | str | None = None,
+    up: str | None = None,
+    frame_rate: float | None = None,
+) -> Trajectories:
+    """Read an npy file of joint positions (T, J, 3).
+
+    Parameters
+    ----------
+    path : the file.
+    unit, up : by default inferred from the body.
+    frame_rate : Hz; by default that of the data set whose joints these are.
+
+    Raises
+    ------
+    MotionFileError : missing, damaged, objects instead of numbers, another shape, an unknown number of joints.
+    """
+    data = read_bytes(path)
+    if data[:6] != _MAGIC or len(data) < 12:
+        raise MotionFileError(path, "arrays.no_npy")
+    wide = data[6] >= 2
+    start = 12 if wide else 10
+    end = start + int.from_bytes(data[8:start], "little")
+    header = _HEADER.fullmatch(data[start : min(end, 10_000)].decode("latin-1"))
+    if header is None:
+        raise MotionFileError(path, "arrays.not_plain")
+    try:
+        dtype = np.dtype(header[1])
+    except TypeError:
+        raise MotionFileError(path, "arrays.not_plain") from None
+    shape = tuple(int(axis) for axis in header[3].replace(" ", "").split(",") if axis)
+    if not is_joint_array(shape):
+        raise MotionFileError(path, "arrays.shape", found=str(shape))
+    if int(np.prod(shape, dtype=object)) * dtype.itemsize != len(data) - end:
+        raise MotionFileError(path, "arrays.size", shape=str(shape), found=len(data) - end)
+    points = np.frombuffer(data, dtype, offset=end).reshape(shape, order="F" if header[2] == "True" else "C")
+    return build_joints(path, "npy", points, unit=unit, up=up, frame_rate=frame_rate)
+
+
+def build_joints(
+    path: str | os.PathLike[str],
+    format_name: str,
+    array: NDArray[Any],
+    *,
+    unit: float | str | None,
+    up: str | None,
+    frame_rate: float | None,
+    names: tuple[str, ...] | None = None,
+) -> Trajectories:
+    """Trajectories of an array of joints.
+
+    Parameters
+    ----------
+    path, format_name : for messages and provenance.
+    array : (T, J, 3) or (J, 3, T), with axes of length 1 anywhere.
+    unit, up, frame_rate : as for `read_npy`.
+    names : (J,) where the file says them.
+    """
+    if not is_joint_array(array.shape):
+        raise MotionFileError(path, "arrays.shape", found=str(array.shape))
+    points = array.reshape([axis for axis in array.shape if axis != 1]).astype(np.float64)
+    if points.shape[2] != 3:
+        points = np.moveaxis(points, 2, 0)
+    if points.shape[1] > _MOST_JOINTS:
+        raise MotionFileError(path, "arrays.shape", found=str(array.shape))
+    points = np.where(
+        (points == 0).all(axis=2, keepdims=True) & (np.arange(points.shape[1]) > 0)[:, None], np.nan, points
+    )
+    notes = []
+    layout = None
+    if names is None or len(names) != points.shape[1]:
+        layout = _choose_layout(points)
+        if layout is None:
+            known = tuple(sorted({len(layout.names) for layout in list_layouts()}))
+            raise MotionFileError(path, "arrays.joints", found=points.shape[1], known=known)
+        names = layout.names
+        notes.append(Message("arrays.layout", joints=len(names), layout=layout.title))
+    if frame_rate is None:
+        frame_rate = layout.rate if layout else 30.0
+        notes.append(Message("arrays.assumed_rate", rate=frame_rate))
+    if not 0 < frame_rate <= 1e6:
+        raise MotionFileError(path, "arrays.rate", found=repr(frame_rate))
+    return settle_trajectories(
+        path, format_name, names, points, frame_rate,
+        unit=unit, up=up, unit_in_file=None, up_in_file=None, default_up=layout.up if layout else None,
+        notes=tuple(notes),
+    )  # fmt: skip
+
+
+def _choose_layout(points: FloatArray) -> Layout | None:
+    """The layout with this number of joints whose limbs are most alike over time and between the sides."""
+    fitting = [layout for layout in list_layouts() if len(layout.names) == points.shape[1]]
+    return min(fitting, key=lambda layout: _unlikeness(points, layout.names)) if fitting else None
+
+
+def _unlikeness(points: FloatArray, names: tuple[str, ...]) -> float:
+    """Spread of the lengths of arms and legs, over the frames and between left and right, as a share of them."""
+    match = match_names(names)
+    if match is None or match.missing:
+        return float("inf")
+    sample = points[:: max(1, len(points) // 50)]
+    total = 0.0
+    with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
+        for start, end in _LIMBS:
+            sides = []
+            for side in ("left_", "right_"):
+                first, last = (sample[:, list(match.sources[side + joint])].mean(axis=1) for joint in (start, end))
+                sides.append(np.linalg.norm(first - last, axis=1))
+            lengths = np.concatenate(sides)
+            lengths = lengths[np.isfinite(lengths)]
+            total += float(lengths.std() / lengths.mean()) if len(lengths) else 1.0
+    return total if np.isfinite(total) else 1e9

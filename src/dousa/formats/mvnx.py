@@ -1,0 +1,167 @@
+"""Xsens MVNX: XML with the orientation and the position of 23 segments in every frame.
+
+Metres, Z up, X to the front; quaternions w x y z from segment to world. A segment's origin is the joint to its parent;
+``joints`` names the tree; ``points`` of a segment tell where head, hands and toes end. Frames of the type ``identity``,
+``tpose`` and ``npose`` are poses of calibration, not of the take: identity is the rest pose.
+Reference: Xsens MVN user manual, chapter "MVNX".
+"""
+
+from __future__ import annotations
+
+import os
+import xml.etree.ElementTree as ET
+from collections.abc import Iterator
+
+import numpy as np
+
+from dousa.arrays import FloatArray
+from dousa.errors import CalibrationError, MotionFileError
+from dousa.files.disk import read_bytes
+from dousa.files.markup import parse_xml
+from dousa.formats.poses import localise, median_offsets, order_tree, settle_motion
+from dousa.motion import Motion, Skeleton
+from dousa.motion.rotations import identity, normalise
+
+_TIPS = {
+    "Head": "pTopOfHead",
+    "LeftHand": "pLeftTopOfHand",
+    "RightHand": "pRightTopOfHand",
+    "LeftToe": "pLeftToe",
+    "RightToe": "pRightToe",
+}
+_MOST_SEGMENTS = 500
+
+
+def read_mvnx(path: str | os.PathLike[str], *, unit: float | str | None = None, up: str | None = None) -> Motion:
+    """Read an MVNX file.
+
+    Parameters
+    ----------
+    path : the file.
+    unit : metres per unit; by default metres.
+    up : axis that points up; by default Z.
+
+    Returns
+    -------
+    Motion in metres, Y up: the segments, and end sites at the tips of head, hands and toes.
+
+    Raises
+    ------
+    MotionFileError : missing, no XML, no segments or frames, frames whose numbers do not fit the segments.
+    """
+    try:
+        root = parse_xml(read_bytes(path))
+    except CalibrationError as error:
+        raise MotionFileError(path, error.message) from None
+    subject = next(_children(root, "subject"), None)
+    if subject is None:
+        raise MotionFileError(path, "mvnx.no_subject")
+    segments = [node for group in _children(subject, "segments") for node in _children(group, "segment")]
+    names = tuple(node.get("label", f"segment{index}") for index, node in enumerate(segments))
+    if not names or len(names) > _MOST_SEGMENTS or len(set(names)) != len(names):
+        raise MotionFileError(path, "mvnx.segments", found=len(names))
+    frames = [node for group in _children(subject, "frames") for node in _children(group, "frame")]
+    taken = [frame for frame in frames if frame.get("type", "normal") == "normal"]
+    if not taken:
+        raise MotionFileError(path, "mvnx.no_frames")
+    world = _read_values(path, taken, "orientation", len(names), 4)
+    positions = _read_values(path, taken, "position", len(names), 3)
+    rest = [frame for frame in frames if frame.get("type") == "identity"][:1]
+    resting = _read_values(path, rest, "position", len(names), 3)[0] if rest else None
+    order, parents = order_tree(names, _read_parents(subject))
+    rotations, translations = localise(parents, normalise(world[:, order]), positions[:, order])
+    if resting is None:
+        offsets = median_offsets(translations)
+    else:
+        offsets = resting[order].copy()
+        offsets[1:] -= np.where(np.array(parents[1:])[:, None] >= 0, resting[order][parents[1:]], 0.0)
+    skeleton, rotations, translations = _add_tips(
+        tuple(names[index] for index in order), parents, offsets, rotations, translations,
+        {names[index]: segments[index] for index in order},
+    )  # fmt: skip
+    return settle_motion(
+        path, "mvnx", skeleton, rotations, translations, _read_rate(path, subject),
+        unit=unit, up=up, unit_in_file=1.0, up_in_file="z",
+    )  # fmt: skip
+
+
+def _children(node: ET.Element, name: str) -> Iterator[ET.Element]:
+    """Children of a name, in any namespace."""
+    return (child for child in node if isinstance(child.tag, str) and child.tag.rpartition("}")[2] == name)
+
+
+def _read_rate(path: str | os.PathLike[str], subject: ET.Element) -> float:
+    try:
+        rate = float(subject.get("frameRate", ""))
+    except ValueError:
+        rate = float("nan")
+    if not 0 < rate <= 1e6:
+        raise MotionFileError(path, "mvnx.rate", found=subject.get("frameRate", "")[:20])
+    return rate
+
+
+def _read_values(
+    path: str | os.PathLike[str], frames: list[ET.Element], name: str, count: int, width: int
+) -> FloatArray:
+    """(T, count, width) numbers of an element of every frame."""
+    rows = []
+    for number, frame in enumerate(frames):
+        node = next(_children(frame, name), None)
+        try:
+            row = np.array([float(word) for word in (node.text or "").split()] if node is not None else [])
+        except ValueError:
+            raise MotionFileError(path, "mvnx.number", name=name, frame=number) from None
+        if len(row) < count * width or not np.isfinite(row).all():
+            raise MotionFileError(path, "mvnx.count", name=name, frame=number, expected=count * width, found=len(row))
+        rows.append(row[: count * width])  # props come after the segments of the body
+    return np.array(rows).reshape(len(frames), count, width)
+
+
+def _read_parents(subject: ET.Element) -> dict[str, str]:
+    """Parent of a segment by name, from the joints that connect them."""
+    parents = {}
+    for group in _children(subject, "joints"):
+        for joint in _children(group, "joint"):
+            ends = [next(_children(joint, f"connector{side}"), None) for side in (1, 2)]
+            above, below = ((node.text or "").partition("/")[0].strip() if node is not None else "" for node in ends)
+            parents[below] = above
+    return parents
+
+
+def _add_tips(
+    names: tuple[str, ...],
+    parents: list[int],
+    offsets: FloatArray,
+    rotations: FloatArray,
+    translations: FloatArray,
+    segments: dict[str, ET.Element],
+) -> tuple[Skeleton, FloatArray, FloatArray]:
+    """The skeleton with end sites where its last segments end."""
+    tips = []
+    for joint, name in enumerate(names):
+        place = _find_point(segments[name], _TIPS.get(name, ""))
+        if place is not None:
+            tips.append((f"{name}_end", joint, place))
+    count, n_frames = len(tips), len(rotations)
+    skeleton = Skeleton(
+        (*names, *(name for name, _, _ in tips)),
+        np.array([*parents, *(joint for _, joint, _ in tips)], np.intp),
+        np.concatenate((offsets, np.array([place for *_, place in tips]).reshape(-1, 3))),
+        np.arange(len(names) + count) >= len(names),
+    )
+    still = np.tile(skeleton.offsets[len(names) :], (n_frames, 1, 1))
+    rotations = np.concatenate((rotations, identity((n_frames, count))), axis=1)
+    return skeleton, rotations, np.concatenate((translations, still), axis=1)
+
+
+def _find_point(segment: ET.Element, label: str) -> FloatArray | None:
+    for group in _children(segment, "points"):
+        for point in _children(group, "point"):
+            node = next(_children(point, "pos_b"), None)
+            if point.get("label") == label and node is not None:
+                try:
+                    place = np.array([float(word) for word in (node.text or "").split()])
+                except ValueError:
+                    return None
+                return place if place.shape == (3,) and np.isfinite(place).all() else None
+    return None

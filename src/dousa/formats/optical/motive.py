@@ -1,0 +1,195 @@
+"""OptiTrack Motive CSV: markers, rigid bodies and skeletons, a column each.
+
+A first row of keys and values (``Format Version``, frame rates, ``Rotation Type``, ``Length Units``), then rows
+``Type``, ``Name``, ``ID``, from version 1.24 ``Parent``, then ``Rotation``/``Position``, then ``Frame, Time, X, Y, Z, W
+...``, then a row per frame. Y up, right-handed. Reference: OptiTrack documentation, "Data Export: CSV".
+
+A skeleton is read as a motion if its tree is known (by the row ``Parent`` or by the usual names) and its rotations are
+quaternions or Euler angles; else the positions of its bones; without bones the labelled markers.
+"""
+
+from __future__ import annotations
+
+import csv
+import os
+import re
+from dataclasses import dataclass
+
+import numpy as np
+
+from dousa.arrays import FloatArray
+from dousa.errors import MotionFileError
+from dousa.files.disk import read_bytes
+from dousa.formats.markers import declared_unit, settle_trajectories
+from dousa.formats.optical.tables import read_rows, strip_owner
+from dousa.formats.optical.trees import guess_parents
+from dousa.formats.poses import localise, median_offsets, order_tree, settle_motion
+from dousa.messages import Message
+from dousa.motion import Motion, Skeleton, Trajectories
+from dousa.motion.rotations import from_euler, normalise
+
+_HEADER_ROWS = 12
+_UNLABELLED = re.compile(r"(?:.*:)?(?:Unlabeled\b.*|\d+)", re.IGNORECASE)
+
+
+@dataclass(frozen=True, slots=True)
+class _Table:
+    """The header: its fields, and the columns of every asset by (type, name)."""
+
+    fields: dict[str, str]
+    columns: dict[tuple[str, str], dict[str, list[int]]]
+    parents: dict[str, str]
+    body: int
+
+
+def read_motive(
+    path: str | os.PathLike[str], *, unit: float | str | None = None, up: str | None = None
+) -> Motion | Trajectories:
+    """Read a CSV file that Motive exported.
+
+    Parameters
+    ----------
+    path : the file.
+    unit : metres per unit; by default what the header says.
+    up : axis that points up; by default Y unless the body stands along another.
+
+    Returns
+    -------
+    Motion of the bones, or Trajectories of bones or markers, metres, Y up. Of several skeletons the first, with a note.
+
+    Raises
+    ------
+    MotionFileError : missing, damaged, another CSV, neither bones nor labelled markers.
+    """
+    text = read_bytes(path).decode("utf-8-sig", errors="replace")
+    try:
+        rows = list(csv.reader(text.replace("\0", "").splitlines()))
+    except csv.Error as error:
+        raise MotionFileError(path, "motive.damaged", reason=error) from error
+    table = _read_header(path, rows)
+    kinds = {kind for kind, _ in table.columns}
+    kind = next(
+        (kind for kind in ("bone", "marker", "bonemarker", "rigidbodymarker", "rigidbody") if kind in kinds), None
+    )
+    assets = [(name, columns) for (other, name), columns in table.columns.items() if other == kind]
+    assets = [(name, c) for name, c in assets if len(c.get("position", [])) == 3 and not _UNLABELLED.fullmatch(name)]
+    if kind is None or not assets:
+        raise MotionFileError(path, "motive.nothing")
+    width = 1 + max(max(columns["position"] + columns.get("rotation", [])) for _, columns in assets)
+    lines = [row for row in rows[table.body :] if any(cell.strip() for cell in row)]
+    if not lines:
+        raise MotionFileError(path, "motive.no_frames", len(rows))
+    values = read_rows(path, lines, table.body + 1, width)
+    return _build(path, table, kind, assets, values, unit, up)
+
+
+def _build(
+    path: str | os.PathLike[str],
+    table: _Table,
+    kind: str,
+    assets: list[tuple[str, dict[str, list[int]]]],
+    values: FloatArray,
+    unit: float | str | None,
+    up: str | None,
+) -> Motion | Trajectories:
+    notes = []
+    owners = list(dict.fromkeys(name.rpartition(":")[0] for name, _ in assets))
+    if len(owners) > 1 and kind.startswith("bone"):
+        notes.append(Message("motive.several", read=owners[0], others=owners[1:]))
+        assets = [asset for asset in assets if asset[0].rpartition(":")[0] == owners[0]]
+    names, _ = strip_owner([name for name, _ in assets])
+    positions = values[:, [columns["position"] for _, columns in assets]]
+    rate = _read_rate(path, table.fields, values)
+    unit_in_file = declared_unit(table.fields.get("length units", ""))
+    # Rigid bodies and bones that are not solved are blank; markers of older versions lie at the origin.
+    parents = {c.rpartition(":")[2]: p.rpartition(":")[2] for c, p in table.parents.items()} or guess_parents(names)
+    turns = (
+        _read_turns(table.fields, assets, values)
+        if kind == "bone" and any(p in names for p in parents.values())
+        else None
+    )
+    if turns is None:
+        return settle_trajectories(
+            path, "motive", tuple(names), positions, rate,
+            unit=unit, up=up, unit_in_file=unit_in_file, up_in_file=None, default_up="y", notes=tuple(notes),
+        )  # fmt: skip
+    order, tree = order_tree(tuple(names), parents)
+    world, places = turns[:, order], positions[:, order]
+    if table.fields.get("coordinate space", "global").lower() == "local":
+        rotations, translations = world, places
+    else:
+        rotations, translations = localise(tree, world, places)
+    skeleton = Skeleton(tuple(names[joint] for joint in order), np.array(tree), median_offsets(translations))
+    return settle_motion(
+        path, "motive", skeleton, rotations, translations, rate,
+        unit=unit, up=up, unit_in_file=unit_in_file, default_up="y", notes=tuple(notes),
+    )  # fmt: skip
+
+
+def _read_header(path: str | os.PathLike[str], rows: list[list[str]]) -> _Table:
+    if not rows or not rows[0] or rows[0][0].strip().lower() != "format version":
+        raise MotionFileError(path, "motive.no_header")
+    first = [cell.strip() for cell in rows[0]]
+    fields = {key.lower(): value for key, value in zip(first[::2], first[1::2], strict=False)}
+    labelled: dict[str, list[str]] = {}
+    for number, row in enumerate(rows[1:_HEADER_ROWS], 1):
+        cells = [cell.strip() for cell in row]
+        key = (cells[1] if len(cells) > 1 else "").lower().replace(" ", "")
+        if key in ("type", "name", "parent"):
+            labelled[key] = cells
+        elif cells and cells[0].lower() == "frame":
+            if "name" not in labelled:
+                break
+            return _Table(fields, *_read_columns(labelled, [c.strip() for c in rows[number - 1]], cells), number + 1)
+    raise MotionFileError(path, "motive.no_names")
+
+
+def _read_columns(
+    labelled: dict[str, list[str]], what: list[str], axes: list[str]
+) -> tuple[dict[tuple[str, str], dict[str, list[int]]], dict[str, str]]:
+    names, kinds = labelled["name"], labelled.get("type", [])
+    columns: dict[tuple[str, str], dict[str, list[int]]] = {}
+    parents: dict[str, str] = {}
+    above = labelled.get("parent", [])
+    for column in range(2, min(len(names), len(what), len(axes))):
+        kind = kinds[column].lower().replace(" ", "") if column < len(kinds) else "marker"
+        quantity = what[column].lower()
+        if axes[column].upper() not in ("X", "Y", "Z", "W") or quantity not in ("rotation", "position"):
+            continue
+        columns.setdefault((kind, names[column]), {}).setdefault(quantity, []).append(column)
+        if column < len(above) and above[column] and kind == "bone":
+            parents[names[column]] = above[column]
+    return columns, parents
+
+
+def _read_rate(path: str | os.PathLike[str], fields: dict[str, str], values: FloatArray) -> float:
+    for key in ("export frame rate", "capture frame rate"):
+        try:
+            rate = float(fields.get(key, ""))
+        except ValueError:
+            continue
+        if 0 < rate <= 1e6:
+            return rate
+    times = values[:, 1]
+    steps = np.diff(times[np.isfinite(times)])
+    step = float(np.median(steps)) if len(steps) else 0.0
+    if not step >= 1e-6:
+        raise MotionFileError(path, "motive.rate")
+    return 1.0 / step
+
+
+def _read_turns(
+    fields: dict[str, str], assets: list[tuple[str, dict[str, list[int]]]], values: FloatArray
+) -> FloatArray | None:
+    """(T, J, 4) unit quaternions in the world; None if the file has other rotations, or none."""
+    kind = fields.get("rotation type", "quaternion").upper()
+    width = 4 if kind == "QUATERNION" else 3
+    if any(len(columns.get("rotation", [])) != width for _, columns in assets):
+        return None
+    numbers = values[:, [columns["rotation"] for _, columns in assets]]
+    if width == 4:
+        return normalise(numbers[..., [3, 0, 1, 2]])
+    if sorted(kind) != ["X", "Y", "Z"]:
+        return None
+    # The columns are X, Y, Z, whatever the order of the turns.
+    return from_euler(np.radians(numbers[..., ["XYZ".index(letter) for letter in kind]]), kind)

@@ -1,0 +1,71 @@
+"""AMASS-like npz: poses of SMPL-H, for the methods of machine learning that read AMASS."""
+
+from __future__ import annotations
+
+import os
+
+import numpy as np
+
+from dousa.arrays import FloatArray
+from dousa.errors import MotionWriteError
+from dousa.files.disk import atomic_write
+from dousa.formats.smpl.body import mean_body
+from dousa.motion import Motion
+from dousa.motion.canonical.reference_frame import ReferenceFrame, from_reference_frame
+from dousa.motion.rotations import to_axis_angle
+
+_JOINTS = 52
+_BETAS = 16
+
+
+def write_amass(motion: Motion, path: str | os.PathLike[str]) -> None:
+    """Write SMPL poses as AMASS has them: ``poses`` (T, 156), ``trans``, ``betas``, ``gender``; Z up.
+
+    A motion of another skeleton must be put onto that of SMPL first (`dousa.motion.retarget`), which
+    `dousa.formats.write_motion` does.
+
+    Parameters
+    ----------
+    motion : over joints with the names of SMPL; hands that it lacks do not move.
+    path : the file to write.
+
+    Raises
+    ------
+    MotionWriteError : joints that are not SMPL's, missing rotations, a disk that refuses.
+    """
+    body = mean_body(_JOINTS)
+    names = motion.skeleton.names
+    if not is_smpl(motion):
+        raise MotionWriteError(path, "smpl.other_skeleton")
+    if not (np.isfinite(motion.rotations).all() and np.isfinite(motion.translations[:, 0]).all()):
+        raise MotionWriteError(path, "smpl.gaps")
+    turned = from_reference_frame(motion, ReferenceFrame(up="z"))
+    poses = np.zeros((motion.n_frames, _JOINTS, 3))
+    vectors: FloatArray = to_axis_angle(turned.rotations)
+    for joint, name in enumerate(body.names):
+        if name in names:
+            poses[:, joint] = vectors[:, names.index(name)]
+    with atomic_write(path) as file:
+        np.savez(
+            file,
+            allow_pickle=False,
+            poses=poses.reshape(motion.n_frames, -1),
+            # Readers put the pelvis at its place in the mean body plus this.
+            trans=turned.translations[:, 0] - body.offsets[0],
+            betas=np.zeros(_BETAS),
+            dmpls=np.zeros((motion.n_frames, 8)),
+            gender=np.array("neutral"),
+            mocap_framerate=np.array(float(motion.frame_rate)),
+        )
+
+
+def is_smpl(motion: Motion) -> bool:
+    """Whether the joints of a motion are those of SMPL, with its tree."""
+    body, skeleton = mean_body(22), motion.skeleton
+    if skeleton.names[0] != body.names[0] or any(name not in skeleton.names for name in body.names):
+        return False
+    places = [skeleton.names.index(name) for name in body.names]
+    return all(
+        skeleton.parents[place] == (places[parent] if parent >= 0 else -1)
+        for place, parent in zip(places, body.parents, strict=True)
+    )
