@@ -117,7 +117,7 @@ def estimate_films(
         if own is not request:
             check_outputs(own.outputs, own.inputs)
         try:
-            answers.append(_estimate_person(own, films, person, report, watcher))
+            answers.append(estimate_person(own, films, person, report, watcher))
         except KeypointError:
             if not answers:
                 raise
@@ -131,13 +131,27 @@ def _pick(people: Sequence[MatchedPerson], number: int) -> MatchedPerson:
     return people[number - 1]
 
 
-def _estimate_person(
+def estimate_person(
     request: EstimationRequest,
     films: FilmScene,
     person: MatchedPerson,
     report: ProgressCallback,
     watcher: Watcher | None,
 ) -> Estimation:
+    """The motion of one person of films, and its files.
+
+    Parameters
+    ----------
+    request : its body, stature and outputs.
+    films : on one clock.
+    person : of `match_people`.
+    report : called with (done, total, what).
+    watcher : sees the scene and the estimate.
+
+    Raises
+    ------
+    KeypointError : too little is seen of the person.
+    """
     from dousa.app.pipelines.estimation_body import load_given_body
     from dousa.estimation.multiview.keypoint_fit import fit_keypoints
 

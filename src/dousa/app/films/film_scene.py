@@ -69,17 +69,42 @@ def open_films(request: EstimationRequest, report: ProgressCallback) -> FilmScen
     ------
     DousaError : a film or calibration that cannot be used, or models that are not installed.
     """
-    found = open_keypoints(request.sources, request.model, report)
+    return place_films(request, open_keypoints(request.sources, request.model, report), report)
+
+
+def place_films(
+    request: EstimationRequest,
+    found: tuple[ViewKeypoints, ...],
+    report: ProgressCallback,
+    people: Sequence[int] | None = None,
+) -> FilmScene:
+    """Films whose keypoints are known, on one clock and with a camera each.
+
+    Parameters
+    ----------
+    request : its cameras, offsets, stature, rate and frames.
+    found : (V,) keypoints of each film, whose name is the source.
+    report : called with (done, total, what).
+    people : (V,) who places the cameras, by their places among the people of each view; None for who moves alike.
+
+    Raises
+    ------
+    DousaError : calibration or films that cannot be used.
+    """
     names = tuple(view.source for view in found)
     if request.cameras is None:
-        return _place_cameras(request, names, found, report)
+        return _place_cameras(request, names, found, report, people)
     cameras, notes = match_film_cameras(request, names, found)
     offsets, more = find_offsets(request, names, found, cameras, report)
     return _put_together(request, names, found, cameras, offsets, [*notes, *more])
 
 
 def _place_cameras(
-    request: EstimationRequest, names: tuple[str, ...], found: tuple[ViewKeypoints, ...], report: ProgressCallback
+    request: EstimationRequest,
+    names: tuple[str, ...],
+    found: tuple[ViewKeypoints, ...],
+    report: ProgressCallback,
+    chosen: Sequence[int] | None,
 ) -> FilmScene:
     """Films whose cameras nobody knows: several are placed by the person, one stands upright at a usual height."""
     from dousa.estimation.calibration.person import calibrate_from_person, guess_lenses
@@ -100,7 +125,7 @@ def _place_cameras(
     else:
         offsets = np.array(read_offsets(request.offsets, names))
     report(0, 1, Message("film_estimate.calibrating"))
-    made = calibrate_from_person(found, request.stature, offsets=offsets.tolist(), people=people)
+    made = calibrate_from_person(found, request.stature, offsets=offsets.tolist(), people=chosen or people)
     notes += [*made.warnings, Message("film_estimate.calibrated", views=len(found))]
     frame = 1.0 / min(view.frame_rate for view in found)
     clocks = np.zeros(len(found)) if (np.abs(offsets) < _SAME_START * frame).all() else offsets.max() - offsets

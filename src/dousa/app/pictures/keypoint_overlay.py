@@ -38,7 +38,7 @@ _REPORT_EVERY = 10  # frames
 _SHOWN = 0.5  # of visibility
 _LIMBS = ("shoulder elbow", "elbow wrist", "shoulder hip", "hip knee", "knee ankle", "ankle heel", "ankle foot_index",
           "ankle big_toe", "wrist index")  # fmt: skip
-_BONES = (
+BONES = (
     *((f"{side}_{limb.split()[0]}", f"{side}_{limb.split()[1]}") for side in ("left", "right") for limb in _LIMBS),
     ("left_shoulder", "right_shoulder"),
     ("left_hip", "right_hip"),
@@ -81,7 +81,7 @@ def _draw_person(
         if mask is not None:
             draw_outlines(canvas, find_outlines(mask), colour, 1)
     places = {name: point for name, point in zip(keypoints.names, points, strict=True) if np.isfinite(point).all()}
-    for first, last in _BONES:
+    for first, last in BONES:
         if first in places and last in places:
             draw = draw_dashed if first.startswith("right") and last.startswith("right") else draw_line
             draw(canvas, np.stack([places[first], places[last]]), colour, 2)

@@ -1,4 +1,4 @@
-"""Motion from silhouettes."""
+"""Motion from films or silhouettes."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from fastapi import APIRouter, Path, Query
 from pydantic import BaseModel, ConfigDict, Field, field_validator
 from starlette.responses import FileResponse, Response
 
-from dousa.app.pipelines.estimation_request import BackgroundMethod, Bones, Preset, Sex, SourceKind
+from dousa.app.pipelines.estimation_request import BackgroundMethod, Bones, Cues, Model, Preset, Sex, SourceKind
 from dousa.app.studio.content.motions import Address, MotionName, MotionRef
 from dousa.app.studio.content.studio import StudioNow
 from dousa.app.studio.core.answers import BYTES, Answer, RefusedError
@@ -23,12 +23,17 @@ FILES = {
     "joints.trc": "text/plain",
     "angles.csv": "text/csv",
     "overlay.mp4": "video/mp4",
+    "cameras.toml": "text/plain",
 }
 """What can be fetched of an estimation."""
 
 _PREVIEW_S, _EXAMPLE_S = 180.0, 180.0  # s; backgrounds of long films take a while, kernels compile at first
 _Name = Annotated[str, Field(min_length=1, max_length=1000, description="name in the batch")]
 _JobId = Annotated[str, Path(pattern="^[0-9a-f]{16}$")]
+_Track = Annotated[
+    list[Annotated[int, Field(ge=0, le=1000)]],
+    Field(min_length=2, max_length=2, description="a view and the number of somebody found in it, from 0"),
+]
 
 
 class BodyRequest(BaseModel):
@@ -37,7 +42,7 @@ class BodyRequest(BaseModel):
     model_config = ConfigDict(extra="forbid")
 
     stature_m: Annotated[float, Field(ge=0.2, le=3.0)] | None = Field(
-        None, description="found from the silhouettes if left out"
+        None, description="found from what is seen if left out; films without calibration need it"
     )
     sex: Sex = "average"
     file: _Name | None = Field(None, description="body file (TOML), or a motion with the person's bones")
@@ -80,6 +85,13 @@ class EstimateRequest(BaseModel):
     smoothing: Annotated[float, Field(ge=0, le=1000, allow_inf_nan=False)] | None = None
     beam: Annotated[int, Field(ge=1, le=64)] | None = None
     overlay_video: bool = Field(True, description="write overlay.mp4 at the end")
+    cues: Cues | None = Field(None, description="what is fitted; keypoints for films without backgrounds if left out")
+    model: Model | None = Field(None, description="finds people in films; the most precise that is installed")
+    offsets: Literal["auto", "none"] = Field("auto", description="films are synchronised, or start together")
+    person: list[_Track] | None = Field(
+        None, max_length=200, description="who is estimated from films: [view, track] of theirs; who is seen most"
+    )
+    left_out: list[_Track] | None = Field(None, max_length=500, description="[view, track] of nobody, not to be used")
 
     @field_validator("sources", "backgrounds")
     @classmethod
@@ -122,7 +134,7 @@ def _check_name(name: str) -> None:
         raise ValueError(error) from error
 
 
-@router.post("/jobs/estimate", status_code=202, summary="Estimate a motion from silhouettes or videos")
+@router.post("/jobs/estimate", status_code=202, summary="Estimate a motion from films or silhouettes")
 def estimate(studio: StudioNow, wanted: EstimateRequest) -> Answer:
     """A job. Watch it by ``/estimations/{job}``; its motion is ``job:ID`` when it is done."""
     files = studio.workspace.files(wanted.batch)
@@ -188,8 +200,45 @@ def get_overlay(
     view: Annotated[int, Path(ge=0, le=1000)],
     frame: Annotated[int, Path(ge=0, le=10_000_000)],
 ) -> Response:
-    """JPEG, at most 480 pixels wide and high."""
+    """JPEG, at most 480 pixels wide and high, from films 720."""
     image = studio.footage.get(job_id).overlay(view, frame)
+    return Response(image, media_type="image/jpeg", headers={"cache-control": "private, no-cache"})
+
+
+@router.get("/estimations/{job_id}/film", summary="What was found of its films so far")
+def get_film(studio: StudioNow, job_id: _JobId) -> Answer:
+    """Views with the people found, when each film begins (s after the first), cameras (m), who is who, and of every
+    frame of the motion whether it is lost or unsure; ``stage`` is films, found, placed, matched or fitted."""
+    return Answer(studio.footage.get(job_id).film.describe())
+
+
+@router.get("/estimations/{job_id}/film/people/{view}", summary="The keypoints of everybody in a film")
+def get_people(
+    studio: StudioNow,
+    job_id: _JobId,
+    view: Annotated[int, Path(ge=0, le=1000)],
+    first: Annotated[int, Query(ge=0, le=10_000_000)] = 0,
+    count: Annotated[int, Query(ge=1, le=2000)] = 600,
+) -> Answer:
+    """At moments that all films share: ``points`` base64 of (people, frames, names, 2) int16 in 1/16384 of the
+    picture's width and height, -32768 where not seen; ``sure`` base64 of (people, frames, names) uint8."""
+    return Answer(studio.footage.get(job_id).film.tracks(view, first, count))
+
+
+@router.get(
+    "/estimations/{job_id}/film/picture/{view}/{frame}",
+    summary="The picture of a film at a moment that all films share",
+    response_class=Response,
+    responses=_JPEG,
+)
+def get_picture(
+    studio: StudioNow,
+    job_id: _JobId,
+    view: Annotated[int, Path(ge=0, le=1000)],
+    frame: Annotated[int, Path(ge=0, le=10_000_000)],
+) -> Response:
+    """JPEG, at most 720 pixels wide and high."""
+    image = studio.footage.get(job_id).film.picture(view, frame)
     return Response(image, media_type="image/jpeg", headers={"cache-control": "private, no-cache"})
 
 
@@ -200,7 +249,7 @@ def get_overlay(
     responses=BYTES,
 )
 def get_file(studio: StudioNow, job_id: _JobId, name: str) -> Response:
-    """``motion.bvh``, ``joints.trc``, ``angles.csv`` or ``overlay.mp4``."""
+    """``motion.bvh``, ``joints.trc``, ``angles.csv``, ``overlay.mp4`` or ``cameras.toml``."""
     job = studio.jobs.get(job_id)
     if name not in FILES or job.kind != "estimate":
         raise RefusedError(404, "studio_estimation.other_file", names=tuple(FILES))

@@ -26,6 +26,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dousa.app.pipelines.estimation_views import Scene
+from dousa.app.studio.content.film_pictures import LONGEST as LONGEST_FILM
+from dousa.app.studio.content.film_record import FilmRecord
 from dousa.app.studio.core.answers import RefusedError
 
 if TYPE_CHECKING:
@@ -41,6 +43,7 @@ STAGES = ("found", "settled", "smoothed")
 MASK, PICTURE = 0, 1
 SEEN = np.dtype([("frame", "<i4"), ("view", "<i2"), ("kind", "<i2"), ("offset", "<i8"), ("size", "<i4")])
 _LONGEST = 480  # px, of what is kept
+_PLAIN = 246  # grey behind keypoints without a film
 _MOST_BYTES = 1_000_000_000  # of all pictures of one estimation
 _KEPT_JPEG = 80
 
@@ -235,7 +238,8 @@ class Footages:
             raise RefusedError(404, "studio_estimation.not_one", job=job_id)
         with self._lock:
             if job_id not in self._open:
-                self._open[job_id] = Footage(self._board.folder(job))
+                folder = self._board.folder(job)
+                self._open[job_id] = Footage(folder, FilmRecord(folder, folder.parent.parent / "files"))
             self._open.move_to_end(job_id)
             while len(self._open) > _MOST_OPEN:
                 self._open.popitem(last=False)
@@ -250,10 +254,12 @@ class Footage:
     Parameters
     ----------
     folder : of its job.
+    film : what was found of its films, if it is one from films.
     """
 
-    def __init__(self, folder: Path) -> None:
+    def __init__(self, folder: Path, film: FilmRecord | None = None) -> None:
         self._folder = folder
+        self.film = film or FilmRecord(folder, folder)
         self._lock = threading.RLock()
         self._stamp: tuple[int, int] | None = None
         self._clear()
@@ -276,6 +282,7 @@ class Footage:
     def refresh(self) -> None:
         """Read what was written since the last look."""
         with self._lock:
+            self.film.refresh()
             path = self._folder / "scene.npz"
             try:
                 state = path.stat()
@@ -347,9 +354,10 @@ class Footage:
 
         Returns
         -------
-        ``run``, ``total``, ``finished``, ``next``, ``frame_rate``, ``is_person`` (else there is no figure), ``views``
-        with names and sizes; of the frames that are new or changed ``frames`` (n,), ``stage`` (n,), ``lost`` (n,),
-        ``overlap`` (n, V), and if asked for ``joints``: base64 of (n, 20, 3) float32 in m.
+        ``run``, ``total``, ``finished``, ``next``, ``frame_rate``, ``is_person`` (else there is no figure), ``film``
+        (version of what is known of its films; 0 where it is not from films), ``views`` with names and sizes; of the
+        frames that are new or changed ``frames`` (n,), ``stage`` (n,), ``lost`` (n,), ``overlap`` (n, V), and if
+        asked for ``joints``: base64 of (n, 20, 3) float32 in m.
         """
         with self._lock:
             count = min(count, len(self._order))
@@ -363,6 +371,7 @@ class Footage:
                 "next": until,
                 "frame_rate": self.frame_rate,
                 "is_person": self._is_person,
+                "film": self.film.version,
                 "views": [
                     {"name": name, "width": width, "height": height}
                     for name, (width, height) in zip(self.names, self.sizes, strict=True)
@@ -423,6 +432,9 @@ class Footage:
 
         row = self._rows[frame]
         mask, picture = self._look(frame, view, MASK), self._look(frame, view, PICTURE)
+        if self.film.version and picture is None:
+            picture = _decode(self.film.find_picture(view, frame))
+            picture = np.full((4, 4, 3), _PLAIN, np.uint8) if picture is None else picture
         drawn = self._painter(view).paint(
             row["pose"].astype(np.float64),
             None if mask is None else mask[..., 0] > 127,
@@ -437,22 +449,25 @@ class Footage:
 
         if view not in self._painters:
             width, height = self.sizes[view]
-            factor = _LONGEST / max(width, height)
+            factor = (LONGEST_FILM if self.film.version else _LONGEST) / max(width, height)
             size = max(8, round(width * factor)), max(8, round(height * factor))
             self._painters[view] = ViewPainter(self._body, self._cameras[view], *size)
         return self._painters[view]
 
     def _look(self, frame: int, view: int, kind: int) -> NDArray[np.uint8] | None:
-        from dousa.extras import cv2
-
         if (frame, view, kind) not in self._seen:
             return None
         offset, size = self._seen[frame, view, kind]
         with open(self._folder / "seen.bin", "rb") as file:
             file.seek(offset)
-            content = file.read(size)
-        image = cv2.imdecode(np.frombuffer(content, np.uint8), cv2.IMREAD_COLOR) if content else None
-        return None if image is None else np.asarray(image, np.uint8)
+            return _decode(file.read(size))
+
+
+def _decode(content: bytes | None) -> NDArray[np.uint8] | None:
+    from dousa.extras import cv2
+
+    image = cv2.imdecode(np.frombuffer(content, np.uint8), cv2.IMREAD_COLOR) if content else None
+    return None if image is None else np.asarray(image, np.uint8)
 
 
 def _base64(values: NDArray[Any]) -> str:

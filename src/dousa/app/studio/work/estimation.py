@@ -1,4 +1,4 @@
-"""Estimating a motion from uploaded silhouettes or videos, with every frame shown to those who watch."""
+"""Estimating a motion from uploaded silhouettes or films, with every frame shown to those who watch."""
 
 from __future__ import annotations
 
@@ -14,20 +14,23 @@ from dousa.app.studio.core.workspace import safe_parts
 from dousa.app.studio.jobs.lanes import Context
 from dousa.app.studio.work.materials import Material, pair_backgrounds, sort_materials
 from dousa.errors import OptionError
+from dousa.messages import Message
 
 if TYPE_CHECKING:
+    from dousa.app.pipelines.estimate import Estimation
     from dousa.app.pipelines.estimation_request import EstimationRequest, Outputs
+    from dousa.app.studio.content.footage import FootageWriter
 
 
 def estimate(request: dict[str, Any], context: Context) -> dict[str, Any]:
     """Estimate; ``request`` as `dousa.app.studio.api.estimation.EstimateRequest`, see there.
 
-    The folder of the job then holds motion.bvh, joints.trc and angles.csv, and overlay.mp4 if that was wanted. Stopped
-    work goes on where it was when the job is resumed.
+    The folder of the job then holds motion.bvh, joints.trc and angles.csv, overlay.mp4 if that was wanted, and the
+    cameras that films were found to have. Stopped work goes on where it was when the job is resumed.
     """
-    from dousa.app.pipelines.estimate import estimate_files
     from dousa.app.pipelines.estimation_request import Outputs
     from dousa.app.studio.content.footage import FootageWriter
+    from dousa.app.studio.work.films import CAMERAS
 
     folder = context.folder
     outputs = Outputs(
@@ -37,12 +40,7 @@ def estimate(request: dict[str, Any], context: Context) -> dict[str, Any]:
         overlay=folder / "overlay.mp4" if request.get("overlay_video") else None,
     )
     with closing(FootageWriter(folder)) as footage:
-        done = estimate_files(
-            make_request(request, context, outputs),
-            context.progress,
-            lambda note: context.tell(shorten(to_message(note), context.home)),
-            footage,
-        )
+        done = _estimate(request, make_request(request, context, outputs), context, footage)
     said = {"body": done.body, "start": done.start}
     warnings = [shorten(to_message(warning), context.home) for warning in done.warnings]
     return {
@@ -50,8 +48,24 @@ def estimate(request: dict[str, Any], context: Context) -> dict[str, Any]:
         **{key: shorten(to_message(value), context.home) for key, value in said.items()},
         "warnings": warnings,
         "motion": "motion.bvh",
-        "files": [path.name for path in done.outputs],
+        "files": [path.name for path in done.outputs] + ([CAMERAS] if (folder / CAMERAS).exists() else []),
     }
+
+
+def _estimate(
+    request: dict[str, Any], asked: EstimationRequest, context: Context, footage: FootageWriter
+) -> Estimation:
+    from dousa.app.pipelines.estimate import estimate_files
+    from dousa.app.studio.work.films import can_do_without, estimate_from_films, takes_films
+
+    def tell(note: Message) -> None:
+        context.tell(shorten(to_message(note), context.home))
+
+    if takes_films(request, asked):
+        if request.get("cues") is not None or not can_do_without(asked):
+            return estimate_from_films(request, asked, context, footage)
+        tell(Message("film_estimate.models"))
+    return estimate_files(asked, context.progress, tell, footage)
 
 
 def write_example(request: dict[str, Any], context: Context) -> dict[str, Any]:
@@ -122,6 +136,7 @@ def make_request(request: dict[str, Any], context: Context, outputs: Outputs) ->
         "stature": body.get("stature_m"),
         "sex": body.get("sex"),
         "start": start,
+        "person": None,  # of films, by tracks: see `dousa.app.studio.work.films`
         **{name: said.get(name) for name in ("joint_map", "unit", "up")},
     }
     return EstimationRequest.from_dict({**request, **named})

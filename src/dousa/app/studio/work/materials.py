@@ -17,6 +17,9 @@ _MOTIONS = frozenset({".bvh", ".amc", ".c3d", ".trc"})
 _PLATE = re.compile(r"background|backdrop|plate|empty|(^|[/_ -])bg([/_ .-]|$)|背景", re.IGNORECASE)
 _PERSON = re.compile(rb"^\s*(stature\s*=|\[\[part\]\]|\[measures\])", re.MULTILINE)
 _MOST_MEMBERS = 1000  # names of an npz looked at
+_KEYPOINTS = re.compile(rb'"(\w*keypoints\w*|\w*landmarks\w*)"')
+_HEAD_BYTES = 20_000  # of a JSON file, looked at
+_MOST_VIEWS = 8  # files of keypoints in a folder; of more, each is a frame
 
 
 @dataclass(frozen=True, slots=True)
@@ -27,8 +30,8 @@ class Material:
     ----------
     name : in its batch; a folder's is without a slash at the end, ``"."`` is the batch itself.
     role : one of `ROLES`.
-    kind : ``npz``, ``video``, ``images``, ``picture``, ``table``, ``motion``, ``other``.
-    n_files : of a folder of images; else 1.
+    kind : ``npz``, ``video``, ``keypoints``, ``images``, ``picture``, ``table``, ``motion``, ``other``.
+    n_files : of a folder of images or keypoints; else 1.
     """
 
     name: str
@@ -54,6 +57,7 @@ def sort_materials(folder: Path, names: Iterable[str]) -> tuple[Material, ...]:
             pictures.setdefault(str(Path(name).parent.as_posix()), []).append(name)
         else:
             found.append(_look_at(folder, name, suffix))
+    found = _gather_frames(found)
     has_videos = any(item.kind == "video" for item in found)
     for place, inside in pictures.items():
         found += _sort_pictures(place, inside, has_videos)
@@ -66,10 +70,10 @@ def _look_at(folder: Path, name: str, suffix: str) -> Material:
         return Material(name, "background" if _PLATE.search(name) else "source", "video")
     if suffix == ".npz":
         return _look_into_npz(folder / name, name)
-    if suffix in _MOTIONS:
-        return Material(name, "start", "motion")
-    if suffix == ".asf":
-        return Material(name, "unused", "motion")
+    if suffix in _MOTIONS or suffix == ".asf":
+        return Material(name, "unused" if suffix == ".asf" else "start", "motion")
+    if suffix == ".json" and _holds_keypoints_json(folder / name):
+        return Material(name, "source", "keypoints")
     if suffix in _CALIBRATIONS:
         is_body = suffix == ".toml" and _describes_person(folder / name)
         return Material(name, "body" if is_body else "cameras", "table")
@@ -81,6 +85,33 @@ def _describes_person(path: Path) -> bool:
         return _PERSON.search(file.read(200_000)) is not None
 
 
+def _holds_keypoints_json(path: Path) -> bool:
+    with open(path, "rb") as file:
+        return _KEYPOINTS.search(file.read(_HEAD_BYTES)) is not None
+
+
+def holds_keypoints(path: Path) -> bool:
+    """Whether a source holds people's keypoints: an npz of dousa, JSON of another program, a folder of such."""
+    if path.is_dir():
+        first = next((file for file in sorted(path.iterdir()) if not file.name.startswith(".")), None)
+        return first is not None and first.suffix.lower() == ".json" and _holds_keypoints_json(first)
+    if path.suffix.lower() == ".json":
+        return _holds_keypoints_json(path)
+    return path.suffix.lower() == ".npz" and _look_into_npz(path, path.name).kind == "keypoints"
+
+
+def _gather_frames(found: list[Material]) -> list[Material]:
+    """A folder of many files of keypoints is one view, of which each is a frame."""
+    places: dict[str, list[Material]] = {}
+    for item in found:
+        if item.kind == "keypoints" and item.name.lower().endswith(".json"):
+            places.setdefault(Path(item.name).parent.as_posix(), []).append(item)
+    many = {place: items for place, items in places.items() if len(items) > _MOST_VIEWS}
+    frames = {item.name for items in many.values() for item in items}
+    whole = [Material(place, "source", "keypoints", len(items)) for place, items in many.items()]
+    return [item for item in found if item.name not in frames] + whole
+
+
 def _look_into_npz(path: Path, name: str) -> Material:
     """By the names of its arrays; a file that is no npz is taken for silhouettes, whose reader says what is wrong."""
     try:
@@ -88,6 +119,8 @@ def _look_into_npz(path: Path, name: str) -> Material:
             inside = {member.removesuffix(".npy") for member in file.namelist()[:_MOST_MEMBERS]}
     except (zipfile.BadZipFile, OSError, ValueError, NotImplementedError):
         return Material(name, "source", "npz")
+    if {"points", "visibility", "names"} <= inside:
+        return Material(name, "source", "keypoints")
     if inside & {"mask_packed", "mask", "masks"}:
         return Material(name, "source", "npz")
     if "camera_matrix" in inside:

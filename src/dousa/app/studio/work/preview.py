@@ -30,7 +30,8 @@ def preview(request: dict[str, Any], context: Context) -> dict[str, Any]:
     Returns
     -------
     ``files``: what each file is for; ``views``: name, size, camera, a picture of the first silhouette; ``n_frames``,
-    ``frame_rate``, ``first_frame``, ``body``, ``start``, ``notes``; ``missing``: what stands in the way, or None.
+    ``frame_rate``, ``first_frame``, ``body``, ``start``, ``notes``; ``missing``: what stands in the way, or None;
+    ``films``: whether people will be found in films, with nothing prepared.
     """
     answer: dict[str, Any] = {
         "files": [asdict(item) for item in list_materials(request, context)],
@@ -42,6 +43,7 @@ def preview(request: dict[str, Any], context: Context) -> dict[str, Any]:
         "start": None,
         "notes": [],
         "missing": None,
+        "films": False,
     }
     try:
         _look(request, context, answer)
@@ -54,8 +56,15 @@ def preview(request: dict[str, Any], context: Context) -> dict[str, Any]:
 def _look(request: dict[str, Any], context: Context, answer: dict[str, Any]) -> None:
     from dousa.app.pipelines.doubts import parse_frames
     from dousa.app.pipelines.estimation_request import Outputs
+    from dousa.app.studio.work.films import can_do_without, look_at_films, takes_films
 
     asked = make_request(request, context, Outputs())
+    if takes_films(request, asked):
+        if request.get("cues") is not None or not can_do_without(asked):
+            answer["films"] = True
+            look_at_films(asked, context, answer)
+            return
+        answer["notes"].append(Message("film_estimate.models"))
     with _open(asked, context, answer) as views:
         first, last = parse_frames(asked.frames, views.n_frames, Message("frames.recording"))
         answer.update(n_frames=last - first, frame_rate=views.frame_rate)
@@ -140,6 +149,17 @@ def _draw(mask: Mask, image: NDArray[np.uint8] | None) -> str:
     if image is not None:
         draw_outlines(canvas, outlines, WHITE, 3)
     draw_outlines(canvas, outlines, LEFT, 1 if image is None else 2)
+    return to_picture_address(canvas)
+
+
+def to_picture_address(canvas: NDArray[np.uint8]) -> str:
+    """A picture (H, W, 3) blue, green, red as an address that contains it, small."""
+    from dousa.extras import cv2
+
+    factor = min(1.0, _LONGEST / max(canvas.shape[:2]))
+    if factor < 1.0:
+        size = max(1, round(canvas.shape[1] * factor)), max(1, round(canvas.shape[0] * factor))
+        canvas = np.asarray(cv2.resize(canvas, size, interpolation=cv2.INTER_AREA), np.uint8)
     _, content = cv2.imencode(".jpg", canvas, [cv2.IMWRITE_JPEG_QUALITY, 85])
     return "data:image/jpeg;base64," + base64.b64encode(content.tobytes()).decode("ascii")
 

@@ -1,10 +1,12 @@
-// The overlap of every frame as a curve; lost frames are hatched, frames that may still change are dashed.
+// A number of every frame as a curve, such as the overlap; lost frames are hatched, unsure ones shaded, and frames that
+// may still change are dashed.
 
 import { h, t } from "../core/dom.js";
 
 const SVG = "http://www.w3.org/2000/svg";
 const [WIDE, HIGH] = [1000, 100];
 const MOST_POINTS = 800; // of the curve; of more frames the worst of each column is drawn
+let nCharts = 0;
 const LEAST_LOST = 3; // units: one lost frame of a long recording still shows
 
 function svg(tag, properties = {}, ...children) {
@@ -15,15 +17,15 @@ function svg(tag, properties = {}, ...children) {
 }
 
 export class Chart {
-  /** onSeek(frame) when the curve is touched. */
-  constructor(place, onSeek) {
-    this.total = 1;
+  /** onSeek(frame) when the curve is touched; worst: Math.min or Math.max, of frames that share a column. */
+  constructor(place, onSeek, { labels = ["1", "0.5", "0"], worst = Math.min } = {}) {
+    Object.assign(this, { total: 1, worst, hatch: `lost-hatch-${(nCharts += 1)}` });
     this.spans = svg("g");
     this.lines = svg("g");
     this.cursor = svg("line", { class: "cursor", y1: 0, y2: HIGH, x1: 0, x2: 0 });
     const grid = [0.25, 0.5, 0.75].map((value) => svg("line", { class: "grid", x1: 0, x2: WIDE, y1: HIGH * value, y2: HIGH * value }));
-    this.drawing = svg("svg", { viewBox: `0 0 ${WIDE} ${HIGH}`, preserveAspectRatio: "none", "aria-hidden": "true" }, hatching(), ...grid, this.spans, this.lines, this.cursor);
-    place.replaceChildren(...["1", "0.5", "0"].map((text, index) => h("span", { class: "scale", style: { top: `${6 + 44 * index}%` }, "aria-hidden": "true" }, text)), this.drawing);
+    this.drawing = svg("svg", { viewBox: `0 0 ${WIDE} ${HIGH}`, preserveAspectRatio: "none", "aria-hidden": "true" }, hatching(this.hatch), ...grid, this.spans, this.lines, this.cursor);
+    place.replaceChildren(...labels.map((text, index) => h("span", { class: "scale", style: { top: `${6 + 44 * index}%` }, "aria-hidden": "true" }, text)), this.drawing);
     const seek = (event) => {
       const box = this.drawing.getBoundingClientRect();
       onSeek(Math.round(Math.min(Math.max((event.clientX - box.left) / box.width, 0), 1) * (this.total - 1)));
@@ -39,12 +41,12 @@ export class Chart {
     return (WIDE * frame) / Math.max(this.total - 1, 1);
   }
 
-  /** frames: Map frame -> {overlap (mean or null), lost, stage} */
+  /** frames: Map frame -> {overlap (0 to 1, or null), lost, unsure, stage} */
   draw(frames, total) {
     this.total = Math.max(total, 1);
     const known = [...frames.keys()].sort((a, b) => a - b);
     this.lines.replaceChildren(...this.curves(known, frames));
-    this.spans.replaceChildren(...this.lostSpans(known, frames));
+    this.spans.replaceChildren(...this.marked(known, frames, "unsure"), ...this.marked(known, frames, "lost"));
   }
 
   curves(known, frames) {
@@ -52,7 +54,7 @@ export class Chart {
     const pieces = [];
     let piece = null;
     let last = null;
-    for (const frame of thin(known, frames, step)) {
+    for (const frame of thin(known, frames, step, this.worst)) {
       const { overlap, stage } = frames.get(frame);
       if (overlap === null) {
         piece = null;
@@ -70,9 +72,10 @@ export class Chart {
     return pieces.map(({ open, points }) => svg("polyline", { class: open ? "curve open" : "curve", points: (points.length > 1 ? points : [points[0], points[0]]).join(" ") }));
   }
 
-  lostSpans(known, frames) {
+  /** Rectangles over frames that are "lost" or "unsure". */
+  marked(known, frames, mark) {
     const spans = [];
-    for (const frame of known.filter((number) => frames.get(number).lost)) {
+    for (const frame of known.filter((number) => frames.get(number)[mark])) {
       const newest = spans.at(-1);
       if (newest && newest[1] === frame - 1) newest[1] = frame;
       else spans.push([frame, frame]);
@@ -81,8 +84,9 @@ export class Chart {
       const left = this.column(first - 0.5);
       const width = Math.max(this.column(last + 0.5) - left, LEAST_LOST);
       const title = svg("title");
-      title.textContent = t("chart_lost");
-      return [svg("rect", { class: "lost-span", x: left, y: 0, width, height: HIGH }, title)];
+      title.textContent = t(`chart_${mark}`);
+      const fill = mark === "lost" ? { fill: `url(#${this.hatch})` } : {};
+      return [svg("rect", { class: `${mark}-span`, x: left, y: 0, width, height: HIGH, ...fill }, title)];
     });
   }
 
@@ -91,21 +95,23 @@ export class Chart {
   }
 }
 
-function thin(known, frames, step) {
+function thin(known, frames, step, worst) {
   if (step === 1) return known;
-  const worst = new Map();
+  const chosen = new Map();
   for (const frame of known) {
     const column = Math.floor(frame / step);
-    const best = worst.get(column);
-    if (best === undefined || (frames.get(frame).overlap ?? 2) < (frames.get(best).overlap ?? 2)) worst.set(column, frame);
+    const best = chosen.get(column);
+    const value = frames.get(frame).overlap;
+    const least = best === undefined ? null : frames.get(best).overlap;
+    if (best === undefined || least === null || (value !== null && value !== least && worst(value, least) === value)) chosen.set(column, frame);
   }
-  return [...worst.values()];
+  return [...chosen.values()];
 }
 
-function hatching() {
+function hatching(id) {
   const pattern = svg(
     "pattern",
-    { id: "lost-hatch", width: 8, height: 8, patternUnits: "userSpaceOnUse", patternTransform: "rotate(45)" },
+    { id, width: 8, height: 8, patternUnits: "userSpaceOnUse", patternTransform: "rotate(45)" },
     svg("rect", { class: "hatch-back", width: 8, height: 8 }),
     svg("line", { class: "hatch-line", x1: 0, y1: 0, x2: 0, y2: 8 }),
   );

@@ -14,7 +14,7 @@ function route() {
   const job = asked.get("job");
   $("#setup").hidden = Boolean(job);
   $("#watch").hidden = !job;
-  if (job) leave = watchEstimation(job, { startOver: () => go({}) });
+  if (job) leave = watchEstimation(job, { startOver: () => go({}), onJob: (id) => go({ job: id }) });
   else showSetup({ batch: asked.get("batch"), onJob: (id) => go({ job: id }) });
 }
 

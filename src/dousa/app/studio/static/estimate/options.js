@@ -2,7 +2,8 @@
 
 import { h, t } from "../core/dom.js";
 
-const SEEN = new Set(["frames", "rate", "kind", "background_method", "mirrored"]); // what a look would show
+const SEEN = new Set(["frames", "rate", "kind", "background_method", "mirrored", "cues", "model"]); // what a look would show
+const SEEN_OF_FILMS = new Set(["stature"]);
 
 const number = (name, least, most, step, hint) =>
   field(name, h("input", { type: "number", name, min: String(least), max: String(most), step: String(step), placeholder: t(hint), inputmode: "decimal" }));
@@ -10,8 +11,8 @@ const field = (name, control) => h("label", { class: "field" }, t(name), control
 const choice = (name, values) => field(name, h("select", { name }, ...values.map(([value, word]) => h("option", { value }, t(word)))));
 const check = (name, checked) => h("label", { class: "check" }, h("input", { type: "checkbox", name, checked }), t(name));
 
-/** Fill the form; onChange() after a change that a look would show. */
-export function buildOptions(form, onChange) {
+/** Fill the form; onChange() after a change that a look would show, of films if isFilms(). */
+export function buildOptions(form, onChange, isFilms) {
   form.replaceChildren(
     h(
       "div",
@@ -22,11 +23,14 @@ export function buildOptions(form, onChange) {
     h("details", {}, h("summary", {}, t("options_title")), h("div", { class: "fields" }, ...more())),
   );
   form.onsubmit = (event) => event.preventDefault();
-  form.oninput = (event) => SEEN.has(event.target.name) && onChange();
+  form.oninput = (event) => (SEEN.has(event.target.name) || (SEEN_OF_FILMS.has(event.target.name) && isFilms())) && onChange();
 }
 
 function more() {
   return [
+    choice("cues", [["", "cues_auto"], ["keypoints", "cues_keypoints"], ["silhouettes", "cues_silhouettes"]]),
+    choice("model", [["", "model_auto"], ["heavy", "model_heavy"], ["full", "model_full"], ["lite", "model_lite"]]),
+    choice("offsets", [["auto", "offsets_auto"], ["none", "offsets_none"]]),
     field("frames", h("input", { type: "text", name: "frames", placeholder: t("frames_hint"), pattern: "-?\\d*:-?\\d*" })),
     number("rate", 0.1, 10000, "any", "rate_hint"),
     choice("kind", [["", "kind_auto"], ["mask", "kind_is_mask"], ["video", "kind_is_video"]]),
@@ -52,6 +56,9 @@ export function readOptions(form) {
     body: { stature_m: stature === null ? null : stature / 100, sex: at.sex.value },
     frames: frames && !frames.includes(":") ? `${frames}:` : frames || null,
     rate: numberOf(at.rate),
+    cues: at.cues.value || null,
+    model: at.model.value || null,
+    offsets: at.offsets.value,
     kind: at.kind.value || null,
     background_method: at.background_method.value || null,
     bones: at.bones.value,

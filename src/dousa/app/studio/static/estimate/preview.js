@@ -20,22 +20,22 @@ export function showPreview(found) {
   $("#preview").replaceChildren(
     ...[
       found.missing ? h("p", { class: "problem-box", id: "missing" }, found.missing) : null,
-      found.views.length ? h("div", { class: "pictures" }, ...found.views.map(picture)) : null,
+      found.views.length ? h("div", { class: "pictures" }, ...found.views.map((view) => picture(view, found.films))) : null,
       found.views.length ? facts(found) : null,
       found.notes.length ? h("ul", { class: "says" }, ...found.notes.map((note) => h("li", {}, note))) : null,
     ].filter(Boolean),
   );
 }
 
-function picture(view) {
+function picture(view, films) {
   const inside = view.picture
-    ? h("img", { src: view.picture, alt: t("preview_picture", { name: view.name }) })
-    : t("preview_no_picture");
+    ? h("img", { src: view.picture, alt: t(films ? "preview_film" : "preview_picture", { name: view.name }) })
+    : t(films ? "preview_no_film" : "preview_no_picture");
   return h(
     "figure",
     {},
     h("div", { class: "frame" }, inside),
-    h("figcaption", {}, h("b", {}, view.name), h("span", { class: "note" }, view.camera ? t("preview_camera", { name: view.camera }) : t("preview_no_camera"))),
+    h("figcaption", {}, h("b", {}, view.name), h("span", { class: "note" }, view.camera ? t("preview_camera", { name: view.camera }) : t(films ? "preview_camera_found" : "preview_no_camera"))),
   );
 }
 
@@ -46,7 +46,7 @@ function facts(found) {
   return h(
     "div",
     { class: "stack" },
-    h("p", { class: "counted" }, t("preview_facts", { views: found.views.length, frames: found.n_frames, rate, seconds })),
+    h("p", { class: "counted" }, t(found.films ? "preview_film_facts" : "preview_facts", { views: found.views.length, frames: found.n_frames, rate, seconds })),
     pairs.length ? h("dl", { class: "facts" }, ...pairs.flatMap(([name, value]) => [h("dt", {}, name), h("dd", {}, value)])) : null,
   );
 }

@@ -11,11 +11,11 @@ import { showEmpty, showLooking, showPreview } from "./preview.js";
 
 const ACCEPT = ".npz,.zip,.mp4,.avi,.mov,.mkv,.webm,.m4v,.png,.jpg,.jpeg,.bmp,.tif,.tiff,.toml,.xml,.yaml,.yml,.json,.txt,.bvh,.amc,.asf,.c3d,.trc";
 
-const state = { batch: null, files: [], roles: new Map(), look: null, onJob: () => {} };
+const state = { batch: null, files: [], roles: new Map(), look: null, onJob: () => {}, films: false };
 
 /** options: batch of an earlier upload or null; onJob(id) when an estimation was started. */
 export function showSetup({ batch, onJob }) {
-  Object.assign(state, { batch: null, files: [], onJob });
+  Object.assign(state, { batch: null, files: [], onJob, films: false });
   state.roles.clear();
   state.look?.abort();
   $("#material-drop").replaceChildren(
@@ -23,7 +23,7 @@ export function showSetup({ batch, onJob }) {
   );
   $("#material-drop .row").append(h("button", { type: "button", id: "example", onclick: makeExample }, icon("play"), t("example")));
   $("#material-refused").replaceChildren();
-  buildOptions($("#options"), lookSoon);
+  buildOptions($("#options"), lookSoon, () => state.films);
   $("#start").onclick = start;
   drawFiles();
   showEmpty();
@@ -129,6 +129,8 @@ async function look() {
     if (state.look !== mine) return;
     buildRoleOptions();
     drawFiles();
+    if (found.films && !state.films) $("#options").elements.overlay_video.checked = false; // the page itself shows them
+    state.films = found.films;
     showPreview(found);
   } catch (error) {
     if (error.name === "AbortError") return;

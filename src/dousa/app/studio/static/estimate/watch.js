@@ -2,6 +2,7 @@
 
 import { get, post } from "../core/api.js";
 import { $, formatSeconds, h, icon, language, t } from "../core/dom.js";
+import { FilmDesk } from "../film/desk.js";
 import { followJob, isActive, resumeJob, stopJob } from "../core/jobs.js";
 import { attempt } from "../core/notices.js";
 import { Chart } from "./chart.js";
@@ -18,15 +19,17 @@ function describeStep(job) {
 }
 
 /** Show a job; -> function that ends the watching. */
-export function watchEstimation(id, { startOver }) {
-  const watching = new Watching(id, startOver);
+export function watchEstimation(id, { startOver, onJob }) {
+  const watching = new Watching(id, startOver, onJob);
   return () => watching.end();
 }
 
 class Watching {
-  constructor(id, startOver) {
-    Object.assign(this, { id, startOver, job: null, run: null, next: 0, frames: new Map(), total: 0, rate: 30, frame: -1, following: true, ended: false });
+  constructor(id, startOver, onJob) {
+    Object.assign(this, { id, startOver, onJob, job: null, run: null, next: 0, frames: new Map(), total: 0, rate: 30, frame: -1, following: true, ended: false });
     this.views = null;
+    this.desk = null; // of an estimation from films
+    $(".watch-columns").hidden = true; // until it is known which it is
     this.chart = new Chart($("#chart"), (frame) => this.goTo(frame));
     this.figure = new Figure($("#figure"), (seconds) => this.onPlayer(seconds), () => this.onFigure());
     $("#views").replaceChildren();
@@ -61,6 +64,7 @@ class Watching {
     clearTimeout(this.timer);
     this.unfollow?.();
     this.figure.destroy();
+    this.desk?.destroy();
   }
 
   // --- the job
@@ -77,7 +81,8 @@ class Watching {
     if (before?.state !== job.state) this.showActions();
     $("#watch-problem").replaceChildren(...(job.problem ? [h("p", { class: "problem-box" }, job.problem)] : []));
     $("#follow").hidden = !isActive(job);
-    $(".watch-columns").hidden = job.state === "failed" && !this.total; // it failed before the first frame
+    this.desk?.setJob(job, isActive(job));
+    $(".watch-columns").hidden = Boolean(this.desk) || (job.state !== "running" && !this.total); // it ended before the first frame
     if (before && isActive(before) !== isActive(job)) this.look();
     if (job.state === "done") this.finish(before);
     else $("#outcome").hidden = true;
@@ -87,12 +92,12 @@ class Watching {
     const { job } = this;
     const bar = $("#watch-bar");
     bar.hidden = job.state === "done";
-    const tracking = !isActive(job) || this.frames.size < this.total;
+    const tracking = !this.desk && (!isActive(job) || this.frames.size < this.total);
     const [done, total] = tracking ? [Math.max(this.frames.size, job.done), this.total] : [job.done, job.total];
     if (total > 1 && job.state !== "queued") Object.assign(bar, { max: total, value: Math.min(done, total) });
     else if (isActive(job)) bar.removeAttribute("value");
     const note = job.notes.length ? job.notes.at(-1) : "";
-    const stopped = this.total ? t("what_stopped", { done: this.frames.size, total: this.total }) : "";
+    const stopped = this.desk ? t("what_stopped_films") : this.total ? t("what_stopped", { done: this.frames.size, total: this.total }) : "";
     const step = isActive(job) ? describeStep(job) : job.state === "stopped" ? stopped : "";
     const text = [step, isActive(job) ? note : ""].filter(Boolean).join(". ");
     if ($("#watch-what").textContent !== text) $("#watch-what").textContent = text;
@@ -117,7 +122,7 @@ class Watching {
     this.playWhenThere = Boolean(before && isActive(before)); // who has watched it grow sees it whole
     await this.look(); // the one under way may have begun before the last frames were written
     await this.look();
-    this.showFigure(false);
+    if (!this.desk) this.showFigure(false);
   }
 
   // --- the frames
@@ -135,6 +140,7 @@ class Watching {
   async takeFrames() {
     const came = await get(`/estimations/${this.id}/frames`, { from: this.next });
     if (this.ended) return false;
+    if (came.film) return this.takeFilm(came.film);
     if (came.run !== this.run && this.run !== null) return this.restart(came);
     this.run = came.run || null;
     if (came.total && !this.views) {
@@ -147,6 +153,16 @@ class Watching {
     for (const [index, frame] of came.frames.entries()) this.frames.set(frame, describe(came, index));
     if (came.frames.length) this.onNew(came);
     return came.frames.length > 0 && !isActive(this.job);
+  }
+
+  async takeFilm(version) {
+    if (!this.desk) {
+      this.desk = new FilmDesk(this.job, this.onJob);
+      this.desk.setJob(this.job, isActive(this.job));
+      $(".watch-columns").hidden = true;
+    }
+    await this.desk.refresh(version).catch(() => {}); // the studio is away; the next look may find it again
+    return false;
   }
 
   // Taken up again or begun anew: what is known is asked for once more.

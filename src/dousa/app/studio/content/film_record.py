@@ -1,0 +1,313 @@
+"""What an estimation from films found on its way: views, people, offsets, cameras, and how sure the motion is.
+
+The work writes, the studio reads. Of a job's folder:
+
+    film.json         what `FilmRecord.describe` answers; written last, its ``version`` rises
+    frames.npy        (V, T) which frame of each film shows each common moment
+    points-V.npy      (P, T, K, 2) int16, a view's people in 1/16384 of its width and height; `UNSEEN` where not
+    sure-V.npy        (P, T, K) uint8, 255 times their visibility
+"""
+
+from __future__ import annotations
+
+import base64
+import json
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dousa.app.studio.content.film_pictures import FilmPictures
+from dousa.app.studio.core.answers import Answer, RefusedError
+from dousa.files.disk import atomic_write
+
+if TYPE_CHECKING:
+    from dousa.app.films.film_scene import FilmScene
+    from dousa.arrays import FloatArray
+    from dousa.estimation import Camera, PersonTrack, ViewKeypoints
+    from dousa.estimation.multiview.people import MatchedPerson
+    from dousa.estimation.tracking.settings import Estimate
+
+UNSEEN = -32768
+STAGES = ("films", "found", "placed", "matched", "fitted")
+_SCALE = 16384
+_MOST_FRAMES = 2000  # in one answer
+_UNSURE = 0.07  # m, mean uncertainty of the joints of a frame that is marked
+_SIGHT = 0.9  # m, how far the pyramid of a camera is drawn
+_HEAD = ("nose", "left_ear", "right_ear")
+
+Track = tuple[int, int]
+"""A view, and the number of somebody in it."""
+
+
+def choose_names(names: Sequence[str]) -> tuple[list[str], list[list[int]]]:
+    """The points that are drawn, and the bones between them."""
+    from dousa.app.pictures.keypoint_overlay import BONES
+
+    ends = {name for bone in BONES for name in bone}
+    kept = [name for name in names if name in ends or name in _HEAD]
+    return kept, [[kept.index(one), kept.index(other)] for one, other in BONES if {one, other} <= set(kept)]
+
+
+class FilmRecordWriter:
+    """Writes down what is found.
+
+    Parameters
+    ----------
+    folder : of the job.
+    films : (V,) name, and place of the film below the studio's files; None for keypoints without a film.
+    left_out : tracks that a person has excluded.
+    """
+
+    def __init__(self, folder: Path, films: Sequence[tuple[str, str | None]], left_out: Sequence[Track]) -> None:
+        self._folder = folder
+        try:
+            version = int(json.loads((folder / "film.json").read_bytes())["version"])
+        except (OSError, ValueError, KeyError, TypeError):
+            version = 0
+        self._said: dict[str, Any] = {
+            "version": version,
+            "stage": STAGES[0],
+            "total": 0,
+            "frame_rate": 30.0,
+            "names": [],
+            "bones": [],
+            "views": [
+                {"name": name, "film": film, "ready": False, "width": 4, "height": 3, "people": []}
+                for name, film in films
+            ],
+            "starts": None,
+            "cameras": [],
+            "people": [],
+            "chosen": None,
+            "left_out": [list(track) for track in left_out],
+            "lost": [],
+            "unsure": [],
+            "doubt_mm": [],
+            "parents": [],
+        }
+
+    def begin(self, sizes: Sequence[tuple[int, int]], n_frames: Sequence[int], rate: float) -> None:
+        """The films can be looked at, each by its own clock."""
+        self._size_views(sizes)
+        total = max(1, min(n_frames))
+        frames = np.tile(np.arange(total), (len(sizes), 1))
+        self._save("frames", frames.astype("<i4"))
+        self._say(STAGES[0], total=total, frame_rate=rate)
+
+    def show(self, film: str) -> None:
+        """The pictures of a film are there."""
+        for view in self._said["views"]:
+            view["ready"] = view["ready"] or view["film"] == film
+        self._say(self._said["stage"])
+
+    def _size_views(self, sizes: Sequence[tuple[int, int]]) -> None:
+        for view, (width, height) in zip(self._said["views"], sizes, strict=True):
+            view.update(width=width, height=height)
+
+    def find(self, found: Sequence[ViewKeypoints]) -> None:
+        """People were found: every track of every view, those left out too, still by each film's own clock."""
+        rate = min(view.frame_rate for view in found)
+        moments = np.arange(int(min(view.times[-1] for view in found) * rate + 0.25) + 1) / rate
+        self._size_views([view.size for view in found])
+        self._keep_tracks(found, [moments] * len(found))
+        names, bones = choose_names(found[0].names)
+        for own, view in zip(self._said["views"], found, strict=True):
+            own["people"] = [_describe_track(person) for person in view.people]
+        self._say(STAGES[1], total=len(moments), frame_rate=rate, names=names, bones=bones)
+
+    def place(self, scene: FilmScene, found: Sequence[ViewKeypoints]) -> None:
+        """The films are on one clock, with a camera each."""
+        self._keep_tracks(found, [scene.moments + offset for offset in scene.offsets])
+        self._say(
+            STAGES[2],
+            total=len(scene.moments),
+            frame_rate=scene.frame_rate,
+            starts=(scene.offsets.max() - scene.offsets).round(4).tolist(),
+            cameras=[describe_camera(camera) for camera in scene.cameras],
+        )
+
+    def match(self, people: Sequence[MatchedPerson], chosen: int, numbers: Sequence[Sequence[int]]) -> None:
+        """It is known who of one view is who of the others.
+
+        Parameters
+        ----------
+        people : who is seen most first.
+        chosen : place of the one who is estimated.
+        numbers : (V,) the number that each of a view's people had before some were left out.
+        """
+        said = []
+        for person in people:
+            members = [[view, numbers[view][own]] for view, some in enumerate(person.members) for own in some]
+            share = [0.0 if track is None else float(track.present.mean()) for track in person.tracks]
+            said.append({"members": members, "seen": share})
+        self._say(STAGES[3], people=said, chosen=chosen)
+
+    def fit(self, estimate: Estimate) -> None:
+        """There is a motion."""
+        from dousa.motion import CANONICAL_PARENTS
+
+        doubt = np.nanmean(estimate.uncertainty, axis=1)
+        doubt = np.where(np.isfinite(doubt), doubt, 1.0)
+        self._say(
+            STAGES[4],
+            total=estimate.n_frames,
+            lost=np.flatnonzero(estimate.lost).tolist(),
+            unsure=np.flatnonzero((doubt > _UNSURE) & ~estimate.lost).tolist(),
+            doubt_mm=(1000 * doubt).round(1).tolist(),
+            parents=list(CANONICAL_PARENTS),
+        )
+
+    def _keep_tracks(self, found: Sequence[ViewKeypoints], moments: Sequence[FloatArray]) -> None:
+        from dousa.app.films.film_scene import nearest_frames
+
+        frames = np.stack([nearest_frames(view.times, own) for view, own in zip(found, moments, strict=True)])
+        for number, (view, rows) in enumerate(zip(found, frames, strict=True)):
+            names, _ = choose_names(view.names)
+            places = view.find(names)
+            shape = (len(view.people), len(rows), len(names))
+            points, sure = np.full((*shape, 2), UNSEEN, "<i2"), np.zeros(shape, np.uint8)
+            for track, person in enumerate(view.people):
+                share = (person.points[rows][:, places] + 0.5) / view.size * _SCALE
+                seen = np.isfinite(share).all(axis=2)
+                points[track][seen] = np.clip(np.rint(share[seen]), -32767, 32767)
+                sure[track] = np.rint(255 * person.visibility[rows][:, places])
+            self._save(f"points-{number}", points)
+            self._save(f"sure-{number}", sure)
+        self._save("frames", frames.astype("<i4"))
+
+    def _save(self, name: str, array: NDArray[Any]) -> None:
+        with atomic_write(self._folder / f"{name}.npy") as file:
+            np.save(file, array)
+
+    def _say(self, stage: str, **values: Any) -> None:
+        self._said |= {"stage": stage, "version": self._said["version"] + 1, **values}
+        with atomic_write(self._folder / "film.json") as file:
+            file.write(Answer(None).render(self._said))
+
+
+def _describe_track(person: PersonTrack) -> dict[str, Any]:
+    present = person.present
+    first = int(np.argmax(present)) if present.any() else 0
+    return {"seen": float(present.mean()), "first": first}
+
+
+def describe_camera(camera: Camera) -> dict[str, Any]:
+    """Name, place, and the corners (4, 3) of what it sees at a short distance; m, Y up."""
+    right, low = camera.width - 1.0, camera.height - 1.0
+    corners = np.array(((0.0, 0.0), (right, 0.0), (right, low), (0.0, low)))
+    starts, ways = camera.compute_rays(corners)
+    forward = np.maximum(np.nan_to_num(ways) @ camera.rotation[2], 0.2)
+    ends = starts + _SIGHT * np.nan_to_num(ways) / forward[:, None]
+    return {
+        "name": camera.name,
+        "position": camera.position.round(4).tolist(),
+        "corners": np.asarray(ends).round(4).tolist(),
+    }
+
+
+class FilmRecord:
+    """What was found of films so far.
+
+    Parameters
+    ----------
+    folder : of the job.
+    files : of the studio, where the batches are.
+    """
+
+    def __init__(self, folder: Path, files: Path) -> None:
+        self._folder, self._files = folder, files
+        self._stamp: tuple[int, int] | None = None
+        self._said: dict[str, Any] = {}
+        self._frames: NDArray[Any] = np.zeros((0, 0), np.int32)
+        self._pictures: dict[int, FilmPictures] = {}
+
+    def refresh(self) -> None:
+        """Read what was written since the last look."""
+        try:
+            state = (self._folder / "film.json").stat()
+        except FileNotFoundError:
+            return
+        stamp = (state.st_mtime_ns, state.st_ino)
+        if stamp == self._stamp:
+            return
+        self._said = json.loads((self._folder / "film.json").read_bytes())
+        self._frames = np.load(self._folder / "frames.npy", allow_pickle=False)
+        self._stamp = stamp
+
+    @property
+    def version(self) -> int:
+        """Rises with whatever is new; 0 where nothing is, or the estimation is not one from films."""
+        return int(self._said.get("version", 0))
+
+    def describe(self) -> dict[str, Any]:
+        """Everything but tracks and pictures; ``film`` of a view says whether its pictures are there.
+
+        Raises
+        ------
+        RefusedError : it is not an estimation from films, or none yet.
+        """
+        if not self._said:
+            raise RefusedError(404, "studio_films.not_from_films")
+        views = [{**view, "film": view["ready"]} for view in self._said["views"]]
+        return {**self._said, "views": views}
+
+    def tracks(self, view: int, first: int, count: int) -> dict[str, Any]:
+        """The people of a view in some frames: ``points`` base64 of (P, n, K, 2) int16 in 1/16384 of the picture's
+        width and height, -32768 where not seen, and ``sure`` base64 of (P, n, K) uint8.
+
+        Raises
+        ------
+        RefusedError : no such view, or nobody was looked for yet.
+        """
+        self._check_view(view)
+        try:
+            points, sure = (
+                np.load(self._folder / f"{name}-{view}.npy", mmap_mode="r", allow_pickle=False)
+                for name in ("points", "sure")
+            )
+        except FileNotFoundError as error:
+            raise RefusedError(404, "studio_films.nobody_yet") from error
+        part = slice(first, first + min(count, _MOST_FRAMES))
+        return {
+            "first": first,
+            "people": points.shape[0],
+            "frames": points[:, part].shape[1],
+            "points": _base64(points[:, part]),
+            "sure": _base64(sure[:, part]),
+        }
+
+    def picture(self, view: int, frame: int) -> bytes:
+        """JPEG of a view at a common moment.
+
+        Raises
+        ------
+        RefusedError : no such view or moment, or there is no film.
+        """
+        self._check_view(view)
+        if not 0 <= frame < self._frames.shape[1]:
+            raise RefusedError(404, "studio_films.no_moment", frame=frame, count=self._frames.shape[1])
+        content = self.find_picture(view, frame)
+        if content is None:
+            raise RefusedError(404, "studio_films.no_picture", view=self._said["views"][view]["name"])
+        return content
+
+    def find_picture(self, view: int, frame: int) -> bytes | None:
+        """The same; None where there is none."""
+        film = self._said["views"][view]["film"] if self._said and view < len(self._said["views"]) else None
+        if film is None or not 0 <= frame < self._frames.shape[1]:
+            return None
+        if view not in self._pictures:
+            self._pictures[view] = FilmPictures(self._files / film)
+        return self._pictures[view].read(int(self._frames[view, frame]))
+
+    def _check_view(self, view: int) -> None:
+        n_views = len(self.describe()["views"])
+        if not 0 <= view < n_views:
+            raise RefusedError(404, "studio_estimation.no_view", view=view, count=n_views)
+
+
+def _base64(values: NDArray[Any]) -> str:
+    return base64.b64encode(np.ascontiguousarray(values).tobytes()).decode("ascii")

@@ -1,0 +1,197 @@
+// Where the cameras stand: their pyramids of sight, the way that the person goes, and the person at the moment.
+
+import { h, t } from "../core/dom.js";
+
+const [NEAREST, FARTHEST] = [0.4, 2.5]; // zoom
+const STEP = 0.12; // rad, of an arrow key
+const ROOM = 0.84; // of the canvas, that cameras and person fill
+
+export class Space {
+  constructor(canvas, list) {
+    Object.assign(this, { canvas, list, cameras: [], joints: null, parents: [], frame: 0, colour: "#e8590c" });
+    this.reset();
+    this.stops = [];
+    this.probe = h("span", { class: "space-colours", "aria-hidden": "true", hidden: true }, ...["ink", "soft", "line", "accent"].map((name) => h("i", { class: name })));
+    canvas.after(this.probe);
+    this.listen();
+  }
+
+  reset() {
+    Object.assign(this, { turn: 0.6, tilt: 0.42, zoom: 1 });
+  }
+
+  on(target, name, action, options) {
+    target.addEventListener(name, action, options);
+    this.stops.push(() => target.removeEventListener(name, action, options));
+  }
+
+  listen() {
+    const { canvas } = this;
+    const held = new Map();
+    const change = (turn, tilt, zoom = 1) => {
+      this.turn += turn;
+      this.tilt = Math.min(Math.max(this.tilt + tilt, -0.1), 1.57);
+      this.zoom = Math.min(Math.max(this.zoom * zoom, NEAREST), FARTHEST);
+      this.draw();
+    };
+    const spread = () => Math.max(Math.hypot(...[0, 1].map((k) => [...held.values()][0][k] - [...held.values()][1][k])), 1);
+    this.on(canvas, "pointerdown", (event) => {
+      canvas.setPointerCapture(event.pointerId);
+      held.set(event.pointerId, [event.clientX, event.clientY]);
+    });
+    this.on(canvas, "pointermove", (event) => {
+      const last = held.get(event.pointerId);
+      if (!last) return;
+      const before = held.size === 2 ? spread() : 0;
+      held.set(event.pointerId, [event.clientX, event.clientY]);
+      if (before) change(0, 0, spread() / before);
+      else change(0.008 * (event.clientX - last[0]), 0.006 * (event.clientY - last[1]));
+    });
+    for (const name of ["pointerup", "pointercancel"]) this.on(canvas, name, (event) => held.delete(event.pointerId));
+    this.on(canvas, "wheel", (event) => {
+      if (document.activeElement !== canvas && !event.ctrlKey) return; // the page scrolls on
+      event.preventDefault();
+      change(0, 0, Math.exp(-0.0015 * event.deltaY));
+    }, { passive: false });
+    this.on(canvas, "dblclick", () => (this.reset(), this.draw()));
+    const keys = { ArrowLeft: [-STEP, 0], ArrowRight: [STEP, 0], ArrowUp: [0, STEP], ArrowDown: [0, -STEP], "+": [0, 0, 1.15], "-": [0, 0, 1 / 1.15] };
+    this.on(canvas, "keydown", (event) => {
+      if (!keys[event.key]) return;
+      event.preventDefault();
+      change(...keys[event.key]);
+    });
+    const observer = new ResizeObserver(() => this.draw());
+    observer.observe(canvas);
+    const themes = new MutationObserver(() => this.draw());
+    themes.observe(document.documentElement, { attributes: true, attributeFilter: ["data-theme"] });
+    this.stops.push(() => observer.disconnect(), () => themes.disconnect());
+    this.on(matchMedia("(prefers-color-scheme: dark)"), "change", () => this.draw());
+  }
+
+  /** cameras: [{name, position, corners}]; joints: Float32Array of (frames, 20, 3) or null; parents of the joints. */
+  set(cameras, joints, parents, colour) {
+    Object.assign(this, { cameras, joints, parents, colour });
+    const places = cameras.map((camera) => camera.position);
+    const path = this.path();
+    const all = [...places, ...path];
+    const middle = path.length ? path : places;
+    this.centre = [0, 1, 2].map((k) => middle.reduce((sum, place) => sum + place[k], 0) / Math.max(middle.length, 1));
+    this.reach = Math.max(1.5, ...all.map((place) => Math.hypot(place[0] - this.centre[0], place[2] - this.centre[2])));
+    this.list.replaceChildren(...cameras.map((camera) => h("li", {}, h("b", {}, camera.name), " ", this.say(camera))));
+    this.draw();
+  }
+
+  say(camera) {
+    const away = Math.hypot(camera.position[0] - this.centre[0], camera.position[2] - this.centre[2]);
+    return t("camera_place", { away: away.toFixed(1), high: camera.position[1].toFixed(1) });
+  }
+
+  path() {
+    if (!this.joints) return [];
+    const frames = this.joints.length / 60;
+    const every = Math.max(1, Math.floor(frames / 200));
+    const found = [];
+    for (let frame = 0; frame < frames; frame += every) {
+      const place = [...this.joints.subarray(60 * frame, 60 * frame + 3)];
+      if (place.every(Number.isFinite)) found.push(place);
+    }
+    return found;
+  }
+
+  show(frame) {
+    this.frame = frame;
+    this.draw();
+  }
+
+  project([x, y, z]) {
+    const [dx, dy, dz] = [x - this.centre[0], y - 0.8, z - this.centre[2]];
+    const [c, s] = [Math.cos(this.turn), Math.sin(this.turn)];
+    const [right, forward] = [c * dx + s * dz, -s * dx + c * dz];
+    const [ct, st] = [Math.cos(this.tilt), Math.sin(this.tilt)];
+    const [up, near] = [ct * dy - st * forward, st * dy + ct * forward];
+    const far = 3.2 * this.reach;
+    const scale = (this.size * this.zoom) / Math.max(far - near, 0.1);
+    return [this.middle[0] + scale * right, this.middle[1] - scale * up];
+  }
+
+  draw() {
+    const { canvas } = this;
+    const box = canvas.getBoundingClientRect();
+    const ratio = Math.min(window.devicePixelRatio || 1, 2);
+    const [width, height] = [Math.round(box.width * ratio), Math.round(box.height * ratio)];
+    if (!width || !height || !this.cameras.length) return;
+    if (canvas.width !== width || canvas.height !== height) Object.assign(canvas, { width, height });
+    Object.assign(this, { middle: [width / 2, height / 2], ratio });
+    this.fit(width, height);
+    const context = canvas.getContext("2d");
+    context.clearRect(0, 0, width, height);
+    this.probe.hidden = false;
+    const [ink, soft, line, accent] = [...this.probe.children].map((element) => getComputedStyle(element).color);
+    this.probe.hidden = true;
+    this.floor(context, line);
+    for (const camera of this.cameras) this.camera(context, camera, accent, ink);
+    this.person(context, soft);
+  }
+
+  /** Everything is seen, from wherever it is looked at. */
+  fit(width, height) {
+    const zoom = this.zoom;
+    Object.assign(this, { size: 1, zoom: 1 });
+    const ground = this.cameras.map(({ position: [x, , z] }) => [x, 0, z]);
+    const all = [...this.cameras.flatMap((camera) => [camera.position, ...camera.corners]), ...ground].map((place) => this.project(place));
+    const [left, right, top, low] = [[0, Math.min], [0, Math.max], [1, Math.min], [1, Math.max]].map(([k, pick]) => pick(...all.map((place) => place[k] - this.middle[k])));
+    this.size = (ROOM * Math.min(width / Math.max(right - left, 1e-6), height / Math.max(low - top, 1e-6))) || 1;
+    this.zoom = zoom;
+    this.middle = [width / 2 - (this.size * (left + right)) / 2, height / 2 - (this.size * (top + low)) / 2];
+  }
+
+  line(context, points, style, width) {
+    Object.assign(context, { strokeStyle: style, lineWidth: width * this.ratio, lineCap: "round", lineJoin: "round" });
+    context.beginPath();
+    for (const point of points) context.lineTo(...this.project(point));
+    context.stroke();
+  }
+
+  floor(context, style) {
+    const far = Math.ceil(this.reach) + 0.5;
+    const [x, z] = [Math.round(this.centre[0]), Math.round(this.centre[2])];
+    for (let k = -Math.floor(far); k <= far; k += 1) {
+      this.line(context, [[x + k, 0, z - far], [x + k, 0, z + far]], style, 1);
+      this.line(context, [[x - far, 0, z + k], [x + far, 0, z + k]], style, 1);
+    }
+  }
+
+  camera(context, { name, position, corners }, style, ink) {
+    for (const corner of corners) this.line(context, [position, corner], style, 1.3);
+    this.line(context, [...corners, corners[0]], style, 1.6);
+    this.line(context, [position, [position[0], 0, position[2]]], style, 0.6);
+    const [x, y] = this.project(position);
+    context.fillStyle = style;
+    context.beginPath();
+    context.arc(x, y, 4 * this.ratio, 0, 2 * Math.PI);
+    context.fill();
+    context.fillStyle = ink;
+    context.font = `600 ${12 * this.ratio}px system-ui, sans-serif`;
+    const text = name.slice(0, 20);
+    const wide = context.measureText(text).width + 7 * this.ratio;
+    context.fillText(text, x + wide > this.canvas.width ? x - wide : x + 7 * this.ratio, y - 6 * this.ratio);
+  }
+
+  person(context, soft) {
+    const path = this.path();
+    if (path.length > 1) this.line(context, path.map(([x, , z]) => [x, 0, z]), soft, 1.5);
+    if (!this.joints || 60 * (this.frame + 1) > this.joints.length) return;
+    const own = this.joints.subarray(60 * this.frame, 60 * this.frame + 60);
+    const joint = (k) => [...own.subarray(3 * k, 3 * k + 3)];
+    for (const [child, parent] of this.parents.entries()) {
+      const bone = [joint(parent < 0 ? child : parent), joint(child)];
+      if (parent >= 0 && bone.flat().every(Number.isFinite)) this.line(context, bone, this.colour, 3);
+    }
+  }
+
+  destroy() {
+    for (const stop of this.stops) stop();
+    this.probe.remove();
+    this.list.replaceChildren();
+  }
+}

@@ -1,0 +1,333 @@
+"""Estimating from films with nothing prepared: people found, films synchronised, cameras placed, one fitted."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from dousa.app.studio.core.words import shorten, to_message
+from dousa.app.studio.jobs.lanes import Context
+from dousa.app.studio.work.materials import holds_keypoints
+from dousa.errors import OptionError
+from dousa.messages import Message
+
+if TYPE_CHECKING:
+    from dousa.app.pipelines.estimate import Estimation
+    from dousa.app.pipelines.estimation_request import EstimationRequest
+    from dousa.app.pipelines.estimation_views import Scene
+    from dousa.app.studio.content.film_record import FilmRecordWriter, Track
+    from dousa.app.studio.content.footage import FootageWriter
+    from dousa.arrays import Image, Mask
+    from dousa.estimation import ViewKeypoints
+    from dousa.estimation.multiview.people import MatchedPerson
+    from dousa.estimation.tracking.settings import Estimate, TrackedFrame
+
+CAMERAS = "cameras.toml"
+MOST_FILMS = 8
+
+
+@dataclass(frozen=True, slots=True)
+class FilmSource:
+    """One view.
+
+    Parameters
+    ----------
+    name : of the view.
+    source : where its keypoints come from: the film, or a file of keypoints.
+    film : whose pictures are shown; None for keypoints alone.
+    """
+
+    name: str
+    source: Path
+    film: Path | None
+
+
+def pair_films(sources: Sequence[Path]) -> tuple[FilmSource, ...]:
+    """The views of a batch: a film and the keypoints that another program found in it are one.
+
+    Raises
+    ------
+    OptionError : too many, or two of one name.
+    """
+    from dousa.app.films.film_views import name_films
+
+    films = [path for path in sources if not holds_keypoints(path)]
+    found = [path for path in sources if holds_keypoints(path)]
+    pairs: list[tuple[Path, Path | None]] = []
+    for path in sources:
+        if path in found:
+            pairs.append((path, next((film for film in films if _is_of(path, film)), None)))
+        elif not any(_is_of(other, path) for other in found):
+            pairs.append((path, path))
+    if len(pairs) > MOST_FILMS:
+        raise OptionError("studio_films.many", most=MOST_FILMS, found=len(pairs))
+    names = name_films([film or path for path, film in pairs])
+    return tuple(FilmSource(name, path, film) for name, (path, film) in zip(names, pairs, strict=True))
+
+
+def _is_of(keypoints: Path, film: Path) -> bool:
+    """Whether keypoints are named after a film: ``left.npz`` or ``left_json`` of ``left.mp4``."""
+    name, own = keypoints.stem if keypoints.suffix else keypoints.name, film.stem
+    return name == own or (name.startswith(own) and not name[len(own)].isalnum())
+
+
+def takes_films(request: dict[str, Any], asked: EstimationRequest) -> bool:
+    """Whether keypoints are to be fitted: films or keypoints, and no plates; silhouettes where somebody wants them."""
+    from dousa.app.films.film_scene import is_films, shows_masks
+
+    if request.get("cues") is not None:
+        return bool(request["cues"] == "keypoints")
+    if not asked.sources or asked.kind == "mask" or asked.start is not None:
+        return False
+    if any(holds_keypoints(path) for path in asked.sources):
+        return True
+    return is_films(asked) and not any(shows_masks(path) for path in asked.sources)
+
+
+def can_do_without(asked: EstimationRequest) -> bool:
+    """Whether films can be estimated by their silhouettes, since models are missing and a calibration is there."""
+    from dousa.app.films.film_scene import has_models
+
+    if any(holds_keypoints(path) for path in asked.sources) or asked.cameras is None:
+        return False
+    return not has_models()
+
+
+def check_films(asked: EstimationRequest) -> tuple[FilmSource, ...]:
+    """The views, if all that is needed is there: known before the long work.
+
+    Raises
+    ------
+    DousaError : what is missing: a model, a package, the stature.
+    """
+    from dousa.estimation.keypoints.pose_models import DETECTOR, choose_pose_model, find_pose_model
+    from dousa.extras import require
+
+    views = pair_films(asked.sources)
+    if asked.mirrored:
+        raise OptionError("film_estimate.mirrored")
+    for view in views:
+        if view.film is not None or not holds_keypoints(view.source):
+            require("av", "film")
+        if not holds_keypoints(view.source):
+            require("ai_edge_litert", "film")
+            for name in (DETECTOR, asked.model or choose_pose_model()):
+                find_pose_model(name)
+    require("cv2", "film")
+    if len(views) > 1 and asked.cameras is None and asked.stature is None:
+        raise OptionError("studio_films.no_stature")
+    return views
+
+
+def estimate_from_films(
+    request: dict[str, Any], asked: EstimationRequest, context: Context, footage: FootageWriter
+) -> Estimation:
+    """Estimate one person; everything found on the way is written down for those who watch.
+
+    Parameters
+    ----------
+    request : with ``person``, tracks that the person has, and ``left_out``, tracks of nobody.
+    asked : the same with real paths.
+    context : of the job.
+    footage : takes the motion.
+
+    Raises
+    ------
+    DousaError : what can be put right by the person who reads it.
+    """
+    from dousa.app.films.film_estimate import estimate_person
+    from dousa.app.films.film_scene import place_films
+    from dousa.app.studio.content.film_record import FilmRecordWriter
+    from dousa.errors import KeypointError
+    from dousa.estimation.cameras.camera_files import write_cameras
+    from dousa.estimation.multiview.people import match_people
+
+    views = check_films(asked)
+    files = context.home / "files"
+    named = [(view.name, None if view.film is None else view.film.relative_to(files).as_posix()) for view in views]
+    left_out = [(int(view), int(track)) for view, track in request.get("left_out") or ()]
+    wanted = [(int(view), int(track)) for view, track in request.get("person") or ()]
+    record = FilmRecordWriter(context.folder, named, left_out)
+    _show_films(views, record, context)
+    found = _find_people(views, asked, context)
+    record.find(found)
+    kept, numbers = leave_out(found, left_out)
+    scene = place_films(asked, kept, context.progress, _choose_who_places(kept, numbers, wanted))
+    record.place(scene, found)
+    people = match_people(scene.cameras, scene.list_people(), kept[0].names)
+    if not people:
+        raise KeypointError("multiview.nobody")
+    chosen = choose_person(people, numbers, wanted)
+    record.match(people, chosen, numbers)
+    write_cameras(context.folder / CAMERAS, scene.cameras)
+    asked = _without_empty_overlay(asked, views, kept)
+    return estimate_person(asked, scene, people[chosen], context.progress, _Watcher(footage, record))
+
+
+def _show_films(views: Sequence[FilmSource], record: FilmRecordWriter, context: Context) -> None:
+    """Pictures of all films, so that there is something to look at while people are found."""
+    from dousa.app.studio.content.film_pictures import choose_stride, write_pictures
+    from dousa.estimation.keypoints.films import FilmFrames
+
+    films = [view.film for view in views if view.film is not None]
+    if not films:
+        return
+    sizes, numbers, rates = [], [], []
+    for film in films:
+        with FilmFrames(film) as frames:
+            sizes.append(frames.size)
+            numbers.append(max(1, frames.n_stated))
+            rates.append(frames.nominal_rate)
+    if len(films) == len(views):
+        record.begin(sizes, numbers, min(rates))
+    for film in films:
+        write_pictures(film, choose_stride(sum(numbers)), context.progress)
+        record.show(film.relative_to(context.home / "files").as_posix())
+
+
+def _find_people(views: Sequence[FilmSource], asked: EstimationRequest, context: Context) -> tuple[ViewKeypoints, ...]:
+    from dousa.app.films.film_views import open_keypoints
+
+    found = open_keypoints([view.source for view in views], asked.model, context.progress)
+    for one in found:
+        for note in one.warnings:
+            context.tell(shorten(to_message(note), context.home))
+    return tuple(replace(one, source=view.name) for one, view in zip(found, views, strict=True))
+
+
+def leave_out(
+    found: Sequence[ViewKeypoints], left_out: Sequence[Track]
+) -> tuple[tuple[ViewKeypoints, ...], list[list[int]]]:
+    """The views without some tracks, and (V,) the numbers that the tracks which stay had before."""
+    kept, numbers = [], []
+    for view, one in enumerate(found):
+        own = [number for number in range(len(one.people)) if (view, number) not in left_out]
+        kept.append(replace(one, people=tuple(one.people[number] for number in own)))
+        numbers.append(own)
+    return tuple(kept), numbers
+
+
+def _choose_who_places(
+    kept: Sequence[ViewKeypoints], numbers: Sequence[Sequence[int]], wanted: Sequence[Track]
+) -> list[int] | None:
+    """The wanted person by their places in all views, as the stature is theirs; None where not all views show them."""
+    places = []
+    for view, own in enumerate(numbers):
+        mine = [place for place, number in enumerate(own) if (view, number) in wanted]
+        if not mine:
+            return None
+        places.append(max(mine, key=lambda place: float(kept[view].people[place].visibility.sum())))
+    return places
+
+
+def choose_person(people: Sequence[MatchedPerson], numbers: Sequence[Sequence[int]], wanted: Sequence[Track]) -> int:
+    """The place of the person with most of the wanted tracks; 0, who is seen most, where nobody is wanted.
+
+    Raises
+    ------
+    OptionError : nobody has any of them.
+    """
+    if not wanted:
+        return 0
+    shared = [
+        sum((view, numbers[view][own]) in wanted for view, some in enumerate(person.members) for own in some)
+        for person in people
+    ]
+    if not any(shared):
+        raise OptionError("studio_films.no_such_person")
+    return shared.index(max(shared))
+
+
+def _without_empty_overlay(
+    asked: EstimationRequest, views: Sequence[FilmSource], found: Sequence[ViewKeypoints]
+) -> EstimationRequest:
+    """The films as sources of the overlay's pictures; no overlay where there is nothing to draw on."""
+    has_masks = any(person.masks is not None for view in found for person in view.people)
+    films = [view.film for view in views if view.film is not None]
+    asked = replace(asked, sources=tuple(view.film or view.source for view in views))
+    if len(films) == len(views) or has_masks:
+        return asked
+    return replace(asked, outputs=replace(asked.outputs, overlay=None))
+
+
+class _Watcher:
+    """Writes down the motion and how sure it is."""
+
+    def __init__(self, footage: FootageWriter, record: FilmRecordWriter) -> None:
+        self._footage, self._record = footage, record
+
+    def begin(self, scene: Scene) -> None:
+        self._footage.begin(scene)
+
+    def see(self, frame: int, masks: Sequence[Mask | None], pictures: Sequence[Image | None]) -> None:
+        self._footage.see(frame, masks, pictures)
+
+    def follow(self, tracked: TrackedFrame) -> None:
+        self._footage.follow(tracked)
+
+    def end(self, estimate: Estimate) -> None:
+        self._footage.end(estimate)
+        self._record.fit(estimate)
+
+
+def look_at_films(asked: EstimationRequest, context: Context, answer: dict[str, Any]) -> None:
+    """The answer of a look before the work: the films with a picture of each, and what is missing."""
+    views = pair_films(asked.sources)
+    for view in views:
+        answer["views"].append(_look_at_view(view, answer))
+    check_films(asked)
+    if asked.cameras is not None:
+        _match_cameras(asked, views, answer)
+    elif len(views) == 1:
+        answer["notes"].append(Message("studio_films.one_film"))
+    answer["start"] = Message("estimate.start_keypoints")
+    if asked.stature is not None:
+        answer["body"] = Message("body.stature_given", stature=asked.stature)
+    elif len(views) > 1:
+        answer["body"] = Message("studio_films.body_of_cameras")
+    else:
+        answer["body"] = Message("body.assumed", stature=1.72)
+        answer["notes"].append(Message("studio_films.one_film_stature"))
+
+
+def _look_at_view(view: FilmSource, answer: dict[str, Any]) -> dict[str, Any]:
+    from dousa.estimation import read_keypoints
+    from dousa.estimation.keypoints.films import FilmFrames
+
+    picture = None
+    if view.film is not None:
+        with FilmFrames(view.film) as film:
+            size, n_frames, rate = film.size, film.n_stated, film.nominal_rate
+        picture = _middle_picture(view.film, n_frames)
+    if view.film is None or holds_keypoints(view.source):
+        found = read_keypoints(view.source)
+        size, n_frames, rate = found.size, found.n_frames, found.frame_rate
+        answer["notes"] += found.warnings
+    answer["n_frames"] = max(answer["n_frames"], n_frames)
+    answer["frame_rate"] = rate if answer["frame_rate"] is None else min(answer["frame_rate"], rate)
+    return {"name": view.name, "width": size[0], "height": size[1], "camera": None, "picture": picture}
+
+
+def _middle_picture(film: Path, n_frames: int) -> str | None:
+    from dousa.app.studio.work.preview import to_picture_address
+    from dousa.estimation.silhouettes.video import VideoFile
+
+    file = VideoFile(film)
+    try:
+        image = file.read(min(n_frames, file.n_frames) // 2)
+    finally:
+        file.close()
+    return None if image is None else to_picture_address(image)
+
+
+def _match_cameras(asked: EstimationRequest, views: Sequence[FilmSource], answer: dict[str, Any]) -> None:
+    from dousa.estimation.cameras.camera_files import read_cameras
+    from dousa.estimation.cameras.camera_sets import match_cameras
+
+    assert asked.cameras is not None
+    matched, notes = match_cameras(read_cameras(asked.cameras), [view.name for view in views])
+    answer["notes"] += notes
+    for shown, camera in zip(answer["views"], matched, strict=True):
+        shown["camera"] = camera.name
