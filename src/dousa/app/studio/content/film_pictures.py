@@ -9,6 +9,7 @@ An interrupted run goes on where it was, and whoever estimates from the same fil
 
 from __future__ import annotations
 
+import base64
 import hashlib
 from collections.abc import Callable
 from pathlib import Path
@@ -128,3 +129,15 @@ class FilmPictures:
                 return file.read(int(self._index["size"][row])) or None
         except OSError:
             return None
+
+
+def to_picture_address(canvas: Image, longest: int) -> str:
+    """A picture (H, W, 3) blue, green, red as an address that contains it, of so many px at most."""
+    from dousa.extras import cv2
+
+    factor = min(1.0, longest / max(canvas.shape[:2]))
+    if factor < 1.0:
+        size = max(1, round(canvas.shape[1] * factor)), max(1, round(canvas.shape[0] * factor))
+        canvas = np.asarray(cv2.resize(canvas, size, interpolation=cv2.INTER_AREA), np.uint8)
+    _, content = cv2.imencode(".jpg", canvas, [cv2.IMWRITE_JPEG_QUALITY, 85])
+    return "data:image/jpeg;base64," + base64.b64encode(content.tobytes()).decode("ascii")

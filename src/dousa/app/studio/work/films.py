@@ -26,6 +26,7 @@ if TYPE_CHECKING:
 
 CAMERAS = "cameras.toml"
 MOST_FILMS = 8
+_LONGEST = 320  # px of a picture before the work
 
 
 @dataclass(frozen=True, slots=True)
@@ -311,7 +312,7 @@ def _look_at_view(view: FilmSource, answer: dict[str, Any]) -> dict[str, Any]:
 
 
 def _middle_picture(film: Path, n_frames: int) -> str | None:
-    from dousa.app.studio.work.preview import to_picture_address
+    from dousa.app.studio.content.film_pictures import to_picture_address
     from dousa.estimation.silhouettes.video import VideoFile
 
     file = VideoFile(film)
@@ -319,7 +320,7 @@ def _middle_picture(film: Path, n_frames: int) -> str | None:
         image = file.read(min(n_frames, file.n_frames) // 2)
     finally:
         file.close()
-    return None if image is None else to_picture_address(image)
+    return None if image is None else to_picture_address(image, _LONGEST)
 
 
 def _match_cameras(asked: EstimationRequest, views: Sequence[FilmSource], answer: dict[str, Any]) -> None:

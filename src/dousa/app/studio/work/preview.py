@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import base64
 from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from dousa.app.studio.content.film_pictures import to_picture_address
 from dousa.app.studio.core.words import name_error, shorten, to_message
 from dousa.app.studio.jobs.lanes import Context
 from dousa.app.studio.work.estimation import list_materials, make_request
@@ -149,19 +149,7 @@ def _draw(mask: Mask, image: NDArray[np.uint8] | None) -> str:
     if image is not None:
         draw_outlines(canvas, outlines, WHITE, 3)
     draw_outlines(canvas, outlines, LEFT, 1 if image is None else 2)
-    return to_picture_address(canvas)
-
-
-def to_picture_address(canvas: NDArray[np.uint8]) -> str:
-    """A picture (H, W, 3) blue, green, red as an address that contains it, small."""
-    from dousa.extras import cv2
-
-    factor = min(1.0, _LONGEST / max(canvas.shape[:2]))
-    if factor < 1.0:
-        size = max(1, round(canvas.shape[1] * factor)), max(1, round(canvas.shape[0] * factor))
-        canvas = np.asarray(cv2.resize(canvas, size, interpolation=cv2.INTER_AREA), np.uint8)
-    _, content = cv2.imencode(".jpg", canvas, [cv2.IMWRITE_JPEG_QUALITY, 85])
-    return "data:image/jpeg;base64," + base64.b64encode(content.tobytes()).decode("ascii")
+    return to_picture_address(canvas, _LONGEST)
 
 
 def _check_person(asked: EstimationRequest, context: Context, answer: dict[str, Any]) -> None:
