@@ -133,6 +133,7 @@ def make_seeds(folder: Path) -> dict[str, list[dict[str, bytes]]]:
         "t.npz": points,
         "t.trc": points,
         "m.csv": make_motion(),
+        "m.glb": make_motion(),
     }.items():
         write_motion(moving, folder / name)
         files[name] = (folder / name).read_bytes()
@@ -153,6 +154,7 @@ def make_seeds(folder: Path) -> dict[str, list[dict[str, bytes]]]:
         ".pkl": [{"x.pkl": made.make_aist()}, {"x.pkl": pickle.dumps({"keypoints3d": rng.normal(size=(3, 17, 3))})}],
         ".csv": [{"x.csv": made.make_motive()}, {"x.csv": files["m.csv"]}],
         ".tsv": [{"x.tsv": made.make_qualisys()}, {"x.tsv": made.make_qualisys_skeleton()}],
+        **{suffix: [{f"x{suffix}": files["m.glb"]}] for suffix in (".glb", ".gltf", ".vrm", ".vrma")},
         ".mvnx": [{"x.mvnx": made.make_mvnx()}],
         ".c3d": [{"x.c3d": data} for data in ((folder / "t.c3d").read_bytes(), *stored)],
     }

@@ -38,8 +38,8 @@ def test_every_line_of_the_table_works():
 
 
 def test_the_table_is_the_one_promised():
-    assert " ".join(SUFFIXES) == ".bvh .amc .c3d .trc .amass.npz .npz .npy .pkl .csv .tsv .mvnx"
-    assert " ".join(WRITERS) == ".bvh .c3d .trc .amass.npz .npz .csv"
+    assert " ".join(SUFFIXES) == ".bvh .amc .c3d .trc .amass.npz .npz .npy .pkl .csv .tsv .mvnx .glb .gltf .vrm .vrma"
+    assert " ".join(WRITERS) == ".bvh .c3d .trc .amass.npz .npz .csv .glb"
 
 
 def test_looking_at_the_table_imports_no_reader():

@@ -30,6 +30,7 @@ def settle_motion(
     up: str | None,
     unit_in_file: float | None = None,
     up_in_file: str | None = None,
+    declared_unit: float | None = None,
     default_up: str | None = "y",
     rest_in_world: bool = True,
     layout: Any = None,
@@ -46,6 +47,7 @@ def settle_motion(
     frame_rate : Hz.
     unit, up : what the caller says, or None.
     unit_in_file, up_in_file : what the file or its format says, or None.
+    declared_unit : what the file or its format says, not believed if the body would have an impossible height.
     default_up : the habit of the format, where neither says; None where it has none.
     rest_in_world : whether the rest pose stands in the axes of the file; else only the frames tell which way is up.
     layout : what only this format knows.
@@ -65,7 +67,9 @@ def settle_motion(
             positions, _ = forward_kinematics(skeleton.parents, raw.rotations[frames], raw.translations[frames])
             rest = compute_rest_positions(skeleton) if rest_in_world else None
             sample = Trajectories(skeleton.names, positions, 1.0, skeleton.parents, rest)
-            frame = infer_reference_frame(sample, unit=known_unit, up=known_up, default_up=default_up)
+            frame = infer_reference_frame(
+                sample, unit=known_unit, up=known_up, declared_unit=declared_unit, default_up=default_up
+            )
             settled = to_reference_frame(raw, frame)
     except InvalidMotionError as error:
         raise MotionFileError(path, "markers.damaged", reason=error) from error

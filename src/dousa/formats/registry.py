@@ -78,6 +78,8 @@ FORMATS: tuple[Format, ...] = (
     ),
     Format("qualisys", (".tsv",), "dousa.formats.optical", "read_qualisys", None, "both", (), rb"\A\s*NO_OF_FRAMES"),
     Format("mvnx", (".mvnx",), "dousa.formats.mvnx", "read_mvnx", None, "motion"),
+    Format("glb", (".glb",), "dousa.formats.gltf", "read_gltf", "write_glb", "motion"),
+    Format("gltf", (".gltf", ".vrm", ".vrma"), "dousa.formats.gltf", "read_gltf", None, "motion"),
 )  # fmt: skip
 
 READERS: dict[str, Format] = {suffix: line for line in FORMATS if line.reader for suffix in line.suffixes}

@@ -1,0 +1,171 @@
+"""glTF 2.0, GLB, VRM, VRM animations: the joints of the skin, moved by the longest animation.
+
+The specification has metres and Y up; files in centimetres are common, so the body must be of a possible height, else
+the unit is inferred. Joints get the axes of the scene, as in a BVH file: at rest nothing is turned. The file's own axes
+and all that is not motion (mesh, materials) stay with the motion in ``provenance.layout``, so that writing puts another
+animation into the same file.
+"""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from dousa.arrays import FloatArray
+from dousa.formats.gltf.document import GltfDocument, load_document
+from dousa.formats.gltf.sampling import Curve, choose_times
+from dousa.formats.gltf.tree import JointTree, build_tree, list_nodes
+from dousa.formats.poses import settle_motion
+from dousa.messages import Message
+from dousa.motion import Motion, Skeleton
+from dousa.motion.rotations import conjugate, multiply, normalise, rotate
+
+_PATHS = ("translation", "rotation", "scale")
+_GROWN = 0.01
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class GltfLayout:
+    """What only a glTF file knows, kept so that a motion can be written into it.
+
+    Parameters
+    ----------
+    document : the file.
+    tree : its joints.
+    """
+
+    document: GltfDocument
+    tree: JointTree
+
+
+@dataclass(frozen=True, slots=True)
+class _Clip:
+    name: str
+    curves: dict[tuple[int, str], Curve]
+    length: float
+
+
+def read_gltf(path: str | os.PathLike[str], *, unit: float | str | None = None, up: str | None = None) -> Motion:
+    """Read the animation of a glTF, GLB, VRM or VRMA file; of several the longest, with a note.
+
+    Parameters
+    ----------
+    path : the file.
+    unit : metres per unit; by default metres, unless the body would have no possible height.
+    up : axis that points up; by default Y.
+
+    Returns
+    -------
+    Motion in metres, Y up; sampled at the rate of the keys. ``provenance.layout`` is a `GltfLayout`.
+
+    Raises
+    ------
+    MotionFileError : missing, damaged, without an animation.
+    """
+    document = load_document(path)
+    clips = [_read_clip(document, animation, n) for n, animation in enumerate(document.items("animations"))]
+    clips = [clip for clip in clips if clip.curves]
+    if not clips:
+        raise document.fail("gltf.no_animation")
+    clip = max(clips, key=lambda clip: clip.length)
+    notes = []
+    if len(clips) > 1:
+        others = tuple(other.name for other in clips if other is not clip)
+        notes.append(Message("gltf.several", read=clip.name, others=others[:10]))
+    times, rate = choose_times([curve.times for curve in clip.curves.values()])
+    if len(times) * max(1, len(document.items("nodes"))) > 50_000_000:
+        raise document.fail("gltf.large", frames=len(times))
+    return _build(path, document, clip, times, rate, tuple(notes), unit, up)
+
+
+def read_gltf_character(
+    path: str | os.PathLike[str], *, unit: float | str | None = None, up: str | None = None
+) -> Motion:
+    """One frame of a file at rest: a character to put motions onto; it needs no animation."""
+    document = load_document(path)
+    clips = [_read_clip(document, animation, n) for n, animation in enumerate(document.items("animations"))]
+    moved = {node for clip in clips for node, _ in clip.curves}
+    tree = build_tree(document, moved)
+    skeleton = _skeleton(tree)
+    translations = tree.offsets[None]
+    rotations = np.tile([1.0, 0.0, 0.0, 0.0], (1, len(tree.names), 1))
+    return settle_motion(
+        path, "gltf", skeleton, rotations, translations, 30.0,
+        unit=unit, up=up, declared_unit=1.0, layout=GltfLayout(document, tree),
+    )  # fmt: skip
+
+
+def _skeleton(tree: JointTree) -> Skeleton:
+    return Skeleton(tree.names, np.array(tree.parents, np.intp), tree.offsets, np.array(tree.end_sites))
+
+
+def _read_clip(document: GltfDocument, animation: dict[str, Any], number: int) -> _Clip:
+    channels, samplers = animation.get("channels", []), animation.get("samplers", [])
+    if not isinstance(channels, list) or not isinstance(samplers, list):
+        raise document.fail("gltf.list", name="channels")
+    curves: dict[tuple[int, str], Curve] = {}
+    for channel in channels:
+        target = channel.get("target") if isinstance(channel, dict) else None
+        if not isinstance(target, dict) or target.get("path") not in _PATHS or "node" not in target:
+            continue  # weights of a face, or an extension
+        document.item("nodes", target["node"])
+        index = channel.get("sampler")
+        sampler = samplers[index] if isinstance(index, int) and 0 <= index < len(samplers) else None
+        if not isinstance(sampler, dict):
+            raise document.fail("gltf.index", name="samplers", found=repr(index)[:20], count=len(samplers))
+        times, values = document.numbers(sampler.get("input")), document.numbers(sampler.get("output"))
+        kind = sampler.get("interpolation", "LINEAR")
+        curve = Curve(times[:, 0], values, kind if isinstance(kind, str) else "LINEAR", target["path"] == "rotation")
+        if not curve.is_sound():
+            raise document.fail("gltf.keys", number=index)
+        curves[target["node"], target["path"]] = curve
+    length = max((float(curve.times[-1]) for curve in curves.values()), default=0.0)
+    name = animation.get("name")
+    return _Clip(name if isinstance(name, str) else f"animation {number + 1}", curves, length)
+
+
+def _build(
+    path: str | os.PathLike[str],
+    document: GltfDocument,
+    clip: _Clip,
+    times: FloatArray,
+    rate: float,
+    notes: tuple[Message, ...],
+    unit: float | str | None,
+    up: str | None,
+) -> Motion:
+    tree = build_tree(document, {node for node, _ in clip.curves})
+    count = len(tree.names)
+    rotations, translations = np.empty((len(times), count, 4)), np.empty((len(times), count, 3))
+    # Where nothing is animated a node stays as the file has it, which need not be its rest pose.
+    nodes = list_nodes(document)
+    place = {index: number for number, index in enumerate(nodes.order)}
+    for joint, node in enumerate(tree.nodes):
+        turn, move = clip.curves.get((node, "rotation")), clip.curves.get((node, "translation"))
+        number = place[node]
+        turns = nodes.rotations[number] if turn is None else normalise(turn.sample(times)[:, [3, 0, 1, 2]])
+        moves = nodes.translations[number] if move is None else move.sample(times)
+        rotations[:, joint], translations[:, joint] = _to_scene(tree, joint, turns, moves * tree.scales[joint])
+    grown = [c for (node, what), c in clip.curves.items() if what == "scale" and node in tree.nodes]
+    if any(np.ptp(curve.values, axis=0).max() > _GROWN * np.abs(curve.values).max() for curve in grown):
+        notes += (Message("gltf.scaled"),)
+    return settle_motion(
+        path, "gltf", _skeleton(tree), rotations, translations, rate,
+        unit=unit, up=up, declared_unit=1.0, layout=GltfLayout(document, tree), notes=notes,
+    )  # fmt: skip
+
+
+def _to_scene(tree: JointTree, joint: int, turns: FloatArray, moves: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Local rotations (T, 4) and translations (T, 3) in the axes of the scene, of those in the file's own."""
+    parent = tree.parents[joint]
+    back = conjugate(tree.rest[joint])
+    if parent >= 0:
+        frame = tree.rest[parent]
+        return multiply(multiply(frame, turns), back), rotate(frame, moves)
+    above = tree.above.get(joint)
+    if above is None:
+        return multiply(turns, back), moves
+    return multiply(multiply(above[3:], turns), back), above[:3] + rotate(above[3:], moves)
