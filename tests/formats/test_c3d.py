@@ -134,7 +134,7 @@ def test_a_thousand_million_frames(saved):
     extra += parameter("ACTUAL_END_FIELD", 3, [0, 15_258])
     got = read_c3d(saved(make_c3d(random_points(), LABELS, extra=extra, frames=60_000)))
     assert got.n_frames == len(random_points())
-    assert [note.code for note in got.provenance.notes] == ["c3d.fewer_frames"]
+    assert got.provenance.notes[0].code == "c3d.fewer_frames"
 
 
 @pytest.mark.parametrize("cut", [0, 40])

@@ -16,6 +16,7 @@ from dousa.motion.kinematics import compute_rest_positions, forward_kinematics
 from dousa.motion.types import Motion, Provenance, Skeleton, Trajectories, freeze
 
 _SAMPLED_FRAMES = 16
+_MOST_FRAMES = 20_000  # that are looked at where the sample leaves a doubt
 _LARGE_MOTION = 50_000_000  # joints x frames, about 3 GB
 
 
@@ -174,12 +175,19 @@ def build_motion(
     try:
         with np.errstate(over="ignore", invalid="ignore"):
             rotations, translations = compute_poses(program, values)
-            frame = _infer_frame(skeleton, program.rest_positions, rotations, translations, units)
+            frame = _infer_frame(program, rotations, translations, frame_rate, units)
             offsets = skeleton.offsets * frame.unit
             translations *= frame.unit
             scaled = Skeleton(skeleton.names, skeleton.parents, offsets, skeleton.end_sites)
             rotations, translations = freeze(rotations), freeze(translations)
-            located = dataclasses.replace(provenance, **dataclasses.asdict(frame))
+            located = dataclasses.replace(
+                provenance,
+                unit=frame.unit,
+                unit_source=frame.unit_source,
+                up=frame.up,
+                up_source=frame.up_source,
+                notes=(*provenance.notes, *frame.notes),
+            )
             motion = Motion(scaled, rotations, translations, frame_rate, located)
             return motion if frame.up == "y" else to_reference_frame(motion, ReferenceFrame(up=frame.up))
     except InvalidMotionError as error:
@@ -187,14 +195,20 @@ def build_motion(
 
 
 def _infer_frame(
-    skeleton: Skeleton, rest: FloatArray, rotations: FloatArray, translations: FloatArray, units: FileUnits
+    program: ChannelProgram, rotations: FloatArray, translations: FloatArray, frame_rate: float, units: FileUnits
 ) -> ReferenceFrame:
+    skeleton = program.skeleton
+
+    def place(frames: IntArray | slice, rate: float) -> Trajectories:
+        positions, _ = forward_kinematics(skeleton.parents, rotations[frames], translations[frames])
+        return Trajectories(skeleton.names, freeze(positions), rate, skeleton.parents, program.rest_positions)
+
     count = min(len(rotations), _SAMPLED_FRAMES)
     frames = np.arange(count) * (len(rotations) - 1) // max(count - 1, 1)
-    positions, _ = forward_kinematics(skeleton.parents, rotations[frames], translations[frames])
-    # The frame rate does not matter here.
-    sample = Trajectories(skeleton.names, freeze(positions), 1.0, skeleton.parents, rest)
-    if units.unit is None and units.declared_unit is not None:
-        frame = infer_reference_frame(sample, unit=units.declared_unit, up=units.up)
-        return dataclasses.replace(frame, unit_source="declared")
-    return infer_reference_frame(sample, unit=units.unit, up=units.up)
+    return infer_reference_frame(
+        place(frames, frame_rate),
+        unit=units.unit,
+        up=units.up,
+        declared_unit=units.declared_unit,
+        whole=lambda: place(slice(0, _MOST_FRAMES), frame_rate),
+    )

@@ -64,14 +64,21 @@ def settle_trajectories(
     ------
     MotionFileError : no points, no frames, infinite positions, an impossible frame rate.
     """
-    # What the file says is used as if the caller had said it: a few markers or a long path tell no body height.
-    known_unit = unit_in_file if unit is None else parse_unit(unit)
-    known_up = up_in_file if up is None else parse_up(up)
+    known_unit = None if unit is None else parse_unit(unit)
+    known_up = None if up is None else parse_up(up)
     try:
         with np.errstate(over="ignore", invalid="ignore"):  # a damaged file may hold 1e300
             raw = Trajectories(names, positions, frame_rate)
             sample = raw.replace(positions=thin(raw.positions, min(_SAMPLE_FRAMES, raw.n_frames)))
-            frame = infer_reference_frame(sample, unit=known_unit, up=known_up, default_up=default_up)
+            frame = infer_reference_frame(
+                sample,
+                unit=known_unit,
+                up=known_up,
+                declared_unit=unit_in_file,
+                declared_up=up_in_file,
+                default_up=default_up,
+                whole=lambda: raw,
+            )
             settled = to_reference_frame(raw, frame)
     except InvalidMotionError as error:
         raise MotionFileError(path, "markers.damaged", reason=error) from error
@@ -79,10 +86,10 @@ def settle_trajectories(
         os.fspath(path),
         format_name,
         frame.unit,
-        "declared" if unit is None and unit_in_file is not None else frame.unit_source,
+        frame.unit_source,
         frame.up,
-        "declared" if up is None and up_in_file is not None else frame.up_source,
+        frame.up_source,
         values=raw.positions if keep_values else None,
-        notes=notes,
+        notes=(*notes, *frame.notes),
     )
     return dataclasses.replace(settled, provenance=provenance)

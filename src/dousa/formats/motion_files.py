@@ -32,6 +32,7 @@ class ReadOptions:
     up : axis of the file that points up, such as ``"y"`` or ``"-z"``.
     skeleton : the ``.asf`` of ``.amc`` files, the body model of SMPL poses.
     frame_rate : Hz, of arrays that do not say it.
+    any_skeleton : take bodies that cannot be a person's too, such as an animal's.
     """
 
     joint_map: JointMap | None = None
@@ -39,13 +40,20 @@ class ReadOptions:
     up: str | None = None
     skeleton: str | os.PathLike[str] | None = None
     frame_rate: float | None = None
+    any_skeleton: bool = False
 
     def describe(self) -> str:
         """The options that change how a content is understood, as one line of JSON; empty if there are none."""
         joints = None
         if self.joint_map is not None:
             joints = {key: value if isinstance(value, str) else list(value) for key, value in self.joint_map.items()}
-        given = {"joint_map": joints, "unit": self.unit, "up": self.up, "frame_rate": self.frame_rate}
+        given = {
+            "joint_map": joints,
+            "unit": self.unit,
+            "up": self.up,
+            "frame_rate": self.frame_rate,
+            "any_skeleton": self.any_skeleton or None,
+        }
         given = {key: value for key, value in given.items() if value is not None}
         return json.dumps(given, sort_keys=True) if given else ""
 
@@ -132,13 +140,16 @@ def is_unicode(path: str) -> bool:
     return True
 
 
-def read_canonical(path: str | os.PathLike[str], options: ReadOptions | None = None) -> tuple[CanonicalMotion, str]:
+def read_canonical(
+    path: str | os.PathLike[str], options: ReadOptions | None = None, *, whole: bool = True
+) -> tuple[CanonicalMotion, str]:
     """A motion file as canonical joints, and the short name of its format.
 
     Parameters
     ----------
     path : file ending in one of ``SUFFIXES``.
     options : what the file does not say.
+    whole : refuse a part of a body; see ``dousa.motion.canonicalise``.
 
     Raises
     ------
@@ -153,7 +164,8 @@ def read_canonical(path: str | os.PathLike[str], options: ReadOptions | None = N
     taken: dict[str, Any] = {name: getattr(options, name) for name in (line.options if line else ())}
     motion = read_motion(path, unit=options.unit, up=options.up, **taken)
     try:
-        return canonicalise(motion, options.joint_map), motion.provenance.format if motion.provenance else ""
+        canonical = canonicalise(motion, options.joint_map, any_skeleton=options.any_skeleton, whole=whole)
+        return canonical, motion.provenance.format if motion.provenance else ""
     except JointMappingError as error:
         error.path = path
         raise

@@ -241,7 +241,7 @@ def read_query(
     """A file or a motion on canonical joints."""
     if isinstance(query, str | os.PathLike):
         return read_canonical(query, options)[0]
-    return query if isinstance(query, CanonicalMotion) else canonicalise(query, options.joint_map)
+    return query if isinstance(query, CanonicalMotion) else canonicalise(query, options.joint_map, whole=True)
 
 
 def name_query(query: Query) -> str:

@@ -130,7 +130,8 @@ def test_plug_in_gait_hips_come_from_the_pelvis() -> None:
     assert {"pelvis", "left_hip", "right_hip"} <= set(canonical.mapping.derived)
     assert canonical.warnings[-1].code == "canonical.skin_markers"
     knees = 0.5 * (_joint(points, "left_knee") + _joint(points, "right_knee"))
-    hips = hips_from_markers(pelvis + places["LASI"], pelvis + places["RASI"], pelvis + np.array([0, 0, -0.05]), knees)
+    sacrum = pelvis + np.array([0, 0, -0.05])
+    hips = hips_from_markers(pelvis + places["LASI"], pelvis + places["RASI"], sacrum, knees, metres=True)
     np.testing.assert_allclose(_joint(canonical.positions, "left_hip"), hips[:, 0])
     np.testing.assert_allclose(_joint(canonical.positions, "pelvis"), hips.mean(axis=1))
 
@@ -150,8 +151,14 @@ def test_a_joint_never_seen_is_missing() -> None:
     body = walking_body()
     positions = body.positions.copy()
     positions[:, body.names.index("RightForeArm")] = np.nan
-    with pytest.raises(JointMappingError, match=r"no right_elbow.*never seen in any frame: RightForeArm"):
-        canonicalise(body.replace(positions=positions))
+    part = canonicalise(body.replace(positions=positions))
+    assert part.absent == ("right_elbow",)
+    assert np.isnan(_joint(part.positions, "right_elbow")).all()
+    assert part.missing is not None
+    assert part.missing.sum() == part.n_frames
+    assert "canonical.part" in [note.code for note in part.warnings]
+    with pytest.raises(JointMappingError, match="without right_elbow"):
+        canonicalise(body.replace(positions=positions), whole=True)
     positions = body.positions.copy()
     positions[:, body.names.index("Spine1")] = np.nan
     assert canonicalise(body.replace(positions=positions)).mapping.sources["spine"] == ("Spine",)

@@ -11,7 +11,7 @@ from oracles.bodies import walking_body
 from dousa.formats.registry import read_motion
 from dousa.motion import CANONICAL_JOINTS, JOINT_INDEX, MIRRORED_JOINTS, canonicalise, compute_trajectories
 from dousa.motion.canonical.geometry import chain_height, hips_from_markers, measure_rest
-from dousa.motion.canonical.recipes import named_recipe
+from dousa.motion.canonical.recipes import named_recipes
 from dousa.motion.canonical.tree_shape import compare_sides, compute_forward, score_sides
 
 
@@ -80,7 +80,7 @@ def test_hips_from_markers_by_hand() -> None:
 
 def test_rest_pose_counts_only_where_upright() -> None:
     body = walking_body()
-    recipe, _ = named_recipe(body.names)
+    recipe = named_recipes(body.names)[0]
     assert recipe is not None and body.rest_positions is not None
     rest = measure_rest(recipe, body.rest_positions)
     assert rest is not None

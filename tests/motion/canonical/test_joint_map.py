@@ -89,7 +89,8 @@ def test_a_map_that_does_not_fit() -> None:
     with pytest.raises(JointMappingError, match="'nothing' for left_elbow, but there is no such joint"):
         canonicalise(moving, {**joint_map, "left_elbow": "nothing"})
     del joint_map["left_knee"]
-    with pytest.raises(JointMappingError, match="leaves out left_knee"):
-        canonicalise(moving, joint_map)
+    assert canonicalise(moving, joint_map).absent == ("left_knee", "left_toe")
+    with pytest.raises(JointMappingError, match="leaves out left_shoulder"):
+        canonicalise(moving, {"left_hip": "M1"})
     with pytest.raises(OptionError, match="not a canonical joint"):
         canonicalise(moving, {"tail": "M1"})

@@ -10,7 +10,7 @@ from oracles.bodies import walking_body
 
 from dousa.errors import OptionError
 from dousa.formats.registry import read_motion
-from dousa.motion import Motion, Trajectories, compute_trajectories, thin
+from dousa.motion import CANONICAL_JOINTS, Motion, Trajectories, canonicalise, compute_trajectories, thin
 from dousa.motion.canonical.reference_frame import (
     CMU_UNIT,
     ReferenceFrame,
@@ -20,6 +20,7 @@ from dousa.motion.canonical.reference_frame import (
     parse_up,
     to_reference_frame,
 )
+from dousa.motion.canonical.upright import find_fall
 
 AXES = ["x", "y", "z", "-x", "-y", "-z"]
 
@@ -73,7 +74,9 @@ def test_up_is_where_the_body_stands(up: str, default_up: str | None) -> None:
 def test_unknown_points_keep_the_habit() -> None:
     cloud = Trajectories(("a", "b"), [[[0, 0, 0], [0.1, 0.2, 1.5]]], 30.0)
     assert infer_reference_frame(cloud).up == "y"
-    assert infer_reference_frame(cloud, default_up=None).up == "z"
+    guessed = infer_reference_frame(cloud, default_up=None)
+    assert (guessed.up, guessed.up_source) == ("z", "guessed")
+    assert [note.code for note in guessed.notes] == ["units.guessed_up"]
     nothing = Trajectories(("a", "b"), np.full((1, 2, 3), np.nan), 30.0)
     assert infer_reference_frame(nothing) == ReferenceFrame(1.0, "assumed", "y", "assumed")
 
@@ -102,7 +105,8 @@ def test_lying_with_a_rest_pose_that_does_not_stand(axis: int) -> None:
     body = body.replace(rest_positions=rest)
     turned = _in_file(body, 1.0, "xyz"[axis]).positions.copy()
     assert infer_reference_frame(body.replace(positions=turned)).up == "xyz"[axis]  # on a floor at 0: stands
-    turned[..., axis] += 3.0
+    turned[..., axis] += 3.0  # no floor there, but below the body
+    turned[..., 1] = 0.05 + 0.2 * (turned[..., 1] - turned[..., 1].min())
     assert infer_reference_frame(body.replace(positions=turned)).up == "y"
 
 
@@ -148,6 +152,63 @@ def test_recordings(folder: str, shared_data) -> None:
         if "lieDown" in file.name or "deposit" in file.name:
             continue
         assert infer_reference_frame(_sample(_in_file(motion, 0.01, "z")), default_up=default_up).up == "z", file
+
+
+def test_an_absurd_declared_unit_is_said() -> None:
+    body = _in_file(walking_body(), 0.01, "y")
+    frame = infer_reference_frame(body, declared_unit=238.0)
+    assert (frame.unit, [note.code for note in frame.notes]) == (0.01, ["units.other_unit"])
+    assert frame.notes[0].values["stature"] > 10_000
+
+
+def test_a_declared_axis_along_which_nobody_stands_is_not_believed() -> None:
+    body = _in_file(walking_body(), 0.01, "z").replace(rest_positions=None, parents=None)
+    frame = infer_reference_frame(body, declared_up="-z", default_up=None)
+    assert (frame.up, frame.up_source, [note.code for note in frame.notes]) == ("z", "inferred", ["units.other_up"])
+    frame = infer_reference_frame(body, declared_up="z", default_up=None)
+    assert (frame.up, frame.up_source, frame.notes) == ("z", "declared", ())
+
+
+def test_bodies_fall_against_the_up_axis() -> None:
+    """A body in the air for 0.4 s, tumbling so that its posture tells nothing."""
+    times = np.arange(60) / 60.0
+    rng = np.random.default_rng(1)
+    body = rng.normal(size=(1, 20, 3))
+    path = np.zeros((60, 3))
+    path[:, 1] = np.where(times < 0.5, 2.0 * times - 0.5 * 9.81 * times**2, 0.0)
+    found = find_fall(body + path[:, None], 60.0, 1.0)
+    assert found is not None
+    np.testing.assert_allclose(found, [0, -1, 0], atol=0.05)
+    assert find_fall(body + np.zeros((60, 1, 3)), 60.0, 1.0) is None
+    assert find_fall(body + 0.01 * path[:, None], 60.0, 1.0) is None
+
+
+@pytest.mark.parametrize(
+    ("name", "up"),
+    [
+        ("emre_mixed/Cartwheel.bvh", "z"),
+        ("emre_mixed/HopScotch.bvh", "z"),
+        ("emre_mixed/01_01.bvh", "y"),
+        ("acclaim_male1_accad/Male1_A9_LieDown.bvh", "y"),
+        ("acclaim_male1_accad/Male1_A10_LieToCrouch.bvh", "y"),
+        ("cheo_vietnam_style/HaiChanDuoiThang.bvh", "z"),
+        ("cheo_vietnam_style/test.bvh", "y"),  # stands along y, unlike its siblings
+        ("pybvh/bvh_test3.bvh", "z"),
+        ("smpl_tram/sample.bvh", "-y"),
+        ("c3d_org/ART-Human_hands_real_no6dof.c3d", "z"),  # declares y
+        ("ezc3d_testfiles/Qualisys.c3d", "z"),  # declares -z
+    ],
+)
+def test_the_up_axis_of_foreign_files(foreign, name: str, up: str) -> None:
+    assert read_motion(foreign(name)).provenance.up == up
+
+
+@pytest.mark.parametrize("name", ["dab", "jesse_dance", "jumping", "jumping_jacks", "wave_hello", "zombie"])
+def test_people_of_files_without_a_unit_are_as_tall_as_people(foreign, name: str) -> None:
+    motion = canonicalise(read_motion(foreign(f"animateddrawings/{name}.bvh")))
+    assert 1.4 < motion.height < 1.9
+    hips = motion.positions[:, [CANONICAL_JOINTS.index(f"{side}_hip") for side in ("left", "right")]]
+    assert 0.08 < np.linalg.norm(hips[:, 0] - hips[:, 1], axis=1).mean() < 0.35
 
 
 @given(st.sampled_from(AXES), st.floats(1e-4, 1e3))

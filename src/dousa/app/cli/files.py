@@ -10,13 +10,14 @@ import typer
 from dousa.app import tables
 from dousa.app.cli.options import shared as o
 from dousa.app.output import console, fail, print_json, say, warn
-from dousa.errors import DousaError
+from dousa.errors import DousaError, OptionError
 from dousa.messages import Message
 
 if TYPE_CHECKING:
     from dousa.app.pictures.stick_figures import Drawable
     from dousa.formats.motion_files import ReadOptions
     from dousa.motion import Motion, Trajectories
+    from dousa.motion.canonical.recipes import JointMap
 
 
 def register(app: typer.Typer) -> None:
@@ -84,7 +85,7 @@ def _describe(path: Path, options: ReadOptions) -> dict[str, Any]:
         "joints": [name for name, end in zip(names, ends, strict=True) if not end],
     }
     try:
-        canonical = canonicalise(motion, options.joint_map)
+        canonical = canonicalise(motion, options.joint_map, any_skeleton=options.any_skeleton)
     except JointMappingError as error:
         notes = list(map(str, origin.notes)) if origin else []
         return {**answer, "mapping": None, "height_m": None, "warnings": [*notes, str(error.problem)]}
@@ -93,9 +94,11 @@ def _describe(path: Path, options: ReadOptions) -> dict[str, Any]:
         "table": found.table,
         "sides": found.sides,
         "derived": list(found.derived),
+        "absent": list(found.absent),
         "sources": {joint: list(sources) for joint, sources in found.sources.items()},
     }
     answer["height_m"] = canonical.height
+    answer["stature_m"] = canonical.stature
     answer["height_source"] = canonical.height_source
     answer["warnings"] = list(map(str, canonical.warnings))
     return answer
@@ -105,8 +108,9 @@ def convert(
     source: Annotated[Path, typer.Argument(metavar="IN", help="Motion file to read.")],
     target: Annotated[Path, typer.Argument(metavar="OUT", help="File to write: .bvh, .trc, .c3d or .npz.")],
     frame_rate: Annotated[float | None, typer.Option("--frame-rate", help="Resample to this rate in Hz.")] = None,
+    overwrite: Annotated[bool, typer.Option("--overwrite", help="Allow OUT to be IN.")] = False,
     *,
-    file_options: o.FileOptions,
+    motion_options: o.MotionOptions,
     json: o.Json = False,
 ) -> None:
     """Convert a motion file to another format; nothing the target can hold is lost.
@@ -118,14 +122,17 @@ def convert(
     from dousa.formats.registry import write_motion
     from dousa.motion import Motion, resample
 
-    motion = _read(source, file_options.load())
+    options = motion_options.load()
+    if not overwrite and target.exists() and target.samefile(source):
+        raise OptionError("files_cli.same_file", path=target)
+    motion = _read(source, options)
     for note in motion.provenance.notes if motion.provenance else ():
         warn(note)
     if frame_rate is not None:
         motion = resample(motion, frame_rate)  # type: ignore[type-var]  # either, not both
     fit_error = None
     if target.suffix.lower() == ".bvh" and not isinstance(motion, Motion):
-        motion, fit_error = _fit(motion)
+        motion, fit_error = _fit(motion, options.joint_map)
         warn(Message("files_cli.fitted", path=source, error=1000 * fit_error))
     write_motion(motion, target)
     if json:
@@ -142,13 +149,13 @@ def convert(
         say(Message("files_cli.converted", path=target, n=motion.n_frames, rate=motion.frame_rate))
 
 
-def _fit(positions: Trajectories) -> tuple[Motion, float]:
+def _fit(positions: Trajectories, joint_map: JointMap | None) -> tuple[Motion, float]:
     """A motion with rigid bones near the positions, and its mean joint error in m."""
     import numpy as np
 
     from dousa.motion import CANONICAL_JOINTS, canonicalise, compute_trajectories, fit_motion
 
-    canonical = canonicalise(positions)
+    canonical = canonicalise(positions, joint_map, any_skeleton=True, whole=True)
     fitted = fit_motion(canonical)
     reached = compute_trajectories(fitted).select(CANONICAL_JOINTS)
     return fitted, float(np.linalg.norm(reached - canonical.positions, axis=-1).mean())
@@ -173,7 +180,7 @@ def plot(
     options = motion_options.load()
     motion = _read(file, options)
     try:
-        drawn: Drawable = canonicalise(motion, options.joint_map)
+        drawn: Drawable = canonicalise(motion, options.joint_map, any_skeleton=options.any_skeleton)
     except JointMappingError as error:
         warn(Message("files_cli.drawn_as_points", path=file, problem=error.problem))
         drawn = motion

@@ -73,7 +73,7 @@ def to_figurine(motion: Motion | Trajectories | CanonicalMotion) -> Figurine:
     if not isinstance(motion, CanonicalMotion):
         trajectories = compute_trajectories(motion) if isinstance(motion, Motion) else motion
         with suppress(JointMappingError):
-            motion = canonicalise(motion)
+            motion = canonicalise(motion, any_skeleton=True)
     if isinstance(motion, CanonicalMotion):
         return Figurine(_face_viewer(motion.positions), motion.frame_rate, CANONICAL_PARENTS, motion.height, True)
     positions = trajectories.positions

@@ -143,7 +143,7 @@ def _read_motion(request: RenderRequest) -> CanonicalMotion:
     skeleton = options.skeleton if request.motion.suffix.lower() == ".amc" else None
     read = read_motion(request.motion, unit=options.unit, up=options.up, skeleton=skeleton)
     sampled = resample(read, request.rate)  # type: ignore[type-var]  # one kind or the other, not both
-    motion = canonicalise(sampled, options.joint_map)
+    motion = canonicalise(sampled, options.joint_map, whole=True)
     first, last = parse_frames(
         request.frames, motion.n_frames, Message("frames.motion", path=request.motion, rate=request.rate)
     )

@@ -69,12 +69,25 @@ def print_info(out: Console, answer: dict[str, Any]) -> None:
         code = "info.table_and_derived" if mapping["derived"] else "info.table"
         add("info.mapping", Message(code, table=mapping["table"], derived=mapping["derived"]))
         add("info.sides", Message("info.names_and_geometry", agree=mapping["sides"]))
-        height = {"height": answer["height_m"], "source": answer["height_source"]}
+        if mapping["absent"]:
+            add("info.absent", Message("text.verbatim", text=", ".join(mapping["absent"])), "yellow")
+        height = {"height": answer["height_m"], "source": answer["height_source"], "stature": answer["stature_m"]}
         add("info.height", Message("info.height_from", **height))
     add("info.joints", Message("info.names", n=answer["n_joints"], joints=answer["joints"]))
     for warning in answer["warnings"]:
         add("info.note", Message("text.verbatim", text=warning), "yellow")
-    out.print(table)
+    _print_unpadded(out, table)
+
+
+def _print_unpadded(out: Console, table: Table) -> None:
+    """A table for people; in a file or pipe without the blanks that fill its rows to the longest."""
+    if out.is_terminal:
+        out.print(table)
+        return
+    with out.capture() as captured:
+        out.print(table)
+    rows = captured.get().splitlines()
+    out.print("\n".join(row.rstrip() for row in rows), markup=False, soft_wrap=True)
 
 
 def print_add(out: Console, report: AddReport) -> None:

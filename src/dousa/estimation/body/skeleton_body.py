@@ -314,7 +314,7 @@ def body_from_motion(motion: Motion | Trajectories | CanonicalMotion, sex: str =
     JointMappingError : the joints cannot be told apart.
     BodyModelError : the person is no size that people are; is the unit right?
     """
-    canonical = motion if isinstance(motion, CanonicalMotion) else canonicalise(motion)
+    canonical = motion if isinstance(motion, CanonicalMotion) else canonicalise(motion, whole=True)
     frames = slice(None, None, max(1, canonical.n_frames // _MOST_FRAMES))
     positions = canonical.positions[frames].copy()
     if canonical.missing is not None:

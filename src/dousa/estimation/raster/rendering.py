@@ -235,7 +235,7 @@ def poses_from_motion(body: BodyModel, motion: Motion | Trajectories) -> FloatAr
     if set(wanted) <= set(moving.names) or not set(wanted) >= set(CANONICAL_JOINTS):
         names, positions = moving.names, moving.positions
     else:
-        canonical = canonicalise(motion)
+        canonical = canonicalise(motion, whole=True)
         names, positions = CANONICAL_JOINTS, canonical.positions
     if not set(wanted) & set(names):
         raise BodyModelError("rendering.joints", wanted=wanted, found=names)

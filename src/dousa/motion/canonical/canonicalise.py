@@ -23,16 +23,18 @@ from numpy.typing import ArrayLike
 from dousa.arrays import BoolArray, FloatArray
 from dousa.errors import InvalidMotionError, JointMappingError
 from dousa.messages import Message
-from dousa.motion.canonical.geometry import body_points, chain_height, measure_rest
+from dousa.motion.canonical.anthropometry import stature_of_parts
+from dousa.motion.canonical.geometry import STATURE_PER_HEIGHT, body_points, chain_height, measure_rest
 from dousa.motion.canonical.joints import CANONICAL_JOINTS, CANONICAL_PARENTS, MIRRORED_JOINTS, CanonicalPoses
 from dousa.motion.canonical.joints import JOINT_INDEX as J
-from dousa.motion.canonical.naming import NameMatch
-from dousa.motion.canonical.recipes import HAND_REACH, JointMap, Recipe, named_recipe, recipe_from_joint_map
-from dousa.motion.canonical.tree_shape import compare_sides, compute_forward, shape_recipe, spread_frames
+from dousa.motion.canonical.mapping import ChosenMap, choose_map
+from dousa.motion.canonical.naming import NameMatch, match_names
+from dousa.motion.canonical.recipes import HAND_REACH, JointMap, Recipe, recipe_from_joint_map
+from dousa.motion.canonical.tree_shape import compare_sides, compute_forward, spread_frames
 from dousa.motion.types import Motion, Trajectories
 
 # m: heights over the joints that no person has, and that nothing has.
-_SMALLEST, _TALLEST, _NO_BODY = 0.4, 3.0, 1e9
+_SMALLEST, _TALLEST, _NO_BODY = 0.3, 3.0, 1e9
 
 _DEGENERATE = 0.05  # of the forearm or shank: a hand or toe this near to its parent is not one
 _TOE_PER_SHANK = 0.35
@@ -63,6 +65,7 @@ class JointMapping:
     table : name family such as ``"CMU/HDM05"``, or ``"tree shape"`` or ``"joint map"``.
     sources : canonical joint -> names in the file whose mean it is.
     derived : canonical joints that the file lacks and that were made from others.
+    absent : canonical joints that the file does not tell at all: their positions are NaN.
     sides : whether left and right of the names are those of the body: ``"agree"``, ``"disagree"`` (then the
         positions were mirrored) or ``"unclear"``.
     """
@@ -71,6 +74,7 @@ class JointMapping:
     sources: dict[str, tuple[str, ...]]
     derived: tuple[str, ...]
     sides: str
+    absent: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -79,13 +83,15 @@ class CanonicalMotion(CanonicalPoses):
 
     Parameters
     ----------
-    positions : (T, 20, 3) m, world, Y up, right-handed, finite; order of `CANONICAL_JOINTS`.
+    positions : (T, 20, 3) m, world, Y up, right-handed; order of `CANONICAL_JOINTS`. Finite, but for the joints that a
+        part of a body does not have (``absent``): those are NaN in all frames.
     frame_rate : Hz.
-    height : m, body height over the joints, eq. 1 of Hamada et al.
-    height_source : ``"rest pose"`` if an upright one was there, else ``"bone chain"``.
+    height : m, body height over the joints, eq. 1 of Hamada et al.; not the stature.
+    height_source : ``"rest pose"`` if an upright one was there, else ``"bone chain"``, or ``"parts"`` of a body that is
+        not all there: its long bones, by the proportions of people.
     mapping : where the joints come from.
     warnings : what a person should know.
-    missing : (T, 20) True where a joint was not seen and its place was filled in; None if all were seen.
+    missing : (T, 20) True where a joint was not seen and its place was filled in, or is absent; None if all were seen.
     """
 
     height: float
@@ -94,18 +100,36 @@ class CanonicalMotion(CanonicalPoses):
     warnings: tuple[Message, ...] = ()
     missing: BoolArray | None = None
 
+    @property
+    def absent(self) -> tuple[str, ...]:
+        """Canonical joints that the file does not tell: their positions are NaN."""
+        return self.mapping.absent
+
+    @property
+    def stature(self) -> float:
+        """m, estimated: the crown of the head and the sole of the foot lie beyond the joints."""
+        return STATURE_PER_HEIGHT * self.height
+
     def to_trajectories(self) -> Trajectories:
         """The same positions as trajectories with canonical names and parents."""
         return Trajectories(CANONICAL_JOINTS, self.positions, self.frame_rate, np.array(CANONICAL_PARENTS))
 
 
-def canonicalise(motion: Motion | Trajectories, joint_map: JointMap | None = None) -> CanonicalMotion:
+def canonicalise(
+    motion: Motion | Trajectories,
+    joint_map: JointMap | None = None,
+    *,
+    any_skeleton: bool = False,
+    whole: bool = False,
+) -> CanonicalMotion:
     """Map a motion of any skeleton or marker set to the canonical joints.
 
     Parameters
     ----------
     motion : motion or trajectories in m, Y up.
     joint_map : canonical joint -> name or names in the file, for what names and shape do not tell.
+    any_skeleton : accept a body that cannot be a person's, such as an animal's or a toy's.
+    whole : refuse a part of a body.
 
     Returns
     -------
@@ -113,19 +137,32 @@ def canonicalise(motion: Motion | Trajectories, joint_map: JointMap | None = Non
 
     Raises
     ------
-    JointMappingError : shoulders, elbows, wrists, hips, knees or ankles that cannot be found, or are never seen.
+    JointMappingError : neither a body nor a whole arm or leg can be found, or they are never seen; or not a person.
     """
     moving = _trajectories(motion)
     positions = moving.positions
     gaps = bool(np.isnan(positions.sum()))
     never = _never_seen(moving) if gaps else ()
-    recipe = _choose_recipe(moving, joint_map, never)
+    chosen = _choose_recipe(moving, joint_map, never)
+    if not (chosen.is_person or any_skeleton):
+        raise JointMappingError("canonical.not_human", moving.names, table=chosen.recipe.table)
+    recipe = chosen.recipe
+    if whole and recipe.absent:
+        raise JointMappingError("canonical.part_refused", moving.names, absent=recipe.absent)
     missing = None
     if gaps:
         missing = _find_missing(recipe, positions)
         positions = _fill(positions)
-    points = body_points(recipe, positions)
-    return _finish(moving, recipe, points, missing)
+    points = body_points(recipe, positions, metres=True)
+    return _finish(moving, chosen, points, _with_absent(missing, recipe, len(points)))
+
+
+def _with_absent(missing: BoolArray | None, recipe: Recipe, n_frames: int) -> BoolArray | None:
+    if not recipe.absent:
+        return missing
+    marked = np.zeros((n_frames, len(CANONICAL_JOINTS)), bool) if missing is None else missing
+    marked[:, [J[joint] for joint in recipe.absent]] = True
+    return marked
 
 
 def _trajectories(motion: Motion | Trajectories) -> Trajectories:
@@ -160,20 +197,15 @@ def _find_missing(recipe: Recipe, positions: FloatArray) -> BoolArray:
     return missing
 
 
-def _choose_recipe(moving: Trajectories, joint_map: JointMap | None, never: tuple[str, ...]) -> Recipe:
-    """Joint map, else names, else tree shape; points that are never seen do not count."""
-    # An unseen point keeps its place but loses its name, so that no rule finds it.
+def _choose_recipe(moving: Trajectories, joint_map: JointMap | None, never: tuple[str, ...]) -> ChosenMap:
+    """Joint map, else names, else tree shape, else a part; points that are never seen do not count."""
     names = tuple("" if name in never else name for name in moving.names) if never else moving.names
     if joint_map is not None:
-        return recipe_from_joint_map(joint_map, names)
-    recipe, match = named_recipe(names)
-    if recipe is not None:
-        return recipe
-    if moving.parents is not None and not never:
-        recipe = shape_recipe(moving.parents, moving.positions)
-        if recipe is not None:
-            return recipe
-    raise JointMappingError(_problem(match, moving, never), moving.names)
+        return ChosenMap(recipe_from_joint_map(joint_map, names), True)
+    chosen = choose_map(moving, never)
+    if chosen is None:
+        raise JointMappingError(_problem(match_names(names), moving, never), moving.names)
+    return chosen
 
 
 def _problem(match: NameMatch | None, moving: Trajectories, never: tuple[str, ...]) -> Message:
@@ -187,9 +219,9 @@ def _problem(match: NameMatch | None, moving: Trajectories, never: tuple[str, ..
     return Message("canonical.unknown_names", tree=tree, unseen=unseen)
 
 
-def _finish(moving: Trajectories, recipe: Recipe, points: FloatArray, unseen: BoolArray | None) -> CanonicalMotion:
+def _finish(moving: Trajectories, chosen: ChosenMap, points: FloatArray, unseen: BoolArray | None) -> CanonicalMotion:
     """Tips, height, sides, warnings."""
-    sample = spread_frames(points)
+    recipe, sample = chosen.recipe, spread_frames(points)
     no_hands, no_toes = _coincident_tips(sample)
     if no_hands:
         _make_hands(points)
@@ -199,13 +231,23 @@ def _finish(moving: Trajectories, recipe: Recipe, points: FloatArray, unseen: Bo
     )
     derived = (
         *recipe.derived,
-        *(tip for gone, tips in missing if gone for tip in tips if tip not in recipe.derived),
+        *(
+            tip
+            for gone, tips in missing
+            if gone
+            for tip in tips
+            if tip not in recipe.derived and tip not in recipe.absent
+        ),
     )
     height, height_source = _measure_height(recipe, sample, moving.rest_positions)
     sides = compare_sides(sample)
     warnings = [] if moving.provenance is None else list(moving.provenance.notes)
     if not _SMALLEST <= height <= _TALLEST:
-        warnings.append(Message("canonical.no_person"))
+        warnings.append(Message("canonical.no_person", height=height))
+    if not chosen.is_person:
+        warnings.append(Message("canonical.not_a_person", table=recipe.table))
+    if recipe.absent:
+        warnings.append(Message("canonical.part", absent=recipe.absent))
     if recipe.table == "tree shape":
         warnings.append(Message("canonical.by_shape_unclear" if sides == "unclear" else "canonical.by_shape"))
     elif sides == "unclear":
@@ -213,13 +255,13 @@ def _finish(moving: Trajectories, recipe: Recipe, points: FloatArray, unseen: Bo
     elif sides == "disagree":
         points[..., 2] *= -1.0
         warnings.append(Message("canonical.mirrored"))
-    if "left_toe" in derived:
+    if "left_toe" in derived or "right_toe" in derived:
         _make_toes(points)
         warnings.append(Message("canonical.made_toes"))
     if recipe.pelvis_markers:
         warnings.append(Message("canonical.skin_markers"))
     sources = {joint: names for joint, names in _named_sources(recipe, moving.names) if joint not in derived}
-    mapping = JointMapping(recipe.table, sources, derived, sides)
+    mapping = JointMapping(recipe.table, sources, derived, sides, recipe.absent)
     points.flags.writeable = False
     return CanonicalMotion(points, moving.frame_rate, height, height_source, mapping, tuple(warnings), unseen)
 
@@ -246,6 +288,8 @@ def _make_hands(points: FloatArray) -> None:
 def _make_toes(points: FloatArray) -> None:
     """Put toes before the ankles: to the front of the body and down along the shank's fall."""
     forward = compute_forward(points)
+    if np.isnan(forward).all():
+        forward[:] = (0.0, 0.0, 1.0)
     forward = _fill(forward[:, None])[:, 0]
     forward[np.isnan(forward).any(axis=1)] = (0.0, 0.0, 1.0)
     for side in ("left", "right"):
@@ -259,6 +303,11 @@ def _make_toes(points: FloatArray) -> None:
 
 def _measure_height(recipe: Recipe, sample: FloatArray, rest: FloatArray | None) -> tuple[float, str]:
     chain = chain_height(sample)
+    if recipe.absent:
+        part = stature_of_parts(sample) / STATURE_PER_HEIGHT
+        if not part > 0:
+            raise JointMappingError("canonical.no_height")
+        return part, "parts"
     if not chain > 0:
         raise JointMappingError("canonical.no_height")
     if not chain < _NO_BODY:
@@ -337,5 +386,5 @@ def mirror_canonical(motion: _Some) -> _Some:
 def _mirror_mapping(mapping: JointMapping) -> JointMapping:
     names = {joint: CANONICAL_JOINTS[other] for joint, other in zip(CANONICAL_JOINTS, MIRRORED_JOINTS, strict=True)}
     sources = {joint: mapping.sources[names[joint]] for joint in names if names[joint] in mapping.sources}
-    derived = tuple(names[joint] for joint in mapping.derived)
-    return dataclasses.replace(mapping, sources=sources, derived=derived)
+    derived, absent = (tuple(names[joint] for joint in some) for some in (mapping.derived, mapping.absent))
+    return dataclasses.replace(mapping, sources=sources, derived=derived, absent=absent)

@@ -49,7 +49,7 @@ def fit_motion(motion: Trajectories | CanonicalMotion) -> Motion:
     ------
     JointMappingError : trajectories that cannot be canonicalised.
     """
-    canonical = motion if isinstance(motion, CanonicalMotion) else canonicalise(motion)
+    canonical = motion if isinstance(motion, CanonicalMotion) else canonicalise(motion, whole=True)
     points = canonical.positions
     frames = {
         J["pelvis"]: _frames(points, "left_hip", "right_hip", "pelvis", "spine"),

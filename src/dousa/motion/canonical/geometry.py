@@ -1,4 +1,4 @@
-"""What the shape of a body tells: its height, which way is up, which side is left.
+"""What the shape of a body tells: its height and its rest pose; and hips from markers on the pelvis.
 
 Everything works on canonical points (T, 20, 3) in the order of `CANONICAL_JOINTS`, in any unit; NaN where a
 joint was not seen.
@@ -10,15 +10,12 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import ArrayLike
 
-from dousa.arrays import FloatArray
+from dousa.arrays import BoolArray, FloatArray
+from dousa.motion.canonical.anthropometry import stature_of_parts
 from dousa.motion.canonical.joints import JOINT_INDEX as J
-from dousa.motion.canonical.recipes import Recipe, named_recipe
-from dousa.motion.canonical.tree_shape import shape_recipe
+from dousa.motion.canonical.recipes import Recipe
 from dousa.motion.types import Trajectories
-
-_AXES = ("x", "y", "z")
 
 # The bone chain of the paper's body height: from head to toe, both legs counted half; then pelvis to the
 # middle of the hips.
@@ -43,25 +40,11 @@ _POSTURE = 0.967
 # A standing foot slopes: the ankle is higher than the toe joint by this share of their distance.
 _FOOT_SLOPE = 0.4
 _SHARE = _POSTURE * np.array([1.0, 1.0, 1.0, 0.5, 0.5, 0.5, 0.5, 0.5 * _FOOT_SLOPE, 0.5 * _FOOT_SLOPE, 1.0])
-_STATURE_PER_HEIGHT = 1.1  # the crown of the head and the sole of the foot lie beyond the joints
+STATURE_PER_HEIGHT = 1.1
+"""The crown of the head and the sole of the foot lie beyond the joints."""
+
 _MAX_REST_MISMATCH = 0.1  # a rest pose whose bones are longer or shorter than the moving ones is not believed
 _UPRIGHT = 0.9  # cosine; a rest pose with trunk and legs this well along an axis is upright
-
-_ALIGNED = 0.8  # cosine between body axis and a coordinate axis
-_NEARLY_ALL = 0.9  # of the frames
-_FLOOR = 0.15  # of the body height: how near to zero the floor must be
-_JUMP = 0.5  # of the body height: how high above it the feet may fly
-_CENTRED = 0.02  # of the body height: a pelvis that stays this near to zero was put there
-_FLAT = 0.4  # of the body height: a body that lies is no thicker
-_BELOW = 0.03  # of the body height: nothing of it is deeper below the floor
-
-
-def find_recipe(names: tuple[str, ...], parents: ArrayLike | None, positions: FloatArray) -> Recipe | None:
-    """The canonical mapping by names, then by the shape of the tree; None if neither knows."""
-    recipe, _ = named_recipe(names)
-    if recipe is None and parents is not None:
-        recipe = shape_recipe(parents, positions)
-    return recipe
 
 
 def chain_height(points: FloatArray) -> float:
@@ -149,36 +132,55 @@ def estimate_stature(sample: Trajectories, points: FloatArray | None) -> float:
     if points is not None:
         height = chain_height(points)
         if height > 0:
-            return _STATURE_PER_HEIGHT * height
+            return STATURE_PER_HEIGHT * height
+        part = stature_of_parts(points)
+        if part > 0:
+            return part
     seen = sample.positions[~np.isnan(sample.positions).any(axis=(1, 2))]
     return float(np.median(np.ptp(seen, axis=1).max(axis=1))) if len(seen) else float("nan")
 
 
-def body_points(recipe: Recipe, positions: FloatArray) -> FloatArray:
-    """Canonical points (T, 20, 3) in the unit of the positions, hips made from pelvis markers where need be."""
+def body_points(recipe: Recipe, positions: FloatArray, *, metres: bool = False) -> FloatArray:
+    """Canonical points (T, 20, 3) in the unit of the positions, hips made from pelvis markers where need be.
+
+    ``metres`` says that the unit is metres: then the regression for the hips is the one with lengths of its own.
+    """
     points = recipe.apply(positions)
     if recipe.pelvis_markers:
         left, right, sacrum = (positions[:, list(indices)].mean(axis=1) for indices in recipe.pelvis_markers)
-        knees = 0.5 * (points[:, J["left_knee"]] + points[:, J["right_knee"]])
-        hips = hips_from_markers(left, right, sacrum, knees)
+        below = points[:, [J[f"{side}_{joint}"] for joint in ("knee", "ankle") for side in ("left", "right")]]
+        hips = hips_from_markers(left, right, sacrum, _seen_mean(below), metres=metres)
         points[:, [J["left_hip"], J["right_hip"]]] = hips
         points[:, J["pelvis"]] = hips.mean(axis=1)
     return points
 
 
+def _seen_mean(points: FloatArray) -> FloatArray:
+    """Mean (T, 3) over the points (T, K, 3) that are there."""
+    there: BoolArray = ~np.any(np.isnan(points), axis=2)
+    total = np.where(there[..., None], points, 0.0).sum(axis=1)
+    with np.errstate(invalid="ignore"):
+        mean: FloatArray = total / there.sum(axis=1)[:, None]
+    return mean
+
+
 def hips_from_markers(
-    left_asis: FloatArray, right_asis: FloatArray, sacrum: FloatArray, knees: FloatArray
+    left_asis: FloatArray, right_asis: FloatArray, sacrum: FloatArray, below: FloatArray, *, metres: bool = False
 ) -> FloatArray:
     """Hip joint centres (T, 2, 3), left and right, from markers on the pelvis.
 
-    Bell, Brand, Pedersen, "Prediction of hip joint centre location from external landmarks", Human Movement
-    Science 8 (1989): from the middle of the front spines (ASIS) 36 % of their distance to the side, 19 % back and
-    30 % down, in the plane that the sacrum (or the middle of the PSIS) spans with them.
+    In metres: Harrington et al., "Prediction of the hip joint centre in adults, children, and patients with cerebral
+    palsy based on magnetic resonance imaging", J. Biomechanics 40 (2007): from the middle of the front spines (ASIS)
+    33 % of their distance and 7.3 mm to the side, 30 % of it and 10.9 mm down, and back 24 % of the depth of the
+    pelvis (from there to the middle of the back spines, or the sacrum) and 9.9 mm, in the plane of the spines. In an
+    unknown unit: Bell, Brand, Pedersen, "Prediction of hip joint centre location from external landmarks", Human
+    Movement Science 8 (1989): 36 % of the distance to the side, 19 % back and 30 % down.
 
     Parameters
     ----------
-    left_asis, right_asis, sacrum : (T, 3), any unit.
-    knees : (T, 3) middle of the knees; tells which side of the plane is down, whatever the handedness.
+    left_asis, right_asis, sacrum : (T, 3).
+    below : (T, 3) middle of the knees; tells which side of the plane is down, whatever the handedness.
+    metres : whether the unit is metres.
     """
     middle = 0.5 * (left_asis + right_asis)
     lateral = left_asis - right_asis
@@ -186,96 +188,15 @@ def hips_from_markers(
     lateral = lateral / width
     back = sacrum - middle
     back = back - (back * lateral).sum(axis=-1, keepdims=True) * lateral
-    back = back / np.linalg.norm(back, axis=-1, keepdims=True)
+    depth = np.linalg.norm(back, axis=-1, keepdims=True)
+    back = back / depth
     down = np.cross(back, lateral)
-    if np.nansum((knees - middle) * down) < 0:
+    if np.nansum((below - middle) * down) < 0:
         down = -down
-    base = middle + width * (0.19 * back + 0.30 * down)
-    return np.stack((base + 0.36 * width * lateral, base - 0.36 * width * lateral), axis=-2)
-
-
-def find_upright_axis(
-    sample: Trajectories, points: FloatArray | None, rest: RestPose | None, default_up: str | None
-) -> str:
-    """The axis that points up: the format's habit unless the body says otherwise in nearly all frames.
-
-    A person may lie down, so a body along another axis is not enough unless the skeleton's rest pose stands along
-    that axis too: the feet must also stay on a floor at zero along the new axis.
-
-    Parameters
-    ----------
-    sample : some frames in the file's axes.
-    points : their canonical points, None if the joints could not be told apart.
-    rest : the upright rest pose if there is one.
-    default_up : the habit; None lets the body decide between y and z (y if it does not).
-    """
-    prior = default_up or "y"
-    if points is None:
-        return _up_without_joints(sample) if default_up is None else prior
-    body = points[:, J["head"]] - 0.5 * (points[:, J["left_ankle"]] + points[:, J["right_ankle"]])
-    body = body[~np.isnan(body[:, 0] + body[:, 1] + body[:, 2])]
-    if not len(body):
-        return prior
-    cosines = body / np.sqrt((body * body).sum(axis=1, keepdims=True) + 1e-300)
-    column, sign = _AXES.index(prior[-1]), -1.0 if prior.startswith("-") else 1.0
-    aligned = np.abs(cosines) > _ALIGNED
-    if np.count_nonzero(aligned[:, column] & (sign * cosines[:, column] > 0)) > (1 - _NEARLY_ALL) * len(body):
-        return prior
-    name = _common_axis(cosines)
-    if default_up is None:
-        if name is not None:
-            return _floor_axis(points, name) or name
-        return "z" if abs(cosines[:, 2].mean()) > abs(cosines[:, 1].mean()) else "y"
-    return prior if name is None or _lies_down(sample, points, rest, prior, name) else name
-
-
-def _common_axis(cosines: FloatArray) -> str | None:
-    """The axis that bodies of these direction cosines stand along in nearly all frames."""
-    mean = cosines.mean(axis=0)
-    column = int(np.argmax(np.abs(mean)))
-    sign = np.sign(mean[column])
-    if np.mean(sign * cosines[:, column] > _ALIGNED) < _NEARLY_ALL:
-        return None
-    return ("-" if sign < 0 else "") + _AXES[column]
-
-
-def _lies_down(sample: Trajectories, points: FloatArray, rest: RestPose | None, prior: str, name: str) -> bool:
-    """Whether a body along an unusual axis may rather be a person who lies: no sign of a floor below the feet."""
-    height = chain_height(points)
-    stands = _AXES[rest.axis] if rest is not None and rest.fits(height) else None
-    # A rest pose that stands along this axis is sign enough, but for x, which is nobody's up axis: rest poses along it
-    # (LAFAN1, Bandai-Namco) are a habit of drawing bones. Points without a skeleton may be in a camera's axes, y down.
-    if stands == name[-1] != prior[-1] and name[-1] != "x":
-        return False
-    centred = np.abs(points[:, J["pelvis"]]).max() < _CENTRED * height
-    if sample.rest_positions is None and (centred or name[-1] == prior[-1]):
-        return False
-    return not _has_floor(points, name, height)
-
-
-def _has_floor(points: FloatArray, name: str, height: float) -> bool:
-    """Whether the body stays on a floor at zero along an axis; NaN is no evidence."""
-    along = points[..., _AXES.index(name[-1])] * (-1.0 if name.startswith("-") else 1.0)
-    lowest = along.min(axis=1)
-    return bool(abs(lowest.min()) < _FLOOR * height and lowest.max() < _JUMP * height)
-
-
-def _floor_axis(points: FloatArray, name: str) -> str | None:
-    """The axis, z or y, across whose floor a body along another axis lies flat; None if it rather stands."""
-    height = chain_height(points)
-    for axis in ("z", "y"):
-        if axis == name[-1] or _has_floor(points, name, height) or not _has_floor(points, axis, height):
-            continue
-        along = points[..., _AXES.index(axis)]
-        if along.min() > -_BELOW * height and np.ptp(along, axis=1).max() < _FLAT * height:
-            return axis
-    return None
-
-
-def _up_without_joints(sample: Trajectories) -> str:
-    """y or z, whichever the cloud of points is more extended along."""
-    seen = sample.positions[~np.isnan(sample.positions).any(axis=(1, 2))]
-    if not len(seen):
-        return "y"
-    extent = np.median(np.ptp(seen, axis=1), axis=0)
-    return "z" if extent[2] > extent[1] else "y"
+    if metres:
+        base = middle + (0.24 * depth + 0.0099) * back + (0.30 * width + 0.0109) * down
+        aside = 0.33 * width + 0.0073
+    else:
+        base = middle + width * (0.19 * back + 0.30 * down)
+        aside = 0.36 * width
+    return np.stack((base + aside * lateral, base - aside * lateral), axis=-2)

@@ -29,14 +29,15 @@ _SIDES = {"left": "l", "lft": "l", "l": "l", "right": "r", "rgt": "r", "rt": "r"
 _FIRST_WORDS = frozenset(
     {"def", "org", "joint", "jnt", "bone", "c", "m", "f", "avg", "mixamorig", "valvebiped", "bip01", "bip001"}
 )
-_LAST_WORDS = frozenset({"jnt", "joint", "bone"})
+_LAST_WORDS = frozenset({"jnt", "joint", "bone", "study"})
 _SHARED = 0.8  # a first word of this share of the names is a prefix, not part of any name
 
 
 def _load_tables() -> dict[str, dict[str, str]]:
-    """Place on the body -> rule, of each family of ``name_tables.toml``."""
-    text = resources.files(__package__).joinpath("name_tables.toml").read_text(encoding="utf-8")
-    read: dict[str, dict[str, str]] = tomllib.loads(text)
+    """Place on the body -> rule, of each family of ``name_tables.toml`` and ``marker_tables.toml``."""
+    read: dict[str, dict[str, str]] = {}
+    for file in ("name_tables.toml", "marker_tables.toml"):
+        read |= tomllib.loads(resources.files(__package__).joinpath(file).read_text(encoding="utf-8"))
     families: dict[str, dict[str, str]] = {}
     for name, table in read.items():
         shared = table.pop("as", None)
@@ -47,7 +48,7 @@ def _load_tables() -> dict[str, dict[str, str]]:
 TABLES: dict[str, dict[str, str]] = _load_tables()
 
 _CORES = frozenset(
-    word.lstrip("*") for table in TABLES.values() for rule in table.values() for word in re.split(r"[|+]", rule)
+    word.lstrip("*@") for table in TABLES.values() for rule in table.values() for word in re.split(r"[|+]", rule)
 )
 
 Key = tuple[str, str]
@@ -61,7 +62,7 @@ class NameMatch:
     ----------
     table : name of the family.
     sources : place -> indices of the points whose mean it is; places are canonical joints, and ``left_asis``,
-        ``right_asis``, ``sacrum`` for marker sets that do not mark the hips.
+        ``left_psis``, ``left_trochanter`` (and right), ``sacrum`` for marker sets that do not mark the hips.
     missing : required joints that were not found.
     """
 
@@ -115,6 +116,9 @@ def _hidden_side(core: str, cores: frozenset[str]) -> Key:
                 return side, rest
         if core.endswith(mark) and len(core) > len(mark) + 1 and core[: -len(mark)] + other in cores:
             return side, core[: -len(mark)]
+    for mark, other, side in (("g", "d", "l"), ("d", "g", "r")):  # gauche, droite
+        if core[-1:] == mark and len(core) > 2 and core[:-1] + other in cores:
+            return side, core[:-1]
     return "", core
 
 
@@ -134,27 +138,33 @@ def normalise_names(names: Iterable[str]) -> tuple[tuple[str, str], ...]:
     return tuple((side, core) if side else _hidden_side(core, cores) for side, core in keys)
 
 
-def _find(term: str, side: str, index: dict[Key, int]) -> tuple[int, ...] | None:
+def _find(term: str, side: str, index: dict[Key, int], table: dict[str, str]) -> tuple[int, ...] | None:
     """Indices of one averaged term, ``a+*b``; None if a point of it is missing."""
-    found: list[int | None] = []
+    found: list[int] = []
     for word in term.split("+"):
-        if word.startswith("*"):
-            found += [index.get(("l", word[1:])), index.get(("r", word[1:]))]
-        else:
-            found.append(index.get((side, word)))
-    return None if None in found else tuple(i for i in found if i is not None)
+        sides = ("l", "r") if word.startswith("*") else (side,)
+        name = word.removeprefix("*")
+        for one in sides:
+            if name.startswith("@"):
+                points = _apply_rule(table[name[1:]], one, index, table)
+            else:
+                points = (index[one, name],) if (one, name) in index else None
+            if points is None:
+                return None
+            found += points
+    return tuple(found)
 
 
-def _apply_rule(rule: str, side: str, index: dict[Key, int]) -> tuple[int, ...] | None:
+def _apply_rule(rule: str, side: str, index: dict[Key, int], table: dict[str, str]) -> tuple[int, ...] | None:
     for term in rule.split("|"):
-        found = _find(term, side, index)
+        found = _find(term, side, index, table)
         if found is not None:
             return found
     return None
 
 
 def _apply_table(name: str, table: dict[str, str], index: dict[Key, int]) -> NameMatch | None:
-    if "with" in table and _apply_rule(table["with"], "", index) is None:
+    if "with" in table and _apply_rule(table["with"], "", index, table) is None:
         return None
     sources: dict[str, tuple[int, ...]] = {}
     for place, rule in table.items():
@@ -162,7 +172,7 @@ def _apply_table(name: str, table: dict[str, str], index: dict[Key, int]) -> Nam
             continue
         sides = (("", ""),) if place in _CENTRAL else (("l", "left_"), ("r", "right_"))
         for side, prefix in sides:
-            found = _apply_rule(rule, side, index)
+            found = _apply_rule(rule, side, index, table)
             if found is not None:
                 sources[prefix + place] = found
     return NameMatch(name, sources, find_missing(sources))
@@ -170,13 +180,28 @@ def _apply_table(name: str, table: dict[str, str], index: dict[Key, int]) -> Nam
 
 def find_missing(sources: Container[str]) -> tuple[str, ...]:
     """The required joints that are not among some places; hips can be made from markers on the pelvis."""
-    has_hips = all(marker in sources for marker in ("left_asis", "right_asis", "sacrum"))
+    has_hips = has_pelvis_markers(sources)
     return tuple(j for j in REQUIRED_JOINTS if j not in sources and not (has_hips and "hip" in j))
 
 
+def has_pelvis_markers(sources: Container[str]) -> bool:
+    """Whether hips can be made from markers on the pelvis, or on the trochanters."""
+    spines = all(marker in sources for marker in ("left_asis", "right_asis", "sacrum"))
+    return spines or all(marker in sources for marker in ("left_trochanter", "right_trochanter"))
+
+
+_LIMBS = (("hip", "knee", "ankle"), ("shoulder", "elbow", "wrist"))
+
+
+def holds_limb(missing: Container[str]) -> bool:
+    """Whether a whole arm or a whole leg is there although these required joints are missing: a part of a body."""
+    sides = ("left", "right")
+    return any(all(f"{side}_{joint}" not in missing for joint in limb) for limb in _LIMBS for side in sides)
+
+
 @lru_cache(maxsize=256)
-def match_names(names: tuple[str, ...]) -> NameMatch | None:
-    """Find the canonical joints among the names of a file.
+def rank_matches(names: tuple[str, ...]) -> tuple[NameMatch, ...]:
+    """What every table finds among the names of a file, the one that covers most first.
 
     Parameters
     ----------
@@ -184,22 +209,21 @@ def match_names(names: tuple[str, ...]) -> NameMatch | None:
 
     Returns
     -------
-    The match of the table that covers most; its ``missing`` says which required joints no name told.
-    None if no table knows any of the names.
+    Matches with at least one joint; ``missing`` says which required joints no name told.
     """
     index: dict[Key, int] = {}
     for position, key in enumerate(normalise_names(names)):
         index.setdefault(key, position)
-    best: NameMatch | None = None
-    best_score = (0, 0)
+    found = []
     for name, table in TABLES.items():
         match = _apply_table(name, table, index)
-        if match is None:
-            continue
-        score = (
-            len(REQUIRED_JOINTS) - len(match.missing),
-            sum(joint in match.sources for joint in CANONICAL_JOINTS),
-        )
-        if score > best_score:
-            best, best_score = match, score
-    return best
+        joints = 0 if match is None else sum(joint in match.sources for joint in CANONICAL_JOINTS)
+        if match is not None and (joints or len(match.missing) < len(REQUIRED_JOINTS)):
+            found.append((len(match.missing), -joints, match))
+    return tuple(match for *_, match in sorted(found, key=lambda row: row[:2]))
+
+
+def match_names(names: tuple[str, ...]) -> NameMatch | None:
+    """The match of the table that covers most of the names of a file; None if no table knows any."""
+    matches = rank_matches(names)
+    return matches[0] if matches else None

@@ -20,13 +20,14 @@ import numpy as np
 from dousa.arrays import FloatArray, IndexArray
 from dousa.errors import JointMappingError, OptionError
 from dousa.motion.canonical.joints import CANONICAL_JOINTS, JOINT_INDEX
-from dousa.motion.canonical.naming import NameMatch, find_missing, match_names
+from dousa.motion.canonical.naming import find_missing, holds_limb, match_names, rank_matches
 
 HAND_REACH = 0.4
 """Wrist to knuckles as a share of the forearm; Winter, Biomechanics of human movement: about 0.058 H / 0.146 H."""
 
 _HEAD_REACH = 0.45  # neck to head, as a share of pelvis to neck
 _SPINE_SHARE = 0.4  # where the joint between pelvis and neck lies in most skeletons
+_TROCHANTER_DEPTH = 0.2  # of the distance of the trochanters: how far inside of them the hip joints are
 
 Weights = dict[int, float]
 
@@ -44,6 +45,7 @@ class Recipe:
     blends : (row, indices, weights) of the rows that are not one point.
     pelvis_markers : indices of left ASIS, right ASIS and of the sacrum (one or two), if hips come from markers.
     has_toes : false if the rows of the toes repeat the ankles.
+    absent : canonical joints that the file does not tell: NaN.
     """
 
     table: str
@@ -53,12 +55,15 @@ class Recipe:
     blends: tuple[tuple[int, IndexArray, FloatArray], ...]
     pelvis_markers: tuple[tuple[int, ...], ...]
     has_toes: bool
+    absent: tuple[str, ...] = ()
 
     def apply(self, positions: FloatArray) -> FloatArray:
         """Canonical points (T, 20, 3) of points (T, K, 3); hips from markers and toes still to be made."""
         result = positions.take(self.gather, axis=1)
         for row, indices, weights in self.blends:
             result[:, row] = np.tensordot(positions[:, indices], weights, axes=(1, 0))
+        if self.absent:
+            result[:, [JOINT_INDEX[joint] for joint in self.absent]] = np.nan
         return result
 
 
@@ -77,28 +82,26 @@ def _combine(*terms: tuple[float, Weights]) -> Weights:
     return total
 
 
-def _complete(rows: dict[str, Weights], has_hips: bool) -> None:
-    """Make the joints that no point stands for from those that are there."""
-    if not has_hips:  # placeholders until the pelvis markers tell
-        rows["left_hip"], rows["right_hip"] = rows["pelvis"], rows["pelvis"]
-    if "pelvis" not in rows:
-        rows["pelvis"] = _combine((0.5, rows["left_hip"]), (0.5, rows["right_hip"]))
-    if "neck" not in rows:
-        rows["neck"] = _combine((0.5, rows["left_shoulder"]), (0.5, rows["right_shoulder"]))
-    if "spine" not in rows:
-        rows["spine"] = _combine((1 - _SPINE_SHARE, rows["pelvis"]), (_SPINE_SHARE, rows["neck"]))
-    if "head" not in rows:
-        rows["head"] = _combine((1 + _HEAD_REACH, rows["neck"]), (-_HEAD_REACH, rows["pelvis"]))
+def _blend(rows: dict[str, Weights], name: str, *terms: tuple[float, str]) -> None:
+    """Make a joint that no point stands for from joints that are all there."""
+    if name not in rows and all(joint in rows for _, joint in terms):
+        rows[name] = _combine(*((factor, rows[joint]) for factor, joint in terms))
+
+
+def _complete(rows: dict[str, Weights]) -> None:
+    """Make the joints that no point stands for from those that are there; the others stay absent."""
+    _blend(rows, "pelvis", (0.5, "left_hip"), (0.5, "right_hip"))
+    _blend(rows, "neck", (0.5, "left_shoulder"), (0.5, "right_shoulder"))
+    _blend(rows, "spine", (1 - _SPINE_SHARE, "pelvis"), (_SPINE_SHARE, "neck"))
+    _blend(rows, "head", (1 + _HEAD_REACH, "neck"), (-_HEAD_REACH, "pelvis"))
     for side in ("left", "right"):
-        if f"{side}_hand" not in rows:
-            wrist, elbow = rows[f"{side}_wrist"], rows[f"{side}_elbow"]
-            rows[f"{side}_hand"] = _combine((1 + HAND_REACH, wrist), (-HAND_REACH, elbow))
-        if f"{side}_toe" not in rows:
-            rows[f"{side}_toe"] = rows[f"{side}_ankle"]
+        _blend(rows, f"{side}_hand", (1 + HAND_REACH, f"{side}_wrist"), (-HAND_REACH, f"{side}_elbow"))
+        if f"{side}_ankle" in rows and f"{side}_knee" in rows:
+            _blend(rows, f"{side}_toe", (1.0, f"{side}_ankle"))
 
 
 def compile_recipe(table: str, sources: dict[str, tuple[int, ...]]) -> Recipe:
-    """Compile a mapping that has all required joints.
+    """Compile a mapping; joints that it does not have and that cannot be made from others are absent.
 
     Parameters
     ----------
@@ -107,31 +110,57 @@ def compile_recipe(table: str, sources: dict[str, tuple[int, ...]]) -> Recipe:
     """
     rows = {place: _mean(indices) for place, indices in sources.items() if place in JOINT_INDEX}
     derived = tuple(joint for joint in CANONICAL_JOINTS if joint not in rows)
-    has_hips = "left_hip" in rows and "right_hip" in rows
-    markers: tuple[tuple[int, ...], ...] = ()
-    if not has_hips:
-        markers = tuple(sources[place] for place in ("left_asis", "right_asis", "sacrum"))
-        rows["pelvis"] = _combine((0.25, _mean(markers[0])), (0.25, _mean(markers[1])), (0.5, _mean(markers[2])))
+    markers = _hip_markers(sources, rows)
     has_toes = "left_toe" in rows and "right_toe" in rows
-    _complete(rows, has_hips)
+    _complete(rows)
     gather = np.zeros(len(CANONICAL_JOINTS), np.intp)
     blends = []
     for name, row in JOINT_INDEX.items():
+        if name not in rows:
+            continue
         indices = np.array(list(rows[name]), np.intp)
         gather[row] = indices[0]
         if len(indices) > 1:
             blends.append((row, indices, np.array(list(rows[name].values()))))
     kept = {joint: sources[joint] for joint in CANONICAL_JOINTS if joint in sources}
-    return Recipe(table, kept, derived, gather, tuple(blends), markers, has_toes)
+    absent = tuple(joint for joint in CANONICAL_JOINTS if joint not in rows)
+    derived = tuple(joint for joint in derived if joint in rows)
+    return Recipe(table, kept, derived, gather, tuple(blends), markers, has_toes, absent)
+
+
+def _hip_markers(sources: dict[str, tuple[int, ...]], rows: dict[str, Weights]) -> tuple[tuple[int, ...], ...]:
+    """The markers that hips are made from: spines of the pelvis and sacrum; places in ``rows`` until they are."""
+    if "left_hip" in rows and "right_hip" in rows:
+        return ()
+    spines = ("left_asis", "right_asis", "sacrum")
+    trochanters = ("left_trochanter", "right_trochanter")
+    if all(place in sources for place in spines):
+        markers = tuple(sources[place] for place in spines)
+        pelvis = _combine((0.25, _mean(markers[0])), (0.25, _mean(markers[1])), (0.5, _mean(markers[2])))
+        rows.setdefault("pelvis", pelvis)
+        rows["left_hip"], rows["right_hip"] = pelvis, pelvis
+        return markers
+    if all(place in sources for place in trochanters):
+        left, right = (_mean(sources[place]) for place in trochanters)
+        inward = _TROCHANTER_DEPTH
+        rows["left_hip"] = _combine((1 - inward, left), (inward, right))
+        rows["right_hip"] = _combine((1 - inward, right), (inward, left))
+    return ()
 
 
 @lru_cache(maxsize=256)
-def named_recipe(names: tuple[str, ...]) -> tuple[Recipe | None, NameMatch | None]:
-    """The recipe that the names tell, or None and what the best table lacks."""
+def named_recipes(names: tuple[str, ...]) -> tuple[Recipe, ...]:
+    """The recipes of whole bodies that the names tell, the table that covers most first."""
+    return tuple(compile_recipe(match.table, match.sources) for match in rank_matches(names) if not match.missing)
+
+
+@lru_cache(maxsize=256)
+def partial_recipe(names: tuple[str, ...]) -> Recipe | None:
+    """The recipe of a part of a body, with a whole arm or leg, that the names tell; None if they tell none."""
     match = match_names(names)
-    if match is None or match.missing:
-        return None, match
-    return compile_recipe(match.table, match.sources), match
+    if match is None or not holds_limb(match.missing):
+        return None
+    return compile_recipe(match.table, match.sources)
 
 
 JointMap = Mapping[str, str | Sequence[str]]
@@ -233,6 +262,6 @@ def recipe_from_joint_map(joint_map: JointMap, names: tuple[str, ...]) -> Recipe
             raise JointMappingError("joint_map.absent", names, name=absent[0], joint=joint)
         sources[joint] = tuple(names.index(name) for name in wanted)
     missing = find_missing(sources)
-    if missing:
+    if missing and not holds_limb(missing):
         raise JointMappingError("joint_map.incomplete", names, missing=missing)
     return compile_recipe("joint map", sources)

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import dataclasses
 import re
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TypeVar
 
@@ -15,12 +16,17 @@ import numpy as np
 
 from dousa.arrays import FloatArray
 from dousa.errors import OptionError
-from dousa.motion.canonical.geometry import (
-    body_points,
-    estimate_stature,
-    find_recipe,
-    find_upright_axis,
-    measure_rest,
+from dousa.messages import Message
+from dousa.motion.canonical.geometry import STATURE_PER_HEIGHT, body_points, estimate_stature
+from dousa.motion.canonical.mapping import choose_map
+from dousa.motion.canonical.recipes import Recipe
+from dousa.motion.canonical.upright import (
+    find_fall,
+    guess_from_cloud,
+    points_along,
+    rest_direction,
+    stands_along,
+    weigh_axes,
 )
 from dousa.motion.types import Motion, Skeleton, Trajectories, freeze
 
@@ -48,8 +54,10 @@ _PREFIXED = re.compile(r"(milli|centi|deci)met(?:re|er)s?")
 _COMMON = (1.0, 0.01, 0.001)
 _RARE = (CMU_UNIT, 0.0254, 0.1, 0.3048)
 _COMMON_STATURE = (0.8, 2.5)  # m, a child of two to a giant
-_RARE_STATURE = (1.2, 2.2)  # m
-_POSSIBLE_STATURE = (0.4, 3.0)  # m; beyond, a declared unit is not believed
+_RARE_STATURE = (1.35, 2.2)  # m
+_POSSIBLE_STATURE = (0.3, 3.0)  # m; beyond, a declared unit is not believed
+_USUAL_STATURE = (1.3, 2.15)  # m; beyond, a unit that was inferred is doubtful
+_SMALLEST_CLOUD, _LARGEST_CLOUD = 0.02, 6.0  # m: extent of points that no map knows
 _ASSUMED_STATURE = 1.7  # m
 
 # Rows: where the file's axes point once the axis of the key points to +Y. All are rotations.
@@ -75,13 +83,16 @@ class ReferenceFrame:
     unit_source : ``"given"`` by the caller, ``"declared"`` in the file, ``"inferred"`` from the body's height, or
         ``"assumed"``: no usual unit makes the body a plausible height, so it was made 1.7 m tall.
     up : axis of the file that points up: ``"x"``, ``"y"``, ``"z"``, ``"-x"``, ``"-y"`` or ``"-z"``.
-    up_source : ``"given"``, ``"assumed"`` (the format's habit) or ``"inferred"`` (from the body).
+    up_source : ``"given"``, ``"declared"``, ``"assumed"`` (the format's habit, and nothing contradicts it),
+        ``"inferred"`` (from the body) or ``"guessed"`` (too little tells it).
+    notes : what a person should know of how they were found.
     """
 
     unit: float = 1.0
     unit_source: str = "declared"
     up: str = "y"
     up_source: str = "assumed"
+    notes: tuple[Message, ...] = ()
 
     @property
     def rotation(self) -> FloatArray:
@@ -128,7 +139,9 @@ def infer_reference_frame(
     unit: float | None = None,
     up: str | None = None,
     declared_unit: float | None = None,
+    declared_up: str | None = None,
     default_up: str | None = "y",
+    whole: Callable[[], Trajectories] | None = None,
 ) -> ReferenceFrame:
     """Find the unit and the up axis of a file.
 
@@ -137,36 +150,101 @@ def infer_reference_frame(
     sample : some frames of the file (ten will do, spread over it), in the file's unit and axes.
     unit : metres per unit if the caller knows.
     up : up axis if the caller knows.
-    declared_unit : metres per unit if the file says; not believed if the body would be under 0.4 m or over 3 m.
-    default_up : the format's habit; None if it has none, then the body decides between y and z.
+    declared_unit : metres per unit if the file says; not believed if the body would be under 0.3 m or over 3 m.
+    declared_up : up axis if the file says; not believed if the body clearly stands along another.
+    default_up : the format's habit; None if it has none.
+    whole : gives all frames, looked at where the sample leaves a doubt.
 
     Returns
     -------
-    The frame. A declared unit that was not believed shows as ``unit_source == "inferred"``.
+    The frame. A declared unit that was not believed shows as ``unit_source == "inferred"``, and a note says so.
     """
-    recipe = find_recipe(sample.names, sample.parents, sample.positions)
+    chosen = choose_map(sample)
+    recipe = None if chosen is None else chosen.recipe
     points = None if recipe is None else body_points(recipe, sample.positions)
-    if up is None:
-        rest = None if recipe is None else measure_rest(recipe, sample.rest_positions)
-        found = find_upright_axis(sample, points, rest, default_up)
-        up, up_source = (found, "inferred") if found != default_up else (found, "assumed")
+    stature = estimate_stature(sample, points)
+    found = _choose_unit(stature, declared_unit, mapped=points is not None) if unit is None else (unit, "given", ())
+    if up is not None:
+        axis: tuple[str, str, tuple[Message, ...]] = (parse_up(up), "given", ())
+    elif recipe is None or points is None or not stature > 0:
+        axis = _up_of_a_cloud(sample, declared_up, default_up)
     else:
-        up, up_source = parse_up(up), "given"
-    if unit is not None:
-        return ReferenceFrame(float(unit), "given", up, up_source)
-    unit, unit_source = _choose_unit(estimate_stature(sample, points), declared_unit)
-    return ReferenceFrame(unit, unit_source, up, up_source)
+        axis = _choose_up(sample, recipe, points, found[0], declared_up, default_up, whole)
+    return ReferenceFrame(found[0], found[1], axis[0], axis[1], (*found[2], *axis[2]))
 
 
-def _choose_unit(stature: float, declared: float | None) -> tuple[float, str]:
-    """Metres per unit for a body of this stature in file units (NaN or 0 if it could not be measured)."""
-    measured = bool(np.isfinite(stature)) and stature > 0
+def _choose_up(
+    sample: Trajectories,
+    recipe: Recipe,
+    points: FloatArray,
+    unit: float,
+    declared: str | None,
+    habit: str | None,
+    whole: Callable[[], Trajectories] | None,
+) -> tuple[str, str, tuple[Message, ...]]:
+    """The up axis, where it comes from, and what a person should know."""
+    rest = rest_direction(recipe, sample.rest_positions)
+    expected = declared or habit
+    if expected is not None and stands_along(points, expected, rest):
+        return expected, "declared" if declared else "assumed", ()
+    resting = next((axis for axis in ("y", "z") if rest is not None and points_along(rest, axis)), None)
+    if declared is None and resting is not None and stands_along(points, resting, rest):
+        return resting, "inferred", ()
+    fall = None
+    if whole is not None:
+        every = whole()
+        points = body_points(recipe, every.positions)
+        fall = find_fall(points, every.frame_rate, unit)
+    height = estimate_stature(sample, points) / STATURE_PER_HEIGHT
+    found = weigh_axes(points, height, rest, habit=habit, declared=declared, fall=fall)
     if declared is not None:
-        low, high = _POSSIBLE_STATURE
-        if not measured or low <= stature * declared <= high:
-            return declared, "declared"
+        if found.axis == declared:
+            return declared, "declared", ()
+        return found.axis, "inferred", (Message("units.other_up", declared=declared, up=found.axis),)
+    if not found.clear:
+        return found.axis, "guessed", (Message("units.guessed_up", up=found.axis, second=found.second),)
+    return found.axis, "assumed" if found.axis == habit else "inferred", ()
+
+
+def _up_of_a_cloud(
+    sample: Trajectories, declared: str | None, habit: str | None
+) -> tuple[str, str, tuple[Message, ...]]:
+    """The up axis of points that no map knows: what the file or the format says, or the longer extent."""
+    if declared is not None:
+        return declared, "declared", ()
+    if habit is not None:
+        return habit, "assumed", ()
+    up = guess_from_cloud(sample.positions)
+    return up, "guessed", (Message("units.guessed_up", up=up, second="y" if up == "z" else "z"),)
+
+
+def _choose_unit(stature: float, declared: float | None, *, mapped: bool) -> tuple[float, str, tuple[Message, ...]]:
+    """Metres per unit for a body of this stature in file units (NaN or 0 if it could not be measured).
+
+    ``mapped`` says that the stature is that of a body, not the extent of some points.
+    """
+    measured = bool(np.isfinite(stature)) and stature > 0
+    low, high = _POSSIBLE_STATURE
+    if declared is not None and (not measured or not mapped or low <= stature * declared <= high):
+        extent = stature * declared if measured else 1.0
+        odd = not mapped and not _SMALLEST_CLOUD <= extent <= _LARGEST_CLOUD
+        return declared, "declared", (Message("units.odd_extent", unit=declared, extent=extent),) if odd else ()
     if not measured:
-        return 1.0, "assumed"
+        return 1.0, "assumed", ()
+    unit, source = _likely_unit(stature)
+    notes = []
+    if declared is not None:
+        notes.append(Message("units.other_unit", declared=declared, stature=stature * declared, unit=unit))
+    if source == "assumed":
+        if not mapped:
+            return 1.0, "assumed", (Message("units.unknown", extent=stature),)
+        notes.append(Message("units.assumed", unit=unit))
+    elif not _USUAL_STATURE[0] <= stature * unit <= _USUAL_STATURE[1] and mapped:
+        notes.append(Message("units.unusual", unit=unit, stature=stature * unit))
+    return unit, source, tuple(notes)
+
+
+def _likely_unit(stature: float) -> tuple[float, str]:
     for units, (low, high) in ((_COMMON, _COMMON_STATURE), (_RARE, _RARE_STATURE)):
         for candidate in units:
             if low <= stature * candidate <= high:

@@ -13,7 +13,7 @@ from itertools import combinations, pairwise
 import numpy as np
 from numpy.typing import ArrayLike
 
-from dousa.arrays import FloatArray
+from dousa.arrays import BoolArray, FloatArray
 from dousa.motion.canonical.joints import CANONICAL_JOINTS
 from dousa.motion.canonical.joints import JOINT_INDEX as J
 from dousa.motion.canonical.recipes import Recipe, compile_recipe
@@ -50,6 +50,12 @@ _ROWS = np.stack(
         ),
     ]
 )
+_PART_TRUNKS = np.stack(
+    [
+        _rows((0.5, "left_hip"), (0.5, "right_hip"), (-0.5, "left_ankle"), (-0.5, "right_ankle")),
+        _rows((1.0, "head"), (-0.5, "left_elbow"), (-0.5, "right_elbow")),
+    ]
+)
 _OUTWARD_WEIGHTS = np.array([_TOE, _HAND])
 _BEND_WEIGHTS = 0.5 * np.array([_KNEE, _KNEE, -_ELBOW, -_ELBOW])
 
@@ -76,9 +82,31 @@ def _forward(vectors: FloatArray, sizes: FloatArray) -> FloatArray:
 def _measure(points: FloatArray) -> tuple[FloatArray, FloatArray]:
     """The vectors of `_ROWS` (T, 13, 3) and their lengths (T, 13), NaN instead of 0."""
     vectors = _ROWS @ points
+    if np.isnan(vectors).any():
+        vectors = _differences(_ROWS, points)
+    if np.isnan(vectors[0, :3]).any():
+        _stand_in(vectors, points)
     sizes = np.sqrt(np.einsum("tjk,tjk->tj", vectors, vectors))
     sizes[sizes == 0] = np.nan
     return vectors, sizes
+
+
+def _differences(rows: FloatArray, points: FloatArray) -> FloatArray:
+    """``rows @ points`` where points are missing: NaN only in the rows that need them."""
+    gone: BoolArray = np.any(np.isnan(points), axis=2)
+    vectors: FloatArray = rows @ np.where(gone[..., None], 0.0, points)
+    vectors[gone @ (rows != 0).T > 0] = np.nan
+    return vectors
+
+
+def _stand_in(vectors: FloatArray, points: FloatArray) -> None:
+    """Let a part of a body tell its front: hips or shoulders for both, the legs or the upper arms for the trunk."""
+    for absent, other in ((0, 1), (1, 0)):
+        if np.isnan(vectors[:, absent]).all():
+            vectors[:, absent] = vectors[:, other]
+    if np.isnan(vectors[:, 2]).all():
+        trunks = _differences(_PART_TRUNKS, points)
+        vectors[:, 2] = trunks[:, 0] if not np.isnan(trunks[:, 0]).all() else trunks[:, 1]
 
 
 def compute_forward(points: FloatArray) -> FloatArray:
@@ -113,7 +141,9 @@ def score_sides(points: FloatArray) -> float:
     bend = (ahead[:, upper] - share * ahead[:, whole]) / (2.0 * sizes[:, upper])
     bend -= np.clip(bend, -_SLACK, _SLACK)
     bend[np.isnan(bend)] = 0.0  # a bone of no length does not bend
-    scores = (ahead[:, 3:5] @ _OUTWARD_WEIGHTS) / sizes[:, 2] + bend @ _BEND_WEIGHTS
+    outward = ahead[:, 3:5]
+    outward[:, np.isnan(outward).all(axis=0)] = 0.0  # no feet, or no arms
+    scores = (outward @ _OUTWARD_WEIGHTS) / sizes[:, 2] + bend @ _BEND_WEIGHTS
     total = float(scores.mean())
     if np.isnan(total):
         scores = scores[~np.isnan(scores)]

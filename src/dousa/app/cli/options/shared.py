@@ -88,13 +88,18 @@ class MotionOptions(FileOptions):
     joint_map: Annotated[
         Path | None,
         typer.Option(
-            "--joint-map", help="File that names the canonical joints: lines 'left_knee = L_Kn', TOML or JSON."
+            "--joint-map",
+            help="File that names the canonical joints: lines 'left_knee = L_Kn' (or a mean: 'left_knee = LKNE, LKNM'),"
+            " TOML or JSON.",
         ),
     ] = None
+    any_skeleton: Annotated[
+        bool, typer.Option("--any-skeleton", help="Also take skeletons that are not human, such as animals.")
+    ] = False
 
     def load(self) -> ReadOptions:
         """The options in the form in which files are read; the files that they name are read."""
-        options = FileOptions.load(self)
+        options = replace(FileOptions.load(self), any_skeleton=self.any_skeleton)
         if self.joint_map is None:
             return options
         from dousa.motion import read_joint_map

@@ -337,7 +337,7 @@ def _is_same(motion: Motion, named: Named, ref: MotionRef) -> bool:
 
     if motion.n_frames != named.motion.n_frames or motion.frame_rate != named.motion.frame_rate:
         return False
-    positions = canonicalise(motion, ref.joint_map).positions
+    positions = canonicalise(motion, ref.joint_map, whole=True).positions
     return bool(np.abs(positions - named.motion.positions).max() <= _SAME)
 
 

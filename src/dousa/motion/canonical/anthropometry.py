@@ -1,0 +1,137 @@
+"""Whether canonical points can be those of a person: widths, both sides, and the proportions of limbs and trunk.
+
+The typical ratios are those of the skeletons and marker sets of some 30 producers, measured with `measure_proportions`;
+their scatter is over producers, who put the same joint in different places, more than over people. Names may lie: a
+``LeftHip`` beside a ``LHipJoint`` without an offset, a dog with ``LeftArm`` and ``LeftForeArm``.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from dousa.arrays import FloatArray
+from dousa.motion.canonical.joints import JOINT_INDEX
+
+_PAIRED = (("hip", "knee"), ("knee", "ankle"), ("shoulder", "elbow"), ("elbow", "wrist"))
+_BONES = (
+    *((f"{side}_{upper}", f"{side}_{lower}") for upper, lower in _PAIRED for side in ("left", "right")),
+    ("left_hip", "right_hip"),
+    ("left_shoulder", "right_shoulder"),
+    ("pelvis", "neck"),
+)
+_ENDS = np.array([JOINT_INDEX[end] for end, _ in _BONES])
+_STARTS = np.array([JOINT_INDEX[start] for _, start in _BONES])
+
+# Ratio: typical value, scatter of its logarithm, least and greatest that a map may give.
+_RATIOS = {
+    "arm_per_leg": (0.62, 0.13, 0.35, 1.3),
+    "trunk_per_leg": (0.58, 0.25, 0.15, 1.6),
+    "thigh_per_shank": (1.04, 0.15, 0.45, 2.2),
+    "upper_arm_per_forearm": (1.12, 0.2, 0.4, 2.5),
+    "hips_per_leg": (0.23, 0.3, 0.04, 0.7),
+    "shoulders_per_leg": (0.43, 0.2, 0.1, 1.2),
+}
+_LEFT_PER_RIGHT = 2.2  # Kinects see a shank up to 1.7 times as long as the other
+_MOST_TERM, _MOST_ODDITY = 16.0, 30.0  # people and rigs of people reach 21, a dog 35
+
+
+@dataclass(frozen=True, slots=True)
+class Proportions:
+    """What the bones of a body measure against each other.
+
+    Parameters
+    ----------
+    ratios : by name, as in ``_RATIOS``; NaN where a joint is absent.
+    left_per_right : the largest ratio of a bone to the same bone of the other side, at least 1.
+    """
+
+    ratios: dict[str, float]
+    left_per_right: float
+
+    @property
+    def faults(self) -> tuple[str, ...]:
+        """Ratios that no map of a person gives."""
+        wrong = [name for name, value in self.ratios.items() if value < _RATIOS[name][2] or value > _RATIOS[name][3]]
+        return (*wrong, "left_per_right") if self.left_per_right > _LEFT_PER_RIGHT else tuple(wrong)
+
+    @property
+    def oddity(self) -> float:
+        """Sum of squared standard scores of the logarithms: how unlike a person."""
+        terms = [
+            (np.log(max(value, 1e-3) / _RATIOS[name][0]) / _RATIOS[name][1]) ** 2
+            for name, value in self.ratios.items()
+            if not np.isnan(value)
+        ]
+        return float(sum(min(term, _MOST_TERM) for term in terms))
+
+    @property
+    def is_person(self) -> bool:
+        """Whether a person can have these bones."""
+        return not self.faults and self.oddity <= _MOST_ODDITY
+
+
+def measure_proportions(points: FloatArray) -> Proportions:
+    """Measure a body.
+
+    Parameters
+    ----------
+    points : (T, 20, 3) canonical points, any unit, axes and handedness; a few frames do.
+    """
+    middle = _measure_bones(points)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        left, right = middle[0:8:2], middle[1:8:2]
+        sides = np.maximum(left, right) / np.minimum(left, right)
+        thigh, shank, upper, fore = _means(left, right)
+        hips, shoulders, trunk = middle[8:]
+        leg, arm = thigh + shank, upper + fore
+        ratios = {
+            "arm_per_leg": arm / leg,
+            "trunk_per_leg": trunk / leg,
+            "thigh_per_shank": thigh / shank,
+            "upper_arm_per_forearm": upper / fore,
+            "hips_per_leg": hips / leg,
+            "shoulders_per_leg": shoulders / leg,
+        }
+    known = sides[~np.isnan(sides)]
+    return Proportions(
+        {name: float(value) for name, value in ratios.items()}, float(known.max()) if len(known) else 1.0
+    )
+
+
+def _measure_bones(points: FloatArray) -> FloatArray:
+    """Median lengths of `_BONES` over the frames that show them, NaN for those that none does."""
+    bones = points[:, _ENDS] - points[:, _STARTS]
+    lengths = np.sqrt(np.einsum("tjk,tjk->tj", bones, bones))
+    middle: FloatArray = np.median(lengths, axis=0)
+    if np.isnan(middle).any():
+        seen = ~np.isnan(lengths).all(axis=0)
+        middle[seen] = np.nanmedian(lengths[:, seen], axis=0)
+    return middle
+
+
+def _means(left: FloatArray, right: FloatArray) -> FloatArray:
+    """Means of both sides, or the side that is there."""
+    both = np.where(np.isnan(left), right, np.where(np.isnan(right), left, 0.5 * (left + right)))
+    means: FloatArray = both
+    return means
+
+
+# Lengths as shares of the stature: Winter, Biomechanics and motor control of human movement (4th ed. 2009), fig. 4.1.
+_SHARES = {"thigh": 0.245, "shank": 0.246, "upper_arm": 0.186, "forearm": 0.146, "shoulders": 0.259, "trunk": 0.288}
+
+
+def stature_of_parts(points: FloatArray) -> float:
+    """Stature of a body of which only a part is there, in the unit of the points; NaN if no long bone is seen.
+
+    Parameters
+    ----------
+    points : (T, 20, 3) canonical points, NaN where absent.
+    """
+    middle = _measure_bones(points)
+    shares = [_SHARES[name] for name in ("thigh", "shank", "upper_arm", "forearm") for _ in range(2)]
+    found = middle[:8] / np.array(shares)
+    if np.isnan(found).all():
+        found = middle[9:11] / np.array([_SHARES["shoulders"], _SHARES["trunk"]])
+    return float(np.nanmedian(found)) if not np.isnan(found).all() else float("nan")

@@ -1,0 +1,86 @@
+"""Which map of a file's points to the canonical joints is taken: the first that gives the body of a person.
+
+By names (the table that covers most first), then by the shape of the tree, then a part of a body by names. Where none
+passes the check of `anthropometry`, the first whole one is taken and called what it is: not a human skeleton.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+
+from dousa.motion.canonical.anthropometry import measure_proportions
+from dousa.motion.canonical.geometry import body_points
+from dousa.motion.canonical.recipes import Recipe, named_recipes, partial_recipe
+from dousa.motion.canonical.tree_shape import shape_recipe, spread_frames
+from dousa.motion.types import Trajectories
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ChosenMap:
+    """A map, and whether it gives the body of a person.
+
+    Parameters
+    ----------
+    recipe : the map.
+    is_person : whether the proportions are possible.
+    passed_over : tables that cover as much but give no person.
+    """
+
+    recipe: Recipe
+    is_person: bool
+    passed_over: tuple[str, ...] = ()
+
+
+def choose_map(sample: Trajectories, never: tuple[str, ...] = ()) -> ChosenMap | None:
+    """The map of a file.
+
+    Parameters
+    ----------
+    sample : some frames, any unit and axes.
+    never : names of points that are never seen: they do not count.
+
+    Returns
+    -------
+    None if neither names nor tree tell a body or a limb.
+    """
+    # An unseen point keeps its place but loses its name, so that no rule finds it.
+    names = tuple("" if name in never else name for name in sample.names) if never else sample.names
+    first: Recipe | None = None
+    failed: list[str] = []
+    for recipe in _candidates(names, sample, use_tree=not never):
+        if _is_person(recipe, sample):
+            return ChosenMap(recipe, True, tuple(failed))
+        first = first or recipe
+        failed.append(recipe.table)
+    return None if first is None else ChosenMap(first, False)
+
+
+def _candidates(names: tuple[str, ...], sample: Trajectories, *, use_tree: bool) -> Iterator[Recipe]:
+    yield from named_recipes(names)
+    if use_tree and sample.parents is not None:
+        with np.errstate(divide="ignore", invalid="ignore"):
+            recipe = shape_recipe(sample.parents, sample.positions)
+        if recipe is not None:
+            yield recipe
+    if not named_recipes(names):
+        part = partial_recipe(names)
+        if part is not None:
+            yield part
+
+
+def _is_person(recipe: Recipe, sample: Trajectories) -> bool:
+    """Whether the bones are a person's: those of the skeleton, or else as they move (files may replace the offsets)."""
+    rest = sample.rest_positions
+    if rest is not None and _rests_as_person(recipe, rest.tobytes()):
+        return True
+    return measure_proportions(body_points(recipe, spread_frames(sample.positions))).is_person
+
+
+@lru_cache(maxsize=256)
+def _rests_as_person(recipe: Recipe, rest_bytes: bytes) -> bool:
+    rest = np.frombuffer(rest_bytes).reshape(1, -1, 3)
+    return measure_proportions(body_points(recipe, rest)).is_person
