@@ -81,7 +81,7 @@ def settle_motion(
         frame.up,
         "declared" if up is None and up_in_file is not None else frame.up_source,
         layout=layout,
-        notes=notes,
+        notes=(*notes, *frame.notes),
     )
     return dataclasses.replace(settled, provenance=provenance)
 

@@ -172,6 +172,8 @@ def weigh_axes(
             score += _FALL_SCORE * float(-fall @ vector)
         scores[axis] = score
     best, second = sorted(AXES, key=lambda axis: -scores[axis])[:2]
+    if habit is not None and best != habit and scores[best] - scores[habit] < _CLEAR:
+        return Upright(habit, best, 0.0)  # nothing clear speaks against the habit
     return Upright(best, second, scores[best] - scores[second])
 
 
