@@ -14,6 +14,7 @@ import numpy as np
 
 from dousa.motion.canonical.anthropometry import measure_proportions
 from dousa.motion.canonical.geometry import body_points
+from dousa.motion.canonical.joints import CANONICAL_JOINTS
 from dousa.motion.canonical.recipes import Recipe, named_recipes, partial_recipe
 from dousa.motion.canonical.tree_shape import shape_recipe, spread_frames
 from dousa.motion.types import Trajectories
@@ -74,6 +75,8 @@ def _candidates(names: tuple[str, ...], sample: Trajectories, *, use_tree: bool)
 
 def _is_person(recipe: Recipe, sample: Trajectories) -> bool:
     """Whether the bones are a person's: those of the skeleton, or else as they move (files may replace the offsets)."""
+    if set(CANONICAL_JOINTS) <= set(sample.names):
+        return True  # somebody has told the joints apart already
     rest = sample.rest_positions
     if rest is not None and _rests_as_person(recipe, rest.tobytes()):
         return True
