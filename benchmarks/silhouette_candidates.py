@@ -27,7 +27,7 @@ from numba import njit
 
 from dousa.estimation import TrackerSettings, make_human, make_ring, standing_state
 from dousa.estimation.body.kinematics import place_parts
-from dousa.estimation.raster.rasteriser import borrow, draw_body, outline_part
+from dousa.estimation.raster.rasteriser import draw_body, outline_part
 from dousa.estimation.tracking.search_kernels import count_parts, fill_evidence, move_axis
 from dousa.estimation.tracking.search_kernels import place_parts as hang_parts
 from dousa.estimation.tracking.search_setup import SearchSetup
@@ -39,16 +39,14 @@ SHIFT = 4  # binary places of OpenCV's polygon corners
 CIRCLE = np.stack((np.cos(a := np.linspace(0, 2 * np.pi, 24, endpoint=False)), np.sin(a)), axis=1)
 
 
-@njit
+@njit(error_model="numpy")
 def count_all(pose, axis, amounts, parts, model, views, scratch, counts):  # type: ignore[no-untyped-def]
-    pose, model, views, scratch = borrow((pose, model, views, scratch))
-    counts = borrow(counts)
     trial = pose.copy()
     for n in range(len(amounts)):
         trial[:] = pose
         move_axis(trial, axis, amounts[n])
         hang_parts(parts, 1, trial, model[0], scratch)
-        counts[n] = count_parts(parts, model, views, scratch[2], scratch[3], scratch)
+        counts[n] = count_parts(parts, model, views, scratch[2], scratch[3], scratch, np.inf)
 
 
 class Limb:
@@ -70,7 +68,7 @@ class Limb:
         setup, scratch, counts = self.setup, self.setup.make_scratch(), np.empty(len(self.amounts), np.int64)
         scratch[5][:], scratch[6][:] = place_parts(self.body, self.pose)
         views, parts = setup.views(self.frame), np.array([self.part])
-        fill_evidence(READINGS.index("plain"), self.frame.bits, scratch[4], scratch[2], scratch[3])
+        fill_evidence(READINGS.index("plain"), self.frame.bits, scratch[4], scratch[2], scratch[3], scratch[7])
         count_all(self.pose, self.axis, self.amounts, parts, setup.model, views, scratch, counts)
         return counts + int(self.mask.sum())
 

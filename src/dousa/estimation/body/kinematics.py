@@ -46,7 +46,8 @@ def place_parts(body: BodyModel, poses: ArrayLike) -> tuple[FloatArray, FloatArr
     flat = array.reshape(-1, array.shape[-1])
     rotations = np.empty((len(flat), body.n_parts, 3, 3))
     positions = np.empty((len(flat), body.n_parts, 3))
-    place_all(flat, tree_arrays(body), rotations, positions)
+    local, parts = np.empty((body.n_parts, 3, 3)), np.arange(body.n_parts)
+    place_all(flat, parts, tree_arrays(body), local, rotations, positions)
     batch = array.shape[:-1]
     return rotations.reshape(*batch, body.n_parts, 3, 3), positions.reshape(*batch, body.n_parts, 3)
 
@@ -95,68 +96,67 @@ def to_motion(body: BodyModel, poses: ArrayLike, frame_rate: float) -> Motion:
     return Motion(skeleton, quaternions, translations, frame_rate)
 
 
-@njit(cache=True, nogil=True, forceinline=True)
-def exp_rotation(x, y, z, out):  # type: ignore[no-untyped-def]
-    """Quaternion of the rotation vector (x, y, z) rad."""
-    angle = np.sqrt(x * x + y * y + z * z)
-    scale = 0.5 if angle < 1e-9 else np.sin(0.5 * angle) / angle
-    out[0], out[1], out[2], out[3] = np.cos(0.5 * angle), x * scale, y * scale, z * scale
-
-
-@njit(cache=True, nogil=True, forceinline=True)
-def multiply_into(a, b, out):  # type: ignore[no-untyped-def]
-    """Hamilton product of quaternions; ``out`` may be one of them."""
-    w = a[0] * b[0] - a[1] * b[1] - a[2] * b[2] - a[3] * b[3]
-    x = a[0] * b[1] + a[1] * b[0] + a[2] * b[3] - a[3] * b[2]
-    y = a[0] * b[2] + a[2] * b[0] + a[3] * b[1] - a[1] * b[3]
-    z = a[0] * b[3] + a[3] * b[0] + a[1] * b[2] - a[2] * b[1]
-    out[0], out[1], out[2], out[3] = w, x, y, z
-
-
-@njit(cache=True, nogil=True)
+@njit(nogil=True, error_model="numpy", _nrt=False, inline="always")
 def turn_root(pose, x, y, z):  # type: ignore[no-untyped-def]
     """Turn the root of a pose row by a rotation vector in its own axes, in place."""
-    turn = np.empty(4)
-    exp_rotation(x, y, z, turn)
-    multiply_into(pose[3:7], turn, pose[3:7])
+    angle = np.sqrt(x * x + y * y + z * z)
+    scale = 0.5 if angle < 1e-9 else np.sin(0.5 * angle) / angle
+    w, x, y, z = np.cos(0.5 * angle), x * scale, y * scale, z * scale
+    a, b, c, d = pose[3], pose[4], pose[5], pose[6]
+    pose[3] = a * w - b * x - c * y - d * z
+    pose[4] = a * x + b * w + c * z - d * y
+    pose[5] = a * y + c * w + d * x - b * z
+    pose[6] = a * z + d * w + b * y - c * x
 
 
-@njit(cache=True, nogil=True, forceinline=True)
-def turn_part(part, pose, tree, work, local):  # type: ignore[no-untyped-def]
+@njit(nogil=True, error_model="numpy", _nrt=False, inline="always")
+def turn_part(part, pose, tree, local):  # type: ignore[no-untyped-def]
     """Rotation matrix ``local[part]`` (3, 3) of a part in its parent's axes; of the root in the world's.
 
-    ``tree`` is (parents, offsets, rest, n_axes, axes, angle_starts); ``work`` (2, 4) is scratch.
+    ``tree`` is (parents, offsets, rest, n_axes, axes, angle_starts). Of three axes the first two are one rotation
+    vector, the third follows.
     """
     parents, _, rest, n_axes, axes, angle_starts = tree
-    quaternion, turn = work[0], work[1]
     if parents[part] < 0:
-        quaternion[:] = pose[3:7]
-        _to_matrix(quaternion, local[part])
-        return
-    quaternion[:] = rest[part]
-    count = n_axes[part]
-    first = 7 + angle_starts[part]
-    axis = axes[part]
-    if count == 3:
-        a, b, c = pose[first], pose[first + 1], pose[first + 2]
-        exp_rotation(
-            a * axis[0, 0] + b * axis[1, 0],
-            a * axis[0, 1] + b * axis[1, 1],
-            a * axis[0, 2] + b * axis[1, 2],
-            turn,
-        )
-        multiply_into(quaternion, turn, quaternion)
-        exp_rotation(c * axis[2, 0], c * axis[2, 1], c * axis[2, 2], turn)
-        multiply_into(quaternion, turn, quaternion)
+        a, b, c, d = pose[3], pose[4], pose[5], pose[6]
     else:
-        for k in range(count):
-            a = pose[first + k]
-            exp_rotation(a * axis[k, 0], a * axis[k, 1], a * axis[k, 2], turn)
-            multiply_into(quaternion, turn, quaternion)
-    _to_matrix(quaternion, local[part])
+        a, b, c, d = rest[part, 0], rest[part, 1], rest[part, 2], rest[part, 3]
+        count, first, k = n_axes[part], 7 + angle_starts[part], 0
+        while k < count:
+            turn = pose[first + k]
+            x, y, z = turn * axes[part, k, 0], turn * axes[part, k, 1], turn * axes[part, k, 2]
+            k += 1
+            if count == 3 and k == 1:
+                turn = pose[first + 1]
+                x, y, z = x + turn * axes[part, 1, 0], y + turn * axes[part, 1, 1], z + turn * axes[part, 1, 2]
+                k = 2
+            angle = np.sqrt(x * x + y * y + z * z)
+            scale = 0.5 if angle < 1e-9 else np.sin(0.5 * angle) / angle
+            w, x, y, z = np.cos(0.5 * angle), x * scale, y * scale, z * scale
+            a, b, c, d = (
+                a * w - b * x - c * y - d * z,
+                a * x + b * w + c * z - d * y,
+                a * y + c * w + d * x - b * z,
+                a * z + d * w + b * y - c * x,
+            )
+    local[part, 0, 0], local[part, 0, 1], local[part, 0, 2] = (
+        1.0 - 2.0 * (c * c + d * d),
+        2.0 * (b * c - a * d),
+        2.0 * (b * d + a * c),
+    )
+    local[part, 1, 0], local[part, 1, 1], local[part, 1, 2] = (
+        2.0 * (b * c + a * d),
+        1.0 - 2.0 * (b * b + d * d),
+        2.0 * (c * d - a * b),
+    )
+    local[part, 2, 0], local[part, 2, 1], local[part, 2, 2] = (
+        2.0 * (b * d - a * c),
+        2.0 * (c * d + a * b),
+        1.0 - 2.0 * (b * b + c * c),
+    )
 
 
-@njit(cache=True, nogil=True, forceinline=True)
+@njit(nogil=True, error_model="numpy", _nrt=False, inline="always")
 def hang_part(part, pose, tree, local, rotations, positions):  # type: ignore[no-untyped-def]
     """World rotation matrix (3, 3) and place (3,) of a part that was turned, below a parent that was hung."""
     parent = tree[0][part]
@@ -174,19 +174,17 @@ def hang_part(part, pose, tree, local, rotations, positions):  # type: ignore[no
             rotations[part, i, k] = p * local[part, 0, k] + q * local[part, 1, k] + r * local[part, 2, k]
 
 
-@njit(cache=True, nogil=True, forceinline=True)
-def _to_matrix(q, out):  # type: ignore[no-untyped-def]
-    w, x, y, z = q[0], q[1], q[2], q[3]
-    out[0, 0], out[0, 1], out[0, 2] = 1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)
-    out[1, 0], out[1, 1], out[1, 2] = 2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)
-    out[2, 0], out[2, 1], out[2, 2] = 2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)
+@njit(cache=True, nogil=True, error_model="numpy", _nrt=False, no_cfunc_wrapper=True)
+def hang_parts(parts, n_turned, pose, tree, local, rotations, positions):  # type: ignore[no-untyped-def]
+    """Place parts, parents first, of which only the first ``n_turned`` have angles other than when last placed."""
+    for i in range(len(parts)):
+        if i < n_turned:
+            turn_part(parts[i], pose, tree, local)
+        hang_part(parts[i], pose, tree, local, rotations, positions)
 
 
-@njit(cache=True, nogil=True)
-def place_all(poses, tree, rotations, positions):  # type: ignore[no-untyped-def]
-    """Rotations (T, P, 3, 3) and places (T, P, 3) of all parts in all poses (T, 7 + A)."""
-    work, local = np.empty((2, 4)), np.empty(rotations.shape[1:])
+@njit(cache=True, nogil=True, error_model="numpy", _nrt=False, no_cfunc_wrapper=True)
+def place_all(poses, parts, tree, local, rotations, positions):  # type: ignore[no-untyped-def]
+    """Rotations (T, P, 3, 3) and places (T, P, 3) of all parts in all poses (T, 7 + A); ``local`` is scratch."""
     for t in range(len(poses)):
-        for part in range(rotations.shape[1]):
-            turn_part(part, poses[t], tree, work, local)
-            hang_part(part, poses[t], tree, local, rotations[t], positions[t])
+        hang_parts(parts, len(parts), poses[t], tree, local, rotations[t], positions[t])

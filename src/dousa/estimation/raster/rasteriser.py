@@ -11,7 +11,6 @@ from typing import Any
 
 import numpy as np
 from numba import njit, types
-from numba.core import cgutils as _cgutils
 from numba.extending import intrinsic
 from numpy.typing import ArrayLike, NDArray
 
@@ -21,8 +20,6 @@ from dousa.estimation.body.kinematics import place_parts
 from dousa.estimation.cameras.camera import Camera
 
 Bits = NDArray[np.uint64]
-
-cgutils: Any = _cgutils  # untyped
 
 
 def pack_bits(masks: NDArray[np.bool_]) -> Bits:
@@ -103,7 +100,7 @@ def _popcount(_context, word):  # type: ignore[no-untyped-def]
 popcount: Any = intrinsic(_popcount)
 
 
-@njit(cache=True, nogil=True, forceinline=True)
+@njit(nogil=True, error_model="numpy", _nrt=False, inline="always")
 def project_sphere(camera, x, y, z, radius):  # type: ignore[no-untyped-def]
     """Image column, row and radius (px) of a sphere, radius -1 behind the camera; ``camera`` as in `CAMERA_ROW`."""
     cx = camera[6] * x + camera[7] * y + camera[8] * z + camera[15]
@@ -126,7 +123,7 @@ def project_sphere(camera, x, y, z, radius):  # type: ignore[no-untyped-def]
     return camera[1] * cx + camera[5] * cy + camera[3], camera[2] * cy + camera[4], scale * radius
 
 
-@njit(cache=True, nogil=True)
+@njit(nogil=True, error_model="numpy", _nrt=False, inline="always")
 def outline_discs(discs, count, width, height, pairs, low, high):  # type: ignore[no-untyped-def]
     """First and last column of the hull of discs in each row.
 
@@ -138,12 +135,13 @@ def outline_discs(discs, count, width, height, pairs, low, high):  # type: ignor
     for i in range(count):
         if not abs(discs[i, 0]) + abs(discs[i, 1]) + discs[i, 2] < _FAR:  # beyond all numbers of pixels, or none
             return 0, 0
-        top = min(top, discs[i, 1] - discs[i, 2])
-        bottom = max(bottom, discs[i, 1] + discs[i, 2])
+        above, below = discs[i, 1] - discs[i, 2], discs[i, 1] + discs[i, 2]
+        top = above if above < top else top
+        bottom = below if below > bottom else bottom
     if not (top <= height - 1.0 and bottom >= 0.0):
         return 0, 0
-    first = int(np.ceil(max(top, 0.0)))
-    last = int(np.floor(min(bottom, height - 1.0)))
+    first = int(np.ceil(top)) if top > 0.0 else 0
+    last = int(np.floor(bottom)) if bottom < height - 1.0 else height - 1
     if last < first:
         return 0, 0
     _measure_pairs(discs, count, pairs)
@@ -152,7 +150,7 @@ def outline_discs(discs, count, width, height, pairs, low, high):  # type: ignor
     return first, last + 1
 
 
-@njit(cache=True, nogil=True, forceinline=True)
+@njit(nogil=True, error_model="numpy", _nrt=False, inline="always")
 def _measure_pairs(discs, count, pairs):  # type: ignore[no-untyped-def]
     """For each pair: length of its outer tangents and 1 / squared distance; ``pairs[i, i, 0]`` is -1 of a held disc.
 
@@ -167,7 +165,7 @@ def _measure_pairs(discs, count, pairs):  # type: ignore[no-untyped-def]
             if rest <= 0.0:
                 smaller = j if dr < 0.0 else i
                 pairs[smaller, smaller, 0] = -1.0
-            root = np.sqrt(max(rest, 0.0))
+            root = np.sqrt(rest) if rest > 0.0 else 0.0
             inverse = 1.0 / square if square > 0.0 else 0.0
             pairs[i, j, 0], pairs[i, j, 1] = root, inverse
             pairs[j, i, 0], pairs[j, i, 1] = root, inverse
@@ -177,18 +175,18 @@ _AS_HIGH = 1e-9  # px, of coordinates up to 1: what differs by less lies in one 
 _LEVEL = 1e-18  # share of a normal that points sideways: a tangent with less has no slope
 
 
-@njit(cache=True, nogil=True, forceinline=True)
+@njit(nogil=True, error_model="numpy", _nrt=False, inline="always")
 def _find_start(side, discs, count, pairs, top):  # type: ignore[no-untyped-def]
     """Of the discs that reach as high as any and lie in no other, the outermost: there the walk begins."""
     here, outmost = 0, -np.inf
     for i in range(count):
-        high = discs[i, 1] - discs[i, 2] <= top + _AS_HIGH * max(1.0, abs(top))
+        high = discs[i, 1] - discs[i, 2] <= top + _AS_HIGH * (abs(top) if abs(top) > 1.0 else 1.0)
         if high and pairs[i, i, 0] >= 0.0 and side * discs[i, 0] > outmost:
             here, outmost = i, side * discs[i, 0]
     return here
 
 
-@njit(cache=True, nogil=True, forceinline=True)
+@njit(cache=True, nogil=True, error_model="numpy", _nrt=False, no_cfunc_wrapper=True, forceinline=True)
 def _trace_side(side, discs, count, pairs, top, first, last, width, columns):  # type: ignore[no-untyped-def]
     """Walk down one side of the hull (gift wrapping over discs) and note its column in every row.
 
@@ -212,8 +210,9 @@ def _trace_side(side, discs, count, pairs, top, first, last, width, columns):  #
         end = last if leave >= last else int(np.floor(leave))
         for k in range(row, end + 1):
             off = k - y
-            columns[k] = _to_column(side, x + np.sqrt(max(0.0, r * r - off * off)), width)
-        row = max(row, end + 1)
+            rest = r * r - off * off
+            columns[k] = _to_column(side, x + (np.sqrt(rest) if rest > 0.0 else 0.0), width)
+        row = end + 1 if end >= row else row
         if best < 0 or row > last:
             break
         slope = -best_up / best_out
@@ -222,24 +221,26 @@ def _trace_side(side, discs, count, pairs, top, first, last, width, columns):  #
         end = last if arrive >= last else int(np.floor(arrive))
         for k in range(row, end + 1):
             columns[k] = _to_column(side, start + slope * k, width)
-        row = max(row, end + 1)
+        row = end + 1 if end >= row else row
         here, up_here = best, best_up
     for k in range(row, last + 1):  # rounding alone can leave rows over, at the very end
         columns[k] = -1 if side > 0.0 else width
 
 
-@njit(cache=True, nogil=True, forceinline=True)
+@njit(nogil=True, error_model="numpy", _nrt=False, inline="always")
 def _to_column(side, x, width):  # type: ignore[no-untyped-def]
     """The outermost whole column within a boundary at ``side * x``, clipped to the image before it is converted."""
     if side > 0.0:
-        return int(min(max(x + 1.0, 0.0), float(width))) - 1
-    return width + 1 - int(min(max(x + (width + 1.0), 1.0), width + 1.0))
+        x += 1.0
+        return int(x if x < width else width) - 1 if x > 0.0 else -1
+    x += width + 1.0
+    return width + 1 - (int(x if x < width + 1.0 else width + 1.0) if x > 1.0 else 1)
 
 
 _ONES = np.uint64(0xFFFFFFFFFFFFFFFF)
 
 
-@njit(cache=True, nogil=True, forceinline=True)
+@njit(nogil=True, error_model="numpy", _nrt=False, inline="always")
 def interval_mask(word, start, stop):  # type: ignore[no-untyped-def]
     """Bits of a word that lie in the columns from start to stop, both inclusive."""
     mask = _ONES
@@ -250,7 +251,7 @@ def interval_mask(word, start, stop):  # type: ignore[no-untyped-def]
     return mask
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy", _nrt=False, no_cfunc_wrapper=True)
 def draw_intervals(bits, low, high, first, last):  # type: ignore[no-untyped-def]
     """Set the bits (H, words) of the intervals of rows first to last (exclusive)."""
     for row in range(first, last):
@@ -260,7 +261,7 @@ def draw_intervals(bits, low, high, first, last):  # type: ignore[no-untyped-def
                 bits[row, word] |= interval_mask(word, start, stop)
 
 
-@njit(cache=True, nogil=True, forceinline=True)
+@njit(cache=True, nogil=True, error_model="numpy", _nrt=False, no_cfunc_wrapper=True, forceinline=True)
 def outline_part(part, camera, width, height, solids, rotations, positions, work):  # type: ignore[no-untyped-def]
     """Row intervals of one part, placed by ``rotations`` (P, 3, 3) and ``positions`` (P, 3); none behind the camera.
 
@@ -268,7 +269,7 @@ def outline_part(part, camera, width, height, solids, rotations, positions, work
     """
     spheres, starts = solids
     discs = work[0]
-    count = 0
+    count = np.int64(0)
     for s in range(starts[part], starts[part + 1]):
         a, b, c = spheres[s, 0], spheres[s, 1], spheres[s, 2]
         x = positions[part, 0] + rotations[part, 0, 0] * a + rotations[part, 0, 1] * b + rotations[part, 0, 2] * c
@@ -282,7 +283,7 @@ def outline_part(part, camera, width, height, solids, rotations, positions, work
     return outline_discs(discs, count, width, height, work[1], work[2], work[3])
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy", _nrt=False, no_cfunc_wrapper=True)
 def draw_layers(rotations, positions, solids, camera, width, layers, work, bits):  # type: ignore[no-untyped-def]
     """Draw every part of every frame into its layer of ``bits`` (T, layers, H, words)."""
     height = bits.shape[2]
@@ -290,30 +291,3 @@ def draw_layers(rotations, positions, solids, camera, width, layers, work, bits)
         for part in range(len(layers)):
             first, last = outline_part(part, camera, width, height, solids, rotations[t], positions[t], work)
             draw_intervals(bits[t, layers[part]], work[2], work[3], first, last)
-
-
-def _strip(context: Any, builder: Any, kind: Any, value: Any) -> Any:
-    """The value with the owner of every array in it forgotten."""
-    if isinstance(kind, types.Array):
-        array = context.make_array(kind)(context, builder, value=value)
-        array.meminfo = cgutils.get_null_value(array.meminfo.type)
-        array.parent = cgutils.get_null_value(array.parent.type)
-        return array._getvalue()
-    if isinstance(kind, types.BaseTuple):
-        kinds: Any = kind
-        items = zip(tuple(kinds), cgutils.unpack_tuple(builder, value), strict=True)
-        stripped = [_strip(context, builder, item_kind, item) for item_kind, item in items]
-        return context.make_tuple(builder, kind, stripped)
-    return value
-
-
-def _borrow(_context, value):  # type: ignore[no-untyped-def]
-    """The same array, or tuple of arrays, uncounted: the caller must keep it alive, as a caller does."""
-
-    def generate(context, builder, signature, arguments):  # type: ignore[no-untyped-def]
-        return _strip(context, builder, signature.args[0], arguments[0])
-
-    return value(value), generate
-
-
-borrow: Any = intrinsic(_borrow)

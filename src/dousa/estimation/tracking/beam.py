@@ -84,14 +84,14 @@ class Beam:
     def __init__(self, setup: SearchSetup, start: FloatArray, n_threads: int = 1) -> None:
         self.setup = setup
         self._scratch = threading.local()
-        self._pool = ThreadPoolExecutor(n_threads) if n_threads > 1 else None
+        self.pool = ThreadPoolExecutor(n_threads) if n_threads > 1 else None
         self._tracks = [_Track(0.0, start.copy(), np.zeros(setup.n_axes), 0)]
         self._pending: deque[tuple[list[_Track], Frame]] = deque()
 
     def close(self) -> None:
         """Let the threads go."""
-        if self._pool is not None:
-            self._pool.shutdown(wait=True, cancel_futures=True)
+        if self.pool is not None:
+            self.pool.shutdown(wait=True, cancel_futures=True)
 
     @property
     def best(self) -> FloatArray:
@@ -161,7 +161,7 @@ class Beam:
             self._tracks = self._pending[-1][0]
 
     def _map(self, work: Any, tasks: list[Any]) -> list[Any]:
-        return list(self._pool.map(work, tasks) if self._pool is not None else map(work, tasks))
+        return list(self.pool.map(work, tasks) if self.pool is not None else map(work, tasks))
 
     def _predict(self, track: _Track, damping: float) -> FloatArray:
         predicted = move_pose(track.pose, damping * track.velocity)

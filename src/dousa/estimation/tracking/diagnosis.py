@@ -2,16 +2,21 @@
 
 from __future__ import annotations
 
+import threading
+from concurrent.futures import Executor, Future
+from typing import Any
+
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
 from dousa.arrays import FloatArray
 from dousa.estimation.body.kinematics import compute_points
-from dousa.estimation.raster.rasteriser import borrow, interval_mask, outline_part, popcount
+from dousa.estimation.raster.rasteriser import interval_mask, outline_part, popcount
 from dousa.estimation.tracking.beam import move_pose
 from dousa.estimation.tracking.search_kernels import (
-    count_parts_apart,
+    clear_bits,
+    count_parts,
     draw_parts_into,
     fill_evidence,
     move_axis,
@@ -24,6 +29,12 @@ _HIDDEN = 0.1  # share of a part's own pixels below which the image does not tel
 _LEAST_OVERLAP = 0.35
 _LOST_SHARE = 0.7  # of the usual overlap
 
+_Note = tuple[FloatArray, FloatArray, NDArray[np.bool_]]  # overlap (V,), uncertainty (P + K,) m, hidden parts (P,)
+
+
+def _await(note: _Note | Future[_Note]) -> _Note:
+    return note.result() if isinstance(note, Future) else note
+
 
 class Diagnosis:
     """Notes on settled poses, frame by frame.
@@ -31,14 +42,13 @@ class Diagnosis:
     Parameters
     ----------
     setup : body, cameras and settings.
+    pool : whose threads take the notes while the search goes on; None takes them at once.
     """
 
-    def __init__(self, setup: SearchSetup) -> None:
-        self.setup = setup
-        self._scratch = setup.make_scratch()
-        self._overlap: list[FloatArray] = []
-        self._uncertainty: list[FloatArray] = []
-        self._occluded: list[NDArray[np.bool_]] = []
+    def __init__(self, setup: SearchSetup, pool: Executor | None = None) -> None:
+        self.setup, self.pool = setup, pool
+        self._own = threading.local()
+        self._notes: list[_Note | Future[_Note]] = []
 
     def cover(self, pose: FloatArray, frame: Frame) -> float:
         """Mean overlap of a pose over the views that see somebody; 0 if none does."""
@@ -48,7 +58,7 @@ class Diagnosis:
 
     def _cover(self, pose: FloatArray, frame: Frame) -> tuple[FloatArray, FloatArray]:
         overlap, visible = np.empty(len(self.setup.cameras)), np.empty(self.setup.body.n_parts)
-        cover_views(pose, self.setup.model, self.setup.views(frame), self._scratch, overlap, visible)
+        cover_views(pose, self.setup.model, self.setup.views(frame), self._own_scratch(), overlap, visible)
         return overlap, visible
 
     def look(self, pose: FloatArray, frame: Frame) -> tuple[FloatArray, NDArray[np.bool_]]:
@@ -59,14 +69,27 @@ class Diagnosis:
     @property
     def latest(self) -> tuple[FloatArray, NDArray[np.bool_]]:
         """Overlap (V,) and hidden parts (P,) of the pose noted down last."""
-        return self._overlap[-1], self._occluded[-1]
+        overlap, _, occluded = _await(self._notes[-1])
+        return overlap, occluded
 
     def write(self, pose: FloatArray, frame: Frame) -> None:
         """Note down a settled pose."""
+        self._notes.append(self._note(pose, frame) if self.pool is None else self.pool.submit(self._note, pose, frame))
+
+    def finish(self) -> None:
+        """Wait for the notes that are being taken."""
+        self._notes = [_await(note) for note in self._notes]
+
+    def _note(self, pose: FloatArray, frame: Frame) -> _Note:
         overlap, visible = self._cover(pose, frame)
-        self._overlap.append(overlap)
-        self._occluded.append(visible < _HIDDEN)
-        self._uncertainty.append(self._measure_spread(pose, frame))
+        return overlap, self._measure_spread(pose, frame), visible < _HIDDEN
+
+    def _own_scratch(self) -> tuple[Any, ...]:
+        """Scratch of the thread that asks."""
+        if not hasattr(self._own, "arrays"):
+            self._own.arrays = self.setup.make_scratch()
+        arrays: tuple[Any, ...] = self._own.arrays
+        return arrays
 
     def _measure_spread(self, pose: FloatArray, frame: Frame) -> FloatArray:
         """How far (P + K,) m each point moves while the image stays nearly as well explained.
@@ -76,7 +99,8 @@ class Diagnosis:
         """
         setup = self.setup
         low, high = np.zeros(setup.n_axes), np.zeros(setup.n_axes)
-        measure_widths(pose, setup.weights, setup.bounds, setup.model, setup.views(frame), self._scratch, low, high)
+        scratch = self._own_scratch()
+        measure_widths(pose, setup.weights, setup.bounds, setup.model, setup.views(frame), scratch, low, high)
         half = 0.5 * (low + high)
         axes = np.flatnonzero(half)
         if not len(axes):
@@ -104,105 +128,105 @@ class Diagnosis:
 
     def arrays(self) -> tuple[FloatArray, FloatArray, NDArray[np.bool_]]:
         """Overlap (T, V), uncertainty (T, P + K) m and hidden parts (T, P)."""
-        body, n_views = self.setup.body, len(self.setup.cameras)
+        self.finish()
+        body, n_views, notes = self.setup.body, len(self.setup.cameras), [_await(note) for note in self._notes]
         return (
-            np.array(self._overlap).reshape(-1, n_views),
-            np.array(self._uncertainty).reshape(-1, body.n_parts + len(body.tips)),
-            np.array(self._occluded, np.bool_).reshape(-1, body.n_parts),
+            np.array([overlap for overlap, _, _ in notes]).reshape(-1, n_views),
+            np.array([uncertainty for _, uncertainty, _ in notes]).reshape(-1, body.n_parts + len(body.tips)),
+            np.array([occluded for _, _, occluded in notes], np.bool_).reshape(-1, body.n_parts),
         )
 
     def load(self, overlap: FloatArray, uncertainty: FloatArray, occluded: NDArray[np.bool_]) -> None:
         """Take up the notes of an earlier run."""
-        self._overlap, self._uncertainty, self._occluded = list(overlap), list(uncertainty), list(occluded)
+        self._notes = list(zip(overlap, uncertainty, occluded, strict=True))
 
 
 _TIE = 1.0  # log score: what drops by less is as good
 
 
-@njit(cache=True, nogil=True)
+@njit(nogil=True, error_model="numpy", _nrt=False, inline="always")
+def _compare(ours, theirs):  # type: ignore[no-untyped-def]
+    """Intersection over union of two bit images (H, words), NaN where both are empty."""
+    both, either = np.int64(0), np.int64(0)
+    for row in range(ours.shape[0]):
+        for word in range(ours.shape[1]):
+            both += np.int64(popcount(ours[row, word] & theirs[row, word]))
+            either += np.int64(popcount(ours[row, word] | theirs[row, word]))
+    return both / either if either > 0 else np.nan
+
+
+@njit(cache=True, nogil=True, error_model="numpy", _nrt=False, no_cfunc_wrapper=True)
 def cover_views(pose, model, views, scratch, overlap, visible):  # type: ignore[no-untyped-def]
     """Overlap of body and silhouette in each view, and how much of each part no other part covers.
 
     Fills ``overlap`` (V,), intersection over union, NaN where nothing is seen, and ``visible`` (P,), the greatest share
     over the views of a part's pixels that are its own alone.
     """
-    pose, model, views, scratch = borrow((pose, model, views, scratch))
-    overlap, visible = borrow((overlap, visible))
     cameras, sizes, seen, silhouettes = views
     work, once, twice = scratch[0], scratch[2], scratch[3]
     n_parts = len(visible)
-    once[:] = np.uint64(0)
-    twice[:] = np.uint64(0)
-    visible[:] = 0.0
+    clear_bits(once)
+    clear_bits(twice)
+    for part in range(n_parts):
+        visible[part] = 0.0
     place_parts(model[2][:n_parts], n_parts, pose, model[0], scratch)
     for view in range(len(cameras)):
         overlap[view] = np.nan
         if not seen[view]:
             continue
         width, height = sizes[view, 0], sizes[view, 1]
-        for part in range(n_parts):
-            first, last = outline_part(part, cameras[view], width, height, model[1], scratch[5], scratch[6], work)
-            for row in range(first, last):
-                start, stop = work[2][row], work[3][row]
-                for word in range(start >> 6, (stop >> 6) + 1 if stop >= start else 0):
-                    mask = interval_mask(word, start, stop)
-                    twice[view, row, word] |= once[view, row, word] & mask
-                    once[view, row, word] |= mask
-        both, either = np.int64(0), np.int64(0)
-        for row in range(silhouettes.shape[1]):
-            for word in range(silhouettes.shape[2]):
-                s, b = silhouettes[view, row, word], once[view, row, word]
-                both += np.int64(popcount(s & b))
-                either += np.int64(popcount(s | b))
-        overlap[view] = both / either if either > 0 else np.nan
-        for part in range(n_parts):
+        for number in range(2 * n_parts):  # all parts are drawn, then looked at once more
+            part = number % n_parts
+            if number == n_parts:
+                overlap[view] = _compare(silhouettes[view], once[view])
             first, last = outline_part(part, cameras[view], width, height, model[1], scratch[5], scratch[6], work)
             own, whole = np.int64(0), np.int64(0)
             for row in range(first, last):
                 start, stop = work[2][row], work[3][row]
                 for word in range(start >> 6, (stop >> 6) + 1 if stop >= start else 0):
                     mask = interval_mask(word, start, stop)
-                    whole += np.int64(popcount(mask))
-                    own += np.int64(popcount(mask & ~twice[view, row, word]))
+                    if number < n_parts:
+                        twice[view, row, word] |= once[view, row, word] & mask
+                        once[view, row, word] |= mask
+                    else:
+                        whole += np.int64(popcount(mask))
+                        own += np.int64(popcount(mask & ~twice[view, row, word]))
             if whole > 0:
-                visible[part] = max(visible[part], own / whole)
+                share = own / whole
+                visible[part] = share if share > visible[part] else visible[part]
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy", _nrt=False, no_cfunc_wrapper=True)
 def measure_widths(pose, weights, bounds, model, views, scratch, low, high):  # type: ignore[no-untyped-def]
     """How far each degree of freedom can be moved either way before the image's score drops by one.
 
     Fills ``low`` and ``high`` (D,), amounts of 0 or more, dR / 32, / 8 or / 2.
     """
-    pose, weights, bounds, model, views, scratch = borrow((pose, weights, bounds, model, views, scratch))
-    low, high = borrow((low, high))
     tree, subtrees, starts = model[0], model[2], model[3]
-    plus, minus = scratch[2], scratch[3]
+    plus, minus, trial = scratch[2], scratch[3], scratch[8]
     n_parts = len(tree[0])
     for part in range(n_parts):
         below = subtrees[starts[part] : starts[part + 1]]
         place_parts(subtrees[:n_parts], n_parts, pose, tree, scratch)
-        scratch[4][:] = np.uint64(0)
-        draw_parts_into(scratch[4], select_fixed(part, n_parts, below, scratch[9]), model, views, scratch)
-        fill_evidence(0, views[3], scratch[4], plus, minus)
-        allowed = count_parts_apart(below, model, views, plus, minus, scratch) + _TIE / weights[2]
+        clear_bits(scratch[4])
+        fixed = scratch[9][: select_fixed(part, n_parts, below, scratch[9])]
+        draw_parts_into(scratch[4], fixed, model, views, scratch)
+        fill_evidence(np.int64(0), views[3], scratch[4], plus, minus, scratch[7])
+        allowed = count_parts(below, model, views, plus, minus, scratch, np.inf) + _TIE / weights[2]
         first = 0 if part == 0 else 6 + tree[5][part]
         for axis in range(first, first + (6 if part == 0 else tree[3][part])):
-            low[axis] = _measure_width(axis, -1.0, allowed, below, pose, bounds[0][axis], model, views, scratch)
-            high[axis] = _measure_width(axis, 1.0, allowed, below, pose, bounds[0][axis], model, views, scratch)
-
-
-@njit(cache=True, nogil=True)
-def _measure_width(axis, side, allowed, below, pose, spread, model, views, scratch):  # type: ignore[no-untyped-def]
-    """The last of the growing amounts up to which the mismatch stays within what is allowed."""
-    trial = scratch[8]
-    reached, amount = 0.0, spread / 32.0
-    while amount <= spread:
-        trial[:] = pose
-        move_axis(trial, axis, side * amount)
-        place_parts(below, 1, trial, model[0], scratch)
-        if count_parts_apart(below, model, views, scratch[2], scratch[3], scratch) > allowed:
-            break
-        reached = amount
-        amount *= 4.0
-    return reached
+            for side in (-1.0, 1.0):
+                reached, amount = 0.0, bounds[0][axis] / 32.0
+                while amount <= bounds[0][axis]:
+                    for number in range(len(pose)):
+                        trial[number] = pose[number]
+                    move_axis(trial, axis, side * amount)
+                    place_parts(below, np.int64(1), trial, tree, scratch)
+                    if count_parts(below, model, views, plus, minus, scratch, allowed) > allowed:
+                        break
+                    reached = amount
+                    amount *= 4.0
+                if side < 0.0:
+                    low[axis] = reached
+                else:
+                    high[axis] = reached

@@ -24,47 +24,43 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from dousa.estimation.body.kinematics import hang_part, turn_part, turn_root
-from dousa.estimation.raster.rasteriser import borrow, draw_intervals, outline_part, popcount
+from dousa.estimation.body.kinematics import hang_parts, turn_root
+from dousa.estimation.raster.rasteriser import draw_intervals, outline_part, popcount
 
 _ONES, _ONE, _WORD, _BIT = np.uint64(0xFFFFFFFFFFFFFFFF), np.uint64(1), np.uint64(6), np.uint64(63)
+_ONE_PART, _MASKED = np.int64(1), np.int64(0)  # numbers as such would have the kernels compiled once more for them
 _LEAST_WEIGHT = 1e-3  # W below this (beyond 2 dR) is out of reach
+_UNKNOWN = 1e18  # no number of pixels
+_MARGIN = 1e-6  # log score: what falls short by less is counted to the end
 
 
-@njit(cache=True, nogil=True, forceinline=True)
+@njit(cache=True, nogil=True, error_model="numpy", _nrt=False, no_cfunc_wrapper=True)
 def move_axis(pose, axis, amount):  # type: ignore[no-untyped-def]
     """Move a pose row along one degree of freedom, in place."""
     if axis < 3:
         pose[axis] += amount
     elif axis < 6:
-        turn_root(
-            pose,
-            amount if axis == 3 else 0.0,
-            amount if axis == 4 else 0.0,
-            amount if axis == 5 else 0.0,
-        )
+        x = amount if axis == 3 else 0.0
+        y = amount if axis == 4 else 0.0
+        turn_root(pose, x, y, amount if axis == 5 else 0.0)
     else:
         pose[axis + 1] += amount
 
 
-@njit(cache=True, nogil=True, forceinline=True)
+@njit(nogil=True, error_model="numpy", _nrt=False, inline="always")
 def place_parts(parts, n_turned, pose, tree, scratch):  # type: ignore[no-untyped-def]
-    """Place parts, parents first, of which only the first ``n_turned`` have angles other than when last placed."""
-    work, local, rotations, positions = scratch[7], scratch[12], scratch[5], scratch[6]
-    for i in range(n_turned):
-        turn_part(parts[i], pose, tree, work, local)
-    for part in parts:
-        hang_part(part, pose, tree, local, rotations, positions)
+    """`hang_parts` into the scratch."""
+    hang_parts(parts, n_turned, pose, tree, scratch[12], scratch[5], scratch[6])
 
 
-@njit(cache=True, nogil=True, forceinline=True)
+@njit(nogil=True, error_model="numpy", _nrt=False, inline="always")
 def count_alone(plus, minus, low, high, first, last):  # type: ignore[no-untyped-def]
     """Bits of plus less bits of minus under the intervals of one part."""
     total = np.int64(0)
     for row in range(first, last):
-        start, stop = np.uint64(low[row]), np.uint64(high[row])
         if low[row] > high[row]:
             continue
+        start, stop = np.uint64(low[row]), np.uint64(high[row])
         a, b = start >> _WORD, stop >> _WORD
         head, tail = _ONES << (start & _BIT), _ONES >> (_BIT - (stop & _BIT))
         if a == b:  # most limbs lie in one word
@@ -77,14 +73,14 @@ def count_alone(plus, minus, low, high, first, last):  # type: ignore[no-untyped
     return total
 
 
-@njit(cache=True, nogil=True, forceinline=True)
+@njit(nogil=True, error_model="numpy", _nrt=False, inline="always")
 def count_unseen(plus, minus, drawn, low, high, first, last):  # type: ignore[no-untyped-def]
     """The same for what is not yet in ``drawn``, which takes it up: several parts count each pixel once."""
     total = np.int64(0)
     for row in range(first, last):
-        start, stop = np.uint64(low[row]), np.uint64(high[row])
         if low[row] > high[row]:
             continue
+        start, stop = np.uint64(low[row]), np.uint64(high[row])
         a, b = start >> _WORD, stop >> _WORD
         head, tail = _ONES << (start & _BIT), _ONES >> (_BIT - (stop & _BIT))
         for word in range(a, b + _ONE):
@@ -99,41 +95,43 @@ def count_unseen(plus, minus, drawn, low, high, first, last):  # type: ignore[no
     return total
 
 
-@njit(cache=True, nogil=True, forceinline=True)
-def count_parts(parts, model, views, plus, minus, scratch):  # type: ignore[no-untyped-def]
-    """``|P & plus| - |P & minus|`` over all views, P the union of parts that have been placed."""
+@njit(cache=True, nogil=True, error_model="numpy", _nrt=False, no_cfunc_wrapper=True)
+def count_parts(parts, model, views, plus, minus, scratch, spare):  # type: ignore[no-untyped-def]
+    """``|P & plus| - |P & minus|`` over all views, P the union of parts that have been placed.
+
+    ``scratch[7]`` has ``-|minus|`` of each view, the least that it can add. As soon as what the views left over can
+    make good leaves more than ``spare``, the number so far is returned, which is then above ``spare`` too.
+    """
     cameras, sizes, seen = views[0], views[1], views[2]
-    work, drawn, rotations, positions = scratch[0], scratch[1], scratch[5], scratch[6]
-    low, high = work[2], work[3]
+    work, drawn, rotations, positions, least = scratch[0], scratch[1], scratch[5], scratch[6], scratch[7]
+    low, high, alone = work[2], work[3], len(parts) == 1
     total = np.int64(0)
+    for view in range(len(cameras)):
+        total += least[view] if seen[view] else 0
     for view in range(len(cameras)):
         if not seen[view]:
             continue
+        if total > spare:
+            break
+        total -= least[view]
         camera, ahead, behind = cameras[view], plus[view], minus[view]
         width, height = sizes[view, 0], sizes[view, 1]
-        if len(parts) == 1:
-            first, last = outline_part(parts[0], camera, width, height, model[1], rotations, positions, work)
-            total += count_alone(ahead, behind, low, high, first, last)
-            continue
-        least, most = height, 0
-        for part in parts:
-            first, last = outline_part(part, camera, width, height, model[1], rotations, positions, work)
-            if first < last:
+        top, bottom = height, 0
+        for i in range(len(parts)):
+            first, last = outline_part(parts[i], camera, width, height, model[1], rotations, positions, work)
+            if alone:
+                total += count_alone(ahead, behind, low, high, first, last)
+            elif first < last:
                 total += count_unseen(ahead, behind, drawn, low, high, first, last)
-                least, most = min(least, first), max(most, last)
-        for row in range(least, most):
+                top = first if first < top else top
+                bottom = last if last > bottom else bottom
+        for row in range(top, bottom):
             for word in range(drawn.shape[1]):
                 drawn[row, word] = np.uint64(0)
     return total
 
 
-@njit(cache=True, nogil=True)
-def count_parts_apart(parts, model, views, plus, minus, scratch):  # type: ignore[no-untyped-def]
-    """`count_parts` where a call costs little beside the rest, compiled once and not into every caller."""
-    return count_parts(parts, model, views, plus, minus, scratch)
-
-
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy", _nrt=False, no_cfunc_wrapper=True)
 def draw_parts_into(bits, parts, model, views, scratch):  # type: ignore[no-untyped-def]
     """Add parts that have been placed to bits (V, H, words) of the views that are seen."""
     cameras, sizes = views[0], views[1]
@@ -141,21 +139,31 @@ def draw_parts_into(bits, parts, model, views, scratch):  # type: ignore[no-unty
     for view in range(len(cameras)):
         if not views[2][view]:
             continue
-        for part in parts:
+        for i in range(len(parts)):
             first, last = outline_part(
-                part, cameras[view], sizes[view, 0], sizes[view, 1], model[1], scratch[5], scratch[6], work
+                parts[i], cameras[view], sizes[view, 0], sizes[view, 1], model[1], scratch[5], scratch[6], work
             )
             draw_intervals(bits[view], work[2], work[3], first, last)
 
 
-@njit(cache=True, nogil=True)
-def fill_evidence(reading, silhouettes, fixed, plus, minus):  # type: ignore[no-untyped-def]
-    """The two images that tell the mismatch of any candidate, for each reading of eq. 2.
+@njit(nogil=True, error_model="numpy", _nrt=False, inline="always")
+def clear_bits(bits):  # type: ignore[no-untyped-def]
+    """Unset all bits (V, H, words)."""
+    for view in range(bits.shape[0]):
+        for row in range(bits.shape[1]):
+            for word in range(bits.shape[2]):
+                bits[view, row, word] = np.uint64(0)
+
+
+@njit(cache=True, nogil=True, error_model="numpy", _nrt=False, no_cfunc_wrapper=True)
+def fill_evidence(reading, silhouettes, fixed, plus, minus, least):  # type: ignore[no-untyped-def]
+    """The two images that tell the mismatch of any candidate, for each reading of eq. 2; -|minus| of each view.
 
     The mismatch is the number of pixels of X xor P_c that count: X and what counts is, by reading, masked: S, outside
     P_fixed; residual: S minus P_fixed; union: S or P_fixed; plain: S; literal: S and P_fixed, as printed.
     """
     for view in range(silhouettes.shape[0]):
+        least[view] = 0
         for row in range(silhouettes.shape[1]):
             for word in range(silhouettes.shape[2]):
                 s, f = silhouettes[view, row, word], fixed[view, row, word]
@@ -170,9 +178,10 @@ def fill_evidence(reading, silhouettes, fixed, plus, minus):  # type: ignore[no-
                     elif reading == 4:
                         x = s & f
                     plus[view, row, word], minus[view, row, word] = ~x, x
+                least[view] -= np.int64(popcount(minus[view, row, word]))
 
 
-@njit(cache=True, nogil=True)
+@njit(nogil=True, error_model="numpy", _nrt=False, inline="always")
 def _count_bits(bits, mask, masked):  # type: ignore[no-untyped-def]
     total = np.int64(0)
     for view in range(bits.shape[0]):
@@ -183,65 +192,70 @@ def _count_bits(bits, mask, masked):  # type: ignore[no-untyped-def]
     return total
 
 
-@njit(cache=True, nogil=True, forceinline=True)
+@njit(nogil=True, error_model="numpy", _nrt=False, inline="always")
 def _find_lowest(parts, solids, scratch):  # type: ignore[no-untyped-def]
     """Height m of the lowest point of parts that have been placed."""
     spheres, starts = solids
     rotations, positions = scratch[5], scratch[6]
     lowest = 1e30
-    for part in parts:
+    for i in range(len(parts)):
+        part = parts[i]
         for s in range(starts[part], starts[part + 1]):
             height = positions[part, 1] - spheres[s, 3]
             for k in range(3):
                 height += rotations[part, 1, k] * spheres[s, k]
-            lowest = min(lowest, height)
+            lowest = height if height < lowest else lowest
     return lowest
 
 
-@njit(cache=True, nogil=True, forceinline=True)
+@njit(nogil=True, error_model="numpy", _nrt=False, inline="always")
 def _price_floor(lowest, floor):  # type: ignore[no-untyped-def]
     """What it costs that the lowest point is off the floor; capped, so that people may jump."""
     off = lowest - floor[0]
-    return min(floor[2], off * off * floor[1])
+    price = off * off * floor[1]
+    return price if price < floor[2] else floor[2]
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy", _nrt=False, no_cfunc_wrapper=True)
 def sweep(pose, shift, order, whole, reach, weights, bounds, model, views, scratch):  # type: ignore[no-untyped-def]
     """One pass over the parts in ``order``, axis by axis; moves ``pose`` and ``shift``, its way from the prediction.
 
     Each axis takes the best of 2 ``half`` + 1 candidates within ``factor`` dR of where it is. With ``whole`` false a
     part is judged alone, before those already placed (the paper; the root, which has none before it, with the whole
-    body as predicted); else it carries all parts below it, and all others stand still around them.
+    body as predicted); else it carries all parts below it, and all others stand still around them. Returns the log
+    score of the whole pose that it leaves, which is all that there is to do where ``order`` is empty.
     """
-    weights, bounds, model, views, scratch = borrow((weights, bounds, model, views, scratch))
-    pose, shift, order = borrow((pose, shift, order))
     tree, subtrees, starts = model[0], model[2], model[3]
-    n_parts = len(tree[0])
+    n_parts, half = len(tree[0]), reach[1]
     place_parts(subtrees[:n_parts], n_parts, pose, tree, scratch)
-    for part in order:
+    for i in range(len(order)):
+        part = order[i]
         n_axes = 6 if part == 0 else tree[3][part]
         if n_axes == 0:
             continue
         below = subtrees[starts[part] : starts[part + 1]]
         moved = below if whole or part == 0 else below[:1]
-        fixed = select_fixed(part, n_parts if whole else part, below, scratch[9])
-        scratch[4][:] = np.uint64(0)
+        fixed = scratch[9][: select_fixed(part, n_parts if whole else part, below, scratch[9])]
+        clear_bits(scratch[4])
         draw_parts_into(scratch[4], fixed, model, views, scratch)
-        fill_evidence(weights[0], views[3], scratch[4], scratch[2], scratch[3])
+        fill_evidence(weights[0], views[3], scratch[4], scratch[2], scratch[3], scratch[7])
         lowest = _find_lowest(fixed, model[1], scratch)
         first = 0 if part == 0 else 6 + tree[5][part]
+        known = _UNKNOWN
         for axis in range(first, first + n_axes):
-            best = _search_axis(axis, moved, lowest, pose, shift, reach, weights, bounds, model, views, scratch)
-            amount = reach[0] * bounds[0][axis] * best / reach[1]
+            best = _search_axis(axis, moved, lowest, known, pose, shift, reach, weights, bounds, model, views, scratch)
+            amount = reach[0] * bounds[0][axis] * best / half
             move_axis(pose, axis, amount)
             shift[axis] += amount
-        place_parts(below, 1, pose, tree, scratch)
+            known = scratch[10][best + half]
+        place_parts(below, _ONE_PART, pose, tree, scratch)
+    return _score(pose, shift, weights, bounds, model, views, scratch)
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy", _nrt=False, no_cfunc_wrapper=True)
 def select_fixed(part, end, below, chosen):  # type: ignore[no-untyped-def]
-    """The parts before ``end`` that do not hang on ``part``, as a view of ``chosen``."""
-    count, place = 0, 0
+    """How many parts before ``end`` do not hang on ``part``; they come first in ``chosen``."""
+    count, place = np.int64(0), np.int64(0)
     for q in range(end):
         while place < len(below) and below[place] < q:
             place += 1
@@ -249,57 +263,78 @@ def select_fixed(part, end, below, chosen):  # type: ignore[no-untyped-def]
             continue
         chosen[count] = q
         count += 1
-    return chosen[:count]
+    return count
 
 
-@njit(cache=True, nogil=True, forceinline=True)
-def _search_axis(axis, moved, lowest, pose, shift, reach, weights, bounds, model, views, scratch):  # type: ignore[no-untyped-def]
+@njit(nogil=True, error_model="numpy", _nrt=False, inline="always")
+def _search_axis(axis, moved, lowest, known, pose, shift, reach, weights, bounds, model, views, scratch):  # type: ignore[no-untyped-def]
     """Number (-half to half) of the best candidate of one axis.
 
-    All candidates, or every other one and then the two beside the best: few axes hide a second hill between.
+    All candidates, or every other one and then the two beside the best: few axes hide a second hill between. The middle
+    comes first: it is mostly the best, and what cannot be better than the best so far is given up after some views.
+    ``known`` is the mismatch of the middle, if the axis before has left it there.
     """
-    half, stride = reach[1], reach[2]
-    scratch[11][: 2 * half + 1] = -np.inf
+    half, stride, priors, trial = reach[1], reach[2], scratch[11], scratch[8]
+    for k in range(2 * half + 1):
+        priors[k] = -np.inf
     if weights[1] == 1:
-        scratch[4][:] = np.uint64(0)  # P_fixed has done its work: now what any candidate can reach
-    best = 0
+        clear_bits(scratch[4])  # P_fixed has done its work: now what any candidate can reach
+    best, best_score = 0, -np.inf
     for stage in range(stride):
-        first, last = (-half, half) if stage == 0 else (max(-half, best - 1), min(half, best + 1))
-        step = stride if stage == 0 else 1
-        for k in range(first, last + 1, step):
-            if scratch[11][k + half] == -np.inf:
-                _try_candidate(k, axis, moved, lowest, pose, shift, reach, weights, bounds, model, views, scratch)
+        for n in range(2 * half + 1):
+            k = (n + 1) // 2 if n % 2 == 0 else -((n + 1) // 2)
+            wanted = (k + half) % stride == 0 if stage == 0 else abs(k - best) <= 1
+            if not wanted or priors[k + half] != -np.inf:
+                continue
+            amount = reach[0] * bounds[0][axis] * k / half
+            prior = _weigh(k, axis, amount, pose, shift, weights, bounds)
+            if prior == -np.inf:
+                continue
+            settled = k == 0 and known != _UNKNOWN and weights[1] != 1 and weights[4][1] == 0.0
+            if not settled:
+                for number in range(len(pose)):
+                    trial[number] = pose[number]
+                move_axis(trial, axis, amount)
+                place_parts(moved, _ONE_PART, trial, model[0], scratch)
+                if weights[4][1] > 0.0:
+                    low = _find_lowest(moved, model[1], scratch)
+                    prior -= _price_floor(low if low < lowest else lowest, weights[4])
+                spare = np.inf if weights[1] > 0 else (prior - best_score + _MARGIN) / weights[2]
+                found = count_parts(moved, model, views, scratch[2], scratch[3], scratch, spare)
+                if found > spare:
+                    continue
+                scratch[10][k + half] = found
+                if weights[1] == 1:
+                    draw_parts_into(scratch[4], moved, model, views, scratch)
+            else:
+                scratch[10][k + half] = known
+            priors[k + half] = prior
+            score = prior - weights[2] * scratch[10][k + half]
+            best_score = score if score > best_score else best_score
         best = _choose(half, weights, scratch)
     return best
 
 
-@njit(cache=True, nogil=True, forceinline=True)
-def _try_candidate(k, axis, moved, lowest, pose, shift, reach, weights, bounds, model, views, scratch):  # type: ignore[no-untyped-def]
-    """Mismatch and prior of candidate k of an axis; out of reach it keeps the prior -inf."""
-    spread, limits = bounds[0], bounds[2]
-    trial = scratch[8]
-    amount = reach[0] * spread[axis] * k / reach[1]
+@njit(nogil=True, error_model="numpy", _nrt=False, inline="always")
+def _weigh(k, axis, amount, pose, shift, weights, bounds):  # type: ignore[no-untyped-def]
+    """Inertia and ease of candidate k of an axis; -inf where it is out of reach."""
+    spread, ease, limits = bounds
     off = (shift[axis] + amount) / spread[axis]
     w = 1.0 - 0.25 * off * off
-    if w <= _LEAST_WEIGHT and k != 0:
-        return
-    if axis >= 6 and k != 0:
+    if w <= _LEAST_WEIGHT:
+        if k != 0:
+            return -np.inf
+        w = _LEAST_WEIGHT
+    price = 0.0
+    if axis >= 6:
         angle = pose[axis + 1] + amount
-        if angle < limits[axis - 6, 0] or angle > limits[axis - 6, 1]:
-            return
-    trial[:] = pose
-    move_axis(trial, axis, amount)
-    place_parts(moved, 1, trial, model[0], scratch)
-    prior = weights[3] * np.log(max(w, _LEAST_WEIGHT)) - _price_strain(axis, trial, bounds[1])
-    if weights[4][1] > 0.0:
-        prior -= _price_floor(min(lowest, _find_lowest(moved, model[1], scratch)), weights[4])
-    scratch[10][k + reach[1]] = count_parts(moved, model, views, scratch[2], scratch[3], scratch)
-    scratch[11][k + reach[1]] = prior
-    if weights[1] == 1:
-        draw_parts_into(scratch[4], moved, model, views, scratch)
+        if k != 0 and (angle < limits[axis - 6, 0] or angle > limits[axis - 6, 1]):
+            return -np.inf
+        price = _price_strain(axis, angle, ease)
+    return weights[3] * np.log(w) - price
 
 
-@njit(cache=True, nogil=True)
+@njit(nogil=True, error_model="numpy", _nrt=False, inline="always")
 def _choose(half, weights, scratch):  # type: ignore[no-untyped-def]
     """The best of the candidates tried so far; the nearer one where two are equal."""
     evidence, mismatches, priors = weights[1], scratch[10], scratch[11]
@@ -311,37 +346,39 @@ def _choose(half, weights, scratch):  # type: ignore[no-untyped-def]
         if priors[k + half] == -np.inf:
             continue
         mismatch = mismatches[k + half]
-        image = -weights[2] * mismatch if evidence == 0 else -np.log(1.0 + max(0.0, ground + mismatch))
+        image = (
+            -weights[2] * mismatch
+            if evidence == 0
+            else -np.log(1.0 + (ground + mismatch if ground + mismatch > 0.0 else 0.0))
+        )
         score = image + priors[k + half]
         if score > best_score + 1e-12 or (score > best_score - 1e-12 and abs(k) < abs(best)):
             best, best_score = k, score
     return best
 
 
-@njit(cache=True, nogil=True, forceinline=True)
-def _price_strain(axis, pose, ease):  # type: ignore[no-untyped-def]
+@njit(nogil=True, error_model="numpy", _nrt=False, inline="always")
+def _price_strain(axis, angle, ease):  # type: ignore[no-untyped-def]
     """What it costs to hold an angle away from where the joint is at ease."""
-    if axis < 6:
-        return 0.0
-    strain = (pose[axis + 1] - ease[axis, 0]) * ease[axis, 1]
+    strain = (angle - ease[axis, 0]) * ease[axis, 1]
     return strain * strain
 
 
-@njit(cache=True, nogil=True)
-def score_pose(pose, shift, weights, bounds, model, views, scratch):  # type: ignore[no-untyped-def]
+@njit(nogil=True, error_model="numpy", _nrt=False, inline="always")
+def _score(pose, shift, weights, bounds, model, views, scratch):  # type: ignore[no-untyped-def]
     """Log score of a whole pose: image, inertia, ease and floor, up to a constant that all poses of a frame share."""
-    weights, bounds, model, views, scratch = borrow((weights, bounds, model, views, scratch))
-    pose, shift = borrow((pose, shift))
-    tree = model[0]
-    n_parts = len(tree[0])
+    n_parts = len(model[0][0])
     every = model[2][:n_parts]  # the subtree of the root
-    place_parts(every, n_parts, pose, tree, scratch)
-    scratch[4][:] = np.uint64(0)
-    fill_evidence(0, views[3], scratch[4], scratch[2], scratch[3])
-    score = -weights[2] * count_parts_apart(every, model, views, scratch[2], scratch[3], scratch)
+    place_parts(every, n_parts, pose, model[0], scratch)
+    clear_bits(scratch[4])
+    fill_evidence(_MASKED, views[3], scratch[4], scratch[2], scratch[3], scratch[7])
+    score = -weights[2] * count_parts(every, model, views, scratch[2], scratch[3], scratch, np.inf)
     for axis in range(len(shift)):
         off = shift[axis] / bounds[0][axis]
-        score += weights[3] * np.log(max(_LEAST_WEIGHT, 1.0 - 0.25 * off * off)) - _price_strain(axis, pose, bounds[1])
+        w = 1.0 - 0.25 * off * off
+        score += weights[3] * np.log(w if w > _LEAST_WEIGHT else _LEAST_WEIGHT)
+        if axis >= 6:
+            score -= _price_strain(axis, pose[axis + 1], bounds[1])
     if weights[4][1] > 0.0:
         score -= _price_floor(_find_lowest(every, model[1], scratch), weights[4])
     return score

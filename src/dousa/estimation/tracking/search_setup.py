@@ -15,7 +15,7 @@ from dousa.estimation.body.kinematics import tree_arrays
 from dousa.estimation.cameras.camera import Camera, pack_cameras
 from dousa.estimation.raster.rasteriser import outline_scratch, pack_bits, unpack_bits
 from dousa.estimation.silhouettes.cleaning import NEARLY_FULL
-from dousa.estimation.tracking.search_kernels import score_pose, sweep
+from dousa.estimation.tracking.search_kernels import sweep
 from dousa.estimation.tracking.settings import EVIDENCES, MOST_CANDIDATES, READINGS, TrackerSettings
 
 _FLOOR_SIGMA, _FLOOR_CAP = 0.03, 4.0  # m; log score, so that people may jump
@@ -96,8 +96,8 @@ class SearchSetup:
     def make_scratch(self) -> tuple[Any, ...]:
         """Scratch of the kernels; each thread needs its own.
 
-        0 outline work, 1 drawn bits, 2 plus, 3 minus, 4 fixed, 5 rotations, 6 positions, 7 quaternions, 8 trial pose,
-        9 fixed parts, 10 mismatches, 11 priors, 12 rotations in the parents' axes.
+        0 outline work, 1 drawn bits, 2 plus, 3 minus, 4 fixed, 5 rotations, 6 positions, 7 -|minus| by view,
+        8 trial pose, 9 fixed parts, 10 mismatches, 11 priors, 12 rotations in the parents' axes.
         """
         body, shape = self.body, (len(self.cameras), self.height, self.n_words)
         return (
@@ -108,7 +108,7 @@ class SearchSetup:
             np.zeros(shape, np.uint64),
             np.zeros((body.n_parts, 3, 3)),
             np.zeros((body.n_parts, 3)),
-            np.zeros((2, 4)),
+            np.zeros(len(self.cameras), np.int64),
             np.zeros(7 + body.n_angles),
             np.zeros(body.n_parts + 1, np.int64),
             np.zeros(MOST_CANDIDATES),
@@ -139,15 +139,26 @@ class SearchSetup:
         frame: Frame,
         scratch: tuple[Any, ...],
         half: int | None = None,
-    ) -> None:
-        """One pass over the whole body, in place; see `search_kernels.sweep`."""
-        reach = (factor, half or self.half, self.settings.thinning)
-        views = self.views(frame)
-        sweep(pose, shift, self.order, self.whole, reach, self.weights, self.bounds, self.model, views, scratch)
+    ) -> float:
+        """One pass over the whole body, in place, and the log score it leads to; see `search_kernels.sweep`."""
+        return self._run(self.order, pose, shift, (factor, half or self.half, self.settings.thinning), frame, scratch)
 
     def score(self, pose: FloatArray, shift: FloatArray, frame: Frame, scratch: tuple[Any, ...]) -> float:
-        """Log score of a whole pose; see `search_kernels.score_pose`."""
-        return float(score_pose(pose, shift, self.weights, self.bounds, self.model, self.views(frame), scratch))
+        """Log score of a whole pose."""
+        return self._run(self.order[:0], pose, shift, (1.0, self.half, self.settings.thinning), frame, scratch)
+
+    def _run(
+        self,
+        order: NDArray[np.intp],
+        pose: FloatArray,
+        shift: FloatArray,
+        reach: tuple[float, int, int],
+        frame: Frame,
+        scratch: tuple[Any, ...],
+    ) -> float:
+        views = self.views(frame)
+        found = sweep(pose, shift, order, self.whole, reach, self.weights, self.bounds, self.model, views, scratch)
+        return float(found)
 
 
 def _list_subtrees(parents: NDArray[np.intp]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:

@@ -173,6 +173,7 @@ class _Job:
         if girths == "fit":
             self._fit_girths(pose, small)
         self.beam = Beam(self.setup, pose, self.n_threads)
+        self.diagnosis.pool = self.beam.pool
         self.beam.begin(frame)
         self.at = self.first + 1
         covered = self.diagnosis.cover(pose, frame)
@@ -212,6 +213,7 @@ class _Job:
         self.poses = list(partial.poses)
         self.restarts = [int(frame) for frame in partial.restarts]
         self.beam = Beam(self.setup, partial.beam_poses[0], self.n_threads)
+        self.diagnosis.pool = self.beam.pool
         self.at = len(self.poses)
         frames = [self._read() for _ in range(len(partial.pending_poses))]
         self.beam.load(partial, frames)
@@ -239,6 +241,7 @@ class _Job:
                 on_checkpoint(self._save())
         for settled in self.beam.settle(0):
             self._keep(settled.pose, settled.frame)
+        self.diagnosis.finish()
         self.seconds = time.perf_counter() - self.clock
 
     def _watch(self, frame: Frame) -> None:
