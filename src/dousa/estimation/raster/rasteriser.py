@@ -10,13 +10,13 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numba import njit, types
+from numba import types
 from numba.extending import intrinsic
 from numpy.typing import ArrayLike, NDArray
 
 from dousa.arrays import FloatArray, IntArray, Mask
 from dousa.estimation.body.body import BodyModel
-from dousa.estimation.body.kinematics import place_parts
+from dousa.estimation.body.kinematics import compiled, inlined, merged, place_parts
 from dousa.estimation.cameras.camera import Camera
 
 Bits = NDArray[np.uint64]
@@ -100,7 +100,7 @@ def _popcount(_context, word):  # type: ignore[no-untyped-def]
 popcount: Any = intrinsic(_popcount)
 
 
-@njit(nogil=True, error_model="numpy", _nrt=False, inline="always")
+@inlined
 def project_sphere(camera, x, y, z, radius):  # type: ignore[no-untyped-def]
     """Image column, row and radius (px) of a sphere, radius -1 behind the camera; ``camera`` as in `CAMERA_ROW`."""
     cx = camera[6] * x + camera[7] * y + camera[8] * z + camera[15]
@@ -123,7 +123,7 @@ def project_sphere(camera, x, y, z, radius):  # type: ignore[no-untyped-def]
     return camera[1] * cx + camera[5] * cy + camera[3], camera[2] * cy + camera[4], scale * radius
 
 
-@njit(nogil=True, error_model="numpy", _nrt=False, inline="always")
+@inlined
 def outline_discs(discs, count, width, height, pairs, low, high):  # type: ignore[no-untyped-def]
     """First and last column of the hull of discs in each row.
 
@@ -150,7 +150,7 @@ def outline_discs(discs, count, width, height, pairs, low, high):  # type: ignor
     return first, last + 1
 
 
-@njit(nogil=True, error_model="numpy", _nrt=False, inline="always")
+@inlined
 def _measure_pairs(discs, count, pairs):  # type: ignore[no-untyped-def]
     """For each pair: length of its outer tangents and 1 / squared distance; ``pairs[i, i, 0]`` is -1 of a held disc.
 
@@ -175,7 +175,7 @@ _AS_HIGH = 1e-9  # px, of coordinates up to 1: what differs by less lies in one 
 _LEVEL = 1e-18  # share of a normal that points sideways: a tangent with less has no slope
 
 
-@njit(nogil=True, error_model="numpy", _nrt=False, inline="always")
+@inlined
 def _find_start(side, discs, count, pairs, top):  # type: ignore[no-untyped-def]
     """Of the discs that reach as high as any and lie in no other, the outermost: there the walk begins."""
     here, outmost = 0, -np.inf
@@ -186,7 +186,7 @@ def _find_start(side, discs, count, pairs, top):  # type: ignore[no-untyped-def]
     return here
 
 
-@njit(cache=True, nogil=True, error_model="numpy", _nrt=False, no_cfunc_wrapper=True, forceinline=True)
+@merged
 def _trace_side(side, discs, count, pairs, top, first, last, width, columns):  # type: ignore[no-untyped-def]
     """Walk down one side of the hull (gift wrapping over discs) and note its column in every row.
 
@@ -227,7 +227,7 @@ def _trace_side(side, discs, count, pairs, top, first, last, width, columns):  #
         columns[k] = -1 if side > 0.0 else width
 
 
-@njit(nogil=True, error_model="numpy", _nrt=False, inline="always")
+@inlined
 def _to_column(side, x, width):  # type: ignore[no-untyped-def]
     """The outermost whole column within a boundary at ``side * x``, clipped to the image before it is converted."""
     if side > 0.0:
@@ -240,7 +240,7 @@ def _to_column(side, x, width):  # type: ignore[no-untyped-def]
 _ONES = np.uint64(0xFFFFFFFFFFFFFFFF)
 
 
-@njit(nogil=True, error_model="numpy", _nrt=False, inline="always")
+@inlined
 def interval_mask(word, start, stop):  # type: ignore[no-untyped-def]
     """Bits of a word that lie in the columns from start to stop, both inclusive."""
     mask = _ONES
@@ -251,7 +251,7 @@ def interval_mask(word, start, stop):  # type: ignore[no-untyped-def]
     return mask
 
 
-@njit(cache=True, nogil=True, error_model="numpy", _nrt=False, no_cfunc_wrapper=True)
+@compiled
 def draw_intervals(bits, low, high, first, last):  # type: ignore[no-untyped-def]
     """Set the bits (H, words) of the intervals of rows first to last (exclusive)."""
     for row in range(first, last):
@@ -261,7 +261,7 @@ def draw_intervals(bits, low, high, first, last):  # type: ignore[no-untyped-def
                 bits[row, word] |= interval_mask(word, start, stop)
 
 
-@njit(cache=True, nogil=True, error_model="numpy", _nrt=False, no_cfunc_wrapper=True, forceinline=True)
+@compiled
 def outline_part(part, camera, width, height, solids, rotations, positions, work):  # type: ignore[no-untyped-def]
     """Row intervals of one part, placed by ``rotations`` (P, 3, 3) and ``positions`` (P, 3); none behind the camera.
 
@@ -283,7 +283,7 @@ def outline_part(part, camera, width, height, solids, rotations, positions, work
     return outline_discs(discs, count, width, height, work[1], work[2], work[3])
 
 
-@njit(cache=True, nogil=True, error_model="numpy", _nrt=False, no_cfunc_wrapper=True)
+@compiled
 def draw_layers(rotations, positions, solids, camera, width, layers, work, bits):  # type: ignore[no-untyped-def]
     """Draw every part of every frame into its layer of ``bits`` (T, layers, H, words)."""
     height = bits.shape[2]

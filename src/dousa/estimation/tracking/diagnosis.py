@@ -7,11 +7,10 @@ from concurrent.futures import Executor, Future
 from typing import Any
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from dousa.arrays import FloatArray
-from dousa.estimation.body.kinematics import compute_points
+from dousa.estimation.body.kinematics import compiled, compute_points, inlined
 from dousa.estimation.raster.rasteriser import interval_mask, outline_part, popcount
 from dousa.estimation.tracking.beam import move_pose
 from dousa.estimation.tracking.search_kernels import (
@@ -144,7 +143,7 @@ class Diagnosis:
 _TIE = 1.0  # log score: what drops by less is as good
 
 
-@njit(nogil=True, error_model="numpy", _nrt=False, inline="always")
+@inlined
 def _compare(ours, theirs):  # type: ignore[no-untyped-def]
     """Intersection over union of two bit images (H, words), NaN where both are empty."""
     both, either = np.int64(0), np.int64(0)
@@ -155,7 +154,7 @@ def _compare(ours, theirs):  # type: ignore[no-untyped-def]
     return both / either if either > 0 else np.nan
 
 
-@njit(cache=True, nogil=True, error_model="numpy", _nrt=False, no_cfunc_wrapper=True)
+@compiled
 def cover_views(pose, model, views, scratch, overlap, visible):  # type: ignore[no-untyped-def]
     """Overlap of body and silhouette in each view, and how much of each part no other part covers.
 
@@ -196,7 +195,7 @@ def cover_views(pose, model, views, scratch, overlap, visible):  # type: ignore[
                 visible[part] = share if share > visible[part] else visible[part]
 
 
-@njit(cache=True, nogil=True, error_model="numpy", _nrt=False, no_cfunc_wrapper=True)
+@compiled
 def measure_widths(pose, weights, bounds, model, views, scratch, low, high):  # type: ignore[no-untyped-def]
     """How far each degree of freedom can be moved either way before the image's score drops by one.
 

@@ -22,9 +22,8 @@ Arguments that come together in every function:
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
-from dousa.estimation.body.kinematics import hang_parts, turn_root
+from dousa.estimation.body.kinematics import compiled, hang_parts, inlined, turn_root
 from dousa.estimation.raster.rasteriser import draw_intervals, outline_part, popcount
 
 _ONES, _ONE, _WORD, _BIT = np.uint64(0xFFFFFFFFFFFFFFFF), np.uint64(1), np.uint64(6), np.uint64(63)
@@ -34,7 +33,7 @@ _UNKNOWN = 1e18  # no number of pixels
 _MARGIN = 1e-6  # log score: what falls short by less is counted to the end
 
 
-@njit(cache=True, nogil=True, error_model="numpy", _nrt=False, no_cfunc_wrapper=True)
+@compiled
 def move_axis(pose, axis, amount):  # type: ignore[no-untyped-def]
     """Move a pose row along one degree of freedom, in place."""
     if axis < 3:
@@ -47,13 +46,13 @@ def move_axis(pose, axis, amount):  # type: ignore[no-untyped-def]
         pose[axis + 1] += amount
 
 
-@njit(nogil=True, error_model="numpy", _nrt=False, inline="always")
+@inlined
 def place_parts(parts, n_turned, pose, tree, scratch):  # type: ignore[no-untyped-def]
     """`hang_parts` into the scratch."""
     hang_parts(parts, n_turned, pose, tree, scratch[12], scratch[5], scratch[6])
 
 
-@njit(nogil=True, error_model="numpy", _nrt=False, inline="always")
+@inlined
 def count_alone(plus, minus, low, high, first, last):  # type: ignore[no-untyped-def]
     """Bits of plus less bits of minus under the intervals of one part."""
     total = np.int64(0)
@@ -73,7 +72,7 @@ def count_alone(plus, minus, low, high, first, last):  # type: ignore[no-untyped
     return total
 
 
-@njit(nogil=True, error_model="numpy", _nrt=False, inline="always")
+@inlined
 def count_unseen(plus, minus, drawn, low, high, first, last):  # type: ignore[no-untyped-def]
     """The same for what is not yet in ``drawn``, which takes it up: several parts count each pixel once."""
     total = np.int64(0)
@@ -95,7 +94,7 @@ def count_unseen(plus, minus, drawn, low, high, first, last):  # type: ignore[no
     return total
 
 
-@njit(cache=True, nogil=True, error_model="numpy", _nrt=False, no_cfunc_wrapper=True)
+@compiled
 def count_parts(parts, model, views, plus, minus, scratch, spare):  # type: ignore[no-untyped-def]
     """``|P & plus| - |P & minus|`` over all views, P the union of parts that have been placed.
 
@@ -131,7 +130,7 @@ def count_parts(parts, model, views, plus, minus, scratch, spare):  # type: igno
     return total
 
 
-@njit(cache=True, nogil=True, error_model="numpy", _nrt=False, no_cfunc_wrapper=True)
+@compiled
 def draw_parts_into(bits, parts, model, views, scratch):  # type: ignore[no-untyped-def]
     """Add parts that have been placed to bits (V, H, words) of the views that are seen."""
     cameras, sizes = views[0], views[1]
@@ -146,7 +145,7 @@ def draw_parts_into(bits, parts, model, views, scratch):  # type: ignore[no-unty
             draw_intervals(bits[view], work[2], work[3], first, last)
 
 
-@njit(nogil=True, error_model="numpy", _nrt=False, inline="always")
+@inlined
 def clear_bits(bits):  # type: ignore[no-untyped-def]
     """Unset all bits (V, H, words)."""
     for view in range(bits.shape[0]):
@@ -155,7 +154,7 @@ def clear_bits(bits):  # type: ignore[no-untyped-def]
                 bits[view, row, word] = np.uint64(0)
 
 
-@njit(cache=True, nogil=True, error_model="numpy", _nrt=False, no_cfunc_wrapper=True)
+@compiled
 def fill_evidence(reading, silhouettes, fixed, plus, minus, least):  # type: ignore[no-untyped-def]
     """The two images that tell the mismatch of any candidate, for each reading of eq. 2; -|minus| of each view.
 
@@ -181,7 +180,7 @@ def fill_evidence(reading, silhouettes, fixed, plus, minus, least):  # type: ign
                 least[view] -= np.int64(popcount(minus[view, row, word]))
 
 
-@njit(nogil=True, error_model="numpy", _nrt=False, inline="always")
+@inlined
 def _count_bits(bits, mask, masked):  # type: ignore[no-untyped-def]
     total = np.int64(0)
     for view in range(bits.shape[0]):
@@ -192,7 +191,7 @@ def _count_bits(bits, mask, masked):  # type: ignore[no-untyped-def]
     return total
 
 
-@njit(nogil=True, error_model="numpy", _nrt=False, inline="always")
+@inlined
 def _find_lowest(parts, solids, scratch):  # type: ignore[no-untyped-def]
     """Height m of the lowest point of parts that have been placed."""
     spheres, starts = solids
@@ -208,7 +207,7 @@ def _find_lowest(parts, solids, scratch):  # type: ignore[no-untyped-def]
     return lowest
 
 
-@njit(nogil=True, error_model="numpy", _nrt=False, inline="always")
+@inlined
 def _price_floor(lowest, floor):  # type: ignore[no-untyped-def]
     """What it costs that the lowest point is off the floor; capped, so that people may jump."""
     off = lowest - floor[0]
@@ -216,7 +215,7 @@ def _price_floor(lowest, floor):  # type: ignore[no-untyped-def]
     return price if price < floor[2] else floor[2]
 
 
-@njit(cache=True, nogil=True, error_model="numpy", _nrt=False, no_cfunc_wrapper=True)
+@compiled
 def sweep(pose, shift, order, whole, reach, weights, bounds, model, views, scratch):  # type: ignore[no-untyped-def]
     """One pass over the parts in ``order``, axis by axis; moves ``pose`` and ``shift``, its way from the prediction.
 
@@ -252,7 +251,7 @@ def sweep(pose, shift, order, whole, reach, weights, bounds, model, views, scrat
     return _score(pose, shift, weights, bounds, model, views, scratch)
 
 
-@njit(cache=True, nogil=True, error_model="numpy", _nrt=False, no_cfunc_wrapper=True)
+@compiled
 def select_fixed(part, end, below, chosen):  # type: ignore[no-untyped-def]
     """How many parts before ``end`` do not hang on ``part``; they come first in ``chosen``."""
     count, place = np.int64(0), np.int64(0)
@@ -266,7 +265,7 @@ def select_fixed(part, end, below, chosen):  # type: ignore[no-untyped-def]
     return count
 
 
-@njit(nogil=True, error_model="numpy", _nrt=False, inline="always")
+@inlined
 def _search_axis(axis, moved, lowest, known, pose, shift, reach, weights, bounds, model, views, scratch):  # type: ignore[no-untyped-def]
     """Number (-half to half) of the best candidate of one axis.
 
@@ -315,7 +314,7 @@ def _search_axis(axis, moved, lowest, known, pose, shift, reach, weights, bounds
     return best
 
 
-@njit(nogil=True, error_model="numpy", _nrt=False, inline="always")
+@inlined
 def _weigh(k, axis, amount, pose, shift, weights, bounds):  # type: ignore[no-untyped-def]
     """Inertia and ease of candidate k of an axis; -inf where it is out of reach."""
     spread, ease, limits = bounds
@@ -334,7 +333,7 @@ def _weigh(k, axis, amount, pose, shift, weights, bounds):  # type: ignore[no-un
     return weights[3] * np.log(w) - price
 
 
-@njit(nogil=True, error_model="numpy", _nrt=False, inline="always")
+@inlined
 def _choose(half, weights, scratch):  # type: ignore[no-untyped-def]
     """The best of the candidates tried so far; the nearer one where two are equal."""
     evidence, mismatches, priors = weights[1], scratch[10], scratch[11]
@@ -357,14 +356,14 @@ def _choose(half, weights, scratch):  # type: ignore[no-untyped-def]
     return best
 
 
-@njit(nogil=True, error_model="numpy", _nrt=False, inline="always")
+@inlined
 def _price_strain(axis, angle, ease):  # type: ignore[no-untyped-def]
     """What it costs to hold an angle away from where the joint is at ease."""
     strain = (angle - ease[axis, 0]) * ease[axis, 1]
     return strain * strain
 
 
-@njit(nogil=True, error_model="numpy", _nrt=False, inline="always")
+@inlined
 def _score(pose, shift, weights, bounds, model, views, scratch):  # type: ignore[no-untyped-def]
     """Log score of a whole pose: image, inertia, ease and floor, up to a constant that all poses of a frame share."""
     n_parts = len(model[0][0])
