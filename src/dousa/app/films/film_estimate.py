@@ -190,13 +190,15 @@ def estimate_person(
 
 
 def _body_words(request: EstimationRequest, body: BodyModel) -> Message:
+    from dousa.estimation.multiview.keypoint_fit import STATURE_SHARE
+
     if request.body is not None:
         return Message("text.verbatim", text=request.body)
     if request.stature is not None:
         return Message("body.stature_given", stature=request.stature)
     if len(request.sources) == 1:
         return Message("body.assumed", stature=round(body.stature, 2))
-    return Message("body.of_keypoints", stature=body.stature)
+    return Message("body.of_keypoints", stature=body.stature, spread=STATURE_SHARE * body.stature)
 
 
 def add_overlap(estimate: Estimate, silhouettes: PersonSilhouettes, cameras: Sequence[Camera]) -> Estimate:

@@ -1,8 +1,10 @@
 """Where keypoints lie on the body: the part that each hangs on, its place there, and how well networks find it.
 
-Places are of the standing body in statures (see ``anthropometry.toml``), where the networks' makers draw their points;
-the body's own joints are taken where a point is meant to be a joint. Nothing here was fitted to a recording with known
-joints: how far off a network's hips, shoulders or feet are is found anew in every film (`body_fit`).
+Places are in statures in the axes of the part (see ``anthropometry.toml``). They were measured on made-up films of
+made-up people, whose joints are known (``benchmarks/made_people.py``: BlazePose's heavy model, meshes of MakeHuman in
+poses of HDM05 and Bandai Namco): such as that the point of a shoulder lies above the joint and goes with the trunk, and
+that of an ankle above the ankle. Nothing was fitted to a film of a real person; how far off the points of a group are
+in a film is found anew (`body_fit`).
 """
 
 from __future__ import annotations
@@ -19,29 +21,33 @@ from dousa.estimation.body.body import BodyModel
 from dousa.estimation.keypoints.keypoints import PersonTrack
 
 _MIDDLE: dict[str, tuple[str, tuple[float, float, float], float, str]] = {
-    "nose": ("head", (0.0, 0.070, 0.086), 0.025, "head"),
+    "nose": ("head", (0.0, 0.066, 0.086), 0.025, "head"),
     "neck": ("head", (0.0, 0.0, 0.0), 0.035, "neck"),
     "head": ("head", (0.0, 0.140, 0.018), 0.035, "crown"),
 }
 _LEFT: dict[str, tuple[str, tuple[float, float, float], float, str]] = {
-    "eye": ("head", (0.018, 0.083, 0.076), 0.025, "head"),
-    "ear": ("head", (0.043, 0.075, 0.026), 0.025, "head"),
-    "mouth": ("head", (0.014, 0.052, 0.078), 0.025, "head"),
-    "shoulder": ("upper_arm", (0.0, 0.0, 0.0), 0.03, "shoulder"),
-    "elbow": ("forearm", (0.0, 0.0, 0.0), 0.03, ""),
-    "wrist": ("hand", (0.0, 0.0, 0.0), 0.03, ""),
-    "hand": ("hand", (0.0, -0.048, 0.0), 0.04, "hand"),
-    "hip": ("thigh", (0.0, 0.0, 0.0), 0.035, "hip"),
-    "knee": ("shank", (0.0, 0.0, 0.0), 0.03, ""),
-    "ankle": ("foot", (0.0, 0.0, 0.0), 0.03, ""),
-    "heel": ("foot", (0.0, -0.033, -0.024), 0.035, "heel"),
-    "toe": ("foot", (0.0, -0.027, 0.088), 0.035, "toe"),
+    "eye": ("head", (0.014, 0.084, 0.072), 0.025, "head"),
+    "ear": ("head", (0.028, 0.076, 0.044), 0.025, "head"),
+    "mouth": ("head", (0.009, 0.047, 0.076), 0.025, "head"),
+    "shoulder": ("upper_arm", (0.0, 0.0175, 0.0), 0.03, "shoulder"),
+    "elbow": ("forearm", (0.0, 0.0, 0.006), 0.03, "elbow"),
+    "wrist": ("hand", (0.0, -0.005, 0.0025), 0.025, "wrist"),
+    "hand": ("hand", (-0.006, -0.047, -0.004), 0.03, "hand"),
+    "hip": ("thigh", (0.005, -0.002, 0.010), 0.035, "hip"),
+    "knee": ("shank", (-0.002, -0.0025, -0.005), 0.03, "knee"),
+    "ankle": ("foot", (0.001, 0.0125, 0.0015), 0.025, "ankle"),
+    "heel": ("foot", (-0.001, -0.024, -0.019), 0.03, "heel"),
+    "toe": ("foot", (-0.004, -0.031, 0.096), 0.03, "toe"),
 }
 """Point -> part, place, m by which networks are off, and the group of points that are off together."""
 
-SHIFTS = {"head": 0.02, "neck": 0.03, "crown": 0.03, "shoulder": 0.02, "hand": 0.015, "hip": 0.03, "heel": 0.015,
-          "toe": 0.015}  # fmt: skip
+SHIFTS = {"head": 0.015, "neck": 0.03, "crown": 0.03, "shoulder": 0.015, "elbow": 0.008, "wrist": 0.006,
+          "hand": 0.01, "hip": 0.02, "knee": 0.012, "ankle": 0.008, "heel": 0.01, "toe": 0.01}  # fmt: skip
 """m, how far the points of a group may lie beside their places on the body."""
+
+BREADTHS = {"hip_breadth": 0.103, "shoulder_breadth": 0.210}
+"""Statures between the joints of both sides: hips by Harrington and others (2007) for a pelvis 240 mm wide, shoulders
+18 mm within the acromia (Gordon and others, ANSUR II, 2012), below which de Leva (1996) has them too."""
 
 _SOURCES: dict[str, tuple[tuple[str, ...], ...]] = {
     "mouth": (("mouth_left",), ("mouth_right",)),
@@ -145,10 +151,13 @@ def place_landmarks(body: BodyModel, names: Sequence[str]) -> Landmarks:
         if owner not in body.names:
             raise KeypointError("multiview.no_part", part=owner)
         mirror = -1.0 if side == "right" else 1.0
-        rows.append((body.names.index(owner), (mirror * place[0], place[1], place[2]), spread, group))
+        row = body.names.index(owner)
+        at = body.stature * np.array((mirror * place[0], place[1], place[2]))
+        if point == "shoulder":  # it goes with the trunk, whose joint it is near
+            at, row = at + body.offsets[row], int(body.parents[row])
+        rows.append((row, at, spread, group))
     parts, places, spreads, groups = zip(*rows, strict=True)
-    scaled = body.stature * np.array(places)
-    return Landmarks(tuple(names), np.array(parts), scaled, np.array(spreads), tuple(groups))
+    return Landmarks(tuple(names), np.array(parts), np.array(places), np.array(spreads), tuple(groups))
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -18,6 +18,7 @@ from dousa.estimation.body.kinematics import place_parts
 from dousa.estimation.cameras.camera import Camera
 from dousa.estimation.multiview.landmarks import Landmarks, SeenLandmarks
 from dousa.estimation.multiview.triangulation import pixels_per_metre, project_slope
+from dousa.estimation.multiview.world_residuals import world_terms
 from dousa.motion import rotations as rot
 
 CORRELATED_S = 0.1
@@ -28,7 +29,8 @@ _TAIL = 4.0  # degrees of freedom of Student's t: points that are far off count 
 _LEAST_VISIBLE = 0.05
 _LIMIT = 0.05  # rad beyond a limit, one sigma
 _REST = 0.8  # of half a joint's range, one sigma about the angle at ease, for stiffness 1
-_WORLD = 0.2  # m, one sigma of the network's places in space about the hips: off by half of it, but all in one way
+WORLD_CORRELATED_S = 0.3
+"""s, likewise of what it says of depth."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -114,40 +116,34 @@ def normal_equations(
         square += np.swapaxes(rooted, 1, 2) @ rooted
         gradient -= np.einsum("tlid,tl,tli->td", flow, weights[view], errors[view])
     if terms.world_weight > 0:
-        _add_world(terms, landmarks, places, slopes, share, square, gradient, costs)
+        _add_world(body, terms, landmarks, places, slopes, square, gradient, costs)
     _add_angles(body, poses, share, terms.ease * share, square, gradient, costs)
     return square, gradient, costs
 
 
 def _add_world(
+    body: BodyModel,
     terms: Terms,
     landmarks: Landmarks,
     places: FloatArray,
     slopes: FloatArray,
-    share: float,
     square: FloatArray,
     gradient: FloatArray,
     costs: FloatArray,
 ) -> None:
-    """The network's own places about the hips, in place."""
-    hips = [row for row, name in enumerate(landmarks.names) if name in ("left_hip", "right_hip")]
-    if len(hips) < 2:
-        return
-    about = places - places[:, hips].mean(axis=1, keepdims=True)
-    ways = slopes - slopes[:, hips].mean(axis=1, keepdims=True)
+    """The network's own ways from joint to joint, in place."""
+    share = terms.world_weight * min(1.0, 1.0 / (terms.frame_rate * WORLD_CORRELATED_S))
     for view, camera in enumerate(terms.cameras):
-        told = terms.seen.world[view] @ camera.rotation
-        told = told - told[:, hips].mean(axis=1, keepdims=True)
-        off = told - about
+        off, ways = world_terms(camera, terms.seen.world[view], landmarks.names, places, slopes, body.stature)
         known = np.isfinite(off).all(axis=-1)
         off = np.where(known[..., None], off, 0.0)
-        far = (off**2).sum(axis=-1) / _WORLD**2
-        scale = terms.world_weight * share * np.where(known, 1.0, 0.0)
+        far = (off**2).sum(axis=-1)
+        scale = share * np.where(known, 1.0, 0.0)
         costs += (scale * 0.5 * (_TAIL + 3) * np.log1p(far / _TAIL)).sum(axis=1)
-        weight = scale * (_TAIL + 3) / (_TAIL + far) / _WORLD**2
+        weight = scale * (_TAIL + 3) / (_TAIL + far)
         rooted = (np.sqrt(weight)[..., None, None] * ways).reshape(len(places), -1, square.shape[1])
         square += np.swapaxes(rooted, 1, 2) @ rooted
-        gradient -= np.einsum("tlid,tl,tli->td", ways, weight, off)
+        gradient += np.einsum("tbid,tb,tbi->td", ways, weight, off)
 
 
 def angle_rest(body: BodyModel) -> tuple[FloatArray, FloatArray]:
