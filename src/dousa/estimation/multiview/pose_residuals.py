@@ -135,7 +135,7 @@ def _add_world(
     share = terms.world_weight * min(1.0, 1.0 / (terms.frame_rate * WORLD_CORRELATED_S))
     for view, camera in enumerate(terms.cameras):
         off, ways = world_terms(camera, terms.seen.world[view], landmarks.names, places, slopes, body.stature)
-        known = np.isfinite(off).all(axis=-1)
+        known = np.asarray(np.isfinite(off).all(axis=-1))
         off = np.where(known[..., None], off, 0.0)
         far = (off**2).sum(axis=-1)
         scale = share * np.where(known, 1.0, 0.0)
