@@ -25,7 +25,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from dousa.arrays import FloatArray, IndexArray
+from dousa.arrays import BoolArray, FloatArray, IndexArray
 from dousa.errors import MotionFileError, MotionWriteError
 from dousa.files.disk import atomic_write, read_bytes
 from dousa.formats.markers import declared_unit, settle_trajectories
@@ -237,6 +237,8 @@ def _parse_parameter(entry: bytes, processor: int) -> Parameter:
     return Parameter(item_size, shape, entry[start : start + size] if whole else None, processor)
 
 
+_AWAY_FROM_ZERO = 50.0  # file units
+_BEYOND = 9.9e6  # file units: nobody is there; some programs put it for what they did not see
 _MOST_LABELS = 255  # of one parameter, whose sizes are bytes
 _FULL_COUNTER = 65_535
 _CHUNK_FRAMES = 4096
@@ -421,7 +423,12 @@ def _choose_points(sections: Sections) -> tuple[IndexArray, tuple[str, ...]]:
         labels = [f"point{number + 1}" for number in range(count)]
     if not chosen:
         raise MotionFileError(sections.path, "c3d.no_labels")
-    return np.array(chosen), tuple(labels[number] for number in chosen)
+    names = tuple(labels[number] for number in chosen)
+    if len(set(names)) < len(names):  # some programs cut labels to four letters; the descriptions are whole
+        whole = dict(enumerate(sections.texts("POINT:DESCRIPTIONS")))
+        described = tuple(whole.get(number, "").lstrip("* ") for number in chosen)
+        names = described if len(set(described)) == len(described) and all(described) else names
+    return np.array(chosen), names
 
 
 def _frame_rate(sections: Sections) -> float:
@@ -468,7 +475,23 @@ def _read_positions(sections: Sections, data: bytes, chosen: IndexArray) -> tupl
         notes.append(Message("c3d.residuals"))  # a program that writes -1 for all: nobody stores what was not seen
     else:
         positions[missing] = np.nan
+    lost = _find_unmarked(positions)
+    if lost.any():
+        positions[lost] = np.nan
+        notes.append(Message("c3d.unmarked", n=int(lost.sum()), total=lost.size))
     return positions, tuple(notes)
+
+
+def _find_unmarked(positions: FloatArray) -> BoolArray:
+    """(T, K) where a point was not seen although its residual does not say so: it is put to zero, or to 1e9.
+
+    A point counts as put to zero where all three coordinates are exactly zero and it is far from there otherwise.
+    """
+    with np.errstate(invalid="ignore"):
+        size = np.abs(positions).max(axis=2)
+        away = np.nanmax(size, axis=0, initial=0.0) > _AWAY_FROM_ZERO
+        lost: BoolArray = (size == 0) & away | (size >= _BEYOND) & np.isfinite(size)
+    return lost
 
 
 def _measure_rows(sections: Sections, width: int, items: int, slack: int) -> tuple[int, int, list[Message]]:

@@ -23,7 +23,7 @@ from dousa.arrays import FloatArray
 from dousa.errors import MotionFileError
 from dousa.files.disk import read_bytes
 from dousa.formats.channels import ChannelProgram, FileUnits, build_motion
-from dousa.formats.numbers import DONE, FULL, line_number, parse_number, scan_rows, scannable, settle
+from dousa.formats.numbers import DONE, FULL, LONG, line_number, parse_number, scan_rows, scannable, settle
 from dousa.messages import Message
 from dousa.motion.types import Motion, Provenance, Skeleton
 
@@ -408,7 +408,7 @@ def _read_values(
     values, status, position, filled = _scan(data, start, columns, rows)
     if status == FULL:  # more rows than the file says
         values, status, position, filled = _scan(data, start, columns, (len(data) - start) // (2 * columns) + 1)
-    found = filled // columns
+    found = filled // columns - (status == LONG)  # the first values of a row that is too long were read as a row
     if found == 0 and status == DONE:
         raise BvhSyntaxError(frames_at, "bvh.no_values", declared=n_frames, found=found)
     notes = []

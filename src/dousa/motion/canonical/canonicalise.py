@@ -27,7 +27,7 @@ from dousa.motion.canonical.anthropometry import stature_of_parts
 from dousa.motion.canonical.geometry import STATURE_PER_HEIGHT, body_points, chain_height, measure_rest
 from dousa.motion.canonical.joints import CANONICAL_JOINTS, CANONICAL_PARENTS, MIRRORED_JOINTS, CanonicalPoses
 from dousa.motion.canonical.joints import JOINT_INDEX as J
-from dousa.motion.canonical.mapping import ChosenMap, choose_map
+from dousa.motion.canonical.mapping import ChosenMap, choose_map, names_of_seen
 from dousa.motion.canonical.naming import NameMatch, match_names
 from dousa.motion.canonical.recipes import HAND_REACH, JointMap, Recipe, recipe_from_joint_map
 from dousa.motion.canonical.tree_shape import compare_sides, compute_forward, spread_frames
@@ -173,9 +173,9 @@ def _trajectories(motion: Motion | Trajectories) -> Trajectories:
     return motion
 
 
-def _never_seen(moving: Trajectories) -> tuple[str, ...]:
+def _never_seen(moving: Trajectories) -> tuple[int, ...]:
     unseen = np.isnan(moving.positions).any(axis=2).all(axis=0)
-    return tuple(moving.names[i] for i in np.flatnonzero(unseen))
+    return tuple(int(index) for index in np.flatnonzero(unseen))
 
 
 def _fill(positions: FloatArray) -> FloatArray:
@@ -197,20 +197,21 @@ def _find_missing(recipe: Recipe, positions: FloatArray) -> BoolArray:
     return missing
 
 
-def _choose_recipe(moving: Trajectories, joint_map: JointMap | None, never: tuple[str, ...]) -> ChosenMap:
+def _choose_recipe(moving: Trajectories, joint_map: JointMap | None, never: tuple[int, ...]) -> ChosenMap:
     """Joint map, else names, else tree shape, else a part; points that are never seen do not count."""
-    names = tuple("" if name in never else name for name in moving.names) if never else moving.names
+    names = names_of_seen(moving.names, never)
     if joint_map is not None:
         return ChosenMap(recipe_from_joint_map(joint_map, names), True)
     chosen = choose_map(moving, never)
     if chosen is None:
-        raise JointMappingError(_problem(match_names(names), moving, never), moving.names)
+        unseen = tuple(dict.fromkeys(moving.names[index] for index in never))
+        raise JointMappingError(_problem(match_names(names), moving, unseen), moving.names)
     return chosen
 
 
 def _problem(match: NameMatch | None, moving: Trajectories, never: tuple[str, ...]) -> Message:
     """What is missing and what to do about it."""
-    if len(never) == len(moving.names):
+    if set(never) == set(moving.names) and np.isnan(moving.positions).any(axis=2).all():
         return Message("canonical.never_seen")
     unseen = Message("canonical.unseen", names=never) if never else Message("canonical.nothing")
     if match is not None and len(match.missing) <= 8:

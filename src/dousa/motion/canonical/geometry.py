@@ -185,11 +185,13 @@ def hips_from_markers(
     middle = 0.5 * (left_asis + right_asis)
     lateral = left_asis - right_asis
     width = np.linalg.norm(lateral, axis=-1, keepdims=True)
-    lateral = lateral / width
+    with np.errstate(invalid="ignore"):  # markers that coincide
+        lateral = lateral / width
     back = sacrum - middle
     back = back - (back * lateral).sum(axis=-1, keepdims=True) * lateral
     depth = np.linalg.norm(back, axis=-1, keepdims=True)
-    back = back / depth
+    with np.errstate(invalid="ignore"):
+        back = back / depth
     down = np.cross(back, lateral)
     if np.nansum((below - middle) * down) < 0:
         down = -down

@@ -36,28 +36,32 @@ class ChosenMap:
     passed_over: tuple[str, ...] = ()
 
 
-def choose_map(sample: Trajectories, never: tuple[str, ...] = ()) -> ChosenMap | None:
+def choose_map(sample: Trajectories, unseen: tuple[int, ...] = ()) -> ChosenMap | None:
     """The map of a file.
 
     Parameters
     ----------
     sample : some frames, any unit and axes.
-    never : names of points that are never seen: they do not count.
+    unseen : indices of points that are never seen: they do not count.
 
     Returns
     -------
     None if neither names nor tree tell a body or a limb.
     """
-    # An unseen point keeps its place but loses its name, so that no rule finds it.
-    names = tuple("" if name in never else name for name in sample.names) if never else sample.names
+    names = names_of_seen(sample.names, unseen)
     first: Recipe | None = None
     failed: list[str] = []
-    for recipe in _candidates(names, sample, use_tree=not never):
+    for recipe in _candidates(names, sample, use_tree=not unseen):
         if _is_person(recipe, sample):
             return ChosenMap(recipe, True, tuple(failed))
         first = first or recipe
         failed.append(recipe.table)
     return None if first is None else ChosenMap(first, False)
+
+
+def names_of_seen(names: tuple[str, ...], unseen: tuple[int, ...]) -> tuple[str, ...]:
+    """An unseen point keeps its place but loses its name, so that no rule finds it."""
+    return tuple("" if index in unseen else name for index, name in enumerate(names)) if unseen else names
 
 
 def _candidates(names: tuple[str, ...], sample: Trajectories, *, use_tree: bool) -> Iterator[Recipe]:

@@ -24,8 +24,9 @@ REQUIRED_JOINTS: tuple[str, ...] = tuple(
 """What a body needs to be recognised; the other canonical joints can be made from these."""
 
 _CENTRAL = ("pelvis", "spine", "neck", "head", "sacrum")
-_WORDS = re.compile(r"[A-Z]+(?=[A-Z][a-z])|[A-Z]?[a-z]+\d*|[A-Z]+\d*|\d+")
-_SIDES = {"left": "l", "lft": "l", "l": "l", "right": "r", "rgt": "r", "rt": "r", "r": "r"}
+_WORDS = re.compile(r"[A-Z]+(?=[A-Z][a-zäöüßéèêà])|[A-Z]?[a-zäöüßéèêà]+\d*|[A-Z]+\d*|\d+")
+_SIDES = {"left": "l", "lft": "l", "l": "l", "right": "r", "rgt": "r", "rt": "r", "r": "r",
+          "li": "l", "links": "l", "re": "r", "rechts": "r"}  # fmt: skip
 _FIRST_WORDS = frozenset(
     {"def", "org", "joint", "jnt", "bone", "c", "m", "f", "avg", "mixamorig", "valvebiped", "bip01", "bip001"}
 )

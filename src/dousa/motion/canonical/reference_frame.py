@@ -57,6 +57,7 @@ _COMMON_STATURE = (0.8, 2.5)  # m, a child of two to a giant
 _RARE_STATURE = (1.35, 2.2)  # m
 _POSSIBLE_STATURE = (0.3, 3.0)  # m; beyond, a declared unit is not believed
 _USUAL_STATURE = (1.3, 2.15)  # m; beyond, a unit that was inferred is doubtful
+_DECLARED_STATURE = (0.9, 2.3)  # m; beyond, a declared one is
 _SMALLEST_CLOUD, _LARGEST_CLOUD = 0.02, 6.0  # m: extent of points that no map knows
 _ASSUMED_STATURE = 1.7  # m
 
@@ -227,8 +228,11 @@ def _choose_unit(stature: float, declared: float | None, *, mapped: bool) -> tup
     low, high = _POSSIBLE_STATURE
     if declared is not None and (not measured or not mapped or low <= stature * declared <= high):
         extent = stature * declared if measured else 1.0
-        odd = not mapped and not _SMALLEST_CLOUD <= extent <= _LARGEST_CLOUD
-        return declared, "declared", (Message("units.odd_extent", unit=declared, extent=extent),) if odd else ()
+        if not mapped and not _SMALLEST_CLOUD <= extent <= _LARGEST_CLOUD:
+            return declared, "declared", (Message("units.odd_extent", unit=declared, extent=extent),)
+        if mapped and measured and not _DECLARED_STATURE[0] <= extent <= _DECLARED_STATURE[1]:
+            return declared, "declared", (Message("units.odd_body", unit=declared, stature=extent),)
+        return declared, "declared", ()
     if not measured:
         return 1.0, "assumed", ()
     unit, source = _likely_unit(stature)

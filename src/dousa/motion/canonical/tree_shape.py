@@ -19,6 +19,7 @@ from dousa.motion.canonical.joints import JOINT_INDEX as J
 from dousa.motion.canonical.recipes import Recipe, compile_recipe
 
 _CLEAR = 0.08  # below this score the geometry is said to be unclear
+_MOST = 3.0  # of the score of one frame
 _MAX_FRAMES = 32
 _SLACK = 0.05  # a limb straighter than this share of its length has no bend worth counting
 
@@ -144,6 +145,7 @@ def score_sides(points: FloatArray) -> float:
     outward = ahead[:, 3:5]
     outward[:, np.isnan(outward).all(axis=0)] = 0.0  # no feet, or no arms
     scores = (outward @ _OUTWARD_WEIGHTS) / sizes[:, 2] + bend @ _BEND_WEIGHTS
+    scores = np.clip(scores, -_MOST, _MOST)  # a joint far away in some frames tells no more than others
     total = float(scores.mean())
     if np.isnan(total):
         scores = scores[~np.isnan(scores)]

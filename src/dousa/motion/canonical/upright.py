@@ -44,7 +44,7 @@ _LYING, _FLAT, _FLAT_SCORE, _BELOW = (
 _CENTRED, _CENTRED_SCORE = 0.02, -1.5  # a pelvis at zero along an axis was put there: people stand on floors
 _REST, _REST_COSINE, _REST_ALONG_X = 2.9, 0.8, 0.3  # rest poses along x are a habit of drawing bones
 _FALL_SCORE, _GRAVITY = 3.0, 9.81
-_STANDING, _NEARLY_ALL, _MOSTLY = 0.8, 0.9, 0.6
+_STANDING, _NEARLY_ALL, _MOSTLY, _TUMBLING = 0.8, 0.9, 0.6, 0.5
 _REST_AGREES = 0.5  # cosine between the rest pose and the axis that the body stands along
 
 
@@ -172,6 +172,11 @@ def weigh_axes(
             score += _FALL_SCORE * float(-fall @ vector)
         scores[axis] = score
     best, second = sorted(AXES, key=lambda axis: -scores[axis])[:2]
+    tumbles = len(body) > 0 and float(np.linalg.norm(body.mean(axis=0))) < _TUMBLING
+    if tumbles and fall is None:  # over its head and back: the up axis is one that it turns away from and back to
+        spread = body.var(axis=0)
+        order = ("z", "y") if spread[2] > spread[1] else ("y", "z")
+        return Upright(*order, 0.0)
     if habit is not None and best != habit and scores[best] - scores[habit] < _CLEAR:
         return Upright(habit, best, 0.0)  # nothing clear speaks against the habit
     return Upright(best, second, scores[best] - scores[second])

@@ -1,0 +1,149 @@
+"""The table of docs/formats.md: what dousa makes of the files of many producers, one folder each.
+
+    python docs/measure_formats.py ../shared/data/foreign [--files] [--pictures FOLDER]
+
+Per producer: how many files are read, in which unit and up axis and how each was known, how many hold a whole body, how
+many a part of one, how many neither, and what was said about them. ``--files`` prints a row for every file;
+``--pictures`` draws the first file of every producer, front and side, to be looked at. Prints Markdown.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from dousa.errors import DousaError, JointMappingError
+from dousa.formats.registry import SUFFIXES, read_motion
+from dousa.motion import CANONICAL_JOINTS, canonicalise
+
+
+@dataclass(frozen=True)
+class Reading:
+    """What became of one file.
+
+    ``unit``, ``up``: value and how it was known, empty if not read. ``joints``: canonical joints that are there.
+    """
+
+    producer: str
+    file: str
+    format: str = ""
+    unit: str = ""
+    up: str = ""
+    joints: int = 0
+    stature: float = 0.0
+    table: str = ""
+    notes: tuple[str, ...] = ()
+
+    @property
+    def kind(self) -> str:
+        """``whole``, ``part``, ``points`` (read, no body known) or ``not read``."""
+        if not self.format:
+            return "not read"
+        return "whole" if self.joints == len(CANONICAL_JOINTS) else "part" if self.joints else "points"
+
+
+def read(folder: Path, path: Path) -> Reading:
+    """Read one file as a new user would."""
+    relative = path.relative_to(folder)
+    producer, file = relative.parts[0], str(Path(*relative.parts[1:]))
+    try:
+        motion = read_motion(path)
+    except DousaError as error:
+        return Reading(producer, file, notes=(str(error.message),))
+    origin = motion.provenance
+    assert origin is not None
+    known = {
+        "format": origin.format,
+        "unit": f"{origin.unit:.4g} {origin.unit_source}",
+        "up": f"{origin.up} {origin.up_source}",
+    }
+    try:
+        body = canonicalise(motion)
+    except JointMappingError as error:
+        codes = (*(note.code for note in origin.notes), error.problem.code)
+        return Reading(producer, file, **known, notes=codes)
+    return Reading(
+        producer,
+        file,
+        **known,
+        joints=len(CANONICAL_JOINTS) - len(body.absent),
+        stature=body.stature,
+        table=body.mapping.table,
+        notes=tuple(note.code for note in body.warnings),
+    )
+
+
+def _counted(values: Sequence[str]) -> str:
+    counts = Counter(value for value in values if value)
+    return ", ".join(f"{value} ({n})" if n < len(values) else value for value, n in counts.most_common()) or "-"
+
+
+def print_producers(readings: Sequence[Reading]) -> None:
+    """One row per producer."""
+    print("| producer | read | unit (m) | up axis | whole body | part | points | stature (m) | notes |")
+    print("| --- | --- | --- | --- | --- | --- | --- | --- | --- |")
+    for producer in sorted({one.producer for one in readings}):
+        rows = [one for one in readings if one.producer == producer]
+        kinds = Counter(one.kind for one in rows)
+        tall = [one.stature for one in rows if one.stature]
+        notes = [note.rpartition(".")[2] for one in rows if one.format for note in one.notes]
+        cells = (
+            producer,
+            f"{len(rows) - kinds['not read']} of {len(rows)}",
+            _counted([one.unit for one in rows]),
+            _counted([one.up for one in rows]),
+            *(str(kinds[kind] or "") for kind in ("whole", "part", "points")),
+            f"{min(tall):.2f} to {max(tall):.2f}" if tall else "-",
+            ", ".join(f"{note} {n}" for note, n in Counter(notes).most_common()),
+        )
+        print("|", " | ".join(cells), "|")
+    total = Counter(one.kind for one in readings)
+    print(f"\n{len(readings)} files: " + ", ".join(f"{n} {kind}" for kind, n in total.most_common()))
+
+
+def print_files(readings: Sequence[Reading]) -> None:
+    """One row per file."""
+    print("| file | format | unit | up | joints | stature | map | notes |")
+    print("| --- | --- | --- | --- | --- | --- | --- | --- |")
+    for one in readings:
+        stature = f"{one.stature:.2f}" if one.stature else ""
+        cells = (f"{one.producer}/{one.file}", one.format, one.unit, one.up, str(one.joints), stature, one.table)
+        print("|", " | ".join(cells), "|", "; ".join(one.notes), "|")
+
+
+def draw(folder: Path, readings: Sequence[Reading], pictures: Path) -> None:
+    """The first file of every producer that holds a body, and all that are said to be unusual."""
+    from dousa.app.pictures.sheets import draw_contact_sheet
+
+    pictures.mkdir(parents=True, exist_ok=True)
+    drawn: set[str] = set()
+    for one in readings:
+        if one.joints and one.producer not in drawn:
+            drawn.add(one.producer)
+            body = canonicalise(read_motion(folder / one.producer / one.file))
+            draw_contact_sheet(body, pictures / f"{one.producer}.png", n_poses=6, title=f"{one.producer}: {one.file}")
+
+
+def main() -> None:
+    """Read the command line, measure, print."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("folder", type=Path, help="with one folder per producer")
+    parser.add_argument("--files", action="store_true", help="a row for every file")
+    parser.add_argument("--pictures", type=Path, metavar="FOLDER", help="draw one file per producer there")
+    given = parser.parse_args()
+    paths = sorted(
+        path for path in given.folder.glob("*/**/*") if path.is_file() and "LICENSE" not in path.name.upper()
+    )
+    if not paths:
+        raise SystemExit(f"{given.folder}: expected folders of motion files ({', '.join(SUFFIXES)}), found none")
+    readings = [read(given.folder, path) for path in paths]
+    (print_files if given.files else print_producers)(readings)
+    if given.pictures:
+        draw(given.folder, readings, given.pictures)
+
+
+if __name__ == "__main__":
+    main()
