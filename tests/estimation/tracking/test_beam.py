@@ -117,20 +117,24 @@ def test_a_saved_beam_settles_the_same(seed, n_steps):
         assert one.frame is same.frame
 
 
-def test_a_restart_keeps_the_line():
+def test_what_is_replaced_hangs_on_the_line():
     setup = make_shop(3, 4)
     beam = ScriptedBeam(setup, 1)
     beam.begin(frame_of(setup, 0))
-    for number in range(1, 4):
+    for number in range(1, 5):
         beam.step(frame_of(setup, number))
     line = line_of(beam)
-    anew = random_pose(np.random.default_rng(5), setup.body)
-    beam.restart(anew)
+    assert [one.pose[0] for one in beam.line] == line
+    rng = np.random.default_rng(5)
+    anew = np.array([random_pose(rng, setup.body) for _ in range(2)])
+    beam.replace_newest(anew)
     assert len(beam._tracks) == 1
-    np.testing.assert_array_equal(beam.best, anew)
+    np.testing.assert_array_equal(beam.best, anew[-1])
+    np.testing.assert_allclose(move_pose(anew[0], beam._tracks[0].velocity), anew[1], atol=1e-9)
     settled = list(beam.settle(0))
-    assert [one.pose[0] for one in settled[:-1]] == line[:-1]
-    np.testing.assert_array_equal(settled[-1].pose, anew)
+    assert [one.pose[0] for one in settled[:-2]] == line[:-2]
+    np.testing.assert_array_equal([one.pose for one in settled[-2:]], anew)
+    assert [one.frame.bits[0, 0, 0] for one in settled] == [frame_of(setup, n).bits[0, 0, 0] for n in range(5)]
 
 
 def test_where_nobody_is_seen_inertia_goes_on_and_slows_down():

@@ -103,36 +103,33 @@ def test_widths_are_those_of_plain_masks(seed, unseen):
             assert high[axis] == pytest.approx(slow_width(setup, masks, pose, part, axis, 1.0), abs=1e-12)
 
 
+def make_diagnosis(setup):
+    return Diagnosis(setup, 300.0, meet=True)
+
+
 def test_where_nothing_is_seen_everything_could_lie_elsewhere():
     setup, masks, pose = make_scene(7)
-    diagnosis = Diagnosis(setup)
+    diagnosis = make_diagnosis(setup)
     diagnosis.write(pose, setup.pack(masks))
     diagnosis.write(pose, setup.pack([None, None]))
-    overlap, uncertainty, occluded = diagnosis.arrays()
-    assert overlap.shape == (2, 2)
-    assert uncertainty.shape == (2, setup.body.n_parts + 1)
+    overlap, widths, occluded, patches = diagnosis.arrays()
+    assert overlap.shape == patches.shape == (2, 2)
+    assert widths.shape == (2, setup.body.n_parts + 1)
     assert occluded.shape == (2, setup.body.n_parts)
     assert np.isnan(overlap[1]).all()
     assert occluded[1].all()
-    assert (uncertainty[1] >= uncertainty[0]).all()
-    assert diagnosis.cover(pose, setup.pack([None, None])) == 0.0
-    assert diagnosis.cover(pose, setup.pack(masks)) == pytest.approx(overlap[0].mean())
-    np.testing.assert_array_equal(diagnosis.find_lost(overlap, overlap[0].mean()), [False, True])
-
-
-def test_lost_is_what_covers_less_than_usual():
-    diagnosis = Diagnosis(make_scene(0)[0])
-    assert diagnosis.is_lost(0.5, 0.9)
-    assert not diagnosis.is_lost(0.7, 0.9)
-    assert diagnosis.is_lost(0.3, 0.3)  # never believed, whatever is usual
-    overlap = np.array([[0.9, np.nan], [0.9, 0.2], [np.nan, np.nan]])
-    np.testing.assert_array_equal(diagnosis.find_lost(overlap, 0.9), [False, True, True])
+    assert (widths[1] >= widths[0]).all()
+    assert diagnosis.cover(pose, setup.pack([None, None])) == (0.0, 1.0)
+    assert diagnosis.cover(pose, setup.pack(masks)) == pytest.approx((overlap[0].mean(), patches[0, 0]))
+    doubt = diagnosis.judge()
+    assert doubt.lost[1]
+    assert (doubt.errors[1] > doubt.errors[0]).all()
 
 
 def test_notes_are_taken_up_where_they_were_left():
     setup, masks, pose = make_scene(1)
     frame = setup.pack(masks)
-    diagnosis, other = Diagnosis(setup), Diagnosis(setup)
+    diagnosis, other = make_diagnosis(setup), make_diagnosis(setup)
     for _ in range(2):
         diagnosis.write(pose, frame)
     other.load(*diagnosis.arrays())
@@ -140,5 +137,5 @@ def test_notes_are_taken_up_where_they_were_left():
     diagnosis.write(pose, frame)
     for one, same in zip(diagnosis.arrays(), other.arrays(), strict=True):
         np.testing.assert_array_equal(one, same)
-    empty = Diagnosis(setup).arrays()
-    assert [len(array) for array in empty] == [0, 0, 0]
+    empty = make_diagnosis(setup).arrays()
+    assert [len(array) for array in empty] == [0, 0, 0, 0]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -338,7 +338,8 @@ def print_estimation(out: Console, done: Estimation) -> None:
     lost = np.flatnonzero(answer.lost)
     if len(lost):
         frames = describe_frames(lost + done.first_frame)
-        _say(out, "estimated.lost", n=len(lost), total=answer.n_frames, frames=frames)
+        seconds = describe_seconds(lost + done.first_frame, answer.frame_rate)
+        _say(out, "estimated.lost", n=len(lost), total=answer.n_frames, frames=frames, seconds=seconds)
     else:
         _say(out, "estimated.none_lost")
     _print_uncertainty(out, done)
@@ -348,11 +349,20 @@ def print_estimation(out: Console, done: Estimation) -> None:
 
 def describe_frames(frames: Sequence[int] | np.ndarray) -> str:
     """Numbers of frames as stretches: ``3-7, 12``."""
+    return _describe_stretches(frames, lambda first, last: f"{first}" if first == last else f"{first}-{last}")
+
+
+def describe_seconds(frames: Sequence[int] | np.ndarray, rate: float) -> str:
+    """Stretches of frames in seconds: ``0.10-0.27, 0.40-0.43``."""
+    return _describe_stretches(frames, lambda first, last: f"{first / rate:.2f}-{(last + 1) / rate:.2f}")
+
+
+def _describe_stretches(frames: Sequence[int] | np.ndarray, describe: Callable[[int, int], str]) -> str:
     numbers = np.asarray(frames)
     if len(numbers) == 0:
         return str(Message("estimated.no_frames"))
     cuts = np.flatnonzero(np.diff(numbers) > 1) + 1
-    stretches = [f"{part[0]}" if len(part) == 1 else f"{part[0]}-{part[-1]}" for part in np.split(numbers, cuts)]
+    stretches = [describe(int(part[0]), int(part[-1])) for part in np.split(numbers, cuts)]
     more = len(stretches) - _SHOWN_STRETCHES
     shown = ", ".join(stretches[:_SHOWN_STRETCHES])
     return str(Message("estimated.more_stretches", shown=shown, n=more)) if more > 0 else shown

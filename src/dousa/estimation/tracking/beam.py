@@ -129,11 +129,28 @@ class Beam:
         self._tracks = [replace(track, score=track.score - best) for track in tracks]
         self._pending.append((self._tracks, frame))
 
-    def restart(self, pose: FloatArray) -> None:
-        """Give up the poses of the newest frame for another one, at rest."""
-        tracks, frame = self._pending.pop()
-        self._tracks = [_Track(0.0, pose.copy(), np.zeros(self.setup.n_axes), tracks[0].parent)]
-        self._pending.append((self._tracks, frame))
+    @property
+    def line(self) -> list[Settled]:
+        """The frames not yet settled, oldest first, each with the pose that the best present one came from."""
+        chosen, found = 0, []
+        for tracks, frame in reversed(self._pending):
+            found.append(Settled(tracks[chosen].pose, frame))
+            chosen = tracks[chosen].parent
+        return found[::-1]
+
+    def replace_newest(self, poses: FloatArray) -> None:
+        """Give up the poses of the newest frames for others (n, 7 + A), oldest first."""
+        kept = []
+        parent = 0
+        for _ in poses:
+            tracks, frame = self._pending.pop()
+            kept.append(frame)
+            parent = tracks[parent].parent
+        still = np.zeros(self.setup.n_axes)
+        for number, (pose, frame) in enumerate(zip(poses, reversed(kept), strict=True)):
+            moved = pose_difference(poses[number - 1], pose) if number else still
+            self._tracks = [_Track(0.0, pose.copy(), moved, 0 if number else parent)]
+            self._pending.append((self._tracks, frame))
 
     def settle(self, lag: int) -> Iterator[Settled]:
         """Frames older than ``lag``, each with the pose from which the best present one came."""

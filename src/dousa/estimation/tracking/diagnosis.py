@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import threading
 from concurrent.futures import Executor, Future
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -13,6 +14,7 @@ from dousa.arrays import FloatArray
 from dousa.estimation.body.kinematics import compiled, compute_points, inlined
 from dousa.estimation.raster.rasteriser import interval_mask, outline_part, popcount
 from dousa.estimation.tracking.beam import move_pose
+from dousa.estimation.tracking.doubt import Doubt, ErrorModel, PatchMeasure
 from dousa.estimation.tracking.search_kernels import (
     clear_bits,
     count_parts,
@@ -25,13 +27,27 @@ from dousa.estimation.tracking.search_kernels import (
 from dousa.estimation.tracking.search_setup import Frame, SearchSetup
 
 _HIDDEN = 0.1  # share of a part's own pixels below which the image does not tell where it is
-_LEAST_OVERLAP = 0.35
-_LOST_SHARE = 0.7  # of the usual overlap
-
-_Note = tuple[FloatArray, FloatArray, NDArray[np.bool_]]  # overlap (V,), uncertainty (P + K,) m, hidden parts (P,)
 
 
-def _await(note: _Note | Future[_Note]) -> _Note:
+@dataclass(frozen=True, slots=True, eq=False)
+class Note:
+    """What was measured of one pose.
+
+    Parameters
+    ----------
+    overlap : (V,) intersection over union; nan where nothing is seen.
+    widths : (P + K,) m, how far each point can be moved while the image stays nearly as well explained.
+    occluded : (P,) parts that no view shows.
+    patches : (2,) see `PatchMeasure`.
+    """
+
+    overlap: FloatArray
+    widths: FloatArray
+    occluded: NDArray[np.bool_]
+    patches: FloatArray
+
+
+def _await(note: Note | Future[Note]) -> Note:
     return note.result() if isinstance(note, Future) else note
 
 
@@ -41,47 +57,57 @@ class Diagnosis:
     Parameters
     ----------
     setup : body, cameras and settings.
+    area : px, mean area of a silhouette at the size of the setup's cameras.
+    meet : whether the lines of sight of the views meet, so that they tell depth.
     pool : whose threads take the notes while the search goes on; None takes them at once.
     """
 
-    def __init__(self, setup: SearchSetup, pool: Executor | None = None) -> None:
+    def __init__(self, setup: SearchSetup, area: float, meet: bool, pool: Executor | None = None) -> None:
         self.setup, self.pool = setup, pool
+        self._patch_measure, self._model = PatchMeasure(area), ErrorModel(setup, meet)
         self._own = threading.local()
-        self._notes: list[_Note | Future[_Note]] = []
+        self._notes: list[Note | Future[Note]] = []
 
-    def cover(self, pose: FloatArray, frame: Frame) -> float:
-        """Mean overlap of a pose over the views that see somebody; 0 if none does."""
-        overlap, _ = self._cover(pose, frame)
+    def cover(self, pose: FloatArray, frame: Frame) -> tuple[float, float]:
+        """Mean overlap of a pose over the views that see somebody, and the share of the silhouettes that it leaves in
+        patches; 0 and 1 if none sees somebody."""
+        overlap, _, patches = self._cover(pose, frame)
         seen = overlap[np.isfinite(overlap)]
-        return float(seen.mean()) if len(seen) else 0.0
+        return (float(seen.mean()), float(patches[0])) if len(seen) else (0.0, 1.0)
 
-    def _cover(self, pose: FloatArray, frame: Frame) -> tuple[FloatArray, FloatArray]:
+    def _cover(self, pose: FloatArray, frame: Frame) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Overlap (V,), share of each part (P,) that no other covers, and patches (2,)."""
         overlap, visible = np.empty(len(self.setup.cameras)), np.empty(self.setup.body.n_parts)
-        cover_views(pose, self.setup.model, self.setup.views(frame), self._own_scratch(), overlap, visible)
-        return overlap, visible
+        scratch = self._own_scratch()
+        cover_views(pose, self.setup.model, self.setup.views(frame), scratch, overlap, visible)
+        return overlap, visible, self._patch_measure.measure(scratch[2], frame)
 
-    def look(self, pose: FloatArray, frame: Frame) -> tuple[FloatArray, NDArray[np.bool_]]:
-        """Overlap (V,) of a pose with the silhouettes, NaN where there is none, and hidden parts (P,)."""
-        overlap, visible = self._cover(pose, frame)
-        return overlap, visible < _HIDDEN
+    def look(self, pose: FloatArray, frame: Frame) -> Note:
+        """What there is to note about a pose."""
+        overlap, visible, patches = self._cover(pose, frame)
+        return Note(overlap, self._measure_spread(pose, frame), visible < _HIDDEN, patches)
 
     @property
-    def latest(self) -> tuple[FloatArray, NDArray[np.bool_]]:
-        """Overlap (V,) and hidden parts (P,) of the pose noted down last."""
-        overlap, _, occluded = _await(self._notes[-1])
-        return overlap, occluded
+    def latest(self) -> Note:
+        """The note of the pose that was written down last."""
+        return _await(self._notes[-1])
 
     def write(self, pose: FloatArray, frame: Frame) -> None:
         """Note down a settled pose."""
-        self._notes.append(self._note(pose, frame) if self.pool is None else self.pool.submit(self._note, pose, frame))
+        self._notes.append(self.look(pose, frame) if self.pool is None else self.pool.submit(self.look, pose, frame))
 
     def finish(self) -> None:
         """Wait for the notes that are being taken."""
         self._notes = [_await(note) for note in self._notes]
 
-    def _note(self, pose: FloatArray, frame: Frame) -> _Note:
-        overlap, visible = self._cover(pose, frame)
-        return overlap, self._measure_spread(pose, frame), visible < _HIDDEN
+    def is_lost(self, note: Note) -> bool:
+        """Whether a frame by itself is probably lost; `judge` looks at its neighbours too."""
+        return bool(self._model.judge(note.patches[None], note.widths[None]).lost[0])
+
+    def judge(self) -> Doubt:
+        """How far off the poses noted down probably are."""
+        _, widths, _, patches = self.arrays()
+        return self._model.judge(patches, widths)
 
     def _own_scratch(self) -> tuple[Any, ...]:
         """Scratch of the thread that asks."""
@@ -114,30 +140,20 @@ class Diagnosis:
         away = np.linalg.norm(points[1:] - points[0], axis=-1)
         return np.asarray(np.sqrt((away * away).sum(axis=0)))
 
-    def is_lost(self, covered: float, usual: float) -> bool:
-        """Whether an overlap is that of a track gone wrong."""
-        return covered < max(_LEAST_OVERLAP, _LOST_SHARE * usual)
-
-    def find_lost(self, overlap: FloatArray, usual: float) -> NDArray[np.bool_]:
-        """(T,) frames whose overlap (T, V) is poor in the mean of the views, or that nobody sees."""
-        seen = np.isfinite(overlap)
-        count = seen.sum(axis=1)
-        mean = np.where(seen, overlap, 0.0).sum(axis=1) / np.maximum(count, 1)
-        return np.array([n == 0 or self.is_lost(m, usual) for n, m in zip(count, mean, strict=True)], np.bool_)
-
-    def arrays(self) -> tuple[FloatArray, FloatArray, NDArray[np.bool_]]:
-        """Overlap (T, V), uncertainty (T, P + K) m and hidden parts (T, P)."""
+    def arrays(self) -> tuple[FloatArray, FloatArray, NDArray[np.bool_], FloatArray]:
+        """Overlap (T, V), widths (T, P + K) m, hidden parts (T, P), and patches and overhang (T, 2)."""
         self.finish()
         body, n_views, notes = self.setup.body, len(self.setup.cameras), [_await(note) for note in self._notes]
         return (
-            np.array([overlap for overlap, _, _ in notes]).reshape(-1, n_views),
-            np.array([uncertainty for _, uncertainty, _ in notes]).reshape(-1, body.n_parts + len(body.tips)),
-            np.array([occluded for _, _, occluded in notes], np.bool_).reshape(-1, body.n_parts),
+            np.array([note.overlap for note in notes]).reshape(-1, n_views),
+            np.array([note.widths for note in notes]).reshape(-1, body.n_parts + len(body.tips)),
+            np.array([note.occluded for note in notes], np.bool_).reshape(-1, body.n_parts),
+            np.array([note.patches for note in notes]).reshape(-1, 2),
         )
 
-    def load(self, overlap: FloatArray, uncertainty: FloatArray, occluded: NDArray[np.bool_]) -> None:
+    def load(self, overlap: FloatArray, widths: FloatArray, occluded: NDArray[np.bool_], patches: FloatArray) -> None:
         """Take up the notes of an earlier run."""
-        self._notes = list(zip(overlap, uncertainty, occluded, strict=True))
+        self._notes = [Note(*row) for row in zip(overlap, widths, occluded, patches, strict=True)]
 
 
 _TIE = 1.0  # log score: what drops by less is as good

@@ -85,14 +85,15 @@ def _trace(pairs: Sequence[tuple[Camera, Outline]]) -> tuple[FloatArray, FloatAr
     return origins, ways, np.eye(3) - ways[:, :, None] * ways[:, None, :]
 
 
-def _do_meet(across: FloatArray) -> bool:
+def do_meet(across: FloatArray) -> bool:
+    """Whether lines, told by the projections (N, 3, 3) across them, are far enough from parallel to meet in a point."""
     return bool(np.linalg.eigvalsh(across.sum(axis=0))[0] > _PARALLEL * len(across))
 
 
 def lines_meet(cameras: Sequence[Camera], outlines: Sequence[Outline | None]) -> bool:
     """Whether the views that see somebody look from different enough sides to tell how far away that is."""
     pairs = [(camera, found) for camera, found in zip(cameras, outlines, strict=True) if found is not None]
-    return _do_meet(_trace(pairs)[2])
+    return do_meet(_trace(pairs)[2])
 
 
 def guess_place(cameras: Sequence[Camera], outlines: Sequence[Outline | None], stature: float) -> FloatArray:
@@ -104,7 +105,7 @@ def guess_place(cameras: Sequence[Camera], outlines: Sequence[Outline | None], s
     pairs = [(camera, found) for camera, found in zip(cameras, outlines, strict=True) if found is not None]
     origins, ways, across = _trace(pairs)
     weights = np.ones(len(pairs))
-    if _do_meet(across):
+    if do_meet(across):
         for _ in range(_STEPS):
             normal = (weights[:, None, None] * across).sum(axis=0)
             place = np.linalg.solve(normal, (weights[:, None] * (across @ origins[:, :, None])[..., 0]).sum(axis=0))

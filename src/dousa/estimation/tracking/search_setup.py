@@ -58,7 +58,7 @@ class SearchSetup:
         frame_rate: float,
         area: float,
     ) -> None:
-        self.body, self.cameras, self.settings = body, tuple(cameras), settings
+        self.body, self.cameras, self.settings, self.frame_rate = body, tuple(cameras), settings, frame_rate
         self.rows = pack_cameras(cameras)
         self.sizes = np.array([(camera.width, camera.height) for camera in cameras], np.int64)
         self.height = int(self.sizes[:, 1].max())

@@ -135,7 +135,7 @@ class TrackedFrame:
     pose : (7 + A,), not smoothed yet.
     overlap : (V,) as `Estimate.iou`.
     occluded : (P,) as `Estimate.occluded`.
-    lost : the model does not cover the silhouettes.
+    lost : nobody is seen, or the pose is probably wrong.
     settled : whether the search is done with it; a later frame may still change the pose of one that is not.
     body : the body that is tracked, its girths fitted.
     """
@@ -159,9 +159,9 @@ class Estimate:
     poses : (T, 7 + A) pose rows, see `BodyModel`.
     frame_rate : Hz.
     iou : (T, V) overlap of model and silhouette, intersection over union; NaN where a view has no image.
-    uncertainty : (T, P + K) m, how far each joint and tip could lie elsewhere with nearly the same score.
+    uncertainty : (T, P + K) m, expected error of each joint and tip.
     occluded : (T, P) true where a part's outline is hidden in every view, so that inertia alone places it.
-    lost : (T,) true where the model does not cover the silhouettes and the pose is a guess.
+    lost : (T,) true where nobody is seen, or the joints are too likely off by more than 150 mm in the mean.
     warnings : what a person should know.
     frames_per_second : frames tracked in a second of wall-clock time.
     """
@@ -180,6 +180,11 @@ class Estimate:
     def n_frames(self) -> int:
         """Number of poses."""
         return len(self.poses)
+
+    @property
+    def expected_error(self) -> FloatArray:
+        """(T,) m, mean expected error of the joints and tips of each frame."""
+        return np.asarray(self.uncertainty.mean(axis=1))
 
     @property
     def motion(self) -> Motion:
@@ -208,6 +213,7 @@ class Estimate:
             "frame_rate": self.frame_rate,
             "iou": {"mean": float(np.mean(known)) if known else float("nan"), "per_view": per_view},
             "lost_frames": np.flatnonzero(self.lost).tolist(),
+            "expected_error_m": np.round(self.expected_error, 4).tolist(),
             "frames_per_second": self.frames_per_second,
             "warnings": [str(warning) for warning in self.warnings],
         }

@@ -15,6 +15,8 @@ from dousa.motion import CANONICAL_JOINTS, canonicalise
 from dousa.motion import rotations as rot
 
 _COUNT = 56  # templates of a person, before standing, T-pose, arms up and lying
+_CROUCH = 0.14  # statures from ankles to hips of somebody who crouches
+_REACHES = (0.0, -0.9)
 _RANDOM = 48  # templates of another body
 _RATE = 3.0  # Hz at which the synthetic motions are looked at
 _HIPS, _FRONT = ("left_hip", "right_hip"), (2, 0)
@@ -56,6 +58,8 @@ def _person_poses(body: BodyModel) -> FloatArray:
     poses.append(standing)
     for height in (0.0, 0.9):
         poses.append(lead_pose(body, _raise_arms(body, standing, height)))
+    for reach in _REACHES:
+        poses.append(lead_pose(body, _crouch(body, standing, reach)))
     for axis in ((1.0, 0.0, 0.0), (-1.0, 0.0, 0.0), (0.0, 0.0, 1.0), (0.0, 0.0, -1.0)):
         lying = standing.copy()
         lying[3:7] = rot.from_axis_angle(0.5 * np.pi * np.array(axis))
@@ -73,6 +77,27 @@ def _raise_arms(body: BodyModel, standing: FloatArray, height: float) -> FloatAr
         for above, below in pairwise(rows):
             length = np.linalg.norm(points[below] - points[above])
             points[below] = points[above] + max(float(length), 0.05) * way
+    return np.asarray(points)
+
+
+def _crouch(body: BodyModel, standing: FloatArray, reach: float) -> FloatArray:
+    """Canonical points of crouching with the heels down, knees apart, arms forward and, with ``reach`` < 0, down."""
+    names = point_names(body)
+    points = compute_points(body, standing)[[names.index(name) for name in CANONICAL_JOINTS]]
+    place = {name: row for row, name in enumerate(CANONICAL_JOINTS)}
+    down = points[place["left_hip"], 1] - points[place["left_ankle"], 1] - _CROUCH * body.stature
+    legs = {place[side + joint] for side in ("left_", "right_") for joint in ("knee", "ankle", "toe")}
+    above = [row for row in range(len(points)) if row not in legs]
+    points[above] -= np.array([0.0, down, 0.1 * body.stature])
+    for side, sign in (("left", 1.0), ("right", -1.0)):
+        hip, ankle = points[place[f"{side}_hip"]], points[place[f"{side}_ankle"]]
+        thigh = 0.245 * body.stature
+        points[place[f"{side}_knee"]] = hip + thigh * np.array([0.45 * sign, 0.25, 0.86])
+        points[place[f"{side}_ankle"]] = ankle + np.array([0.05 * sign, 0.0, 0.0])
+        way = np.array([0.0, reach, np.sqrt(1.0 - reach * reach)])
+        rows = [place[f"{side}_{joint}"] for joint in ("shoulder", "elbow", "wrist", "hand")]
+        for upper, lower in pairwise(rows):
+            points[lower] = points[upper] + 0.12 * body.stature * way
     return np.asarray(points)
 
 

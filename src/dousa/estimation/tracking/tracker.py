@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import os
 import time
+from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields, replace
 from itertools import pairwise
@@ -26,8 +27,11 @@ from dousa.estimation.cameras.camera import Camera
 from dousa.estimation.cameras.camera_sets import check_cameras
 from dousa.estimation.silhouettes.silhouettes import Silhouettes
 from dousa.estimation.tracking.beam import Beam, BeamState
-from dousa.estimation.tracking.diagnosis import Diagnosis
+from dousa.estimation.tracking.diagnosis import Diagnosis, Note
+from dousa.estimation.tracking.doubt import LOST_ERROR
 from dousa.estimation.tracking.measures import fit_girths
+from dousa.estimation.tracking.outlines import do_meet
+from dousa.estimation.tracking.replay import Replay, choose_switch, choose_track, narrow, replay, score_frames
 from dousa.estimation.tracking.search_setup import Frame, SearchSetup, Shrinker
 from dousa.estimation.tracking.settings import PAPER, Estimate, TrackedFrame, TrackerSettings
 from dousa.estimation.tracking.start import checked_start, find_first, find_start
@@ -40,6 +44,11 @@ Progress = Callable[[int, int, Message], None]
 
 _CHECKPOINT_FRAMES = 32
 _LOST_FRAMES = 5  # after so many in a row the track is looked for anew
+_POOR = 0.7  # of the usual overlap
+_PATCHES, _MORE = 0.02, 1.5  # share of the silhouettes in patches that is poor, and how often the usual one
+_GAIN = 4.0  # log score by which another pose must fit better
+_REPAIRED = 60  # frames at most that are tracked back
+_STARTS, _TRIED_S, _BEHIND = 4, 0.7, 8.0  # first poses that are tried, for how long, and how much worse they may fit
 _DOUBTFUL, _CLEARLY = 0.75, 0.08  # overlap below which a given start is held against a found one; by how much
 
 
@@ -50,22 +59,25 @@ class PartialTrack(BeamState):
     Parameters
     ----------
     poses : (n, 7 + A) of the frames that are settled; the frames before the first person hold its pose.
-    overlap, uncertainty, occluded, restarts : of these frames, see `Estimate`.
+    overlap, occluded, restarts : of these frames, see `Estimate`.
+    widths, patches : of these frames, see `Note`.
     spheres : (S, 4) of the body, whose girths may have been fitted.
     first : the first frame with somebody in it.
-    usual : overlap that this recording usually has.
+    usual, usual_patches : overlap that this recording usually has, and share of its silhouettes in patches.
     area : px, mean area of a silhouette.
     poor, unseen : how many of the newest frames in a row the model hardly covers, and how many show nobody.
     """
 
     poses: FloatArray
     overlap: FloatArray
-    uncertainty: FloatArray
+    widths: FloatArray
     occluded: NDArray[np.bool_]
+    patches: FloatArray
     restarts: NDArray[np.int64]
     spheres: FloatArray
     first: int
     usual: float
+    usual_patches: float
     area: float
     poor: int
     unseen: int
@@ -154,7 +166,9 @@ class _Job:
         self.poses: list[FloatArray] = []
         self.restarts: list[int] = []
         self.notes: list[Message] = []
+        self.ahead: deque[Frame] = deque()
         self.poor = self.unseen = 0
+        self.searched, self.patience = 0, 1
         self.began = 0
 
     def begin(self, start: ArrayLike | None, girths: Literal["fit", "keep"]) -> None:
@@ -167,7 +181,7 @@ class _Job:
         frame = self.setup.pack(small)
         if start is None:
             self.progress(0, self.silhouettes.n_frames, Message("tracker.first_pose"))
-            pose = find_start(self.setup, frame, small)[0].pose
+            pose = self._find_first_pose(frame, small)
         else:
             pose = checked_start(self.body, start)
         if girths == "fit":
@@ -176,13 +190,33 @@ class _Job:
         self.diagnosis.pool = self.beam.pool
         self.beam.begin(frame)
         self.at = self.first + 1
-        covered = self.diagnosis.cover(pose, frame)
-        self.usual = max(0.3, covered)
+        covered, patches = self.diagnosis.cover(pose, frame)
+        self.usual, self.usual_patches = max(0.3, covered), min(_PATCHES, patches)
         if start is not None and covered < _DOUBTFUL and self.settings.candidates == "subtree":
             self._doubt_start(frame, small, covered)
         for _ in range(self.first):
             self._keep(pose, self.setup.pack([None] * len(self.cameras)))
         self._show_newest(frame)
+
+    def _find_first_pose(self, frame: Frame, masks: Sequence[NDArray[np.bool_] | None]) -> FloatArray:
+        """Of the poses that fit the first frame, the one that can be tracked best through the frames after it."""
+        found = find_start(self.setup, frame, masks, n_best=_STARTS)
+        poses = [start.pose for start in found if start.score > found[0].score - _BEHIND]
+        if len(poses) < 2 or self.settings.candidates != "subtree":
+            return poses[0]
+        frames = [frame, *self._look_ahead(round(_TRIED_S * self.silhouettes.frame_rate))]
+        tracks = []
+        for pose in poses:
+            self.progress(0, self.silhouettes.n_frames, Message("tracker.first_pose"))
+            tracks.append(replay(self.setup, pose, frames, self.n_threads))
+        return poses[choose_track(tracks)]
+
+    def _look_ahead(self, count: int) -> list[Frame]:
+        """At most ``count`` frames after the first, kept until they are tracked."""
+        last = min(self.silhouettes.n_frames, self.first + 1 + count)
+        for number in range(self.first + 1 + len(self.ahead), last):
+            self.ahead.append(self.setup.pack(self.shrinker.shrink(self.silhouettes.read(number))))
+        return list(self.ahead)
 
     def _doubt_start(self, frame: Frame, masks: Sequence[NDArray[np.bool_] | None], covered: float) -> None:
         """Say so if a pose that is found without the start covers the silhouettes clearly better."""
@@ -195,7 +229,13 @@ class _Job:
         self.shrinker = Shrinker(self.cameras, self.area, self.settings.height)
         area = self.area * self.shrinker.area_share
         self.setup = SearchSetup(self.body, self.shrinker.cameras, self.settings, self.silhouettes.frame_rate, area)
-        self.diagnosis = Diagnosis(self.setup)
+        self.diagnosis = Diagnosis(self.setup, area, self._views_meet())
+
+    def _views_meet(self) -> bool:
+        """Whether the views look from different enough sides to tell depth."""
+        ways = np.array([camera.rotation[2] for camera in self.cameras])
+        across = np.eye(3) - ways[:, :, None] * ways[:, None, :]
+        return do_meet(across)
 
     def _fit_girths(self, pose: FloatArray, masks: Sequence[NDArray[np.bool_] | None]) -> None:
         views = [number for number, mask in enumerate(masks) if mask is not None and mask.any()]
@@ -206,10 +246,11 @@ class _Job:
     def resume(self, partial: PartialTrack) -> None:
         """Take up the work where it was left."""
         self.body = replace(self.body, spheres=partial.spheres)
-        self.first, self.usual, self.area = int(partial.first), float(partial.usual), float(partial.area)
+        self.first, self.area = int(partial.first), float(partial.area)
+        self.usual, self.usual_patches = float(partial.usual), float(partial.usual_patches)
         self.poor, self.unseen = int(partial.poor), int(partial.unseen)
         self._set_up()
-        self.diagnosis.load(partial.overlap, partial.uncertainty, partial.occluded)
+        self.diagnosis.load(partial.overlap, partial.widths, partial.occluded, partial.patches)
         self.poses = list(partial.poses)
         self.restarts = [int(frame) for frame in partial.restarts]
         self.beam = Beam(self.setup, partial.beam_poses[0], self.n_threads)
@@ -220,9 +261,10 @@ class _Job:
         self.began = self.at
 
     def _read(self) -> Frame:
-        frame = self.setup.pack(self.shrinker.shrink(self.silhouettes.read(self.at)))
         self.at += 1
-        return frame
+        if self.ahead:
+            return self.ahead.popleft()
+        return self.setup.pack(self.shrinker.shrink(self.silhouettes.read(self.at - 1)))
 
     def run(self, on_checkpoint: Callable[[PartialTrack], None] | None) -> None:
         """Track to the end."""
@@ -250,60 +292,70 @@ class _Job:
             self.unseen += 1
             return
         returned, self.unseen = self.unseen >= _LOST_FRAMES, 0
-        covered = self.diagnosis.cover(self.beam.best, frame)
-        lost = self.diagnosis.is_lost(covered, self.usual)
-        self.poor = self.poor + 1 if lost else 0
-        if not lost:
+        covered, patches = self.diagnosis.cover(self.beam.best, frame)
+        poor = covered < _POOR * self.usual or patches > max(_PATCHES, _MORE * self.usual_patches)
+        self.poor = self.poor + 1 if poor else 0
+        if not poor:
             self.usual += 0.05 * (covered - self.usual)
-        if (self.poor >= _LOST_FRAMES or returned) and self.settings.candidates == "subtree":
-            self._search_anew(frame, covered)
-            self.poor = 0
+            self.usual_patches += 0.05 * (patches - self.usual_patches)
+            self.patience = max(1, self.patience // 2)
+        if self.settings.candidates != "subtree":
+            return
+        if returned or (self.poor >= _LOST_FRAMES and self.at - self.searched >= self.patience):
+            self._search_anew(frame)
 
-    def _search_anew(self, frame: Frame, covered: float) -> None:
+    def _search_anew(self, frame: Frame) -> None:
+        """Look for the pose from nothing; if another fits better, track back from it to where the track was good."""
         masks = self.shrinker.unpack(frame)
-        found = find_start(self.setup, frame, masks, near=self.beam.best)[0]
-        if found.iou > covered + 0.05:
-            self.beam.restart(found.pose)
-            self.restarts.append(self.at - 1)
+        found = find_start(self.setup, frame, masks, near=self.beam.best)
+        line = self.beam.line[-_REPAIRED:]
+        frames = [settled.frame for settled in line]
+        poses = np.array([settled.pose for settled in line])
+        own = Replay(poses, score_frames(self.setup, poses, frames))
+        self.searched = self.at
+        gain = score_frames(self.setup, found[0].pose[None], [frame])[0] - own.scores[-1]
+        if gain < _GAIN:
+            self.patience = min(2 * self.patience + _LOST_FRAMES, 10 * _LOST_FRAMES)
+            self.usual_patches = max(self.usual_patches, self.diagnosis.cover(line[-1].pose, frame)[1] / _MORE)
+            return
+        back = replay(narrow(self.setup, self.area * self.shrinker.area_share), found[0].pose, frames[::-1], 1)
+        new = Replay(back.poses[::-1], back.scores[::-1])
+        switch = min(choose_switch(self.setup, own, new), len(line) - 1)
+        self.beam.replace_newest(new.poses[switch:])
+        self.restarts.append(self.at - len(line) + switch)
+        self.poor, self.patience = 0, 1
 
     def _keep(self, pose: FloatArray, frame: Frame) -> None:
         self.poses.append(pose)
         self.diagnosis.write(pose, frame)
         if self.on_frame is not None:
-            overlap, occluded = self.diagnosis.latest
-            self._show(len(self.poses) - 1, pose, overlap, occluded, settled=True)
+            self._show(len(self.poses) - 1, pose, self.diagnosis.latest, settled=True)
 
     def _show_newest(self, frame: Frame) -> None:
         """Show the newest frame with the best pose so far, which may still change."""
         if self.on_frame is not None:
             pose = self.beam.best
-            self._show(self.at - 1, pose, *self.diagnosis.look(pose, frame), settled=False)
+            self._show(self.at - 1, pose, self.diagnosis.look(pose, frame), settled=False)
 
-    def _show(
-        self,
-        number: int,
-        pose: FloatArray,
-        overlap: FloatArray,
-        occluded: NDArray[np.bool_],
-        *,
-        settled: bool,
-    ) -> None:
+    def _show(self, number: int, pose: FloatArray, note: Note, *, settled: bool) -> None:
         assert self.on_frame is not None
-        lost = bool(self.diagnosis.find_lost(overlap[None], self.usual)[0])
-        self.on_frame(TrackedFrame(number, pose, overlap, occluded, lost, settled, self.body))
+        lost = self.diagnosis.is_lost(note)
+        self.on_frame(TrackedFrame(number, pose, note.overlap, note.occluded, lost, settled, self.body))
 
     def _save(self) -> PartialTrack:
         state = self.beam.save()
-        overlap, uncertainty, occluded = self.diagnosis.arrays()
+        overlap, widths, occluded, patches = self.diagnosis.arrays()
         return PartialTrack(
             poses=np.array(self.poses).reshape(-1, 7 + self.body.n_angles),
             overlap=overlap,
-            uncertainty=uncertainty,
+            widths=widths,
             occluded=occluded,
+            patches=patches,
             restarts=np.array(self.restarts, np.int64),
             spheres=self.body.spheres,
             first=self.first,
             usual=self.usual,
+            usual_patches=self.usual_patches,
             area=self.area,
             poor=self.poor,
             unseen=self.unseen,
@@ -317,31 +369,31 @@ class _Job:
     def finish(self) -> Estimate:
         """Smooth, and say how far to trust it."""
         rate = self.silhouettes.frame_rate
-        overlap, uncertainty, occluded = self.diagnosis.arrays()
+        overlap, _, occluded, _ = self.diagnosis.arrays()
+        doubt = self.diagnosis.judge()
         poses = np.array(self.poses)
         if self.settings.smoothing > 0:
             poses = smooth_poses(poses, rate, self.settings.smoothing, breaks=self.restarts)
-        lost = self.diagnosis.find_lost(overlap, self.usual)
         return Estimate(
             body=self.body,
             poses=poses,
             frame_rate=rate,
             iou=overlap,
-            uncertainty=uncertainty,
+            uncertainty=doubt.errors,
             occluded=occluded,
-            lost=lost,
-            warnings=tuple(self._describe(overlap, lost)),
+            lost=doubt.lost,
+            warnings=tuple(self._describe(doubt.lost)),
             frames_per_second=(self.at - self.began) / max(self.seconds, 1e-9),
         )
 
-    def _describe(self, overlap: FloatArray, lost: NDArray[np.bool_]) -> list[Message]:
+    def _describe(self, lost: NDArray[np.bool_]) -> list[Message]:
         notes = [*self.silhouettes.warnings, *self.notes]
         if self.first:
             notes.append(Message("tracker.first_frame", frame=self.first))
         if self.restarts:
             notes.append(Message("tracker.restarted", frames=self.restarts[:8]))
         if lost.any():
-            notes.append(Message("tracker.uncovered", lost=int(lost.sum()), frames=len(lost)))
+            notes.append(Message("tracker.lost", lost=int(lost.sum()), frames=len(lost), bound=1000 * LOST_ERROR))
         return notes
 
 

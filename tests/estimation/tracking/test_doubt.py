@@ -1,0 +1,107 @@
+"""How far off a track probably is: patches against plain masks, and what follows from them."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from dousa.estimation.body.human import make_human
+from dousa.estimation.body.posing import standing_state
+from dousa.estimation.cameras.camera_sets import make_ring
+from dousa.estimation.raster.rasteriser import pack_bits, unpack_bits
+from dousa.estimation.raster.rendering import render
+from dousa.estimation.tracking.diagnosis import Diagnosis
+from dousa.estimation.tracking.doubt import ErrorModel, PatchMeasure, erode
+from dousa.estimation.tracking.search_setup import SearchSetup
+from dousa.estimation.tracking.settings import TrackerSettings
+
+BODY = make_human(1.72)
+CAMERAS = make_ring(4, size=(160, 120))
+
+
+def erode_slowly(mask, steps):
+    for _ in range(steps):
+        padded = np.pad(mask, 1)
+        mask = padded[1:-1, 1:-1] & padded[:-2, 1:-1] & padded[2:, 1:-1] & padded[1:-1, :-2] & padded[1:-1, 2:]
+    return mask
+
+
+@given(st.integers(0, 2**32 - 1), st.integers(0, 3))
+def test_erosion_is_that_of_plain_masks(seed, steps):
+    rng = np.random.default_rng(seed)
+    mask = rng.random((30, 150)) > 0.1
+    np.testing.assert_array_equal(unpack_bits(erode(pack_bits(mask), steps), 150), erode_slowly(mask, steps))
+
+
+def make_setup():
+    return SearchSetup(BODY, CAMERAS, TrackerSettings(), 30.0, 1000.0)
+
+
+def measure(pose, masks):
+    setup = make_setup()
+    area = float(np.mean([mask.sum() for mask in masks]))
+    diagnosis = Diagnosis(setup, area, meet=True)
+    diagnosis.write(pose, setup.pack(masks))
+    return diagnosis
+
+
+def test_an_arm_that_is_missed_leaves_patches_and_sticks_out():
+    truth = standing_state(BODY)
+    masks = [view[0] for view in render(BODY, truth[None], CAMERAS)]
+    right = measure(truth, masks)
+    assert right.arrays()[3][0] == pytest.approx([0.0, 0.0])
+    away = truth.copy()
+    away[7 + BODY.angle_names.index("left_shoulder.2")] += 1.2
+    wrong = measure(away, masks)
+    patches, overhang = wrong.arrays()[3][0]
+    assert patches > 0.01
+    assert overhang > 0.01
+    assert wrong.judge().errors.mean() > 2.0 * right.judge().errors.mean()
+    assert not right.judge().lost[0]
+
+
+def test_a_body_that_is_elsewhere_is_lost():
+    truth = standing_state(BODY)
+    masks = [view[0] for view in render(BODY, truth[None], CAMERAS)]
+    away = truth.copy()
+    away[0] += 0.5
+    doubt = measure(away, masks).judge()
+    assert doubt.lost[0]
+    assert doubt.errors.mean() > 0.15
+
+
+def test_more_patches_are_more_doubt_and_one_view_is_never_sure():
+    widths = np.full((5, 20), 0.01)
+    patches = np.linspace(0.0, 0.2, 5)[:, None] * np.ones(2)
+    patches = np.repeat(patches, 20, axis=0)
+    widths = np.repeat(widths, 20, axis=0)
+    sure, unsure = (ErrorModel(make_setup(), meet).judge(patches, widths) for meet in (True, False))
+    expected = sure.errors.mean(axis=1)
+    assert (np.diff(expected) > -1e-12).all()
+    assert expected[0] < 0.06
+    assert not sure.lost[:10].any()
+    assert sure.lost[-10:].all()
+    assert (unsure.errors > 3.0 * sure.errors).all()
+
+
+def test_joints_share_the_error_by_their_widths():
+    widths = np.tile([0.0, 0.1, 0.3], (4, 1))
+    errors = ErrorModel(make_setup(), meet=True).judge(np.full((4, 2), 0.01), widths).errors
+    assert (errors[:, 0] < errors[:, 1]).all()
+    assert (errors[:, 1] < errors[:, 2]).all()
+
+
+def test_frames_that_nobody_is_seen_in_are_lost_and_spoil_no_others():
+    patches = np.zeros((12, 2))
+    patches[6] = np.nan
+    doubt = ErrorModel(make_setup(), meet=True).judge(patches, np.full((12, 3), 0.01))
+    assert np.flatnonzero(doubt.lost).tolist() == [6]
+    assert (doubt.errors[6] > doubt.errors[5]).all()
+
+
+def test_nobody_seen_has_no_patches():
+    setup = make_setup()
+    frame = setup.pack([None] * 4)
+    assert np.isnan(PatchMeasure(100.0).measure(np.zeros_like(frame.bits), frame)).all()
