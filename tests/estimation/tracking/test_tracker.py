@@ -135,7 +135,7 @@ def test_views_may_be_missing_now_and_then(walker):
     assert not found.lost[:10].any()
     assert found.occluded[10:12].all()
     assert (found.uncertainty[10] >= found.uncertainty[9]).all()
-    assert any("in 2 of 16 frames" in str(note) for note in found.warnings)
+    assert any("2 of 16 frames are lost" in str(note) for note in found.warnings)
 
 
 def test_before_anybody_comes_the_first_pose_is_held(walker):

@@ -306,13 +306,13 @@ def print_estimation(out: Console, done: Estimation) -> None:
     done : the answer.
     """
     answer = done.estimate
-    seconds = answer.n_frames / answer.frame_rate
+    length = answer.n_frames / answer.frame_rate
     _say(
         out,
         "estimated.frames",
         n=answer.n_frames,
         rate=answer.frame_rate,
-        seconds=seconds,
+        seconds=length,
         speed=answer.frames_per_second,
         body=done.body,
         start=done.start,

@@ -71,7 +71,8 @@ class PatchMeasure:
             return np.full(2, np.nan)
         silhouettes, body = frame.bits[seen], drawn[seen]
         both = (erode(silhouettes & ~body, self.steps), erode(body & ~silhouettes, self.steps))
-        return np.array([np.bitwise_count(deep).sum() for deep in both]) / (self.area * seen.sum())
+        counts = np.array([np.bitwise_count(deep).sum() for deep in both], np.float64)
+        return np.asarray(counts / (self.area * seen.sum()))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -110,7 +111,7 @@ class ErrorModel:
         patches : (T, 2) patches and overhang, nan where nobody is seen.
         widths : (T, P + K) m, how far each point can be moved unnoticed.
         """
-        seen = np.isfinite(patches).all(axis=1)
+        seen = np.asarray(np.isfinite(patches).all(axis=1))
         found = np.where(seen[:, None], _average(patches, seen, round(_WINDOW_S * self.frame_rate)), 1.0)
         middle = _SCALE + self.shift + np.log(found + _LEAST) @ (_PATCHES, _OVERHANG)
         expected = np.exp(middle + 0.5 * self.spread**2)
