@@ -1,0 +1,7 @@
+"""Somebody's motion on somebody else's skeleton: limb directions kept, feet planted, timing unchanged."""
+
+from __future__ import annotations
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -1,0 +1,72 @@
+"""When the feet stand: low, and slow."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from dousa.arrays import BoolArray, FloatArray
+from dousa.motion.canonical.canonicalise import CanonicalMotion
+from dousa.motion.canonical.joints import JOINT_INDEX as J
+
+_SLOW = 0.35  # m/s, for a body of _HEIGHT
+_LOW = 0.06  # m above the lowest of the second around
+_HEIGHT = 1.6  # m over the joints
+_AROUND, _SHORTEST, _GAP = 1.0, 0.1, 0.06  # s
+
+
+def find_contacts(motion: CanonicalMotion) -> BoolArray:
+    """When the left and the right toes stand on the floor.
+
+    A foot stands where its toe is at most 6 cm above its lowest point of a second before and after, and slower than
+    0.35 m/s (both for a body of 1.6 m over the joints, in proportion for others), for at least a tenth of a second.
+
+    Parameters
+    ----------
+    motion : canonical motion in m.
+
+    Returns
+    -------
+    (T, 2) true where the foot stands.
+    """
+    size = float(np.clip(motion.height / _HEIGHT, 0.2, 5.0))
+    rate = motion.frame_rate
+    contacts = np.zeros((motion.n_frames, 2), bool)
+    for column, side in enumerate(("left", "right")):
+        toe = motion.positions[:, J[f"{side}_toe"]]
+        height = toe[:, 1] - _lowest(toe[:, 1], max(1, round(_AROUND * rate)))
+        standing = (height < _LOW * size) & (_speed(toe, rate) < _SLOW * size)
+        standing = _drop_short(standing, False, max(1, round(_GAP * rate)))
+        contacts[:, column] = _drop_short(standing, True, max(2, round(_SHORTEST * rate)))
+    return contacts
+
+
+def _lowest(values: FloatArray, around: int) -> FloatArray:
+    """The minimum (T,) of the values so many frames before and after."""
+    around = min(around, len(values))
+    padded = np.concatenate((np.full(around, np.inf), values, np.full(around, np.inf)))
+    windows = np.lib.stride_tricks.sliding_window_view(padded, 2 * around + 1)
+    lowest: FloatArray = windows.min(axis=1)
+    return lowest
+
+
+def _speed(points: FloatArray, rate: float) -> FloatArray:
+    """(T,) m/s over two frames."""
+    if len(points) < 2:
+        return np.zeros(len(points))
+    speed: FloatArray = np.linalg.norm(np.gradient(points, axis=0), axis=1) * rate
+    return speed
+
+
+def _drop_short(states: BoolArray, which: bool, shortest: int) -> BoolArray:
+    """The states with stretches of one kind that are shorter than so many frames turned into the other."""
+    result = states.copy()
+    for start, end in list_stretches(states == which):
+        if end - start < shortest and (which or (start > 0 and end < len(states))):
+            result[start:end] = not which
+    return result
+
+
+def list_stretches(states: BoolArray) -> list[tuple[int, int]]:
+    """First frame and the one after the last of every stretch of true."""
+    edges = np.flatnonzero(np.diff(np.concatenate(([False], states, [False])).astype(np.int8)))
+    return [(int(start), int(end)) for start, end in zip(edges[::2], edges[1::2], strict=True)]

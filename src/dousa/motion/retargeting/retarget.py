@@ -1,0 +1,213 @@
+"""A motion on another skeleton.
+
+Every joint of the character takes the turn of its counterpart since a reference pose in which both stand alike (the
+rest pose, or a frame where the rest pose is nobody's), then each limb is turned the last bit so that it points exactly
+where the source's points. The pelvis moves in proportion to the length of the legs. Feet that stand are then held in
+place by bending hip and knee, which changes the direction of the legs where the proportions differ; the feet keep
+theirs. Timing does not change.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass
+
+import numpy as np
+
+from dousa.arrays import BoolArray, FloatArray
+from dousa.messages import Message
+from dousa.motion.canonical.canonicalise import CanonicalMotion, canonicalise
+from dousa.motion.canonical.fitting import fit_motion
+from dousa.motion.canonical.joints import JOINT_INDEX as J
+from dousa.motion.canonical.recipes import JointMap
+from dousa.motion.kinematics import forward_kinematics
+from dousa.motion.retargeting.contacts import find_contacts, list_stretches
+from dousa.motion.retargeting.planting import bend, lower_pelvis, plan_corrections
+from dousa.motion.retargeting.rig import LIMBS, SIDES, Rig, body_axes, build_rig
+from dousa.motion.retargeting.transfer import Poses, Transfer, find_floor
+from dousa.motion.rotations import conjugate, multiply, normalise, rotate
+from dousa.motion.types import Motion, Trajectories, freeze
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Retargeted:
+    """A motion on another skeleton, and how well it fits.
+
+    Parameters
+    ----------
+    motion : over the skeleton of the character; written to its format it keeps the character's layout.
+    contacts : (T, 2) when the left and the right foot stand.
+    skating : m, the furthest that a standing toe of the character moves from its mean place.
+    direction_error : rad, mean angle between the limbs of the source and of the character.
+    scale : length of the character's legs over that of the source's.
+    warnings : what a person should know.
+    """
+
+    motion: Motion
+    contacts: BoolArray
+    skating: float
+    direction_error: float
+    scale: float
+    warnings: tuple[Message, ...] = ()
+
+
+def retarget(
+    motion: Motion | Trajectories,
+    character: Motion,
+    *,
+    joint_map: JointMap | None = None,
+    plant_feet: bool = True,
+    keep_reach: bool = False,
+) -> Retargeted:
+    """Put a motion onto another skeleton.
+
+    Parameters
+    ----------
+    motion : what is done; positions are fitted with rigid bones first.
+    character : a motion, or a single pose, over the skeleton to move.
+    joint_map : canonical joint -> name in the source.
+    plant_feet : hold feet in place while they stand.
+    keep_reach : bring the hands where they were relative to the pelvis, in proportion to the legs, rather than keep the
+        directions of the arms: for somebody who holds or touches something.
+
+    Raises
+    ------
+    JointMappingError : joints of the source or of the character that cannot be told apart.
+    """
+    canonical = canonicalise(motion, joint_map, any_skeleton=True, whole=True)
+    body = motion
+    if not isinstance(body, Motion) or not np.isfinite(body.rotations.sum()) or canonical.mapping.sides == "disagree":
+        body = fit_motion(canonical)
+    source = build_rig(body, canonical if body is motion else canonicalise(body, whole=True))
+    target_canonical = canonicalise(character, any_skeleton=True, whole=True)
+    target = build_rig(character, target_canonical)
+    made = Transfer(body, canonical, source, target, character).run()
+    contacts = find_contacts(canonical)
+    if plant_feet:
+        made = _plant(made, target, canonical, contacts)
+    if keep_reach:
+        made = _reach(made, target, canonical, target.leg / source.leg)
+    rotations, translations = _to_local(made, target, character)
+    provenance = character.provenance
+    if provenance is not None:
+        provenance = dataclasses.replace(provenance, values=None, notes=())
+    result = Motion(character.skeleton, freeze(rotations), freeze(translations), motion.frame_rate, provenance)
+    places, _ = forward_kinematics(target.parents, rotations, translations)
+    skating = measure_skating(_toes(places, target), contacts)
+    warnings = list(canonical.warnings)
+    if target_canonical.mapping.sides == "disagree":
+        warnings.append(Message("retarget.mirrored"))
+    error = float(measure_directions(canonical, places, target.joints).mean())
+    return Retargeted(result, contacts, skating, error, target.leg / source.leg, tuple(warnings))
+
+
+def measure_directions(canonical: CanonicalMotion, places: FloatArray, joints: dict[str, int]) -> FloatArray:
+    """Angles (T, 8) rad between upper and lower arms and legs of a source and of places (T, J, 3) of a character."""
+    angles = []
+    for start, end in LIMBS:
+        first = canonical.positions[:, J[end]] - canonical.positions[:, J[start]]
+        second = places[:, joints[end]] - places[:, joints[start]]
+        cosine = (first * second).sum(axis=1)
+        angles.append(np.arctan2(np.linalg.norm(np.cross(first, second), axis=1), cosine))
+    return np.stack(angles, axis=1)
+
+
+def measure_skating(toes: FloatArray, contacts: BoolArray) -> float:
+    """The furthest (m) that a toe moves from its mean place while it stands, of toes (T, 2, 3); 0 without contacts."""
+    worst = 0.0
+    for side in range(2):
+        for start, end in list_stretches(contacts[:, side]):
+            stand = toes[start:end, side]
+            worst = max(worst, float(np.linalg.norm(stand - stand.mean(axis=0), axis=1).max()))
+    return worst
+
+
+def _toes(places: FloatArray, rig: Rig) -> FloatArray:
+    """(T, 2, 3): toes, or ankles of a character that has none."""
+    return places[:, [rig.joints.get(f"{side}_toe", rig.joints[f"{side}_ankle"]) for side in SIDES]]
+
+
+def _plant(poses: Poses, rig: Rig, canonical: CanonicalMotion, contacts: BoolArray) -> Poses:
+    """Feet that stand are held in place."""
+    if not contacts.any():
+        return poses
+    places = poses.places(rig)
+    toes = _toes(places, rig)
+    floor = find_floor(canonical)
+    # The sole is where the lowest joint of the reference pose is.
+    up = rotate(conjugate(rig.body), rig.places)[:, 1]
+    below = [joint for joint in range(len(rig.parents)) if rig.pelvis in rig.ancestors(joint)]
+    bottom = up[below].min()
+    heights = [up[rig.joints.get(f"{side}_toe", rig.joints[f"{side}_ankle"])] - bottom for side in SIDES]
+    moves = np.stack([plan_corrections(toes[:, k], contacts[:, k], floor + heights[k]) for k in range(2)], axis=1)
+    # What both feet need, the whole body does.
+    shared = moves[..., 1].mean(axis=1)
+    pelvis = poses.pelvis.copy()
+    pelvis[:, 1] += shared
+    hips, ankles = (places[:, [rig.joints[f"{side}_{joint}"] for side in SIDES]] for joint in ("hip", "ankle"))
+    lengths = np.array([
+        sum(
+            np.linalg.norm(rig.direction(f"{side}_{start}", f"{side}_{end}"))
+            for start, end in (("hip", "knee"), ("knee", "ankle"))
+        )
+        for side in SIDES
+    ])  # fmt: skip
+    wanted = ankles + moves
+    pelvis[:, 1] -= lower_pelvis(hips + np.array([0, 1, 0]) * shared[:, None, None], wanted, lengths, poses.frame_rate)
+    moved = Poses(poses.world, pelvis, poses.frame_rate)
+    for column, side in enumerate(SIDES):
+        moved = _bend_limb(moved, rig, [f"{side}_{joint}" for joint in ("hip", "knee", "ankle")], wanted[:, column])
+    return moved
+
+
+def _reach(poses: Poses, rig: Rig, canonical: CanonicalMotion, scale: float) -> Poses:
+    """Hands go where they were, seen from the middle of the hips."""
+    points = canonical.positions
+    middle = 0.5 * (points[:, J["left_hip"]] + points[:, J["right_hip"]])
+    places = poses.places(rig)
+    own = 0.5 * (places[:, rig.joints["left_hip"]] + places[:, rig.joints["right_hip"]])
+    for side in SIDES:
+        wanted = own + scale * (points[:, J[f"{side}_wrist"]] - middle)
+        poses = _bend_limb(poses, rig, [f"{side}_{joint}" for joint in ("shoulder", "elbow", "wrist")], wanted)
+    return poses
+
+
+def _bend_limb(poses: Poses, rig: Rig, names: list[str], wanted: FloatArray) -> Poses:
+    places = poses.places(rig)
+    first, second, third = (rig.joints[name] for name in names)
+    front = body_axes(places, rig.joints)[..., 2]
+    outward = front if "hip" in names[0] else -front
+    upper, lower = bend(places[:, first], places[:, second], places[:, third], wanted, outward)
+    world = poses.world.copy()
+    for joints, turn in ((rig.path(first, second), upper), (rig.path(second, third), lower)):
+        for joint in joints:
+            world[:, joint] = multiply(turn, world[:, joint])
+    # What hangs beside the limb goes with it; what hangs at its end keeps its direction.
+    for joint, parent in enumerate(rig.parents):
+        line = rig.ancestors(joint)
+        if joint in rig.path(first, second) + rig.path(second, third) or third in line:
+            continue
+        if second in line and parent >= 0:
+            world[:, joint] = multiply(lower, world[:, joint])
+        elif first in line and parent >= 0:
+            world[:, joint] = multiply(upper, world[:, joint])
+    return Poses(world, poses.pelvis, poses.frame_rate)
+
+
+def _to_local(poses: Poses, rig: Rig, character: Motion) -> tuple[FloatArray, FloatArray]:
+    """Local rotations (T, J, 4) and translations (T, J, 3)."""
+    n_frames = len(poses.world)
+    rotations = np.array(poses.world)
+    translations = np.tile(rig.offsets, (n_frames, 1, 1))
+    for joint, parent in enumerate(rig.parents):
+        if parent >= 0:
+            rotations[:, joint] = multiply(conjugate(poses.world[:, parent]), poses.world[:, joint])
+    # Joints above the pelvis stay where the character has them; the pelvis makes up for it.
+    still = np.array(rig.offsets)
+    places, world = forward_kinematics(rig.parents, rotations[:1], still[None])
+    parent = rig.parents[rig.pelvis]
+    if parent < 0:
+        translations[:, rig.pelvis] = poses.pelvis
+    else:
+        translations[:, rig.pelvis] = rotate(conjugate(world[0, parent]), poses.pelvis - places[0, parent])
+    return normalise(rotations), translations

@@ -1,0 +1,174 @@
+"""What retargeting knows of a skeleton: which joint is which, its bones, and a pose that others are compared with."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from dousa.arrays import FloatArray
+from dousa.motion.canonical.canonicalise import CanonicalMotion
+from dousa.motion.kinematics import forward_kinematics
+from dousa.motion.rotations import from_matrix, identity
+from dousa.motion.types import Motion
+
+SIDES = ("left", "right")
+LIMBS: tuple[tuple[str, str], ...] = tuple(
+    (f"{side}_{start}", f"{side}_{end}")
+    for side in SIDES
+    for start, end in (("shoulder", "elbow"), ("elbow", "wrist"), ("hip", "knee"), ("knee", "ankle"))
+)
+"""Bones whose direction is kept exactly: from joint to joint."""
+
+TIPS: tuple[tuple[str, str], ...] = tuple(
+    (f"{side}_{start}", f"{side}_{end}") for side in SIDES for start, end in (("wrist", "hand"), ("ankle", "toe"))
+)
+"""As the limbs, where both skeletons have the tip."""
+
+_STRAIGHT, _OPPOSITE, _MOST_REFERENCES = 0.9, 0.85, 400
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Rig:
+    """A skeleton as retargeting needs it.
+
+    Parameters
+    ----------
+    names, parents : of all joints.
+    offsets : (J, 3) m, usual local positions; real files have others than their OFFSETs.
+    joints : canonical joint -> index of the joint that stands for it.
+    pelvis, chest, head : joints that carry the hips, the shoulders, and the head.
+    world : (J, 4) orientations in the reference pose.
+    places : (J, 3) positions in the reference pose.
+    body : (4,) orientation of the body in the reference pose: left, up and front along x, y and z.
+    leg : m, hip to ankle, along the bones.
+    """
+
+    names: tuple[str, ...]
+    parents: list[int]
+    offsets: FloatArray
+    joints: dict[str, int]
+    pelvis: int
+    chest: int
+    head: int
+    world: FloatArray
+    places: FloatArray
+    body: FloatArray
+    leg: float
+
+    def direction(self, start: str, end: str) -> FloatArray:
+        """(3,) from joint to joint in the reference pose, of any length."""
+        vector: FloatArray = self.places[self.joints[end]] - self.places[self.joints[start]]
+        return vector
+
+    def path(self, start: int, end: int) -> list[int]:
+        """Joints from ``start`` down to, and without, ``end``."""
+        chain = []
+        joint = self.parents[end]
+        while joint != start and joint >= 0:
+            chain.append(joint)
+            joint = self.parents[joint]
+        return [start, *reversed(chain)]
+
+    def ancestors(self, joint: int) -> list[int]:
+        """The joint and all above it, from below."""
+        chain = []
+        while joint >= 0:
+            chain.append(joint)
+            joint = self.parents[joint]
+        return chain
+
+
+def build_rig(motion: Motion, canonical: CanonicalMotion) -> Rig:
+    """The rig of a motion whose canonical joints are known; the reference is the rest pose if that is a person's."""
+    skeleton = motion.skeleton
+    names, parents = skeleton.names, skeleton.parents.tolist()
+    joints = {joint: names.index(sources[0]) for joint, sources in canonical.mapping.sources.items()}
+    with np.errstate(invalid="ignore"):
+        offsets = np.nanmedian(motion.translations, axis=0)
+    offsets = np.where(np.isfinite(offsets), offsets, skeleton.offsets)
+    lines = {joint: _line(parents, index) for joint, index in joints.items()}
+    pelvis = _meeting(lines["left_hip"], lines["right_hip"])
+    chest = _meeting(lines["left_shoulder"], lines["right_shoulder"])
+    ends = skeleton.end_sites
+    top = joints.get("head", joints.get("neck", chest))
+    above = _line(parents, top)
+    head = next((joint for joint in above if not ends[joint]), chest)
+    if chest not in above:
+        head = chest
+    world, places = _choose_reference(motion, offsets, joints)
+    legs = []
+    for side in SIDES:
+        hip, knee, ankle = (places[joints[f"{side}_{joint}"]] for joint in ("hip", "knee", "ankle"))
+        legs.append(np.linalg.norm(hip - knee) + np.linalg.norm(knee - ankle))
+    body = from_matrix(body_axes(places, joints))
+    return Rig(names, parents, offsets, joints, pelvis, chest, head, world, places, body, float(np.mean(legs)))
+
+
+def _line(parents: list[int], joint: int) -> list[int]:
+    line = []
+    while joint >= 0:
+        line.append(joint)
+        joint = parents[joint]
+    return line
+
+
+def _meeting(first: list[int], second: list[int]) -> int:
+    """The lowest joint above two others."""
+    return next((joint for joint in first[1:] if joint in second[1:]), first[-1])
+
+
+def body_axes(places: FloatArray, joints: dict[str, int]) -> FloatArray:
+    """(..., 3, 3) axes of a body as columns: left, up, front; from places (..., J, 3)."""
+
+    def middle(joint: str) -> FloatArray:
+        mean: FloatArray = 0.5 * (places[..., joints[f"left_{joint}"], :] + places[..., joints[f"right_{joint}"], :])
+        return mean
+
+    up = middle("shoulder") - middle("hip")
+    across = places[..., joints["left_hip"], :] - places[..., joints["right_hip"], :]
+    across = across + places[..., joints["left_shoulder"], :] - places[..., joints["right_shoulder"], :]
+    up = up / np.maximum(np.linalg.norm(up, axis=-1, keepdims=True), 1e-9)
+    front = np.cross(across, up)
+    front = front / np.maximum(np.linalg.norm(front, axis=-1, keepdims=True), 1e-9)
+    return np.stack((np.cross(up, front), up, front), axis=-1)
+
+
+def _choose_reference(motion: Motion, offsets: FloatArray, joints: dict[str, int]) -> tuple[FloatArray, FloatArray]:
+    """Orientations and places of the rest pose where a person stands in it, else of the frame nearest to that."""
+    parents = motion.skeleton.parents
+    rest = identity((len(parents),))
+    still = np.array(offsets)
+    places, world = forward_kinematics(parents, rest, still)
+    if _likeness(places[None], joints)[0] > 0:
+        return world, places
+    step = max(1, motion.n_frames // _MOST_REFERENCES)
+    turns = motion.rotations[::step]
+    seen = np.isfinite(turns.sum(axis=(1, 2)))
+    turns = turns[seen] if seen.any() else rest[None]
+    all_places, all_world = forward_kinematics(parents, turns, np.tile(still, (len(turns), 1, 1)))
+    best = int(np.argmax(_likeness(all_places, joints)))
+    return all_world[best], all_places[best]
+
+
+def _likeness(places: FloatArray, joints: dict[str, int]) -> FloatArray:
+    """(T,) how much a pose is that of somebody who stands with straight arms and legs; above 0 it is such a pose."""
+
+    def at(joint: str) -> FloatArray:
+        return places[:, joints[joint]]
+
+    def middle(joint: str) -> FloatArray:
+        mean: FloatArray = 0.5 * (at(f"left_{joint}") + at(f"right_{joint}"))
+        return mean
+
+    margins = []
+    for side in SIDES:
+        for chain in (("shoulder", "elbow", "wrist"), ("hip", "knee", "ankle")):
+            a, b, c = (at(f"{side}_{joint}") for joint in chain)
+            whole = np.linalg.norm(a - b, axis=1) + np.linalg.norm(b - c, axis=1)
+            margins.append(np.linalg.norm(a - c, axis=1) / np.maximum(whole, 1e-9) - _STRAIGHT)
+    trunk, legs = middle("shoulder") - middle("hip"), middle("ankle") - middle("hip")
+    scale = np.linalg.norm(trunk, axis=1) * np.linalg.norm(legs, axis=1)
+    margins.append(-(trunk * legs).sum(axis=1) / np.maximum(scale, 1e-9) - _OPPOSITE)
+    likeness: FloatArray = np.min(margins, axis=0)
+    return likeness
