@@ -175,6 +175,7 @@ MATERIAL: dict[str, Callable[[Path], None]] = {
     "bin/tracker": _tracker,
     # single files
     "walk.bvh": _motion("walk", 5),
+    "character.bvh": _motion("walk", 9),
     "kick.bvh": _motion("kick_left", 5),
     "jumping_jack.bvh": _motion("jumping_jack", 4),
     "take.c3d": _points("squat", 5),

@@ -11,6 +11,7 @@ from .canonical.recipes import read_joint_map
 from .canonical.reference_frame import ReferenceFrame
 from .kinematics import compute_rest_positions, compute_trajectories, forward_kinematics
 from .resampling import fill_gaps, resample, thin
+from .retargeting.retarget import Retargeted, retarget
 from .types import Motion, Provenance, Skeleton, Trajectories
 
 __all__ = [
@@ -23,6 +24,7 @@ __all__ = [
     "Motion",
     "Provenance",
     "ReferenceFrame",
+    "Retargeted",
     "Skeleton",
     "Trajectories",
     "canonicalise",
@@ -35,5 +37,6 @@ __all__ = [
     "mirror_positions",
     "read_joint_map",
     "resample",
+    "retarget",
     "thin",
 ]

@@ -106,8 +106,17 @@ def _describe(path: Path, options: ReadOptions) -> dict[str, Any]:
 
 def convert(
     source: Annotated[Path, typer.Argument(metavar="IN", help="Motion file to read.")],
-    target: Annotated[Path, typer.Argument(metavar="OUT", help="File to write: .bvh, .trc, .c3d or .npz.")],
+    target: Annotated[
+        Path, typer.Argument(metavar="OUT", help="File to write: .bvh, .glb, .trc, .c3d, .csv, .npz or .amass.npz.")
+    ],
     frame_rate: Annotated[float | None, typer.Option("--frame-rate", help="Resample to this rate in Hz.")] = None,
+    onto: Annotated[
+        Path | None,
+        typer.Option("--onto", metavar="CHARACTER", help="Put the motion onto the skeleton of this file."),
+    ] = None,
+    keep_reach: Annotated[
+        bool, typer.Option("--keep-reach", help="With --onto: hands reach the same places, instead of arm directions.")
+    ] = False,
     overwrite: Annotated[bool, typer.Option("--overwrite", help="Allow OUT to be IN.")] = False,
     *,
     motion_options: o.MotionOptions,
@@ -115,7 +124,8 @@ def convert(
 ) -> None:
     """Convert a motion file to another format; nothing the target can hold is lost.
 
-    Positions alone (C3D, TRC) become BVH by fitting a skeleton of rigid bones; the mean error is said.
+    Positions alone (C3D, TRC) become BVH by fitting a skeleton of rigid bones; the mean error is said. With --onto the
+    motion is put onto the skeleton of a character: limb directions are kept, feet stay where they stand.
 
     Example: dousa convert take.amc take.bvh --frame-rate 30
     """
@@ -131,6 +141,9 @@ def convert(
     if frame_rate is not None:
         motion = resample(motion, frame_rate)  # type: ignore[type-var]  # either, not both
     fit_error = None
+    answer: dict[str, Any] = {}
+    if onto is not None:
+        motion, answer = _put_onto(motion, onto, target, options, keep_reach)
     if target.suffix.lower() == ".bvh" and not isinstance(motion, Motion):
         motion, fit_error = _fit(motion, options.joint_map)
         warn(Message("files_cli.fitted", path=source, error=1000 * fit_error))
@@ -143,10 +156,38 @@ def convert(
                 "n_frames": motion.n_frames,
                 "frame_rate": motion.frame_rate,
                 "fit_error_m": fit_error,
+                **answer,
             }
         )
     else:
         say(Message("files_cli.converted", path=target, n=motion.n_frames, rate=motion.frame_rate))
+
+
+def _put_onto(
+    motion: Motion | Trajectories, onto: Path, target: Path, options: ReadOptions, keep_reach: bool
+) -> tuple[Motion, dict[str, Any]]:
+    """The motion on the skeleton of another file, and how well it fits."""
+    import math
+
+    from dousa.formats.characters import read_character
+    from dousa.motion import retarget
+
+    made = retarget(motion, read_character(onto), joint_map=options.joint_map, keep_reach=keep_reach)
+    said = motion.provenance.notes if motion.provenance else ()
+    for warning in made.warnings:
+        if warning not in said:
+            warn(warning)
+    fit = {"onto": str(onto), "skating_m": made.skating, "direction_error_deg": math.degrees(made.direction_error)}
+    warn(
+        Message(
+            "retarget.done",
+            path=target,
+            n=made.motion.n_frames,
+            skating=1000 * made.skating,
+            angle=fit["direction_error_deg"],
+        )
+    )
+    return made.motion, {**fit, "scale": made.scale}
 
 
 def _fit(positions: Trajectories, joint_map: JointMap | None) -> tuple[Motion, float]:

@@ -7,12 +7,12 @@ import os
 import numpy as np
 
 from dousa.arrays import FloatArray
-from dousa.errors import MotionWriteError
+from dousa.errors import JointMappingError, MotionWriteError
 from dousa.files.disk import atomic_write
 from dousa.formats.smpl.body import mean_body
-from dousa.motion import Motion
+from dousa.motion import Motion, retarget
 from dousa.motion.canonical.reference_frame import ReferenceFrame, from_reference_frame
-from dousa.motion.rotations import to_axis_angle
+from dousa.motion.rotations import identity, to_axis_angle
 
 _JOINTS = 52
 _BETAS = 16
@@ -21,22 +21,21 @@ _BETAS = 16
 def write_amass(motion: Motion, path: str | os.PathLike[str]) -> None:
     """Write SMPL poses as AMASS has them: ``poses`` (T, 156), ``trans``, ``betas``, ``gender``; Z up.
 
-    A motion of another skeleton must be put onto that of SMPL first (`dousa.motion.retarget`), which
-    `dousa.formats.write_motion` does.
+    A motion of another skeleton is put onto that of the mean body first (`dousa.motion.retarget`).
 
     Parameters
     ----------
-    motion : over joints with the names of SMPL; hands that it lacks do not move.
+    motion : of any body; hands that it lacks do not move.
     path : the file to write.
 
     Raises
     ------
-    MotionWriteError : joints that are not SMPL's, missing rotations, a disk that refuses.
+    MotionWriteError : joints that cannot be told apart, missing rotations, a disk that refuses.
     """
     body = mean_body(_JOINTS)
-    names = motion.skeleton.names
     if not is_smpl(motion):
-        raise MotionWriteError(path, "smpl.other_skeleton")
+        motion = _put_onto_smpl(motion, path)
+    names = motion.skeleton.names
     if not (np.isfinite(motion.rotations).all() and np.isfinite(motion.translations[:, 0]).all()):
         raise MotionWriteError(path, "smpl.gaps")
     turned = from_reference_frame(motion, ReferenceFrame(up="z"))
@@ -57,6 +56,15 @@ def write_amass(motion: Motion, path: str | os.PathLike[str]) -> None:
             gender=np.array("neutral"),
             mocap_framerate=np.array(float(motion.frame_rate)),
         )
+
+
+def _put_onto_smpl(motion: Motion, path: str | os.PathLike[str]) -> Motion:
+    skeleton = mean_body(22)
+    still = identity((1, skeleton.n_joints))
+    try:
+        return retarget(motion, Motion(skeleton, still, skeleton.offsets[None], motion.frame_rate)).motion
+    except JointMappingError as error:
+        raise MotionWriteError(path, "smpl.other_skeleton", reason=error.problem) from error
 
 
 def is_smpl(motion: Motion) -> bool:

@@ -12,6 +12,7 @@ _SLOW = 0.35  # m/s, for a body of _HEIGHT
 _LOW = 0.06  # m above the lowest of the second around
 _HEIGHT = 1.6  # m over the joints
 _AROUND, _SHORTEST, _GAP = 1.0, 0.1, 0.06  # s
+_SLOWEST_RATE = 8.0  # Hz
 
 
 def find_contacts(motion: CanonicalMotion) -> BoolArray:
@@ -26,11 +27,13 @@ def find_contacts(motion: CanonicalMotion) -> BoolArray:
 
     Returns
     -------
-    (T, 2) true where the foot stands.
+    (T, 2) true where the foot stands; nowhere below 8 Hz, where two frames do not tell a speed.
     """
     size = float(np.clip(motion.height / _HEIGHT, 0.2, 5.0))
     rate = motion.frame_rate
     contacts = np.zeros((motion.n_frames, 2), bool)
+    if rate < _SLOWEST_RATE:
+        return contacts
     for column, side in enumerate(("left", "right")):
         toe = motion.positions[:, J[f"{side}_toe"]]
         height = toe[:, 1] - _lowest(toe[:, 1], max(1, round(_AROUND * rate)))

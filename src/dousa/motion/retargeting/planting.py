@@ -10,7 +10,7 @@ from dousa.arrays import BoolArray, FloatArray
 from dousa.motion.retargeting.contacts import list_stretches
 from dousa.motion.rotations import between, rotate
 
-_REACH = 0.9995  # of the length of a limb: beyond, the knee would leap
+_REACH = 0.9999  # of the length of a limb: beyond, the knee would leap
 _BIAS = 0.02  # of the upper bone
 _SMOOTH = 0.08  # s, over which the pelvis gives way
 
@@ -68,7 +68,9 @@ def bend(
     turned = rotate(between(line, goal), middle - root)
     # A straight limb has no plane of its own, and one that is nearly straight an unsteady one.
     side = outward / np.maximum(np.linalg.norm(outward, axis=1, keepdims=True), 1e-9)
-    turned = turned + _BIAS * upper[:, None] * side
+    own = turned - (turned * ahead).sum(axis=1, keepdims=True) * ahead
+    lacking = np.maximum(_BIAS * upper - np.linalg.norm(own, axis=1), 0.0)
+    turned = turned + lacking[:, None] * side
     across = turned - (turned * ahead).sum(axis=1, keepdims=True) * ahead
     length = np.linalg.norm(across, axis=1, keepdims=True)
     across = across / np.maximum(length, 1e-9)

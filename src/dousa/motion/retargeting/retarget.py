@@ -23,7 +23,7 @@ from dousa.motion.canonical.recipes import JointMap
 from dousa.motion.kinematics import forward_kinematics
 from dousa.motion.retargeting.contacts import find_contacts, list_stretches
 from dousa.motion.retargeting.planting import bend, lower_pelvis, plan_corrections
-from dousa.motion.retargeting.rig import LIMBS, SIDES, Rig, body_axes, build_rig
+from dousa.motion.retargeting.rig import LIMBS, SIDES, Rig, body_axes, build_rig, toe_of
 from dousa.motion.retargeting.transfer import Poses, Transfer, find_floor
 from dousa.motion.rotations import conjugate, multiply, normalise, rotate
 from dousa.motion.types import Motion, Trajectories, freeze
@@ -84,7 +84,7 @@ def retarget(
     made = Transfer(body, canonical, source, target, character).run()
     contacts = find_contacts(canonical)
     if plant_feet:
-        made = _plant(made, target, canonical, contacts)
+        made = _plant(made, target, find_floor(canonical, source), contacts)
     if keep_reach:
         made = _reach(made, target, canonical, target.leg / source.leg)
     rotations, translations = _to_local(made, target, character)
@@ -124,22 +124,17 @@ def measure_skating(toes: FloatArray, contacts: BoolArray) -> float:
 
 def _toes(places: FloatArray, rig: Rig) -> FloatArray:
     """(T, 2, 3): toes, or ankles of a character that has none."""
-    return places[:, [rig.joints.get(f"{side}_toe", rig.joints[f"{side}_ankle"]) for side in SIDES]]
+    return places[:, [toe_of(rig.joints, side) for side in SIDES]]
 
 
-def _plant(poses: Poses, rig: Rig, canonical: CanonicalMotion, contacts: BoolArray) -> Poses:
+def _plant(poses: Poses, rig: Rig, floor: float, contacts: BoolArray) -> Poses:
     """Feet that stand are held in place."""
     if not contacts.any():
         return poses
     places = poses.places(rig)
     toes = _toes(places, rig)
-    floor = find_floor(canonical)
-    # The sole is where the lowest joint of the reference pose is.
-    up = rotate(conjugate(rig.body), rig.places)[:, 1]
-    below = [joint for joint in range(len(rig.parents)) if rig.pelvis in rig.ancestors(joint)]
-    bottom = up[below].min()
-    heights = [up[rig.joints.get(f"{side}_toe", rig.joints[f"{side}_ankle"])] - bottom for side in SIDES]
-    moves = np.stack([plan_corrections(toes[:, k], contacts[:, k], floor + heights[k]) for k in range(2)], axis=1)
+    heights = floor + rig.toe_heights()
+    moves = np.stack([plan_corrections(toes[:, k], contacts[:, k], heights[k]) for k in range(2)], axis=1)
     # What both feet need, the whole body does.
     shared = moves[..., 1].mean(axis=1)
     pelvis = poses.pelvis.copy()

@@ -9,7 +9,7 @@ import numpy as np
 from dousa.arrays import FloatArray
 from dousa.motion.canonical.canonicalise import CanonicalMotion
 from dousa.motion.kinematics import forward_kinematics
-from dousa.motion.rotations import from_matrix, identity
+from dousa.motion.rotations import conjugate, from_matrix, identity, rotate
 from dousa.motion.types import Motion
 
 SIDES = ("left", "right")
@@ -61,6 +61,13 @@ class Rig:
         vector: FloatArray = self.places[self.joints[end]] - self.places[self.joints[start]]
         return vector
 
+    def toe_heights(self) -> FloatArray:
+        """(2,) m, left and right toe above the lowest joint of the reference pose, as in a standing foot."""
+        up = rotate(conjugate(self.body), self.places)[:, 1]
+        below = [joint for joint in range(len(self.parents)) if self.pelvis in self.ancestors(joint)]
+        heights: FloatArray = up[[toe_of(self.joints, side) for side in SIDES]] - up[below].min()
+        return heights
+
     def path(self, start: int, end: int) -> list[int]:
         """Joints from ``start`` down to, and without, ``end``."""
         chain = []
@@ -77,6 +84,11 @@ class Rig:
             chain.append(joint)
             joint = self.parents[joint]
         return chain
+
+
+def toe_of(joints: dict[str, int], side: str) -> int:
+    """The joint of the toe, or the ankle of a body that has none."""
+    return joints.get(f"{side}_toe", joints[f"{side}_ankle"])
 
 
 def build_rig(motion: Motion, canonical: CanonicalMotion) -> Rig:

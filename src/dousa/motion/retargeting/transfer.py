@@ -149,7 +149,7 @@ class Transfer:
         target, points = self.target, self.canonical.positions
         scale = target.leg / self.source.leg
         middle = 0.5 * (points[:, J["left_hip"]] + points[:, J["right_hip"]])
-        floor = find_floor(self.canonical)
+        floor = find_floor(self.canonical, self.source)
         start = middle[0].copy()
         start[1] = floor
         wanted = start + scale * (middle - start)
@@ -165,7 +165,9 @@ def _in_frame(turns: FloatArray, frame: FloatArray) -> FloatArray:
     return multiply(conjugate(frame), multiply(turns, frame))
 
 
-def find_floor(canonical: CanonicalMotion) -> float:
-    """Height (m) of the floor: the second lowest percentile of the toes."""
-    toes = canonical.positions[:, [J["left_toe"], J["right_toe"]], 1]
-    return float(np.percentile(toes, 2))
+def find_floor(canonical: CanonicalMotion, rig: Rig) -> float:
+    """Height (m) of the floor: the second lowest percentile of the toes, less the height of toes in a standing foot."""
+    toes = canonical.positions[
+        :, [J[f"{side}_toe" if f"{side}_toe" in rig.joints else f"{side}_ankle"] for side in SIDES]
+    ]
+    return float(np.percentile(toes[..., 1] - rig.toe_heights(), 2))

@@ -1,0 +1,33 @@
+"""Characters: files whose skeleton other motions are put onto."""
+
+from __future__ import annotations
+
+import os
+
+from dousa.errors import OptionError
+from dousa.formats.registry import find_reader, read_motion
+from dousa.motion import Motion
+
+
+def read_character(path: str | os.PathLike[str], *, unit: float | str | None = None, up: str | None = None) -> Motion:
+    """The skeleton of a file, as a motion or as a single pose.
+
+    Parameters
+    ----------
+    path : any file of joint rotations; a glTF, GLB or VRM needs no animation.
+    unit, up : what the file does not say.
+
+    Raises
+    ------
+    MotionFileError : the file cannot be read.
+    OptionError : it holds positions, and no skeleton.
+    """
+    line = find_reader(path)
+    if line is not None and line.module == "dousa.formats.gltf":
+        from dousa.formats.gltf import read_gltf_character
+
+        return read_gltf_character(path, unit=unit, up=up)
+    character = read_motion(path, unit=unit, up=up)
+    if not isinstance(character, Motion):
+        raise OptionError("retarget.no_skeleton", path=path)
+    return character

@@ -1,0 +1,216 @@
+"""Motions on other skeletons: directions, feet, timing, and back again."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from dousa.errors import JointMappingError
+from dousa.formats import read_character
+from dousa.formats.registry import read_motion, write_motion
+from dousa.motion import Motion, Skeleton, Trajectories, canonicalise, compute_trajectories, retarget
+from dousa.motion.retargeting import find_contacts, measure_directions, measure_skating
+from dousa.motion.retargeting.contacts import list_stretches
+from dousa.motion.retargeting.planting import bend, lower_pelvis, plan_corrections
+from dousa.motion.retargeting.rig import build_rig
+from dousa.motion.rotations import rotate
+from dousa.motion.synthetic import draw_performer, make_motion
+
+CHARACTERS = {
+    "mixamo": "mixamo_ganimator/Walk-In-Circle.bvh",
+    "cmu": "pybvh/cmu_12_01_walk.bvh",
+    "xia": "xia_deepmotionediting/neutral_16_000.bvh",
+    "accad": "acclaim_male1_accad/Male1_B14_WalkTurnRight135.bvh",  # its rest pose is nobody's
+    "smpl": "unsupported/amass_sample.npz",
+}
+
+
+def directions(source, made):
+    """(T, 8) degrees between the limbs of a motion and those of its copy on another skeleton."""
+    rig = build_rig(made, canonicalise(made))
+    return np.degrees(measure_directions(canonicalise(source), compute_trajectories(made).positions, rig.joints))
+
+
+def test_onto_itself_nothing_changes():
+    motion = make_motion("walk", draw_performer(1))
+    made = retarget(motion, motion, plant_feet=False)
+    assert made.scale == pytest.approx(1)
+    places, expected = (compute_trajectories(m).positions for m in (made.motion, motion))
+    np.testing.assert_allclose(places, expected, atol=1e-3)  # the neck shares the turn of the head
+    assert made.motion.frame_rate == motion.frame_rate
+
+
+@pytest.mark.parametrize("category", ["walk", "squat", "jump", "clap", "bow"])
+def test_directions_are_kept_and_feet_stand(category):
+    motion, character = make_motion(category, draw_performer(1)), make_motion("bow", draw_performer(7))
+    plain = retarget(motion, character, plant_feet=False)
+    assert directions(motion, plain.motion).max() < 1e-4
+    made = retarget(motion, character)
+    assert made.contacts.any()
+    assert made.skating < 1e-3
+    assert made.skating <= plain.skating + 1e-9
+    assert directions(motion, made.motion).mean() < 5
+    # The arms have no reason to change.
+    np.testing.assert_allclose(directions(motion, made.motion)[:, [0, 1, 4, 5]], 0, atol=1e-4)
+    assert made.motion.n_frames == motion.n_frames
+
+
+@pytest.mark.parametrize("name", sorted(CHARACTERS))
+@pytest.mark.parametrize("other", ["mixamo", "accad"])
+def test_characters_of_others(shared_data, name, other):
+    character = read_motion(shared_data(f"foreign/{CHARACTERS[name]}"))
+    source = read_motion(shared_data(f"foreign/{CHARACTERS[other]}"))
+    made = retarget(source, character)
+    assert made.skating < 0.01
+    assert np.degrees(made.direction_error) < 5
+    assert made.motion.skeleton is character.skeleton
+    assert made.motion.frame_rate == source.frame_rate
+    # Nobody stands on the head, or with the back to the front.
+    assert canonicalise(made.motion).mapping.sides in ("agree", canonicalise(character).mapping.sides)
+    # There and back: limbs point where they did.
+    there = retarget(source, character, plant_feet=False).motion
+    back = retarget(there, source, plant_feet=False)
+    assert np.degrees(back.direction_error) < 0.1
+    assert directions(source, back.motion).max() < 3
+
+
+def test_there_and_back_the_joints_turn_as_they_did(shared_data):
+    """Both rest poses are people's: then the roll of the limbs comes back too, not just where they point."""
+    source = read_motion(shared_data(f"foreign/{CHARACTERS['mixamo']}"))
+    character = read_motion(shared_data(f"foreign/{CHARACTERS['xia']}"))
+    there = retarget(source, character, plant_feet=False).motion
+    back = retarget(there, source, plant_feet=False).motion
+    rig = build_rig(source, canonicalise(source))
+    limbs = [rig.joints[f"{side}_{j}"] for side in ("left", "right") for j in ("elbow", "knee")]
+    cosine = np.abs((source.rotations[:, limbs] * back.rotations[:, limbs]).sum(axis=2))
+    assert np.degrees(2 * np.arccos(np.clip(cosine, 0, 1))).max() < 3
+
+
+def test_positions_onto_a_character(shared_data):
+    character = read_motion(shared_data(f"foreign/{CHARACTERS['mixamo']}"))
+    walk = canonicalise(make_motion("walk", draw_performer(2))).to_trajectories()
+    made = retarget(Trajectories(walk.names, walk.positions, walk.frame_rate), character)
+    assert made.skating < 0.01
+    assert np.degrees(made.direction_error) < 5
+
+
+def test_the_file_is_the_character_s(tmp_path, shared_data):
+    source = shared_data(f"foreign/{CHARACTERS['xia']}")
+    made = retarget(make_motion("walk", draw_performer(2)), read_character(source))
+    write_motion(made.motion, tmp_path / "x.bvh")
+    ours, theirs = ((tmp_path / "x.bvh").read_text(), source.read_text())
+    for word in ("ROOT", "JOINT", "CHANNELS"):
+        lines = [[line.split() for line in text.splitlines() if line.split()[:1] == [word]] for text in (ours, theirs)]
+        assert lines[0] == lines[1]
+    again = read_motion(tmp_path / "x.bvh", unit=made.motion.provenance.unit, up=made.motion.provenance.up)
+    expected = compute_trajectories(made.motion).positions
+    np.testing.assert_allclose(compute_trajectories(again).positions, expected, atol=1e-6)
+
+
+def test_into_somebody_s_mesh(tmp_path, shared_data):
+    character = read_character(shared_data("foreign/unsupported/mixamo.glb"))
+    motion = make_motion("clap", draw_performer(2))
+    write_motion(retarget(motion, character).motion, tmp_path / "x.glb")
+    again = read_motion(tmp_path / "x.glb")
+    assert directions(motion, again).mean() < 5
+    assert directions(motion, again)[:, [0, 1, 4, 5]].max() < 0.1
+
+
+def test_amass_of_anybody(tmp_path):
+    motion = make_motion("squat", draw_performer(4))
+    write_motion(motion, tmp_path / "x.amass.npz")
+    again = read_motion(tmp_path / "x.amass.npz")
+    assert again.frame_rate == motion.frame_rate
+    assert directions(motion, again)[:, [0, 1, 4, 5]].max() < 0.1
+
+
+def test_hands_reach_what_they_reached():
+    """The distance between the hands of somebody who claps grows with the legs, and with nothing else."""
+    motion, character = make_motion("clap", draw_performer(1)), make_motion("clap", draw_performer(9))
+    made = retarget(motion, character, keep_reach=True)
+    first, second = (canonicalise(m) for m in (motion, made.motion))
+    hands = [first.to_trajectories().names.index(f"{side}_wrist") for side in ("left", "right")]
+    gaps = [np.linalg.norm(c.positions[:, hands[0]] - c.positions[:, hands[1]], axis=1) for c in (first, second)]
+    np.testing.assert_allclose(gaps[1], made.scale * gaps[0], atol=0.02)
+
+
+def test_what_is_no_body_is_refused():
+    skeleton = Skeleton(("a", "b"), [-1, 0], [[0, 0, 0], [0, 1, 0]])
+    stick = Motion(skeleton, np.tile([1.0, 0, 0, 0], (2, 2, 1)), np.tile(skeleton.offsets, (2, 1, 1)), 30.0)
+    body = make_motion("walk", draw_performer(1))
+    for source, character in ((stick, body), (body, stick)):
+        with pytest.raises(JointMappingError):
+            retarget(source, character)
+
+
+@settings(deadline=None, max_examples=50)
+@given(seed=st.integers(0, 2**31))
+def test_bending_reaches_and_keeps_lengths(seed):
+    rng = np.random.default_rng(seed)
+    root, middle, end = rng.normal(size=(3, 20, 3))
+    upper, lower = np.linalg.norm(middle - root, axis=1), np.linalg.norm(end - middle, axis=1)
+    direction = rng.normal(size=(20, 3))
+    direction /= np.linalg.norm(direction, axis=1, keepdims=True)
+    inside = np.abs(upper - lower) * 1.01 + rng.uniform(size=20) * 0.99 * (upper + lower - np.abs(upper - lower) * 1.02)
+    wanted = root + inside[:, None] * direction
+    first, second = bend(root, middle, end, wanted, rng.normal(size=(20, 3)))
+    knee = root + rotate(first, middle - root)
+    reached = knee + rotate(second, end - middle)
+    np.testing.assert_allclose(reached, wanted, atol=1e-6)
+    far = bend(root, middle, end, root + 100 * direction, direction)
+    stretched = rotate(far[0], middle - root) + rotate(far[1], end - middle)
+    np.testing.assert_allclose(np.linalg.norm(stretched, axis=1), upper + lower, rtol=1e-3)
+
+
+def test_a_straight_leg_bends_to_the_front():
+    root, middle, end = (np.array([[0.0, y, 0.0]]) for y in (1.0, 0.5, 0.0))
+    first, _ = bend(root, middle, end, np.array([[0.0, 0.2, 0.0]]), np.array([[0.0, 0.0, 1.0]]))
+    assert rotate(first, middle - root)[0, 2] > 0.2
+
+
+def test_corrections():
+    rng = np.random.default_rng(0)
+    points = np.cumsum(rng.normal(size=(60, 3)) * 0.01, axis=0)
+    contacts = np.zeros(60, bool)
+    contacts[5:20] = contacts[40:55] = True
+    moved = points + plan_corrections(points, contacts, 0.05)
+    for start, end in list_stretches(contacts):
+        np.testing.assert_allclose(np.ptp(moved[start:end], axis=0), 0, atol=1e-12)
+        np.testing.assert_allclose(moved[start:end, 1], 0.05)
+    # Between them no leap: the corrections change little from frame to frame.
+    steps = np.abs(np.diff(plan_corrections(points, contacts, 0.05)[19:41], axis=0))
+    assert steps.max() < 0.05
+    assert not plan_corrections(points, np.zeros(60, bool), 0.0).any()
+
+
+def test_the_pelvis_goes_down_where_a_foot_is_out_of_reach():
+    hips = np.zeros((30, 2, 3))
+    hips[..., 1] = 1.0
+    feet = np.zeros((30, 2, 3))
+    feet[15, 0, 0] = 0.6
+    down = lower_pelvis(hips, feet, np.array([1.0, 1.0]), 30.0)
+    assert 0.19 < down[15] < 0.25
+    assert (down >= -1e-12).all()
+    assert np.abs(np.diff(down)).max() < 0.1
+
+
+def test_key_frames_are_no_motion(shared_data):
+    """21 poses at 1 Hz: whether a foot stands cannot be told, and none is held."""
+    poses = read_motion(shared_data("foreign/mixamo_ganimator/Baseball-Milling-Idle-edited-keyframes.bvh"))
+    made = retarget(poses, make_motion("walk", draw_performer(1)))
+    assert not made.contacts.any()
+    assert np.degrees(made.direction_error) < 0.1
+
+
+def test_contacts_of_a_walk():
+    motion = canonicalise(make_motion("walk", draw_performer(1)))
+    contacts = find_contacts(motion)
+    # A walker stands on one foot most of the time, and lifts each; rolling off the toe is not standing.
+    assert contacts.any(axis=1).mean() > 0.6
+    assert not contacts.all(axis=0).any()
+    toes = motion.positions[:, [motion.to_trajectories().names.index(f"{s}_toe") for s in ("left", "right")]]
+    assert measure_skating(toes, contacts) < 0.1
+    for side in range(2):
+        assert all(end - start >= 2 for start, end in list_stretches(contacts[:, side]))
