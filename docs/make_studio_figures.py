@@ -24,9 +24,13 @@ DOCS = Path(__file__).parent
 FIGURES = DOCS / "figures"
 sys.path.insert(0, str(DOCS.parent / "tests"))
 
+DATA, PHONES = DOCS.parent.parent / "shared" / "data" / "pose2sim" / "videos", ("01", "04")
 SETTLE = 2.5  # s: figures move, so that a picture has somebody in the middle of something
 COLOURS = 256  # of a picture: few bytes, and shades without steps
-SCROLLED = {"evaluate": 330}  # px: advice and player say more than the grade
+SCROLLED = {"evaluate": 330, "films": 335}
+SCRIPTS = {
+    "films": "const f = document.querySelector('#film-frame'); f.value = 44; f.dispatchEvent(new Event('input'))"
+}  # px: advice and player say more than the grade
 
 
 @dataclass(frozen=True, slots=True)
@@ -98,13 +102,32 @@ def addresses(studio: Studio, demo: Path) -> dict[str, tuple[str, str]]:
     judged = studio.finish(studio.ask("/jobs/evaluate", wanted))
     studio.finish(studio.ask("/jobs/label", {"take": {"motion": studio.clip(kind="take", text="take.bvh")}}))
     take = studio.clip(kind="take", text="take.bvh")
-    return {
+    pages = {
         "library": ("/library", ".cell canvas"),
         "search": (f"/search?motion=job:{estimated}", "canvas.dousa-miniature"),
         "takes": (f"/takes?motion={take}&at_s=6", ".dousa-player canvas"),
         "evaluate": (f"/evaluate?job={judged}", ".dousa-player canvas"),
         "estimate": (f"/estimate?job={estimated}", ".dousa-player canvas"),
     }
+    films = estimate_films(studio)
+    return pages if films is None else {**pages, "films": (f"/estimate?job={films}", "#film-figure canvas")}
+
+
+def estimate_films(studio: Studio) -> str | None:
+    """The man of Pose2Sim by two phones and his stature; None where the recordings or the models are not here."""
+    from dousa.app.films.film_scene import has_models
+
+    films = [DATA / f"cam{number}.mp4" for number in PHONES]
+    if not has_models() or not all(film.is_file() for film in films):
+        print("no picture of films: models or ../shared/data/pose2sim are not here")
+        return None
+    batch = ""
+    for film in films:
+        batch = studio.ask(f"/uploads?name={film.name}&batch={batch}".removesuffix("&batch="), film.read_bytes())[
+            "batch"
+        ]
+    wanted = {"batch": batch, "body": {"stature_m": 1.75}, "overlay_video": False}
+    return studio.finish(studio.ask("/jobs/estimate", wanted))
 
 
 def save(picture: bytes, path: Path) -> None:
@@ -120,8 +143,8 @@ def take_pictures(studio: Studio, demo: Path, page: Any) -> None:
     """Every page in light; the library as a phone shows it, dark and in Japanese."""
     for name, (address, shown) in addresses(studio, demo).items():
         from_top = SCROLLED.get(name, 0)
-        save(shoot(studio, page, address, shown, from_top=from_top), FIGURES / f"studio_{name}.png")
-    phone = shoot(studio, page, "/library?lang=ja", ".cell canvas", 0, (390, 844), "dark")
+        save(shoot(studio, page, address, shown, from_top, SCRIPTS.get(name, "")), FIGURES / f"studio_{name}.png")
+    phone = shoot(studio, page, "/library?lang=ja", ".cell canvas", size=(390, 844), scheme="dark")
     save(phone, FIGURES / "studio_phone.png")
 
 
@@ -131,6 +154,7 @@ def shoot(
     address: str,
     shown: str,
     from_top: int = 0,
+    script: str = "",
     size: tuple[int, int] = (1280, 800),
     scheme: str = "light",
 ) -> bytes:
@@ -141,6 +165,7 @@ def shoot(
     page.driver.get(f"{studio.url}{address}{'&' if '?' in address else '?'}token={studio.token}")
     page.wait("return document.querySelector(arguments[0]) !== null", shown, seconds=60)
     time.sleep(SETTLE / 2)
+    page.run(script)
     page.run("scrollTo({top: arguments[0], behavior: 'instant'})", from_top)
     time.sleep(SETTLE / 2)
     with tempfile.TemporaryDirectory() as folder:

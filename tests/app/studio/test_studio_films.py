@@ -19,7 +19,7 @@ from app.studio.film_scenes import LATE, N_FRAMES, RATE, write_film_scene
 from app.studio.test_studio_estimate import look, look_here, upload
 from dousa.app.studio import Settings, create_app
 from dousa.app.studio.content.film_pictures import FilmPictures, choose_stride, name_pictures, write_pictures
-from dousa.app.studio.work.films import choose_person, leave_out, pair_films
+from dousa.app.studio.work.films import choose_person, choose_who_places, leave_out, pair_films
 from dousa.app.studio.work.materials import sort_materials
 from dousa.errors import OptionError
 from dousa.estimation import read_keypoints
@@ -233,6 +233,13 @@ class TestAgain:
         kept, numbers = leave_out(found, [(0, 0), (5, 5)])
         assert numbers == [[1], [0, 1]] and [len(view.people) for view in kept] == [1, 2]
         np.testing.assert_array_equal(kept[0].people[0].points, found[0].people[1].points)
+
+    def test_who_is_chosen_in_all_films_places_the_cameras(self, scene):
+        found = [read_keypoints(scene / f"view{k}.npz") for k in (1, 2, 3)]
+        kept, numbers = leave_out(found, [(1, 0)])
+        assert choose_who_places(kept, numbers, [(0, 0), (1, 1), (2, 1)]) == [0, 0, 1]
+        assert choose_who_places(kept, numbers, [(0, 0), (2, 1)]) is None
+        assert choose_who_places(kept, numbers, []) is None
 
     def test_who_has_most_of_the_tracks_is_chosen(self):
         from dousa.estimation.multiview.people import MatchedPerson

@@ -87,6 +87,27 @@ def enlarge_and_return(page) -> None:
     assert page.run(shown) == 3
 
 
+def choose_the_other(page, running, job: str) -> None:
+    """The other person by a click in the first film, where they are the first track; in the third a track is left out,
+    and somebody else is said to be them, until that is taken back."""
+    click_on(page, running, job, 0, 0, 33)
+    assert text(page, ".film-menu b") == "Person 2"
+    page.run("document.querySelector('.film-menu button').click()")
+    assert text(page, ".person.chosen .person-name").startswith("Person 2")
+    click_on(page, running, job, 2, 1, 33)
+    page.run("[...document.querySelectorAll('.film-menu button')].at(-1).click()")
+    out = "return document.querySelectorAll('.tracks li.out').length"
+    assert page.run(out) == 1
+    click_on(page, running, job, 2, 0, 33)
+    page.run("document.querySelectorAll('.film-menu button')[1].click()")
+    also = "return document.querySelector('#film-people').textContent.includes('view3 → 2')"
+    assert page.run(also)
+    for _ in range(2):
+        page.run("document.querySelector('[data-key=track-2-0]').click()")
+    assert not page.run(also) and page.run(out) == 1
+    assert "need not be found again" in text(page, ".changes")
+
+
 def test_from_films_to_the_motion_of_another_person(show, running, scene, tmp_path):
     page = show("/estimate")
     names = [f"view{k}{suffix}" for k in (1, 2, 3) for suffix in (".mp4", ".npz")] + ["cameras.toml"]
@@ -111,15 +132,7 @@ def test_from_films_to_the_motion_of_another_person(show, running, scene, tmp_pa
 
     enlarge_and_return(page)
 
-    # The other person by a click in the first film, where they are the first track; in the second a track is left out.
-    click_on(page, running, first, 0, 0, 33)
-    assert text(page, ".film-menu b") == "Person 2"
-    page.run("document.querySelector('.film-menu button').click()")
-    assert text(page, ".person.chosen .person-name").startswith("Person 2")
-    click_on(page, running, first, 2, 0, 33)
-    page.run("[...document.querySelectorAll('.film-menu button')].at(-1).click()")
-    assert page.run("return document.querySelectorAll('.tracks li.out').length") == 1
-    assert "need not be found again" in text(page, ".changes")
+    choose_the_other(page, running, first)
     assert page.messages() == []
     page.find("#fit-again").click()
     page.wait("return !location.search.includes(arguments[0])", first)

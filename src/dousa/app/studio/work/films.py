@@ -155,7 +155,7 @@ def estimate_from_films(
     found = _find_people(views, asked, context)
     record.find(found)
     kept, numbers = leave_out(found, left_out)
-    scene = place_films(asked, kept, context.progress, _choose_who_places(kept, numbers, wanted))
+    scene = place_films(asked, kept, context.progress, choose_who_places(kept, numbers, wanted))
     record.place(scene, found)
     people = match_people(scene.cameras, scene.list_people(), kept[0].names)
     if not people:
@@ -210,7 +210,7 @@ def leave_out(
     return tuple(kept), numbers
 
 
-def _choose_who_places(
+def choose_who_places(
     kept: Sequence[ViewKeypoints], numbers: Sequence[Sequence[int]], wanted: Sequence[Track]
 ) -> list[int] | None:
     """The wanted person by their places in all views, as the stature is theirs; None where not all views show them."""

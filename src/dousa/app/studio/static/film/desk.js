@@ -69,8 +69,9 @@ export class FilmDesk {
   }
 
   buildViews() {
-    const on = { enlarge: (index) => this.enlarge(this.large === index ? null : index), pick: (person) => this.pick(person), toggle: (view, track) => this.toggleTrack(view, track) };
+    const on = { enlarge: (index) => this.enlarge(this.large === index ? null : index), ...this.choosing() };
     this.views = this.film.views.map((_, index) => new FilmView(this, index, on));
+    $("#film-views").classList.toggle("few", this.views.length < 3);
     $("#film-views").replaceChildren(...this.views.map((view) => view.element));
   }
 
@@ -128,23 +129,29 @@ export class FilmDesk {
   // --- people
 
   drawPeople() {
-    const on = { pick: (person) => this.pick(person), toggle: (view, track) => this.toggleTrack(view, track), fit: () => attempt(() => this.fitAgain()), undo: () => (this.choice.reset(), this.redraw()) };
+    const on = { ...this.choosing(), fit: () => attempt(() => this.fitAgain()), undo: this.then((choice) => choice.reset()) };
     showPeople($("#film-people"), this.choice, Boolean(this.active), on);
+  }
+
+  /** What is shown of the choice follows what was done to it. */
+  then(change) {
+    return (...values) => {
+      change(this.choice, ...values);
+      this.redraw();
+    };
+  }
+
+  choosing() {
+    return {
+      pick: this.then((choice, person) => choice.pick(person)),
+      toggle: this.then((choice, view, track) => choice.toggle(view, track)),
+      same: this.then((choice, view, track) => choice.add(view, track)),
+    };
   }
 
   redraw() {
     this.drawPeople();
     for (const view of this.views) view.draw();
-  }
-
-  pick(person) {
-    this.choice.person = person;
-    this.redraw();
-  }
-
-  toggleTrack(view, track) {
-    this.choice.toggle(view, track);
-    this.redraw();
   }
 
   async fitAgain() {

@@ -8,7 +8,7 @@ const NEAR = 16; // px from a bone or point that is still a click on it
 const SURE = 0.5;
 
 export class FilmView {
-  /** desk: {id, film, choice, model, keypoints}; on: {enlarge(index), pick(person), toggle(view, track)} */
+  /** desk: {id, film, choice, model, keypoints}; on: {enlarge(index), pick(person), same(view, track), toggle(view, track)} */
   constructor(desk, index, on) {
     Object.assign(this, { desk, index, on, busy: false, next: null, shown: null, frame: 0 });
     this.image = h("img", { alt: "", hidden: true });
@@ -145,7 +145,7 @@ export class FilmView {
     if (!text) return;
     context.font = `700 ${13 * ratio}px system-ui, sans-serif`;
     const wide = context.measureText(text).width + 10 * ratio;
-    const [x, y] = [low[0] - 8 * ratio, Math.max(low[1] - 28 * ratio, 0)];
+    const [x, y] = [Math.min(Math.max(low[0] - 8 * ratio, 0), context.canvas.width - wide), Math.max(low[1] - 28 * ratio, 0)];
     context.fillStyle = colour;
     context.fillRect(x, y, wide, 18 * ratio);
     context.fillStyle = "#ffffff";
@@ -184,6 +184,7 @@ export class FilmView {
     const act = (text, action) => h("button", { type: "button", class: "small", onclick: () => (this.closeMenu(), action()) }, text);
     const buttons = [
       person !== null && person !== choice.person && !out ? act(t("menu_pick"), () => this.on.pick(person)) : null,
+      choice.couldBe(this.index, track) ? act(t("menu_same", { number: choice.person + 1 }), () => this.on.same(this.index, track)) : null,
       act(t(out ? "track_back" : "track_out"), () => this.on.toggle(this.index, track)),
     ];
     const title = person === null ? t("track_name", { number: track + 1 }) : t("person_name", { number: person + 1 });
@@ -191,7 +192,7 @@ export class FilmView {
       "div",
       { class: "film-menu", role: "dialog", "aria-label": title, style: { left: `${Math.min(x, Math.max(box.width - 180, 0))}px`, top: `${Math.min(y, Math.max(box.height - 110, 0))}px` }, onkeydown: (event) => event.key === "Escape" && (event.stopPropagation(), this.closeMenu()) },
       h("b", {}, title),
-      ...buttons,
+      ...buttons.filter(Boolean),
     );
     this.picture.append(this.menu);
     this.menu.querySelector("button")?.focus({ preventScroll: true });

@@ -13,7 +13,7 @@ const percent = (share) => `${Math.round(100 * share)} %`;
 /** What was found, and what somebody wants instead. */
 export class Choice {
   constructor() {
-    Object.assign(this, { film: null, person: null, leftOut: new Set(), owner: new Map() });
+    Object.assign(this, { film: null, person: null, leftOut: new Set(), added: new Set(), owner: new Map() });
   }
 
   /** Take in what is new; what somebody has changed stays. */
@@ -24,6 +24,7 @@ export class Choice {
     this.owner = new Map(film.people.flatMap((person, index) => person.members.map(([view, track]) => [keyOf(view, track), index])));
     if (first) this.leftOut = new Set(film.left_out.map(([view, track]) => keyOf(view, track)));
     if (first || !had) this.person = film.chosen;
+    if (!had) this.added.clear();
   }
 
   /** Whether something is to be fitted again. */
@@ -31,32 +32,48 @@ export class Choice {
     if (!this.film) return false;
     const before = new Set(this.film.left_out.map(([view, track]) => keyOf(view, track)));
     const same = before.size === this.leftOut.size && [...before].every((key) => this.leftOut.has(key));
-    return !same || this.person !== this.film.chosen;
+    return !same || this.added.size > 0 || this.person !== this.film.chosen;
   }
 
   personOf(view, track) {
-    return this.owner.get(keyOf(view, track)) ?? null;
+    return this.added.has(keyOf(view, track)) ? this.person : (this.owner.get(keyOf(view, track)) ?? null);
+  }
+
+  pick(person) {
+    this.person = person;
+    this.added.clear();
+  }
+
+  /** Whether a track could be the chosen person too, whom this view does not show yet. */
+  couldBe(view, track) {
+    if (this.person === null || this.personOf(view, track) === this.person || this.leftOut.has(keyOf(view, track))) return false;
+    return !this.film.views[view].people.some((_, other) => this.personOf(view, other) === this.person && !this.leftOut.has(keyOf(view, other)));
+  }
+
+  add(view, track) {
+    this.added.add(keyOf(view, track));
   }
 
   toggle(view, track) {
     const key = keyOf(view, track);
     if (!this.leftOut.delete(key)) this.leftOut.add(key);
+    this.added.delete(key);
   }
 
   reset() {
     this.leftOut = new Set(this.film.left_out.map(([view, track]) => keyOf(view, track)));
-    this.person = this.film.chosen;
+    this.pick(this.film.chosen);
   }
 
   /** For POST /jobs/estimate. */
   request() {
-    const members = this.person === null ? [] : this.film.people[this.person].members;
+    const members = this.person === null ? [] : [...this.film.people[this.person].members, ...[...this.added].map(readKey)];
     const person = members.filter(([view, track]) => !this.leftOut.has(keyOf(view, track)));
     return { person: person.length ? person : null, left_out: [...this.leftOut].map(readKey) };
   }
 }
 
-/** choice: a Choice; active: whether the job is under way; on: {pick(person), toggle(view, track), fit(), undo()} */
+/** choice: a Choice; active: whether the job is under way; on: {pick(person), toggle(view, track), same(view, track), fit(), undo()} */
 export function showPeople(place, choice, active, on) {
   const { film } = choice;
   const focused = place.contains(document.activeElement) ? document.activeElement.dataset.key : null;
@@ -87,13 +104,21 @@ function personRow(choice, person, index, on) {
 function trackItem(choice, view, track, who, on) {
   const out = choice.leftOut.has(keyOf(view, track));
   const { name } = choice.film.views[view];
+  const added = choice.added.has(keyOf(view, track));
   const label = t(out ? "track_back" : "track_out");
   return h(
     "li",
     { class: out ? "out" : "" },
-    h("span", {}, name),
+    h("span", {}, added ? `${name} → ${choice.person + 1}` : name),
     h("button", { type: "button", class: "small quiet", "aria-label": t("track_of", { action: label, who, view: name }), dataset: { key: `track-${view}-${track}` }, onclick: () => on.toggle(view, track) }, label),
+    choice.couldBe(view, track) ? sameButton(choice, view, track, who, on) : null,
   );
+}
+
+/** Somebody whom the other films show as the chosen person. */
+function sameButton(choice, view, track, who, on) {
+  const label = t("menu_same", { number: choice.person + 1 });
+  return h("button", { type: "button", class: "small quiet", "aria-label": t("track_of", { action: label, who, view: choice.film.views[view].name }), dataset: { key: `same-${view}-${track}` }, onclick: () => on.same(view, track) }, label);
 }
 
 /** People were found, but nobody has said yet who is who. */
