@@ -9,7 +9,7 @@ SLOW := browser or documents or slow
 # `make test COVERAGE=1` adds what it ran to the data that `make coverage` prints.
 COVERED := $(if $(COVERAGE),--cov --cov-append --cov-report=)
 
-.PHONY: demo studio test test-slow test-all lint types coverage wheel fuzz bench peers figures docs lock clean
+.PHONY: demo studio test test-slow test-all lint types coverage wheel fuzz bench peers blender figures docs lock clean
 
 demo: $(VENV)/.demo
 	$(BIN)/dousa demo
@@ -27,8 +27,8 @@ test-slow: $(VENV)/.dev
 test-all: test test-slow
 
 lint: $(VENV)/.dev
-	$(BIN)/ruff check src tests benchmarks docs .ci
-	$(BIN)/ruff format --check src tests benchmarks docs .ci
+	$(BIN)/ruff check src tests benchmarks docs blender .ci
+	$(BIN)/ruff format --check src tests benchmarks docs blender .ci
 	$(BIN)/mypy
 
 types: $(VENV)/.dev
@@ -57,6 +57,15 @@ peers:
 	  selenium pytest
 	$(VENV)-peers/bin/python benchmarks/recognition.py
 	$(VENV)-peers/bin/python benchmarks/studio_framework.py
+
+# The extension for Blender: tried in a Blender without windows (its package, 360 MB, wants Python 3.11), then packed.
+blender: $(VENV)/.demo
+	test -x $(VENV)-blender/bin/python || $(PYTHON) -m venv $(VENV)-blender
+	$(VENV)-blender/bin/python -m pip install --quiet --disable-pip-version-check 'bpy==4.5.*' pytest
+	DOUSA=$(abspath $(BIN))/dousa $(VENV)-blender/bin/python -B -m pytest -c blender/tests/pytest.ini blender/tests
+	mkdir -p build
+	rm -rf blender/dousa_motion_search/__pycache__
+	cd blender && ../$(BIN)/python -m zipfile -c ../build/dousa_motion_search.zip dousa_motion_search
 
 figures: $(VENV)/.dev
 	$(BIN)/python docs/make_figures.py
@@ -87,4 +96,4 @@ lock: $(VENV)/.bench $(VENV)/.docs
 	$(BIN)/python -m pip freeze --exclude-editable --exclude dousa | grep -v '^-e' > constraints.txt
 
 clean:
-	rm -rf $(VENV) $(VENV)-peers build demo-output dist htmlcov .coverage* .pytest_cache .hypothesis .ruff_cache .mypy_cache
+	rm -rf $(VENV) $(VENV)-peers $(VENV)-blender build demo-output dist htmlcov .coverage* .pytest_cache .hypothesis .ruff_cache .mypy_cache
