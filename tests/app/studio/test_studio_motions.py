@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import base64
+import re
 
 import numpy as np
 import pytest
 
 from dousa.formats.registry import read_motion
 from dousa.motion import canonicalise
+from dousa.motion.canonical.joints import JOINT_INDEX
 
 
 def clip_of(studio, category, n=0):
@@ -19,6 +21,17 @@ def clip_of(studio, category, n=0):
 @pytest.fixture
 def kick(studio):
     return clip_of(studio, "kick_left")
+
+
+POINTS = """PathFileType\t4\t(X/Y/Z)\tpoints.trc
+DataRate\tCameraRate\tNumFrames\tNumMarkers\tUnits\tOrigDataRate\tOrigDataStartFrame\tOrigNumFrames
+30\t30\t2\t1\tm\t30\t1\t2
+Frame#\tTime\tHead\t\t
+\t\tX1\tY1\tZ1
+
+1\t0.0\t0.0\t1.6\t0.0
+2\t0.033\t0.0\t1.6\t0.0
+"""
 
 
 def test_a_clip_is_described(studio, kick):
@@ -122,6 +135,36 @@ def test_a_file_that_became_another_is_not_handed_out(studio, kick, tmp_path):
     (tmp_path / "kick.bvh").write_bytes(answer.content)
     found = canonicalise(read_motion(tmp_path / "kick.bvh")).positions
     assert np.abs(found - library.trajectories(kick).positions).mean() < 0.02
+
+
+def test_a_download_onto_a_character_has_its_skeleton(studio, kick, bvh, tmp_path):
+    """A character of half the size, whose bones have other names, kicks as the clip does."""
+    text = bvh.read_text()
+    for name in sorted(set(re.findall(r"(?:ROOT|JOINT) (\S+)", text))):
+        text = re.sub(rf"(ROOT|JOINT) {name}\b", rf"\1 mixamorig:{name}", text)
+    text = re.sub(
+        r"OFFSET (\S+) (\S+) (\S+)", lambda m: "OFFSET " + " ".join(str(0.5 * float(v)) for v in m.groups()), text
+    )
+    file = studio.post("/api/uploads", params={"name": "small.bvh"}, content=text.encode()).json()["files"][0]
+    answer = studio.get("/api/motions/bvh", params={"motion": f"clip:{kick}", "onto": file["motion"]})
+    assert answer.status_code == 200, answer.text
+    (tmp_path / "onto.bvh").write_bytes(answer.content)
+    onto = read_motion(tmp_path / "onto.bvh")
+    assert all(name.startswith("mixamorig:") for name in onto.skeleton.names)
+    made, source = canonicalise(onto), studio.app.state.studio.library.trajectories(kick)
+    assert made.n_frames == len(source.positions)
+    directions = []
+    for positions in (made.positions, source.positions):
+        shin = positions[:, JOINT_INDEX["left_ankle"]] - positions[:, JOINT_INDEX["left_knee"]]
+        directions.append(shin / np.linalg.norm(shin, axis=1, keepdims=True))
+    assert np.degrees(np.arccos(np.clip((directions[0] * directions[1]).sum(axis=1), -1, 1))).mean() < 5
+
+
+def test_a_character_without_rotations_is_refused(studio, kick):
+    points = studio.post("/api/uploads", params={"name": "points.trc"}, content=POINTS.encode()).json()["files"][0]
+    answer = studio.get("/api/motions/bvh", params={"motion": f"clip:{kick}", "onto": points["motion"]})
+    assert answer.status_code == 422
+    assert "points.trc has no skeleton to move" in answer.json()["problem"]
 
 
 def test_names_in_any_script_can_be_downloaded(studio, bvh):

@@ -92,6 +92,10 @@ def get_pair(studio: StudioNow, asked: Annotated[_Pair, Query()]) -> Answer:
     )
 
 
+class _Download(MotionPart):
+    onto: MotionName | None = Field(default=None, description="a motion over the skeleton that it is brought onto")
+
+
 @router.get("/motions/miniature", summary="A small moving figure", response_class=Response, responses=BYTES)
 def get_miniature(studio: StudioNow, asked: Annotated[MotionPart, Query()]) -> Response:
     """Bytes for ``dousa.createMiniature`` of the pages."""
@@ -102,13 +106,17 @@ def get_miniature(studio: StudioNow, asked: Annotated[MotionPart, Query()]) -> R
 
 
 @router.get("/motions/bvh", summary="Download as BVH", response_class=Response, responses=BYTES)
-def get_bvh(studio: StudioNow, asked: Annotated[MotionPart, Query()]) -> Response:
-    """With every joint of the file it came from, if that is still there; else the joints that dousa compares."""
-    from dousa.app.studio.content.motions import make_bvh
+def get_bvh(studio: StudioNow, asked: Annotated[_Download, Query()]) -> Response:
+    """With every joint of the file it came from, if that is still there; else the joints that dousa compares.
+
+    Or on the skeleton of a character, as `dousa convert --onto` does.
+    """
+    from dousa.app.studio.content.motions import make_bvh, read_character
 
     ref = asked.ref()
     named = studio.motions.get(ref)
-    content = make_bvh(named, studio.motions.path(ref), ref)
+    character = None if asked.onto is None else read_character(studio.motions.path(MotionRef(motion=asked.onto)))
+    content = make_bvh(named, studio.motions.path(ref), ref, character)
     headers = {"content-disposition": attachment(_file_name(named, ref))}
     return Response(content, media_type="application/octet-stream", headers=headers)
 

@@ -281,7 +281,24 @@ _SAME = 1e-3  # m: joints of the library are rounded
 _gate = Gate(2, 6, Message("studio_motions.busy_writing"))  # an hour takes half a minute
 
 
-def make_bvh(named: Named, source: Path, ref: MotionRef) -> bytes:
+def read_character(path: Path) -> Motion:
+    """The skeleton that a motion is to be brought onto.
+
+    Raises
+    ------
+    RefusedError : it has no rotations.
+    DousaError : its file cannot be used.
+    """
+    from dousa.formats.registry import read_motion
+    from dousa.motion import Motion
+
+    motion = read_motion(path)
+    if not isinstance(motion, Motion):
+        raise RefusedError(422, "studio_motions.no_character", name=path.name)
+    return motion
+
+
+def make_bvh(named: Named, source: Path, ref: MotionRef, character: Motion | None = None) -> bytes:
     """The motion as a BVH file.
 
     Parameters
@@ -289,6 +306,7 @@ def make_bvh(named: Named, source: Path, ref: MotionRef) -> bytes:
     named : the motion, or the part.
     source : the file it came from; it may be gone, or be something else by now.
     ref : which part, and what was said about the file.
+    character : whose skeleton it is brought onto.
 
     Returns
     -------
@@ -298,16 +316,18 @@ def make_bvh(named: Named, source: Path, ref: MotionRef) -> bytes:
     Raises
     ------
     RefusedError : many others wait.
+    JointMappingError : the joints of the character cannot be told apart.
     """
     from dousa.formats.registry import write_motion
+    from dousa.motion.retargeting import retarget
 
     with _gate.enter(_WAIT), tempfile.TemporaryDirectory(prefix="dousa-") as folder:
         path = Path(folder) / "motion.bvh"
         original = _read_original(named, source, ref)
-        if original is None:
-            write_motion(_fit(named), path)
-        else:
-            write_motion(original, path)
+        motion = _fit(named) if original is None else original
+        if character is not None:
+            motion = retarget(motion, character).motion
+        write_motion(motion, path)
         return path.read_bytes()
 
 
