@@ -3,6 +3,7 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 JOBS ?= 2
+BLENDER ?= 4.5
 
 # Left to `make test-slow`: pages in a browser, commands of the documents, long properties.
 SLOW := browser or documents or slow
@@ -59,9 +60,10 @@ peers:
 	$(VENV)-peers/bin/python benchmarks/studio_framework.py
 
 # The extension for Blender: tried in a Blender without windows (its package, 360 MB, wants Python 3.11), then packed.
+# `make blender BLENDER=5.0` tries it with another one.
 blender: $(VENV)/.demo
 	test -x $(VENV)-blender/bin/python || $(PYTHON) -m venv $(VENV)-blender
-	$(VENV)-blender/bin/python -m pip install --quiet --disable-pip-version-check 'bpy==4.5.*' pytest
+	$(VENV)-blender/bin/python -m pip install --quiet --disable-pip-version-check 'bpy==$(BLENDER).*' pytest
 	DOUSA=$(abspath $(BIN))/dousa $(VENV)-blender/bin/python -B -m pytest -c blender/tests/pytest.ini blender/tests
 	mkdir -p build
 	rm -rf blender/dousa_motion_search/__pycache__
