@@ -121,3 +121,68 @@ def test_mistakes_are_one_line(dousa, scene, tmp_path, words, says):
     assert (code, out, len(lines)) == (2, "", 1), err
     assert says in lines[0]
     assert not out_file.exists()
+
+
+@pytest.mark.parametrize(
+    ("words", "says"),
+    [
+        (("--focal-length", "5"), "above 10"),
+        (("--focal-length", "500", "--cameras", "cameras.toml"), "either --focal-length or --cameras"),
+        (("--mirror-left-right",), "mirror the film itself"),
+    ],
+)
+def test_mistakes_about_one_film(dousa, scene, tmp_path, words, says):
+    folder, sources, *_ = scene
+    given = [folder / word if word.endswith(".toml") else word for word in words]
+    code, out, err = dousa("estimate", sources[0], "--cues", "keypoints", *given, "-o", tmp_path / "x.bvh")
+    assert (code, out, err.count("\n")) == (2, "", 1), err
+    assert says in err and not (tmp_path / "x.bvh").exists()
+
+
+def test_frames_without_anybody_are_told_from_those_that_are_lost():
+    from dousa.app.films.film_estimate import describe_fit
+    from dousa.estimation import fit_keypoints
+
+    body, cameras = make_human(1.75), make_ring(2, size=(640, 480), focal=500.0)
+    poses = poses_from_motion(body, make_motion("bow", draw_performer(1), frame_rate=RATE))[:40]
+    own = tuple(next((name.replace(a, b) for a, b in HANDS.items() if name.endswith(a)), name) for name in NAMES)
+    tracks = []
+    for camera in cameras:
+        points = camera.project(place_points(body, poses, place_landmarks(body, own)))
+        points[:15] = np.nan
+        tracks.append(PersonTrack(points, np.where(np.isfinite(points[..., 0]), 0.9, 0.0)))
+    said = describe_fit(fit_keypoints(cameras, tracks, NAMES, RATE), cameras, True)
+    absent = next(message for message in said if message.code == "film_estimate.absent")
+    assert absent.values["frames"] == 15 and absent.values["total"] == 40
+    assert not any(message.code == "film_estimate.lost" for message in said)
+
+
+def test_somebody_in_the_background_is_left_out_and_named():
+    from dousa.app.films.film_estimate import list_everybody
+    from dousa.estimation.multiview.people import MatchedPerson
+
+    seen = PersonTrack(np.zeros((10, 3, 2)), np.ones((10, 3)))
+    half = np.zeros((10, 3, 2))
+    half[4:] = np.nan
+    briefly = PersonTrack(half, np.ones((10, 3)))
+    tracks = ((seen, seen, seen), (seen, seen, None), (briefly, seen, None))
+    people = [MatchedPerson(own, tuple(() if track is None else (0,) for track in own)) for own in tracks]
+    chosen, aside = list_everybody(people)
+    assert [number for number, _ in chosen] == [1, 2]
+    assert [(message.code, message.values["number"]) for message in aside] == [("film_estimate.aside", 3)]
+
+
+def test_a_film_that_states_its_lens(tmp_path):
+    av = pytest.importorskip("av")
+    from dousa.app.films.film_views import read_focal_length
+
+    path = tmp_path / "phone.mov"
+    with av.open(str(path), "w", options={"movflags": "use_metadata_tags"}) as film:
+        film.metadata["com.apple.quicktime.camera.focal_length.35mm_equivalent"] = "26"
+        stream = film.add_stream("mpeg4", rate=30)
+        stream.width, stream.height = 64, 48
+        frame = av.VideoFrame.from_ndarray(np.zeros((48, 64, 3), np.uint8), format="rgb24")
+        film.mux([*stream.encode(frame), *stream.encode(None)])
+    assert read_focal_length(path, (1920, 1080)) == pytest.approx(26 / 36 * 1920)
+    assert read_focal_length(tmp_path / "nothing.mp4", (1920, 1080)) is None
+    assert read_focal_length(tmp_path / "keypoints.npz", (1920, 1080)) is None

@@ -321,3 +321,23 @@ def test_no_more_people_than_asked_for_and_none_twice():
     assert set(np.unique(rows["frame"], return_counts=True)[1].tolist()) == {2}
     rows, _ = follow(lambda frame: [(50 + 5 * min(frame, 10), 80), (100, 80)], 20)
     assert (rows["frame"] == 19).sum() == 1
+
+
+def test_what_was_used_least_lately_is_forgotten_first(tmp_path):
+    import os
+    import time
+
+    from dousa.estimation.keypoints.keypoint_cache import clear_kept, list_kept
+
+    for age, name in enumerate(("new", "middle", "old")):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "masks.npy").write_bytes(b"x" * 1000)
+        os.utime(tmp_path / name, (time.time() - 1e4 * age,) * 2)
+    (tmp_path / "busy.123").mkdir()
+    (tmp_path / "busy.123" / "times.bin").write_bytes(b"x" * 10)
+    assert [film.path.name for film in list_kept(tmp_path)] == ["busy.123", "new", "middle", "old"]
+    assert [film.path.name for film in clear_kept(tmp_path, 2500)] == ["old"]
+    assert clear_kept(tmp_path, 2500) == []
+    assert [film.path.name for film in clear_kept(tmp_path, but=tmp_path / "middle")] == ["new"]
+    assert sorted(film.path.name for film in list_kept(tmp_path)) == ["busy.123", "middle"]
+    assert list_kept(tmp_path / "none") == [] and clear_kept(tmp_path / "none") == []

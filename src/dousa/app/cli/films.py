@@ -105,7 +105,9 @@ def calibrate(
     ] = None,
     focal: Annotated[
         float | None,
-        typer.Option("--focal", metavar="PX", help="Focal length of all cameras in pixels. Default: found."),
+        typer.Option(
+            "--focal-length", "--focal", metavar="PX", help="Focal length of all cameras in pixels. Default: found."
+        ),
     ] = None,
     offsets: Annotated[
         Path | None, typer.Option("--sync", metavar="FILE", help="Time offsets of dousa sync. Default: found.")

@@ -67,8 +67,8 @@ def keypoints(
 
 def models(
     action: Annotated[
-        Literal["list", "install"],
-        typer.Argument(metavar="list|install", help="What to do."),
+        Literal["list", "install", "clear-cache"],
+        typer.Argument(metavar="list|install|clear-cache", help="What to do."),
     ] = "list",
     names: Annotated[
         list[str] | None,
@@ -89,20 +89,24 @@ def models(
     install takes them out of a published package (npm @mediapipe/pose, else
     the pip wheel of mediapipe), checks their SHA-256 and keeps them in the
     user's cache folder, or that of DOUSA_MODELS. dousa takes nothing from
-    the net unless this command is run.
+    the net unless this command is run. clear-cache forgets the keypoints of
+    all films; 4 GB of them are kept, those used last.
 
     Example: dousa models install
 
     Example: dousa models install --from mediapipe-pose-0.5.1675469404.tgz
     """
-    from dousa.estimation.keypoints import model_archives, pose_models
+    from dousa.estimation.keypoints import keypoint_cache, model_archives, pose_models
 
+    cache = pose_models.user_cache() / "keypoints"
     installed: tuple[Path, ...] = ()
     if action == "install":
         with progress_bar() as progress:
             installed = model_archives.install_models(names or (), source, progress)
     elif names or source is not None:
         raise OptionError("models.needs_install")
+    removed = keypoint_cache.clear_kept(cache) if action == "clear-cache" else []
+    kept = keypoint_cache.list_kept(cache)
     rows = [(model, pose_models.check_pose_model(model)) for model in pose_models.POSE_MODELS]
     folder = pose_models.models_folder()
     if json:
@@ -110,6 +114,8 @@ def models(
             "folder": str(folder),
             "models": {model.name: {"file": model.file_name, "state": state} for model, state in rows},
             "installed": [str(path) for path in installed],
+            "cache": {"folder": str(cache), "films": len(kept), "bytes": sum(film.n_bytes for film in kept)},
+            "removed": len(removed),
         }
         print_json(answer)
         return
@@ -117,6 +123,9 @@ def models(
     for model, state in rows:
         size = model.forms[0].n_bytes / 1e6
         lines.append(Message("models.row", model=model.name, megabytes=size, state=Message(_STATES[state])))
+    if removed:
+        lines.append(Message("models.cleared", n=len(removed), megabytes=sum(film.n_bytes for film in removed) / 1e6))
+    lines.append(Message("models.cache", n=len(kept), megabytes=sum(film.n_bytes for film in kept) / 1e6, path=cache))
     lines.append(Message("models.licence", npm=model_archives.NPM_PACKAGE, pip=model_archives.PIP_PACKAGE))
     for line in lines:
         say(line)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -38,6 +39,7 @@ if TYPE_CHECKING:
 _GIRTH_FRAMES, _OVERLAP_FRAMES = 12, 600
 _POOR_PIXELS = 0.04  # of a person's height in the picture: reprojection that tells of a wrong calibration
 _DEPTH_DOUBT = 0.08  # m
+_OFTEN = 0.55  # of the pictures in which somebody is seen at most: who is seen less often is in the background
 
 Tell = Callable[[Message], None]
 
@@ -110,7 +112,11 @@ def estimate_films(
     people = match_people(films.cameras, films.list_people(), names)
     if not people:
         raise KeypointError("multiview.nobody")
-    chosen = list(enumerate(people, 1)) if request.everybody else [(request.person, _pick(people, request.person))]
+    aside: list[Message] = []
+    if request.everybody:
+        chosen, aside = list_everybody(people)
+    else:
+        chosen = [(request.person, _pick(people, request.person))]
     answers = []
     for number, person in chosen:
         own = with_outputs(request, number) if request.everybody else request
@@ -122,7 +128,21 @@ def estimate_films(
             if not answers:
                 raise
             # of people in the background too little is seen
+    answers[0] = replace(answers[0], warnings=(*answers[0].warnings, *aside))
     return tuple(answers)
+
+
+def list_everybody(people: Sequence[MatchedPerson]) -> tuple[list[tuple[int, MatchedPerson]], list[Message]]:
+    """Those who are seen about as often as who is seen most, with their numbers; and what is said of the others."""
+    shares = [float(np.mean([0.0 if track is None else track.present.mean() for track in person.tracks]))
+              for person in people]  # fmt: skip
+    chosen, aside = [], []
+    for number, (person, share) in enumerate(zip(people, shares, strict=True), 1):
+        if share >= _OFTEN * max(shares):
+            chosen.append((number, person))
+        else:
+            aside.append(Message("film_estimate.aside", number=number, share=share))
+    return chosen, aside
 
 
 def _pick(people: Sequence[MatchedPerson], number: int) -> MatchedPerson:
@@ -203,8 +223,6 @@ def _body_words(request: EstimationRequest, body: BodyModel) -> Message:
 
 def add_overlap(estimate: Estimate, silhouettes: PersonSilhouettes, cameras: Sequence[Camera]) -> Estimate:
     """The body's girths fitted to the person's masks, and the overlap with them in frames from all over the film."""
-    from dataclasses import replace
-
     from dousa.errors import DousaError
     from dousa.estimation.raster.rasteriser import draw_body
     from dousa.estimation.tracking.measures import fit_girths
@@ -251,6 +269,10 @@ def describe_fit(fit: KeypointFit, cameras: Sequence[Camera], stature_given: boo
         said.append(Message("film_estimate.one_view", doubt=doubt, frames=unsure, total=fit.estimate.n_frames))
         if not stature_given:
             said.append(Message("body.stature_assumed", stature=1.72))
-    if fit.estimate.lost.any():
-        said.append(Message("film_estimate.lost", lost=int(fit.estimate.lost.sum()), frames=fit.estimate.n_frames))
+    absent = ~fit.seen.seen.any(axis=(0, 2))
+    if absent.any():
+        said.append(Message("film_estimate.absent", frames=int(absent.sum()), total=fit.estimate.n_frames))
+    lost = int((fit.estimate.lost & ~absent).sum())
+    if lost:
+        said.append(Message("film_estimate.lost", lost=lost, frames=fit.estimate.n_frames))
     return said

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from dousa.app.films.film_views import is_keypoints, open_keypoints
+from dousa.app.films.film_views import is_keypoints, open_keypoints, read_focal_length
 from dousa.app.pipelines.doubts import parse_frames
 from dousa.app.pipelines.estimation_views import VideoPictures
 from dousa.arrays import FloatArray, Image, IndexArray, Mask
@@ -24,6 +24,7 @@ if TYPE_CHECKING:
 
 _LONGEST_SIDE = 640  # px of masks for drawings
 _SAME_RATE = 0.002
+_LEAST_FOCAL = 10.0  # px
 _SAME_START = 0.75  # frames by which films may start apart and be taken as they are
 
 
@@ -92,6 +93,8 @@ def place_films(
     DousaError : calibration or films that cannot be used.
     """
     names = tuple(view.source for view in found)
+    if request.focal is not None and request.cameras is not None:
+        raise OptionError("calibration.focal_and_cameras")
     if request.cameras is None:
         return _place_cameras(request, names, found, report, people)
     cameras, notes = match_film_cameras(request, names, found)
@@ -111,12 +114,14 @@ def _place_cameras(
     from dousa.estimation.sync.sync_file import read_offsets
     from dousa.estimation.sync.synchronise import sync
 
+    focals = _find_focals(request, found)
     if len(found) == 1:
-        notes = [Message("film_estimate.lens_assumed")]
-        return _put_together(request, names, found, guess_lenses(found), np.zeros(1), notes)
+        word = "film_estimate.lens_assumed" if focals is None else "film_estimate.upright_assumed"
+        return _put_together(request, names, found, guess_lenses(found, focals), np.zeros(1), [Message(word)])
     if request.stature is None:
         raise OptionError("film_estimate.no_scale")
-    people, notes = None, []
+    people: tuple[int, ...] | None = None
+    notes: list[Message] = []
     if request.offsets == "auto":
         answer = sync(found, progress=report)
         offsets, people, notes = answer.offsets, answer.people, list(answer.warnings)
@@ -125,11 +130,23 @@ def _place_cameras(
     else:
         offsets = np.array(read_offsets(request.offsets, names))
     report(0, 1, Message("film_estimate.calibrating"))
-    made = calibrate_from_person(found, request.stature, offsets=offsets.tolist(), people=chosen or people)
+    made = calibrate_from_person(found, request.stature, focals=focals, offsets=offsets.tolist(),
+                                 people=chosen or people)  # fmt: skip
     notes += [*made.warnings, Message("film_estimate.calibrated", views=len(found))]
     frame = 1.0 / min(view.frame_rate for view in found)
     clocks = np.zeros(len(found)) if (np.abs(offsets) < _SAME_START * frame).all() else offsets.max() - offsets
     return _put_together(request, names, found, made.cameras, clocks, notes)
+
+
+def _find_focals(request: EstimationRequest, found: Sequence[ViewKeypoints]) -> list[float] | None:
+    """Focal lengths (V,) px: as given, else as all films state them; None where neither."""
+    if request.focal is not None:
+        if not (np.isfinite(request.focal) and request.focal > _LEAST_FOCAL):
+            raise OptionError("calibration.focal", found=request.focal)
+        return [request.focal] * len(found)
+    stated = [read_focal_length(path, view.size) for path, view in zip(request.sources, found, strict=True)]
+    known = [focal for focal in stated if focal is not None]
+    return known if len(known) == len(found) else None
 
 
 def _put_together(

@@ -16,6 +16,8 @@ if TYPE_CHECKING:
     from dousa.estimation.sync.sound import Sound
 
 _KEYPOINT_SUFFIXES = (".npz", ".json")
+_FOCAL_35 = ("focal_length.35mm", "focallengthin35mm")
+_FRAME_35 = 36.0  # mm, the longer side of the picture that lenses are compared by
 
 
 def is_keypoints(path: Path) -> bool:
@@ -74,3 +76,33 @@ def read_sounds(paths: Sequence[Path]) -> list[Sound | None]:
     from dousa.estimation.sync.sound import read_sound
 
     return [None if is_keypoints(path) else read_sound(path) for path in paths]
+
+
+def read_focal_length(path: Path, size: tuple[int, int]) -> float | None:
+    """The focal length (px) that a film states as that of a 35 mm camera, as some phones do; None where it does not.
+
+    Parameters
+    ----------
+    path : a film, or keypoints, which state nothing.
+    size : px, of its pictures.
+    """
+    from importlib.util import find_spec
+
+    if is_keypoints(path) or find_spec("av") is None:
+        return None
+    import av
+
+    try:
+        with av.open(str(path)) as container:
+            tags = [container.metadata, *(stream.metadata for stream in container.streams)]
+    except (av.error.FFmpegError, OSError, ValueError):
+        return None
+    for key, value in (item for some in tags for item in some.items()):
+        if any(word in key.lower() for word in _FOCAL_35):
+            try:
+                focal = float(value)
+            except ValueError:
+                continue
+            if 5.0 < focal < 1000.0:
+                return focal / _FRAME_35 * max(size)
+    return None

@@ -91,6 +91,7 @@ class EstimationRequest:
     person : whose motion, by how much is seen of them: 1 is who is seen most.
     everybody : one motion for each person.
     offsets : of films in time: ``"auto"`` finds them, ``"none"`` where they start together, or a file of them.
+    focal : px, focal length of all cameras of films without a calibration; found or assumed by default.
     options : how motion files are read.
 
     Raises
@@ -118,6 +119,7 @@ class EstimationRequest:
     person: int = 1
     everybody: bool = False
     offsets: str = "auto"
+    focal: float | None = None
     options: ReadOptions = dataclasses.field(default_factory=lambda: _read_options({}))
 
     def __post_init__(self) -> None:

@@ -2,7 +2,8 @@
 
 A film is known by its content, so that it may be moved or renamed. While a film is looked at, sightings go to the disk
 frame by frame in a folder of this process; where that is interrupted, the folder is left for the next one that looks
-at the same film in the same way. Nothing of it grows in memory with the film.
+at the same film in the same way. Nothing of it grows in memory with the film. Films that were used least lately are
+forgotten where all of them take more than `MOST_BYTES`.
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ import tempfile
 import time
 from collections.abc import Mapping
 from contextlib import suppress
+from dataclasses import dataclass
 from pathlib import Path
 from typing import IO, Any
 
@@ -30,6 +32,9 @@ from dousa.estimation.keypoints.people import SIGHTING
 _SAMPLES, _SAMPLE = 48, 262_144
 _ABANDONED_S = 60.0  # without a write, after which an unfinished folder is nobody's
 _FLUSH_S = 2.0
+MOST_BYTES = 4_000_000_000
+"""Of the disk, that kept films may take."""
+
 _SIGHTINGS, _TIMES = "sightings.bin", "times.bin"
 _POINTS, _MASKS, _CROPS, _DAMAGED = "keypoints.npz", "masks.npy", "crops.npy", "damaged.npy"
 
@@ -74,6 +79,7 @@ class KeypointCache:
         try:
             if (self._final / _DAMAGED).exists():
                 self.n_damaged = int(np.load(self._final / _DAMAGED, allow_pickle=False))
+            os.utime(self._final)  # used now
             return _load(self._final, source, in_memory=False)
         except (DousaError, OSError, ValueError):
             shutil.rmtree(self._final, ignore_errors=True)
@@ -153,6 +159,8 @@ class KeypointCache:
             self._close()
             del sightings
             kept = self._final is not None and self._move()
+            if kept and self._final is not None:
+                clear_kept(self._final.parent, MOST_BYTES, but=self._final)
             return _load(self._final if kept and self._final else self._work, keypoints.source, in_memory=not kept)
         except OSError as error:
             raise KeypointError("keypoints.cache_disk", folder=self._work, reason=error) from error
@@ -192,6 +200,50 @@ class KeypointCache:
             with suppress(OSError):
                 os.rename(self._work, self._final.with_name(f"{self._final.name}.left"))
         self._work = None
+
+
+@dataclass(frozen=True, slots=True)
+class KeptFilm:
+    """The folder of a film's keypoints, how many bytes it takes, and when it was used (s since 1970)."""
+
+    path: Path
+    n_bytes: int
+    used: float
+
+
+def list_kept(folder: Path) -> list[KeptFilm]:
+    """What is kept of films, what was used last first; unfinished searches are among them."""
+    kept = []
+    for path in folder.iterdir() if folder.is_dir() else ():
+        with suppress(OSError):
+            if path.is_dir():
+                n_bytes = sum(file.stat().st_size for file in path.iterdir())
+                kept.append(KeptFilm(path, n_bytes, path.stat().st_mtime))
+    return sorted(kept, key=lambda film: -film.used)
+
+
+def clear_kept(folder: Path, most_bytes: int = 0, but: Path | None = None) -> list[KeptFilm]:
+    """Remove what was used least lately until the rest takes at most so many bytes.
+
+    Parameters
+    ----------
+    folder : of all films.
+    most_bytes : that may stay.
+    but : a film that stays; so does what another process is writing.
+
+    Returns
+    -------
+    What was removed.
+    """
+    removed, total = [], 0
+    for film in list_kept(folder):
+        busy = film.path.suffix != "" and time.time() - _last_write(film.path) < _ABANDONED_S
+        total += film.n_bytes
+        if film.path != but and not busy and (total > most_bytes or not most_bytes):
+            shutil.rmtree(film.path, ignore_errors=True)
+            total -= film.n_bytes
+            removed.append(film)
+    return removed
 
 
 def _map(path: Path) -> NDArray[np.void]:

@@ -205,3 +205,12 @@ class PeopleOptions:
             help="When films begin: found by the movement of the person, together, or as dousa sync wrote.",
         ),
     ] = "auto"
+    focal: Annotated[
+        float | None,
+        typer.Option(
+            "--focal-length",
+            metavar="PX",
+            help="Focal length of all cameras in pixels, without --cameras. Default: that of the film's metadata, "
+            "else found or that of a phone.",
+        ),
+    ] = None
