@@ -13,7 +13,7 @@ from dousa.estimation.cameras.camera_sets import make_ring
 from dousa.estimation.raster.rasteriser import pack_bits, unpack_bits
 from dousa.estimation.raster.rendering import render
 from dousa.estimation.tracking.diagnosis import Diagnosis
-from dousa.estimation.tracking.doubt import ErrorModel, PatchMeasure, erode
+from dousa.estimation.tracking.doubt import ErrorModel, PatchMeasure, erode, find_habit
 from dousa.estimation.tracking.search_setup import SearchSetup
 from dousa.estimation.tracking.settings import TrackerSettings
 
@@ -105,3 +105,16 @@ def test_nobody_seen_has_no_patches():
     setup = make_setup()
     frame = setup.pack([None] * 4)
     assert np.isnan(PatchMeasure(100.0).measure(np.zeros_like(frame.bits), frame)).all()
+
+
+def test_what_every_frame_leaves_is_no_error():
+    shadow = np.column_stack((np.full(40, 0.04), np.full(40, 0.01)))
+    widths = np.full((40, 3), 0.01)
+    model = ErrorModel(make_setup(), meet=True)
+    assert find_habit(shadow) == pytest.approx(0.7 * 0.04)
+    assert find_habit(shadow[:5]) == 0.0
+    assert not model.judge(shadow, widths).lost.any()
+    assert model.judge(shadow, widths, habit=0.0).lost.all()
+    shadow[20:30, 0] += 0.08
+    assert model.judge(shadow, widths).lost[21:29].all()
+    assert not model.judge(shadow, widths).lost[:15].any()

@@ -14,7 +14,7 @@ from dousa.arrays import FloatArray
 from dousa.estimation.body.kinematics import compiled, compute_points, inlined
 from dousa.estimation.raster.rasteriser import interval_mask, outline_part, popcount
 from dousa.estimation.tracking.beam import move_pose
-from dousa.estimation.tracking.doubt import Doubt, ErrorModel, PatchMeasure
+from dousa.estimation.tracking.doubt import Doubt, ErrorModel, PatchMeasure, find_habit
 from dousa.estimation.tracking.search_kernels import (
     clear_bits,
     count_parts,
@@ -26,6 +26,7 @@ from dousa.estimation.tracking.search_kernels import (
 )
 from dousa.estimation.tracking.search_setup import Frame, SearchSetup
 
+_RECENT = 300  # frames whose habit counts for a frame that has just come
 _HIDDEN = 0.1  # share of a part's own pixels below which the image does not tell where it is
 
 
@@ -102,7 +103,8 @@ class Diagnosis:
 
     def is_lost(self, note: Note) -> bool:
         """Whether a frame by itself is probably lost; `judge` looks at its neighbours too."""
-        return bool(self._model.judge(note.patches[None], note.widths[None]).lost[0])
+        before = np.array([_await(old).patches for old in self._notes[-_RECENT:]]).reshape(-1, 2)
+        return bool(self._model.judge(note.patches[None], note.widths[None], find_habit(before)).lost[0])
 
     def judge(self) -> Doubt:
         """How far off the poses noted down probably are."""

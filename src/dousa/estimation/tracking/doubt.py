@@ -24,10 +24,11 @@ _RIM = 0.015  # of a standing silhouette's height: what bodies and segmentations
 _ASPECT = 0.22  # area of a standing person's silhouette over the square of its height
 _WINDOW_S = 0.13  # to either side: tracks are lost and found in more than a frame
 _LEAST = 0.004  # share of the silhouettes that is no patch worth the name
-_PATCHES, _OVERHANG, _SCALE = 0.513, 0.153, 0.129  # powers, and the logarithm of the error (m) where both are one
-_ONE_VIEW = 1.48  # of the logarithm, where lines of sight do not meet
-_SPREAD, _SPREAD_ONE_VIEW = 0.376, 0.671  # of the logarithm
-_LOST = 0.22  # probability of an error above `LOST_ERROR`
+_PATCHES, _OVERHANG, _SCALE = 0.495, 0.128, 0.119  # powers, and the logarithm of the error (m) where both are one
+_HABIT, _OFTEN, _ENOUGH = 0.7, 0.1, 10  # of what nine frames in ten leave, a share that is no error: shadows, clothes
+_ONE_VIEW = 1.5  # of the logarithm, where lines of sight do not meet
+_SPREAD, _SPREAD_ONE_VIEW = 0.387, 0.671  # of the logarithm
+_LOST = 0.2  # probability of an error above `LOST_ERROR`
 _USUAL_STATURE = 1.72  # m
 _RIGID = 0.03  # m: what a joint is off by that no movement of its own tells
 
@@ -103,22 +104,30 @@ class ErrorModel:
         self.frame_rate = setup.frame_rate
         self.shift, self.spread = (0.0, _SPREAD) if meet else (_ONE_VIEW, _SPREAD_ONE_VIEW)
 
-    def judge(self, patches: FloatArray, widths: FloatArray) -> Doubt:
+    def judge(self, patches: FloatArray, widths: FloatArray, habit: float | None = None) -> Doubt:
         """Doubt of frames in succession.
 
         Parameters
         ----------
         patches : (T, 2) patches and overhang, nan where nobody is seen.
         widths : (T, P + K) m, how far each point can be moved unnoticed.
+        habit : see `find_habit`; of these frames by default.
         """
         seen = np.asarray(np.isfinite(patches).all(axis=1))
         found = np.where(seen[:, None], _average(patches, seen, round(_WINDOW_S * self.frame_rate)), 1.0)
+        found[:, 0] = np.maximum(found[:, 0] - (find_habit(patches) if habit is None else habit), 0.0)
         middle = _SCALE + self.shift + np.log(found + _LEAST) @ (_PATCHES, _OVERHANG)
         expected = np.exp(middle + 0.5 * self.spread**2)
         above = np.array([0.5 * (1.0 + erf(z)) for z in (middle - np.log(LOST_ERROR)) / (self.spread * np.sqrt(2.0))])
         own = np.hypot(widths, _RIGID * self.scale)
         errors = self.scale * expected[:, None] * own / own.mean(axis=1, keepdims=True)
         return Doubt(errors, np.asarray((above > _LOST) | ~seen))
+
+
+def find_habit(patches: FloatArray) -> float:
+    """What patches (T, 2) have in nearly every frame, so that it tells of shadows or clothes and not of an error."""
+    seen = patches[np.isfinite(patches[:, 0]), 0]
+    return _HABIT * float(np.quantile(seen, _OFTEN)) if len(seen) >= _ENOUGH else 0.0
 
 
 def _average(values: FloatArray, known: BoolArray, reach: int) -> FloatArray:
