@@ -1,10 +1,10 @@
 """The table of docs/formats.md: what dousa makes of the files of many producers, one folder each.
 
-    python docs/measure_formats.py ../shared/data/foreign [--files] [--pictures FOLDER]
+    python docs/measure_formats.py ../shared/data/foreign [--files | --hips] [--pictures FOLDER]
 
 Per producer: how many files are read, in which unit and up axis and how each was known, how many hold a whole body, how
-many a part of one, how many neither, and what was said about them. ``--files`` prints a row for every file;
-``--pictures`` draws the first file of every producer, front and side, to be looked at. Prints Markdown.
+many a part of one, how many neither, and what was said about them. ``--files`` prints a row for every file; ``--hips``
+how far the hips made from the spines of the pelvis are from the hip joint centres that some files hold; ``--pictures`` draws the first file of every producer, front and side, to be looked at. Prints Markdown.
 """
 
 from __future__ import annotations
@@ -15,9 +15,15 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
+
 from dousa.errors import DousaError, JointMappingError
 from dousa.formats.registry import SUFFIXES, read_motion
-from dousa.motion import CANONICAL_JOINTS, canonicalise
+from dousa.motion import CANONICAL_JOINTS, Motion, canonicalise
+from dousa.motion.canonical.geometry import hips_from_markers
+from dousa.motion.canonical.naming import rank_matches
+
+SIDES = ("left", "right")
 
 
 @dataclass(frozen=True)
@@ -114,6 +120,28 @@ def print_files(readings: Sequence[Reading]) -> None:
         print("|", " | ".join(cells), "|", "; ".join(one.notes), "|")
 
 
+def print_hips(folder: Path, readings: Sequence[Reading]) -> None:
+    """Median distance in mm of regressed hips from the centres in the file, by regression."""
+    print("| file | Harrington 2007: left, right (mm) | Bell 1989 |")
+    print("| --- | --- | --- |")
+    for one in readings:
+        if not one.format:
+            continue
+        motion = read_motion(folder / one.producer / one.file)
+        matches = () if isinstance(motion, Motion) else rank_matches(motion.names)
+        places = next((match.sources for match in matches if match.table == "Markers"), {})
+        if isinstance(motion, Motion) or not {"left_hip", "left_asis", "sacrum", "left_knee"} <= set(places):
+            continue
+        at = {place: motion.positions[:, list(points)].mean(axis=1) for place, points in places.items()}
+        knees = 0.5 * (at["left_knee"] + at["right_knee"])
+        cells = []
+        for metres in (True, False):
+            hips = hips_from_markers(at["left_asis"], at["right_asis"], at["sacrum"], knees, metres=metres)
+            off = [np.linalg.norm(hips[:, side] - at[f"{name}_hip"], axis=1) for side, name in enumerate(SIDES)]
+            cells.append(", ".join(f"{1000 * np.nanmedian(far):.0f}" for far in off))
+        print(f"| {one.producer}/{one.file} |", " | ".join(cells), "|")
+
+
 def draw(folder: Path, readings: Sequence[Reading], pictures: Path) -> None:
     """The first file of every producer that holds a body, and all that are said to be unusual."""
     from dousa.app.pictures.sheets import draw_contact_sheet
@@ -131,7 +159,9 @@ def main() -> None:
     """Read the command line, measure, print."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("folder", type=Path, help="with one folder per producer")
-    parser.add_argument("--files", action="store_true", help="a row for every file")
+    shown = parser.add_mutually_exclusive_group()
+    shown.add_argument("--files", action="store_true", help="a row for every file")
+    shown.add_argument("--hips", action="store_true", help="regressed hips against the centres of the files")
     parser.add_argument("--pictures", type=Path, metavar="FOLDER", help="draw one file per producer there")
     given = parser.parse_args()
     paths = sorted(
@@ -140,7 +170,10 @@ def main() -> None:
     if not paths:
         raise SystemExit(f"{given.folder}: expected folders of motion files ({', '.join(SUFFIXES)}), found none")
     readings = [read(given.folder, path) for path in paths]
-    (print_files if given.files else print_producers)(readings)
+    if given.hips:
+        print_hips(given.folder, readings)
+    else:
+        (print_files if given.files else print_producers)(readings)
     if given.pictures:
         draw(given.folder, readings, given.pictures)
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,7 +15,7 @@ from dousa.formats.registry import find_reader, is_motion_file, read_motion
 from dousa.messages import Message
 
 if TYPE_CHECKING:
-    from dousa.motion import CanonicalMotion
+    from dousa.motion import CanonicalMotion, Motion, Trajectories
 
 
 JointMap = Mapping[str, str | Sequence[str]]
@@ -84,7 +85,9 @@ class Skipped:
         return {"path": self.path, "reason": str(self.reason)}
 
 
-def find_motion_files(paths: Iterable[str | os.PathLike[str]]) -> tuple[list[FoundFile], list[Skipped]]:
+def find_motion_files(
+    paths: Iterable[str | os.PathLike[str]], others: Counter[str] | None = None
+) -> tuple[list[FoundFile], list[Skipped]]:
     """The motion files that are named, or lie in folders that are named, at any depth.
 
     Folders give the files of known suffixes, in the order of their names; hidden files and folders are left
@@ -93,6 +96,7 @@ def find_motion_files(paths: Iterable[str | os.PathLike[str]]) -> tuple[list[Fou
     Parameters
     ----------
     paths : files and folders.
+    others : where the files of folders that no reader takes are counted, by suffix.
 
     Returns
     -------
@@ -105,7 +109,7 @@ def find_motion_files(paths: Iterable[str | os.PathLike[str]]) -> tuple[list[Fou
         root = Path(os.path.abspath(given))
         # Unlike Path.is_dir these say no, and do not raise, where a folder above cannot be looked into.
         if os.path.isdir(root):
-            for path in _walk(root, missing):
+            for path in _walk(root, missing, Counter() if others is None else others):
                 found.setdefault(path, FoundFile(root, path))
         elif os.path.exists(root):
             found.setdefault(root, FoundFile(root, root))
@@ -114,7 +118,7 @@ def find_motion_files(paths: Iterable[str | os.PathLike[str]]) -> tuple[list[Fou
     return list(found.values()), missing
 
 
-def _walk(root: Path, closed: list[Skipped]) -> Iterator[Path]:
+def _walk(root: Path, closed: list[Skipped], others: Counter[str]) -> Iterator[Path]:
     def note(error: OSError) -> None:
         closed.append(Skipped(str(error.filename), Message("motion_files.folder_unreadable", reason=error)))
 
@@ -127,8 +131,12 @@ def _walk(root: Path, closed: list[Skipped]) -> Iterator[Path]:
         seen.add((place.st_dev, place.st_ino))
         subfolders[:] = sorted(name for name in subfolders if not name.startswith("."))
         for name in sorted(names):
-            if not name.startswith(".") and is_motion_file(os.path.join(folder, name)):
+            if name.startswith("."):
+                continue
+            if is_motion_file(os.path.join(folder, name)):
                 yield Path(folder, name)
+            else:
+                others[os.path.splitext(name)[1].lower()] += 1
 
 
 def is_unicode(path: str) -> bool:
@@ -156,6 +164,14 @@ def read_canonical(
     MotionFileError : the file cannot be read.
     JointMappingError : its joints cannot be told apart; the error has the ``path``.
     """
+    motion, canonical = read_both(path, options, whole=whole)
+    return canonical, motion.provenance.format if motion.provenance else ""
+
+
+def read_both(
+    path: str | os.PathLike[str], options: ReadOptions | None = None, *, whole: bool = True
+) -> tuple[Motion | Trajectories, CanonicalMotion]:
+    """A motion file as it is, and as canonical joints; parameters and errors as of ``read_canonical``."""
     from dousa.motion import canonicalise
 
     path, options = os.fspath(path), options or ReadOptions()
@@ -165,7 +181,7 @@ def read_canonical(
     motion = read_motion(path, unit=options.unit, up=options.up, **taken)
     try:
         canonical = canonicalise(motion, options.joint_map, any_skeleton=options.any_skeleton, whole=whole)
-        return canonical, motion.provenance.format if motion.provenance else ""
+        return motion, canonical
     except JointMappingError as error:
         error.path = path
         raise

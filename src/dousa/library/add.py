@@ -8,17 +8,18 @@ from __future__ import annotations
 
 import os
 import time
-from collections import defaultdict
+from collections import Counter, defaultdict
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import fields, replace
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import sqlalchemy as sa
 
 from dousa.errors import DousaError
+from dousa.formats.frame_votes import FrameVotes
 from dousa.formats.motion_files import FoundFile, ReadOptions, Skipped, find_motion_files
 from dousa.library import schema
 from dousa.library.engine import Database, lock_for_writing, next_revision, note_changed_clips, take_clip_ids
@@ -108,6 +109,7 @@ _NO_LABEL = {
     "performer": Message("library_add.no_performer"),
 }
 
+_MOST_DOUBTFUL = 500  # files that wait for the others
 _PORTION_CLIPS = 64
 _PORTION_SECONDS = 1.0
 
@@ -161,19 +163,29 @@ class Adding:
     def run(self, paths: Sequence[Any], n_jobs: int | None, progress: AddProgress | None) -> AddReport:
         """Add all motion files of these files and folders."""
         start = time.perf_counter()
-        files, missing = find_motion_files(paths)
+        others: Counter[str] = Counter()
+        files, missing = find_motion_files(paths, others)
         self._tally["skipped"] += missing
+        self._tally["passed_over"] += others.most_common()
         self._found = {str(file.path): file for file in files}
         tasks = self._plan()
         report = progress or (lambda done, total, path: None)
         done = len(files) - len(tasks)
         report(done, len(files), "")
         portion: list[Answer] = []
+        doubtful: list[ClipRecord] = []
+        votes = FrameVotes()
         last = time.monotonic()
         answers = read_clips(tasks, n_jobs)
         try:
             for answer in answers:
-                portion.append(answer)
+                claim = answer.claim if isinstance(answer, ClipRecord) else None
+                if claim is not None:
+                    votes.count(claim)
+                if claim is not None and claim.doubtful and len(doubtful) < _MOST_DOUBTFUL:
+                    doubtful.append(cast("ClipRecord", answer))
+                else:
+                    portion.append(answer)
                 if _is_full(portion) or time.monotonic() - last >= _PORTION_SECONDS:
                     portion = self._store_portion(portion)
                     last = time.monotonic()
@@ -184,8 +196,18 @@ class Adding:
             raise
         finally:
             answers.close()
+        portion += [self._settle(record, votes) for record in doubtful]
         self._store_portion(portion)
         return self._finish(start, n_jobs)
+
+    def _settle(self, record: ClipRecord, votes: FrameVotes) -> Answer:
+        """A file whose up axis or unit is a guess, as the others of its skeleton have it."""
+        if record.claim is None or self._options.up is not None or self._options.unit is not None:
+            return record
+        voted = votes.elect(record.claim)
+        if voted[:2] == (None, None):
+            return record
+        return read_clip(replace(self._task(record.path, record.row["kind"]), voted=voted))
 
     def run_one(self, record: ClipRecord, n_jobs: int | None) -> AddReport:
         """Add a motion of the memory, or put it in the place of another of its name; its labels are given by hand."""

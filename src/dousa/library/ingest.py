@@ -10,13 +10,14 @@ import hashlib
 import os
 import warnings
 from collections.abc import Generator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 
 from dousa.errors import DousaError, InvalidMotionError
-from dousa.formats.motion_files import ReadOptions, Skipped, describe_problem, is_unicode, read_canonical
+from dousa.formats.frame_votes import OVERRULED, FrameClaim, describe_frame
+from dousa.formats.motion_files import ReadOptions, Skipped, describe_problem, is_unicode, read_both, read_canonical
 from dousa.library.engine import check_jobs, choose_jobs
 from dousa.library.features import BEYOND_MEASURE, Description, StoredMotion, describe_clip, round_positions
 from dousa.library.schema import CLIP, pack
@@ -55,6 +56,7 @@ class ReadTask:
     known : content hashes in the library of clips of this size; such a content is not parsed again.
     kind : ``CLIP`` or ``TAKE``.
     feature_set : name of the features to describe it by; it is not described if empty.
+    voted : up axis and unit that other files of its skeleton elected, and what to say about that.
     """
 
     path: str
@@ -62,6 +64,7 @@ class ReadTask:
     known: tuple[str, ...] = ()
     kind: str = CLIP
     feature_set: str = ""
+    voted: tuple[str | None, float | None, tuple[Message, ...]] = (None, None, ())
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -90,10 +93,12 @@ class ClipRecord(FileRecord):
     row : values of the columns of ``clips``.
     motion : as it is stored.
     description : features and poses, if they were wanted.
+    claim : what the file says of its axes and unit; None of a motion of the memory.
     """
 
     motion: StoredMotion
     description: Description | None
+    claim: FrameClaim | None = None
 
 
 def look_at(path: str, options: ReadOptions) -> SourceState:
@@ -147,8 +152,15 @@ def read_clip(task: ReadTask) -> ClipRecord | FileRecord | Skipped:
         }
         if row["content_hash"] in task.known:
             return FileRecord(row)
-        motion, form = read_canonical(task.path, task.options)
-        return _derive(motion, {**row, "format": form}, task.feature_set)
+        up, unit, notes = task.voted
+        told = replace(task.options, up=up or task.options.up, unit=unit or task.options.unit)
+        motion, canonical = read_both(task.path, told)
+        if up or unit:
+            kept = tuple(note for note in canonical.warnings if note.code not in OVERRULED)
+            canonical = replace(canonical, warnings=(*notes, *kept))
+        form = motion.provenance.format if motion.provenance else ""
+        record = _derive(canonical, {**row, "format": form}, task.feature_set)
+        return replace(record, claim=describe_frame(motion, canonical))
     except DousaError as error:
         return Skipped(task.path, describe_problem(task.path, error))
     except OSError as error:

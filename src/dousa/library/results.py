@@ -238,6 +238,7 @@ class AddReport(_Answer):
     moved : files that are in the library under a path where there is no file any more; the new path is kept.
     duplicates : files whose content is in the library under another path.
     skipped : files that could not be used.
+    passed_over : (suffix, number) of the files in the folders that no reader takes.
     warnings : (path, message) of clips that were added with a doubt.
     other_labels : paths that were in the library with another category or performer than the rules give now;
         their labels stay, ``Library.relabel`` changes them.
@@ -255,6 +256,7 @@ class AddReport(_Answer):
     moved: tuple[Duplicate, ...]
     duplicates: tuple[Duplicate, ...]
     skipped: tuple[Skipped, ...]
+    passed_over: tuple[tuple[str, int], ...]
     warnings: tuple[tuple[str, Message], ...]
     other_labels: tuple[str, ...]
     other_kind: tuple[str, ...]
@@ -269,6 +271,7 @@ class AddReport(_Answer):
             **_Answer.to_json(self),
             "moved": [{"path": item.path, "from": item.same_as} for item in self.moved],
             "warnings": [{"path": path, "warning": str(text)} for path, text in self.warnings],
+            "passed_over": dict(self.passed_over),
         }
 
 

@@ -80,13 +80,19 @@ def compute_rest_positions(skeleton: Skeleton) -> FloatArray:
     return rest
 
 
-def compute_trajectories(motion: Motion) -> Trajectories:
+def compute_trajectories(motion: Motion | Trajectories) -> Trajectories:
     """Positions in the world of all joints and end sites of a motion (forward kinematics).
+
+    Parameters
+    ----------
+    motion : joint rotations; trajectories are returned as they are.
 
     Returns
     -------
     Trajectories with the joints' names, parents and rest pose; NaN below a joint whose rotation is missing.
     """
+    if isinstance(motion, Trajectories):
+        return motion
     skeleton = motion.skeleton
     positions, _ = forward_kinematics(skeleton.parents, motion.rotations, motion.translations)
     positions.flags.writeable = False

@@ -99,7 +99,7 @@ def add(
     if takes and label_options.category_from != "folder":
         raise OptionError("library_cli.takes_without_category")
     options = motion_options.load()
-    _check_before_making(paths, label_options, options)
+    _check_before_making(library, paths, label_options, options)
     with open_library(library, create=True) as opened, progress_bar() as progress:
         report = opened.add(
             paths,
@@ -118,7 +118,7 @@ def add(
         raise typer.Exit(2)
 
 
-def _check_before_making(paths: list[Path], label_options: o.LabelOptions, options: ReadOptions) -> None:
+def _check_before_making(library: str, paths: list[Path], label_options: o.LabelOptions, options: ReadOptions) -> None:
     """Find mistakes in the words of a command before it leaves an empty library behind."""
     from dousa.library import parse_label_rule
     from dousa.motion.canonical.reference_frame import parse_unit, parse_up
@@ -131,6 +131,12 @@ def _check_before_making(paths: list[Path], label_options: o.LabelOptions, optio
     parse_label_rule(label_options.performer_from, "performer")
     if not any(os.path.lexists(path) for path in paths):
         raise OptionError("library_cli.no_such_path", path=paths[0])
+    if "://" not in library and not os.path.exists(library):
+        from dousa.formats.motion_files import find_motion_files
+        from dousa.formats.registry import SUFFIXES
+
+        if find_motion_files(paths) == ([], []):
+            raise OptionError("library_cli.no_motion", path=paths[0], known=SUFFIXES)
 
 
 def train(

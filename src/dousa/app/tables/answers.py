@@ -90,6 +90,24 @@ def _print_unpadded(out: Console, table: Table) -> None:
     out.print("\n".join(row.rstrip() for row in rows), markup=False, soft_wrap=True)
 
 
+_CONVERTED = {
+    "adding.convert_blender": (".fbx", ".dae", ".blend", ".abc", ".usd", ".usda", ".usdc", ".usdz", ".ma", ".max"),
+    "adding.convert_opensim": (".mot", ".sto"),
+    "adding.convert_program": (".tak", ".trk", ".qtm", ".vsk", ".vss", ".vst", ".x2d", ".cap", ".trb", ".anb", ".htr",
+                               ".gtr", ".mvn", ".tdf", ".vmd", ".bip", ".anim", ".mat"),
+}  # fmt: skip
+
+
+def _say_passed_over(out: Console, passed_over: Sequence[tuple[str, int]]) -> None:
+    """How many files of which suffix no reader takes, and how those that hold motion can be converted."""
+    counts = [f"{n} {suffix or '-'}" for suffix, n in passed_over]
+    _say(out, "adding.passed_over", counts=counts)
+    for code, suffixes in _CONVERTED.items():
+        found = [suffix for suffix, _ in passed_over if suffix in suffixes]
+        if found:
+            _say(out, code, suffixes=found)
+
+
 def print_add(out: Console, report: AddReport) -> None:
     """What was added to a library, and what was not and why."""
     rate = report.bytes / 1e6 / report.seconds if report.seconds > 0 else 0.0
@@ -117,6 +135,8 @@ def print_add(out: Console, report: AddReport) -> None:
             Message("adding.skipped", n=len(report.skipped)),
             [f"{item.path}: {item.reason}" for item in report.skipped],
         )
+    if report.passed_over:
+        _say_passed_over(out, report.passed_over)
     if report.n_learned:
         code = "adding.learned_categories" if report.new_categories else "adding.learned"
         _say(out, code, n=report.n_learned, new=len(report.new_categories))
