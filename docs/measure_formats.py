@@ -4,7 +4,8 @@
 
 Per producer: how many files are read, in which unit and up axis and how each was known, how many hold a whole body, how
 many a part of one, how many neither, and what was said about them. ``--files`` prints a row for every file; ``--hips``
-how far the hips made from the spines of the pelvis are from the hip joint centres that some files hold; ``--pictures`` draws the first file of every producer, front and side, to be looked at. Prints Markdown.
+how far the hips made from the spines of the pelvis are from the hip joint centres that some files hold. ``--pictures``
+draws the first file of every producer, front and side, to be looked at. Prints Markdown.
 """
 
 from __future__ import annotations
