@@ -4,12 +4,13 @@
     python docs/measure_estimation.py retrieval FOLDER [--start kinect|auto] [--quick] [--cache FOLDER]
     python docs/measure_estimation.py video FOLDER [--start reference|auto] [--cache FOLDER]
     python docs/measure_estimation.py films FOLDER [--models heavy,full] [--views 4,2,1]
+    python docs/measure_estimation.py doubt FOLDER [--start auto|truth] [--views 4,2] [--variants clean,noisy]
 
 ``kinect`` tracks the silhouettes of UTD-MHAD, one view, and compares with the joints of the Kinect; ``retrieval``
 classifies the motions so estimated by forests that were trained on skeletons of other people. ``video`` goes the whole
 way from the four videos of the Pose2Sim demo and compares with its markerless reference. ``films`` does so
 with nothing but the calibration, from keypoints. ``--cache`` keeps what was
-estimated: empty that folder after a change of the tracker.
+estimated: empty that folder after a change of the tracker. ``doubt`` compares what is said to be lost with the truth.
 """
 
 from __future__ import annotations
@@ -17,6 +18,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
+from measured_doubt import measure_doubt
 from measured_films import measure_films
 from measured_kinect import list_clips, measure_kinect, measure_retrieval
 from measured_video import measure_video
@@ -46,7 +48,16 @@ def main() -> None:
     films.add_argument("folder", type=Path)
     films.add_argument("--models", default="heavy,full")
     films.add_argument("--views", default="4,2,1", help="how many at a time, with commas: every choice of so many")
+    doubt = commands.add_parser("doubt")
+    doubt.add_argument("folder", type=Path, help="of clips with the truth")
+    doubt.add_argument("--start", choices=("auto", "truth"), default="auto")
+    doubt.add_argument("--views", default="4,2")
+    doubt.add_argument("--variants", default="clean,noisy")
     given = parser.parse_args()
+    if given.command == "doubt":
+        views = [int(count) for count in given.views.split(",")]
+        measure_doubt(given.folder, views, given.start, given.variants.split(","))
+        return
     if given.command == "films":
         measure_films(given.folder, given.models.split(","), [int(count) for count in given.views.split(",")])
         return

@@ -75,6 +75,7 @@ _LESS = {
     "python docs/measure_estimation.py retrieval": "--quick --subjects 1,3 --cache kept",
     "python docs/measure_estimation.py video": "--views 1,2",
     "python docs/measure_estimation.py films": "--models full --views 4",
+    "python docs/measure_estimation.py doubt": "--views 4 --variants clean",
     "python docs/measure_evaluation.py furi": "--dances 1",
     "python docs/measure_chain.py": "--wrong 1",
     "python benchmarks/ranking_weights.py": "--repeats 1",

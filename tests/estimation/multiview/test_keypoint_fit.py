@@ -176,6 +176,11 @@ class TestFit:
     def test_one_view_keeps_the_posture_and_says_that_depth_is_unsure(self, body, poses, cameras):
         tracks, _ = film(body, poses, cameras)
         fit = fit_keypoints(cameras[:1], tracks[:1], NAMES, RATE, stature=1.80)
+        assumed = fit_keypoints(cameras[:1], tracks[:1], NAMES, RATE)
+        places = compute_points(assumed.estimate.body, assumed.estimate.poses)
+        away = np.linalg.norm(places + cameras[0].rotation.T @ cameras[0].translation, axis=-1)
+        assert (assumed.estimate.uncertainty >= 0.03 * away).all()
+        assert assumed.estimate.expected_error.mean() > fit.estimate.expected_error.mean()
         assert joint_error(fit, body, poses, aligned=True).mean() < 0.06
         four = fit_keypoints(cameras, tracks, NAMES, RATE, stature=1.80)
         assert fit.depth_doubt.mean() > 1.5 * four.depth_doubt.mean()

@@ -142,7 +142,11 @@ def fit_keypoints(
     tell(2, 4, Message("multiview.fitting"))
     poses, covariance = _fit_in_windows(own, poses, landmarks, terms, tell)
     seconds = perf_counter() - begun
-    return _answer(own, landmarks, (poses, covariance), terms, exchanged, n_frames / max(seconds, 1e-9))
+    fit = _answer(own, landmarks, (poses, covariance), terms, exchanged, n_frames / max(seconds, 1e-9))
+    if len(cameras) > 1:
+        return fit
+    known = body is not None or stature is not None
+    return _doubt_distance(fit, cameras[0], _GIVEN_SIGMA if known else _STATURE_SIGMA)
 
 
 def _first_places(cameras: Sequence[Camera], seen: SeenLandmarks, shown: Sequence[int]) -> FloatArray:
@@ -324,6 +328,14 @@ def _answer(
         speed,
     )
     return KeypointFit(estimate, landmarks, terms.seen, exchanged, errors, doubt)
+
+
+def _doubt_distance(fit: KeypointFit, camera: Camera, sigma: float) -> KeypointFit:
+    """The fit with joints as unsure as its distance: what one view shows is as far away as its stature is tall."""
+    centre = -camera.rotation.T @ camera.translation
+    away = np.linalg.norm(joint_places(fit) - centre, axis=-1)
+    uncertainty = np.hypot(fit.estimate.uncertainty, sigma * away)
+    return replace(fit, estimate=replace(fit.estimate, uncertainty=uncertainty))
 
 
 def _joint_covariance(body: BodyModel, poses: FloatArray, covariance: FloatArray) -> FloatArray:
