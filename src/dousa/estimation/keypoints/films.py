@@ -7,7 +7,10 @@ and as it is meant to be seen. Frames are decoded one at a time, in the order in
 from __future__ import annotations
 
 import os
+from collections import deque
 from collections.abc import Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import contextmanager
 from types import TracebackType
 from typing import Any, Self
 
@@ -19,6 +22,10 @@ from dousa.extras import require
 
 _DEFAULT_RATE = 30.0
 _MOST_PIXELS = 100_000_000
+_AHEAD = 2  # frames
+
+Frame = tuple[int, float, Image]
+"""Number, s since the first frame, picture (H, W, 3)."""
 
 
 class FilmFrames:
@@ -100,7 +107,7 @@ class FilmFrames:
             except error_kinds:
                 self.n_damaged += 1
 
-    def read(self, skip: int = 0) -> Iterator[tuple[int, float, Image]]:
+    def read(self, skip: int = 0) -> Iterator[Frame]:
         """Frame number, s since the first frame, and picture (H, W, 3) red, green, blue; only once.
 
         Parameters
@@ -143,6 +150,21 @@ class FilmFrames:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         self.close()
+
+
+@contextmanager
+def read_ahead(frames: Iterator[Frame]) -> Iterator[Iterator[Frame]]:
+    """The same frames, of which a thread decodes the next while one is looked at."""
+    waiting: deque[Future[Frame | None]] = deque()
+    with ThreadPoolExecutor(1) as pool:
+
+        def follow() -> Iterator[Frame]:
+            while (frame := waiting.popleft().result()) is not None:
+                waiting.append(pool.submit(next, frames, None))
+                yield frame
+
+        waiting.extend(pool.submit(next, frames, None) for _ in range(_AHEAD))
+        yield follow()
 
 
 def count_turns(frame: Any) -> int:

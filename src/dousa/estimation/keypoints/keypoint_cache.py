@@ -13,6 +13,7 @@ import json
 import os
 import shutil
 import tempfile
+import threading
 import time
 from collections.abc import Mapping
 from contextlib import suppress
@@ -101,11 +102,11 @@ class KeypointCache:
         return _map(sightings), np.fromfile(times, np.float64)
 
     def _take_folder(self) -> Path:
-        """A folder of this process's own: one that was left, else a new one, else one that is not kept."""
+        """A folder of this thread's own: one that was left, else a new one, else one that is not kept."""
         if self._final is not None:
             with suppress(OSError):
                 self._final.parent.mkdir(parents=True, exist_ok=True)
-                mine = self._final.with_name(f"{self._final.name}.{os.getpid()}")
+                mine = self._final.with_name(f"{self._final.name}.{os.getpid()}-{threading.get_ident()}")
                 shutil.rmtree(mine, ignore_errors=True)
                 for left in sorted(self._final.parent.glob(f"{self._final.name}.*")):
                     free = left.suffix == ".left" or time.time() - _last_write(left) > _ABANDONED_S

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from dousa.arrays import FloatArray, IntArray
 from dousa.errors import OptionError
-from dousa.estimation.keypoints.films import FilmFrames
+from dousa.estimation.keypoints.films import FilmFrames, read_ahead
 from dousa.estimation.keypoints.identities import find_identities
 from dousa.estimation.keypoints.keypoint_cache import KeypointCache, fingerprint_film
 from dousa.estimation.keypoints.keypoints import MEDIAPIPE_NAMES, PersonTrack, ViewKeypoints
@@ -103,9 +103,10 @@ def _search(frames: FilmFrames, follower: PeopleFollower, kept: KeypointCache, r
         del sightings
         what = Message("keypoints.finding", film=os.path.basename(frames.path))
         report(n_done, max(frames.n_stated, n_done), what)
-        for frame, seconds, picture in frames.read(skip=n_done):
-            kept.add(seconds, follower.see(frame, picture))
-            report(frame + 1, max(frames.n_stated, frame + 1), what)
+        with read_ahead(frames.read(skip=n_done)) as pictures:
+            for frame, seconds, picture in pictures:
+                kept.add(seconds, follower.see(frame, picture))
+                report(frame + 1, max(frames.n_stated, frame + 1), what)
         sightings, times = kept.read()
         people = find_identities(sightings, times)
         tracks = tuple(_make_track(sightings, rows, len(times)) for rows in people)
