@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from dousa.app.films import film_views
+from dousa.app.films.film_scene import shows_masks
 from dousa.errors import KeypointError
 from dousa.estimation.keypoints.keypoints import MEDIAPIPE_NAMES, ViewKeypoints
 
@@ -33,6 +34,12 @@ def finders(monkeypatch):
 
 def open_all(names, progress=lambda done, total, what: None):
     return film_views.open_keypoints([Path(f"{name}.mp4") for name in names], "full", progress)
+
+
+@pytest.mark.parametrize("content", [b"", b"sound" * 99])
+def test_what_is_no_film_is_no_film_of_masks(tmp_path, content):
+    (tmp_path / "a.mp4").write_bytes(content)
+    assert not shows_masks(tmp_path / "a.mp4")
 
 
 def test_two_films_are_looked_at_at_the_same_time_and_come_in_their_order(finders):

@@ -102,3 +102,10 @@ def test_pieces_end_where_people_touch_and_points_jump():
     assert firsts == sorted(firsts)
     assert any(piece.stretch == 0 and len(piece.rows) == 20 for piece in pieces)
     assert sum(piece.stretch == 1 for piece in pieces) > 1
+
+
+@pytest.mark.parametrize("n_frames", [1, 2, 5])
+def test_a_film_shorter_than_people_must_be_seen_has_people_all_the_same(n_frames):
+    sightings = collect([see(frame, 0, 300 + frame) for frame in range(n_frames)])
+    assert [len(rows) for rows in find_identities(sightings, TIMES[:n_frames])] == [n_frames]
+    assert find_identities(sightings, TIMES) == []

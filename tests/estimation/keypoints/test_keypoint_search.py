@@ -107,7 +107,7 @@ def test_a_film_damaged_in_the_middle_says_so_each_time(tmp_path, found_by, monk
 
 @pytest.mark.parametrize(
     ("content", "code"),
-    [(None, "film.missing"), (b"", "keypoint_film.unreadable"), (b"hello" * 99, "keypoint_film.unreadable")],
+    [(None, "film.missing"), (b"", "disk.empty"), (b"hello" * 99, "keypoint_film.unreadable")],
 )
 def test_what_is_no_film_is_one_clear_error(tmp_path, content, code):
     path = tmp_path / "film.mp4"

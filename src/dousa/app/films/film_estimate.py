@@ -37,9 +37,12 @@ if TYPE_CHECKING:
     from dousa.estimation.tracking.settings import Estimate
 
 _GIRTH_FRAMES, _OVERLAP_FRAMES = 12, 600
-_POOR_PIXELS = 0.04  # of a person's height in the picture: reprojection that tells of a wrong calibration
+_POOR_PIXELS = 0.025  # of a person's height in the picture: reprojection that tells of a wrong calibration
+_FAR_PIXELS = 0.085  # the same of the worst tenth of its points: with right cameras it is 0.01 to 0.08
+_USUAL_STATURES = (1.4, 2.05)  # m
 _DEPTH_DOUBT = 0.08  # m
 _OFTEN = 0.55  # of the pictures in which somebody is seen at most: who is seen less often is in the background
+_LONG = 0.5  # share of the film that tells who is there from who walks past
 
 Tell = Callable[[Message], None]
 
@@ -112,6 +115,7 @@ def estimate_films(
     people = match_people(films.cameras, films.list_people(), names)
     if not people:
         raise KeypointError("multiview.nobody")
+    films = replace(films, warnings=(*films.warnings, *_check_agreement(films, people)))
     aside: list[Message] = []
     if request.everybody:
         chosen, aside = list_everybody(people)
@@ -143,6 +147,24 @@ def list_everybody(people: Sequence[MatchedPerson]) -> tuple[list[tuple[int, Mat
         else:
             aside.append(Message("film_estimate.aside", number=number, share=share))
     return chosen, aside
+
+
+def _check_agreement(films: FilmScene, people: Sequence[MatchedPerson]) -> list[Message]:
+    """Views that show somebody for long who is not where the other views see anybody.
+
+    Raises
+    ------
+    KeypointError : no two views agree, though several show somebody.
+    """
+    agreed = [person for person in people if sum(track is not None for track in person.tracks) > 1]
+    alone = []
+    for view, (name, tracks) in enumerate(zip(films.names, films.list_people(), strict=True)):
+        claimed = any(person.tracks[view] is not None for person in agreed)
+        if not claimed and any(track.present.mean() > _LONG for track in tracks):
+            alone.append(name)
+    if not agreed and len(alone) > 1:
+        raise KeypointError("film_estimate.disagree", views=alone)
+    return [Message("film_estimate.left_out", views=alone, n=len(alone))] if agreed and alone else []
 
 
 def _pick(people: Sequence[MatchedPerson], number: int) -> MatchedPerson:
@@ -263,6 +285,11 @@ def describe_fit(fit: KeypointFit, cameras: Sequence[Camera], stature_given: boo
         if np.isfinite(errors).any() and np.nanmedian(errors) > _POOR_PIXELS * height:
             said.append(Message("film_estimate.off", view=camera.name, error=float(np.nanmedian(errors)),
                                 share=float(np.nanmedian(errors) / height)))  # fmt: skip
+        elif np.isfinite(errors).any() and (far := float(np.nanpercentile(errors, 90))) > _FAR_PIXELS * height:
+            said.append(Message("film_estimate.far_off", view=camera.name, error=far, share=far / height))
+    stature = fit.estimate.body.stature
+    if n_views > 1 and not stature_given and not _USUAL_STATURES[0] < stature < _USUAL_STATURES[1]:
+        said.append(Message("film_estimate.odd_stature", stature=stature))
     if n_views == 1:
         unsure = int((fit.depth_doubt > _DEPTH_DOUBT).sum())
         doubt = float(np.median(fit.depth_doubt))

@@ -13,7 +13,7 @@ from dousa.app.films.film_views import is_keypoints, open_keypoints, read_focal_
 from dousa.app.pipelines.doubts import parse_frames
 from dousa.app.pipelines.estimation_views import VideoPictures
 from dousa.arrays import FloatArray, Image, IndexArray, Mask
-from dousa.errors import CalibrationError, KeypointError, OptionError
+from dousa.errors import CalibrationError, KeypointError, OptionError, SilhouetteError
 from dousa.estimation.silhouettes.silhouettes import Silhouettes
 from dousa.messages import Message
 
@@ -327,7 +327,10 @@ def shows_masks(path: Path) -> bool:
     """Whether a film is one of masks."""
     from dousa.estimation.silhouettes.video import VideoFile, guess_video_kind
 
-    file = VideoFile(path)
+    try:
+        file = VideoFile(path)
+    except SilhouetteError:
+        return False  # whoever reads it says why
     try:
         places = np.unique(np.linspace(0, file.n_frames - 1, 3).astype(int))
         images = [file.read(int(place)) for place in places]

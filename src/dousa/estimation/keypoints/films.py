@@ -51,12 +51,15 @@ class FilmFrames:
             raise KeypointError("film.missing").at(path)
         if not os.path.isfile(path):
             raise KeypointError("film.no_file").at(path)
+        if not os.path.getsize(path):
+            raise KeypointError("disk.empty").at(path)
         self._av = require("av", "film")
         self._av.logging.set_level(self._av.logging.PANIC)
         try:
             self._container = self._av.open(self.path)
         except (self._av.error.FFmpegError, OSError, ValueError) as error:
-            raise KeypointError("keypoint_film.unreadable", reason=str(error)[:200]).at(path) from error
+            reason = getattr(error, "strerror", None) or str(error)[:200]  # not the log of FFmpeg
+            raise KeypointError("keypoint_film.unreadable", reason=reason).at(path) from error
         streams = self._container.streams.video
         if not streams:
             self.close()

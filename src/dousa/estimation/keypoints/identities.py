@@ -79,7 +79,8 @@ def find_identities(sightings: NDArray[np.void], times: FloatArray) -> list[IntA
         first = last
     found = [np.concatenate([piece.rows for piece in person.pieces]) for person in people]
     step = float(np.median(np.diff(times))) if len(times) > 1 else 1.0
-    kept = [rows for rows in found if is_somebody(sightings, rows, step)]
+    least = min(_LEAST_S, 0.5 * step * len(times))  # a film may be shorter than that
+    kept = [rows for rows in found if is_somebody(sightings, rows, step, least)]
     return sorted(kept, key=lambda rows: -_measure_presence(sightings, rows))
 
 
@@ -89,9 +90,9 @@ def _measure_presence(sightings: NDArray[np.void], rows: IntArray) -> float:
     return float((visible * np.sqrt(sightings["crop"][rows, 2])).sum())
 
 
-def is_somebody(sightings: NDArray[np.void], rows: IntArray, step: float) -> bool:
-    """Whether the sightings at these places, ``step`` seconds apart, are of a person at all."""
-    if len(rows) * step < _LEAST_S and step < _LEAST_S:
+def is_somebody(sightings: NDArray[np.void], rows: IntArray, step: float, least: float = _LEAST_S) -> bool:
+    """Whether the sightings at these places, ``step`` s apart, are of a person at all, who is there for ``least`` s."""
+    if len(rows) * step < least and step < _LEAST_S:
         return False
     visible = sightings["visibility"][rows][:, list(CORE)].astype(np.float64)
     best = np.maximum(visible[:, :6].mean(axis=1), visible[:, 4:].mean(axis=1))  # arms and hips, hips and legs

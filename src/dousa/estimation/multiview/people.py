@@ -92,7 +92,7 @@ def _propose(
     (v, i), (w, j) = pair
     one, other = views[v][i], views[w][j]
     common = np.flatnonzero(one.present & other.present)
-    if len(common) < _LEAST_FRAMES:
+    if len(common) < min(_LEAST_FRAMES, one.n_frames):
         return None
     common = common[np.unique(np.linspace(0, len(common) - 1, _MOST_FRAMES).astype(int))]
     pick = np.ix_(common, rows)
@@ -120,7 +120,7 @@ def _distance(camera: Camera, track: PersonTrack, place: FloatArray, pick: tuple
     points, visibility = track.points[pick], track.visibility[pick]
     off = np.linalg.norm(camera.project(place) - points, axis=-1) / pixels_per_metre(camera, place)
     known = np.isfinite(points[..., 0]) & (visibility > _LEAST_VISIBLE) & np.isfinite(place[..., 0])
-    if known.sum() < 3 * _LEAST_FRAMES:
+    if known.sum() < 3 * min(_LEAST_FRAMES, track.n_frames):
         return float("inf")
     return float(np.median(np.where(np.isfinite(off[known]), off[known], np.inf)))
 
