@@ -106,6 +106,7 @@ BENCHMARKS = {
     "correspondence.py": "--memory --frames 400",
     "estimate.py": "--length 4 --threads 1",
     "few_clips.py": "../shared/data/bandai --share 0.5",
+    "first_run.py": "--only keypoints",
     "forest.py": "--clips 60 --classes 3 --repeats 1",
     "forest_query.py": "--clips 60 --classes 3",
     "in_turns.py": f"--before '{ROOT}' --rounds 1 --command 'forest_query.py --clips 60 --classes 3'",
