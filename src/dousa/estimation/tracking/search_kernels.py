@@ -162,7 +162,7 @@ def fill_evidence(reading, silhouettes, fixed, plus, minus, least):  # type: ign
     P_fixed; residual: S minus P_fixed; union: S or P_fixed; plain: S; literal: S and P_fixed, as printed.
     """
     for view in range(silhouettes.shape[0]):
-        least[view] = 0
+        total = np.int64(0)
         for row in range(silhouettes.shape[1]):
             for word in range(silhouettes.shape[2]):
                 s, f = silhouettes[view, row, word], fixed[view, row, word]
@@ -177,7 +177,8 @@ def fill_evidence(reading, silhouettes, fixed, plus, minus, least):  # type: ign
                     elif reading == 4:
                         x = s & f
                     plus[view, row, word], minus[view, row, word] = ~x, x
-                least[view] -= np.int64(popcount(minus[view, row, word]))
+                total += np.int64(popcount(minus[view, row, word]))
+        least[view] = -total
 
 
 @inlined
