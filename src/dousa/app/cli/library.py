@@ -70,7 +70,7 @@ Clips = Annotated[
 
 def register(app: typer.Typer) -> None:
     """Register this module's commands with the application."""
-    for command in (add, train, search, classify, remove, relabel):
+    for command in (add, train, search, classify, export, remove, relabel):
         app.command(rich_help_panel="Library")(command)
     app.command("list", rich_help_panel="Library")(list_clips)
 
@@ -303,6 +303,51 @@ def list_clips(
         tables.print_clips(console(), [clip.to_json() for clip in rows])
     else:
         tables.print_stats(console(), library, stats.to_json())
+
+
+ExportFormat = Literal["original", "glb", "bvh", "c3d", "trc", "csv", "npz", "amass"]
+"""What clips are exported as."""
+
+
+def export(
+    library: o.LibraryPath,
+    output: Annotated[Path, typer.Option("--output", "-o", metavar="FOLDER", help="Folder for the files.")],
+    category: Annotated[str | None, typer.Option("--category", help="Only clips of this category.")] = None,
+    performer: Annotated[str | None, typer.Option("--performer", help="Only clips of this performer.")] = None,
+    to: Annotated[ExportFormat, typer.Option("--to", help="Format of the files.")] = "original",
+    onto: Annotated[
+        Path | None,
+        typer.Option("--onto", metavar="CHARACTER", help="Put the motions onto the skeleton of this file."),
+    ] = None,
+    json: o.Json = False,
+) -> None:
+    """Export clips as files, a folder per category, with a manifest.csv of their labels.
+
+    Can be interrupted and run again: what is there and unchanged is kept.
+
+    Example: dousa export moves.dousa --category walk --to glb -o walks/
+    """
+    from dousa.app.pipelines.export import export_clips
+
+    with open_to_read(library) as opened, progress_bar() as progress:
+        report = export_clips(
+            opened,
+            output,
+            category=category,
+            performer=performer,
+            to=to,
+            onto=onto,
+            progress=lambda done, total, path: progress(done, total, Message("export.exporting")),
+        )
+    if json:
+        print_json(report.to_json())
+    else:
+        for skipped in report.skipped:
+            warn(Message("text.in_file", path=skipped.path, problem=skipped.reason))
+        counts = {"written": len(report.written), "kept": len(report.kept), "skipped": len(report.skipped)}
+        say(Message("export.done", folder=output, **counts))
+    if report.skipped and not (report.written or report.kept):
+        raise typer.Exit(2)
 
 
 def _selection(clips: list[str] | None) -> list[int | str]:
