@@ -207,12 +207,13 @@ class TestAfter:
 class TestAgain:
     def test_another_person_without_a_wrong_track(self, client, batch, done):
         """The other person, after somebody said that one of their tracks is nobody."""
-        two = {"sources": ["view1.mp4", "view1.npz", "view2.npz"], "offsets": "none", **CAMERAS}
-        job = estimate(client, batch=batch, **two, person=[[0, 0]], left_out=[[0, 1]])
+        two = {"sources": ["view1.mp4", "view1.npz", "view2.npz"], **CAMERAS}
+        job = estimate(client, batch=batch, **two, person=[[0, 0], [1, 1]], left_out=[[0, 1]])
         assert job["state"] == "done", job["problem"]
         film = client.get(f"/api/estimations/{job['id']}/film").json()
         chosen = film["people"][film["chosen"]]["members"]
         assert sorted(chosen) == [[0, 0], [1, 1]] and film["left_out"] == [[0, 1]]
+        assert film["starts"] == [0, 0] and film["total"] == N_FRAMES  # synchronised by this person
         assert [0, 1] not in [member for person in film["people"] for member in person["members"]]
         assert len(film["views"][0]["people"]) == 2  # it is still shown, so that it can be used again
         places = [joints(client, one["id"])[:, 0].mean(axis=0) for one in (done, job)]

@@ -86,7 +86,8 @@ def place_films(
     request : its cameras, offsets, stature, rate and frames.
     found : (V,) keypoints of each film, whose name is the source.
     report : called with (done, total, what).
-    people : (V,) who places the cameras, by their places among the people of each view; None for who moves alike.
+    people : (V,) by whom films are synchronised and cameras placed, their places among the people of each view; None
+        for who moves alike.
 
     Raises
     ------
@@ -96,18 +97,25 @@ def place_films(
     if request.focal is not None and request.cameras is not None:
         raise OptionError("calibration.focal_and_cameras")
     if request.cameras is None:
-        return _place_cameras(request, names, found, report, people)
+        return _place_cameras(request, names, found, _choose(found, people), report)
     cameras, notes = match_film_cameras(request, names, found)
-    offsets, more = find_offsets(request, names, found, cameras, report)
+    offsets, more = find_offsets(request, names, _choose(found, people), cameras, report)
     return _put_together(request, names, found, cameras, offsets, [*notes, *more])
+
+
+def _choose(found: tuple[ViewKeypoints, ...], people: Sequence[int] | None) -> tuple[ViewKeypoints, ...]:
+    """The films with one person each; with everybody where nobody was chosen."""
+    if people is None:
+        return found
+    return tuple(replace(view, people=(view.people[place],)) for view, place in zip(found, people, strict=True))
 
 
 def _place_cameras(
     request: EstimationRequest,
     names: tuple[str, ...],
     found: tuple[ViewKeypoints, ...],
+    chosen: tuple[ViewKeypoints, ...],
     report: ProgressCallback,
-    chosen: Sequence[int] | None,
 ) -> FilmScene:
     """Films whose cameras nobody knows: several are placed by the person, one stands upright at a usual height."""
     from dousa.estimation.calibration.person import calibrate_from_person, guess_lenses
@@ -123,15 +131,14 @@ def _place_cameras(
     people: tuple[int, ...] | None = None
     notes: list[Message] = []
     if request.offsets == "auto":
-        answer = sync(found, progress=report)
+        answer = sync(chosen, progress=report)
         offsets, people, notes = answer.offsets, answer.people, list(answer.warnings)
     elif request.offsets == "none":
         offsets = np.zeros(len(found))
     else:
         offsets = np.array(read_offsets(request.offsets, names))
     report(0, 1, Message("film_estimate.calibrating"))
-    made = calibrate_from_person(found, request.stature, focals=focals, offsets=offsets.tolist(),
-                                 people=chosen or people)  # fmt: skip
+    made = calibrate_from_person(chosen, request.stature, focals=focals, offsets=offsets.tolist(), people=people)
     notes += [*made.warnings, Message("film_estimate.calibrated", views=len(found))]
     frame = 1.0 / min(view.frame_rate for view in found)
     clocks = np.zeros(len(found)) if (np.abs(offsets) < _SAME_START * frame).all() else offsets.max() - offsets
