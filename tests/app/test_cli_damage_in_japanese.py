@@ -69,15 +69,13 @@ def files(tmp_path_factory) -> Path:
 
 
 READ = [
-    *("empty.bvh", "head.bvh", "open.bvh", "nonsense.bvh", "few.bvh", "cut.bvh", "letters.bvh", "rate.bvh"),
+    *("empty.bvh", "head.bvh", "open.bvh", "nonsense.bvh", "few.bvh", "letters.bvh", "rate.bvh"),
     *(
         "alone.amc",
         "bad.asf",
         "empty.trc",
         "text.trc",
-        "cut.trc",
         "text.c3d",
-        "cut.c3d",
         "text.npz",
         "cut.npz",
     ),
@@ -162,3 +160,12 @@ def test_errors_are_in_japanese(dousa, files, tmp_path, monkeypatch, command):
     assert JAPANESE.search(words) and not ENGLISH.search(words), line
     code, _, english = dousa(*command.split())
     assert code == 2 and not JAPANESE.search(english)
+
+
+@pytest.mark.parametrize("name", ["cut.bvh", "cut.trc", "cut.c3d"])
+def test_what_is_left_of_a_cut_file_is_read_with_a_note_in_japanese(dousa, files, name):
+    code, out, _ = dousa("--lang", "ja", "info", str(files / name))
+    assert code == 0
+    assert re.search(r"注意.*途中で切れ", out), out
+    code, english, _ = dousa("info", str(files / name))
+    assert code == 0 and re.search(r"note .*truncated", english) and not JAPANESE.search(english), english

@@ -8,7 +8,7 @@ import re
 import numpy as np
 import pytest
 
-from dousa.formats.registry import read_motion
+from dousa.formats.registry import read_motion, write_motion
 from dousa.motion import canonicalise
 from dousa.motion.canonical.joints import JOINT_INDEX
 
@@ -135,6 +135,21 @@ def test_a_file_that_became_another_is_not_handed_out(studio, kick, tmp_path):
     (tmp_path / "kick.bvh").write_bytes(answer.content)
     found = canonicalise(read_motion(tmp_path / "kick.bvh")).positions
     assert np.abs(found - library.trajectories(kick).positions).mean() < 0.02
+
+
+@pytest.mark.parametrize("suffix", [".glb", ".csv", ".c3d"])
+def test_a_motion_of_another_format_can_be_looked_at(studio, bvh, suffix, tmp_path):
+    """Also that a table that is no motion is none."""
+    write_motion(read_motion(bvh), tmp_path / f"kick{suffix}")
+    content = (tmp_path / f"kick{suffix}").read_bytes()
+    (file,) = studio.post("/api/uploads", params={"name": f"kick{suffix}"}, content=content).json()["files"]
+    found = studio.get("/api/motions/info", params={"motion": file["motion"]})
+    assert found.status_code == 200, found.text
+    assert found.json()["n_frames"] == read_motion(bvh).n_frames
+    (table,) = studio.post("/api/uploads", params={"name": "labels.csv"}, content=b"start_s,end_s\n0,1\n").json()[
+        "files"
+    ]
+    assert table["motion"] is None
 
 
 def test_a_download_onto_a_character_has_its_skeleton(studio, kick, bvh, tmp_path):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Annotated, Any
 
 from fastapi import APIRouter, Query, Request
@@ -12,6 +13,7 @@ from dousa.app.studio.content.studio import StudioNow
 from dousa.app.studio.core.answers import Answer, RefusedError
 from dousa.app.studio.core.uploads import MOTIONS, receive
 from dousa.app.studio.core.words import say
+from dousa.formats.registry import is_motion_file
 
 general = APIRouter(tags=["general"])
 router = APIRouter(tags=["uploads"])
@@ -60,22 +62,22 @@ async def upload(
     if request.headers.get("content-type", "").startswith("multipart/"):
         raise RefusedError(415, "studio_files.form")
     came = await receive(request.stream(), name, batch, studio.workspace, studio.settings)
+    folder = studio.workspace.batch_folder(came.batch)
     return Answer(
         {
             "batch": came.batch,
-            "files": [_describe(came.batch, file, size) for file, size in came.files],
+            "files": [_describe(came.batch, folder, file, size) for file, size in came.files],
             "refused": [{"name": file, "reason": say(reason), "code": reason.code} for file, reason in came.refused],
         },
         201,
     )
 
 
-def _describe(batch: str, name: str, size: int) -> dict[str, Any]:
-    is_motion = name[name.rfind(".") :].lower() in MOTIONS
+def _describe(batch: str, folder: Path, name: str, size: int) -> dict[str, Any]:
     return {
         "name": name,
         "bytes": size,
-        "motion": str(Address(batch=batch, name=name)) if is_motion else None,
+        "motion": str(Address(batch=batch, name=name)) if is_motion_file(folder / name) else None,
     }
 
 
@@ -84,7 +86,7 @@ def list_files(studio: StudioNow, batch: str) -> Answer:
     """Names and sizes."""
     folder = studio.workspace.batch_folder(batch)
     files = [
-        _describe(batch, path.relative_to(folder).as_posix(), path.stat().st_size)
+        _describe(batch, folder, path.relative_to(folder).as_posix(), path.stat().st_size)
         for path in studio.workspace.files(batch)
     ]
     return Answer({"batch": batch, "files": files})

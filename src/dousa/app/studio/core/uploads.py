@@ -17,9 +17,10 @@ from typing import IO
 
 from dousa.app.studio.core.answers import RefusedError, describe_disk
 from dousa.app.studio.core.workspace import Settings, Workspace, safe_parts
+from dousa.formats.registry import SUFFIXES
 from dousa.messages import Message
 
-MOTIONS = frozenset({".bvh", ".amc", ".c3d", ".trc", ".npz"})
+MOTIONS = frozenset(Path(f"a{suffix}").suffix for suffix in SUFFIXES)
 SKELETONS = frozenset({".asf"})
 VIDEOS = frozenset({".mp4", ".avi", ".mov", ".mkv", ".webm", ".m4v"})
 PICTURES = frozenset({".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff"})
@@ -146,6 +147,13 @@ def _check_content(path: Path, name: str) -> None:
         ".trc": is_text and starts[:12].lower().startswith(b"pathfiletype"),
         ".c3d": len(head) == 512 and head[1] == 0x50,
         ".npz": head[:2] == b"PK",
+        ".npy": head[:6] == b"\x93NUMPY",
+        ".mvnx": is_text and starts[:1] == b"<",
+        ".tsv": is_text,
+        ".glb": head[:4] == b"glTF",
+        ".vrm": head[:4] == b"glTF",
+        ".vrma": head[:4] == b"glTF",
+        ".gltf": is_text and starts[:1] == b"{",
         ".png": head[:4] == b"\x89PNG",
         ".jpg": head[:2] == b"\xff\xd8",
         ".jpeg": head[:2] == b"\xff\xd8",

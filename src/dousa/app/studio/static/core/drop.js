@@ -2,6 +2,9 @@
 
 import { h, icon, t } from "./dom.js";
 
+/** What a file dialogue offers where a motion is wanted; the studio looks at what comes. */
+export const MOTION_FILES = ".bvh,.amc,.asf,.c3d,.trc,.npz,.npy,.pkl,.csv,.tsv,.mvnx,.glb,.gltf,.vrm,.vrma,.zip";
+
 async function readEntry(entry, prefix, found) {
   if (entry.isFile) {
     const file = await new Promise((resolve, reject) => entry.file(resolve, reject));

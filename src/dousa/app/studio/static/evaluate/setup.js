@@ -2,14 +2,13 @@
 
 import { get, post } from "../core/api.js";
 import { $, h, t } from "../core/dom.js";
-import { dropZone } from "../core/drop.js";
+import { dropZone, MOTION_FILES } from "../core/drop.js";
 import { takeMotions } from "../core/incoming.js";
 import { attempt } from "../core/notices.js";
 import { pickClips } from "../core/pick.js";
 import { describeMotion, motionRow } from "./motions.js";
 import { keepChoice, plain, whole } from "./state.js";
 
-const ACCEPT = ".bvh,.amc,.asf,.c3d,.trc,.npz,.zip";
 const MOST = 50;
 
 const isSame = (a, b) => JSON.stringify(plain(a)) === JSON.stringify(plain(b));
@@ -73,7 +72,7 @@ export class Setup {
     this.suggestButton = button("suggest", "suggest", () => this.suggest());
     this.suggestButton.title = t("suggest_title");
     const zone = (id, word, take, ...buttons) => {
-      const element = dropZone(take, { text: t(word), accept: ACCEPT, id });
+      const element = dropZone(take, { text: t(word), accept: MOTION_FILES, id });
       $(".row", element).append(...buttons);
       return element;
     };

@@ -2,7 +2,7 @@
 // its number in the address.
 
 import { post, uploadAll } from "../core/api.js";
-import { dropZone, refusedList } from "../core/drop.js";
+import { dropZone, MOTION_FILES, refusedList } from "../core/drop.js";
 import { h, language, t } from "../core/dom.js";
 import { followJob, isActive, stopJob } from "../core/jobs.js";
 import { attempt, notify } from "../core/notices.js";
@@ -12,8 +12,7 @@ import { askHow } from "./rules.js";
 import { report } from "./report.js";
 
 const count = new Intl.NumberFormat(language);
-const ACCEPT = ".bvh,.amc,.asf,.c3d,.trc,.npz,.zip";
-const MOTION = /\.(bvh|amc|c3d|trc|npz)$/i;
+const MOTION = /\.(bvh|amc|c3d|trc|npz|npy|pkl|csv|tsv|mvnx|glb|gltf|vrm|vrma)$/i;
 const remembered = (id) => `dousa-refused-${id}`; // what an upload refused, for the report of its job
 let open = null;
 
@@ -48,7 +47,7 @@ export function openAdding({ entries, jobId, hooks }) {
   else body.replaceChildren(zone((more) => open.take(more)));
 }
 
-export const zone = (onEntries, id = "add-files") => dropZone(onEntries, { accept: ACCEPT, folders: true, hint: t("add_hint"), id });
+export const zone = (onEntries, id = "add-files") => dropZone(onEntries, { accept: MOTION_FILES, folders: true, hint: t("add_hint"), id });
 
 // --- upload
 

@@ -2,7 +2,7 @@
 
 import { get, post } from "../core/api.js";
 import { $, h, icon, t } from "../core/dom.js";
-import { acceptDrops, dropZone } from "../core/drop.js";
+import { acceptDrops, dropZone, MOTION_FILES } from "../core/drop.js";
 import { takeMotions } from "../core/incoming.js";
 import { attempt, notify } from "../core/notices.js";
 import { pickClips } from "../core/pick.js";
@@ -13,7 +13,6 @@ import { Stage } from "./stage.js";
 import { askOf, isSameMotion, isSameSearch, keepState, readState, wholeOf } from "./state.js";
 import { drawAskPart, drawNoVerdict, drawVerdict } from "./verdict.js";
 
-const ACCEPT = ".bvh,.amc,.asf,.c3d,.trc,.npz,.zip";
 const TITLE = document.title;
 const NO_HIT = { hit: null, other_start_s: null, other_end_s: null };
 const NO_PART = { start_s: null, end_s: null };
@@ -211,9 +210,9 @@ async function pick() {
 
 function drawChoosing() {
   const pickButton = (kind, id) => h("button", { type: "button", class: kind, id, onclick: pick }, t(id === "pick" ? "start_pick" : "change_pick"));
-  const zone = dropZone(take, { text: t("start_drop"), hint: t("start_hint"), accept: ACCEPT, id: "query-file" });
+  const zone = dropZone(take, { text: t("start_drop"), hint: t("start_hint"), accept: MOTION_FILES, id: "query-file" });
   $("#start").replaceChildren(h("div", { class: "choose" }, zone, h("p", { class: "or" }, t("or")), pickButton("", "pick")));
-  const input = h("input", { type: "file", class: "sr", tabindex: "-1", "aria-hidden": "true", accept: ACCEPT, multiple: true, id: "change-file" });
+  const input = h("input", { type: "file", class: "sr", tabindex: "-1", "aria-hidden": "true", accept: MOTION_FILES, multiple: true, id: "change-file" });
   input.addEventListener("change", () => take([...input.files].map((file) => ({ file, path: file.name }))).then(() => (input.value = "")));
   $("#change").replaceChildren(input, h("button", { type: "button", onclick: () => input.click() }, icon("upload"), t("change_file")), pickButton("", "change-pick"));
   acceptDrops($("#main"), take);

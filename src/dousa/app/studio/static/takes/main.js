@@ -2,7 +2,7 @@
 
 import { get, post, remove } from "../core/api.js";
 import { $, baseName, formatSeconds, h, icon, language, t } from "../core/dom.js";
-import { acceptDrops, dropZone } from "../core/drop.js";
+import { acceptDrops, dropZone, MOTION_FILES } from "../core/drop.js";
 import { followJob, finished, isActive, stopJob } from "../core/jobs.js";
 import { takeMotions } from "../core/incoming.js";
 import { attempt, notify } from "../core/notices.js";
@@ -13,7 +13,6 @@ import { Desk } from "./desk.js";
 import { drawSegments, markSegment } from "./segments.js";
 
 const [LONG, SEEN] = [150, 75]; // s: of a longer take so much is shown at first
-const ACCEPT = ".bvh,.amc,.asf,.c3d,.trc,.npz,.zip";
 
 const TITLE = document.title;
 
@@ -219,12 +218,12 @@ async function drawStart(problem = "") {
   const { items } = await get("/clips", { kind: "take", limit: 100 });
   const row = (clip) => h("li", {}, h("a", { class: "take-row", href: `/takes?motion=clip:${clip.id}` }, h("b", {}, baseName(clip.path)), h("span", { class: "note" }, formatSeconds(clip.duration)), h("span", { class: "note" }, clip.performer ?? "")));
   const list = items.length ? h("ul", { class: "take-list" }, ...items.map(row)) : h("p", { class: "note" }, t("start_no_takes"));
-  const zone = dropZone(take, { text: t("start_drop"), hint: t("start_hint"), accept: ACCEPT, id: "take-file" });
+  const zone = dropZone(take, { text: t("start_drop"), hint: t("start_hint"), accept: MOTION_FILES, id: "take-file" });
   $("#start").replaceChildren(h("div", { class: "choose" }, zone, h("h2", {}, t("start_takes")), list));
 }
 
 function drawChange() {
-  const input = h("input", { type: "file", class: "sr", tabindex: "-1", "aria-hidden": "true", accept: ACCEPT, multiple: true, id: "change-file" });
+  const input = h("input", { type: "file", class: "sr", tabindex: "-1", "aria-hidden": "true", accept: MOTION_FILES, multiple: true, id: "change-file" });
   input.addEventListener("change", () => take([...input.files].map((file) => ({ file, path: file.name }))).then(() => (input.value = "")));
   $("#change").replaceChildren(input, h("button", { type: "button", onclick: () => input.click() }, icon("upload"), t("change_file")), h("button", { type: "button", id: "change-pick", onclick: pick }, t("change_pick")));
   acceptDrops($("#main"), take);
