@@ -115,7 +115,7 @@ def estimate_films(
     people = match_people(films.cameras, films.list_people(), names)
     if not people:
         raise KeypointError("multiview.nobody")
-    films = replace(films, warnings=(*films.warnings, *_check_agreement(films, people)))
+    films = replace(films, warnings=(*films.warnings, *check_agreement(films, people)))
     aside: list[Message] = []
     if request.everybody:
         chosen, aside = list_everybody(people)
@@ -149,7 +149,7 @@ def list_everybody(people: Sequence[MatchedPerson]) -> tuple[list[tuple[int, Mat
     return chosen, aside
 
 
-def _check_agreement(films: FilmScene, people: Sequence[MatchedPerson]) -> list[Message]:
+def check_agreement(films: FilmScene, people: Sequence[MatchedPerson]) -> list[Message]:
     """Views that show somebody for long who is not where the other views see anybody.
 
     Raises

@@ -138,7 +138,7 @@ def estimate_from_films(
     ------
     DousaError : what can be put right by the person who reads it.
     """
-    from dousa.app.films.film_estimate import estimate_person
+    from dousa.app.films.film_estimate import check_agreement, estimate_person
     from dousa.app.films.film_scene import place_films
     from dousa.app.studio.content.film_record import FilmRecordWriter
     from dousa.errors import KeypointError
@@ -162,6 +162,7 @@ def estimate_from_films(
         raise KeypointError("multiview.nobody")
     chosen = choose_person(people, numbers, wanted)
     record.match(people, chosen, numbers)
+    scene = replace(scene, warnings=(*scene.warnings, *check_agreement(scene, people)))
     write_cameras(context.folder / CAMERAS, scene.cameras)
     asked = _without_empty_overlay(asked, views, kept)
     return estimate_person(asked, scene, people[chosen], context.progress, _Watcher(footage, record))
