@@ -107,6 +107,16 @@ def test_info_of_joints_nobody_knows_names_them(dousa, tmp_path):
     assert "not understood" in out and "foo, bar" in out
 
 
+def test_convert_says_when_nothing_is_seen(dousa, motions, tmp_path):
+    """A root that is nowhere in all frames: nothing of the body is anywhere, and no silence about it."""
+    head, _, rows = (motions / "bow/p0.bvh").read_text().partition("Frame Time")
+    first, *values = rows.splitlines()
+    lost = "\n".join([f"{head}Frame Time{first}", *(f"nan {row.split(' ', 1)[1]}" for row in values if row.strip())])
+    (tmp_path / "lost.bvh").write_text(lost + "\n")
+    code, _, err = dousa("convert", tmp_path / "lost.bvh", tmp_path / "out.bvh")
+    assert code == 0 and "no frame shows where any joint is" in err
+
+
 def test_convert_keeps_a_bvh_and_resamples(dousa, motions, tmp_path):
     source, copy, slow = motions / "clap/p1.bvh", tmp_path / "copy.bvh", tmp_path / "slow.bvh"
     assert dousa("convert", source, copy)[0] == 0

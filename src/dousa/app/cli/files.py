@@ -104,6 +104,18 @@ def _describe(path: Path, options: ReadOptions) -> dict[str, Any]:
     return answer
 
 
+def _shows_anybody(motion: Motion | Trajectories) -> bool:
+    """Whether any frame says where anything is: no joint of a skeleton is anywhere without its root."""
+    import numpy as np
+
+    from dousa.motion import Motion
+
+    if not isinstance(motion, Motion):
+        return bool(np.isfinite(motion.positions).any())
+    root = np.concatenate([motion.translations[:, 0], motion.rotations[:, 0]], axis=1)
+    return bool(np.isfinite(root).all(axis=1).any())
+
+
 def convert(
     source: Annotated[Path, typer.Argument(metavar="IN", help="Motion file to read.")],
     target: Annotated[
@@ -138,6 +150,8 @@ def convert(
     motion = _read(source, options)
     for note in motion.provenance.notes if motion.provenance else ():
         warn(note)
+    if not _shows_anybody(motion):
+        warn(Message("canonical.never_seen"))
     if frame_rate is not None:
         motion = resample(motion, frame_rate)  # type: ignore[type-var]  # either, not both
     fit_error = None
