@@ -100,6 +100,7 @@ BENCHMARKS = {
     "irds_grade.py": "--help",
     "film_cameras.py": "--help",  # it needs the pose models
     "keypoints.py": "--help",  # it needs the pose models
+    "made_people.py": "--help",  # likewise, and a mesh
     "count_repetitions.py": "../shared/data --only synthetic --repeats 1",
     "correlation_matrix.py": "--frames 200 --repeats 1",
     "body_offsets.py": "--pairs 1",
