@@ -217,7 +217,7 @@ def test_what_is_chosen_in_the_picker_is_marked_by_more_than_colour(settled):
 @pytest.mark.parametrize(
     "name, content, says",
     [
-        ("note.txt", "hello", "動きのファイル（BVH、AMC と ASF、C3D、TRC、NPZ）がありません。"),
+        ("note.txt", "hello", "動きのファイル（BVH、AMC と ASF、C3D、TRC、GLB、NPZ、CSV、MVNX など）がありません。"),
         ("empty.bvh", "", "empty.bvh: ファイルが空です。コピーが途中で終わっていませんか"),
         ("other.bvh", "hello", "other.bvh: 中身が .bvh ファイルではありません"),
         (
