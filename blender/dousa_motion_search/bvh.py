@@ -197,18 +197,21 @@ def read_bvh(text: str) -> Recording:
     table = np.array([line.split() for line in lines if line.strip()], float)
     if len(table) != n_frames or table.shape[1] != sum(map(len, channels)):
         raise BvhError("dousa's answer is no whole BVH file.")
-    rotations = [[_rotation(row, channels, joint) for joint in range(len(names))] for row in table]
+    starts = np.cumsum([0, *map(len, channels)])
+    rotations = [
+        [_rotation(row[start:], own) for start, own in zip(starts[:-1], channels, strict=True)] for row in table
+    ]
     axes = [channels[0].index(f"{axis}position") for axis in "xyz"]
     return Recording(names, rotations, [Vector(row[axes]) for row in table], frame_time)
 
 
-def _rotation(row: np.ndarray, channels: list[list[str]], joint: int) -> Quaternion:
-    start = sum(len(before) for before in channels[:joint])
+def _rotation(row: np.ndarray, channels: list[str]) -> Quaternion:
+    """Of a row that begins with the values of a joint's channels."""
     total = Quaternion()
-    for place, channel in enumerate(channels[joint]):
+    for value, channel in zip(row[: len(channels)], channels, strict=True):
         if channel.endswith("rotation"):
             angles = [0.0, 0.0, 0.0]
-            angles["xyz".index(channel[0])] = math.radians(row[start + place])
+            angles["xyz".index(channel[0])] = math.radians(value)
             total = total @ Euler(angles).to_quaternion()
     return total
 

@@ -55,6 +55,14 @@ class _Asking(bpy.types.Operator):
         raise NotImplementedError
 
 
+class _WithArmature:
+    """For operators that need a studio and an armature."""
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        return SESSION.studio is not None and find_armature(context) is not None
+
+
 class DOUSA_OT_open_library(_Asking):
     """Start dousa on this machine with the library"""
 
@@ -98,15 +106,11 @@ class DOUSA_OT_disconnect(bpy.types.Operator):
         return {"FINISHED"}
 
 
-class DOUSA_OT_search(_Asking):
+class DOUSA_OT_search(_WithArmature, _Asking):
     """Find the clips most like what the armature does (in the preview range, if one is set)"""
 
     bl_idname = "dousa.search"
     bl_label = "Search with this armature"
-
-    @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
-        return SESSION.studio is not None and find_armature(context) is not None
 
     def ask(self, context: bpy.types.Context) -> str:
         settings = context.window_manager.dousa
@@ -128,15 +132,11 @@ class _Importing(_Asking):
         return SESSION.studio is not None
 
 
-class DOUSA_OT_import_onto(_Importing):
+class DOUSA_OT_import_onto(_WithArmature, _Importing):
     """Give the active armature this motion: as a new action, from the current frame on"""
 
     bl_idname = "dousa.import_onto"
     bl_label = "Onto the active armature"
-
-    @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
-        return SESSION.studio is not None and find_armature(context) is not None
 
     def ask(self, context: bpy.types.Context) -> str:
         armature = find_armature(context)

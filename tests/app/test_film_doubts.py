@@ -8,8 +8,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from app.made_landmarks import NAMES, OWN
 from dousa.estimation import (
-    MEDIAPIPE_NAMES,
     PersonTrack,
     ViewKeypoints,
     make_human,
@@ -23,9 +23,6 @@ from dousa.estimation.multiview.pose_residuals import place_points
 from dousa.motion.synthetic.performers import draw_performer, make_motion
 
 SIZE, RATE = (640, 480), 30.0
-HANDS = {"foot_index": "toe", "index": "hand", "pinky": "hand"}
-NAMES = tuple(name for name in MEDIAPIPE_NAMES if not any(word in name for word in ("eye", "mouth", "thumb")))
-OWN = tuple(next((name.replace(a, b) for a, b in HANDS.items() if name.endswith(a)), name) for name in NAMES)
 BODY, CAMERAS = make_human(1.75), make_ring(3, size=SIZE, focal=500.0)
 
 

@@ -7,8 +7,8 @@ import json
 import numpy as np
 import pytest
 
+from app.made_landmarks import NAMES, OWN
 from dousa.estimation import (
-    MEDIAPIPE_NAMES,
     PersonTrack,
     ViewKeypoints,
     make_human,
@@ -23,8 +23,6 @@ from dousa.formats.registry import read_motion
 from dousa.motion.synthetic.performers import draw_performer, make_motion
 
 RATE, LATE = 30.0, 12  # frames by which one film begins later
-HANDS = {"foot_index": "toe", "index": "hand", "pinky": "hand"}
-NAMES = tuple(name for name in MEDIAPIPE_NAMES if not any(word in name for word in ("eye", "mouth", "thumb")))
 
 
 @pytest.fixture(scope="module")
@@ -36,13 +34,12 @@ def scene(tmp_path_factory):
     poses = poses_from_motion(body, make_motion("throw", draw_performer(3), frame_rate=RATE))[:80]
     other = poses[::-1].copy()
     other[:, 0] += 1.2
-    own = tuple(next((name.replace(a, b) for a, b in HANDS.items() if name.endswith(a)), name) for name in NAMES)
     rng = np.random.default_rng(0)
     for number, camera in enumerate(cameras):
         first = LATE if number == 2 else 0
         people = []
         for rows in (poses, other):
-            places = place_points(body, rows, place_landmarks(body, own))[first:]
+            places = place_points(body, rows, place_landmarks(body, OWN))[first:]
             points = camera.project(places) + rng.normal(0, 1.0, (*places.shape[:2], 2))
             people.append(PersonTrack(points, np.full(points.shape[:2], 0.9 if rows is poses else 0.8)))
         people = people if number else people[::-1]
@@ -145,10 +142,9 @@ def test_frames_without_anybody_are_told_from_those_that_are_lost():
 
     body, cameras = make_human(1.75), make_ring(2, size=(640, 480), focal=500.0)
     poses = poses_from_motion(body, make_motion("bow", draw_performer(1), frame_rate=RATE))[:40]
-    own = tuple(next((name.replace(a, b) for a, b in HANDS.items() if name.endswith(a)), name) for name in NAMES)
     tracks = []
     for camera in cameras:
-        points = camera.project(place_points(body, poses, place_landmarks(body, own)))
+        points = camera.project(place_points(body, poses, place_landmarks(body, OWN)))
         points[:15] = np.nan
         tracks.append(PersonTrack(points, np.where(np.isfinite(points[..., 0]), 0.9, 0.0)))
     said = describe_fit(fit_keypoints(cameras, tracks, NAMES, RATE), cameras, True)

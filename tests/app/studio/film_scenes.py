@@ -6,8 +6,8 @@ from pathlib import Path
 
 import numpy as np
 
+from app.made_landmarks import NAMES, OWN
 from dousa.estimation import (
-    MEDIAPIPE_NAMES,
     PersonTrack,
     ViewKeypoints,
     make_human,
@@ -24,8 +24,6 @@ __all__ = ["LATE", "N_FRAMES", "RATE", "SIZE", "write_film_scene"]
 
 RATE, N_FRAMES, LATE = 30.0, 80, 12
 SIZE = (320, 240)
-_HANDS = {"foot_index": "toe", "index": "hand", "pinky": "hand"}
-_NAMES = tuple(name for name in MEDIAPIPE_NAMES if not any(word in name for word in ("eye", "mouth", "thumb")))
 
 
 def write_film_scene(folder: Path, *, with_films: bool = True) -> list[Path]:
@@ -39,18 +37,17 @@ def write_film_scene(folder: Path, *, with_films: bool = True) -> list[Path]:
     poses = poses_from_motion(body, make_motion("throw", draw_performer(3), frame_rate=RATE))[:N_FRAMES]
     other = poses[::-1].copy()
     other[:, 0] += 1.2
-    own = tuple(next((name.replace(a, b) for a, b in _HANDS.items() if name.endswith(a)), name) for name in _NAMES)
     rng = np.random.default_rng(0)
     paths = []
     for number, camera in enumerate(cameras):
         first = LATE if number == 2 else 0
         people = []
         for rows, sure in ((poses, 0.9), (other, 0.8)):
-            places = place_points(body, rows, place_landmarks(body, own))[first:]
+            places = place_points(body, rows, place_landmarks(body, OWN))[first:]
             points = camera.project(places) + rng.normal(0, 0.5, (*places.shape[:2], 2))
             people.append(PersonTrack(points, np.full(points.shape[:2], sure)))
         people = people if number else people[::-1]
-        view = ViewKeypoints(_NAMES, tuple(people), np.arange(len(people[0].points)) / RATE, camera.size)
+        view = ViewKeypoints(NAMES, tuple(people), np.arange(len(people[0].points)) / RATE, camera.size)
         paths.append(folder / f"{camera.name}.npz")
         write_keypoints(paths[-1], view)
         if with_films:

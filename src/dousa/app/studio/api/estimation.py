@@ -186,6 +186,12 @@ def get_player(studio: StudioNow, job_id: _JobId, language: Literal["en", "ja"] 
 _JPEG: dict[int | str, dict[str, Any]] = {
     200: {"content": {"image/jpeg": {"schema": {"type": "string", "format": "binary"}}}}
 }
+_View = Annotated[int, Path(ge=0, le=1000)]
+_Frame = Annotated[int, Path(ge=0, le=10_000_000)]
+
+
+def _show(jpeg: bytes) -> Response:
+    return Response(jpeg, media_type="image/jpeg", headers={"cache-control": "private, no-cache"})
 
 
 @router.get(
@@ -197,12 +203,11 @@ _JPEG: dict[int | str, dict[str, Any]] = {
 def get_overlay(
     studio: StudioNow,
     job_id: _JobId,
-    view: Annotated[int, Path(ge=0, le=1000)],
-    frame: Annotated[int, Path(ge=0, le=10_000_000)],
+    view: _View,
+    frame: _Frame,
 ) -> Response:
     """JPEG, at most 480 pixels wide and high, from films 720."""
-    image = studio.footage.get(job_id).overlay(view, frame)
-    return Response(image, media_type="image/jpeg", headers={"cache-control": "private, no-cache"})
+    return _show(studio.footage.get(job_id).overlay(view, frame))
 
 
 @router.get("/estimations/{job_id}/film", summary="What was found of its films so far")
@@ -216,7 +221,7 @@ def get_film(studio: StudioNow, job_id: _JobId) -> Answer:
 def get_people(
     studio: StudioNow,
     job_id: _JobId,
-    view: Annotated[int, Path(ge=0, le=1000)],
+    view: _View,
     first: Annotated[int, Query(ge=0, le=10_000_000)] = 0,
     count: Annotated[int, Query(ge=1, le=2000)] = 600,
 ) -> Answer:
@@ -234,12 +239,11 @@ def get_people(
 def get_picture(
     studio: StudioNow,
     job_id: _JobId,
-    view: Annotated[int, Path(ge=0, le=1000)],
-    frame: Annotated[int, Path(ge=0, le=10_000_000)],
+    view: _View,
+    frame: _Frame,
 ) -> Response:
     """JPEG, at most 720 pixels wide and high."""
-    image = studio.footage.get(job_id).film.picture(view, frame)
-    return Response(image, media_type="image/jpeg", headers={"cache-control": "private, no-cache"})
+    return _show(studio.footage.get(job_id).film.picture(view, frame))
 
 
 @router.get(

@@ -111,7 +111,8 @@ def get_bvh(studio: StudioNow, asked: Annotated[_Download, Query()]) -> Response
 
     Or on the skeleton of a character, as `dousa convert --onto` does.
     """
-    from dousa.app.studio.content.motions import make_bvh, read_character
+    from dousa.app.studio.content.motions import make_bvh
+    from dousa.formats.characters import read_character
 
     ref = asked.ref()
     named = studio.motions.get(ref)

@@ -281,23 +281,6 @@ _SAME = 1e-3  # m: joints of the library are rounded
 _gate = Gate(2, 6, Message("studio_motions.busy_writing"))  # an hour takes half a minute
 
 
-def read_character(path: Path) -> Motion:
-    """The skeleton that a motion is to be brought onto.
-
-    Raises
-    ------
-    RefusedError : it has no rotations.
-    DousaError : its file cannot be used.
-    """
-    from dousa.formats.registry import read_motion
-    from dousa.motion import Motion
-
-    motion = read_motion(path)
-    if not isinstance(motion, Motion):
-        raise RefusedError(422, "studio_motions.no_character", name=path.name)
-    return motion
-
-
 def make_bvh(named: Named, source: Path, ref: MotionRef, character: Motion | None = None) -> bytes:
     """The motion as a BVH file.
 
