@@ -40,6 +40,7 @@ from numpy.typing import ArrayLike, NDArray
 from dousa.arrays import FloatArray
 from dousa.errors import OptionError
 from dousa.experiments.table import Result
+from dousa.motion.annotation import Stretch
 from dousa.retrieval.takes.find import overlap
 from dousa.retrieval.takes.label import Segment
 from dousa.retrieval.takes.windows import TAKE_RATE
@@ -279,19 +280,8 @@ def bootstrap_interval(
 _ENOUGH_OVERLAP = 0.5
 
 
-@dataclass(frozen=True, slots=True)
-class TrueSegment:
-    """What a take shows from ``start`` to ``stop`` (s); category None where it is none that is known.
-
-    Parameters
-    ----------
-    counted : false where nobody can say what it is; such frames do not count.
-    """
-
-    start: float
-    stop: float
-    category: str | None
-    counted: bool = True
+TrueSegment = Stretch
+"""What a take shows; category None where it is none that is known."""
 
 
 @dataclass(frozen=True, slots=True)

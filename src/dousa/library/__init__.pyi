@@ -13,6 +13,8 @@ from .results import (
     Place,
     SearchResult,
     Skipped,
+    TakeAnnotation,
+    TakeSegment,
     TrainReport,
     Verdict,
 )
@@ -32,6 +34,8 @@ __all__ = [
     "Place",
     "SearchResult",
     "Skipped",
+    "TakeAnnotation",
+    "TakeSegment",
     "TrainReport",
     "Verdict",
     "choose_jobs",

@@ -11,95 +11,24 @@ import time
 from collections import Counter, defaultdict
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import fields, replace
-from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, cast
 
-import numpy as np
 import sqlalchemy as sa
 
 from dousa.errors import DousaError
 from dousa.formats.frame_votes import FrameVotes
 from dousa.formats.motion_files import FoundFile, ReadOptions, Skipped, find_motion_files
 from dousa.library import schema
-from dousa.library.engine import Database, lock_for_writing, next_revision, note_changed_clips, take_clip_ids
-from dousa.library.features import Description, describe_clip, save_descriptions
-from dousa.library.forests import StoredForest, ask_trees, load_forest, save_answers
+from dousa.library.engine import Database, lock_for_writing, next_revision
+from dousa.library.forests import StoredForest, load_forest
 from dousa.library.ingest import ClipRecord, FileRecord, ReadTask, look_at, read_clip, read_clips
 from dousa.library.labels import LabelRule, no_label
 from dousa.library.results import AddReport, Duplicate
 from dousa.library.selection import delete_clips
-from dousa.library.takes import (
-    DescribedTakes,
-    describe_records,
-    describe_windows,
-    refresh_windows,
-    save_windows,
-)
-from dousa.library.train import Learned, learn_clips
+from dousa.library.takes import DescribedTakes, describe_records, refresh_windows
+from dousa.library.train import insert_clips
 from dousa.messages import Message
-
-
-def _insert_clips(
-    connection: sa.Connection,
-    fresh: Sequence[ClipRecord],
-    stored: StoredForest | None,
-    takes: DescribedTakes,
-    revision: int,
-) -> tuple[StoredForest | None, Learned]:
-    """Write new clips and takes, with the labels in their rows, and everything that belongs to them.
-
-    Returns
-    -------
-    The forest, after it learned from the clips that have a category; and what it learned.
-    """
-    numbered = dict(zip(take_clip_ids(connection, len(fresh)), fresh, strict=True))
-    now = datetime.now(UTC).isoformat(timespec="seconds")
-    rows = [{**record.row, "id": number, "added_at": now} for number, record in numbered.items()]
-    connection.execute(sa.insert(schema.clips), rows)
-    positions = [
-        {"clip_id": number, "positions": schema.pack(record.motion.positions, "<f4")}
-        for number, record in numbered.items()
-    ]
-    connection.execute(sa.insert(schema.clip_trajectories), positions)
-    clips = {number: record for number, record in numbered.items() if record.row["kind"] == schema.CLIP}
-    if clips:
-        note_changed_clips(connection)
-    if stored is None:
-        return None, Learned()
-    learned = Learned()
-    if clips:
-        stored, learned = _insert_answers(connection, clips, stored, revision)
-    recordings = {number: record for number, record in numbered.items() if number not in clips}
-    windows = {
-        number: takes.get((record.path, stored.learned)) or describe_windows(stored, record.motion).to_bytes()
-        for number, record in recordings.items()
-    }
-    save_windows(connection, stored, windows)
-    return stored, learned
-
-
-def _insert_answers(
-    connection: sa.Connection, clips: Mapping[int, ClipRecord], stored: StoredForest, revision: int
-) -> tuple[StoredForest, Learned]:
-    """What the trees say of new clips, after they learned from those that have a category."""
-    numbers = list(clips)
-    described = [_describe(stored, record) for record in clips.values()]
-    save_descriptions(connection, numbers, described)
-    features = np.stack([description.features for description in described])
-    labels = [record.row["category"] for record in clips.values()]
-    stored, learned = learn_clips(connection, stored, features, labels, revision)
-    save_answers(connection, numbers, ask_trees(stored, features))
-    return stored, learned
-
-
-def _describe(stored: StoredForest, record: ClipRecord) -> Description:
-    """Features and poses of a clip; computed here only if the forest changed while the file was read."""
-    known = record.description
-    if known is not None and known.feature_set == stored.feature_set:
-        return known
-    return describe_clip(record.motion, stored.feature_set)
-
 
 AddProgress = Callable[[int, int, str], None]
 """Called with (files done, files, path of the last one)."""
@@ -313,7 +242,7 @@ class Adding:
             if fresh:
                 # Loaded again: another program may have trained the library while files were read.
                 forest = load_forest(connection, self._database.where, self.forest)
-                self.forest, learned = _insert_clips(connection, fresh, forest, takes, revision)
+                self.forest, learned = insert_clips(connection, fresh, forest, takes, revision)
                 tally["n_learned"].append(learned.n_clips)
                 tally["new_categories"] += learned.new_categories
         return tally

@@ -361,6 +361,12 @@ def _takes_and_feature_sets(connection: sa.Connection) -> None:
     connection.execute(sa.DDL("DROP TABLE clip_histograms"))  # type: ignore[no-untyped-call]
 
 
+def _annotated_takes(connection: sa.Connection) -> None:
+    """Segments of takes that are clips, and tables of labels that they came from."""
+    schema.segments.create(connection)
+    schema.take_annotations.create(connection)
+
+
 def _add_column(connection: sa.Connection, table: sa.Table, name: str) -> None:
     column = sa.schema.CreateColumn(table.c[name]).compile(dialect=connection.dialect)
     connection.execute(sa.DDL(f"ALTER TABLE {table.name} ADD COLUMN {column}"))  # type: ignore[no-untyped-call]
@@ -369,6 +375,7 @@ def _add_column(connection: sa.Connection, table: sa.Table, name: str) -> None:
 MIGRATIONS: tuple[Migration, ...] = (
     Migration(1, "first tables", _first_tables),
     Migration(2, "takes and feature sets", _takes_and_feature_sets),
+    Migration(3, "annotated takes", _annotated_takes),
 )
 
 

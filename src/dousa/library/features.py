@@ -95,10 +95,21 @@ def describe_clip(motion: StoredMotion, feature_set: str) -> Description:
     return Description(feature_set, wanted.compute(motion), poses)
 
 
-_SELECT_MOTION = sa.select(
-    *(schema.clips.c[name] for name in ("id", "path", "n_frames", "frame_rate", "height")),
-    schema.clip_trajectories.c.positions,
-).join(schema.clip_trajectories, schema.clip_trajectories.c.clip_id == schema.clips.c.id)
+_FRAME_BYTES = 4 * 3 * len(CANONICAL_JOINTS)  # as they are stored
+
+
+def _select_motion() -> sa.Select[Any]:
+    """Rows of motions; of a segment its part of the positions of the take."""
+    clips, segments, stored = schema.clips.c, schema.segments.c, schema.clip_trajectories.c
+    first, length = 1 + _FRAME_BYTES * segments.first_frame, _FRAME_BYTES * clips.n_frames
+    part = sa.func.substr(stored.positions, first, length, type_=sa.LargeBinary)
+    positions = sa.case((segments.clip_id.is_(None), stored.positions), else_=part).label("positions")
+    own = (clips[name] for name in ("id", "path", "n_frames", "frame_rate", "height"))
+    query = sa.select(*own, positions).join(schema.segments, segments.clip_id == clips.id, isouter=True)
+    return query.join(schema.clip_trajectories, stored.clip_id == sa.func.coalesce(segments.take_id, clips.id))
+
+
+_SELECT_MOTION = _select_motion()
 
 
 def load_motions(connection: sa.Connection, ids: Sequence[int]) -> Iterator[StoredMotion]:

@@ -94,11 +94,13 @@ class ClipRecord(FileRecord):
     motion : as it is stored.
     description : features and poses, if they were wanted.
     claim : what the file says of its axes and unit; None of a motion of the memory.
+    place : of a segment of a take, the values of the columns of ``segments``.
     """
 
     motion: StoredMotion
     description: Description | None
     claim: FrameClaim | None = None
+    place: dict[str, Any] | None = None
 
 
 def look_at(path: str, options: ReadOptions) -> SourceState:

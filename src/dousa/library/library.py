@@ -24,6 +24,7 @@ from dousa.library.selection import UNCHANGED, Selection, Unchanged, fetch_in, s
 
 if TYPE_CHECKING:
     from dousa.library.add import AddProgress
+    from dousa.library.annotations.store import Annotations
     from dousa.library.engine import Database
     from dousa.library.ingest import Query
     from dousa.library.labelling import Labellers, LearnProgress
@@ -446,6 +447,13 @@ class Library:
         from dousa.library.labelling import Labellers
 
         return Labellers(self.database, self._forests, self._takes)
+
+    @cached_property
+    def annotations(self) -> Annotations:
+        """Labels of takes: what is known of them, and writing more."""
+        from dousa.library.annotations.store import Annotations
+
+        return Annotations(self.database, self._forests)
 
     def clips(
         self, selection: Selection | None = None, *, category: str | None = None, performer: str | None = None

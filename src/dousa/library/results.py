@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 from dousa.formats.motion_files import Skipped
 from dousa.messages import Message
+from dousa.motion.annotation import Stretch, lay_out
 
 if TYPE_CHECKING:
     from dousa.retrieval.explain.explanation import Explanation, Likeness
@@ -25,6 +26,8 @@ __all__ = [
     "Place",
     "SearchResult",
     "Skipped",
+    "TakeAnnotation",
+    "TakeSegment",
     "TrainReport",
     "Verdict",
 ]
@@ -320,6 +323,8 @@ class ClipInfo(_Answer):
     joint_table : where the canonical joints came from, such as ``"CMU/HDM05"``.
     warnings : doubts that came up when the file was read.
     kind : ``"clip"`` or ``"take"``.
+    take_id : of a segment, the number of the take that it is a part of; else None.
+    start_s, end_s : where it lies in that take.
     """
 
     id: int
@@ -335,6 +340,62 @@ class ClipInfo(_Answer):
     joint_table: str
     warnings: tuple[Message, ...]
     kind: str = "clip"
+    take_id: int | None = None
+    start_s: float | None = None
+    end_s: float | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class TakeSegment(_Answer):
+    """A part of a take that was given a category: a clip of the library that has no file of its own.
+
+    Parameters
+    ----------
+    clip_id : its number.
+    start, end : s, from the beginning of the take.
+    category : what happens there; None where its label was taken away.
+    by_hand : whether somebody named it in the take, rather than a table of labels.
+    """
+
+    clip_id: int
+    start: float
+    end: float
+    category: str | None
+    by_hand: bool
+
+    _names: ClassVar[dict[str, str]] = {"start": "start_s", "end": "end_s"}
+
+
+@dataclass(frozen=True, slots=True)
+class TakeAnnotation(_Answer):
+    """What is written down of a take.
+
+    Parameters
+    ----------
+    take_id, path, duration : its number, its file, and s.
+    is_complete : whether it was labelled from beginning to end: then nothing that has a name happens in the rest.
+    segments : in the order of time.
+    unclear : (start, end) s of parts of which nobody can say what they are.
+    source, tier : the table of labels that it came from, and the tier of it; empty if there is none.
+    """
+
+    take_id: int
+    path: str
+    duration: float
+    is_complete: bool
+    segments: tuple[TakeSegment, ...]
+    unclear: tuple[tuple[float, float], ...]
+    source: str
+    tier: str
+
+    _names: ClassVar[dict[str, str]] = {"duration": "duration_s"}
+
+    @property
+    def stretches(self) -> tuple[Stretch, ...]:
+        """The take from beginning to end: its segments, and the rest."""
+        named = [Stretch(one.start, one.end, one.category) for one in self.segments if one.category is not None]
+        unnamed = [(one.start, one.end) for one in self.segments if one.category is None]
+        return lay_out(named, [*self.unclear, *unnamed], self.duration, complete=self.is_complete)
 
 
 @dataclass(frozen=True, slots=True)

@@ -123,6 +123,35 @@ take_windows = sa.Table(
     sa.Column("data", sa.LargeBinary, nullable=False),
 )
 
+segments = sa.Table(
+    "segments",
+    metadata,
+    # A segment of a take is a clip without positions of its own: it is a place in those of the take.
+    _clip_id(),
+    sa.Column("take_id", sa.Integer, sa.ForeignKey("clips.id", ondelete="CASCADE"), nullable=False, index=True),
+    sa.Column("first_frame", sa.Integer, nullable=False),
+    # s, as they were given: frames are rounded
+    sa.Column("start_s", sa.Double, nullable=False),
+    sa.Column("end_s", sa.Double, nullable=False),
+    # Whether somebody named it in the take, rather than a table of labels.
+    sa.Column("by_hand", sa.Boolean, nullable=False, server_default=sa.false()),
+)
+
+take_annotations = sa.Table(
+    "take_annotations",
+    metadata,
+    # Of a take that was labelled from beginning to end: where no segment is, nothing that has a name happens.
+    sa.Column(
+        "take_id", sa.Integer, sa.ForeignKey("clips.id", ondelete="CASCADE"), primary_key=True, autoincrement=False
+    ),
+    # The table of labels that it came from, its tier, and what stands for its content.
+    sa.Column("source", sa.Text, nullable=False),
+    sa.Column("tier", sa.Text, nullable=False),
+    sa.Column("labels_hash", sa.String(64), nullable=False),
+    # [[start, end], ...] s: nobody can say what happens there
+    sa.Column("unclear", sa.JSON, nullable=False),
+)
+
 forests = sa.Table(
     "forests",
     metadata,

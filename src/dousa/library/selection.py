@@ -112,10 +112,11 @@ def fetch_in(
 
 def list_clips(connection: sa.Connection, ids: Sequence[int] | None = None) -> list[ClipInfo]:
     """Clips and takes without their arrays, in the order of their paths; all of them, or those of these numbers."""
-    clips, leaves = schema.clips, schema.clip_leaves
+    clips, leaves, parts = schema.clips, schema.clip_leaves, schema.segments
     columns = [clips.c[name] for name in ClipInfo.__dataclass_fields__ if name in clips.c]
-    query = sa.select(*columns, leaves.c.predicted_category)
+    query = sa.select(*columns, leaves.c.predicted_category, parts.c.take_id, parts.c.start_s, parts.c.end_s)
     query = query.join(leaves, leaves.c.clip_id == clips.c.id, isouter=True)
+    query = query.join(parts, parts.c.clip_id == clips.c.id, isouter=True)
     rows: Iterable[Any] = connection.execute(query) if ids is None else fetch_in(connection, query, clips.c.id, ids)
     # Sorted here: databases differ in how they order text.
     return [
@@ -171,11 +172,19 @@ def summarise(connection: sa.Connection) -> LibraryStats:
 
 
 def delete_clips(connection: sa.Connection, ids: Sequence[int]) -> None:
-    """Remove clips and takes with all their arrays, after ``next_revision`` in the same transaction."""
+    """Remove clips and takes with all their arrays and segments, after ``next_revision`` in the same transaction."""
+    ids = with_segments(connection, ids)
     if _any_clip(connection, ids):
         note_changed_clips(connection)
     for some in portions(ids):
         connection.execute(sa.delete(schema.clips).where(schema.clips.c.id.in_(some)))
+
+
+def with_segments(connection: sa.Connection, ids: Sequence[int]) -> list[int]:
+    """These numbers, and those of the segments of the takes among them."""
+    table = schema.segments.c
+    found = fetch_in(connection, sa.select(table.clip_id), table.take_id, ids)
+    return sorted({*ids, *(row.clip_id for row in found)})
 
 
 def _any_clip(connection: sa.Connection, ids: Sequence[int]) -> bool:
@@ -195,6 +204,9 @@ def set_labels(
     if category is not UNCHANGED and _any_clip(connection, ids):
         note_changed_clips(connection)
     given: dict[str, Any] = {"category": category, "performer": performer}
-    values = {name: value for name, value in given.items() if value is not UNCHANGED}
-    for some in portions(ids):
-        connection.execute(sa.update(schema.clips).where(schema.clips.c.id.in_(some)).values(**values))
+    for name, value in given.items():
+        if value is UNCHANGED:
+            continue
+        # Whoever performs a take performs its segments.
+        for some in portions(ids if name == "category" else with_segments(connection, ids)):
+            connection.execute(sa.update(schema.clips).where(schema.clips.c.id.in_(some)).values({name: value}))

@@ -1,11 +1,15 @@
-"""Training: one forest over all labelled clips, leaves for every clip, and windows for every take."""
+"""Training: one forest over all labelled clips, leaves for every clip, and windows for every take.
+
+Clips that are added later teach it too: `learn_clips`, by way of `insert_clips`.
+"""
 
 from __future__ import annotations
 
 import time
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from datetime import UTC, datetime
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -15,8 +19,15 @@ from numpy.typing import NDArray
 from dousa.arrays import FloatArray
 from dousa.errors import TrainingError
 from dousa.library import schema
-from dousa.library.engine import Database, next_revision, note_changed_clips, read_revision
-from dousa.library.features import ClipFeatures, find_feature_set, load_features, save_descriptions
+from dousa.library.engine import Database, next_revision, note_changed_clips, read_revision, take_clip_ids
+from dousa.library.features import (
+    ClipFeatures,
+    Description,
+    describe_clip,
+    find_feature_set,
+    load_features,
+    save_descriptions,
+)
 from dousa.library.forests import (
     StoredForest,
     ask_trees,
@@ -27,9 +38,10 @@ from dousa.library.forests import (
     save_answers,
     update_forest,
 )
+from dousa.library.ingest import ClipRecord
 from dousa.library.results import TrainReport
 from dousa.library.schema import pack, stack
-from dousa.library.takes import describe_takes, save_windows
+from dousa.library.takes import describe_takes, describe_windows, save_windows
 from dousa.messages import Message
 from dousa.retrieval import MotionForest
 from dousa.retrieval.features.feature_sets import FeatureSet
@@ -293,3 +305,73 @@ def _update_answers(
         table = schema.clip_leaves
         statement = sa.update(table).where(table.c.clip_id == sa.bindparam("of_clip"))
         connection.execute(statement, rows)
+
+
+def insert_clips(
+    connection: sa.Connection,
+    fresh: Sequence[ClipRecord],
+    stored: StoredForest | None,
+    takes: Mapping[tuple[str, int], bytes],
+    revision: int,
+) -> tuple[StoredForest | None, Learned]:
+    """Write new clips, takes and segments, with the labels in their rows, and everything that belongs to them.
+
+    Parameters
+    ----------
+    takes : windows by path and ``learned`` of the forest that described them; others are described here.
+
+    Returns
+    -------
+    The forest, after it learned from the clips that have a category; and what it learned.
+    """
+    numbered = dict(zip(take_clip_ids(connection, len(fresh)), fresh, strict=True))
+    now = datetime.now(UTC).isoformat(timespec="seconds")
+    rows = [{**record.row, "id": number, "added_at": now} for number, record in numbered.items()]
+    connection.execute(sa.insert(schema.clips), rows)
+    positions = [
+        {"clip_id": number, "positions": schema.pack(record.motion.positions, "<f4")}
+        for number, record in numbered.items()
+        if record.place is None
+    ]
+    if positions:
+        connection.execute(sa.insert(schema.clip_trajectories), positions)
+    places = [{"clip_id": number, **record.place} for number, record in numbered.items() if record.place is not None]
+    if places:
+        connection.execute(sa.insert(schema.segments), places)
+    clips = {number: record for number, record in numbered.items() if record.row["kind"] == schema.CLIP}
+    if clips:
+        note_changed_clips(connection)
+    if stored is None:
+        return None, Learned()
+    learned = Learned()
+    if clips:
+        stored, learned = _insert_answers(connection, clips, stored, revision)
+    recordings = {number: record for number, record in numbered.items() if number not in clips}
+    windows = {
+        number: takes.get((record.path, stored.learned)) or describe_windows(stored, record.motion).to_bytes()
+        for number, record in recordings.items()
+    }
+    save_windows(connection, stored, windows)
+    return stored, learned
+
+
+def _insert_answers(
+    connection: sa.Connection, clips: Mapping[int, ClipRecord], stored: StoredForest, revision: int
+) -> tuple[StoredForest, Learned]:
+    """What the trees say of new clips, after they learned from those that have a category."""
+    numbers = list(clips)
+    described = [_describe(stored, record) for record in clips.values()]
+    save_descriptions(connection, numbers, described)
+    features = np.stack([description.features for description in described])
+    labels = [record.row["category"] for record in clips.values()]
+    stored, learned = learn_clips(connection, stored, features, labels, revision)
+    save_answers(connection, numbers, ask_trees(stored, features))
+    return stored, learned
+
+
+def _describe(stored: StoredForest, record: ClipRecord) -> Description:
+    """Features and poses of a clip; computed here only if the forest changed while the file was read."""
+    known = record.description
+    if known is not None and known.feature_set == stored.feature_set:
+        return known
+    return describe_clip(record.motion, stored.feature_set)

@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike
 
 from dousa.arrays import FloatArray
 from dousa.errors import InvalidMotionError
+from dousa.motion.annotation import Stretch
 from dousa.motion.canonical.joints import CANONICAL_JOINTS
 
 SLOWEST_RATE = 1.0
@@ -81,3 +82,26 @@ class LabelledClip:
     positions: FloatArray
     frame_rate: float
     height: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class AnnotatedTake:
+    """An uncut recording on canonical joints, with what happens in it and who performs it.
+
+    Parameters
+    ----------
+    name : path or other name, for messages.
+    performer : who moves; None where unknown.
+    positions : (T, 20, 3) m.
+    frame_rate : Hz.
+    height : m, of the performer.
+    stretches : from beginning to end without gaps. One without a category shows what "nothing" and "between" look like,
+        unless it is not ``counted``: then nobody can say what it is.
+    """
+
+    name: str
+    performer: str | None
+    positions: FloatArray
+    frame_rate: float
+    height: float
+    stretches: tuple[Stretch, ...]

@@ -1,0 +1,411 @@
+"""Labels of takes in the library: each segment is a clip without positions of its own, a place in those of the take.
+
+A take with a table of labels has a row in ``take_annotations``: it was labelled from beginning to end, and where no
+segment is, nothing that has a name happens. Segments that somebody named by hand are kept like the others; of a take
+that has only such, nobody can say what the rest is.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import sqlalchemy as sa
+
+from dousa.errors import LibraryError, OptionError
+from dousa.library import schema
+from dousa.library.engine import Database, next_revision
+from dousa.library.features import StoredMotion, load_motions
+from dousa.library.forests import ForestCache, StoredForest, load_forest
+from dousa.library.ingest import ClipRecord
+from dousa.library.results import TakeAnnotation, TakeSegment
+from dousa.library.selection import delete_clips, fetch_in, find_row
+from dousa.library.takes import refresh_windows
+from dousa.library.train import insert_clips
+from dousa.messages import Message
+from dousa.motion.annotation import Annotation, Stretch
+from dousa.retrieval.features.posed_motion import AnnotatedTake
+
+LEAST_FRAMES = 2
+"""Of a segment: one pose is no motion."""
+
+_TAKES_AT_ONCE = 16  # in one transaction
+
+
+@dataclass(frozen=True, slots=True)
+class AnnotationChanges:
+    """What became of the labels of takes.
+
+    Parameters
+    ----------
+    takes : paths of those whose labels changed, or had none before.
+    unchanged : paths of those whose labels are the same.
+    n_segments : that are new.
+    n_removed : that are no longer there.
+    warnings : (path of the take, what was cut or left out).
+    n_learned, new_categories : as in ``AddReport``.
+    """
+
+    takes: tuple[str, ...] = ()
+    unchanged: tuple[str, ...] = ()
+    n_segments: int = 0
+    n_removed: int = 0
+    warnings: tuple[tuple[str, Message], ...] = ()
+    n_learned: int = 0
+    new_categories: tuple[str, ...] = ()
+
+    def __add__(self, other: AnnotationChanges) -> AnnotationChanges:
+        return AnnotationChanges(*(getattr(self, name) + getattr(other, name) for name in self.__slots__))
+
+
+_COLUMNS = ("id", "path", "performer", "content_hash", "read_options", "format", "n_frames", "frame_rate", "height",
+            "joint_table", "duration")  # fmt: skip
+
+
+def annotate_takes(
+    database: Database, wanted: Mapping[int, Annotation], forest: StoredForest | None
+) -> tuple[StoredForest | None, AnnotationChanges]:
+    """Give takes the labels of tables, in the place of those that they have.
+
+    Parameters
+    ----------
+    wanted : by number of the take; those that are not there are left out.
+    forest : of the library, if it is loaded.
+
+    Returns
+    -------
+    The forest as it has learned, and what changed; takes with the same labels as before are not touched.
+    """
+    changes = AnnotationChanges()
+    ids = sorted(wanted)
+    for start in range(0, len(ids), _TAKES_AT_ONCE):
+        with database.writing() as connection:
+            rows = _read_takes(connection, ids[start : start + _TAKES_AT_ONCE])
+            known = _read_hashes(connection, [row.id for row in rows])
+            stale = []
+            for row in rows:
+                if known.get(row.id) == _hash_labels(wanted[row.id]):
+                    changes += AnnotationChanges(unchanged=(row.path,))
+                else:
+                    stale.append((row, wanted[row.id]))
+            if stale:
+                forest, own = _write(connection, database.where, stale, forest)
+                changes += own
+    return forest, changes
+
+
+def name_segment(
+    database: Database, take_id: int, segment: Stretch, forest: StoredForest | None
+) -> tuple[StoredForest | None, int | None, AnnotationChanges]:
+    """Name a part of a take by hand; one of about the same place (half, intersection over union) gives way.
+
+    Returns
+    -------
+    The forest as it has learned, the number of the clip (None where the part is no motion), and what changed.
+    """
+    with database.writing() as connection:
+        rows = _read_takes(connection, [take_id])
+        if not rows:
+            return forest, None, AnnotationChanges()
+        before = _read_segments(connection, [take_id]).get(take_id, [])
+        kept, changes = _fit(rows[0], [segment])
+        if not kept:
+            return forest, None, changes
+        gone = [one.clip_id for one in before if _is_same_place(one, kept[0])]
+        forest, ids, own = _exchange(connection, database.where, [(rows[0], kept, gone)], forest, by_hand=True)
+        return forest, ids[0], changes + own
+
+
+def _is_same_place(one: TakeSegment, other: Stretch) -> bool:
+    shared = min(one.end, other.stop) - max(one.start, other.start)
+    return shared > 0 and 2 * shared >= max(one.end, other.stop) - min(one.start, other.start)
+
+
+def _read_takes(connection: sa.Connection, ids: Sequence[int]) -> list[Any]:
+    table = schema.clips.c
+    query = sa.select(*(table[name] for name in _COLUMNS)).where(table.kind == schema.TAKE)
+    return sorted(fetch_in(connection, query, table.id, ids), key=lambda row: int(row.id))
+
+
+def _read_hashes(connection: sa.Connection, ids: Sequence[int]) -> dict[int, str]:
+    table = schema.take_annotations.c
+    rows = fetch_in(connection, sa.select(table.take_id, table.labels_hash), table.take_id, ids)
+    return {row.take_id: row.labels_hash for row in rows}
+
+
+def _hash_labels(labels: Annotation) -> str:
+    plain = [[(one.start, one.stop, one.category) for one in labels.segments], labels.unclear, labels.tier]
+    return hashlib.sha256(json.dumps(plain).encode()).hexdigest()
+
+
+def _write(
+    connection: sa.Connection, where: str, stale: Sequence[tuple[Any, Annotation]], forest: StoredForest | None
+) -> tuple[StoredForest | None, AnnotationChanges]:
+    before = _read_segments(connection, [row.id for row, _ in stale])
+    changes, exchanged = AnnotationChanges(), []
+    for row, labels in stale:
+        kept, own = _fit(row, labels.segments)
+        changes += own
+        there = {(one.start, one.end, one.category): one for one in before.get(row.id, ())}
+        stays = {(one.start, one.stop, one.category) for one in kept} & there.keys()
+        gone = [one for place, one in there.items() if place not in stays]
+        if by_hand := sum(one.by_hand for one in gone):
+            changes += AnnotationChanges(warnings=((row.path, Message("annotations.by_hand_gone", n=by_hand)),))
+        new = [one for one in kept if (one.start, one.stop, one.category) not in stays]
+        exchanged.append((row, new, [one.clip_id for one in gone]))
+    forest, _, own = _exchange(connection, where, exchanged, forest, by_hand=False)
+    table = schema.take_annotations
+    connection.execute(sa.delete(table).where(table.c.take_id.in_([row.id for row, _ in stale])))
+    connection.execute(
+        sa.insert(table),
+        [
+            {
+                "take_id": row.id,
+                "source": labels.source,
+                "tier": labels.tier,
+                "labels_hash": _hash_labels(labels),
+                "unclear": [list(span) for span in labels.unclear],
+            }
+            for row, labels in stale
+        ],
+    )
+    return forest, changes + replace(own, takes=tuple(row.path for row, _ in stale))
+
+
+def _fit(row: Any, segments: Iterable[Stretch]) -> tuple[list[Stretch], AnnotationChanges]:
+    """Segments within a take, each once, and what was cut or left out."""
+    kept: dict[tuple[float, float, str | None], Stretch] = {}
+    late, short = [], []
+    for one in sorted(segments, key=lambda one: (one.start, one.stop)):
+        cut = replace(one, start=max(one.start, 0.0), stop=min(one.stop, row.duration))
+        first, last = _find_frames(row, cut)
+        if one.stop - row.duration > 1.0 / row.frame_rate:
+            late.append(one)
+        if last - first >= LEAST_FRAMES:
+            kept[(cut.start, cut.stop, cut.category)] = cut
+        elif one.start < row.duration:
+            short.append(one)
+    notes = []
+    if late:
+        end = {"start": late[0].start, "stop": late[0].stop, "category": late[0].category}
+        notes.append(Message("annotations.past_end", n=len(late), duration=row.duration, **end))
+    if short:
+        notes.append(Message("annotations.too_short", n=len(short), start=short[0].start, category=short[0].category))
+    return list(kept.values()), AnnotationChanges(warnings=tuple((row.path, note) for note in notes))
+
+
+def _find_frames(row: Any, segment: Stretch) -> tuple[int, int]:
+    """The first frame of a segment, and the one after its last."""
+    first, stop = round(segment.start * row.frame_rate), round(segment.stop * row.frame_rate)
+    return max(first, 0), min(stop, row.n_frames)
+
+
+def _exchange(
+    connection: sa.Connection,
+    where: str,
+    exchanged: Sequence[tuple[Any, Sequence[Stretch], Sequence[int]]],
+    forest: StoredForest | None,
+    *,
+    by_hand: bool,
+) -> tuple[StoredForest | None, list[int], AnnotationChanges]:
+    """Put new segments of takes in the place of others; returns the numbers of the new ones too."""
+    revision = next_revision(connection)
+    gone = [clip_id for _, _, ids in exchanged for clip_id in ids]
+    delete_clips(connection, gone)
+    records: list[ClipRecord] = []
+    for row, new, _ in exchanged:
+        if new:
+            (motion,) = load_motions(connection, [row.id])  # one at a time: they are long
+            records += [_make_record(row, motion, one, by_hand) for one in new]
+    if not records:
+        return forest, [], AnnotationChanges(n_removed=len(gone))
+    # Loaded again: another program may have trained the library.
+    forest, learned = insert_clips(connection, records, load_forest(connection, where, forest), {}, revision)
+    paths = [record.path for record in records]
+    table = schema.clips.c
+    numbers = {row.path: row.id for row in fetch_in(connection, sa.select(table.id, table.path), table.path, paths)}
+    changes = AnnotationChanges(
+        n_segments=len(records),
+        n_removed=len(gone),
+        n_learned=learned.n_clips,
+        new_categories=learned.new_categories,
+    )
+    return forest, [numbers[path] for path in paths], changes
+
+
+def name_path(take: str, start: float, stop: float) -> str:
+    """What a segment is called: the take's path with the time, as media fragments of the W3C have it."""
+    return f"{take}#t={start:.3f},{stop:.3f}"
+
+
+def _make_record(row: Any, motion: StoredMotion, segment: Stretch, by_hand: bool) -> ClipRecord:
+    first, stop = _find_frames(row, segment)
+    part = StoredMotion(motion.positions[first:stop], motion.frame_rate, motion.height)
+    named = f"{row.content_hash} {row.id} {segment.start} {segment.stop} {segment.category}"
+    values = {
+        "path": name_path(row.path, segment.start, segment.stop),
+        "content_hash": hashlib.sha256(named.encode()).hexdigest(),
+        "fingerprint": "",
+        "size": 0,
+        "category": segment.category,
+        "kind": schema.CLIP,
+        "n_frames": stop - first,
+        "duration": (stop - first) / row.frame_rate,
+        "warnings": [],
+    }
+    same = ("read_options", "performer", "format", "frame_rate", "height", "joint_table")
+    place = {"take_id": row.id, "first_frame": first, "start_s": segment.start, "end_s": segment.stop}
+    return ClipRecord(
+        {**values, **{name: getattr(row, name) for name in same}}, part, None, place={**place, "by_hand": by_hand}
+    )
+
+
+def _read_segments(connection: sa.Connection, take_ids: Sequence[int]) -> dict[int, list[TakeSegment]]:
+    """Segments of takes by their numbers, in the order of time."""
+    clips, table = schema.clips.c, schema.segments.c
+    query = sa.select(table.take_id, table.clip_id, table.start_s, table.end_s, clips.category, table.by_hand)
+    query = query.join(schema.clips, clips.id == table.clip_id)
+    found: dict[int, list[TakeSegment]] = {}
+    for row in fetch_in(connection, query, table.take_id, take_ids):
+        one = TakeSegment(row.clip_id, row.start_s, row.end_s, row.category, bool(row.by_hand))
+        found.setdefault(row.take_id, []).append(one)
+    for some in found.values():
+        some.sort(key=lambda one: (one.start, one.end, one.clip_id))
+    return found
+
+
+def read_annotations(connection: sa.Connection, take_ids: Sequence[int] | None = None) -> list[TakeAnnotation]:
+    """What is written down of takes, in the order of their numbers; of all that have labels by default."""
+    table, parts = schema.take_annotations.c, schema.segments.c
+    if take_ids is None:
+        some = sa.union(sa.select(table.take_id), sa.select(parts.take_id))
+        take_ids = sorted(connection.execute(some).scalars())
+    rows = _read_takes(connection, take_ids)
+    segments = _read_segments(connection, take_ids)
+    columns = (table.take_id, table.source, table.tier, table.unclear)
+    known = {row.take_id: row for row in fetch_in(connection, sa.select(*columns), table.take_id, take_ids)}
+    answers = []
+    for row in rows:
+        own = known.get(row.id)
+        unclear = tuple((float(a), float(b)) for a, b in own.unclear) if own else ()
+        parts_of = tuple(segments.get(row.id, ()))
+        where = (own.source, own.tier) if own else ("", "")
+        answers.append(TakeAnnotation(row.id, row.path, row.duration, own is not None, parts_of, unclear, *where))
+    return answers
+
+
+def load_annotated_takes(connection: sa.Connection, take_ids: Sequence[int] | None = None) -> Iterator[AnnotatedTake]:
+    """Takes that have labels, with their motion; one at a time is in memory.
+
+    Parameters
+    ----------
+    take_ids : these; by default all that have a table of labels or a segment named by hand.
+    """
+    found = read_annotations(connection, take_ids)
+    rows = {row.id: row for row in _read_takes(connection, [one.take_id for one in found])}
+    for one in found:
+        (motion,) = load_motions(connection, [one.take_id])
+        performer = rows[one.take_id].performer
+        yield AnnotatedTake(one.path, performer, motion.positions, motion.frame_rate, motion.height, one.stretches)
+
+
+class Annotations:
+    """Labels of the takes of a library, ``Library.annotations``."""
+
+    def __init__(self, database: Database, forests: ForestCache) -> None:
+        self._database = database
+        self._forests = forests
+
+    def read(self, takes: Iterable[int] | None = None) -> list[TakeAnnotation]:
+        """What is written down of takes: their segments, which are clips, and what the rest is.
+
+        Parameters
+        ----------
+        takes : numbers; by default all takes that have labels. Numbers that are not there are left out.
+        """
+        with self._database.reading() as connection:
+            return read_annotations(connection, _known_ids(takes))
+
+    def load(self, takes: Iterable[int] | None = None) -> Iterator[AnnotatedTake]:
+        """Takes with their motion and what happens in them from beginning to end; one at a time is in memory.
+
+        Parameters
+        ----------
+        takes : as in ``read``.
+
+        Raises
+        ------
+        LibraryDamagedError : the numbers of one are damaged.
+        """
+        with self._database.reading() as connection:
+            yield from load_annotated_takes(connection, _known_ids(takes))
+
+    def write(self, take: int, labels: Annotation, *, n_jobs: int | None = None) -> AnnotationChanges:
+        """Give a take labels from beginning to end, in the place of those that it has.
+
+        Its segments become clips; a trained forest learns them at once, as clips that are added.
+
+        Parameters
+        ----------
+        take : number.
+        labels : what is beyond the end of the take is cut off.
+        n_jobs : takes described anew at a time, as in ``Library.add``.
+
+        Raises
+        ------
+        LibraryError : no take of this number, or the library cannot be written.
+        """
+        return self.write_all({take: labels}, n_jobs=n_jobs)
+
+    def write_all(self, labels: Mapping[int, Annotation], *, n_jobs: int | None = None) -> AnnotationChanges:
+        """The same of several takes, by number; takes with the same labels as before are not touched."""
+        for take in labels:
+            self._check_take(take)
+        self._forests.last, changes = annotate_takes(self._database, labels, self._forests.last)
+        self._refresh(changes, n_jobs)
+        return changes
+
+    def name(self, take: int, start: float, end: float, category: str, *, n_jobs: int | None = None) -> int | None:
+        """Say what a part of a take shows, by hand; one of about the same place is replaced.
+
+        Parameters
+        ----------
+        take : number.
+        start, end : s.
+        category : what happens there.
+        n_jobs : as in ``write``.
+
+        Returns
+        -------
+        The number of the clip that the part is now; None for a part of less than two frames.
+
+        Raises
+        ------
+        OptionError : an empty category.
+        LibraryError : no take of this number, or the library cannot be written.
+        """
+        if not category.strip():
+            raise OptionError("library_clips.empty_label")
+        self._check_take(take)
+        part = Stretch(start, end, category)
+        self._forests.last, number, changes = name_segment(self._database, take, part, self._forests.last)
+        self._refresh(changes, n_jobs)
+        return number
+
+    def _check_take(self, number: int) -> None:
+        with self._database.reading() as connection:
+            row = find_row(connection, self._database.where, number)
+        if row.kind != schema.TAKE:
+            raise LibraryError("annotations.not_a_take", library=self._database.where, number=number, path=row.path)
+
+    def _refresh(self, changes: AnnotationChanges, n_jobs: int | None) -> None:
+        """Describe takes anew where the leaves of the forest have learned."""
+        if changes.n_learned and self._forests.last is not None:
+            refresh_windows(self._database, self._forests.last, n_jobs)
+
+
+def _known_ids(takes: Iterable[int] | None) -> list[int] | None:
+    return None if takes is None else [number for number in takes if schema.is_id(number)]
