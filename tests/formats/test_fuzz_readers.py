@@ -9,6 +9,7 @@ from __future__ import annotations
 import faulthandler
 import io
 import itertools
+import json
 import os
 import pickle
 import random
@@ -28,6 +29,7 @@ from dousa.formats.registry import SUFFIXES, read_motion, write_motion
 from dousa.motion import Motion, Skeleton, Trajectories, compute_trajectories
 from dousa.motion.rotations import normalise
 from formats import made_files as made
+from formats import made_points as points
 
 pytestmark = pytest.mark.fuzz
 
@@ -122,28 +124,31 @@ def make_motion():
 
 def make_seeds(folder: Path) -> dict[str, list[dict[str, bytes]]]:
     """By suffix: sets of files, the motion last."""
-    points = compute_trajectories(make_motion())
-    gaps = points.positions.copy()
+    paths = compute_trajectories(make_motion())
+    gaps = paths.positions.copy()
     gaps[1, 2] = np.nan
-    points = Trajectories(points.names, gaps, 30.0)
+    paths = Trajectories(paths.names, gaps, 30.0)
     files = {}
     for name, moving in {
         "m.bvh": make_motion(),
         "m.npz": make_motion(),
-        "t.npz": points,
-        "t.trc": points,
+        "t.npz": paths,
+        "t.trc": paths,
         "m.csv": make_motion(),
         "m.glb": make_motion(),
     }.items():
         write_motion(moving, folder / name)
         files[name] = (folder / name).read_bytes()
-    write_motion(points, folder / "t.c3d")
+    write_motion(paths, folder / "t.c3d")
     labels = ["LASI", "RASI", "SACR"]
     stored = [make_c3d(random_points(), labels, processor=DEC, n_analog=2)]
     stored += [make_c3d(random_points(), labels, processor=MIPS, scale=0.5)]
     rng = np.random.default_rng(1)
     smpl = made.make_npz(**made.make_smpl(), mocap_framerate=np.array(60.0))
     joints = made.make_npz(joints=rng.normal(size=(3, 24, 3)), fps=np.array(25.0))
+    rounded = {t: np.round(points.make_points(t, 2)[0], 3) for t in (points.OPENPOSE, points.MEDIAPIPE, points.H36M)}
+    landmarks = [json.loads(points.openpose_frames(rounded[points.OPENPOSE])[0]), rounded[points.H36M].tolist()]
+    landmarks += [points.mediapipe_list(rounded[points.MEDIAPIPE]), points.mmpose(rounded[points.H36M])]
     return {
         ".bvh": [{"x.bvh": BVH.encode()}, {"x.bvh": files["m.bvh"]}],
         ".amc": [{"x.asf": ASF.encode(), "x.amc": AMC.encode()}],
@@ -155,6 +160,7 @@ def make_seeds(folder: Path) -> dict[str, list[dict[str, bytes]]]:
         ".csv": [{"x.csv": made.make_motive()}, {"x.csv": files["m.csv"]}],
         ".tsv": [{"x.tsv": made.make_qualisys()}, {"x.tsv": made.make_qualisys_skeleton()}],
         **{suffix: [{f"x{suffix}": files["m.glb"]}] for suffix in (".glb", ".gltf", ".vrm", ".vrma")},
+        ".json": [{"x.json": json.dumps(content).encode()} for content in landmarks],
         ".mvnx": [{"x.mvnx": made.make_mvnx()}],
         ".c3d": [{"x.c3d": data} for data in ((folder / "t.c3d").read_bytes(), *stored)],
     }

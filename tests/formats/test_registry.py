@@ -38,8 +38,18 @@ def test_every_line_of_the_table_works():
 
 
 def test_the_table_is_the_one_promised():
-    assert " ".join(SUFFIXES) == ".bvh .amc .c3d .trc .amass.npz .npz .npy .pkl .csv .tsv .mvnx .glb .gltf .vrm .vrma"
+    assert (
+        " ".join(SUFFIXES)
+        == ".bvh .amc .c3d .trc .amass.npz .npz .npy .pkl .csv .tsv .json .mvnx .glb .gltf .vrm .vrma"
+    )
     assert " ".join(WRITERS) == ".bvh .c3d .trc .amass.npz .npz .csv .glb"
+
+
+def test_the_help_of_the_commands_names_them():
+    from dousa.app.cli import files
+
+    assert files.READ_SUFFIXES.split() == list(SUFFIXES)
+    assert files.WRITTEN_SUFFIXES.split() == list(WRITERS)
 
 
 def test_looking_at_the_table_imports_no_reader():
@@ -48,7 +58,9 @@ def test_looking_at_the_table_imports_no_reader():
         "print(sorted(m for m in sys.modules if m.startswith(('dousa.formats.', 'numba', 'ezc3d'))))"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert done.stdout.strip() == "['dousa.formats.characters', 'dousa.formats.motion_files', 'dousa.formats.registry']"
+    assert done.stdout.strip() == str(
+        [f"dousa.formats.{name}" for name in ("characters", "frame_folders", "motion_files", "registry")]
+    )
 
 
 @pytest.mark.parametrize("suffix", [".trc", ".TRC", ".c3d", ".C3d", ".npz", ".NPZ"])

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from dousa.errors import DousaError, JointMappingError
+from dousa.formats.frame_folders import is_frame_folder
 from dousa.formats.registry import find_reader, is_motion_file, read_motion
 from dousa.messages import Message
 
@@ -91,7 +92,8 @@ def find_motion_files(
     """The motion files that are named, or lie in folders that are named, at any depth.
 
     Folders give the files of known suffixes, in the order of their names; hidden files and folders are left
-    out, and links to folders are followed once. A file that is named is always taken, whatever its suffix.
+    out, and links to folders are followed once. A folder with a file for each frame is one motion. A file that is named
+    is always taken, whatever its suffix.
 
     Parameters
     ----------
@@ -108,7 +110,7 @@ def find_motion_files(
     for given in paths:
         root = Path(os.path.abspath(given))
         # Unlike Path.is_dir these say no, and do not raise, where a folder above cannot be looked into.
-        if os.path.isdir(root):
+        if os.path.isdir(root) and find_reader(root) is None:
             for path in _walk(root, missing, Counter() if others is None else others):
                 found.setdefault(path, FoundFile(root, path))
         elif os.path.exists(root):
@@ -129,6 +131,9 @@ def _walk(root: Path, closed: list[Skipped], others: Counter[str]) -> Iterator[P
             subfolders.clear()
             continue
         seen.add((place.st_dev, place.st_ino))
+        if is_frame_folder(folder, names):
+            yield Path(folder)
+            names[:] = [name for name in names if not name.lower().endswith(".json")]
         subfolders[:] = sorted(name for name in subfolders if not name.startswith("."))
         for name in sorted(names):
             if name.startswith("."):

@@ -17,7 +17,7 @@ from dousa.errors import MotionFileError
 from dousa.files.disk import read_bytes
 
 _TIMES_LARGER, _SMALL = 200, 100_000_000  # bytes; numbers as text shrink ten times, and a thousand times never
-_MOST_MEMBERS = 1000
+_MOST_MEMBERS, _MOST_FRAMES = 1000, 200_000  # files, files of one frame each
 _CHUNK = 1 << 20
 _DAMAGE = (
     zipfile.BadZipFile, zlib.error, lzma.LZMAError, NotImplementedError, RuntimeError, EOFError, OSError, ValueError,
@@ -35,7 +35,7 @@ def unpack(path: str | os.PathLike[str], suffixes: Sequence[str]) -> Iterator[st
 
     Returns
     -------
-    The path of the motion file in the temporary folder.
+    The path of the motion file in the temporary folder; of many JSON files, one for each frame, that of their folder.
 
     Raises
     ------
@@ -70,11 +70,14 @@ def _copy(path: str | os.PathLike[str], source: IO[bytes] | gzip.GzipFile, targe
 def _unpack_zip(path: str | os.PathLike[str], data: bytes, folder: str, suffixes: Sequence[str], most: int) -> str:
     with zipfile.ZipFile(io.BytesIO(data)) as archive:
         members = [member for member in archive.infolist() if not member.is_dir()]
-        if len(members) > _MOST_MEMBERS:
+        frames = sum(member.filename.lower().endswith(".json") for member in members)
+        if len(members) - frames > _MOST_MEMBERS or frames > _MOST_FRAMES:
             raise MotionFileError(path, "packed.many", found=len(members), most=_MOST_MEMBERS)
         # Names are flattened: nothing can be written outside the folder.
         names = {os.path.basename(member.filename.replace("\\", "/")): member for member in members}
         motions = [name for name in names if name.lower().endswith(tuple(suffixes)) and not name.startswith(".")]
+        if len(motions) > 1 and all(name.lower().endswith(".json") for name in motions):
+            return _unpack_frames(path, archive, [names[name] for name in motions], folder, most)
         if len(motions) != 1:
             raise MotionFileError(path, "packed.motions", found=len(motions), names=motions[:5])
         if names[motions[0]].flag_bits & 1:
@@ -84,3 +87,20 @@ def _unpack_zip(path: str | os.PathLike[str], data: bytes, folder: str, suffixes
                 with archive.open(member) as source:
                     most -= _copy(path, source, os.path.join(folder, name), most)
     return os.path.join(folder, motions[0])
+
+
+def _unpack_frames(
+    path: str | os.PathLike[str], archive: zipfile.ZipFile, members: list[zipfile.ZipInfo], folder: str, most: int
+) -> str:
+    """The folder of the files of the frames, which must have come from one folder."""
+    folders = sorted({os.path.dirname(member.filename.replace("\\", "/")) for member in members})
+    if len(folders) > 1:
+        raise MotionFileError(path, "packed.folders", found=len(folders), names=folders[:5])
+    if any(member.flag_bits & 1 for member in members):
+        raise MotionFileError(path, "packed.encrypted")
+    place = os.path.join(folder, "frames")
+    os.mkdir(place)
+    for member in members:
+        with archive.open(member) as source:
+            most -= _copy(path, source, os.path.join(place, os.path.basename(member.filename.replace("\\", "/"))), most)
+    return place

@@ -22,6 +22,7 @@ from dousa.errors import (
     OptionError,
     UnknownFormatError,
 )
+from dousa.formats.frame_folders import is_frame_folder
 from dousa.motion import Motion, Trajectories
 
 
@@ -77,6 +78,11 @@ FORMATS: tuple[Format, ...] = (
         rb"\A(?:\xef\xbb\xbf)?\"?Format Version",
     ),
     Format("qualisys", (".tsv",), "dousa.formats.optical", "read_qualisys", None, "both", (), rb"\A\s*NO_OF_FRAMES"),
+    Format(
+        "landmarks", (".json",), "dousa.formats.landmarks", "read_landmarks", None, "trajectories", ("frame_rate",),
+        rb"keypoints_?3[dD]\"|\"(?:pose_?)?[wW]orld_?[lL]andmarks\"|\"(?:joints|landmarks|positions)_?3[dD]\"|\"instance_info\""
+        rb"|\A[\s\[]{2,}\{\s*\"x\"\s*:[^{}]*\"z\"|\A\s*\[\s*\[\s*\[\s*-?\d[^][,]*,[^][,]*,[^][,]*(?:,[^][,]*)?\]\s*,\s*\[",
+    ),
     Format("mvnx", (".mvnx",), "dousa.formats.mvnx", "read_mvnx", None, "motion"),
     Format("glb", (".glb",), "dousa.formats.gltf", "read_gltf", "write_glb", "motion"),
     Format("gltf", (".gltf", ".vrm", ".vrma"), "dousa.formats.gltf", "read_gltf", None, "motion"),
@@ -116,9 +122,12 @@ def find_reader(path: str | os.PathLike[str]) -> Format | None:
 
     Parameters
     ----------
-    path : of a file; that of a packed one has both suffixes, such as ``walk.bvh.gz``.
+    path : of a file; that of a packed one has both suffixes, such as ``walk.bvh.gz``. Of folders only those with a file
+        for each frame are known.
     """
     text = os.fspath(path)
+    if os.path.isdir(path):
+        return READERS[".json"] if is_frame_folder(path) else _find(text, READERS)
     return _find(text[: -len(_suffix(text))] if _suffix(text) in PACKED else text, READERS)
 
 
@@ -175,7 +184,7 @@ def read_motion(
     MotionFileError : the file is missing, damaged or not of this format.
     OptionError : a unit or axis that does not exist.
     """
-    if _suffix(path) in PACKED:
+    if _suffix(path) in PACKED and not os.path.isdir(path):
         return _read_packed(path, unit=unit, up=up, skeleton=skeleton, frame_rate=frame_rate)
     if _suffix(path) in _ADVICE:
         raise UnknownFormatError(path, _ADVICE[_suffix(path)])

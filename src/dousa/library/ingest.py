@@ -35,7 +35,7 @@ class SourceState:
 
     Parameters
     ----------
-    files : the motion file, then its skeleton file if it has one.
+    files : the motion file, or those of its frames, then its skeleton file if it has one.
     size : bytes of all.
     fingerprint : sizes and times; equal ones mean that nothing changed.
     """
@@ -104,7 +104,7 @@ class ClipRecord(FileRecord):
 
 
 def look_at(path: str, options: ReadOptions) -> SourceState:
-    """Size and times of a motion file and of the skeleton file that goes with it.
+    """Size and times of a motion file (or the files of its frames) and of the skeleton file that goes with it.
 
     Raises
     ------
@@ -112,7 +112,11 @@ def look_at(path: str, options: ReadOptions) -> SourceState:
     MotionFileError : an ``.amc`` without a skeleton file.
     """
     files = [path]
-    if path.lower().endswith(".amc"):
+    if os.path.isdir(path):  # of a file for each frame
+        from dousa.formats.frame_folders import list_frame_files
+
+        files = [os.path.join(path, name) for name in list_frame_files(path)]
+    elif path.lower().endswith(".amc"):
         from dousa.formats.asf_amc.reading import find_skeleton
 
         files.append(os.fspath(options.skeleton or find_skeleton(path)))

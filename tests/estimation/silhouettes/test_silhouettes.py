@@ -15,7 +15,7 @@ from hypothesis.extra.numpy import arrays
 
 from dousa.errors import CalibrationError, DousaError, MotionWriteError, OptionError, SilhouetteError
 from dousa.estimation.cameras.camera import Camera
-from dousa.estimation.silhouettes.images import MaskFolder, number_frames
+from dousa.estimation.silhouettes.images import MaskFolder
 from dousa.estimation.silhouettes.mask_npz import (
     read_silhouettes,
     read_stature,
@@ -24,6 +24,7 @@ from dousa.estimation.silhouettes.mask_npz import (
 )
 from dousa.estimation.silhouettes.silhouette_files import open_silhouettes
 from dousa.estimation.silhouettes.silhouettes import PackedSilhouettes, View, synchronise
+from dousa.files.frame_names import number_frames
 
 
 def _masks(n_views=2, n_frames=3, height=12, width=21, seed=0):

@@ -19,6 +19,10 @@ if TYPE_CHECKING:
     from dousa.motion import Motion, Trajectories
     from dousa.motion.canonical.recipes import JointMap
 
+# As of the registry, which would take a tenth of a second to import; a test holds them equal.
+READ_SUFFIXES = ".bvh .amc .c3d .trc .amass.npz .npz .npy .pkl .csv .tsv .json .mvnx .glb .gltf .vrm .vrma"
+WRITTEN_SUFFIXES = ".bvh .c3d .trc .amass.npz .npz .csv .glb"
+
 
 def register(app: typer.Typer) -> None:
     """Register this module's commands with the application."""
@@ -28,7 +32,7 @@ def register(app: typer.Typer) -> None:
 
 
 def info(
-    files: Annotated[list[Path], typer.Argument(metavar="FILE...", help="Motion files: BVH, AMC, C3D, TRC, NPZ.")],
+    files: Annotated[list[Path], typer.Argument(metavar="FILE...", help=f"Motion files: {READ_SUFFIXES}.")],
     *,
     motion_options: o.MotionOptions,
     json: o.Json = False,
@@ -118,9 +122,7 @@ def _shows_anybody(motion: Motion | Trajectories) -> bool:
 
 def convert(
     source: Annotated[Path, typer.Argument(metavar="IN", help="Motion file to read.")],
-    target: Annotated[
-        Path, typer.Argument(metavar="OUT", help="File to write: .bvh, .glb, .trc, .c3d, .csv, .npz or .amass.npz.")
-    ],
+    target: Annotated[Path, typer.Argument(metavar="OUT", help=f"File to write: {WRITTEN_SUFFIXES}.")],
     frame_rate: Annotated[float | None, typer.Option("--frame-rate", help="Resample to this rate in Hz.")] = None,
     onto: Annotated[
         Path | None,

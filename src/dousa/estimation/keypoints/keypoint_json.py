@@ -18,8 +18,8 @@ import numpy as np
 from dousa.arrays import FloatArray
 from dousa.errors import KeypointError, MotionFileError
 from dousa.estimation.keypoints.keypoint_schemes import SCHEMES
-from dousa.estimation.silhouettes.images import natural_key, number_frames
 from dousa.files.disk import read_bytes
+from dousa.files.frame_names import natural_key, number_frames
 
 _MOST_BYTES, _MOST_FRAMES, _MOST_PEOPLE = 1_000_000_000, 2_000_000, 200
 _POINT_KEYS = ("pose_keypoints_2d", "keypoints", "pose_landmarks", "poseLandmarks", "landmarks")

@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-import math
 import os
-import re
 from collections.abc import Iterator
 from contextlib import contextmanager
-from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -19,6 +16,7 @@ from dousa.estimation.cameras.camera import format_size
 from dousa.estimation.silhouettes.silhouettes import View, checked_frame, checked_rate
 from dousa.extras import require
 from dousa.files.disk import read_bytes
+from dousa.files.frame_names import natural_key, number_frames
 from dousa.messages import Message
 
 _MOST_PIXELS = 200_000_000
@@ -155,14 +153,7 @@ def is_stretched(size: tuple[int, int], target: tuple[int, int]) -> bool:
 
 IMAGE_ENDINGS = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff")
 _LOSSY = (".jpg", ".jpeg")
-_MOST_GAPS = 3.0  # times more numbers than images: they are no frame numbers
 _DEFAULT_RATE = 30.0
-
-
-def natural_key(name: str) -> tuple[tuple[int, int, str], ...]:
-    """Order in which frame 10 comes after frame 9."""
-    parts = re.split(r"(\d+)", name.lower())
-    return tuple((0, int(part), "") if part.isdigit() and part.isascii() else (1, 0, part) for part in parts)
 
 
 def _list(path: str | os.PathLike[str]) -> list[str]:
@@ -256,22 +247,3 @@ class MaskFolder(View):
                 other=format_size(image.shape[1::-1]),
             ).at(path)
         return resize_mask(mask_from_image(image, not name.lower().endswith(_LOSSY)), self.size)
-
-
-def number_frames(names: list[str]) -> dict[int, str]:
-    """Frame of each image by the number in its name; by order where the numbers are no frame numbers."""
-    by_order = dict(enumerate(names))
-    parts = [re.fullmatch(r"(.*?)(\d{1,12})(\D*)", name, re.ASCII) for name in names]
-    if len(names) < 2 or any(part is None for part in parts):
-        return by_order
-    if len({(part[1], part[3].lower()) for part in parts if part}) > 1:
-        return by_order
-    numbers = [int(part[2]) for part in parts if part]
-    steps = [after - before for before, after in pairwise(numbers)]
-    if min(steps) < 1:
-        return by_order
-    step = math.gcd(*steps)
-    frames = [(number - numbers[0]) // step for number in numbers]
-    if frames[-1] + 1 > _MOST_GAPS * len(names):
-        return by_order
-    return dict(zip(frames, names, strict=True))

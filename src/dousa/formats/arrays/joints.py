@@ -145,24 +145,51 @@ def build_joints(
     points = np.where(
         (points == 0).all(axis=2, keepdims=True) & (np.arange(points.shape[1]) > 0)[:, None], np.nan, points
     )
-    notes = []
-    layout = None
-    if names is None or len(names) != points.shape[1]:
+    return name_joints(path, format_name, points, names, unit=unit, up=up, frame_rate=frame_rate)
+
+
+def name_joints(
+    path: str | os.PathLike[str],
+    format_name: str,
+    points: FloatArray,
+    names: tuple[str, ...] | None,
+    *,
+    unit: float | str | None,
+    up: str | None,
+    frame_rate: float | None,
+    notes: tuple[Message, ...] = (),
+) -> Trajectories:
+    """Trajectories of points whose names, unit, axes and rate a file need not say.
+
+    Parameters
+    ----------
+    path, format_name : for messages and provenance.
+    points : (T, J, 3) in the file's unit and axes, NaN where missing.
+    names : (J,) where the file says them; else the layout of this number of joints tells.
+    unit, up, frame_rate : as for `read_npy`.
+    notes : what a person should know of how the file was understood.
+
+    Raises
+    ------
+    MotionFileError : an unknown number of joints, an impossible rate.
+    """
+    if names is not None and len(names) == points.shape[1]:
+        layout = next((known for known in list_layouts() if set(known.names) == set(names)), None)
+    else:
         layout = _choose_layout(points)
         if layout is None:
             known = tuple(sorted({len(layout.names) for layout in list_layouts()}))
             raise MotionFileError(path, "arrays.joints", found=points.shape[1], known=known)
         names = layout.names
-        notes.append(Message("arrays.layout", joints=len(names), layout=layout.title))
+        notes += (Message("arrays.layout", joints=len(names), layout=layout.title),)
     if frame_rate is None:
         frame_rate = layout.rate if layout else 30.0
-        notes.append(Message("arrays.assumed_rate", rate=frame_rate))
+        notes += (Message("arrays.assumed_rate", rate=frame_rate),)
     if not 0 < frame_rate <= 1e6:
         raise MotionFileError(path, "arrays.rate", found=repr(frame_rate))
     return settle_trajectories(
         path, format_name, names, points, frame_rate,
-        unit=unit, up=up, unit_in_file=None, up_in_file=None, default_up=layout.up if layout else None,
-        notes=tuple(notes),
+        unit=unit, up=up, unit_in_file=None, up_in_file=None, default_up=layout.up if layout else None, notes=notes,
     )  # fmt: skip
 
 

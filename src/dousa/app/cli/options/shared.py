@@ -71,7 +71,7 @@ class FileOptions:
     ] = None
     file_rate: Annotated[
         float | None,
-        typer.Option("--file-rate", metavar="HZ", help="Frame rate of a file that does not say it: arrays."),
+        typer.Option("--file-rate", metavar="HZ", help="Frame rate of a file that does not say it: arrays, JSON."),
     ] = None
 
     def load(self) -> ReadOptions:

@@ -148,6 +148,7 @@ def _check_content(path: Path, name: str) -> None:
         ".c3d": len(head) == 512 and head[1] == 0x50,
         ".npz": head[:2] == b"PK",
         ".npy": head[:6] == b"\x93NUMPY",
+        ".json": is_text and starts[:1] in (b"{", b"["),
         ".mvnx": is_text and starts[:1] == b"<",
         ".tsv": is_text,
         ".glb": head[:4] == b"glTF",

@@ -1,0 +1,226 @@
+"""3D points of people as JSON: the forms of several programs, gaps, people, folders and archives, what is no motion."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from dousa.errors import DousaError, MotionFileError
+from dousa.formats import find_motion_files, is_frame_folder
+from dousa.formats.registry import find_reader, is_motion_file, read_motion
+from dousa.motion import JOINT_INDEX, Trajectories, canonicalise
+from formats import made_points as made
+
+
+def save(path, content):
+    path.write_text(content if isinstance(content, str) else json.dumps(content))
+    return path
+
+
+def save_frames(folder, texts):
+    folder.mkdir(parents=True)
+    for number, text in enumerate(texts):
+        (folder / f"take1_{number:012d}_keypoints.json").write_text(text)
+    return folder
+
+
+def codes(motion):
+    return {note.code for note in motion.provenance.notes}
+
+
+def code_of(path):
+    with pytest.raises(MotionFileError) as caught:
+        read_motion(path)
+    assert caught.value.path == str(path)
+    return caught.value.code
+
+
+def assert_places(motion, expected, *, about_hips=False, joints=("left_knee", "right_wrist", "left_shoulder")):
+    """Canonical joints where they were put; distances do not depend on the heading that the axes gave."""
+    found = canonicalise(motion)
+    for first in joints:
+        for second in joints:
+            got = found.positions[:, JOINT_INDEX[first]] - found.positions[:, JOINT_INDEX[second]]
+            wanted = expected[first] - expected[second]
+            np.testing.assert_allclose(np.linalg.norm(got, axis=1), np.linalg.norm(wanted, axis=1), atol=2e-5)
+    if not about_hips:
+        got = found.positions[:, JOINT_INDEX["left_knee"], 1]
+        np.testing.assert_allclose(got, expected["left_knee"][:, 1], atol=2e-5)
+
+
+@pytest.mark.parametrize("title", [made.OPENPOSE, made.MEDIAPIPE, made.COCO, made.H36M, "SMPL", "HALPE (26)"])
+def test_nested_lists_tell_their_layout_by_number_and_limbs(tmp_path, title):
+    points, expected = made.make_points(title)
+    motion = read_motion(save(tmp_path / "x.json", points.tolist()))
+    assert (motion.n_frames, len(motion.names)) == points.shape[:2]
+    assert codes(motion) >= {"arrays.layout", "arrays.assumed_rate"}
+    assert_places(motion, expected)
+    flat = read_motion(save(tmp_path / "flat.json", points.reshape(len(points), -1).tolist()))
+    np.testing.assert_array_equal(flat.positions, motion.positions)
+
+
+def test_openpose_folder_archive_and_file(tmp_path):
+    points, expected = made.make_points(made.OPENPOSE)
+    texts = made.openpose_frames(points, missing={(3, 4), (3, 0)})
+    folder = save_frames(tmp_path / "walk" / "take1", texts)
+    (tmp_path / "x.zip").write_bytes(made.zip_frames(texts))
+    motion = read_motion(folder)
+    assert motion.names[:3] == ("Nose", "Neck", "RShoulder")
+    assert codes(motion) == {"arrays.assumed_rate"}
+    assert np.isnan(motion.positions[3, [0, 4]]).all()
+    assert np.isfinite(np.delete(motion.positions, 3, axis=0)).all()
+    assert_places(motion, expected, joints=("left_knee", "left_wrist", "left_shoulder"))
+    packed = read_motion(tmp_path / "x.zip", frame_rate=25.0)
+    np.testing.assert_array_equal(packed.positions, motion.positions)
+    assert (packed.frame_rate, packed.provenance.path) == (25.0, str(tmp_path / "x.zip"))
+    one = read_motion(folder / "take1_000000000005_keypoints.json")
+    assert one.positions.shape == (1, 25, 3)
+
+
+def test_a_folder_of_frames_is_one_motion_among_others(tmp_path):
+    texts = made.openpose_frames(made.make_points(made.OPENPOSE, 8)[0])
+    texts[0] = '{"version": 1.3, "people": []}'
+    folder = save_frames(tmp_path / "walk" / "take1", texts)
+    save(tmp_path / "walk" / "b.json", made.make_points(made.H36M)[0].tolist())
+    save(tmp_path / "walk" / "report.json", {"accuracy": 0.5})
+    files, missing = find_motion_files([tmp_path])
+    assert ([file.path for file in files], missing) == ([tmp_path / "walk" / "b.json", folder], [])
+    assert [file.path for file in find_motion_files([folder])[0]] == [folder]
+    assert is_frame_folder(folder)
+    assert not is_frame_folder(tmp_path)
+    assert find_reader(folder).name == "landmarks"
+    motion = read_motion(folder)
+    assert np.isnan(motion.positions[0]).all()
+
+
+def test_mediapipe_is_upright_and_does_not_travel(tmp_path):
+    points, expected = made.make_points(made.MEDIAPIPE)
+    frames = made.mediapipe_list(points)
+    for number, content in enumerate((
+        frames,
+        [{"pose_landmarks": [{"x": 0.5, "y": 0.5, "z": 0.1}] * 33, "pose_world_landmarks": frame} for frame in frames],
+        {"fps": 25, "frames": [{"worldLandmarks": [frame]} for frame in frames]},
+        [[list(point.values()) for point in frame] for frame in frames],
+    )):  # fmt: skip
+        path = save(tmp_path / f"{number}.json", content)
+        assert is_motion_file(path) or number == 3
+        motion = read_motion(path)
+        assert motion.provenance.up == "-y"
+        assert motion.provenance.unit == 1.0
+        assert codes(motion) >= {"landmarks.hips_fixed"}
+        assert ("arrays.assumed_rate" in codes(motion)) == (number != 2)
+        assert "canonical.mirrored" not in {note.code for note in canonicalise(motion).warnings}
+        assert_places(motion, expected, about_hips=True)
+    lines = "\n".join(json.dumps(frame) for frame in frames)
+    assert read_motion(save(tmp_path / "lines.json", lines)).n_frames == len(frames)
+
+
+def test_names_of_the_file_count(tmp_path):
+    points, expected = made.make_points(made.COCO)
+    names = next(y.names for y in made.list_layouts() if y.title == made.COCO)
+    order = np.random.default_rng(0).permutation(17)
+    shuffled = [
+        {"keypoints": [{"x": 1, "y": 2}], "keypoints3D": [
+            {"name": names[i], "x": row[i][0], "y": row[i][1], "z": row[i][2], "score": 0.8} for i in order]}
+        for row in points.tolist()
+    ]  # fmt: skip
+    by_name = [{names[i]: row[i] for i in order} for row in points.tolist()]
+    paths = {names[i]: points[:, i].tolist() for i in order}
+    listed = {"joint_names": [names[i] for i in order], "joints": points[:, order].tolist(), "fps": 50}
+    for number, content in enumerate((shuffled, by_name, paths, listed)):
+        motion = read_motion(save(tmp_path / f"{number}.json", content))
+        assert motion.names == tuple(names[i] for i in order)
+        assert_places(motion, expected)
+    assert motion.frame_rate == 50
+
+
+def test_mmpose_and_people(tmp_path):
+    points, expected = made.make_points(made.H36M)
+    content = made.mmpose(points)
+    motion = read_motion(save(tmp_path / "x.json", content))
+    assert motion.provenance.up == "z"
+    assert_places(motion, expected)
+    far = (points + 3).tolist()
+    for number, info in enumerate(content["instance_info"]):
+        own = {**info["instances"][0], "track_id": 7}
+        other = {"keypoints": far[number], "keypoint_scores": [1.0] * 17, "track_id": 2}
+        info["instances"] = [other, own] if number < 30 else [own]
+    several = read_motion(save(tmp_path / "y.json", content))
+    np.testing.assert_array_equal(several.positions, motion.positions)
+    assert "landmarks.several" in codes(several)
+
+
+def test_what_lies_in_a_picture_is_sent_to_its_command(tmp_path):
+    rng = np.random.default_rng(0)
+    flat = [*rng.uniform(0, 900, 50), *rng.uniform(0, 1, 25)]
+    openpose = {"people": [{"pose_keypoints_2d": flat, "pose_keypoints_3d": []}]}
+    coco = [{"image_id": f"{n}.png", "keypoints": rng.uniform(0, 900, (17, 2)).tolist()} for n in range(4)]
+    scored = np.concatenate((rng.uniform(0, 900, (5, 17, 2)), rng.uniform(0, 1, (5, 17, 1))), axis=2)
+    landmarks = [{"x": x, "y": y, "z": z} for x, y, z in rng.uniform(0.3, 0.7, (33, 3))]
+    for number, (content, code) in enumerate((
+        (openpose, "landmarks.flat"),
+        (coco, "landmarks.flat"),
+        (scored.tolist(), "landmarks.flat"),
+        (scored.reshape(5, -1).tolist(), "landmarks.flat"),
+        ([[{"x": 1, "y": 2}] * 17] * 3, "landmarks.flat"),
+        ([[{"x": 1, "y": 2, "z": 0}] * 17] * 3, "landmarks.flat"),
+        ([{"pose_landmarks": landmarks}] * 3, "landmarks.picture"),
+        ([landmarks] * 3, "landmarks.picture"),
+    )):  # fmt: skip
+        assert code_of(save(tmp_path / f"{number}.json", content)) == code, number
+
+
+def test_damage(tmp_path):
+    points = made.make_points(made.H36M, 5)[0].tolist()
+    for number, (content, code) in enumerate((
+        ("{", "landmarks.broken"),
+        ("[" * 100_000, "landmarks.broken"),
+        ("{}", "landmarks.unknown"),
+        ("[1, 2]", "landmarks.unknown"),
+        ('"hello"', "landmarks.unknown"),
+        ({"frames": []}, "landmarks.unknown"),
+        ([[], None], "landmarks.nobody"),
+        ([[[0, 0, 0]] * 17] * 3, "landmarks.flat"),
+        ([[[None] * 3] * 17] * 3, "landmarks.flat"),
+        ([[{"x": 1, "y": 1, "z": 1, "visibility": 0}] * 17] * 3, "landmarks.nobody"),
+        ([*points, points[0][:16]], "landmarks.uneven"),
+        ([frame[:16] for frame in points], "arrays.joints"),
+        ([[[1e400, 0, -1], *frame[1:]] for frame in points], "markers.damaged"),
+        ([points * 100], "landmarks.people"),
+    )):  # fmt: skip
+        assert code_of(save(tmp_path / f"{number}.json", content)) == code, number
+    huge = json.dumps(points).replace(str(points[0][0][0]), "9" * 400, 1)
+    assert code_of(save(tmp_path / "huge.json", huge)) == "formats.damaged"
+    texts = made.openpose_frames(made.make_points(made.OPENPOSE, 4)[0])
+    texts[2] = texts[2][:-5]
+    assert code_of(save_frames(tmp_path / "cut", texts)) == "landmarks.in_frame"
+    (tmp_path / "cut.zip").write_bytes(made.zip_frames(texts))
+    assert code_of(tmp_path / "cut.zip") == "landmarks.in_frame"
+    (tmp_path / "none").mkdir()
+    with pytest.raises(DousaError):
+        read_motion(tmp_path / "none")
+
+
+numbers = st.none() | st.integers(-3, 3) | st.floats(allow_nan=True) | st.just(10**400) | st.text(max_size=2)
+keys = st.sampled_from(
+    ["x", "y", "z", "keypoints", "pose_keypoints_3d", "people", "instances", "instance_info", "frames", "image_id",
+     "track_id", "visibility", "keypoint_scores", "pose_world_landmarks", "fps", "names", "nose", "meta_info"]
+)  # fmt: skip
+points_of_one = st.lists(st.lists(numbers, min_size=2, max_size=4), min_size=17, max_size=17)
+contents = st.recursive(
+    numbers | points_of_one, lambda inner: st.lists(inner, max_size=4) | st.dictionaries(keys, inner, max_size=4)
+)
+
+
+@settings(max_examples=300, deadline=None)
+@given(contents)
+def test_any_json_is_read_or_refused(tmp_path_factory, content):
+    path = tmp_path_factory.mktemp("any") / "x.json"
+    try:
+        assert isinstance(read_motion(save(path, content)), Trajectories)
+    except MotionFileError as error:
+        assert error.code != "formats.damaged" or str(error)
