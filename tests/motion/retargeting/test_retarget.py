@@ -13,7 +13,8 @@ from dousa.formats.registry import read_motion, write_motion
 from dousa.motion import Motion, Skeleton, Trajectories, canonicalise, compute_trajectories, retarget
 from dousa.motion.retargeting import find_contacts, measure_directions, measure_skating
 from dousa.motion.retargeting.contacts import list_stretches
-from dousa.motion.retargeting.planting import bend, lower_pelvis, plan_corrections
+from dousa.motion.retargeting.feet import Foot, plan_foot
+from dousa.motion.retargeting.planting import bend, lower_pelvis, share_moves
 from dousa.motion.retargeting.rig import build_rig
 from dousa.motion.rotations import rotate
 from dousa.motion.synthetic import draw_performer, make_motion
@@ -49,7 +50,7 @@ def test_directions_are_kept_and_feet_stand(category):
     assert directions(motion, plain.motion).max() < 1e-4
     made = retarget(motion, character)
     assert made.contacts.any()
-    assert made.skating < 1e-3
+    assert made.skating < 0.01
     assert made.skating <= plain.skating + 1e-9
     assert directions(motion, made.motion).mean() < 5
     # The arms have no reason to change.
@@ -64,7 +65,7 @@ def test_characters_of_others(shared_data, name, other):
     source = read_motion(shared_data(f"foreign/{CHARACTERS[other]}"))
     made = retarget(source, character)
     assert made.skating < 0.01
-    assert np.degrees(made.direction_error) < 5
+    assert np.degrees(made.direction_error) < 3.5
     assert made.motion.skeleton is character.skeleton
     assert made.motion.frame_rate == source.frame_rate
     # Nobody stands on the head, or with the back to the front.
@@ -170,19 +171,48 @@ def test_a_straight_leg_bends_to_the_front():
     assert rotate(first, middle - root)[0, 2] > 0.2
 
 
-def test_corrections():
+def roll(length):
+    """A foot (T, 3) m, ankle and toe, at 60 Hz: it stands, rolls over its toe, swings, and stands again."""
+    rise = np.interp(np.arange(120), [40, 70, 90], [0.0, 1.0, 0.0])
+    forward = np.interp(np.arange(120), [70, 90], [0.0, 0.5])
+    toe = np.stack((0 * rise, 0.02 + np.interp(np.arange(120), [70, 80, 90], [0, 0.1, 0]), forward), axis=1)
+    back = np.stack((0 * rise, np.sin(0.4 + rise), -np.cos(0.4 + rise)), axis=1)
+    return toe + length * back, toe
+
+
+@pytest.mark.parametrize("longer", [0.7, 1.0, 1.6])
+def test_a_foot_rolls_over_its_own_toe(longer):
+    """The source's toe stands still while its heel rises, so does the character's, whose foot is longer or shorter."""
     rng = np.random.default_rng(0)
-    points = np.cumsum(rng.normal(size=(60, 3)) * 0.01, axis=0)
-    contacts = np.zeros(60, bool)
-    contacts[5:20] = contacts[40:55] = True
-    moved = points + plan_corrections(points, contacts, 0.05)
-    for start, end in list_stretches(contacts):
-        np.testing.assert_allclose(np.ptp(moved[start:end], axis=0), 0, atol=1e-12)
-        np.testing.assert_allclose(moved[start:end, 1], 0.05)
-    # Between them no leap: the corrections change little from frame to frame.
-    steps = np.abs(np.diff(plan_corrections(points, contacts, 0.05)[19:41], axis=0))
-    assert steps.max() < 0.05
-    assert not plan_corrections(points, np.zeros(60, bool), 0.0).any()
+    ankle, toe = roll(0.15)
+    drift = np.cumsum(rng.normal(size=(120, 3)), axis=0) * 0.003  # a walk on legs of other proportions
+    made = ankle + drift, ankle + drift + longer * (toe - ankle)
+    plan = plan_foot(Foot(ankle, toe, (0.08, 0.02)), Foot(*made, (longer * 0.08, 0.02)), 1.0, 0.0, 60.0, 1.0)
+    moved = made[0] + plan.moves
+    tip = moved + rotate(plan.turns, made[1] - made[0])
+    for still in (slice(0, 66), slice(94, 120)):
+        assert np.linalg.norm(tip[still] - np.median(tip[still], axis=0), axis=1).max() < 0.005
+    assert np.linalg.norm(moved[:38] - np.median(moved[:38], axis=0), axis=1).max() < 0.005
+    np.testing.assert_allclose(tip[:60, 1], 0.02, atol=0.01)
+    # In the air no leap: it changes little from frame to frame.
+    assert np.abs(np.diff(plan.moves[66:94], axis=0)).max() < 0.03
+
+
+def test_a_foot_on_a_step_is_not_pulled_down():
+    ankle, toe = roll(0.15)
+    higher = np.array([0.0, 0.3, 0.0])
+    ankle, toe = ankle + higher, toe + higher
+    plan = plan_foot(Foot(ankle, toe, (0.08, 0.02)), Foot(ankle, toe, (0.08, 0.02)), 1.0, 0.0, 60.0, 1.0)
+    assert np.abs(plan.moves).max() < 0.02
+
+
+def test_what_both_feet_need_the_body_does():
+    moves = np.ones((60, 2, 3)) * [[[0.1, -0.2, 0.3]]]
+    stands = np.ones((60, 2), bool)
+    np.testing.assert_allclose(share_moves(moves, stands, 60.0), moves[:, 0])
+    moves[:, 1] = 0.0  # the second is in the air
+    stands[:, 1] = False
+    np.testing.assert_allclose(share_moves(moves, stands, 60.0), moves[:, 0] / 1.1)
 
 
 def test_the_pelvis_goes_down_where_a_foot_is_out_of_reach():
@@ -208,7 +238,7 @@ def test_contacts_of_a_walk():
     motion = canonicalise(make_motion("walk", draw_performer(1)))
     contacts = find_contacts(motion)
     # A walker stands on one foot most of the time, and lifts each; rolling off the toe is not standing.
-    assert contacts.any(axis=1).mean() > 0.6
+    assert contacts.any(axis=1).mean() > 0.3
     assert not contacts.all(axis=0).any()
     toes = motion.positions[:, [motion.to_trajectories().names.index(f"{s}_toe") for s in ("left", "right")]]
     assert measure_skating(toes, contacts) < 0.1

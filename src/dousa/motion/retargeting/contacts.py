@@ -8,42 +8,48 @@ from dousa.arrays import BoolArray, FloatArray
 from dousa.motion.canonical.canonicalise import CanonicalMotion
 from dousa.motion.canonical.joints import JOINT_INDEX as J
 
-_SLOW = 0.35  # m/s, for a body of _HEIGHT
-_LOW = 0.06  # m above the lowest of the second around
+_SLOW = 0.25  # m/s, for a body of _HEIGHT
+_LOW = 0.05  # m above the lowest of the second around
 _HEIGHT = 1.6  # m over the joints
 _AROUND, _SHORTEST, _GAP = 1.0, 0.1, 0.06  # s
-_SLOWEST_RATE = 8.0  # Hz
+SLOWEST_RATE = 8.0  # Hz
 
 
-def find_contacts(motion: CanonicalMotion) -> BoolArray:
-    """When the left and the right toes stand on the floor.
+def find_contacts(motion: CanonicalMotion, joint: str = "toe") -> BoolArray:
+    """When the left and the right foot stand on the floor, told by one of its joints.
 
-    A foot stands where its toe is at most 6 cm above its lowest point of a second before and after, and slower than
-    0.35 m/s (both for a body of 1.6 m over the joints, in proportion for others), for at least a tenth of a second.
+    A foot stands where that joint is at most 5 cm above its lowest point of a second before and after, and slower than
+    0.25 m/s (both for a body of 1.6 m over the joints, in proportion for others), for at least a tenth of a second.
 
     Parameters
     ----------
     motion : canonical motion in m.
+    joint : ``"toe"`` or ``"ankle"``.
 
     Returns
     -------
     (T, 2) true where the foot stands; nowhere below 8 Hz, where two frames do not tell a speed.
     """
-    size = float(np.clip(motion.height / _HEIGHT, 0.2, 5.0))
+    size = body_size(motion)
     rate = motion.frame_rate
     contacts = np.zeros((motion.n_frames, 2), bool)
-    if rate < _SLOWEST_RATE:
+    if rate < SLOWEST_RATE:
         return contacts
     for column, side in enumerate(("left", "right")):
-        toe = motion.positions[:, J[f"{side}_toe"]]
-        height = toe[:, 1] - _lowest(toe[:, 1], max(1, round(_AROUND * rate)))
-        standing = (height < _LOW * size) & (_speed(toe, rate) < _SLOW * size)
-        standing = _drop_short(standing, False, max(1, round(_GAP * rate)))
-        contacts[:, column] = _drop_short(standing, True, max(2, round(_SHORTEST * rate)))
+        points = motion.positions[:, J[f"{side}_{joint}"]]
+        height = points[:, 1] - measure_lowest(points[:, 1], max(1, round(_AROUND * rate)))
+        standing = (height < _LOW * size) & (measure_speed(points, rate) < _SLOW * size)
+        standing = drop_short(standing, False, max(1, round(_GAP * rate)))
+        contacts[:, column] = drop_short(standing, True, max(2, round(_SHORTEST * rate)))
     return contacts
 
 
-def _lowest(values: FloatArray, around: int) -> FloatArray:
+def body_size(motion: CanonicalMotion) -> float:
+    """Height over the joints, in bodies of 1.6 m."""
+    return float(np.clip(motion.height / _HEIGHT, 0.2, 5.0))
+
+
+def measure_lowest(values: FloatArray, around: int) -> FloatArray:
     """The minimum (T,) of the values so many frames before and after."""
     around = min(around, len(values))
     padded = np.concatenate((np.full(around, np.inf), values, np.full(around, np.inf)))
@@ -52,7 +58,7 @@ def _lowest(values: FloatArray, around: int) -> FloatArray:
     return lowest
 
 
-def _speed(points: FloatArray, rate: float) -> FloatArray:
+def measure_speed(points: FloatArray, rate: float) -> FloatArray:
     """(T,) m/s over two frames."""
     if len(points) < 2:
         return np.zeros(len(points))
@@ -60,7 +66,7 @@ def _speed(points: FloatArray, rate: float) -> FloatArray:
     return speed
 
 
-def _drop_short(states: BoolArray, which: bool, shortest: int) -> BoolArray:
+def drop_short(states: BoolArray, which: bool, shortest: int) -> BoolArray:
     """The states with stretches of one kind that are shorter than so many frames turned into the other."""
     result = states.copy()
     for start, end in list_stretches(states == which):

@@ -2,49 +2,34 @@
 
 from __future__ import annotations
 
-from itertools import pairwise
-
 import numpy as np
 
 from dousa.arrays import BoolArray, FloatArray
-from dousa.motion.retargeting.contacts import list_stretches
+from dousa.motion.retargeting.stances import smooth
 from dousa.motion.rotations import between, rotate
 
 _REACH = 0.9999  # of the length of a limb: beyond, the knee would leap
+_BENT = 0.999  # of the length of a leg: the pelvis goes down so far that knees keep a little bend
 _BIAS = 0.02  # of the upper bone
+_EASED, _SWINGING = 0.1, 0.1  # s; how much of a foot in the air counts
 _SMOOTH = 0.08  # s, over which the pelvis gives way
 
 
-def plan_corrections(points: FloatArray, contacts: BoolArray, height: float) -> FloatArray:
-    """How far (T, 3) a foot must be moved so that it stands still where it stands.
+def share_moves(moves: FloatArray, stands: BoolArray, frame_rate: float) -> FloatArray:
+    """What the whole body does (T, 3) m of what its feet need, so that the legs need little.
+
+    A foot that stands counts most.
 
     Parameters
     ----------
-    points : (T, 3) m, where its toe is.
-    contacts : (T,) when it stands.
-    height : m, at which the toe is when the foot is on the floor.
-
-    Returns
-    -------
-    During a contact what brings the toe to its mean place and to the height; between contacts a smooth way from one to
-    the other; before the first and after the last it is held.
+    moves : (T, 2, 3) m, of the feet.
+    stands : (T, 2) which of them are held.
+    frame_rate : Hz.
     """
-    stretches = list_stretches(contacts)
-    corrections = np.zeros_like(points)
-    if not stretches:
-        return corrections
-    for start, end in stretches:
-        place = points[start:end].mean(axis=0)
-        place[1] = height
-        corrections[start:end] = place - points[start:end]
-    first, last = stretches[0][0], stretches[-1][1]
-    corrections[:first] = corrections[first]
-    corrections[last:] = corrections[last - 1]
-    for (_, end), (start, _) in pairwise(stretches):
-        share = (np.arange(end, start) - end + 1)[:, None] / (start - end + 1)
-        share = share * share * (3 - 2 * share)
-        corrections[end:start] = (1 - share) * corrections[end - 1] + share * corrections[start]
-    return corrections
+    around = max(1, round(_EASED * frame_rate))
+    weights = np.where(stands, 1.0, _SWINGING)
+    shared = (weights[..., None] * moves).sum(axis=1) / weights.sum(axis=1)[:, None]
+    return np.stack([smooth(shared[:, axis], around) for axis in range(3)], axis=1)
 
 
 def bend(
@@ -91,7 +76,7 @@ def lower_pelvis(hips: FloatArray, wanted: FloatArray, lengths: FloatArray, fram
     """
     gap = hips - wanted
     beside = np.square(gap[..., 0]) + np.square(gap[..., 2])
-    highest = np.sqrt(np.maximum(np.square(_REACH * lengths) - beside, 0.0))
+    highest = np.sqrt(np.maximum(np.square(_BENT * lengths) - beside, 0.0))
     needed = np.maximum(gap[..., 1] - highest, 0.0).max(axis=1)
     return _widen(needed, max(1, round(_SMOOTH * frame_rate)))
 

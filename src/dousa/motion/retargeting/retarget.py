@@ -3,8 +3,8 @@
 Every joint of the character takes the turn of its counterpart since a reference pose in which both stand alike (the
 rest pose, or a frame where the rest pose is nobody's), then each limb is turned the last bit so that it points exactly
 where the source's points. The pelvis moves in proportion to the length of the legs. Feet that stand are then held in
-place by bending hip and knee, which changes the direction of the legs where the proportions differ; the feet keep
-theirs. Timing does not change.
+place by moving the pelvis, then bending hip and knee, which changes the direction of the legs where the proportions
+differ; the arms keep theirs. Timing does not change.
 """
 
 from __future__ import annotations
@@ -21,12 +21,16 @@ from dousa.motion.canonical.fitting import fit_motion
 from dousa.motion.canonical.joints import JOINT_INDEX as J
 from dousa.motion.canonical.recipes import JointMap
 from dousa.motion.kinematics import forward_kinematics
-from dousa.motion.retargeting.contacts import find_contacts, list_stretches
-from dousa.motion.retargeting.planting import bend, lower_pelvis, plan_corrections
-from dousa.motion.retargeting.rig import LIMBS, SIDES, Rig, body_axes, build_rig, toe_of
+from dousa.motion.retargeting.contacts import body_size, find_contacts, list_stretches
+from dousa.motion.retargeting.feet import Foot, FootPlan, plan_foot
+from dousa.motion.retargeting.planting import bend, lower_pelvis, share_moves
+from dousa.motion.retargeting.rig import LIMBS, SIDES, Rig, body_axes, build_rig
 from dousa.motion.retargeting.transfer import Poses, Transfer, find_floor
 from dousa.motion.rotations import conjugate, multiply, normalise, rotate
 from dousa.motion.types import Motion, Trajectories, freeze
+
+_MOST = 95  # percent of the frames of contact
+_LOWEST = 5  # percentile of the height of a joint of the foot: there it stands
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -36,8 +40,8 @@ class Retargeted:
     Parameters
     ----------
     motion : over the skeleton of the character; written to its format it keeps the character's layout.
-    contacts : (T, 2) when the left and the right foot stand.
-    skating : m, the furthest that a standing toe of the character moves from its mean place.
+    contacts : (T, 2) when the left and the right foot of the source stand.
+    skating : m, how far feet of the character move while they stand: 95 of 100 frames are nearer to their place.
     direction_error : rad, mean angle between the limbs of the source and of the character.
     scale : length of the character's legs over that of the source's.
     warnings : what a person should know.
@@ -82,9 +86,11 @@ def retarget(
     target_canonical = canonicalise(character, any_skeleton=True, whole=True)
     target = build_rig(character, target_canonical)
     made = Transfer(body, canonical, source, target, character).run()
-    contacts = find_contacts(canonical)
+    has_toes = all(f"{side}_toe" in rig.joints for rig in (source, target) for side in SIDES)
+    joint = "toe" if has_toes else "ankle"
+    contacts = find_contacts(canonical, joint)
     if plant_feet:
-        made = _plant(made, target, find_floor(canonical, source), contacts)
+        made = _plant(made, target, source, canonical, target.leg / source.leg)
     if keep_reach:
         made = _reach(made, target, canonical, target.leg / source.leg)
     rotations, translations = _to_local(made, target, character)
@@ -93,7 +99,7 @@ def retarget(
         provenance = dataclasses.replace(provenance, values=None, notes=())
     result = Motion(character.skeleton, freeze(rotations), freeze(translations), motion.frame_rate, provenance)
     places, _ = forward_kinematics(target.parents, rotations, translations)
-    skating = measure_skating(_toes(places, target), contacts)
+    skating = measure_skating(places[:, [target.joints[f"{side}_{joint}"] for side in SIDES]], contacts)
     warnings = list(canonical.warnings)
     if target_canonical.mapping.sides == "disagree":
         warnings.append(Message("retarget.mirrored"))
@@ -112,33 +118,28 @@ def measure_directions(canonical: CanonicalMotion, places: FloatArray, joints: d
     return np.stack(angles, axis=1)
 
 
-def measure_skating(toes: FloatArray, contacts: BoolArray) -> float:
-    """The furthest (m) that a toe moves from its mean place while it stands, of toes (T, 2, 3); 0 without contacts."""
-    worst = 0.0
-    for side in range(2):
-        for start, end in list_stretches(contacts[:, side]):
-            stand = toes[start:end, side]
-            worst = max(worst, float(np.linalg.norm(stand - stand.mean(axis=0), axis=1).max()))
-    return worst
+def measure_skating(points: FloatArray, contacts: BoolArray) -> float:
+    """How far (m) points (T, 2, 3) of the feet are from their places while they stand, in all but 5 of 100 frames.
+
+    The place of a contact is the median of its frames; 0 without contacts.
+    """
+    away = [
+        np.linalg.norm(points[start:end, side] - np.median(points[start:end, side], axis=0), axis=1)
+        for side in range(2)
+        for start, end in list_stretches(contacts[:, side])
+    ]
+    return float(np.percentile(np.concatenate(away), _MOST)) if away else 0.0
 
 
-def _toes(places: FloatArray, rig: Rig) -> FloatArray:
-    """(T, 2, 3): toes, or ankles of a character that has none."""
-    return places[:, [toe_of(rig.joints, side) for side in SIDES]]
-
-
-def _plant(poses: Poses, rig: Rig, floor: float, contacts: BoolArray) -> Poses:
+def _plant(poses: Poses, rig: Rig, source: Rig, canonical: CanonicalMotion, scale: float) -> Poses:
     """Feet that stand are held in place."""
-    if not contacts.any():
+    places, floor = poses.places(rig), find_floor(canonical, source)
+    plans = [_plan(places, rig, source, canonical, side, scale, floor) for side in range(2)]
+    moves = np.stack([plan.moves for plan in plans], axis=1)
+    if not moves.any():
         return poses
-    places = poses.places(rig)
-    toes = _toes(places, rig)
-    heights = floor + rig.toe_heights()
-    moves = np.stack([plan_corrections(toes[:, k], contacts[:, k], heights[k]) for k in range(2)], axis=1)
     # What both feet need, the whole body does.
-    shared = moves[..., 1].mean(axis=1)
-    pelvis = poses.pelvis.copy()
-    pelvis[:, 1] += shared
+    shared = share_moves(moves, np.stack([plan.stands for plan in plans], axis=1), poses.frame_rate)
     hips, ankles = (places[:, [rig.joints[f"{side}_{joint}"] for side in SIDES]] for joint in ("hip", "ankle"))
     lengths = np.array([
         sum(
@@ -148,11 +149,27 @@ def _plant(poses: Poses, rig: Rig, floor: float, contacts: BoolArray) -> Poses:
         for side in SIDES
     ])  # fmt: skip
     wanted = ankles + moves
-    pelvis[:, 1] -= lower_pelvis(hips + np.array([0, 1, 0]) * shared[:, None, None], wanted, lengths, poses.frame_rate)
+    pelvis = poses.pelvis + shared
+    pelvis[:, 1] -= lower_pelvis(hips + shared[:, None], wanted, lengths, poses.frame_rate)
     moved = Poses(poses.world, pelvis, poses.frame_rate)
     for column, side in enumerate(SIDES):
         moved = _bend_limb(moved, rig, [f"{side}_{joint}" for joint in ("hip", "knee", "ankle")], wanted[:, column])
+        foot = rig.joints[f"{side}_ankle"]
+        below = [joint for joint in range(len(rig.parents)) if foot in rig.ancestors(joint)]
+        moved.world[:, below] = multiply(plans[column].turns[:, None], moved.world[:, below])
     return moved
+
+
+def _plan(
+    places: FloatArray, rig: Rig, source: Rig, canonical: CanonicalMotion, side: int, scale: float, floor: float
+) -> FootPlan:
+    ankle, toe = (f"{SIDES[side]}_{joint}" for joint in ("ankle", "toe"))
+    known = toe in rig.joints and toe in source.joints
+    points = canonical.positions
+    lowest = [float(np.percentile(points[:, J[joint], 1], _LOWEST)) - floor for joint in (ankle, toe)]
+    made = Foot(places[:, rig.joints[ankle]], places[:, rig.joints[toe]] if known else None, rig.foot_heights())
+    own = Foot(points[:, J[ankle]], points[:, J[toe]] if known else None, (lowest[0], lowest[1]))
+    return plan_foot(own, made, scale, floor, canonical.frame_rate, body_size(canonical))
 
 
 def _reach(poses: Poses, rig: Rig, canonical: CanonicalMotion, scale: float) -> Poses:

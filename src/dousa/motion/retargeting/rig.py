@@ -25,6 +25,7 @@ TIPS: tuple[tuple[str, str], ...] = tuple(
 )
 """As the limbs, where both skeletons have the tip."""
 
+_ANKLE_PER_LEG = 0.08  # of an ankle above the ball of its foot
 _STRAIGHT, _OPPOSITE, _MOST_REFERENCES = 0.9, 0.85, 400
 
 
@@ -61,12 +62,20 @@ class Rig:
         vector: FloatArray = self.places[self.joints[end]] - self.places[self.joints[start]]
         return vector
 
-    def toe_heights(self) -> FloatArray:
-        """(2,) m, left and right toe above the lowest joint of the reference pose, as in a standing foot."""
+    def foot_heights(self) -> tuple[float, float]:
+        """Height (m) over the floor of ankles and toes in a standing foot; of a body without toes, usual ones.
+
+        The floor is where the lowest joint of the reference pose is, in which one foot may be lifted.
+        """
         up = rotate(conjugate(self.body), self.places)[:, 1]
-        below = [joint for joint in range(len(self.parents)) if self.pelvis in self.ancestors(joint)]
-        heights: FloatArray = up[[toe_of(self.joints, side) for side in SIDES]] - up[below].min()
-        return heights
+        lowest = min(up[joint] for joint in range(len(self.parents)) if self.pelvis in self.ancestors(joint))
+        heights = []
+        for joint in ("ankle", "toe"):
+            known = [up[self.joints[f"{side}_{joint}"]] for side in SIDES if f"{side}_{joint}" in self.joints]
+            heights.append(float(min(known) - lowest) if known else 0.0)
+        if heights[1] == 0.0 and not any(f"{side}_toe" in self.joints for side in SIDES):
+            heights[0] = max(heights[0], _ANKLE_PER_LEG * self.leg)
+        return heights[0], heights[1]
 
     def path(self, start: int, end: int) -> list[int]:
         """Joints from ``start`` down to, and without, ``end``."""
@@ -84,11 +93,6 @@ class Rig:
             chain.append(joint)
             joint = self.parents[joint]
         return chain
-
-
-def toe_of(joints: dict[str, int], side: str) -> int:
-    """The joint of the toe, or the ankle of a body that has none."""
-    return joints.get(f"{side}_toe", joints[f"{side}_ankle"])
 
 
 def build_rig(motion: Motion, canonical: CanonicalMotion) -> Rig:

@@ -166,8 +166,13 @@ def _in_frame(turns: FloatArray, frame: FloatArray) -> FloatArray:
 
 
 def find_floor(canonical: CanonicalMotion, rig: Rig) -> float:
-    """Height (m) of the floor: the second lowest percentile of the toes, less the height of toes in a standing foot."""
-    toes = canonical.positions[
-        :, [J[f"{side}_toe" if f"{side}_toe" in rig.joints else f"{side}_ankle"] for side in SIDES]
-    ]
-    return float(np.percentile(toes[..., 1] - rig.toe_heights(), 2))
+    """Height (m) of the floor: the second lowest percentile of the toes, less the height of toes in a standing foot.
+
+    Ankles serve where there are no toes.
+    """
+    ankle, toe = rig.foot_heights()
+    over = []
+    for side in SIDES:
+        known = f"{side}_toe" in rig.joints
+        over.append(canonical.positions[:, J[f"{side}_{'toe' if known else 'ankle'}"], 1] - (toe if known else ankle))
+    return float(np.percentile(over, 2))

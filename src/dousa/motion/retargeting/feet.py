@@ -1,0 +1,147 @@
+"""Where the feet of a character go so that they stand where the source's stand.
+
+A foot that stands moves as the source's does, in proportion: not at all, or rolling over heel or toe. Which of the two
+carries it is told by their speeds, so that a longer foot rolls over its own toe. In the air it swings from one such
+place to the next.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+
+from dousa.arrays import BoolArray, FloatArray
+from dousa.motion.retargeting.contacts import list_stretches
+from dousa.motion.retargeting.stances import Stances, find_stances, ramp, smooth
+from dousa.motion.rotations import between, identity, rotate
+
+_EASE = 0.05  # m/s: of two points slower than this each carries half the foot
+_PASSING = 0.04  # s, over which the one takes over from the other
+_TURNS = (0.10, 0.30)  # rad: what turns this little is held, what turns this much is not
+_FLOOR = (0.05, 0.15)  # m: a foot as near to the floor as the one stands on it, one beyond the other does not
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Foot:
+    """One foot, of the source or of the character.
+
+    Parameters
+    ----------
+    ankle : (T, 3) m.
+    toe : (T, 3) m; None if either body has none.
+    heights : m, of ankle and toe over the floor when the foot is flat on it.
+    """
+
+    ankle: FloatArray
+    toe: FloatArray | None
+    heights: tuple[float, float]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FootPlan:
+    """What is done with a foot.
+
+    Parameters
+    ----------
+    turns : (T, 4) of the foot in the world.
+    moves : (T, 3) m, of the ankle.
+    stands : (T,) whether it is held.
+    """
+
+    turns: FloatArray
+    moves: FloatArray
+    stands: BoolArray
+
+
+def plan_foot(source: Foot, made: Foot, scale: float, floor: float, frame_rate: float, size: float) -> FootPlan:
+    """How a foot is turned and moved so that it stands as the source's.
+
+    Parameters
+    ----------
+    source, made : the foot of the source, and that of the character, which points as the source's.
+    scale : length of the character's legs over that of the source's.
+    floor : m, its height.
+    frame_rate : Hz.
+    size : of the source, in bodies of 1.6 m over the joints.
+    """
+    ankle = find_stances(source.ankle, frame_rate, size)
+    near, steps, weight = ankle.near, scale * ankle.steps - np.diff(made.ankle, axis=0), _weigh(ankle)
+    turns = identity((len(source.ankle),))
+    heights = _height_over(source.ankle, made.ankle, source.heights[0], made.heights[0], scale, floor)
+    if source.toe is not None and made.toe is not None:
+        toe = find_stances(source.toe, frame_rate, size)
+        turns = _still_direction(source.toe - source.ankle, ankle.held * toe.held)
+        point = made.ankle + rotate(turns, made.toe - made.ankle)
+        share = _share(ankle, toe, frame_rate)[:, None]
+        steps = share * (scale * toe.steps - np.diff(point, axis=0)) + (1 - share) * steps
+        near, weight = near | toe.near, np.maximum(weight, _weigh(toe))
+        toes = _height_over(source.toe, point, source.heights[1], made.heights[1], scale, floor)
+        heights = np.where(toe.near, toes, heights)
+    moves = np.zeros_like(made.ankle)
+    stretches = list_stretches(near)
+    for start, end in stretches:
+        moves[start + 1 : end] = np.cumsum(steps[start : end - 1], axis=0)
+        own = weight[start:end]
+        moves[start:end] -= np.average(moves[start:end], axis=0, weights=own)
+        moves[start:end, 1] += np.average(heights[start:end] - moves[start:end, 1], weights=own)
+    _swing(moves, stretches)
+    return FootPlan(turns, moves, near)
+
+
+def _weigh(stances: Stances) -> FloatArray:
+    """(T,) how much a frame tells where a foot stands."""
+    weights: FloatArray = 1.0 / (1.0 + np.square(stances.speed / (2 * _EASE))) ** 2 * stances.near + 1e-9
+    return weights
+
+
+def _still_direction(directions: FloatArray, held: FloatArray) -> FloatArray:
+    """Turns (T, 4) that keep a foot's direction (T, 3) where it hardly changes while ankle and toe are held."""
+    unit = directions / np.maximum(np.linalg.norm(directions, axis=1, keepdims=True), 1e-9)
+    wanted = unit.copy()
+    for start, end in list_stretches(held > 0):
+        mean = np.average(unit[start:end], axis=0, weights=held[start:end] ** 2)
+        mean /= max(float(np.linalg.norm(mean)), 1e-9)
+        away = np.linalg.norm(unit[start:end] - mean, axis=1)
+        share = held[start:end] * (1 - ramp(away, *_TURNS))
+        wanted[start:end] += share[:, None] * (mean - unit[start:end])
+    return between(unit, wanted)
+
+
+def _share(ankle: Stances, toe: Stances, frame_rate: float) -> FloatArray:
+    """(T - 1,) how much of the foot the toe carries from frame to frame: all of it where the ankle moves about it."""
+    slow = _EASE**2
+    share = (ankle.speed**2 + slow) / (ankle.speed**2 + toe.speed**2 + 2 * slow)
+    share = smooth(share, max(1, round(_PASSING * frame_rate)))
+    middle: FloatArray = 0.5 * (share[1:] + share[:-1])
+    return middle
+
+
+def _height_over(
+    own: FloatArray, made: FloatArray, low: float, height: float, scale: float, floor: float
+) -> FloatArray:
+    """(T,) m by which a point must be lifted to be over the floor as the source's is, or on it if that nearly is.
+
+    Parameters
+    ----------
+    own, made : (T, 3) m, of the source and of the character.
+    low, height : m over the floor, where they are in a standing foot.
+    """
+    over = own[:, 1] - floor - low
+    over = over * ramp(np.abs(over), *_FLOOR)
+    lifts: FloatArray = floor + height + scale * over - made[:, 1]
+    return lifts
+
+
+def _swing(moves: FloatArray, stretches: list[tuple[int, int]]) -> None:
+    """Between places where a foot stands a smooth way; before the first and after the last it stays as there."""
+    if not stretches:
+        return
+    first, last = stretches[0][0], stretches[-1][1]
+    moves[:first] = moves[first]
+    moves[last:] = moves[last - 1]
+    for (_, end), (start, _) in pairwise(stretches):
+        share = (np.arange(end, start) - end + 1)[:, None] / (start - end + 1)
+        share = share * share * (3 - 2 * share)
+        moves[end:start] = (1 - share) * moves[end - 1] + share * moves[start]
