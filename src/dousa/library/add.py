@@ -17,15 +17,18 @@ from typing import Any, cast
 import sqlalchemy as sa
 
 from dousa.errors import DousaError
+from dousa.formats.annotations.label_file import to_annotation
 from dousa.formats.frame_votes import FrameVotes
 from dousa.formats.motion_files import FoundFile, ReadOptions, Skipped, find_motion_files
 from dousa.library import schema
+from dousa.library.annotations.places import FoundLabels, find_labels
+from dousa.library.annotations.store import annotate_takes, rename_segments
 from dousa.library.engine import Database, lock_for_writing, next_revision
 from dousa.library.forests import StoredForest, load_forest
 from dousa.library.ingest import ClipRecord, FileRecord, ReadTask, look_at, read_clip, read_clips
 from dousa.library.labels import LabelRule, no_label
 from dousa.library.results import AddReport, Duplicate
-from dousa.library.selection import delete_clips
+from dousa.library.selection import delete_clips, fetch_in
 from dousa.library.takes import DescribedTakes, describe_records, refresh_windows
 from dousa.library.train import insert_clips
 from dousa.messages import Message
@@ -55,7 +58,7 @@ Tally = defaultdict[str, list[Any]]
 
 def _make_report(tally: Tally, seconds: float) -> AddReport:
     values: dict[str, Any] = {field.name: tuple(tally[field.name]) for field in fields(AddReport)}
-    values |= {name: sum(tally[name]) for name in ("n_learned", "bytes")}
+    values |= {name: sum(tally[name]) for name in ("n_learned", "n_segments", "bytes")}
     values["new_categories"] = tuple(sorted(set(tally["new_categories"])))
     return AddReport(**(values | {"seconds": seconds}))
 
@@ -70,6 +73,7 @@ class Adding:
     rules : of category and performer: labels of new clips.
     options : what is said about the files.
     forest : of the library, if it is loaded; afterwards as it has learned.
+    labels_from, tier : where the labels of takes are, see ``annotations.places``; None for none.
     """
 
     def __init__(
@@ -79,12 +83,16 @@ class Adding:
         rules: Mapping[str, LabelRule],
         options: ReadOptions,
         forest: StoredForest | None = None,
+        labels_from: str | None = None,
+        tier: str | None = None,
     ) -> None:
         self._database = database
         self._kind = kind
         self._rules = rules
         self._options = options
         self.forest = forest
+        self._labels_from = labels_from
+        self._tier = tier
         self._found: dict[str, FoundFile] = {}
         self._labels_stay = True
         self._tally: Tally = defaultdict(list)
@@ -97,6 +105,8 @@ class Adding:
         self._tally["skipped"] += missing
         self._tally["passed_over"] += others.most_common()
         self._found = {str(file.path): file for file in files}
+        # All tables before anything is written: a mistake in one leaves nothing half done.
+        labels = {} if self._labels_from is None else find_labels(files, self._labels_from, self._tier)
         tasks = self._plan()
         report = progress or (lambda done, total, path: None)
         done = len(files) - len(tasks)
@@ -127,7 +137,45 @@ class Adding:
             answers.close()
         portion += [self._settle(record, votes) for record in doubtful]
         self._store_portion(portion)
+        if self._labels_from is not None:
+            self._annotate(labels)
         return self._finish(start, n_jobs)
+
+    def _annotate(self, labels: Mapping[str, FoundLabels]) -> None:
+        """Give the takes among the files their labels; those that have the same already are left alone."""
+        table = schema.clips.c
+        query = sa.select(table.id, table.path, table.frame_rate).where(table.kind == schema.TAKE)
+        with self._database.reading() as connection:
+            rows = sorted(fetch_in(connection, query, table.path, list(self._found)), key=lambda row: str(row.path))
+        wanted = {}
+        notes: dict[int, list[Message]] = {}
+        for row in rows:
+            own = labels.get(row.path)
+            if own is None:
+                self._tally["warnings"].append((row.path, Message("annotations.no_table")))
+            else:
+                wanted[row.id], notes[row.id] = to_annotation(own.file, own.tiers, self._tier, row.frame_rate)
+        self.forest, changes = annotate_takes(self._database, wanted, self.forest)
+        changed = set(changes.takes)
+        # What was said of labels that have not changed is not said again.
+        self._tally["warnings"] += [(row.path, n) for row in rows if row.path in changed for n in notes[row.id]]
+        self._tally["warnings"] += changes.warnings
+        self._tally["labelled"] += changes.takes
+        self._tally["n_segments"].append(changes.n_segments)
+        self._tally["n_learned"].append(changes.n_learned)
+        self._tally["new_categories"] += changes.new_categories
+        self._leave_out_tables(labels)
+
+    def _leave_out_tables(self, labels: Mapping[str, FoundLabels]) -> None:
+        """Tables that were read are not among the files that no reader takes."""
+        roots = [file.root for file in self._found.values() if file.root != file.path]
+        used = Counter(
+            os.path.splitext(path)[1].lower()
+            for path in {os.path.abspath(own.file.path) for own in labels.values()}
+            if any(root in Path(path).parents for root in roots)
+        )
+        left = [(suffix, count - used[suffix]) for suffix, count in self._tally["passed_over"]]
+        self._tally["passed_over"] = [(suffix, count) for suffix, count in left if count > 0]
 
     def _settle(self, record: ClipRecord, votes: FrameVotes) -> Answer:
         """A file whose up axis or unit is a guess, as the others of its skeleton have it."""
@@ -282,6 +330,7 @@ class Adding:
 def _move(connection: sa.Connection, record: FileRecord, old_path: str) -> None:
     new = {name: record.row[name] for name in ("path", "fingerprint", "read_options")}
     connection.execute(sa.update(schema.clips).where(schema.clips.c.path == old_path).values(**new))
+    rename_segments(connection, record.path)
 
 
 def _is_gone(row: Any) -> bool:

@@ -105,6 +105,8 @@ class Library:
         kind: Literal["clip", "take"] = "clip",
         category_from: str | None = "folder",
         performer_from: str | None = None,
+        labels_from: str | None = None,
+        tier: str | None = None,
         options: ReadOptions | None = None,
         n_jobs: int | None = None,
         progress: AddProgress | None = None,
@@ -118,10 +120,14 @@ class Library:
         Parameters
         ----------
         paths : files, and folders that are searched at any depth.
-        kind : ``"clip"``, files that each hold one thing that is done; ``"take"``, uncut recordings: nothing is
-            learned from them, ``find`` looks into them, and they have no category. A file that is there already
-            stays what it is.
+        kind : ``"clip"``, files that each hold one thing that is done; ``"take"``, uncut recordings: they have no
+            category, ``find`` looks into them, and nothing is learned from them but from labelled segments. A file
+            that is there already stays what it is.
         category_from, performer_from : rules for the labels, see ``dousa.library.labels``.
+        labels_from : of takes, where tables are that say what happens in them when, see
+            ``dousa.library.annotations.places``; each segment becomes a clip. Takes that are there already get the
+            labels that their table has now.
+        tier : name of the tier of these tables, None for the first that has labels.
         options : what the files do not say; a file read with other ones than before is read again.
         n_jobs : files read at a time; by default every core, or what ``joblib.parallel_config`` says.
         progress : called with (files done, files, path of the last one).
@@ -132,18 +138,23 @@ class Library:
 
         Raises
         ------
-        OptionError : a rule that cannot be understood, or another kind.
+        OptionError : a rule that cannot be understood, or another kind; labels of clips, or of no take at all.
+        MotionFileError : a table of labels that cannot be read.
         LibraryError : the library cannot be written.
         """
         from dousa.library.add import Adding
 
         _check_kind(kind)
         check_jobs(n_jobs)
+        if kind == CLIP and (labels_from is not None or tier is not None):
+            raise OptionError("annotations.of_clips")
+        if tier is not None and labels_from is None:
+            raise OptionError("annotations.tier_alone")
         rules = {
             "category": parse_label_rule(category_from if kind == CLIP else None, "category"),
             "performer": parse_label_rule(performer_from, "performer"),
         }
-        adding = Adding(self.database, kind, rules, options or ReadOptions(), self._forests.last)
+        adding = Adding(self.database, kind, rules, options or ReadOptions(), self._forests.last, labels_from, tier)
         return adding.run(_as_list(paths), n_jobs, progress)
 
     def add_motion(

@@ -249,6 +249,8 @@ class AddReport(_Answer):
         what they are.
     n_learned : clips with a category that the leaves of the forest learned at once.
     new_categories : categories among them that the forest did not know.
+    labelled : takes whose labels are new, or others than before.
+    n_segments : of these takes, which are clips now.
     seconds : time it took.
     bytes : size of the files that were read.
     """
@@ -265,6 +267,8 @@ class AddReport(_Answer):
     other_kind: tuple[str, ...]
     n_learned: int
     new_categories: tuple[str, ...]
+    labelled: tuple[str, ...]
+    n_segments: int
     seconds: float
     bytes: int
 

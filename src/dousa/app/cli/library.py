@@ -80,8 +80,20 @@ def add(
     paths: Annotated[list[Path], typer.Argument(metavar="PATH...", help="Motion files, or folders of them.")],
     takes: Annotated[
         bool,
-        typer.Option("--takes", help="These are uncut recordings: to search with dousa find, not to train on."),
+        typer.Option("--takes", help="These are uncut recordings: to search with dousa find, to label, to learn from."),
     ] = False,
+    labels: Annotated[
+        str | None,
+        typer.Option(
+            "--labels",
+            metavar="RULE",
+            help="Where takes have tables of what happens when: beside, folder:FOLDER or csv:FILE.",
+        ),
+    ] = None,
+    tier: Annotated[
+        str | None,
+        typer.Option("--tier", help="Tier of these tables.", show_default="the first that has labels"),
+    ] = None,
     *,
     label_options: o.LabelOptions,
     motion_options: o.MotionOptions,
@@ -94,17 +106,26 @@ def add(
     takes have none. If the library is trained, the forest learns from the new clips at once; dousa train makes a new
     one. Can be interrupted and run again.
 
+    Labels of takes are tables of start_s, end_s and category (NAME.labels.csv), or of ELAN, Praat or BORIS; each
+    segment becomes a clip. Run again when they have changed.
+
     Example: dousa add moves.dousa recordings/ --performer-from 'name:HDM_(..)_'
+
+    Example: dousa add moves.dousa sessions/ --takes --labels beside
     """
     if takes and label_options.category_from != "folder":
         raise OptionError("library_cli.takes_without_category")
     options = motion_options.load()
     _check_before_making(library, paths, label_options, options)
+    if labels is not None and takes:
+        _check_labels(paths, labels, tier)
     with open_library(library, create=True) as opened, progress_bar() as progress:
         report = opened.add(
             paths,
             kind="take" if takes else "clip",
             **o.list_values(label_options),
+            labels_from=labels,
+            tier=tier,
             options=options,
             n_jobs=jobs,
             progress=lambda done, total, path: progress(done, total, Message("library_cli.adding")),
@@ -137,6 +158,14 @@ def _check_before_making(library: str, paths: list[Path], label_options: o.Label
 
         if find_motion_files(paths) == ([], []):
             raise OptionError("library_cli.no_motion", path=paths[0], known=SUFFIXES)
+
+
+def _check_labels(paths: list[Path], rule: str, tier: str | None) -> None:
+    """Find mistakes in tables of labels before an empty library is left behind."""
+    from dousa.formats.motion_files import find_motion_files
+    from dousa.library.annotations.places import find_labels
+
+    find_labels(find_motion_files(paths)[0], rule, tier)
 
 
 def train(

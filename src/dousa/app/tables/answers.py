@@ -137,6 +137,8 @@ def print_add(out: Console, report: AddReport) -> None:
         )
     if report.passed_over:
         _say_passed_over(out, report.passed_over)
+    if report.labelled:
+        _say(out, "adding.labelled", n=len(report.labelled), segments=report.n_segments)
     if report.n_learned:
         code = "adding.learned_categories" if report.new_categories else "adding.learned"
         _say(out, code, n=report.n_learned, new=len(report.new_categories))

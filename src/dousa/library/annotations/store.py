@@ -241,6 +241,16 @@ def name_path(take: str, start: float, stop: float) -> str:
     return f"{take}#t={start:.3f},{stop:.3f}"
 
 
+def rename_segments(connection: sa.Connection, take: str) -> None:
+    """Segments of a take that lies elsewhere now are called after its new path."""
+    clips, table = schema.clips, schema.segments.c
+    owner = sa.select(clips.c.id).where(clips.c.path == take)
+    query = sa.select(table.clip_id, table.start_s, table.end_s).where(table.take_id.in_(owner))
+    for row in connection.execute(query).all():
+        name = name_path(take, row.start_s, row.end_s)
+        connection.execute(sa.update(clips).where(clips.c.id == row.clip_id).values(path=name))
+
+
 def _make_record(row: Any, motion: StoredMotion, segment: Stretch, by_hand: bool) -> ClipRecord:
     first, stop = _find_frames(row, segment)
     part = StoredMotion(motion.positions[first:stop], motion.frame_rate, motion.height)

@@ -1,0 +1,98 @@
+"""ELAN's .eaf files (EAF 2.7 to 3.0, Max Planck Institute for Psycholinguistics): tiers of annotations in XML.
+
+Times are in slots, in ms; a slot without a time lies evenly between its neighbours that have one. An annotation that
+refers to another has its time, or its share of it where several refer to one.
+"""
+
+from __future__ import annotations
+
+import xml.etree.ElementTree as ET
+
+import numpy as np
+
+from dousa.errors import CalibrationError, MotionFileError
+from dousa.files.markup import parse_xml
+from dousa.formats.annotations.label_file import LabelFile, LabelTier, clean_category, make_span, sort_spans
+
+_Times = dict[str, tuple[float, float]]
+
+
+def read_eaf(path: str, data: bytes) -> LabelFile:
+    """Labels of an ELAN document.
+
+    Raises
+    ------
+    MotionFileError : no XML, no document of ELAN, times that are none, references that lead nowhere.
+    """
+    try:
+        root = parse_xml(data)
+    except CalibrationError as error:
+        raise MotionFileError(path, error.message) from error
+    if root.tag != "ANNOTATION_DOCUMENT":
+        raise MotionFileError(path, "label_files.not_elan", found=root.tag[:40])
+    slots = _read_slots(path, root)
+    times: _Times = {}
+    for node in root.iter("ALIGNABLE_ANNOTATION"):
+        ends = [node.get(f"TIME_SLOT_REF{which}", "") for which in (1, 2)]
+        missing = [end for end in ends if end not in slots]
+        if missing:
+            raise MotionFileError(
+                path, "label_files.no_slot", slot=missing[0], annotation=node.get("ANNOTATION_ID", "?")
+            )
+        times[node.get("ANNOTATION_ID", "")] = slots[ends[0]], slots[ends[1]]
+    _add_references(path, root, times)
+    tiers = []
+    for tier in root.iter("TIER"):
+        spans = []
+        for node in tier.iter():
+            if node.tag not in ("ALIGNABLE_ANNOTATION", "REF_ANNOTATION"):
+                continue
+            category = clean_category(node.findtext("ANNOTATION_VALUE") or "")
+            start, stop = times[node.get("ANNOTATION_ID", "")]
+            if category:
+                spans.append(make_span(path, start, stop, category, None))
+        tiers.append(sort_spans(LabelTier(tier.get("TIER_ID", ""), tuple(spans))))
+    return LabelFile(path, {"": tuple(tiers)})
+
+
+def _read_slots(path: str, root: ET.Element) -> dict[str, float]:
+    """Seconds by the name of the slot."""
+    slots = list(root.iter("TIME_SLOT"))
+    known: dict[int, float] = {}
+    for place, node in enumerate(slots):
+        text = node.get("TIME_VALUE")
+        if text is None:
+            continue
+        try:
+            known[place] = int(text) / 1000.0
+        except ValueError:
+            raise MotionFileError(path, "label_files.no_slot_time", found=text[:40]) from None
+    outside = [place for place in range(len(slots)) if not known or not min(known) <= place <= max(known)]
+    if outside:
+        raise MotionFileError(path, "label_files.no_slot_time", found=slots[outside[0]].get("TIME_SLOT_ID", "?"))
+    if not slots:
+        return {}
+    filled = np.interp(np.arange(len(slots)), list(known), list(known.values())).tolist()
+    return {node.get("TIME_SLOT_ID", ""): value for node, value in zip(slots, filled, strict=True)}
+
+
+def _add_references(path: str, root: ET.Element, times: _Times) -> None:
+    """Times of annotations that refer to others, which may refer to others in turn."""
+    waiting: dict[str, list[str]] = {}
+    for tier in root.iter("TIER"):
+        children: dict[str, list[str]] = {}
+        for node in tier.iter("REF_ANNOTATION"):
+            children.setdefault(node.get("ANNOTATION_REF", ""), []).append(node.get("ANNOTATION_ID", ""))
+        for parent, some in children.items():
+            waiting.setdefault(parent, []).append("\n".join(some))
+    while waiting:
+        ready = [parent for parent in waiting if parent in times]
+        if not ready:
+            raise MotionFileError(path, "label_files.no_parent", annotation=next(iter(waiting)))
+        for parent in ready:
+            start, stop = times[parent]
+            for group in waiting.pop(parent):
+                own = group.split("\n")
+                step = (stop - start) / len(own)
+                for number, name in enumerate(own):
+                    times[name] = start + number * step, start + (number + 1) * step

@@ -1,0 +1,211 @@
+"""Tables of labels as comma, semicolon or tab separated text, and those that BORIS exports.
+
+dousa's own has the columns ``start_s``, ``end_s`` and ``category``, and may have ``tier``; with ``path`` or ``file`` it
+is about several takes. A row without a category says that nothing happens there. BORIS (Friard and Gamba, Methods in
+Ecology and Evolution 7, 2016) exports "tabular events", a row where something starts and one where it stops, and
+"aggregated events", a row a behaviour; its subjects are the tiers.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+
+from dousa.errors import MotionFileError
+from dousa.formats.annotations.label_file import (
+    LabelFile,
+    LabelSpan,
+    LabelTier,
+    clean_category,
+    decode_text,
+    make_span,
+    parse_number,
+    sort_spans,
+)
+
+_START = ("start_s", "start", "begin_s", "begin", "start (s)", "onset")
+_STOP = ("end_s", "end", "stop_s", "stop", "stop (s)", "offset")
+_CATEGORY = ("category", "label", "behavior", "behaviour")
+_TIER = ("tier", "subject")
+_TAKE = ("path", "file")
+_OBSERVATION = "observation id"
+_MEDIA = ("media file name", "media file", "media file path")
+_KIND = ("behavior type", "behaviour type", "status", "event type")
+_MOST_ABOVE = 60  # lines that BORIS writes above its table
+
+
+@dataclass(frozen=True, slots=True)
+class _Row:
+    line: int
+    cells: list[str]
+
+
+@dataclass(frozen=True, slots=True)
+class _Table:
+    """Rows under a head; ``columns`` are the places of the names, which are in small letters."""
+
+    path: str
+    columns: dict[str, int]
+    head_line: int
+    rows: list[_Row]
+
+    def find(self, names: Sequence[str]) -> str:
+        """The first of these columns that is there, or nothing."""
+        return next((name for name in names if name in self.columns), "")
+
+    def cell(self, row: _Row, name: str) -> str:
+        """Empty where the table has no such column, or the row is short."""
+        place = self.columns.get(name)
+        return row.cells[place].strip() if place is not None and place < len(row.cells) else ""
+
+
+def find_head(text: str) -> tuple[int, list[str]] | None:
+    """The line (from 0) of the head of a table of labels and its names; None if the text has none."""
+    for number, line in enumerate(text.splitlines()[:_MOST_ABOVE]):
+        names = [name.strip().strip('"').strip().lower() for name in line.split(_find_delimiter(line))]
+        is_own = any(name in names for name in _START) and any(name in names for name in _STOP)
+        is_tabular = "time" in names and any(name in names for name in _KIND)
+        if any(name in names for name in _CATEGORY) and (is_own or is_tabular):
+            return number, names
+    return None
+
+
+def _find_delimiter(head: str) -> str:
+    return max(",;\t", key=head.count)
+
+
+def read_table(path: str, data: bytes) -> LabelFile:
+    """Labels of a table.
+
+    Raises
+    ------
+    MotionFileError : no text, no such columns, a time that is none, a behaviour that starts and never stops.
+    """
+    text = decode_text(path, data)
+    head = find_head(text)
+    if head is None:
+        first = next((line for line in text.splitlines() if line.strip()), "")
+        found = [name.strip() for name in first.split(_find_delimiter(first))][:12]
+        raise MotionFileError(path, "label_files.no_columns", 1, found=found)
+    table = _split(path, text, *head)
+    if "time" in table.columns and not table.find(_STOP):
+        return _read_events(table)
+    return _read_spans(table)
+
+
+def _split(path: str, text: str, number: int, names: list[str]) -> _Table:
+    lines = text.splitlines(keepends=True)
+    reader = csv.reader(io.StringIO("".join(lines[number:]), newline=""), delimiter=_find_delimiter(lines[number]))
+    rows = []
+    try:
+        next(reader)
+        before = reader.line_num
+        for cells in reader:
+            if any(cell.strip() for cell in cells):
+                rows.append(_Row(number + before + 1, cells))
+            before = reader.line_num
+    except csv.Error as error:
+        raise MotionFileError(path, "label_files.not_a_table", number + reader.line_num, reason=error) from error
+    columns: dict[str, int] = {}
+    for place, name in enumerate(names):
+        columns.setdefault(name, place)
+    return _Table(path, columns, number + 1, rows)
+
+
+def _read_spans(table: _Table) -> LabelFile:
+    start_in, stop_in, category_in = table.find(_START), table.find(_STOP), table.find(_CATEGORY)
+    kind_in = table.find(_KIND)
+    found = _Found()
+    for row in table.rows:
+        if len(row.cells) <= max(table.columns[name] for name in (start_in, stop_in, category_in)):
+            expected = max(table.columns[name] for name in (start_in, stop_in, category_in)) + 1
+            raise MotionFileError(
+                table.path, "label_files.too_few_columns", row.line, expected=expected, found=len(row.cells)
+            )
+        tier = found.tier(table, row)
+        category = clean_category(table.cell(row, category_in))
+        start = parse_number(table.path, table.cell(row, start_in), start_in, row.line)
+        if table.cell(row, kind_in).upper() == "POINT":
+            tier.n_points += 1
+            continue
+        stop = parse_number(table.path, table.cell(row, stop_in), stop_in, row.line)
+        span = make_span(table.path, start, stop, category, row.line)
+        if category:
+            tier.spans.append(span)
+    return found.to_file(table)
+
+
+def _read_events(table: _Table) -> LabelFile:
+    """BORIS's tabular events: START and STOP in rows of their own."""
+    kind_in, category_in = table.find(_KIND), table.find(_CATEGORY)
+    found = _Found()
+    open_ones: dict[tuple[int, str], tuple[float, int]] = {}
+    for row in table.rows:
+        tier = found.tier(table, row)
+        category = clean_category(table.cell(row, category_in))
+        time = parse_number(table.path, table.cell(row, "time"), "Time", row.line)
+        kind, key = table.cell(row, kind_in).upper(), (id(tier), category)
+        if kind == "POINT":
+            tier.n_points += 1
+        elif kind == "START" and key not in open_ones:
+            open_ones[key] = time, row.line
+        elif kind == "STOP" and key in open_ones:
+            begin, line = open_ones.pop(key)
+            tier.spans.append(make_span(table.path, begin, time, category, line))
+        elif kind in ("START", "STOP"):
+            code = "label_files.starts_twice" if kind == "START" else "label_files.stops_only"
+            raise MotionFileError(table.path, code, row.line, category=category)
+        else:
+            raise MotionFileError(table.path, "label_files.no_kind", row.line, found=kind[:40])
+    for (_, category), (_, line) in open_ones.items():
+        raise MotionFileError(table.path, "label_files.never_stops", line, category=category)
+    return found.to_file(table)
+
+
+class _Tier:
+    def __init__(self, name: str) -> None:
+        self.name = name
+        self.spans: list[LabelSpan] = []
+        self.n_points = 0
+
+
+class _Found:
+    """Tiers of takes, in the order of the file."""
+
+    def __init__(self) -> None:
+        self._takes: dict[str, dict[str, _Tier]] = {}
+
+    def tier(self, table: _Table, row: _Row) -> _Tier:
+        """The one that a row belongs to."""
+        take = table.cell(row, _name_takes(table))
+        tiers = self._takes.setdefault(take, {})
+        name = table.cell(row, table.find(_TIER))
+        return tiers.setdefault(name, _Tier(name))
+
+    def to_file(self, table: _Table) -> LabelFile:
+        """The whole file; one about a single BORIS observation is about any take."""
+        takes = {take: tuple(self._finish(tiers)) for take, tiers in self._takes.items()}
+        own = table.find(_TAKE)
+        if not own and len(takes) == 1:
+            takes = {"": next(iter(takes.values()))}
+        if not takes and not own:
+            takes = {"": ()}
+        return LabelFile(table.path, takes, by_name=own != "path")
+
+    def _finish(self, tiers: dict[str, _Tier]) -> Iterator[LabelTier]:
+        for tier in tiers.values():
+            yield sort_spans(LabelTier(tier.name, tuple(tier.spans), n_points=tier.n_points))
+
+
+def _name_takes(table: _Table) -> str:
+    """The column that names takes: of dousa's table, else BORIS's observation, else its film."""
+    return table.find((*_TAKE, _OBSERVATION, *_MEDIA))
+
+
+def about_one_take(file: LabelFile) -> LabelFile:
+    """A table that lies beside a take is about this one, whatever it calls it, if it is about one at all."""
+    if len(file.takes) != 1:
+        return file
+    return replace(file, takes={"": next(iter(file.takes.values()))})
