@@ -1,4 +1,5 @@
 from .engine import choose_jobs
+from .export.clip_export import ExportReport
 from .labels import parse_label_rule
 from .library import Library
 from .results import (
@@ -26,6 +27,7 @@ __all__ = [
     "Classification",
     "ClipInfo",
     "Duplicate",
+    "ExportReport",
     "FindResult",
     "Hit",
     "LabelledTake",

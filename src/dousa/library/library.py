@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from dousa.library.add import AddProgress
     from dousa.library.annotations.store import Annotations
     from dousa.library.engine import Database
+    from dousa.library.export.clip_export import ExportProgress, ExportReport
     from dousa.library.ingest import Query
     from dousa.library.labelling import Labellers, LearnProgress
     from dousa.library.results import Classification, FindResult, LabelledTake, SearchResult
@@ -532,6 +533,52 @@ class Library:
         """
         with self.database.reading() as connection:
             yield from load_trajectories(connection, [number for number in clip_ids if schema.is_id(number)])
+
+    def export(
+        self,
+        path: str | os.PathLike[str],
+        selection: Selection | None = None,
+        *,
+        category: str | None = None,
+        performer: str | None = None,
+        to: str = "original",
+        onto: str | os.PathLike[str] | None = None,
+        keep_reach: bool = False,
+        frame_rate: float | None = None,
+        options: ReadOptions | None = None,
+        progress: ExportProgress | None = None,
+    ) -> ExportReport:
+        """Write clips as files, a folder per category, with a ``manifest.csv`` of their labels.
+
+        Run again, it keeps what is there and unchanged: an interrupted export goes on where it stopped. Of a clip whose
+        file is gone the stored joints are written, which the column ``from`` says.
+
+        Parameters
+        ----------
+        path : folder, made if necessary, in which files of others are left alone; or a ZIP file, by its suffix.
+        selection : numbers, files, or folders, which stand for all clips below them; all if left out.
+        category, performer : only clips of this label.
+        to : name of a format that is written, such as ``"glb"`` or ``"bvh"``, or ``"original"``.
+        onto : file of a character whose skeleton the motions are put onto; see ``dousa.motion.retarget``.
+        keep_reach : hands reach the same places, instead of arm directions.
+        frame_rate : Hz to resample to.
+        options : how files are read, where that is not as they were when they were added.
+        progress : called with the number of clips that are done, of all, and the name of the next.
+
+        Returns
+        -------
+        What was written, kept and skipped.
+
+        Raises
+        ------
+        LibraryError : nothing fits.
+        OptionError : a format that does not exist, the originals put onto a character, a character without a skeleton.
+        """
+        from dousa.library.export.clip_export import ExportFormat, export_clips
+
+        form = ExportFormat(to, onto, keep_reach, frame_rate)
+        clips = self.clips(selection, category=category, performer=performer)
+        return export_clips(self, clips, path, form, options, progress)
 
     def remove(
         self, selection: Selection = (), *, category: str | None = None, performer: str | None = None

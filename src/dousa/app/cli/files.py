@@ -123,16 +123,9 @@ def _shows_anybody(motion: Motion | Trajectories) -> bool:
 def convert(
     source: Annotated[Path, typer.Argument(metavar="IN", help="Motion file to read.")],
     target: Annotated[Path, typer.Argument(metavar="OUT", help=f"File to write: {WRITTEN_SUFFIXES}.")],
-    frame_rate: Annotated[float | None, typer.Option("--frame-rate", help="Resample to this rate in Hz.")] = None,
-    onto: Annotated[
-        Path | None,
-        typer.Option("--onto", metavar="CHARACTER", help="Put the motion onto the skeleton of this file."),
-    ] = None,
-    keep_reach: Annotated[
-        bool, typer.Option("--keep-reach", help="With --onto: hands reach the same places, instead of arm directions.")
-    ] = False,
     overwrite: Annotated[bool, typer.Option("--overwrite", help="Allow OUT to be IN.")] = False,
     *,
+    character_options: o.CharacterOptions,
     motion_options: o.MotionOptions,
     json: o.Json = False,
 ) -> None:
@@ -147,6 +140,9 @@ def convert(
     from dousa.motion import Motion, resample
 
     options = motion_options.load()
+    onto, frame_rate = character_options.onto, character_options.frame_rate
+    if character_options.keep_reach and onto is None:
+        raise OptionError("export.reach_of_nobody")
     if not overwrite and target.exists() and target.samefile(source):
         raise OptionError("files_cli.same_file", path=target)
     motion = _read(source, options)
@@ -159,7 +155,7 @@ def convert(
     fit_error = None
     answer: dict[str, Any] = {}
     if onto is not None:
-        motion, answer = _put_onto(motion, onto, target, options, keep_reach)
+        motion, answer = _put_onto(motion, onto, target, options, character_options.keep_reach)
     if target.suffix.lower() == ".bvh" and not isinstance(motion, Motion):
         motion, fit_error = _fit(motion, options.joint_map)
         warn(Message("files_cli.fitted", path=source, error=1000 * fit_error))

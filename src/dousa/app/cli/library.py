@@ -334,38 +334,44 @@ def list_clips(
         tables.print_stats(console(), library, stats.to_json())
 
 
-ExportFormat = Literal["original", "glb", "bvh", "c3d", "trc", "csv", "npz", "amass"]
-"""What clips are exported as."""
-
-
 def export(
     library: o.LibraryPath,
-    output: Annotated[Path, typer.Option("--output", "-o", metavar="FOLDER", help="Folder for the files.")],
+    clips: Clips = None,
+    *,
+    output: Annotated[
+        Path, typer.Option("--output", "-o", metavar="OUT", help="Folder for the files, or a ZIP file (.zip).")
+    ],
     category: Annotated[str | None, typer.Option("--category", help="Only clips of this category.")] = None,
     performer: Annotated[str | None, typer.Option("--performer", help="Only clips of this performer.")] = None,
-    to: Annotated[ExportFormat, typer.Option("--to", help="Format of the files.")] = "original",
-    onto: Annotated[
-        Path | None,
-        typer.Option("--onto", metavar="CHARACTER", help="Put the motions onto the skeleton of this file."),
-    ] = None,
+    to: Annotated[
+        str,
+        typer.Option(
+            "--to",
+            metavar="FORMAT",
+            help="Format of the files: the suffix of any that is written, such as glb, bvh or c3d; amass; or original.",
+        ),
+    ] = "original",
+    character_options: o.CharacterOptions,
+    motion_options: o.MotionOptions,
     json: o.Json = False,
 ) -> None:
     """Export clips as files, a folder per category, with a manifest.csv of their labels.
 
-    Can be interrupted and run again: what is there and unchanged is kept.
+    Can be interrupted and run again: what is there and unchanged is kept. Files are read as they were when they were
+    added, but for what is said here.
 
     Example: dousa export moves.dousa --category walk --to glb -o walks/
     """
-    from dousa.app.pipelines.export import export_clips
-
+    options = motion_options.load()
     with open_to_read(library) as opened, progress_bar() as progress:
-        report = export_clips(
-            opened,
+        report = opened.export(
             output,
+            _selection(clips) if clips else None,
             category=category,
             performer=performer,
             to=to,
-            onto=onto,
+            **o.list_values(character_options),
+            options=options,
             progress=lambda done, total, path: progress(done, total, Message("export.exporting")),
         )
     if json:

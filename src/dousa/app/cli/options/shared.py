@@ -107,6 +107,20 @@ class MotionOptions(FileOptions):
         return replace(options, joint_map=read_joint_map(self.joint_map))
 
 
+@dataclass(frozen=True, slots=True)
+class CharacterOptions:
+    """On whose skeleton a motion is written, and how often a second."""
+
+    onto: Annotated[
+        Path | None,
+        typer.Option("--onto", metavar="CHARACTER", help="Put the motion onto the skeleton of this file."),
+    ] = None
+    keep_reach: Annotated[
+        bool, typer.Option("--keep-reach", help="With --onto: hands reach the same places, instead of arm directions.")
+    ] = False
+    frame_rate: Annotated[float | None, typer.Option("--frame-rate", help="Resample to this rate in Hz.")] = None
+
+
 def _check_jobs(jobs: int | None) -> int | None:
     if jobs == 0:
         raise OptionError("usage.jobs")

@@ -1,0 +1,1 @@
+"""Clips of a library as files: where they go, and how they are made."""
