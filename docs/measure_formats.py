@@ -21,7 +21,7 @@ import numpy as np
 from dousa.errors import DousaError, JointMappingError
 from dousa.formats.registry import SUFFIXES, read_motion
 from dousa.motion import CANONICAL_JOINTS, Motion, canonicalise
-from dousa.motion.canonical.geometry import hips_from_markers
+from dousa.motion.canonical.joint_centres import hips_from_markers
 from dousa.motion.canonical.naming import rank_matches
 
 SIDES = ("left", "right")

@@ -118,8 +118,10 @@ def _means(left: FloatArray, right: FloatArray) -> FloatArray:
     return means
 
 
-# Lengths as shares of the stature: Winter, Biomechanics and motor control of human movement (4th ed. 2009), fig. 4.1.
-_SHARES = {"thigh": 0.245, "shank": 0.246, "upper_arm": 0.186, "forearm": 0.146, "shoulders": 0.259, "trunk": 0.288}
+# Lengths as shares of the stature. Limbs, between joint centres: de Leva, "Adjustments to Zatsiorsky-Seluyanov's
+# segment inertia parameters", J. Biomechanics 29 (1996), table 4. Widths and trunk: Winter, Biomechanics and motor
+# control of human movement (4th ed. 2009), fig. 4.1.
+_SHARES = {"thigh": 0.2425, "shank": 0.249, "upper_arm": 0.162, "forearm": 0.154, "shoulders": 0.259, "trunk": 0.288}
 
 
 def stature_of_parts(points: FloatArray) -> float:

@@ -248,7 +248,7 @@ def _finish(moving: Trajectories, chosen: ChosenMap, points: FloatArray, unseen:
     if not chosen.is_person:
         warnings.append(Message("canonical.not_a_person", table=recipe.table))
     if recipe.absent:
-        warnings.append(Message("canonical.part", absent=recipe.absent))
+        warnings.append(Message("canonical.part", there=_limbs_there(recipe), absent=recipe.absent))
     if recipe.table == "tree shape":
         warnings.append(Message("canonical.by_shape_unclear" if sides == "unclear" else "canonical.by_shape"))
     elif sides == "unclear":
@@ -259,12 +259,24 @@ def _finish(moving: Trajectories, chosen: ChosenMap, points: FloatArray, unseen:
     if "left_toe" in derived or "right_toe" in derived:
         _make_toes(points)
         warnings.append(Message("canonical.made_toes"))
-    if recipe.pelvis_markers:
-        warnings.append(Message("canonical.skin_markers"))
+    if recipe.estimated:
+        warnings.append(Message("canonical.skin_markers", joints=recipe.estimated))
     sources = {joint: names for joint, names in _named_sources(recipe, moving.names) if joint not in derived}
     mapping = JointMapping(recipe.table, sources, derived, sides, recipe.absent)
     points.flags.writeable = False
     return CanonicalMotion(points, moving.frame_rate, height, height_source, mapping, tuple(warnings), unseen)
+
+
+_LIMBS = {
+    "trunk": ("pelvis", "neck"),
+    **{f"{side}_arm": tuple(f"{side}_{one}" for one in ("shoulder", "elbow", "wrist")) for side in ("left", "right")},
+    **{f"{side}_leg": tuple(f"{side}_{one}" for one in ("hip", "knee", "ankle")) for side in ("left", "right")},
+}
+
+
+def _limbs_there(recipe: Recipe) -> tuple[str, ...]:
+    """The trunk, arms and legs that are there whole."""
+    return tuple(limb for limb, joints in _LIMBS.items() if not any(joint in recipe.absent for joint in joints))
 
 
 @lru_cache(maxsize=256)

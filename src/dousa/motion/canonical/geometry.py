@@ -13,6 +13,7 @@ import numpy as np
 
 from dousa.arrays import BoolArray, FloatArray
 from dousa.motion.canonical.anthropometry import stature_of_parts
+from dousa.motion.canonical.joint_centres import hips_from_markers, move_inside
 from dousa.motion.canonical.joints import JOINT_INDEX as J
 from dousa.motion.canonical.recipes import Recipe
 from dousa.motion.types import Trajectories
@@ -141,7 +142,7 @@ def estimate_stature(sample: Trajectories, points: FloatArray | None) -> float:
 
 
 def body_points(recipe: Recipe, positions: FloatArray, *, metres: bool = False) -> FloatArray:
-    """Canonical points (T, 20, 3) in the unit of the positions, hips made from pelvis markers where need be.
+    """Canonical points (T, 20, 3) in the unit of the positions, joint centres made from markers where need be.
 
     ``metres`` says that the unit is metres: then the regression for the hips is the one with lengths of its own.
     """
@@ -152,6 +153,8 @@ def body_points(recipe: Recipe, positions: FloatArray, *, metres: bool = False) 
         hips = hips_from_markers(left, right, sacrum, _seen_mean(below), metres=metres)
         points[:, [J["left_hip"], J["right_hip"]]] = hips
         points[:, J["pelvis"]] = hips.mean(axis=1)
+    if recipe.skin:
+        move_inside(points, recipe.skin)
     return points
 
 
@@ -162,43 +165,3 @@ def _seen_mean(points: FloatArray) -> FloatArray:
     with np.errstate(invalid="ignore"):
         mean: FloatArray = total / there.sum(axis=1)[:, None]
     return mean
-
-
-def hips_from_markers(
-    left_asis: FloatArray, right_asis: FloatArray, sacrum: FloatArray, below: FloatArray, *, metres: bool = False
-) -> FloatArray:
-    """Hip joint centres (T, 2, 3), left and right, from markers on the pelvis.
-
-    In metres: Harrington et al., "Prediction of the hip joint centre in adults, children, and patients with cerebral
-    palsy based on magnetic resonance imaging", J. Biomechanics 40 (2007): from the middle of the front spines (ASIS)
-    33 % of their distance and 7.3 mm to the side, 30 % of it and 10.9 mm down, and back 24 % of the depth of the
-    pelvis (from there to the middle of the back spines, or the sacrum) and 9.9 mm, in the plane of the spines. In an
-    unknown unit: Bell, Brand, Pedersen, "Prediction of hip joint centre location from external landmarks", Human
-    Movement Science 8 (1989): 36 % of the distance to the side, 19 % back and 30 % down.
-
-    Parameters
-    ----------
-    left_asis, right_asis, sacrum : (T, 3).
-    below : (T, 3) middle of the knees; tells which side of the plane is down, whatever the handedness.
-    metres : whether the unit is metres.
-    """
-    middle = 0.5 * (left_asis + right_asis)
-    lateral = left_asis - right_asis
-    width = np.linalg.norm(lateral, axis=-1, keepdims=True)
-    with np.errstate(invalid="ignore"):  # markers that coincide
-        lateral = lateral / width
-    back = sacrum - middle
-    back = back - (back * lateral).sum(axis=-1, keepdims=True) * lateral
-    depth = np.linalg.norm(back, axis=-1, keepdims=True)
-    with np.errstate(invalid="ignore"):
-        back = back / depth
-    down = np.cross(back, lateral)
-    if np.nansum((below - middle) * down) < 0:
-        down = -down
-    if metres:
-        base = middle + (0.24 * depth + 0.0099) * back + (0.30 * width + 0.0109) * down
-        aside = 0.33 * width + 0.0073
-    else:
-        base = middle + width * (0.19 * back + 0.30 * down)
-        aside = 0.36 * width
-    return np.stack((base + aside * lateral, base - aside * lateral), axis=-2)

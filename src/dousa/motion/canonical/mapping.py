@@ -15,7 +15,7 @@ import numpy as np
 from dousa.motion.canonical.anthropometry import measure_proportions
 from dousa.motion.canonical.geometry import body_points
 from dousa.motion.canonical.joints import CANONICAL_JOINTS
-from dousa.motion.canonical.recipes import Recipe, named_recipes, partial_recipe
+from dousa.motion.canonical.recipes import Recipe, named_recipes, on_the_skin, partial_recipes
 from dousa.motion.canonical.tree_shape import shape_recipe, spread_frames
 from dousa.motion.types import Trajectories
 
@@ -51,7 +51,8 @@ def choose_map(sample: Trajectories, unseen: tuple[int, ...] = ()) -> ChosenMap 
     names = names_of_seen(sample.names, unseen)
     first: Recipe | None = None
     failed: list[str] = []
-    for recipe in _candidates(names, sample, use_tree=not unseen):
+    for candidate in _candidates(names, sample, use_tree=not unseen):
+        recipe = on_the_skin(candidate) if _marks_the_skin(candidate, sample) else candidate
         if _is_person(recipe, sample):
             return ChosenMap(recipe, True, tuple(failed))
         first = first or recipe
@@ -72,9 +73,18 @@ def _candidates(names: tuple[str, ...], sample: Trajectories, *, use_tree: bool)
         if recipe is not None:
             yield recipe
     if not named_recipes(names):
-        part = partial_recipe(names)
-        if part is not None:
-            yield part
+        yield from partial_recipes(names)
+
+
+_WIDE_HIPS = 0.34  # of the leg: hip joints of people are at most 0.3 of it apart, trochanters 0.4
+
+
+def _marks_the_skin(recipe: Recipe, sample: Trajectories) -> bool:
+    """Whether points that are called joints are markers on their outer side: hips are as wide as the trochanters."""
+    if sample.parents is not None or "left_hip" not in recipe.sources or recipe.skin:
+        return False
+    points = body_points(recipe, spread_frames(sample.positions))
+    return measure_proportions(points).ratios["hips_per_leg"] > _WIDE_HIPS
 
 
 def _is_person(recipe: Recipe, sample: Trajectories) -> bool:

@@ -1,7 +1,7 @@
 """Which point of a file is which canonical joint, told by the names.
 
-A name is normalised to a side and a core: the namespace before ``:`` and what all names begin with
-(``Character1_``, ``Bip01 ``, ``mixamorig:``) come off, the words are split at separators and capitals, a word
+A name is normalised to a side and a core: the namespace before ``:`` and what all names begin or end with
+(``Character1_``, ``Bip01 ``, ``mixamorig:``, ``_4X4``) come off, the words are split at separators and capitals, a word
 such as ``Left``, ``l`` or ``RGT`` is the side, and the rest is put together in lower case. Names that hide
 the side in the first or last letter (``lfemur``, ``LASI``) give it away by having a twin (``rfemur``). Then the
 table of ``name_tables.toml`` that covers most joints wins.
@@ -11,10 +11,12 @@ from __future__ import annotations
 
 import re
 import tomllib
+import unicodedata
 from collections.abc import Container, Iterable
 from dataclasses import dataclass
 from functools import lru_cache
 from importlib import resources
+from itertools import product
 
 from dousa.motion.canonical.joints import CANONICAL_JOINTS
 
@@ -23,15 +25,19 @@ REQUIRED_JOINTS: tuple[str, ...] = tuple(
 )
 """What a body needs to be recognised; the other canonical joints can be made from these."""
 
+_SKIN = "_skin"  # places of a table that stand for a joint if the table finds no centre of it
 _CENTRAL = ("pelvis", "spine", "neck", "head", "sacrum")
-_WORDS = re.compile(r"[A-Z]+(?=[A-Z][a-zäöüßéèêà])|[A-Z]?[a-zäöüßéèêà]+\d*|[A-Z]+\d*|\d+")
-_SIDES = {"left": "l", "lft": "l", "l": "l", "right": "r", "rgt": "r", "rt": "r", "r": "r",
-          "li": "l", "links": "l", "re": "r", "rechts": "r"}  # fmt: skip
+_HAN = r"(?:(?![左右])[\u3005-\u30ff\u3400-\u9fff])+"  # kana and kanji; the sides are words of their own
+_WORDS = re.compile(r"[A-Z]+(?=[A-Z][a-zäöüßéèêà])|[A-Z]?[a-zäöüßéèêà]+\d*|[A-Z]+\d*|\d+|[左右]|" + _HAN)
+_SIDES = {
+    **dict.fromkeys(("left", "lft", "lt", "l", "li", "links", "sx", "gauche", "izq", "izquierda", "esq", "左"), "l"),
+    **dict.fromkeys(("right", "rgt", "rt", "r", "re", "rechts", "dx", "droite", "der", "derecha", "dir", "右"), "r"),
+}
 _FIRST_WORDS = frozenset(
     {"def", "org", "joint", "jnt", "bone", "c", "m", "f", "avg", "mixamorig", "valvebiped", "bip01", "bip001"}
 )
 _LAST_WORDS = frozenset({"jnt", "joint", "bone", "study"})
-_SHARED = 0.8  # a first word of this share of the names is a prefix, not part of any name
+_SHARED = 0.8  # a first or last word of this share of the names is no part of any name
 
 
 def _load_tables() -> dict[str, dict[str, str]]:
@@ -39,11 +45,28 @@ def _load_tables() -> dict[str, dict[str, str]]:
     read: dict[str, dict[str, str]] = {}
     for file in ("name_tables.toml", "marker_tables.toml"):
         read |= tomllib.loads(resources.files(__package__).joinpath(file).read_text(encoding="utf-8"))
+    words = {word: choices.split("|") for word, choices in read.pop("words").items()}
     families: dict[str, dict[str, str]] = {}
     for name, table in read.items():
         shared = table.pop("as", None)
-        families[name] = {**(read[shared] if shared else {}), **table}
+        rules = {**(read[shared] if shared else {}), **table}
+        families[name] = {place: _expand(rule, words) for place, rule in rules.items()}
     return {name: table for name, table in families.items() if not name.startswith("named ")}
+
+
+_CHOICE = re.compile(r"<(\w+)>")
+
+
+def _expand(rule: str, words: dict[str, list[str]]) -> str:
+    """A rule with every term that holds ``<word>`` written out for all choices of the word."""
+    terms = []
+    for term in rule.split("|"):
+        parts = _CHOICE.split(term)
+        chosen = dict.fromkeys(parts[1::2])  # the same word twice in a term is chosen once
+        for choice in product(*(words[word] for word in chosen)):
+            spelled = dict(zip(chosen, choice, strict=True))
+            terms.append("".join(spelled[part] if odd % 2 else part for odd, part in enumerate(parts)))
+    return "|".join(dict.fromkeys(terms))
 
 
 TABLES: dict[str, dict[str, str]] = _load_tables()
@@ -65,27 +88,34 @@ class NameMatch:
     sources : place -> indices of the points whose mean it is; places are canonical joints, and ``left_asis``,
         ``left_psis``, ``left_trochanter`` (and right), ``sacrum`` for marker sets that do not mark the hips.
     missing : required joints that were not found.
+    skin : joints of which there is a marker on one side only: `joint_centres` puts them inside the body.
     """
 
     table: str
     sources: dict[str, tuple[int, ...]]
     missing: tuple[str, ...]
+    skin: frozenset[str] = frozenset()
 
 
 def _split(name: str) -> list[str]:
     """Words of a name, the namespace dropped: ``"Bob:LeftUpLeg_01"`` -> ``["Left", "Up", "Leg", "1"]``."""
-    words = _WORDS.findall(name.rpartition(":")[2])
+    words = _WORDS.findall(unicodedata.normalize("NFKC", name).rpartition(":")[2])
     return [re.sub(r"(?<!\d)0+(?=\d)", "", word).lower() for word in words]
 
 
+def _common(rows: list[list[str]], place: int) -> str:
+    """The word that nearly all names of several words have first (place 0) or last (-1); empty if none."""
+    ends = [row[place] for row in rows if len(row) > 1]
+    word = max(set(ends), key=ends.count) if ends else ""
+    return word if word not in _SIDES and ends.count(word) >= _SHARED * len(rows) else ""
+
+
 def _without_prefix(words: list[list[str]]) -> list[list[str]]:
-    """Take off the first words that nearly all names share, and the known first and last words of single bones."""
-    while len(words) >= 5:
-        firsts = [row[0] for row in words if len(row) > 1]
-        common = max(set(firsts), key=firsts.count) if firsts else ""
-        if firsts.count(common) < _SHARED * len(words) or common in _SIDES:
-            break
-        words = [row[1:] if len(row) > 1 and row[0] == common else row for row in words]
+    """Take off the first and last words that nearly all names share, and the known ones of single bones."""
+    for place in (0, -1):
+        while len(words) >= 5 and (common := _common(words, place)):
+            rest = slice(1, None) if place == 0 else slice(None, -1)
+            words = [row[rest] if len(row) > 1 and row[place] == common else row for row in words]
     cleaned = []
     for row in words:
         start = 0
@@ -120,6 +150,16 @@ def _hidden_side(core: str, cores: frozenset[str]) -> Key:
     for mark, other, side in (("g", "d", "l"), ("d", "g", "r")):  # gauche, droite
         if core[-1:] == mark and len(core) > 2 and core[:-1] + other in cores:
             return side, core[:-1]
+    return _inner_side(core, cores)
+
+
+def _inner_side(core: str, cores: frozenset[str]) -> Key:
+    """The side of ``waistlfront`` beside ``waistrfront``, and of ``la`` (left acromion) beside ``ra``."""
+    for place, letter in enumerate(core):
+        if letter in "lr":
+            before, after = core[:place], core[place + 1 :]
+            if before + after in _CORES and before + ("r" if letter == "l" else "l") + after in cores:
+                return letter, before + after
     return "", core
 
 
@@ -168,15 +208,21 @@ def _apply_table(name: str, table: dict[str, str], index: dict[Key, int]) -> Nam
     if "with" in table and _apply_rule(table["with"], "", index, table) is None:
         return None
     sources: dict[str, tuple[int, ...]] = {}
+    skin = set()
     for place, rule in table.items():
         if place == "with":
             continue
         sides = (("", ""),) if place in _CENTRAL else (("l", "left_"), ("r", "right_"))
         for side, prefix in sides:
+            joint = prefix + place.removesuffix(_SKIN)
+            if joint in sources:
+                continue
             found = _apply_rule(rule, side, index, table)
             if found is not None:
-                sources[prefix + place] = found
-    return NameMatch(name, sources, find_missing(sources))
+                sources[joint] = found
+                if place.endswith(_SKIN):
+                    skin.add(joint)
+    return NameMatch(name, sources, find_missing(sources), frozenset(skin))
 
 
 def find_missing(sources: Container[str]) -> tuple[str, ...]:
@@ -220,8 +266,8 @@ def rank_matches(names: tuple[str, ...]) -> tuple[NameMatch, ...]:
         match = _apply_table(name, table, index)
         joints = 0 if match is None else sum(joint in match.sources for joint in CANONICAL_JOINTS)
         if match is not None and (joints or len(match.missing) < len(REQUIRED_JOINTS)):
-            found.append((len(match.missing), -joints, match))
-    return tuple(match for *_, match in sorted(found, key=lambda row: row[:2]))
+            found.append((len(match.missing), -joints, len(match.skin), match))
+    return tuple(match for *_, match in sorted(found, key=lambda row: row[:3]))
 
 
 def match_names(names: tuple[str, ...]) -> NameMatch | None:

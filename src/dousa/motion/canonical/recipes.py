@@ -20,7 +20,7 @@ import numpy as np
 from dousa.arrays import FloatArray, IndexArray
 from dousa.errors import JointMappingError, OptionError
 from dousa.motion.canonical.joints import CANONICAL_JOINTS, JOINT_INDEX
-from dousa.motion.canonical.naming import find_missing, holds_limb, match_names, rank_matches
+from dousa.motion.canonical.naming import NameMatch, find_missing, holds_limb, match_names, rank_matches
 
 HAND_REACH = 0.4
 """Wrist to knuckles as a share of the forearm; Winter, Biomechanics of human movement: about 0.058 H / 0.146 H."""
@@ -46,6 +46,7 @@ class Recipe:
     pelvis_markers : indices of left ASIS, right ASIS and of the sacrum (one or two), if hips come from markers.
     has_toes : false if the rows of the toes repeat the ankles.
     absent : canonical joints that the file does not tell: NaN.
+    skin : joints of which there is a marker on one side only, see `joint_centres`.
     """
 
     table: str
@@ -56,6 +57,13 @@ class Recipe:
     pelvis_markers: tuple[tuple[int, ...], ...]
     has_toes: bool
     absent: tuple[str, ...] = ()
+    skin: frozenset[str] = frozenset()
+
+    @property
+    def estimated(self) -> tuple[str, ...]:
+        """Joints whose centres are estimated from markers on the skin."""
+        hips = {"left_hip", "right_hip"} - set(self.sources) - set(self.absent)
+        return tuple(joint for joint in CANONICAL_JOINTS if joint in hips | self.skin)
 
     def apply(self, positions: FloatArray) -> FloatArray:
         """Canonical points (T, 20, 3) of points (T, K, 3); hips from markers and toes still to be made."""
@@ -100,13 +108,14 @@ def _complete(rows: dict[str, Weights]) -> None:
             _blend(rows, f"{side}_toe", (1.0, f"{side}_ankle"))
 
 
-def compile_recipe(table: str, sources: dict[str, tuple[int, ...]]) -> Recipe:
+def compile_recipe(table: str, sources: dict[str, tuple[int, ...]], skin: frozenset[str] = frozenset()) -> Recipe:
     """Compile a mapping; joints that it does not have and that cannot be made from others are absent.
 
     Parameters
     ----------
     table : where the mapping comes from.
     sources : place -> indices, as in `naming.NameMatch`.
+    skin : joints whose source is a marker on one side of them.
     """
     rows = {place: _mean(indices) for place, indices in sources.items() if place in JOINT_INDEX}
     derived = tuple(joint for joint in CANONICAL_JOINTS if joint not in rows)
@@ -125,7 +134,7 @@ def compile_recipe(table: str, sources: dict[str, tuple[int, ...]]) -> Recipe:
     kept = {joint: sources[joint] for joint in CANONICAL_JOINTS if joint in sources}
     absent = tuple(joint for joint in CANONICAL_JOINTS if joint not in rows)
     derived = tuple(joint for joint in derived if joint in rows)
-    return Recipe(table, kept, derived, gather, tuple(blends), markers, has_toes, absent)
+    return Recipe(table, kept, derived, gather, tuple(blends), markers, has_toes, absent, skin & set(kept))
 
 
 def _hip_markers(sources: dict[str, tuple[int, ...]], rows: dict[str, Weights]) -> tuple[tuple[int, ...], ...]:
@@ -151,16 +160,26 @@ def _hip_markers(sources: dict[str, tuple[int, ...]], rows: dict[str, Weights]) 
 @lru_cache(maxsize=256)
 def named_recipes(names: tuple[str, ...]) -> tuple[Recipe, ...]:
     """The recipes of whole bodies that the names tell, the table that covers most first."""
-    return tuple(compile_recipe(match.table, match.sources) for match in rank_matches(names) if not match.missing)
+    return tuple(_compile_match(match) for match in rank_matches(names) if not match.missing)
+
+
+def _compile_match(match: NameMatch) -> Recipe:
+    return compile_recipe(match.table, match.sources, match.skin)
 
 
 @lru_cache(maxsize=256)
-def partial_recipe(names: tuple[str, ...]) -> Recipe | None:
-    """The recipe of a part of a body, with a whole arm or leg, that the names tell; None if they tell none."""
-    match = match_names(names)
-    if match is None or not holds_limb(match.missing):
-        return None
-    return compile_recipe(match.table, match.sources)
+def partial_recipes(names: tuple[str, ...]) -> tuple[Recipe, ...]:
+    """The recipes of a part of a body, with a whole arm or leg, that the names tell, the fullest first."""
+    return tuple(_compile_match(match) for match in rank_matches(names) if holds_limb(match.missing))
+
+
+@lru_cache(maxsize=256)
+def on_the_skin(recipe: Recipe) -> Recipe:
+    """The recipe if the points that are named like joints are markers on their outer side, hips on the trochanters."""
+    sources = {joint.replace("_hip", "_trochanter"): points for joint, points in recipe.sources.items()}
+    sides = ("left", "right")
+    skin = frozenset(f"{side}_{joint}" for side in sides for joint in ("shoulder", "elbow", "knee", "ankle"))
+    return compile_recipe(recipe.table, sources, skin)
 
 
 JointMap = Mapping[str, str | Sequence[str]]
@@ -256,12 +275,14 @@ def recipe_from_joint_map(joint_map: JointMap, names: tuple[str, ...]) -> Recipe
     """
     match = match_names(names)
     sources = dict(match.sources) if match is not None else {}
+    skin = set(match.skin) if match is not None else set()
     for joint, wanted in _checked(joint_map, "joint map").items():
         absent = [name for name in wanted if name not in names]
         if absent:
             raise JointMappingError("joint_map.absent", names, name=absent[0], joint=joint)
         sources[joint] = tuple(names.index(name) for name in wanted)
+        skin.discard(joint)
     missing = find_missing(sources)
     if missing and not holds_limb(missing):
         raise JointMappingError("joint_map.incomplete", names, missing=missing)
-    return compile_recipe("joint map", sources)
+    return compile_recipe("joint map", sources, frozenset(skin))
