@@ -29,6 +29,7 @@ from dousa.formats.registry import SUFFIXES, read_motion, write_motion
 from dousa.motion import Motion, Skeleton, Trajectories, compute_trajectories
 from dousa.motion.rotations import normalise
 from formats import made_files as made
+from formats import made_mmd
 from formats import made_points as points
 
 pytestmark = pytest.mark.fuzz
@@ -149,6 +150,10 @@ def make_seeds(folder: Path) -> dict[str, list[dict[str, bytes]]]:
     rounded = {t: np.round(points.make_points(t, 2)[0], 3) for t in (points.OPENPOSE, points.MEDIAPIPE, points.H36M)}
     landmarks = [json.loads(points.openpose_frames(rounded[points.OPENPOSE])[0]), rounded[points.H36M].tolist()]
     landmarks += [points.mediapipe_list(rounded[points.MEDIAPIPE]), points.mmpose(rounded[points.H36M])]
+    steps = [
+        made_mmd.make_key(bone, frame, (0, frame, 0)) for bone in ("センター", "左足ＩＫ", "左腕") for frame in (0, 9)
+    ]
+    vmd = made_mmd.make_vmd(steps, [(0, {"左足ＩＫ": True}), (5, {"左足ＩＫ": False})])
     return {
         ".bvh": [{"x.bvh": BVH.encode()}, {"x.bvh": files["m.bvh"]}],
         ".amc": [{"x.asf": ASF.encode(), "x.amc": AMC.encode()}],
@@ -161,6 +166,7 @@ def make_seeds(folder: Path) -> dict[str, list[dict[str, bytes]]]:
         ".tsv": [{"x.tsv": made.make_qualisys()}, {"x.tsv": made.make_qualisys_skeleton()}],
         **{suffix: [{f"x{suffix}": files["m.glb"]}] for suffix in (".glb", ".gltf", ".vrm", ".vrma")},
         ".json": [{"x.json": json.dumps(content).encode()} for content in landmarks],
+        ".vmd": [{"x.vmd": vmd}, {"x.pmx": made_mmd.make_pmx(), "x.vmd": vmd}],
         ".mvnx": [{"x.mvnx": made.make_mvnx()}],
         ".c3d": [{"x.c3d": data} for data in ((folder / "t.c3d").read_bytes(), *stored)],
     }

@@ -40,7 +40,7 @@ def test_every_line_of_the_table_works():
 def test_the_table_is_the_one_promised():
     assert (
         " ".join(SUFFIXES)
-        == ".bvh .amc .c3d .trc .amass.npz .npz .npy .pkl .csv .tsv .json .mvnx .glb .gltf .vrm .vrma"
+        == ".bvh .amc .c3d .trc .amass.npz .npz .npy .pkl .csv .tsv .json .vmd .mvnx .glb .gltf .vrm .vrma"
     )
     assert " ".join(WRITERS) == ".bvh .c3d .trc .amass.npz .npz .csv .glb"
 
@@ -117,7 +117,7 @@ def test_options(tmp_path):
     for options in ({"unit": "ells"}, {"unit": -1}, {"up": "w"}):
         with pytest.raises(OptionError):
             read_motion(tmp_path / "x.trc", **options)
-    with pytest.raises(OptionError, match=r"\.amc files and SMPL poses only"):
+    with pytest.raises(OptionError, match=r"\.amc and \.vmd files and SMPL poses only"):
         read_motion(tmp_path / "x.trc", skeleton="x.asf")
 
 

@@ -32,7 +32,7 @@ class ReadOptions:
     joint_map : canonical joint to the name, or names, in the file; see ``dousa.motion.canonicalise``.
     unit : metres per unit of the file, or a name such as ``"cm"``; see ``dousa.formats.read_motion``.
     up : axis of the file that points up, such as ``"y"`` or ``"-z"``.
-    skeleton : the ``.asf`` of ``.amc`` files, the body model of SMPL poses.
+    skeleton : the ``.asf`` of ``.amc`` files, the model of ``.vmd`` files, the body model of SMPL poses.
     frame_rate : Hz, of arrays that do not say it.
     any_skeleton : take bodies that cannot be a person's too, such as an animal's.
     """

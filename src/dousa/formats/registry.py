@@ -83,6 +83,7 @@ FORMATS: tuple[Format, ...] = (
         rb"keypoints_?3[dD]\"|\"(?:pose_?)?[wW]orld_?[lL]andmarks\"|\"(?:joints|landmarks|positions)_?3[dD]\"|\"instance_info\""
         rb"|\A[\s\[]{2,}\{\s*\"x\"\s*:[^{}]*\"z\"|\A\s*\[\s*\[\s*\[\s*-?\d[^][,]*,[^][,]*,[^][,]*(?:,[^][,]*)?\]\s*,\s*\[",
     ),
+    Format("vmd", (".vmd",), "dousa.formats.mmd", "read_vmd", None, "motion", ("skeleton",)),
     Format("mvnx", (".mvnx",), "dousa.formats.mvnx", "read_mvnx", None, "motion"),
     Format("glb", (".glb",), "dousa.formats.gltf", "read_gltf", "write_glb", "motion"),
     Format("gltf", (".gltf", ".vrm", ".vrma"), "dousa.formats.gltf", "read_gltf", None, "motion"),
@@ -97,7 +98,13 @@ WRITERS: dict[str, Format] = {suffix: line for line in FORMATS if line.writer fo
 SUFFIXES: tuple[str, ...] = tuple(READERS)
 """The suffixes that ``read_motion`` knows, lower case with the dot; each also with ``.gz`` or ``.zip`` behind it."""
 
-_ADVICE = {".asf": "formats.asf_alone", ".mot": "formats.coordinates", ".sto": "formats.coordinates"}
+_ADVICE = {
+    ".asf": "formats.asf_alone",
+    ".pmx": "formats.model_alone",
+    ".pmd": "formats.model_alone",
+    ".mot": "formats.coordinates",
+    ".sto": "formats.coordinates",
+}
 """Suffixes that are no motion by themselves, and what to do about them."""
 
 
@@ -170,8 +177,8 @@ def read_motion(
         inferred from body height.
     up : axis of the file that points up, such as ``"y"`` or ``"-z"``; by default what the file declares, else
         inferred.
-    skeleton : the ``.asf`` of an ``.amc``; by default looked for beside and above it. The body model of SMPL poses;
-        by default the mean body.
+    skeleton : the ``.asf`` of an ``.amc``; by default looked for beside and above it. The model of a ``.vmd``; by
+        default looked for beside it. The body model of SMPL poses; by default the mean body.
     frame_rate : Hz, of arrays that do not say it.
 
     Returns

@@ -120,6 +120,11 @@ def look_at(path: str, options: ReadOptions) -> SourceState:
         from dousa.formats.asf_amc.reading import find_skeleton
 
         files.append(os.fspath(options.skeleton or find_skeleton(path)))
+    elif path.lower().endswith(".vmd"):
+        from dousa.formats.mmd import find_model
+
+        model = options.skeleton or find_model(path)
+        files += [] if model is None else [os.fspath(model)]
     stats = [os.stat(file) for file in files]
     fingerprint = " ".join(f"{stat.st_size}:{stat.st_mtime_ns}" for stat in stats)
     return SourceState(tuple(files), sum(stat.st_size for stat in stats), fingerprint)

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from dousa.motion.canonical.recipes import JointMap
 
 # As of the registry, which would take a tenth of a second to import; a test holds them equal.
-READ_SUFFIXES = ".bvh .amc .c3d .trc .amass.npz .npz .npy .pkl .csv .tsv .json .mvnx .glb .gltf .vrm .vrma"
+READ_SUFFIXES = ".bvh .amc .c3d .trc .amass.npz .npz .npy .pkl .csv .tsv .json .vmd .mvnx .glb .gltf .vrm .vrma"
 WRITTEN_SUFFIXES = ".bvh .c3d .trc .amass.npz .npz .csv .glb"
 
 

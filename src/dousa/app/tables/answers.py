@@ -94,7 +94,7 @@ _CONVERTED = {
     "adding.convert_blender": (".fbx", ".dae", ".blend", ".abc", ".usd", ".usda", ".usdc", ".usdz", ".ma", ".max"),
     "adding.convert_opensim": (".mot", ".sto"),
     "adding.convert_program": (".tak", ".trk", ".qtm", ".vsk", ".vss", ".vst", ".x2d", ".cap", ".trb", ".anb", ".htr",
-                               ".gtr", ".mvn", ".tdf", ".vmd", ".bip", ".anim", ".mat"),
+                               ".gtr", ".mvn", ".tdf", ".bip", ".anim", ".mat"),
 }  # fmt: skip
 
 

@@ -66,7 +66,8 @@ class FileOptions:
         Path | None,
         typer.Option(
             "--skeleton",
-            help="The .asf of an .amc (default: searched for next to and above it), or the body model of SMPL poses.",
+            help="The .asf of an .amc (default: searched for next to and above it), the .pmx of a .vmd, or the body"
+            " model of SMPL poses.",
         ),
     ] = None
     file_rate: Annotated[

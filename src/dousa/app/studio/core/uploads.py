@@ -149,6 +149,7 @@ def _check_content(path: Path, name: str) -> None:
         ".npz": head[:2] == b"PK",
         ".npy": head[:6] == b"\x93NUMPY",
         ".json": is_text and starts[:1] in (b"{", b"["),
+        ".vmd": head[:20] == b"Vocaloid Motion Data",
         ".mvnx": is_text and starts[:1] == b"<",
         ".tsv": is_text,
         ".glb": head[:4] == b"glTF",

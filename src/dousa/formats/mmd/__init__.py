@@ -1,0 +1,8 @@
+"""MikuMikuDance: motions (.vmd), and models (.pmx, .pmd) for the places of their bones."""
+
+from __future__ import annotations
+
+from dousa.formats.mmd.models import find_model
+from dousa.formats.mmd.reading import read_vmd
+
+__all__ = ["find_model", "read_vmd"]

@@ -1,0 +1,138 @@
+"""A VMD file as a motion: the joints of a body, of the model that the user has or of a mean one.
+
+Of the bones of a model those of a human body are kept, under their Japanese names; what lies between them (twist bones,
+cancelling bones) is put into their turns. A unit of MMD is taken as 0.08 m, which makes the usual model 1.6 m tall.
+"""
+
+from __future__ import annotations
+
+import os
+import unicodedata
+
+import numpy as np
+
+from dousa.errors import MotionFileError
+from dousa.formats.mmd.models import Model, find_model, load_model, template
+from dousa.formats.mmd.posing import Poses, find_needed
+from dousa.formats.mmd.vmd import VmdFile, load_vmd
+from dousa.formats.poses import localise, settle_motion
+from dousa.messages import Message
+from dousa.motion import Motion, Skeleton
+from dousa.motion.rotations import identity
+
+_RATE, _UNIT = 30.0, 0.08
+_TRUNK = ("上半身", "上半身2", "首", "頭", "下半身")
+_LIMBS = ("肩", "腕", "ひじ", "手首", "足", "ひざ", "足首", "つま先")
+_FINGERS = tuple(f"{finger}{n}" for finger in ("親指", "人指", "中指", "薬指", "小指") for n in "0123")
+_KEPT = frozenset((*_TRUNK, *(side + name for side in "左右" for name in (*_LIMBS, *_FINGERS))))
+_ENDS = ("頭",)
+_MOST_VALUES = 50_000_000
+
+
+def read_vmd(
+    path: str | os.PathLike[str],
+    *,
+    unit: float | str | None = None,
+    up: str | None = None,
+    skeleton: str | os.PathLike[str] | None = None,
+) -> Motion:
+    """Read a motion of MikuMikuDance.
+
+    Parameters
+    ----------
+    path : the file.
+    unit : metres per unit; by default 0.08.
+    up : axis that points up; by default Y.
+    skeleton : the model (.pmx, .pmd); by default the one beside the file, else a mean body, with a note.
+
+    Returns
+    -------
+    Motion in metres, Y up, facing +Z at rest, 30 Hz.
+
+    Raises
+    ------
+    MotionFileError : missing, damaged, keys of a camera or a face only, a model without the bones of a body.
+    """
+    motion = load_vmd(path)
+    chosen = skeleton or find_model(path)
+    model = template() if chosen is None else load_model(chosen)
+    kept = [number for number in model.order if _plain(model.bones[number].name) in _KEPT]
+    root = _find_root(model, kept)
+    if root is None or len({model.bones[number].name for number in kept}) < len(kept):
+        raise MotionFileError(chosen or path, "mmd.no_body")
+    known = {bone.name for bone in model.bones}
+    needed = find_needed(model, kept)
+    if not any(model.bones[number].name in motion.bones for number in needed):
+        raise MotionFileError(path, "mmd.other_bones", found=tuple(motion.bones)[:5])
+    notes = [Message("mmd.mean_body", model=motion.model or "-")] if chosen is None else []
+    if chosen is not None:
+        notes.append(Message("mmd.model", path=os.path.basename(chosen)))
+        lost = tuple(name for name in motion.bones if _plain(name) in _KEPT and name not in known)
+        if lost:
+            notes.append(Message("mmd.lost_bones", found=lost[:8]))
+    return _build(path, motion, model, [root, *kept], needed, tuple(notes), unit, up)
+
+
+def _plain(name: str) -> str:
+    """A name with full-width digits and letters as plain ones."""
+    return unicodedata.normalize("NFKC", name)
+
+
+def _build(
+    path: str | os.PathLike[str],
+    motion: VmdFile,
+    model: Model,
+    kept: list[int],
+    needed: set[int],
+    notes: tuple[Message, ...],
+    unit: float | str | None,
+    up: str | None,
+) -> Motion:
+    bones = model.bones
+    if motion.n_frames * len(kept) * 3 > _MOST_VALUES:
+        raise MotionFileError(path, "disk.too_large")
+    poses = Poses(model, motion, needed)
+    joint_of = {number: joint for joint, number in enumerate(kept)}
+    parents = []
+    for number in kept:
+        above = bones[number].parent
+        while above >= 0 and above not in joint_of:
+            above = bones[above].parent
+        parents.append(joint_of[above] if above >= 0 else -1)
+    turns = np.stack([poses.turns[number] for number in kept], axis=1)
+    places = np.stack([poses.places[number] for number in kept], axis=1)
+    rotations, translations = localise(parents, turns, places)
+    rest = np.array([bones[number].place for number in kept])
+    offsets = rest - np.where(np.array(parents)[:, None] >= 0, rest[parents], 0.0)
+    names = [bones[number].name for number in kept]
+    ends = []
+    for joint, number in enumerate(kept):
+        end = bones[number].end
+        if names[joint] in _ENDS and end is not None:
+            ends.append((f"{names[joint]}_end", joint, end - bones[number].place))
+    skeleton = Skeleton(
+        (*names, *(name for name, _, _ in ends)),
+        np.array([*parents, *(joint for _, joint, _ in ends)], np.intp),
+        np.concatenate((offsets, np.array([offset for *_, offset in ends]).reshape(-1, 3))),
+        np.arange(len(names) + len(ends)) >= len(names),
+    )
+    count = len(rotations)
+    rotations = np.concatenate((rotations, identity((count, len(ends)))), axis=1)
+    still = np.tile(skeleton.offsets[len(names) :], (count, 1, 1))
+    return settle_motion(
+        path, "vmd", skeleton, rotations, np.concatenate((translations, still), axis=1), _RATE,
+        unit=unit, up=up, unit_in_file=_UNIT, up_in_file="y", notes=notes,
+    )  # fmt: skip
+
+
+def _find_root(model: Model, kept: list[int]) -> int | None:
+    """The lowest bone that the upper and the lower body both hang on."""
+    lines = []
+    for name in ("上半身", "下半身"):
+        number = next((n for n in kept if model.bones[n].name == name), None)
+        line = []
+        while number is not None and number >= 0:
+            number = model.bones[number].parent
+            line.append(number)
+        lines.append(line)
+    return next((number for number in lines[0] if number in lines[1] and number >= 0), None)

@@ -1,0 +1,163 @@
+"""The keys of a VMD file: of bones, and which IK is on.
+
+Header of 30 bytes and the name of the model; then counted tables: bones (name of 15 bytes in Shift-JIS, frame at 30 Hz,
+place, quaternion x y z w, 64 bytes of Bezier curves for x, y, z and the turn), face, camera, light, shadow, IK. A curve
+leads from the key before to its own key: (0, 0), (x1, y1), (x2, y2), (127, 127). Left-handed with Y up and Z to the
+back: z is mirrored here, so that a model faces +Z. Later tables may be missing.
+"""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass
+
+import numpy as np
+
+from dousa.arrays import FloatArray, IndexArray
+from dousa.errors import MotionFileError
+from dousa.files.disk import read_bytes
+from dousa.formats.mmd.cursor import MOST_BONES, Cursor, decode_name
+from dousa.motion.rotations import slerp
+
+_MAGIC = b"Vocaloid Motion Data "
+_BONE = np.dtype(
+    [("name", "S15"), ("frame", "<u4"), ("place", "<f4", 3), ("turn", "<f4", 4), ("curve", "u1", 64)]
+)  # fmt: skip
+_SIZES = {"face": 23, "camera": 61, "light": 28, "shadow": 9}
+_FEW_FRAMES, _FRAMES_PER_KEY = 1000, 100
+_BISECTIONS = 20
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class BoneKeys:
+    """The keys of one bone, frames ascending and each once.
+
+    Parameters
+    ----------
+    frames : (K,).
+    places : (K, 3) moved from rest, units of the file, z mirrored.
+    turns : (K, 4) unit quaternions w x y z.
+    curves : (K, 4, 4) x1, y1, x2, y2 from 0 to 1 of the curves of x, y, z and the turn.
+    """
+
+    frames: IndexArray
+    places: FloatArray
+    turns: FloatArray
+    curves: FloatArray
+
+    def sample(self, n_frames: int) -> tuple[FloatArray, FloatArray]:
+        """Places (T, 3) and turns (T, 4) at the frames 0 to T - 1."""
+        wanted = np.arange(n_frames)
+        after = np.clip(np.searchsorted(self.frames, wanted, side="left"), 0, len(self.frames) - 1)
+        before = np.maximum(after - (self.frames[after] > wanted), 0)
+        span = np.maximum(self.frames[after] - self.frames[before], 1)
+        share = np.clip((wanted - self.frames[before]) / span, 0.0, 1.0)
+        places = np.repeat(self.places[:1], n_frames, axis=0)
+        for axis in np.flatnonzero(np.ptp(self.places, axis=0)):  # most bones only turn
+            way = self.places[after, axis] - self.places[before, axis]
+            places[:, axis] = self.places[before, axis] + way * ease(share, self.curves[after, axis])
+        return places, slerp(self.turns[before], self.turns[after], ease(share, self.curves[after, 3]))
+
+
+def ease(share: FloatArray, curves: FloatArray) -> FloatArray:
+    """How far a value is on its way (T,) after a share (T,) of the time, by Bezier curves (T, 4) x1, y1, x2, y2."""
+    x1, y1, x2, y2 = curves.T
+    result = share.copy()
+    bent = ((x1 != y1) | (x2 != y2)) & (share > 0) & (share < 1)
+    if bent.any():
+        x1, y1, x2, y2, wanted = x1[bent], y1[bent], x2[bent], y2[bent], share[bent]
+        low, high = np.zeros(len(wanted)), np.ones(len(wanted))
+        for _ in range(_BISECTIONS):
+            middle = (low + high) / 2
+            rest = 1 - middle
+            left = 3 * rest * rest * middle * x1 + 3 * rest * middle * middle * x2 + middle**3 < wanted
+            low, high = np.where(left, middle, low), np.where(left, high, middle)
+        middle = (low + high) / 2
+        rest = 1 - middle
+        result[bent] = 3 * rest * rest * middle * y1 + 3 * rest * middle * middle * y2 + middle**3
+    return result
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class VmdFile:
+    """What a VMD file says of a body.
+
+    Parameters
+    ----------
+    model : name of the model that it was made for.
+    bones : keys by the name of the bone.
+    n_frames : at 30 Hz, from frame 0 to the last key of a bone.
+    switches : (frame, {name of the IK bone: whether it is on}), frames ascending.
+    """
+
+    model: str
+    bones: dict[str, BoneKeys]
+    n_frames: int
+    switches: tuple[tuple[int, dict[str, bool]], ...]
+
+
+def load_vmd(path: str | os.PathLike[str]) -> VmdFile:
+    """Read the keys of bones and of IK.
+
+    Raises
+    ------
+    MotionFileError : missing, damaged, no keys of bones, frames too far apart to be a motion.
+    """
+    data = read_bytes(path)
+    if not data.startswith(_MAGIC):
+        raise MotionFileError(path, "mmd.no_vmd")
+    cursor = Cursor(path, data)
+    version = cursor.take(30).split(b"\0", 1)[0]
+    model = decode_name(cursor.take(10 if version == _MAGIC + b"file" else 20))
+    rows = cursor.rows(_BONE)
+    if not len(rows):
+        raise MotionFileError(path, "mmd.no_bones")
+    last = int(rows["frame"].max())
+    most = max(_FEW_FRAMES, _FRAMES_PER_KEY * len(rows))
+    if last >= most:
+        raise MotionFileError(path, "mmd.frames", found=last, keys=len(rows))
+    return VmdFile(model, _sort_keys(cursor, rows), last + 1, _read_switches(cursor))
+
+
+def _sort_keys(cursor: Cursor, rows: np.ndarray) -> dict[str, BoneKeys]:
+    if not (np.isfinite(rows["place"]).all() and np.isfinite(rows["turn"]).all()):
+        raise cursor.fail("mmd.finite")
+    raw, inverse = np.unique(rows["name"], return_inverse=True)
+    # What follows the zero byte of a name is anything.
+    decoded = [decode_name(bytes(name)) for name in raw]
+    names = list(dict.fromkeys(decoded))
+    if len(names) > MOST_BONES:
+        raise cursor.fail("mmd.many_bones", found=len(names), most=MOST_BONES)
+    owner = np.array([names.index(name) for name in decoded], np.intp)[inverse]
+    order = np.lexsort((rows["frame"], owner))
+    counts = np.bincount(owner, minlength=len(names))
+    return dict(zip(names, map(_make_keys, np.split(rows[order], np.cumsum(counts)[:-1])), strict=True))
+
+
+def _make_keys(rows: np.ndarray) -> BoneKeys:
+    """The keys of one bone from its rows, frames ascending; of several of a frame the last counts."""
+    rows = rows[np.append(rows["frame"][1:] != rows["frame"][:-1], True)]
+    turns = rows["turn"].astype(np.float64)[:, [3, 0, 1, 2]] * (1, -1, -1, 1)
+    lengths = np.linalg.norm(turns, axis=1, keepdims=True)
+    turns = np.where(lengths > 1e-6, turns / np.maximum(lengths, 1e-6), (1.0, 0, 0, 0))
+    # Of each channel its own row of 16 bytes: the first row is partly overwritten by the switch of the physics.
+    curves = rows["curve"].reshape(-1, 4, 4, 4)[:, :, :, 0].astype(np.float64) / 127.0
+    places = rows["place"].astype(np.float64) * (1, 1, -1)
+    return BoneKeys(rows["frame"].astype(np.intp), places, turns, np.minimum(curves, 1.0))
+
+
+def _read_switches(cursor: Cursor) -> tuple[tuple[int, dict[str, bool]], ...]:
+    """Which IK is on from which frame; () where the file ends before, as older programs wrote it."""
+    switches = []
+    try:
+        for size in _SIZES.values():
+            cursor.take(cursor.count("I", size) * size)
+        for _ in range(cursor.count("I", 9)):
+            frame, _, number = cursor.unpack("IBI")
+            if number * 21 > cursor.left:
+                break
+            rows = [cursor.unpack("20sB") for _ in range(number)]
+            switches.append((int(frame), {decode_name(name): bool(on) for name, on in rows}))
+    except MotionFileError:
+        pass
+    return tuple(sorted(switches, key=lambda row: row[0]))
