@@ -1,3 +1,5 @@
+from .annotated.scores import AnnotatedTakesResult
+from .annotated.trial import run_annotated_takes_experiment
 from .error_results import compute_overlap, match_events
 from .errors import (
     NamedMotion,
@@ -24,6 +26,7 @@ from .takes import TakesResult, run_takes_experiment
 __all__ = [
     "GENERATORS",
     "Accuracy",
+    "AnnotatedTakesResult",
     "ExperimentResult",
     "NamedMotion",
     "NoveltyResult",
@@ -46,6 +49,7 @@ __all__ = [
     "match_events",
     "measure_false_alarms",
     "measure_second_takes",
+    "run_annotated_takes_experiment",
     "run_bench",
     "run_error_experiment",
     "run_experiment",

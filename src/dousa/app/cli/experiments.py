@@ -5,7 +5,6 @@ from __future__ import annotations
 import enum
 from collections.abc import Sequence
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -57,39 +56,42 @@ def experiment(
 
     The paper's figures 4 and 5 as a table. Without --split half of every category trains and half is tested. With
     --ranking: how good is the order in which clips are found, by our rankings, Euclidean distance, DTW and motion
-    templates. With --takes: how well are long takes of people left out labelled and searched. With --unknown: are
-    motions of no known category told, and how good are categories that were added later.
+    templates. With --takes: how well are long takes of people left out labelled and searched; with --labels these are
+    real takes. With --unknown: are motions of no known category told, and how good are categories added later.
 
     Example: dousa experiment hdm05/ --split leave-performer-out --performer-from 'name:HDM_(..)_'
+
+    Example: dousa experiment sessions/ --takes --labels beside --performer-from 'name:(s..)_'
     """
-    from dousa.app.pipelines.experiment_clips import read_labelled_clips, refuse_clips_in_both
+    from dousa.app.pipelines.experiment_clips import read_annotated_takes, read_labelled_clips, refuse_clips_in_both
 
     kind = _choose_kind(kind_options)
     test = split_options.test
     _check_options(kind, split_options, system_options, label_options, figure)
     systems = _choose_systems(system_options.system, kind)
-    options = motion_options.load()
+    shared: dict[str, Any] = {
+        "feature_set": (system_options.features or kind.usual_features).value,
+        "n_trees": system_options.trees,
+        "random_state": system_options.seed,
+        "n_jobs": jobs or -1,
+    }
+    files: dict[str, Any] = {"performer_from": label_options.performer_from, "options": motion_options.load()}
+    result: Result
     with progress_bar() as progress:
-        read = partial(
-            read_labelled_clips,
-            category_from=label_options.category_from,
-            performer_from=label_options.performer_from,
-            options=options,
-            n_jobs=jobs,
-            progress=progress,
-        )
-        clips, skipped = read(path)
-        tested, more = read(test) if test else (None, [])
-        refuse_clips_in_both(clips, tested or [])
-        shared: dict[str, Any] = {
-            "feature_set": (system_options.features or kind.usual_features).value,
-            "n_trees": system_options.trees,
-            "random_state": system_options.seed,
-            "n_jobs": jobs or -1,
-            "progress": progress,
-        }
-        result = _run_trial(kind, clips, tested, split_options, systems, system_options.samples, shared)
-    skipped += more
+        shared["progress"] = progress
+        files |= {"n_jobs": jobs, "progress": progress}
+        if kind is _Kind.ANNOTATED:
+            from dousa.experiments import run_annotated_takes_experiment
+
+            takes, skipped = read_annotated_takes(path, kind_options.labels or "", kind_options.tier, **files)
+            result = run_annotated_takes_experiment(takes, **shared)
+        else:
+            files["category_from"] = label_options.category_from
+            clips, skipped = read_labelled_clips(path, **files)
+            tested, more = read_labelled_clips(test, **files) if test else (None, [])
+            refuse_clips_in_both(clips, tested or [])
+            result = _run_trial(kind, clips, tested, split_options, systems, system_options.samples, shared)
+            skipped += more
     warn_skipped(skipped)
     answer = {**result.to_json(), "skipped": [item.to_json() for item in skipped]}
     if json:
@@ -111,6 +113,10 @@ class _Kind(enum.Enum):
         "--takes",
         ("--train-share", "--repeats", "--samples", "--figure", "--split", "--test", "--system"),
     )
+    ANNOTATED = (
+        "--takes --labels",
+        ("--train-share", "--repeats", "--samples", "--figure", "--test", "--system", "--category-from"),
+    )
     UNKNOWN = ("--unknown", ("--train-share", "--samples", "--figure", "--split", "--test", "--system"))
 
     @property
@@ -124,6 +130,12 @@ def _choose_kind(options: KindOptions) -> _Kind:
     kinds = [kind for kind, wanted in asked.items() if wanted]
     if len(kinds) > 1:
         raise OptionError("experiments_cli.one_kind", found=[kind.value[0] for kind in kinds])
+    if (options.labels is not None or options.tier is not None) and not options.takes:
+        raise OptionError("annotations.of_clips")
+    if options.tier is not None and options.labels is None:
+        raise OptionError("annotations.tier_alone")
+    if options.labels is not None:
+        return _Kind.ANNOTATED
     return kinds[0] if kinds else _Kind.RECOGNITION
 
 
@@ -135,7 +147,12 @@ def _check_options(
         raise OptionError("experiments_cli.split_and_test")
     if split.split == "leave-performer-out" and labels.performer_from is None:
         raise OptionError("experiments_cli.no_performers")
+    if kind is _Kind.ANNOTATED and split.split == "half":
+        raise OptionError("experiments_cli.not_with", option="--split half", kind=kind.value[0])
+    if kind is _Kind.ANNOTATED and labels.performer_from is None:
+        raise OptionError("experiments_cli.no_performers")
     given = {
+        "--category-from": labels.category_from != "folder",
         "--train-share": split.train_share is not None,
         "--repeats": split.repeats != 1,
         "--samples": systems.samples != SAMPLES,

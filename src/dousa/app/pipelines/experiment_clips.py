@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from dousa.experiments.errors import NamedMotion
     from dousa.library.labels import LabelRule
     from dousa.motion import CanonicalMotion
-    from dousa.retrieval.features.posed_motion import LabelledClip
+    from dousa.retrieval.features.posed_motion import AnnotatedTake, LabelledClip
 
 _Read = TypeVar("_Read")
 
@@ -112,6 +112,69 @@ def read_takes(
         raise OptionError("evaluate.nothing_found", paths=paths)
     if not takes:
         raise OptionError("evaluate.nothing_readable", paths=paths, **_show_first(skipped))
+    return takes, skipped
+
+
+def read_annotated_takes(
+    paths: Sequence[str | os.PathLike[str]],
+    labels_from: str,
+    tier: str | None = None,
+    *,
+    performer_from: str | None,
+    options: ReadOptions,
+    n_jobs: int | None = None,
+    progress: ProgressCallback | None = None,
+) -> tuple[list[AnnotatedTake], list[Skipped]]:
+    """Read all takes below some paths that have labels.
+
+    Parameters
+    ----------
+    paths : files and folders.
+    labels_from, tier : where their labels are, as in `dousa.library.annotations.places`.
+    performer_from : rule as in `dousa.library.labels`.
+    options : what is said about the files.
+    n_jobs : files at a time; None for every core.
+    progress : called with (done, total, "reading").
+
+    Returns
+    -------
+    takes : those that could be read and have labels, in the order of the files.
+    skipped : the other files, and why.
+
+    Raises
+    ------
+    OptionError : a rule that cannot be understood.
+    MotionFileError : labels that cannot be read.
+    TrainingError : no take could be read.
+    """
+    from dousa.formats.annotations.label_file import to_annotation
+    from dousa.library.annotations.places import find_labels
+    from dousa.motion.annotation import lay_out
+    from dousa.retrieval.features.posed_motion import AnnotatedTake
+
+    performer_of = parse_label_rule(performer_from, "performer")
+    files, skipped = find_motion_files(paths)
+    labels = find_labels(files, labels_from, tier)
+    skipped += [
+        Skipped(str(file.path), Message("annotations.no_table")) for file in files if str(file.path) not in labels
+    ]
+    files = [file for file in files if str(file.path) in labels]
+    takes = []
+    answers = _read_each(_read_file, [(file, options) for file in files], n_jobs, progress)
+    for file, motion in zip(files, answers, strict=True):
+        if isinstance(motion, Skipped):
+            skipped.append(motion)
+            continue
+        own = labels[str(file.path)]
+        annotation, _ = to_annotation(own.file, own.tiers, tier, motion.frame_rate)
+        stretches = lay_out(annotation.segments, annotation.unclear, motion.duration)
+        performer = performer_of(file.root, file.path)
+        known = str(file.path), performer, motion.positions, motion.frame_rate, motion.height
+        takes.append(AnnotatedTake(*known, stretches))
+    if not takes and not skipped:
+        raise TrainingError("experiments_cli.nothing_found", paths=paths)
+    if not takes:
+        raise TrainingError("experiments_cli.nothing_readable", paths=paths, **_show_first(skipped))
     return takes, skipped
 
 

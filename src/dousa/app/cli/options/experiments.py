@@ -71,8 +71,20 @@ class KindOptions:
     ] = False
     takes: Annotated[
         bool,
-        typer.Option("--takes", help="Evaluate labelling and search of takes concatenated from clips."),
+        typer.Option("--takes", help="Evaluate labelling and search of takes concatenated from clips, or annotated."),
     ] = False
+    labels: Annotated[
+        str | None,
+        typer.Option(
+            "--labels",
+            metavar="RULE",
+            help="With --takes: PATH holds takes, with tables of what happens when: beside, folder:FOLDER or csv:FILE.",
+        ),
+    ] = None
+    tier: Annotated[
+        str | None,
+        typer.Option("--tier", help="Tier of these tables.", show_default="the first that has labels"),
+    ] = None
     unknown: Annotated[
         bool,
         typer.Option("--unknown", help="Evaluate detection of unknown motions and learning of new categories."),

@@ -1,0 +1,1 @@
+"""The trial of real annotated takes: people left out in turn, and what is right."""

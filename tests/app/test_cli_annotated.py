@@ -1,0 +1,92 @@
+"""The commands about takes with tables of labels."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from dousa.formats import write_motion
+from dousa.motion import CANONICAL_JOINTS, Trajectories, canonicalise, compute_trajectories
+from dousa.motion.synthetic.performers import draw_performer, make_motion
+
+PARTS = ("squat", "jump", "squat", "clap")
+
+
+@pytest.fixture(scope="session")
+def session(tmp_path_factory) -> Path:
+    """Takes of three people, with tables of labels beside them."""
+    folder = tmp_path_factory.mktemp("session")
+    for number in range(3):
+        lines, parts, at = ["start_s,end_s,category"], [], 0.0
+        for seed, category in enumerate(PARTS):
+            motion = canonicalise(compute_trajectories(make_motion(category, draw_performer(number), seed=seed)))
+            parts.append(motion.positions)
+            lines.append(f"{at:.3f},{at + motion.duration:.3f},{category if seed else ''}")
+            at += motion.duration
+        write_motion(Trajectories(CANONICAL_JOINTS, np.concatenate(parts), 30.0), folder / f"p{number}.trc")
+        (folder / f"p{number}.labels.csv").write_text("\n".join(lines))
+    return folder
+
+
+def test_takes_are_added_with_labels_and_listed(dousa, session, tmp_path):
+    library = tmp_path / "a.dousa"
+    code, out, _ = dousa("add", library, session, "--takes", "--labels", "beside")
+    assert code == 0 and "3 takes labelled, 9 new segments" in out
+    code, out, _ = dousa("add", library, session, "--takes", "--labels", "beside", "--json")
+    assert json.loads(out)["labelled"] == []
+    code, out, _ = dousa("list", library, "--category", "jump")
+    assert code == 0 and out.count(".trc#t=") == 3
+    code, out, _ = dousa("list", library, "--json")
+    parts = [clip for clip in json.loads(out)["clips"] if clip["take_id"] is not None]
+    assert len(parts) == 9 and all(clip["end_s"] > clip["start_s"] for clip in parts)
+    assert dousa("train", library)[0] == 0
+    number = parts[0]["id"]
+    code, out, _ = dousa("search", library, number, "--json", "-k", "2")
+    assert code == 0 and json.loads(out)["results"][0]["clip_id"] == number
+    code, out, _ = dousa("remove", library, session / "p0.trc", "--json")
+    assert code == 0
+    code, out, _ = dousa("list", library, "--json")
+    assert json.loads(out)["n_clips"] == 6
+
+
+def test_a_mistake_is_one_sentence_with_file_and_line(dousa, session, tmp_path):
+    folder = tmp_path / "takes"
+    folder.mkdir()
+    (folder / "p0.trc").write_bytes((session / "p0.trc").read_bytes())
+    table = folder / "p0.labels.csv"
+    library = tmp_path / "a.dousa"
+    for content, said in (
+        (b"start_s,end_s,category\n1,2,walk\n5,4,run\n", ":3: 'run' ends at 4, not after it begins at 5"),
+        (b"start_s,end_s,category\n1,2,wa\0lk\n", ":2: zero bytes"),
+        (b"start_s,end_s,category\n1,2,w\xe4lk\n", ":2: not text in UTF-8"),
+        (b"a,b\n1,2\n", ":1: expected the columns start_s, end_s and category"),
+    ):
+        table.write_bytes(content)
+        code, _, err = dousa("add", library, folder, "--takes", "--labels", "beside")
+        assert code == 2 and f"{table.name}{said}" in " ".join(err.split()) and "Traceback" not in err
+        assert not library.exists()
+    table.unlink()
+    code, _, err = dousa("add", library, folder, "--takes", "--labels", "beside")
+    assert code == 2 and "no labels of any take" in " ".join(err.split())
+    code, _, err = dousa("add", library, folder, "--labels", "beside")
+    assert code == 2 and "--takes" in err
+
+
+def test_the_trial_of_annotated_takes(dousa, session):
+    rule = r"name:(p\d)"
+    words = ("--takes", "--labels", "beside", "--performer-from", rule, "--split", "leave-performer-out")
+    code, out, _ = dousa("experiment", session, *words, "--trees", "10", "--json")
+    assert code == 0
+    answer = json.loads(out)
+    assert set(answer["by_performer"]["dousa"]) == {"p0", "p1", "p2"}
+    assert 0 <= answer["scores"]["dousa"]["annotated_right"] <= 1
+    for wrong in (("--split", "half"), ("--samples", "3"), ("--category-from", "none")):
+        code, _, err = dousa("experiment", session, *words[:5], *wrong)
+        assert code == 2 and wrong[0] in err
+    code, _, err = dousa("experiment", session, "--takes", "--labels", "beside")
+    assert code == 2 and "--performer-from" in err
+    code, _, err = dousa("experiment", session, "--labels", "beside")
+    assert code == 2 and "--takes" in err
