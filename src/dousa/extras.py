@@ -7,6 +7,7 @@ film        estimation from silhouettes, films, overlays; keypoints of films    
 pictures    contact sheets, timelines; Japanese text in pictures and reports     matplotlib, fontTools, a Japanese font
 music       the beats of a piece of music                                        librosa
 studio      the page in the browser, with all of the above                       FastAPI, uvicorn, Jinja
+words       English words of a search that no table has, by their meaning        WordLlama
 ==========  ===================================================================  =====================================
 
 ``from dousa.extras import cv2`` is ``import cv2`` with that message; it stands where OpenCV is used, so that nothing

@@ -20,6 +20,7 @@ from .results import (
     Verdict,
 )
 from .selection import UNCHANGED
+from .text.answers import TextHit, TextResult
 
 __all__ = [
     "UNCHANGED",
@@ -38,6 +39,8 @@ __all__ = [
     "Skipped",
     "TakeAnnotation",
     "TakeSegment",
+    "TextHit",
+    "TextResult",
     "TrainReport",
     "Verdict",
     "choose_jobs",

@@ -367,6 +367,11 @@ def _annotated_takes(connection: sa.Connection) -> None:
     schema.take_annotations.create(connection)
 
 
+def _words(connection: sa.Connection) -> None:
+    """What motions do, in words; it is computed when the library is trained, or asked in words."""
+    schema.clip_relations.create(connection)
+
+
 def _add_column(connection: sa.Connection, table: sa.Table, name: str) -> None:
     column = sa.schema.CreateColumn(table.c[name]).compile(dialect=connection.dialect)
     connection.execute(sa.DDL(f"ALTER TABLE {table.name} ADD COLUMN {column}"))  # type: ignore[no-untyped-call]
@@ -376,6 +381,7 @@ MIGRATIONS: tuple[Migration, ...] = (
     Migration(1, "first tables", _first_tables),
     Migration(2, "takes and feature sets", _takes_and_feature_sets),
     Migration(3, "annotated takes", _annotated_takes),
+    Migration(4, "words", _words),
 )
 
 

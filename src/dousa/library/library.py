@@ -32,6 +32,8 @@ if TYPE_CHECKING:
     from dousa.library.results import Classification, FindResult, LabelledTake, SearchResult
     from dousa.library.search import Searcher
     from dousa.library.takes import Takes
+    from dousa.library.text.answers import TextResult
+    from dousa.library.text.index import TextSearcher
     from dousa.library.train import TrainProgress
     from dousa.motion import CanonicalMotion, Motion, Trajectories
     from dousa.retrieval.takes.live import LiveLabeller
@@ -269,6 +271,7 @@ class Library:
         mirror: bool = False,
         explain: bool = False,
         threshold: float | None = None,
+        among: Iterable[int] | None = None,
         options: ReadOptions | None = None,
     ) -> SearchResult:
         """The clips most like a motion, the most similar first; takes are left out.
@@ -284,6 +287,7 @@ class Library:
         explain : give the reasons for the predicted category, and for the similarity of each clip.
         threshold : probability of being known from which the query gets a category; None for the forest's own, 0
             for always.
+        among : only clips of these numbers, such as those that ``search_text`` found; None for all.
         options : what the query file does not say.
 
         Raises
@@ -304,8 +308,40 @@ class Library:
             mirror=mirror,
             explain=explain,
             threshold=threshold,
+            among=among,
             options=options or ReadOptions(),
         )
+
+    def search_text(
+        self,
+        text: str,
+        k: int | None = 10,
+        *,
+        category: str | None = None,
+        performer: str | None = None,
+        kind: Literal["clip", "take"] | None = None,
+    ) -> TextResult:
+        """The clips and takes that words describe, in English or Japanese; no forest is needed.
+
+        Words are looked for in categories, in names and in what the motions do ("both hands raised above the head"),
+        by their meaning: inflections, synonyms and translations of movement words count, and misspelt words are
+        corrected. Where nothing fits, the answer is empty, with the nearest words that the library has.
+
+        Parameters
+        ----------
+        text : such as ``"kicking with the left foot"`` or ``"手を叩く"``.
+        k : how many at most; None for all that fit.
+        category, performer : only of this label.
+        kind : only clips, or only takes.
+
+        Raises
+        ------
+        OptionError : no text, one of more than 500 characters, or k below 1.
+        LibraryError : the library cannot be read.
+        """
+        if k is not None:
+            _check_k(k)
+        return self._text.search(text, k, category=category, performer=performer, kind=kind)
 
     def classify(
         self,
@@ -447,6 +483,12 @@ class Library:
         from dousa.library.search import Searcher
 
         return Searcher(self.database, self._forests)
+
+    @cached_property
+    def _text(self) -> TextSearcher:
+        from dousa.library.text.index import TextSearcher
+
+        return TextSearcher(self.database)
 
     @cached_property
     def _takes(self) -> Takes:

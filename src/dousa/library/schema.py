@@ -113,6 +113,16 @@ clip_leaves = sa.Table(
     sa.Column("leaves", sa.LargeBinary, nullable=False),
 )
 
+clip_relations = sa.Table(
+    "clip_relations",
+    metadata,
+    _clip_id(),
+    # Of ``dousa.retrieval.words.relations``: those of other questions are computed anew.
+    sa.Column("version", sa.Integer, nullable=False),
+    # [[name, part, share, start, end], ...] of what the motion does, to be found by words
+    sa.Column("relations", sa.JSON, nullable=False),
+)
+
 take_windows = sa.Table(
     "take_windows",
     metadata,

@@ -110,6 +110,7 @@ def search_index(
     by: str,
     category: str | None,
     read_poses: _PoseReader,
+    among: Iterable[int] | None = None,
 ) -> tuple[Hit, ...]:
     """The k clips that are most like a motion, or like its mirror image.
 
@@ -121,14 +122,19 @@ def search_index(
     by : one of ``dousa.retrieval.ranking.ranking.RANKINGS``.
     category : only clips of this category; of all if None.
     read_poses : gives (n, cells, columns), the pose sequences of clips of these numbers; asked once for each motion.
+    among : only clips of these numbers; of all if None.
 
     Raises
     ------
     OptionError : an unknown ranking.
     """
     places = None
-    if category is not None:
-        places = np.flatnonzero(np.array(index.labels, dtype=object) == category)
+    if category is not None or among is not None:
+        wanted = set(index.ids if among is None else among)
+        chosen = [
+            category in (None, label) and own in wanted for label, own in zip(index.labels, index.ids, strict=True)
+        ]
+        places = np.flatnonzero(np.array(chosen, dtype=np.bool_))
     first = [_rank(index, one, k, by, places, read_poses) for one in asked]
     if len(first) == 1:
         return tuple(_number(first[0]))
@@ -275,6 +281,7 @@ class Searcher:
         mirror: bool,
         explain: bool,
         threshold: float | None,
+        among: Iterable[int] | None = None,
         options: ReadOptions,
     ) -> SearchResult:
         """The clips nearest to a file, a clip or a motion; as ``Library.search``."""
@@ -298,7 +305,8 @@ class Searcher:
                 asked.append(_ask(stored, motion.mirror(), mirrored=True))
             verdicts = [judge(stored, one.answers, one.features, threshold)[0] for one in asked]
             category = verdicts[0].guess if same_category else None
-            hits = search_index(index, asked, k, ranking, category, lambda ids: self._read_poses(connection, ids))
+            read_poses: _PoseReader = lambda ids: self._read_poses(connection, ids)  # noqa: E731
+            hits = search_index(index, asked, k, ranking, category, read_poses, among)
             if explain:
                 explaining = _Explaining(stored)
                 verdicts = explaining.verdicts(verdicts, motion)

@@ -42,6 +42,7 @@ from dousa.library.ingest import ClipRecord
 from dousa.library.results import TrainReport
 from dousa.library.schema import pack, stack
 from dousa.library.takes import describe_takes, describe_windows, save_windows
+from dousa.library.text.store import keep_all_relations, keep_relations
 from dousa.messages import Message
 from dousa.retrieval import MotionForest
 from dousa.retrieval.features.feature_sets import FeatureSet
@@ -103,6 +104,7 @@ def train_forest(
     with database.reading() as connection:
         windows = describe_takes(connection, stored, n_jobs=n_jobs, progress=tell_takes)
     report(4, _STEPS, Message("library_training.writing"))
+    keep_all_relations(database)
     stored = _store(database, stored, seen, clips, windows, len(labelled))
     report(_STEPS, _STEPS, Message("library_training.done"))
     done = TrainReport(
@@ -338,6 +340,7 @@ def insert_clips(
     places = [{"clip_id": number, **record.place} for number, record in numbered.items() if record.place is not None]
     if places:
         connection.execute(sa.insert(schema.segments), places)
+    keep_relations(connection)
     clips = {number: record for number, record in numbered.items() if record.row["kind"] == schema.CLIP}
     if clips:
         note_changed_clips(connection)

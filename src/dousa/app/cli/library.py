@@ -229,8 +229,17 @@ def train(
 
 def search(
     library: o.LibraryPath,
-    query: Query,
-    k: Annotated[int, typer.Option("-k", min=1, help="How many results.")] = 10,
+    query: Annotated[
+        str | None,
+        typer.Argument(metavar="[QUERY]", help="A motion file, or the number of a clip (see dousa list)."),
+    ] = None,
+    text: Annotated[
+        str | None,
+        typer.Option("--text", "-t", help="Words, English or Japanese: what is done, or with QUERY only such clips."),
+    ] = None,
+    k: Annotated[int, typer.Option("-k", "--limit", min=1, help="How many results.")] = 10,
+    category: Annotated[str | None, typer.Option("--category", help="Only clips of this category.")] = None,
+    performer: Annotated[str | None, typer.Option("--performer", help="Only clips of this performer.")] = None,
     rank: Annotated[
         RankingName,
         typer.Option("--rank", help="Rank by votes, leaves, poses, or all three."),
@@ -248,18 +257,25 @@ def search(
     motion_options: o.MotionOptions,
     json: o.Json = False,
 ) -> None:
-    """Find the clips most similar to a motion, and classify it.
+    """Find the clips most similar to a motion, and classify it; or with --text those that words describe.
 
     Clips are put in order by the distance of the forest's votes, by the share of trees that lead query and clip to the
-    same leaf, and by the distance of their poses aligned in time.
+    same leaf, and by the distance of their poses aligned in time. Words are looked for in categories, in names and in
+    what the motions do ("both hands above the head"): by meaning, misspelt or not.
 
     Example: dousa search moves.dousa kick.bvh -k 5
     """
+    if query is None:
+        if any((mirror, explain, same_category, picture, threshold is not None, rank != "fused")):
+            raise OptionError("text_search.needs_query")
+        _search_text(library, text, k, category, performer, json)
+        return
     if picture:
         require("matplotlib", "pictures")
     with open_to_read(library) as opened:
         wanted = clip_or_path(query)
         options = motion_options.load()
+        among = _choose_among(opened, text, category, performer)
         result = opened.search(
             wanted,
             k,
@@ -268,6 +284,7 @@ def search(
             mirror=mirror,
             explain=explain,
             threshold=threshold,
+            among=among,
             options=options,
         )
         if picture:
@@ -278,6 +295,29 @@ def search(
         print_json(result.to_json())
     else:
         tables.print_search(console(), result)
+
+
+def _search_text(
+    library: str, text: str | None, k: int, category: str | None, performer: str | None, json: bool
+) -> None:
+    if text is None:
+        raise OptionError("text_search.nothing_asked")
+    with open_to_read(library) as opened:
+        answer = opened.search_text(text, k, category=category, performer=performer)
+    if json:
+        print_json(answer.to_json())
+    else:
+        tables.print_text_search(console(), answer)
+
+
+def _choose_among(library: Library, text: str | None, category: str | None, performer: str | None) -> list[int] | None:
+    """The clips that filters leave for a search with a motion; None for all."""
+    if text is not None:
+        found = library.search_text(text, None, category=category, performer=performer, kind="clip")
+        return [hit.clip_id for hit in found.results]
+    if category is None and performer is None:
+        return None
+    return [clip.id for clip in library.clips(category=category, performer=performer)]
 
 
 def classify(

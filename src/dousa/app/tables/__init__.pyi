@@ -11,6 +11,7 @@ from .answers import (
     print_some,
     print_stats,
     print_tables,
+    print_text_search,
     print_timeline,
 )
 from .progress import print_progress
@@ -31,5 +32,6 @@ __all__ = [
     "print_some",
     "print_stats",
     "print_tables",
+    "print_text_search",
     "print_timeline",
 ]

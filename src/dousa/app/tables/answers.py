@@ -23,8 +23,9 @@ if TYPE_CHECKING:
     from dousa.app.pipelines.estimate import Estimation
     from dousa.evaluation import Assessment
     from dousa.experiments.table import ResultTable
-    from dousa.library import AddReport, Classification, FindResult, LabelledTake, SearchResult, Verdict
+    from dousa.library import AddReport, Classification, FindResult, LabelledTake, SearchResult, TextResult, Verdict
     from dousa.retrieval import Explanation, Likeness
+    from dousa.retrieval.words.relations import Relation
 
 _SHOWN = 10
 
@@ -219,6 +220,37 @@ def print_search(out: Console, answer: SearchResult) -> None:
         if hit.likeness is not None and hit.likeness.reasons:
             out.print(one_line(f"{hit.rank}. {hit.path}"), markup=False, soft_wrap=True)
             _print_reasons(out, hit.likeness, "   ")
+
+
+def print_text_search(out: Console, answer: TextResult) -> None:
+    """What words found, and how they were understood."""
+    for code, words in (("text_search.corrected", answer.corrections), ("text_search.replaced", answer.replaced)):
+        for word, taken in words.items():
+            _say(out, code, word=word, taken=taken)
+    if not answer.results:
+        _say(out, "text_search.nothing", text=answer.text, all=answer.n_searched)
+        if answer.unknown:
+            _say(out, "text_search.unknown", words=answer.unknown)
+        if answer.near:
+            _say(out, "text_search.near", words=answer.near)
+        return
+    _say(out, "text_search.found", text=answer.text, n=answer.n_found, all=answer.n_searched)
+    table = _make_table(
+        ("columns.rank", "columns.clip", "columns.fits"), ("columns.category", "columns.does"), "columns.file"
+    )
+    for hit in answer.results:
+        does = str(Message("text_search.does", relations=tuple(map(describe_relation, hit.relations)))) or "-"
+        numbers = (str(hit.rank), str(hit.clip_id), f"{hit.score:.0%}")
+        table.add_row(*numbers, _cell(hit.category or "-"), _cell(does), _cell(hit.path))
+    out.print(table)
+    if answer.n_found > len(answer.results):
+        _say(out, "text_search.more", n=answer.n_found - len(answer.results), all=answer.n_found)
+
+
+def describe_relation(relation: Relation) -> Message:
+    """What a motion does, and when it does it longest."""
+    times = {"start": relation.start, "end": relation.end}
+    return Message("text_search.relation", relation=relation.message, **times)
 
 
 def describe_votes(histogram: dict[str, float], shown: int = 3) -> str:

@@ -14,7 +14,7 @@ from dousa.app.studio.core.words import name_error
 from dousa.errors import DousaError, InvalidMotionError
 
 if TYPE_CHECKING:
-    from dousa.library import SearchResult
+    from dousa.library import SearchResult, TextResult
 
 router = APIRouter(tags=["search"])
 
@@ -41,6 +41,18 @@ class SearchRequest(BaseModel):
         description="probability of being known below which the query is unknown; learned if left out",
     )
     inside_takes: bool = Field(default=False, description="look into takes too")
+
+
+class TextRequest(BaseModel):
+    """Words, English or Japanese, that describe motions."""
+
+    model_config = ConfigDict(extra="forbid")
+
+    text: str = Field(min_length=1, max_length=500)
+    k: int = Field(default=24, ge=1, le=1000, description="how many clips and takes at most")
+    category: str | None = Field(default=None, max_length=1000, description="only of this category")
+    performer: str | None = Field(default=None, max_length=1000, description="only of this performer")
+    kind: Literal["clip", "take"] | None = None
 
 
 class ClassifyRequest(BaseModel):
@@ -77,7 +89,19 @@ def search(studio: StudioNow, wanted: SearchRequest) -> Answer:
     return Answer(answer)
 
 
-def _name_hits(result: SearchResult) -> dict[str, Any]:
+@router.post("/search/text", summary="The clips and takes that words describe")
+def search_text(studio: StudioNow, wanted: TextRequest) -> Answer:
+    """Those whose category, name or movement fits the words, the best first; none where nothing fits.
+
+    ``near_words`` are words of the library that are near, if nothing fits.
+    """
+    found = studio.library.search_text(
+        wanted.text, wanted.k, category=wanted.category, performer=wanted.performer, kind=wanted.kind
+    )
+    return Answer(_name_hits(found))
+
+
+def _name_hits(result: SearchResult | TextResult) -> dict[str, Any]:
     answer = result.to_json()
     for hit in answer["results"]:
         hit["motion"] = str(Address(clip=hit["clip_id"]))

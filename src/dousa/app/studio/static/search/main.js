@@ -12,6 +12,7 @@ import { drawPlaces } from "./places.js";
 import { Stage } from "./stage.js";
 import { askOf, isSameMotion, isSameSearch, keepState, readState, wholeOf } from "./state.js";
 import { drawAskPart, drawNoVerdict, drawVerdict } from "./verdict.js";
+import { Words } from "./words.js";
 
 const TITLE = document.title;
 const NO_HIT = { hit: null, other_start_s: null, other_end_s: null };
@@ -23,6 +24,11 @@ const hits = new Hits($("#hits"), clock, {
   onChoose: (hit) => compare({ ...NO_HIT, hit: hit.motion }),
   explain: () => explain(),
   onGo: (start, end) => stage.go(start, end),
+});
+
+const words = new Words($("#ask-words"), $("#words-found"), {
+  onAsk: (text) => go({ ...state, text }),
+  onChoose: (hit) => go({ ...state, motion: hit.motion, ...NO_PART, ...NO_HIT, unit: null, up: null, text: null }),
 });
 
 let state = {};
@@ -50,6 +56,7 @@ function compare(changes) {
 
 async function apply(next) {
   state = next;
+  words.show(state.text);
   showFrame(Boolean(state.motion));
   if (!state.motion) {
     leave();
@@ -226,6 +233,7 @@ function drawUntrained() {
 async function start() {
   library = (await get("/info")).library;
   if (!library.trained_at) {
+    words.show(readState().text);
     drawUntrained();
     return;
   }

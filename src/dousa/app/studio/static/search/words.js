@@ -1,0 +1,64 @@
+// Searching in words: a box, and below it the clips and takes that fit; choosing one searches with it.
+
+import { post } from "../core/api.js";
+import { baseName, h, t } from "../core/dom.js";
+
+const FIRST = 24;
+
+export class Words {
+  /** tools: {onAsk(text) keeps the text in the address, onChoose(hit)} */
+  constructor(form, place, tools) {
+    Object.assign(this, { form, place, tools, asked: null, asking: null });
+    this.input = form.querySelector("input");
+    form.addEventListener("submit", (event) => {
+      event.preventDefault();
+      tools.onAsk(this.input.value.trim() || null);
+    });
+  }
+
+  /** Show what a text finds; null shows nothing. */
+  async show(text) {
+    if (text === this.asked) return;
+    this.asked = text;
+    this.input.value = text ?? "";
+    if (!text) this.clear();
+    else await this.ask(text, FIRST);
+  }
+
+  clear() {
+    this.asking?.abort();
+    this.place.hidden = true;
+    this.place.replaceChildren();
+  }
+
+  async ask(text, k) {
+    this.asking?.abort();
+    const mine = (this.asking = new AbortController());
+    this.place.hidden = false;
+    this.place.replaceChildren(h("p", { class: "note" }, t("searching")));
+    try {
+      const answer = await post("/search/text", { text, k }, mine.signal);
+      if (mine === this.asking) this.draw(answer);
+    } catch (error) {
+      if (mine === this.asking && error.name !== "AbortError") this.place.replaceChildren(h("p", { class: "problem-box", role: "alert" }, error.message));
+    }
+  }
+
+  draw(answer) {
+    const taken = Object.entries({ ...answer.corrections, ...answer.replaced }).map(([word, other]) => h("p", { class: "note" }, t("words_taken", { word, taken: other })));
+    const count = t(answer.n_found ? "words_count" : "words_none", { count: answer.n_found, all: answer.n_searched });
+    const close = h("button", { type: "button", class: "small", onclick: () => this.tools.onAsk(null) }, t("words_close"));
+    const parts = [h("div", { class: "results-head" }, h("h2", {}, t("words_title")), h("p", { class: "note", role: "status" }, count), close), ...taken];
+    if (!answer.n_found && answer.unknown_words.length) parts.push(h("p", { class: "note" }, t("words_unknown", { words: answer.unknown_words.join(", ") })));
+    if (answer.near_words.length) parts.push(h("p", { class: "row" }, t("words_near"), ...answer.near_words.map((word) => h("button", { type: "button", class: "small", onclick: () => this.tools.onAsk(word) }, word))));
+    parts.push(h("ol", { class: "word-hits" }, ...answer.results.map((hit) => this.drawHit(hit))));
+    if (answer.n_found > answer.results.length) parts.push(h("button", { type: "button", class: "small", onclick: () => this.ask(answer.text, Math.min(1000, answer.n_found)) }, t("words_more", { count: answer.n_found })));
+    this.place.replaceChildren(...parts);
+  }
+
+  drawHit(hit) {
+    const does = hit.relations.map((one) => h("span", { class: "badge" }, one.text));
+    const open = h("button", { type: "button", class: "word-hit", onclick: () => this.tools.onChoose(hit) }, h("b", {}, hit.category ?? "–"), h("span", { class: "hit-name", title: hit.path }, baseName(hit.path)), ...does, h("span", { class: "note" }, t("words_fits", { percent: Math.round(100 * hit.score) })));
+    return h("li", {}, open);
+  }
+}

@@ -1,0 +1,77 @@
+"""What motions do, in words: computed when they are added; where an older dousa added them, when they are needed."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import Any
+
+import sqlalchemy as sa
+
+from dousa.errors import LibraryDamagedError
+from dousa.library import schema
+from dousa.library.engine import Database
+from dousa.library.features import load_motions
+from dousa.library.selection import portions
+from dousa.retrieval.words.relations import RELATIONS_VERSION, Relation, find_relations
+
+
+def load_relations(connection: sa.Connection) -> dict[int, tuple[Relation, ...]]:
+    """The relations of all clips and takes, by number; those that are not kept are computed.
+
+    Raises
+    ------
+    LibraryDamagedError : what is kept is none.
+    """
+    table = schema.clip_relations.c
+    query = sa.select(table.clip_id, table.relations).where(table.version == RELATIONS_VERSION)
+    found = {row.clip_id: _from_json(row.relations) for row in connection.execute(query)}
+    return found | _compute(connection, _list_missing(connection))
+
+
+def keep_relations(connection: sa.Connection) -> None:
+    """Compute and write the relations of the clips and takes of which none are kept yet."""
+    _write(connection, _list_missing(connection))
+
+
+def keep_all_relations(database: Database) -> None:
+    """The same for a library that an older dousa wrote: in portions, each a transaction of its own."""
+    with database.reading() as connection:
+        missing = _list_missing(connection)
+    for some in portions(missing):
+        with database.writing() as connection:
+            still = set(_list_missing(connection))
+            _write(connection, [number for number in some if number in still])
+
+
+def _list_missing(connection: sa.Connection) -> list[int]:
+    clips, table = schema.clips.c, schema.clip_relations.c
+    kept = sa.and_(table.clip_id == clips.id, table.version == RELATIONS_VERSION)
+    query = sa.select(clips.id).join(schema.clip_relations, kept, isouter=True).where(table.clip_id.is_(None))
+    return list(connection.execute(query.order_by(clips.id)).scalars())
+
+
+def _compute(connection: sa.Connection, ids: Iterable[int]) -> dict[int, tuple[Relation, ...]]:
+    numbers = list(ids)
+    return dict(zip(numbers, map(find_relations, load_motions(connection, numbers)), strict=True))
+
+
+def _write(connection: sa.Connection, ids: list[int]) -> None:
+    table = schema.clip_relations
+    for some in portions(ids):
+        rows = [
+            {"clip_id": number, "version": RELATIONS_VERSION, "relations": _to_json(relations)}
+            for number, relations in _compute(connection, some).items()
+        ]
+        connection.execute(sa.delete(table).where(table.c.clip_id.in_(list(some))))
+        connection.execute(sa.insert(table), rows)
+
+
+def _to_json(relations: Iterable[Relation]) -> list[list[Any]]:
+    return [[one.name, one.part, round(one.share, 4), round(one.start, 3), round(one.end, 3)] for one in relations]
+
+
+def _from_json(stored: Any) -> tuple[Relation, ...]:
+    try:
+        return tuple(Relation(str(n), str(p), float(share), float(s), float(e)) for n, p, share, s, e in stored)
+    except (TypeError, ValueError) as error:
+        raise LibraryDamagedError("library_text.relations_damaged", reason=error) from error

@@ -1,0 +1,313 @@
+"""How well motions fit words: what a query asks for, beside what names, categories and relations say.
+
+A query is a list of words, each with a weight: an action weighs more than a side or a chair. A word of the query finds
+a word of a motion if both have the same stem or name related concepts. Names and categories are taken together; of the
+relations of a motion one counts at a time, as the left of one and the raised hand of another make no raised left hand.
+The score is the share of the query's weight that is found, 0 to 1.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, replace
+
+from dousa.retrieval.words.reading import Word, read_words
+from dousa.retrieval.words.vocabulary import Vocabulary, stem
+
+LEAST_SCORE, LEAST_OF_BEST = 0.5, 0.78
+"""What a motion must score to be an answer: of the whole query, and of the best answer."""
+
+_NAME = 0.95  # words of a name, beside those of a category
+_DOES, _ALSO_DOES = 0.95, 0.7  # what a motion does: where its category says nothing, and where that says something else
+_SPELLING, _MEANING = 0.9, 0.85  # a word that was corrected, or put in the place of one that nobody knows
+_OPPOSITE = 0.3  # what is left of words that say the opposite
+_LITTLE = 0.3  # of the weight of a part that is implied: the hands of clapping
+_NAMED = 0.5  # a query must name more than this share of a relation's words for it to count
+_ENOUGH = 0.6  # and this share for all of it to count
+_MOST_EDITS = {3: 1, 8: 2}  # letters from which a word may be misspelt, and how often
+_ALIKE, _LONG = 0.45, 4  # cosine from which the vectors of two words speak of the same, and letters that they need
+
+
+@dataclass(frozen=True, slots=True)
+class Slot:
+    """A word that a query asks for.
+
+    Parameters
+    ----------
+    word : as it was understood.
+    weight : its share of the query.
+    factor : what finding it counts; less than 1 if the word was corrected or replaced.
+    """
+
+    word: Word
+    weight: float
+    factor: float = 1.0
+
+
+@dataclass(frozen=True, slots=True)
+class ReadQuery:
+    """A query in words, as it was understood.
+
+    Parameters
+    ----------
+    slots : its words.
+    corrections : words that were misspelt, and what they were taken for.
+    replaced : words that nobody knows, and known words of a similar meaning.
+    unknown : words that nobody knows.
+    """
+
+    slots: tuple[Slot, ...]
+    corrections: dict[str, str]
+    replaced: dict[str, str]
+    unknown: tuple[str, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Unit:
+    """Words that belong together: of a name, or of one relation.
+
+    Parameters
+    ----------
+    words : of it.
+    weight : the sum of theirs.
+    """
+
+    words: tuple[Word, ...]
+    weight: float
+
+
+@dataclass(frozen=True, slots=True)
+class Fit:
+    """How well a motion fits a query.
+
+    Parameters
+    ----------
+    score : 0 to 1.
+    relations : places of the relations that helped, the most helpful first.
+    in_category, in_name : whether words of these helped.
+    """
+
+    score: float
+    relations: tuple[int, ...]
+    in_category: bool
+    in_name: bool
+
+
+def weigh_word(vocabulary: Vocabulary, word: Word) -> float:
+    """How much of a query hangs on a word."""
+    if not word.meanings:
+        return vocabulary.unknown
+    return max(vocabulary.concepts[name].weight for name in word.meanings)
+
+
+def make_unit(vocabulary: Vocabulary, words: Sequence[Word]) -> Unit:
+    """A unit of words; what occurs twice counts once."""
+    distinct = tuple(dict.fromkeys(words))
+    return Unit(distinct, sum(weigh_word(vocabulary, word) for word in distinct))
+
+
+Replace = Callable[[str], "tuple[str, float] | None"]
+"""Gives for an English word that nobody knows a known one of similar meaning and its cosine, or None."""
+
+
+def read_query(
+    vocabulary: Vocabulary, text: str, known: Iterable[Word], replacement: Replace | None = None
+) -> ReadQuery:
+    """Understand a query.
+
+    Parameters
+    ----------
+    text : in English, Japanese or both.
+    known : words of the motions that are searched.
+    replacement : for words that are neither there nor in the vocabulary.
+    """
+    own = {word.key: word for word in known if not word.meanings}
+    slots: list[Slot] = []
+    corrections: dict[str, str] = {}
+    replaced: dict[str, str] = {}
+    unknown: list[str] = []
+    for word in dict.fromkeys(read_words(vocabulary, text)):
+        slot = Slot(word, weigh_word(vocabulary, word))
+        if not word.meanings and word.key not in own:
+            other = _correct(vocabulary, word, own)
+            similar = (
+                replacement(word.text)
+                if other is None and replacement and word.text.isascii() and len(word.text) >= _LONG
+                else None
+            )
+            if other is not None:
+                corrections[word.text] = other.text
+                slot = Slot(other, weigh_word(vocabulary, other), _SPELLING)
+            elif similar is not None and similar[1] >= _ALIKE:
+                replaced[word.text] = similar[0]
+                near = read_words(vocabulary, similar[0])
+                slot = replace(slot, word=near[0] if near else word, factor=_MEANING)
+            else:
+                unknown.append(word.text)
+        slots.append(slot)
+    return ReadQuery(_weigh_implied(vocabulary, _without_extras(slots)), corrections, replaced, tuple(unknown))
+
+
+def _without_extras(slots: list[Slot]) -> tuple[Slot, ...]:
+    """Equal concepts once: "arm" of "arm curl" stays, the second "wave" of "wave waving" does not."""
+    seen: dict[tuple[str, ...], Slot] = {}
+    for slot in slots:
+        seen.setdefault(slot.word.meanings or (slot.word.key,), slot)
+    return tuple(seen.values())
+
+
+def _weigh_implied(vocabulary: Vocabulary, slots: tuple[Slot, ...]) -> tuple[Slot, ...]:
+    """Parts that an action of the query is done with anyway weigh little."""
+    meant = {name for slot in slots for name in slot.word.meanings}
+    implied = {part for part, action in vocabulary.implied if action in meant}
+    return tuple(
+        replace(slot, weight=_LITTLE * slot.weight) if implied.intersection(slot.word.meanings) else slot
+        for slot in slots
+    )
+
+
+def _correct(vocabulary: Vocabulary, word: Word, own: dict[str, Word]) -> Word | None:
+    """The known word that this one misspells, if one is near enough."""
+    edits = max((most for letters, most in _MOST_EDITS.items() if len(word.text) >= letters), default=0)
+    if not edits or any(letter.isdigit() for letter in word.text):
+        return None
+    from rapidfuzz import process
+    from rapidfuzz.distance import OSA
+
+    choices: dict[str, Word] = {}
+    if word.text.isascii():
+        for key, meanings in vocabulary.english.items():
+            written = vocabulary.spelled.get(key[0], key[0]) if len(key) == 1 else ""
+            if len(written) > 2 and len(meanings[0]) == 1 and meanings[0][0] in vocabulary.concepts:
+                choices[written] = choices[key[0]] = Word(written, key[0], tuple(names[0] for names in meanings))
+    else:
+        for form, meanings in vocabulary.japanese.items():
+            if len(form) >= 4 and len(meanings[0]) == 1 and meanings[0][0] in vocabulary.concepts:
+                choices[form] = Word(form, form, tuple(names[0] for names in meanings))
+    choices |= {key: other for key, other in own.items() if not any(letter.isdigit() for letter in key)}
+    for asked in (word.text.casefold(), stem(word.text)):
+        best = process.extractOne(asked, choices.keys(), scorer=OSA.distance, score_cutoff=edits)
+        # The first letter is seldom wrong, and short words are near too many others.
+        if best is not None and (best[0][:1] == asked[:1] or len(asked) >= 6):
+            return choices[best[0]]
+    return None
+
+
+class Matcher:
+    """Compares one query with units of words; equal units are compared once."""
+
+    def __init__(self, vocabulary: Vocabulary, query: ReadQuery) -> None:
+        self._vocabulary = vocabulary
+        self.query = query
+        self._total = sum(slot.weight for slot in query.slots)
+        self._found: dict[Unit, tuple[tuple[float, ...], bool]] = {}
+        self._relations: dict[Unit, tuple[float, ...]] = {}
+
+    def find(self, unit: Unit) -> tuple[tuple[float, ...], bool]:
+        """What each slot finds in a unit, 0 to 1, and whether the unit says the opposite of one that it lacks."""
+        found = self._found.get(unit)
+        if found is None:
+            values = tuple(self._find_slot(slot, unit) for slot in self.query.slots)
+            against = self._contradicts(unit, values)
+            found = self._found[unit] = values, against
+        return found
+
+    def _find_slot(self, slot: Slot, unit: Unit) -> float:
+        related = self._vocabulary.related
+        best = 0.0
+        for word in unit.words:
+            if word.key == slot.word.key:
+                return slot.factor
+            for asked in slot.word.meanings:
+                for said in word.meanings:
+                    best = max(best, related.get((asked, said), 0.0))
+        return slot.factor * best
+
+    def _contradicts(self, unit: Unit, values: Sequence[float]) -> bool:
+        """Whether a unit says the opposite of something that it lacks, or speaks of other parts of the body only."""
+        said = {name for other in unit.words for name in other.meanings}
+        opposites = self._vocabulary.opposites
+        slots = list(zip(self.query.slots, values, strict=True))
+        lacking = {name for slot, value in slots if not value for name in slot.word.meanings}
+        if any((asked, other) in opposites for asked in lacking for other in said):
+            return True
+        parts = [value for slot, value in slots if any(map(self._is_part, slot.word.meanings))]
+        return bool(parts) and not any(parts) and any(map(self._is_part, said))
+
+    def _is_part(self, name: str) -> bool:
+        return self._vocabulary.concepts[name].kind == "part"
+
+    def find_relation(self, unit: Unit) -> tuple[float, ...]:
+        """What each slot finds in a relation, less if the query names only a small part of it."""
+        found = self._relations.get(unit)
+        if found is None:
+            values, against = self.find(unit)
+            named = sum(
+                weigh_word(self._vocabulary, word)
+                for word in unit.words
+                if any(self._is_named(word, slot) for slot in self.query.slots)
+            )
+            scale = (
+                min(1.0, named / (unit.weight * _ENOUGH))
+                * (named > _NAMED * unit.weight)
+                * (_OPPOSITE if against else 1.0)
+            )
+            found = self._relations[unit] = tuple(scale * value for value in values)
+        return found
+
+    def _is_named(self, word: Word, slot: Slot) -> bool:
+        related = self._vocabulary.related
+        return word.key == slot.word.key or any(
+            (asked, said) in related for asked in slot.word.meanings for said in word.meanings
+        )
+
+    def fit(self, category: Unit, name: Unit, relations: Sequence[tuple[Unit, float]]) -> Fit:
+        """How well a motion fits.
+
+        Parameters
+        ----------
+        category, name : its words.
+        relations : its relations, with the share of the motion for which each holds.
+        """
+        if not self._total:
+            return Fit(0.0, (), False, False)
+        slots = self.query.slots
+        by_category, against = self.find(category)
+        by_name, name_against = self.find(name)
+        scale = _OPPOSITE if against or name_against else 1.0
+        base = [scale * max(a, _NAME * b) for a, b in zip(by_category, by_name, strict=True)]
+        trust = _ALSO_DOES if any(map(self._is_action, category.words)) else _DOES
+        told = [
+            tuple(trust * (0.8 + 0.2 * min(1.0, 2.0 * share)) * value for value in self.find_relation(unit))
+            for unit, share in relations
+        ]
+        used: list[int] = []
+        for _ in range(2):
+            score = self._sum(base)
+            place, more = max(
+                (
+                    (place, self._sum([max(pair) for pair in zip(base, values, strict=True)]))
+                    for place, values in enumerate(told)
+                ),
+                key=lambda item: item[1],
+                default=(-1, score),
+            )
+            if place < 0 or more <= score + 1e-9:
+                break
+            base = [max(pair) for pair in zip(base, told[place], strict=True)]
+            used.append(place)
+            # A second one helps only if the query speaks of all of it: walking, with both hands up.
+            told = [values if _is_whole(values, slots) else (0.0,) * len(values) for values in told]
+        helped = any(value > 0.4 for value in by_category), any(value > 0.4 for value in by_name)
+        return Fit(self._sum(base), tuple(used), *helped)
+
+    def _is_action(self, word: Word) -> bool:
+        return any(self._vocabulary.concepts[name].kind == "action" for name in word.meanings)
+
+    def _sum(self, values: Sequence[float]) -> float:
+        return sum(slot.weight * value for slot, value in zip(self.query.slots, values, strict=True)) / self._total
+
+
+def _is_whole(values: Sequence[float], slots: Sequence[Slot]) -> bool:
+    """Whether a relation finds an action of the query, and not its side or limb alone."""
+    return any(value > 0.5 and slot.weight >= 1.0 for value, slot in zip(values, slots, strict=True))

@@ -1,0 +1,221 @@
+"""The table of movement words, English and Japanese: which words name a concept, and how concepts are related.
+
+The words are data, in ``vocabulary.toml``; here they are read, with the inflections that both languages give them. An
+English word counts by its stem (Porter 2, of Snowball), a Japanese verb by the forms that its last syllable takes.
+"""
+
+from __future__ import annotations
+
+import tomllib
+import unicodedata
+from dataclasses import dataclass
+from functools import cache
+from importlib import resources
+from typing import Any
+
+STOP = "stop"
+"""The concept of words that say nothing."""
+
+_NARROWER, _BROADER, _CLOSE = (
+    0.85,
+    0.45,
+    0.6,
+)  # what another concept counts: a kind of it, what it is a kind of, a like one
+_KINDS = ("action", "style", "part", "side", "place", "direction", "object")
+
+# The rows of kana that the last syllable of a verb runs through: 叩く is also 叩き, 叩か, 叩い ...
+_ROWS = {
+    "う": "わいうえおっ",
+    "く": "かきくけこい",
+    "ぐ": "がぎぐげごい",
+    "す": "さしすせそ",
+    "つ": "たちつてとっ",
+    "ぬ": "なにぬねのん",
+    "ぶ": "ばびぶべぼん",
+    "む": "まみむめもん",
+    "る": "らりるれろっ",
+}
+_ONE_ROW = frozenset("いきぎしじちにひびみりえけげせぜてでねへべめれ")  # a る after these may fall away: 上げる, 上げて
+
+
+@dataclass(frozen=True, slots=True)
+class Concept:
+    """One thing that words name.
+
+    Parameters
+    ----------
+    name : its key in the table.
+    kind : such as ``"action"`` or ``"part"``.
+    weight : how much of a query hangs on it.
+    words : its first English and Japanese words, for people.
+    """
+
+    name: str
+    kind: str
+    weight: float
+    words: dict[str, str]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Vocabulary:
+    """The table, ready to be looked up.
+
+    Parameters
+    ----------
+    concepts : by name.
+    english : phrases, as tuples of stems, to the concepts that they name, one tuple for each meaning; a compound names
+        several at once.
+    japanese : forms to the same.
+    related : what concept b counts where concept a is asked for, by (a, b); 1 for the same.
+    opposites : (a, b) where who asks for a does not want b.
+    implied : (part, action) where the action is done with the part anyway.
+    unknown : weight of a word that is not in the table.
+    spelled : English words as they are written, by stem.
+    """
+
+    concepts: dict[str, Concept]
+    english: dict[tuple[str, ...], tuple[tuple[str, ...], ...]]
+    japanese: dict[str, tuple[tuple[str, ...], ...]]
+    related: dict[tuple[str, str], float]
+    opposites: frozenset[tuple[str, str]]
+    implied: frozenset[tuple[str, str]]
+    unknown: float
+    spelled: dict[str, str]
+
+    @property
+    def longest_phrase(self) -> int:
+        """Words of the longest English phrase."""
+        return max(map(len, self.english))
+
+    @property
+    def longest_form(self) -> int:
+        """Characters of the longest Japanese form."""
+        return max(map(len, self.japanese))
+
+
+def normalise(text: str) -> str:
+    """One form for wide, narrow and combined characters."""
+    return unicodedata.normalize("NFKC", text)
+
+
+@cache
+def _stemmer() -> Any:
+    import snowballstemmer
+
+    return snowballstemmer.stemmer("english")
+
+
+@cache
+def stem(word: str) -> str:
+    """The stem of an English word: "kicking" and "kicks" are "kick"."""
+    lower = word.casefold()
+    return str(_stemmer().stemWord(lower)) if len(lower) > 2 else lower
+
+
+@cache
+def load_vocabulary() -> Vocabulary:
+    """The table that comes with dousa."""
+    text = resources.files(__package__).joinpath("vocabulary.toml").read_text(encoding="utf-8")
+    return make_vocabulary(tomllib.loads(text))
+
+
+def make_vocabulary(table: dict[str, Any]) -> Vocabulary:
+    """A vocabulary from a table in the form of ``vocabulary.toml``."""
+    weights = table["weights"]
+    concepts: dict[str, Concept] = {}
+    english: dict[tuple[str, ...], list[tuple[str, ...]]] = {}
+    japanese: dict[str, list[tuple[str, ...]]] = {}
+    broader: dict[str, str] = {}
+    close: dict[str, list[str]] = {}
+    spelled: dict[str, str] = {}
+    for kind in _KINDS:
+        for name, line in table[kind].items():
+            words, broader_name, close_names = _split_line(line)
+            concepts[name] = Concept(name, kind, weights[kind], {"en": words[0][0], "ja": words[1][0]})
+            broader |= {name: broader_name} if broader_name else {}
+            close[name] = close_names
+            for word in words[0]:
+                phrase = tuple(stem(part) for part in word.split())
+                _add(english, phrase, (name,))
+                spelled.setdefault(" ".join(phrase), word)
+            for word in words[1]:
+                for form in inflect(normalise(word)):
+                    _add(japanese, form, (name,))
+    for word, names in table["compound"].items():
+        _add(english if word.isascii() else japanese, (stem(word),) if word.isascii() else word, tuple(names.split()))
+    for word in table["stop"]["en"].split():
+        english.setdefault((stem(word),), [(STOP,)])
+        english.setdefault((word,), [(STOP,)])
+    for word in table["stop"]["ja"].split():
+        japanese.setdefault(word, [(STOP,)])
+    return Vocabulary(
+        concepts,
+        {key: tuple(meanings) for key, meanings in english.items()},
+        {key: tuple(meanings) for key, meanings in japanese.items()},
+        _relate(concepts, broader, close) | {_read_pair(pair): value for pair, value in table["counts"].items()},
+        _read_opposites(table["opposites"]),
+        frozenset((part, action) for part, line in table["implied"].items() for action in line.split()),
+        float(weights["unknown"]),
+        spelled,
+    )
+
+
+def _split_line(line: str) -> tuple[list[list[str]], str, list[str]]:
+    """English and Japanese words, the broader concept or an empty text, and the close ones."""
+    rest, _, close = line.partition("~")
+    rest, _, broader = rest.partition(">")
+    words = [[word.strip() for word in part.split(",")] for part in rest.split("|")]
+    return words, broader.strip(), [name.strip() for name in close.split(",") if name.strip()]
+
+
+def _read_pair(text: str) -> tuple[str, str]:
+    first, second = text.split()
+    return first, second
+
+
+def _read_opposites(table: dict[str, str]) -> frozenset[tuple[str, str]]:
+    pairs = {_read_pair(pair) for pair in table["pairs"].split(",")}
+    one_way = {_read_pair(pair) for pair in table["one_way"].split(",")}
+    return frozenset(pairs | {(second, first) for first, second in pairs} | one_way)
+
+
+def _add(forms: dict[Any, list[tuple[str, ...]]], key: Any, names: tuple[str, ...]) -> None:
+    meanings = forms.setdefault(key, [])
+    if names not in meanings:
+        meanings.append(names)
+
+
+def _relate(
+    concepts: dict[str, Concept], broader: dict[str, str], close: dict[str, list[str]]
+) -> dict[tuple[str, str], float]:
+    """What a concept counts where another is asked for; the broader of the broader counts by the product."""
+    related: dict[tuple[str, str], float] = {(name, name): 1.0 for name in concepts}
+    for name in concepts:
+        up, down = _BROADER, _NARROWER
+        above = broader.get(name)
+        while above is not None:
+            related[name, above] = max(related.get((name, above), 0.0), up)
+            related[above, name] = max(related.get((above, name), 0.0), down)
+            up, down, above = up * _BROADER, down * _NARROWER, broader.get(above)
+    for name, names in close.items():
+        for other in names:
+            for pair in ((name, other), (other, name)):
+                related[pair] = max(related.get(pair, 0.0), _CLOSE)
+    return related
+
+
+def inflect(word: str) -> set[str]:
+    """A Japanese word and, for one that may be a verb or an adjective, what its last syllable turns into."""
+    last, rest = word[-1], word[:-1]
+    if len(word) < 2 or not any("\u3041" <= letter <= "\u309f" for letter in last):
+        return {word}
+    if last == "い" and (len(word) >= 3 or "\u4e00" <= rest[-1] <= "\u9fff"):
+        return {word, *(rest + end for end in ("く", "かっ", "さ"))}
+    if last not in _ROWS or not (len(word) >= 3 or "\u4e00" <= rest[-1] <= "\u9fff"):
+        return {word}
+    forms = {word, *(rest + kana for kana in _ROWS[last])}
+    if last == "る" and (rest[-1] in _ONE_ROW or "\u4e00" <= rest[-1] <= "\u9fff") and len(rest) >= 2:
+        forms.add(rest)
+    if last == "る" and rest in ("寝", "見", "着"):  # one character, and all that is left of them
+        forms |= {rest + end for end in "ててたなま"}
+    return forms
