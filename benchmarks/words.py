@@ -55,6 +55,7 @@ def measure(search: Search, queries: dict[str, list[str]], clips: Sequence[ClipI
         right = {clip for clip, name in categories.items() if any(re.fullmatch(p, name) for p in patterns)}
         if not patterns:
             empty += not found
+        if not right:
             continue
         hits = [clip in right for clip in found]
         precision = float(np.mean(hits)) if hits else 0.0
@@ -65,7 +66,7 @@ def measure(search: Search, queries: dict[str, list[str]], clips: Sequence[ClipI
         if details:
             print(f"    {details} {query!r}: P {precision:.2f} R {recall:.2f} first {first:.2f} of {len(found)}")
     if not numbers:
-        return f"{empty} of {len(queries)} empty"
+        return f"{empty} of {sum(not patterns for patterns in queries.values())} empty"
     p, r, f, first = np.mean(numbers, axis=0)
     return f"P {p:.2f}  R {r:.2f}  F {f:.2f}  P@10 {first:.2f}"
 

@@ -35,6 +35,7 @@ def test_every_question_can_be_asked_in_postgresql(tmp_path, moves, write_move):
         library.add(write_move(tmp_path / "new" / "kick" / "b.bvh", seed=52).parents[1])
         library.find(1)
         library.label(tmp_path / "take.bvh")
+        library.search_text("bow")
         library.search(moves / "bow" / "bow_p0.bvh", mirror=True, explain=True)
         library.classify(moves / "bow")
         library.clips(category="bow", performer=None)

@@ -29,7 +29,16 @@ OWN_VALUES = {"line", "joints"}  # what errors keep for themselves besides the v
 # Rendered by their number (system), kept for old data (text), or by the errors themselves.
 BUILT_IN = {"text.verbatim", "joints.has", "extras.missing"}
 # Rendered by the number of an error, and the words of pages: tests of these hold that they are used.
-FOUND_BY_NAME = ("system.", "report.", "report_beats.", "report_exercise.", "player.", "player_single.", "player_pair.")
+FOUND_BY_NAME = (
+    "system.",
+    "report.",
+    "report_beats.",
+    "report_exercise.",
+    "player.",
+    "player_single.",
+    "player_pair.",
+    "relations.",
+)
 WITHOUT_ENTRY = {"system.error"}
 
 

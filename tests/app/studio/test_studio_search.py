@@ -49,6 +49,22 @@ def test_a_clip_finds_its_like(studio):
     assert "places" not in answer
 
 
+@pytest.mark.parametrize("text", ["kicking with the left leg", "左足で蹴る"])
+def test_words_find_clips(studio, text):
+    answer = studio.post("/api/search/text", json={"text": text, "k": 3}).json()
+    assert [hit["category"] for hit in answer["results"]] == ["kick_left"] * 3
+    assert answer["results"][0]["motion"] == f"clip:{answer['results'][0]['clip_id']}"
+    assert answer["n_found"] >= 4
+    nothing = studio.post("/api/search/text", json={"text": "xqzzv"}).json()
+    assert (nothing["n_found"], nothing["results"], nothing["unknown_words"]) == (0, [], ["xqzzv"])
+
+
+def test_words_that_cannot_be_searched_for_are_told(studio):
+    for wanted in ({"text": ""}, {"text": "x" * 501}, {"text": "kick", "k": 0}, {"text": "  "}):
+        answer = studio.post("/api/search/text", json=wanted)
+        assert answer.status_code in (400, 422) and answer.json()["problem"]
+
+
 def test_an_uploaded_file_and_a_part_of_it_are_searched_for(studio, bvh):
     came = studio.post("/api/uploads?name=new.bvh", content=bvh.read_bytes()).json()
     motion = came["files"][0]["motion"]

@@ -158,6 +158,21 @@ def test_an_untrained_library_points_to_training(browser, tmp_path):
         assert browser.messages() == []
 
 
+def test_words_lead_to_motions(show, running):
+    page = show("/search?text=" + urllib.parse.quote("左足で蹴る"), language="ja")
+    page.wait("return document.querySelectorAll('.word-hit').length > 3")
+    assert "kick_left" in page.run("return document.querySelector('.word-hit').textContent")
+    page.run("document.querySelector('.word-hit').click()")
+    page.wait(DRAWN)
+    assert page.run("return document.querySelector('#words-found').hidden")
+    page.find("#words-text").send_keys("xqzzv\n")
+    page.wait("return document.querySelectorAll('#words-found .note').length > 1")
+    assert "xqzzv" in page.run("return document.querySelector('#words-found').textContent")
+    page.driver.back()
+    page.wait("return document.querySelector('#words-found').hidden")
+    assert page.messages() == []
+
+
 @pytest.mark.parametrize(
     ("width", "height", "scheme", "language"),
     [(1280, 720, "light", "en"), (1280, 720, "dark", "ja"), (390, 844, "light", "ja")],

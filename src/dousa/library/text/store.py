@@ -67,7 +67,7 @@ def _write(connection: sa.Connection, ids: list[int]) -> None:
 
 
 def _to_json(relations: Iterable[Relation]) -> list[list[Any]]:
-    return [[one.name, one.part, round(one.share, 4), round(one.start, 3), round(one.end, 3)] for one in relations]
+    return [[one.name, one.part, one.share, one.start, one.end] for one in relations]
 
 
 def _from_json(stored: Any) -> tuple[Relation, ...]:

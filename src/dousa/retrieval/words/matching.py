@@ -24,6 +24,7 @@ _OPPOSITE = 0.3  # what is left of words that say the opposite
 _LITTLE = 0.3  # of the weight of a part that is implied: the hands of clapping
 _NAMED = 0.5  # a query must name more than this share of a relation's words for it to count
 _ENOUGH = 0.6  # and this share for all of it to count
+_DONE = 0.9  # what it counts at least if the query names what is done
 _MOST_EDITS = {3: 1, 8: 2}  # letters from which a word may be misspelt, and how often
 _ALIKE, _LONG = 0.45, 4  # cosine from which the vectors of two words speak of the same, and letters that they need
 
@@ -179,7 +180,8 @@ def _correct(vocabulary: Vocabulary, word: Word, own: dict[str, Word]) -> Word |
         for key, meanings in vocabulary.english.items():
             written = vocabulary.spelled.get(key[0], key[0]) if len(key) == 1 else ""
             if len(written) > 2 and len(meanings[0]) == 1 and meanings[0][0] in vocabulary.concepts:
-                choices[written] = choices[key[0]] = Word(written, key[0], tuple(names[0] for names in meanings))
+                meant = Word(written, key[0], tuple(names[0] for names in meanings))
+                choices |= dict.fromkeys((written, key[0], f"{key[0]}ing", f"{written}s"), meant)
     else:
         for form, meanings in vocabulary.japanese.items():
             if len(form) >= 4 and len(meanings[0]) == 1 and meanings[0][0] in vocabulary.concepts:
@@ -242,18 +244,17 @@ class Matcher:
         found = self._relations.get(unit)
         if found is None:
             values, against = self.find(unit)
-            named = sum(
-                weigh_word(self._vocabulary, word)
-                for word in unit.words
-                if any(self._is_named(word, slot) for slot in self.query.slots)
-            )
-            scale = (
-                min(1.0, named / (unit.weight * _ENOUGH))
-                * (named > _NAMED * unit.weight)
-                * (_OPPOSITE if against else 1.0)
-            )
+            scale = self._scale_relation(unit) * (_OPPOSITE if against else 1.0)
             found = self._relations[unit] = tuple(scale * value for value in values)
         return found
+
+    def _scale_relation(self, unit: Unit) -> float:
+        """How much of a relation a query speaks of: of all that is done in it, or of most of its words."""
+        named = [word for word in unit.words if any(self._is_named(word, slot) for slot in self.query.slots)]
+        actions = [word for word in unit.words if self._is_action(word)]
+        share = sum(weigh_word(self._vocabulary, word) for word in named) / unit.weight
+        whole = min(1.0, share / _ENOUGH) if share > _NAMED else 0.0
+        return max(whole, _DONE) if actions and any(word in named for word in actions) else whole
 
     def _is_named(self, word: Word, slot: Slot) -> bool:
         related = self._vocabulary.related

@@ -28,6 +28,7 @@ RELATIONS_VERSION = 1
 _SMOOTHED = 5  # frames of the moving average: the joints of a Kinect jump
 _SHARE, _LONG_ENOUGH = 0.2, 0.5  # of the motion, or s, from which a pose is worth words
 _EVENT = 0.13  # s, of what is over quickly
+_STEP = 21  # frames over which the speed of the body is averaged, as it comes and goes with every step
 _SPEED_SPAN = 5  # frames over which a speed is taken
 
 _SIDES = ("left", "right")
@@ -100,7 +101,7 @@ def _pose(motion: PosedMotion) -> _Posed:
     body = np.stack([sideways, rest[..., 1], forward], axis=-1)
     lowest = points[..., 1].min(axis=1)
     floor = np.nanpercentile(lowest, 5) if np.isfinite(lowest).any() else 0.0
-    speed = _slope(pelvis[:, ::2])
+    speed = _smooth(_slope(pelvis[:, ::2]), _STEP)
     travel = np.stack([(speed * left).sum(1), -speed[:, 0] * left[:, 1] + speed[:, 1] * left[:, 0]], axis=-1)
     # Seen from above, a turn to the left takes x towards -z.
     turned = np.unwrap(np.arctan2(-left[:, 1], left[:, 0]))
@@ -135,7 +136,8 @@ def _keep(posed: _Posed) -> Iterator[Relation]:
     for name, part, holds, is_event in _ask(posed):
         start, end = _longest(holds)
         if holds.any() and (end - start) / CHANNEL_RATE >= (_EVENT if is_event else max(least, _EVENT)) - 1e-9:
-            yield Relation(name, part, float(holds.mean()), start / CHANNEL_RATE, end / CHANNEL_RATE)
+            share = round(float(holds.mean()), 4)
+            yield Relation(name, part, share, round(start / CHANNEL_RATE, 3), round(end / CHANNEL_RATE, 3))
 
 
 def _longest(holds: BoolArray) -> tuple[int, int]:
@@ -263,7 +265,8 @@ def _ask_legs(posed: _Posed) -> Iterator[_Asked]:
         outward = 1.0 if side == "left" else -1.0
         raised.append(high > 0.15)
         lifted.append((knee[:, 1] > -0.12) & (high > 0.08))
-        kicked.append((high > 0.15) & (foot[:, 2] > 0.2) & (_slope(foot)[:, 1:].max(axis=1) > 0.3))
+        swung = bool(((high > 0.08) & (_slope(foot)[:, 2] > 0.9)).any())
+        kicked.append((high > 0.15) & (foot[:, 2] > 0.18) & swung)
         far = outward * (foot[:, 0] - np.nanmedian(foot[: max(len(foot) // 10, 1), 0]))
         aside.append((far > 0.08) & (outward * foot[:, 0] > 0.12))
     yield from _pair("foot_raised", "foot", "feet", raised)

@@ -112,6 +112,11 @@ def stem(word: str) -> str:
     return str(_stemmer().stemWord(lower)) if len(lower) > 2 else lower
 
 
+def _list_irregular(phrase: tuple[str, ...], forms: dict[str, str]) -> list[tuple[str, ...]]:
+    """A phrase with its first word in the forms that no rule makes: "bent", "got up"."""
+    return [(stem(form), *phrase[1:]) for form in forms.get(phrase[0], "").split()]
+
+
 @cache
 def load_vocabulary() -> Vocabulary:
     """The table that comes with dousa."""
@@ -122,6 +127,7 @@ def load_vocabulary() -> Vocabulary:
 def make_vocabulary(table: dict[str, Any]) -> Vocabulary:
     """A vocabulary from a table in the form of ``vocabulary.toml``."""
     weights = table["weights"]
+    irregular = {stem(word): forms for word, forms in table["irregular"].items()}
     concepts: dict[str, Concept] = {}
     english: dict[tuple[str, ...], list[tuple[str, ...]]] = {}
     japanese: dict[str, list[tuple[str, ...]]] = {}
@@ -136,7 +142,8 @@ def make_vocabulary(table: dict[str, Any]) -> Vocabulary:
             close[name] = close_names
             for word in words[0]:
                 phrase = tuple(stem(part) for part in word.split())
-                _add(english, phrase, (name,))
+                for form in (phrase, *_list_irregular(phrase, irregular)):
+                    _add(english, form, (name,))
                 spelled.setdefault(" ".join(phrase), word)
             for word in words[1]:
                 for form in inflect(normalise(word)):

@@ -1,0 +1,81 @@
+"""dousa search --text: tables and JSON in two languages, together with a motion, and what it refuses."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+
+from dousa.formats.registry import write_motion
+from dousa.library import Library
+from dousa.motion.synthetic.performers import draw_performer, make_motion
+
+
+@pytest.fixture(scope="module")
+def library(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("words")
+    for category in ("kick_left", "clap", "squat"):
+        (folder / category).mkdir()
+        for number in range(3):
+            motion = make_motion(category, draw_performer(number), seed=number)
+            write_motion(motion, folder / category / f"p{number}.bvh")
+    with Library.open(folder / "moves.dousa", create=True) as made:
+        made.add(folder, n_jobs=1)
+        made.train(n_trees=10, n_jobs=1)
+    return folder / "moves.dousa"
+
+
+def test_the_table_says_what_fits_and_how_many(dousa, library):
+    code, out, err = dousa("search", library, "--text", "kicking", "-k", 2)
+    assert code == 0, err
+    assert "'kicking': 3 of 9 clips and takes" in out
+    assert out.count("kick_left") >= 2
+    assert "1 more; show them with: --limit 3" in out
+
+
+def test_it_speaks_japanese(dousa, library):
+    code, out, _ = dousa("search", library, "--text", "手を叩く", "--lang", "ja")
+    assert code == 0
+    assert "「手を叩く」: 9件のうち3件" in out
+    assert "clap" in out
+
+
+def test_json_has_what_was_understood(dousa, library):
+    code, out, _ = dousa("search", library, "--text", "sqaut", "--limit", 1, "--json")
+    answer = json.loads(out)
+    assert code == 0
+    assert answer["corrections"] == {"sqaut": "squat"}
+    assert (answer["n_found"], len(answer["results"])) == (3, 1)
+    assert answer["results"][0]["category"] == "squat"
+
+
+def test_no_answer_is_said_in_words(dousa, library):
+    code, out, _ = dousa("search", library, "--text", "xqzzv")
+    assert code == 0
+    assert "nothing fits among 9 clips and takes" in out
+    assert "xqzzv" in out.splitlines()[-1]
+    code, out, _ = dousa("search", library, "--text", "jumping rope on ice while kicking")
+    assert "near words of the library: kick_left" in out
+
+
+def test_words_and_labels_filter_what_a_motion_finds(dousa, library):
+    query = library.parent / "clap" / "p0.bvh"
+    for words in (("--text", "kick"), ("--category", "kick_left")):
+        code, out, err = dousa("search", library, query, *words, "--json")
+        assert code == 0, err
+        assert {hit["category"] for hit in json.loads(out)["results"]} == {"kick_left"}
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        ((), "expected a QUERY that is a motion, or words with --text"),
+        (("--text", "kick", "--mirror"), "need a QUERY that is a motion"),
+        (("--text", " "), "got an empty text"),
+        (("--text", "x" * 600), "at most 500 characters, got 600"),
+    ],
+)
+def test_mistakes_are_told_in_a_line(dousa, library, words, said):
+    code, out, err = dousa("search", library, *words)
+    assert (code, out) == (2, "")
+    assert said in err and len(err.splitlines()) == 1
