@@ -142,8 +142,8 @@ def make_vocabulary(table: dict[str, Any]) -> Vocabulary:
             close[name] = close_names
             for word in words[0]:
                 phrase = tuple(stem(part) for part in word.split())
-                for form in (phrase, *_list_irregular(phrase, irregular)):
-                    _add(english, form, (name,))
+                for variant in (phrase, *_list_irregular(phrase, irregular)):
+                    _add(english, variant, (name,))
                 spelled.setdefault(" ".join(phrase), word)
             for word in words[1]:
                 for form in inflect(normalise(word)):
