@@ -138,6 +138,14 @@ def test_convert_to_positions_and_back(dousa, motions, tmp_path, suffix):
     assert suffix == ".npz" or "mean joint error" in err
 
 
+def test_convert_to_smpl_says_what_it_costs(dousa, motions, tmp_path):
+    target = tmp_path / "a.amass.npz"
+    code, out, err = dousa("convert", motions / "bow/p0.bvh", target, "--json")
+    assert code == 0 and "mean SMPL body" in err
+    assert 0 < json.loads(out)["direction_error_deg"] < 3
+    assert "SMPL body" not in dousa("convert", target, tmp_path / "b.amass.npz")[2]
+
+
 def test_convert_refuses_and_leaves_nothing(dousa, motions, tmp_path):
     source = motions / "walk/p0.bvh"
     for target, options in (("a.fbx", ()), ("a.bvh", ("--frame-rate", "0")), ("no/folder/a.bvh", ())):

@@ -93,6 +93,61 @@ def test_an_animal_is_no_person() -> None:
     assert canonicalise(walking_body()).warnings == ()
 
 
+def _on_fours(tail: bool, arm_per_leg: float) -> Trajectories:
+    """A dog that stands: the trunk level, fore legs straight down to the floor like the hind legs."""
+    leg = np.array([[0.0, 0.5, 0.0], [0.0, 0.25, 0.03], [0.0, 0.05, 0.0], [0.0, 0.0, 0.06]])
+    arm = np.array([1.0, arm_per_leg, 1.0]) * leg[:3] + [0.0, 0.5 - 0.5 * arm_per_leg, 0.55]
+    rows = [("Hips", [0, 0.52, 0]), ("Spine", [0, 0.55, 0.2]), ("Spine1", [0, 0.55, 0.4]), ("Neck", [0, 0.55, 0.55]),
+            ("Head", [0, 0.75, 0.7])]  # fmt: skip
+    for side, x in (("Left", 0.06), ("Right", -0.06)):
+        rows += [(side + part, [x, y, z]) for part, (_, y, z) in zip(("UpLeg", "Leg", "Foot", "Toe"), leg, strict=True)]
+        rows += [(side + part, [x, y, z]) for part, (_, y, z) in zip(("Arm", "ForeArm", "Hand"), arm, strict=True)]
+    if tail:
+        rows.append(("Tail", [0, 0.5, -0.2]))
+    points = np.array([row[1] for row in rows])
+    walk = np.stack([points + np.array([0, 0.01 * np.sin(t), 0.02 * t]) for t in range(30)])
+    return Trajectories(tuple(row[0] for row in rows), walk, 30.0)
+
+
+@pytest.mark.parametrize(("tail", "arm_per_leg"), [(False, 1.0), (False, 0.85), (True, 0.7)])
+def test_who_stands_on_four_legs_is_no_person(tail: bool, arm_per_leg: float) -> None:
+    dog = _on_fours(tail, arm_per_leg)
+    with pytest.raises(JointMappingError, match="not a human skeleton"):
+        canonicalise(dog)
+    assert canonicalise(dog, any_skeleton=True).absent == ()
+
+
+def test_a_person_on_hands_and_knees_is_a_person() -> None:
+    """Trunk level, arms and thighs down, shanks on the floor; arms of a person are shorter than the legs."""
+    dog = _on_fours(False, 0.62)
+    crawling = dog.positions.copy()
+    for side in ("Left", "Right"):
+        for part, z in (("Foot", -0.2), ("Toe", -0.3)):
+            crawling[:, dog.names.index(side + part), 1:] += [0.2, z]
+    assert canonicalise(dog.replace(positions=crawling)).absent == ()
+
+
+def test_all_recorded_people_are_people(shared_data) -> None:
+    files = [path for folder in ("hdm05", "cmu86") for path in sorted(shared_data(folder).rglob("*.amc"))[::12]]
+    assert len(files) > 10
+    for path in files:
+        canonicalise(read_motion(path))
+
+
+@pytest.mark.parametrize("numbered", [False, True])
+def test_names_of_pose_estimators_are_a_person_even_on_a_made_up_skeleton(numbered: bool) -> None:
+    names = ("nose left_eye right_eye left_ear right_ear left_shoulder right_shoulder left_elbow right_elbow "
+             "left_wrist right_wrist left_index right_index left_hip right_hip left_knee right_knee left_ankle "
+             "right_ankle left_heel right_heel left_foot_index right_foot_index").split()  # fmt: skip
+    if numbered:
+        names = [f"{name}_{number}" for number, name in enumerate(names)]
+    chain = np.cumsum(np.full((len(names), 3), 0.1) * [1, 0.5, 0.2], axis=0)
+    found = canonicalise(Trajectories(tuple(names), np.stack([chain, chain + 0.01]), 30.0))
+    assert found.mapping.table == "MediaPipe"
+    assert found.mapping.sources["left_toe"] == (names[-2],)
+    assert "canonical.odd_proportions" in [note.code for note in found.warnings]
+
+
 def test_names_that_give_no_person_are_passed_over() -> None:
     """Hips that coincide, by the names of one family; another point of the file is the hip."""
     body = walking_body()

@@ -159,6 +159,8 @@ def convert(
     if target.suffix.lower() == ".bvh" and not isinstance(motion, Motion):
         motion, fit_error = _fit(motion, options.joint_map)
         warn(Message("files_cli.fitted", path=source, error=1000 * fit_error))
+    if target.name.lower().endswith(".amass.npz"):
+        motion, answer = _put_onto_smpl(motion, target, options, answer)
     write_motion(motion, target)
     if json:
         print_json(
@@ -200,6 +202,23 @@ def _put_onto(
         )
     )
     return made.motion, {**fit, "scale": made.scale}
+
+
+def _put_onto_smpl(
+    motion: Motion | Trajectories, target: Path, options: ReadOptions, answer: dict[str, Any]
+) -> tuple[Motion | Trajectories, dict[str, Any]]:
+    """The motion on the mean body of SMPL where it is another's, and what that cost is said."""
+    import math
+
+    from dousa.formats.smpl.writing import is_smpl, put_onto_smpl
+    from dousa.motion import Motion
+
+    if isinstance(motion, Motion) and is_smpl(motion):
+        return motion, answer
+    made = put_onto_smpl(motion, options.joint_map)
+    angle = math.degrees(made.direction_error)
+    warn(Message("files_cli.onto_smpl", path=target, angle=angle))
+    return made.motion, {**answer, "direction_error_deg": angle}
 
 
 def _fit(positions: Trajectories, joint_map: JointMap | None) -> tuple[Motion, float]:

@@ -10,8 +10,10 @@ from dousa.arrays import FloatArray
 from dousa.errors import JointMappingError, MotionWriteError
 from dousa.files.disk import atomic_write
 from dousa.formats.smpl.body import mean_body
-from dousa.motion import Motion, retarget
+from dousa.motion import Motion, Trajectories, retarget
+from dousa.motion.canonical.recipes import JointMap
 from dousa.motion.canonical.reference_frame import ReferenceFrame, from_reference_frame
+from dousa.motion.retargeting import Retargeted
 from dousa.motion.rotations import identity, to_axis_angle
 
 _JOINTS = 52
@@ -34,7 +36,10 @@ def write_amass(motion: Motion, path: str | os.PathLike[str]) -> None:
     """
     body = mean_body(_JOINTS)
     if not is_smpl(motion):
-        motion = _put_onto_smpl(motion, path)
+        try:
+            motion = put_onto_smpl(motion).motion
+        except JointMappingError as error:
+            raise MotionWriteError(path, "smpl.other_skeleton", reason=error.problem) from error
     names = motion.skeleton.names
     if not (np.isfinite(motion.rotations).all() and np.isfinite(motion.translations[:, 0]).all()):
         raise MotionWriteError(path, "smpl.gaps")
@@ -58,13 +63,22 @@ def write_amass(motion: Motion, path: str | os.PathLike[str]) -> None:
         )
 
 
-def _put_onto_smpl(motion: Motion, path: str | os.PathLike[str]) -> Motion:
+def put_onto_smpl(motion: Motion | Trajectories, joint_map: JointMap | None = None) -> Retargeted:
+    """A motion on the mean body of SMPL, and how well it fits.
+
+    Parameters
+    ----------
+    motion : of any whole body.
+    joint_map : canonical joint -> name in the motion.
+
+    Raises
+    ------
+    JointMappingError : joints that cannot be told apart, or a part of a body.
+    """
     skeleton = mean_body(22)
     still = identity((1, skeleton.n_joints))
-    try:
-        return retarget(motion, Motion(skeleton, still, skeleton.offsets[None], motion.frame_rate)).motion
-    except JointMappingError as error:
-        raise MotionWriteError(path, "smpl.other_skeleton", reason=error.problem) from error
+    character = Motion(skeleton, still, skeleton.offsets[None], motion.frame_rate)
+    return retarget(motion, character, joint_map=joint_map)
 
 
 def is_smpl(motion: Motion) -> bool:

@@ -100,6 +100,39 @@ def measure_proportions(points: FloatArray) -> Proportions:
     )
 
 
+FORE_LEGS = 0.76
+"""Of the legs: the arms of people are 0.55 to 0.75 of them, fore legs nearly as long as hind legs."""
+_ACROSS, _ALONG, _MOSTLY = -0.4, 0.6, 0.8
+
+
+def walks_on_fours(points: FloatArray, fore_legs: float = FORE_LEGS) -> bool:
+    """Whether a body is that of a four-legged animal: fore legs as long as hind legs, and down beside them.
+
+    In most frames the legs go across the trunk and the arms along the legs; a person who crawls has shorter arms.
+
+    Parameters
+    ----------
+    points : (T, 20, 3) canonical points, any unit, axes and handedness; some frames over the whole motion.
+    fore_legs : share of the legs from which on arms may be fore legs.
+    """
+    if not measure_proportions(points).ratios["arm_per_leg"] > fore_legs:
+        return False
+    at = {joint: points[:, index] for joint, index in JOINT_INDEX.items()}
+    trunk, leg, arm = (
+        _unit(at["neck"] - at["pelvis"]),
+        _unit(at["left_ankle"] + at["right_ankle"] - at["left_hip"] - at["right_hip"]),
+        _unit(at["left_wrist"] + at["right_wrist"] - at["left_shoulder"] - at["right_shoulder"]),
+    )
+    fours = ((trunk * leg).sum(axis=1) > _ACROSS) & ((arm * leg).sum(axis=1) > _ALONG)
+    return bool(fours.mean() > _MOSTLY)
+
+
+def _unit(vectors: FloatArray) -> FloatArray:
+    with np.errstate(invalid="ignore"):
+        units: FloatArray = vectors / np.linalg.norm(vectors, axis=1, keepdims=True)
+    return units
+
+
 def _measure_bones(points: FloatArray) -> FloatArray:
     """Median lengths of `_BONES` over the frames that show them, NaN for those that none does."""
     bones = points[:, _ENDS] - points[:, _STARTS]

@@ -247,6 +247,8 @@ def _finish(moving: Trajectories, chosen: ChosenMap, points: FloatArray, unseen:
         warnings.append(Message("canonical.no_person", height=height))
     if not chosen.is_person:
         warnings.append(Message("canonical.not_a_person", table=recipe.table))
+    if chosen.is_odd:
+        warnings.append(Message("canonical.odd_proportions", table=recipe.table))
     if recipe.absent:
         warnings.append(Message("canonical.part", there=_limbs_there(recipe), absent=recipe.absent))
     if recipe.table == "tree shape":

@@ -6,15 +6,17 @@ passes the check of `anthropometry`, the first whole one is taken and called wha
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
 
-from dousa.motion.canonical.anthropometry import measure_proportions
+from dousa.motion.canonical.anthropometry import FORE_LEGS, measure_proportions, walks_on_fours
 from dousa.motion.canonical.geometry import body_points
 from dousa.motion.canonical.joints import CANONICAL_JOINTS
+from dousa.motion.canonical.naming import named_by_estimators
 from dousa.motion.canonical.recipes import Recipe, named_recipes, on_the_skin, partial_recipes
 from dousa.motion.canonical.tree_shape import shape_recipe, spread_frames
 from dousa.motion.types import Trajectories
@@ -29,11 +31,13 @@ class ChosenMap:
     recipe : the map.
     is_person : whether the proportions are possible.
     passed_over : tables that cover as much but give no person.
+    is_odd : whether only the names say that it is a person.
     """
 
     recipe: Recipe
     is_person: bool
     passed_over: tuple[str, ...] = ()
+    is_odd: bool = False
 
 
 def choose_map(sample: Trajectories, unseen: tuple[int, ...] = ()) -> ChosenMap | None:
@@ -57,7 +61,10 @@ def choose_map(sample: Trajectories, unseen: tuple[int, ...] = ()) -> ChosenMap 
             return ChosenMap(recipe, True, tuple(failed))
         first = first or recipe
         failed.append(recipe.table)
-    return None if first is None else ChosenMap(first, False)
+    if first is None:
+        return None
+    is_odd = named_by_estimators(names)
+    return ChosenMap(first, is_odd, is_odd=is_odd)
 
 
 def names_of_seen(names: tuple[str, ...], unseen: tuple[int, ...]) -> tuple[str, ...]:
@@ -87,14 +94,27 @@ def _marks_the_skin(recipe: Recipe, sample: Trajectories) -> bool:
     return measure_proportions(points).ratios["hips_per_leg"] > _WIDE_HIPS
 
 
+_TAILED = 0.6  # as FORE_LEGS, of a skeleton with a tail
+_TAIL = re.compile(r"(?<![A-Za-z])tail|(?<=[a-z])Tail", re.IGNORECASE)
+
+
+def _is_animal(recipe: Recipe, sample: Trajectories) -> bool:
+    tailed = any(_TAIL.search(name) for name in sample.names)
+    points = body_points(recipe, spread_frames(sample.positions))
+    return walks_on_fours(points, _TAILED if tailed else FORE_LEGS)
+
+
 def _is_person(recipe: Recipe, sample: Trajectories) -> bool:
     """Whether the bones are a person's: those of the skeleton, or else as they move (files may replace the offsets)."""
     if set(CANONICAL_JOINTS) <= set(sample.names):
         return True  # somebody has told the joints apart already
+    if _is_animal(recipe, sample):
+        return False
+    points = body_points(recipe, spread_frames(sample.positions))
     rest = sample.rest_positions
     if rest is not None and _rests_as_person(recipe, rest.tobytes()):
         return True
-    return measure_proportions(body_points(recipe, spread_frames(sample.positions))).is_person
+    return measure_proportions(points).is_person
 
 
 @lru_cache(maxsize=256)

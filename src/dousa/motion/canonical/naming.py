@@ -117,13 +117,26 @@ def _without_prefix(words: list[list[str]]) -> list[list[str]]:
             rest = slice(1, None) if place == 0 else slice(None, -1)
             words = [row[rest] if len(row) > 1 and row[place] == common else row for row in words]
     cleaned = []
-    for row in words:
+    for row in _without_numbers(words):
         start = 0
         while start < len(row) - 1 and row[start] in _FIRST_WORDS:
             start += 1
         end = len(row) - (len(row) - start > 1 and row[-1] in _LAST_WORDS)
         cleaned.append(row[start:end])
     return cleaned
+
+
+def _without_numbers(words: list[list[str]]) -> list[list[str]]:
+    """Take off the numbers that count the names: ``23 left hip`` and ``left hip 23``."""
+    for place in (0, -1):
+        counted = [len(row) > 1 and row[place].isdecimal() for row in words]
+        if sum(counted) < max(5, _SHARED * len(words)):
+            continue
+        rest = slice(1, None) if place == 0 else slice(None, -1)
+        bare = [row[rest] if number else row for row, number in zip(words, counted, strict=True)]
+        if len({tuple(row) for row in bare}) == len({tuple(row) for row in words}):
+            words = bare
+    return words
 
 
 def _split_side(words: list[str]) -> Key:
@@ -244,6 +257,19 @@ def holds_limb(missing: Container[str]) -> bool:
     """Whether a whole arm or a whole leg is there although these required joints are missing: a part of a body."""
     sides = ("left", "right")
     return any(all(f"{side}_{joint}" not in missing for joint in limb) for limb in _LIMBS for side in sides)
+
+
+def named_by_estimators(names: tuple[str, ...]) -> bool:
+    """Whether the names are those that pose estimators give to people.
+
+    Toes as MediaPipe or OpenPose call them, all joints with nose and eyes of COCO, or with the thorax of Human3.6M.
+    """
+    cores = {core for _, core in normalise_names(names)}
+    return any(signs <= cores for signs in _ESTIMATED)
+
+
+_JOINTS = {"shoulder", "elbow", "wrist", "hip", "knee"}
+_ESTIMATED = ({"footindex"}, {"bigtoe"}, _JOINTS | {"nose", "eye", "ankle"}, _JOINTS | {"thorax"})
 
 
 @lru_cache(maxsize=256)
