@@ -8,7 +8,7 @@ from fastapi import APIRouter, Query
 from pydantic import Field
 from starlette.responses import Response
 
-from dousa.app.studio.content.motions import MotionName, MotionPart, MotionRef, Named, Seconds
+from dousa.app.studio.content.motions import MotionName, MotionPart, MotionRef, Seconds, name_file
 from dousa.app.studio.content.studio import Studio, StudioNow
 from dousa.app.studio.core.answers import BYTES, Answer, attachment
 from dousa.app.studio.core.words import say
@@ -111,18 +111,12 @@ def get_bvh(studio: StudioNow, asked: Annotated[_Download, Query()]) -> Response
 
     Or on the skeleton of a character, as `dousa convert --onto` does.
     """
-    from dousa.app.studio.content.motions import make_bvh
+    from dousa.app.studio.content.motions import make_file
     from dousa.formats.characters import read_character
 
     ref = asked.ref()
     named = studio.motions.get(ref)
     character = None if asked.onto is None else read_character(studio.motions.path(MotionRef(motion=asked.onto)))
-    content = make_bvh(named, studio.motions.path(ref), ref, character)
-    headers = {"content-disposition": attachment(_file_name(named, ref))}
+    content = make_file(named, studio.motions.path(ref), ref, ".bvh", character)
+    headers = {"content-disposition": attachment(name_file(named, ref, ".bvh"))}
     return Response(content, media_type="application/octet-stream", headers=headers)
-
-
-def _file_name(named: Named, ref: MotionRef) -> str:
-    stem = named.name.rpartition(".")[0] or named.name
-    part = "" if ref.is_whole else f"_{ref.start_s or 0:.2f}s"
-    return f"{stem}{part}.bvh"

@@ -221,11 +221,11 @@ def _check_category(category: str) -> str:
 
 def _write_clip(studio: Studio, named: Named, ref: MotionRef, batch: str, category: str) -> Path:
     """The part as a file, with a table beside it that says what it shows."""
-    from dousa.app.studio.content.motions import make_bvh
+    from dousa.app.studio.content.motions import make_file
 
     stem = "".join(character if character.isalnum() or character in "_-" else "_" for character in _stem(named))
     path = studio.workspace.place(batch, f"{stem[:50]}_{ref.start_s or 0:.2f}s.bvh")
-    path.write_bytes(make_bvh(named, studio.motions.path(ref), ref))
+    path.write_bytes(make_file(named, studio.motions.path(ref), ref, ".bvh"))
     table = io.StringIO()
     csv.writer(table).writerows([("file", "category"), (path.name, category)])
     path.with_name(_LABELS).write_text(table.getvalue(), encoding="utf-8")

@@ -277,19 +277,38 @@ def _cut(whole: Named, ref: MotionRef) -> Named:
     return Named(whole.name, part, whole.category)
 
 
+EXPORTED = "export.zip"
+"""What an export of clips writes into the folder of its job."""
+
 _SAME = 1e-3  # m: joints of the library are rounded
 _gate = Gate(2, 6, Message("studio_motions.busy_writing"))  # an hour takes half a minute
 
 
-def make_bvh(named: Named, source: Path, ref: MotionRef, character: Motion | None = None) -> bytes:
-    """The motion as a BVH file.
+def name_file(named: Named, ref: MotionRef, suffix: str) -> str:
+    """What a motion, or a part of it, is called when it is downloaded."""
+    stem = named.name.rpartition(".")[0] or named.name
+    part = "" if ref.is_whole else f"_{ref.start_s or 0:.2f}s"
+    return f"{stem}{part}{suffix}"
+
+
+def make_file(
+    named: Named,
+    source: Path,
+    ref: MotionRef,
+    suffix: str,
+    character: Motion | None = None,
+    keep_reach: bool = False,
+) -> bytes:
+    """The motion as a file.
 
     Parameters
     ----------
     named : the motion, or the part.
     source : the file it came from; it may be gone, or be something else by now.
     ref : which part, and what was said about the file.
+    suffix : of the format.
     character : whose skeleton it is brought onto.
+    keep_reach : hands reach the same places, instead of arm directions.
 
     Returns
     -------
@@ -305,11 +324,11 @@ def make_bvh(named: Named, source: Path, ref: MotionRef, character: Motion | Non
     from dousa.motion.retargeting import retarget
 
     with _gate.enter(_WAIT), tempfile.TemporaryDirectory(prefix="dousa-") as folder:
-        path = Path(folder) / "motion.bvh"
+        path = Path(folder) / f"motion{suffix}"
         original = _read_original(named, source, ref)
         motion = _fit(named) if original is None else original
         if character is not None:
-            motion = retarget(motion, character).motion
+            motion = retarget(motion, character, keep_reach=keep_reach).motion
         write_motion(motion, path)
         return path.read_bytes()
 

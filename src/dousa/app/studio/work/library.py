@@ -1,11 +1,11 @@
-"""Work on the library: adding uploads, training, labelling a take, judging a performance."""
+"""Work on the library: adding uploads, training, exporting, labelling a take, judging a performance."""
 
 from __future__ import annotations
 
 from pathlib import Path, PurePath
 from typing import TYPE_CHECKING, Any
 
-from dousa.app.studio.content.motions import MotionRef
+from dousa.app.studio.content.motions import EXPORTED, Address, MotionRef
 from dousa.app.studio.core.words import shorten
 from dousa.app.studio.jobs.lanes import Context
 
@@ -76,6 +76,41 @@ def train(request: dict[str, Any], context: Context) -> dict[str, Any]:
             progress=context.progress,
         )
         return report.to_json()
+
+
+def export(request: dict[str, Any], context: Context) -> dict[str, Any]:
+    """Write clips into a ZIP file; ``request``: clips, to, onto, keep_reach, frame_rate."""
+    with context.open_library() as library:
+        there = {clip.id for clip in library.clips()}
+        wanted = [number for number in request["clips"] if number in there]
+        onto = request.get("onto")
+        report = library.export(
+            context.folder / EXPORTED,
+            wanted or request["clips"],  # if all are gone, that is said
+            to=request["to"],
+            onto=None if onto is None else _find_character(library, onto, context.home),
+            keep_reach=bool(request.get("keep_reach")),
+            frame_rate=request.get("frame_rate"),
+            progress=context.progress,
+        )
+    path = context.folder / EXPORTED
+    return {
+        "n_files": len(report.written) + len(report.kept),
+        "n_gone": len(request["clips"]) - len(wanted),
+        "skipped": [
+            {"path": Path(one.path).name, "reason": shorten(one.reason, context.home)} for one in report.skipped
+        ],
+        "bytes": path.stat().st_size if path.is_file() else 0,
+    }
+
+
+def _find_character(library: Library, motion: str, home: Path) -> Path:
+    from dousa.app.studio.core.workspace import safe_parts
+
+    address = Address.parse(motion)
+    if address.clip is not None:
+        return Path(library.clips([address.clip])[0].path)
+    return (home / "files" / address.batch).joinpath(*safe_parts(address.name))
 
 
 def label(studio: Studio, request: dict[str, Any], context: Context) -> dict[str, Any]:

@@ -27,6 +27,7 @@ Work = Callable[[dict[str, Any], Context], dict[str, Any]]
 IN_PROCESS = {
     "add": ("library", "add"),
     "train": ("library", "train"),
+    "export": ("library", "export"),
     "estimate": ("estimation", "estimate"),
     "preview": ("preview", "preview"),
     "example": ("estimation", "write_example"),
@@ -49,6 +50,7 @@ def make_lanes(studio: Studio) -> Mapping[str, Lane]:
     return {
         "add": Lane("library", process, resumable=True),
         "train": Lane("library", process, resumable=True),
+        "export": Lane("export", process, resumable=True),
         "estimate": Lane("estimation", process, resumable=True),
         "label": Lane("questions", run_in_thread(studio.settings, partial(label, studio))),
         "evaluate": Lane("questions", run_in_thread(studio.settings, partial(evaluate, studio))),

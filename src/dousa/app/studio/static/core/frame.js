@@ -73,6 +73,7 @@ function describeJob(job) {
   else actions.push(act("forget", () => forgetJob(job.id), "quiet"));
   if (job.resumable && (job.state === "stopped" || job.state === "failed")) actions.unshift(act("resume", () => resumeJob(job.id)));
   const shows = ["evaluate", "estimate", "label", "add", "train"].includes(job.kind) && job.state !== "failed";
+  if (job.kind === "export" && job.state === "done") actions.unshift(h("a", { class: "button small", href: `/api/exports/${job.id}`, download: "" }, t("download_file")));
   if (shows) actions.unshift(h("a", { class: "button small", href: `/${PLACES[job.kind]}?job=${job.id}` }, t("show")));
   return h(
     "article",

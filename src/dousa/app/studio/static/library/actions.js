@@ -41,11 +41,16 @@ export class Actions {
       h("b", { class: "chosen-count" }, t("chosen", { count: count.format(selection.size) })),
       ...(single ? [act("look", "play", () => this.hooks.open(single))] : []),
       ...placesFor([...selection.clips.values()]).map(link),
+      act("export", "download", () => this.export()),
       act("relabel", "tag", () => this.relabel()),
       act("remove", "trash", () => this.remove(), "danger"),
       h("button", { type: "button", class: "quiet icon", "aria-label": t("choose_none"), title: t("choose_none"), dataset: { word: "none" }, onclick: () => selection.clear() }, icon("close")),
     );
     if (focused) element.querySelector(`[data-word="${focused}"]`)?.focus();
+  }
+
+  async export(ids = this.selection.ids) {
+    (await import("../core/exporting.js")).openExport(ids);
   }
 
   relabel(ids = this.selection.ids) {

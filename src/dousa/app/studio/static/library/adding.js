@@ -2,11 +2,11 @@
 // its number in the address.
 
 import { post, uploadAll } from "../core/api.js";
+import { foot, openDialog } from "../core/dialog.js";
 import { dropZone, MOTION_FILES, refusedList } from "../core/drop.js";
 import { h, language, t } from "../core/dom.js";
 import { followJob, isActive, stopJob } from "../core/jobs.js";
 import { attempt, notify } from "../core/notices.js";
-import { foot, openDialog } from "./dialogs.js";
 import { inAddress } from "./places.js";
 import { askHow } from "./rules.js";
 import { report } from "./report.js";

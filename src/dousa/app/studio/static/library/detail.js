@@ -1,10 +1,10 @@
 // One clip, large: the figure in the player, what is known of it, where to go with it.
 
 import { get } from "../core/api.js";
+import { openDialog } from "../core/dialog.js";
 import { formatSeconds, h, icon, language, t } from "../core/dom.js";
 import { attempt } from "../core/notices.js";
 import { link, placesFor } from "./actions.js";
-import { openDialog } from "./dialogs.js";
 
 /** hooks: neighbour(clip, step) -> clip or undefined, relabel(clip), remove(clip), closed(clip) */
 export function openDetail(first, hooks) {

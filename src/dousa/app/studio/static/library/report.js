@@ -1,9 +1,9 @@
 // What became of the files: added, known already, not taken and why.
 
+import { foot } from "../core/dialog.js";
 import { h, icon, language, t } from "../core/dom.js";
 import { resumeJob } from "../core/jobs.js";
 import { attempt } from "../core/notices.js";
-import { foot } from "./dialogs.js";
 
 const count = new Intl.NumberFormat(language);
 

@@ -1,10 +1,10 @@
 // The forest: what state it is in, training it, and what came of it.
 
 import { get, post } from "../core/api.js";
+import { foot, openDialog } from "../core/dialog.js";
 import { $, h, language, t } from "../core/dom.js";
 import { followJob, isActive, stopJob } from "../core/jobs.js";
 import { attempt } from "../core/notices.js";
-import { foot, openDialog } from "./dialogs.js";
 import { inAddress } from "./places.js";
 
 const count = new Intl.NumberFormat(language);

@@ -6,7 +6,7 @@ import { acceptDrops, dropZone, MOTION_FILES } from "../core/drop.js";
 import { takeMotions } from "../core/incoming.js";
 import { attempt, notify } from "../core/notices.js";
 import { pickClips } from "../core/pick.js";
-import { Hits } from "./hits.js";
+import { Hits, nameOf } from "./hits.js";
 import { drawOptions } from "./options.js";
 import { drawPlaces } from "./places.js";
 import { Stage } from "./stage.js";
@@ -138,6 +138,7 @@ function clearAnswer() {
   asking = sought = found = explained = null;
   places = [];
   hits.clear();
+  $("#export-hits").hidden = true;
   $("#verdict").replaceChildren();
   $("#places").hidden = true;
   $("#results-note").textContent = "";
@@ -177,10 +178,17 @@ async function search() {
   hits.draw(others.map((hit, place) => ({ ...hit, rank: place + 1 })));
   drawVerdict($("#verdict"), answer, { explain, onGo: (start, end) => stage.go(start, end) });
   const count = hits.cards.size;
+  $("#export-hits").hidden = count === 0;
   $("#results-note").textContent = count ? t("hits_found", { count, ms: Math.round(performance.now() - began) }) : t("hits_none");
   drawMatch();
   if (state.hit) showStage();
   if (library.n_takes) searchTakes(mine);
+}
+
+async function exportHits() {
+  const others = found.results.filter((hit) => !isQuery(hit));
+  const { openExport } = await import("../core/exporting.js");
+  openExport([], others.map((hit) => ({ id: hit.clip_id, name: nameOf(hit), note: hit.category })));
 }
 
 /** A clip finds itself first; that says nothing. */
@@ -238,6 +246,7 @@ async function start() {
     return;
   }
   drawChoosing();
+  $("#export-hits").addEventListener("click", exportHits);
   window.addEventListener("popstate", () => apply(readState()));
   apply(readState());
 }

@@ -136,6 +136,7 @@ export class Stage {
         "div",
         { class: "row" },
         link(`/api/motions/bvh?${asked}`, "download_bvh", "download", { download: "", id: "download" }),
+        h("button", { type: "button", class: "small", id: "onto", onclick: async () => (await import("../core/exporting.js")).openDownload(part) }, icon("download"), t("onto_character")),
         h("button", { type: "button", class: "small", id: "search-with", onclick: () => actions.searchWith(part) }, icon("search"), t("search_with")),
         link(`/evaluate?${judged}`, "evaluate_against", "mark"),
         when ? link(`/takes?motion=${state.hit}&at_s=${state.other_start_s}`, "open_take") : link(`/library?clip=${id}`, "show_in_library"),

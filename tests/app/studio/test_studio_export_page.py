@@ -1,0 +1,153 @@
+"""Exporting from the Library and Search pages in a real browser: format, character, the ZIP file."""
+
+from __future__ import annotations
+
+import csv
+import io
+import time
+import zipfile
+
+import pytest
+
+from dousa.formats.registry import read_motion, write_motion
+from dousa.motion import canonicalise, retarget
+from dousa.motion.synthetic import draw_performer, make_motion
+
+KEYS = pytest.importorskip("selenium.webdriver", reason="selenium is not installed: pip install selenium").Keys
+
+DIALOG = "return document.querySelector('dialog[open]')"
+FORMATS = "return [...document.querySelectorAll('#export-format option')].map((option) => option.value)"
+DRAWN = "return document.querySelectorAll('.hit').length > 3 && document.querySelector('.verdict-words') !== null"
+CELLS = "return [...document.querySelectorAll('.cell')].filter((cell) => cell.cell.id && cell.offsetParent).length > 3"
+
+
+@pytest.fixture
+def hero(tmp_path):
+    """A character of other proportions, as GLB."""
+    path = tmp_path / "hero.glb"
+    write_motion(make_motion("bow", draw_performer(31)), path)
+    return path
+
+
+@pytest.fixture
+def downloads(browser, tmp_path):
+    """``downloads(suffix)``: the file that the browser has fetched."""
+    folder = tmp_path / "downloads"
+    folder.mkdir()
+    browser.driver.execute_cdp_cmd(
+        "Browser.setDownloadBehavior", {"behavior": "allow", "downloadPath": str(folder), "eventsEnabled": False}
+    )
+
+    def wait(suffix, seconds=60.0):
+        end = time.monotonic() + seconds
+        while time.monotonic() < end:
+            found = [path for path in folder.glob(f"*{suffix}") if path.stat().st_size]
+            if found:
+                return found[0]
+            time.sleep(0.05)
+        raise AssertionError(f"no {suffix} came: {list(folder.iterdir())}")
+
+    return wait
+
+
+def choose_character(page, path):
+    page.wait("return document.querySelector('#character-file')")
+    page.find("#character-file").send_keys(str(path))
+    page.wait("return document.querySelector('.character-name')?.textContent === arguments[0]", path.name)
+
+
+def rows_of(path):
+    with zipfile.ZipFile(path) as archive:
+        assert archive.testzip() is None
+        return list(csv.DictReader(io.StringIO(archive.read("manifest.csv").decode())))
+
+
+def test_hits_go_onto_the_character(show, running, hero, downloads, tmp_path):
+    """Search a kick, take the hits without the last, on the own character."""
+    kick = running.app.state.studio.library.clips(category="kick_left")[0].id
+    page = show(f"/search?motion=clip:{kick}")
+    page.wait(DRAWN)
+    page.run("document.querySelector('#export-hits').click()")
+    page.wait(DIALOG)
+    choose_character(page, hero)
+    assert page.run("return document.querySelector('#export-format').value") == "glb"  # as the character
+    n_hits = page.run("return document.querySelectorAll('.ticks input:checked').length")
+    page.run("[...document.querySelectorAll('.ticks input')].at(-1).click()")
+    assert page.run("return document.querySelector('.ticks [role=status]').textContent").startswith(str(n_hits - 1))
+    page.find("#export-go").click()
+    page.wait("return document.querySelector('#export-file')", seconds=90)
+    path = downloads(".zip")
+    rows = rows_of(path)
+    assert len(rows) == n_hits - 1
+    assert rows[0]["file"].endswith(".glb")
+    with zipfile.ZipFile(path) as archive:
+        made = read_motion(archive.extract(rows[0]["file"], tmp_path))
+    assert canonicalise(made).height == pytest.approx(canonicalise(read_motion(hero)).height, abs=5e-3)
+    assert page.messages() == []
+
+
+def test_one_hit_onto_the_character_which_is_remembered(show, running, hero, downloads):
+    kick = running.app.state.studio.library.clips(category="kick_left")[0].id
+    page = show(f"/search?motion=clip:{kick}")
+    page.wait(DRAWN)
+    page.run("document.querySelector('.hit-open').click()")
+    page.wait("return document.querySelector('#onto')")
+    page.run("document.querySelector('#onto').click()")
+    choose_character(page, hero)
+    page.press(KEYS.ESCAPE)
+    page.wait("return !document.querySelector('dialog')")
+    page.run("document.querySelector('#onto').click()")
+    page.wait("return document.querySelector('.character-name')?.textContent === 'hero.glb'")
+    assert "original" not in page.run(FORMATS)
+    page.run("document.querySelector('#export-reach').click()")
+    page.find("#export-go").click()
+    page.wait("return !document.querySelector('dialog')")
+    made = read_motion(downloads(".glb"))
+    hit = page.run("return new URLSearchParams(location.search).get('hit')").removeprefix("clip:")
+    source = read_motion(running.app.state.studio.library.clips([int(hit)])[0].path)
+    expected = retarget(source, read_motion(hero), keep_reach=True).motion
+    assert made.n_frames == expected.n_frames
+    assert page.messages() == []
+
+
+@pytest.mark.parametrize("language", ["en", "ja"])
+def test_chosen_clips_by_keyboard_as_they_are(show, running, downloads, tmp_path, language):
+    page = show("/library", language=language)
+    page.wait(CELLS)
+    page.run("document.querySelector('.cell[tabindex=\"0\"]').focus()")
+    page.press(" ")
+    page.press(KEYS.ARROW_RIGHT, held=KEYS.SHIFT)
+    page.run("document.querySelector('[data-word=export]').focus()")
+    page.press(KEYS.ENTER)
+    page.wait("return document.activeElement.id === 'export-format'")
+    assert {"bvh", "glb", "c3d", "original"} <= set(page.run(FORMATS))
+    page.run("document.querySelector('#export-format').value = 'original'")
+    page.run("document.querySelector('#export-format').dispatchEvent(new Event('change'))")
+    assert page.run("return document.querySelector('.character').hidden")
+    assert page.screenshot(tmp_path / "export.png").stat().st_size > 20_000
+    words = page.run("return document.querySelector('dialog').innerText")
+    assert ("書き出す" in words) == (language == "ja")
+    page.run("document.querySelector('#export-go').focus()")
+    page.press(KEYS.ENTER)
+    page.wait("return document.activeElement.id === 'export-file'", seconds=90)
+    rows = rows_of(downloads(".zip"))
+    assert [int(row["id"]) for row in rows] == [1, 2]
+    page.press(KEYS.ESCAPE)
+    # It is found among the jobs too.
+    page.run("document.querySelector('#jobs-button').click()")
+    page.wait("return document.querySelector('.job[data-state=done] a[href^=\"/api/exports/\"]')")
+    assert page.messages() == []
+
+
+def test_what_is_no_character_is_told(show, tmp_path):
+    points = tmp_path / "points.c3d"
+    write_motion(make_motion("bow", draw_performer(3)), points)
+    page = show("/library")
+    page.wait(CELLS)
+    page.find(".cell").click()
+    page.run("document.querySelector('[data-word=export]').click()")
+    page.wait("return document.querySelector('#character-file')")
+    page.find("#character-file").send_keys(str(points))
+    page.wait("return document.querySelector('.notice.problem')")
+    assert page.run("return document.querySelector('.character-name')") is None
+    assert "points.c3d" in page.run("return document.querySelector('.notice.problem p').textContent")
