@@ -28,8 +28,8 @@ from dousa.errors import DousaError
 from dousa.formats.registry import SUFFIXES, read_motion, write_motion
 from dousa.motion import Motion, Skeleton, Trajectories, compute_trajectories
 from dousa.motion.rotations import normalise
+from formats import fake_programs, made_mmd
 from formats import made_files as made
-from formats import made_mmd
 from formats import made_points as points
 
 pytestmark = pytest.mark.fuzz
@@ -167,6 +167,8 @@ def make_seeds(folder: Path) -> dict[str, list[dict[str, bytes]]]:
         **{suffix: [{f"x{suffix}": files["m.glb"]}] for suffix in (".glb", ".gltf", ".vrm", ".vrma")},
         ".json": [{"x.json": json.dumps(content).encode()} for content in landmarks],
         ".vmd": [{"x.vmd": vmd}, {"x.pmx": made_mmd.make_pmx(), "x.vmd": vmd}],
+        ".fbx": [{"x.fbx": fake_programs.FBX_MARK + files["m.glb"]}],
+        ".dae": [{"x.dae": fake_programs.DAE_MARK + files["m.glb"]}],
         ".mvnx": [{"x.mvnx": made.make_mvnx()}],
         ".c3d": [{"x.c3d": data} for data in ((folder / "t.c3d").read_bytes(), *stored)],
     }
@@ -328,7 +330,9 @@ def run_traced_case(folder: Path, files: dict[str, bytes]) -> str:
 
 
 @pytest.mark.parametrize("suffix", SUFFIXES)
-def test_damaged_files_are_read_or_refused(tmp_path, suffix):
+def test_damaged_files_are_read_or_refused(tmp_path, monkeypatch, suffix):
+    if suffix in (".fbx", ".dae"):  # through a program that takes a mark off
+        fake_programs.install_quick(tmp_path, monkeypatch)
     seeds = make_seeds(tmp_path)[suffix]
     for files in seeds:  # the whole files are sound, and kernels are compiled before the clock starts
         assert run_case(tmp_path, files) == "read"

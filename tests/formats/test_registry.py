@@ -40,9 +40,9 @@ def test_every_line_of_the_table_works():
 def test_the_table_is_the_one_promised():
     assert (
         " ".join(SUFFIXES)
-        == ".bvh .amc .c3d .trc .amass.npz .npz .npy .pkl .csv .tsv .json .vmd .mvnx .glb .gltf .vrm .vrma"
+        == ".bvh .amc .c3d .trc .amass.npz .npz .npy .pkl .csv .tsv .json .vmd .mvnx .fbx .dae .glb .gltf .vrm .vrma"
     )
-    assert " ".join(WRITERS) == ".bvh .c3d .trc .amass.npz .npz .csv .glb"
+    assert " ".join(WRITERS) == ".bvh .c3d .trc .amass.npz .npz .csv .fbx .glb"
 
 
 def test_the_help_of_the_commands_names_them():
@@ -71,7 +71,7 @@ def test_the_suffix_chooses_in_any_case(tmp_path, suffix):
 
 
 def test_unknown_suffixes_name_the_known_ones(tmp_path):
-    for name in ("x.fbx", "x", "x.bvh.rar"):
+    for name in ("x.max", "x", "x.bvh.rar"):
         with pytest.raises(UnknownFormatError, match=r"\.bvh, \.amc, \.c3d, \.trc, .*\.npz"):
             read_motion(tmp_path / name)
         with pytest.raises(UnknownFormatError, match=r"written end in \.bvh, \.c3d, \.trc, .*\.npz"):

@@ -14,7 +14,7 @@ def read_character(path: str | os.PathLike[str], *, unit: float | str | None = N
 
     Parameters
     ----------
-    path : any file of joint rotations; a glTF, GLB or VRM needs no animation.
+    path : any file of joint rotations; a glTF, GLB, VRM or FBX needs no animation.
     unit, up : what the file does not say.
 
     Raises
@@ -27,6 +27,10 @@ def read_character(path: str | os.PathLike[str], *, unit: float | str | None = N
         from dousa.formats.gltf import read_gltf_character
 
         return read_gltf_character(path, unit=unit, up=up)
+    if line is not None and line.module == "dousa.formats.exchange":
+        from dousa.formats.exchange import read_exchange_character
+
+        return read_exchange_character(path, unit=unit, up=up)
     character = read_motion(path, unit=unit, up=up)
     if not isinstance(character, Motion):
         raise OptionError("retarget.no_skeleton", path=path)

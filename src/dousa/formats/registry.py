@@ -85,6 +85,8 @@ FORMATS: tuple[Format, ...] = (
     ),
     Format("vmd", (".vmd",), "dousa.formats.mmd", "read_vmd", None, "motion", ("skeleton",)),
     Format("mvnx", (".mvnx",), "dousa.formats.mvnx", "read_mvnx", None, "motion"),
+    Format("fbx", (".fbx",), "dousa.formats.exchange", "read_exchange", "write_fbx", "motion"),
+    Format("dae", (".dae",), "dousa.formats.exchange", "read_exchange", None, "motion"),
     Format("glb", (".glb",), "dousa.formats.gltf", "read_gltf", "write_glb", "motion"),
     Format("gltf", (".gltf", ".vrm", ".vrma"), "dousa.formats.gltf", "read_gltf", None, "motion"),
 )  # fmt: skip

@@ -20,8 +20,10 @@ if TYPE_CHECKING:
     from dousa.motion.canonical.recipes import JointMap
 
 # As of the registry, which would take a tenth of a second to import; a test holds them equal.
-READ_SUFFIXES = ".bvh .amc .c3d .trc .amass.npz .npz .npy .pkl .csv .tsv .json .vmd .mvnx .glb .gltf .vrm .vrma"
-WRITTEN_SUFFIXES = ".bvh .c3d .trc .amass.npz .npz .csv .glb"
+READ_SUFFIXES = (
+    ".bvh .amc .c3d .trc .amass.npz .npz .npy .pkl .csv .tsv .json .vmd .mvnx .fbx .dae .glb .gltf .vrm .vrma"
+)
+WRITTEN_SUFFIXES = ".bvh .c3d .trc .amass.npz .npz .csv .fbx .glb"
 
 
 def register(app: typer.Typer) -> None:

@@ -65,27 +65,62 @@ def read_gltf(path: str | os.PathLike[str], *, unit: float | str | None = None, 
     ------
     MotionFileError : missing, damaged, without an animation.
     """
-    document = load_document(path)
+    return build_motion(load_document(path), unit=unit, up=up)
+
+
+def build_motion(
+    document: GltfDocument,
+    *,
+    unit: float | str | None,
+    up: str | None,
+    format_name: str = "gltf",
+    declared_unit: float = 1.0,
+    notes: tuple[Message, ...] = (),
+) -> Motion:
+    """The longest animation of a document; also of one that another program made of a file of another format.
+
+    Parameters
+    ----------
+    document : its ``path`` goes into provenance and messages.
+    unit, up : as for `read_gltf`.
+    format_name : for the provenance.
+    declared_unit : metres per unit of the document.
+    notes : what a person should know of how the file was understood.
+    """
     clips = [_read_clip(document, animation, n) for n, animation in enumerate(document.items("animations"))]
     clips = [clip for clip in clips if clip.curves]
     if not clips:
         raise document.fail("gltf.no_animation")
     clip = max(clips, key=lambda clip: clip.length)
-    notes = []
     if len(clips) > 1:
         others = tuple(other.name for other in clips if other is not clip)
-        notes.append(Message("gltf.several", read=clip.name, others=others[:10]))
+        notes += (Message("gltf.several", read=clip.name, others=others[:10]),)
     times, rate = choose_times([curve.times for curve in clip.curves.values()])
     if len(times) * max(1, len(document.items("nodes"))) > 50_000_000:
         raise document.fail("gltf.large", frames=len(times))
-    return _build(path, document, clip, times, rate, tuple(notes), unit, up)
+    tree, rotations, translations, said = _pose(document, clip, times)
+    return settle_motion(
+        document.path, format_name, _skeleton(tree), rotations, translations, rate, unit=unit, up=up,
+        declared_unit=declared_unit, layout=GltfLayout(document, tree), notes=(*notes, *said),
+    )  # fmt: skip
 
 
 def read_gltf_character(
     path: str | os.PathLike[str], *, unit: float | str | None = None, up: str | None = None
 ) -> Motion:
     """One frame of a file at rest: a character to put motions onto; it needs no animation."""
-    document = load_document(path)
+    return build_character(load_document(path), unit=unit, up=up)
+
+
+def build_character(
+    document: GltfDocument,
+    *,
+    unit: float | str | None,
+    up: str | None,
+    format_name: str = "gltf",
+    declared_unit: float = 1.0,
+) -> Motion:
+    """One frame of a document at rest; parameters as of `build_motion`."""
     clips = [_read_clip(document, animation, n) for n, animation in enumerate(document.items("animations"))]
     moved = {node for clip in clips for node, _ in clip.curves}
     tree = build_tree(document, moved)
@@ -93,8 +128,8 @@ def read_gltf_character(
     translations = tree.offsets[None]
     rotations = np.tile([1.0, 0.0, 0.0, 0.0], (1, len(tree.names), 1))
     return settle_motion(
-        path, "gltf", skeleton, rotations, translations, 30.0,
-        unit=unit, up=up, declared_unit=1.0, layout=GltfLayout(document, tree),
+        document.path, format_name, skeleton, rotations, translations, 30.0,
+        unit=unit, up=up, declared_unit=declared_unit, layout=GltfLayout(document, tree),
     )  # fmt: skip
 
 
@@ -127,16 +162,10 @@ def _read_clip(document: GltfDocument, animation: dict[str, Any], number: int) -
     return _Clip(name if isinstance(name, str) else f"animation {number + 1}", curves, length)
 
 
-def _build(
-    path: str | os.PathLike[str],
-    document: GltfDocument,
-    clip: _Clip,
-    times: FloatArray,
-    rate: float,
-    notes: tuple[Message, ...],
-    unit: float | str | None,
-    up: str | None,
-) -> Motion:
+def _pose(
+    document: GltfDocument, clip: _Clip, times: FloatArray
+) -> tuple[JointTree, FloatArray, FloatArray, tuple[Message, ...]]:
+    """Joints, local rotations (T, J, 4) and translations (T, J, 3) in the axes of the scene, and notes."""
     tree = build_tree(document, {node for node, _ in clip.curves})
     count = len(tree.names)
     rotations, translations = np.empty((len(times), count, 4)), np.empty((len(times), count, 3))
@@ -150,12 +179,8 @@ def _build(
         moves = nodes.translations[number] if move is None else move.sample(times)
         rotations[:, joint], translations[:, joint] = _to_scene(tree, joint, turns, moves * tree.scales[joint])
     grown = [c for (node, what), c in clip.curves.items() if what == "scale" and node in tree.nodes]
-    if any(np.ptp(curve.values, axis=0).max() > _GROWN * np.abs(curve.values).max() for curve in grown):
-        notes += (Message("gltf.scaled"),)
-    return settle_motion(
-        path, "gltf", _skeleton(tree), rotations, translations, rate,
-        unit=unit, up=up, declared_unit=1.0, layout=GltfLayout(document, tree), notes=notes,
-    )  # fmt: skip
+    scaled = any(np.ptp(curve.values, axis=0).max() > _GROWN * np.abs(curve.values).max() for curve in grown)
+    return tree, rotations, translations, (Message("gltf.scaled"),) if scaled else ()
 
 
 def _to_scene(tree: JointTree, joint: int, turns: FloatArray, moves: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -15,9 +15,9 @@ from typing import Any
 import numpy as np
 
 from dousa.arrays import FloatArray
+from dousa.errors import DousaError
 from dousa.files.frame_names import natural_key, number_frames
 from dousa.formats.arrays.joints import list_layouts
-from dousa.messages import Message
 
 WORLD_KEYS = (
     "pose_keypoints_3d", "keypoints_3d", "keypoints3d", "keypoints3D", "pose_world_landmarks", "poseWorldLandmarks",
@@ -40,12 +40,8 @@ _MOST_FRAMES, _MOST_PEOPLE = 2_000_000, 200
 _DEEPEST = 6
 
 
-class FormError(Exception):
+class FormError(DousaError):
     """The content is in none of the forms; the message says which were expected, or what came instead."""
-
-    def __init__(self, code: str, **values: Any) -> None:
-        super().__init__(code)
-        self.message = Message(code, **values)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

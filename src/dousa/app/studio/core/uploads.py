@@ -150,6 +150,8 @@ def _check_content(path: Path, name: str) -> None:
         ".npy": head[:6] == b"\x93NUMPY",
         ".json": is_text and starts[:1] in (b"{", b"["),
         ".vmd": head[:20] == b"Vocaloid Motion Data",
+        ".fbx": head[:18] == b"Kaydara FBX Binary" or (is_text and b"FBX" in head),
+        ".dae": is_text and starts[:1] == b"<",
         ".mvnx": is_text and starts[:1] == b"<",
         ".tsv": is_text,
         ".glb": head[:4] == b"glTF",

@@ -3,7 +3,7 @@
 import { h, icon, t } from "./dom.js";
 
 /** What a file dialogue offers where a motion is wanted; the studio looks at what comes. */
-export const MOTION_FILES = ".bvh,.amc,.asf,.c3d,.trc,.npz,.npy,.pkl,.csv,.tsv,.json,.vmd,.mvnx,.glb,.gltf,.vrm,.vrma,.zip";
+export const MOTION_FILES = ".bvh,.amc,.asf,.c3d,.trc,.npz,.npy,.pkl,.csv,.tsv,.json,.vmd,.mvnx,.fbx,.dae,.glb,.gltf,.vrm,.vrma,.zip";
 
 async function readEntry(entry, prefix, found) {
   if (entry.isFile) {

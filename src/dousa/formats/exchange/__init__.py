@@ -1,0 +1,8 @@
+"""Formats that another program of the user reads and writes for us: FBX and Collada, through Blender or assimp."""
+
+from __future__ import annotations
+
+from dousa.formats.exchange.reading import read_exchange, read_exchange_character
+from dousa.formats.exchange.writing import write_fbx
+
+__all__ = ["read_exchange", "read_exchange_character", "write_fbx"]

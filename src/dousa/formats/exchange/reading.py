@@ -1,0 +1,119 @@
+"""FBX and Collada: another program makes a GLB of the file, which our own reader reads.
+
+Blender is asked first, as it knows more of FBX; assimp where there is no Blender, or where Blender gives up. A program
+that is named (DOUSA_ASSIMP, DOUSA_BLENDER) goes before one that is only found.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+import tempfile
+from collections.abc import Iterator
+from dataclasses import dataclass
+from importlib import resources
+
+from dousa.errors import MotionFileError
+from dousa.files.disk import read_bytes
+from dousa.formats.exchange.assimp_repair import collapse_helpers, read_unit
+from dousa.formats.exchange.programs import Program, ProgramError, find_program, is_named, run_program
+from dousa.formats.gltf.document import GltfDocument, load_document
+from dousa.formats.gltf.reading import build_character, build_motion
+from dousa.messages import Message
+from dousa.motion import Motion
+
+_SIGNS = {
+    ".fbx": re.compile(rb"\AKaydara FBX Binary|FBXHeaderExtension|\A\s*; FBX"),
+    ".dae": re.compile(rb"<COLLADA"),
+}
+_HEAD_BYTES = 4096
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Converted:
+    document: GltfDocument
+    unit: float
+    title: str
+
+
+def read_exchange(path: str | os.PathLike[str], *, unit: float | str | None = None, up: str | None = None) -> Motion:
+    """Read an FBX or Collada file through Blender or assimp.
+
+    Parameters
+    ----------
+    path : the file.
+    unit : metres per unit; by default as the file says, unless the body would have no possible height.
+    up : axis that points up; by default Y, into which the other program turns the file.
+
+    Returns
+    -------
+    Motion in metres, Y up; of several animations the longest, with a note.
+
+    Raises
+    ------
+    MotionFileError : missing, damaged, no program that could read it, no skeleton or no animation.
+    """
+    made = _convert(path)
+    notes = (Message("exchange.through", program=made.title),)
+    return build_motion(
+        made.document, unit=unit, up=up, format_name=_format(path), declared_unit=made.unit, notes=notes
+    )
+
+
+def read_exchange_character(
+    path: str | os.PathLike[str], *, unit: float | str | None = None, up: str | None = None
+) -> Motion:
+    """One frame of a file at rest: a character to put motions onto; it needs no animation."""
+    made = _convert(path)
+    return build_character(made.document, unit=unit, up=up, format_name=_format(path), declared_unit=made.unit)
+
+
+def _format(path: str | os.PathLike[str]) -> str:
+    return os.path.splitext(path)[1].lower()[1:]
+
+
+def _convert(path: str | os.PathLike[str]) -> _Converted:
+    """What the first program that can read the file makes of it."""
+    data = read_bytes(path)
+    suffix = f".{_format(path)}"
+    if suffix in _SIGNS and not _SIGNS[suffix].search(data[:_HEAD_BYTES]):
+        raise MotionFileError(path, "exchange.other_content", format=suffix[1:].upper())
+    problem: Message | None = None
+    for program in _list_programs():
+        try:
+            return _run(path, program, data if program.name == "assimp" and suffix == ".fbx" else b"")
+        except ProgramError as error:
+            problem = problem or error.message
+        except MotionFileError as error:
+            problem = problem or Message("exchange.unreadable", program=program.title, problem=error.message)
+    if problem is None:
+        raise MotionFileError(path, "exchange.no_program", suffix=suffix)
+    raise MotionFileError(path, problem)
+
+
+def _list_programs() -> Iterator[Program]:
+    for name in sorted(("blender", "assimp"), key=lambda name: not is_named(name)):
+        program = find_program(name)
+        if program is not None:
+            yield program
+
+
+def _run(path: str | os.PathLike[str], program: Program, data: bytes) -> _Converted:
+    with tempfile.TemporaryDirectory(prefix="dousa-") as folder:
+        result = os.path.join(folder, "made.glb")
+        source = os.path.abspath(path)
+        if program.name == "assimp":
+            run_program(program, ["export", source, result], folder, result)
+        else:
+            run_program(program, [*blender_words(), "read", source, result], folder, result)
+        document = load_document(result)
+    document.path = path
+    if program.name == "assimp":
+        collapse_helpers(document)
+    return _Converted(document, read_unit(data) if data else 1.0, program.title)
+
+
+def blender_words() -> list[str]:
+    """The words by which Blender runs our job, without its own: without a window, without the user's settings."""
+    job = str(resources.files("dousa.formats.exchange").joinpath("blender_job.py"))
+    return ["--background", "--factory-startup", "--disable-autoexec", "--python-exit-code", "3", "--python", job, "--"]

@@ -1,0 +1,219 @@
+"""FBX and Collada through other programs: with programs of the tests' own that work, fail, hang or talk nonsense."""
+
+from __future__ import annotations
+
+import json
+import os
+import struct
+import sys
+import time
+
+import numpy as np
+import pytest
+
+from dousa.errors import MotionFileError, MotionWriteError, OptionError
+from dousa.formats import read_character
+from dousa.formats.exchange import programs
+from dousa.formats.exchange.assimp_repair import collapse_helpers, read_unit
+from dousa.formats.gltf.document import GltfDocument
+from dousa.formats.registry import read_motion, write_motion
+from dousa.motion import compute_trajectories
+from dousa.motion.synthetic import draw_performer, make_motion
+from formats import fake_programs as fake
+
+pytestmark = pytest.mark.skipif(os.name != "posix", reason="programs of the tests are scripts")
+
+
+@pytest.fixture
+def walk():
+    return make_motion("walk", draw_performer(1))
+
+
+@pytest.fixture
+def fbx(tmp_path, walk):
+    write_motion(walk, tmp_path / "x.glb")
+    path = tmp_path / "x.fbx"
+    path.write_bytes(fake.FBX_MARK + (tmp_path / "x.glb").read_bytes())
+    return path
+
+
+def codes(motion):
+    return [note.code for note in motion.provenance.notes]
+
+
+def code_of(path):
+    with pytest.raises(MotionFileError) as caught:
+        read_motion(path)
+    assert caught.value.path == str(path)
+    assert str(caught.value).count("\n") == 0
+    return caught.value.code
+
+
+@pytest.mark.parametrize("name", ["blender", "assimp"])
+def test_read_through_a_program(tmp_path, monkeypatch, fbx, walk, name):
+    fake.install(tmp_path, monkeypatch, **{name: "works"})
+    motion = read_motion(fbx, unit="m")
+    assert (motion.provenance.path, motion.provenance.format) == (str(fbx), "fbx")
+    assert codes(motion) == ["exchange.through"]
+    np.testing.assert_allclose(
+        compute_trajectories(motion).positions, compute_trajectories(walk).positions, atol=1e-5
+    )  # fmt: skip
+    (tmp_path / "x.dae").write_bytes(fake.DAE_MARK + (tmp_path / "x.glb").read_bytes())
+    assert read_motion(tmp_path / "x.dae").provenance.format == "dae"
+    assert read_character(fbx).n_frames == 1
+
+
+def test_the_unit_of_fbx_is_a_centimetre(tmp_path, monkeypatch, walk):
+    from dataclasses import replace
+
+    skeleton = replace(walk.skeleton, offsets=100 * walk.skeleton.offsets)
+    write_motion(replace(walk, skeleton=skeleton, translations=100 * walk.translations), tmp_path / "x.glb")
+    (tmp_path / "x.fbx").write_bytes(fake.FBX_MARK + (tmp_path / "x.glb").read_bytes())
+    fake.install(tmp_path, monkeypatch, assimp="works")
+    motion = read_motion(tmp_path / "x.fbx")
+    assert (motion.provenance.unit, motion.provenance.unit_source) == (0.01, "declared")
+    scale = b"UnitScaleFactorS\x06\0\0\0doubleS\x06\0\0\0NumberS\0\0\0\0D" + struct.pack("<d", 2.54)
+    assert read_unit(b"..." + scale + b"...") == pytest.approx(0.0254)
+    assert read_unit(b'P: "UnitScaleFactor", "double", "Number", "",100\n') == 1.0
+    for damaged in (b"", b"UnitScaleFactor", scale[:-3], b'"UnitScaleFactor", .\n', scale[:-8] + bytes(8)):
+        assert read_unit(damaged) == 0.01
+
+
+def test_written_through_blender(tmp_path, monkeypatch, walk):
+    fake.install(tmp_path, monkeypatch, blender="works")
+    write_motion(walk, tmp_path / "out.fbx")
+    back = read_motion(tmp_path / "out.fbx", unit="m", up="y")
+    assert back.frame_rate == walk.frame_rate
+    np.testing.assert_allclose(compute_trajectories(back).positions, compute_trajectories(walk).positions, atol=1e-5)
+
+
+def test_without_programs(tmp_path, monkeypatch, fbx, walk):
+    fake.install(tmp_path, monkeypatch)
+    assert code_of(fbx) == "exchange.no_program"
+    with pytest.raises(MotionWriteError) as caught:
+        write_motion(walk, tmp_path / "out.fbx")
+    assert caught.value.code == "exchange.no_blender"
+    monkeypatch.setenv("DOUSA_BLENDER", str(tmp_path / "nowhere"))
+    with pytest.raises(OptionError, match="DOUSA_BLENDER"):
+        read_motion(fbx)
+    assert not (tmp_path / "out.fbx").exists()
+
+
+def test_the_second_program_helps_where_the_first_fails(tmp_path, monkeypatch, fbx):
+    for behaviour in ("crash", "garbage", "silent"):
+        fake.install(tmp_path, monkeypatch, blender=behaviour, assimp="works")
+        motion = read_motion(fbx, unit="m")
+        assert motion.provenance.notes[0].values["program"] == "assimp"
+    # One that is named goes first.
+    fake.install(tmp_path, monkeypatch, blender="works", assimp="works")
+    assert read_motion(fbx, unit="m").provenance.notes[0].values["program"] == "Blender"
+    monkeypatch.setenv("DOUSA_ASSIMP", str(tmp_path / "bin" / "assimp"))
+    assert read_motion(fbx, unit="m").provenance.notes[0].values["program"] == "assimp"
+
+
+@pytest.mark.parametrize("name", ["blender", "assimp"])
+def test_programs_that_fail(tmp_path, monkeypatch, fbx, walk, name):
+    monkeypatch.setenv("DOUSA_PROGRAM_SECONDS", "1")
+    monkeypatch.setattr(programs, "_MOST_LOG", 3_000_000)
+    for behaviour, code in (
+        ("crash", "exchange.failed"),
+        ("silent", "exchange.failed"),
+        ("garbage", "exchange.unreadable"),
+        ("hang", "exchange.hangs"),
+        ("flood", "exchange.failed"),
+    ):
+        fake.install(tmp_path, monkeypatch, **{name: behaviour})
+        start = time.monotonic()
+        assert code_of(fbx) == code, behaviour
+        assert time.monotonic() - start < 30
+        if name == "blender":
+            with pytest.raises(MotionWriteError):
+                write_motion(walk, tmp_path / "out.fbx")
+        assert not (tmp_path / "out.fbx").exists()
+    fake.install(tmp_path, monkeypatch, **{name: "crash"})
+    with pytest.raises(MotionFileError, match="Error: no such"):
+        read_motion(fbx)
+    (tmp_path / "bin" / name).write_text("no program")
+    assert code_of(fbx) in ("exchange.no_start", "exchange.failed")
+    monkeypatch.setenv("DOUSA_PROGRAM_SECONDS", "soon")
+    with pytest.raises(OptionError, match="soon"):
+        read_motion(fbx)
+
+
+def test_what_is_no_fbx_starts_no_program(tmp_path, monkeypatch):
+    fake.install(tmp_path, monkeypatch, blender="hang", assimp="hang")
+    (tmp_path / "x.fbx").write_bytes(b"HIERARCHY\nROOT Hips\n")
+    assert code_of(tmp_path / "x.fbx") == "exchange.other_content"
+
+
+def test_helpers_of_assimp(tmp_path):
+    """A joint behind a helper of half a turn about z, its whole transformation animated: the helper must not count."""
+    half = [0.0, 0.0, 1.0, 0.0]
+    nodes = [
+        {"name": "Hips", "translation": [0, 90, 0], "children": [1]},
+        {"name": "Leg_$AssimpFbx$_Translation", "translation": [8, -6, 0], "children": [2]},
+        {"name": "Leg_$AssimpFbx$_PreRotation", "rotation": half, "children": [3]},
+        {"name": "Leg", "children": [4]},
+        {"name": "Foot_$AssimpFbx$_Translation", "translation": [0, 40, 0], "children": [5]},
+        {"name": "Foot"},
+    ]
+    tree = {"asset": {"version": "2.0"}, "nodes": json.loads(json.dumps(nodes)),
+            "animations": [{"channels": [{"target": {"node": 3, "path": "rotation"}}]}]}  # fmt: skip
+    document = GltfDocument(tmp_path / "x", tree, [])
+    collapse_helpers(document)
+    leg, foot = tree["nodes"][3], tree["nodes"][5]
+    assert (leg["translation"], foot["translation"]) == ([8, -6, 0], [0, 40, 0])
+    np.testing.assert_allclose(np.abs(leg["rotation"]), half, atol=1e-12)
+    assert (tree["nodes"][0]["children"], leg["children"]) == ([3], [5])
+    # Helpers that are animated themselves mean what they say.
+    other = {"asset": {"version": "2.0"}, "nodes": json.loads(json.dumps(nodes)),
+             "animations": [{"channels": [{"target": {"node": 2, "path": "rotation"}}]}]}  # fmt: skip
+    collapse_helpers(GltfDocument(tmp_path / "x", other, []))
+    assert other["nodes"][:3] == nodes[:3]
+
+
+def test_a_real_fbx_if_a_program_is_here(shared_data):
+    path = shared_data("foreign/unsupported/mixamo_left_turn_90.fbx")
+    if all(programs.find_program(name) is None for name in ("blender", "assimp")):
+        pytest.skip("neither Blender nor assimp on this machine")
+    motion = read_motion(path)
+    assert (motion.n_frames, motion.frame_rate) == (29, 30.0)
+    points = compute_trajectories(motion)
+    hips = points.positions[:, points.names.index("Model:Hips")]
+    np.testing.assert_allclose(hips[[0, 10]], [[0.002, 0.963, 0.003], [-0.046, 0.967, -0.075]], atol=1e-3)
+    foot = points.positions[:, points.names.index("Model:LeftFoot")]
+    np.testing.assert_allclose(foot[[0, 28]], [[0.164, 0.123, 0.067], [0.068, 0.123, -0.164]], atol=1e-3)
+
+
+def test_the_job_needs_nothing_but_bpy(tmp_path, walk):
+    """The script that runs in Blender is plain Python: its calls are recorded by a module that stands for Blender's."""
+    import subprocess
+    from importlib import resources
+
+    (tmp_path / "bpy.py").write_text(
+        "import types\n"
+        "class Any:\n"
+        "    def __init__(self, name): self.name = name\n"
+        "    def __getattr__(self, name):\n"
+        "        if name.startswith('__'): raise AttributeError(name)\n"
+        "        return Any(self.name + '.' + name)\n"
+        "    def __call__(self, *a, **k):\n"
+        "        print(self.name, sorted(k)); return Any(self.name + '()')\n"
+        "    def __iter__(self): return iter(())\n"
+        "    def __sub__(self, other): return 1.0\n"
+        "    def __contains__(self, name): return False\n"
+        "    fps = 1\n"
+        "ops, data, context = Any('ops'), Any('data'), Any('context')\n"
+    )
+    job = str(resources.files("dousa.formats.exchange").joinpath("blender_job.py"))
+    for words, expected in (
+        (["read", "a.fbx", "b.glb"], ["ops.import_scene.fbx", "ops.export_scene.gltf"]),
+        (["read", "a.dae", "b.glb"], ["ops.wm.collada_import", "ops.export_scene.gltf"]),
+        (["write", "a.glb", "b.fbx", "29.97"], ["ops.import_scene.gltf", "ops.export_scene.fbx"]),
+    ):
+        done = subprocess.run(
+            [sys.executable, job, "--", *words], capture_output=True, text=True, cwd=tmp_path, check=True,
+            env={**os.environ, "PYTHONPATH": str(tmp_path)},
+        )  # fmt: skip
+        called = [line.split(" ")[0] for line in done.stdout.splitlines()]
+        assert [name for name in called if name in expected] == expected, done.stdout
