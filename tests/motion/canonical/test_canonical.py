@@ -136,6 +136,22 @@ def test_plug_in_gait_hips_come_from_the_pelvis() -> None:
     np.testing.assert_allclose(_joint(canonical.positions, "pelvis"), hips.mean(axis=1))
 
 
+@pytest.mark.parametrize("rate", [25.0, 120.0])
+def test_a_leap_for_one_frame_is_said(rate: float) -> None:
+    body = walking_body()
+    body = body.replace(frame_rate=rate)
+    quiet = canonicalise(body)
+    assert quiet.warnings == ()
+    positions = body.positions.copy()
+    positions[7, body.names.index("LeftHand")] += (0.0, 0.6, 0.0)
+    positions[12] += (0.0, 0.0, 0.9)
+    (note,) = [one for one in canonicalise(body.replace(positions=positions)).warnings if one.code == "canonical.leaps"]
+    assert (note.values["n"], note.values["frame"], note.values["joints"]) == (2, 7, ("left_wrist",))
+    positions = body.positions.copy()
+    positions[9:] += (0.0, 0.0, 0.9)  # a cut in the take does not come back
+    assert canonicalise(body.replace(positions=positions)).warnings == ()
+
+
 def test_gaps_are_filled() -> None:
     body = walking_body()
     positions = body.positions.copy()

@@ -24,7 +24,7 @@ from dousa.arrays import BoolArray, FloatArray
 from dousa.errors import InvalidMotionError, JointMappingError
 from dousa.messages import Message
 from dousa.motion.canonical.anthropometry import stature_of_parts
-from dousa.motion.canonical.geometry import STATURE_PER_HEIGHT, body_points, chain_height, measure_rest
+from dousa.motion.canonical.geometry import STATURE_PER_HEIGHT, body_points, chain_height, find_leaps, measure_rest
 from dousa.motion.canonical.joints import CANONICAL_JOINTS, CANONICAL_PARENTS, MIRRORED_JOINTS, CanonicalPoses
 from dousa.motion.canonical.joints import JOINT_INDEX as J
 from dousa.motion.canonical.mapping import ChosenMap, choose_map, names_of_seen
@@ -261,6 +261,11 @@ def _finish(moving: Trajectories, chosen: ChosenMap, points: FloatArray, unseen:
     if "left_toe" in derived or "right_toe" in derived:
         _make_toes(points)
         warnings.append(Message("canonical.made_toes"))
+    leaps = find_leaps(points, moving.frame_rate)
+    if leaps.any():
+        frames = np.flatnonzero(leaps.any(axis=1))
+        joints = tuple(joint for joint, index in J.items() if leaps[frames[0], index])
+        warnings.append(Message("canonical.leaps", n=len(frames), joints=joints, frame=int(frames[0])))
     if recipe.estimated:
         warnings.append(Message("canonical.skin_markers", joints=recipe.estimated))
     sources = {joint: names for joint, names in _named_sources(recipe, moving.names) if joint not in derived}

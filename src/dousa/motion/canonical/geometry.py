@@ -165,3 +165,33 @@ def _seen_mean(points: FloatArray) -> FloatArray:
     with np.errstate(invalid="ignore"):
         mean: FloatArray = total / there.sum(axis=1)[:, None]
     return mean
+
+
+# m/s; m; cosine between the way out and the way back; the shorter of both as a share of the longer
+_LEAP_SPEED, _LEAST_LEAP, _BACK, _ALIKE = 10.0, 0.1, -0.5, 0.4
+
+
+def find_leaps(points: FloatArray, frame_rate: float) -> BoolArray:
+    """Where joints leap for one frame and come back, as nobody moves: glitches of a recording.
+
+    Out and back at over 10 m/s, by at least 10 cm: the fastest hands and feet take longer to turn round.
+
+    Parameters
+    ----------
+    points : (T, 20, 3) m.
+    frame_rate : Hz.
+
+    Returns
+    -------
+    (T, 20).
+    """
+    found = np.zeros(points.shape[:2], bool)
+    steps = np.diff(points, axis=0)
+    squared = np.einsum("tjk,tjk->tj", steps, steps)
+    far = squared > max(_LEAST_LEAP, _LEAP_SPEED / frame_rate) ** 2
+    both = far[:-1] & far[1:]
+    if both.any():
+        back = np.einsum("tjk,tjk->tj", steps[:-1], steps[1:])
+        alike = np.minimum(squared[:-1], squared[1:]) > _ALIKE**2 * np.maximum(squared[:-1], squared[1:])
+        found[1:-1] = both & alike & (back < _BACK * np.sqrt(squared[:-1] * squared[1:]))
+    return found
