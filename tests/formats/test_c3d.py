@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import struct
 
 import numpy as np
@@ -12,7 +13,8 @@ from oracles.c3d_file import DEC, INTEL, MIPS, group, make_c3d, parameter, rando
 
 from dousa.errors import MotionFileError, MotionWriteError
 from dousa.formats.c3d import read_c3d, write_c3d
-from dousa.motion import Trajectories
+from dousa.motion import Motion, Trajectories, canonicalise, forward_kinematics
+from dousa.motion.rotations import rotate
 
 LABELS = ["LASI", "RASI", "SACR"]
 
@@ -285,6 +287,50 @@ def test_real_recordings_survive_a_round_trip(shared_data, tmp_path):
         first = read_c3d(file)
         write_c3d(first, tmp_path / "x.c3d")
         assert_same_to_float32(read_c3d(tmp_path / "x.c3d"), first)
+
+
+def _theia(foreign):
+    return foreign("ezc3d_testfiles/C3DRotationExample.c3d")
+
+
+def test_segments_of_a_markerless_system_are_a_motion(foreign):
+    ezc3d = pytest.importorskip("ezc3d")
+    path = _theia(foreign)
+    motion = read_c3d(path)
+    assert isinstance(motion, Motion)
+    theirs = ezc3d.c3d(str(path))
+    labels = theirs["parameters"]["ROTATION"]["LABELS"]["value"]
+    matrices = theirs["data"]["rotations"]
+    places, world = forward_kinematics(motion.skeleton.parents, motion.rotations, motion.translations)
+    for joint in ("pelvis", "l_hand", "r_toes"):
+        column, row = labels.index(f"{joint}_4X4"), motion.skeleton.names.index(joint)
+        seen = np.isfinite(places[:, row]).all(axis=1)  # where all segments up to the pelvis are
+        assert seen.mean() > 0.95
+        x, y, z = matrices[:3, 3, column][:, seen] / 1000.0
+        np.testing.assert_allclose(places[seen, row], np.stack([x, z, -y], axis=1), atol=1e-6)
+        x, y, z = matrices[:3, 0, column][:, seen]  # the first axis of the segment, Y up
+        first = rotate(world[seen, row], np.array([1.0, 0, 0]))
+        np.testing.assert_allclose(first, np.stack([x, z, -y], axis=1), atol=1e-5)
+    body = canonicalise(motion)
+    assert body.absent == () and body.mapping.sides == "agree"
+    assert 1.6 < body.stature < 1.9
+
+
+@pytest.mark.parametrize("place", ["USED", "LABELS", "DATA_START", "RATE"])
+def test_segments_that_are_damaged_are_refused_or_read(foreign, saved, place):
+    data = bytearray(_theia(foreign).read_bytes())
+    start = data.index(place.encode(), data.index(b"ROTATION"))
+    data[start + len(place) : start + len(place) + 8] = b"\xff" * 8
+    with contextlib.suppress(MotionFileError):
+        assert read_c3d(saved(bytes(data))).n_frames > 0
+
+
+def test_segments_of_a_file_that_ends_early(foreign, saved):
+    whole = read_c3d(_theia(foreign))
+    part = read_c3d(saved(_theia(foreign).read_bytes()[:200_000]))
+    assert 0 < part.n_frames < whole.n_frames
+    with pytest.raises(MotionFileError, match="no points"):
+        read_c3d(saved(_theia(foreign).read_bytes()[:2600]))
 
 
 def test_events_and_other_bytes_of_the_header_do_not_matter(saved):

@@ -30,7 +30,7 @@ from dousa.errors import MotionFileError, MotionWriteError
 from dousa.files.disk import atomic_write, read_bytes
 from dousa.formats.markers import declared_unit, settle_trajectories
 from dousa.messages import Message
-from dousa.motion import Trajectories
+from dousa.motion import Motion, Trajectories
 
 BLOCK = 512
 _MAGIC = 0x50
@@ -361,8 +361,10 @@ def _texts(name: str, values: list[bytes]) -> tuple[str, bytes]:
 _NOT_POSITIONS = ("ANGLES", "FORCES", "MOMENTS", "POWERS", "REACTIONS", "SCALARS")
 
 
-def read_c3d(path: str | os.PathLike[str], *, unit: float | str | None = None, up: str | None = None) -> Trajectories:
-    """Read the points of a C3D file.
+def read_c3d(
+    path: str | os.PathLike[str], *, unit: float | str | None = None, up: str | None = None
+) -> Trajectories | Motion:
+    """Read the points of a C3D file, or the poses of segments if it holds no points.
 
     Unlabelled points (no name, or one that starts with ``*``) and computed angles, forces, moments and powers are
     left out.
@@ -375,7 +377,7 @@ def read_c3d(path: str | os.PathLike[str], *, unit: float | str | None = None, u
 
     Returns
     -------
-    Trajectories in metres, Y up, NaN where missing.
+    Trajectories in metres, Y up, NaN where missing; a motion of segments that a markerless system found.
 
     Raises
     ------
@@ -383,6 +385,8 @@ def read_c3d(path: str | os.PathLike[str], *, unit: float | str | None = None, u
     """
     data = read_bytes(path)
     sections = parse_sections(path, data)
+    if not sections.number("POINT:USED") and sections.number("ROTATION:USED"):
+        return _read_segments(sections, data, unit=unit, up=up)
     chosen, names = _choose_points(sections)
     positions, notes = _read_positions(sections, data, chosen)
     units = sections.texts("POINT:UNITS")
@@ -399,6 +403,25 @@ def read_c3d(path: str | os.PathLike[str], *, unit: float | str | None = None, u
         default_up=None,
         notes=notes,
     )
+
+
+def _read_segments(sections: Sections, data: bytes, *, unit: float | str | None, up: str | None) -> Motion:
+    """The motion of the 4 x 4 matrices of the ROTATION group."""
+    from dousa.formats.optical.theia import ITEMS, build_segments
+
+    labels = sections.texts("ROTATION:LABELS")[: max(0, int(sections.number("ROTATION:USED") or 0))]
+    start = max(0, int(sections.number("ROTATION:DATA_START") or sections.header.data_block) - 1) * BLOCK
+    width = ITEMS * len(labels)
+    values = decode_floats(data[start:], sections.processor).astype(np.float64)
+    ratio = max(1, int(sections.number("ROTATION:RATIO") or 1))
+    declared = (sections.header.last_frame - sections.header.first_frame + 1) * ratio
+    frames = min(declared, len(values) // width) if width else 0
+    if frames < 1:
+        raise MotionFileError(sections.path, "c3d.no_points")
+    rate = sections.number("ROTATION:RATE") or ratio * _frame_rate(sections)
+    rows = values[: frames * width].reshape(frames, len(labels), ITEMS)
+    named = (*sections.texts("POINT:UNITS"), "mm")[0]
+    return build_segments(sections.path, labels, rows, rate, unit=unit, up=up, unit_in_file=named)
 
 
 def _n_points(sections: Sections) -> int:
