@@ -14,7 +14,7 @@ import numpy as np
 from dousa.messages import Message
 from dousa.motion import CanonicalMotion, Motion, Trajectories
 
-OVERRULED = frozenset({"units.guessed_up", "units.assumed"})
+OVERRULED = frozenset({"units.guessed_up", "units.assumed", "units.normalised"})
 """Codes of the notes that no longer hold where others decided."""
 
 _SAME_SIZE = 1.6  # bodies of one unit are at most this much taller than each other in the files' own units

@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import tomllib
+from pathlib import Path
+
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from oracles.bodies import walking_body
+from oracles.marker_bodies import read_sets, wear
 
 from dousa.errors import OptionError
 from dousa.formats.registry import read_motion
@@ -265,3 +269,21 @@ def test_parse_up() -> None:
     assert [parse_up(text) for text in ("Y", "+z", " -X ")] == ["y", "z", "-x"]
     with pytest.raises(OptionError, match="expected one of x, y, z"):
         parse_up("w")
+
+
+@pytest.mark.parametrize(("scale", "source"), [(1.0, "inferred"), (0.75, "assumed"), (1.35, "assumed")])
+def test_a_normalised_body_of_a_pose_estimator_is_made_as_tall_as_people_are(scale: float, source: str) -> None:
+    tables = tomllib.loads((Path(__file__).parents[2] / "oracles/marker_sets.toml").read_text("utf-8"))
+    markers = {one.title: one for one in read_sets(tables)}["Human3.6M"]
+    worn = wear(markers, canonicalise(walking_body()).positions, 30.0)
+    frame = infer_reference_frame(worn.replace(positions=scale * worn.positions))
+    assert frame.unit_source == source
+    true = 1.0 / scale
+    assert frame.unit == pytest.approx(true, rel=0.12)
+    if source == "assumed":
+        (note,) = [one for one in frame.notes if one.code == "units.normalised"]
+        assert note.values["share"] * 1.7 == pytest.approx(frame.unit)
+    # Of a file that says its unit, or with the names of a rig, nothing is assumed.
+    assert infer_reference_frame(worn.replace(positions=scale * worn.positions), declared_unit=1.0).unit == 1.0
+    rig = walking_body()
+    assert infer_reference_frame(rig.replace(positions=scale * rig.positions)).unit_source == "inferred"

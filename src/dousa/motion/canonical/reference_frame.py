@@ -19,6 +19,7 @@ from dousa.errors import OptionError
 from dousa.messages import Message
 from dousa.motion.canonical.geometry import STATURE_PER_HEIGHT, body_points, estimate_stature
 from dousa.motion.canonical.mapping import choose_map
+from dousa.motion.canonical.naming import named_by_estimators
 from dousa.motion.canonical.recipes import Recipe
 from dousa.motion.canonical.upright import (
     find_fall,
@@ -60,6 +61,7 @@ _USUAL_STATURE = (1.3, 2.15)  # m; beyond, a unit that was inferred is doubtful
 _DECLARED_STATURE = (0.9, 2.3)  # m; beyond, a declared one is
 _SMALLEST_CLOUD, _LARGEST_CLOUD = 0.02, 6.0  # m: extent of points that no map knows
 _ASSUMED_STATURE = 1.7  # m
+_ADULT_STATURE = (1.4, 2.05)  # m
 
 # Rows: where the file's axes point once the axis of the key points to +Y. All are rotations.
 _ROTATIONS: dict[str, FloatArray] = {
@@ -164,7 +166,13 @@ def infer_reference_frame(
     recipe = None if chosen is None else chosen.recipe
     points = None if recipe is None else body_points(recipe, sample.positions)
     stature = estimate_stature(sample, points)
-    found = _choose_unit(stature, declared_unit, mapped=points is not None) if unit is None else (unit, "given", ())
+    if unit is not None:
+        found: tuple[float, str, tuple[Message, ...]] = (unit, "given", ())
+    elif declared_unit is None and points is not None and _is_normalised(stature, sample.names):
+        assumed = _ASSUMED_STATURE / stature
+        found = (assumed, "assumed", (Message("units.normalised", stature=stature, unit=assumed, share=1 / stature),))
+    else:
+        found = _choose_unit(stature, declared_unit, mapped=points is not None)
     if up is not None:
         axis: tuple[str, str, tuple[Message, ...]] = (parse_up(up), "given", ())
     elif recipe is None or points is None or not stature > 0:
@@ -242,10 +250,21 @@ def _choose_unit(stature: float, declared: float | None, *, mapped: bool) -> tup
     if source == "assumed":
         if not mapped:
             return 1.0, "assumed", (Message("units.unknown", extent=stature),)
-        notes.append(Message("units.assumed", unit=unit))
+        notes.append(Message("units.assumed", unit=unit, share=unit / _ASSUMED_STATURE))
     elif not _USUAL_STATURE[0] <= stature * unit <= _USUAL_STATURE[1] and mapped:
-        notes.append(Message("units.unusual", unit=unit, stature=stature * unit))
+        notes.append(Message("units.unusual", unit=unit, stature=stature * unit, adult=_ASSUMED_STATURE / stature))
     return unit, source, tuple(notes)
+
+
+def _is_normalised(stature: float, names: tuple[str, ...]) -> bool:
+    """Whether a body of this stature in file units is one of a pose estimator that is about a metre tall, but no adult.
+
+    Such methods scale bodies by a constant; in metres most people are between 1.4 and 2.05 m tall.
+    """
+    low, high = _COMMON_STATURE
+    if not low <= stature <= high or _ADULT_STATURE[0] <= stature <= _ADULT_STATURE[1]:
+        return False
+    return named_by_estimators(names)
 
 
 def _likely_unit(stature: float) -> tuple[float, str]:
