@@ -342,3 +342,102 @@ def test_files_that_are_no_takes_are_told(show, running, recording, tmp_path):
     page.find("#take-file").send_keys(str(damaged))
     page.wait(BACK_AT_START)
     page.messages()  # the browser tells of the refused requests itself
+
+
+# --- labels that were given
+
+
+@pytest.fixture
+def table(recording):
+    """A table of labels of the take."""
+    rows = [f"{start:.3f},{end:.3f},{name}" for (start, end), name in zip(recording[1], ORDER, strict=True)]
+    return "\n".join(["start_s,end_s,category", *rows[:-1]])
+
+
+def add_take(client, recording, wait_job, table=None):
+    """Name of the take in the library."""
+    batch = upload(client, recording)[5:21]
+    if table is not None:
+        answer = client.post(f"/api/uploads?name=session.labels.csv&batch={batch}", content=table.encode())
+        assert answer.json()["files"][0]["motion"] is None
+    request = {"batch": batch, "kind": "take", "category_from": None, "labels": table is not None}
+    job = wait_job(client, client.post("/api/jobs/add", json=request).json()["id"])
+    assert job["state"] == "done", job
+    take = next(clip for clip in client.app.state.studio.library.clips() if clip.kind == "take")
+    return f"clip:{take.id}", job["result"]
+
+
+def get_given(client, motion):
+    return client.get("/api/takes/labels", params={"motion": motion}).json()["given"]
+
+
+def test_takes_are_added_with_the_tables_beside_them(studio, recording, table, wait_job):
+    motion, result = add_take(studio, recording, wait_job, table)
+    assert (len(result["labelled"]), result["n_segments"]) == (1, len(ORDER) - 1)
+    given = get_given(studio, motion)
+    assert given["source"] == "session.labels.csv"
+    assert [one["category"] for one in given["segments"]] == [*ORDER[:-1], None]
+
+
+@pytest.mark.parametrize("format", ["csv", "eaf"])
+def test_given_labels_are_downloaded_as_they_are_read(studio, recording, table, wait_job, format):
+    motion, _ = add_take(studio, recording, wait_job, table)
+    before = get_given(studio, motion)["segments"]
+    answer = studio.get("/api/takes/export", params={"motion": motion, "format": format, "given": True})
+    assert answer.status_code == 200 and f"session_labels.{format}" in answer.headers["content-disposition"]
+    came = studio.post(f"/api/uploads?name=other.{format}", content=answer.content).json()
+    asked = {"motion": motion, "batch": came["batch"], "name": f"other.{format}"}
+    again = studio.post("/api/takes/annotate", json=asked)
+    assert again.status_code == 201 and again.json()["notes"] == []
+    assert get_given(studio, motion)["segments"] == before
+    segments = label(studio, motion, wait_job)
+    recognised = studio.get("/api/takes/export", params={"motion": motion, "format": format})
+    assert recognised.status_code == 200 and segments
+
+
+def test_what_is_wrong_with_a_dropped_table_is_said(studio, recording, wait_job):
+    dropped = upload(studio, recording)
+    came = studio.post("/api/uploads?name=a.labels.csv", content=b"start_s,end_s,category\n2,1,hop\n").json()
+    asked = {"batch": came["batch"], "name": "a.labels.csv"}
+    answer = studio.post("/api/takes/annotate", json={"motion": dropped, **asked})
+    assert answer.status_code == 409, answer.text
+    motion, _ = add_take(studio, recording, wait_job)
+    answer = studio.post("/api/takes/annotate", json={"motion": motion, **asked})
+    assert answer.status_code == 422 and "a.labels.csv:2: 'hop' ends at 1" in answer.text
+    assert str(studio.app.state.studio.workspace.root) not in answer.text
+    assert get_given(studio, motion) is None
+
+
+def test_a_correction_of_a_take_of_the_library_is_a_segment_of_it(studio, recording, strange, wait_job):
+    motion, _ = add_take(studio, recording, wait_job)
+    start, end = strange[0]
+    asked = {"motion": motion, "start_s": start, "end_s": end, "category": STRANGE}
+    answer = studio.post("/api/takes/correct", json=asked).json()
+    assert answer["is_learned"] and answer["is_new_category"]
+    library = studio.app.state.studio.library
+    (clip,) = [clip for clip in library.clips() if clip.take_id is not None]
+    assert answer["clip"] == f"clip:{clip.id}" and f"clip:{clip.take_id}" == motion
+    segments = label(studio, motion, wait_job)
+    assert said_at(segments, strange) == [(STRANGE, True), (STRANGE, False)]
+    number = studio.get("/api/takes/labels", params={"motion": motion}).json()["corrections"][0]["id"]
+    assert studio.delete(f"/api/takes/corrections/{number}").status_code == 200
+    assert not [clip for clip in library.clips() if clip.take_id is not None]
+
+
+def test_labels_are_dropped_onto_a_take_and_shown(show, running, recording, table, tmp_path):
+    labels = tmp_path / "session.labels.csv"
+    labels.write_text(table)
+    page = show("/takes")
+    page.wait("return document.querySelector('#take-file') !== null")
+    page.find("#take-file").send_keys(str(recording[0]))
+    page.wait("return document.querySelector('#labels-file') !== null")
+    page.wait(LABELLED, seconds=60)
+    page.find("#labels-file").send_keys(str(labels))
+    page.wait("return document.querySelector('#show-given')?.getAttribute('aria-pressed') === 'true'", seconds=60)
+    names = "return [...document.querySelectorAll('#segments tbody th')].map((one) => one.innerText)"
+    assert [name.split()[-1] for name in page.run(names)] == list(ORDER[:-1])
+    assert "session.labels.csv" in page.run("return document.querySelector('#take-facts').textContent")
+    page.run("document.querySelector('#show-given').click()")
+    page.wait("return document.querySelector('#show-given')?.getAttribute('aria-pressed') === 'false'", seconds=60)
+    assert "given=false" in page.run("return document.querySelector('#export-eaf').href")
+    assert page.messages() == []

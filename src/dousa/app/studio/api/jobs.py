@@ -24,6 +24,8 @@ class AddRequest(BaseModel):
     kind: Literal["clip", "take"] = "clip"
     category_from: str | None = Field("folder", max_length=300, description="as dousa add --category-from")
     performer_from: str | None = Field(None, max_length=300, description="as dousa add --performer-from")
+    labels: bool = Field(False, description="of takes: tables of labels lie beside them in the batch")
+    tier: str | None = Field(None, max_length=200, description="as dousa add --tier")
     unit: str | None = Field(None, max_length=20)
     up: str | None = Field(None, max_length=2)
     joint_map: dict[str, str | list[str]] | None = None

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import csv
 import io
+from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import PurePath
 from typing import Annotated, Any, Literal
 
@@ -14,6 +16,7 @@ from starlette.responses import Response
 from dousa.app.studio.content.motions import MotionName, MotionRef, Seconds
 from dousa.app.studio.content.studio import Studio, StudioNow
 from dousa.app.studio.core.answers import Answer, RefusedError, attachment
+from dousa.app.studio.core.words import say
 from dousa.app.studio.jobs.board import Job
 
 router = APIRouter(tags=["takes"])
@@ -58,7 +61,10 @@ def label(studio: StudioNow, wanted: LabelRequest) -> Answer:
 
 @router.get("/takes/labels", summary="The labels of a take, with what was corrected")
 def get_labels(studio: StudioNow, motion: _Motion) -> Answer:
-    """``labels`` is null before the take was labelled; ``is_current``: the library has not changed since."""
+    """``labels`` is null before the take was labelled; ``is_current``: the library has not changed since.
+
+    ``given`` is what a table of labels says, null for a take without one.
+    """
     return Answer(_describe(studio, MotionRef(motion=motion)))
 
 
@@ -75,8 +81,23 @@ def _describe(studio: Studio, ref: MotionRef) -> dict[str, Any]:
         "job": None if job is None else job.id,
         "labels": None if labels is None else {**labels, "segments": segments},
         "corrections": [one.to_json() for one in corrections],
+        "given": _describe_given(studio, ref),
         "is_current": labels is not None and labels["revision"] == studio.library.stats().revision,
     }
+
+
+def _describe_given(studio: Studio, ref: MotionRef) -> dict[str, Any] | None:
+    from dousa.app.studio.content.corrections import find_take
+
+    take = find_take(studio, ref)
+    known = [] if take is None else studio.library.annotations.read([take])
+    if not known or not known[0].is_complete:
+        return None
+    stretches = [
+        {"start_s": round(one.start, 3), "end_s": round(one.stop, 3), "category": one.category, "counted": one.counted}
+        for one in known[0].stretches
+    ]
+    return {"source": PurePath(known[0].source).name, "tier": known[0].tier, "segments": stretches}
 
 
 def _last_label(studio: Studio, ref: MotionRef) -> Job | None:
@@ -87,31 +108,88 @@ def _last_label(studio: Studio, ref: MotionRef) -> Job | None:
     return None
 
 
+class AnnotateRequest(BaseModel):
+    """A take of the library and an uploaded table of labels."""
+
+    model_config = ConfigDict(extra="forbid")
+
+    motion: MotionName
+    batch: str = Field(pattern="^[0-9a-f]{16}$", description="of the upload")
+    name: str = Field(min_length=1, max_length=1000, description="of the file in it")
+    tier: str | None = Field(default=None, max_length=200, description="the first that has labels if left out")
+
+
+@router.post("/takes/annotate", status_code=201, summary="Give a take the labels of a table")
+def annotate(studio: StudioNow, wanted: AnnotateRequest) -> Answer:
+    """The table (CSV, ELAN, Praat, BORIS) takes the place of the labels that the take has; each segment is a clip."""
+    from dousa.app.studio.content.corrections import find_take
+    from dousa.formats.annotations import read_label_file
+    from dousa.formats.annotations.label_file import to_annotation
+    from dousa.formats.annotations.tables import about_one_take
+
+    take = find_take(studio, MotionRef(motion=wanted.motion))
+    if take is None:
+        raise RefusedError(409, "studio_takes.not_a_take")
+    info = studio.library.clips([take])[0]
+    path = studio.workspace.find(wanted.batch, wanted.name)
+    file = replace(about_one_take(read_label_file(path)), path=path.name)
+    tiers = file.tiers_of(info.path)
+    if tiers is None:
+        raise RefusedError(422, "studio_takes.other_takes", name=PurePath(info.path).name, takes=list(file.takes)[:12])
+    annotation, notes = to_annotation(file, tiers, wanted.tier, info.frame_rate)
+    changes = studio.library.annotations.write(take, annotation, n_jobs=1)
+    answer = {
+        "given": _describe_given(studio, MotionRef(motion=wanted.motion)),
+        "n_segments": len(annotation.segments),
+        "new_categories": list(changes.new_categories),
+        "notes": [say(note) for note in (*notes, *(note for _, note in changes.warnings))],
+    }
+    return Answer(answer, 201)
+
+
+_LabelFormat = Literal["csv", "json", "eaf"]
+
+
 @router.get("/takes/export", summary="Download the labels of a take", response_class=Response)
-def export(studio: StudioNow, motion: _Motion, format: Literal["csv", "json"] = "csv") -> Response:
-    """Labels with corrections: a table with a row for each stretch, or JSON."""
+def export(
+    studio: StudioNow,
+    motion: _Motion,
+    format: _LabelFormat = "csv",
+    given: Annotated[bool, Query(description="what a table of labels said, instead of what was recognised")] = False,
+) -> Response:
+    """Labels with corrections: a table with a row for each stretch, JSON, or a document of ELAN.
+
+    Each can be read as labels of the take again.
+    """
     answer = _describe(studio, MotionRef(motion=motion))
-    if answer["labels"] is None:
+    labels = answer["given"] if given else answer["labels"]
+    if labels is None:
         raise RefusedError(409, "studio_takes.not_labelled")
     headers = {"content-disposition": attachment(f"{PurePath(answer['name']).stem}_labels.{format}")}
+    segments = labels["segments"]
     if format == "json":
-        kept = {name: answer["labels"][name] for name in ("duration_s", "threshold", "segments")}
+        kept = {name: labels[name] for name in ("duration_s", "threshold", "source", "segments") if name in labels}
         return Answer({"take": answer["name"], **kept}, headers=headers)
+    if format == "eaf":
+        from dousa.formats.annotations.writing import format_eaf
+        from dousa.motion.annotation import Stretch
+
+        stretches = [Stretch(one["start_s"], one["end_s"], one["category"]) for one in segments]
+        content = format_eaf(stretches, media=answer["name"])
+        return Response(content, media_type="application/xml", headers=headers)
+    return Response(_format_csv(segments).encode("utf-8", "replace"), media_type="text/csv", headers=headers)
+
+
+def _format_csv(segments: Sequence[dict[str, Any]]) -> str:
+    """Given labels as they are read again; recognised ones with how sure they are, and what was corrected."""
     text = io.StringIO()
     writer = csv.writer(text)
-    writer.writerow(("start_s", "end_s", "category", "confidence", "corrected"))
-    for one in answer["labels"]["segments"]:
-        corrected = "" if one["corrected"] is None else "yes"
-        writer.writerow(
-            (
-                f"{one['start_s']:.3f}",
-                f"{one['end_s']:.3f}",
-                one["category"] or "",
-                f"{one['confidence']:.4f}",
-                corrected,
-            )
-        )
-    return Response(text.getvalue().encode("utf-8", "replace"), media_type="text/csv", headers=headers)
+    is_given = any("counted" in one for one in segments)
+    writer.writerow(("start_s", "end_s", "category", *(() if is_given else ("confidence", "corrected"))))
+    for one in segments:
+        sure = () if is_given else (f"{one['confidence']:.4f}", "" if one["corrected"] is None else "yes")
+        writer.writerow((f"{one['start_s']:.3f}", f"{one['end_s']:.3f}", one["category"] or "", *sure))
+    return text.getvalue()
 
 
 @router.post("/takes/correct", status_code=201, summary="Say what a part of a take shows; it is learned")

@@ -1,4 +1,8 @@
-"""What people corrected in takes: each correction is a clip of the library, and remembered here for its take."""
+"""What people corrected in takes: each correction is a clip of the library.
+
+Of a take of the library it is a segment of the take, named by hand, and the library knows it (`Library.annotations`). A
+take that was only dropped has no segments: there the part is written as a clip, and remembered here for its take.
+"""
 
 from __future__ import annotations
 
@@ -40,7 +44,7 @@ class Correction:
     start_s, end_s : s.
     category : what it shows.
     clip_id : number of the clip of the library that was made of the part.
-    batch : of the clip's file.
+    batch : of the clip's file; empty where the clip is a segment of the take.
     id : 16 hexadecimal digits.
     made_s : Unix time.
     """
@@ -145,8 +149,48 @@ _LABELS = "labels.csv"
 
 
 def list_corrections(studio: Studio, ref: MotionRef) -> list[Correction]:
-    """What was corrected in a take, under any of its names."""
-    return Corrections(studio.workspace.root).of(_names(studio, ref))
+    """What was corrected in a take, under any of its names, in the order of time."""
+    found = Corrections(studio.workspace.root).of(_names(studio, ref))
+    take = find_take(studio, ref)
+    if take is not None:
+        known = {one.clip_id for one in found}
+        found += [one for one in _list_segments(studio, [take]) if one.clip_id not in known]
+    return sorted(found, key=lambda one: one.start_s)
+
+
+def list_examples(studio: Studio) -> list[int]:
+    """Numbers of all clips that were named by hand in takes."""
+    dropped = [one.clip_id for one in Corrections(studio.workspace.root).all()]
+    return list(dict.fromkeys([*dropped, *(one.clip_id for one in _list_segments(studio))]))
+
+
+def find_take(studio: Studio, ref: MotionRef) -> int | None:
+    """The number of the take of the library that is meant; None where it is none, or not there."""
+    address = ref.address
+    try:
+        if address.clip is not None:
+            clip = studio.library.clips([address.clip])[0]
+        elif address.batch:
+            clip = studio.library.clips([str(studio.motions.path(ref))])[0]
+        else:
+            return None
+    except LibraryLockedError:
+        raise
+    except LibraryError:
+        return None
+    return clip.id if clip.kind == "take" else None
+
+
+def _list_segments(studio: Studio, takes: Sequence[int] | None = None) -> list[Correction]:
+    """Segments that were named by hand, as corrections."""
+    found = []
+    for take in studio.library.annotations.read(takes):
+        name = str(Address(clip=take.take_id))
+        for one in take.segments:
+            if one.by_hand and one.category is not None:
+                number, made_s = f"{one.clip_id:016x}", float(one.clip_id)  # numbers are given out in order
+                found.append(Correction(name, one.start, one.end, one.category, one.clip_id, "", number, made_s))
+    return found
 
 
 def _names(studio: Studio, ref: MotionRef) -> set[str]:
@@ -187,6 +231,9 @@ def learn_correction(studio: Studio, ref: MotionRef, category: str) -> dict[str,
     if named.motion.duration < _SHORTEST:
         raise RefusedError(422, "studio_takes.too_short", least=_SHORTEST, seconds=named.motion.duration)
     _forget_same(studio, ref)
+    take = find_take(studio, ref)
+    if take is not None:
+        return _name_segment(studio, take, named, ref, name)
     batch = studio.workspace.new_batch()
     studio.workspace.keep(batch)
     path = _write_clip(studio, named, ref, batch, name)
@@ -209,6 +256,25 @@ def learn_correction(studio: Studio, ref: MotionRef, category: str) -> dict[str,
         "is_new_category": name in report.new_categories,
         "is_learned": report.n_learned > 0,
         "notes": [say(text) for _, text in report.warnings],
+    }
+
+
+def _name_segment(studio: Studio, take: int, named: Named, ref: MotionRef, category: str) -> dict[str, Any]:
+    """The part of a take of the library, as a segment of it."""
+    start = ref.start_s or 0.0
+    end = ref.end_s if ref.end_s is not None else start + named.motion.duration
+    trained = studio.library.stats().trained_at is not None
+    is_new = category not in studio.library.categories()
+    number = studio.library.annotations.name(take, start, end, category, n_jobs=1)
+    made = [one for one in _list_segments(studio, [take]) if one.clip_id == number]
+    if not made:
+        raise RefusedError(422, "studio_takes.too_short", least=_SHORTEST, seconds=named.motion.duration)
+    return {
+        "correction": made[0].to_json(),
+        "clip": str(Address(clip=made[0].clip_id)),
+        "is_new_category": is_new,
+        "is_learned": trained,
+        "notes": [],
     }
 
 
@@ -254,6 +320,10 @@ def forget_correction(studio: Studio, number: str) -> Correction:
     DousaError : the library cannot be written.
     """
     known = {one.id: one for one in Corrections(studio.workspace.root).all()}
+    segment = next((one for one in _list_segments(studio) if one.id == number), None)
+    if segment is not None and number not in known:
+        studio.library.remove([segment.clip_id])
+        return segment
     if number not in known:
         raise RefusedError(404, "studio_takes.no_correction", number=number[:40])
     correction = known[number]

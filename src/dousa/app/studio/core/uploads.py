@@ -25,6 +25,7 @@ SKELETONS = frozenset({".asf"})
 VIDEOS = frozenset({".mp4", ".avi", ".mov", ".mkv", ".webm", ".m4v"})
 PICTURES = frozenset({".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff"})
 TABLES = frozenset({".toml", ".xml", ".yaml", ".yml", ".json", ".csv", ".txt"})
+LABELS = frozenset({".eaf", ".textgrid"})
 _ARCHIVE = ".zip"
 
 _BOXES = frozenset({b"ftyp", b"moov", b"mdat", b"free", b"skip", b"wide", b"pnot"})  # the first one of MP4 and MOV
@@ -124,7 +125,7 @@ class _Room:
 
 def _check_suffix(name: str) -> str:
     suffix = Path(name).suffix.lower()
-    if suffix not in MOTIONS | SKELETONS | VIDEOS | PICTURES | TABLES | {_ARCHIVE}:
+    if suffix not in MOTIONS | SKELETONS | VIDEOS | PICTURES | TABLES | LABELS | {_ARCHIVE}:
         if suffix:
             raise RefusedError(415, "studio_files.other_kind", suffix=suffix)
         raise RefusedError(415, "studio_files.no_suffix")
@@ -154,6 +155,8 @@ def _check_content(path: Path, name: str) -> None:
         ".dae": is_text and starts[:1] == b"<",
         ".mvnx": is_text and starts[:1] == b"<",
         ".tsv": is_text,
+        ".eaf": is_text and starts[:1] == b"<",
+        ".textgrid": is_text or head[:2] in (b"\xff\xfe", b"\xfe\xff"),
         ".glb": head[:4] == b"glTF",
         ".vrm": head[:4] == b"glTF",
         ".vrma": head[:4] == b"glTF",

@@ -17,7 +17,7 @@ _MOST_DRAWN = 2_000  # clips whose figures are made ahead; a longer list gets it
 
 
 def add(request: dict[str, Any], context: Context) -> dict[str, Any]:
-    """Add a batch; ``request``: batch, kind, category_from, performer_from, unit, up, joint_map."""
+    """Add a batch; ``request``: batch, kind, category_from, performer_from, labels, tier, unit, up, joint_map."""
     from dousa.formats.motion_files import ReadOptions
 
     folder = context.home / "files" / str(request["batch"])
@@ -28,6 +28,8 @@ def add(request: dict[str, Any], context: Context) -> dict[str, Any]:
             kind=request["kind"],
             category_from=_inside(request.get("category_from"), folder),
             performer_from=_inside(request.get("performer_from"), folder),
+            labels_from="beside" if request.get("labels") else None,
+            tier=request.get("tier"),
             options=ReadOptions(request.get("joint_map"), request.get("unit"), request.get("up")),
             progress=lambda done, total, path: context.progress(done, total, Path(str(path)).name),
         )
@@ -115,19 +117,19 @@ def _find_character(library: Library, motion: str, home: Path) -> Path:
 
 def label(studio: Studio, request: dict[str, Any], context: Context) -> dict[str, Any]:
     """Label a take, with all that was ever corrected; ``request``: take (a `MotionRef`), threshold."""
-    from dousa.app.studio.content.corrections import Corrections
+    from dousa.app.studio.content.corrections import list_examples
 
     take = MotionRef.model_validate(request["take"])
-    corrections = Corrections(context.home).all()
+    examples = list_examples(studio)
     context.progress(0, 1, PurePath(take.motion).name)
     revision = studio.library.stats().revision
     answer = studio.library.label(
         studio.motions.query(take),
         threshold=request.get("threshold"),
-        examples=[one.clip_id for one in corrections],
+        examples=examples,
         progress=context.progress,
     ).to_json()
-    return {**answer, "take": take.motion, "n_examples": len(corrections), "revision": revision}
+    return {**answer, "take": take.motion, "n_examples": len(examples), "revision": revision}
 
 
 def evaluate(studio: Studio, request: dict[str, Any], context: Context) -> dict[str, Any]:

@@ -2,7 +2,8 @@
 
 import { h, icon, t } from "./dom.js";
 
-/** What a file dialogue offers where a motion is wanted; the studio looks at what comes. */
+/** What a file dialogue offers where labels or a motion are wanted; the studio looks at what comes. */
+export const LABEL_FILES = ".eaf,.TextGrid,.csv,.tsv";
 export const MOTION_FILES = ".bvh,.amc,.asf,.c3d,.trc,.npz,.npy,.pkl,.csv,.tsv,.json,.vmd,.mvnx,.fbx,.dae,.glb,.gltf,.vrm,.vrma,.zip";
 
 async function readEntry(entry, prefix, found) {

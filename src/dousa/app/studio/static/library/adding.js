@@ -3,7 +3,7 @@
 
 import { post, uploadAll } from "../core/api.js";
 import { foot, openDialog } from "../core/dialog.js";
-import { dropZone, MOTION_FILES, refusedList } from "../core/drop.js";
+import { dropZone, LABEL_FILES, MOTION_FILES, refusedList } from "../core/drop.js";
 import { h, language, t } from "../core/dom.js";
 import { followJob, isActive, stopJob } from "../core/jobs.js";
 import { attempt, notify } from "../core/notices.js";
@@ -13,6 +13,7 @@ import { report } from "./report.js";
 
 const count = new Intl.NumberFormat(language);
 const MOTION = /\.(bvh|amc|c3d|trc|npz|npy|pkl|csv|tsv|json|vmd|mvnx|fbx|dae|glb|gltf|vrm|vrma)$/i;
+const TABLE = /\.(eaf|textgrid|csv|tsv)$/i; // that the labels of takes may be in
 const remembered = (id) => `dousa-refused-${id}`; // what an upload refused, for the report of its job
 let open = null;
 
@@ -47,7 +48,7 @@ export function openAdding({ entries, jobId, hooks }) {
   else body.replaceChildren(zone((more) => open.take(more)));
 }
 
-export const zone = (onEntries, id = "add-files") => dropZone(onEntries, { accept: MOTION_FILES, folders: true, hint: t("add_hint"), id });
+export const zone = (onEntries, id = "add-files") => dropZone(onEntries, { accept: `${MOTION_FILES},${LABEL_FILES}`, folders: true, hint: t("add_hint"), id });
 
 // --- upload
 
@@ -93,7 +94,8 @@ function question(state) {
     state.body.replaceChildren(h("p", { role: "status" }, t("no_motions")), refusedList(state.refused) ?? "", zone((more) => state.take(more)));
     return;
   }
-  const how = askHow(motions.map((file) => file.name));
+  const tables = state.files.filter((file) => !file.motion && TABLE.test(file.name));
+  const how = askHow(motions.map((file) => file.name), tables.map((file) => file.name));
   const go = h("button", { type: "submit", class: "primary", id: "add-go" }, t("add_go", { count: count.format(motions.length) }));
   const form = h(
     "form",

@@ -26,6 +26,7 @@ export function report(job, refused, { close, hooks }) {
   return [
     h("p", { role: "status", id: "add-report", class: "report-head" }, fresh ? icon("mark") : null, t(fresh ? "added_head" : "added_nothing", { count: count.format(fresh), seconds: result.seconds.toFixed(1) })),
     tally(result),
+    result.labelled?.length ? h("p", { class: "note", id: "add-labelled" }, t("labelled", { count: count.format(result.labelled.length), segments: count.format(result.n_segments) })) : null,
     lost(refused, result.skipped),
     pairs("duplicates_title", result.duplicates, (item) => [item.path, t("same_as", { name: item.same_as })]),
     pairs("warnings_title", result.warnings, (item) => [item.path, item.warning]),

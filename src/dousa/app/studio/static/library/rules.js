@@ -3,26 +3,31 @@
 import { h, t } from "../core/dom.js";
 
 const SHOWN = 5;
+const SURE = /\.(eaf|textgrid|labels\.[ct]sv|boris\.[ct]sv)$/i; // hold nothing but labels
 const RULES = { folder: "folder", first_folder: "path:^([^/]+)/", none: "none" };
 
-/** names: of the files that came -> {element, value: for POST /jobs/add} */
-export function askHow(names) {
+/** names: of the motions that came, tables: of files that labels may be in -> {element, value: for POST /jobs/add} */
+export function askHow(names, tables = []) {
   const folders = names.some((name) => name.includes("/"));
   const kind = choice("add-kind", ["clip", "take"].map((name) => [name, t(`add_as_${name}`)]), "clip");
   const category = rule("category", ["folder", "name", "none"], folders ? "folder" : "none", "^([A-Za-z]+)");
   const performer = rule("performer", ["none", "first_folder", "name"], "none", "_([A-Za-z]+[0-9]*)");
   const unit = h("select", { id: "add-unit" }, ...["", "m", "cm", "mm", "inch", "cmu"].map((name) => h("option", { value: name }, t(`unit_${name || "file"}`))));
+  const beside = h("input", { type: "checkbox", id: "add-labels", checked: tables.some((name) => SURE.test(name)) });
+  const labels = h("label", { class: "check" }, beside, t("labels_beside", { count: tables.length }));
   const preview = h("div", { class: "preview" });
   const element = h(
     "div",
     { class: "stack" },
     kind.element,
+    labels,
     h("div", { class: "option-row" }, category.element, performer.element),
     preview,
     h("details", {}, h("summary", {}, t("options")), h("label", { class: "field narrow" }, t("unit"), unit)),
   );
   const renew = () => {
     category.element.hidden = kind.value === "take";
+    labels.hidden = kind.value !== "take" || !tables.length;
     preview.replaceChildren(...look(names, kind.value === "take" ? null : category, performer));
   };
   element.addEventListener("input", renew);
@@ -31,6 +36,7 @@ export function askHow(names) {
     element,
     get value() {
       const said = { kind: kind.value, performer_from: performer.value, category_from: kind.value === "take" ? "none" : category.value };
+      if (!labels.hidden && beside.checked) said.labels = true;
       return unit.value ? { ...said, unit: unit.value } : said;
     },
   };

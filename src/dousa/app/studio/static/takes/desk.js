@@ -34,7 +34,8 @@ export class Desk {
     if (tone) swatch.style.setProperty("--hue", tone.hue);
     this.what.replaceChildren(swatch, segment.unknown ? t("unknown") : segment.category);
     const percent = Math.round(100 * segment.confidence);
-    this.sure.textContent = segment.corrected ? t("timeline_corrected") : t(segment.unknown ? "sure_unknown" : "sure", { percent });
+    const sure = segment.confidence == null ? t("given") : t(segment.unknown ? "sure_unknown" : "sure", { percent });
+    this.sure.textContent = segment.corrected ? t("timeline_corrected") : sure;
   }
 
   setPart(part) {

@@ -1,10 +1,10 @@
-// The page of takes: the labels of a long recording over its figure; corrections are learned.
+// The page of takes: the labels of a long recording over its figure; corrections are learned. Labels that lie beside a
+// take, in a table, are dropped with it or onto it, and shown in the place of those that are recognised.
 
-import { get, post, remove } from "../core/api.js";
+import { get, post, remove, uploadAll } from "../core/api.js";
 import { $, baseName, formatSeconds, h, icon, language, t } from "../core/dom.js";
-import { acceptDrops, dropZone, MOTION_FILES } from "../core/drop.js";
+import { acceptDrops, dropZone, LABEL_FILES, MOTION_FILES } from "../core/drop.js";
 import { followJob, finished, isActive, stopJob } from "../core/jobs.js";
-import { takeMotions } from "../core/incoming.js";
 import { attempt, notify } from "../core/notices.js";
 import { pickClips } from "../core/pick.js";
 import { createTimeline } from "../core/timeline.js";
@@ -14,6 +14,8 @@ import { drawSegments, markSegment } from "./segments.js";
 
 const [LONG, SEEN] = [150, 75]; // s: of a longer take so much is shown at first
 
+const TABLE = /\.(eaf|textgrid|csv|tsv|txt)$/i; // that labels may be in
+
 const TITLE = document.title;
 
 let library = null;
@@ -21,7 +23,8 @@ let motion = null; // the take that is shown
 let info = null;
 let player = null;
 let timeline = null;
-let labels = []; // stretches with corrections
+let labels = []; // stretches with corrections, or those that were given
+let wantsGiven = true; // shows the given labels where there are some
 let jobShown = null;
 
 const desk = new Desk($("#now"), {
@@ -49,7 +52,7 @@ async function show(name, at) {
   else makePlayer(data);
   $("#take-name").textContent = info.name;
   document.title = `${info.name} - ${t("page_takes")} - dousa`;
-  drawTools();
+  drawTools(null);
   seek(at ?? 0);
   if (info.duration_s > LONG) timeline.show(Math.max((at ?? 0) - 10, 0), Math.max((at ?? 0) - 10, 0) + SEEN);
   const known = await load();
@@ -100,13 +103,18 @@ function choose(segment) {
   desk.setPart({ start: segment.start_s, end: segment.end_s });
 }
 
+/** Given stretches that have a name, as the timeline and the table take them. */
+const named = (segments) => segments.filter((one) => one.category).map((one) => ({ ...one, unknown: false, confidence: null, corrected: null }));
+
 const kindOf = (one) => (one.corrected ? "corrected" : one.unknown ? "unknown" : "known");
 
 async function load() {
   const name = motion;
   const answer = await get("/takes/labels", { motion: name });
   if (name !== motion) return answer;
-  labels = answer.labels?.segments ?? [];
+  const given = wantsGiven ? answer.given : null;
+  drawTools(answer.given);
+  labels = given ? named(given.segments) : (answer.labels?.segments ?? []);
   const shown = labels.length ? labels : answer.corrections.map((one) => ({ ...one, corrected: one.id, confidence: 1 }));
   const segments = shown.map((one) => ({ start: one.start_s, end: one.end_s, label: one.category, kind: kindOf(one), confidence: one.confidence }));
   timeline.setSegments(segments);
@@ -115,7 +123,8 @@ async function load() {
   desk.setCorrections(answer.corrections);
   const unknown = labels.reduce((sum, one) => sum + (one.unknown ? one.end_s - one.start_s : 0), 0);
   const facts = { duration: formatSeconds(info.duration_s), count: labels.length, unknown: Math.round((100 * unknown) / info.duration_s) };
-  $("#take-facts").textContent = labels.length ? t("facts", facts) : formatSeconds(info.duration_s);
+  const said = given ? t("facts_given", { ...facts, source: given.source }) : t("facts", facts);
+  $("#take-facts").textContent = labels.length ? said : formatSeconds(info.duration_s);
   player.seek(player.time); // tells what is now
   return answer;
 }
@@ -173,14 +182,25 @@ async function undo(id) {
 
 // --- choosing a take
 
-function drawTools() {
-  const download = (kind) => h("a", { class: "button small", href: `/api/takes/export?${new URLSearchParams({ motion, format: kind })}`, download: "", title: t("export_title", { kind: kind.toUpperCase() }), id: `export-${kind}` }, icon("download"), t(`export_${kind}`));
-  const add = motion.startsWith("file:") ? h("button", { type: "button", class: "small", id: "add-take", onclick: () => attempt(addTake) }, icon("folder"), t("add_take")) : null;
-  $("#take-tools").replaceChildren(...[add, h("button", { type: "button", class: "small", id: "label-again", onclick: () => label() }, t("label_again")), download("csv"), download("json")].filter(Boolean));
+function drawTools(given) {
+  const shows = Boolean(given) && wantsGiven;
+  const download = (kind) => h("a", { class: "button small", href: `/api/takes/export?${new URLSearchParams({ motion, format: kind, given: shows })}`, download: "", title: t("export_title", { kind: t(`export_${kind}`) }), id: `export-${kind}` }, icon("download"), t(`export_${kind}`));
+  const button = (id, name, word, action, pressed = null) => h("button", { type: "button", class: "small", id, "aria-pressed": pressed, onclick: action }, ...(name ? [icon(name)] : []), t(word));
+  const add = motion.startsWith("file:") ? button("add-take", "folder", "add_take", () => attempt(() => addTake(motion).then((found) => found && open(found, null, player.time)))) : null;
+  const change = () => {
+    wantsGiven = !wantsGiven;
+    attempt(load);
+  };
+  const which = given ? button("show-given", "tag", "show_given", change, String(shows)) : null;
+  const input = h("input", { type: "file", class: "sr", tabindex: "-1", "aria-hidden": "true", accept: LABEL_FILES, id: "labels-file" });
+  input.addEventListener("change", () => take([...input.files].map((file) => ({ file, path: file.name }))).then(() => (input.value = "")));
+  const give = button("give-labels", "upload", "give_labels", () => input.click());
+  $("#take-tools").replaceChildren(...[which, input, give, add, button("label-again", null, "label_again", () => label()), ...["csv", "eaf", "json"].map(download)].filter(Boolean));
 }
 
-async function addTake() {
-  const [batch, name] = [motion.slice(5, 21), motion.slice(22)];
+/** Add a dropped recording to the library; -> its name there. */
+async function addTake(from) {
+  const [batch, name] = [from.slice(5, 21), from.slice(22)];
   const job = await finished((await post("/jobs/add", { batch, kind: "take", category_from: null })).id);
   if (job.state !== "done") throw new Error(job.problem ?? t(`state_${job.state}`));
   const refused = job.result.skipped?.find((item) => item.path.endsWith(name));
@@ -188,7 +208,20 @@ async function addTake() {
   const { items } = await get("/clips", { kind: "take", text: baseName(name), limit: 20 });
   const found = items.find((item) => item.path.endsWith(`${batch}/${name}`)) ?? items[0];
   notify(t("add_take_done", { name: baseName(name) }));
-  if (found) open(found.motion, null, player.time);
+  return found?.motion ?? null;
+}
+
+/** Give a take the labels of an uploaded table; one that was dropped goes into the library for that. */
+async function annotate(onto, batch, table) {
+  const name = onto.startsWith("file:") ? await addTake(onto) : onto;
+  const answer = await post("/takes/annotate", { motion: name, batch, name: table });
+  for (const note of answer.notes) notify(note);
+  notify(t("labels_given", { count: answer.n_segments, name: baseName(table) }));
+  wantsGiven = true;
+  for (const one of answer.given?.segments ?? []) if (one.category) library.categories[one.category] ??= 1;
+  desk.setCategories(Object.keys(library.categories));
+  if (name === motion) await load();
+  else open(name);
 }
 
 function open(name, job = null, at = null) {
@@ -199,8 +232,15 @@ function open(name, job = null, at = null) {
 }
 
 async function take(entries) {
-  const [found] = await takeMotions(entries);
-  if (found) open(found);
+  const came = await attempt(() => uploadAll(entries));
+  if (!came) return;
+  for (const { name, reason } of came.refused) notify(`${name}: ${reason}`, "problem");
+  const recording = came.files.find((file) => file.motion)?.motion;
+  const table = came.files.find((file) => !file.motion && TABLE.test(file.name));
+  const onto = recording ?? motion;
+  if (table && onto) await attempt(() => annotate(onto, came.batch, table.name));
+  else if (recording) open(recording);
+  else if (!came.refused.length) notify(t(table ? "labels_need_take" : "no_motion_file"), "problem");
 }
 
 async function pick() {

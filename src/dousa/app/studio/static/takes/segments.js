@@ -11,6 +11,7 @@ function swatchOf(one, tones) {
 
 function confidence(one) {
   if (one.corrected) return h("span", {}, "✎ ", t("by_hand"));
+  if (one.confidence == null) return t("given");
   const percent = Math.round(100 * one.confidence);
   return h("span", { class: "sure" }, h("span", { class: "track", "aria-hidden": "true" }, h("i", { style: { width: `${percent}%` } })), `${percent} %`);
 }
