@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from oracles.bodies import walking_body
-from oracles.marker_bodies import read_sets, wear
+from oracles.marker_bodies import MarkerSet, read_sets, wear
 
 from dousa.errors import OptionError
 from dousa.formats.registry import read_motion
@@ -271,11 +271,40 @@ def test_parse_up() -> None:
         parse_up("w")
 
 
+def _marker_sets() -> dict[str, MarkerSet]:
+    tables = tomllib.loads((Path(__file__).parents[2] / "oracles/marker_sets.toml").read_text("utf-8"))
+    return {one.title: one for one in read_sets(tables)}
+
+
+@pytest.mark.parametrize("habit", ["y", "z", None])
+@pytest.mark.parametrize("up", ["y", "z"])
+@pytest.mark.parametrize(
+    "title",
+    ["Plug-in Gait, lower body", "Rizzoli, old names", "Plug-in Gait, upper body", "One leg, six degrees of freedom",
+     "One arm", "One arm and trunk, ISB", "Plug-in Gait, no wrists"],
+)  # fmt: skip
+def test_up_of_a_part_of_a_body(title: str, up: str, habit: str | None) -> None:
+    points = canonicalise(walking_body(60)).positions
+    points = points + np.array([0.4, 0.0, 0.3])
+    worn = _in_file(wear(_marker_sets()[title], points, 30.0), 0.001, up)
+    frame = infer_reference_frame(_sample(worn), declared_unit=0.001, default_up=habit, whole=lambda: worn)
+    assert frame.up == up or frame.up_source == "guessed"
+    if "arm" not in title.lower():
+        assert frame.up == up
+
+
+def test_up_of_points_that_nobody_knows_is_a_guess_where_they_stand_otherwise() -> None:
+    cloud = np.random.default_rng(0).uniform(-1, 1, (20, 9, 3)) * [0.3, 0.3, 0.9]
+    points = Trajectories(tuple(f"p{i}" for i in range(9)), cloud, 30.0)
+    frame = infer_reference_frame(points, default_up="y")
+    assert (frame.up, frame.up_source) == ("y", "guessed")
+    assert frame.notes[-1].values["second"] == "z"
+    assert infer_reference_frame(points, default_up="z").up_source == "assumed"
+
+
 @pytest.mark.parametrize(("scale", "source"), [(1.0, "inferred"), (0.75, "assumed"), (1.35, "assumed")])
 def test_a_normalised_body_of_a_pose_estimator_is_made_as_tall_as_people_are(scale: float, source: str) -> None:
-    tables = tomllib.loads((Path(__file__).parents[2] / "oracles/marker_sets.toml").read_text("utf-8"))
-    markers = {one.title: one for one in read_sets(tables)}["Human3.6M"]
-    worn = wear(markers, canonicalise(walking_body()).positions, 30.0)
+    worn = wear(_marker_sets()["Human3.6M"], canonicalise(walking_body()).positions, 30.0)
     frame = infer_reference_frame(worn.replace(positions=scale * worn.positions))
     assert frame.unit_source == source
     true = 1.0 / scale

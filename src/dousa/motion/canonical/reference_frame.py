@@ -221,9 +221,11 @@ def _up_of_a_cloud(
     """The up axis of points that no map knows: what the file or the format says, or the longer extent."""
     if declared is not None:
         return declared, "declared", ()
+    up = guess_from_cloud(sample.positions)
+    if habit is not None and up != habit:
+        return habit, "guessed", (Message("units.guessed_up", up=habit, second=up),)
     if habit is not None:
         return habit, "assumed", ()
-    up = guess_from_cloud(sample.positions)
     return up, "guessed", (Message("units.guessed_up", up=up, second="y" if up == "z" else "z"),)
 
 

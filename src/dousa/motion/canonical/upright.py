@@ -45,6 +45,9 @@ _CENTRED, _CENTRED_SCORE = 0.02, -1.5  # a pelvis at zero along an axis was put 
 _REST, _REST_COSINE, _REST_ALONG_X = 2.9, 0.8, 0.3  # rest poses along x are a habit of drawing bones
 _FALL_SCORE, _GRAVITY = 3.0, 9.81
 _STANDING, _NEARLY_ALL, _MOSTLY, _TUMBLING = 0.8, 0.9, 0.6, 0.5
+# Who lies all the time points anywhere; who stands, along an axis.
+_WEAK = 0.5  # a body of which only an arm is there tells no more than a guess
+_ALIGNED, _ALIGNED_SCORE = 0.97, -1.5
 _REST_AGREES = 0.5  # cosine between the rest pose and the axis that the body stands along
 
 
@@ -69,28 +72,43 @@ class Upright:
         return self.lead >= _CLEAR
 
 
-_TOPS = (("head",), ("neck",), ("left_shoulder", "right_shoulder"), ("pelvis",), ("left_hip",), ("right_hip",),
-         ("left_shoulder",), ("right_shoulder",))  # fmt: skip
-_FEET = (("left_ankle", "right_ankle"), ("left_knee", "right_knee"), ("pelvis",), ("left_ankle",), ("right_ankle",))
+# From where to where a body stands, the surest first; and how much its direction tells: arms hang, but not always.
+_SIDED = ("left", "right")
+_ENDS: tuple[tuple[tuple[str, ...], tuple[str, ...], float], ...] = (
+    *(
+        (top, foot, 1.0)
+        for top in (("head",), ("neck",), ("left_shoulder", "right_shoulder"), ("pelvis",))
+        for foot in (("left_ankle", "right_ankle"), ("left_knee", "right_knee"), ("pelvis",))
+        if top != foot
+    ),
+    *(((top,), (f"{side}_ankle",), 1.0) for top in ("head", "neck", "pelvis") for side in _SIDED),
+    *(((f"{side}_hip",), (f"{side}_ankle",), 1.0) for side in _SIDED),
+    (("neck",), ("spine",), 0.8),
+    (("head",), ("left_shoulder", "right_shoulder"), 0.6),
+    (("head",), ("neck",), 0.6),
+    *(((f"{side}_shoulder",), (f"{side}_elbow",), 0.4) for side in _SIDED),
+)
 
 
-def body_direction(points: FloatArray) -> FloatArray:
-    """Unit vectors (T, 3) from the lowest to the highest part of the body that is there; no rows where none is seen."""
+def body_direction(points: FloatArray) -> tuple[FloatArray, float]:
+    """Unit vectors (T, 3) from the lowest to the highest part of the body that is there, and how much they tell.
+
+    No rows where none is seen. The second is 1 for a trunk or legs, less for a head or an arm.
+    """
     body = points[:, J["head"]] - 0.5 * (points[:, J["left_ankle"]] + points[:, J["right_ankle"]])
     length = np.sqrt(np.einsum("tk,tk->t", body, body))
     if (length > 0).all():
         whole: FloatArray = body / length[:, None]
-        return whole
-    for top in _TOPS:
-        for foot in _FEET:
-            ends = (points[:, [J[joint] for joint in joints]].mean(axis=1) for joints in (top, foot))
-            body = np.subtract(*ends)
-            body = body[~np.isnan(body).any(axis=1)]
-            length = np.sqrt(np.einsum("tk,tk->t", body, body))
-            if len(body) and (length > 0).all():
-                directions: FloatArray = body / length[:, None]
-                return directions
-    return np.zeros((0, 3))
+        return whole, 1.0
+    for top, foot, trust in _ENDS:
+        ends = (points[:, [J[joint] for joint in joints]].mean(axis=1) for joints in (top, foot))
+        body = np.subtract(*ends)
+        body = body[~np.isnan(body).any(axis=1)]
+        length = np.sqrt(np.einsum("tk,tk->t", body, body))
+        if len(body) and (length > 0).all():
+            directions: FloatArray = body / length[:, None]
+            return directions, trust
+    return np.zeros((0, 3)), 0.0
 
 
 def stands_along(points: FloatArray, axis: str, rest: FloatArray | None) -> bool:
@@ -105,8 +123,9 @@ def stands_along(points: FloatArray, axis: str, rest: FloatArray | None) -> bool
     upright = None if rest is None else float(rest @ _VECTORS[axis])
     if upright is not None and upright < _REST_AGREES:
         return False
-    cosines = body_direction(points) @ _VECTORS[axis]
-    if not len(cosines):
+    body, trust = body_direction(points)
+    cosines = body @ _VECTORS[axis]
+    if trust < 1:
         return False
     if upright is not None and upright > _REST_COSINE and axis == "y" and cosines.mean() > _MOSTLY:
         return True
@@ -132,7 +151,7 @@ def _rest_direction(recipe: Recipe, rest_bytes: bytes) -> FloatArray | None:
     size = np.sqrt((trunk @ trunk) * (legs @ legs))
     if not size > 0 or trunk @ legs > -0.7 * size:
         return None
-    found = body_direction(rest)
+    found, _ = body_direction(rest)
     return found[0] if len(found) else None
 
 
@@ -156,16 +175,21 @@ def weigh_axes(
     declared : up axis that the file declares.
     fall : (3,) direction of free fall, from `find_fall`.
     """
-    body = body_direction(points)
+    body, trust = body_direction(points)
     centred = _find_centred(points, height)
-    scores = {}
+    scores, postures = {}, {}
+    aligned = len(body) > 0 and float(np.abs(body.mean(axis=0)).max()) > _ALIGNED
     for axis, vector in _VECTORS.items():
         score = _prior(axis, habit, declared, bare=rest is None)
         if len(body):
             posture = float((body @ vector).mean())
-            score += float(np.interp(posture, *_POSTURE))
+            postures[axis] = posture
+            score += trust * float(np.interp(posture, *_POSTURE))
             fixed = bool(centred["xyz".index(axis[-1])])
             score += _floor_score(points @ vector / height, posture, centred=fixed, pinned=centred.sum() > 1)
+            score += _hover_score(points @ vector / height)
+            if abs(posture) < _LYING and aligned:
+                score += _ALIGNED_SCORE
         if rest is not None and rest @ vector > _REST_COSINE:
             score += _REST if axis[-1] != "x" else _REST_ALONG_X
         if fall is not None:
@@ -177,8 +201,13 @@ def weigh_axes(
         spread = body.var(axis=0)
         order = ("z", "y") if spread[2] > spread[1] else ("y", "z")
         return Upright(*order, 0.0)
+    if trust < _WEAK:
+        return Upright(best, second, 0.0)
     if habit is not None and best != habit and scores[best] - scores[habit] < _CLEAR:
         return Upright(habit, best, 0.0)  # nothing clear speaks against the habit
+    standing = max(postures, key=lambda axis: postures[axis], default=best)
+    if fall is None and postures.get(best, 1.0) < _LYING and postures.get(standing, 0.0) > _STANDING:
+        return Upright(best, standing, 0.0)  # who lies all the time may as well stand along an unusual axis
     return Upright(best, second, scores[best] - scores[second])
 
 
@@ -226,6 +255,19 @@ def _floor_score(along: FloatArray, posture: float, *, centred: bool, pinned: bo
     on_floor = next((value for most, value in _FLOOR_LEVELS if abs(level) <= most), 0.0)
     flat = lying and on_floor > 0 and float(np.percentile(highest - lowest, 90)) < _FLAT
     return score + on_floor + _FLAT_SCORE * flat
+
+
+_HOVER, _HOVER_SCORE = (0.45, 0.95), 1.2  # heights of the body: where shoulders are above a floor at zero
+
+
+def _hover_score(along: FloatArray) -> float:
+    """Whether shoulders without legs below them are as high above zero as those of people who sit or stand."""
+    if not np.isnan(along[:, [J["left_ankle"], J["right_ankle"], J["left_knee"], J["right_knee"]]]).all():
+        return 0.0
+    tops = along[:, [J["neck"], J["left_shoulder"], J["right_shoulder"]]]
+    if np.isnan(tops).all():
+        return 0.0
+    return _HOVER_SCORE if _HOVER[0] < float(np.nanmedian(tops)) < _HOVER[1] else 0.0
 
 
 _FALL_SECONDS, _FALL_TOLERANCE, _LEAST_FALL = 0.12, 0.12, 0.12
