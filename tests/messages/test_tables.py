@@ -38,6 +38,7 @@ FOUND_BY_NAME = (
     "player_single.",
     "player_pair.",
     "relations.",
+    "body_part.",
 )
 WITHOUT_ENTRY = {"system.error"}
 

@@ -372,6 +372,12 @@ def _words(connection: sa.Connection) -> None:
     schema.clip_relations.create(connection)
 
 
+def _parts_of_bodies(connection: sa.Connection) -> None:
+    """Clips that lack joints, and forests that ask about the others."""
+    _add_column(connection, schema.clips, "absent")
+    schema.part_forests.create(connection)
+
+
 def _add_column(connection: sa.Connection, table: sa.Table, name: str) -> None:
     column = sa.schema.CreateColumn(table.c[name]).compile(dialect=connection.dialect)
     connection.execute(sa.DDL(f"ALTER TABLE {table.name} ADD COLUMN {column}"))  # type: ignore[no-untyped-call]
@@ -382,6 +388,7 @@ MIGRATIONS: tuple[Migration, ...] = (
     Migration(2, "takes and feature sets", _takes_and_feature_sets),
     Migration(3, "annotated takes", _annotated_takes),
     Migration(4, "words", _words),
+    Migration(5, "parts of bodies", _parts_of_bodies),
 )
 
 

@@ -11,13 +11,14 @@ import sqlalchemy as sa
 from numpy.typing import NDArray
 
 from dousa.arrays import FloatArray
-from dousa.errors import LibraryDamagedError, LibraryVersionError
+from dousa.errors import LibraryDamagedError, LibraryVersionError, OptionError
 from dousa.library import schema
 from dousa.library.engine import choose_jobs
 from dousa.library.schema import pack, stack, unpack
 from dousa.library.selection import fetch_in, portions
 from dousa.motion import CANONICAL_JOINTS
-from dousa.motion.canonical.joints import CanonicalPoses
+from dousa.motion.canonical.joints import JOINT_INDEX, CanonicalPoses
+from dousa.retrieval.features.partial_bodies import find_absent, hide_joints, order_joints
 from dousa.retrieval.features.posed_motion import SLOWEST_RATE
 
 if TYPE_CHECKING:
@@ -35,12 +36,17 @@ class StoredMotion(CanonicalPoses):
 
     Parameters
     ----------
-    positions : (T, 20, 3) m, of float32 precision.
+    positions : (T, 20, 3) m, of float32 precision; NaN in all frames for joints that are absent.
     frame_rate : Hz.
     height : m, body height.
     """
 
     height: float
+
+    @property
+    def absent(self) -> tuple[str, ...]:
+        """Canonical joints that the body lacks."""
+        return find_absent(self.positions)
 
     def mirror(self) -> StoredMotion:
         """Its mirror image."""
@@ -74,25 +80,36 @@ def round_positions(motion: CanonicalMotion | StoredMotion) -> StoredMotion:
 
 def find_feature_set(name: str) -> FeatureSet:
     """The set of features of this name; LibraryVersionError if a newer dousa trained the library on another."""
-    from dousa.retrieval.features.feature_sets import FEATURE_SETS
+    from dousa.retrieval.features.feature_sets import FEATURE_SETS, get_feature_set
 
-    if name not in FEATURE_SETS:
-        raise LibraryVersionError("library_forest.unknown_features", name=name, known=tuple(FEATURE_SETS))
-    return FEATURE_SETS[name]
+    try:
+        return get_feature_set(name)
+    except OptionError as error:
+        known = tuple(FEATURE_SETS)
+        raise LibraryVersionError("library_forest.unknown_features", name=name, known=known) from error
 
 
 def describe_clip(motion: StoredMotion, feature_set: str) -> Description:
-    """Features and poses of a motion whose positions are rounded."""
+    """Features and poses of a motion whose positions are rounded; joints that the features leave out are hidden."""
     from dousa.retrieval.features.feature_sets import FEATURE_SETS, compute_track
     from dousa.retrieval.features.pose_sequences import compute_window_poses
 
-    # The poses are read from the integrals of the extended features: these are computed once for both.
-    track = compute_track(motion, FEATURE_SETS["extended"])
-    poses = compute_window_poses(track, [0.0], [track.n_frames])[0]
     wanted = find_feature_set(feature_set)
+    seen = hide_joints(motion, wanted.hidden)
+    # The poses are read from the integrals of the extended features: these are computed once for both.
+    track = compute_track(seen, FEATURE_SETS["extended"].without(wanted.hidden))
+    poses = compute_window_poses(track, [0.0], [track.n_frames])[0]
     if wanted is track.feature_set:
         return Description(feature_set, track.describe([0.0], [track.n_frames])[0], poses)
-    return Description(feature_set, wanted.compute(motion), poses)
+    return Description(feature_set, wanted.compute(seen), poses)
+
+
+def lacks(feature_set: str, absent: str) -> bool:
+    """Whether a body without some joints (a row's ``absent``) has less than features of this name look at."""
+    if not absent:
+        return False
+    kind = find_feature_set(feature_set)
+    return kind.without(absent.split()) is not kind
 
 
 _FRAME_BYTES = 4 * 3 * len(CANONICAL_JOINTS)  # as they are stored
@@ -104,7 +121,7 @@ def _select_motion() -> sa.Select[Any]:
     first, length = 1 + _FRAME_BYTES * segments.first_frame, _FRAME_BYTES * clips.n_frames
     part = sa.func.substr(stored.positions, first, length, type_=sa.LargeBinary)
     positions = sa.case((segments.clip_id.is_(None), stored.positions), else_=part).label("positions")
-    own = (clips[name] for name in ("id", "path", "n_frames", "frame_rate", "height"))
+    own = (clips[name] for name in ("id", "path", "n_frames", "frame_rate", "height", "absent"))
     query = sa.select(*own, positions).join(schema.segments, segments.clip_id == clips.id, isouter=True)
     return query.join(schema.clip_trajectories, stored.clip_id == sa.func.coalesce(segments.take_id, clips.id))
 
@@ -142,13 +159,28 @@ def load_trajectories(connection: sa.Connection, ids: Sequence[int]) -> Iterator
 
 
 def _unpack_positions(row: Any) -> FloatArray:
-    positions = unpack(row.positions, "<f4", (row.n_frames, len(CANONICAL_JOINTS), 3), row.path)
-    return positions.astype(np.float64)
+    stored = unpack(row.positions, "<f4", (row.n_frames, len(CANONICAL_JOINTS), 3), row.path)
+    positions: FloatArray = stored.astype(np.float64)
+    if row.absent:
+        positions[:, [JOINT_INDEX[joint] for joint in _read_joints(row)]] = np.nan
+    return positions
+
+
+def _read_joints(row: Any) -> tuple[str, ...]:
+    try:
+        return order_joints(row.absent.split())
+    except OptionError as error:
+        raise LibraryDamagedError("library_clips.joints", path=row.path, problem=error) from error
+
+
+def pack_positions(motion: StoredMotion) -> bytes:
+    """Positions as they are stored."""
+    return pack(np.nan_to_num(motion.positions) if motion.absent else motion.positions, "<f4")
 
 
 def _unpack(row: Any) -> StoredMotion:
     positions = _unpack_positions(row)
-    numbers = row.height, 1 / row.height if row.height else np.inf, row.frame_rate, np.abs(positions).max()
+    numbers = row.height, 1 / row.height if row.height else np.inf, row.frame_rate, np.nanmax(np.abs(positions))
     if not (max(numbers) < BEYOND_MEASURE and min(numbers) >= 0 and row.frame_rate >= SLOWEST_RATE):
         raise LibraryDamagedError(
             "library_clips.impossible", path=row.path, height=row.height, frame_rate=row.frame_rate
@@ -194,7 +226,7 @@ def load_features(
 
     Parameters
     ----------
-    ids : of these clips, in this order; by default of all, in the order of their numbers.
+    ids : of these clips, in this order; by default of all that have the joints, in the order of their numbers.
     n_jobs : clips described at a time.
     progress : called with (clips described, clips to describe).
 
@@ -204,7 +236,7 @@ def load_features(
     """
     kind = find_feature_set(feature_set)
     shape = (kind.n_frames, kind.n_columns)
-    rows = _read_rows(connection, ids)
+    rows = _read_rows(connection, ids, feature_set)
     features = np.zeros((len(rows), *shape))
     stored = [place for place, row in enumerate(rows) if row.feature_set == feature_set]
     read = stack([rows[place].pose_features for place in stored], _FEATURES, shape, "features")
@@ -212,7 +244,7 @@ def load_features(
         raise LibraryDamagedError("library_clips.features_beyond_measure")
     features[stored] = read
     lacking = [row.id for row in rows if row.feature_set != feature_set]
-    computed = _describe(connection, lacking, feature_set, n_jobs, progress)
+    computed = describe_stored(connection, lacking, feature_set, n_jobs, progress)
     for place, row in enumerate(rows):
         if row.id in computed:
             features[place] = computed[row.id].features
@@ -226,20 +258,22 @@ def load_features(
     )
 
 
-def _read_rows(connection: sa.Connection, ids: Sequence[int] | None) -> list[Any]:
+def _read_rows(connection: sa.Connection, ids: Sequence[int] | None, feature_set: str) -> list[Any]:
     clips, table = schema.clips.c, schema.clip_features.c
-    query = sa.select(clips.id, clips.category, clips.performer, clips.height, table.feature_set, table.pose_features)
+    columns = (clips.id, clips.category, clips.performer, clips.height, clips.absent)
+    query = sa.select(*columns, table.feature_set, table.pose_features)
     query = query.join(schema.clip_features, table.clip_id == clips.id, isouter=True)
     query = query.where(clips.kind == schema.CLIP)
     if ids is None:
-        return list(connection.execute(query.order_by(clips.id)))
+        rows = connection.execute(query.order_by(clips.id))
+        return [row for row in rows if not lacks(feature_set, row.absent)]
     found = {row.id: row for row in fetch_in(connection, query, clips.id, ids)}
     if len(found) != len(set(ids)):
         raise LibraryDamagedError("library_clips.clips_missing", expected=len(set(ids)), found=len(found))
     return [found[clip_id] for clip_id in ids]
 
 
-def _describe(
+def describe_stored(
     connection: sa.Connection,
     ids: Sequence[int],
     feature_set: str,
@@ -263,21 +297,24 @@ def _describe(
     return described
 
 
-def load_poses(connection: sa.Connection, ids: Sequence[int]) -> NDArray[np.float32]:
+def load_poses(connection: sa.Connection, ids: Sequence[int], feature_set: str) -> NDArray[np.float32]:
     """(N, cells, columns) pose sequences of clips, in the order of these numbers.
+
+    Parameters
+    ----------
+    feature_set : name of those that the stored forest asks for, with which poses are stored.
 
     Raises
     ------
     LibraryDamagedError : arrays that are of another length, or not finite.
     """
-    from dousa.retrieval.features.feature_sets import DEFAULT_FEATURE_SET
     from dousa.retrieval.features.pose_sequences import POSE_CELLS, POSE_COLUMNS
 
     table = schema.clip_poses.c
     query = sa.select(table.clip_id, table.poses)
     found = {row.clip_id: row.poses for row in fetch_in(connection, query, table.clip_id, ids)}
     lacking = [clip_id for clip_id in ids if clip_id not in found]  # an older dousa trained the library
-    computed = _describe(connection, lacking, DEFAULT_FEATURE_SET)
+    computed = describe_stored(connection, lacking, feature_set)
     poses = np.empty((len(ids), POSE_CELLS, POSE_COLUMNS), np.float32)
     stored = [place for place, clip_id in enumerate(ids) if clip_id in found]
     poses[stored] = stack([found[ids[place]] for place in stored], _POSES, poses.shape[1:], "poses")

@@ -11,19 +11,22 @@ import numpy as np
 import sqlalchemy as sa
 from numpy.typing import NDArray
 
-from dousa.errors import DousaError, LibraryDamagedError, LibraryVersionError, NotTrainedError
+from dousa.errors import DousaError, LibraryDamagedError, LibraryVersionError, NotTrainedError, TrainingError
 from dousa.library import schema
-from dousa.library.features import find_feature_set
+from dousa.library.features import ClipFeatures, find_feature_set
 from dousa.library.schema import pack
 from dousa.library.selection import portions
 
 if TYPE_CHECKING:
     from dousa.arrays import FloatArray
     from dousa.retrieval import MotionForest
+    from dousa.retrieval.features.feature_sets import FeatureSet
     from dousa.retrieval.forest.calibration import Assessor
     from dousa.retrieval.takes.windows import WindowGrid
 
 _FOREST_ID = 1
+
+_MOST_HELD_BACK = 3000  # clips that the rounds of a calibration use: enough for two curves
 
 _TEMPOS = (0.5, 2.0)  # windows from half to twice the length of the clips
 
@@ -50,6 +53,11 @@ class StoredForest:
     assessor: Assessor | None
     revision: int
     learned: int
+
+    @property
+    def hidden(self) -> tuple[str, ...]:
+        """Joints that it does not look at."""
+        return find_feature_set(self.feature_set).hidden
 
     def with_revision(self, revision: int) -> StoredForest:
         """The same forest, trained in this write."""
@@ -199,6 +207,37 @@ def fit_grid(connection: sa.Connection) -> WindowGrid:
     table = schema.clips.c
     query = sa.select(table.duration).where(table.kind == schema.CLIP, table.category.is_not(None))
     return choose_grid(list(connection.execute(query).scalars()) or [1.0], *_TEMPOS)
+
+
+def learn_unknown(
+    forest: MotionForest, clips: ClipFeatures, labelled: Sequence[int], kind: FeatureSet
+) -> Assessor | None:
+    """Tell known motions from unknown ones; None where there are too few clips or categories to learn that.
+
+    Parameters
+    ----------
+    forest : trained on them.
+    clips : those of the library that are trained on, and perhaps others.
+    labelled : places of those that have a category.
+    kind : features that it asks for.
+    """
+    from dousa.retrieval.forest.calibration import Assessor, guess_performers, learn_calibration
+
+    step = -(-len(labelled) // _MOST_HELD_BACK)
+    order = sorted(labelled, key=lambda row: str(clips.categories[row]))
+    rows = order[::step]  # every n-th clip of every category
+    people = guess_performers([clips.heights[row] for row in rows])
+    try:
+        calibration = learn_calibration(
+            forest,
+            clips.features[rows],
+            np.array([clips.categories[row] for row in rows], dtype=np.str_),
+            [clips.performers[row] or guess for row, guess in zip(rows, people, strict=True)],
+            feature_set=kind,
+        )
+    except TrainingError:
+        return None
+    return Assessor(forest, calibration)
 
 
 def replace_forest(connection: sa.Connection, stored: StoredForest, n_clips: int) -> None:

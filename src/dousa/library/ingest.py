@@ -19,10 +19,10 @@ from dousa.errors import DousaError, InvalidMotionError
 from dousa.formats.frame_votes import OVERRULED, FrameClaim, describe_frame
 from dousa.formats.motion_files import ReadOptions, Skipped, describe_problem, is_unicode, read_both, read_canonical
 from dousa.library.engine import check_jobs, choose_jobs
-from dousa.library.features import BEYOND_MEASURE, Description, StoredMotion, describe_clip, round_positions
+from dousa.library.features import BEYOND_MEASURE, Description, StoredMotion, describe_clip, lacks, round_positions
 from dousa.library.schema import CLIP, pack
 from dousa.messages import Message
-from dousa.motion import CanonicalMotion, canonicalise
+from dousa.motion import CANONICAL_JOINTS, CanonicalMotion, canonicalise
 from dousa.retrieval.features.posed_motion import check_frame_rate
 
 if TYPE_CHECKING:
@@ -165,7 +165,7 @@ def read_clip(task: ReadTask) -> ClipRecord | FileRecord | Skipped:
             return FileRecord(row)
         up, unit, notes = task.voted
         told = replace(task.options, up=up or task.options.up, unit=unit or task.options.unit)
-        motion, canonical = read_both(task.path, told)
+        motion, canonical = read_both(task.path, told, whole=False)
         if up or unit:
             kept = tuple(note for note in canonical.warnings if note.code not in OVERRULED)
             canonical = replace(canonical, warnings=(*notes, *kept))
@@ -216,7 +216,9 @@ def make_record(motion: CanonicalMotion, name: str, kind: str) -> ClipRecord:
 
 def _derive(motion: CanonicalMotion, row: dict[str, Any], feature_set: str) -> ClipRecord:
     rounded = round_positions(motion)
-    if not ((np.abs(rounded.positions) < BEYOND_MEASURE).all() and motion.height * BEYOND_MEASURE > 1):
+    absent = rounded.absent
+    there = [row for row, joint in enumerate(CANONICAL_JOINTS) if joint not in absent]
+    if not ((np.abs(rounded.positions[:, there]) < BEYOND_MEASURE).all() and motion.height * BEYOND_MEASURE > 1):
         raise InvalidMotionError("motion_files.beyond_measure")
     check_frame_rate(motion.frame_rate)
     row |= {
@@ -226,8 +228,10 @@ def _derive(motion: CanonicalMotion, row: dict[str, Any], feature_set: str) -> C
         "height": motion.height,
         "joint_table": motion.mapping.table,
         "warnings": [item.to_json() for item in motion.warnings],
+        "absent": " ".join(absent),
     }
-    description = describe_clip(rounded, feature_set) if feature_set else None
+    described = feature_set and not lacks(feature_set, row["absent"])
+    description = describe_clip(rounded, feature_set) if described else None
     return ClipRecord(row, rounded, description)
 
 
@@ -263,8 +267,8 @@ def read_query(
 ) -> CanonicalMotion:
     """A file or a motion on canonical joints."""
     if isinstance(query, str | os.PathLike):
-        return read_canonical(query, options)[0]
-    return query if isinstance(query, CanonicalMotion) else canonicalise(query, options.joint_map, whole=True)
+        return read_canonical(query, options, whole=False)[0]
+    return query if isinstance(query, CanonicalMotion) else canonicalise(query, options.joint_map)
 
 
 def name_query(query: Query) -> str:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
@@ -14,20 +14,23 @@ from dousa.errors import DousaError, LibraryDamagedError, LibraryError, MotionFi
 from dousa.formats.motion_files import ReadOptions
 from dousa.library import schema
 from dousa.library.engine import Database, choose_jobs
-from dousa.library.features import find_feature_set, load_features, load_motions
+from dousa.library.features import StoredMotion, find_feature_set, lacks, load_features, load_motions
 from dousa.library.forests import ForestCache, StoredForest
 from dousa.library.ingest import Query
+from dousa.library.partial.forests import PartForests
 from dousa.library.results import LabelledTake
 from dousa.library.schema import stack
 from dousa.library.selection import fetch_in
 from dousa.library.takes import Describing, Takes, check_single, describe_windows
 from dousa.messages import Message
+from dousa.retrieval.features.partial_bodies import hide_joints
 
 if TYPE_CHECKING:
     from dousa.retrieval import LabelledClip
+    from dousa.retrieval.features.posed_motion import PosedMotion
     from dousa.retrieval.takes.label import TakeLabeller
     from dousa.retrieval.takes.live import LiveLabeller
-    from dousa.retrieval.takes.windows import TakeWindows
+    from dousa.retrieval.takes.windows import TakeWindows, WindowGrid
 
 LearnProgress = Callable[[int, int, Message], None]
 """Called with (steps done, steps, message about the next step)."""
@@ -49,10 +52,12 @@ class _Kept:
 class Labellers:
     """Labels takes; what it labels with is learned where there is none for the present forest."""
 
-    def __init__(self, database: Database, forests: ForestCache, takes: Takes) -> None:
+    def __init__(self, database: Database, forests: ForestCache, takes: Takes, parts: PartForests) -> None:
         self._database = database
         self._forests = forests
         self._takes = takes
+        self._parts = parts
+        self._of_parts: dict[str, tuple[StoredForest, TakeLabeller]] = {}
         self._last: _Kept | None = None
         self._examples: dict[int, TakeWindows] = {}
         self._taught: tuple[tuple[tuple[int, str], ...], TakeLabeller] | None = None
@@ -72,13 +77,35 @@ class Labellers:
         check_single(take)
         stored = self._load()
         labeller = self.get(stored, n_jobs, progress, examples)
+        notes: list[Message] = []
+
+        def choose(
+            absent: Sequence[str],
+        ) -> tuple[tuple[StoredForest, WindowGrid] | None, Message | None]:
+            nonlocal labeller
+            part, note = self._parts.choose(stored, absent, progress)
+            if part is None:
+                return None, note
+            if part is not stored:
+                labeller = self._get_part(part, n_jobs, progress)
+            notes.extend([] if note is None else [note])
+            return (part, labeller.grid), note
+
         with self._database.reading() as connection:
-            describing = Describing(stored, labeller.grid, options, n_jobs)
+            describing = Describing(stored, choose, options, n_jobs)
             chosen, skipped = self._takes.chosen(connection, describing, [take])
         if not chosen:
             raise MotionFileError(str(take), skipped[0].reason)
         timeline = label_take(labeller, chosen[0].windows, threshold=threshold)
-        return LabelledTake(chosen[0].path, chosen[0].clip_id, timeline)
+        return LabelledTake(chosen[0].path, chosen[0].clip_id, timeline, tuple(notes))
+
+    def _get_part(self, part: StoredForest, n_jobs: int | None, progress: LearnProgress | None) -> TakeLabeller:
+        """What takes of bodies that lack joints are labelled with; it stays in memory, and examples do not teach it."""
+        known = self._of_parts.get(part.feature_set)
+        if known is None or known[0] is not part:
+            known = part, self._learn(part, n_jobs, progress)
+            self._of_parts[part.feature_set] = known
+        return known[1]
 
     def live(
         self,
@@ -224,8 +251,13 @@ def _read_clips(connection: sa.Connection, stored: StoredForest) -> tuple[list[L
     from dousa.retrieval import LabelledClip
 
     clips = schema.clips.c
-    query = sa.select(clips.id, clips.path, clips.category, clips.performer).where(clips.kind == schema.CLIP)
-    rows = [row for row in connection.execute(query) if row.category in set(stored.categories)]
+    columns = (clips.id, clips.path, clips.category, clips.performer, clips.absent)
+    query = sa.select(*columns).where(clips.kind == schema.CLIP)
+    rows = [
+        row
+        for row in connection.execute(query)
+        if row.category in set(stored.categories) and not lacks(stored.feature_set, row.absent)
+    ]
     # Every n-th clip of every category.
     rows.sort(key=lambda row: (row.category, row.id))
     chosen = (
@@ -234,8 +266,15 @@ def _read_clips(connection: sa.Connection, stored: StoredForest) -> tuple[list[L
     ids = [row.id for row in chosen]
     return [
         LabelledClip(row.path, row.category, row.performer, motion.positions, motion.frame_rate, motion.height)
-        for row, motion in zip(chosen, load_motions(connection, ids), strict=True)
+        for row, motion in zip(chosen, _complete(load_motions(connection, ids), stored), strict=True)
     ], ids
+
+
+def _complete(motions: Iterable[StoredMotion], stored: StoredForest) -> Iterator[PosedMotion]:
+    """Motions that can be joined to takes: hidden joints get places, though nobody looks at them."""
+    kind = find_feature_set(stored.feature_set)
+    for motion in motions:
+        yield kind.complete(hide_joints(motion, kind.hidden))
 
 
 def _read_labels(connection: sa.Connection, numbers: Sequence[int]) -> tuple[tuple[int, str], ...]:

@@ -29,8 +29,9 @@ if TYPE_CHECKING:
     from dousa.library.export.clip_export import ExportProgress, ExportReport
     from dousa.library.ingest import Query
     from dousa.library.labelling import Labellers, LearnProgress
+    from dousa.library.partial.forests import PartForests
     from dousa.library.results import Classification, FindResult, LabelledTake, SearchResult
-    from dousa.library.search import Searcher
+    from dousa.library.search import PartProgress, Searcher
     from dousa.library.takes import Takes
     from dousa.library.text.answers import TextResult
     from dousa.library.text.index import TextSearcher
@@ -273,8 +274,12 @@ class Library:
         threshold: float | None = None,
         among: Iterable[int] | None = None,
         options: ReadOptions | None = None,
+        progress: PartProgress | None = None,
     ) -> SearchResult:
         """The clips most like a motion, the most similar first; takes are left out.
+
+        A body of which a part is missing, and clips of such bodies, are compared by the joints that both have. The
+        first time that joints are missing which no query lacked before, a forest for the others is learned, and kept.
 
         Parameters
         ----------
@@ -289,28 +294,23 @@ class Library:
             for always.
         among : only clips of these numbers, such as those that ``search_text`` found; None for all.
         options : what the query file does not say.
+        progress : called while a forest for a part of the body is learned, with (steps done, steps, message).
 
         Raises
         ------
         NotTrainedError : there is no forest yet.
         MotionFileError, JointMappingError : the query cannot be used.
+        InvalidMotionError : too little of the body is there.
         LibraryError : no clip of this number, or the library cannot be read.
         OptionError : k below 1, an unknown ranking, a threshold outside 0 to 1.
         """
+        from dousa.library.search import Wanted
         from dousa.retrieval import DEFAULT_RANKING
 
         _check_k(k)
-        return self._searcher.search(
-            query,
-            k,
-            ranking or DEFAULT_RANKING,
-            same_category=same_category,
-            mirror=mirror,
-            explain=explain,
-            threshold=threshold,
-            among=among,
-            options=options or ReadOptions(),
-        )
+        chosen = None if among is None else frozenset(among)
+        wanted = Wanted(k, ranking or DEFAULT_RANKING, same_category, mirror, explain, threshold, chosen)
+        return self._searcher.search(query, wanted, options or ReadOptions(), progress)
 
     def search_text(
         self,
@@ -352,6 +352,7 @@ class Library:
         threshold: float | None = None,
         options: ReadOptions | None = None,
         n_jobs: int | None = None,
+        progress: PartProgress | None = None,
     ) -> list[Classification]:
         """Predict the categories of motion files; they are not added.
 
@@ -363,6 +364,7 @@ class Library:
         threshold : as in ``search``.
         options : what the files do not say.
         n_jobs : files read at a time, as in ``add``.
+        progress : as in ``search``.
 
         Returns
         -------
@@ -380,6 +382,7 @@ class Library:
             threshold=threshold,
             options=options or ReadOptions(),
             n_jobs=n_jobs,
+            progress=progress,
         )
 
     def find(
@@ -391,6 +394,7 @@ class Library:
         mirror: bool = False,
         options: ReadOptions | None = None,
         n_jobs: int | None = None,
+        progress: PartProgress | None = None,
     ) -> FindResult:
         """The places in takes that are most like a motion, at half to twice its tempo.
 
@@ -403,6 +407,7 @@ class Library:
         mirror : look for the mirror image of the query too.
         options : what the files do not say.
         n_jobs : files read, and parts described, at a time; as in ``add``.
+        progress : as in ``search``.
 
         Raises
         ------
@@ -417,7 +422,8 @@ class Library:
         _check_k(k)
         single = (int, str, os.PathLike, CanonicalMotion, Motion, Trajectories)
         chosen = [takes] if isinstance(takes, single) else takes if takes is None else list(takes)
-        return self._takes.find(query, chosen, k, mirror=mirror, options=options or ReadOptions(), n_jobs=n_jobs)
+        options = options or ReadOptions()
+        return self._takes.find(query, chosen, k, mirror=mirror, options=options, n_jobs=n_jobs, progress=progress)
 
     def label(
         self,
@@ -479,10 +485,16 @@ class Library:
     # Made when first needed, as what they import takes a while.
 
     @cached_property
-    def _searcher(self) -> Searcher:
-        from dousa.library.search import Searcher
+    def _parts(self) -> PartForests:
+        from dousa.library.partial.forests import PartForests
 
-        return Searcher(self.database, self._forests)
+        return PartForests(self.database)
+
+    @cached_property
+    def _searcher(self) -> Searcher:
+        from dousa.library.partial.search import PartSearcher
+
+        return PartSearcher(self.database, self._forests, self._parts)
 
     @cached_property
     def _text(self) -> TextSearcher:
@@ -494,13 +506,13 @@ class Library:
     def _takes(self) -> Takes:
         from dousa.library.takes import Takes
 
-        return Takes(self.database, self._forests)
+        return Takes(self.database, self._forests, self._parts)
 
     @cached_property
     def _labellers(self) -> Labellers:
         from dousa.library.labelling import Labellers
 
-        return Labellers(self.database, self._forests, self._takes)
+        return Labellers(self.database, self._forests, self._takes, self._parts)
 
     @cached_property
     def annotations(self) -> Annotations:

@@ -115,6 +115,7 @@ class Hit(_Answer):
     rank_distance : what the order goes by; None where the poses decide and were not compared.
     mirrored : whether it is the mirror image of the query that the clip is like.
     likeness : why they are alike, if requested.
+    hidden : canonical joints that were not compared, as one of both bodies lacks them.
     """
 
     path: str
@@ -127,10 +128,16 @@ class Hit(_Answer):
     rank_distance: float | None = None
     mirrored: bool = False
     likeness: Likeness | None = None
+    hidden: tuple[str, ...] = ()
+
+    _names: ClassVar[dict[str, str]] = {"hidden": "compared_without"}
 
     def to_json(self) -> dict[str, Any]:
-        """The hit as a plain dictionary; ``likeness`` only where there is one."""
-        return _without(_Answer.to_json(self), "likeness")
+        """The hit as a plain dictionary; ``likeness`` and ``compared_without`` only where there are any."""
+        answer = _without(_Answer.to_json(self), "likeness")
+        if not self.hidden:
+            del answer["compared_without"]
+        return answer
 
 
 @dataclass(frozen=True, slots=True)
@@ -144,6 +151,7 @@ class SearchResult:
     results : the most similar clips, the most similar first.
     ranking : what they were ordered by, one of ``dousa.retrieval.RANKINGS``.
     mirrored : what it predicts for the mirror image, if requested.
+    notes : what was not compared, where a body lacks joints.
     """
 
     query: str
@@ -151,6 +159,7 @@ class SearchResult:
     results: tuple[Hit, ...]
     ranking: str
     mirrored: Verdict | None = None
+    notes: tuple[Message, ...] = ()
 
     @property
     def category(self) -> str | None:
@@ -170,6 +179,7 @@ class SearchResult:
             **_mirrored_json(self.verdict, self.mirrored),
             "ranking": self.ranking,
             "results": [hit.to_json() for hit in self.results],
+            **_notes_json(self.notes),
         }
 
 
@@ -183,12 +193,14 @@ class Classification:
     verdict : what the forest predicts, None if the file cannot be used.
     mirrored : what it predicts for the mirror image, if requested.
     problem : why the file cannot be used, None if it can.
+    notes : what was not looked at, where the body lacks joints.
     """
 
     path: str
     verdict: Verdict | None
     mirrored: Verdict | None = None
     problem: Message | None = None
+    notes: tuple[Message, ...] = ()
 
     @property
     def category(self) -> str | None:
@@ -206,7 +218,11 @@ class Classification:
             nothing = dict.fromkeys(("category", "histogram", "guess", "known", "confidence"))
             return {"path": self.path, **nothing, "histogram": {}, "problem": str(self.problem)}
         mirrored = _mirrored_json(self.verdict, self.mirrored)
-        return {"path": self.path, **self.verdict.to_json(), **mirrored}
+        return {"path": self.path, **self.verdict.to_json(), **mirrored, **_notes_json(self.notes)}
+
+
+def _notes_json(notes: tuple[Message, ...]) -> dict[str, Any]:
+    return {"notes": [str(note) for note in notes]} if notes else {}
 
 
 def _mirrored_json(verdict: Verdict, mirrored: Verdict | None) -> dict[str, Any]:
@@ -297,6 +313,8 @@ class TrainReport(_Answer):
         where there were too few clips or categories.
     single : categories with one clip: the forest has seen too little to tell them apart.
     seconds : time it took.
+    n_partial : clips that lack joints which it asks about; forests of their own tell them apart.
+    hidden : joints that it does not ask about, as most clips lack them.
     """
 
     feature_set: str
@@ -307,6 +325,8 @@ class TrainReport(_Answer):
     calibration: Calibration | None
     single: tuple[str, ...]
     seconds: float
+    n_partial: int = 0
+    hidden: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -329,6 +349,7 @@ class ClipInfo(_Answer):
     kind : ``"clip"`` or ``"take"``.
     take_id : of a segment, the number of the take that it is a part of; else None.
     start_s, end_s : where it lies in that take.
+    absent : canonical joints that the body lacks.
     """
 
     id: int
@@ -347,6 +368,7 @@ class ClipInfo(_Answer):
     take_id: int | None = None
     start_s: float | None = None
     end_s: float | None = None
+    absent: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -481,6 +503,7 @@ class FindResult(_Answer):
     n_takes, seconds : takes that were looked into, and their duration.
     results : the places most like the query, best first, no two of them the same.
     skipped : takes that could not be used, and why.
+    notes : what was not compared, where a body lacks joints.
     """
 
     query: str
@@ -489,8 +512,16 @@ class FindResult(_Answer):
     seconds: float
     results: tuple[Place, ...]
     skipped: tuple[Skipped, ...]
+    notes: tuple[Message, ...] = ()
 
     _names: ClassVar[dict[str, str]] = {"duration": "duration_s", "seconds": "takes_s"}
+
+    def to_json(self) -> dict[str, Any]:
+        """The answer as plain lists and dictionaries; ``notes`` only where there are any."""
+        answer = _Answer.to_json(self)
+        if not self.notes:
+            del answer["notes"]
+        return answer
 
 
 @dataclass(frozen=True, slots=True)
@@ -502,12 +533,14 @@ class LabelledTake:
     take : its file.
     clip_id : its number in the library, None for a file that is not there.
     timeline : its stretches, one after another without gaps, with their categories and how sure they are.
+    notes : what was not looked at, where the body lacks joints.
     """
 
     take: str
     clip_id: int | None
     timeline: Timeline
+    notes: tuple[Message, ...] = ()
 
     def to_json(self) -> dict[str, Any]:
         """The timeline as plain lists and dictionaries; times in s."""
-        return {"take": self.take, "clip_id": self.clip_id, **self.timeline.to_json()}
+        return {"take": self.take, "clip_id": self.clip_id, **self.timeline.to_json(), **_notes_json(self.notes)}

@@ -70,6 +70,8 @@ clips = sa.Table(
     sa.Column("warnings", sa.JSON, nullable=False),
     sa.Column("added_at", sa.Text, nullable=False),
     sa.Column("kind", sa.Text, nullable=False, server_default=CLIP),
+    # Canonical joints that the body lacks, with spaces between them; empty of a whole one.
+    sa.Column("absent", sa.Text, nullable=False, server_default=""),
 )
 
 
@@ -82,7 +84,7 @@ clip_trajectories = sa.Table(
     "clip_trajectories",
     metadata,
     _clip_id(),
-    # float32, little endian, (n_frames, 20, 3) m
+    # float32, little endian, (n_frames, 20, 3) m; 0 for joints that are absent
     sa.Column("positions", sa.LargeBinary, nullable=False),
 )
 
@@ -183,6 +185,21 @@ forests = sa.Table(
     sa.Column("calibration", sa.LargeBinary),
     # ``TakeLabeller.to_bytes``: learned when a take is first labelled
     sa.Column("labeller", sa.LargeBinary),
+)
+
+part_forests = sa.Table(
+    "part_forests",
+    metadata,
+    # Name of the features that it asks for, such as ``extended without left_hand right_hand``.
+    sa.Column("feature_set", sa.Text, primary_key=True),
+    # Of what it has learned: it is learned anew from other clips, categories or parameters.
+    sa.Column("learned_from", sa.String(64), nullable=False),
+    sa.Column("forest", sa.LargeBinary, nullable=False),
+    sa.Column("calibration", sa.LargeBinary),
+    # What it says of the clips that have its joints: int32 numbers (N,), int32 leaves (N, n_trees), float32 poses.
+    sa.Column("clip_ids", sa.LargeBinary, nullable=False),
+    sa.Column("leaves", sa.LargeBinary, nullable=False),
+    sa.Column("poses", sa.LargeBinary, nullable=False),
 )
 
 

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import os
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
+from functools import lru_cache, partial
 from operator import itemgetter
 
 import numpy as np
@@ -19,6 +21,7 @@ from dousa.library.engine import Database, read_revision
 from dousa.library.features import (
     StoredMotion,
     describe_clip,
+    lacks,
     load_features,
     load_motions,
     load_poses,
@@ -29,9 +32,14 @@ from dousa.library.ingest import ClipRecord, Query, ReadTask, is_as_stored, name
 from dousa.library.results import MIRROR_DISTANCE, Classification, Hit, SearchResult, Verdict
 from dousa.library.schema import stack
 from dousa.library.selection import find_row
+from dousa.messages import Message
 from dousa.retrieval.ranking.ranking import RankedClips, RankingQuery, rank_clips
 
-_PoseReader = Callable[[Sequence[int]], NDArray[np.float32]]
+PoseReader = Callable[[Sequence[int]], NDArray[np.float32]]
+"""Gives (n, cells, columns), the pose sequences of clips of n numbers."""
+
+PartProgress = Callable[[int, int, Message], None]
+"""Called with (steps done, steps, message about the next step)."""
 
 _MOST_POSES = 16_384  # kept in memory; some 4 kB each
 
@@ -64,6 +72,7 @@ class SearchIndex:
     labels : category of each clip; the forest's, where nobody gave it one.
     answers : what the trees say of the clips.
     rows : place of each clip number in the above.
+    partial : by number, the joints that clips lack which the forest asks about: they are not among the above.
     """
 
     revision: int
@@ -72,6 +81,7 @@ class SearchIndex:
     labels: tuple[str, ...]
     answers: TreeAnswers
     rows: dict[int, int]
+    partial: dict[int, str] = field(default_factory=dict)
 
     def answers_of(self, clip_id: int) -> TreeAnswers:
         """What the trees say of one clip."""
@@ -89,6 +99,7 @@ def load_index(connection: sa.Connection, revision: int, stored: StoredForest) -
     clips, table = schema.clips.c, schema.clip_leaves.c
     query = sa.select(clips.id, clips.path, clips.category, table.predicted_category, table.leaves)
     query = query.join(schema.clip_leaves, table.clip_id == clips.id)
+    parts = sa.select(clips.id, clips.absent).where(clips.kind == schema.CLIP, clips.absent != "")
     # Sorted here: databases differ in how they order text.
     rows = sorted(connection.execute(query).all(), key=itemgetter(1))
     ids, paths, given, predicted, leaves = zip(*rows, strict=True) if rows else ((),) * 5
@@ -100,6 +111,7 @@ def load_index(connection: sa.Connection, revision: int, stored: StoredForest) -
         labels=tuple(b if a is None else a for a, b in zip(given, predicted, strict=True)),
         answers=answers,
         rows={clip_id: row for row, clip_id in enumerate(ids)},
+        partial={row.id: row.absent for row in connection.execute(parts) if lacks(stored.feature_set, row.absent)},
     )
 
 
@@ -109,8 +121,8 @@ def search_index(
     k: int,
     by: str,
     category: str | None,
-    read_poses: _PoseReader,
-    among: Iterable[int] | None = None,
+    read_poses: PoseReader,
+    among: Collection[int] | None = None,
 ) -> tuple[Hit, ...]:
     """The k clips that are most like a motion, or like its mirror image.
 
@@ -135,24 +147,29 @@ def search_index(
             category in (None, label) and own in wanted for label, own in zip(index.labels, index.ids, strict=True)
         ]
         places = np.flatnonzero(np.array(chosen, dtype=np.bool_))
-    first = [_rank(index, one, k, by, places, read_poses) for one in asked]
+    first = [rank_places(index, one, k, by, places, read_poses)[0] for one in asked]
     if len(first) == 1:
         return tuple(_number(first[0]))
+    return choose_best((hit for hits in first for hit in hits), k)
+
+
+def choose_best(hits: Iterable[Hit], k: int) -> tuple[Hit, ...]:
+    """The nearest k clips among the hits of several searches, each clip once."""
     best: dict[int, Hit] = {}
-    for hit in sorted((hit for hits in first for hit in hits), key=_mirrored_last):
+    for hit in sorted(hits, key=_mirrored_last):
         best.setdefault(hit.clip_id, hit)
     return tuple(_number(list(best.values())[:k]))
 
 
-def _rank(
+def rank_places(
     index: SearchIndex,
     asked: Asked,
     k: int,
     by: str,
     places: NDArray[np.intp] | None,
-    read_poses: _PoseReader,
-) -> list[Hit]:
-    """The first k clips for one motion, among those at some places of the index."""
+    read_poses: PoseReader,
+) -> tuple[list[Hit], FloatArray]:
+    """The first k clips for one motion, among those at some places of the index, and how far each of these is."""
     votes, leaves = index.answers.votes, index.answers.leaves
     rows = np.arange(len(index.ids)) if places is None else places
     clips = RankedClips(
@@ -177,7 +194,7 @@ def _rank(
                 mirrored=asked.mirrored,
             )
         )
-    return hits
+    return hits, ranking.distances
 
 
 def _number_or_none(value: np.float64) -> float | None:
@@ -230,7 +247,7 @@ def _order_histogram(categories: Sequence[str], shares: FloatArray) -> dict[str,
     return {categories[index]: float(shares[index]) for index in order}
 
 
-class _Explaining:
+class Explaining:
     """Explains what one forest says."""
 
     def __init__(self, stored: StoredForest) -> None:
@@ -262,8 +279,24 @@ class _Explaining:
         return tuple(explained)
 
 
-class Searcher:
-    """Answers about whole motions; what was read stays in memory until the revision of the library changes."""
+@dataclass(frozen=True, slots=True)
+class Wanted:
+    """What a search is to give; as in ``Library.search``."""
+
+    k: int
+    ranking: str
+    same_category: bool = False
+    mirror: bool = False
+    explain: bool = False
+    threshold: float | None = None
+    among: frozenset[int] | None = None
+
+
+class Searcher(ABC):
+    """Answers about whole motions; what was read stays in memory until the revision of the library changes.
+
+    What becomes of bodies that lack joints is left to ``partial.search``.
+    """
 
     def __init__(self, database: Database, forests: ForestCache) -> None:
         self._database = database
@@ -272,46 +305,81 @@ class Searcher:
         self._poses: dict[int, NDArray[np.float32]] = {}
 
     def search(
-        self,
-        query: Query,
-        k: int,
-        ranking: str,
-        *,
-        same_category: bool,
-        mirror: bool,
-        explain: bool,
-        threshold: float | None,
-        among: Iterable[int] | None = None,
-        options: ReadOptions,
+        self, query: Query, wanted: Wanted, options: ReadOptions, progress: PartProgress | None = None
     ) -> SearchResult:
         """The clips nearest to a file, a clip or a motion; as ``Library.search``."""
-        check_threshold(threshold)
+        check_threshold(wanted.threshold)
         with self._database.reading() as connection:
             stored = self._forests.load(connection)
             index = self._load_index(connection, stored)
             clip_id = self._find_clip(connection, index, query, options)
-            name = index.paths[index.rows[query]] if isinstance(query, int) else name_query(query)
+            motion: StoredMotion | None = None
             if clip_id is None:
                 assert not isinstance(query, int)
-                motion = round_positions(read_query(query, options))
-                asked = [_ask(stored, motion)]
+                name, motion = name_query(query), round_positions(read_query(query, options))
             else:
-                if mirror or explain:
+                name = self._name(connection, index, query)
+                if wanted.mirror or wanted.explain or index.partial:
                     (motion,) = load_motions(connection, [clip_id])
-                features = load_features(connection, stored.feature_set, [clip_id]).features
-                poses = self._read_poses(connection, [clip_id])[0]
-                asked = [Asked(index.answers_of(clip_id), features, poses)]
-            if mirror:
-                asked.append(_ask(stored, motion.mirror(), mirrored=True))
-            verdicts = [judge(stored, one.answers, one.features, threshold)[0] for one in asked]
-            category = verdicts[0].guess if same_category else None
-            read_poses: _PoseReader = lambda ids: self._read_poses(connection, ids)  # noqa: E731
-            hits = search_index(index, asked, k, ranking, category, read_poses, among)
-            if explain:
-                explaining = _Explaining(stored)
-                verdicts = explaining.verdicts(verdicts, motion)
-                hits = explaining.hits(hits, motion, load_motions(connection, [hit.clip_id for hit in hits]))
-        return SearchResult(name, verdicts[0], hits, ranking, verdicts[1] if mirror else None)
+            whole = motion is None or not lacks(stored.feature_set, " ".join(motion.absent))
+            if whole and not index.partial:
+                return self._search_whole(connection, index, stored, (name, clip_id, motion), wanted)
+        assert motion is not None
+        return self._search_parts((stored, index), (name, motion), wanted, progress)
+
+    @abstractmethod
+    def _search_parts(
+        self,
+        library: tuple[StoredForest, SearchIndex],
+        query: tuple[str, StoredMotion],
+        wanted: Wanted,
+        progress: PartProgress | None,
+    ) -> SearchResult:
+        """The answer where the query, or some of the clips, lack joints that the forest of the library asks about."""
+
+    @abstractmethod
+    def _choose_forest(
+        self, stored: StoredForest, absent: Sequence[str], progress: PartProgress | None
+    ) -> tuple[StoredForest | None, Message | None]:
+        """The forest that is asked about a body, and what it leaves out; or None, and why there is none."""
+
+    def _search_whole(
+        self,
+        connection: sa.Connection,
+        index: SearchIndex,
+        stored: StoredForest,
+        query: tuple[str, int | None, StoredMotion | None],
+        wanted: Wanted,
+    ) -> SearchResult:
+        """The answer where all bodies have the joints that the forest asks about."""
+        name, clip_id, motion = query
+        if clip_id is None:
+            assert motion is not None
+            asked = [ask_forest(stored, motion)]
+        else:
+            features = load_features(connection, stored.feature_set, [clip_id]).features
+            poses = self._read_poses(connection, stored.feature_set, [clip_id])[0]
+            asked = [Asked(index.answers_of(clip_id), features, poses)]
+        if wanted.mirror:
+            assert motion is not None
+            asked.append(ask_forest(stored, motion.mirror(), mirrored=True))
+        verdicts = [judge(stored, one.answers, one.features, wanted.threshold)[0] for one in asked]
+        category = verdicts[0].guess if wanted.same_category else None
+        read_poses = partial(self._read_poses, connection, stored.feature_set)
+        hits = search_index(index, asked, wanted.k, wanted.ranking, category, read_poses, wanted.among)
+        if wanted.explain:
+            assert motion is not None
+            explaining = Explaining(stored)
+            verdicts = explaining.verdicts(verdicts, motion)
+            hits = explaining.hits(hits, motion, load_motions(connection, [hit.clip_id for hit in hits]))
+        return SearchResult(name, verdicts[0], hits, wanted.ranking, verdicts[1] if wanted.mirror else None)
+
+    def _name(self, connection: sa.Connection, index: SearchIndex, query: Query) -> str:
+        if not isinstance(query, int):
+            return name_query(query)
+        if query in index.rows:
+            return index.paths[index.rows[query]]
+        return str(find_row(connection, self._database.where, query).path)
 
     def classify(
         self,
@@ -322,6 +390,7 @@ class Searcher:
         threshold: float | None,
         options: ReadOptions,
         n_jobs: int | None,
+        progress: PartProgress | None = None,
     ) -> list[Classification]:
         """Predict the categories of files; as ``Library.classify``."""
         check_threshold(threshold)
@@ -329,18 +398,26 @@ class Searcher:
             stored = self._forests.load(connection)
         files, missing = find_motion_files(paths)
         tasks = [ReadTask(str(file.path), options, feature_set=stored.feature_set) for file in files]
-        explaining = _Explaining(stored) if explain else None
+        explaining = {stored.feature_set: Explaining(stored)} if explain else None
+        choose = lru_cache(maxsize=None)(lambda absent: self._choose_forest(stored, absent, progress))
         answers: list[Classification] = []
         for item in (*missing, *read_clips(tasks, n_jobs)):
             if isinstance(item, ClipRecord):
-                described = [item.description or describe_clip(item.motion, stored.feature_set)]
+                asked, note = choose(item.motion.absent)
+                if asked is None:
+                    answers.append(Classification(item.path, None, problem=note))
+                    continue
+                known = item.description if asked is stored else None
+                described = [known or describe_clip(item.motion, asked.feature_set)]
                 if mirror:
-                    described.append(describe_clip(item.motion.mirror(), stored.feature_set))
+                    described.append(describe_clip(item.motion.mirror(), asked.feature_set))
                 features = np.stack([one.features for one in described])
-                verdicts = judge(stored, ask_trees(stored, features), features, threshold)
+                verdicts = judge(asked, ask_trees(asked, features), features, threshold)
                 if explaining is not None:
-                    verdicts = explaining.verdicts(verdicts, item.motion)
-                answers.append(Classification(item.path, verdicts[0], verdicts[1] if mirror else None))
+                    own = explaining.setdefault(asked.feature_set, Explaining(asked))
+                    verdicts = own.verdicts(verdicts, item.motion)
+                notes = () if note is None else (note,)
+                answers.append(Classification(item.path, verdicts[0], verdicts[1] if mirror else None, None, notes))
             elif isinstance(item, Skipped):
                 answers.append(Classification(item.path, None, problem=item.reason))
         return answers
@@ -352,7 +429,7 @@ class Searcher:
             self._poses = {}
         return self._index
 
-    def _read_poses(self, connection: sa.Connection, ids: Sequence[int]) -> NDArray[np.float32]:
+    def _read_poses(self, connection: sa.Connection, feature_set: str, ids: Sequence[int]) -> NDArray[np.float32]:
         """(N, cells, columns) pose sequences of clips; those that were read stay, as others ask for them too."""
         kept = self._poses  # the same in all that follows: another thread may begin anew
         missing = [clip_id for clip_id in ids if clip_id not in kept]
@@ -360,15 +437,15 @@ class Searcher:
             kept, missing = {}, list(ids)
             self._poses = kept
         if missing:
-            kept.update(zip(missing, load_poses(connection, missing), strict=True))
-        return np.stack([kept[clip_id] for clip_id in ids]) if len(ids) else load_poses(connection, ids)
+            kept.update(zip(missing, load_poses(connection, missing, feature_set), strict=True))
+        return np.stack([kept[clip_id] for clip_id in ids]) if len(ids) else load_poses(connection, ids, feature_set)
 
     def _find_clip(
         self, connection: sa.Connection, index: SearchIndex, query: Query, options: ReadOptions
     ) -> int | None:
         """The clip that the query is, if it has not changed since it was stored."""
         if isinstance(query, int):
-            if query not in index.rows:
+            if query not in index.rows and query not in index.partial:
                 path = find_row(connection, self._database.where, query).path
                 raise LibraryError("library_search.is_take", library=self._database.where, number=query, path=path)
             return query
@@ -380,12 +457,12 @@ class Searcher:
         table = schema.clips.c
         columns = sa.select(table.id, table.path, table.fingerprint, table.read_options)
         row = connection.execute(columns.where(table.path == path)).one_or_none()
-        if row is None or row.id not in index.rows or not is_as_stored(row, options):
+        if row is None or not (row.id in index.rows or row.id in index.partial) or not is_as_stored(row, options):
             return None
         return int(row.id)
 
 
-def _ask(stored: StoredForest, motion: StoredMotion, mirrored: bool = False) -> Asked:
+def ask_forest(stored: StoredForest, motion: StoredMotion, mirrored: bool = False) -> Asked:
     """What the trees say of a motion that is not stored."""
     described = describe_clip(motion, stored.feature_set)
     features = described.features[None]

@@ -88,9 +88,9 @@ def _below(rows: Sequence[Any], item: str | os.PathLike[str], where: str) -> set
 
 
 def find_row(connection: sa.Connection, where: str, number: int) -> Any:
-    """``path`` and ``kind`` of a clip or take; LibraryError if there is none of this number."""
+    """``id``, ``path``, ``kind`` and ``absent`` of a clip or take; LibraryError if there is none of this number."""
     table = schema.clips.c
-    query = sa.select(table.path, table.kind).where(table.id == number)
+    query = sa.select(table.id, table.path, table.kind, table.absent).where(table.id == number)
     row = connection.execute(query).one_or_none() if schema.is_id(number) else None
     if row is None:
         raise LibraryError("library_clips.no_clip_or_take", library=where, number=number)
@@ -120,7 +120,13 @@ def list_clips(connection: sa.Connection, ids: Sequence[int] | None = None) -> l
     rows: Iterable[Any] = connection.execute(query) if ids is None else fetch_in(connection, query, clips.c.id, ids)
     # Sorted here: databases differ in how they order text.
     return [
-        ClipInfo(**{**row._mapping, "warnings": tuple(map(schema.as_message, row.warnings))})
+        ClipInfo(
+            **{
+                **row._mapping,
+                "warnings": tuple(map(schema.as_message, row.warnings)),
+                "absent": tuple(row.absent.split()),
+            }
+        )
         for row in sorted(rows, key=lambda row: row.path)
     ]
 

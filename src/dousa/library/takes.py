@@ -4,20 +4,24 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import sqlalchemy as sa
 
-from dousa.errors import DousaError, LibraryDamagedError, LibraryError, MotionFileError
+from dousa.errors import DousaError, InvalidMotionError, LibraryDamagedError, LibraryError, MotionFileError
 from dousa.formats.motion_files import ReadOptions, Skipped, find_motion_files, is_unicode
 from dousa.library import schema
 from dousa.library.engine import Database, choose_jobs
-from dousa.library.features import StoredMotion, find_feature_set, load_motions, round_positions
+from dousa.library.features import StoredMotion, find_feature_set, lacks, load_motions, round_positions
 from dousa.library.forests import ForestCache, StoredForest
 from dousa.library.ingest import ClipRecord, Query, ReadTask, is_as_stored, name_query, read_clips, read_query
+from dousa.library.partial.forests import PartForests
 from dousa.library.results import MIRROR_SCORE, FindResult, Place
+from dousa.library.search import PartProgress
 from dousa.library.selection import fetch_in, find_row
+from dousa.messages import Message
+from dousa.retrieval.features.partial_bodies import count_placed, hide_joints
 
 if TYPE_CHECKING:
     from dousa.retrieval.takes.find import Found
@@ -37,7 +41,8 @@ def describe_windows(
     from dousa.retrieval.takes.windows import describe_take
 
     kind = find_feature_set(stored.feature_set)
-    return describe_take(stored.forest, kind, motion, grid or stored.grid, n_jobs=choose_jobs(n_jobs))
+    seen = hide_joints(motion, kind.hidden)
+    return describe_take(stored.forest, kind, seen, grid or stored.grid, n_jobs=choose_jobs(n_jobs))
 
 
 def describe_records(
@@ -49,7 +54,7 @@ def describe_records(
     return {
         (record.path, stored.learned): describe_windows(stored, record.motion, n_jobs).to_bytes()
         for record in records
-        if record.row["kind"] == schema.TAKE
+        if record.row["kind"] == schema.TAKE and not lacks(stored.feature_set, record.row["absent"])
     }
 
 
@@ -65,7 +70,8 @@ def describe_takes(
     ``progress`` is called with (takes described, takes to describe).
     """
     table = schema.clips.c
-    ids = list(connection.execute(sa.select(table.id).where(table.kind == schema.TAKE)).scalars())
+    rows = connection.execute(sa.select(table.id, table.absent).where(table.kind == schema.TAKE))
+    ids = [row.id for row in rows if not lacks(stored.feature_set, row.absent)]
     windows = {clip_id: known[clip_id] for clip_id in ids if known and clip_id in known}
     new = [clip_id for clip_id in ids if clip_id not in windows]
     for done, clip_id in enumerate(new, 1):
@@ -86,10 +92,11 @@ def save_windows(connection: sa.Connection, stored: StoredForest, windows: Mappi
 def refresh_windows(database: Database, stored: StoredForest, n_jobs: int | None) -> None:
     """Describe the takes anew that an earlier state of the forest described; each is written when it is done."""
     clips, table = schema.clips.c, schema.take_windows.c
-    query = sa.select(clips.id).where(clips.kind == schema.TAKE)
+    query = sa.select(clips.id, clips.absent).where(clips.kind == schema.TAKE)
     query = query.join(schema.take_windows, table.clip_id == clips.id, isouter=True)
     with database.reading() as connection:
-        stale = list(connection.execute(query.where(table.learned.is_distinct_from(stored.learned))).scalars())
+        rows = connection.execute(query.where(table.learned.is_distinct_from(stored.learned)))
+        stale = [row.id for row in rows if not lacks(stored.feature_set, row.absent)]
     for clip_id in stale:
         with database.reading() as connection:
             (motion,) = load_motions(connection, [clip_id])
@@ -111,34 +118,51 @@ class ReadTake:
     ----------
     path : its file.
     clip_id : its number in the library, None for a file that is not there.
-    windows : of the present forest.
+    windows : of a forest.
+    stored : that forest: the present one, or one for the joints that take and query have in common.
     """
 
     path: str
     clip_id: int | None
     windows: TakeWindows
+    stored: StoredForest
 
 
 @dataclass(frozen=True, slots=True)
 class Describing:
-    """How takes are described that are not kept: by a forest, in windows of a grid."""
+    """How takes are described that are not kept.
+
+    Parameters
+    ----------
+    stored : the forest of the library.
+    choose : gives the forest for a body that lacks some joints, and the grid of its windows; or None, and why.
+    options : what is said about files.
+    n_jobs : parts described at a time.
+    """
 
     stored: StoredForest
-    grid: WindowGrid
+    choose: Callable[[Sequence[str]], tuple[tuple[StoredForest, WindowGrid] | None, Message | None]]
     options: ReadOptions
     n_jobs: int | None
 
-    def describe(self, motion: StoredMotion) -> TakeWindows:
-        """The windows of a recording."""
-        return describe_windows(self.stored, motion, self.n_jobs, self.grid)
+    def describe(self, path: str, clip_id: int | None, motion: StoredMotion) -> ReadTake | Skipped:
+        """A recording with its windows, or why it has none."""
+        chosen, why = self.choose(motion.absent)
+        if chosen is None:
+            assert why is not None
+            return Skipped(path, why)
+        stored, grid = chosen
+        return ReadTake(path, clip_id, describe_windows(stored, motion, self.n_jobs, grid), stored)
 
 
 class Takes:
     """Looks into takes, and keeps the windows of the library's in memory until the forest or the takes change."""
 
-    def __init__(self, database: Database, forests: ForestCache) -> None:
+    def __init__(self, database: Database, forests: ForestCache, parts: PartForests) -> None:
         self._database = database
         self._forests = forests
+        self._parts = parts
+        self._part_windows: dict[int, tuple[StoredForest, TakeWindows]] = {}
         self._learned: int | None = None
         self._windows: dict[int, TakeWindows] = {}
 
@@ -151,20 +175,35 @@ class Takes:
         mirror: bool,
         options: ReadOptions,
         n_jobs: int | None,
+        progress: PartProgress | None = None,
     ) -> FindResult:
         """The places of takes that are most like a motion; as ``Library.find``."""
         with self._database.reading() as connection:
             stored = self._forests.load(connection)
             name, motion = self._read_query(connection, query, options)
-            skipped: list[Skipped] = []
+
+            def choose(
+                absent: Sequence[str],
+            ) -> tuple[tuple[StoredForest, WindowGrid] | None, Message | None]:
+                part, note = self._parts.choose(stored, {*motion.absent, *absent}, progress)
+                return (None if part is None else (part, stored.grid)), note
+
+            part, note = self._parts.choose(stored, motion.absent, progress)
+            if part is None:
+                assert note is not None
+                raise InvalidMotionError(note)
+            describing = Describing(stored, choose, options, n_jobs)
             if takes is None:
-                chosen = self.all_takes(connection, stored)
+                chosen, skipped = self.all_takes(connection, describing)
             else:
-                describing = Describing(stored, stored.grid, options, n_jobs)
                 chosen, skipped = self.chosen(connection, describing, takes)
-        found = [(place, False) for place in _find(stored, motion, chosen, k)]
+        found = [(place, False) for place in _find(motion, chosen, k)]
         if mirror:
-            found += [(place, True) for place in _find(stored, motion.mirror(), chosen, k)]
+            found += [(place, True) for place in _find(motion.mirror(), chosen, k)]
+        notes = [] if note is None else [note]
+        fewer = sum(take.stored.hidden != part.hidden for take in chosen)
+        if fewer:
+            notes.append(Message("partial.some_takes", n=fewer))
         return FindResult(
             query=name,
             duration=motion.duration,
@@ -172,6 +211,7 @@ class Takes:
             seconds=sum(take.windows.duration for take in chosen),
             results=tuple(_rank(found, chosen, k)),
             skipped=tuple(skipped),
+            notes=tuple(notes),
         )
 
     def _read_query(self, connection: sa.Connection, query: Query, options: ReadOptions) -> tuple[str, StoredMotion]:
@@ -182,15 +222,51 @@ class Takes:
         (motion,) = load_motions(connection, [query])
         return path, motion
 
-    def all_takes(self, connection: sa.Connection, stored: StoredForest) -> list[ReadTake]:
-        """Every take of the library, in the order of their paths; LibraryError where there are none."""
+    def all_takes(self, connection: sa.Connection, describing: Describing) -> tuple[list[ReadTake], list[Skipped]]:
+        """Every take of the library, in the order of their paths; LibraryError where there are none.
+
+        Those that share too little of the body with the query are named.
+        """
         table = schema.clips.c
-        query = sa.select(table.id, table.path).where(table.kind == schema.TAKE)
+        query = sa.select(table.id, table.path, table.absent).where(table.kind == schema.TAKE)
         rows = sorted(connection.execute(query).all(), key=lambda row: row.path)
         if not rows:
             raise LibraryError("library_takes.none", library=self._database.where)
-        windows = self._read(connection, stored, [row.id for row in rows])
-        return [ReadTake(row.path, row.id, windows[row.id]) for row in rows]
+        answers = self._read_rows(connection, describing, rows)
+        return _part_skipped(answers)
+
+    def _read_rows(
+        self, connection: sa.Connection, describing: Describing, rows: Sequence[Any]
+    ) -> list[ReadTake | Skipped]:
+        """Takes of the library: of those that the forest of the library describes the windows are kept."""
+        answers: dict[int, ReadTake | Skipped] = {}
+        kept = []
+        for row in rows:
+            chosen, why = describing.choose(row.absent.split())
+            if chosen is None:
+                assert why is not None
+                answers[row.id] = Skipped(row.path, why)
+            elif chosen[0] is describing.stored:
+                kept.append(row)
+            else:
+                answers[row.id] = ReadTake(
+                    row.path, row.id, self._describe_part(connection, row.id, *chosen), chosen[0]
+                )
+        windows = self._read(connection, describing.stored, [row.id for row in kept])
+        answers.update((row.id, ReadTake(row.path, row.id, windows[row.id], describing.stored)) for row in kept)
+        return [answers[row.id] for row in rows]
+
+    def _describe_part(
+        self, connection: sa.Connection, number: int, stored: StoredForest, grid: WindowGrid
+    ) -> TakeWindows:
+        """Windows of a take by a forest for a part of the body; the last ones stay in memory."""
+        known = self._part_windows.get(number)
+        if known is not None and known[0] is stored and known[1].grid == grid:
+            return known[1]
+        (motion,) = load_motions(connection, [number])
+        windows = describe_windows(stored, motion, None, grid)
+        self._part_windows[number] = stored, windows
+        return windows
 
     def chosen(
         self, connection: sa.Connection, describing: Describing, wanted: Sequence[Query]
@@ -205,24 +281,27 @@ class Takes:
         for item in wanted:
             some: Sequence[ReadTake]
             if isinstance(item, int):
-                some = (self._by_number(connection, describing, item),)
+                some, missing = _part_skipped([self._by_number(connection, describing, item)])
+                skipped += missing
             elif isinstance(item, str | os.PathLike):
                 some, missing = self._by_path(connection, describing, item)
                 skipped += missing
             else:
                 motion = round_positions(read_query(item, describing.options))
-                takes.append(ReadTake(name_query(item), None, describing.describe(motion)))
+                some, missing = _part_skipped([describing.describe(name_query(item), None, motion)])
+                takes += some
+                skipped += missing
                 continue  # motions may have one name
             takes += [take for take in some if take.path not in seen]
             seen.update(take.path for take in some)
         return takes, skipped
 
-    def _by_number(self, connection: sa.Connection, describing: Describing, number: int) -> ReadTake:
+    def _by_number(self, connection: sa.Connection, describing: Describing, number: int) -> ReadTake | Skipped:
         row = find_row(connection, self._database.where, number)
         if row.kind == schema.TAKE:
-            return ReadTake(row.path, number, self._read(connection, describing.stored, [number])[number])
+            return self._read_rows(connection, describing, [row])[0]
         (motion,) = load_motions(connection, [number])
-        return ReadTake(row.path, number, describing.describe(motion))
+        return describing.describe(row.path, number, motion)
 
     def _by_path(
         self, connection: sa.Connection, describing: Describing, path: str | os.PathLike[str]
@@ -234,22 +313,23 @@ class Takes:
             paths, skipped = list(rows), []
         else:
             rows = {name: row for name, row in rows.items() if is_as_stored(row, describing.options)}
-        kept = self._read(connection, describing.stored, [rows[name].id for name in paths if name in rows])
+        kept = dict(zip(rows, self._read_rows(connection, describing, list(rows.values())), strict=True))
         tasks = [ReadTask(name, describing.options, kind=schema.TAKE) for name in paths if name not in rows]
         read = {answer.path: answer for answer in read_clips(tasks, describing.n_jobs)}
-        takes = []
+        takes: list[ReadTake | Skipped] = []
         for name in paths:
             answer = read.get(name)
             if isinstance(answer, ClipRecord):
-                takes.append(ReadTake(name, None, describing.describe(answer.motion)))
+                takes.append(describing.describe(name, None, answer.motion))
             elif name in rows:
-                takes.append(ReadTake(name, rows[name].id, kept[rows[name].id]))
-        return takes, [*skipped, *(answer for answer in read.values() if isinstance(answer, Skipped))]
+                takes.append(kept[name])
+        there, lacking = _part_skipped(takes)
+        return there, [*skipped, *(answer for answer in read.values() if isinstance(answer, Skipped)), *lacking]
 
     def _rows(self, connection: sa.Connection, paths: Sequence[str]) -> dict[str, Any]:
         """Takes of the library, by path."""
         table = schema.clips.c
-        query = sa.select(table.id, table.path, table.fingerprint, table.read_options)
+        query = sa.select(table.id, table.path, table.fingerprint, table.read_options, table.absent)
         query = query.where(table.kind == schema.TAKE)
         names = [path for path in paths if is_unicode(path)]
         return {row.path: row for row in fetch_in(connection, query, table.path, names)}
@@ -283,6 +363,17 @@ class Takes:
         return {clip_id: self._windows[clip_id] for clip_id in ids}
 
 
+def _part_skipped(answers: Iterable[ReadTake | Skipped]) -> tuple[list[ReadTake], list[Skipped]]:
+    takes: list[ReadTake] = []
+    skipped: list[Skipped] = []
+    for answer in answers:
+        if isinstance(answer, Skipped):
+            skipped.append(answer)
+        else:
+            takes.append(answer)
+    return takes, skipped
+
+
 def check_single(take: Any) -> None:
     """MotionFileError for a folder of other than one recording, before any of them is read."""
     if isinstance(take, str | os.PathLike) and os.path.isdir(take):
@@ -291,12 +382,24 @@ def check_single(take: Any) -> None:
             raise MotionFileError(take, "library_takes.not_one_file", n_files=len(files))
 
 
-def _find(stored: StoredForest, motion: StoredMotion, takes: Sequence[ReadTake], k: int) -> list[Found]:
+def _find(motion: StoredMotion, takes: Sequence[ReadTake], k: int) -> list[Found]:
+    """The best places, of takes that are compared by the same joints together."""
     from dousa.retrieval.takes.find import describe_query, find_in_takes
 
-    query = describe_query(stored.forest, find_feature_set(stored.feature_set), motion)
     # Named by their place in the list: two files may have one name, and numbers are compared fast.
-    return find_in_takes(query, [(str(row), take.windows) for row, take in enumerate(takes)], limit=k)
+    groups: dict[int, tuple[StoredForest, list[tuple[str, TakeWindows]]]] = {}
+    for row, take in enumerate(takes):
+        groups.setdefault(id(take.stored), (take.stored, []))[1].append((str(row), take.windows))
+    most = max((count_placed(stored.hidden) for stored, _ in groups.values()), default=1)
+    found: list[Found] = []
+    for stored, some in groups.values():
+        kind = find_feature_set(stored.feature_set)
+        query = describe_query(stored.forest, kind, hide_joints(motion, kind.hidden))
+        # Of a body of which less can be compared, less is known to be alike.
+        share = count_placed(kind.hidden) / most
+        places = find_in_takes(query, some, limit=k)
+        found += places if share == 1.0 else [replace(one, score=one.score * share) for one in places]
+    return found
 
 
 def _rank(found: list[tuple[Found, bool]], takes: Sequence[ReadTake], k: int) -> list[Place]:

@@ -25,7 +25,9 @@ from dousa.library.features import (
     Description,
     describe_clip,
     find_feature_set,
+    lacks,
     load_features,
+    pack_positions,
     save_descriptions,
 )
 from dousa.library.forests import (
@@ -34,6 +36,7 @@ from dousa.library.forests import (
     count_votes,
     find_leaves,
     fit_grid,
+    learn_unknown,
     replace_forest,
     save_answers,
     update_forest,
@@ -46,7 +49,8 @@ from dousa.library.text.store import keep_all_relations, keep_relations
 from dousa.messages import Message
 from dousa.retrieval import MotionForest
 from dousa.retrieval.features.feature_sets import FeatureSet
-from dousa.retrieval.forest.calibration import Assessor, guess_performers, learn_calibration
+from dousa.retrieval.features.partial_bodies import is_comparable
+from dousa.retrieval.forest.calibration import Assessor
 
 if TYPE_CHECKING:
     from dousa.retrieval.forest.growth import Growth
@@ -54,7 +58,7 @@ if TYPE_CHECKING:
 TrainProgress = Callable[[int, int, Message], None]
 
 _STEPS = 5
-_MOST_HELD_BACK = 3000  # clips that the rounds of a calibration use: enough for two curves
+_ENOUGH_WHOLE = 1 / 3  # of the clips: then the forest is one of whole bodies
 
 
 def train_forest(
@@ -89,7 +93,7 @@ def train_forest(
 
     with database.reading() as connection:
         seen = read_revision(connection)
-        _check_categories(database.where, _read_categories(connection))  # before the work
+        kind, n_partial = _choose_joints(database.where, connection, kind)  # before the work
         clips = load_features(connection, kind.name, n_jobs=n_jobs, progress=tell_clips)
         grid = fit_grid(connection)
     labelled, counts = _check_categories(database.where, clips.categories)
@@ -97,7 +101,7 @@ def train_forest(
     categories = np.array([clips.categories[row] for row in labelled], dtype=np.str_)
     forest.fit(clips.features[labelled], categories, feature_set=kind)
     report(2, _STEPS, Message("library_training.calibrating"))
-    assessor = _learn_unknown(forest, clips, labelled, kind)
+    assessor = learn_unknown(forest, clips, labelled, kind)
     names = tuple(str(name) for name in forest.classes_)
     stored = StoredForest(forest, names, kind.name, grid, assessor, 0, 0)
     report(3, _STEPS, Message("library_training.describing_takes"))
@@ -115,30 +119,11 @@ def train_forest(
         categories=counts,
         calibration=None if assessor is None else assessor.calibration,
         single=tuple(name for name, count in counts.items() if count == 1),
+        n_partial=n_partial,
+        hidden=kind.hidden,
         seconds=time.perf_counter() - start,
     )
     return stored, done
-
-
-def _learn_unknown(
-    forest: MotionForest, clips: ClipFeatures, labelled: Sequence[int], kind: FeatureSet
-) -> Assessor | None:
-    """Tell known motions from unknown ones; None where there are too few clips or categories to learn that."""
-    step = -(-len(labelled) // _MOST_HELD_BACK)
-    order = sorted(labelled, key=lambda row: str(clips.categories[row]))
-    rows = order[::step]  # every n-th clip of every category
-    people = guess_performers([clips.heights[row] for row in rows])
-    try:
-        calibration = learn_calibration(
-            forest,
-            clips.features[rows],
-            np.array([clips.categories[row] for row in rows], dtype=np.str_),
-            [clips.performers[row] or guess for row, guess in zip(rows, people, strict=True)],
-            feature_set=kind,
-        )
-    except TrainingError:
-        return None
-    return Assessor(forest, calibration)
 
 
 def _store(
@@ -170,9 +155,29 @@ def _store(
     return stored
 
 
-def _read_categories(connection: sa.Connection) -> list[str | None]:
+def _choose_joints(where: str, connection: sa.Connection, kind: FeatureSet) -> tuple[FeatureSet, int]:
+    """The features that the forest of a library asks for, without joints that most of its clips lack.
+
+    Those of whole bodies, if whole ones are a third of the clips that have a category, and of two categories; else
+    those of the parts that are the most. Returned with the number of clips that have fewer joints.
+    """
     table = schema.clips.c
-    return list(connection.execute(sa.select(table.category).where(table.kind == schema.CLIP)).scalars())
+    rows = connection.execute(sa.select(table.category, table.absent).where(table.kind == schema.CLIP)).all()
+    parts = {row.absent: kind.without(row.absent.split()) if row.absent else kind for row in rows}
+    labelled = [row for row in rows if row.category is not None]
+    counts = Counter(parts[row.absent].name for row in labelled)
+    if counts[kind.name] >= _ENOUGH_WHOLE * len(labelled):
+        counts[kind.name] = len(labelled) + 1
+    by_name = {part.name: part for part in parts.values() if is_comparable(part.hidden)}
+    chosen = kind
+    for name, _ in sorted(counts.items(), key=lambda item: (-item[1], item[0])):
+        taught = {row.category for row in labelled if not lacks(name, row.absent)}
+        if name in by_name and len(taught) > 1:
+            chosen = by_name[name]
+            break
+    own = [row.category for row in rows if not lacks(chosen.name, row.absent)]
+    _check_categories(where, own)
+    return chosen, len(rows) - len(own)
 
 
 def _check_categories(where: str, categories: Sequence[str | None]) -> tuple[list[int], dict[str, int]]:
@@ -331,7 +336,7 @@ def insert_clips(
     rows = [{**record.row, "id": number, "added_at": now} for number, record in numbered.items()]
     connection.execute(sa.insert(schema.clips), rows)
     positions = [
-        {"clip_id": number, "positions": schema.pack(record.motion.positions, "<f4")}
+        {"clip_id": number, "positions": pack_positions(record.motion)}
         for number, record in numbered.items()
         if record.place is None
     ]
@@ -347,9 +352,12 @@ def insert_clips(
     if stored is None:
         return None, Learned()
     learned = Learned()
-    if clips:
-        stored, learned = _insert_answers(connection, clips, stored, revision)
-    recordings = {number: record for number, record in numbered.items() if number not in clips}
+    # Bodies that lack joints that it asks about are told apart by forests of their own, when they are needed.
+    whole = {n: record for n, record in numbered.items() if not lacks(stored.feature_set, record.row["absent"])}
+    answered = {number: record for number, record in clips.items() if number in whole}
+    if answered:
+        stored, learned = _insert_answers(connection, answered, stored, revision)
+    recordings = {number: record for number, record in whole.items() if number not in clips}
     windows = {
         number: takes.get((record.path, stored.learned)) or describe_windows(stored, record.motion).to_bytes()
         for number, record in recordings.items()

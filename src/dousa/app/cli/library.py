@@ -11,7 +11,7 @@ import typer
 from dousa.app import tables
 from dousa.app.cli.options import shared as o
 from dousa.app.output import console, print_json, progress_bar, say, warn
-from dousa.errors import LibraryVersionError, OptionError
+from dousa.errors import LibraryError, LibraryVersionError, OptionError
 from dousa.extras import require
 from dousa.messages import Message
 
@@ -51,6 +51,14 @@ def open_to_read(library: str) -> Library:
     except LibraryVersionError:
         Library.open(library).close()
         return Library.open(library, read_only=True)
+
+
+def open_to_learn(library: str) -> Library:
+    """A library that will be asked, and keeps what it learns for bodies that lack joints, if it can be written."""
+    try:
+        return open_library(library)
+    except LibraryError:
+        return open_to_read(library)
 
 
 def clip_or_path(text: str) -> int | str:
@@ -221,6 +229,12 @@ def train(
     else:
         shares = {"known": calibration.false_alarms, "others": 1 - calibration.misses}
         say(Message("library_cli.calibrated", **shares))
+    if report.hidden:
+        from dousa.retrieval.features.partial_bodies import name_parts
+
+        say(Message("library_cli.hidden", parts=name_parts(report.hidden)))
+    if report.n_partial:
+        say(Message("library_cli.partial", n=report.n_partial))
     if report.n_unlabelled:
         warn(Message("library_cli.unlabelled", n=report.n_unlabelled))
     if report.single:
@@ -272,21 +286,23 @@ def search(
         return
     if picture:
         require("matplotlib", "pictures")
-    with open_to_read(library) as opened:
+    with open_to_learn(library) as opened:
         wanted = clip_or_path(query)
         options = motion_options.load()
         among = _choose_among(opened, text, category, performer)
-        result = opened.search(
-            wanted,
-            k,
-            ranking=rank,
-            same_category=same_category,
-            mirror=mirror,
-            explain=explain,
-            threshold=threshold,
-            among=among,
-            options=options,
-        )
+        with progress_bar() as progress:
+            result = opened.search(
+                wanted,
+                k,
+                ranking=rank,
+                same_category=same_category,
+                mirror=mirror,
+                explain=explain,
+                threshold=threshold,
+                among=among,
+                options=options,
+                progress=progress,
+            )
         if picture:
             from dousa.app.pictures.sheets import draw_search_result
 
@@ -335,10 +351,16 @@ def classify(
 
     Example: dousa classify moves.dousa new/*.bvh
     """
-    with open_to_read(library) as opened:
+    with open_to_learn(library) as opened, progress_bar() as progress:
         options = motion_options.load()
         answers = opened.classify(
-            files, mirror=mirror, explain=explain, threshold=threshold, options=options, n_jobs=jobs
+            files,
+            mirror=mirror,
+            explain=explain,
+            threshold=threshold,
+            options=options,
+            n_jobs=jobs,
+            progress=progress,
         )
     if json:
         print_json([answer.to_json() for answer in answers])

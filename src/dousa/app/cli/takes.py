@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from dousa.app import tables
-from dousa.app.cli.library import Mirror, Query, clip_or_path, open_library, open_to_read
+from dousa.app.cli.library import Mirror, Query, clip_or_path, open_library, open_to_learn
 from dousa.app.cli.options import shared as o
 from dousa.app.output import console, print_json, progress_bar, warn, warn_skipped
 from dousa.errors import InvalidMotionError, OptionError
@@ -58,7 +58,7 @@ def find(
 
     Example: dousa find moves.dousa kick.bvh
     """
-    with open_to_read(library) as opened:
+    with open_to_learn(library) as opened, progress_bar() as progress:
         answer = opened.find(
             clip_or_path(query),
             None if not takes else [clip_or_path(take) for take in takes],
@@ -66,6 +66,7 @@ def find(
             mirror=mirror,
             options=motion_options.load(),
             n_jobs=jobs,
+            progress=progress,
         )
     if json:
         print_json(answer.to_json())

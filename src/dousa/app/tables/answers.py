@@ -171,6 +171,7 @@ def print_classes(out: Console, answers: Sequence[Classification]) -> None:
         if answer.verdict is not None:
             out.print(one_line(f"{answer.path}: {describe_verdict(answer.verdict)}"), markup=False, soft_wrap=True)
             _print_mirrored(out, answer.verdict, answer.mirrored)
+            _print_notes(out, answer.notes)
             _print_reasons(out, answer.verdict.explanation)
 
 
@@ -190,6 +191,12 @@ def _print_mirrored(out: Console, verdict: Verdict, mirrored: Verdict | None) ->
         _say(out, code, verdict=describe_verdict(mirrored))
 
 
+def _print_notes(out: Console, notes: Sequence[Message]) -> None:
+    """What was not compared."""
+    for note in notes:
+        out.print(one_line(f"  {note}"), markup=False, soft_wrap=True)
+
+
 def _print_reasons(out: Console, reasons: Explanation | Likeness | None, indent: str = "  ") -> None:
     for reason in reasons.reasons if reasons is not None else ():
         out.print(one_line(f"{indent}{reason.text}"), markup=False, soft_wrap=True)
@@ -200,21 +207,26 @@ def print_search(out: Console, answer: SearchResult) -> None:
     verdict = answer.verdict
     out.print(one_line(f"{answer.query}: {describe_verdict(verdict)}"), markup=False, soft_wrap=True)
     _print_mirrored(out, verdict, answer.mirrored)
+    _print_notes(out, answer.notes)
     _print_reasons(out, verdict.explanation)
     if not answer.results:
         warn(Message("answers.no_clip_found"))
         return
     side = () if answer.mirrored is None else ("columns.side",)
+    from dousa.retrieval.features.partial_bodies import name_parts
+
+    differ = len({hit.hidden for hit in answer.results}) > 1
     table = _make_table(
         ("columns.rank", "columns.distance", "columns.same_leaf", "columns.poses"),
-        ("columns.category", *side),
+        ("columns.category", *side, *(("columns.without",) if differ else ())),
         "columns.file",
     )
     for hit in answer.results:
         poses = "-" if hit.pose_distance is None else f"{hit.pose_distance:.3f}"
         numbers = (str(hit.rank), f"{hit.distance:.3f}", f"{hit.leaf_share:.0%}", poses)
         side = () if answer.mirrored is None else (_name_side(hit.mirrored),)
-        table.add_row(*numbers, _cell(hit.category or "-"), *side, _cell(hit.path))
+        without = (", ".join(map(str, name_parts(hit.hidden))),) if differ else ()
+        table.add_row(*numbers, _cell(hit.category or "-"), *side, *without, _cell(hit.path))
     out.print(table)
     for hit in answer.results:
         if hit.likeness is not None and hit.likeness.reasons:
@@ -317,6 +329,7 @@ def print_places(out: Console, answer: FindResult, *, mirrored: bool) -> None:
     """A query and the places that are like it; a column says which are mirrored if that was looked for."""
     takes = Message("stats.takes", n=answer.n_takes, minutes=answer.seconds / 60)
     _say(out, "places.query", query=answer.query, seconds=answer.duration, takes=takes)
+    _print_notes(out, answer.notes)
     if not answer.results:
         warn(Message("answers.takes_too_short" if answer.n_takes else "answers.no_takes"))
         return
@@ -332,6 +345,7 @@ def print_places(out: Console, answer: FindResult, *, mirrored: bool) -> None:
 def print_timeline(out: Console, answer: LabelledTake) -> None:
     """What happens in a take, one stretch in a row."""
     out.print(one_line(f"{answer.take}: {answer.timeline.duration:.1f} s"), markup=False, soft_wrap=True)
+    _print_notes(out, answer.notes)
     table = _make_table(("columns.start", "columns.end"), (), "columns.category")
     table.add_column(str(Message("columns.sure")), justify="right")
     for segment in answer.timeline.segments:

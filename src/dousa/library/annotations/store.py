@@ -62,7 +62,7 @@ class AnnotationChanges:
 
 
 _COLUMNS = ("id", "path", "performer", "content_hash", "read_options", "format", "n_frames", "frame_rate", "height",
-            "joint_table", "duration")  # fmt: skip
+            "joint_table", "duration", "absent")  # fmt: skip
 
 
 def annotate_takes(
@@ -266,7 +266,7 @@ def _make_record(row: Any, motion: StoredMotion, segment: Stretch, by_hand: bool
         "duration": (stop - first) / row.frame_rate,
         "warnings": [],
     }
-    same = ("read_options", "performer", "format", "frame_rate", "height", "joint_table")
+    same = ("read_options", "performer", "format", "frame_rate", "height", "joint_table", "absent")
     place = {"take_id": row.id, "first_frame": first, "start_s": segment.start, "end_s": segment.stop}
     return ClipRecord(
         {**values, **{name: getattr(row, name) for name in same}}, part, None, place={**place, "by_hand": by_hand}

@@ -151,10 +151,20 @@ def _means(left: FloatArray, right: FloatArray) -> FloatArray:
     return means
 
 
+TRUNK_SHARE = 0.288
+"""Hips to shoulders as a share of the stature (Winter)."""
+
 # Lengths as shares of the stature. Limbs, between joint centres: de Leva, "Adjustments to Zatsiorsky-Seluyanov's
 # segment inertia parameters", J. Biomechanics 29 (1996), table 4. Widths and trunk: Winter, Biomechanics and motor
 # control of human movement (4th ed. 2009), fig. 4.1.
-_SHARES = {"thigh": 0.2425, "shank": 0.249, "upper_arm": 0.162, "forearm": 0.154, "shoulders": 0.259, "trunk": 0.288}
+_SHARES = {
+    "thigh": 0.2425,
+    "shank": 0.249,
+    "upper_arm": 0.162,
+    "forearm": 0.154,
+    "shoulders": 0.259,
+    "trunk": TRUNK_SHARE,
+}
 
 
 def stature_of_parts(points: FloatArray) -> float:

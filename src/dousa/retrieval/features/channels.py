@@ -41,11 +41,13 @@ class Channel:
     name : in words.
     relation : the words without the direction, the same for all channels that say the same thing.
     unit : of its values.
+    joints : canonical joints without which it has no value, beside those that tell where and how the body stands.
     """
 
     name: str
     relation: str
     unit: str
+    joints: tuple[str, ...] = ()
 
 
 _PLACED = (
@@ -68,6 +70,7 @@ _APART = (
 )
 _FAST = ("head", "left_elbow", "right_elbow", "left_hand", "right_hand", "left_ankle", "right_ankle")
 _POINTING = ("left_hand", "right_hand")
+_FOOT_JOINTS = ("left_ankle", "right_ankle")
 _PLANE_WORDS = ("seen from the front", "seen from the side", "seen from above")
 _DIRECTIONS = ("to the left of", "above", "in front of")
 _WAYS = ("to the left", "upwards", "forwards")
@@ -77,7 +80,7 @@ def _list_channels() -> tuple[Channel, ...]:
     heights, speed, turn = "body heights", "body heights a second", "radians a second"
     return (
         *(
-            Channel(f"{say_joint(joint)} {where} the pelvis", f"{say_joint(joint)} and pelvis", heights)
+            Channel(f"{say_joint(joint)} {where} the pelvis", f"{say_joint(joint)} and pelvis", heights, (joint,))
             for joint, where in product(_PLACED, _DIRECTIONS)
         ),
         *(
@@ -85,19 +88,23 @@ def _list_channels() -> tuple[Channel, ...]:
                 f"distance {say_joint(a)} - {say_joint(b)}",
                 f"distance {say_joint(a)} - {say_joint(b)}",
                 heights,
+                (a, b),
             )
             for a, b in _APART
         ),
-        Channel("pelvis above the lower foot", "pelvis above the lower foot", heights),
+        Channel("pelvis above the lower foot", "pelvis above the lower foot", heights, _FOOT_JOINTS),
         *(Channel(f"body moving {way}", "body moving", speed) for way in _WAYS),
         Channel("body turning to the left", "body turning", turn),
-        *(Channel(f"speed of the {say_joint(joint)}", f"speed of the {say_joint(joint)}", speed) for joint in _FAST),
         *(
-            Channel(f"{say_joint(joint)} curving, {plane}", f"{say_joint(joint)} curving", turn)
+            Channel(f"speed of the {say_joint(joint)}", f"speed of the {say_joint(joint)}", speed, (joint,))
+            for joint in _FAST
+        ),
+        *(
+            Channel(f"{say_joint(joint)} curving, {plane}", f"{say_joint(joint)} curving", turn, (joint,))
             for joint, plane in product(_FAST, _PLANE_WORDS)
         ),
         *(
-            Channel(f"{say_joint(joint)} heading {way}", f"{say_joint(joint)} heading", "share of its speed")
+            Channel(f"{say_joint(joint)} heading {way}", f"{say_joint(joint)} heading", "share of its speed", (joint,))
             for joint, way in product(_POINTING, _WAYS)
         ),
     )
@@ -110,7 +117,7 @@ _PLACED_INDEX = np.array([JOINT_INDEX[joint] for joint in _PLACED])
 _APART_INDEX = np.array([[JOINT_INDEX[joint] for joint in pair] for pair in _APART])
 _FAST_INDEX = np.array([JOINT_INDEX[joint] for joint in _FAST])
 _POINTING_INDEX = np.array([JOINT_INDEX[joint] for joint in _POINTING])
-_FEET = np.array([JOINT_INDEX["left_ankle"], JOINT_INDEX["right_ankle"]])
+_FEET = np.array([JOINT_INDEX[joint] for joint in _FOOT_JOINTS])
 _FIRST_SPEED = [channel.name for channel in CHANNELS].index(f"speed of the {say_joint(_FAST[0])}")
 
 

@@ -7,17 +7,22 @@ is largest (eq. 7).
 ``channels`` over intervals of a clip that is cut into 10 cells of equal movement (see ``tracks``), and the clip's
 duration; split at random thresholds. All three kinds come from integral features: of the values, of their squares, and
 of the values times the time.
+
+A set may leave out some joints, which a part of a body does not have (see ``partial_bodies``): then the values of the
+channels that need them are 0, and nothing is asked about them. Its name says so: ``extended without left_hand``.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+from functools import lru_cache
 from typing import Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from dousa.arrays import FloatArray, IntArray
+from dousa.arrays import BoolArray, FloatArray, IntArray
 from dousa.errors import InvalidMotionError, OptionError
 from dousa.retrieval.features.channel_kernels import read_cells
 from dousa.retrieval.features.channels import (
@@ -29,11 +34,21 @@ from dousa.retrieval.features.channels import (
     sample_positions,
 )
 from dousa.retrieval.features.integral import MEAN, SPREAD, TREND, list_interval_tests
-from dousa.retrieval.features.pose_features import FEATURES, compute_clip_features, compute_pose_features
-from dousa.retrieval.features.posed_motion import PosedMotion, check_motion
+from dousa.retrieval.features.partial_bodies import FRAME_JOINTS, complete_positions, order_joints
+from dousa.retrieval.features.pose_features import FEATURES, Feature, compute_clip_features, compute_pose_features
+from dousa.retrieval.features.posed_motion import PosedMotion, check_shape
 
 N_CELLS = 10
 DURATION = Channel("duration", "duration", "s")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Completed:
+    """A motion of which every joint has a place."""
+
+    positions: FloatArray
+    frame_rate: float
+    height: float
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -47,6 +62,7 @@ class FeatureSet:
     n_frames : T, cells that a clip is cut into.
     kinds : what a tree may ask of a channel over an interval of cells.
     thresholds, n_trials : how trees are grown on it, see ``MotionForest``.
+    hidden : canonical joints that it does not look at, though the whole set does.
     """
 
     name: str
@@ -55,6 +71,35 @@ class FeatureSet:
     kinds: tuple[str, ...]
     thresholds: Literal["best", "random"]
     n_trials: int | Literal["all", "sqrt"] | None
+    hidden: tuple[str, ...] = ()
+
+    @property
+    def base(self) -> str:
+        """The name of the whole set."""
+        return self.name.partition(_WITHOUT)[0]
+
+    @property
+    def answered(self) -> BoolArray:
+        """(C,) which channels need no joint that is hidden."""
+        return np.array([not set(channel.joints) & set(self.hidden) for channel in self.channels], bool)
+
+    @property
+    def needed(self) -> frozenset[str]:
+        """Joints that must have a place."""
+        return _list_needed(self)
+
+    def without(self, joints: Iterable[str]) -> FeatureSet:
+        """The set for bodies that lack some joints; the same set where it never looks at them.
+
+        Parameters
+        ----------
+        joints : canonical joints, beside those that are hidden already.
+
+        Raises
+        ------
+        OptionError : joints that there are not.
+        """
+        return _hide(self.base, order_joints({*self.hidden, *joints}))
 
     @property
     def has_banks(self) -> bool:
@@ -79,7 +124,7 @@ class FeatureSet:
     def tests(self) -> IntArray:
         """(R, 5) everything a tree may ask, see ``list_interval_tests``."""
         count = len(self.channels)
-        columns = np.arange(count)
+        columns = np.flatnonzero(self.answered)
         if not self.has_banks:
             return list_interval_tests([(MEAN, columns, columns)], self.n_frames)
         kinds = [
@@ -107,13 +152,34 @@ class FeatureSet:
         InvalidMotionError : positions that are not finite, or no body height.
         """
         if not self.has_banks:
-            return compute_clip_features(motion, self.n_frames, samples_per_frame)
+            return self.blank(compute_clip_features(self.complete(motion), self.n_frames, samples_per_frame))
         track = compute_track(motion, self)
         cells: FloatArray = track.describe([0.0], [track.n_frames])[0]
         return cells
 
+    def complete(self, motion: PosedMotion) -> PosedMotion:
+        """A motion of which every joint has a place, for what needs them all; hidden ones lie on the pelvis."""
+        points = complete_positions(
+            check_shape(motion.positions, motion.height), motion.height, self.hidden, self.needed
+        )
+        return _Completed(points, motion.frame_rate, motion.height)
 
-_PAPER_CHANNELS = tuple(Channel(feature.name, feature.name, feature.unit) for feature in FEATURES)
+    def blank(self, values: FloatArray) -> FloatArray:
+        """Values (..., C) of the channels, 0 where a joint is hidden; in place."""
+        if self.hidden:
+            values[..., ~self.answered] = 0.0
+        return values
+
+
+def _list_joints(feature: Feature) -> tuple[str, ...]:
+    """What a pose feature is made of; a position is told from the pelvis, which every body has or gets."""
+    return feature.joints[:1] if feature.kind == "position" else feature.joints
+
+
+_WITHOUT = " without "
+_PAPER_CHANNELS = tuple(
+    Channel(feature.name, feature.name, feature.unit, _list_joints(feature)) for feature in FEATURES
+)
 
 FEATURE_SETS: dict[str, FeatureSet] = {
     "paper": FeatureSet("paper", _PAPER_CHANNELS, N_CELLS, ("mean",), "best", None),
@@ -126,10 +192,32 @@ DEFAULT_FEATURE_SET = "extended"
 
 
 def get_feature_set(name: str) -> FeatureSet:
-    """The set of a name; OptionError for one that does not exist."""
-    if name not in FEATURE_SETS:
+    """The set of a name, whole or without some joints; OptionError for one that does not exist."""
+    base, _, hidden = name.partition(_WITHOUT)
+    if base not in FEATURE_SETS:
         raise OptionError("features.unknown", known=tuple(FEATURE_SETS), name=name)
-    return FEATURE_SETS[name]
+    return _hide(base, order_joints(hidden.split())) if hidden else FEATURE_SETS[base]
+
+
+_OF_POSES = frozenset(joint for channel in CHANNELS for joint in channel.joints)
+
+
+@lru_cache(maxsize=256)
+def _list_needed(feature_set: FeatureSet) -> frozenset[str]:
+    asked = _OF_POSES.union(FRAME_JOINTS, *(channel.joints for channel in feature_set.channels))
+    return asked.difference(feature_set.hidden)
+
+
+def _hide(base: str, joints: tuple[str, ...]) -> FeatureSet:
+    """The set without those of the joints that it, or what clips are aligned by, looks at."""
+    hidden = tuple(joint for joint in joints if joint in FEATURE_SETS[base].needed)
+    return _restrict(base, hidden) if hidden else FEATURE_SETS[base]
+
+
+@lru_cache(maxsize=256)
+def _restrict(base: str, hidden: tuple[str, ...]) -> FeatureSet:
+    """One object for each set, so that sets can be compared by identity."""
+    return replace(FEATURE_SETS[base], name=f"{base}{_WITHOUT}{' '.join(hidden)}", hidden=hidden)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -223,11 +311,14 @@ def compute_track(motion: PosedMotion, feature_set: FeatureSet) -> FeatureTrack:
 
     Source: Hamada et al., eq. 4, with the integrals of squares and of moments beside it.
     """
-    sampled = sample_positions(check_motion(motion), motion.frame_rate)
+    points = complete_positions(
+        check_shape(motion.positions, motion.height), motion.height, feature_set.hidden, feature_set.needed
+    )
+    sampled = sample_positions(points, motion.frame_rate)
     if not feature_set.has_banks:
-        poses = compute_pose_features(sampled, motion.height)
+        poses = feature_set.blank(compute_pose_features(sampled, motion.height))
         return FeatureTrack(feature_set, np.arange(len(poses) + 1.0), _integrate(poses))
-    times, integrals = integrate_channels(compute_channels(sampled, motion.height))
+    times, integrals = integrate_channels(feature_set.blank(compute_channels(sampled, motion.height)))
     return FeatureTrack(feature_set, times, integrals)
 
 

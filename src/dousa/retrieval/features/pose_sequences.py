@@ -3,8 +3,8 @@
 A clip is cut into 16 cells that are equally long in motion time (see ``tracks``). Each cell holds the mean, over its
 time, of the places of 12 joints in the body-fixed system, and of how fast the body moves and turns, all in body heights
 and seconds. The numbers are scaled so that the Euclidean distance of two cells is the root mean square over the joints
-of how far apart they are, in body heights; a movement counts by how far it goes in 0.3 s, a turn by its radians in that
-time.
+(those that are looked at) of how far apart they are, in body heights; a movement counts by how far it goes in 0.3 s, a
+turn by its radians in that time.
 
 All of it is read from the integrals of a ``FeatureTrack``, so a window of a long recording costs no more than a clip.
 """
@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from dousa.arrays import IndexArray
+from dousa.arrays import FloatArray, IndexArray
 from dousa.errors import OptionError
 
 if TYPE_CHECKING:
@@ -80,7 +80,7 @@ def compute_window_poses(track: FeatureTrack, starts: ArrayLike, stops: ArrayLik
     share = edges[:, :, None] - below
     summed = track.integrals[below, columns] * (1.0 - share) + track.integrals[below + 1, columns] * share
     means = np.diff(summed, axis=1) * (POSE_CELLS / (end - begin))[:, None, None]
-    found: NDArray[np.float32] = (means * _SCALE).astype(np.float32)
+    found: NDArray[np.float32] = (means * _find_scale(track)).astype(np.float32)
     return found
 
 
@@ -91,6 +91,14 @@ _JOINTS = (
 )
 _RELATIONS = (*(f"{joint} and pelvis" for joint in _JOINTS), "body moving", "body turning")
 _SCALE = np.append(np.ones(3 * N_JOINTS), np.full(N_MOVING, MOVING_SECONDS)) / np.sqrt(N_JOINTS)
+
+
+def _find_scale(track: FeatureTrack) -> FloatArray:
+    """(POSE_COLUMNS,) so that distances stay root mean squares over the joints that are looked at."""
+    hidden = track.feature_set.hidden
+    n_hidden = sum(joint.replace("_", " ").replace("ankle", "foot") in _JOINTS for joint in hidden)
+    scale: FloatArray = _SCALE * np.sqrt(N_JOINTS / max(N_JOINTS - n_hidden, 1)) if n_hidden else _SCALE
+    return scale
 
 
 def _find_columns(track: FeatureTrack) -> IndexArray:

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from dousa.arrays import FloatArray, IndexArray, IntArray
 from dousa.errors import InvalidMotionError, OptionError
-from dousa.retrieval.features.posed_motion import check_motion
+from dousa.retrieval.features.posed_motion import check_shape
 from dousa.retrieval.takes.windows import N_PARTS, TAKE_RATE, TakeWindows, compute_small_poses
 
 if TYPE_CHECKING:
@@ -102,7 +102,9 @@ def describe_query(forest: MotionForest, feature_set: FeatureSet, motion: PosedM
     """
     from dousa.retrieval.features.channels import sample_positions
 
-    poses = compute_small_poses(sample_positions(check_motion(motion), motion.frame_rate), motion.height)
+    points = check_shape(motion.positions, motion.height)
+    sampled = sample_positions(points, motion.frame_rate)
+    poses = compute_small_poses(sampled, motion.height, feature_set.hidden)
     if len(poses) < N_PARTS:
         raise InvalidMotionError("find.short", least=N_PARTS / TAKE_RATE, found=len(poses) / TAKE_RATE)
     return TakeQuery(forest.apply(feature_set.compute(motion)[None])[0], poses)

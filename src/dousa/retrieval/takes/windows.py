@@ -20,7 +20,8 @@ from dousa.arrays import FloatArray, IndexArray, IntArray
 from dousa.errors import InvalidMotionError, OptionError
 from dousa.messages import Message
 from dousa.motion.canonical.joints import JOINT_INDEX
-from dousa.retrieval.features.posed_motion import check_motion
+from dousa.retrieval.features.partial_bodies import FRAME_JOINTS, complete_positions
+from dousa.retrieval.features.posed_motion import check_shape
 from dousa.retrieval.forest.forest_file import check, check_version, damaged, pack_arrays, unpack_arrays
 
 if TYPE_CHECKING:
@@ -241,9 +242,9 @@ def describe_take(
 
     from dousa.retrieval.features.channels import sample_positions
 
-    points = check_motion(motion)
+    points = check_shape(motion.positions, motion.height)
     sampled = sample_positions(points, motion.frame_rate)
-    poses = compute_small_poses(sampled, motion.height)
+    poses = compute_small_poses(sampled, motion.height, feature_set.hidden)
     starts, stops = place_windows(grid, len(sampled))
     dtype = np.uint16 if forest.trees_.n_leaves < 2**16 else np.int32
     leaves = np.empty((len(starts), len(forest.trees_.roots)), dtype)
@@ -261,21 +262,30 @@ def describe_take(
     return TakeWindows(grid, leaves, poses, len(points) / motion.frame_rate)
 
 
-def compute_small_poses(sampled: FloatArray, height: float) -> NDArray[np.float16]:
+def compute_small_poses(sampled: FloatArray, height: float, hidden: tuple[str, ...] = ()) -> NDArray[np.float16]:
     """The small pose of every frame: nine joints in the body-fixed system.
 
     Parameters
     ----------
     sampled : (n, 20, 3) m, canonical joints.
     height : m.
+    hidden : joints that do not count, as in ``FeatureSet``: theirs are 0, and the others count the more.
 
     Returns
     -------
     (n, 27) in body heights; half precision is a millimetre.
+
+    Raises
+    ------
+    InvalidMotionError : joints that count are not finite.
     """
     from dousa.retrieval.features.pose_features import turn_to_body
 
-    body = turn_to_body((sampled - sampled[:, :1]) / height)
+    points = complete_positions(sampled, height, hidden, {*_SMALL_JOINTS, *FRAME_JOINTS}.difference(hidden))
+    body = turn_to_body((points - points[:, :1]) / height)
+    if hidden:
+        n_left = len(set(_SMALL_JOINTS).difference(hidden))
+        body *= np.sqrt(len(_SMALL_JOINTS) / max(n_left, 1))  # root mean squares over the joints that are left
     # A joint that a recording has in the next town still has a place in half precision.
     return np.clip(body[:, _SMALL_INDEX].reshape(len(body), -1), -_FARTHEST, _FARTHEST).astype(np.float16)
 

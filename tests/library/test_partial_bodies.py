@@ -1,0 +1,195 @@
+"""Bodies that lack joints: added, searched, classified, found and labelled by the joints that are there."""
+
+from __future__ import annotations
+
+import json
+import math
+import sqlite3
+from contextlib import closing
+
+import numpy as np
+import pytest
+
+from dousa.errors import InvalidMotionError, JointMappingError, LibraryDamagedError
+from dousa.formats.motion_files import read_canonical
+from dousa.library import Library
+from dousa.motion import CANONICAL_JOINTS, canonicalise
+
+SIDES = ("left", "right")
+ARMS = tuple(f"{side}_{joint}" for side in SIDES for joint in ("elbow", "wrist", "hand"))
+LEGS = tuple(f"{side}_{joint}" for side in SIDES for joint in ("knee", "ankle", "toe"))
+UPPER = ("spine", "neck", "head", "left_shoulder", "right_shoulder", *ARMS)
+LOWER = ("pelvis", "spine", "left_hip", "right_hip", *LEGS)
+
+
+def cut(path, absent):
+    """The motion of a file as points of which some are never seen."""
+    points = read_canonical(path)[0].to_trajectories()
+    positions = np.array(points.positions)
+    positions[:, [CANONICAL_JOINTS.index(joint) for joint in absent]] = np.nan
+    return points.replace(positions=positions, rest_positions=None)
+
+
+def names_of(result):
+    return [hit.path for hit in result.results]
+
+
+@pytest.fixture
+def squat(moves):
+    return moves / "squat" / "squat_p1.bvh"
+
+
+@pytest.mark.parametrize(("absent", "missing"), [(UPPER, "the head and the arms"), (ARMS, "the arms")])
+def test_legs_alone_find_whole_bodies_that_do_the_same(library, squat, absent, missing):
+    result = library.search(cut(squat, absent), 5)
+    assert result.category == "squat"
+    assert names_of(result)[0] == str(squat)
+    assert [hit.category for hit in result.results] == ["squat"] * 5
+    assert {"left_elbow", "left_hand"} <= set(result.results[0].hidden) <= set(absent)
+    assert [str(note) for note in result.notes] == [f"compared without {missing}: this body lacks them"]
+    written = json.loads(json.dumps(result.to_json(), allow_nan=False))
+    assert written["notes"] == [str(note) for note in result.notes]
+    assert "left_hand" in written["results"][0]["compared_without"]
+
+
+def test_an_upper_body_without_a_pelvis_is_recognised(library, moves):
+    for move in ("wave", "bow"):
+        assert library.search(cut(moves / move / f"{move}_p2.bvh", LOWER), 3).verdict.guess == move
+
+
+def test_clips_of_parts_are_kept_and_found(library, moves, squat):
+    before = library.search(squat, 20)
+    report = library.add_motion(cut(squat, UPPER), "legs", "squat")
+    assert report.added == ("legs",)
+    assert [message.code for _, message in report.warnings if message.code.startswith("canonical.part")]
+    clip = next(clip for clip in library.clips() if clip.path == "legs")
+    assert set(clip.absent) == set(UPPER)
+    stored = library.trajectories(clip.id)
+    assert set(canonicalise(stored).absent) == set(UPPER)
+    assert np.isnan(stored.positions[:, 2:4]).all()
+    # A whole body finds it, behind whole ones that do the same, and it finds whole ones.
+    after = library.search(squat, 20)
+    assert "legs" in names_of(after)
+    assert [name for name in names_of(after) if name != "legs"] == names_of(before)
+    assert names_of(after)[0] == str(squat)
+    hit = next(hit for hit in after.results if hit.path == "legs")
+    assert set(hit.hidden) <= set(UPPER)
+    assert all(not other.hidden for other in after.results if other is not hit)
+    assert [note.code for note in after.notes] == ["partial.some_hits"]
+    again = library.search(clip.id, 3)
+    assert set(names_of(again)[:2]) == {"legs", str(squat)}
+    assert again.verdict.guess == "squat"
+    explained = library.search(clip.id, 2, explain=True, mirror=True)
+    assert explained.verdict.explanation is not None
+    assert explained.results[0].likeness is not None
+
+
+def test_parts_that_share_nothing_are_left_out(library, squat):
+    library.add_motion(cut(squat, ARMS + LEGS[:3]), "one leg", "squat")
+    library.add_motion(cut(squat, LEGS), "no legs", "squat")
+    result = library.search(cut(squat, UPPER), 30)
+    assert "no legs" not in names_of(result)
+    assert "one leg" in names_of(result)
+    assert [note.code for note in result.notes] == ["partial.query", "partial.some_hits", "partial.left_out"]
+
+
+def test_too_little_of_a_body_is_told(library, squat):
+    lone = [joint for joint in CANONICAL_JOINTS if joint not in ("right_shoulder", "right_elbow", "right_wrist")]
+    with pytest.raises(InvalidMotionError, match="which way it faces"):
+        library.search(cut(squat, lone))
+    with pytest.raises(JointMappingError):
+        library.search(cut(squat, CANONICAL_JOINTS[1:]))
+
+
+def test_the_forest_of_a_part_is_kept_until_clips_change(library_file, library, moves, squat):
+    query = cut(squat, UPPER)
+    answer = library.search(query).to_json()
+
+    def read():
+        with closing(sqlite3.connect(library_file)) as connection:
+            return connection.execute("SELECT feature_set, learned_from FROM part_forests").fetchall()
+
+    (kept,) = read()
+    assert kept[0].startswith("extended without neck head left_shoulder")
+    with Library.open(library_file, read_only=True) as other:
+        assert other.search(query).to_json() == answer
+    library.add_motion(cut(squat, UPPER), "legs")  # without a category nothing is learned anew
+    assert library.search(query).results[0].path in ("legs", str(squat))
+    assert read() == [kept]
+    library.relabel(["legs"], category="squat")
+    library.search(query)
+    (again,) = read()
+    assert again[0] == kept[0]
+    assert again[1] != kept[1]
+
+
+def test_a_library_that_cannot_be_written_answers_too(library_file, squat):
+    with Library.open(library_file, read_only=True) as library:
+        assert library.search(cut(squat, UPPER)).category == "squat"
+
+
+def test_a_library_of_legs_alone(empty_library, moves):
+    for path in sorted(moves.rglob("*.bvh")):
+        empty_library.add_motion(cut(path, UPPER), path.stem, path.parent.name)
+    report = empty_library.train(n_trees=10)
+    assert (report.n_partial, report.n_clips) == (0, 15)
+    assert {"left_hand", "head"} <= set(report.hidden)
+    squats = [clip for clip in empty_library.clips() if clip.category == "squat"]
+    assert all(clip.predicted_category == "squat" for clip in squats)
+    whole = moves / "squat" / "squat_p3.bvh"
+    result = empty_library.search(whole, 3)
+    assert names_of(result)[0] == "squat_p3"
+    assert result.verdict.guess == "squat"
+    # Another one is learned at once, as with whole bodies.
+    assert empty_library.add_motion(cut(whole, (*UPPER, "left_toe")), "more", "squat").n_learned == 1
+
+
+def test_few_parts_do_not_teach_the_forest_of_whole_bodies(library, moves):
+    library.add_motion(cut(moves / "bow" / "bow_p0.bvh", LEGS), "no legs", "bow")
+    report = library.train(n_trees=10)
+    assert (report.n_partial, report.hidden, report.n_clips) == (1, (), 15)
+    assert library.search(cut(moves / "bow" / "bow_p1.bvh", LEGS), 5).category == "bow"
+
+
+def test_files_of_parts_are_classified(library, squat, tmp_path):
+    from dousa.formats import write_motion
+
+    path = tmp_path / "legs.trc"
+    points = cut(squat, UPPER)
+    kept = [row for row, name in enumerate(points.names) if name not in UPPER]
+    names, positions = [points.names[row] for row in kept], points.positions[:, kept]
+    write_motion(points.replace(names=names, positions=positions, parents=None), path)
+    (answer,) = library.classify(path)
+    assert answer.category == "squat"
+    assert [note.code for note in answer.notes] == ["partial.query"]
+    assert library.add(path, category_from=None).added == (str(path),)
+    assert set(names_of(library.search(path, 2))) == {str(path), str(squat)}
+
+
+def test_takes_of_parts_are_searched_and_labelled(library, moves, squat):
+    take = [cut(moves / move / f"{move}_p0.bvh", UPPER) for move in ("wave", "squat", "bow", "squat")]
+    joined = take[0].replace(positions=np.concatenate([part.positions for part in take]))
+    library.add_motion(joined, "legs take", kind="take")
+    (number,) = [clip.id for clip in library.clips() if clip.kind == "take"]
+    found = library.find(squat, k=3)
+    assert [note.code for note in found.notes] == ["partial.some_takes"]
+    best = found.results[0]
+    assert (best.take, best.clip_id) == ("legs take", number)
+    assert min(abs(best.start - start) for start in (0.8, 2.4)) < 0.25
+    assert all(math.isfinite(place.score) for place in found.results)
+    assert library.find(cut(squat, ARMS), [joined], k=1).results[0].score > 0
+    labelled = library.label(number)
+    assert [note.code for note in labelled.notes] == ["partial.query"]
+    json.dumps(labelled.to_json(), allow_nan=False)
+    nothing = library.find(cut(squat, LEGS), k=3)
+    assert [item.path for item in nothing.skipped] == ["legs take"]
+    assert nothing.results == ()
+
+
+def test_damaged_joints_are_told(library_file, library, squat):
+    library.add_motion(cut(squat, UPPER), "legs")
+    with closing(sqlite3.connect(library_file)) as connection, connection:
+        connection.execute("UPDATE clips SET absent = 'tail' WHERE path = 'legs'")
+    number = next(clip.id for clip in library.clips() if clip.path == "legs")
+    with pytest.raises(LibraryDamagedError, match="legs"):
+        library.trajectories(number)
