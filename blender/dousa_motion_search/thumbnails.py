@@ -10,6 +10,7 @@ import numpy as np
 SIZE = 96  # pixels
 
 _POSES, _JOINTS = 24, 20
+_ABSENT = -128  # stored of joints that the body lacks
 # The chains of the twenty joints, as dousa orders them.
 _TRUNK, _LEFT, _RIGHT = (
     [[0, 1, 2, 3]],
@@ -31,14 +32,15 @@ def draw(miniature: bytes) -> np.ndarray:
     poses = np.frombuffer(miniature, np.int8, offset=16).reshape(_POSES, _JOINTS, 3)[..., :2].astype(np.float32)
     if not poses.any():
         return picture
-    low, high = poses.reshape(-1, 2).min(axis=0), poses.reshape(-1, 2).max(axis=0)
+    there = np.flatnonzero(poses[0, :, 0] != _ABSENT)
+    low, high = poses[:, there].reshape(-1, 2).min(axis=0), poses[:, there].reshape(-1, 2).max(axis=0)
     scale = (SIZE - 8) / max(float((high - low).max()), 1.0)
     places = (poses - 0.5 * (low + high)) * scale + SIZE / 2
     telling = round(float(np.clip(header[3], 0, 1)) * (_POSES - 1))
     for pose, strength in (*_GHOSTS, (telling, 1.0)):
         for chains, colour in zip((_TRUNK, _LEFT, _RIGHT), _COLOURS, strict=True):
             for chain in chains:
-                for start, end in pairwise(chain):
+                for start, end in pairwise(joint for joint in chain if joint in there):
                     _draw_line(picture, places[pose, start], places[pose, end], colour, strength)
     return picture
 

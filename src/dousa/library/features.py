@@ -17,8 +17,8 @@ from dousa.library.engine import choose_jobs
 from dousa.library.schema import pack, stack, unpack
 from dousa.library.selection import fetch_in, portions
 from dousa.motion import CANONICAL_JOINTS
-from dousa.motion.canonical.joints import JOINT_INDEX, CanonicalPoses
-from dousa.retrieval.features.partial_bodies import find_absent, hide_joints, order_joints
+from dousa.motion.canonical.joints import JOINT_INDEX, CanonicalPoses, find_absent
+from dousa.retrieval.features.partial_bodies import hide_joints, order_joints
 from dousa.retrieval.features.posed_motion import SLOWEST_RATE
 
 if TYPE_CHECKING:

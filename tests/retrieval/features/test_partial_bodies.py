@@ -7,12 +7,12 @@ import pytest
 
 from dousa.errors import InvalidMotionError, OptionError
 from dousa.motion import CANONICAL_JOINTS, canonicalise
+from dousa.motion.canonical.joints import find_absent
 from dousa.motion.synthetic import draw_performer, make_motion
 from dousa.retrieval import FEATURE_SETS, compute_track, compute_window_poses, get_feature_set
 from dousa.retrieval.features.channels import CHANNELS
 from dousa.retrieval.features.partial_bodies import (
     complete_positions,
-    find_absent,
     hide_joints,
     is_comparable,
     name_parts,

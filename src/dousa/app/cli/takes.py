@@ -151,7 +151,7 @@ def _draw(library: Library, answer: LabelledTake, picture: Path, options: ReadOp
     if answer.clip_id is not None:
         motion = library.trajectories(answer.clip_id)
     else:
-        motion = read_canonical(answer.take, options)[0].to_trajectories()
+        motion = read_canonical(answer.take, options, whole=False)[0].to_trajectories()
     draw_timeline(answer.to_json(), picture, motion)
 
 

@@ -228,7 +228,7 @@ def draw_search_result(
     if isinstance(query, int):
         motion: Drawable = library.trajectories(query)
     else:
-        motion, _ = read_canonical(query, options)
+        motion, _ = read_canonical(query, options, whole=False)
     share = max(result.histogram.values(), default=0.0)
     asked = Strip(
         motion,

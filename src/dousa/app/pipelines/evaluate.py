@@ -154,7 +154,7 @@ def _read_takes(
             progress(number, len(paths) + 1, Message("progress.reading"))
         if path.is_dir():
             raise OptionError("evaluate.performance_is_folder", path=path)
-        motion, _ = read_canonical(os.fspath(path), options)
+        motion, _ = read_canonical(os.fspath(path), options, whole=False)
         takes.append(motion)
         notes.extend((path, warning) for warning in motion.warnings)
     return takes, tuple(notes)

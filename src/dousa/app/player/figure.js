@@ -17,12 +17,27 @@ for (const [segment, parts] of Object.entries(SEGMENT_PARTS)) {
   for (const part of parts) PART_SEGMENT[part] = segment;
 }
 
+// Joints without which a part is not drawn.
+const PART_JOINTS = {
+  ...{ hips: ["lHip", "rHip"], waist: ["neck", "lHip", "rHip"], chest: ["neck", "lShoulder", "rShoulder"] },
+  ...{ neck: ["neck"], head: ["neck", "head"], hair: ["neck", "head"], nose: ["neck", "head"] },
+};
+for (const side of ["l", "r"]) {
+  const on = (...names) => names.map((name) => side + name);
+  Object.assign(PART_JOINTS, {
+    ...{ [`${side}UpperArm`]: on("Shoulder", "Elbow"), [`${side}Forearm`]: on("Elbow", "Wrist") },
+    ...{ [`${side}Hand`]: on("Wrist", "Hand"), [`${side}Thigh`]: on("Hip", "Knee") },
+    ...{ [`${side}Shank`]: on("Knee", "Ankle"), [`${side}Foot`]: on("Ankle") },
+  });
+}
+
 function sphere(at, radius) {
   return [at[0], at[1], at[2], radius];
 }
 
-// Spheres of all parts, m. `joints` is a flat array of 20 x 3 values, `k` the body's size against 1.7 m.
-function buildBody(joints, k) {
+// Spheres of all parts, m. `joints` is a flat array of 20 x 3 values, `k` the body's size against 1.7 m; parts of joints
+// that are `absent` (their numbers) are left out.
+function buildBody(joints, k, absent = new Set()) {
   const at = (name) => [joints[3 * JOINT[name]], joints[3 * JOINT[name] + 1], joints[3 * JOINT[name] + 2]];
   const hips = mix(at("lHip"), at("rHip"), 0.5);
   const neck = at("neck");
@@ -40,7 +55,7 @@ function buildBody(joints, k) {
     buildArm(frame, side, parts);
     buildLeg(frame, side, parts);
   }
-  return parts;
+  return absent.size ? parts.filter((part) => !PART_JOINTS[part.name].some((name) => absent.has(JOINT[name]))) : parts;
 }
 
 function buildTrunk({ k, at, hips, neck, up, left, front }, parts) {

@@ -4,17 +4,19 @@ from __future__ import annotations
 
 import base64
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol
 
 import numpy as np
 
-from dousa.arrays import FloatArray
+from dousa.arrays import BoolArray, FloatArray
 from dousa.errors import InvalidMotionError, OptionError
-from dousa.motion.canonical.geometry import chain_height
-from dousa.motion.canonical.joints import CANONICAL_JOINTS, CANONICAL_PARENTS, CanonicalPoses
+from dousa.motion.canonical.anthropometry import TRUNK_SHARE, stature_of_parts
+from dousa.motion.canonical.geometry import STATURE_PER_HEIGHT, chain_height
+from dousa.motion.canonical.joints import CANONICAL_JOINTS, CANONICAL_PARENTS, CanonicalPoses, find_absent
 from dousa.motion.canonical.joints import JOINT_INDEX as J
-from dousa.motion.canonical.tree_shape import compute_forward
+from dousa.motion.canonical.tree_shape import compute_forward, spread_frames
 from dousa.motion.resampling import fill_gaps
 
 # All figures together: 120 B a frame, a third more as base64. 13,500 frames are 2.2 MB; a longer take is thinned
@@ -47,10 +49,12 @@ class Figure(CanonicalPoses):
     frame_rate : Hz.
     name : of the recording.
     missing : always None: what was not seen has been filled.
+    absent : joints that the body lacks; their places mean nothing.
     """
 
     name: str = ""
     missing: None = None
+    absent: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,6 +76,8 @@ class Placed:
 def read_figure(motion: Posed, name: str = "") -> Figure:
     """The figure of a motion; gaps are bridged in time, and a joint never seen goes where its parent is.
 
+    A body without hips stands on a pelvis below its neck.
+
     Raises
     ------
     InvalidMotionError : no frame, or anything but 20 canonical joints.
@@ -79,9 +85,12 @@ def read_figure(motion: Posed, name: str = "") -> Figure:
     positions = np.asarray(motion.positions, np.float64)
     if positions.ndim != 3 or positions.shape[1:] != (len(CANONICAL_JOINTS), 3) or len(positions) == 0:
         raise InvalidMotionError("figures.shape", shape=positions.shape)
+    if isinstance(motion, Figure):
+        return motion
+    absent = find_absent(positions)
     if not np.isfinite(positions.sum()):
         positions = _fill(positions)
-    return Figure(positions, float(motion.frame_rate), name)
+    return Figure(positions, float(motion.frame_rate), name, absent=absent)
 
 
 def _fill(positions: FloatArray) -> FloatArray:
@@ -89,11 +98,21 @@ def _fill(positions: FloatArray) -> FloatArray:
     lost = np.isnan(filled[0, :, 0])  # a point that is seen once is filled in all frames
     seen_hips = [hip for hip in HIPS if not lost[hip]]
     if lost[J["pelvis"]]:
-        filled[:, J["pelvis"]] = filled[:, seen_hips].mean(axis=1) if seen_hips else 0.0
+        filled[:, J["pelvis"]] = filled[:, seen_hips].mean(axis=1) if seen_hips else _find_below(filled, lost)
     for joint, parent in enumerate(CANONICAL_PARENTS):
         if lost[joint] and parent >= 0:
             filled[:, joint] = filled[:, parent]
     return filled
+
+
+def _find_below(points: FloatArray, lost: BoolArray) -> FloatArray | float:
+    """(n, 3) where the pelvis of a standing body is whose hips are not seen; 0 if nothing tells."""
+    tops = [J[joint] for joint in ("neck", "left_shoulder", "right_shoulder") if not lost[J[joint]]]
+    if not tops:
+        return points[:, int(np.flatnonzero(~lost)[0])] if not lost.all() else 0.0
+    stature = _finite_or(stature_of_parts(spread_frames(np.where(lost[:, None], np.nan, points))), 1.7)
+    below: FloatArray = points[:, tops[0]] - np.array([0.0, TRUNK_SHARE * stature, 0.0])
+    return below
 
 
 def check_max_rate(max_rate: float) -> None:
@@ -147,7 +166,9 @@ def turn_about_y(positions: FloatArray, turn: float) -> None:
 
 def encode_figure(sequence: Posed, name: str, rate: float, placed: Placed) -> dict[str, Any]:
     """Positions turned about +Y, over the floor, about the hips' middle; the path of that middle apart."""
-    positions = np.nan_to_num(np.asarray(sequence.positions, dtype=float))
+    figure = read_figure(sequence)
+    absent = [J[joint] for joint in figure.absent]
+    positions = np.array(figure.positions)
     positions[..., 1] -= find_floor(positions) if placed.floor is None else placed.floor
     turn_about_y(positions, placed.turn)
     path = positions[:, HIPS][..., [0, 2]].mean(axis=1)
@@ -161,8 +182,18 @@ def encode_figure(sequence: Posed, name: str, rate: float, placed: Placed) -> di
         "shape": [len(frames), len(CANONICAL_JOINTS), 3],
         "positions": encode_array(np.clip(np.rint(stored), -32767, 32767), "<i2"),
         "path": encode_array(np.rint(np.clip(MILLIMETRES * interpolate(path, frames), -2e9, 2e9)), "<i4"),
-        "stature": round(_finite_or(chain_height(positions), 1.6), 4),
+        "stature": round(_find_stature(positions, absent), 4),
+        "absent": absent,
     }
+
+
+def _find_stature(positions: FloatArray, absent: Sequence[int]) -> float:
+    """Height over the joints, m, of a body that may lack some."""
+    if not absent:
+        return _finite_or(chain_height(positions), 1.6)
+    seen = spread_frames(positions).copy()
+    seen[:, absent] = np.nan
+    return _finite_or(stature_of_parts(seen) / STATURE_PER_HEIGHT, 1.6)
 
 
 def encode_match(times: FloatArray, frames: FloatArray, end: float) -> np.ndarray:
@@ -228,7 +259,7 @@ def encode_miniature(motion: Posed) -> bytes:
     8      float32      height, m over the floor, where y is 0
     12     float32      the most telling pose (farthest from the mean pose), as a share of the loop, 0 to 1
     16     int8 x 1,440 positions (24, 20, 3): poses, canonical joints, x right, y up, z to the viewer, from
-                        the point over the middle of the hips; -127 to 127
+                        the point over the middle of the hips; -127 to 127, all -128 of a joint that is absent
     ====== ============ =====================================================================================
 
     Raises
@@ -248,4 +279,6 @@ def encode_miniature(motion: Posed) -> bytes:
     unit = max(float(np.abs(poses).max()), 1e-3) / _STEPS
     duration = (figure.n_frames - 1) / figure.frame_rate
     header = np.array([unit, duration, middle, still], "<f4")
-    return header.tobytes() + np.rint(poses / unit).astype(np.int8).tobytes()
+    stored = np.rint(poses / unit).astype(np.int8)
+    stored[:, [J[joint] for joint in figure.absent]] = -_STEPS - 1
+    return header.tobytes() + stored.tobytes()

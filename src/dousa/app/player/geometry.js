@@ -29,6 +29,7 @@ class Clip {
     this.positions = new Int16Array(decodeBytes(data.positions));
     this.path = new Int32Array(decodeBytes(data.path));
     this.scale = data.stature / 1.5;
+    this.absent = new Set(data.absent ?? []); // joints that the body lacks: their positions mean nothing
     if (this.positions.length !== this.nFrames * VALUES) throw new Error("dousa player: positions do not fit n_frames");
     this.measure();
   }
@@ -37,10 +38,11 @@ class Clip {
   measure() {
     const every = Math.max(1, Math.floor(this.nFrames / 600));
     const reaches = [];
-    this.top = 1.2 * this.scale;
+    this.top = this.absent.size ? 0.5 * this.scale : 1.2 * this.scale;
     for (let frame = 0; frame < this.nFrames; frame += every) {
       let far = 0;
       for (let joint = 0; joint < VALUES / 3; joint += 1) {
+        if (this.absent.has(joint)) continue;
         const k = frame * VALUES + 3 * joint;
         const beyond = joint === JOINT.head ? 0.2 : 0.1; // skull over its joint, fingers over the hand's
         far = Math.max(far, Math.hypot(this.positions[k], this.positions[k + 2]) * MILLIMETRE);

@@ -16,6 +16,8 @@ const HEAD_RADIUS = 0.122;
 const NECK_WIDTH = 0.1;
 const SKULL = 0.172; // from the neck to the middle of the skull
 const GAP = 0.03; // what a part keeps free around itself where it crosses another one
+const BONE_SHARES = [0.38, 0.31, 0.31]; // of trunk, thigh and shank in their sum
+const ABSENT = -128; // stored of a joint that the body lacks
 const GROUNDED = ["lToe", "rToe", "lAnkle", "rAnkle", "pelvis", "neck"];
 
 class Loop {
@@ -29,16 +31,40 @@ class Loop {
     if (![unit, duration, middle, still].every(Number.isFinite)) throw new Error("dousa miniature: damaged header");
     Object.assign(this, { duration: Math.max(duration, 0), still: Math.min(Math.max(still, 0), 1) });
     this.values = Float32Array.from(new Int8Array(bytes.buffer, bytes.byteOffset + LOOP_HEADER, LOOP_FRAMES * VALUES));
+    this.absent = new Set();
+    for (const name of Object.keys(JOINT)) if (this.values[3 * JOINT[name]] === ABSENT) this.absent.add(name);
+    this.replaceAbsent();
     for (let k = 0; k < this.values.length; k += 1) this.values[k] = this.values[k] * unit + (k % 3 === 1 ? middle : 0);
     this.measure();
+  }
+
+  has(...names) {
+    return !names.some((name) => this.absent.has(name));
+  }
+
+  // What is absent lies where some other joint is, so that it takes no room.
+  replaceAbsent() {
+    const some = Object.keys(JOINT).find((name) => this.has(name));
+    if (!this.absent.size || some === undefined) return;
+    for (let frame = 0; frame < LOOP_FRAMES; frame += 1) {
+      for (const name of this.absent) {
+        for (let axis = 0; axis < 3; axis += 1) {
+          const at = frame * VALUES + axis;
+          this.values[at + 3 * JOINT[name]] = this.values[at + 3 * JOINT[some]];
+        }
+      }
+    }
   }
 
   // Size of the body against 1.7 m by its longest sight of each bone, and how much room all poses need.
   measure() {
     const bones = [["neck", "pelvis"], ["lHip", "lKnee"], ["lKnee", "lAnkle"]];
     let chain = 0;
-    for (const [a, b] of bones) {
+    let seen = 0;
+    for (const [index, [a, b]] of bones.entries()) {
       let longest = 0;
+      if (!this.has(a, b)) continue;
+      seen += BONE_SHARES[index];
       for (let frame = 0; frame < LOOP_FRAMES; frame += 1) {
         const [p, q] = [a, b].map((name) => frame * VALUES + 3 * JOINT[name]);
         const { values: v } = this;
@@ -46,8 +72,8 @@ class Loop {
       }
       chain += longest;
     }
-    this.scale = Math.min(Math.max(chain / 1.32, 0.2), 3);
-    let [wide, top] = [0.4 * this.scale, 1.6 * this.scale];
+    this.scale = seen ? Math.min(Math.max(chain / (1.32 * seen), 0.2), 3) : 1;
+    let [wide, top] = [0.4 * this.scale, (this.absent.size ? 0.6 : 1.6) * this.scale];
     for (let k = 0; k < this.values.length; k += 3) {
       const beyond = (k % VALUES === 3 * JOINT.neck ? SKULL + HEAD_RADIUS : 0.08) * this.scale;
       wide = Math.max(wide, Math.abs(this.values[k]) + beyond);
@@ -94,6 +120,7 @@ class LoopPainter {
     const { context } = this;
     const { width, height } = context.canvas;
     this.scale = loop.scale;
+    this.has = (...names) => loop.has(...names);
     context.clearRect(0, 0, width, height);
     loop.sample(share, this.joints);
     this.place(loop.room, width, height);
@@ -137,13 +164,12 @@ class LoopPainter {
   collect() {
     const depth = (...names) => names.reduce((sum, name) => sum + this.flat[3 * JOINT[name] + 2], 0) / names.length;
     const trunk = depth("neck", "lHip", "rHip");
-    const parts = [
-      { kind: "trunk", depth: trunk, tone: 0.5 },
-      { kind: "head", depth: depth("head", "neck"), tone: 0.67 },
-    ];
+    const parts = [{ kind: "trunk", depth: trunk, tone: 0.5 }];
+    if (this.has("head", "neck")) parts.push({ kind: "head", depth: depth("head", "neck"), tone: 0.67 });
     for (const side of ["l", "r"]) {
       for (const [kind, joints] of Object.entries(LIMB_JOINTS)) {
-        const names = joints.map((name) => side + name);
+        const names = joints.map((name) => side + name).filter((name) => this.has(name));
+        if (names.length < 2) continue;
         const away = depth(...names.slice(0, 3));
         const tone = Math.min(Math.max(0.5 + (away - trunk) / (0.34 * this.scale), 0), 1);
         parts.push({ kind, names, depth: away, tone });
@@ -182,6 +208,7 @@ class LoopPainter {
     context.lineWidth = TRUNK_WIDTH * this.unit;
     context.beginPath();
     for (const [name, inner] of TRUNK_CORNERS) {
+      if (!this.has(name, inner)) continue;
       const [a, b] = [3 * JOINT[name], 3 * JOINT[inner]];
       context.lineTo(flat[a] + 0.2 * (flat[b] - flat[a]), flat[a + 1] + 0.2 * (flat[b + 1] - flat[a + 1]));
     }

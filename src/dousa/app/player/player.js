@@ -330,7 +330,7 @@ class Player {
       const gone = clip.sample(time, this.joints[name]);
       const place = this.view.inPlace ? [0, 0] : gone;
       const home = this.follow ? clip.smoothPlace(time) : this.middle;
-      return { clip, place, home, body: buildBody(this.joints[name], clip.scale) };
+      return { clip, place, home, body: buildBody(this.joints[name], clip.scale, clip.absent) };
     };
     const reference = this.clips.reference ? figure("reference", match.time) : null;
     const performance = figure("performance", this.time);

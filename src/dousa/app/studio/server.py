@@ -271,7 +271,7 @@ def warm_up(studio: Studio) -> None:
     from dousa.app.player.data import encode_pair
 
     with suppress(DousaError):
-        clips = [clip for clip in studio.library.clips() if clip.kind == "clip"]
+        clips = [clip for clip in studio.library.clips() if clip.kind == "clip" and not clip.absent]
         if clips:
             motion = studio.library.trajectories(clips[0].id)
             encode_pair(motion, motion)

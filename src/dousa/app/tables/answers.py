@@ -452,6 +452,16 @@ def _print_uncertainty(out: Console, done: Estimation) -> None:
         _say(out, "estimated.hidden", parts=parts[:_SHOWN_JOINTS])
 
 
+def describe_coverage(assessment: Assessment) -> Message:
+    """How much of the reference was danced, and which segments were not looked at."""
+    percent = 100.0 * assessment.coverage
+    if not assessment.not_judged:
+        return Message("graded.coverage", percent=percent)
+    from dousa.evaluation.words import group_segments
+
+    return Message("graded.coverage_of_rest", percent=percent, who=group_segments(assessment.not_judged))
+
+
 def print_assessment(out: Console, assessment: Assessment, detail: str = "full") -> None:
     """The grade and what to work on first; in full also how the grade came about, and every error in order of time.
 
@@ -463,7 +473,7 @@ def print_assessment(out: Console, assessment: Assessment, detail: str = "full")
     """
     from dousa.evaluation import advise, praise
 
-    out.print(str(Message("graded.coverage", percent=100.0 * assessment.coverage)), markup=False)
+    out.print(str(describe_coverage(assessment)), markup=False)
     is_graded = math.isfinite(assessment.score)
     grade = _describe_grade(assessment) if is_graded else assessment.score_formula
     out.print(str(grade), style="bold", markup=False, soft_wrap=True)

@@ -14,6 +14,7 @@ from dousa.estimation.body.body import BodyModel, reshape
 from dousa.estimation.body.human import make_human
 from dousa.estimation.body.kinematics import point_names
 from dousa.motion import CanonicalMotion, Motion, Trajectories, canonicalise
+from dousa.motion.canonical.canonicalise import require_whole
 from dousa.motion.canonical.joints import CANONICAL_JOINTS
 
 _NEEDED = ("pelvis", "spine", "neck", "left_hip", "right_hip", "left_shoulder", "right_shoulder")
@@ -314,7 +315,7 @@ def body_from_motion(motion: Motion | Trajectories | CanonicalMotion, sex: str =
     JointMappingError : the joints cannot be told apart.
     BodyModelError : the person is no size that people are; is the unit right?
     """
-    canonical = motion if isinstance(motion, CanonicalMotion) else canonicalise(motion, whole=True)
+    canonical = require_whole(motion if isinstance(motion, CanonicalMotion) else canonicalise(motion))
     frames = slice(None, None, max(1, canonical.n_frames // _MOST_FRAMES))
     positions = canonical.positions[frames].copy()
     if canonical.missing is not None:

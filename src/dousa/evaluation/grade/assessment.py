@@ -41,9 +41,11 @@ from dousa.evaluation.grade.result import Assessment, FuriAssessment
 from dousa.evaluation.grade.score import grade_performance, share_weights
 from dousa.evaluation.posture.offset import take_out_of_postures
 from dousa.evaluation.posture.posture import (
+    SEGMENTS,
     PostureSequence,
     Working,
     compute_postures,
+    find_lacking,
     mirror_postures,
     thin_postures,
 )
@@ -97,6 +99,7 @@ def assess(
     shares = spread_weights(weights)
     check_importance(importance)
     postures, played = compute_all_postures(takes, performance, side=side, tempo=tempo, names=names)
+    shares = leave_out(shares, postures, played)
     references = prepare_references(postures, tempo, shares, importance=importance)
     figures = scale_furi(furi, takes[0], references.postures) if furi else find_furi(references.postures)
     return judge(references, figures, played, side=side, tempo=tempo, weights=shares)
@@ -127,6 +130,22 @@ def compute_all_postures(
     for take in postures:
         check_seen(take, is_reference=True)
     return postures, played
+
+
+def leave_out(weights: FloatArray, takes: Sequence[PostureSequence], performance: PostureSequence) -> FloatArray:
+    """Weights (9,) that are 0 for segments which the performance or one of the takes never shows, the others of mean 1.
+
+    Raises
+    ------
+    InvalidMotionError : no segment is left that weighs.
+    """
+    lacking = find_lacking((*takes, performance))
+    if not lacking.any():
+        return weights
+    shares = np.where(lacking, 0.0, weights)
+    if not shares.any():
+        raise InvalidMotionError("evaluation.nothing_common")
+    return np.asarray(shares / shares[shares > 0.0].mean())
 
 
 def judge(
@@ -269,6 +288,7 @@ def look_at_figures(
         weights=shares,
         offset_deg=comparison.offset.degrees,
         gaps=describe_gaps(performance),
+        not_judged=tuple(SEGMENTS[index] for index in np.flatnonzero(comparison.offset.missing)),
         warnings=(
             *describe_warnings(references, furi, performance, working, comparison, curves, tempo, weights, side),
             *describe_offset(comparison.offset, references.working[0]),

@@ -135,10 +135,11 @@ def _overlap(start: float, end: float, lapse: Lapse) -> float:
 
 
 def describe_gaps(performance: PostureSequence) -> tuple[tuple[float, float, str], ...]:
-    """Spans of the performance that were not seen, by segment."""
+    """Spans of the performance that were not seen, by segment; those that never were seen have no gaps."""
     gaps = [
         (start / performance.frame_rate, end / performance.frame_rate, name)
         for index, name in enumerate(SEGMENTS)
+        if performance.seen[:, index].any()
         for start, end in runs_of(~performance.seen[:, index])
     ]
     return tuple(sorted(gaps))
@@ -191,11 +192,10 @@ def _describe_coverage(
     compared = float(comparison.deviations.judged.any(axis=1).mean())
     if compared < _MOSTLY:
         found.append(Message("assessment.compared", percent=100.0 * compared))
-    if not performance.seen.all():
-        found.append(Message("assessment.gaps", percent=100.0 * float(np.mean(~performance.seen))))
-    if not references.postures.seen.all():
-        unseen = 100.0 * float(np.mean(~references.postures.seen))
-        found.append(Message("assessment.reference_gaps", percent=unseen))
+    for code, postures in (("assessment.gaps", performance), ("assessment.reference_gaps", references.postures)):
+        seen = postures.seen[:, postures.seen.any(axis=0)]
+        if not seen.all():
+            found.append(Message(code, percent=100.0 * float(np.mean(~seen))))
     covered = np.zeros(references.postures.n_frames, np.bool_)
     for one in furi:
         covered[one.start : one.end] = True

@@ -153,6 +153,8 @@ class Assessment:
     score_interval : (low, high); four of five takes of one quality are graded in it. nan where the score is.
     weights : (9,) what the segments count in the grade.
     offset_deg : (9,) what was taken off as another body, see `dousa.evaluation.posture.offset`.
+    not_judged : names of the segments that could not be compared: one of both bodies lacks them, or holds them in
+        another position throughout.
     """
 
     frame_rate: float
@@ -185,6 +187,7 @@ class Assessment:
     score_interval: tuple[float, float] = (math.nan, math.nan)
     weights: FloatArray = field(default_factory=lambda: np.ones(len(SEGMENTS)))
     offset_deg: FloatArray = field(default_factory=lambda: np.zeros(len(SEGMENTS)))
+    not_judged: tuple[str, ...] = ()
 
     @property
     def is_other_dance(self) -> bool:
@@ -233,6 +236,7 @@ def describe_assessment(assessment: Assessment, language: str | None = None) -> 
             for start, end, segment in assessment.gaps
         ],
         "coverage": round_number(assessment.coverage, 3),
+        "not_judged": list(assessment.not_judged),
         "score_interval": [round_number(value, 1) for value in assessment.score_interval],
         "segment_weights": _by_segment(assessment.weights, 2),
         "posture_offsets": _by_segment(assessment.offset_deg, _DEGREES),

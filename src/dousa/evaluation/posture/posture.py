@@ -6,6 +6,7 @@ vertical is left to normalise.
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import cast
 
@@ -117,6 +118,12 @@ def check_segments(values: ArrayLike, what: str) -> FloatArray:
     if not np.isfinite(array.sum()):
         raise InvalidMotionError("postures.not_finite", what=what)
     return array
+
+
+def find_lacking(sequences: Iterable[PostureSequence]) -> NDArray[np.bool_]:
+    """(9,) segments that one of some motions never shows, as its body lacks joints or they were never seen."""
+    lacking: NDArray[np.bool_] = np.any([~one.seen.any(axis=0) for one in sequences], axis=0)
+    return lacking
 
 
 def check_weights(weights: ArrayLike | None) -> FloatArray:
@@ -303,8 +310,12 @@ def thin_postures(postures: PostureSequence) -> Working:
 
 def _measure_heading(positions: FloatArray, half: int) -> FloatArray:
     """(T,) rad about +Y of the front of the body, averaged over ``2 half + 1`` frames."""
-    left, right = (positions[:, J[f"{side}_hip"]] + positions[:, J[f"{side}_shoulder"]] for side in ("left", "right"))
-    across = left - right
+    hips, shoulders = (
+        positions[:, J[f"left_{joint}"]] - positions[:, J[f"right_{joint}"]] for joint in ("hip", "shoulder")
+    )
+    across = hips + shoulders
+    if np.isnan(across).any():  # a body of which one of them is missing
+        across = np.nan_to_num(hips) + np.nan_to_num(shoulders)
     front = across[:, 2] + 1j * across[:, 0]
     total = np.cumsum(np.pad(front, (half + 1, half), mode="edge"))
     return np.unwrap(np.angle(total[2 * half + 1 :] - total[: -2 * half - 1]))

@@ -157,6 +157,13 @@ def canonicalise(
     return _finish(moving, chosen, points, _with_absent(missing, recipe, len(points)))
 
 
+def require_whole(motion: CanonicalMotion) -> CanonicalMotion:
+    """The motion, where a whole body is needed; JointMappingError for a part of one."""
+    if motion.absent:
+        raise JointMappingError("canonical.part_refused", (), absent=motion.absent)
+    return motion
+
+
 def _with_absent(missing: BoolArray | None, recipe: Recipe, n_frames: int) -> BoolArray | None:
     if not recipe.absent:
         return missing

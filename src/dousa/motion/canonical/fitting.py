@@ -12,7 +12,7 @@ from __future__ import annotations
 import numpy as np
 
 from dousa.arrays import FloatArray
-from dousa.motion.canonical.canonicalise import CanonicalMotion, canonicalise
+from dousa.motion.canonical.canonicalise import CanonicalMotion, canonicalise, require_whole
 from dousa.motion.canonical.joints import CANONICAL_JOINTS, CANONICAL_PARENTS
 from dousa.motion.canonical.joints import JOINT_INDEX as J
 from dousa.motion.rotations import between, conjugate, from_matrix, identity, multiply, rotate
@@ -47,9 +47,9 @@ def fit_motion(motion: Trajectories | CanonicalMotion) -> Motion:
 
     Raises
     ------
-    JointMappingError : trajectories that cannot be canonicalised.
+    JointMappingError : trajectories that cannot be canonicalised, or a part of a body.
     """
-    canonical = motion if isinstance(motion, CanonicalMotion) else canonicalise(motion, whole=True)
+    canonical = require_whole(motion if isinstance(motion, CanonicalMotion) else canonicalise(motion))
     points = canonical.positions
     frames = {
         J["pelvis"]: _frames(points, "left_hip", "right_hip", "pelvis", "spine"),

@@ -10,8 +10,10 @@ from dataclasses import dataclass
 from itertools import pairwise
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 if TYPE_CHECKING:
-    from dousa.arrays import FloatArray
+    from dousa.arrays import BoolArray, FloatArray
 
 # Every chain begins with the joint that it hangs on.
 _CHAINS = (
@@ -65,3 +67,11 @@ class CanonicalPoses:
     def duration(self) -> float:
         """Seconds from the first pose to the end of the last."""
         return self.n_frames / self.frame_rate
+
+
+def find_absent(positions: FloatArray) -> tuple[str, ...]:
+    """The joints of (T, 20, 3) that have no place in any frame, in their order."""
+    if len(positions) == 0 or not np.isnan(positions[0]).any():
+        return ()
+    never: BoolArray = np.all(np.isnan(positions), axis=(0, 2))
+    return tuple(joint for joint, gone in zip(CANONICAL_JOINTS, never, strict=True) if gone)

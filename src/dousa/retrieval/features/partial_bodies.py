@@ -15,12 +15,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from dousa.arrays import BoolArray, FloatArray
+from dousa.arrays import FloatArray
 from dousa.errors import InvalidMotionError, OptionError
 from dousa.messages import Message
 from dousa.motion.canonical.anthropometry import TRUNK_SHARE, stature_of_parts
 from dousa.motion.canonical.geometry import STATURE_PER_HEIGHT
-from dousa.motion.canonical.joints import CANONICAL_JOINTS, JOINT_INDEX, CanonicalPoses
+from dousa.motion.canonical.joints import CANONICAL_JOINTS, JOINT_INDEX, CanonicalPoses, find_absent
 from dousa.motion.canonical.tree_shape import spread_frames
 from dousa.retrieval.features.posed_motion import PosedMotion
 
@@ -53,14 +53,6 @@ def order_joints(joints: Iterable[str]) -> tuple[str, ...]:
     if unknown:
         raise OptionError("features.no_such_joint", joint=unknown[0], known=CANONICAL_JOINTS)
     return tuple(joint for joint in CANONICAL_JOINTS if joint in asked)
-
-
-def find_absent(positions: FloatArray) -> tuple[str, ...]:
-    """The joints of (T, 20, 3) that have no place in any frame, in their order."""
-    if len(positions) == 0 or not np.isnan(positions[0]).any():
-        return ()
-    never: BoolArray = np.all(np.isnan(positions), axis=(0, 2))
-    return tuple(joint for joint, gone in zip(CANONICAL_JOINTS, never, strict=True) if gone)
 
 
 def is_comparable(hidden: Iterable[str]) -> bool:

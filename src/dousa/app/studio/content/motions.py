@@ -19,6 +19,7 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
 from dousa.app.studio.core.answers import Gate, RefusedError
+from dousa.arrays import BoolArray
 from dousa.errors import DousaError
 from dousa.messages import Message
 
@@ -223,7 +224,7 @@ class Motions:
 def _read(path: Path, ref: MotionRef) -> Named:
     from dousa.formats.motion_files import ReadOptions, read_canonical
 
-    motion, _ = read_canonical(str(path), ReadOptions(ref.joint_map, ref.unit, ref.up, None))
+    motion, _ = read_canonical(str(path), ReadOptions(ref.joint_map, ref.unit, ref.up, None), whole=False)
     _check_size(path.name, motion.n_frames, motion.frame_rate)
     return Named(path.name, motion)
 
@@ -252,8 +253,9 @@ def _stored(library: Library, clip: int) -> Named:
     info = library.clips([clip])[0]
     _check_size(PurePath(info.path).name, info.n_frames, info.frame_rate)
     positions = library.trajectories(clip).positions
-    mapping = JointMapping(info.joint_table, {}, (), "agree")
-    motion = CanonicalMotion(positions, info.frame_rate, info.height, "library", mapping, info.warnings)
+    mapping = JointMapping(info.joint_table, {}, (), "agree", info.absent)
+    missing: BoolArray | None = np.any(np.isnan(positions), axis=2) if info.absent else None
+    motion = CanonicalMotion(positions, info.frame_rate, info.height, "library", mapping, info.warnings, missing)
     return Named(PurePath(info.path).name, motion, info.category)
 
 
