@@ -10,6 +10,7 @@ less well is what the joints that are left do not tell.
 from __future__ import annotations
 
 from collections.abc import Collection, Iterable
+from contextlib import suppress
 from dataclasses import dataclass
 
 import numpy as np
@@ -165,6 +166,20 @@ def complete_positions(
     if not np.isfinite(points).all():
         raise InvalidMotionError("posed_motion.not_finite")
     return points
+
+
+def place_pelvis(positions: FloatArray, height: float) -> FloatArray:
+    """Positions (n, 20, 3) whose pelvis lies where ``complete_positions`` puts it, where the body has none of its own.
+
+    Other joints that are absent stay NaN; so does the pelvis where nothing tells its place.
+    """
+    gone = set(find_absent(positions))
+    if "pelvis" not in gone:
+        return positions
+    placed = np.array(positions, np.float64)
+    with suppress(InvalidMotionError):
+        placed[:, _PELVIS] = _make_pelvis(placed, height, gone)
+    return placed
 
 
 def _make_pelvis(points: FloatArray, height: float, gone: set[str]) -> FloatArray:

@@ -19,6 +19,7 @@ from dousa.arrays import BoolArray, FloatArray
 from dousa.messages import Message
 from dousa.motion.canonical.joints import JOINT_INDEX
 from dousa.retrieval.features.channels import CHANNEL_RATE, sample_positions
+from dousa.retrieval.features.partial_bodies import place_pelvis
 from dousa.retrieval.features.pose_features import find_lateral_axis
 from dousa.retrieval.features.posed_motion import PosedMotion
 
@@ -91,7 +92,8 @@ def find_relations(motion: PosedMotion) -> tuple[Relation, ...]:
 
 
 def _pose(motion: PosedMotion) -> _Posed:
-    points = _smooth(sample_positions(motion.positions, motion.frame_rate)) / motion.height
+    positions = place_pelvis(motion.positions, motion.height)  # of a body that lacks it
+    points = _smooth(sample_positions(positions, motion.frame_rate)) / motion.height
     pelvis = points[:, JOINT_INDEX["pelvis"]]
     left = _smooth(find_lateral_axis(points - points[:, :1]), 3 * _SMOOTHED)
     left = left / np.maximum(np.hypot(*left.T), 1e-9)[:, None]
@@ -99,8 +101,10 @@ def _pose(motion: PosedMotion) -> _Posed:
     sideways = rest[..., 0] * left[:, None, 0] + rest[..., 2] * left[:, None, 1]
     forward = -rest[..., 0] * left[:, None, 1] + rest[..., 2] * left[:, None, 0]
     body = np.stack([sideways, rest[..., 1], forward], axis=-1)
-    lowest = points[..., 1].min(axis=1)
-    floor = np.nanpercentile(lowest, 5) if np.isfinite(lowest).any() else 0.0
+    feet = points[:, [JOINT_INDEX[f"{side}_ankle"] for side in _SIDES], 1]
+    # Without feet nobody knows where the floor is, and nothing is said about heights over it.
+    lowest = np.nanmin(points[..., 1], axis=1) if np.isfinite(feet).any() else feet[:, 0]
+    floor = _usual(lowest, 5)
     speed = _smooth(_slope(pelvis[:, ::2]), _STEP)
     travel = np.stack([(speed * left).sum(1), -speed[:, 0] * left[:, 1] + speed[:, 1] * left[:, 0]], axis=-1)
     # Seen from above, a turn to the left takes x towards -z.
@@ -267,7 +271,8 @@ def _ask_legs(posed: _Posed) -> Iterator[_Asked]:
         lifted.append((knee[:, 1] > -0.12) & (high > 0.08))
         swung = bool(((high > 0.08) & (_slope(foot)[:, 2] > 0.9)).any())
         kicked.append((high > 0.15) & (foot[:, 2] > 0.18) & swung)
-        far = outward * (foot[:, 0] - np.nanmedian(foot[: max(len(foot) // 10, 1), 0]))
+        first = foot[: max(len(foot) // 10, 1), 0]
+        far = outward * (foot[:, 0] - (np.nanmedian(first) if np.isfinite(first).any() else np.nan))
         aside.append((far > 0.08) & (outward * foot[:, 0] > 0.12))
     yield from _pair("foot_raised", "foot", "feet", raised)
     yield from _pair("knee_raised", "knee", "knees", lifted)
