@@ -11,12 +11,13 @@ from dousa.errors import JointMappingError
 from dousa.formats import read_character
 from dousa.formats.registry import read_motion, write_motion
 from dousa.motion import Motion, Skeleton, Trajectories, canonicalise, compute_trajectories, retarget
+from dousa.motion.kinematics import forward_kinematics
 from dousa.motion.retargeting import find_contacts, measure_directions, measure_skating
 from dousa.motion.retargeting.contacts import list_stretches
 from dousa.motion.retargeting.feet import Foot, plan_foot
 from dousa.motion.retargeting.planting import bend, lower_pelvis, share_moves
 from dousa.motion.retargeting.rig import build_rig
-from dousa.motion.rotations import rotate
+from dousa.motion.rotations import conjugate, multiply, rotate
 from dousa.motion.synthetic import draw_performer, make_motion
 
 CHARACTERS = {
@@ -204,6 +205,22 @@ def test_a_foot_on_a_step_is_not_pulled_down():
     ankle, toe = ankle + higher, toe + higher
     plan = plan_foot(Foot(ankle, toe, (0.08, 0.02)), Foot(ankle, toe, (0.08, 0.02)), 1.0, 0.0, 60.0, 1.0)
     assert np.abs(plan.moves).max() < 0.02
+
+
+def test_feet_are_flat_where_the_source_s_are(shared_data):
+    """The right foot of this skeleton lies sole up in its rest pose; on a character it stands on its sole."""
+    source = read_motion(shared_data("hdm05/kickLFront1Reps/HDM_bd_kickLFront1Reps_005_120.amc"))
+    character = read_character(shared_data("foreign/unsupported/mixamo.glb"))
+    made = retarget(source, character)
+    rig = build_rig(character, canonicalise(character))
+    places = compute_trajectories(made.motion).positions
+    _, world = forward_kinematics(rig.parents, made.motion.rotations, made.motion.translations)
+    for column, side in enumerate(("left", "right")):
+        ankle, toe = (rig.joints[f"{side}_{joint}"] for joint in ("ankle", "toe"))
+        since = multiply(world[:, ankle], conjugate(rig.world[ankle]))
+        up = rotate(since, rotate(rig.body, np.array([0.0, 1.0, 0.0])))[made.contacts[:, column], 1]
+        assert np.median(up) > 0.9
+        assert (places[made.contacts[:, column], ankle, 1] > places[made.contacts[:, column], toe, 1]).all()
 
 
 def test_what_both_feet_need_the_body_does():

@@ -14,10 +14,15 @@ import numpy as np
 
 from dousa.arrays import BoolArray, FloatArray
 from dousa.motion.retargeting.contacts import list_stretches
+from dousa.motion.retargeting.rig import Rig
 from dousa.motion.retargeting.stances import Stances, find_stances, ramp, smooth
-from dousa.motion.rotations import between, identity, rotate
+from dousa.motion.rotations import between, conjugate, from_axis_angle, identity, multiply, rotate, to_axis_angle
 
 _EASE = 0.05  # m/s: of two points slower than this each carries half the foot
+_STANDS, _FEWEST = 0.8, 5  # how firmly ankle and toe are held in frames that show a flat foot, and how many it takes
+_LOWEST, _LOW = 5, 0.03  # percentile, m above it
+_ALIKE, _RISING, _STEEPEST = 0.1, 0.2, 1.3  # rad: feet of a reference pose that tell what is flat
+_MOST, _FLAT = 0.45, 0.3  # rad; share of a vector that lies across the foot
 _PASSING = 0.04  # s, over which the one takes over from the other
 _TURNS = (0.10, 0.30)  # rad: what turns this little is held, what turns this much is not
 _FLOOR = (0.05, 0.15)  # m: a foot as near to the floor as the one stands on it, one beyond the other does not
@@ -78,7 +83,9 @@ def plan_foot(source: Foot, made: Foot, scale: float, floor: float, frame_rate: 
         steps = share * (scale * toe.steps - np.diff(point, axis=0)) + (1 - share) * steps
         near, weight = near | toe.near, np.maximum(weight, _weigh(toe))
         toes = _height_over(source.toe, point, source.heights[1], made.heights[1], scale, floor)
-        heights = np.where(toe.near, toes, heights)
+        # A toe may be lifted from a foot that stands on its heel, and a heel from one on its toe.
+        over = [points[:, 1] - low for points, low in zip((source.ankle, source.toe), source.heights, strict=True)]
+        heights = np.where(over[1] <= over[0], toes, heights)
     moves = np.zeros_like(made.ankle)
     stretches = list_stretches(near)
     for start, end in stretches:
@@ -88,6 +95,57 @@ def plan_foot(source: Foot, made: Foot, scale: float, floor: float, frame_rate: 
         moves[start:end, 1] += np.average(heights[start:end] - moves[start:end, 1], weights=own)
     _swing(moves, stretches)
     return FootPlan(turns, moves, near)
+
+
+def level_foot(
+    source: Foot, made: Foot, world: FloatArray, rig: Rig, side: str, frame_rate: float, size: float
+) -> FloatArray:
+    """Turns (T, 4) in the world that make the foot of a character flat where the source's stands flat.
+
+    Feet point from ankle to toe as the source's do, but ankles lie higher above the sole in some bodies than in others,
+    and some reference poses have feet that nobody stands on. How a foot lies that stands is seen in the motion of the
+    source, and in the reference pose of the character.
+
+    Parameters
+    ----------
+    source, made : the foot of the source, and that of the character, which points as the source's.
+    world : (T, 4) orientation of the character's ankle.
+    rig : the character; if its feet are not alike in the reference pose they tell nothing, and stay.
+    side : ``"left"`` or ``"right"``.
+    frame_rate : Hz.
+    size : of the source, in bodies of 1.6 m over the joints.
+    """
+    still = identity((len(world),))
+    if source.toe is None or made.toe is None:
+        return still
+    ankle, toe = (find_stances(points, frame_rate, size) for points in (source.ankle, source.toe))
+    lowest = np.percentile(source.ankle[:, 1], _LOWEST)
+    stands = (ankle.held * toe.held > _STANDS) & (source.ankle[:, 1] < lowest + _LOW * size)  # not on tiptoe
+    up = rotate(rig.body, np.array([0.0, 1.0, 0.0]))
+    feet = [rig.direction(f"{one}_ankle", f"{one}_toe") for one in ("left", "right")]
+    steep = [_measure_slope(foot, up) for foot in feet]
+    if stands.sum() < _FEWEST or abs(steep[0] - steep[1]) > _ALIKE or not -_STEEPEST < max(steep) < _RISING:
+        return still
+    since = multiply(world, conjugate(rig.world[rig.joints[f"{side}_ankle"]]))
+    # What is up in the frame of the foot while it stands should be what is up in the reference pose.
+    wanted = rotate(conjugate(since[stands]), np.array([0.0, 1.0, 0.0])).mean(axis=0)
+    ahead = feet[0 if side == "left" else 1]
+    ahead = ahead / max(float(np.linalg.norm(ahead)), 1e-9)
+    sides = [vector - vector.dot(ahead) * ahead for vector in (up, wanted)]
+    if min(float(np.linalg.norm(vector)) for vector in sides) < _FLAT:
+        return still
+    roll = between(*sides)
+    tilt = to_axis_angle(between(up, rotate(conjugate(roll), wanted)))
+    tilt = tilt * min(1.0, _MOST / max(float(np.linalg.norm(tilt)), 1e-9))
+    turns: FloatArray = multiply(multiply(since, multiply(roll, from_axis_angle(tilt))), conjugate(since))
+    return turns
+
+
+def _measure_slope(directions: FloatArray, up: FloatArray) -> FloatArray:
+    """Angle (...) rad by which directions (..., 3) rise."""
+    lengths = np.maximum(np.linalg.norm(directions, axis=-1), 1e-9)
+    slope: FloatArray = np.arcsin(np.clip((directions * up).sum(axis=-1) / lengths, -1.0, 1.0))
+    return slope
 
 
 def _weigh(stances: Stances) -> FloatArray:

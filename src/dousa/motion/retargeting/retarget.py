@@ -22,7 +22,7 @@ from dousa.motion.canonical.joints import JOINT_INDEX as J
 from dousa.motion.canonical.recipes import JointMap
 from dousa.motion.kinematics import forward_kinematics
 from dousa.motion.retargeting.contacts import body_size, find_contacts, list_stretches
-from dousa.motion.retargeting.feet import Foot, FootPlan, plan_foot
+from dousa.motion.retargeting.feet import Foot, FootPlan, level_foot, plan_foot
 from dousa.motion.retargeting.planting import bend, lower_pelvis, share_moves
 from dousa.motion.retargeting.rig import LIMBS, SIDES, Rig, body_axes, build_rig
 from dousa.motion.retargeting.transfer import Poses, Transfer, find_floor
@@ -134,7 +134,7 @@ def measure_skating(points: FloatArray, contacts: BoolArray) -> float:
 def _plant(poses: Poses, rig: Rig, source: Rig, canonical: CanonicalMotion, scale: float) -> Poses:
     """Feet that stand are held in place."""
     places, floor = poses.places(rig), find_floor(canonical, source)
-    plans = [_plan(places, rig, source, canonical, side, scale, floor) for side in range(2)]
+    plans = [_plan(poses, places, rig, source, canonical, side, scale, floor) for side in SIDES]
     moves = np.stack([plan.moves for plan in plans], axis=1)
     if not moves.any():
         return poses
@@ -161,15 +161,26 @@ def _plant(poses: Poses, rig: Rig, source: Rig, canonical: CanonicalMotion, scal
 
 
 def _plan(
-    places: FloatArray, rig: Rig, source: Rig, canonical: CanonicalMotion, side: int, scale: float, floor: float
+    poses: Poses,
+    places: FloatArray,
+    rig: Rig,
+    source: Rig,
+    canonical: CanonicalMotion,
+    side: str,
+    scale: float,
+    floor: float,
 ) -> FootPlan:
-    ankle, toe = (f"{SIDES[side]}_{joint}" for joint in ("ankle", "toe"))
+    ankle, toe = f"{side}_ankle", f"{side}_toe"
     known = toe in rig.joints and toe in source.joints
-    points = canonical.positions
+    points, rate, size = canonical.positions, canonical.frame_rate, body_size(canonical)
     lowest = [float(np.percentile(points[:, J[joint], 1], _LOWEST)) - floor for joint in (ankle, toe)]
     made = Foot(places[:, rig.joints[ankle]], places[:, rig.joints[toe]] if known else None, rig.foot_heights())
     own = Foot(points[:, J[ankle]], points[:, J[toe]] if known else None, (lowest[0], lowest[1]))
-    return plan_foot(own, made, scale, floor, canonical.frame_rate, body_size(canonical))
+    level = level_foot(own, made, poses.world[:, rig.joints[ankle]], rig, side, rate, size)
+    if made.toe is not None:
+        made = dataclasses.replace(made, toe=made.ankle + rotate(level, made.toe - made.ankle))
+    plan = plan_foot(own, made, scale, floor, rate, size)
+    return dataclasses.replace(plan, turns=multiply(plan.turns, level))
 
 
 def _reach(poses: Poses, rig: Rig, canonical: CanonicalMotion, scale: float) -> Poses:
