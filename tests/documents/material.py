@@ -24,7 +24,7 @@ from dousa.estimation.raster.rendering import render
 from dousa.estimation.silhouettes.mask_npz import write_silhouettes
 from dousa.experiments.exercises.sets import join_repetitions
 from dousa.formats.registry import write_motion
-from dousa.motion import CANONICAL_JOINTS, canonicalise, compute_trajectories
+from dousa.motion import CANONICAL_JOINTS, Trajectories, canonicalise, compute_trajectories
 from dousa.motion.synthetic.performers import draw_performer, make_motion
 
 __all__ = ["DONE_BEFORE", "MATERIAL", "RECORDED", "make_material", "make_readme_libraries"]
@@ -71,6 +71,20 @@ def _exercise(n: int) -> Callable[[Path], None]:
         write_motion(several.motion.to_trajectories(), path)
 
     return write
+
+
+def _annotated(folder: Path) -> None:
+    """Takes of three people with tables of labels beside them."""
+    folder.mkdir()
+    for number in range(3):
+        lines, parts, at = ["start_s,end_s,category"], [], 0.0
+        for take, category in enumerate((*_CATEGORIES, *_CATEGORIES)):
+            motion = canonicalise(compute_trajectories(make_motion(category, draw_performer(number), take)))
+            parts.append(motion.positions)
+            lines.append(f"{at:.3f},{at + motion.duration:.3f},{category if take else ''}")
+            at += motion.duration
+        write_motion(Trajectories(CANONICAL_JOINTS, np.concatenate(parts), 30.0), folder / f"p{number + 1}_day.trc")
+        (folder / f"p{number + 1}_day.labels.csv").write_text("\n".join(lines), encoding="utf-8")
 
 
 def _dances(folder: Path) -> None:
@@ -165,6 +179,7 @@ def _film(view: int) -> Callable[[Path], None]:
 MATERIAL: dict[str, Callable[[Path], None]] = {
     # a library of one's own
     "recordings": _recordings,
+    "annotated": _annotated,
     "query.c3d": _points("kick_left", 7),
     "new/a.bvh": _motion("kick_left", 8),
     "new/b.bvh": _motion("bow", 8),

@@ -35,6 +35,7 @@ _CHOSEN = {
     ),
     "bandai": tuple((f"{what}/{style}/*", 6) for what in _BANDAI for style in ("active", "normal")),
     "cmu86": (("*", 3),),
+    "utkinect": (("s0[12]_e0[12].*", 8),),
     "pose2sim": (("Standing*.trc", 1), ("background/*", 4), ("calibration/*", 1)),
     "utd_mhad": tuple((f"skeleton/{what}/*_s{who}_*", 2) for what in _UTD_MHAD for who in (1, 3, 5, 7)),
     "silhouette_bench": (("cmu86_walk_clean.npz", 1),),

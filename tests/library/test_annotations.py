@@ -79,6 +79,17 @@ def test_the_same_labels_change_nothing_and_others_what_differs(library, take):
     assert now["hop"] != numbers["kick"]
 
 
+def test_what_was_removed_comes_back_and_what_was_relabelled_stays(library, take):
+    library.annotations.write(take, LABELS, n_jobs=1)
+    wave, kick = library.annotations.read()[0].segments
+    library.remove([kick.clip_id])
+    library.relabel([wave.clip_id], category="greet")
+    changes = library.annotations.write(take, LABELS, n_jobs=1)
+    assert (changes.n_segments, changes.n_removed, len(changes.takes)) == (1, 0, 1)
+    assert [one.category for one in library.annotations.read()[0].segments] == ["greet", "kick"]
+    assert library.annotations.write(take, LABELS, n_jobs=1).unchanged
+
+
 def test_what_goes_beyond_the_end_is_cut_and_what_is_no_motion_left_out(library, take):
     labels = Annotation((Stretch(1.5, 9.0, "wave"), Stretch(5.0, 6.0, "far"), Stretch(0.2, 0.21, "point")))
     changes = library.annotations.write(take, labels, n_jobs=1)

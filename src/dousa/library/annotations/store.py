@@ -85,16 +85,35 @@ def annotate_takes(
         with database.writing() as connection:
             rows = _read_takes(connection, ids[start : start + _TAKES_AT_ONCE])
             known = _read_hashes(connection, [row.id for row in rows])
-            stale = []
+            there = _read_segments(connection, [row.id for row in rows])
+            stale, restored = [], []
             for row in rows:
-                if known.get(row.id) == _hash_labels(wanted[row.id]):
-                    changes += AnnotationChanges(unchanged=(row.path,))
+                labels = wanted[row.id]
+                if known.get(row.id) != _hash_labels(labels):
+                    stale.append((row, labels))
+                elif missing := _find_missing(row, labels, there.get(row.id, ())):
+                    restored.append((row, missing, ()))
                 else:
-                    stale.append((row, wanted[row.id]))
+                    changes += AnnotationChanges(unchanged=(row.path,))
             if stale:
                 forest, own = _write(connection, database.where, stale, forest)
                 changes += own
+            if restored:
+                forest, _, own = _exchange(connection, database.where, restored, forest, by_hand=False)
+                changes += replace(own, takes=tuple(row.path for row, _, _ in restored))
     return forest, changes
+
+
+def _find_missing(row: Any, labels: Annotation, there: Iterable[TakeSegment]) -> list[Stretch]:
+    """Segments of a table that were removed since, but for those in whose place something was named by hand."""
+    spans = {(one.start, one.end) for one in there}
+    by_hand = [one for one in there if one.by_hand]
+    kept, _ = _fit(row, labels.segments)
+    return [
+        one
+        for one in kept
+        if (one.start, one.stop) not in spans and not any(_is_same_place(own, one) for own in by_hand)
+    ]
 
 
 def name_segment(
