@@ -4,8 +4,9 @@
 
 Per producer: how many files are read, in which unit and up axis and how each was known, how many hold a whole body, how
 many a part of one, how many neither, and what was said about them. ``--files`` prints a row for every file; ``--hips``
-how far the hips made from the spines of the pelvis are from the hip joint centres that some files hold. ``--pictures``
-draws the first file of every producer, front and side, to be looked at. Prints Markdown.
+how far the hips made from the spines of the pelvis are from the hip joint centres that some files hold, and from the
+functional centres about which the markers of the thigh turn. ``--pictures`` draws the first file of every producer,
+front and side, to be looked at. Prints Markdown.
 """
 
 from __future__ import annotations
@@ -18,11 +19,12 @@ from pathlib import Path
 
 import numpy as np
 
+from dousa.arrays import FloatArray
 from dousa.errors import DousaError, JointMappingError
 from dousa.formats.registry import SUFFIXES, read_motion
-from dousa.motion import CANONICAL_JOINTS, Motion, canonicalise
+from dousa.motion import CANONICAL_JOINTS, Motion, Trajectories, canonicalise
 from dousa.motion.canonical.joint_centres import hips_from_markers
-from dousa.motion.canonical.naming import rank_matches
+from dousa.motion.canonical.naming import normalise_names, rank_matches
 
 SIDES = ("left", "right")
 
@@ -143,6 +145,65 @@ def print_hips(folder: Path, readings: Sequence[Reading]) -> None:
         print(f"| {one.producer}/{one.file} |", " | ".join(cells), "|")
 
 
+# Smallest singular value by the greatest: below, a thigh turns about one axis only, as in walking, and nothing tells
+# where on the axis the centre is; m between the centre as the pelvis and as the thigh sees it.
+_LEAST_TURNING, _MOST_GAP = 0.04, 0.02
+
+
+def find_functional(pelvis: FloatArray, thigh: FloatArray) -> FloatArray | None:
+    """The centre (T, 3) about which two clusters of markers (T, K, 3) turn against each other; None if it is not clear.
+
+    Ehrig, Taylor, Duda, Heller, "A survey of formal methods for determining the centre of rotation of ball joints", J.
+    Biomechanics 39 (2006): the point that is fixed in both (SCoRE), in the least-squares sense.
+    """
+    (turns, places), (thigh_turns, thigh_places) = follow(pelvis), follow(thigh)
+    matrix = np.concatenate([turns, -thigh_turns], axis=2).reshape(-1, 6)
+    fixed, _, _, sizes = np.linalg.lstsq(matrix, (thigh_places - places).reshape(-1), rcond=None)
+    if sizes[-1] < _LEAST_TURNING * sizes[0]:
+        return None
+    seen = turns @ fixed[:3] + places
+    other = thigh_turns @ fixed[3:] + thigh_places
+    return 0.5 * (seen + other) if np.linalg.norm(seen - other, axis=1).mean() < _MOST_GAP else None
+
+
+def follow(cluster: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Rotations (T, 3, 3) and middles (T, 3) of a cluster of markers (T, K, 3), by Kabsch against its first frame."""
+    middle = cluster.mean(axis=1, keepdims=True)
+    u, _, vt = np.linalg.svd(np.einsum("tki,kj->tij", cluster - middle, (cluster - middle)[0]))
+    u[:, :, 2] *= np.sign(np.linalg.det(u @ vt))[:, None]
+    return u @ vt, middle[:, 0]
+
+
+def print_functional(folder: Path, readings: Sequence[Reading]) -> None:
+    """Median distance in mm of the regressed hips from functional centres, where thighs carry markers and move."""
+    print("\n| file | from the functional centre: left, right (mm) |\n| --- | --- |")
+    for one in readings:
+        motion = read_motion(folder / one.producer / one.file) if one.joints else None
+        if not isinstance(motion, Trajectories):
+            continue
+        matches = [match for match in rank_matches(motion.names) if {"left_asis", "sacrum"} <= set(match.sources)]
+        if not matches or motion.n_frames < 60:
+            continue
+        places, keys = matches[0].sources, normalise_names(motion.names)
+        pelvis = [index for place in ("left_asis", "right_asis", "sacrum") for index in places[place]]
+        cells = []
+        for number, side in enumerate(SIDES):
+            thigh = [i for i, (s, core) in enumerate(keys) if s == side[0] and core.startswith("th")]
+            thigh += [i for i in places.get(f"{side}_knee", ())[:1]]
+            whole = ~np.isnan(motion.positions[:, pelvis + thigh]).any(axis=(1, 2))
+            seen = motion.positions[whole]
+            centre = find_functional(seen[:, pelvis], seen[:, thigh]) if len(thigh) > 2 and whole.sum() > 60 else None
+            if centre is None:
+                cells.append("-")
+                continue
+            left, right, sacrum = (seen[:, list(places[place])].mean(axis=1) for place in
+                                   ("left_asis", "right_asis", "sacrum"))  # fmt: skip
+            hips = hips_from_markers(left, right, sacrum, seen[:, thigh].mean(axis=1), metres=True)
+            cells.append(f"{1000 * np.median(np.linalg.norm(hips[:, number] - centre, axis=1)):.0f}")
+        if set(cells) != {"-"}:
+            print(f"| {one.producer}/{one.file} |", ", ".join(cells), "|")
+
+
 def draw(folder: Path, readings: Sequence[Reading], pictures: Path) -> None:
     """The first file of every producer that holds a body, and all that are said to be unusual."""
     from dousa.app.pictures.sheets import draw_contact_sheet
@@ -173,6 +234,7 @@ def main() -> None:
     readings = [read(given.folder, path) for path in paths]
     if given.hips:
         print_hips(given.folder, readings)
+        print_functional(given.folder, readings)
     else:
         (print_files if given.files else print_producers)(readings)
     if given.pictures:
