@@ -6,6 +6,7 @@ extra       what it is for                                                      
 film        estimation from silhouettes, films, overlays; keypoints of films     OpenCV, PyAV, LiteRT
 pictures    contact sheets, timelines; Japanese text in pictures and reports     matplotlib, fontTools, a Japanese font
 music       the beats of a piece of music                                        librosa
+usd         skeletons of USD files                                               usd-core
 studio      the page in the browser, with all of the above                       FastAPI, uvicorn, Jinja
 words       English words of a search that no table has, by their meaning        WordLlama
 ==========  ===================================================================  =====================================

@@ -28,7 +28,7 @@ from dousa.errors import DousaError
 from dousa.formats.registry import SUFFIXES, read_motion, write_motion
 from dousa.motion import Motion, Skeleton, Trajectories, compute_trajectories
 from dousa.motion.rotations import normalise
-from formats import fake_programs, made_mmd
+from formats import fake_programs, made_mmd, made_usd
 from formats import made_files as made
 from formats import made_points as points
 
@@ -167,6 +167,7 @@ def make_seeds(folder: Path) -> dict[str, list[dict[str, bytes]]]:
         **{suffix: [{f"x{suffix}": files["m.glb"]}] for suffix in (".glb", ".gltf", ".vrm", ".vrma")},
         ".json": [{"x.json": json.dumps(content).encode()} for content in landmarks],
         ".vmd": [{"x.vmd": vmd}, {"x.pmx": made_mmd.make_pmx(), "x.vmd": vmd}],
+        **{suffix: [{f"x{suffix}": made_usd.make_usda()}] for suffix in (".usd", ".usda", ".usdc", ".usdz")},
         ".fbx": [{"x.fbx": fake_programs.FBX_MARK + files["m.glb"]}],
         ".dae": [{"x.dae": fake_programs.DAE_MARK + files["m.glb"]}],
         ".mvnx": [{"x.mvnx": made.make_mvnx()}],
@@ -331,9 +332,12 @@ def run_traced_case(folder: Path, files: dict[str, bytes]) -> str:
 
 @pytest.mark.parametrize("suffix", SUFFIXES)
 def test_damaged_files_are_read_or_refused(tmp_path, monkeypatch, suffix):
+    seeds = make_seeds(tmp_path)[suffix]
     if suffix in (".fbx", ".dae"):  # through a program that takes a mark off
         fake_programs.install_quick(tmp_path, monkeypatch)
-    seeds = make_seeds(tmp_path)[suffix]
+    if suffix.startswith(".usd"):
+        pytest.importorskip("pxr", reason="usd-core is not installed: pip install 'dousa[usd]'", exc_type=ImportError)
+        seeds = [{f"x{suffix}": made_usd.pack(tmp_path, suffix)}]
     for files in seeds:  # the whole files are sound, and kernels are compiled before the clock starts
         assert run_case(tmp_path, files) == "read"
     outcomes = dict.fromkeys(("read", "refused"), 0)

@@ -87,6 +87,7 @@ FORMATS: tuple[Format, ...] = (
     Format("mvnx", (".mvnx",), "dousa.formats.mvnx", "read_mvnx", None, "motion"),
     Format("fbx", (".fbx",), "dousa.formats.exchange", "read_exchange", "write_fbx", "motion"),
     Format("dae", (".dae",), "dousa.formats.exchange", "read_exchange", None, "motion"),
+    Format("usd", (".usd", ".usda", ".usdc", ".usdz"), "dousa.formats.usd", "read_usd", None, "motion"),
     Format("glb", (".glb",), "dousa.formats.gltf", "read_gltf", "write_glb", "motion"),
     Format("gltf", (".gltf", ".vrm", ".vrma"), "dousa.formats.gltf", "read_gltf", None, "motion"),
 )  # fmt: skip

@@ -20,10 +20,8 @@ def _read(bpy: Any, source: str, target: str) -> None:
                 raise
             bpy.ops.wm.read_factory_settings(use_empty=True)
             bpy.ops.wm.fbx_import(filepath=source)
-    elif suffix == "dae":
-        bpy.ops.wm.collada_import(filepath=source)
     else:
-        bpy.ops.wm.usd_import(filepath=source)
+        bpy.ops.wm.collada_import(filepath=source)
     _round_frames(bpy)
     _fit_range(bpy)
     # Of one take, what moves armature and objects is one animation; several takes stay apart.

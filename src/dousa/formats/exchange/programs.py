@@ -21,7 +21,7 @@ _USUAL_PLACES = {
     ),
     "assimp": (),
 }
-_TITLES = {"blender": "Blender", "assimp": "assimp"}
+_TITLES = {"blender": "Blender", "assimp": "assimp", "usd": "usd-core"}
 _SECONDS, _POLL = 300.0, 0.02
 _MOST_LOG, _MOST_RESULT = 50_000_000, 4_000_000_000  # bytes
 _LONGEST_LINE = 160

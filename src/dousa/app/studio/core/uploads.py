@@ -152,6 +152,7 @@ def _check_content(path: Path, name: str) -> None:
         ".json": is_text and starts[:1] in (b"{", b"["),
         ".vmd": head[:20] == b"Vocaloid Motion Data",
         ".fbx": head[:18] == b"Kaydara FBX Binary" or (is_text and b"FBX" in head),
+        **dict.fromkeys((".usd", ".usda", ".usdc", ".usdz"), head.startswith((b"#usda", b"PXR-USDC", b"PK"))),
         ".dae": is_text and starts[:1] == b"<",
         ".mvnx": is_text and starts[:1] == b"<",
         ".tsv": is_text,

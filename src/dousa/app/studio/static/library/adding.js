@@ -12,7 +12,7 @@ import { askHow } from "./rules.js";
 import { report } from "./report.js";
 
 const count = new Intl.NumberFormat(language);
-const MOTION = /\.(bvh|amc|c3d|trc|npz|npy|pkl|csv|tsv|json|vmd|mvnx|fbx|dae|glb|gltf|vrm|vrma)$/i;
+const MOTION = /\.(bvh|amc|c3d|trc|npz|npy|pkl|csv|tsv|json|vmd|mvnx|fbx|dae|usd[acz]?|glb|gltf|vrm|vrma)$/i;
 const TABLE = /\.(eaf|textgrid|csv|tsv)$/i; // that the labels of takes may be in
 const remembered = (id) => `dousa-refused-${id}`; // what an upload refused, for the report of its job
 let open = null;
