@@ -9,12 +9,24 @@ units and axes of the stage; rate (1,) Hz, unit (1,) m, up (1,) text, count (1,)
 from __future__ import annotations
 
 import importlib
+import os
 import sys
 from typing import Any
 
 import numpy as np
 
 _MOST_FRAMES, _MOST_VALUES = 1_000_000, 20_000_000
+_MEMORY = 12 << 30  # bytes
+
+
+def _limit_memory(size: int) -> None:
+    """A damaged count must not take the memory of the machine."""
+    try:
+        resource: Any = importlib.import_module("resource")
+        most = _MEMORY + 50 * size
+        resource.setrlimit(resource.RLIMIT_AS, (most, most))
+    except (ImportError, AttributeError, ValueError, OSError):  # not on this system
+        return
 
 
 def _fail(code: str) -> None:
@@ -58,6 +70,7 @@ def _choose_times(samples: list[float], per_second: float) -> tuple[np.ndarray, 
 def main() -> None:
     """Write what is in a stage."""
     source, target = sys.argv[1:3]
+    _limit_memory(os.path.getsize(source))
     usd, skel, geom = (importlib.import_module(f"pxr.{name}") for name in ("Usd", "UsdSkel", "UsdGeom"))
     stage = usd.Stage.Open(source)
     skeletons = _list_skeletons(usd, skel, stage)
