@@ -11,6 +11,7 @@ are left, for all alike. Columns: share of clips whose category is right; share 
 
 from __future__ import annotations
 
+import argparse
 import sys
 import time
 from pathlib import Path
@@ -33,7 +34,6 @@ SETS = {
     "HDM05": ("hdm05", "folder", "name:HDM_(..)_"),
     "UTD-MHAD": ("utd_mhad/skeleton", "name:^(a\\d+)_", "name:_(s\\d+)_"),
 }
-SEEDS = (0, 1, 2)
 SIDES = ("left", "right")
 INSTANTS, FIRST = 32, 5
 MEASURED = ("hip", "knee", "ankle", "shoulder", "elbow", "hand")
@@ -83,7 +83,7 @@ def score(order: np.ndarray, labels: np.ndarray, own: str) -> tuple[float, float
     return float(labels[order[0]] == own), float(np.mean(labels[order[:FIRST]] == own))
 
 
-def measure(clips: list, hidden: tuple[str, ...]) -> dict[str, np.ndarray]:
+def measure(clips: list, hidden: tuple[str, ...], n_seeds: int) -> dict[str, np.ndarray]:
     """(right category, precision of the first five) of each method, in percent."""
     whole = FEATURE_SETS["extended"]
     kind = whole.without(hidden)
@@ -104,7 +104,7 @@ def measure(clips: list, hidden: tuple[str, ...]) -> dict[str, np.ndarray]:
     for person in sorted(set(people)):
         train, test = np.flatnonzero(people != person), np.flatnonzero(people == person)
         filled = np.where(answered, features[test], full[train].mean(axis=(0, 1)))
-        for seed in SEEDS:
+        for seed in range(n_seeds):
             forest = grow(kind, features[train], labels[train], seed)
             leaves, votes = forest.apply(features), forest.predict_proba(features)
             gallery = RankedClips(votes[train], leaves[train], lambda rows, some=train: poses[some[rows]])
@@ -126,7 +126,14 @@ def measure(clips: list, hidden: tuple[str, ...]) -> dict[str, np.ndarray]:
 
 
 def main() -> None:
+    parser = argparse.ArgumentParser(description="Bodies of which a part is missing, people held out.")
+    parser.add_argument("--set", choices=SETS, help="only this data set")
+    parser.add_argument("--only", default="", metavar="WORD", help="only bodies with this word in their name")
+    parser.add_argument("--seeds", type=int, default=3, help="forests of each kind")
+    asked = parser.parse_args()
     for title, (folder, category, performer) in SETS.items():
+        if asked.set not in (None, title):
+            continue
         if not (DATA / folder).is_dir():
             print(f"{title}: no recordings in {DATA / folder}")
             continue
@@ -138,8 +145,10 @@ def main() -> None:
         print("| joints of the query | forest | whole forest, means | warping | mean pose |")
         print("| --- | --- | --- | --- | --- |")
         for case, hidden in HIDDEN.items():
+            if asked.only not in case:
+                continue
             started = time.perf_counter()
-            found = measure(clips, hidden)
+            found = measure(clips, hidden, asked.seeds)
             cells = [
                 f"{right:.1f}" if np.isnan(first) else f"{right:.1f} / {first:.1f}" for right, first in found.values()
             ]
