@@ -75,10 +75,10 @@ def test_search_finds_the_category_and_the_query_itself(library, moves):
 
 def test_the_json_of_a_search_is_the_promised_one(library, moves):
     answer = json.loads(json.dumps(library.search(moves / "bow" / "bow_p0.bvh", k=2).to_json()))
-    keys = ["query", "category", "histogram", "guess", "known", "confidence", "ranking", "results"]
+    keys = ["query", "category", "histogram", "guess", "known", "confidence", "ranking", "alike_count", "results"]
     assert list(answer) == keys
     keys = ["path", "category", "distance", "rank"]
-    keys += ["clip_id", "leaf_share", "pose_distance", "rank_distance", "mirrored"]
+    keys += ["clip_id", "leaf_share", "pose_distance", "rank_distance", "mirrored", "alike", "probability"]
     assert [list(hit) for hit in answer["results"]] == [keys] * 2
     assert answer["query"] == str(moves / "bow" / "bow_p0.bvh")
     assert (answer["category"], answer["guess"], answer["ranking"]) == ("bow", "bow", "fused")

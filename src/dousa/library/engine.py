@@ -355,7 +355,7 @@ def _takes_and_feature_sets(connection: sa.Connection) -> None:
     schema.clip_poses.create(connection)
     schema.clip_leaves.create(connection)
     schema.take_windows.create(connection)
-    names = [column.name for column in schema.clip_leaves.c]
+    names = ["clip_id", "predicted_category", "leaves"]
     copied: Any = sa.select(*map(sa.column, names)).select_from(sa.table("clip_histograms"))
     connection.execute(sa.insert(schema.clip_leaves).from_select(names, copied))
     connection.execute(sa.DDL("DROP TABLE clip_histograms"))  # type: ignore[no-untyped-call]
@@ -378,6 +378,14 @@ def _parts_of_bodies(connection: sa.Connection) -> None:
     schema.part_forests.create(connection)
 
 
+def _likeness(connection: sa.Connection) -> None:
+    """Which clips are alike, learned with the next training."""
+    for table, column in ((schema.forests, "likeness"), (schema.clip_leaves, "direction")):
+        # An old library got its table of leaves by a step above, as it is now.
+        if column not in {known["name"] for known in sa.inspect(connection).get_columns(table.name)}:
+            _add_column(connection, table, column)
+
+
 def _add_column(connection: sa.Connection, table: sa.Table, name: str) -> None:
     column = sa.schema.CreateColumn(table.c[name]).compile(dialect=connection.dialect)
     connection.execute(sa.DDL(f"ALTER TABLE {table.name} ADD COLUMN {column}"))  # type: ignore[no-untyped-call]
@@ -389,6 +397,7 @@ MIGRATIONS: tuple[Migration, ...] = (
     Migration(3, "annotated takes", _annotated_takes),
     Migration(4, "words", _words),
     Migration(5, "parts of bodies", _parts_of_bodies),
+    Migration(6, "likeness", _likeness),
 )
 
 

@@ -21,7 +21,8 @@ if TYPE_CHECKING:
     from dousa.arrays import FloatArray
     from dousa.retrieval import MotionForest
     from dousa.retrieval.features.feature_sets import FeatureSet
-    from dousa.retrieval.forest.calibration import Assessor
+    from dousa.retrieval.forest.calibration import Assessor, Watch
+    from dousa.retrieval.forest.likeness import Likeness
     from dousa.retrieval.takes.windows import WindowGrid
 
 _FOREST_ID = 1
@@ -44,6 +45,7 @@ class StoredForest:
     assessor : tells known motions from unknown ones; None where there were too few categories to learn that.
     revision : of the library at the end of the training; other trees have another one.
     learned : of the library when the leaves last learned; the histograms of clips hold until then.
+    likeness : tells which clips are alike; None where there were too few to learn that, or an older dousa trained.
     """
 
     forest: MotionForest
@@ -53,6 +55,7 @@ class StoredForest:
     assessor: Assessor | None
     revision: int
     learned: int
+    likeness: Likeness | None = None
 
     @property
     def hidden(self) -> tuple[str, ...]:
@@ -74,15 +77,18 @@ class TreeAnswers:
         the number of trees. Whole numbers, so that equal histograms are equal to the last bit.
     leaves : (N, n_trees) int32, the leaf that each clip reaches in each tree.
     categories : names, in the order of the votes.
+    directions : (N, K) of ``Likeness.place``; None where they are not known.
     """
 
     votes: NDArray[np.int32]
     leaves: NDArray[np.int32]
     categories: tuple[str, ...]
+    directions: NDArray[np.float32] | None = None
 
     def __getitem__(self, rows: slice) -> TreeAnswers:
         """The same of some of the clips."""
-        return TreeAnswers(self.votes[rows], self.leaves[rows], self.categories)
+        directions = None if self.directions is None else self.directions[rows]
+        return TreeAnswers(self.votes[rows], self.leaves[rows], self.categories, directions)
 
     def shares(self) -> FloatArray:
         """(N, n_categories) share of the trees that name each category: the histograms."""
@@ -96,7 +102,10 @@ class TreeAnswers:
 
 def ask_trees(stored: StoredForest, features: FloatArray) -> TreeAnswers:
     """Run clips down all trees: features (N, frames, columns) of the set that the forest asks for."""
-    return count_votes(stored, find_leaves(stored, features))
+    answers = count_votes(stored, find_leaves(stored, features))
+    if stored.likeness is None or not len(features):
+        return answers
+    return replace(answers, directions=stored.likeness.place(features))
 
 
 def find_leaves(stored: StoredForest, features: FloatArray) -> NDArray[np.int32]:
@@ -135,7 +144,7 @@ def load_forest(connection: sa.Connection, where: str, known: StoredForest | Non
     state = connection.execute(query).one_or_none()
     if state is None or (known is not None and (known.revision, known.learned) == tuple(state)):
         return None if state is None else known
-    columns = (table.data, table.categories, table.parameters, table.window_lengths, table.calibration)
+    columns = (table.data, table.categories, table.parameters, table.window_lengths, table.calibration, table.likeness)
     row = connection.execute(sa.select(*columns).where(table.id == _FOREST_ID)).one()
     from dousa.retrieval import MotionForest
 
@@ -159,6 +168,7 @@ def load_forest(connection: sa.Connection, where: str, known: StoredForest | Non
         _read_assessor(forest, row.calibration, where),
         int(state.revision),
         int(state.learned),
+        _read_likeness(row.likeness, where),
     )
 
 
@@ -176,6 +186,15 @@ class ForestCache:
             raise NotTrainedError("library_forest.not_trained", library=self._where)
         self.last = stored
         return stored
+
+
+def _read_likeness(likeness: bytes | None, where: str) -> Likeness | None:
+    from dousa.retrieval.forest.likeness import Likeness
+
+    try:
+        return None if likeness is None else Likeness.from_bytes(likeness)
+    except DousaError as error:
+        raise LibraryDamagedError("library_forest.part_damaged", library=where, problem=error) from error
 
 
 def _read_assessor(forest: MotionForest, calibration: bytes | None, where: str) -> Assessor | None:
@@ -209,8 +228,22 @@ def fit_grid(connection: sa.Connection) -> WindowGrid:
     return choose_grid(list(connection.execute(query).scalars()) or [1.0], *_TEMPOS)
 
 
+def choose_held_back(clips: ClipFeatures, labelled: Sequence[int]) -> tuple[list[int], list[str]]:
+    """Places of the clips that rounds hold back or train on, every n-th of every category, and who performed them."""
+    from dousa.retrieval.forest.calibration import guess_performers
+
+    step = -(-len(labelled) // _MOST_HELD_BACK)
+    rows = sorted(labelled, key=lambda row: str(clips.categories[row]))[::step]
+    guesses = guess_performers([clips.heights[row] for row in rows])
+    return rows, [clips.performers[row] or guess for row, guess in zip(rows, guesses, strict=True)]
+
+
 def learn_unknown(
-    forest: MotionForest, clips: ClipFeatures, labelled: Sequence[int], kind: FeatureSet
+    forest: MotionForest,
+    clips: ClipFeatures,
+    labelled: Sequence[int],
+    kind: FeatureSet,
+    watch: Watch | None = None,
 ) -> Assessor | None:
     """Tell known motions from unknown ones; None where there are too few clips or categories to learn that.
 
@@ -220,20 +253,19 @@ def learn_unknown(
     clips : those of the library that are trained on, and perhaps others.
     labelled : places of those that have a category.
     kind : features that it asks for.
+    watch : looks on, as in ``learn_calibration``; its rows are those of ``choose_held_back``.
     """
-    from dousa.retrieval.forest.calibration import Assessor, guess_performers, learn_calibration
+    from dousa.retrieval.forest.calibration import Assessor, learn_calibration
 
-    step = -(-len(labelled) // _MOST_HELD_BACK)
-    order = sorted(labelled, key=lambda row: str(clips.categories[row]))
-    rows = order[::step]  # every n-th clip of every category
-    people = guess_performers([clips.heights[row] for row in rows])
+    rows, people = choose_held_back(clips, labelled)
     try:
         calibration = learn_calibration(
             forest,
             clips.features[rows],
             np.array([clips.categories[row] for row in rows], dtype=np.str_),
-            [clips.performers[row] or guess for row, guess in zip(rows, people, strict=True)],
+            people,
             feature_set=kind,
+            watch=watch,
         )
     except TrainingError:
         return None
@@ -265,6 +297,7 @@ def _to_columns(stored: StoredForest) -> dict[str, Any]:
         "categories": list(stored.categories),
         "data": stored.forest.to_bytes(),
         "calibration": None if stored.assessor is None else stored.assessor.calibration.to_bytes(),
+        "likeness": None if stored.likeness is None else stored.likeness.to_bytes(),
     }
 
 
@@ -282,9 +315,12 @@ def update_forest(connection: sa.Connection, stored: StoredForest, n_clips: int)
 
 def save_answers(connection: sa.Connection, ids: Sequence[int], answers: TreeAnswers) -> None:
     """Write what the trees say of clips of which nothing is written yet."""
+    directions = [None] * len(ids) if answers.directions is None else [pack(one, "<f4") for one in answers.directions]
     rows = [
-        {"clip_id": clip_id, "predicted_category": category, "leaves": pack(leaves, "<i4")}
-        for clip_id, category, leaves in zip(ids, answers.predicted(), answers.leaves, strict=True)
+        {"clip_id": clip_id, "predicted_category": category, "leaves": pack(leaves, "<i4"), "direction": direction}
+        for clip_id, category, leaves, direction in zip(
+            ids, answers.predicted(), answers.leaves, directions, strict=True
+        )
     ]
     for some in portions(rows):
         connection.execute(sa.insert(schema.clip_leaves), some)

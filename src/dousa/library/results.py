@@ -116,6 +116,8 @@ class Hit(_Answer):
     mirrored : whether it is the mirror image of the query that the clip is like.
     likeness : why they are alike, if requested.
     hidden : canonical joints that were not compared, as one of both bodies lacks them.
+    alike : whether it is alike at all, as learned from the library; None where that was not learned.
+    probability : that both mean the same, where clips of any meaning are equally likely; None likewise.
     """
 
     path: str
@@ -131,6 +133,8 @@ class Hit(_Answer):
     hidden: tuple[str, ...] = ()
 
     _names: ClassVar[dict[str, str]] = {"hidden": "compared_without"}
+    alike: bool | None = None
+    probability: float | None = None
 
     def to_json(self) -> dict[str, Any]:
         """The hit as a plain dictionary; ``likeness`` and ``compared_without`` only where there are any."""
@@ -152,6 +156,8 @@ class SearchResult:
     ranking : what they were ordered by, one of ``dousa.retrieval.RANKINGS``.
     mirrored : what it predicts for the mirror image, if requested.
     notes : what was not compared, where a body lacks joints.
+    alike_count : clips of the library that are alike, of which ``results`` may be the first; the others follow them,
+        alike or not. None where likeness was not learned: the library was not trained since, or is too small.
     """
 
     query: str
@@ -160,6 +166,7 @@ class SearchResult:
     ranking: str
     mirrored: Verdict | None = None
     notes: tuple[Message, ...] = ()
+    alike_count: int | None = None
 
     @property
     def category(self) -> str | None:
@@ -178,6 +185,7 @@ class SearchResult:
             **self.verdict.to_json(),
             **_mirrored_json(self.verdict, self.mirrored),
             "ranking": self.ranking,
+            "alike_count": self.alike_count,
             "results": [hit.to_json() for hit in self.results],
             **_notes_json(self.notes),
         }
@@ -476,6 +484,8 @@ class Place(_Answer):
     tempo : how much faster than the query it goes on; 2 is double speed.
     mirrored : whether it is the mirror image of the query that it is like.
     rank : 1 for the best.
+    alike : whether it is alike at all, as learned from the clips of the library; None where that was not learned.
+    probability : that both mean the same, where all meanings are equally likely; None likewise.
     """
 
     take: str
@@ -488,6 +498,8 @@ class Place(_Answer):
     tempo: float
     mirrored: bool
     rank: int
+    alike: bool | None = None
+    probability: float | None = None
 
     _names: ClassVar[dict[str, str]] = {"start": "start_s", "end": "end_s"}
 
@@ -504,6 +516,7 @@ class FindResult(_Answer):
     results : the places most like the query, best first, no two of them the same.
     skipped : takes that could not be used, and why.
     notes : what was not compared, where a body lacks joints.
+    alike_count : places among them that are alike, which come first; None where that was not learned.
     """
 
     query: str
@@ -513,6 +526,7 @@ class FindResult(_Answer):
     results: tuple[Place, ...]
     skipped: tuple[Skipped, ...]
     notes: tuple[Message, ...] = ()
+    alike_count: int | None = None
 
     _names: ClassVar[dict[str, str]] = {"duration": "duration_s", "seconds": "takes_s"}
 

@@ -113,6 +113,8 @@ clip_leaves = sa.Table(
     sa.Column("predicted_category", sa.Text, nullable=False),
     # int32, little endian, (n_trees,): the leaf that the clip reaches in each tree
     sa.Column("leaves", sa.LargeBinary, nullable=False),
+    # float32, little endian: ``Likeness.place``; None where no likeness was learned
+    sa.Column("direction", sa.LargeBinary),
 )
 
 clip_relations = sa.Table(
@@ -183,6 +185,8 @@ forests = sa.Table(
     sa.Column("data", sa.LargeBinary, nullable=False),
     # ``Calibration.to_bytes``: when is a motion unknown? None where there were too few categories to learn that.
     sa.Column("calibration", sa.LargeBinary),
+    # ``Likeness.to_bytes``: which clips are alike? None where there were too few clips to learn that.
+    sa.Column("likeness", sa.LargeBinary),
     # ``TakeLabeller.to_bytes``: learned when a take is first labelled
     sa.Column("labeller", sa.LargeBinary),
 )

@@ -32,8 +32,10 @@ from dousa.library.ingest import ClipRecord, Query, ReadTask, is_as_stored, name
 from dousa.library.results import MIRROR_DISTANCE, Classification, Hit, SearchResult, Verdict
 from dousa.library.schema import stack
 from dousa.library.selection import find_row
+from dousa.library.text.meanings import find_meanings
 from dousa.messages import Message
-from dousa.retrieval.ranking.ranking import RankedClips, RankingQuery, rank_clips
+from dousa.retrieval.forest.likeness import Likeness, merge_votes
+from dousa.retrieval.ranking.ranking import DEFAULT_RANKING, RankedClips, RankingQuery, rank_clips
 
 PoseReader = Callable[[Sequence[int]], NDArray[np.float32]]
 """Gives (n, cells, columns), the pose sequences of clips of n numbers."""
@@ -73,6 +75,9 @@ class SearchIndex:
     answers : what the trees say of the clips.
     rows : place of each clip number in the above.
     partial : by number, the joints that clips lack which the forest asks about: they are not among the above.
+    likeness : tells which clips are alike; None where that was not learned, as the next two.
+    meanings : (C,) number of what each category means; categories of one meaning have the same.
+    told : (N, M) share of the trees that vote for each meaning.
     """
 
     revision: int
@@ -82,6 +87,9 @@ class SearchIndex:
     answers: TreeAnswers
     rows: dict[int, int]
     partial: dict[int, str] = field(default_factory=dict)
+    likeness: Likeness | None = None
+    meanings: NDArray[np.intp] | None = None
+    told: FloatArray | None = None
 
     def answers_of(self, clip_id: int) -> TreeAnswers:
         """What the trees say of one clip."""
@@ -97,13 +105,18 @@ def load_index(connection: sa.Connection, revision: int, stored: StoredForest) -
     LibraryDamagedError : leaves that are not as many as the trees, or that the forest does not have.
     """
     clips, table = schema.clips.c, schema.clip_leaves.c
-    query = sa.select(clips.id, clips.path, clips.category, table.predicted_category, table.leaves)
+    query = sa.select(clips.id, clips.path, clips.category, table.predicted_category, table.leaves, table.direction)
     query = query.join(schema.clip_leaves, table.clip_id == clips.id)
     parts = sa.select(clips.id, clips.absent).where(clips.kind == schema.CLIP, clips.absent != "")
     # Sorted here: databases differ in how they order text.
     rows = sorted(connection.execute(query).all(), key=itemgetter(1))
-    ids, paths, given, predicted, leaves = zip(*rows, strict=True) if rows else ((),) * 5
+    ids, paths, given, predicted, leaves, directions = zip(*rows, strict=True) if rows else ((),) * 6
     answers = count_votes(stored, stack(leaves, "<i4", (len(stored.forest.trees_.roots),), "leaves"))
+    if stored.likeness is not None and None not in directions:
+        width = stored.likeness.space.axes.shape[1]
+        answers = replace(answers, directions=stack(directions, "<f4", (width,), "directions"))
+    named = find_meanings(stored.categories)
+    meanings = np.unique([named[name] for name in stored.categories], return_inverse=True)[1]
     return SearchIndex(
         revision=revision,
         ids=ids,
@@ -112,7 +125,40 @@ def load_index(connection: sa.Connection, revision: int, stored: StoredForest) -
         answers=answers,
         rows={clip_id: row for row, clip_id in enumerate(ids)},
         partial={row.id: row.absent for row in connection.execute(parts) if lacks(stored.feature_set, row.absent)},
+        likeness=stored.likeness,
+        meanings=meanings,
+        told=merge_votes(answers.shares(), meanings),
     )
+
+
+def find_alike(index: SearchIndex, asked: Asked) -> FloatArray | None:
+    """Probabilities (N,) that the clips mean the same as a motion; None where that was not learned."""
+    directions, own = index.answers.directions, asked.answers.directions
+    if index.likeness is None or index.meanings is None or index.told is None or directions is None or own is None:
+        return None
+    told = merge_votes(asked.answers.shares(), index.meanings)[0]
+    return index.likeness.judge(told, own[0], index.told, directions)
+
+
+def count_alike(
+    index: SearchIndex, asked: Sequence[Asked], category: str | None, among: Iterable[int] | None
+) -> int | None:
+    """How many clips are alike to a motion or its mirror image; None where that was not learned."""
+    chances = [find_alike(index, one) for one in asked]
+    if index.likeness is None or any(chance is None for chance in chances):
+        return None
+    alike = np.any([chance >= index.likeness.threshold for chance in chances if chance is not None], axis=0)
+    places = _find_places(index, category, among)
+    return int((alike if places is None else alike[places]).sum())
+
+
+def _find_places(index: SearchIndex, category: str | None, among: Iterable[int] | None) -> NDArray[np.intp] | None:
+    """Places of the clips that are looked at; None for all."""
+    if category is None and among is None:
+        return None
+    wanted = set(index.ids if among is None else among)
+    chosen = [category in (None, label) and own in wanted for label, own in zip(index.labels, index.ids, strict=True)]
+    return np.flatnonzero(np.array(chosen, dtype=np.bool_))
 
 
 def search_index(
@@ -140,13 +186,7 @@ def search_index(
     ------
     OptionError : an unknown ranking.
     """
-    places = None
-    if category is not None or among is not None:
-        wanted = set(index.ids if among is None else among)
-        chosen = [
-            category in (None, label) and own in wanted for label, own in zip(index.labels, index.ids, strict=True)
-        ]
-        places = np.flatnonzero(np.array(chosen, dtype=np.bool_))
+    places = _find_places(index, category, among)
     first = [rank_places(index, one, k, by, places, read_poses)[0] for one in asked]
     if len(first) == 1:
         return tuple(_number(first[0]))
@@ -171,15 +211,22 @@ def rank_places(
 ) -> tuple[list[Hit], FloatArray]:
     """The first k clips for one motion, among those at some places of the index, and how far each of these is."""
     votes, leaves = index.answers.votes, index.answers.leaves
+    directions, own = index.answers.directions, asked.answers.directions
     rows = np.arange(len(index.ids)) if places is None else places
     clips = RankedClips(
         votes if places is None else votes[places],
         leaves if places is None else leaves[places],
         lambda chosen: read_poses([index.ids[row] for row in rows[chosen]]),
+        # Rounded, so that a clip is no distance from itself.
+        None if directions is None or own is None else np.round(directions[rows] @ own[0], 6),
     )
     ranking = rank_clips(by, RankingQuery(asked.answers.votes[0], asked.answers.leaves[0], asked.poses), clips)
+    order, chances = ranking.order, find_alike(index, asked)
+    alike = None if chances is None or index.likeness is None else chances[rows] >= index.likeness.threshold
+    if alike is not None and by == DEFAULT_RANKING:
+        order = order[np.argsort(~alike[order], kind="stable")]
     hits = []
-    for place in ranking.order[:k]:
+    for place in order[:k]:
         row = int(rows[place])
         hits.append(
             Hit(
@@ -192,6 +239,8 @@ def rank_places(
                 pose_distance=_number_or_none(ranking.pose[place]),
                 rank_distance=_number_or_none(ranking.distances[place]),
                 mirrored=asked.mirrored,
+                alike=None if alike is None else bool(alike[place]),
+                probability=None if chances is None else round(float(chances[row]), 4),
             )
         )
     return hits, ranking.distances
@@ -201,9 +250,9 @@ def _number_or_none(value: np.float64) -> float | None:
     return None if np.isnan(value) else float(value)
 
 
-def _mirrored_last(hit: Hit) -> tuple[bool, float]:
+def _mirrored_last(hit: Hit) -> tuple[tuple[bool, bool], float]:
     """By the distance, where mirrored clips must be clearly nearer; clips whose poses were not compared come last."""
-    far = hit.rank_distance is None
+    far = hit.rank_distance is None, hit.alike is False
     distance = hit.distance if hit.rank_distance is None else hit.rank_distance
     return far, distance / MIRROR_DISTANCE if hit.mirrored else distance
 
@@ -372,7 +421,9 @@ class Searcher(ABC):
             explaining = Explaining(stored)
             verdicts = explaining.verdicts(verdicts, motion)
             hits = explaining.hits(hits, motion, load_motions(connection, [hit.clip_id for hit in hits]))
-        return SearchResult(name, verdicts[0], hits, wanted.ranking, verdicts[1] if wanted.mirror else None)
+        n_alike = count_alike(index, asked, category, wanted.among)
+        mirrored = verdicts[1] if wanted.mirror else None
+        return SearchResult(name, verdicts[0], hits, wanted.ranking, mirrored, alike_count=n_alike)
 
     def _name(self, connection: sa.Connection, index: SearchIndex, query: Query) -> str:
         if not isinstance(query, int):

@@ -7,21 +7,26 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
 import sqlalchemy as sa
+from numpy.typing import NDArray
 
+from dousa.arrays import FloatArray, IndexArray
 from dousa.errors import DousaError, InvalidMotionError, LibraryDamagedError, LibraryError, MotionFileError
 from dousa.formats.motion_files import ReadOptions, Skipped, find_motion_files, is_unicode
 from dousa.library import schema
 from dousa.library.engine import Database, choose_jobs
-from dousa.library.features import StoredMotion, find_feature_set, lacks, load_motions, round_positions
-from dousa.library.forests import ForestCache, StoredForest
+from dousa.library.features import StoredMotion, describe_clip, find_feature_set, lacks, load_motions, round_positions
+from dousa.library.forests import ForestCache, StoredForest, ask_trees
 from dousa.library.ingest import ClipRecord, Query, ReadTask, is_as_stored, name_query, read_clips, read_query
 from dousa.library.partial.forests import PartForests
 from dousa.library.results import MIRROR_SCORE, FindResult, Place
 from dousa.library.search import PartProgress
 from dousa.library.selection import fetch_in, find_row
+from dousa.library.text.meanings import find_meanings
 from dousa.messages import Message
 from dousa.retrieval.features.partial_bodies import count_placed, hide_joints
+from dousa.retrieval.forest.likeness import merge_votes
 
 if TYPE_CHECKING:
     from dousa.retrieval.takes.find import Found
@@ -120,12 +125,14 @@ class ReadTake:
     clip_id : its number in the library, None for a file that is not there.
     windows : of a forest.
     stored : that forest: the present one, or one for the joints that take and query have in common.
+    motion : of a take that is not in the library.
     """
 
     path: str
     clip_id: int | None
     windows: TakeWindows
     stored: StoredForest
+    motion: StoredMotion | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -152,7 +159,8 @@ class Describing:
             assert why is not None
             return Skipped(path, why)
         stored, grid = chosen
-        return ReadTake(path, clip_id, describe_windows(stored, motion, self.n_jobs, grid), stored)
+        kept = motion if clip_id is None else None
+        return ReadTake(path, clip_id, describe_windows(stored, motion, self.n_jobs, grid), stored, kept)
 
 
 class Takes:
@@ -197,9 +205,10 @@ class Takes:
                 chosen, skipped = self.all_takes(connection, describing)
             else:
                 chosen, skipped = self.chosen(connection, describing, takes)
-        found = [(place, False) for place in _find(motion, chosen, k)]
-        if mirror:
-            found += [(place, True) for place in _find(motion.mirror(), chosen, k)]
+            found = [(place, False) for place in _find(motion, chosen, k)]
+            if mirror:
+                found += [(place, True) for place in _find(motion.mirror(), chosen, k)]
+            places = _judge_places(connection, stored, motion, chosen, _rank(found, chosen, k))
         notes = [] if note is None else [note]
         fewer = sum(take.stored.hidden != part.hidden for take in chosen)
         if fewer:
@@ -209,9 +218,10 @@ class Takes:
             duration=motion.duration,
             n_takes=len(chosen),
             seconds=sum(take.windows.duration for take in chosen),
-            results=tuple(_rank(found, chosen, k)),
+            results=tuple(places),
             skipped=tuple(skipped),
             notes=tuple(notes),
+            alike_count=_count_alike(stored, places),
         )
 
     def _read_query(self, connection: sa.Connection, query: Query, options: ReadOptions) -> tuple[str, StoredMotion]:
@@ -420,3 +430,43 @@ def _rank(found: list[tuple[Found, bool]], takes: Sequence[ReadTake], k: int) ->
         take, measures = takes[int(one.take)], (one.score, one.distance, one.shared_leaves, one.tempo)
         places.append(Place(take.path, take.clip_id, one.start, one.stop, *measures, mirrored, rank))
     return places
+
+
+def _judge_places(
+    connection: sa.Connection, stored: StoredForest, query: StoredMotion, takes: Sequence[ReadTake], places: list[Place]
+) -> list[Place]:
+    """Places with whether they are alike at all, those first: each is looked at as a clip of its own."""
+    if stored.likeness is None or not places or any(take.stored is not stored for take in takes):
+        return places  # bodies that lack joints are looked at by forests of their own
+    by_path = {(take.path, take.clip_id): take for take in takes}
+    known = {take.clip_id: take.motion for take in takes if take.motion is not None}
+    wanted = sorted({place.clip_id for place in places if place.clip_id is not None})
+    known |= dict(zip(wanted, load_motions(connection, wanted), strict=True))
+    named = find_meanings(stored.categories)
+    meanings = np.unique([named[name] for name in stored.categories], return_inverse=True)[1]
+    asked = [_describe_alike(stored, motion, meanings) for motion in (query, query.mirror())]
+    judged = []
+    for place in places:
+        whole = by_path[place.take, place.clip_id].motion or known[place.clip_id]
+        first = min(round(place.start * whole.frame_rate), whole.n_frames - 1)
+        last = max(round(place.end * whole.frame_rate), first + 1)
+        part = StoredMotion(whole.positions[first:last], whole.frame_rate, whole.height)
+        told, direction = _describe_alike(stored, part, meanings)
+        chance = float(stored.likeness.judge(*asked[place.mirrored], told[None], direction[None])[0])
+        judged.append(replace(place, alike=chance >= stored.likeness.threshold, probability=round(chance, 4)))
+    judged.sort(key=lambda place: not place.alike)
+    return [replace(place, rank=rank) for rank, place in enumerate(judged, 1)]
+
+
+def _count_alike(stored: StoredForest, places: Sequence[Place]) -> int | None:
+    judged = [place.alike for place in places if place.alike is not None]
+    return None if stored.likeness is None or len(judged) < len(places) else sum(judged)
+
+
+def _describe_alike(
+    stored: StoredForest, motion: StoredMotion, meanings: IndexArray
+) -> tuple[FloatArray, NDArray[np.float32]]:
+    """The votes of the trees for each meaning, and the direction, of a motion."""
+    answers = ask_trees(stored, describe_clip(motion, stored.feature_set).features[None])
+    assert answers.directions is not None
+    return merge_votes(answers.shares(), meanings)[0], answers.directions[0]

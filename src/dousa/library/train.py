@@ -33,6 +33,7 @@ from dousa.library.features import (
 from dousa.library.forests import (
     StoredForest,
     ask_trees,
+    choose_held_back,
     count_votes,
     find_leaves,
     fit_grid,
@@ -45,12 +46,14 @@ from dousa.library.ingest import ClipRecord
 from dousa.library.results import TrainReport
 from dousa.library.schema import pack, stack
 from dousa.library.takes import describe_takes, describe_windows, save_windows
+from dousa.library.text.meanings import find_meanings
 from dousa.library.text.store import keep_all_relations, keep_relations
 from dousa.messages import Message
 from dousa.retrieval import MotionForest
 from dousa.retrieval.features.feature_sets import FeatureSet
 from dousa.retrieval.features.partial_bodies import is_comparable
 from dousa.retrieval.forest.calibration import Assessor
+from dousa.retrieval.forest.likeness import LikenessLearner
 
 if TYPE_CHECKING:
     from dousa.retrieval.forest.growth import Growth
@@ -101,9 +104,11 @@ def train_forest(
     categories = np.array([clips.categories[row] for row in labelled], dtype=np.str_)
     forest.fit(clips.features[labelled], categories, feature_set=kind)
     report(2, _STEPS, Message("library_training.calibrating"))
-    assessor = learn_unknown(forest, clips, labelled, kind)
+    learner = make_likeness_learner(clips, labelled, kind)
+    assessor = learn_unknown(forest, clips, labelled, kind, learner.watch)
+    likeness = None if assessor is None else learner.finish()
     names = tuple(str(name) for name in forest.classes_)
-    stored = StoredForest(forest, names, kind.name, grid, assessor, 0, 0)
+    stored = StoredForest(forest, names, kind.name, grid, assessor, 0, 0, likeness)
     report(3, _STEPS, Message("library_training.describing_takes"))
     with database.reading() as connection:
         windows = describe_takes(connection, stored, n_jobs=n_jobs, progress=tell_takes)
@@ -124,6 +129,15 @@ def train_forest(
         seconds=time.perf_counter() - start,
     )
     return stored, done
+
+
+def make_likeness_learner(clips: ClipFeatures, labelled: Sequence[int], kind: FeatureSet) -> LikenessLearner:
+    """What learns, while the calibration holds its rounds, which clips are alike; categories of one meaning are."""
+    rows, people = choose_held_back(clips, labelled)
+    labels = np.array([clips.categories[row] for row in rows], dtype=np.str_)
+    means = find_meanings(set(labels.tolist()))
+    meanings = np.array([means[label] for label in labels.tolist()], dtype=np.str_)
+    return LikenessLearner(clips.features[rows], labels, meanings, np.array(people, dtype=np.str_), kind)
 
 
 def _store(

@@ -221,13 +221,21 @@ def print_search(out: Console, answer: SearchResult) -> None:
         ("columns.category", *side, *(("columns.without",) if differ else ())),
         "columns.file",
     )
-    for hit in answer.results:
+    likely = [place for place, hit in enumerate(answer.results) if hit.alike is not False]
+    if not likely:
+        _say(out, "answers.none_alike")
+    for place, hit in enumerate(answer.results):
+        if place and likely and place == likely[-1] + 1:
+            table.add_row(*[""] * (len(table.columns) - 1), str(Message("answers.no_longer_alike")))
         poses = "-" if hit.pose_distance is None else f"{hit.pose_distance:.3f}"
         numbers = (str(hit.rank), f"{hit.distance:.3f}", f"{hit.leaf_share:.0%}", poses)
         side = () if answer.mirrored is None else (_name_side(hit.mirrored),)
         without = (", ".join(map(str, name_parts(hit.hidden))),) if differ else ()
-        table.add_row(*numbers, _cell(hit.category or "-"), *side, *without, _cell(hit.path))
+        style = "dim" if hit.alike is False else None
+        table.add_row(*numbers, _cell(hit.category or "-"), *side, *without, _cell(hit.path), style=style)
     out.print(table)
+    if answer.alike_count is not None and answer.alike_count > len(likely) and likely:
+        _say(out, "answers.more_alike", n=answer.alike_count - len(likely), all=answer.alike_count)
     for hit in answer.results:
         if hit.likeness is not None and hit.likeness.reasons:
             out.print(one_line(f"{hit.rank}. {hit.path}"), markup=False, soft_wrap=True)
@@ -335,10 +343,22 @@ def print_places(out: Console, answer: FindResult, *, mirrored: bool) -> None:
         return
     numbers = ("columns.rank", "columns.score", "columns.start", "columns.end", "columns.tempo")
     table = _make_table(numbers, ("columns.side",) if mirrored else (), "columns.take")
-    for place in answer.results:
+    likely = answer.alike_count if answer.alike_count is not None else len(answer.results)
+    if not likely:
+        _say(out, "answers.no_place_alike")
+    for number, place in enumerate(answer.results):
+        if number and number == likely:
+            table.add_row(*[""] * (len(table.columns) - 1), str(Message("answers.no_longer_alike")))
         times = (format_time(place.start), format_time(place.end), f"{place.tempo:.2f}")
         side = (_name_side(place.mirrored),) if mirrored else ()
-        table.add_row(str(place.rank), f"{place.score:.2f}", *times, *side, escape(one_line(place.take)))
+        table.add_row(
+            str(place.rank),
+            f"{place.score:.2f}",
+            *times,
+            *side,
+            escape(one_line(place.take)),
+            style="dim" if place.alike is False else None,
+        )
     out.print(table)
 
 

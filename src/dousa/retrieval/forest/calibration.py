@@ -18,7 +18,7 @@ support vector machines", 1999, with his smoothed targets, so that no curve is c
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
@@ -50,6 +50,9 @@ _LEAST_USUAL = 1e-3
 _SAME_HEIGHT = 0.04  # m
 _THRESHOLD = 0.5  # where a held back category and another are equally likely
 _WHAT = Message("stored.calibration")
+Watch = Callable[[int, MotionForest, IndexArray, IndexArray, IndexArray], None]
+"""Looks at a round: its number, its forest, and the clips that train it, that are known, and that are unknown."""
+
 _CURVES = {"known": 2, "known_by_poses": 3, "right": 1}
 _NUMBERS = ("threshold", "auroc", "false_alarms", "misses")
 
@@ -214,6 +217,7 @@ def learn_calibration(
     *,
     feature_set: FeatureSet | None = None,
     random_state: int = 0,
+    watch: Watch | None = None,
 ) -> Calibration:
     """Learn from categories that are held back what the scores of unknown clips are.
 
@@ -227,6 +231,7 @@ def learn_calibration(
         ``guess_performers`` helps.
     feature_set : that of ``MotionForest.fit``.
     random_state : seed; the same seed gives the same calibration, however many workers.
+    watch : called in each round with its number, its forest, and the rows that train it, that are known and unknown.
 
     Returns
     -------
@@ -244,7 +249,7 @@ def learn_calibration(
     if len(names) < 3:
         raise TrainingError("calibration.categories", count=len(names))
     people = [None] * len(labels) if performers is None else performers
-    judge = _Judge(forest.get_params(), features, labels, feature_set)
+    judge = _Judge(forest.get_params(), features, labels, feature_set, watch)
     rounds = list(_draw_rounds(labels, people, random_state))
     # The forests side by side, each by one worker, as small ones are not worth dividing; the poses one after the other,
     # as the linear algebra has workers of its own.
@@ -288,6 +293,7 @@ class _Judge:
     features: FloatArray
     labels: NDArray[Any]
     feature_set: FeatureSet | None
+    watch: Watch | None = None
 
     def ask_forest(
         self, number: int, train: IndexArray, known: IndexArray, unknown: IndexArray
@@ -297,6 +303,8 @@ class _Judge:
         small = MotionForest(**{**self.parameters, "n_trees": trees, "random_state": number, "n_jobs": 1})
         small.fit(self.features[train], self.labels[train], feature_set=self.feature_set)
         leaves = small.apply(self.features[np.concatenate([known, unknown])])
+        if self.watch is not None:
+            self.watch(number, small, train, known, unknown)
         guess, scores = _Scale(small).measure(leaves)
         return small.classes_[guess], scores
 

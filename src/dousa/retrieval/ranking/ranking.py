@@ -35,6 +35,7 @@ N_REFINED = 64
 
 _HISTOGRAM_SCALE = 2.0**-0.5  # histograms without a common vote are sqrt(2) apart
 _LEAVES_WEIGHT = 0.5
+_COSINE_WEIGHT = 0.5
 _POSE_SCALE = 8.0  # 1 / body heights
 _REACH = 2.0  # cells by which an aligned pair may lie off the diagonal, of 16
 
@@ -65,11 +66,14 @@ class RankedClips:
     leaves : (N, n_trees)
     read_poses : gives (n, T, D) of the clips with these n places, asked once a query for those that are refined;
         ``array.__getitem__`` of an array (N, T, D) will do.
+    cosines : (N,) of the angle to the query, see ``Likeness.place``; None where that was not learned. Of clips that the
+        forest learned by heart, those of all other categories are equally far by histograms and leaves.
     """
 
     histograms: NDArray[np.generic]
     leaves: NDArray[np.integer]
     read_poses: Callable[[IndexArray], NDArray[np.float32]]
+    cosines: NDArray[np.floating] | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -229,6 +233,8 @@ def rank_clips(by: str, query: RankingQuery, clips: RankedClips, n_refined: int 
         first, second = (histogram, leaves) if by == "histogram" else (leaves, histogram)
         return Ranking(np.lexsort((second, first)), first, histogram, leaves, pose)
     cheap = histogram * _HISTOGRAM_SCALE + _LEAVES_WEIGHT * leaves
+    if clips.cosines is not None:
+        cheap += _COSINE_WEIGHT * (1.0 - clips.cosines)
     order = np.argsort(cheap, kind="stable")
     refined = order[:n_refined]
     if len(refined):

@@ -31,7 +31,9 @@ export class Hits {
   draw(hits) {
     this.clear();
     const seen = [];
-    for (const hit of hits) {
+    const last = hits.findLastIndex((hit) => hit.alike !== false);
+    for (const [place, hit] of hits.entries()) {
+      if (place === last + 1) seen.push(h("li", { class: "alike-end" }, t(last < 0 ? "alike_none" : "alike_end")));
       const card = this.makeCard(hit);
       this.cards.set(hit.motion, card);
       seen.push(card);
@@ -53,7 +55,7 @@ export class Hits {
     const bar = h("span", { class: "track", "aria-hidden": "true" }, h("i", { style: { width: `${100 * Math.max(0, 1 - distanceOf(hit) / FULL)}%` } }));
     const measure = h("p", { class: "hit-distance", title: describeDistance(hit) }, bar, h("span", {}, t("distance"), " ", h("b", {}, two(distanceOf(hit)))));
     const mirrored = hit.mirrored ? h("span", { class: "badge" }, "⇄ ", t("mirrored")) : null;
-    const card = h("li", { class: "hit", dataset: { motion: hit.motion, rank: hit.rank } }, open, measure, mirrored, this.makeWhy(hit));
+    const card = h("li", { class: hit.alike === false ? "hit less" : "hit", title: hit.probability == null ? null : t("alike_title", { percent: Math.round(100 * hit.probability) }), dataset: { motion: hit.motion, rank: hit.rank } }, open, measure, mirrored, this.makeWhy(hit));
     return card;
   }
 

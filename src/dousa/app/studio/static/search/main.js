@@ -179,7 +179,8 @@ async function search() {
   drawVerdict($("#verdict"), answer, { explain, onGo: (start, end) => stage.go(start, end) });
   const count = hits.cards.size;
   $("#export-hits").hidden = count === 0;
-  $("#results-note").textContent = count ? t("hits_found", { count, ms: Math.round(performance.now() - began) }) : t("hits_none");
+  const alike = answer.alike_count == null ? "" : `${t("alike_count", { count: answer.alike_count - answer.results.filter((hit) => isQuery(hit) && hit.alike).length })} · `;
+  $("#results-note").textContent = count ? alike + t("hits_found", { count, ms: Math.round(performance.now() - began) }) : t("hits_none");
   drawMatch();
   if (state.hit) showStage();
   if (library.n_takes) searchTakes(mine);

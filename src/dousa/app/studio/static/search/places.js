@@ -2,7 +2,8 @@
 
 import { baseName, h, t } from "../core/dom.js";
 
-const CLEAR = 0.3; // score below which a place is shown only to who asks
+const CLEAR = 0.3; // score below which a place is shown only to who asks, where the library has not learned what is alike
+const isClear = (place) => place.alike ?? place.score >= CLEAR;
 
 /** "1:04.2" */
 function formatMoment(seconds) {
@@ -13,8 +14,8 @@ function formatMoment(seconds) {
 /** onChoose(place) shows it beside the query. */
 export function drawPlaces(element, places, onChoose) {
   element.hidden = false;
-  const clear = places.filter((place) => place.score >= CLEAR);
-  const others = places.filter((place) => place.score < CLEAR);
+  const clear = places.filter(isClear);
+  const others = places.filter((place) => !isClear(place));
   const row = (place) => {
     const when = `${formatMoment(place.start_s)} – ${formatMoment(place.end_s)}`;
     return h(

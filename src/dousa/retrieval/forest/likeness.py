@@ -1,0 +1,200 @@
+"""Where likeness ends: the probability that two motions mean the same, and from which one on they are called alike.
+
+A ranking puts every clip in order, also those that have nothing to do with the query. Two things tell clips of the same
+meaning from others: whether the trees vote for the same meanings, and the angle between both in a space whose axes are
+stretched so that clips of one meaning lie close (``pose_space``). Categories may share a meaning ("walk/active" and
+"walk/tired", or "squat" of one producer and "squat1Reps" of another); the space then learns what a producer or a style
+changes.
+
+What values are usual is learned in the rounds of the calibration: clips of people, and of categories, that are held
+back ask a forest that never saw them. A logistic curve over both scores gives the probability, and the threshold is the
+strictest one with the best mean F over the queries that have clips of their meaning: of those called alike against
+those of the same meaning. Queries of categories held back teach the curve, but not the threshold: they made it so
+strict that half of what people held back do was no longer found.
+"""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dousa.arrays import BoolArray, FloatArray, IndexArray
+from dousa.messages import Message
+from dousa.retrieval.features.feature_sets import FeatureSet
+from dousa.retrieval.forest.forest import MotionForest
+from dousa.retrieval.forest.forest_file import check, damaged, pack_arrays, unpack_arrays
+from dousa.retrieval.forest.pose_space import (
+    ARRAYS,
+    Curve,
+    PoseSpace,
+    fit_curve,
+    fit_pose_space,
+    read_curve,
+)
+
+_QUERIES = 60  # of each round, that are compared with all clips that trained
+_AS_GOOD = 0.01  # of F: where many thresholds part alike from others, the strictest
+_ODDS = np.linspace(-4.0, 9.0, 66)  # thresholds that are tried, as log odds
+_WHAT = Message("stored.calibration")
+_NUMBERS = ("threshold", "precision", "recall")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Likeness:
+    """How likely two clips mean the same.
+
+    Parameters
+    ----------
+    space : in which their angle is measured.
+    curve : over the agreement of the votes and the cosine of the angle.
+    threshold : probability from which they are called alike.
+    precision, recall : over the rounds, means of the queries that have clips of their meaning.
+    """
+
+    space: PoseSpace
+    curve: Curve
+    threshold: float
+    precision: float
+    recall: float
+
+    def place(self, features: FloatArray) -> NDArray[np.float32]:
+        """Directions (N, K) of clips (N, T, F) in the space, of length 1: a product of two is their cosine."""
+        return _shorten(self.space.place(features)).astype(np.float32)
+
+    def judge(
+        self, votes: FloatArray, direction: NDArray[np.float32], all_votes: FloatArray, directions: NDArray[np.float32]
+    ) -> FloatArray:
+        """Probabilities (N,) that clips mean the same as a query.
+
+        Parameters
+        ----------
+        votes, direction : (M,) share of the trees for each meaning, and (K,) of ``place``, of the query.
+        all_votes, directions : (N, M) and (N, K) of the clips.
+        """
+        return self.curve.evaluate(_score(votes, direction, all_votes, directions))
+
+    def to_bytes(self) -> bytes:
+        """An .npz file (no pickle)."""
+        numbers = {name: getattr(self, name) for name in _NUMBERS}
+        curve = {"intercept": self.curve.intercept, "slopes": self.curve.slopes}
+        return pack_arrays({"numbers": np.array(json.dumps({**numbers, "curve": curve})), **self.space.to_arrays()})
+
+    @classmethod
+    def from_bytes(cls, data: bytes) -> Likeness:
+        """What ``to_bytes`` wrote; DousaError where it is anything else."""
+        arrays = unpack_arrays(data, {"numbers", *ARRAYS}, _WHAT)
+        try:
+            written = json.loads(str(arrays["numbers"]))
+            curve = read_curve(written["curve"], 2)
+            numbers = [float(written[name]) for name in _NUMBERS]
+        except (KeyError, TypeError, ValueError, OverflowError, RecursionError) as error:
+            raise damaged(_WHAT, error) from error
+        check(all(0.0 <= number <= 1.0 for number in numbers), _WHAT, "shares beyond 0 ... 1")
+        return cls(PoseSpace.from_arrays(arrays, _WHAT), curve, *numbers)
+
+
+def _shorten(placed: FloatArray) -> FloatArray:
+    directions: FloatArray = placed / np.maximum(np.linalg.norm(placed, axis=1, keepdims=True), 1e-9)
+    return directions
+
+
+def _score(votes: FloatArray, direction: NDArray[Any], all_votes: FloatArray, directions: NDArray[Any]) -> FloatArray:
+    """(N, 2): the cosines of the votes, and of the directions.
+
+    Not eq. 8: the votes on a stranger are spread, those on a clip that trained are not, and that alone puts them apart.
+    """
+    lengths = np.linalg.norm(all_votes, axis=1) * np.linalg.norm(votes)
+    return np.column_stack([all_votes @ votes / np.maximum(lengths, 1e-9), directions @ direction])
+
+
+def merge_votes(votes: FloatArray, meanings: IndexArray) -> FloatArray:
+    """Votes (N, C) for categories as votes (N, M) for meanings; ``meanings`` (C,) is the number of each one's."""
+    merged = np.zeros((int(meanings.max(initial=-1)) + 1, len(votes)))
+    np.add.at(merged, meanings, votes.T)
+    return merged.T
+
+
+class LikenessLearner:
+    """Looks on while a calibration holds its rounds (``watch``), and learns from them.
+
+    Parameters
+    ----------
+    features : (N, T, F) of the clips of the rounds.
+    labels, meanings : (N,) their categories, and what these mean.
+    performers : (N,) who performed them; clips of one person are not compared, if there are several people.
+    feature_set : what the columns are.
+    """
+
+    def __init__(
+        self,
+        features: FloatArray,
+        labels: NDArray[Any],
+        meanings: NDArray[Any],
+        performers: NDArray[Any],
+        feature_set: FeatureSet,
+    ) -> None:
+        self._features, self._labels, self._meanings = features, labels, meanings
+        self._performers, self._feature_set = performers, feature_set
+        self._has_people = len(np.unique(performers)) > 1
+        self._rounds: dict[int, list[tuple[FloatArray, BoolArray, bool]]] = {}
+
+    def watch(
+        self, number: int, forest: MotionForest, train: IndexArray, known: IndexArray, unknown: IndexArray
+    ) -> None:
+        """Compare clips that a forest never saw with those that trained it."""
+        chance = np.random.default_rng(number)
+        space = fit_pose_space(self._features[train], self._meanings[train], self._feature_set)
+        of_label = dict(zip(self._labels[train].tolist(), self._meanings[train].tolist(), strict=True))
+        _, numbers = np.unique([of_label[name] for name in forest.classes_.tolist()], return_inverse=True)
+        queries = np.concatenate(
+            [chance.choice(rows, min(_QUERIES // 2, len(rows)), replace=False) for rows in (known, unknown)]
+        ).astype(np.intp)
+        asked, stored = (self._ask(forest, space, numbers, rows) for rows in (queries, train))
+        pairs = []
+        for row, votes, direction in zip(queries, *asked, strict=True):
+            others = self._performers[train] != self._performers[row] if self._has_people else np.ones(len(train), bool)
+            same = (self._meanings[train] == self._meanings[row])[others]
+            pairs.append((_score(votes, direction, *stored)[others], same, bool(same.any())))
+        self._rounds[number] = pairs
+
+    def _ask(
+        self, forest: MotionForest, space: PoseSpace, numbers: IndexArray, rows: IndexArray
+    ) -> tuple[FloatArray, FloatArray]:
+        features = self._features[rows]
+        leaves = forest.apply(features)
+        return merge_votes(forest.histograms_of(leaves.astype(np.int64)), numbers), _shorten(space.place(features))
+
+    def finish(self) -> Likeness | None:
+        """What was learned; None if no round had two clips of one meaning."""
+        pairs = [pair for number in sorted(self._rounds) for pair in self._rounds[number]]
+        if not any(has for _, _, has in pairs):
+            return None
+        scores, same = (np.concatenate([pair[part] for pair in pairs]) for part in (0, 1))
+        curve = fit_curve(scores, same)
+        chances = [curve.evaluate(scored) for scored, _, _ in pairs]
+        limits = 1.0 / (1.0 + np.exp(-_ODDS))
+        measured = np.array(
+            [
+                [_measure(chance >= limit, pair[1]) for chance, pair in zip(chances, pairs, strict=True)]
+                for limit in limits
+            ]
+        )
+        has = np.array([pair[2] for pair in pairs])
+        f = measured[:, has, 2].mean(axis=1)
+        best = int(np.flatnonzero(f >= f.max() - _AS_GOOD)[-1])
+        precision, recall, _ = measured[best, has].mean(axis=0)
+        space = fit_pose_space(self._features, self._meanings, self._feature_set)
+        return Likeness(space, curve, float(limits[best]), float(precision), float(recall))
+
+
+def _measure(called: BoolArray, same: BoolArray) -> tuple[float, float, float]:
+    """Precision, recall and F of the clips called alike; 1 where there are none and none are called so."""
+    if not same.any():
+        right = float(not called.any())
+        return right, right, right
+    hits = float((called & same).sum())
+    return hits / max(float(called.sum()), 1.0), hits / float(same.sum()), 2.0 * hits / float(called.sum() + same.sum())
