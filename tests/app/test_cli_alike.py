@@ -19,7 +19,7 @@ def show(flags, count, language="en"):
     out = io.StringIO()
     use_language(language)
     try:
-        print_search(Console(file=out, width=200), SearchResult("q", verdict, hits, "fused", None, count))
+        print_search(Console(file=out, width=200), SearchResult("q", verdict, hits, "fused", alike_count=count))
     finally:
         use_language("en")
     return out.getvalue()
