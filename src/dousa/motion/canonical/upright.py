@@ -185,9 +185,12 @@ def weigh_axes(
             posture = float((body @ vector).mean())
             postures[axis] = posture
             score += trust * float(np.interp(posture, *_POSTURE))
-            fixed = bool(centred["xyz".index(axis[-1])])
-            score += _floor_score(points @ vector / height, posture, centred=fixed, pinned=centred.sum() > 1)
-            score += _hover_score(points @ vector / height)
+            column = "xyz".index(axis[-1])
+            # One joint after the other in the memory: the lowest of all is found several times as fast.
+            along = np.asfortranarray(points[..., column]) * (vector[column] / height)
+            fixed = bool(centred[column])
+            score += _floor_score(along, posture, centred=fixed, pinned=centred.sum() > 1)
+            score += _hover_score(along)
             if abs(posture) < _LYING and aligned:
                 score += _ALIGNED_SCORE
         if rest is not None and rest @ vector > _REST_COSINE:
@@ -242,8 +245,11 @@ def _floor_score(along: FloatArray, posture: float, *, centred: bool, pinned: bo
     legs = along[:, [J[f"{side}_{joint}"] for side in ("left", "right") for joint in ("knee", "ankle", "toe")]]
     if np.isnan(legs).all():
         return 0.0
-    there = along[~np.isnan(along).all(axis=1)]
-    lowest, highest = np.nanmin(there, axis=1), np.nanmax(there, axis=1)
+    if np.isnan(along).any():
+        there = along[~np.isnan(along).all(axis=1)]
+        lowest, highest = np.nanmin(there, axis=1), np.nanmax(there, axis=1)
+    else:
+        lowest, highest = along.min(axis=1), along.max(axis=1)
     level, scatter = float(np.percentile(lowest, 2)), float(lowest.std())
     score = _STEADY[1] if scatter <= _STEADY[0] else _UNSTEADY[1] if scatter > _UNSTEADY[0] else 0.0
     if centred:
