@@ -11,7 +11,7 @@ from oracles.bodies import walking_body
 from oracles.marker_bodies import MarkerSet, read_sets, wear
 
 from dousa.formats.registry import read_motion
-from dousa.motion import CANONICAL_JOINTS, JOINT_INDEX, canonicalise
+from dousa.motion import CANONICAL_JOINTS, JOINT_INDEX, Trajectories, canonicalise
 from dousa.motion.canonical.joint_centres import move_inside
 from dousa.motion.canonical.naming import REQUIRED_JOINTS, match_names
 
@@ -109,6 +109,20 @@ def test_a_marker_beside_the_knee_is_moved_inside_whatever_the_unit_and_handedne
         assert _off(moved, points, joint) < 0.4 * _off(before, points, joint)
     others = [index for joint, index in JOINT_INDEX.items() if joint not in skin]
     np.testing.assert_allclose(moved[:, others], before[:, others], atol=1e-9)
+
+
+@pytest.mark.parametrize(("first", "second"), [("Anna:", "Ben:"), ("S1_", "S2_")])
+def test_of_several_people_the_first_is_taken_and_said(first: str, second: str) -> None:
+    worn = wear(SETS["Plug-in Gait, full body"], _points(), 30.0)
+    keep = [index for index, name in enumerate(worn.names) if name != "RFIN"]  # which only the second wears
+    names = tuple(first + worn.names[index] for index in keep) + tuple(second + name for name in worn.names)
+    both = np.concatenate([worn.positions[:, keep], worn.positions + np.array([2.0, 0, 0])], axis=1)
+    found = canonicalise(Trajectories(names, both, 30.0))
+    (note,) = [one for one in found.warnings if one.code == "canonical.several"]
+    assert note.values == {"first": first[:-1], "others": (second[:-1],)}
+    assert all(name.startswith(first) for sources in found.mapping.sources.values() for name in sources)
+    assert _off(found.positions, _points(), "right_hand") < 200
+    assert canonicalise(worn).mapping.sources["right_hand"] == ("RFIN",)
 
 
 def test_nothing_is_moved_where_nothing_tells_the_size() -> None:

@@ -254,6 +254,8 @@ def _finish(moving: Trajectories, chosen: ChosenMap, points: FloatArray, unseen:
         warnings.append(Message("canonical.no_person", height=height))
     if not chosen.is_person:
         warnings.append(Message("canonical.not_a_person", table=recipe.table))
+    if chosen.bodies:
+        warnings.append(Message("canonical.several", first=chosen.bodies[0], others=chosen.bodies[1:]))
     if chosen.is_odd:
         warnings.append(Message("canonical.odd_proportions", table=recipe.table))
     if recipe.absent:

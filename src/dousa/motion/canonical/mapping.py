@@ -6,6 +6,7 @@ passes the check of `anthropometry`, the first whole one is taken and called wha
 
 from __future__ import annotations
 
+import dataclasses
 import re
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -16,7 +17,7 @@ import numpy as np
 from dousa.motion.canonical.anthropometry import FORE_LEGS, measure_proportions, walks_on_fours
 from dousa.motion.canonical.geometry import body_points
 from dousa.motion.canonical.joints import CANONICAL_JOINTS
-from dousa.motion.canonical.naming import named_by_estimators
+from dousa.motion.canonical.naming import list_bodies, named_by_estimators, owner_of
 from dousa.motion.canonical.recipes import Recipe, named_recipes, on_the_skin, partial_recipes
 from dousa.motion.canonical.tree_shape import shape_recipe, spread_frames
 from dousa.motion.types import Trajectories
@@ -32,12 +33,14 @@ class ChosenMap:
     is_person : whether the proportions are possible.
     passed_over : tables that cover as much but give no person.
     is_odd : whether only the names say that it is a person.
+    bodies : whose markers the file holds, if of several people; the map is that of the first.
     """
 
     recipe: Recipe
     is_person: bool
     passed_over: tuple[str, ...] = ()
     is_odd: bool = False
+    bodies: tuple[str, ...] = ()
 
 
 def choose_map(sample: Trajectories, unseen: tuple[int, ...] = ()) -> ChosenMap | None:
@@ -53,6 +56,15 @@ def choose_map(sample: Trajectories, unseen: tuple[int, ...] = ()) -> ChosenMap 
     None if neither names nor tree tell a body or a limb.
     """
     names = names_of_seen(sample.names, unseen)
+    bodies = list_bodies(sample.names) if sample.parents is None else ()
+    if bodies:  # the others keep their places but lose their names
+        others = tuple(index for index, name in enumerate(names) if owner_of(name) in bodies[1:])
+        names = names_of_seen(names, others)
+    found = _choose(names, sample, unseen)
+    return found if found is None or not bodies else dataclasses.replace(found, bodies=bodies)
+
+
+def _choose(names: tuple[str, ...], sample: Trajectories, unseen: tuple[int, ...]) -> ChosenMap | None:
     first: Recipe | None = None
     failed: list[str] = []
     for candidate in _candidates(names, sample, use_tree=not unseen):

@@ -107,7 +107,7 @@ def _common(rows: list[list[str]], place: int) -> str:
     """The word that nearly all names of several words have first (place 0) or last (-1); empty if none."""
     ends = [row[place] for row in rows if len(row) > 1]
     word = max(set(ends), key=ends.count) if ends else ""
-    return word if word not in _SIDES and ends.count(word) >= _SHARED * len(rows) else ""
+    return word if word not in _SIDES and ends.count(word) >= _SHARED * sum(map(bool, rows)) else ""
 
 
 def _without_prefix(words: list[list[str]]) -> list[list[str]]:
@@ -266,6 +266,32 @@ def named_by_estimators(names: tuple[str, ...]) -> bool:
     """
     cores = {core for _, core in normalise_names(names)}
     return any(signs <= cores for signs in _ESTIMATED)
+
+
+_LEAST_MARKERS, _ALIKE = 8, 0.6
+_OWNER = re.compile(r"^\s*([^:_]{2,})[:_]\s*(?=\S)")
+
+
+@lru_cache(maxsize=256)
+def list_bodies(names: tuple[str, ...]) -> tuple[str, ...]:
+    """Whose markers the names are, if of several people: ``Anna:LASI`` and ``Ben:LASI``, or ``S1_LASI`` ...
+
+    The owners have at least eight markers each, most of which the first has too; () if there is only one.
+    """
+    markers: dict[str, set[str]] = {}
+    for name in names:
+        owner = _OWNER.match(name)
+        if owner is not None and owner[1].lower() not in _SIDES and owner[1].lower() not in _FIRST_WORDS:
+            markers.setdefault(owner[1], set()).add(name[owner.end() :])
+    owners = [owner for owner, own in markers.items() if len(own) >= _LEAST_MARKERS]
+    alike = [o for o in owners if len(markers[o] & markers[owners[0]]) >= _ALIKE * len(markers[o])]
+    return tuple(alike) if len(alike) > 1 else ()
+
+
+def owner_of(name: str) -> str:
+    """What stands before the first colon or underscore of a name."""
+    owner = _OWNER.match(name)
+    return owner[1] if owner is not None else ""
 
 
 _JOINTS = {"shoulder", "elbow", "wrist", "hip", "knee"}
