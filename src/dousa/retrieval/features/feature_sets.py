@@ -99,7 +99,8 @@ class FeatureSet:
         ------
         OptionError : joints that there are not.
         """
-        return _hide(self.base, order_joints({*self.hidden, *joints}))
+        more = set(joints)
+        return _hide(self.base, order_joints(more.union(self.hidden))) if more else self
 
     @property
     def has_banks(self) -> bool:

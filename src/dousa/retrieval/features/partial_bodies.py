@@ -108,7 +108,7 @@ def name_parts(joints: Iterable[str]) -> tuple[Message, ...]:
     return tuple(Message(f"body_part.{name}") for name in named if name not in without)
 
 
-def hide_joints(motion: PosedMotion, hidden: Iterable[str]) -> PosedMotion:
+def hide_joints(motion: PosedMotion, hidden: Collection[str]) -> PosedMotion:
     """A motion as if some of its joints had not been recorded; the motion itself if none is to be hidden.
 
     Parameters
@@ -120,9 +120,9 @@ def hide_joints(motion: PosedMotion, hidden: Iterable[str]) -> PosedMotion:
     -------
     A motion whose hidden joints are NaN, and whose height follows from the bones that are left.
     """
-    joints = set(order_joints(hidden))
-    if not joints:
+    if not hidden:
         return motion
+    joints = set(order_joints(hidden))
     # Who lacks a hand lacked its wrist too: the one is made from the other where it is not recorded.
     joints |= {
         f"{side}_{beyond}" for side in ("left", "right") for joint, beyond in _WITH if f"{side}_{joint}" in joints
