@@ -13,14 +13,13 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from _take_material import FEATURE_SET, read_or_make_clips, train_forest
+from _take_material import read_or_make_clips
 
 from dousa.experiments.metrics import TrueSegment, compare_timeline
 from dousa.formats.registry import read_motion
 from dousa.motion import canonicalise
 from dousa.retrieval.takes.label import label_take
 from dousa.retrieval.takes.labeller_training import train_labeller
-from dousa.retrieval.takes.windows import describe_take
 
 
 def read_truth(path: Path, take: str, frame_rate: float, same: dict[str, str]) -> list[TrueSegment]:
@@ -50,14 +49,12 @@ def main() -> None:
     parser.add_argument("--performer-from", default=None)
     options = parser.parse_args()
     clips = [clip for folder in options.folders for clip in read_or_make_clips(folder, options.performer_from)]
-    forest = train_forest(clips)
-    labeller = train_labeller(forest, FEATURE_SET, clips, n_jobs=2)
+    labeller = train_labeller(clips, n_jobs=2)
     motion = canonicalise(read_motion(options.take))
     same = dict(pair.split("=", 1) for pair in options.same)
     truth = read_truth(options.truth, options.take.stem, motion.frame_rate, same)
-    windows = describe_take(forest, FEATURE_SET, motion, labeller.grid)
     for name, threshold in (("with unknown", None), ("all said", 0.0)):
-        timeline = label_take(labeller, windows, threshold=threshold)
+        timeline = label_take(labeller, motion, threshold=threshold)
         scores = compare_timeline(timeline.segments, truth, timeline.duration).scores()
         print(f"{name}: {scores.frame_accuracy:.3f} of {scores.n_frames} frames right")
         for one in timeline.segments:

@@ -5,7 +5,7 @@
 Each trial leaves out one performer and one category, trains on the rest, and joins a take of the performer's clips
 and three of the unknown category, by different people where there are some. The first of the three is corrected. Told
 are the shares of frames of the other two that get the new name, and of all other frames that are right, and the time.
-Ours teaches the labeller the example; the peer adds the clip to the forest like ours and learns the labeller anew.
+Ours teaches the labeller the example; the peer learns the labeller anew, with the example among the clips.
 """
 
 from __future__ import annotations
@@ -15,14 +15,13 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from _take_material import FEATURE_SET, read_or_make_clips, train_forest
+from _take_material import read_or_make_clips
 from _timing import timed
 
-from dousa.retrieval import MotionForest, TakeLabeller, describe_take, label_take, train_labeller
+from dousa.retrieval import TakeLabeller, label_take, train_labeller
 from dousa.retrieval.features.posed_motion import LabelledClip
-from dousa.retrieval.forest.growth import StandingClips, grow_forest
-from dousa.retrieval.takes.labeller_training import Example, carry_labeller, teach_labeller
-from dousa.retrieval.takes.leaf_weights import JoinedTake, join_clips
+from dousa.retrieval.takes.made_takes import JoinedTake, join_clips
+from dousa.retrieval.takes.teaching import Example, teach_labeller
 from dousa.retrieval.takes.windows import TAKE_RATE
 
 PLACES = 3  # of the unknown category in a take
@@ -48,12 +47,9 @@ def choose_take(clips: list[LabelledClip], strange: str, performer: str, generat
     return join_clips(chosen, generator)
 
 
-def score(
-    labeller: TakeLabeller, forest: MotionForest, take: JoinedTake, strange: str, skipped: int, seconds: float
-) -> Score:
+def score(labeller: TakeLabeller, take: JoinedTake, strange: str, skipped: int, seconds: float) -> Score:
     """How well a take is labelled, without the piece that was corrected."""
-    windows = describe_take(forest, FEATURE_SET, take, labeller.grid, n_jobs=2)
-    timeline = label_take(labeller, windows)
+    timeline = label_take(labeller, take, n_jobs=2)
     named, others = [], []
     for number, piece in enumerate(take.pieces):
         for frame in np.arange(piece.start, piece.stop) if number != skipped else ():
@@ -66,31 +62,16 @@ def run_trial(clips: list[LabelledClip], strange: str, performer: str, generator
     """Before the correction, ours, the peer."""
     known = [clip for clip in clips if clip.category != strange and clip.performer != performer]
     take = choose_take(clips, strange, performer, generator)
-    features = np.stack([FEATURE_SET.compute(clip) for clip in known])
-    forest = train_forest(known)
-    labeller = train_labeller(forest, FEATURE_SET, known, features=features, n_jobs=2)
+    labeller = train_labeller(known, n_jobs=2)
     number = next(k for k, piece in enumerate(take.pieces) if piece.category == strange)
     start, stop = round(take.pieces[number].start), round(take.pieces[number].stop)
     part = LabelledClip("part", strange, None, take.positions[start:stop], take.frame_rate, take.height)
-    standing = StandingClips([clip.category for clip in known], forest.apply(features), lambda rows: features[rows])
-    new = FEATURE_SET.compute(part)[None]
-    grown = grow_forest(forest, standing, new, [strange], feature_set=FEATURE_SET).forest
-
-    def teach() -> TakeLabeller:
-        carried = carry_labeller(labeller, forest.trees_, grown.trees_)
-        windows = describe_take(grown, FEATURE_SET, part, carried.grid, n_jobs=2)
-        return teach_labeller(carried, [Example(windows, strange)], grown.apply(features))
-
-    def learn_anew() -> TakeLabeller:
-        both = np.concatenate([features, new])
-        return train_labeller(grown, FEATURE_SET, [*known, part], features=both, n_jobs=2)
-
-    took, taught = timed(teach)
-    took_anew, anew = timed(learn_anew)
+    took, taught = timed(lambda: teach_labeller(labeller, [Example(part, strange)]))
+    took_anew, anew = timed(lambda: train_labeller([*known, part], n_jobs=2))
     return [
-        score(labeller, forest, take, strange, number, 0.0),
-        score(taught, grown, take, strange, number, took),
-        score(anew, grown, take, strange, number, took_anew),
+        score(labeller, take, strange, number, 0.0),
+        score(taught, take, strange, number, took),
+        score(anew, take, strange, number, took_anew),
     ]
 
 

@@ -11,7 +11,7 @@ from oracles.short_actions import make_clip
 from oracles.standing import standing
 
 from dousa.errors import TrainingError
-from dousa.experiments.annotated.trial import NEVER_UNKNOWN, OURS, cut_segments, run_annotated_takes_experiment
+from dousa.experiments.annotated.trial import NEVER_UNKNOWN, OURS, run_annotated_takes_experiment
 from dousa.motion.annotation import Stretch
 from dousa.retrieval.features.posed_motion import AnnotatedTake
 from dousa.retrieval.takes.label import Segment
@@ -52,7 +52,7 @@ def knows_all(takes):
 
 @pytest.fixture(scope="module")
 def result():
-    return run_annotated_takes_experiment(TAKES, methods={"other": knows_all}, n_trees=30, n_jobs=1)
+    return run_annotated_takes_experiment(TAKES, methods={"other": knows_all}, n_jobs=1)
 
 
 def test_a_perfect_answer_and_silence_and_one_word(result):
@@ -82,12 +82,6 @@ def test_the_answer_is_plain_and_shown_in_full(result):
     scores, people, *_ = result.to_tables()
     assert [row[0] for row in scores.rows] == list(result.scores)
     assert [row[0] for row in people.rows] == ["0", "1", "2"]
-
-
-def test_segments_are_cut_where_they_lie():
-    clips = cut_segments(TAKES[0])
-    assert len(clips) == 8 and {clip.performer for clip in clips} == {"0"}
-    assert np.array_equal(clips[0].positions, TAKES[0].positions[REST : REST + len(clips[0].positions)])
 
 
 def test_what_cannot_be_tried_is_said():

@@ -32,7 +32,7 @@ def test_training_reports_and_gives_histograms(empty_library, moves, write_move,
     assert (report.n_trees, report.n_clips, report.n_unlabelled) == (30, 16, 1)
     assert report.categories == {"bow": 5, "jump": 1, "squat": 5, "wave": 5}
     assert report.single == ("jump",)
-    assert calls[-1][:2] == (5, 5)
+    assert calls[-1][:2] == (6, 6)
     (unlabelled,) = empty_library.clips(tmp_path / "x")
     assert (unlabelled.category, unlabelled.predicted_category) == (None, "bow")
     stats = empty_library.stats()

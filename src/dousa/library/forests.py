@@ -272,8 +272,10 @@ def learn_unknown(
     return Assessor(forest, calibration)
 
 
-def replace_forest(connection: sa.Connection, stored: StoredForest, n_clips: int) -> None:
-    """Put a newly trained forest in the place of the one before."""
+def replace_forest(
+    connection: sa.Connection, stored: StoredForest, n_clips: int, labeller: bytes | None = None
+) -> None:
+    """Put a newly trained forest, and what takes are labelled with, in the place of those before."""
     parameters = {name: value for name, value in stored.forest.get_params().items() if name != "n_jobs"}
     connection.execute(sa.delete(schema.forests))
     connection.execute(
@@ -285,6 +287,7 @@ def replace_forest(connection: sa.Connection, stored: StoredForest, n_clips: int
             n_clips=n_clips,
             window_lengths=list(stored.grid.lengths),
             n_learned=0,
+            labeller=labeller,
             **_to_columns(stored),
         )
     )
@@ -307,7 +310,7 @@ def update_forest(connection: sa.Connection, stored: StoredForest, n_clips: int)
     connection.execute(
         sa.update(forests).values(
             n_learned=forests.c.n_learned + n_clips,
-            labeller=None,  # it does not know the new leaves
+            labeller=None,  # it does not know the new clips
             **_to_columns(stored),
         )
     )

@@ -1,42 +1,41 @@
-"""What takes are labelled with: learned from the clips when a take is first labelled, and kept with the forest."""
+"""What takes are labelled with: learned with the forest from clips and annotated takes, and kept with it."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 import sqlalchemy as sa
-from numpy.typing import NDArray
 
 from dousa.errors import DousaError, LibraryDamagedError, LibraryError, MotionFileError
 from dousa.formats.motion_files import ReadOptions
 from dousa.library import schema
+from dousa.library.annotations.store import load_annotated_takes
 from dousa.library.engine import Database, choose_jobs
-from dousa.library.features import StoredMotion, find_feature_set, lacks, load_features, load_motions
+from dousa.library.features import StoredMotion, find_feature_set, lacks, load_motions
 from dousa.library.forests import ForestCache, StoredForest
 from dousa.library.ingest import Query
 from dousa.library.partial.forests import PartForests
 from dousa.library.results import LabelledTake
-from dousa.library.schema import stack
 from dousa.library.selection import fetch_in
-from dousa.library.takes import Describing, Takes, check_single, describe_windows
+from dousa.library.takes import Takes, check_single
 from dousa.messages import Message
+from dousa.motion.canonical.joints import find_absent
 from dousa.retrieval.features.partial_bodies import hide_joints
 
 if TYPE_CHECKING:
     from dousa.retrieval import LabelledClip
-    from dousa.retrieval.features.posed_motion import PosedMotion
+    from dousa.retrieval.features.posed_motion import AnnotatedTake, PosedMotion
     from dousa.retrieval.takes.label import TakeLabeller
     from dousa.retrieval.takes.live import LiveLabeller
-    from dousa.retrieval.takes.windows import TakeWindows, WindowGrid
 
 LearnProgress = Callable[[int, int, Message], None]
 """Called with (steps done, steps, message about the next step)."""
 
-_MOST_HELD = 400  # clips of other categories of which the same must be said after an example
-_MOST_CLIPS = 1500  # that a labeller learns from: it learns how actions follow one another, not what they are
+_MOST_CLIPS = 1500  # that a labeller learns from: more than it takes moments of
+_CLIPS_AT_ONCE = 100
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -59,7 +58,7 @@ class Labellers:
         self._parts = parts
         self._of_parts: dict[str, tuple[StoredForest, TakeLabeller]] = {}
         self._last: _Kept | None = None
-        self._examples: dict[int, TakeWindows] = {}
+        self._examples: dict[int, StoredMotion] = {}
         self._taught: tuple[tuple[tuple[int, str], ...], TakeLabeller] | None = None
 
     def label(
@@ -76,28 +75,16 @@ class Labellers:
 
         check_single(take)
         stored = self._load()
-        labeller = self.get(stored, n_jobs, progress, examples)
-        notes: list[Message] = []
-
-        def choose(
-            absent: Sequence[str],
-        ) -> tuple[tuple[StoredForest, WindowGrid] | None, Message | None]:
-            nonlocal labeller
-            part, note = self._parts.choose(stored, absent, progress)
-            if part is None:
-                return None, note
-            if part is not stored:
-                labeller = self._get_part(part, n_jobs, progress)
-            notes.extend([] if note is None else [note])
-            return (part, labeller.grid), note
-
         with self._database.reading() as connection:
-            describing = Describing(stored, choose, options, n_jobs)
-            chosen, skipped = self._takes.chosen(connection, describing, [take])
-        if not chosen:
-            raise MotionFileError(str(take), skipped[0].reason)
-        timeline = label_take(labeller, chosen[0].windows, threshold=threshold)
-        return LabelledTake(chosen[0].path, chosen[0].clip_id, timeline, tuple(notes))
+            path, clip_id, motion = self._takes.read_single(connection, take, options)
+        part, note = self._parts.choose(stored, motion.absent, progress)
+        if part is None:
+            raise MotionFileError(path, note if note is not None else Message("partial.incomparable", parts=()))
+        whole = part is stored
+        labeller = self.get(stored, n_jobs, progress, examples) if whole else self._get_part(part, n_jobs, progress)
+        seen = _complete(motion, part.feature_set)
+        timeline = label_take(labeller, seen, threshold=threshold, n_jobs=choose_jobs(n_jobs))
+        return LabelledTake(path, clip_id, timeline, () if note is None else (note,))
 
     def _get_part(self, part: StoredForest, n_jobs: int | None, progress: LearnProgress | None) -> TakeLabeller:
         """What takes of bodies that lack joints are labelled with; it stays in memory, and examples do not teach it."""
@@ -119,8 +106,7 @@ class Labellers:
 
         stored = self._load()
         labeller = self.get(stored, n_jobs, progress)
-        kind = find_feature_set(stored.feature_set)
-        return LiveLabeller(stored.forest, kind, labeller, height=height, threshold=threshold)
+        return LiveLabeller(labeller, height=height, threshold=threshold)
 
     def _load(self) -> StoredForest:
         with self._database.reading() as connection:
@@ -144,7 +130,7 @@ class Labellers:
             labels = _read_labels(connection, examples)
             if self._taught is not None and self._taught[0] == labels:
                 return self._taught[1]
-            taught = self._teach(connection, stored, base, labels, n_jobs)
+            taught = self._teach(connection, base, labels)
         self._taught = (labels, taught)
         return taught
 
@@ -161,7 +147,7 @@ class Labellers:
                 n_learned = int(connection.execute(sa.select(schema.forests.c.n_learned)).scalar_one())
             labeller = self._read(stored)
             if labeller is None:
-                labeller = self._carry(stored, n_learned, examples)
+                labeller = self._carry(n_learned, examples)
             if labeller is None:
                 labeller = self._learn(stored, n_jobs, progress)
                 self._keep(stored, labeller)
@@ -171,30 +157,22 @@ class Labellers:
             self._last = replace(self._last, examples=self._last.examples | examples)
         return self._last.labeller
 
-    def _carry(self, stored: StoredForest, n_learned: int, examples: frozenset[int]) -> TakeLabeller | None:
+    def _carry(self, n_learned: int, examples: frozenset[int]) -> TakeLabeller | None:
         """The last labeller, if all that the forest has learned since are examples: those are taught anyway."""
-        from dousa.retrieval.takes.labeller_training import carry_labeller
-
         last = self._last
         if last is None or not 0 < n_learned - last.n_learned <= len(examples - last.examples):
             return None
-        return carry_labeller(last.labeller, last.stored.forest.trees_, stored.forest.trees_)
+        return last.labeller
 
     def _teach(
-        self,
-        connection: sa.Connection,
-        stored: StoredForest,
-        base: TakeLabeller,
-        labels: tuple[tuple[int, str], ...],
-        n_jobs: int | None,
+        self, connection: sa.Connection, base: TakeLabeller, labels: tuple[tuple[int, str], ...]
     ) -> TakeLabeller:
-        from dousa.retrieval.takes.labeller_training import Example, teach_labeller
+        from dousa.retrieval.takes.teaching import Example, teach_labeller
 
         new = [number for number, _ in labels if number not in self._examples]
-        for number, motion in zip(new, load_motions(connection, new), strict=True):
-            self._examples[number] = describe_windows(stored, motion, n_jobs, base.grid)
-        held = _read_held(connection, stored, {name for _, name in labels})
-        return teach_labeller(base, [Example(self._examples[number], name) for number, name in labels], held)
+        self._examples.update(zip(new, load_motions(connection, new), strict=True))
+        kind = self._last.stored.feature_set if self._last is not None else ""
+        return teach_labeller(base, [Example(_complete(self._examples[number], kind), name) for number, name in labels])
 
     def _read(self, stored: StoredForest) -> TakeLabeller | None:
         from dousa.retrieval.takes.label import TakeLabeller
@@ -213,25 +191,15 @@ class Labellers:
             ) from error
 
     def _learn(self, stored: StoredForest, n_jobs: int | None, progress: LearnProgress | None) -> TakeLabeller:
-        from dousa.retrieval.takes.labeller_training import train_labeller
-
         def report(done: int, total: int) -> None:
             if progress is not None:
                 progress(done, total, Message("library_training.labeller"))
 
         with self._database.reading() as connection:
-            clips, ids = _read_clips(connection, stored)
-            if not clips:
-                raise LibraryError("library_training.clips_gone", library=self._database.where)
-            features = load_features(connection, stored.feature_set, ids, n_jobs).features
-        return train_labeller(
-            stored.forest,
-            find_feature_set(stored.feature_set),
-            clips,
-            features=features,
-            n_jobs=choose_jobs(n_jobs),
-            progress=report,
-        )
+            labeller = learn_labeller(connection, stored, n_jobs, report)
+        if labeller is None:
+            raise LibraryError("library_training.clips_gone", library=self._database.where)
+        return labeller
 
     def _keep(self, stored: StoredForest, labeller: TakeLabeller) -> None:
         """Write the labeller, unless the library has another forest by now or cannot be written."""
@@ -246,35 +214,71 @@ class Labellers:
             return
 
 
-def _read_clips(connection: sa.Connection, stored: StoredForest) -> tuple[list[LabelledClip], list[int]]:
-    """Clips of the categories that the forest knows, not more than are needed, and their numbers."""
-    from dousa.retrieval import LabelledClip
+def learn_labeller(
+    connection: sa.Connection,
+    stored: StoredForest,
+    n_jobs: int | None = None,
+    progress: Callable[[int, int], None] | None = None,
+) -> TakeLabeller | None:
+    """Learn to label takes from what a library holds; None where it holds nothing of these categories.
 
-    clips = schema.clips.c
-    columns = (clips.id, clips.path, clips.category, clips.performer, clips.absent)
-    query = sa.select(*columns).where(clips.kind == schema.CLIP)
-    rows = [
-        row
-        for row in connection.execute(query)
-        if row.category in set(stored.categories) and not lacks(stored.feature_set, row.absent)
-    ]
+    Parameters
+    ----------
+    stored : the forest, which says what is looked at and which categories there are; segments of annotated takes may
+        have others.
+    n_jobs : threads; all cores by default.
+    progress : called with the steps done and their number.
+    """
+    from dousa.retrieval.takes.labeller_training import train_labeller
+
+    clips, takes = _read_clips(connection, stored), list(_read_takes(connection, stored))
+    if not clips and not any(stretch.category is not None for take in takes for stretch in take.stretches):
+        return None
+    return train_labeller(clips, takes, n_jobs=choose_jobs(n_jobs), progress=progress)
+
+
+def _read_takes(connection: sa.Connection, stored: StoredForest) -> Iterator[AnnotatedTake]:
+    """Annotated takes of bodies that have all that the forest looks at."""
+    for take in load_annotated_takes(connection):
+        if not lacks(stored.feature_set, " ".join(find_absent(take.positions))):
+            seen = _complete(take, stored.feature_set)
+            yield replace(take, positions=seen.positions, height=seen.height)
+
+
+def _complete(motion: PosedMotion, feature_set: str) -> PosedMotion:
+    """A motion of which hidden joints have places, though nobody looks at them."""
+    kind = find_feature_set(feature_set)
+    return kind.complete(hide_joints(motion, kind.hidden))
+
+
+def _read_clips(connection: sa.Connection, stored: StoredForest) -> list[LabelledClip]:
+    """Clips of some categories that are no segments of takes, not more than are needed."""
+    from dousa.retrieval import LabelledClip, guess_performers
+    from dousa.retrieval.features.channels import CHANNEL_RATE, sample_positions
+
+    clips, parts = schema.clips.c, schema.segments.c
+    query = sa.select(clips.id, clips.path, clips.category, clips.performer, clips.height, clips.absent)
+    query = query.join(schema.segments, parts.clip_id == clips.id, isouter=True)
+    query = query.where(clips.kind == schema.CLIP, parts.clip_id.is_(None))
+    known = set(stored.categories)
+    rows = [row for row in connection.execute(query) if row.category in known]
+    rows = [row for row in rows if not lacks(stored.feature_set, row.absent)]
     # Every n-th clip of every category.
     rows.sort(key=lambda row: (row.category, row.id))
-    chosen = (
-        [rows[place] for place in np.unique(np.linspace(0, len(rows) - 1, _MOST_CLIPS).astype(int))] if rows else []
-    )
-    ids = [row.id for row in chosen]
-    return [
-        LabelledClip(row.path, row.category, row.performer, motion.positions, motion.frame_rate, motion.height)
-        for row, motion in zip(chosen, _complete(load_motions(connection, ids), stored), strict=True)
-    ], ids
-
-
-def _complete(motions: Iterable[StoredMotion], stored: StoredForest) -> Iterator[PosedMotion]:
-    """Motions that can be joined to takes: hidden joints get places, though nobody looks at them."""
-    kind = find_feature_set(stored.feature_set)
-    for motion in motions:
-        yield kind.complete(hide_joints(motion, kind.hidden))
+    if len(rows) > _MOST_CLIPS:
+        rows = [rows[place] for place in np.unique(np.linspace(0, len(rows) - 1, _MOST_CLIPS).astype(int))]
+    people = guess_performers([row.height for row in rows])
+    chosen = []
+    for first in range(0, len(rows), _CLIPS_AT_ONCE):
+        some = slice(first, first + _CLIPS_AT_ONCE)
+        motions = load_motions(connection, [row.id for row in rows[some]])
+        for row, who, motion in zip(rows[some], people[some], motions, strict=True):
+            # Nothing faster is looked at, and many clips are in memory.
+            seen = _complete(motion, stored.feature_set)
+            sampled = sample_positions(seen.positions, seen.frame_rate)
+            name = row.performer or who
+            chosen.append(LabelledClip(row.path, row.category, name, sampled, CHANNEL_RATE, seen.height))
+    return chosen
 
 
 def _read_labels(connection: sa.Connection, numbers: Sequence[int]) -> tuple[tuple[int, str], ...]:
@@ -284,15 +288,3 @@ def _read_labels(connection: sa.Connection, numbers: Sequence[int]) -> tuple[tup
     there = sorted({number for number in numbers if schema.is_id(number)})
     found = fetch_in(connection, query, clips.id, there)
     return tuple(sorted((int(row.id), str(row.category)) for row in found))
-
-
-def _read_held(connection: sa.Connection, stored: StoredForest, taught: Collection[str]) -> NDArray[np.int32]:
-    """(H, n_trees) leaves of clips of categories that are not taught: every n-th of every category."""
-    clips, table = schema.clips.c, schema.clip_leaves.c
-    query = sa.select(clips.id, clips.category).join(schema.clip_leaves, table.clip_id == clips.id)
-    rows = [row for row in connection.execute(query) if row.category is not None and row.category not in taught]
-    rows.sort(key=lambda row: (row.category, row.id))
-    step = max(len(rows) / _MOST_HELD, 1.0)
-    ids = [int(rows[int(place)].id) for place in np.arange(0, len(rows), step)]
-    leaves = [row.leaves for row in fetch_in(connection, sa.select(table.leaves), table.clip_id, ids)]
-    return stack(leaves, "<i4", (len(stored.forest.trees_.roots),), "leaves")

@@ -246,6 +246,7 @@ class Library:
         LibraryError : the library cannot be written.
         OptionError : no such features, or a number out of range.
         """
+        from dousa.library.labelling import learn_labeller
         from dousa.library.train import train_forest
         from dousa.retrieval import DEFAULT_FEATURE_SET, MotionForest, get_feature_set
 
@@ -259,7 +260,7 @@ class Library:
             random_state=random_state,
             n_jobs=choose_jobs(n_jobs),
         )
-        self._forests.last, report = train_forest(self.database, forest, kind, n_jobs, progress)
+        self._forests.last, report = train_forest(self.database, forest, kind, learn_labeller, n_jobs, progress)
         return report
 
     def search(

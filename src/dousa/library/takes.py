@@ -306,6 +306,34 @@ class Takes:
             seen.update(take.path for take in some)
         return takes, skipped
 
+    def read_single(
+        self, connection: sa.Connection, take: Query, options: ReadOptions
+    ) -> tuple[str, int | None, StoredMotion]:
+        """Path, number in the library (None for a file that is not there) and motion of one recording.
+
+        A file that is in the library, and has not changed since, is not read.
+        """
+        number: int | None = None
+        if isinstance(take, int):
+            path, number = find_row(connection, self._database.where, take).path, take
+        elif isinstance(take, str | os.PathLike):
+            files, skipped = find_motion_files([take])
+            path = str(files[0].path) if files else os.path.abspath(take)
+            row = self._rows(connection, [path]).get(path)
+            if row is not None and (not files or is_as_stored(row, options)):  # its file may be gone
+                number = int(row.id)
+            elif not files:
+                raise MotionFileError(take, skipped[0].reason)
+        else:
+            return name_query(take), None, round_positions(read_query(take, options))
+        if number is not None:
+            (motion,) = load_motions(connection, [number])
+            return path, number, motion
+        (answer,) = read_clips([ReadTask(path, options, kind=schema.TAKE)], 1)
+        if isinstance(answer, ClipRecord):
+            return path, None, answer.motion
+        raise MotionFileError(str(take), answer.reason if isinstance(answer, Skipped) else skipped[0].reason)
+
     def _by_number(self, connection: sa.Connection, describing: Describing, number: int) -> ReadTake | Skipped:
         row = find_row(connection, self._database.where, number)
         if row.kind == schema.TAKE:

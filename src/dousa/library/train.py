@@ -54,20 +54,25 @@ from dousa.retrieval.features.feature_sets import FeatureSet
 from dousa.retrieval.features.partial_bodies import is_comparable
 from dousa.retrieval.forest.calibration import Assessor
 from dousa.retrieval.forest.likeness import LikenessLearner
+from dousa.retrieval.takes.label import TakeLabeller
 
 if TYPE_CHECKING:
     from dousa.retrieval.forest.growth import Growth
 
 TrainProgress = Callable[[int, int, Message], None]
 
-_STEPS = 5
+_STEPS = 6
 _ENOUGH_WHOLE = 1 / 3  # of the clips: then the forest is one of whole bodies
+
+LearnLabeller = Callable[[sa.Connection, StoredForest, int | None], TakeLabeller | None]
+"""Called with a connection, the forest, and the number of threads."""
 
 
 def train_forest(
     database: Database,
     forest: MotionForest,
     kind: FeatureSet,
+    learn_labeller: LearnLabeller,
     n_jobs: int | None = None,
     progress: TrainProgress | None = None,
 ) -> tuple[StoredForest, TrainReport]:
@@ -77,6 +82,7 @@ def train_forest(
     ----------
     forest : not yet fitted.
     kind : features that it asks for; those that are not stored are computed.
+    learn_labeller : learns what takes are labelled with.
     n_jobs : clips and takes described at a time.
     progress : called with (steps done, steps, message about the next step).
 
@@ -92,7 +98,7 @@ def train_forest(
         report(0, _STEPS, Message("library_training.describing_clips_done", done=done, total=total))
 
     def tell_takes(done: int, total: int) -> None:
-        report(3, _STEPS, Message("library_training.describing_takes_done", done=done, total=total))
+        report(4, _STEPS, Message("library_training.describing_takes_done", done=done, total=total))
 
     with database.reading() as connection:
         seen = read_revision(connection)
@@ -109,12 +115,15 @@ def train_forest(
     likeness = None if assessor is None else learner.finish()
     names = tuple(str(name) for name in forest.classes_)
     stored = StoredForest(forest, names, kind.name, grid, assessor, 0, 0, likeness)
-    report(3, _STEPS, Message("library_training.describing_takes"))
+    report(3, _STEPS, Message("library_training.labeller"))
+    with database.reading() as connection:
+        labeller = learn_labeller(connection, stored, n_jobs)
+    report(4, _STEPS, Message("library_training.describing_takes"))
     with database.reading() as connection:
         windows = describe_takes(connection, stored, n_jobs=n_jobs, progress=tell_takes)
-    report(4, _STEPS, Message("library_training.writing"))
+    report(5, _STEPS, Message("library_training.writing"))
     keep_all_relations(database)
-    stored = _store(database, stored, seen, clips, windows, len(labelled))
+    stored = _store(database, stored, seen, clips, windows, labeller)
     report(_STEPS, _STEPS, Message("library_training.done"))
     done = TrainReport(
         feature_set=kind.name,
@@ -146,9 +155,10 @@ def _store(
     seen: int,
     clips: ClipFeatures,
     windows: dict[int, bytes],
-    n_clips: int,
+    labeller: TakeLabeller | None,
 ) -> StoredForest:
-    """Write the forest, and what it says of clips and takes."""
+    """Write the forest, what it says of clips and takes, and what takes are labelled with."""
+    n_clips = sum(category is not None for category in clips.categories)
     answers = ask_trees(stored, clips.features)
     with database.writing() as connection:
         revision = next_revision(connection)
@@ -160,7 +170,7 @@ def _store(
             answers = ask_trees(stored, clips.features)
             next_revision(connection)
             note_changed_clips(connection)  # the forest has not learned from what they did: it is not current
-        replace_forest(connection, stored, n_clips)
+        replace_forest(connection, stored, n_clips, None if labeller is None else labeller.to_bytes())
         save_descriptions(connection, list(clips.computed), list(clips.computed.values()))
         connection.execute(sa.delete(schema.clip_leaves))
         save_answers(connection, clips.ids, answers)

@@ -12,7 +12,7 @@ from oracles.short_actions import ACTIONS, make_clip, make_library
 from dousa.errors import InvalidMotionError, OptionError
 from dousa.retrieval import FEATURE_SETS, MotionForest
 from dousa.retrieval.takes.find import describe_query, find_in_takes, overlap
-from dousa.retrieval.takes.leaf_weights import JoinedTake, join_clips
+from dousa.retrieval.takes.made_takes import JoinedTake, join_clips
 from dousa.retrieval.takes.windows import WindowGrid, describe_take
 
 SET = FEATURE_SETS["extended"]

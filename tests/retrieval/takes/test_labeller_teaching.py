@@ -1,17 +1,17 @@
-"""A labeller learns from single examples, and follows its forest when that grows."""
+"""A labeller learns from single examples."""
 
 from __future__ import annotations
+
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from dousa.errors import InvalidMotionError
 from dousa.motion.synthetic.performers import make_library
-from dousa.retrieval import LabelledClip, MotionForest, get_feature_set, label_take, train_labeller
-from dousa.retrieval.forest.growth import StandingClips, grow_forest
-from dousa.retrieval.takes.labeller_training import Example, carry_labeller, teach_labeller
-from dousa.retrieval.takes.leaf_weights import join_clips
-from dousa.retrieval.takes.windows import describe_take
+from dousa.retrieval import LabelledClip, label_take, train_labeller
+from dousa.retrieval.takes.made_takes import join_clips
+from dousa.retrieval.takes.teaching import Example, teach_labeller
 
 KNOWN = ("squat", "wave_right", "walk", "jump")
 STRANGE = "lunge"
@@ -33,15 +33,10 @@ def clips():
 
 
 @pytest.fixture(scope="module")
-def trained(clips):
-    """Feature set, features, forest and labeller of the known categories of the first three performers."""
-    kind = get_feature_set("extended")
+def labeller(clips):
+    """Of the known categories of the first three performers."""
     performers = sorted({clip.performer for clip in clips})[:3]
-    known = [clip for clip in clips if clip.category in KNOWN and clip.performer in performers]
-    features = np.stack([kind.compute(clip) for clip in known])
-    forest = MotionForest(n_trees=40, random_state=0)
-    forest.fit(features, [clip.category for clip in known], feature_set=kind)
-    return kind, known, features, forest, train_labeller(forest, kind, known, features=features)
+    return train_labeller([clip for clip in clips if clip.category in KNOWN and clip.performer in performers])
 
 
 @pytest.fixture(scope="module")
@@ -75,51 +70,35 @@ def said_at(timeline, spans):
     return [timeline.category_at(0.5 * (start + end)) for start, end in spans]
 
 
-def test_one_example_names_the_similar_stretches(trained, take):
-    kind, _, features, forest, labeller = trained
+def test_one_example_names_the_similar_stretches(labeller, take):
     joined, lunges = take
-    windows = describe_take(forest, kind, joined, labeller.grid)
-    before = label_take(labeller, windows)
+    before = label_take(labeller, joined)
     assert STRANGE not in said_at(before, lunges)
-    part = cut(joined, *lunges[0])
-    taught = teach_labeller(
-        labeller, [Example(describe_take(forest, kind, part, labeller.grid), STRANGE)], forest.apply(features)
-    )
-    after = label_take(taught, windows)
+    taught = teach_labeller(labeller, [Example(cut(joined, *lunges[0]), STRANGE)])
+    assert taught.classes == (*labeller.classes, STRANGE)
+    after = label_take(taught, joined)
     assert said_at(after, lunges) == [STRANGE] * 3
     others = [end + 1.5 for _, end in lunges]
     assert [after.category_at(when) for when in others] == [before.category_at(when) for when in others]
 
 
-def test_nothing_to_teach_changes_nothing(trained, take):
-    kind, _, _, forest, labeller = trained
+def test_an_example_of_a_known_category_adds_none(labeller, take):
+    joined, lunges = take
+    part = cut(joined, *lunges[0])
+    taught = teach_labeller(labeller, [Example(part, "squat")])
+    assert taught.classes == labeller.classes
+    assert label_take(taught, part).category_at(0.5 * (lunges[0][1] - lunges[0][0])) == "squat"
+
+
+def test_nothing_to_teach_changes_nothing(labeller, take):
     joined, lunges = take
     short = cut(joined, lunges[0][0], lunges[0][0] + 0.1)
-    example = Example(describe_take(forest, kind, short, labeller.grid), STRANGE)
     assert teach_labeller(labeller, []) is labeller
-    assert teach_labeller(labeller, [example]) is labeller
+    assert teach_labeller(labeller, [Example(short, STRANGE)]) is labeller
 
 
-def test_an_example_of_another_forest_is_refused(trained, take):
-    kind, known, features, _, labeller = trained
+def test_an_example_that_is_no_motion_is_refused(labeller, take):
     joined, lunges = take
-    other = MotionForest(n_trees=10, random_state=1)
-    other.fit(features, [clip.category for clip in known], feature_set=kind)
-    part = describe_take(other, kind, cut(joined, *lunges[0]), labeller.grid)
-    with pytest.raises(InvalidMotionError, match="another forest"):
-        teach_labeller(labeller, [Example(part, STRANGE)])
-
-
-def test_a_grown_forest_keeps_what_its_labeller_knew(trained, take):
-    """A leaf that became a small tree says what it said, in all its new leaves: every score stays."""
-    kind, known, features, forest, labeller = trained
-    joined, lunges = take
-    standing = StandingClips([clip.category for clip in known], forest.apply(features), lambda rows: features[rows])
-    new = kind.compute(cut(joined, *lunges[0]))[None]
-    grown = grow_forest(forest, standing, new, [STRANGE], feature_set=kind).forest
-    assert grown.trees_.n_leaves > forest.trees_.n_leaves
-    carried = carry_labeller(labeller, forest.trees_, grown.trees_)
-    old = describe_take(forest, kind, joined, labeller.grid)
-    now = describe_take(grown, kind, joined, labeller.grid)
-    assert (old.leaves != now.leaves).any()
-    np.testing.assert_array_equal(carried.score(now.leaves), labeller.score(old.leaves))
+    part = cut(joined, *lunges[0])
+    with pytest.raises(InvalidMotionError, match=r"finite|NaN"):
+        teach_labeller(labeller, [Example(replace(part, positions=part.positions * np.nan), STRANGE)])

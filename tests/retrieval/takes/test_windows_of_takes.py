@@ -9,12 +9,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from oracles.short_actions import make_clip, make_library
-from oracles.slow_takes import best_sum, parts_of, pose_distance
+from oracles.slow_takes import parts_of, pose_distance
 
 from dousa.errors import DousaError, InvalidMotionError, OptionError
 from dousa.retrieval import FEATURE_SETS, MotionForest, compute_track
 from dousa.retrieval.takes import window_kernels as kernels
-from dousa.retrieval.takes.leaf_weights import join_clips
+from dousa.retrieval.takes.made_takes import join_clips
 from dousa.retrieval.takes.windows import TakeWindows, WindowGrid, choose_grid, describe_take, place_windows
 
 SET = FEATURE_SETS["extended"]
@@ -136,37 +136,12 @@ def test_pose_distances_equal_the_slow_ones():
     np.testing.assert_allclose(found, expected, rtol=1e-12)
 
 
-def test_leaf_shares_and_scores_equal_the_slow_ones():
+def test_leaf_shares_equal_the_slow_ones():
     leaves = RANDOM.integers(0, 9, (20, 7)).astype(np.uint16)
     query = leaves[3].copy()
     shares = np.empty(20)
     kernels.compare_leaves(leaves, query, shares)
     np.testing.assert_allclose(shares, (leaves == query).mean(axis=1))
-    weights = RANDOM.normal(size=(9, 4)).astype(np.float32)
-    scores = np.zeros((20, 4), np.float32)
-    kernels.score_windows(leaves, weights, scores)
-    np.testing.assert_allclose(scores, weights[leaves].sum(axis=1), rtol=1e-5, atol=1e-5)
-
-
-@settings(max_examples=50, deadline=None)
-@given(st.integers(0, 2**32 - 1))
-def test_chosen_windows_have_the_largest_sum(seed):
-    draw = np.random.default_rng(seed)
-    starts = draw.integers(0, 12, 9)
-    stops = starts + draw.integers(1, 6, 9)
-    gains = draw.integers(-3, 9, 9).astype(float)
-    order = np.argsort(stops, kind="stable")
-    n_frames = int(stops.max())
-    best, chosen = np.empty(n_frames + 1), np.empty(n_frames + 1, np.int64)
-    first_at = np.searchsorted(stops[order], np.arange(n_frames + 2))
-    kernels.choose_windows(starts[order], stops[order], gains[order], n_frames, first_at, best, chosen)
-    assert best[-1] == best_sum(starts, stops, gains)
-    total, frame = 0.0, n_frames
-    while frame > 0:
-        window = chosen[frame]
-        total += gains[order][window] if window >= 0 else 0.0
-        frame = starts[order][window] if window >= 0 else frame - 1
-    assert total == best[-1]
 
 
 def test_a_real_take_is_described_at_thirty_frames_a_second(shared_data):

@@ -84,7 +84,8 @@ def experiment(
             from dousa.experiments import run_annotated_takes_experiment
 
             takes, skipped = read_annotated_takes(path, kind_options.labels or "", kind_options.tier, **files)
-            result = run_annotated_takes_experiment(takes, **shared)
+            no_forest = {name: shared[name] for name in ("random_state", "n_jobs", "progress")}
+            result = run_annotated_takes_experiment(takes, **no_forest)
         else:
             files["category_from"] = label_options.category_from
             clips, skipped = read_labelled_clips(path, **files)

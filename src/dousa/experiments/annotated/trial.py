@@ -10,17 +10,13 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
-import numpy as np
-
 from dousa.errors import TrainingError
 from dousa.experiments.annotated.scores import AnnotatedTakesResult, FrameTally
-from dousa.experiments.runner import Progress, Steps, check_at_least, leave_performer_out, make_forest
+from dousa.experiments.runner import Progress, Steps, check_at_least, leave_performer_out
 from dousa.messages import Message
-from dousa.retrieval.features.feature_sets import DEFAULT_FEATURE_SET, get_feature_set
-from dousa.retrieval.features.posed_motion import AnnotatedTake, LabelledClip
+from dousa.retrieval.features.posed_motion import AnnotatedTake
 from dousa.retrieval.takes.label import Segment, label_take
 from dousa.retrieval.takes.labeller_training import train_labeller
-from dousa.retrieval.takes.windows import describe_take
 
 LabelTake = Callable[[AnnotatedTake], Mapping[str, Sequence[Segment]]]
 """Labels the motion of a take; the same method may answer in several ways, by name."""
@@ -30,15 +26,11 @@ LearnToLabel = Callable[[Sequence[AnnotatedTake]], LabelTake]
 
 OURS, NEVER_UNKNOWN = "dousa", "dousa, threshold 0"
 
-_LEAST_SECONDS = 0.3  # of a segment that something is learned from
-
 
 def run_annotated_takes_experiment(
     takes: Sequence[AnnotatedTake],
     *,
     methods: Mapping[str, LearnToLabel] | None = None,
-    feature_set: str = DEFAULT_FEATURE_SET,
-    n_trees: int = 100,
     random_state: int = 0,
     n_jobs: int | None = None,
     progress: Progress | None = None,
@@ -49,7 +41,6 @@ def run_annotated_takes_experiment(
     ----------
     takes : with performers, and with segments of two categories or more.
     methods : others to compare with, by name.
-    feature_set, n_trees : of the forests.
     random_state : seed.
     n_jobs : threads; None for one.
     progress : called with the steps done, their number, and what comes next.
@@ -64,7 +55,7 @@ def run_annotated_takes_experiment(
     if len(names) < 2:
         raise TrainingError("trials.few_annotated", takes=len(takes), found=sorted(names))
     splits = leave_performer_out([take.performer for take in takes])
-    learn_ours = _Ours(feature_set, n_trees, random_state, n_jobs).learn
+    learn_ours = _Ours(random_state, n_jobs).learn
     tallies: dict[str, FrameTally] = {}
     steps = Steps(progress, len(splits))
     for split in splits:
@@ -96,40 +87,17 @@ def run_annotated_takes_experiment(
 class _Ours:
     """What `dousa train` and `dousa label` do."""
 
-    feature_set: str
-    n_trees: int
     random_state: int
     n_jobs: int | None
 
     def learn(self, takes: Sequence[AnnotatedTake]) -> LabelTake:
-        """A forest and a labeller of the segments."""
-        kind = get_feature_set(self.feature_set)
-        clips = [clip for take in takes for clip in cut_segments(take)]
-        features = np.stack([kind.compute(clip) for clip in clips])
-        forest = make_forest(kind, self.n_trees, self.random_state, self.n_jobs)
-        forest.fit(features, [clip.category for clip in clips], feature_set=kind)
-        labeller = train_labeller(
-            forest, kind, clips, features=features, random_state=self.random_state, n_jobs=self.n_jobs
-        )
+        """A labeller of what happens in the takes."""
+        labeller = train_labeller([], takes, random_state=self.random_state, n_jobs=self.n_jobs)
 
         def label(take: AnnotatedTake) -> dict[str, Sequence[Segment]]:
-            windows = describe_take(forest, kind, take, labeller.grid, n_jobs=self.n_jobs)
             return {
-                OURS: label_take(labeller, windows).segments,
-                NEVER_UNKNOWN: label_take(labeller, windows, threshold=0.0).segments,
+                OURS: label_take(labeller, take, n_jobs=self.n_jobs).segments,
+                NEVER_UNKNOWN: label_take(labeller, take, threshold=0.0, n_jobs=self.n_jobs).segments,
             }
 
         return label
-
-
-def cut_segments(take: AnnotatedTake) -> list[LabelledClip]:
-    """The segments of a take that have a category, as clips; very short ones are left out."""
-    clips = []
-    for one in take.stretches:
-        if one.category is None or one.stop - one.start < _LEAST_SECONDS:
-            continue
-        first, stop = round(one.start * take.frame_rate), round(one.stop * take.frame_rate)
-        name = f"{take.name} {one.start:.2f} s"
-        positions = take.positions[first:stop]
-        clips.append(LabelledClip(name, one.category, take.performer, positions, take.frame_rate, take.height))
-    return clips

@@ -205,6 +205,11 @@ def integrate_channels(rows: FloatArray) -> tuple[FloatArray, FloatArray]:
     return times, integrals
 
 
+def smooth_positions(positions: FloatArray, deviation: float) -> FloatArray:
+    """Positions (n, J, 3) averaged over time with Gaussian weights of a standard deviation in frames; ends are held."""
+    return _smooth(np.asarray(positions, np.float64), _gaussian(deviation))
+
+
 def _smooth(values: FloatArray, weights: FloatArray) -> FloatArray:
     even = np.empty(values.shape)
     kernels.smooth(values.reshape(len(values), -1), weights, even.reshape(len(values), -1))

@@ -1,8 +1,7 @@
 """Label a long take over time: which category from when to when, how sure, and where nothing known happens.
 
-Every window of a take is scored for every category by the leaves that it reaches. Of all ways to lay windows one after
-another, the one with the largest sum of score times length is taken (dynamic programming over the ends of the windows,
-linear in their number), which finds the places and the lengths of the actions at once; what no window covers, and what
+Trees say how likely every category, and nothing, is at every moment (`moment_forest`), and the likeliest sequence of
+segments is found (`sequence`), which finds the places and the lengths of the actions at once. What is nothing, and what
 is not likely enough to be right, is unknown.
 """
 
@@ -11,28 +10,34 @@ from __future__ import annotations
 import csv
 import os
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from dousa.arrays import FloatArray, IntArray
-from dousa.errors import InvalidMotionError, MotionWriteError, OptionError
+from dousa.arrays import FloatArray
+from dousa.errors import MotionWriteError, OptionError
 from dousa.messages import Message
+from dousa.retrieval.features.posed_motion import PosedMotion, check_motion
 from dousa.retrieval.forest.forest_file import check, check_version, pack_arrays, unpack_arrays
-from dousa.retrieval.takes.leaf_weights import LeafWeights
-from dousa.retrieval.takes.windows import TAKE_RATE, TakeWindows, WindowGrid, read_grid
+from dousa.retrieval.takes.moment_forest import FOREST_ARRAYS, MomentForest, read_moment_forest
+from dousa.retrieval.takes.moments import HOP, N_VALUES, chunk_starts, count_moments, describe_chunk
+from dousa.retrieval.takes.repetitions import count_repetitions, is_rest
+from dousa.retrieval.takes.sequence import N_PHASES, Run, SequenceModel, SequenceWeights, join_phases
+from dousa.retrieval.takes.windows import TAKE_RATE
+
+_SERIES = 3  # neighbours of one category that are one action: two may be two
 
 SHORT_GAP = 15
 """Frames between two actions, or at an end, that are shared out among them."""
 
-_LEAST_SCORE = 0.02  # of a window that is chosen
-
-
-_VERSION = 1
+_VERSION = 2
 _WHAT = Message("stored.labeller")
-_NAMES = ("version", "classes", "weights", "offset", "lengths", "calibration", "threshold", "n_trees")
+_NAMES = (
+    *("version", "classes", *FOREST_ARRAYS, "log_lengths", "spreads", "weights"),
+    *("calibration", "threshold", "held", "held_states"),
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,12 +49,14 @@ class Segment:
     start, stop : s.
     category : None where it is unknown.
     confidence : 0 to 1, the probability that the category is right; of an unknown one, that none would be.
+    repetitions : how often the action is done.
     """
 
     start: float
     stop: float
     category: str | None
     confidence: float
+    repetitions: int = 1
 
     def to_json(self) -> dict[str, Any]:
         """Plain words and numbers; times in seconds."""
@@ -59,6 +66,7 @@ class Segment:
             "category": self.category,
             "unknown": self.category is None,
             "confidence": round(self.confidence, 4),
+            "repetitions": self.repetitions,
         }
 
 
@@ -94,7 +102,7 @@ class Timeline:
 
 
 def write_timeline_csv(timeline: Timeline, path: str | os.PathLike[str]) -> None:
-    """Write a row a segment: start_s, end_s, category (empty where unknown), confidence.
+    """Write a row a segment: start_s, end_s, category (empty where unknown), confidence, repetitions.
 
     Raises
     ------
@@ -103,9 +111,9 @@ def write_timeline_csv(timeline: Timeline, path: str | os.PathLike[str]) -> None
     try:
         with open(path, "w", newline="", encoding="utf-8") as file:
             writer = csv.writer(file)
-            writer.writerow(("start_s", "end_s", "category", "confidence"))
+            writer.writerow(("start_s", "end_s", "category", "confidence", "repetitions"))
             writer.writerows(
-                (f"{one.start:.3f}", f"{one.stop:.3f}", one.category or "", f"{one.confidence:.4f}")
+                (f"{one.start:.3f}", f"{one.stop:.3f}", one.category or "", f"{one.confidence:.4f}", one.repetitions)
                 for one in timeline.segments
             )
     except OSError as error:
@@ -113,58 +121,121 @@ def write_timeline_csv(timeline: Timeline, path: str | os.PathLike[str]) -> None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class Taught:
+    """What single examples add to the probabilities.
+
+    Parameters
+    ----------
+    leaves : (K, n_trees) that moments of the examples, and moments that are held, reach.
+    additions : (K, S) what a moment with all the same leaves gets more of each state.
+    """
+
+    leaves: NDArray[np.int32]
+    additions: NDArray[np.float32]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class TakeLabeller:
-    """What is learned to label takes with, beside the forest.
+    """What is learned to label takes with.
 
     Parameters
     ----------
     classes : (C,) the categories.
-    leaf_weights : of the forest's leaves.
-    grid : the windows that are looked at.
-    calibration : (3,) the log odds that a chosen window is right: offset, weight of the log score, weight of the lead
-        over the second category.
+    forest : of moments; what it tells apart are three phases of each class (but those only taught), and nothing.
+    sequence : how states follow one another.
+    calibration : (3,) the log odds that a segment is right: offset, weight of the log of the mean probability of its
+        category, weight of the lead over the second.
     threshold : confidence from which a category is said.
-    n_trees : of the forest.
+    held : (H, n_trees) leaves of some moments that trained, of which the same is said when an example is taught.
+    held_states : (H,) what they are, as the forest counts: 3 c + phase, 3 C for nothing.
+    taught : of examples.
     """
 
     classes: tuple[str, ...]
-    leaf_weights: LeafWeights
-    grid: WindowGrid
+    forest: MomentForest
+    sequence: SequenceModel
     calibration: tuple[float, float, float]
     threshold: float
-    n_trees: int
+    held: NDArray[np.int32]
+    held_states: NDArray[np.int32]
+    taught: Taught | None = None
 
-    def score(self, leaves: NDArray[Any]) -> NDArray[np.float32]:
-        """(W, C) how well windows cover an action of each category, from their leaves (W, n_trees).
+    def judge(self, sampled: FloatArray, height: float, n_jobs: int | None = None) -> NDArray[np.float32]:
+        """How likely each phase of each category, and nothing, is at the moments of a recording.
 
-        Raises
-        ------
-        InvalidMotionError : leaves of another forest.
+        Parameters
+        ----------
+        sampled : (n, 20, 3) m at ``TAKE_RATE``.
+        height : m.
+        n_jobs : threads; None for one. The result does not depend on it.
+
+        Returns
+        -------
+        (M, 3 C + 1)
         """
-        n_leaves = len(self.leaf_weights.weights)
-        if leaves.shape[1] != self.n_trees or (len(leaves) and int(leaves.max()) >= n_leaves):
-            raise InvalidMotionError("labeller.other_forest", trees=self.n_trees, leaves=n_leaves)
-        return self.leaf_weights.score(leaves)
+        import joblib
+
+        firsts = chunk_starts(len(sampled))
+        shares = np.empty((count_moments(len(sampled)), N_PHASES * len(self.classes) + 1), np.float32)
+
+        def fill(first: int) -> None:
+            rows, values = describe_chunk(sampled, height, first)
+            shares[rows] = self.judge_leaves(self.forest.apply(self.forest.scale.encode(values)))
+
+        # One chunk alone is not worth the threads.
+        joblib.Parallel(n_jobs=n_jobs if len(firsts) > 1 else 1, prefer="threads")(
+            joblib.delayed(fill)(first) for first in firsts
+        )
+        return shares
+
+    def judge_leaves(self, leaves: NDArray[np.int32]) -> NDArray[np.float32]:
+        """(M, 3 C + 1) probabilities of the phases of the categories, and of nothing, from leaves (M, n_trees)."""
+        shares = self.forest.judge(leaves)
+        if self.taught is None:
+            return shares
+        from dousa.retrieval.takes.window_kernels import compare_leaves
+
+        wider = np.zeros((len(shares), N_PHASES * len(self.classes) + 1), np.float32)
+        wider[:, : shares.shape[1] - 1], wider[:, -1] = shares[:, :-1], shares[:, -1]
+        same = np.empty((len(self.taught.leaves), len(leaves)))
+        for row, known in zip(same, self.taught.leaves, strict=True):
+            compare_leaves(leaves, known, row)
+        wider += same.T.astype(np.float32) @ self.taught.additions
+        wider = np.maximum(wider, 0.0)
+        judged: NDArray[np.float32] = wider / np.maximum(wider.sum(axis=1, keepdims=True), 1e-6)
+        return judged
+
+    def choose(self, shares: NDArray[np.float32], n_frames: int, *, never_unknown: bool = False) -> list[Chosen]:
+        """The actions of a recording, in the order of time, from the probabilities (M, 3 C + 1) at its moments."""
+        runs = self.sequence.find_runs(shares, never_nothing=never_unknown)
+        return [
+            Chosen(run.start * HOP, min(run.stop * HOP, n_frames), run.state, mean_scores(shares, run))
+            for run in runs
+            if run.state < len(self.classes)
+        ]
 
     def confidence(self, scores: NDArray[np.float32]) -> FloatArray:
-        """(W,) probability that the best category of windows is right, from their scores (W, C)."""
+        """(K,) probability that the best category of segments is right, from mean probabilities (K, C)."""
         offset, by_score, by_lead = self.calibration
         evidence = describe_scores(scores) @ (by_score, by_lead) + offset
         sure: FloatArray = 1.0 / (1.0 + np.exp(-np.clip(evidence, -50, 50)))
         return sure
 
     def to_bytes(self) -> bytes:
-        """The bytes of an .npz file (no pickle); the same labeller gives the same bytes."""
+        """The bytes of an .npz file (no pickle); the same labeller gives the same bytes. Nothing taught is in them."""
+        weights = self.sequence.weights
         return pack_arrays(
             {
                 "version": np.array(_VERSION, np.int64),
                 "classes": np.array(self.classes, dtype=np.str_),
-                "weights": np.ascontiguousarray(self.leaf_weights.weights),
-                "offset": np.ascontiguousarray(self.leaf_weights.offset),
-                "lengths": np.array(self.grid.lengths, np.int64),
+                **self.forest.to_arrays(),
+                "log_lengths": self.sequence.log_lengths,
+                "spreads": self.sequence.spreads,
+                "weights": np.array([weights.evidence, weights.nothing, weights.edges], np.float64),
                 "calibration": np.array(self.calibration, np.float64),
                 "threshold": np.array(self.threshold, np.float64),
-                "n_trees": np.array(self.n_trees, np.int64),
+                "held": self.held,
+                "held_states": self.held_states,
             }
         )
 
@@ -173,25 +244,39 @@ class TakeLabeller:
         """The labeller that ``to_bytes`` wrote; DousaError for damaged, other or newer bytes."""
         arrays = unpack_arrays(data, _NAMES, _WHAT)
         check_version(arrays, _WHAT, (_VERSION,))
-        classes, weights, offset = arrays["classes"], arrays["weights"], arrays["offset"]
+        classes = arrays["classes"]
         check(classes.ndim == 1 and len(classes) > 0 and classes.dtype.kind == "U", _WHAT, "bad categories")
         check(len(np.unique(classes)) == len(classes), _WHAT, "a category occurs twice")
-        right = weights.dtype == np.float32 and weights.ndim == 2 and weights.shape[1] == len(classes)
-        check(right and weights.flags.c_contiguous and bool(np.isfinite(weights).all()), _WHAT, "bad weights")
-        right = offset.dtype == np.float32 and offset.shape == classes.shape
-        check(right and bool(np.isfinite(offset).all()), _WHAT, "bad weights")
-        grid, calibration = read_grid(arrays["lengths"], _WHAT), arrays["calibration"]
-        right = calibration.shape == (3,) and calibration.dtype == np.float64
-        check(right and bool(np.isfinite(calibration).all()), _WHAT, "bad calibration")
-        threshold, n_trees = arrays["threshold"], arrays["n_trees"]
-        right = threshold.shape == () and threshold.dtype == np.float64
-        check(right and 0 <= float(threshold) <= 1, _WHAT, "bad threshold")
-        right = n_trees.shape == () and n_trees.dtype == np.int64
-        check(right and int(n_trees) > 0, _WHAT, "bad number of trees")
-        offset_score, by_score, by_lead = (float(value) for value in calibration)
-        by_window = offset_score, by_score, by_lead
-        names, known = tuple(map(str, classes)), LeafWeights(weights, offset)
-        return cls(names, known, grid, by_window, float(threshold), int(n_trees))
+        states = len(classes) + 1
+        forest = read_moment_forest(arrays, N_PHASES * len(classes) + 1, N_VALUES, _WHAT)
+        numbers = {name: arrays[name] for name in ("log_lengths", "spreads", "weights", "calibration", "threshold")}
+        shapes = {"log_lengths": (states,), "spreads": (states,), "weights": (3,), "calibration": (3,), "threshold": ()}
+        for name, array in numbers.items():
+            right = array.dtype == np.float64 and array.shape == shapes[name]
+            check(right and bool(np.isfinite(array).all()), _WHAT, f"bad {name}")
+        means, spreads, weights = numbers["log_lengths"], numbers["spreads"], numbers["weights"]
+        check(bool((np.abs(means) < 20).all() and (spreads > 1e-3).all()), _WHAT, "bad lengths")
+        check(bool((np.abs(weights) < 1e6).all()) and 0 <= float(numbers["threshold"]) <= 1, _WHAT, "bad threshold")
+        held, of = arrays["held"], arrays["held_states"]
+        right = held.dtype == np.int32 and held.ndim == 2 and held.shape[1] == len(forest.roots)
+        right = right and of.dtype == np.int32 and of.shape == (len(held),)
+        check(right and held.flags.c_contiguous, _WHAT, "bad held moments")
+        check(not len(held) or bool(held.min() >= 0 and held.max() < len(forest.leaf_starts) - 1), _WHAT, "bad leaves")
+        return cls(
+            tuple(map(str, classes)),
+            forest,
+            SequenceModel(means, spreads, SequenceWeights(*map(float, weights))),
+            (float(numbers["calibration"][0]), float(numbers["calibration"][1]), float(numbers["calibration"][2])),
+            float(numbers["threshold"]),
+            held,
+            of,
+        )
+
+
+def mean_scores(shares: NDArray[np.float32], run: Run) -> NDArray[np.float32]:
+    """(C,) mean probabilities of the categories during a run, from those of the phases (M, 3 C + 1) at all moments."""
+    scores: NDArray[np.float32] = join_phases(shares[run.start : run.stop])[:, :-1].mean(axis=0)
+    return scores
 
 
 def describe_scores(scores: NDArray[np.float32]) -> FloatArray:
@@ -204,92 +289,75 @@ def describe_scores(scores: NDArray[np.float32]) -> FloatArray:
     return np.stack([np.log(best), 1.0 - np.maximum(second, 0.0) / best], axis=1)
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class Chosen:
-    """A window that is part of the answer: frames of the action, row of the window, number of the category."""
+    """An action: frames, number of the category, mean probabilities (C,) of all categories, how often it is done."""
 
     start: int
     stop: int
-    row: int
     category: int
+    scores: NDArray[np.float32]
+    repetitions: int = 1
 
 
-def choose_segments(starts: IntArray, stops: IntArray, scores: NDArray[np.float32], n_frames: int) -> list[Chosen]:
-    """Windows one after another with the largest sum of score times length.
+def count_all(chosen: Sequence[Chosen], sampled: FloatArray, height: float) -> list[Chosen]:
+    """How often each action is done; three or more of one category with no rest between them are one, repeated.
 
-    Two may overlap by an eighth of the shorter one's length: an action seldom begins and ends where a window does.
-    Where it does, the windows about the same place tell together, see ``_place_edges``.
+    Parameters
+    ----------
+    chosen : in the order of time.
+    sampled : (n, 20, 3) m at ``TAKE_RATE``, of the take.
+    height : m.
     """
-    from dousa.retrieval.takes.window_kernels import choose_windows
-
-    lengths = stops - starts
-    spare = lengths // 16
-    first, last = starts + spare, stops - spare
-    order = np.lexsort((np.arange(len(last)), last))
-    gains = (scores.max(axis=1) - _LEAST_SCORE).astype(np.float64) * lengths if len(scores) else np.zeros(0)
-    first_at = np.searchsorted(last[order], np.arange(n_frames + 2))
-    best, chosen = np.empty(n_frames + 1), np.empty(n_frames + 1, np.int64)
-    choose_windows(first[order], last[order], gains[order], n_frames, first_at, best, chosen)
-    rows, frame = [], n_frames
-    while frame > 0:
-        if chosen[frame] < 0:
-            frame -= 1
-            continue
-        rows.append(int(order[chosen[frame]]))
-        frame = int(first[rows[-1]])
-    return _place_edges(rows[::-1], starts, stops, scores)
+    series: list[list[Chosen]] = []
+    for one in chosen:
+        own = replace(one, repetitions=count_repetitions(sampled[one.start : one.stop], height))
+        last = series[-1][-1] if series else None
+        goes_on = last is not None and last.category == one.category and last.stop == one.start
+        if last is None or not goes_on or is_rest(sampled[last.start : one.stop], height, one.start - last.start):
+            series.append([own])
+        else:
+            series[-1].append(own)
+    return [one for some in series for one in ([_join(some)] if len(some) >= _SERIES else some)]
 
 
-def _place_edges(rows: list[int], starts: IntArray, stops: IntArray, scores: NDArray[np.float32]) -> list[Chosen]:
-    """Where the actions of chosen windows begin and end: between the frames that the grid has.
-
-    The mean of the starts, and of the stops, of all windows that overlap the chosen one by half or more (intersection
-    over union), weighted with the cube of their scores for its category; at most a quarter of its length away.
-    """
-    by_start = np.argsort(starts, kind="stable")
-    sorted_starts = starts[by_start]
-    answer = []
-    for row in rows:
-        start, stop = int(starts[row]), int(stops[row])
-        category = int(scores[row].argmax())
-        length = stop - start
-        # What overlaps by half is at most twice as long, and begins no earlier than a length before.
-        near = by_start[slice(*np.searchsorted(sorted_starts, (start - length, stop)))]
-        shared = np.minimum(stops[near], stop) - np.maximum(starts[near], start)
-        union = np.maximum(stops[near], stop) - np.minimum(starts[near], start)
-        near = near[2 * shared >= union]
-        weights = np.maximum(scores[near, category].astype(np.float64), 1e-6) ** 3
-        weights /= weights.sum()
-        begin, end = round(float(weights @ starts[near])), round(float(weights @ stops[near]))
-        begin = min(max(begin, start - length // 4), start + length // 4)
-        end = min(max(end, stop - length // 4), stop + length // 4)
-        answer.append(Chosen(begin, end, row, category))
-    return answer
+def _join(series: Sequence[Chosen]) -> Chosen:
+    sizes = np.array([one.stop - one.start for one in series], np.float32)
+    scores = np.average(np.stack([one.scores for one in series]), axis=0, weights=sizes).astype(np.float32)
+    often = sum(one.repetitions for one in series)
+    return replace(series[0], stop=series[-1].stop, scores=scores, repetitions=often)
 
 
-def label_take(labeller: TakeLabeller, take: TakeWindows, *, threshold: float | None = None) -> Timeline:
+def label_take(
+    labeller: TakeLabeller, motion: PosedMotion, *, threshold: float | None = None, n_jobs: int | None = None
+) -> Timeline:
     """Label a take from beginning to end.
 
     Parameters
     ----------
-    labeller : learned with the forest that described the take.
-    take : its windows; those of the lengths that the labeller knows are looked at.
-    threshold : confidence from which a category is said, 0 to 1; None for the labeller's own.
+    labeller : what was learned.
+    motion : of any length and frame rate.
+    threshold : confidence from which a category is said, 0 to 1; None for the labeller's own. With 0 nothing is
+        unknown.
+    n_jobs : threads; None for one. The result does not depend on it.
 
     Raises
     ------
     OptionError : a threshold outside 0 to 1.
-    InvalidMotionError : windows of another forest.
+    InvalidMotionError : another shape than (n, 20, 3), positions that are not finite, no body height.
     """
+    from dousa.retrieval.features.channels import sample_positions
+
     limit = labeller.threshold if threshold is None else threshold
     if not 0 <= limit <= 1:
         raise OptionError("labeller.threshold", found=limit)
-    rows = take.rows_within(labeller.grid)
-    starts, stops = take.starts[rows], take.stops[rows]
-    scores = labeller.score(take.leaves[rows])
-    chosen = choose_segments(starts, stops, scores, take.n_frames)
-    sure = labeller.confidence(scores[[one.row for one in chosen]]) if chosen else np.zeros(0)
-    return make_timeline(chosen, sure, labeller.classes, take.duration, limit)
+    points = check_motion(motion)
+    sampled = sample_positions(points, motion.frame_rate)
+    shares = labeller.judge(sampled, motion.height, n_jobs)
+    chosen = labeller.choose(shares, len(sampled), never_unknown=limit == 0)
+    chosen = count_all(chosen, sampled, motion.height)
+    sure = labeller.confidence(np.stack([one.scores for one in chosen])) if chosen else np.zeros(0)
+    return make_timeline(chosen, sure, labeller.classes, len(points) / motion.frame_rate, limit)
 
 
 def make_timeline(
@@ -308,7 +376,8 @@ def make_timeline(
             classes[one.category] if known else None,
             confidence if known else 1.0 - confidence,
         )
-        parts.append(Segment(start / TAKE_RATE, stop / TAKE_RATE, category, float(sureness)))
+        often = one.repetitions if known else 1
+        parts.append(Segment(start / TAKE_RATE, stop / TAKE_RATE, category, float(sureness), often))
         reached = stop
     if reached < n_frames:
         parts.append(Segment(reached / TAKE_RATE, duration, None, 1.0))

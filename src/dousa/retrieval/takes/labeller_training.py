@@ -1,235 +1,426 @@
-"""Learn to label takes: weights of the leaves, how sure an answer is, and from when on it is said.
+"""Learn to label takes: trees over moments, how segments follow one another, and how sure an answer is.
 
-The leaf weights are fitted on takes joined from the clips that trained the forest. How sure an answer is cannot be seen
-on those: they are known by heart. So the clips are divided by performers (by chance where those are not known), some
-categories are set aside too, a smaller forest is learned from the rest, and the takes joined from what was left
-out say how often an answer with this score is right, and what is gained by not answering.
-
-What a person corrects in a take is learned from single examples, at once. A labeller is fitted on thousands of windows;
-one more clip among them says next to nothing. So an example corrects what the labeller would have said of its windows:
-the differences are spread over the leaves that the windows reach, such that windows of the examples come out right, and
-other windows change as far as they share leaves with them (ridge regression of the residuals, the number of shared
-leaves as kernel). Clips of other categories are held fast: what is said of them must not change.
+What trains are takes: annotated ones, and takes made of clips, once as they are and some more times disturbed
+(`made_takes`). The trees learn from all of them. How much a moment's evidence weighs, how willing the sequence is to
+say "nothing", how much it minds where actions begin and end, and how sure an answer is cannot be seen there: those
+takes are known by heart. So the people are divided (clips by chance where they are not known), some categories are set
+aside too, fewer trees are grown on the rest, and the takes of the people left out say which weights label them best,
+how often an answer with this score is right, and what is gained by not answering.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from dousa.arrays import FloatArray, IndexArray, IntArray
+from dousa.arrays import FloatArray, IntArray
 from dousa.errors import TrainingError
-from dousa.retrieval.features.posed_motion import LabelledClip
-from dousa.retrieval.forest.trees import Trees
-from dousa.retrieval.takes.label import TakeLabeller, choose_segments, describe_scores
-from dousa.retrieval.takes.leaf_weights import (
+from dousa.retrieval.features.posed_motion import AnnotatedTake, LabelledClip, check_motion
+from dousa.retrieval.takes.label import SHORT_GAP, TakeLabeller, describe_scores, mean_scores
+from dousa.retrieval.takes.made_takes import (
     JoinedTake,
-    LeafWeights,
     Piece,
-    covered_pieces,
-    fit_leaf_weights,
+    disturb,
     join_clips,
+    join_with_rests,
     shuffle_into_takes,
 )
-from dousa.retrieval.takes.windows import TakeWindows, WindowGrid, choose_grid, describe_take, place_windows
-
-if TYPE_CHECKING:
-    from dousa.retrieval.features.feature_sets import FeatureSet
-    from dousa.retrieval.forest.forest import MotionForest
+from dousa.retrieval.takes.moment_forest import Codes, MomentForest, Scale, choose_scale, grow_moment_forest
+from dousa.retrieval.takes.moments import HOP, describe_moments
+from dousa.retrieval.takes.sequence import N_PHASES, PHASE_FRAMES, Run, SequenceModel, SequenceWeights, fit_lengths
+from dousa.retrieval.takes.windows import TAKE_RATE
 
 Progress = Callable[[int, int], None]
 
-_LEAST, _MOST = 0.6, 1.6  # lengths of windows, as shares of the shortest and longest clip
-_MOST_WINDOWS = 30_000  # that the leaf weights are fitted on; half as many in a fold
-_TEMPO = 0.35  # spread of the log tempo of the pieces of every second take
-_FOLDS = 4
+_N_TREES, _N_FOLD_TREES = 60, 20
+_MOST_MOMENTS = 20_000  # that the trees are grown on; fewer in a fold
+_MOST_IN_FOLD = 8_000
+_LEAST_ROUNDS, _MOST_ROUNDS = 2, 5  # times that the material is shown: once as it is, then disturbed
+_PAIRED = 0.3  # chance that a clip is followed by one of its category, if there is one
+_FOLDS = 3
 _SET_ASIDE = 0.25  # share of the categories that a fold does not know
+_STRANGERS = 0.4  # times as many of those are met elsewhere: one action in ten
+_LEAST_STATES = 3  # categories, or nothing, that a fold must know
 _ENOUGH = 8  # answers, right and wrong ones each, that a calibration needs
+_MOST_HELD = 400  # moments
 _DEFAULT_CALIBRATION = (4.0, 2.0, 2.0)
 _DEFAULT_THRESHOLD = 0.5
+_UNCOUNTED, _STRANGE = -1, -2  # moments of which nobody can say what they are; of categories that a fold does not know
 
 
 def train_labeller(
-    forest: MotionForest,
-    feature_set: FeatureSet,
     clips: Sequence[LabelledClip],
+    takes: Sequence[AnnotatedTake] = (),
     *,
-    features: FloatArray | None = None,
     random_state: int = 0,
     n_jobs: int | None = None,
     progress: Progress | None = None,
 ) -> TakeLabeller:
-    """Learn to label takes with a trained forest.
+    """Learn to label takes.
 
     Parameters
     ----------
-    forest : trained on ``clips``.
-    feature_set : that it was trained on.
-    clips : with categories; performers where they are known.
-    features : (N, T, F) of the clips, if they are computed already.
+    clips : whole actions with categories; performers where they are known.
+    takes : with what happens in them from beginning to end.
     random_state : seed; the same seed gives the same labeller.
     n_jobs : threads; None for one. The result does not depend on it.
     progress : called with the steps done and their number.
 
     Raises
     ------
-    TrainingError : no clips, or a category that the forest does not know.
-    NotTrainedError : the forest knows nothing yet.
+    TrainingError : neither clips nor a segment with a category.
     """
-    classes = tuple(str(name) for name in forest.classes_)
-    strange = sorted({clip.category for clip in clips} - set(classes))
-    if not clips or strange:
-        raise TrainingError("labeller.other_clips", clips=len(clips), strange=strange[:3])
-    grid = choose_grid([len(clip.positions) / clip.frame_rate for clip in clips], _LEAST, _MOST)
-    tools = _Tools(feature_set, grid, n_jobs, _MOST_WINDOWS)
-    seeds = np.random.SeedSequence(random_state).spawn(_FOLDS + 1)
-    weights = tools.fit(forest, clips, np.random.default_rng(seeds[0]))
-    known = features if features is not None else np.stack([feature_set.compute(clip) for clip in clips])
-    folds = _divide(clips, np.random.default_rng(random_state))
-    answers: list[_Answers] = []
-    tools = replace(tools, most_windows=_MOST_WINDOWS // 2)
-    for number, fold in enumerate(folds):
-        if progress is not None:
-            progress(number + 1, len(folds) + 1)
-        answers += _try_fold(tools, forest, clips, known, fold, np.random.default_rng(seeds[number + 1]))
-    calibration, threshold = _calibrate(answers)
-    return TakeLabeller(classes, weights, grid, calibration, threshold, len(forest.trees_.roots))
+    names = {clip.category for clip in clips}
+    names |= {stretch.category for take in takes for stretch in take.stretches if stretch.category is not None}
+    if not names:
+        raise TrainingError("labeller.nothing_to_learn")
+    classes = tuple(sorted(names))
+    seeds = np.random.SeedSequence(random_state).spawn(2)
+    report = progress or (lambda done, total: None)
+    report(0, _FOLDS + 2)
+    material = _make_material(clips, takes, np.random.default_rng(seeds[0]))
+    shown = _describe(material, classes, n_jobs)
+    report(1, _FOLDS + 2)
+    generator = np.random.default_rng(seeds[1])
+    n_states = N_PHASES * len(classes) + 1
+    chosen = _thin([one.states for one in shown], n_states, _MOST_MOMENTS, generator)
+    codes, states = _gather(shown, chosen)
+    forest = _grow(codes, states, shown[0].scale, n_states, _N_TREES, random_state, n_jobs)
+    sequence = fit_lengths(_measure(material, classes), SequenceWeights())
+    held = np.sort(generator.permutation(len(states))[:_MOST_HELD])
+    trials: list[_Trial] = []
+    for number, people in enumerate(_divide(material, generator)):
+        report(number + 2, _FOLDS + 2)
+        trials += _try_fold(shown, chosen, material, people, sequence, generator, n_jobs)
+    sequence = replace(sequence, weights=_choose_weights(sequence, trials))
+    calibration, threshold = _calibrate([answer for trial in trials for answer in trial.answer(sequence)])
+    leaves = forest.apply(codes[held])
+    return TakeLabeller(classes, forest, sequence, calibration, threshold, leaves, states[held].astype(np.int32))
 
 
-@dataclass(frozen=True, slots=True)
-class _Tools:
-    """What the forest of each fold is used with."""
+@dataclass(frozen=True, slots=True, eq=False)
+class _Material:
+    """A take that trains: who performs, and in which round it is shown (0: as it is)."""
 
-    feature_set: FeatureSet
-    grid: WindowGrid
-    n_jobs: int | None
-    most_windows: int
-
-    def describe(self, forest: MotionForest, take: JoinedTake) -> TakeWindows:
-        return describe_take(forest, self.feature_set, take, self.grid, n_jobs=self.n_jobs)
-
-    def fit(self, forest: MotionForest, clips: Sequence[LabelledClip], generator: np.random.Generator) -> LeafWeights:
-        """Leaf weights from takes joined of the clips: once as recorded, once with other tempos."""
-        from dousa.retrieval.features.feature_sets import compute_track
-
-        numbers = {str(name): number for number, name in enumerate(forest.classes_)}
-        takes = list(_join_all(clips, generator))
-        placed = [place_windows(self.grid, len(take.positions)) for take in takes]
-        share = self.most_windows / max(sum(len(starts) for starts, _ in placed), 1)
-        leaves, categories, overlaps = [], [], []
-        for take, (starts, stops) in zip(takes, placed, strict=True):
-            some = np.flatnonzero(generator.random(len(starts)) < share)
-            if not len(some):
-                continue
-            best, overlap = covered_pieces(starts[some], stops[some], take.pieces)
-            track = compute_track(take, self.feature_set)
-            leaves.append(forest.apply_windows(track, starts[some], stops[some]).astype(np.int32))
-            categories.append(np.array([numbers[piece.category] for piece in take.pieces])[best])
-            overlaps.append(overlap)
-        n_leaves, count = forest.trees_.n_leaves, len(numbers)
-        if not leaves:
-            return LeafWeights(np.zeros((n_leaves, count), np.float32), np.zeros(count, np.float32))
-        best, covered = np.concatenate(categories), np.concatenate(overlaps)
-        return fit_leaf_weights(np.concatenate(leaves), best, covered, n_leaves, count)
+    take: JoinedTake
+    performer: str
+    number: int
 
 
-def _join_all(clips: Sequence[LabelledClip], generator: np.random.Generator) -> Iterator[JoinedTake]:
-    """Takes of all clips: once as recorded, once with other tempos."""
-    for spread in (0.0, _TEMPO):
-        for group in shuffle_into_takes(clips, generator):
-            tempos = np.exp(generator.uniform(-spread, spread, len(group))).tolist()
-            yield join_clips([clips[k] for k in group], generator, tempos=tempos)
+def _make_material(
+    clips: Sequence[LabelledClip], takes: Sequence[AnnotatedTake], generator: np.random.Generator
+) -> list[_Material]:
+    """Annotated takes and takes made of the clips, in several rounds; of many clips each is shown in one round."""
+    real = [(_to_joined(take), take.performer or take.name) for take in takes]
+    per_round = sum(len(take.positions) for take, _ in real) / HOP
+    per_round += sum(len(clip.positions) / clip.frame_rate for clip in clips) * TAKE_RATE / HOP
+    n_rounds = int(np.clip(round(_MOST_MOMENTS / max(per_round, 1.0)), _LEAST_ROUNDS, _MOST_ROUNDS))
+    share = min(1.0, _MOST_MOMENTS / max(per_round * n_rounds, 1.0))
+    material: list[_Material] = []
+    order = generator.permutation(len(clips))
+    for number in range(n_rounds):
+        # Of few clips all are shown in every round, of many the next ones of them.
+        first, count = round(number * share * len(clips)), round(share * len(clips))
+        part = [clips[k] for k in np.sort(np.roll(order, -first)[:count])]
+        for group in shuffle_into_takes(part, generator) if part else ():
+            some = [part[k] for k in _pair(group, [clip.category for clip in part], generator)]
+            take = join_with_rests(some, generator) if number else join_clips(some, generator)
+            material.append(_Material(take, some[0].performer or f"group {len(material)}", number))
+        material += [_Material(take, performer, number) for take, performer in real]
+    return [replace(one, take=disturb(one.take, generator)) if one.number else one for one in material]
 
 
-def _divide(clips: Sequence[LabelledClip], generator: np.random.Generator) -> list[IndexArray]:
-    """Clips that are left out together: whole performers where all are known, else by chance."""
-    performers = [clip.performer for clip in clips]
-    names = sorted({name for name in performers if name})
-    if len(names) >= 2 and all(performers):
-        group = {name: k % _FOLDS for k, name in enumerate(generator.permutation(names))}
-        numbers = np.array([group[str(name)] for name in performers])
-    else:
-        numbers = generator.permutation(len(clips)) % _FOLDS
-    folds = [np.flatnonzero(numbers == k) for k in range(_FOLDS)]
-    return [fold for fold in folds if 0 < len(fold) < len(clips)]
+def _pair(group: Sequence[int], categories: Sequence[str], generator: np.random.Generator) -> list[int]:
+    """The clips of a take in an order in which some follow one of their own category: where does one end there?"""
+    rest, order = list(group), list[int]()
+    while rest:
+        same = [k for k in rest if order and categories[k] == categories[order[-1]]]
+        chosen = same[0] if same and generator.random() < _PAIRED else rest[0]
+        order.append(chosen)
+        rest.remove(chosen)
+    return order
 
 
-@dataclass(frozen=True, slots=True)
-class _Answers:
-    """Chosen windows of a take that was not seen: their evidence, frames of the take and whether each is right."""
+def _to_joined(take: AnnotatedTake) -> JoinedTake:
+    from dousa.retrieval.features.channels import sample_positions
 
-    evidence: FloatArray  # (K, 2)
-    lengths: FloatArray  # (K,) frames
-    right: FloatArray  # (K,) share of those frames that have this category
-    known: FloatArray  # (K,) share that has any known category
+    pieces = tuple(
+        Piece(one.start * TAKE_RATE, one.stop * TAKE_RATE, one.category, one.counted) for one in take.stretches
+    )
+    return JoinedTake(sample_positions(check_motion(take), take.frame_rate), take.height, pieces)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Shown:
+    """The moments of a take: bytes (M, F), states (M,): 3 c + phase of category c, 3 C for nothing."""
+
+    scale: Scale
+    codes: Codes
+    states: IntArray
+
+
+def _describe(material: Sequence[_Material], classes: Sequence[str], n_jobs: int | None) -> list[_Shown]:
+    import joblib
+
+    from dousa.retrieval.features.channels import sample_positions
+
+    def values_of(one: _Material) -> NDArray[np.float32]:
+        sampled = sample_positions(one.take.positions, one.take.frame_rate)
+        return np.concatenate([values for _, values in describe_moments(sampled, one.take.height)])
+
+    every = max(len(material) // _SCALED_TAKES, 1)
+    scale = choose_scale(np.concatenate([values_of(one) for one in material[::every]])[::_SCALED_MOMENTS])
+    numbers = {name: number for number, name in enumerate(classes)}
+
+    def show(one: _Material) -> _Shown:
+        codes = scale.encode(values_of(one))
+        return _Shown(scale, codes, _states_of(one.take, len(codes), numbers))
+
+    shown: list[_Shown] = joblib.Parallel(n_jobs=n_jobs, prefer="threads")(
+        joblib.delayed(show)(one) for one in material
+    )
+    return shown
+
+
+_SCALED_TAKES, _SCALED_MOMENTS = 12, 3  # takes that the scale is measured on, and every which moment of them
+
+
+def _states_of(take: JoinedTake, n_moments: int, numbers: dict[str, int]) -> IntArray:
+    states = np.full(n_moments, _UNCOUNTED)
+    middles = (np.arange(n_moments) + 0.5) * HOP
+    for piece in take.pieces:
+        inside = (middles >= piece.start) & (middles < piece.stop)
+        if not piece.counted:
+            states[inside] = _UNCOUNTED
+        elif piece.category is None:
+            states[inside] = N_PHASES * len(numbers)
+        else:
+            edge = min(PHASE_FRAMES, 0.5 * (piece.stop - piece.start))
+            phase = 1 - (middles[inside] < piece.start + edge) + (middles[inside] >= piece.stop - edge)
+            states[inside] = N_PHASES * numbers[piece.category] + phase
+    return states
+
+
+def _thin(
+    states: Sequence[IntArray], n_states: int, most: int, generator: np.random.Generator
+) -> list[NDArray[np.bool_]]:
+    """Which moments train: as many as there may be, fewer of the states that have most."""
+    everything = np.concatenate(states)
+    counts = np.sort(np.bincount(everything[everything >= 0], minlength=n_states))
+    rest, left = most, n_states
+    limit = float(counts[-1])
+    for count in counts:
+        if count * left > rest:
+            limit = rest / left
+            break
+        rest, left = rest - int(count), left - 1
+    keep = np.zeros(len(everything), bool)
+    for state in range(n_states):
+        own = np.flatnonzero(everything == state)
+        keep[generator.permutation(own)[: max(round(limit), 1)]] = True
+    return np.split(keep, np.cumsum([len(some) for some in states])[:-1])
+
+
+def _gather(shown: Sequence[_Shown], chosen: Sequence[NDArray[np.bool_]]) -> tuple[Codes, IntArray]:
+    """(N, F) bytes, and (N,) states, of the chosen moments."""
+    codes = np.concatenate([one.codes[keep] for one, keep in zip(shown, chosen, strict=True)])
+    states = np.concatenate([one.states[keep] for one, keep in zip(shown, chosen, strict=True)])
+    return codes, states
+
+
+def _grow(
+    codes: Codes, states: IntArray, scale: Scale, n_states: int, n_trees: int, seed: int, n_jobs: int | None
+) -> MomentForest:
+    weights = _weigh(states, n_states)
+    return grow_moment_forest(codes, states, weights, scale, n_states, n_trees, random_state=seed, n_jobs=n_jobs)
+
+
+def _weigh(states: IntArray, n_states: int) -> FloatArray:
+    """The moments of a state weigh together as the square root of their number."""
+    weights: FloatArray = 1.0 / np.sqrt(np.maximum(np.bincount(states, minlength=n_states), 1.0))
+    return weights[states]
+
+
+def _measure(material: Sequence[_Material], classes: Sequence[str]) -> list[list[float]]:
+    """The lengths (frames) of all segments of each category and of nothing."""
+    lengths: dict[str | None, list[float]] = {name: [] for name in (*classes, None)}
+    for one in material:
+        for piece in one.take.pieces:
+            if piece.counted:
+                lengths[piece.category].append(piece.stop - piece.start)
+    return [lengths[name] for name in (*classes, None)]
+
+
+def _divide(material: Sequence[_Material], generator: np.random.Generator) -> list[set[str]]:
+    """Performers that are left out together."""
+    names = sorted({one.performer for one in material})
+    mixed = generator.permutation(np.array(names))
+    folds = [set(mixed[k::_FOLDS].tolist()) for k in range(_FOLDS)]
+    return [fold for fold in folds if fold and len(fold) < len(names)]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Trial:
+    """A take of somebody left out: probabilities of the phases (M, 3 C + 1), and the truth (M,), C being nothing."""
+
+    shares: NDArray[np.float32]
+    states: IntArray
+    pieces: list[Run]
+
+    def answer(self, sequence: SequenceModel) -> list[_Answer]:
+        """What the model says, and what of it is right."""
+        answers, n_categories = [], len(sequence.log_lengths) - 1
+        for run in sequence.find_runs(self.shares):
+            if run.state < n_categories:
+                true = self.states[run.start : run.stop]
+                true = true[true != _UNCOUNTED]
+                if len(true):
+                    evidence = describe_scores(mean_scores(self.shares, run)[None])[0]
+                    right = float((true == run.state).mean())
+                    strange = float((true == _STRANGE).mean())
+                    answers.append(_Answer(evidence, len(true), right, strange))
+        return answers
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Answer:
+    """A segment that was said: evidence (2,), moments, shares of them that are right, and of categories not known."""
+
+    evidence: FloatArray
+    length: int
+    right: float
+    strange: float
 
 
 def _try_fold(
-    tools: _Tools,
-    forest: MotionForest,
-    clips: Sequence[LabelledClip],
-    features: FloatArray,
-    fold: IndexArray,
+    shown: Sequence[_Shown],
+    chosen: Sequence[NDArray[np.bool_]],
+    material: Sequence[_Material],
+    people: set[str],
+    sequence: SequenceModel,
     generator: np.random.Generator,
-) -> list[_Answers]:
-    """Learn without some performers and some categories, and label takes of those performers."""
-    from dousa.retrieval.forest.forest import MotionForest as Forest
-
-    names = np.array(sorted({clip.category for clip in clips}))
-    aside = set(generator.permutation(names)[: round(_SET_ASIDE * len(names))].tolist())
-    left = np.setdiff1d(np.arange(len(clips)), fold)
-    train = [k for k in left if clips[k].category not in aside]
-    labels = [clips[k].category for k in train]
-    if len(set(labels)) < 2:
+    n_jobs: int | None,
+) -> list[_Trial]:
+    """Learn without some people and some categories, and judge takes of those people."""
+    n_categories = len(sequence.log_lengths) - 1
+    n_states = N_PHASES * n_categories + 1
+    aside = generator.permutation(n_categories)[: round(_SET_ASIDE * n_categories)]
+    # Of the moments that train all, so that nothing has the same share here and there.
+    train = [
+        keep & ~np.isin(one.states // N_PHASES, aside) & (take.performer not in people)
+        for one, keep, take in zip(shown, chosen, material, strict=True)
+    ]
+    share = _MOST_IN_FOLD / max(sum(int(keep.sum()) for keep in train), 1)
+    codes, states = _gather(shown, [keep & (generator.random(len(keep)) < share) for keep in train])
+    if len(np.unique(states // N_PHASES)) < _LEAST_STATES:
         return []
-    smaller = Forest().set_params(**forest.get_params()).set_params(random_state=0)
-    smaller.fit(features[train], labels, feature_set=tools.feature_set)
-    weights = tools.fit(smaller, [clips[k] for k in train], generator)
-    unseen = [clips[k] for k in fold]
-    answers = []
-    for group in shuffle_into_takes(unseen, generator):
-        take = join_clips([unseen[k] for k in group], generator)
-        windows = tools.describe(smaller, take)
-        scores = weights.score(windows.leaves)
-        chosen = choose_segments(windows.starts, windows.stops, scores, windows.n_frames)
-        if chosen:
-            said = [str(smaller.classes_[one.category]) for one in chosen]
-            spans = [(one.start, one.stop) for one in chosen]
-            evidence = describe_scores(scores[[one.row for one in chosen]])
-            known = {str(name) for name in smaller.classes_}
-            answers.append(_judge(evidence, spans, said, take.pieces, known))
-    return answers
+    forest = _grow(codes, states, shown[0].scale, n_states, _N_FOLD_TREES, int(generator.integers(2**31)), n_jobs)
+    trials = []
+    for one, take in zip(shown, material, strict=True):
+        if take.performer in people:
+            shares = forest.judge(forest.apply(one.codes))
+            states = np.where(one.states < 0, one.states, one.states // N_PHASES)
+            pieces = _runs_of(take.take, len(one.codes), states)
+            strange = _forgive(np.where(np.isin(states, aside), _STRANGE, states), n_categories)
+            trials.append(_Trial(shares, strange, [piece for piece in pieces if piece.state not in aside]))
+    return trials
 
 
-def _judge(
-    evidence: FloatArray,
-    spans: Sequence[tuple[int, int]],
-    said: Sequence[str],
-    pieces: Sequence[Piece],
-    known: set[str],
-) -> _Answers:
-    right, familiar = [], []
-    for (start, stop), category in zip(spans, said, strict=True):
-        shared = [max(min(stop, p.stop) - max(start, p.start), 0.0) / (stop - start) for p in pieces]
-        right.append(sum(s for s, p in zip(shared, pieces, strict=True) if p.category == category))
-        familiar.append(sum(s for s, p in zip(shared, pieces, strict=True) if p.category in known))
-    lengths = np.array([stop - start for start, stop in spans], np.float64)
-    return _Answers(evidence, lengths, np.array(right), np.array(familiar))
+def _runs_of(take: JoinedTake, n_moments: int, states: IntArray) -> list[Run]:
+    runs = []
+    for piece in take.pieces:
+        start, stop = round(piece.start / HOP), min(round(piece.stop / HOP), n_moments)
+        if piece.counted and piece.category is not None and stop > start:
+            runs.append(Run(start, stop, int(states[(start + stop) // 2])))
+    return runs
 
 
-def _calibrate(answers: Sequence[_Answers]) -> tuple[tuple[float, float, float], float]:
+def _forgive(states: IntArray, nothing: int) -> IntArray:
+    """Short gaps between two actions are shared out, so nothing there counts neither way."""
+    edges = np.flatnonzero(np.diff(states)) + 1
+    forgiven = states.copy()
+    for start, stop in zip(np.concatenate([[0], edges]), np.concatenate([edges, [len(states)]]), strict=True):
+        if states[start] == nothing and (stop - start) * HOP <= SHORT_GAP + HOP:
+            forgiven[start:stop] = _UNCOUNTED
+    return forgiven
+
+
+_EVIDENCE = (0.2, 0.4, 0.8, 1.6)
+_NOTHING = (1.0, 0.0, -1.0, -2.0, -3.0, -4.0, -6.0, -8.0)
+_EDGES = (0.0, 0.25, 0.5, 1.0, 1.5, 2.0)
+_OF_NOTHING = 0.5  # of a category: what nobody named may be an action all the same
+_SEARCHED = (
+    ("edges", _EDGES, 1.0),
+    ("nothing", _NOTHING, 0.1),  # where an action begins matters less than that it is seen
+    ("evidence", _EVIDENCE, 1.0),
+    ("edges", _EDGES, 1.0),
+    ("nothing", _NOTHING, 0.1),
+)
+_MOST_WORK = 1_000_000  # moments times states that weights are tried on
+
+
+def _choose_weights(sequence: SequenceModel, trials: Sequence[_Trial]) -> SequenceWeights:
+    """The weights that label the takes of people left out best, one changed at a time."""
+    best = sequence.weights
+    if not trials:
+        return best
+    most = _MOST_WORK / trials[0].shares.shape[1]
+    sizes = np.cumsum([len(one.shares) for one in trials])
+    step = max(round(float(sizes[-1]) / most), 1)
+    some = list(trials)[::step]
+    for name, values, events in _SEARCHED:
+        best = max(
+            (replace(best, **{name: one}) for one in dict.fromkeys((getattr(best, name), *values))),
+            key=lambda weights: _rate(replace(sequence, weights=weights), some, events),
+        )
+    return best
+
+
+def _rate(sequence: SequenceModel, trials: Sequence[_Trial], events: float) -> float:
+    """Mean share of right moments over the categories and nothing, and the F of the segments times ``events``."""
+    n_states = len(sequence.log_lengths)
+    right, total = np.zeros(n_states), np.zeros(n_states)
+    matched = said = true = 0
+    for trial in trials:
+        runs = sequence.find_runs(trial.shares)
+        answer = np.concatenate([np.full(run.stop - run.start, run.state) for run in runs])
+        counted = trial.states >= 0
+        total += np.bincount(trial.states[counted], minlength=n_states)
+        right += np.bincount(trial.states[counted & (answer == trial.states)], minlength=n_states)
+        # Segments where nothing happens are seen in the share of its moments; here they are not held against the model.
+        acts = np.concatenate([[0], np.cumsum((trial.states >= 0) & (trial.states < n_states - 1))])
+        actions = [
+            run
+            for run in runs
+            if run.state < n_states - 1 and 2 * (acts[run.stop] - acts[run.start]) >= run.stop - run.start
+        ]
+        said, true = said + len(actions), true + len(trial.pieces)
+        matched += sum(any(_is_same(run, piece) for run in actions) for piece in trial.pieces)
+    counts = np.where(total > 0, np.append(np.ones(n_states - 1), _OF_NOTHING), 0.0)
+    return float(counts @ (right / np.maximum(total, 1.0)) / max(counts.sum(), 1e-9)) + events * 2.0 * matched / max(
+        said + true, 1
+    )
+
+
+def _is_same(one: Run, other: Run) -> bool:
+    shared = min(one.stop, other.stop) - max(one.start, other.start)
+    return one.state == other.state and 2 * shared >= max(one.stop, other.stop) - min(one.start, other.start)
+
+
+def _calibrate(answers: Sequence[_Answer]) -> tuple[tuple[float, float, float], float]:
     """Weights of the log odds that an answer is right, and the confidence from which answering pays.
 
-    An answer pays if its frames are more often right than they are of no known category.
+    An answer pays if its frames are more often right than they are of a category that is not known; of those a fold
+    shows more than takes do.
     """
     if not answers:
         return _DEFAULT_CALIBRATION, _DEFAULT_THRESHOLD
-    evidence, lengths, right, known = (
-        np.concatenate([getattr(one, name) for one in answers]) for name in ("evidence", "lengths", "right", "known")
+    evidence = np.stack([one.evidence for one in answers])
+    lengths, right, strange = (
+        np.array([getattr(one, name) for one in answers]) for name in ("length", "right", "strange")
     )
     correct = right > 0.5
     if min(correct.sum(), (~correct).sum()) < _ENOUGH:
@@ -237,7 +428,7 @@ def _calibrate(answers: Sequence[_Answers]) -> tuple[tuple[float, float, float],
     offset, by_score, by_lead = fit_logistic(evidence, correct.astype(np.float64))
     sure = 1.0 / (1.0 + np.exp(-(evidence @ (by_score, by_lead) + offset)))
     order = np.argsort(-sure, kind="stable")
-    gained = np.cumsum(((right - (1.0 - known)) * lengths)[order])
+    gained = np.cumsum(((right - _STRANGERS * strange) * lengths)[order])
     best = int(gained.argmax())
     if gained[best] <= 0:
         return (offset, by_score, by_lead), 1.0
@@ -268,143 +459,3 @@ def fit_logistic(columns: FloatArray, truth: FloatArray) -> tuple[float, ...]:
         if np.abs(step).max() < 1e-8:
             break
     return tuple(float(value) for value in weights)
-
-
-_RIDGE = 20.0  # beside the number of trees: how far an example gives way to others and to the clips that are held
-
-_MOST_TAUGHT = 1500  # of all examples together
-
-_MOST_OF_ONE = 120
-_NOTHING = 0.3  # share of the example up to which a window counts as not covering it, as in the learning
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Example:
-    """A part of a recording that shows one category.
-
-    Parameters
-    ----------
-    windows : of the part alone, of the labeller's forest.
-    category : what it shows.
-    """
-
-    windows: TakeWindows
-    category: str
-
-
-def teach_labeller(
-    labeller: TakeLabeller, examples: Sequence[Example], held: NDArray[Any] | None = None
-) -> TakeLabeller:
-    """A labeller that knows examples too.
-
-    Parameters
-    ----------
-    labeller : learned with the forest that described the examples.
-    examples : of categories old or new. One that is shorter than every window of the labeller teaches nothing.
-    held : (H, n_trees) leaves of clips of other categories; what is said of them changes as little as can be.
-
-    Returns
-    -------
-    A new labeller with the same calibration; new categories come last.
-
-    Raises
-    ------
-    InvalidMotionError : windows of another forest.
-    """
-    classes = [*labeller.classes, *dict.fromkeys(one.category for one in examples)]
-    classes = list(dict.fromkeys(classes))
-    wider = _with_classes(labeller, classes)
-    most = max(_MOST_TAUGHT // max(len(examples), 1), 8)
-    chosen = [_choose_windows(one.windows, wider, min(most, _MOST_OF_ONE)) for one in examples]
-    if not any(len(leaves) for leaves, _ in chosen):
-        return labeller
-    n_held = 0 if held is None else len(held)
-    residuals = [np.zeros((n_held, len(classes)), np.float32)]
-    for (leaves, covered), one in zip(chosen, examples, strict=True):
-        scores = wider.score(leaves)
-        wanted = np.minimum(scores, 0.0)  # it is none of the others
-        own = classes.index(one.category)
-        # A short window of a long walk looks like a whole walk of somebody else: nothing is taken from the category.
-        wanted[:, own] = np.maximum(covered, scores[:, own])
-        residuals.append(wanted - scores)
-    weights = wider.leaf_weights.weights.copy()
-    reached = [*([] if held is None else [held.astype(np.int32)]), *(leaves for leaves, _ in chosen)]
-    spread_corrections(weights, np.concatenate(reached), np.concatenate(residuals))
-    return replace(wider, leaf_weights=LeafWeights(weights, wider.leaf_weights.offset))
-
-
-def _with_classes(labeller: TakeLabeller, classes: Sequence[str]) -> TakeLabeller:
-    """The labeller with categories at its end that no leaf speaks for."""
-    known = labeller.leaf_weights
-    n_new = len(classes) - len(labeller.classes)
-    weights = np.concatenate([known.weights, np.zeros((len(known.weights), n_new), np.float32)], axis=1)
-    offset = np.concatenate([known.offset, np.full(n_new, known.offset.min(), np.float32)])
-    return replace(labeller, classes=tuple(classes), leaf_weights=LeafWeights(np.ascontiguousarray(weights), offset))
-
-
-def _choose_windows(
-    windows: TakeWindows, labeller: TakeLabeller, most: int
-) -> tuple[NDArray[np.int32], NDArray[np.float32]]:
-    """Leaves (W, n_trees) of some windows of an example, and how well each covers it, 0 to 1."""
-    rows = windows.rows_within(labeller.grid)
-    lengths = (windows.stops[rows] - windows.starts[rows]).astype(np.float64)
-    shares = lengths / lengths.max(initial=1.0)  # of an example that is longer than all windows, the longest are right
-    covered = np.maximum(shares - _NOTHING, 0.0) / (1.0 - _NOTHING)
-    order = np.argsort(-shares, kind="stable")
-    best, rest = order[: most // 2], order[most // 2 :]
-    if len(rest) > most - len(best):
-        rest = rest[np.linspace(0, len(rest) - 1, most - len(best)).astype(np.int64)]
-    chosen = np.concatenate([best, rest])
-    return windows.leaves[rows][chosen].astype(np.int32), covered[chosen].astype(np.float32)
-
-
-def spread_corrections(weights: NDArray[np.float32], leaves: NDArray[np.int32], residuals: NDArray[np.float32]) -> None:
-    """Add what is missing (W, C) to the leaves (W, n_trees) of windows."""
-    from dousa.retrieval.takes.window_kernels import compare_leaves, spread_to_leaves
-
-    n_windows, n_trees = leaves.shape
-    shared = np.empty((n_windows, n_windows))
-    for window, row in enumerate(leaves):
-        compare_leaves(leaves, row, shared[window])
-    shared = np.rint(shared * n_trees)
-    shared[np.diag_indices(n_windows)] += _RIDGE
-    missing = np.zeros(weights.shape)
-    spread_to_leaves(leaves, np.linalg.solve(shared, residuals.astype(np.float64)), missing)
-    weights += missing.astype(np.float32)
-
-
-def carry_labeller(labeller: TakeLabeller, before: Trees, after: Trees) -> TakeLabeller:
-    """The labeller of a forest for what the forest has grown into; a new leaf says what the old one said.
-
-    Parameters
-    ----------
-    labeller : of the trees before.
-    before, after : the trees; those after are grown out of those before (`dousa.retrieval.forest.growth`).
-
-    Returns
-    -------
-    A labeller of the same categories: those that the forest has learned since must be taught.
-    """
-    known = labeller.leaf_weights
-    weights = known.weights[_find_origins(before, after)]
-    return replace(labeller, leaf_weights=LeafWeights(np.ascontiguousarray(weights), known.offset))
-
-
-def _find_origins(before: Trees, after: Trees) -> IntArray:
-    """(L,) the leaf of the trees before that each leaf of the trees after has grown out of."""
-    origins = np.zeros(after.n_leaves, np.int64)
-    old, new = before.roots.astype(np.int64), after.roots.astype(np.int64)
-    leaf = np.full(len(old), -1, np.int64)  # of the old tree, once it is reached
-    while len(new):
-        children = before.nodes[old, 2]
-        leaf = np.where((leaf < 0) & (children < 0), -1 - children, leaf)
-        below = after.nodes[new, 2]
-        ended = below < 0
-        origins[-1 - below[ended]] = leaf[ended]
-        goes = ~ended
-        step = np.where(leaf[goes] < 0, children[goes], old[goes])
-        inside = (leaf[goes] < 0).astype(np.int64)
-        old = np.concatenate([step, step + inside])  # within a leaf of the old tree there is nowhere to go
-        new = np.concatenate([below[goes], below[goes] + 1]).astype(np.int64)
-        leaf = np.concatenate([leaf[goes], leaf[goes]])
-    return origins

@@ -1,8 +1,9 @@
 """Label a motion while it happens: frames go in, answers come out within one window.
 
-Frames are brought to 30 Hz and the last ones kept, some ten seconds at most. A few times a second the windows that have
-become complete are described and scored as those of a recorded take are, and laid one after another anew. So memory and
-work a frame stay the same for hours. What lies a longest window back is settled and will not change.
+Frames are brought to 30 Hz and the last ones kept, some ten seconds. A few times a second the last moments are judged
+as those of a recorded take are, what is still to come standing still, and the likeliest sequence is found anew from
+where the answer has settled. So memory and work a frame stay the same for hours. A moment is judged for good when all
+that lies around it has been seen; a segment is settled when that holds for some moments of what follows it.
 """
 
 from __future__ import annotations
@@ -12,23 +13,22 @@ import reprlib
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from math import isnan
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from dousa.arrays import FloatArray, IntArray
+from dousa.arrays import FloatArray
 from dousa.errors import InvalidMotionError, OptionError
 from dousa.motion.canonical.joints import CANONICAL_JOINTS, JOINT_INDEX
-from dousa.retrieval.takes.label import SHORT_GAP, Segment, TakeLabeller, choose_segments
-from dousa.retrieval.takes.windows import TAKE_RATE, Sampled, hop_of
+from dousa.retrieval.takes.label import SHORT_GAP, Segment, TakeLabeller, mean_scores
+from dousa.retrieval.takes.moments import HOP, REACH, describe_chunk
+from dousa.retrieval.takes.sequence import N_PHASES, Run
+from dousa.retrieval.takes.windows import TAKE_RATE
 
-if TYPE_CHECKING:
-    from dousa.retrieval.features.feature_sets import FeatureSet
-    from dousa.retrieval.forest.forest import MotionForest
-
-_HOP = 4  # frames at 30 Hz between two answers
-_MARGIN = 30  # frames before a window: channels are smoothed over time
+_BEFORE = REACH + 40  # frames before a moment that are needed: channels are smoothed over time
+_AHEAD = 60  # frames after a moment from which on what is said of it hardly changes
+_LONGEST = 300  # moments that may be open: a minute
 _MEASURED = 30  # frames that the body height is estimated from
 _LONGEST_GAP = 2.0  # s between two frames that are bridged in a straight line
 
@@ -69,36 +69,26 @@ class LiveLabeller:
 
     Parameters
     ----------
-    forest, feature_set, labeller : as for takes.
+    labeller : as for takes.
     height : m, of the performer; None to estimate it from the first second.
-    threshold : confidence from which a category is said; None for the labeller's own.
+    threshold : confidence from which a category is said; None for the labeller's own. With 0 nothing is unknown.
 
     Raises
     ------
     OptionError : a height or threshold out of range.
     """
 
-    def __init__(
-        self,
-        forest: MotionForest,
-        feature_set: FeatureSet,
-        labeller: TakeLabeller,
-        *,
-        height: float | None = None,
-        threshold: float | None = None,
-    ) -> None:
+    def __init__(self, labeller: TakeLabeller, *, height: float | None = None, threshold: float | None = None) -> None:
         if height is not None and not 0 < height < np.inf:
             raise OptionError("live.height_option", found=height)
         if threshold is not None and not 0 <= threshold <= 1:
             raise OptionError("labeller.threshold", found=threshold)
         self.height = height
-        self._forest, self._feature_set, self._labeller = forest, feature_set, labeller
+        self._labeller = labeller
         self._threshold = labeller.threshold if threshold is None else threshold
-        self._longest = labeller.grid.lengths[-1]
-        self._sampler = _Sampler(2 * self._longest + 4 * _MARGIN)
-        self._described = 0  # samples whose windows are scored
-        self._settled = 0  # samples whose label is certain
-        self._windows = _Windows.none(len(labeller.classes))
+        self._sampler = _Sampler(2 * (_BEFORE + _AHEAD) + _MEASURED)
+        self._settled = 0  # moments whose label is certain
+        self._shares = np.zeros((0, N_PHASES * len(labeller.classes) + 1), np.float32)  # of the moments after those
 
     def push(self, positions: ArrayLike, time: float) -> LiveAnswer | None:
         """Take a frame; answers come about eight times a second, None in between.
@@ -116,10 +106,10 @@ class LiveLabeller:
         if points.shape != (len(CANONICAL_JOINTS), 3) or not np.isfinite(points).all():
             raise InvalidMotionError("live.frame_shape", shape=points.shape)
         self._sampler.push(points, float(time))
-        if self._sampler.count - self._described < _HOP or not self._know_height():
+        if self._sampler.count < (self._settled + len(self._shares) + 1) * HOP or not self._know_height():
             return None
-        self._describe()
-        return self._answer(self._settle(self._sampler.count - self._longest))
+        self._describe(self._sampler.count // HOP)
+        return self._answer(self._settle())
 
     def finish(self) -> LiveAnswer | None:
         """Take no more frames: the last answer, with all that was not settled; None if there was no frame."""
@@ -127,8 +117,8 @@ class LiveLabeller:
         if not self._sampler.count:
             return None
         if self._know_height(at_once=True):
-            self._describe()
-        return self._answer(self._settle(self._sampler.count, rest=True))
+            self._describe(-(-self._sampler.count // HOP))
+        return self._answer(self._settle(rest=True))
 
     def _know_height(self, *, at_once: bool = False) -> bool:
         if self.height is None and (at_once or self._sampler.count >= _MEASURED):
@@ -140,110 +130,61 @@ class LiveLabeller:
             self.height = height
         return self.height is not None
 
-    def _describe(self) -> None:
-        """Score the windows that have become complete."""
-        from dousa.retrieval.features.feature_sets import compute_track
+    def _describe(self, n_moments: int) -> None:
+        """Judge the moments that are new, and those before whose surroundings have changed."""
+        first = max(n_moments - _AHEAD // HOP - _judged_at_once(n_moments - self._settled - len(self._shares)), 0)
+        first = max(first, self._settled)
+        begin = max(first * HOP - _BEFORE, self._sampler.oldest)
+        begin = -(-begin // HOP) * HOP
+        sampled = self._sampler.last(self._sampler.count - begin)
+        _, values = describe_chunk(sampled, float(self.height or 1.0), 0)
+        codes = self._labeller.forest.scale.encode(values[first - begin // HOP : n_moments - begin // HOP])
+        judged = self._labeller.judge_leaves(self._labeller.forest.apply(codes))
+        self._shares = np.concatenate([self._shares[: first - self._settled], judged])
 
-        now = self._sampler.count
-        starts, stops = _complete_windows(self._labeller.grid.lengths, self._described, now)
-        self._described = now
-        if not len(starts):
-            return
-        first = max(int(starts.min()) - _MARGIN, self._sampler.oldest)
-        track = compute_track(Sampled(self._sampler.last(now - first), float(self.height or 1.0)), self._feature_set)
-        leaves = self._forest.apply_windows(track, starts - first, stops - first)
-        self._windows = self._windows.add(starts, stops, self._labeller.score(leaves))
+    def _settle(self, *, rest: bool = False) -> tuple[Segment, ...]:
+        """Segments that will not change any more, in order; with the rest, all."""
+        runs = self._runs()
+        done = runs if rest else [run for run in runs[:-1] if run.stop <= len(self._shares) - 2 * _AHEAD // HOP]
+        if not done and len(self._shares) > _LONGEST:
+            done = runs[:1]
+        settled = tuple(self._segment(run, last=rest and run is done[-1]) for run in done)
+        if done:
+            self._shares = self._shares[done[-1].stop :]
+            self._settled += done[-1].stop
+        return settled
 
-    def _settle(self, until: int, *, rest: bool = False) -> tuple[Segment, ...]:
-        """Segments that end before a sample, in order; with the rest, what follows the last of them too."""
-        settled: list[Segment] = []
-        for start, stop, category, sure in self._lay():
-            if stop > until:
-                break
-            if stop <= self._settled:
-                continue
-            begin = self._settled  # a short gap goes to the action behind it
-            if start - begin > SHORT_GAP:
-                settled.append(self._segment(begin, start, None, 1.0))
-                begin = start
-            at_end = rest and self._sampler.count - stop <= SHORT_GAP
-            self._settled = self._sampler.count if at_end else stop
-            settled.append(self._segment(begin, self._settled, category, sure))
-        if rest and self._sampler.count > self._settled:
-            settled.append(self._segment(self._settled, self._sampler.count, None, 1.0))
-            self._settled = self._sampler.count
-        self._windows = self._windows.after(self._settled)
-        if until - self._settled > self._longest:
-            # Nothing was found for long: what no window that is still to come can reach is unknown.
-            settled.append(self._segment(self._settled, until, None, 1.0))
-            self._settled = until
-            self._windows = self._windows.after(until)
-        return tuple(settled)
+    def _runs(self) -> list[Run]:
+        """The likeliest sequence of what has not settled; short gaps belong to the action behind them."""
+        runs = self._labeller.sequence.find_runs(self._shares, never_nothing=self._threshold == 0)
+        nothing, joined = len(self._labeller.classes), list[Run]()
+        for run in runs:
+            before = joined[-1] if joined else None
+            short = before is not None and before.state == nothing and (before.stop - before.start) * HOP <= SHORT_GAP
+            joined[len(joined) - short :] = [Run(before.start if before and short else run.start, run.stop, run.state)]
+        return joined
 
-    def _lay(self) -> list[tuple[int, int, int, float]]:
-        """Start, stop, category and confidence of the best sequence of windows from the settled sample on."""
-        some = self._windows
-        base = self._settled - self._longest // 8  # windows may reach a little into what is settled
-        chosen = choose_segments(some.starts - base, some.stops - base, some.scores, self._sampler.count - base)
-        if not chosen:
-            return []
-        sure = self._labeller.confidence(some.scores[[one.row for one in chosen]])
-        return [
-            (one.start + base, one.stop + base, one.category, float(known))
-            for one, known in zip(chosen, sure, strict=True)
-        ]
-
-    def _segment(self, start: int, stop: int, category: int | None, sure: float) -> Segment:
-        first, last = self._sampler.time_of(start), self._sampler.time_of(stop)
-        if category is None:
-            return Segment(first, last, None, sure)
+    def _segment(self, run: Run, *, last: bool = False) -> Segment:
+        start, stop = (self._sampler.time_of((self._settled + edge) * HOP) for edge in (run.start, run.stop))
+        stop = self._sampler.time_of(self._sampler.count) if last else stop
+        if run.state == len(self._labeller.classes):
+            return Segment(start, stop, None, 1.0)
+        sure = float(self._labeller.confidence(mean_scores(self._shares, run)[None])[0])
         known = sure >= self._threshold
-        name = self._labeller.classes[category] if known else None
-        return Segment(first, last, name, sure if known else 1.0 - sure)
+        return Segment(start, stop, self._labeller.classes[run.state] if known else None, sure if known else 1.0 - sure)
 
     def _answer(self, settled: tuple[Segment, ...]) -> LiveAnswer:
-        now = self._sampler.count
-        time = self._sampler.time_of(now)
-        sequence = self._lay()
-        if sequence and now - sequence[-1][1] <= SHORT_GAP:
-            segment = self._segment(sequence[-1][0], now, sequence[-1][2], sequence[-1][3])
+        time = self._sampler.time_of(self._sampler.count)
+        runs = self._runs()
+        if runs and runs[-1].state < len(self._labeller.classes):
+            segment = self._segment(runs[-1])
             return LiveAnswer(time, segment.category, segment.confidence, segment.start, settled)
         return LiveAnswer(time, None, 1.0, time, settled)
 
 
-def _complete_windows(lengths: tuple[int, ...], before: int, now: int) -> tuple[IntArray, IntArray]:
-    """The windows of the grid that end after sample ``before`` and not after ``now``."""
-    starts, stops = [], []
-    for length in lengths:
-        hop = hop_of(length)
-        first = max(-(-(before + 1 - length) // hop), 0) * hop
-        some = np.arange(first, now - length + 1, hop, dtype=np.int64)
-        starts.append(some)
-        stops.append(some + length)
-    return np.concatenate(starts), np.concatenate(stops)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Windows:
-    """Windows that may still become part of the answer."""
-
-    starts: IntArray
-    stops: IntArray
-    scores: NDArray[np.float32]
-
-    @classmethod
-    def none(cls, n_categories: int) -> _Windows:
-        empty = np.zeros(0, np.int64)
-        return cls(empty, empty, np.zeros((0, n_categories), np.float32))
-
-    def add(self, starts: IntArray, stops: IntArray, scores: NDArray[np.float32]) -> _Windows:
-        edges = np.concatenate([self.starts, starts]), np.concatenate([self.stops, stops])
-        return _Windows(*edges, np.concatenate([self.scores, scores]))
-
-    def after(self, sample: int) -> _Windows:
-        """Those that begin at a sample or later, give or take what two windows may share."""
-        keep = self.starts + (self.stops - self.starts) // 8 >= sample
-        return _Windows(self.starts[keep], self.stops[keep], self.scores[keep])
+def _judged_at_once(n_new: int) -> int:
+    """Moments to judge beside those whose surroundings have changed."""
+    return max(n_new, 0)
 
 
 class _Sampler:

@@ -1,4 +1,4 @@
-"""Compiled loops over the windows of long recordings: compare, score, choose."""
+"""Compiled loops over the windows of long recordings: comparing leaves, and poses."""
 
 from __future__ import annotations
 
@@ -43,44 +43,3 @@ def compare_poses(sums, starts, stops, query, out):  # pragma: no cover - compil
             before, apart = apart, before
             first = last
         out[w] = np.sqrt(total / ((2 * n_parts - 1) * n_values))
-
-
-@njit(cache=True, nogil=True)
-def score_windows(leaves, weights, out):  # pragma: no cover - compiled
-    """Adds the weights (leaves, C) of all leaves that a window reached to its row of ``out`` (W, C)."""
-    for w in range(leaves.shape[0]):
-        for tree in range(leaves.shape[1]):
-            row = weights[leaves[w, tree]]
-            for c in range(len(row)):
-                out[w, c] += row[c]
-
-
-@njit(cache=True, nogil=True)
-def spread_to_leaves(leaves, values, out):  # pragma: no cover - compiled
-    """Adds the row of a window (W, C) to the rows of ``out`` (leaves, C) of all leaves that it reached."""
-    for w in range(leaves.shape[0]):
-        for tree in range(leaves.shape[1]):
-            row = out[leaves[w, tree]]
-            for c in range(len(row)):
-                row[c] += values[w, c]
-
-
-@njit(cache=True, nogil=True)
-def choose_windows(starts, stops, gains, n_frames, first_at, best, chosen):  # pragma: no cover - compiled
-    """The windows, no two overlapping, of the largest sum of gains.
-
-    Windows stand in ascending order of their ends; ``first_at`` (n_frames + 2,) says where those that end at each frame
-    begin. ``best`` (n_frames + 1,) and ``chosen`` (n_frames + 1,) are filled: the sum up to a frame, and the window
-    that ends there, or -1 where the frame before it belongs to none. Of equal sums no window counts first, then the
-    first window.
-    """
-    best[0] = 0.0
-    chosen[0] = -1
-    for t in range(1, n_frames + 1):
-        best[t] = best[t - 1]
-        chosen[t] = -1
-        for w in range(first_at[t], first_at[t + 1]):
-            total = best[starts[w]] + gains[w]
-            if total > best[t]:
-                best[t] = total
-                chosen[t] = w

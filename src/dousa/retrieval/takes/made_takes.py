@@ -1,0 +1,266 @@
+"""Takes whose truth is known: clips played one after another, with rests between them, and recordings disturbed.
+
+A library of clips has no takes to learn from, so takes are made of its clips. Disturbed copies of made and of real
+takes show what another body, sensor, camera and frame rate do to the same motion.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from dousa.arrays import FloatArray
+from dousa.errors import TrainingError
+from dousa.motion.canonical.joints import CANONICAL_PARENTS, JOINT_INDEX, MIRRORED_JOINTS
+from dousa.retrieval.features.posed_motion import LabelledClip
+from dousa.retrieval.takes.windows import TAKE_RATE
+
+BLEND_SECONDS = (0.3, 0.5)
+_LEFT_HIP, _RIGHT_HIP = JOINT_INDEX["left_hip"], JOINT_INDEX["right_hip"]
+_LEFT_SHOULDER, _RIGHT_SHOULDER = JOINT_INDEX["left_shoulder"], JOINT_INDEX["right_shoulder"]
+
+
+@dataclass(frozen=True, slots=True)
+class Piece:
+    """What a take shows from ``start`` to ``stop`` (frames at ``TAKE_RATE``, halves in the middle of a blend).
+
+    Without a category it is nothing that has a name; where it is not ``counted``, nobody can say.
+    """
+
+    start: float
+    stop: float
+    category: str | None
+    counted: bool = True
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class JoinedTake:
+    """A take of known pieces.
+
+    Parameters
+    ----------
+    positions : (n, 20, 3) m at ``frame_rate``.
+    height : m.
+    pieces : in the order of time, each beginning where the one before it ends.
+    """
+
+    positions: FloatArray
+    height: float
+    pieces: tuple[Piece, ...]
+    frame_rate: float = TAKE_RATE
+
+
+def join_clips(
+    clips: Sequence[LabelledClip], generator: np.random.Generator, *, tempos: Sequence[float] | None = None
+) -> JoinedTake:
+    """Play clips of one performer one after another.
+
+    Parameters
+    ----------
+    clips : at least one.
+    generator : draws the lengths of the blends, 0.3 to 0.5 s.
+    tempos : how much faster than recorded each clip is played; None for as recorded.
+
+    Raises
+    ------
+    TrainingError : no clip.
+    """
+    from dousa.retrieval.features.channels import sample_positions
+
+    if not clips:
+        raise TrainingError("labeller.no_clips")
+    speeds = [1.0] * len(clips) if tempos is None else list(tempos)
+    # A clip played at double speed has the poses of a clip of half the frame rate.
+    played = [
+        sample_positions(clip.positions, clip.frame_rate * speed) / clip.height * clips[0].height
+        for clip, speed in zip(clips, speeds, strict=True)
+    ]
+    parts, edges, length = [played[0]], [0.0], len(played[0])
+    for clip in played[1:]:
+        count = round(generator.uniform(*BLEND_SECONDS) * TAKE_RATE)
+        last = parts[-1][-1]
+        following = _go_on(last, clip)
+        share = (np.arange(1, count + 1) / (count + 1))[:, None, None]
+        ease = share * share * (3.0 - 2.0 * share)
+        parts += [last * (1.0 - ease) + following[0] * ease, following]
+        edges.append(length + count / 2)
+        length += count + len(following)
+    edges.append(float(length))
+    pieces = tuple(Piece(edges[k], edges[k + 1], clip.category) for k, clip in enumerate(clips))
+    return JoinedTake(np.concatenate(parts), clips[0].height, pieces)
+
+
+def _go_on(last: FloatArray, clip: FloatArray) -> FloatArray:
+    """A clip (n, 20, 3) turned about the vertical and moved along the floor to follow a pose (20, 3)."""
+    turn = _heading(clip[0]) - _heading(last)
+    across, along = np.cos(turn), np.sin(turn)
+    moved = clip - clip[0, 0] * (1.0, 0.0, 1.0)
+    x, z = moved[..., 0].copy(), moved[..., 2].copy()
+    moved[..., 0] = x * across + z * along
+    moved[..., 2] = z * across - x * along
+    found: FloatArray = moved + last[0] * (1.0, 0.0, 1.0)
+    return found
+
+
+def _heading(pose: FloatArray) -> float:
+    """rad, from the line of hips and shoulders: the hips of a person who lies on one side say nothing."""
+    line = pose[_LEFT_HIP] - pose[_RIGHT_HIP] + 0.5 * (pose[_LEFT_SHOULDER] - pose[_RIGHT_SHOULDER])
+    return float(np.arctan2(line[2], line[0]))
+
+
+def shuffle_into_takes(
+    clips: Sequence[LabelledClip], generator: np.random.Generator, n_clips: int = 12
+) -> list[list[int]]:
+    """The clips of every performer in a random order, in groups of ``n_clips`` or a few more: indices."""
+    groups = []
+    performers = sorted({clip.performer or "" for clip in clips})
+    for performer in performers:
+        own = np.array([k for k, clip in enumerate(clips) if (clip.performer or "") == performer])
+        order = generator.permutation(own)
+        count = max(1, len(order) // n_clips)
+        groups += [group.tolist() for group in np.array_split(order, count)]
+    return groups
+
+
+_BLENDS = (0.2, 1.2)  # s, of the joins that are not those of `join_clips`
+_RESTS = (0.3, 4.0)
+_REST_SHARE = 0.4  # of the joins
+_SWAY = 0.002  # m a frame that a resting body drifts, in no direction
+_TEMPO = 0.35  # spread of the log tempo
+
+
+def join_with_rests(clips: Sequence[LabelledClip], generator: np.random.Generator) -> JoinedTake:
+    """Play clips of one performer one after another at other tempos, slowly blended, with rests between some.
+
+    Parameters
+    ----------
+    clips : at least one.
+    generator : draws tempos, blends and rests.
+
+    Returns
+    -------
+    A take in which blends and rests are pieces without a category.
+    """
+    from dousa.retrieval.features.channels import sample_positions
+
+    parts: list[FloatArray] = []
+    pieces: list[Piece] = []
+    length = 0
+    for clip in clips:
+        tempo = float(np.exp(generator.uniform(-_TEMPO, _TEMPO)))
+        played = sample_positions(clip.positions, clip.frame_rate * tempo) / clip.height * clips[0].height
+        if parts:
+            played = _go_on(parts[-1][-1], played)
+            between = _make_transition(parts[-1][-1], played[0], generator)
+            parts.append(between)
+            pieces.append(Piece(length, length + len(between), None))
+            length += len(between)
+        parts.append(played)
+        pieces.append(Piece(length, length + len(played), clip.category))
+        length += len(played)
+    return JoinedTake(np.concatenate(parts), clips[0].height, tuple(pieces))
+
+
+def _draw_log(generator: np.random.Generator, least: float, most: float) -> float:
+    return float(np.exp(generator.uniform(np.log(least), np.log(most))))
+
+
+def _make_transition(last: FloatArray, following: FloatArray, generator: np.random.Generator) -> FloatArray:
+    """(n, 20, 3) from one pose to another: a blend, and sometimes a rest before or after it."""
+    count = max(round(_draw_log(generator, *_BLENDS) * TAKE_RATE), 1)
+    share = (np.arange(1, count + 1) / (count + 1))[:, None, None]
+    ease = share * share * (3.0 - 2.0 * share)
+    blend: FloatArray = last * (1.0 - ease) + following * ease
+    if generator.random() >= _REST_SHARE:
+        return blend
+    n_rest = round(_draw_log(generator, *_RESTS) * TAKE_RATE)
+    drift = np.cumsum(generator.normal(0.0, _SWAY, (n_rest, *last.shape)), axis=0)
+    drift *= (np.linspace(0.0, 1.0, n_rest) * np.linspace(1.0, 0.0, n_rest))[:, None, None]
+    if generator.random() < 0.5:
+        return np.concatenate([last + drift, blend])
+    return np.concatenate([blend, following + drift])
+
+
+_BONES, _TILT, _HEIGHT = 0.06, 0.07, 0.03  # spreads: log lengths of bones, rad of the camera, log height
+_SLOWEST = 10.0  # Hz
+_NOISE = 0.035  # m, of the noisiest joints
+_MISSING = 0.1  # of the frames of a joint, at most
+_LONGEST_GAP = 6  # frames
+_JUMP, _JUMPS, _JUMP_SHARE = 0.1, 0.01, 0.3  # m; share of the frames of a joint; share of the takes that have such
+
+
+def disturb(take: JoinedTake, generator: np.random.Generator) -> JoinedTake:
+    """The same take with another body, a tilted camera, a slower and noisier sensor that loses joints.
+
+    Parameters
+    ----------
+    take : at ``TAKE_RATE``.
+    generator : draws how much of each.
+    """
+    points = _tilt(_stretch_bones(take.positions, generator), generator)
+    rate = take.frame_rate
+    if generator.random() < 0.5:
+        rate = float(generator.uniform(_SLOWEST, rate))
+        points = _sample_slower(points, max(round(len(points) * rate / take.frame_rate), 2))
+        rate = take.frame_rate * len(points) / len(take.positions)
+    noise = (
+        _NOISE * generator.random() ** 2 / np.sqrt(3.0) * np.exp(generator.normal(0.0, 0.3, (1, points.shape[1], 1)))
+    )
+    points = points + generator.normal(size=points.shape) * noise
+    points = _lose_joints(points, generator)
+    if generator.random() < _JUMP_SHARE:
+        jumping = generator.random(points.shape[:2]) < _JUMPS
+        points[jumping] += generator.normal(0.0, _JUMP, (int(jumping.sum()), 3))
+    height = take.height * float(np.exp(generator.normal(0.0, _HEIGHT)))
+    return replace(take, positions=points, height=height, frame_rate=rate)
+
+
+def _stretch_bones(points: FloatArray, generator: np.random.Generator) -> FloatArray:
+    factors = np.exp(generator.normal(0.0, _BONES, points.shape[1]))
+    factors = np.sqrt(factors * factors[list(MIRRORED_JOINTS)])  # left and right alike
+    stretched = points.copy()
+    for joint, parent in enumerate(CANONICAL_PARENTS):
+        if parent >= 0:
+            stretched[:, joint] = stretched[:, parent] + (points[:, joint] - points[:, parent]) * factors[joint]
+    return stretched
+
+
+def _tilt(points: FloatArray, generator: np.random.Generator) -> FloatArray:
+    """Turned a little about both horizontal axes."""
+    a, b = generator.normal(0.0, _TILT, 2)
+    about_x = np.array([[1.0, 0.0, 0.0], [0.0, np.cos(a), -np.sin(a)], [0.0, np.sin(a), np.cos(a)]])
+    about_z = np.array([[np.cos(b), -np.sin(b), 0.0], [np.sin(b), np.cos(b), 0.0], [0.0, 0.0, 1.0]])
+    middle = points.mean(axis=(0, 1))
+    turned: FloatArray = (points - middle) @ (about_x @ about_z).T + middle
+    return turned
+
+
+def _sample_slower(points: FloatArray, count: int) -> FloatArray:
+    """So many single poses at equal distances, as a slow sensor sees them."""
+    places = np.clip((np.arange(count) + 0.5) * len(points) / count - 0.5, 0, len(points) - 1)
+    below = np.minimum(places.astype(np.intp), max(len(points) - 2, 0))
+    share = (places - below)[:, None, None]
+    sampled: FloatArray = points[below] * (1.0 - share) + points[np.minimum(below + 1, len(points) - 1)] * share
+    return sampled
+
+
+def _lose_joints(points: FloatArray, generator: np.random.Generator) -> FloatArray:
+    """Some joints are gone for some frames, and held or bridged in a straight line."""
+    share, length = _MISSING * generator.random() ** 2, int(generator.integers(1, _LONGEST_GAP))
+    held = generator.random() < 0.5
+    lost = generator.random(points.shape[:2]) < share / length
+    gone = lost.copy()
+    for k in range(1, min(length, len(points))):
+        gone[k:] |= lost[:-k]
+    gone[0] = False
+    points = points.copy()
+    frames = np.arange(len(points))
+    for joint in np.flatnonzero(gone.any(axis=0)):
+        seen = np.flatnonzero(~gone[:, joint])
+        before = seen[np.searchsorted(seen, frames, side="right") - 1]
+        after = before if held else seen[np.minimum(np.searchsorted(seen, frames), len(seen) - 1)]
+        share_of = ((frames - before) / np.maximum(after - before, 1))[:, None]
+        points[:, joint] = points[before, joint] * (1.0 - share_of) + points[after, joint] * share_of
+    return points

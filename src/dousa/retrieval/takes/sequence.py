@@ -1,0 +1,164 @@
+"""The likeliest sequence of segments: how likely each category is at each moment, and how long its segments last.
+
+A hidden semi-Markov model. Its states are the categories, and "nothing": what lies between actions. The score of a
+segment is the sum over its moments of the log probability of its state, times a weight (neighbouring moments see the
+same frames, and do not count fully each), plus the log probability of its length. Lengths are log-normal, fitted to the
+segments of each state that trained, and shrunk to the spread of all; far beyond them they are geometric.
+Source: explicit-duration models, Yu, "Hidden semi-Markov models", Artificial Intelligence 174, 2010.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dousa.arrays import FloatArray
+from dousa.retrieval.takes.moments import HOP
+
+_FLOOR = 0.01  # of a probability: no moment forbids a category
+_SPREAD, _STRENGTH = 0.3, 4.0  # least spread of the log length; segments' worth of the spread of all
+_LONGEST = 250  # moments that are told apart; longer segments are reached one moment at a time
+
+
+@dataclass(frozen=True, slots=True)
+class SequenceWeights:
+    """What is learned on people held out.
+
+    Parameters
+    ----------
+    evidence : weight of a moment's log probability.
+    nothing : added to the log probability of nothing.
+    edges : weight of the log probability that a segment begins, and ends, where it does.
+    """
+
+    evidence: float = 0.4
+    nothing: float = -1.0
+    edges: float = 0.5
+
+
+N_PHASES = 3
+"""Of an action: its beginning, its middle, its end."""
+
+PHASE_FRAMES = 12
+"""Frames that are the beginning, and the end, of an action; no more than half of it each."""
+
+
+def join_phases(shares: NDArray[np.float32]) -> NDArray[np.float32]:
+    """(M, C + 1) probabilities of the categories and of nothing, from those of all their phases (M, 3 C + 1)."""
+    count = shares.shape[1] // N_PHASES
+    joined = np.empty((len(shares), count + 1), np.float32)
+    joined[:, :-1] = shares[:, :-1].reshape(len(shares), count, N_PHASES).sum(axis=2)
+    joined[:, -1] = shares[:, -1]
+    return joined
+
+
+@dataclass(frozen=True, slots=True)
+class Run:
+    """Moments ``start`` to below ``stop`` of one state."""
+
+    start: int
+    stop: int
+    state: int
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SequenceModel:
+    """States, the last of them nothing.
+
+    Parameters
+    ----------
+    log_lengths : (S,) means of the log lengths in frames.
+    spreads : (S,) standard deviations.
+    weights : of what speaks for a sequence.
+    """
+
+    log_lengths: FloatArray
+    spreads: FloatArray
+    weights: SequenceWeights
+
+    def find_runs(self, shares: NDArray[np.float32], *, never_nothing: bool = False) -> list[Run]:
+        """The best sequence of states.
+
+        Parameters
+        ----------
+        shares : (M, 3 C + 1) probabilities of the phases of the categories, and of nothing, at moments.
+        never_nothing : whether every moment gets a category.
+
+        Returns
+        -------
+        One after another without gaps; none for no moment.
+        """
+        from dousa.retrieval.takes.moment_kernels import find_best_sequence
+
+        if not len(shares):
+            return []
+        weights = self.weights
+        joined = np.maximum(join_phases(shares), 0.0).astype(np.float64)
+        evidence = np.log(joined + _FLOOR)
+        evidence[:, -1] += weights.nothing
+        evidence *= weights.evidence
+        edges = [np.zeros(evidence.shape), np.zeros(evidence.shape)]
+        for phase, edge in zip((0, N_PHASES - 1), edges, strict=True):
+            own = np.maximum(shares[:, phase:-1:N_PHASES], 0.0)
+            edge[:, :-1] = weights.edges * np.log((own + _FLOOR) / (np.maximum(joined[:, :-1] - own, 0.0) + _FLOOR))
+        lengths, tails = self._tabulate(len(shares))
+        again = np.zeros(len(tails))
+        again[-1] = np.inf
+        last = -1 if never_nothing else len(tails)
+        evidence, opening, closing, lengths = (
+            np.ascontiguousarray(table[:, :last]) for table in (evidence, *edges, lengths)
+        )
+        tails, again = tails[:last], again[:last]
+        n, count = evidence.shape
+        begins, before = np.empty((n + 1, count), np.int32), np.empty((n + 1, count), np.int32)
+        state = find_best_sequence(evidence, opening, closing, lengths, tails, again, begins, before)
+        runs, stop = [], n
+        while stop > 0:
+            start = int(begins[stop, state])
+            runs.append(Run(start, stop, int(state)))
+            stop, state = start, before[stop, state]
+        return runs[::-1]
+
+    def _tabulate(self, n_moments: int) -> tuple[FloatArray, FloatArray]:
+        """(L, S) log probabilities of lengths of 1, 2 ... moments, and (S,) what each further moment costs."""
+        longest = np.exp(self.log_lengths[:-1] + 2.0 * self.spreads[:-1]).max(initial=1.0) / HOP
+        most = int(min(max(longest, 10.0), _LONGEST, max(n_moments, 1)))
+        frames = np.arange(1, most + 1)[:, None] * float(HOP)
+        off = (np.log(frames) - self.log_lengths) / self.spreads
+        table = -0.5 * off * off - np.log(self.spreads * frames * np.sqrt(2.0 * np.pi) / HOP)
+        tails = -HOP / np.exp(self.log_lengths)
+        return table, tails
+
+    def with_lengths(self, lengths: Sequence[Sequence[float]]) -> SequenceModel:
+        """A model of more states: new ones stand before nothing, with the lengths (frames) of their segments."""
+        new = fit_lengths([*lengths, [1.0]], self.weights, pooled=float(np.median(self.spreads[:-1])))
+        means = np.concatenate([self.log_lengths[:-1], new.log_lengths[:-1], self.log_lengths[-1:]])
+        spreads = np.concatenate([self.spreads[:-1], new.spreads[:-1], self.spreads[-1:]])
+        return SequenceModel(means, spreads, self.weights)
+
+
+def fit_lengths(
+    lengths: Sequence[Sequence[float]], weights: SequenceWeights, pooled: float | None = None
+) -> SequenceModel:
+    """A model of the segments that trained.
+
+    Parameters
+    ----------
+    lengths : for each state the lengths of its segments in frames; a state without any gets those of all.
+    weights : of what speaks for a sequence.
+    pooled : spread of the log lengths within states; None to measure it.
+    """
+    logs = [np.log(np.maximum(np.asarray(some, np.float64), 1.0)) for some in lengths]
+    there = [some for some in logs if len(some)]
+    everything = np.concatenate(there) if there else np.log([30.0])
+    if pooled is None:
+        pooled = float(np.concatenate([some - some.mean() for some in there] or [np.zeros(1)]).std())
+    common = max(pooled, _SPREAD)
+    means = np.array([some.mean() if len(some) else everything.mean() for some in logs])
+    own = np.array([((some - some.mean()) ** 2).sum() if len(some) else 0.0 for some in logs])
+    counts = np.array([len(some) for some in logs])
+    spreads = np.sqrt((own + _STRENGTH * common**2) / (counts + _STRENGTH) + _SPREAD**2)
+    return SequenceModel(means, spreads, weights)
