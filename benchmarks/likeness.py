@@ -64,6 +64,13 @@ def measure(answer: SearchResult, right: set[int], own: int | None) -> list[floa
     return [len(alike), precision, sum(alike) / len(right), float(np.mean(order[: len(right)])), average]
 
 
+def average(rows: list[np.ndarray] | list[list[float]]) -> np.ndarray:
+    """Means of the columns, without what is not a number; that is what is left where nothing else is."""
+    table = np.array(rows, float)
+    counts = np.isfinite(table).sum(axis=0)
+    return np.where(counts > 0, np.nansum(table, axis=0) / np.maximum(counts, 1), np.nan)
+
+
 def ask(library: Library, queries: dict[str, list[ClipInfo]], where: str, outside: Library | None = None) -> None:
     table = defaultdict(list)
     clips = [clip for clip in library.clips() if clip.kind == "clip"]
@@ -78,11 +85,11 @@ def ask(library: Library, queries: dict[str, list[ClipInfo]], where: str, outsid
             for name, cosines in (("dousa", True), ("without the angle", False)):
                 table[name, meaning].append(measure(search(library, query, len(clips), cosines), wanted, own))
     for name in ("dousa", "without the angle"):
-        rows = {meaning: np.nanmean(rows, axis=0) for (system, meaning), rows in table.items() if system == name}
+        rows = {meaning: average(rows) for (system, meaning), rows in table.items() if system == name}
         for meaning, row in rows.items():
             print_row(f"{where}, {name}, {meaning}", row, name == "dousa")
         if rows:
-            print_row(f"{where}, {name}, MEAN", np.nanmean(list(rows.values()), axis=0), name == "dousa")
+            print_row(f"{where}, {name}, MEAN", average(list(rows.values())), name == "dousa")
 
 
 def print_row(title: str, row: np.ndarray, has_cut: bool) -> None:
