@@ -68,10 +68,10 @@ def test_the_vote_in_a_library(foreign, tmp_path) -> None:
 def test_what_no_reader_takes_is_counted(tmp_path) -> None:
     folder = tmp_path / "moves"
     folder.mkdir()
-    for name in ("a.fbx", "b.FBX", "c.mot", "notes"):
+    for name in ("a.bip", "b.BIP", "c.mot", "notes"):
         (folder / name).write_bytes(b"x")
     with Library.open(tmp_path / "moves.dousa", create=True) as library:
-        assert dict(library.add([folder]).passed_over) == {".fbx": 2, ".mot": 1, "": 1}
+        assert dict(library.add([folder]).passed_over) == {".bip": 2, ".mot": 1, "": 1}
 
 
 def test_a_folder_without_motions_makes_no_library(tmp_path) -> None:
