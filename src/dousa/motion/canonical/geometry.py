@@ -188,7 +188,7 @@ def find_leaps(points: FloatArray, frame_rate: float) -> BoolArray:
     found = np.zeros(points.shape[:2], bool)
     steps = np.diff(points, axis=0)
     squared = np.einsum("tjk,tjk->tj", steps, steps)
-    far = squared > max(_LEAST_LEAP, _LEAP_SPEED / frame_rate) ** 2
+    far = np.sqrt(squared) > max(_LEAST_LEAP, _LEAP_SPEED / frame_rate)
     both = far[:-1] & far[1:]
     if both.any():
         back = np.einsum("tjk,tjk->tj", steps[:-1], steps[1:])
