@@ -155,6 +155,8 @@ def test_textgrid(tmp_path, text, encoding):
 def test_elan(tmp_path):
     path = write(tmp_path, "s01.eaf", EAF)
     assert read(path) == [(0.5, 1.0, "sit down"), (1.5, 4.0, "stand up")]  # a slot without a time is half way
+    idle = EAF.replace("</TIME_ORDER>", '<TIME_SLOT TIME_SLOT_ID="ts99"/></TIME_ORDER>')
+    assert read(write(tmp_path, "idle.eaf", idle)) == read(path)  # nothing refers to the slot after the last time
     assert read(path, "parts") == [(1.5, 2.75, "lean"), (2.75, 4.0, "rise")]
     file = read_label_file(path)
     (note,) = to_annotation(file, file.takes[""])[1]

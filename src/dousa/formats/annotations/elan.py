@@ -1,7 +1,8 @@
 """ELAN's .eaf files (EAF 2.7 to 3.0, Max Planck Institute for Psycholinguistics): tiers of annotations in XML.
 
-Times are in slots, in ms; a slot without a time lies evenly between its neighbours that have one. An annotation that
-refers to another has its time, or its share of it where several refer to one.
+Times are in slots, in ms; a slot without a time lies evenly between its neighbours that have one, and one at either end
+has none, which matters where an annotation refers to it. An annotation that refers to another has its time, or its
+share of it where several refer to one.
 """
 
 from __future__ import annotations
@@ -39,7 +40,12 @@ def read_eaf(path: str, data: bytes) -> LabelFile:
             raise MotionFileError(
                 path, "label_files.no_slot", slot=missing[0], annotation=node.get("ANNOTATION_ID", "?")
             )
-        times[node.get("ANNOTATION_ID", "")] = slots[ends[0]], slots[ends[1]]
+        untimed = [end for end in ends if slots[end] is None]
+        if untimed:
+            raise MotionFileError(path, "label_files.no_slot_time", found=untimed[0])
+        start, stop = slots[ends[0]], slots[ends[1]]
+        if start is not None and stop is not None:
+            times[node.get("ANNOTATION_ID", "")] = start, stop
     _add_references(path, root, times)
     tiers = []
     for tier in root.iter("TIER"):
@@ -55,8 +61,8 @@ def read_eaf(path: str, data: bytes) -> LabelFile:
     return LabelFile(path, {"": tuple(tiers)})
 
 
-def _read_slots(path: str, root: ET.Element) -> dict[str, float]:
-    """Seconds by the name of the slot."""
+def _read_slots(path: str, root: ET.Element) -> dict[str, float | None]:
+    """Seconds by the name of the slot; none before the first and after the last that has a time."""
     slots = list(root.iter("TIME_SLOT"))
     known: dict[int, float] = {}
     for place, node in enumerate(slots):
@@ -67,13 +73,13 @@ def _read_slots(path: str, root: ET.Element) -> dict[str, float]:
             known[place] = int(text) / 1000.0
         except ValueError:
             raise MotionFileError(path, "label_files.no_slot_time", found=text[:40]) from None
-    outside = [place for place in range(len(slots)) if not known or not min(known) <= place <= max(known)]
-    if outside:
-        raise MotionFileError(path, "label_files.no_slot_time", found=slots[outside[0]].get("TIME_SLOT_ID", "?"))
-    if not slots:
-        return {}
-    filled = np.interp(np.arange(len(slots)), list(known), list(known.values())).tolist()
-    return {node.get("TIME_SLOT_ID", ""): value for node, value in zip(slots, filled, strict=True)}
+    filled = (
+        np.interp(np.arange(len(slots)), list(known), list(known.values())).tolist() if known else [0.0] * len(slots)
+    )
+    return {
+        node.get("TIME_SLOT_ID", ""): value if known and min(known) <= place <= max(known) else None
+        for place, (node, value) in enumerate(zip(slots, filled, strict=True))
+    }
 
 
 def _add_references(path: str, root: ET.Element, times: _Times) -> None:
