@@ -6,8 +6,10 @@ import json
 import os
 import re
 import shutil
+import sqlite3
 import subprocess
 import sys
+from contextlib import closing
 from pathlib import Path
 
 import numpy as np
@@ -66,7 +68,9 @@ def library(trained, tmp_path) -> Path:
 def test_help_names_every_command_and_gives_examples(dousa):
     code, out, _ = dousa("--help")
     assert code == 0
-    commands = "info convert plot add train search classify find label list remove relabel experiment demo".split()
+    commands = (
+        "info convert plot add train search classify find label list remove relabel check experiment demo".split()
+    )
     for command in commands:
         assert command in out
         code, text, _ = dousa(command, "--help")
@@ -205,6 +209,20 @@ def test_search_by_number_with_picture(dousa, library, tmp_path):
     assert code == 0
     assert "rank" in out
     assert picture.read_bytes().startswith(b"\x89PNG")
+
+
+def test_check_names_what_is_damaged_and_repairs_it(dousa, library):
+    code, out, _ = dousa("check", library)
+    assert (code, "the library is sound" in out) == (0, True)
+    with closing(sqlite3.connect(library)) as connection, connection:
+        connection.execute("UPDATE clip_trajectories SET positions = zeroblob(length(positions)) WHERE clip_id = 1")
+        (path,) = connection.execute("SELECT path FROM clips WHERE id = 1").fetchone()
+    code, out, _ = dousa("check", library)
+    assert (code, f"{path} (number 1): positions: its file is there and unchanged" in out) == (2, True)
+    code, out, _ = dousa("check", library, "--repair", "--json")
+    answer = json.loads(out)
+    assert (code, answer["sound"], [one["path"] for one in answer["damage"]]) == (0, True, [path])
+    assert dousa("check", library)[0] == 0
 
 
 def test_list_relabel_remove(dousa, library, motions):

@@ -106,6 +106,8 @@ COMMANDS = [
     "label none.dousa good.bvh --height 2",
     "remove none.dousa 1",
     "relabel none.dousa 1",
+    "check none.dousa",
+    "check lib.dousa --repair",
     "evaluate good.bvh",
     "evaluate none.bvh -p good.bvh",
     "evaluate good.bvh -p none.bvh",

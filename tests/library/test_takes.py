@@ -226,7 +226,7 @@ def test_a_rate_near_zero_is_refused(library, tmp_path):
 
 
 def test_a_stored_rate_near_zero_is_damage(path_with_take):
-    change(path_with_take, "UPDATE clips SET frame_rate = 1e-9")
+    change(path_with_take, "UPDATE clips SET frame_rate = 1e-9, checksum = NULL")
     with Library.open(path_with_take) as library, pytest.raises(LibraryDamagedError, match="at 1e-09 Hz"):
         library.find(1)
 
@@ -357,10 +357,10 @@ def test_takes_are_described_anew_when_the_forest_learns(library, path_with_take
     [
         "UPDATE take_windows SET data = x'00'",
         "UPDATE take_windows SET data = substr(data, 1, 900)",
-        "UPDATE forests SET window_lengths = '[3]'",
-        "UPDATE forests SET window_lengths = '7'",
+        "UPDATE forests SET checksum = NULL, window_lengths = '[3]'",
+        "UPDATE forests SET checksum = NULL, window_lengths = '7'",
         "UPDATE forests SET calibration = x'00'",
-        "UPDATE forests SET parameters = '{\"n_trees\": 30}'",
+        "UPDATE forests SET checksum = NULL, parameters = '{\"n_trees\": 30}'",
     ],
 )
 def test_damaged_windows(path_with_take, statement):

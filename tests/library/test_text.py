@@ -167,7 +167,7 @@ def test_damaged_relations_are_told(tmp_path):
     with Library.open(path, create=True) as library:
         library.add_motion(make_motion("walk", draw_performer(1), seed=1), "one", "walk")
     with closing(sqlite3.connect(path)) as connection, connection:
-        connection.execute("UPDATE clip_relations SET relations = '[[1]]'")
+        connection.execute("UPDATE clip_relations SET relations = '[[1]]', checksum = NULL")
     with Library.open(path) as library, pytest.raises(LibraryDamagedError, match="in words is damaged"):
         library.search_text("walk")
 

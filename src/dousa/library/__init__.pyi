@@ -21,12 +21,15 @@ from .results import (
 )
 from .selection import UNCHANGED
 from .text.answers import TextHit, TextResult
+from .upkeep.report import CheckReport, Damage
 
 __all__ = [
     "UNCHANGED",
     "AddReport",
+    "CheckReport",
     "Classification",
     "ClipInfo",
+    "Damage",
     "Duplicate",
     "ExportReport",
     "FindResult",

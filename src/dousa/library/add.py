@@ -28,6 +28,7 @@ from dousa.library.forests import StoredForest, load_forest
 from dousa.library.ingest import ClipRecord, FileRecord, ReadTask, look_at, read_clip, read_clips
 from dousa.library.labels import LabelRule, no_label
 from dousa.library.results import AddReport, Duplicate
+from dousa.library.seals.checksums import LABELS, NUMBERS, update_rows
 from dousa.library.selection import delete_clips, fetch_in
 from dousa.library.takes import DescribedTakes, describe_records, refresh_windows
 from dousa.library.train import insert_clips
@@ -271,14 +272,14 @@ class Adding:
             tally["bytes"].append(record.row["size"])
             row, first = by_path.get(record.path), owner.get(record.row["content_hash"])
             if first == record.path and row is not None:
-                _move(connection, record, first)
+                _move(connection, record, row)
                 tally["unchanged"].append(first)
                 self._note_labels(tally, first, row)
             elif first is None:
                 self._take(tally, fresh, record, row)
                 owner[record.row["content_hash"]] = record.path
             elif row is None and first in by_path and _is_gone(by_path[first]):
-                _move(connection, record, first)
+                _move(connection, record, by_path[first])
                 tally["moved"].append(Duplicate(record.path, first))
                 self._note_labels(tally, record.path, by_path[first])
                 owner[record.row["content_hash"]] = record.path
@@ -327,9 +328,9 @@ class Adding:
         return {name: second[name] if value is None else value for name, value in first.items()}
 
 
-def _move(connection: sa.Connection, record: FileRecord, old_path: str) -> None:
-    new = {name: record.row[name] for name in ("path", "fingerprint", "read_options")}
-    connection.execute(sa.update(schema.clips).where(schema.clips.c.path == old_path).values(**new))
+def _move(connection: sa.Connection, record: FileRecord, row: Any) -> None:
+    update_rows(connection, LABELS, {row.id: {"path": record.path}})
+    update_rows(connection, NUMBERS, {row.id: {name: record.row[name] for name in ("fingerprint", "read_options")}})
     rename_segments(connection, record.path)
 
 

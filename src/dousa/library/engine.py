@@ -37,7 +37,9 @@ from dousa.errors import (
 )
 from dousa.library import schema
 from dousa.library.schema import APPLICATION_ID, library_state
+from dousa.library.seals.checksums import LIBRARY_NAME, STATE, seal_rows, update_rows
 
+_STATE_ID = 1
 _WRITES = "dousa_writes"
 _READ_ONLY = "dousa_read_only"
 _SQLITE_START = b"SQLite format 3\0"
@@ -69,7 +71,7 @@ def _make_engine(path_or_url: str | os.PathLike[str], *, create: bool, read_only
         creator=lambda: _connect(path, create, read_only, timeout),
         poolclass=sa.pool.QueuePool,
         pool_size=1,
-        execution_options={_READ_ONLY: read_only},
+        execution_options={_READ_ONLY: read_only, LIBRARY_NAME: name_of(path_or_url)},
     )
     event.listen(engine, "begin", _begin)
     return engine
@@ -78,7 +80,7 @@ def _make_engine(path_or_url: str | os.PathLike[str], *, create: bool, read_only
 def _server_engine(url: str, read_only: bool, timeout: float) -> sa.Engine:
     name = name_of(url)
     try:
-        engine = sa.create_engine(url, execution_options={_READ_ONLY: read_only})
+        engine = sa.create_engine(url, execution_options={_READ_ONLY: read_only, LIBRARY_NAME: name})
     except (exc.ArgumentError, exc.NoSuchModuleError, ValueError) as error:
         raise LibraryError("library_file.not_a_url", library=name, reason=error) from error
     except ImportError as error:
@@ -198,6 +200,11 @@ class Database:
     engine: sa.Engine
     where: str
 
+    @property
+    def is_read_only(self) -> bool:
+        """Whether it was opened so that nothing may change."""
+        return bool(self.engine.get_execution_options().get(_READ_ONLY))
+
     @contextmanager
     def reading(self) -> Iterator[sa.Connection]:
         """A connection in one transaction that sees the library as it stands at its first query."""
@@ -210,7 +217,7 @@ class Database:
     @contextmanager
     def writing(self) -> Iterator[sa.Connection]:
         """A connection in one transaction that writes all or nothing; LibraryError where it was opened read-only."""
-        if self.engine.get_execution_options().get(_READ_ONLY):
+        if self.is_read_only:
             raise LibraryError("library_file.opened_read_only", library=self.where)
         with _plain_errors(self.where), self.engine.connect() as connection:
             connection.execution_options(**{_WRITES: True})
@@ -267,10 +274,15 @@ def _translate(error: BaseException | None, where: str) -> LibraryError:
 
 def read_revision(connection: sa.Connection) -> int:
     """Number of the last write."""
-    revision = connection.execute(sa.select(library_state.c.revision)).scalar_one_or_none()
-    if revision is None:
+    return int(_read_state(connection).revision)
+
+
+def _read_state(connection: sa.Connection) -> Any:
+    row = connection.execute(sa.select(*STATE.columns)).one_or_none()
+    if row is None:
         raise LibraryDamagedError("library_file.no_state")
-    return int(revision)
+    STATE.check(connection, row)
+    return row
 
 
 def lock_for_writing(connection: sa.Connection) -> None:
@@ -280,19 +292,21 @@ def lock_for_writing(connection: sa.Connection) -> None:
 
 def next_revision(connection: sa.Connection) -> int:
     """Count this write, and return its number."""
-    connection.execute(sa.update(library_state).values(revision=library_state.c.revision + 1))
-    return read_revision(connection)
+    lock_for_writing(connection)
+    revision = read_revision(connection) + 1
+    update_rows(connection, STATE, {_STATE_ID: {"revision": revision}})
+    return revision
 
 
 def note_changed_clips(connection: sa.Connection) -> None:
     """Clips or their categories change in this write: the forest has not learned from them as they are now."""
-    connection.execute(sa.update(library_state).values(clips_revision=library_state.c.revision))
+    update_rows(connection, STATE, {_STATE_ID: {"clips_revision": read_revision(connection)}})
 
 
 def take_clip_ids(connection: sa.Connection, count: int) -> range:
     """Numbers for new clips, never used before; after ``next_revision`` in the same transaction."""
-    first = connection.execute(sa.select(library_state.c.next_clip_id)).scalar_one()
-    connection.execute(sa.update(library_state).values(next_clip_id=first + count))
+    first = int(_read_state(connection).next_clip_id)
+    update_rows(connection, STATE, {_STATE_ID: {"next_clip_id": first + count}})
     return range(first, first + count)
 
 
@@ -391,6 +405,15 @@ def _labellers_of_moments(connection: sa.Connection) -> None:
     connection.execute(sa.update(schema.forests).values(labeller=None))
 
 
+def _checksums(connection: sa.Connection) -> None:
+    """A checksum for each row; those that are there get theirs from ``Library.check``."""
+    for table in schema.metadata.sorted_tables:
+        known = {column["name"] for column in sa.inspect(connection).get_columns(table.name)}
+        for column in table.c:
+            if "checksum" in column.name and column.name not in known:
+                _add_column(connection, table, column.name)
+
+
 def _add_column(connection: sa.Connection, table: sa.Table, name: str) -> None:
     column = sa.schema.CreateColumn(table.c[name]).compile(dialect=connection.dialect)
     connection.execute(sa.DDL(f"ALTER TABLE {table.name} ADD COLUMN {column}"))  # type: ignore[no-untyped-call]
@@ -404,6 +427,7 @@ MIGRATIONS: tuple[Migration, ...] = (
     Migration(5, "parts of bodies", _parts_of_bodies),
     Migration(6, "likeness", _likeness),
     Migration(7, "labellers of moments", _labellers_of_moments),
+    Migration(8, "checksums", _checksums),
 )
 
 
@@ -426,7 +450,8 @@ def _create_tables(database: Database) -> None:
         schema.metadata.create_all(connection)
         if connection.dialect.name == "sqlite":
             connection.exec_driver_sql(f"PRAGMA application_id = {APPLICATION_ID}")
-        connection.execute(sa.insert(schema.library_state).values(id=1, revision=0, next_clip_id=1))
+        state = {"id": _STATE_ID, "revision": 0, "next_clip_id": 1, "clips_revision": 0}
+        connection.execute(sa.insert(library_state), seal_rows(library_state, [state]))
         for step in MIGRATIONS:
             _record(connection, step)
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -15,6 +15,8 @@ from dousa.errors import LibraryDamagedError, LibraryVersionError, OptionError
 from dousa.library import schema
 from dousa.library.engine import choose_jobs
 from dousa.library.schema import pack, stack, unpack
+from dousa.library.seals import checksums
+from dousa.library.seals.checksums import BLOCK_FRAMES, seal_positions, seal_rows
 from dousa.library.selection import fetch_in, portions
 from dousa.motion import CANONICAL_JOINTS
 from dousa.motion.canonical.joints import JOINT_INDEX, CanonicalPoses, find_absent
@@ -112,17 +114,19 @@ def lacks(feature_set: str, absent: str) -> bool:
     return kind.without(absent.split()) is not kind
 
 
-_FRAME_BYTES = 4 * 3 * len(CANONICAL_JOINTS)  # as they are stored
-
-
 def _select_motion() -> sa.Select[Any]:
-    """Rows of motions; of a segment its part of the positions of the take."""
+    """Rows of motions; of a segment the blocks of the positions of the take that it lies in."""
     clips, segments, stored = schema.clips.c, schema.segments.c, schema.clip_trajectories.c
-    first, length = 1 + _FRAME_BYTES * segments.first_frame, _FRAME_BYTES * clips.n_frames
-    part = sa.func.substr(stored.positions, first, length, type_=sa.LargeBinary)
-    positions = sa.case((segments.clip_id.is_(None), stored.positions), else_=part).label("positions")
-    own = (clips[name] for name in ("id", "path", "n_frames", "frame_rate", "height", "absent"))
-    query = sa.select(*own, positions).join(schema.segments, segments.clip_id == clips.id, isouter=True)
+    first = segments.first_frame // BLOCK_FRAMES
+    n_blocks = (segments.first_frame + clips.n_frames - 1) // BLOCK_FRAMES - first + 1
+
+    def cut(column: sa.Column[Any], size: int) -> sa.ColumnElement[Any]:
+        part = sa.func.substr(column, 1 + size * first, size * n_blocks, type_=sa.LargeBinary)
+        return sa.case((segments.clip_id.is_(None), column), else_=part).label(column.name)
+
+    own = (*checksums.LABELS.columns, *checksums.NUMBERS.columns, *checksums.SEGMENTS.columns)
+    arrays = cut(stored.positions, BLOCK_FRAMES * schema.FRAME_BYTES), cut(stored.block_checksums, 4)
+    query = sa.select(*dict.fromkeys(own), *arrays).join(schema.segments, segments.clip_id == clips.id, isouter=True)
     return query.join(schema.clip_trajectories, stored.clip_id == sa.func.coalesce(segments.take_id, clips.id))
 
 
@@ -141,7 +145,7 @@ def load_motions(connection: sa.Connection, ids: Sequence[int]) -> Iterator[Stor
         if len(rows) != len(set(some)):
             raise LibraryDamagedError("library_clips.positions_missing", expected=len(set(some)), found=len(rows))
         for clip_id in some:
-            yield _unpack(rows[clip_id])
+            yield _unpack(connection, rows[clip_id])
 
 
 def load_trajectories(connection: sa.Connection, ids: Sequence[int]) -> Iterator[tuple[int, Trajectories]]:
@@ -155,11 +159,22 @@ def load_trajectories(connection: sa.Connection, ids: Sequence[int]) -> Iterator
 
     parents = np.array(CANONICAL_PARENTS)
     for row in fetch_in(connection, _SELECT_MOTION, schema.clips.c.id, ids):
-        yield row.id, Trajectories(CANONICAL_JOINTS, _unpack_positions(row), row.frame_rate, parents)
+        yield row.id, Trajectories(CANONICAL_JOINTS, _unpack_positions(connection, row), row.frame_rate, parents)
 
 
-def _unpack_positions(row: Any) -> FloatArray:
-    stored = unpack(row.positions, "<f4", (row.n_frames, len(CANONICAL_JOINTS), 3), row.path)
+def _unpack_positions(connection: sa.Connection, row: Any) -> FloatArray:
+    checksums.LABELS.check(connection, row)
+    checksums.NUMBERS.check(connection, row)
+    owner, data, start = row.id, row.positions, 0
+    if row.take_id is not None:
+        checksums.SEGMENTS.check(connection, row)
+        owner, start = row.take_id, row.first_frame
+    block, skipped = divmod(start, BLOCK_FRAMES)
+    if row.block_checksums is not None and seal_positions(owner, data, block) != row.block_checksums:
+        raise checksums.damaged(connection, checksums.POSITIONS, owner)
+    if row.take_id is not None:
+        data = data[skipped * schema.FRAME_BYTES : (skipped + row.n_frames) * schema.FRAME_BYTES]
+    stored = unpack(data, "<f4", (row.n_frames, len(CANONICAL_JOINTS), 3), row.path)
     positions: FloatArray = stored.astype(np.float64)
     if row.absent:
         positions[:, [JOINT_INDEX[joint] for joint in _read_joints(row)]] = np.nan
@@ -178,8 +193,8 @@ def pack_positions(motion: StoredMotion) -> bytes:
     return pack(np.nan_to_num(motion.positions) if motion.absent else motion.positions, "<f4")
 
 
-def _unpack(row: Any) -> StoredMotion:
-    positions = _unpack_positions(row)
+def _unpack(connection: sa.Connection, row: Any) -> StoredMotion:
+    positions = _unpack_positions(connection, row)
     numbers = row.height, 1 / row.height if row.height else np.inf, row.frame_rate, np.nanmax(np.abs(positions))
     if not (max(numbers) < BEYOND_MEASURE and min(numbers) >= 0 and row.frame_rate >= SLOWEST_RATE):
         raise LibraryDamagedError(
@@ -260,17 +275,26 @@ def load_features(
 
 def _read_rows(connection: sa.Connection, ids: Sequence[int] | None, feature_set: str) -> list[Any]:
     clips, table = schema.clips.c, schema.clip_features.c
-    columns = (clips.id, clips.category, clips.performer, clips.height, clips.absent)
-    query = sa.select(*columns, table.feature_set, table.pose_features)
+    own = (*checksums.LABELS.columns, *checksums.FEATURES.columns)
+    query = sa.select(*own, clips.height)
     query = query.join(schema.clip_features, table.clip_id == clips.id, isouter=True)
     query = query.where(clips.kind == schema.CLIP)
     if ids is None:
-        rows = connection.execute(query.order_by(clips.id))
+        rows = connection.execute(query.order_by(clips.id)).all()
+        _check_rows(connection, rows)
         return [row for row in rows if not lacks(feature_set, row.absent)]
     found = {row.id: row for row in fetch_in(connection, query, clips.id, ids)}
+    _check_rows(connection, found.values())
     if len(found) != len(set(ids)):
         raise LibraryDamagedError("library_clips.clips_missing", expected=len(set(ids)), found=len(found))
     return [found[clip_id] for clip_id in ids]
+
+
+def _check_rows(connection: sa.Connection, rows: Iterable[Any]) -> None:
+    for row in rows:
+        checksums.LABELS.check(connection, row)
+        if row.clip_id is not None:
+            checksums.FEATURES.check(connection, row)
 
 
 def describe_stored(
@@ -311,8 +335,10 @@ def load_poses(connection: sa.Connection, ids: Sequence[int], feature_set: str) 
     from dousa.retrieval.features.pose_sequences import POSE_CELLS, POSE_COLUMNS
 
     table = schema.clip_poses.c
-    query = sa.select(table.clip_id, table.poses)
-    found = {row.clip_id: row.poses for row in fetch_in(connection, query, table.clip_id, ids)}
+    found = {}
+    for row in fetch_in(connection, sa.select(*checksums.POSES.columns), table.clip_id, ids):
+        checksums.POSES.check(connection, row)
+        found[row.clip_id] = row.poses
     lacking = [clip_id for clip_id in ids if clip_id not in found]  # an older dousa trained the library
     computed = describe_stored(connection, lacking, feature_set)
     poses = np.empty((len(ids), POSE_CELLS, POSE_COLUMNS), np.float32)
@@ -338,5 +364,6 @@ def save_descriptions(connection: sa.Connection, ids: Sequence[int], description
         ]
         for table in (schema.clip_features, schema.clip_poses):
             connection.execute(sa.delete(table).where(table.c.clip_id.in_([row["clip_id"] for row in rows])))
-            names = [column.name for column in table.c]
-            connection.execute(sa.insert(table), [{name: row[name] for name in names} for row in rows])
+            names = [column.name for column in table.c if column.name != "checksum"]
+            own = [{name: row[name] for name in names} for row in rows]
+            connection.execute(sa.insert(table), seal_rows(table, own))

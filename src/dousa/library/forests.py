@@ -15,6 +15,7 @@ from dousa.errors import DousaError, LibraryDamagedError, LibraryVersionError, N
 from dousa.library import schema
 from dousa.library.features import ClipFeatures, find_feature_set
 from dousa.library.schema import pack
+from dousa.library.seals.checksums import FOREST, seal_rows, update_rows
 from dousa.library.selection import portions
 
 if TYPE_CHECKING:
@@ -144,8 +145,9 @@ def load_forest(connection: sa.Connection, where: str, known: StoredForest | Non
     state = connection.execute(query).one_or_none()
     if state is None or (known is not None and (known.revision, known.learned) == tuple(state)):
         return None if state is None else known
-    columns = (table.data, table.categories, table.parameters, table.window_lengths, table.calibration, table.likeness)
+    columns = (*FOREST.columns, table.data, table.calibration, table.likeness)
     row = connection.execute(sa.select(*columns).where(table.id == _FOREST_ID)).one()
+    FOREST.check(connection, row)
     from dousa.retrieval import MotionForest
 
     try:
@@ -278,19 +280,18 @@ def replace_forest(
     """Put a newly trained forest, and what takes are labelled with, in the place of those before."""
     parameters = {name: value for name, value in stored.forest.get_params().items() if name != "n_jobs"}
     connection.execute(sa.delete(schema.forests))
-    connection.execute(
-        sa.insert(schema.forests).values(
-            id=_FOREST_ID,
-            revision=stored.revision,
-            trained_at=datetime.now(UTC).isoformat(timespec="seconds"),
-            parameters={**parameters, "feature_set": stored.feature_set},
-            n_clips=n_clips,
-            window_lengths=list(stored.grid.lengths),
-            n_learned=0,
-            labeller=labeller,
-            **_to_columns(stored),
-        )
-    )
+    row = {
+        "id": _FOREST_ID,
+        "revision": stored.revision,
+        "trained_at": datetime.now(UTC).isoformat(timespec="seconds"),
+        "parameters": {**parameters, "feature_set": stored.feature_set},
+        "n_clips": n_clips,
+        "window_lengths": list(stored.grid.lengths),
+        "n_learned": 0,
+        "labeller": labeller,
+        **_to_columns(stored),
+    }
+    connection.execute(sa.insert(schema.forests), seal_rows(schema.forests, [row]))
 
 
 def _to_columns(stored: StoredForest) -> dict[str, Any]:
@@ -306,14 +307,13 @@ def _to_columns(stored: StoredForest) -> dict[str, Any]:
 
 def update_forest(connection: sa.Connection, stored: StoredForest, n_clips: int) -> None:
     """Write a forest that has learned some more clips since it was trained."""
-    forests = schema.forests
-    connection.execute(
-        sa.update(forests).values(
-            n_learned=forests.c.n_learned + n_clips,
-            labeller=None,  # it does not know the new clips
-            **_to_columns(stored),
-        )
-    )
+    before = connection.execute(sa.select(schema.forests.c.n_learned)).scalar_one()
+    values = {
+        "n_learned": before + n_clips,
+        "labeller": None,  # it does not know the new clips
+        **_to_columns(stored),
+    }
+    update_rows(connection, FOREST, {_FOREST_ID: values})
 
 
 def save_answers(connection: sa.Connection, ids: Sequence[int], answers: TreeAnswers) -> None:
@@ -326,4 +326,4 @@ def save_answers(connection: sa.Connection, ids: Sequence[int], answers: TreeAns
         )
     ]
     for some in portions(rows):
-        connection.execute(sa.insert(schema.clip_leaves), some)
+        connection.execute(sa.insert(schema.clip_leaves), seal_rows(schema.clip_leaves, some))

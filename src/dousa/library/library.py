@@ -36,6 +36,8 @@ if TYPE_CHECKING:
     from dousa.library.text.answers import TextResult
     from dousa.library.text.index import TextSearcher
     from dousa.library.train import TrainProgress
+    from dousa.library.upkeep.repair import CheckProgress
+    from dousa.library.upkeep.report import CheckReport
     from dousa.motion import CanonicalMotion, Motion, Trajectories
     from dousa.retrieval.takes.live import LiveLabeller
 
@@ -658,7 +660,7 @@ class Library:
         """
         with self.database.writing() as connection:
             ids = select_ids(connection, self.name, selection, category, performer)
-            paths = [clip.path for clip in _selection.list_clips(connection, ids)]
+            paths = _selection.list_paths(connection, ids)
             if ids:
                 next_revision(connection)
                 _selection.delete_clips(connection, ids)
@@ -699,6 +701,27 @@ class Library:
                 next_revision(connection)
                 _selection.set_labels(connection, ids, category, performer)
             return [clip.path for clip in _selection.list_clips(connection, ids)]
+
+    def check(self, *, repair: bool = False, progress: CheckProgress | None = None) -> CheckReport:
+        """Whether everything in the library is as it was written: the structure of the file, and every checksum.
+
+        Rows that an older dousa wrote without checksums get them, where the library can be written.
+
+        Parameters
+        ----------
+        repair : put right what can be: features, leaves and windows are computed again, positions are read again
+            from the original files, and single flipped bits are put right by their checksums.
+        progress : called with (rows done, rows, message about what is being done).
+
+        Raises
+        ------
+        LibraryError : to be repaired, but cannot be written.
+        """
+        from dousa.library.upkeep.repair import check_library
+
+        if repair and self.database.is_read_only:
+            raise LibraryError("library_file.opened_read_only", library=self.name)
+        return check_library(self.database, repair, progress)
 
     def categories(self) -> dict[str, int]:
         """Number of clips of each category, by name."""

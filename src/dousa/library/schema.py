@@ -20,12 +20,21 @@ from dousa.messages import Message
 APPLICATION_ID = 0x444F5553
 """``DOUS``: marks an SQLite file as a library of ours."""
 
+FRAME_BYTES = 4 * 3 * 20
+"""Of positions as they are stored."""
+
 CLIP, TAKE = "clip", "take"
 """The kinds of motion in a library: one thing that is done, cut out; and an uncut recording."""
 
 _IDS = range(1, 2**31)  # beyond them a database stops with an error of its own
 
 metadata = sa.MetaData()
+
+
+def _checksum(name: str = "checksum") -> sa.Column[int]:
+    """Of a row, see ``dousa.library.seals.checksums``; None where an older dousa wrote it."""
+    return sa.Column(name, sa.BigInteger)
+
 
 migrations = sa.Table(
     "dousa_migrations",
@@ -46,6 +55,7 @@ library_state = sa.Table(
     sa.Column("next_clip_id", sa.Integer, nullable=False),
     # The write that last changed what a forest learns from: clips and their categories, not takes.
     sa.Column("clips_revision", sa.BigInteger, nullable=False, server_default="0"),
+    _checksum(),
 )
 
 clips = sa.Table(
@@ -72,6 +82,9 @@ clips = sa.Table(
     sa.Column("kind", sa.Text, nullable=False, server_default=CLIP),
     # Canonical joints that the body lacks, with spaces between them; empty of a whole one.
     sa.Column("absent", sa.Text, nullable=False, server_default=""),
+    # Of what a search reads, and of the rest.
+    _checksum("label_checksum"),
+    _checksum(),
 )
 
 
@@ -86,6 +99,8 @@ clip_trajectories = sa.Table(
     _clip_id(),
     # float32, little endian, (n_frames, 20, 3) m; 0 for joints that are absent
     sa.Column("positions", sa.LargeBinary, nullable=False),
+    # uint32, little endian, one for every ``BLOCK_FRAMES`` frames: a segment is checked without its whole take
+    sa.Column("block_checksums", sa.LargeBinary),
 )
 
 clip_features = sa.Table(
@@ -96,6 +111,7 @@ clip_features = sa.Table(
     sa.Column("feature_set", sa.Text, nullable=False, server_default=""),
     # float64, little endian, (frames, columns) of the set: not float32, so that a query file meets its own clip
     sa.Column("pose_features", sa.LargeBinary, nullable=False),
+    _checksum(),
 )
 
 clip_poses = sa.Table(
@@ -104,6 +120,7 @@ clip_poses = sa.Table(
     _clip_id(),
     # float32, little endian, ``compute_pose_sequence``: what clips are aligned by when they are ranked
     sa.Column("poses", sa.LargeBinary, nullable=False),
+    _checksum(),
 )
 
 clip_leaves = sa.Table(
@@ -115,6 +132,7 @@ clip_leaves = sa.Table(
     sa.Column("leaves", sa.LargeBinary, nullable=False),
     # float32, little endian: ``Likeness.place``; None where no likeness was learned
     sa.Column("direction", sa.LargeBinary),
+    _checksum(),
 )
 
 clip_relations = sa.Table(
@@ -125,6 +143,7 @@ clip_relations = sa.Table(
     sa.Column("version", sa.Integer, nullable=False),
     # [[name, part, share, start, end], ...] of what the motion does, to be found by words
     sa.Column("relations", sa.JSON, nullable=False),
+    _checksum(),
 )
 
 take_windows = sa.Table(
@@ -149,6 +168,7 @@ segments = sa.Table(
     sa.Column("end_s", sa.Double, nullable=False),
     # Whether somebody named it in the take, rather than a table of labels.
     sa.Column("by_hand", sa.Boolean, nullable=False, server_default=sa.false()),
+    _checksum(),
 )
 
 take_annotations = sa.Table(
@@ -164,6 +184,7 @@ take_annotations = sa.Table(
     sa.Column("labels_hash", sa.String(64), nullable=False),
     # [[start, end], ...] s: nobody can say what happens there
     sa.Column("unclear", sa.JSON, nullable=False),
+    _checksum(),
 )
 
 forests = sa.Table(
@@ -189,6 +210,7 @@ forests = sa.Table(
     sa.Column("likeness", sa.LargeBinary),
     # ``TakeLabeller.to_bytes``: learned when a take is first labelled
     sa.Column("labeller", sa.LargeBinary),
+    _checksum(),
 )
 
 part_forests = sa.Table(
@@ -204,6 +226,7 @@ part_forests = sa.Table(
     sa.Column("clip_ids", sa.LargeBinary, nullable=False),
     sa.Column("leaves", sa.LargeBinary, nullable=False),
     sa.Column("poses", sa.LargeBinary, nullable=False),
+    _checksum(),
 )
 
 

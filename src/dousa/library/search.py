@@ -31,6 +31,7 @@ from dousa.library.forests import ForestCache, StoredForest, TreeAnswers, ask_tr
 from dousa.library.ingest import ClipRecord, Query, ReadTask, is_as_stored, name_query, read_clips, read_query
 from dousa.library.results import MIRROR_DISTANCE, Classification, Hit, SearchResult, Verdict
 from dousa.library.schema import stack
+from dousa.library.seals.checksums import LABELS, LEAVES
 from dousa.library.selection import find_row
 from dousa.library.text.meanings import find_meanings
 from dousa.messages import Message
@@ -105,12 +106,19 @@ def load_index(connection: sa.Connection, revision: int, stored: StoredForest) -
     LibraryDamagedError : leaves that are not as many as the trees, or that the forest does not have.
     """
     clips, table = schema.clips.c, schema.clip_leaves.c
-    query = sa.select(clips.id, clips.path, clips.category, table.predicted_category, table.leaves, table.direction)
+    own = len(LABELS.columns)
+    query = sa.select(*LABELS.columns, *LEAVES.columns)
     query = query.join(schema.clip_leaves, table.clip_id == clips.id)
     parts = sa.select(clips.id, clips.absent).where(clips.kind == schema.CLIP, clips.absent != "")
     # Sorted here: databases differ in how they order text.
-    rows = sorted(connection.execute(query).all(), key=itemgetter(1))
-    ids, paths, given, predicted, leaves, directions = zip(*rows, strict=True) if rows else ((),) * 6
+    rows = list(connection.execute(query))
+    for row in rows:
+        if not (LABELS.is_whole(row[:own]) and LEAVES.is_whole(row[own:])):
+            LABELS.check(connection, row)
+            LEAVES.check(connection, row)
+    rows.sort(key=itemgetter(1))
+    columns = zip(*rows, strict=True) if rows else ((),) * (own + len(LEAVES.columns))
+    ids, paths, given, _, _, _, _, _, predicted, leaves, directions, _ = columns
     answers = count_votes(stored, stack(leaves, "<i4", (len(stored.forest.trees_.roots),), "leaves"))
     if stored.likeness is not None and None not in directions:
         width = stored.likeness.space.axes.shape[1]

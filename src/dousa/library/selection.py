@@ -13,6 +13,7 @@ from dousa.errors import LibraryError, OptionError
 from dousa.library import schema
 from dousa.library.engine import note_changed_clips, read_revision
 from dousa.library.results import ClipInfo, LibraryStats
+from dousa.library.seals.checksums import LABELS, NUMBERS, update_rows
 
 _VALUES_AT_ONCE = 500  # databases limit the number of values in one query
 
@@ -113,22 +114,26 @@ def fetch_in(
 def list_clips(connection: sa.Connection, ids: Sequence[int] | None = None) -> list[ClipInfo]:
     """Clips and takes without their arrays, in the order of their paths; all of them, or those of these numbers."""
     clips, leaves, parts = schema.clips, schema.clip_leaves, schema.segments
-    columns = [clips.c[name] for name in ClipInfo.__dataclass_fields__ if name in clips.c]
-    query = sa.select(*columns, leaves.c.predicted_category, parts.c.take_id, parts.c.start_s, parts.c.end_s)
+    names = [name for name in ClipInfo.__dataclass_fields__ if name in clips.c]
+    more = (leaves.c.predicted_category, parts.c.take_id, parts.c.start_s, parts.c.end_s)
+    query = sa.select(*dict.fromkeys((*LABELS.columns, *NUMBERS.columns)), *more)
     query = query.join(leaves, leaves.c.clip_id == clips.c.id, isouter=True)
     query = query.join(parts, parts.c.clip_id == clips.c.id, isouter=True)
     rows: Iterable[Any] = connection.execute(query) if ids is None else fetch_in(connection, query, clips.c.id, ids)
+    infos = []
+    for row in rows:
+        LABELS.check(connection, row)
+        NUMBERS.check(connection, row)
+        values = {name: getattr(row, name) for name in (*names, *(column.name for column in more))}
+        values["warnings"] = tuple(map(schema.as_message, row.warnings))
+        infos.append(ClipInfo(**(values | {"absent": tuple(row.absent.split())})))
     # Sorted here: databases differ in how they order text.
-    return [
-        ClipInfo(
-            **{
-                **row._mapping,
-                "warnings": tuple(map(schema.as_message, row.warnings)),
-                "absent": tuple(row.absent.split()),
-            }
-        )
-        for row in sorted(rows, key=lambda row: row.path)
-    ]
+    return sorted(infos, key=lambda info: info.path)
+
+
+def list_paths(connection: sa.Connection, ids: Sequence[int]) -> list[str]:
+    """Sorted paths of clips and takes, of damaged ones too."""
+    return sorted(row.path for row in fetch_in(connection, sa.select(schema.clips.c.path), schema.clips.c.id, ids))
 
 
 def count_by(connection: sa.Connection, label: str) -> dict[str, int]:
@@ -214,5 +219,5 @@ def set_labels(
         if value is UNCHANGED:
             continue
         # Whoever performs a take performs its segments.
-        for some in portions(ids if name == "category" else with_segments(connection, ids)):
-            connection.execute(sa.update(schema.clips).where(schema.clips.c.id.in_(some)).values({name: value}))
+        chosen = ids if name == "category" else with_segments(connection, ids)
+        update_rows(connection, LABELS, {clip_id: {name: value} for clip_id in chosen})

@@ -45,6 +45,7 @@ from dousa.library.forests import (
 from dousa.library.ingest import ClipRecord
 from dousa.library.results import TrainReport
 from dousa.library.schema import pack, stack
+from dousa.library.seals.checksums import LABELS, LEAVES, seal_positions, seal_rows, update_rows
 from dousa.library.takes import describe_takes, describe_windows, save_windows
 from dousa.library.text.meanings import find_meanings
 from dousa.library.text.store import keep_all_relations, keep_relations
@@ -312,13 +313,16 @@ def _grow(
 
 def _read_standing(connection: sa.Connection, stored: StoredForest) -> _Standing:
     clips, table = schema.clips.c, schema.clip_leaves.c
-    query = sa.select(clips.id, clips.category, table.predicted_category, table.leaves)
+    query = sa.select(*LABELS.columns, *LEAVES.columns)
     query = query.join(schema.clip_leaves, table.clip_id == clips.id).order_by(clips.id)
     rows = connection.execute(query).all()
+    for row in rows:
+        LABELS.check(connection, row)
+        LEAVES.check(connection, row)
     leaves = stack([row.leaves for row in rows], "<i4", (len(stored.forest.trees_.roots),), "leaves")
     count_votes(stored, leaves)  # there are such leaves
-    ids, categories, predicted = ([row[column] for row in rows] for column in range(3))
-    return _Standing(ids, categories, predicted, leaves)
+    predicted = [row.predicted_category for row in rows]
+    return _Standing([row.id for row in rows], [row.category for row in rows], predicted, leaves)
 
 
 def _update_answers(
@@ -327,15 +331,12 @@ def _update_answers(
     """Write the leaves and the guesses that have changed."""
     predicted = count_votes(stored, leaves).predicted()
     moved = (leaves != standing.leaves).any(axis=1)
-    rows = [
-        {"of_clip": number, "predicted_category": now, "leaves": pack(leaves[row], "<i4")}
+    changes = {
+        number: {"predicted_category": now, "leaves": pack(leaves[row], "<i4")}
         for row, (number, now, before) in enumerate(zip(standing.ids, predicted, standing.predicted, strict=True))
         if moved[row] or now != before
-    ]
-    if rows:
-        table = schema.clip_leaves
-        statement = sa.update(table).where(table.c.clip_id == sa.bindparam("of_clip"))
-        connection.execute(statement, rows)
+    }
+    update_rows(connection, LEAVES, changes)
 
 
 def insert_clips(
@@ -358,17 +359,17 @@ def insert_clips(
     numbered = dict(zip(take_clip_ids(connection, len(fresh)), fresh, strict=True))
     now = datetime.now(UTC).isoformat(timespec="seconds")
     rows = [{**record.row, "id": number, "added_at": now} for number, record in numbered.items()]
-    connection.execute(sa.insert(schema.clips), rows)
-    positions = [
-        {"clip_id": number, "positions": pack_positions(record.motion)}
-        for number, record in numbered.items()
-        if record.place is None
-    ]
+    connection.execute(sa.insert(schema.clips), seal_rows(schema.clips, rows))
+    positions = []
+    for number, record in numbered.items():
+        if record.place is None:
+            data = pack_positions(record.motion)
+            positions.append({"clip_id": number, "positions": data, "block_checksums": seal_positions(number, data)})
     if positions:
         connection.execute(sa.insert(schema.clip_trajectories), positions)
     places = [{"clip_id": number, **record.place} for number, record in numbered.items() if record.place is not None]
     if places:
-        connection.execute(sa.insert(schema.segments), places)
+        connection.execute(sa.insert(schema.segments), seal_rows(schema.segments, places))
     keep_relations(connection)
     clips = {number: record for number, record in numbered.items() if record.row["kind"] == schema.CLIP}
     if clips:

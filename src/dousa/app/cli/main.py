@@ -23,6 +23,7 @@ from dousa.app.cli import keypoints as cli_keypoints
 from dousa.app.cli import library as cli_library
 from dousa.app.cli import studio as cli_studio
 from dousa.app.cli import takes as cli_takes
+from dousa.app.cli import upkeep as cli_upkeep
 from dousa.app.cli.usage import (
     Command,
     Group,
@@ -59,7 +60,8 @@ app = _Application(
 )
 
 for group in (
-    cli_files, cli_library, cli_takes, cli_estimation, cli_films, cli_keypoints, cli_evaluation, cli_studio, cli_trials,
+    cli_files, cli_library, cli_upkeep, cli_takes, cli_estimation, cli_films, cli_keypoints, cli_evaluation, cli_studio,
+    cli_trials,
 ):  # fmt: skip
     group.register(app)
 

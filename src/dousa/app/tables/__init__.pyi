@@ -16,11 +16,13 @@ from .answers import (
 )
 from .progress import print_progress
 from .repetitions import print_repetitions
+from .upkeep import print_check
 
 __all__ = [
     "describe_votes",
     "print_add",
     "print_assessment",
+    "print_check",
     "print_classes",
     "print_clips",
     "print_estimation",

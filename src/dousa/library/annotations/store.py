@@ -22,6 +22,7 @@ from dousa.library.features import StoredMotion, load_motions
 from dousa.library.forests import ForestCache, StoredForest, load_forest
 from dousa.library.ingest import ClipRecord
 from dousa.library.results import TakeAnnotation, TakeSegment
+from dousa.library.seals.checksums import ANNOTATIONS, LABELS, SEGMENTS, seal_rows, update_rows
 from dousa.library.selection import delete_clips, fetch_in, find_row
 from dousa.library.takes import refresh_windows
 from dousa.library.train import insert_clips
@@ -178,19 +179,17 @@ def _write(
     forest, _, own = _exchange(connection, where, exchanged, forest, by_hand=False)
     table = schema.take_annotations
     connection.execute(sa.delete(table).where(table.c.take_id.in_([row.id for row, _ in stale])))
-    connection.execute(
-        sa.insert(table),
-        [
-            {
-                "take_id": row.id,
-                "source": labels.source,
-                "tier": labels.tier,
-                "labels_hash": _hash_labels(labels),
-                "unclear": [list(span) for span in labels.unclear],
-            }
-            for row, labels in stale
-        ],
-    )
+    rows = [
+        {
+            "take_id": row.id,
+            "source": labels.source,
+            "tier": labels.tier,
+            "labels_hash": _hash_labels(labels),
+            "unclear": [list(span) for span in labels.unclear],
+        }
+        for row, labels in stale
+    ]
+    connection.execute(sa.insert(table), seal_rows(table, rows))
     return forest, changes + replace(own, takes=tuple(row.path for row, _ in stale))
 
 
@@ -262,12 +261,11 @@ def name_path(take: str, start: float, stop: float) -> str:
 
 def rename_segments(connection: sa.Connection, take: str) -> None:
     """Segments of a take that lies elsewhere now are called after its new path."""
-    clips, table = schema.clips, schema.segments.c
-    owner = sa.select(clips.c.id).where(clips.c.path == take)
+    clips, table = schema.clips.c, schema.segments.c
+    owner = sa.select(clips.id).where(clips.path == take)
     query = sa.select(table.clip_id, table.start_s, table.end_s).where(table.take_id.in_(owner))
-    for row in connection.execute(query).all():
-        name = name_path(take, row.start_s, row.end_s)
-        connection.execute(sa.update(clips).where(clips.c.id == row.clip_id).values(path=name))
+    rows = connection.execute(query).all()
+    update_rows(connection, LABELS, {row.clip_id: {"path": name_path(take, row.start_s, row.end_s)} for row in rows})
 
 
 def _make_record(row: Any, motion: StoredMotion, segment: Stretch, by_hand: bool) -> ClipRecord:
@@ -295,10 +293,11 @@ def _make_record(row: Any, motion: StoredMotion, segment: Stretch, by_hand: bool
 def _read_segments(connection: sa.Connection, take_ids: Sequence[int]) -> dict[int, list[TakeSegment]]:
     """Segments of takes by their numbers, in the order of time."""
     clips, table = schema.clips.c, schema.segments.c
-    query = sa.select(table.take_id, table.clip_id, table.start_s, table.end_s, clips.category, table.by_hand)
+    query = sa.select(*SEGMENTS.columns, clips.category)
     query = query.join(schema.clips, clips.id == table.clip_id)
     found: dict[int, list[TakeSegment]] = {}
     for row in fetch_in(connection, query, table.take_id, take_ids):
+        SEGMENTS.check(connection, row)
         one = TakeSegment(row.clip_id, row.start_s, row.end_s, row.category, bool(row.by_hand))
         found.setdefault(row.take_id, []).append(one)
     for some in found.values():
@@ -314,8 +313,10 @@ def read_annotations(connection: sa.Connection, take_ids: Sequence[int] | None =
         take_ids = sorted(connection.execute(some).scalars())
     rows = _read_takes(connection, take_ids)
     segments = _read_segments(connection, take_ids)
-    columns = (table.take_id, table.source, table.tier, table.unclear)
-    known = {row.take_id: row for row in fetch_in(connection, sa.select(*columns), table.take_id, take_ids)}
+    query = sa.select(*ANNOTATIONS.columns)
+    known = {row.take_id: row for row in fetch_in(connection, query, table.take_id, take_ids)}
+    for row in known.values():
+        ANNOTATIONS.check(connection, row)
     answers = []
     for row in rows:
         own = known.get(row.id)

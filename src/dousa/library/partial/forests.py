@@ -23,6 +23,7 @@ from dousa.library.engine import Database
 from dousa.library.features import ClipFeatures, Description, describe_stored, find_feature_set, lacks
 from dousa.library.forests import StoredForest, TreeAnswers, count_votes, find_leaves, learn_unknown
 from dousa.library.schema import pack, stack
+from dousa.library.seals.checksums import PART_FORESTS, seal_rows
 from dousa.library.search import PartProgress
 from dousa.messages import Message
 from dousa.retrieval.features.partial_bodies import is_comparable, name_parts
@@ -166,6 +167,7 @@ class PartForests:
         row = connection.execute(query.where(table.learned_from == material.learned_from)).one_or_none()
         if row is None:
             return None, _Answers({}, {})
+        PART_FORESTS.check(connection, row)
         try:
             forest = MotionForest.from_bytes(row.forest)
             calibration = None if row.calibration is None else Calibration.from_bytes(row.calibration)
@@ -196,7 +198,7 @@ class PartForests:
         try:
             with self._database.writing() as connection:
                 connection.execute(sa.delete(table).where(table.c.feature_set == stored.feature_set))
-                connection.execute(sa.insert(table).values(**row))
+                connection.execute(sa.insert(table), seal_rows(table, [row]))
         except LibraryDamagedError:
             raise
         except LibraryError:

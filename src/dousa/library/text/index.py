@@ -12,8 +12,8 @@ from typing import Any
 import sqlalchemy as sa
 
 from dousa.errors import OptionError
-from dousa.library import schema
 from dousa.library.engine import Database, read_revision
+from dousa.library.seals.checksums import LABELS
 from dousa.library.text.answers import TextHit, TextResult
 from dousa.library.text.store import load_relations
 from dousa.messages.tables import LANGUAGES
@@ -104,14 +104,16 @@ def _is_chosen(row: Any, category: str | None, performer: str | None, kind: str 
 
 
 def _load_index(connection: sa.Connection, revision: int) -> _TextIndex:
-    clips = schema.clips.c
-    query = sa.select(clips.id, clips.path, clips.category, clips.performer, clips.kind)
+    query = sa.select(*LABELS.columns)
     relations = load_relations(connection)
     vocabulary = load_vocabulary()
     units: dict[tuple[str, str], Unit] = {}
     categories: dict[str, Unit] = {}
     entries = []
-    for row in sorted(connection.execute(query).all(), key=lambda row: str(row.path)):
+    rows = connection.execute(query).all()
+    for row in rows:
+        LABELS.check(connection, row)
+    for row in sorted(rows, key=lambda row: str(row.path)):
         label = row.category or ""
         if label not in categories:
             categories[label] = make_unit(vocabulary, read_words(vocabulary, label, name=True))

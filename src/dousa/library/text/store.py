@@ -11,6 +11,7 @@ from dousa.errors import LibraryDamagedError
 from dousa.library import schema
 from dousa.library.engine import Database
 from dousa.library.features import load_motions
+from dousa.library.seals.checksums import RELATIONS, seal_rows
 from dousa.library.selection import portions
 from dousa.retrieval.words.relations import RELATIONS_VERSION, Relation, find_relations
 
@@ -23,8 +24,11 @@ def load_relations(connection: sa.Connection) -> dict[int, tuple[Relation, ...]]
     LibraryDamagedError : what is kept is none.
     """
     table = schema.clip_relations.c
-    query = sa.select(table.clip_id, table.relations).where(table.version == RELATIONS_VERSION)
-    found = {row.clip_id: _from_json(row.relations) for row in connection.execute(query)}
+    query = sa.select(*RELATIONS.columns).where(table.version == RELATIONS_VERSION)
+    found = {}
+    for row in connection.execute(query).all():
+        RELATIONS.check(connection, row)
+        found[row.clip_id] = _from_json(row.relations)
     return found | _compute(connection, _list_missing(connection))
 
 
@@ -63,7 +67,7 @@ def _write(connection: sa.Connection, ids: list[int]) -> None:
             for number, relations in _compute(connection, some).items()
         ]
         connection.execute(sa.delete(table).where(table.c.clip_id.in_(list(some))))
-        connection.execute(sa.insert(table), rows)
+        connection.execute(sa.insert(table), seal_rows(table, rows))
 
 
 def _to_json(relations: Iterable[Relation]) -> list[list[Any]]:

@@ -1,0 +1,1 @@
+"""Checksums of what is kept, and what they can put right."""
