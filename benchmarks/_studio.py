@@ -23,8 +23,11 @@ def start_studio(library: Path, *words: str, folder: Path | None = None) -> tupl
     command = [sys.executable, "-m", "dousa.app.cli.main", "studio", str(library), "--no-browser", *words]
     process = subprocess.Popen(command, stderr=subprocess.PIPE, text=True, cwd=folder)
     assert process.stderr is not None
+    port = 0
     for line in process.stderr:
-        if found := re.search(r":(\d+)/\?token=(\S+)", line):
+        if found := re.search(r":(\d+)/\?code=", line):
+            port = int(found[1])
+        if found := re.search(r"browsers: (\S+)\)", line):
             threading.Thread(target=process.stderr.read, daemon=True).start()
-            return process, int(found[1]), found[2]
+            return process, port, found[1]
     raise SystemExit("the studio did not start")

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import re
 from importlib import resources
 
 import pytest
+
+TOKEN = "the-token-of-the-tests"
 
 
 def test_the_library_is_described(studio):
@@ -116,3 +119,83 @@ def test_pages_load_only_what_there_is(studio):
     for page in ("library", "search", "takes", "evaluate", "estimate", "api"):
         asked = set(re.findall(r'(?:src|href)="(/static/[^"]+)"', studio.get(f"/{page}").text))
         assert asked and [path for path in asked if studio.get(path).status_code != 200] == []
+
+
+# --- codes and the token
+
+
+def test_a_code_opens_once_and_is_not_the_token(studio):
+    code = studio.post("/code").json()["code"]
+    del studio.headers["authorization"]
+    answer = studio.get(f"/library?code={code}&lang=ja", follow_redirects=False)
+    assert (answer.status_code, answer.headers["location"]) == (303, "/library?lang=ja")
+    assert studio.get("/library").status_code == 200
+    assert studio.get(f"/library?code={code}", follow_redirects=False).status_code == 303  # who is in goes on
+    studio.cookies.clear()
+    again = studio.get(f"/library?code={code}", follow_redirects=False)
+    assert again.status_code == 401 and "set-cookie" not in again.headers
+    assert 'name="token"' in again.text
+
+
+def test_codes_are_for_those_who_have_the_token(studio):
+    del studio.headers["authorization"]
+    assert studio.post("/code").status_code == 401
+    assert studio.get("/library?code=", follow_redirects=False).status_code == 401
+
+
+def test_the_field_takes_the_token(studio):
+    del studio.headers["authorization"]
+    assert studio.post("/enter", data={"token": "guess"}).status_code == 401
+    assert studio.post("/enter", data={"token": "x" * 5000}).status_code in (401, 413)
+    answer = studio.post("/enter", data={"token": f" {TOKEN} "}, follow_redirects=False)
+    assert (answer.status_code, answer.headers["location"]) == (303, "/")
+    assert studio.get("/library").status_code == 200
+
+
+def test_browsers_are_sent_to_the_name_of_this_studio_alone(library_copy):
+    from starlette.testclient import TestClient
+
+    from dousa.app.studio import Settings, create_app
+
+    app = create_app(Settings(library_copy, token=TOKEN), uses_alias=True)
+    with TestClient(app, "http://127.0.0.1:8765") as client:
+        code = client.app.state.codes.issue()
+        first = client.get(f"/library?code={code}", follow_redirects=False)
+        place = first.headers["location"]
+        assert re.fullmatch(r"http://dousa-[0-9a-f]{16}\.localhost:8765/library\?code=\S+", place)
+        assert code not in place and "set-cookie" not in first.headers
+        second = client.get(place, follow_redirects=False)
+        assert second.headers["location"] == "/library" and TOKEN in second.headers["set-cookie"]
+    host = (library_copy.with_suffix(".studio") / "host").read_text()
+    assert f"http://{host}:8765" in place
+
+
+def test_what_the_studio_makes_is_for_its_user_alone(tmp_path):
+    from dousa.app.studio import Settings
+    from dousa.app.studio.content.studio import Studio
+
+    studio = Studio(Settings(tmp_path / "new.dousa", token="x"), lambda _: {})
+    studio.held.announce("http://127.0.0.1:1", "x")
+    home = tmp_path / "new.studio"
+    assert home.stat().st_mode & 0o777 == 0o700
+    for path in (tmp_path / "new.dousa", home / "studio.json", home / "studio.lock"):
+        assert path.stat().st_mode & 0o777 == 0o600, path
+    studio.close()
+
+
+@pytest.mark.parametrize("name", ["con.bvh", "kick/Aux.bvh", "LPT1.bvh", "walk\u202ehvb.exe.bvh", "a\u2066b.bvh"])
+def test_names_that_mislead_or_cannot_be_stored_everywhere_are_refused(studio, bvh, name):
+    answer = studio.post("/api/uploads", params={"name": name}, content=bvh.read_bytes())
+    assert answer.status_code == 422
+    assert answer.json()["code"] in ("studio_files.device", "studio_files.bad_character")
+
+
+def test_searches_beyond_the_gate_are_sent_away(studio):
+    with contextlib.ExitStack() as stack:
+        gate = studio.app.state.studio.searching
+        while gate._known.acquire(blocking=False):
+            stack.callback(gate._known.release)
+        for path, asked in (("", {"query": {"motion": "clip:1"}}), ("/text", {"text": "kick"})):
+            assert studio.post(f"/api/search{path}", json=asked).status_code == 429
+        assert studio.post("/api/classify", json={"motions": [{"motion": "clip:1"}]}).status_code == 429
+    assert studio.post("/api/search", json={"query": {"motion": "clip:1"}}).status_code == 200

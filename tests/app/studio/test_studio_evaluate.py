@@ -220,6 +220,7 @@ def test_what_was_changed_outlives_the_studio(studio, job, library_copy):
 
     weights = {"left_arm": 0.5}
     before = _adjust(studio, job, weights=weights).json()["assessment"]
+    studio.app.state.studio.close()
     with TestClient(create_app(Settings(library_copy, token="x")), "http://127.0.0.1:8765") as later:
         later.headers["authorization"] = "Bearer x"
         after = later.get(f"/api/evaluations/{job['id']}/report").json()["assessment"]

@@ -133,6 +133,24 @@ def test_a_request_that_is_not_ended_is_given_up(caller, monkeypatch):
         assert read_all(slow) == b""
 
 
+def test_an_upload_that_stands_still_is_given_up(caller, tmp_path, monkeypatch):
+    from dousa.app.studio import server as connections
+
+    monkeypatch.setattr(connections, "_PATIENCE", 0.3)
+    call, port = caller
+    head = f"POST /api/uploads?name=a.bvh HTTP/1.1\r\nHost: 127.0.0.1:{port}\r\nAuthorization: Bearer {TOKEN}"
+    with call() as stalled, call() as going_on:
+        stalled.sendall(f"{head}\r\nContent-Length: 100000\r\n\r\n".encode() + GOOD[:50])
+        body = GOOD + b"\n" * 8000
+        going_on.sendall(f"{head}\r\nConnection: close\r\nContent-Length: {len(body)}\r\n\r\n".encode())
+        for start in range(0, len(body), 2000):  # slow, but it goes on
+            going_on.sendall(body[start : start + 2000])
+            time.sleep(0.2)
+        assert read_all(stalled) == b""
+        assert read_all(going_on).startswith(b"HTTP/1.1 201")
+    assert not [name for name in below(tmp_path) if name.endswith(".part")]
+
+
 def test_strangers_are_not_listened_to_any_longer(caller):
     call, port = caller
     with call() as stranger:

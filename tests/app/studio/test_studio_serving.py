@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import re
 import signal
 import socket
@@ -18,7 +19,7 @@ from dousa.app.cli.studio import prepare_studio
 
 @contextmanager
 def started(*words):
-    """A program that serves; what it says first, address and token."""
+    """A program that serves: its process, its address without a code, and its token."""
     process = subprocess.Popen(
         [sys.executable, "-m", "dousa.app.cli.main", *map(str, words)],
         stderr=subprocess.PIPE,
@@ -26,9 +27,13 @@ def started(*words):
         text=True,
     )
     try:
+        url = ""
         for line in process.stderr:
-            if found := re.search(r"(http://127\.0\.0\.1:\d+)/\?token=(\S+)", line):
-                yield process, found[1], found[2]
+            if found := re.search(r"(http://127\.0\.0\.1:\d+)/\?code=\S+", line):
+                url, opening = found[1], found[0]
+            if url and (found := re.search(r"browsers: (\S+)\)", line)):
+                process.opening = opening
+                yield process, url, found[1]
                 return
         raise AssertionError("it did not start")
     finally:
@@ -55,6 +60,50 @@ def test_start_answer_and_end(library_copy):
         assert "Traceback" not in said
     with started("studio", library_copy, "--no-browser", "--port", 0) as (_, url, token):
         assert ask(url, token, f"/api/jobs/{job['id']}")["state"] == "stopped"
+
+
+def test_a_second_start_shows_the_studio_that_runs(library_copy):
+    with started("studio", library_copy, "--no-browser", "--port", 0) as (first, url, token):
+        job = ask(url, token, "/api/jobs/train", {"n_trees": 2000})
+        second = subprocess.run(
+            [sys.executable, "-m", "dousa.app.cli.main", "studio", str(library_copy), "--no-browser", "--port", "0"],
+            capture_output=True, text=True, timeout=120, check=False,
+        )  # fmt: skip
+        assert second.returncode == 0
+        assert re.search(rf"runs already: {url}/\?code=\S+$", second.stderr.strip())
+        assert token not in second.stderr
+        assert ask(url, token, f"/api/jobs/{job['id']}")["state"] in ("queued", "running")  # nobody took it away
+        first.kill()  # the lock ends with the process
+        first.wait()
+    with started("studio", library_copy, "--no-browser", "--port", 0) as (_, url, token):
+        assert ask(url, token, f"/api/jobs/{job['id']}")["state"] == "stopped"
+
+
+def test_a_browser_comes_in_by_a_name_of_its_own_or_by_the_field(library_copy, browser):
+    with started("studio", library_copy, "--no-browser", "--port", 0) as (process, url, token):
+        browser.driver.get(process.opening)
+        browser.wait("return document.querySelector('.cell canvas')")
+        host = browser.run("return location.hostname")
+        assert re.fullmatch(r"dousa-[0-9a-f]{16}\.localhost", host)
+        assert browser.run("return location.search") == ""
+        browser.driver.get(f"{url}/library")  # where cookies go to every server of this machine, there is none
+        assert browser.run("return document.querySelector('h1').textContent").endswith("(401)")
+        browser.find("[name=token]").send_keys(token, "\n")
+        browser.wait("return document.querySelector('.cell canvas')")
+        assert browser.run("return location.href") == f"{url}/library"
+        browser.driver.get("about:blank")
+        browser.driver.delete_all_cookies()
+
+
+def test_a_studio_that_does_not_answer_is_named(dousa, library_copy):
+    from dousa.app.studio.core.workspace import Workspace
+
+    home = Workspace(library_copy.with_suffix(".studio"))
+    home.hold()  # it has said no address yet
+    code, _, err = dousa("studio", library_copy, "--no-browser", "--port", 0)
+    home.release()
+    assert code == 2
+    assert f"process {os.getpid()}" in err and "--home" in err
 
 
 def test_a_port_that_is_taken_is_passed_over(library_copy):

@@ -20,7 +20,7 @@ from starlette.responses import HTMLResponse, RedirectResponse, Response
 import dousa
 from dousa.app.player.data import format_player_data, read_player_script, read_player_style
 from dousa.app.report import read_report_script, read_report_style
-from dousa.app.studio.core.answers import RefusedError
+from dousa.app.studio.core.answers import Answer, RefusedError
 from dousa.messages import LANGUAGES, get_language
 
 if TYPE_CHECKING:
@@ -42,6 +42,11 @@ def register(app: FastAPI) -> None:
     @router.get("/")
     def start() -> Response:
         return RedirectResponse("/library", 303)
+
+    @router.post("/code")
+    def issue_code(request: Request) -> Answer:
+        """What opens the pages once; asked for by a second start, which shows this studio instead."""
+        return Answer({"code": request.app.state.codes.issue()})
 
     @router.get("/static/{version}/{name:path}")
     def static(version: str, name: str) -> Response:

@@ -23,7 +23,9 @@ from uvicorn.protocols.http.h11_impl import H11Protocol
 import dousa
 from dousa.app.studio.content.studio import Studio
 from dousa.app.studio.core.answers import Answer, describe_disk, status_of, to_answer
+from dousa.app.studio.core.codes import Codes
 from dousa.app.studio.core.guard import Guard
+from dousa.app.studio.core.home_lock import HomeTakenError, ask_running
 from dousa.app.studio.core.words import name_error
 from dousa.app.studio.core.workspace import Settings
 from dousa.app.studio.work.worker import make_lanes
@@ -40,12 +42,13 @@ def serve(settings: Settings, *, opens_browser: bool = True) -> None:
 
     Parameters
     ----------
-    settings : where, and for which library; a port that is taken is replaced by the next free one.
+    settings : where, and for which library; a port that is taken is replaced by the next free one. If a studio of
+        this library runs already, that one is shown.
     opens_browser : show the page in the browser of this machine.
 
     Raises
     ------
-    OptionError : no port is free.
+    OptionError : no port is free; or the folder is another studio's, which does not answer.
     """
     _tame_memory()
     # Many small products for each request: threads of the linear algebra cost twice what they save.
@@ -55,21 +58,45 @@ def serve(settings: Settings, *, opens_browser: bool = True) -> None:
     listener, port = _listen(settings)
     with listener:
         settings = replace(settings, port=port)
-        app = create_app(settings)
+        try:
+            # Safari asks the system for names below localhost, which older ones do not know.
+            app = create_app(settings, uses_alias=sys.platform != "darwin")
+        except HomeTakenError:
+            running = ask_running(settings.folder)
+            if running is None:
+                raise
+            _show_running(settings, running, opens_browser)
+            return
         config = uvicorn.Config(
             app, http=PatientProtocol, ws="none", proxy_headers=False, server_header=False, access_log=False,
             log_level="error",  # what others send that is no HTTP is nothing for the terminal
             timeout_keep_alive=30, timeout_graceful_shutdown=3, limit_concurrency=200,
         )  # fmt: skip
         server = uvicorn.Server(config)
-        sys.stderr.write(f"{Message('studio.serving', library=settings.library, address=settings.address)}\n")
-        sys.stderr.flush()
+        app.state.studio.held.announce(settings.address, settings.token)
+        _say_serving(settings, app.state.codes.issue())
         threading.Thread(target=warm_up, args=(app.state.studio,), daemon=True).start()
         if opens_browser:
-            threading.Timer(0.5, webbrowser.open, [settings.address]).start()
+            address = f"{settings.address}/?code={app.state.codes.issue()}"
+            threading.Timer(0.5, webbrowser.open, [address]).start()
         with suppress(KeyboardInterrupt):  # the usual end
             server.run(sockets=[listener])
         sys.stderr.write(f"{Message('studio.stopped')}\n")
+
+
+def _say_serving(settings: Settings, code: str) -> None:
+    said = Message(
+        "studio.serving", library=settings.library, address=f"{settings.address}/?code={code}", token=settings.token
+    )
+    sys.stderr.write(f"{said}\n")
+    sys.stderr.flush()
+
+
+def _show_running(settings: Settings, address: str, opens_browser: bool) -> None:
+    """Open the studio that has the folder already."""
+    sys.stderr.write(f"{Message('studio.runs_already', library=settings.library, address=address)}\n")
+    if opens_browser:
+        webbrowser.open(address)
 
 
 def _tame_memory() -> None:
@@ -106,8 +133,13 @@ of 400 or above and `{"problem": "one sentence", "code": ..., "values": ...}`; s
 header `Accept-Language`, English or Japanese."""
 
 
-def create_app(settings: Settings) -> FastAPI:
+def create_app(settings: Settings, *, uses_alias: bool = False) -> FastAPI:
     """The application of a studio.
+
+    Parameters
+    ----------
+    settings : of the studio.
+    uses_alias : send browsers to a host name of the studio's own.
 
     Raises
     ------
@@ -117,6 +149,8 @@ def create_app(settings: Settings) -> FastAPI:
     from dousa.app.studio.api import ROUTERS
 
     studio = Studio(settings, make_lanes)
+    if uses_alias:
+        settings = replace(settings, alias=studio.workspace.read_alias())
 
     @asynccontextmanager
     async def lifespan(app: FastAPI) -> AsyncIterator[None]:
@@ -135,11 +169,12 @@ def create_app(settings: Settings) -> FastAPI:
         responses={422: {"description": "cannot be used as it is", "content": _PROBLEM_CONTENT}},
     )
     app.state.studio = studio
+    app.state.codes = codes = Codes()
     for router in ROUTERS:
         app.include_router(router, prefix="/api")
     pages.register(app)
     _answer_problems(app)
-    app.add_middleware(Guard, settings=settings)
+    app.add_middleware(Guard, settings=settings, codes=codes)
     return app
 
 
@@ -226,12 +261,14 @@ _FIELD_CODES = {
 
 
 _PATIENCE = 10.0  # s for the first line and the headers of a request; uvicorn itself waits for ever
+_LEAST_BYTES = 1000  # of a body, in every such time
 
 
 class PatientProtocol(H11Protocol):
-    """HTTP of uvicorn that closes a connection whose next request is not there in time."""
+    """HTTP of uvicorn that closes a connection whose next request is not there in time, or whose body stands still."""
 
     _deadline: asyncio.TimerHandle | None = None
+    _n_bytes = 0  # of a body since it was looked at
 
     def connection_made(self, transport: Any) -> None:
         """Somebody calls; from now on the time counts."""
@@ -240,6 +277,7 @@ class PatientProtocol(H11Protocol):
 
     def data_received(self, data: bytes) -> None:
         """More of a request: single bytes now and then do not win time."""
+        self._n_bytes += len(data)
         super().data_received(data)
         self._watch()
 
@@ -249,21 +287,26 @@ class PatientProtocol(H11Protocol):
         super().connection_lost(exc)
 
     def _watch(self) -> None:
-        waits = self.conn.their_state is h11.IDLE
-        if not waits:
+        if self.conn.their_state not in (h11.IDLE, h11.SEND_BODY):
             self._rest()
         elif self._deadline is None:
-            self._deadline = self.loop.call_later(_PATIENCE, self._give_up)
+            self._n_bytes = 0
+            self._deadline = self.loop.call_later(_PATIENCE, self._give_up, self.conn.their_state)
 
     def _rest(self) -> None:
         if self._deadline is not None:
             self._deadline.cancel()
             self._deadline = None
 
-    def _give_up(self) -> None:
+    def _give_up(self, state: Any) -> None:
         self._deadline = None
-        if self.conn.their_state is h11.IDLE:
+        went_on = self.conn.their_state is not state or self._n_bytes >= _LEAST_BYTES or self.flow.read_paused
+        if state is h11.SEND_BODY and went_on:  # read_paused: it is we who do not read
+            self._watch()
+        elif self.conn.their_state is state:
             self.transport.close()
+        else:
+            self._watch()
 
 
 def warm_up(studio: Studio) -> None:

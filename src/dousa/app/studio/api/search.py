@@ -18,6 +18,8 @@ if TYPE_CHECKING:
 
 router = APIRouter(tags=["search"])
 
+_PATIENCE = 20.0  # s that a search waits for its turn
+
 _Share = Annotated[float, Field(ge=0, le=1, allow_inf_nan=False)]
 _MOST_PLACES = 20
 _MOST_MOTIONS = 100
@@ -72,10 +74,9 @@ def search(studio: StudioNow, wanted: SearchRequest) -> Answer:
 
     ``category`` is null where the motion is of no category that the library knows; ``guess`` is the nearest one.
     """
-    query = studio.motions.query(wanted.query)
-    answer = _name_hits(
-        studio.library.search(
-            query,
+    with studio.searching.enter(_PATIENCE):
+        found = studio.library.search(
+            studio.motions.query(wanted.query),
             wanted.k,
             ranking=wanted.ranking,
             same_category=wanted.same_category,
@@ -83,9 +84,9 @@ def search(studio: StudioNow, wanted: SearchRequest) -> Answer:
             explain=wanted.explain,
             threshold=wanted.threshold,
         )
-    )
-    if wanted.inside_takes:
-        answer["places"] = _find_places(studio, wanted)
+        answer = _name_hits(found)
+        if wanted.inside_takes:
+            answer["places"] = _find_places(studio, wanted)
     return Answer(answer)
 
 
@@ -95,9 +96,10 @@ def search_text(studio: StudioNow, wanted: TextRequest) -> Answer:
 
     ``near_words`` are words of the library that are near, if nothing fits.
     """
-    found = studio.library.search_text(
-        wanted.text, wanted.k, category=wanted.category, performer=wanted.performer, kind=wanted.kind
-    )
+    with studio.searching.enter(_PATIENCE):
+        found = studio.library.search_text(
+            wanted.text, wanted.k, category=wanted.category, performer=wanted.performer, kind=wanted.kind
+        )
     return Answer(_name_hits(found))
 
 
@@ -123,7 +125,9 @@ def _find_places(studio: Studio, wanted: SearchRequest) -> list[dict[str, Any]]:
 @router.post("/classify", summary="What motions are")
 def classify(studio: StudioNow, wanted: ClassifyRequest) -> Answer:
     """One answer for each motion; one that cannot be used has a ``problem``."""
-    return Answer({"answers": [_classify(studio, ref, wanted) for ref in wanted.motions]})
+    with studio.searching.enter(_PATIENCE):
+        answers = [_classify(studio, ref, wanted) for ref in wanted.motions]
+    return Answer({"answers": answers})
 
 
 def _classify(studio: Studio, ref: MotionRef, wanted: ClassifyRequest) -> dict[str, Any]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import threading
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -14,9 +15,11 @@ from dousa.app.studio.content.clips import Listing, Thumbnails
 from dousa.app.studio.content.evaluations import Evaluations
 from dousa.app.studio.content.footage import Footages
 from dousa.app.studio.content.motions import Motions
+from dousa.app.studio.core.answers import Gate
 from dousa.app.studio.core.workspace import Workspace
 from dousa.app.studio.jobs.board import JobBoard, Lane
 from dousa.errors import LibraryError
+from dousa.messages import Message
 
 if TYPE_CHECKING:
     from dousa.app.studio.core.workspace import Settings
@@ -35,6 +38,7 @@ class Studio:
     ------
     LibraryError : the file is not a library, or cannot be made.
     OptionError : the folder cannot be made.
+    HomeTakenError : another studio has the folder.
     """
 
     def __init__(self, settings: Settings, make_lanes: Callable[[Studio], Mapping[str, Lane]]) -> None:
@@ -44,11 +48,13 @@ class Studio:
         self._file: tuple[int, int] | None = None
         self.get_library()  # first: what is no library gets no folder beside it
         self.workspace = Workspace(settings.folder)
+        self.held = self.workspace.hold()  # before the jobs are read: those of another studio are not interrupted ones
         self.jobs = JobBoard(self.workspace, make_lanes(self))
         self.motions = Motions(self.get_library, self.workspace, self.jobs)
         self.evaluations = Evaluations(self.motions, self.jobs)
         self.listing = Listing(self.get_library, self.workspace.root / "files")
         self.footage = Footages(self.jobs)
+        self.searching = Gate(4, 12, Message("studio_motions.busy_searching"))
         self.thumbnails = Thumbnails.of(self.workspace.root)
 
     def get_library(self) -> Library:
@@ -66,6 +72,8 @@ class Studio:
             if self._library is None:
                 self._library = Library.open(self.settings.library, create=True, timeout=20.0)
                 self._file = _identify(self.settings.library)
+                if found is None:  # made here: for nobody else on this machine
+                    _make_private(self.settings.library)
             elif found is None:
                 raise LibraryError("studio.library_gone", library=self.settings.library)
             elif found != self._file:  # another one has its name; who still asks the old one may end
@@ -85,6 +93,13 @@ class Studio:
             if self._library is not None:
                 self._library.close()
                 self._library = None
+        self.workspace.release()
+
+
+def _make_private(library: Path) -> None:
+    for path in (library, *(library.with_name(library.name + more) for more in ("-wal", "-shm"))):
+        with suppress(OSError):
+            path.chmod(0o600)
 
 
 def _identify(path: Path) -> tuple[int, int] | None:

@@ -20,15 +20,19 @@ from starlette.datastructures import Headers, MutableHeaders
 from dousa.app.studio.core.answers import Answer, RefusedError, to_answer
 from dousa.app.studio.core.words import say
 from dousa.messages import LANGUAGES, get_language, use_language
+from dousa.messages import Message as _Words
 
 if TYPE_CHECKING:
     from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
+    from dousa.app.studio.core.codes import Codes
     from dousa.app.studio.core.workspace import Settings
 
 UPLOAD_PATH = "/api/uploads"
 """The one address whose requests may be large."""
 
+_LONGEST_FORM = 2_000  # bytes
+_ENTER = "/enter"  # takes the token from a field
 _MOST_BODY = 2_000_000  # bytes; weights, cuts, labels and selections are small
 
 # Scripts come from us and nothing is evaluated. Styles may stand in elements: the bars of the report have widths.
@@ -55,11 +59,13 @@ class Guard:
     ----------
     app : what answers requests that may come in.
     settings : token, names and limits.
+    codes : what lets a browser in once.
     """
 
-    def __init__(self, app: ASGIApp, settings: Settings) -> None:
+    def __init__(self, app: ASGIApp, settings: Settings, codes: Codes) -> None:
         self._app = app
         self._settings = settings
+        self._codes = codes
         self._cookie = f"dousa_{settings.port}"  # cookies do not tell ports apart: each studio has its own
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
@@ -76,8 +82,14 @@ class Guard:
         try:
             self._check_names(scope["method"], headers)
             asked = parse_qsl(scope["query_string"].decode("latin-1"), keep_blank_values=True)
-            if scope["method"] == "GET" and "token" in dict(asked) and not scope["path"].startswith("/api/"):
-                await self._welcome(asked, scope, receive, guarded)
+            if scope["method"] == "GET" and not scope["path"].startswith("/api/"):
+                given = dict(asked)
+                if "token" in given or "code" in given:
+                    answer = self._welcome(scope["path"], asked, headers)
+                    await answer(scope, receive, guarded)
+                    return
+            if (scope["method"], scope["path"]) == ("POST", _ENTER):
+                await (await self._enter(receive))(scope, receive, guarded)
                 return
             self._check_token(headers)
             most = self._limit(scope["path"])
@@ -105,11 +117,14 @@ class Guard:
             raise RefusedError(403, "studio.other_site", site=site)
 
     def _check_token(self, headers: Headers) -> None:
+        if not self._knows_token(headers):
+            raise RefusedError(401, "studio.no_token")
+
+    def _knows_token(self, headers: Headers) -> bool:
         kind, _, bearer = headers.get("authorization", "").partition(" ")
         candidates = [bearer.strip()] if kind.lower() == "bearer" else []
         candidates += _cookies(headers.getlist("cookie"), self._cookie)
-        if not any(self._is_token(candidate) for candidate in candidates):
-            raise RefusedError(401, "studio.no_token")
+        return any(self._is_token(candidate) for candidate in candidates)
 
     def _is_token(self, text: str) -> bool:
         return hmac.compare_digest(text.encode("utf-8", "replace"), self._settings.token.encode())
@@ -117,17 +132,50 @@ class Guard:
     def _limit(self, path: str) -> int:
         return self._settings.most_bytes if path.startswith(UPLOAD_PATH) else _MOST_BODY
 
-    async def _welcome(self, asked: list[tuple[str, str]], scope: Scope, receive: Receive, send: Send) -> None:
-        """The token goes from the address into a cookie, so that it is in no history and no screenshot."""
-        if not self._is_token(dict(asked)["token"]):
-            raise RefusedError(401, "studio.other_token")
-        rest = urlencode([(name, value) for name, value in asked if name != "token"])
+    def _welcome(self, path: str, asked: list[tuple[str, str]], headers: Headers) -> Answer:
+        """Token or code go from the address into a cookie, so that neither stays in the address.
+
+        A code is for browsers: they are sent on, with a new one, to the name that only this studio has, where no other
+        server of this machine gets their cookies.
+        """
+        given, alias = dict(asked), self._settings.alias
+        rest = [(name, value) for name, value in asked if name not in ("token", "code")]
         answer = Answer(None, 303)
         # "//evil.example" would be another machine, and browsers leave out tabs and line ends between the slashes.
-        path = "/" + quote(scope["path"].lstrip("/\\"), errors="replace")
-        answer.headers["location"] = path + (f"?{rest}" if rest else "")
+        place = "/" + quote(path.lstrip("/\\"), errors="replace")
+        if "token" in given:
+            if not self._is_token(given["token"]):
+                raise RefusedError(401, "studio.other_token")
+            self._let_in(answer)
+        elif self._codes.redeem(given["code"]):
+            named = f"{alias}:{self._settings.port}"
+            if alias and headers.get("host", "") != named:
+                place = f"http://{named}{place}"
+                rest.append(("code", self._codes.issue()))
+            else:
+                self._let_in(answer)
+        elif not self._knows_token(headers):  # who is in already just goes on
+            raise RefusedError(401, "studio.used_code")
+        answer.headers["location"] = place + (f"?{urlencode(rest)}" if rest else "")
+        return answer
+
+    async def _enter(self, receive: Receive) -> Answer:
+        """The token from the field of the page that is shown without one."""
+        content = b""
+        counting, more = _Counting(receive, _LONGEST_FORM), True
+        while more:
+            message = await counting()
+            content += message.get("body", b"")
+            more = message["type"] == "http.request" and message.get("more_body", False)
+        if not self._is_token(dict(parse_qsl(content.decode("latin-1"))).get("token", "").strip()):
+            raise RefusedError(401, "studio.other_token")
+        answer = Answer(None, 303)
+        answer.headers["location"] = "/"
+        self._let_in(answer)
+        return answer
+
+    def _let_in(self, answer: Answer) -> None:
         answer.set_cookie(self._cookie, self._settings.token, httponly=True, samesite="lax", path="/")
-        await answer(scope, receive, send)
 
 
 class _Counting:
@@ -194,20 +242,32 @@ def _cookies(lines: Iterable[str], name: str) -> list[str]:
 async def _refuse(error: RefusedError, scope: Scope, receive: Receive, send: Send) -> None:
     # What a stranger goes on to send is not waited for.
     headers = {"connection": "close"} if error.status in (401, 403, 421) else None
-    if scope["method"] == "GET" and not scope["path"].startswith(("/api/", "/static/")):
+    is_page = scope["method"] == "GET" and not scope["path"].startswith(("/api/", "/static/"))
+    if is_page or scope["path"] == _ENTER:
         from starlette.responses import HTMLResponse
 
-        page = HTMLResponse(
-            _CLOSED.format(language=get_language(), status=error.status, problem=html.escape(say(error.message))),
-            error.status,
-            headers,
+        # The form says where it comes from; with no referrer its origin would be "null".
+        headers = {**(headers or {}), "referrer-policy": "same-origin"}
+        form = _FORM.format(
+            action=_ENTER,
+            field=html.escape(say(_Words("studio.token_field"))),
+            go=html.escape(say(_Words("studio.token_go"))),
         )
+        text = _CLOSED.format(
+            language=get_language(), status=error.status, problem=html.escape(say(error.message)),
+            form=form if error.status == 401 else "",
+        )  # fmt: skip
+        page = HTMLResponse(text, error.status, headers)
         await page(scope, receive, send)
         return
     await Answer(to_answer(error.message), error.status, headers)(scope, receive, send)
 
 
+_FORM = """<form method="post" action="{action}"><label style="display:block">{field}<br>
+<input name="token" type="password" autocomplete="off" required autofocus
+ style="font:inherit;width:100%;box-sizing:border-box;margin:.3rem 0 .8rem;padding:.4rem"></label>
+<button style="font:inherit;padding:.4rem 1rem">{go}</button></form>"""
 _CLOSED = """<!doctype html><html lang="{language}"><meta charset="utf-8"><title>dousa studio</title>
 <meta name="viewport" content="width=device-width"><meta name="color-scheme" content="light dark">
 <body style="font:16px/1.6 system-ui,sans-serif;max-width:40rem;margin:15vh auto;padding:0 1.5rem">
-<h1 style="font-size:1.4rem">dousa studio <small>({status})</small></h1><p>{problem}</p></body></html>"""
+<h1 style="font-size:1.4rem">dousa studio <small>({status})</small></h1><p>{problem}</p>{form}</body></html>"""

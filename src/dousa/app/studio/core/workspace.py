@@ -15,6 +15,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from dousa.app.studio.core.answers import RefusedError
+from dousa.app.studio.core.home_lock import HomeLock, open_private
 from dousa.errors import OptionError
 from dousa.formats.asf_amc.reading import TOP
 
@@ -31,6 +32,8 @@ class Settings:
     host, port : where it listens.
     token : the secret in its address; who does not know it gets nothing.
     home : folder for uploads, jobs and their results; ``NAME.studio`` beside the library by default.
+    alias : a name of this machine that browsers are sent to, so that no other server of it gets their cookie; none if
+        empty.
     most_bytes : of one uploaded file.
     most_unpacked_bytes : of all files of one zip archive, and of one batch of uploads.
     most_files : of one batch of uploads.
@@ -45,6 +48,7 @@ class Settings:
     port: int = 8765
     token: str = field(default_factory=lambda: secrets.token_urlsafe(24))
     home: Path | None = None
+    alias: str = ""
     most_bytes: int = 500 * MEGABYTE
     most_unpacked_bytes: int = 4_000 * MEGABYTE
     most_files: int = 20_000
@@ -64,16 +68,21 @@ class Settings:
     @property
     def hosts(self) -> frozenset[str]:
         """What a browser on this machine calls the studio; any other name is somebody else's."""
-        return frozenset(f"{name}:{self.port}" for name in {self.host, "127.0.0.1", "localhost", "[::1]"})
+        names = {self.host, self.alias, "127.0.0.1", "localhost", "[::1]"} - {""}
+        return frozenset(f"{name}:{self.port}" for name in names)
 
     @property
     def address(self) -> str:
-        """The address to open, with the token."""
-        return f"http://{self.host}:{self.port}/?token={self.token}"
+        """The address, without a slash at its end."""
+        return f"http://{self.host}:{self.port}"
 
 
 _BATCH = re.compile(r"[0-9a-f]{16}")
+_ALIAS = re.compile(r"dousa-[0-9a-f]{16}\.localhost")
 _DEEPEST, _LONGEST, _LONGEST_PATH = 12, 200, 1_000  # folders; bytes of a name; bytes of all
+# Characters that some system cannot store, or that turn the direction of writing, so that a name reads as another.
+_NOWHERE = frozenset(':*?"<>|\u061c\u200e\u200f\u202a\u202b\u202c\u202d\u202e\u2066\u2067\u2068\u2069')
+_DEVICES = frozenset({"con", "prn", "aux", "nul", *(f"{name}{n}" for name in ("com", "lpt") for n in range(1, 10))})
 _KEPT = ".kept"  # marks a batch that a library or a job lives from
 _MOST_COUNTED = 1_000  # batches whose size is remembered
 _STALE = 7 * 86_400.0  # s after which other batches are cleared away when a studio starts
@@ -84,7 +93,7 @@ def safe_parts(name: str) -> tuple[str, ...]:
 
     Raises
     ------
-    RefusedError : absolute, upwards, hidden, with control characters, too long or too deep, or empty.
+    RefusedError : absolute, upwards, hidden, with control characters, a device's name, too long or too deep, or empty.
     """
     text = unicodedata.normalize("NFC", name).replace("\\", "/")
     parts = tuple(part for part in text.split("/") if part not in ("", "."))
@@ -97,8 +106,10 @@ def safe_parts(name: str) -> tuple[str, ...]:
     for part in parts:
         if part.startswith(".") or part == "__MACOSX":
             raise RefusedError(422, "studio_files.hidden", name=part)
-        if any(unicodedata.category(character) in ("Cc", "Cs") or character in ':*?"<>|' for character in part):
+        if any(unicodedata.category(character) in ("Cc", "Cs") or character in _NOWHERE for character in part):
             raise RefusedError(422, "studio_files.bad_character", name=part)
+        if part.split(".")[0].strip().lower() in _DEVICES:
+            raise RefusedError(422, "studio_files.device", name=part)
         if len(part.encode()) > _LONGEST or part.endswith((" ", ".")):
             raise RefusedError(422, "studio_files.bad_name", name=part[:40])
     return parts
@@ -118,15 +129,51 @@ class Workspace:
 
     def __init__(self, root: Path) -> None:
         self.root = root.absolute()
+        self._held: HomeLock | None = None
         self._counting = threading.Lock()
         self._sizes: OrderedDict[str, tuple[int, int]] = OrderedDict()
         try:
+            self.root.mkdir(mode=0o700, parents=True, exist_ok=True)
             for name in ("files", "jobs"):
-                (self.root / name).mkdir(parents=True, exist_ok=True)
+                (self.root / name).mkdir(mode=0o700, exist_ok=True)
             (self.root / "files" / TOP).touch()  # skeletons of uploads are not looked for further up
         except OSError as error:
             raise OptionError("studio.no_home", folder=self.root, reason=error) from error
+
+    def hold(self) -> HomeLock:
+        """Take the folder for one studio alone, and clear away what nobody needs any more.
+
+        Raises
+        ------
+        HomeTakenError : another studio has it.
+        OptionError : it cannot be written.
+        """
+        try:
+            self._held = HomeLock(self.root)
+        except OSError as error:
+            raise OptionError("studio.no_home", folder=self.root, reason=error) from error
         self._clear_stale()
+        return self._held
+
+    def release(self) -> None:
+        """Let another studio have the folder."""
+        if self._held is not None:
+            self._held.release()
+            self._held = None
+
+    def read_alias(self) -> str:
+        """A host name that is this folder's own and leads to this machine; the same at every start.
+
+        Browsers take every name below ``localhost`` for this machine without asking anybody.
+        """
+        with open_private(self.root / "host") as file:
+            name = file.read(100).decode("ascii", "replace")
+            if not _ALIAS.fullmatch(name):
+                name = f"dousa-{secrets.token_hex(8)}.localhost"
+                file.seek(0)
+                file.truncate()
+                file.write(name.encode())
+        return name
 
     def new_batch(self) -> str:
         """The name of a new, empty batch of files."""
