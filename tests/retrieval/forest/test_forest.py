@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from oracles import hamada
 
 from dousa.errors import InvalidMotionError, NotTrainedError, OptionError, TrainingError
-from dousa.retrieval import FEATURE_NAMES, MotionForest, integrate, list_tests
+from dousa.retrieval import FEATURE_NAMES, FEATURE_SETS, MotionForest, integrate, list_tests
 
 
 def clips(seed, n=30, frames=3, features=4, classes=4, steps=None):
@@ -342,3 +342,41 @@ def test_shapes_that_disagree_are_refused():
     for categories in ([0, 1], [[0], [1], [2]], [0.5, 1.5, 2.5], [None, "a", "b"]):
         with pytest.raises(TrainingError, match="categor"):
             MotionForest().fit(np.zeros((3, 3, 4)), np.array(categories))
+
+
+@pytest.mark.parametrize("thresholds", ["best", "random"])
+@pytest.mark.parametrize("dtype", [np.float32, np.float64])
+def test_each_clip_of_the_training_comes_to_the_leaf_that_counts_it(thresholds, dtype):
+    """Also where a node has so many clips that some of them choose its test: all of them are parted by it."""
+    features = FEATURE_SETS["extended"]
+    random = np.random.default_rng(0)
+    categories = random.integers(0, 3, 5000)
+    pose = np.repeat(random.normal(size=(3, 10, 1)), features.n_columns, axis=2)[categories] + random.normal(
+        size=(5000, 10, features.n_columns)
+    )
+    pose[:, :, 1 + len(features.channels) : 1 + 2 * len(features.channels)] **= 2
+    forest = MotionForest(2, n_trials=3, thresholds=thresholds, random_state=0)
+    forest.fit(pose.astype(dtype), categories, feature_set=features)
+    trees, counted = forest.trees_, np.zeros((forest.trees_.n_leaves, 3), int)
+    np.add.at(counted, (forest.apply(pose.astype(dtype)), categories[:, None]), 1)
+    leaf = np.repeat(np.arange(trees.n_leaves), np.diff(trees.leaf_starts))
+    stored = np.zeros_like(counted)
+    stored[leaf, trees.leaf_classes] = trees.leaf_counts
+    assert (counted == stored).all()
+    assert (stored.max(axis=1) == stored.sum(axis=1)).all()  # grown until every leaf is of one category
+    assert (forest.predict(pose.astype(dtype)) == categories).mean() > 0.99
+
+
+@pytest.mark.slow
+def test_some_clips_of_a_large_node_choose_as_well_as_all():
+    """Categories overlap, and nodes have up to 4,000 clips."""
+    random = np.random.default_rng(1)
+    categories = random.integers(0, 8, 5000)
+    pose = random.normal(size=(5000, 4, 12)) + 0.8 * random.normal(size=(8, 1, 12))[categories]
+    forest = MotionForest(10, n_trials=12, random_state=0).fit(pose[:4000], categories[:4000])
+    sklearn_ensemble = pytest.importorskip("sklearn.ensemble")
+    peer = sklearn_ensemble.RandomForestClassifier(10, max_features=12, bootstrap=False, random_state=0)
+    columns = materialise(pose)
+    peer.fit(columns[:4000], categories[:4000])
+    ours, theirs = (one == categories[4000:] for one in (forest.predict(pose[4000:]), peer.predict(columns[4000:])))
+    assert ours.mean() > theirs.mean() - 0.02

@@ -22,7 +22,15 @@ from dousa.errors import InvalidMotionError, NotTrainedError, OptionError, Train
 from dousa.retrieval.features.integral import integrate, list_tests
 from dousa.retrieval.features.pose_features import FEATURE_NAMES
 from dousa.retrieval.forest import tree_kernels as kernels
-from dousa.retrieval.forest.trees import KIND_NAMES, Trees, TreesSpec, evaluate_test, grow_trees, read_test
+from dousa.retrieval.forest.trees import (
+    KIND_NAMES,
+    Trees,
+    TreesSpec,
+    evaluate_test,
+    grow_trees,
+    measure_columns,
+    read_test,
+)
 
 if TYPE_CHECKING:
     from dousa.retrieval.features.feature_sets import FeatureSet, FeatureTrack
@@ -44,16 +52,18 @@ def count_trials(n_trials: int | str | None, n_tests: int) -> int:
 
 
 def check_features(features: ArrayLike, shape: tuple[int, int] | None = None, *, finite: bool = False) -> FloatArray:
-    """C-ordered (N, T, F) float64; finite if that is asked for: the query looks for itself."""
+    """C-ordered (N, T, F), float32 if they are and else float64; finite if asked for: the query looks for itself."""
     try:
-        pose = np.ascontiguousarray(features, dtype=np.float64)
+        given = np.asarray(features)
+        kind: Any = np.float32 if given.dtype == np.float32 else np.float64
+        pose: FloatArray = np.ascontiguousarray(given, dtype=kind)
     except (TypeError, ValueError) as error:
         raise InvalidMotionError("forest.numbers", reason=error) from error
     if pose.ndim != 3 or 0 in pose.shape[1:] or (shape is not None and pose.shape[1:] != shape):
         wanted = "(clips, frames, features)" if shape is None else f"(clips, {shape[0]}, {shape[1]})"
         raise InvalidMotionError("forest.shape", wanted=wanted, shape=pose.shape)
-    if finite and not np.isfinite(pose).all():
-        bad = int(np.argwhere(~np.isfinite(pose))[0][0])
+    if finite and not np.isfinite(measure_columns(pose)).all():
+        bad = next(number for number, clip in enumerate(pose) if not np.isfinite(clip).all())
         raise InvalidMotionError("forest.not_finite", clip=bad)
     return pose
 
@@ -204,7 +214,7 @@ class MotionForest:
         pose = check_features(features, shape, finite=True)
         if not len(pose):
             raise TrainingError("forest.no_clips")
-        if np.abs(pose).max() > _LARGEST_VALUE:
+        if measure_columns(pose).max() > _LARGEST_VALUE:
             raise InvalidMotionError("forest.too_large", largest=_LARGEST_VALUE)
         classes, numbers = number_categories(categories, len(pose))
         if feature_set is None:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from dousa.arrays import FloatArray, IntArray
 from dousa.retrieval.features.integral import MEAN, SPREAD, TREND
-from dousa.retrieval.forest import tree_kernels as kernels
+from dousa.retrieval.forest import growing_kernels as kernels
 
 KIND_NAMES = ("mean", "spread", "trend")
 """Names of the kinds of tests, by their numbers in the kernels."""
@@ -137,7 +137,7 @@ def grow_trees(
 
     Parameters
     ----------
-    features : (N, T, F) checked pose features.
+    features : (N, T, F) checked pose features, float64 or float32; they are not copied.
     categories : (N,) 0 ... n_classes - 1.
     tests : (R, 5) what may be asked at a node, see ``tree_kernels``.
     spec : how to grow.
@@ -155,6 +155,18 @@ def grow_trees(
     return _join([tree for some in grown for tree in some], (count, frames, n_classes))
 
 
+_AT_A_TIME = 1024  # clips of which a copy is made
+
+
+def measure_columns(features: FloatArray) -> FloatArray:
+    """(F,) the largest size of each column of features (N, T, F); not finite where a value is not."""
+    largest = np.zeros(features.shape[2])
+    for start in range(0, len(features), _AT_A_TIME):
+        some = np.abs(features[start : start + _AT_A_TIME]).max(axis=(0, 1))
+        largest = np.maximum(largest, some)
+    return largest
+
+
 Material = tuple[NDArray[Any], ...]
 
 GrownTree = tuple[NDArray[np.int32], IntArray, NDArray[np.int32], NDArray[np.int32]]
@@ -162,14 +174,10 @@ GrownTree = tuple[NDArray[np.int32], IntArray, NDArray[np.int32], NDArray[np.int
 
 def prepare_material(features: FloatArray, categories: NDArray[np.int32], tests: IntArray, largest: int) -> Material:
     """What ``grow_some`` grows trees of at most ``largest`` clips from; the rest as in ``grow_trees``."""
-    clips, frames, count = features.shape
-    # Clips last: a test of all clips at a node reads two rows.
-    integrals = np.zeros((count, frames + 1, clips))
-    np.cumsum(features.transpose(2, 1, 0), axis=1, out=integrals[:, 1:])
-    tolerances = _SAME_VALUE * np.abs(features).max(axis=(0, 1))
+    tolerances = _SAME_VALUE * measure_columns(features)
     number = np.arange(largest + 1)
     logarithms = np.rint(number * np.log2(np.maximum(number, 1)) * kernels.FIXED_POINT).astype(np.int64)
-    return integrals, tolerances, categories, tests, logarithms
+    return features, tolerances, categories, tests, logarithms
 
 
 def grow_some(
@@ -195,7 +203,7 @@ def grow_some(
 
 def _grow_seeds(material: Material, n_classes: int, spec: TreesSpec, seeds: NDArray[np.uint64]) -> list[GrownTree]:
     """A tree of all clips, or of a bootstrap sample of them, for each seed."""
-    clips = material[0].shape[2]
+    clips = len(material[0])
 
     def draw(seed: np.uint64) -> IntArray:
         drawn = np.random.default_rng(int(seed)).integers(0, clips, clips) if spec.bootstrap else None

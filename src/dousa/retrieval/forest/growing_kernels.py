@@ -1,0 +1,519 @@
+"""Compiled loops that grow a tree of the motion forest (steps 1-8 of the paper).
+
+What tests and nodes are is told in ``tree_kernels``. Clips are rows of the features (N, T, F), float32 or float64; a
+test adds a few cells of a row, and a node asks a block of clips several tests at a time, so that their rows are read
+from memory once and not once for every test.
+
+Entropies are compared as integers: ``n log2 n`` is tabulated in fixed point, so sums do not depend on their
+order and two splits of equal gain are equal to the last bit, however clips are ordered and categories are
+numbered.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from dousa.arrays import FloatArray, IntArray
+from dousa.retrieval.features.integral import MEAN, SPREAD
+
+FIXED_POINT = 2**32
+"""One bit of entropy of one clip, in the units of the ``n log2 n`` table."""
+
+_NO_SCORE = -(2**62)
+_SAME_SCORE = 256  # units of the table: 6 log2 6 = 2 * 3 log2 3 + 6, but for the rounding of the entries
+_KEY_RANGE = 2.0**31 - 1.0  # a key is 31 bits of value above 32 bits of place: positive as int64
+_PLACE = 0xFFFFFFFF
+_HALVES = 2**24  # places for a random threshold: never at the ends, where it would part nothing
+_MANY = 64  # from here on, counting digits is faster than insertion sort
+_AT_ONCE = 16  # tests that a block of clips is asked
+_BLOCK = 64  # clips: their rows stay in the cache meanwhile
+_MOST_LOOKED = 256  # clips by which a node of more chooses a few of its tests
+_MOST_WEIGHED = 2048  # clips by which it chooses among these; all clips are then parted by the best
+_KEPT = 8  # tests that are weighed again
+
+_NODE_STEP = np.uint64(0xD1342543DE82EF95)
+_GOLDEN = np.uint64(0x9E3779B97F4A7C15)
+_MIX_1 = np.uint64(0xBF58476D1CE4E5B9)
+_MIX_2 = np.uint64(0x94D049BB133111EB)
+_SHIFT_27, _SHIFT_30, _SHIFT_31, _SHIFT_32 = np.uint64(27), np.uint64(30), np.uint64(31), np.uint64(32)
+
+
+class Workspace(NamedTuple):
+    """Memory that a tree needs while it grows; made by NumPy, as compiling an allocation takes long."""
+
+    values: FloatArray
+    chosen: IntArray
+    thresholds: FloatArray
+    kept: IntArray
+    kept_thresholds: FloatArray
+    kept_scores: IntArray
+    looked: IntArray
+    looked_labels: NDArray[np.int32]
+    looked_counts: IntArray
+    labels: NDArray[np.int32]
+    keys: IntArray
+    spare: IntArray
+    counts: IntArray
+    left: IntArray
+    present: IntArray
+    number: IntArray
+    order: IntArray
+    swaps: IntArray
+    stack: IntArray
+    digits: IntArray
+    state: NDArray[np.uint64]
+
+    @classmethod
+    def create(cls, n_clips: int, n_classes: int, n_tests: int) -> Workspace:
+        """For trees of so many clips, categories and tests."""
+        keys, spare = np.empty((2, n_clips), np.int64)
+        counts, looked_counts, left, present, number = np.empty((5, n_classes), np.int64)
+        return cls(
+            values=np.empty((_AT_ONCE, n_clips)),
+            chosen=np.empty(_AT_ONCE, np.int64),
+            thresholds=np.empty(_AT_ONCE),
+            kept=np.empty(_KEPT + 1, np.int64),
+            kept_thresholds=np.empty(_KEPT + 1),
+            kept_scores=np.empty(_KEPT + 1, np.int64),
+            looked=np.empty(_MOST_WEIGHED, np.int64),
+            looked_labels=np.empty(_MOST_WEIGHED, np.int32),
+            looked_counts=looked_counts,
+            labels=np.empty(n_clips, np.int32),
+            keys=keys,
+            spare=spare,
+            counts=counts,
+            left=left,
+            present=present,
+            number=number,
+            order=np.arange(n_tests),
+            swaps=np.empty(n_tests, np.int64),
+            stack=np.empty((n_clips + 1, 3), np.int64),
+            digits=np.empty((4, 256), np.int64),
+            state=np.empty(1, np.uint64),
+        )
+
+
+@njit(cache=True, nogil=True)
+def _draw_below(state, bound):
+    """The next number of splitmix64, scaled to 0 <= number < bound (bound < 2**31)."""
+    state[0] += _GOLDEN
+    z = state[0]
+    z = (z ^ (z >> _SHIFT_30)) * _MIX_1
+    z = (z ^ (z >> _SHIFT_27)) * _MIX_2
+    z ^= z >> _SHIFT_31
+    return np.int64(((z >> _SHIFT_32) * np.uint64(bound)) >> _SHIFT_32)
+
+
+@njit(cache=True, nogil=True)
+def _sort_digits(keys, spare, counts, n):
+    """Ascending in place: four counted digits of the value (an even number, so the result is in ``keys``)."""
+    for digit in range(4):
+        for bucket in range(256):
+            counts[digit, bucket] = 0
+    for k in range(n):
+        value = keys[k] >> 32
+        counts[0, value & 255] += 1
+        counts[1, (value >> 8) & 255] += 1
+        counts[2, (value >> 16) & 255] += 1
+        counts[3, value >> 24] += 1
+    for digit in range(4):
+        place = 0
+        for bucket in range(256):
+            place += counts[digit, bucket]
+            counts[digit, bucket] = place - counts[digit, bucket]
+        shift = 32 + 8 * digit
+        for k in range(n):
+            bucket = (keys[k] >> shift) & 255
+            spare[counts[digit, bucket]] = keys[k]
+            counts[digit, bucket] += 1
+        keys, spare = spare, keys
+
+
+@njit(cache=True, nogil=True)
+def _measure_spread(difference, square_difference, length):
+    """Standard deviation over an interval, from the sums of values and of squares."""
+    mean = difference / length
+    return np.sqrt(max(square_difference / length - mean * mean, 0.0))
+
+
+@njit(cache=True, nogil=True)
+def _measure_trend(difference, moment_difference, length, middle):
+    """Change along the line of least squares over an interval, from the sums of values and value times time."""
+    return 12.0 * (moment_difference - middle * difference) / (length * length)
+
+
+@njit(cache=True, nogil=True)
+def _add_cells(cells, row, width, first, last, column):
+    """The sum of a column over the cells first ... last - 1 of a clip, whose values begin at ``row``: eq. 5."""
+    total = 0.0
+    place = row + first * width + column
+    for _ in range(first, last):
+        total += cells[place]
+        place += width
+    return total
+
+
+@njit(cache=True, nogil=True)
+def _evaluate(cells, size, width, test, samples, start, stop, values):
+    """The value of one test for the clips ``start ... stop - 1`` of a node, into ``values``.
+
+    ``cells`` holds the features one clip after the other, ``size`` values each, in rows of ``width`` columns.
+    """
+    # Unsigned, so that no place is looked at for being counted from the end.
+    first, last = np.uint64(test[3]), np.uint64(test[4])
+    kind, column, partner = test[0], np.uint64(test[1]), np.uint64(test[2])
+    length, middle = float(test[4] - test[3]), 0.5 * (test[3] + test[4])
+    if kind == MEAN:
+        for k in range(start, stop):
+            values[k] = _add_cells(cells, np.uint64(samples[k]) * size, width, first, last, column)
+    elif kind == SPREAD:
+        for k in range(start, stop):
+            row = np.uint64(samples[k]) * size
+            total = _add_cells(cells, row, width, first, last, column)
+            values[k] = _measure_spread(total, _add_cells(cells, row, width, first, last, partner), length)
+    else:
+        for k in range(start, stop):
+            row = np.uint64(samples[k]) * size
+            total = _add_cells(cells, row, width, first, last, column)
+            values[k] = _measure_trend(total, _add_cells(cells, row, width, first, last, partner), length, middle)
+
+
+@njit(cache=True, nogil=True)
+def _evaluate_all(cells, size, width, tests, chosen, samples, values):
+    """The values of some tests for the clips of a node, into ``values`` (tests, clips)."""
+    n = len(samples)
+    for start in range(0, n, _BLOCK):
+        for q in range(len(chosen)):
+            _evaluate(cells, size, width, tests[chosen[q]], samples, start, min(start + _BLOCK, n), values[q])
+
+
+@njit(cache=True, nogil=True, fastmath={"nnan", "nsz"})
+def _find_range(values, n):
+    """The lowest and the highest of the first n values."""
+    low, high = np.inf, -np.inf
+    for k in range(n):
+        low = min(low, values[k])
+        high = max(high, values[k])
+    return low, high
+
+
+@njit(cache=True, nogil=True)
+def _order_clips(values, low, high, n, keys, spare, digits):
+    """The node's clips in ascending order of their values: keys whose low half is the clip's place in the node."""
+    scale = _KEY_RANGE / (high - low)
+    if n >= _MANY:
+        for k in range(n):
+            keys[k] = (np.int64((values[k] - low) * scale) << 32) | k
+        _sort_digits(keys, spare, digits, n)
+        return
+    for k in range(n):
+        key = (np.int64((values[k] - low) * scale) << 32) | k
+        j = k - 1
+        while j >= 0 and keys[j] > key:
+            keys[j + 1] = keys[j]
+            j -= 1
+        keys[j + 1] = key
+
+
+@njit(cache=True, nogil=True)
+def _split_best(values, keys, n, labels, counts, left, total, log_table, tolerance, best):
+    """Step 3: the threshold of largest gain (eq. 7) of one test, whose clips are in order.
+
+    Returns its score and the threshold; the score is ``best``, and the threshold nothing, where none is better.
+    """
+    threshold = 0.0
+    for c in range(len(counts)):
+        left[c] = 0
+    running = total
+    place = keys[0] & _PLACE
+    for k in range(n - 1):
+        c = labels[place]
+        inside = left[c]
+        outside = counts[c] - inside
+        left[c] = inside + 1
+        running += log_table[inside + 1] - log_table[inside] + log_table[outside - 1] - log_table[outside]
+        following = keys[k + 1] & _PLACE
+        score = running - log_table[k + 1] - log_table[n - k - 1]
+        if score > best + _SAME_SCORE and values[following] - values[place] > tolerance:
+            best = score
+            threshold = 0.5 * (values[place] + values[following])
+        place = following
+    return best, threshold
+
+
+@njit(cache=True, nogil=True)
+def _split_at(values, threshold, n, labels, counts, left, log_table):
+    """The score of one test at a given threshold."""
+    for c in range(len(counts)):
+        left[c] = 0
+    for k in range(n):
+        left[np.uint64(labels[k])] += values[k] <= threshold
+    score, n_left = np.int64(0), np.int64(0)
+    for c in range(len(counts)):
+        score += log_table[left[c]] + log_table[counts[c] - left[c]]
+        n_left += left[c]
+    return score - log_table[n_left] - log_table[n - n_left]
+
+
+@njit(cache=True, nogil=True)
+def _draw_tests(state, order, swaps, drawn, count, is_all, random_thresholds, chosen, thresholds):
+    """The next tests of a node into ``chosen``, and how far between lowest and highest value each has its threshold."""
+    for q in range(count):
+        place = drawn + q
+        if not is_all:
+            swaps[place] = place + _draw_below(state, len(order) - place)
+            order[place], order[swaps[place]] = order[swaps[place]], order[place]
+        chosen[q] = order[place]
+        if random_thresholds:
+            thresholds[q] = (_draw_below(state, _HALVES) + 0.5) / _HALVES
+
+
+@njit(cache=True, nogil=True)
+def _score_test(values, n, part, labels, counts, total, log_table, tolerance, best, random_thresholds, work):
+    """Score and threshold of one test; the score is not above ``best`` where the test tells no clips apart.
+
+    ``part`` says how far between the lowest and the highest value a random threshold lies.
+    """
+    low, high = _find_range(values, n)
+    if high - low <= tolerance:
+        return _NO_SCORE, 0.0
+    if random_thresholds:
+        threshold = low + (high - low) * part
+        return _split_at(values, threshold, n, labels, counts, work.left, log_table), threshold
+    _order_clips(values, low, high, n, work.keys, work.spare, work.digits)
+    return _split_best(values, work.keys, n, labels, counts, work.left, total, log_table, tolerance, best)
+
+
+@njit(cache=True, nogil=True)
+def _keep(work, n_kept, test, threshold, score):
+    """Put a test among the best, of which equal ones stay in order; returns how many these are."""
+    place = n_kept
+    while place > 0 and work.kept_scores[place - 1] + _SAME_SCORE < score:
+        work.kept[place] = work.kept[place - 1]
+        work.kept_thresholds[place] = work.kept_thresholds[place - 1]
+        work.kept_scores[place] = work.kept_scores[place - 1]
+        place -= 1
+    work.kept[place], work.kept_thresholds[place], work.kept_scores[place] = test, threshold, score
+    return min(n_kept + 1, _KEPT)
+
+
+@njit(cache=True, nogil=True)
+def _find_splits(
+    cells, size, width, tolerances, tests, samples, labels, counts, total, log_table, n_trials, random_thresholds,
+    most, work,
+):  # fmt: skip
+    """Steps 1-4 for one node: the tests and thresholds of largest gain (eq. 7) among ``n_trials`` drawn tests.
+
+    Gains are compared by their score, which leaves out what all splits of the node share; ``total`` is the
+    sum of the table over ``counts``. The best ``most`` tests are in ``kept``, their places in ``tests`` and the
+    thresholds of their values; returns how many, 0 if none tells the clips apart. Leaves ``order`` as it was, so that
+    no node depends on how many tests another has drawn.
+    """
+    n, n_tests = len(samples), len(tests)
+    is_all = n_trials >= n_tests
+    best, n_kept, drawn = _NO_SCORE, 0, 0
+    # No split gains more than all the entropy there is, nor more than the one bit a clip of an even split.
+    # Once that is reached, drawing on cannot change the answer: the first of equals is kept.
+    perfect = min(np.int64(0), total - log_table[n // 2] - log_table[n - n // 2])
+    # If no drawn test tells two clips apart, drawing goes on, as in scikit-learn.
+    while drawn < n_tests and (drawn < n_trials or n_kept == 0) and best < perfect - _SAME_SCORE:
+        # Few at first: small nodes are often parted by the first.
+        count = min(2 + drawn, _AT_ONCE, (n_trials if drawn < n_trials else n_tests) - drawn)
+        _draw_tests(
+            work.state, work.order, work.swaps, drawn, count, is_all, random_thresholds, work.chosen, work.thresholds
+        )  # fmt: skip
+        drawn += count
+        _evaluate_all(cells, size, width, tests, work.chosen[:count], samples, work.values)
+        for q in range(count):
+            test = work.chosen[q]
+            score, threshold = _score_test(
+                work.values[q], n, work.thresholds[q], labels, counts, total, log_table, tolerances[tests[test, 1]],
+                best if most == 1 else _NO_SCORE, random_thresholds, work,
+            )  # fmt: skip
+            if score > _NO_SCORE and (most > 1 or score > best + _SAME_SCORE):
+                n_kept = min(_keep(work, n_kept, test, threshold, score), most)
+                best = max(best, work.kept_scores[0])
+                if best >= perfect - _SAME_SCORE:
+                    break
+    if not is_all:
+        order, swaps = work.order, work.swaps
+        for k in range(drawn - 1, -1, -1):
+            order[k], order[swaps[k]] = order[swaps[k]], order[k]
+    return n_kept
+
+
+@njit(cache=True, nogil=True)
+def _look_at_some(samples, labels, n_present, count, log_table, work):
+    """Some clips of a large node, one from each of equally long stretches; returns the sum of the table over them."""
+    counts = work.looked_counts[:n_present]
+    counts[:] = 0
+    step = len(samples) / count
+    for k in range(count):
+        place = min(np.int64((k + _draw_below(work.state, _HALVES) / _HALVES) * step), len(samples) - 1)
+        work.looked[k], work.looked_labels[k] = samples[place], labels[place]
+        counts[labels[place]] += 1
+    total = np.int64(0)
+    for c in range(n_present):
+        total += log_table[counts[c]]
+    return total
+
+
+@njit(cache=True, nogil=True)
+def _weigh_again(
+    cells, size, width, tolerances, tests, samples, labels, counts, total, log_table, n_kept, random_thresholds, work
+):  # fmt: skip
+    """The best of the tests in ``kept`` by more clips, and its threshold."""
+    best, best_test, best_threshold = _NO_SCORE, work.kept[0], work.kept_thresholds[0]
+    _evaluate_all(cells, size, width, tests, work.kept[:n_kept], samples, work.values)
+    for q in range(n_kept):
+        values, test, threshold = work.values[q], work.kept[q], work.kept_thresholds[q]
+        if random_thresholds:
+            score = _split_at(values, threshold, len(samples), labels, counts, work.left, log_table)
+        else:
+            score, threshold = _score_test(
+                values, len(samples), 0.0, labels, counts, total, log_table, tolerances[tests[test, 1]], best,
+                random_thresholds, work,
+            )  # fmt: skip
+        if score > best + _SAME_SCORE:
+            best, best_test, best_threshold = score, test, threshold
+    return best_test, best_threshold
+
+
+@njit(cache=True, nogil=True)
+def _partition(values, threshold, samples, spare):
+    """Step 5: clips at or below the threshold to the front, order kept; returns how many."""
+    n_left = 0
+    n_right = 0
+    for k in range(len(samples)):
+        sample = samples[k]
+        if values[k] <= threshold:
+            samples[n_left] = sample
+            n_left += 1
+        else:
+            spare[n_right] = sample
+            n_right += 1
+    for k in range(n_right):
+        samples[n_left + k] = spare[k]
+    return n_left
+
+
+@njit(cache=True, nogil=True)
+def _count_labels(categories, samples, labels, counts, present, number, log_table):
+    """Numbers the categories of a node from 0, so that a small node costs little however many there are.
+
+    Fills each clip's new number, how many clips each has, and which category it stands for. Returns how
+    many categories there are and the sum of the table over their counts.
+    """
+    for c in range(len(number)):
+        number[c] = 0
+    for k in range(len(samples)):
+        number[categories[samples[k]]] += 1
+    n_present = 0
+    total = np.int64(0)
+    for c in range(len(number)):
+        if number[c] > 0:
+            counts[n_present], present[n_present] = number[c], c
+            total += log_table[number[c]]
+            number[c] = n_present
+            n_present += 1
+    for k in range(len(samples)):
+        labels[k] = number[categories[samples[k]]]
+    return n_present, total
+
+
+@njit(cache=True, nogil=True)
+def _choose_split(
+    cells, size, width, tolerances, tests, samples, n_present, total, log_table, n_trials, random_thresholds, work
+):  # fmt: skip
+    """The test of a node, -1 if none tells its clips apart, and the threshold.
+
+    In a node of very many clips some of them choose a few tests, and more of them the best of these.
+    """
+    labels, counts, n = work.labels, work.counts[:n_present], len(samples)
+    if n > _MOST_LOOKED:
+        some = _look_at_some(samples, labels, n_present, _MOST_LOOKED, log_table, work)
+        n_kept = 0
+        if log_table[_MOST_LOOKED] - some > _SAME_SCORE:  # they are of several categories
+            n_kept = _find_splits(
+                cells, size, width, tolerances, tests, work.looked[:_MOST_LOOKED], work.looked_labels,
+                work.looked_counts[:n_present], some, log_table, n_trials, random_thresholds, _KEPT, work,
+            )  # fmt: skip
+        if n_kept > 0:
+            if n > _MOST_WEIGHED:
+                total = _look_at_some(samples, labels, n_present, _MOST_WEIGHED, log_table, work)
+                samples, labels, counts = work.looked, work.looked_labels, work.looked_counts[:n_present]
+            return _weigh_again(
+                cells, size, width, tolerances, tests, samples, labels, counts, total, log_table, n_kept,
+                random_thresholds, work,
+            )  # fmt: skip
+    n_kept = _find_splits(
+        cells, size, width, tolerances, tests, samples, labels, counts, total, log_table, n_trials,
+        random_thresholds, 1, work,
+    )  # fmt: skip
+    return (work.kept[0], work.kept_thresholds[0]) if n_kept > 0 else (np.int64(-1), 0.0)
+
+
+@njit(cache=True, nogil=True)
+def _write_node(nodes, cuts, node, test, threshold, n_frames, child):
+    """An inner node in the layout of ``tree_kernels``."""
+    kind, i, j, width = test[0], test[1], test[2], n_frames + 1
+    nodes[node, 0], nodes[node, 1] = i * width + test[4], i * width + test[3]
+    nodes[node, 2] = child
+    nodes[node, 3] = 0 if kind == MEAN else (j - i) * width * (1 if kind == SPREAD else -1)
+    cuts[node, 2] = threshold
+
+
+@njit(cache=True, nogil=True)
+def grow_tree(
+    features, tolerances, categories, tests, log_table, samples, n_trials, random_thresholds, max_entropy, seed,
+    work, nodes, cuts, leaf_starts, leaf_classes, leaf_counts,
+):  # fmt: skip
+    """Steps 1-8 for one tree: fills ``nodes``, ``cuts`` and the leaves' histograms, and counts both.
+
+    ``samples`` are the clips, permuted in place; ``max_entropy``
+    is in fixed point. Nodes are worked off depth first, left before right; each draws its tests with its own
+    random numbers, from the seed and the node's number. All tests at once are taken in order.
+    """
+    n_frames = features.shape[1]
+    cells, width = features.reshape(-1), np.uint64(features.shape[2])
+    size, values, stack = np.uint64(n_frames) * width, work.values[0], work.stack
+    stack[0, 0], stack[0, 1], stack[0, 2] = 0, 0, len(samples)
+    depth, n_nodes, n_leaves, n_entries = 1, 1, 0, 0
+    leaf_starts[0] = 0
+    while depth > 0:
+        depth -= 1
+        node, start, stop = stack[depth, 0], stack[depth, 1], stack[depth, 2]
+        n, inside = stop - start, samples[start:stop]
+        n_present, total = _count_labels(
+            categories, inside, work.labels, work.counts, work.present, work.number, log_table
+        )  # fmt: skip
+        test, threshold = np.int64(-1), 0.0
+        # n times eq. 6
+        if log_table[n] - total > max_entropy * n + _SAME_SCORE:
+            work.state[0] = seed ^ (np.uint64(node) * _NODE_STEP)
+            test, threshold = _choose_split(
+                cells, size, width, tolerances, tests, inside, n_present, total, log_table, n_trials,
+                random_thresholds, work,
+            )  # fmt: skip
+        if test < 0:
+            nodes[node, 0], nodes[node, 1], nodes[node, 2], nodes[node, 3] = 0, 0, -1 - n_leaves, 0
+            cuts[node, 2] = 0.0
+            for c in range(n_present):
+                leaf_classes[n_entries + c] = work.present[c]
+                leaf_counts[n_entries + c] = work.counts[c]
+            n_entries += n_present
+            n_leaves += 1
+            leaf_starts[n_leaves] = n_entries
+            continue
+        _evaluate(cells, size, width, tests[test], inside, 0, n, values)
+        n_left = _partition(values, threshold, inside, work.keys)
+        _write_node(nodes, cuts, node, tests[test], threshold, n_frames, n_nodes)
+        stack[depth, 0], stack[depth, 1], stack[depth, 2] = n_nodes + 1, start + n_left, stop
+        stack[depth + 1, 0], stack[depth + 1, 1], stack[depth + 1, 2] = n_nodes, start, start + n_left
+        depth += 2
+        n_nodes += 2
+    return n_nodes, n_leaves
