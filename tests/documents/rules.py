@@ -80,6 +80,7 @@ _LESS = {
     "python docs/measure_chain.py": "--wrong 1",
     "python benchmarks/ranking_weights.py": "--repeats 1",
     "benchmarks/label.py": "--minutes 1",
+    "python benchmarks/count_labelled.py": "--folds 0 --only Intelli",
     "benchmarks/find.py": "--minutes 1",
     "benchmarks/correspondence.py --full 12000": "--frames 400 --full 200 --memory",
 }
@@ -101,6 +102,7 @@ BENCHMARKS = {
     "film_cameras.py": "--help",  # it needs the pose models
     "keypoints.py": "--help",  # it needs the pose models
     "made_people.py": "--help",  # likewise, and a mesh
+    "count_labelled.py": "../shared/data --folds 0 --only Intelli",
     "count_repetitions.py": "../shared/data --only synthetic --repeats 1",
     "correlation_matrix.py": "--frames 200 --repeats 1",
     "body_offsets.py": "--pairs 1",

@@ -1,72 +1,90 @@
-"""How often an action is repeated: made cycles are counted, single motions and rests are one."""
+"""What is repeated in a take is one action that says how often."""
 
 from __future__ import annotations
 
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
 import pytest
 from oracles.short_actions import make_clip
-from oracles.standing import standing
 
-from dousa.motion.canonical.joints import JOINT_INDEX
-from dousa.retrieval.takes.label import Chosen, count_all
+from dousa.retrieval.counting.counter import find_usual
+from dousa.retrieval.counting.tallies import TALLIES, measure_tallies
+from dousa.retrieval.forest.forest_file import pack_arrays, unpack_arrays
+from dousa.retrieval.takes.label import TakeLabeller, label_take
+from dousa.retrieval.takes.labeller_training import train_labeller
 from dousa.retrieval.takes.made_takes import join_clips
-from dousa.retrieval.takes.repetitions import correlate, count_repetitions, is_rest
+from dousa.retrieval.takes.repetitions import Chosen, count_all
 
 HEIGHT = 1.7
+SCORES = np.ones(1, np.float32)
+BOWS = [make_clip("bow", 1, trial) for trial in range(3)]
 
 
-def raise_arms(times, seconds=1.2, rest=0.0, noise=0.0):
-    """Both hands up and down, with rests between."""
-    draw = np.random.default_rng(times)
-    up = 0.5 * (1.0 - np.cos(np.linspace(0.0, 2.0 * np.pi, round(seconds * 30), endpoint=False)))
-    strength = np.tile(np.concatenate([up, np.zeros(round(rest * 30))]), times)
-    body = np.repeat(standing(), len(strength), axis=0)
-    for side in ("left", "right"):
-        for joint, share in (("elbow", 0.5), ("wrist", 0.9), ("hand", 1.0)):
-            body[:, JOINT_INDEX[f"{side}_{joint}"], 1] += share * strength
-    return body + noise * draw.normal(size=body.shape)
+def list_parts(joined, apart=0):
+    """The pieces as a labeller would give them, each a little too short."""
+    return [Chosen(round(one.start), round(one.stop) - apart, 0, SCORES) for one in joined.pieces]
 
 
-@pytest.mark.parametrize("times", [1, 2, 3, 5, 8])
-@pytest.mark.parametrize("options", [{}, {"noise": 0.005}, {"seconds": 0.7}, {"rest": 0.2}])
-def test_made_cycles_are_counted(times, options):
-    assert count_repetitions(raise_arms(times, **options), HEIGHT) == times
+def test_three_neighbours_are_one_action_repeated_with_or_without_rests():
+    joined = join_clips(BOWS, np.random.default_rng(0))
+    for apart in (0, 20):
+        (one,) = count_all(list_parts(joined, apart), joined.positions, HEIGHT)
+        assert (one.start, one.repetitions) == (0, 3)
+        assert one.stop == len(joined.positions) - apart
 
 
-@pytest.mark.parametrize("action", ["bow", "kick", "raise left", "spread"])
-def test_a_single_action_is_done_once(action):
-    assert count_repetitions(make_clip(action, 1).positions, HEIGHT) == 1
+def test_two_neighbours_and_others_in_between_stay_apart():
+    joined = join_clips(BOWS, np.random.default_rng(0))
+    parts = list_parts(joined)
+    assert [one.repetitions for one in count_all(parts[:2], joined.positions, HEIGHT)] == [1, 1]
+    parts[1] = replace(parts[1], category=1)
+    found = count_all(parts, joined.positions, HEIGHT)
+    assert [(one.start, one.category, one.repetitions) for one in found] == [
+        (one.start, one.category, 1) for one in parts
+    ]
 
 
-@pytest.mark.parametrize("n_frames", [1, 5, 60])
-def test_nothing_is_repeated_in_a_rest(n_frames):
-    assert count_repetitions(np.repeat(standing(), n_frames, axis=0), HEIGHT) == 1
+def test_a_long_rest_parts_what_is_repeated():
+    still = np.repeat(BOWS[0].positions[-1:], 120, axis=0)
+    pieces = [BOWS[0].positions, still, BOWS[1].positions, still, BOWS[2].positions]
+    edges = np.cumsum([0, *map(len, pieces)]).tolist()
+    parts = [Chosen(*span, 0, SCORES) for span in list(pairwise(edges))[::2]]
+    assert [one.repetitions for one in count_all(parts, np.concatenate(pieces), HEIGHT)] == [1, 1, 1]
 
 
-def test_the_correlation_is_that_of_its_definition():
-    velocities = np.random.default_rng(0).normal(size=(40, 3))
-    ours = correlate(velocities)
-    assert ours[0] == pytest.approx(1.0)
-    for lag in range(len(ours)):
-        before, after = velocities[: 40 - lag], velocities[lag:]
-        plain = (before * after).sum() / np.sqrt((before**2).sum() * (after**2).sum())
-        assert ours[lag] == pytest.approx(plain)
+@pytest.fixture(scope="module")
+def labeller():
+    actions = ("bow", "kick", "spread", "wave")
+    return train_labeller([make_clip(name, person, k) for name in actions for person in range(4) for k in range(2)])
 
 
-def test_three_neighbours_without_a_rest_are_one_action_repeated():
-    often, scores = raise_arms(6), np.ones(1, np.float32)
-    edges = [round(len(often) * share / 3) for share in range(4)]
-    parts = [Chosen(start, stop, 0, scores) for start, stop in pairwise(edges)]
-    (one,) = count_all(parts, often, HEIGHT)
-    assert (one.start, one.stop, one.repetitions) == (0, len(often), 6)
-    assert [part.repetitions for part in count_all(parts[:2], often, HEIGHT)] == [2, 2]
+def test_a_labeller_knows_what_one_repetition_is(labeller):
+    bow = labeller.classes.index("bow")
+    shown = [measure_tallies(make_clip("bow", person, k).positions, HEIGHT) for person in range(4) for k in range(2)]
+    seconds = TALLIES.index("duration")
+    assert labeller.usual[bow, seconds] == pytest.approx(find_usual(shown)[seconds], rel=0.05)
+    take = join_clips(
+        [make_clip(name, 5, k) for name in ("kick", "bow", "spread") for k in range(4)], np.random.default_rng(1)
+    )
+    said = label_take(labeller, take, threshold=0.0).segments
+    assert [(one.category, one.repetitions) for one in said] == [("kick", 4), ("bow", 4), ("spread", 4)]
 
 
-def test_rests_part_what_is_repeated():
-    clips = [make_clip("bow", 1, trial) for trial in range(3)]
-    joined = join_clips(clips, np.random.default_rng(0))
-    parts = [Chosen(round(p.start), round(p.stop), 0, np.ones(1, np.float32)) for p in joined.pieces]
-    assert all(is_rest(joined.positions, HEIGHT, part.start) for part in parts[1:])
-    assert [part.repetitions for part in count_all(parts, joined.positions, HEIGHT)] == [1, 1, 1]
+def test_a_labeller_of_before_still_opens_and_counts(labeller):
+    names = [name for name in _names(labeller.to_bytes()) if name != "usual"]
+    arrays = unpack_arrays(labeller.to_bytes(), names, None, optional=("usual",))
+    arrays["version"] = np.array(2, np.int64)
+    del arrays["usual"]
+    before = TakeLabeller.from_bytes(pack_arrays(arrays))
+    assert before.usual.shape == (0, len(TALLIES))
+    take = join_clips([make_clip("bow", 5, k) for k in range(4)], np.random.default_rng(1))
+    assert [one.repetitions for one in label_take(before, take, threshold=0.0).segments] == [4]
+
+
+def _names(data):
+    import io
+
+    with np.load(io.BytesIO(data)) as archive:
+        return archive.files

@@ -35,14 +35,16 @@ def pack_arrays(arrays: Mapping[str, NDArray[Any]]) -> bytes:
     return buffer.getvalue()
 
 
-def unpack_arrays(data: bytes, names: Collection[str], what: Message) -> dict[str, NDArray[Any]]:
-    """The arrays of exactly these names; DousaError if the bytes are anything else."""
+def unpack_arrays(
+    data: bytes, names: Collection[str], what: Message, optional: Collection[str] = ()
+) -> dict[str, NDArray[Any]]:
+    """The arrays of exactly these names, and of ``optional`` ones; DousaError if the bytes are anything else."""
     with open_npz(data, lambda message: damaged(what, message)) as archive:
-        check(sorted(archive.names) == sorted(names), what, "other arrays")
+        check(sorted({*archive.names} - {*optional}) == sorted(names), what, "other arrays")
         # We store plainly, so nothing that unpacks to more than it weighs can be ours.
         check(not archive.compressed, what, "it is compressed")
         # Copied, as numba compiles for arrays that may be written to.
-        return {name: archive.read(name, "biufU", most=len(data)).copy("K") for name in names}
+        return {name: archive.read(name, "biufU", most=len(data)).copy("K") for name in archive.names}
 
 
 def check_version(arrays: Mapping[str, NDArray[Any]], what: Message, known: Sequence[int]) -> None:

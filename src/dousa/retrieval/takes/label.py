@@ -10,7 +10,7 @@ from __future__ import annotations
 import csv
 import os
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -19,20 +19,19 @@ from numpy.typing import NDArray
 from dousa.arrays import FloatArray
 from dousa.errors import MotionWriteError, OptionError
 from dousa.messages import Message
+from dousa.retrieval.counting.tallies import TALLIES
 from dousa.retrieval.features.posed_motion import PosedMotion, check_motion
 from dousa.retrieval.forest.forest_file import check, check_version, pack_arrays, unpack_arrays
 from dousa.retrieval.takes.moment_forest import FOREST_ARRAYS, MomentForest, read_moment_forest
 from dousa.retrieval.takes.moments import HOP, N_VALUES, chunk_starts, count_moments, describe_chunk
-from dousa.retrieval.takes.repetitions import count_repetitions, is_rest
+from dousa.retrieval.takes.repetitions import Chosen, count_all
 from dousa.retrieval.takes.sequence import N_PHASES, Run, SequenceModel, SequenceWeights, join_phases
 from dousa.retrieval.takes.windows import TAKE_RATE
-
-_SERIES = 3  # neighbours of one category that are one action: two may be two
 
 SHORT_GAP = 15
 """Frames between two actions, or at an end, that are shared out among them."""
 
-_VERSION = 2
+_WITHOUT_USUAL, _VERSION = 2, 3
 _WHAT = Message("stored.labeller")
 _NAMES = (
     *("version", "classes", *FOREST_ARRAYS, "log_lengths", "spreads", "weights"),
@@ -148,6 +147,8 @@ class TakeLabeller:
     threshold : confidence from which a category is said.
     held : (H, n_trees) leaves of some moments that trained, of which the same is said when an example is taught.
     held_states : (H,) what they are, as the forest counts: 3 c + phase, 3 C for nothing.
+    usual : (C', 18) what one repetition of a category comes to in each tally (`find_usual`); NaN where that is not
+        known. C' is C without the categories only taught, or 0.
     taught : of examples.
     """
 
@@ -158,6 +159,7 @@ class TakeLabeller:
     threshold: float
     held: NDArray[np.int32]
     held_states: NDArray[np.int32]
+    usual: FloatArray = field(default_factory=lambda: np.empty((0, len(TALLIES))))
     taught: Taught | None = None
 
     def judge(self, sampled: FloatArray, height: float, n_jobs: int | None = None) -> NDArray[np.float32]:
@@ -236,14 +238,15 @@ class TakeLabeller:
                 "threshold": np.array(self.threshold, np.float64),
                 "held": self.held,
                 "held_states": self.held_states,
+                "usual": self.usual,
             }
         )
 
     @classmethod
     def from_bytes(cls, data: bytes) -> TakeLabeller:
         """The labeller that ``to_bytes`` wrote; DousaError for damaged, other or newer bytes."""
-        arrays = unpack_arrays(data, _NAMES, _WHAT)
-        check_version(arrays, _WHAT, (_VERSION,))
+        arrays = unpack_arrays(data, _NAMES, _WHAT, optional=("usual",))
+        check_version(arrays, _WHAT, (_WITHOUT_USUAL, _VERSION))
         classes = arrays["classes"]
         check(classes.ndim == 1 and len(classes) > 0 and classes.dtype.kind == "U", _WHAT, "bad categories")
         check(len(np.unique(classes)) == len(classes), _WHAT, "a category occurs twice")
@@ -262,6 +265,9 @@ class TakeLabeller:
         right = right and of.dtype == np.int32 and of.shape == (len(held),)
         check(right and held.flags.c_contiguous, _WHAT, "bad held moments")
         check(not len(held) or bool(held.min() >= 0 and held.max() < len(forest.leaf_starts) - 1), _WHAT, "bad leaves")
+        usual = arrays.get("usual", np.empty((0, len(TALLIES))))
+        right = usual.dtype == np.float64 and usual.shape in ((len(classes), len(TALLIES)), (0, len(TALLIES)))
+        check(right and bool((np.isnan(usual) | ((usual > 1e-3) & (usual < 1e6))).all()), _WHAT, "bad repetitions")
         return cls(
             tuple(map(str, classes)),
             forest,
@@ -270,6 +276,7 @@ class TakeLabeller:
             float(numbers["threshold"]),
             held,
             of,
+            usual,
         )
 
 
@@ -287,45 +294,6 @@ def describe_scores(scores: NDArray[np.float32]) -> FloatArray:
         second, best = np.partition(scores, -2, axis=1)[:, -2:].T.astype(np.float64)
     best = np.maximum(best, 1e-3)
     return np.stack([np.log(best), 1.0 - np.maximum(second, 0.0) / best], axis=1)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Chosen:
-    """An action: frames, number of the category, mean probabilities (C,) of all categories, how often it is done."""
-
-    start: int
-    stop: int
-    category: int
-    scores: NDArray[np.float32]
-    repetitions: int = 1
-
-
-def count_all(chosen: Sequence[Chosen], sampled: FloatArray, height: float) -> list[Chosen]:
-    """How often each action is done; three or more of one category with no rest between them are one, repeated.
-
-    Parameters
-    ----------
-    chosen : in the order of time.
-    sampled : (n, 20, 3) m at ``TAKE_RATE``, of the take.
-    height : m.
-    """
-    series: list[list[Chosen]] = []
-    for one in chosen:
-        own = replace(one, repetitions=count_repetitions(sampled[one.start : one.stop], height))
-        last = series[-1][-1] if series else None
-        goes_on = last is not None and last.category == one.category and last.stop == one.start
-        if last is None or not goes_on or is_rest(sampled[last.start : one.stop], height, one.start - last.start):
-            series.append([own])
-        else:
-            series[-1].append(own)
-    return [one for some in series for one in ([_join(some)] if len(some) >= _SERIES else some)]
-
-
-def _join(series: Sequence[Chosen]) -> Chosen:
-    sizes = np.array([one.stop - one.start for one in series], np.float32)
-    scores = np.average(np.stack([one.scores for one in series]), axis=0, weights=sizes).astype(np.float32)
-    often = sum(one.repetitions for one in series)
-    return replace(series[0], stop=series[-1].stop, scores=scores, repetitions=often)
 
 
 def label_take(
@@ -355,7 +323,7 @@ def label_take(
     sampled = sample_positions(points, motion.frame_rate)
     shares = labeller.judge(sampled, motion.height, n_jobs)
     chosen = labeller.choose(shares, len(sampled), never_unknown=limit == 0)
-    chosen = count_all(chosen, sampled, motion.height)
+    chosen = count_all(chosen, sampled, motion.height, labeller.usual)
     sure = labeller.confidence(np.stack([one.scores for one in chosen])) if chosen else np.zeros(0)
     return make_timeline(chosen, sure, labeller.classes, len(points) / motion.frame_rate, limit)
 

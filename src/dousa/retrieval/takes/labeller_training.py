@@ -18,6 +18,8 @@ from numpy.typing import NDArray
 
 from dousa.arrays import FloatArray, IntArray
 from dousa.errors import TrainingError
+from dousa.retrieval.counting.counter import find_usual
+from dousa.retrieval.counting.tallies import measure_tallies
 from dousa.retrieval.features.posed_motion import AnnotatedTake, LabelledClip, check_motion
 from dousa.retrieval.takes.label import SHORT_GAP, TakeLabeller, describe_scores, mean_scores
 from dousa.retrieval.takes.made_takes import (
@@ -46,6 +48,7 @@ _STRANGERS = 0.4  # times as many of those are met elsewhere: one action in ten
 _LEAST_STATES = 3  # categories, or nothing, that a fold must know
 _ENOUGH = 8  # answers, right and wrong ones each, that a calibration needs
 _MOST_HELD = 400  # moments
+_MOST_COUNTED = 12  # clips of a category whose repetitions are counted
 _DEFAULT_CALIBRATION = (4.0, 2.0, 2.0)
 _DEFAULT_THRESHOLD = 0.5
 _UNCOUNTED, _STRANGE = -1, -2  # moments of which nobody can say what they are; of categories that a fold does not know
@@ -98,7 +101,27 @@ def train_labeller(
     sequence = replace(sequence, weights=_choose_weights(sequence, trials))
     calibration, threshold = _calibrate([answer for trial in trials for answer in trial.answer(sequence)])
     leaves = forest.apply(codes[held])
-    return TakeLabeller(classes, forest, sequence, calibration, threshold, leaves, states[held].astype(np.int32))
+    usual = _find_usual(clips, takes, classes)
+    return TakeLabeller(classes, forest, sequence, calibration, threshold, leaves, states[held].astype(np.int32), usual)
+
+
+def _find_usual(clips: Sequence[LabelledClip], takes: Sequence[AnnotatedTake], classes: Sequence[str]) -> FloatArray:
+    """(C, 18) what one repetition of each category comes to in each tally, by some of its clips and segments."""
+    from dousa.retrieval.features.channels import sample_positions
+
+    shown: dict[str, list[tuple[FloatArray, float, float]]] = {name: [] for name in classes}
+    for clip in clips:
+        shown[clip.category].append((clip.positions, clip.frame_rate, clip.height))
+    for take in takes:
+        for one in take.stretches:
+            if one.category is not None:
+                start, stop = (round(seconds * take.frame_rate) for seconds in (one.start, one.stop))
+                shown[one.category].append((take.positions[start:stop], take.frame_rate, take.height))
+    usual = []
+    for some in shown.values():
+        few = some[:: max(-(-len(some) // _MOST_COUNTED), 1)]
+        usual.append(find_usual([measure_tallies(sample_positions(part, rate), height) for part, rate, height in few]))
+    return np.stack(usual)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

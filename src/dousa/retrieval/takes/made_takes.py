@@ -81,7 +81,7 @@ def join_clips(
     for clip in played[1:]:
         count = round(generator.uniform(*BLEND_SECONDS) * TAKE_RATE)
         last = parts[-1][-1]
-        following = _go_on(last, clip)
+        following = go_on(last, clip)
         share = (np.arange(1, count + 1) / (count + 1))[:, None, None]
         ease = share * share * (3.0 - 2.0 * share)
         parts += [last * (1.0 - ease) + following[0] * ease, following]
@@ -92,7 +92,7 @@ def join_clips(
     return JoinedTake(np.concatenate(parts), clips[0].height, pieces)
 
 
-def _go_on(last: FloatArray, clip: FloatArray) -> FloatArray:
+def go_on(last: FloatArray, clip: FloatArray) -> FloatArray:
     """A clip (n, 20, 3) turned about the vertical and moved along the floor to follow a pose (20, 3)."""
     turn = _heading(clip[0]) - _heading(last)
     across, along = np.cos(turn), np.sin(turn)
@@ -152,7 +152,7 @@ def join_with_rests(clips: Sequence[LabelledClip], generator: np.random.Generato
         tempo = float(np.exp(generator.uniform(-_TEMPO, _TEMPO)))
         played = sample_positions(clip.positions, clip.frame_rate * tempo) / clip.height * clips[0].height
         if parts:
-            played = _go_on(parts[-1][-1], played)
+            played = go_on(parts[-1][-1], played)
             between = _make_transition(parts[-1][-1], played[0], generator)
             parts.append(between)
             pieces.append(Piece(length, length + len(between), None))

@@ -1,87 +1,63 @@
-"""How often an action is repeated within a segment: by the period at which its movement resembles itself.
-
-Velocities of the joints in the body-fixed system are compared with themselves some time later (autocorrelation, over
-what overlaps). Rest counts for nothing in velocities, and there and back cancel out, so a single motion resembles
-itself at no later time. The shortest time with nearly the highest peak is the period; the moving part of the segment
-divided by it is the count.
-"""
+"""How often each action of a take is done: neighbours that are a series are one action, and each action is counted."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
 import numpy as np
+from numpy.typing import NDArray
 
 from dousa.arrays import FloatArray
-from dousa.retrieval.takes.windows import TAKE_RATE, compute_small_poses
+from dousa.retrieval.counting.counter import count_repetitions
 
-_SMOOTHING = 2.0  # frames, standard deviation
-_SHORTEST = 0.3  # s, of a period
-_LONGEST = 0.62  # share of the moving part that a period may last
-_ALIKE = 0.4  # correlation from which a motion resembles itself
-_NEARLY = 0.8  # share of the highest peak that a shorter period needs
-_MOVING = 0.15  # share of the speed that is exceeded a tenth of the time
-_REST, _AROUND = 9, 20  # frames that a rest lasts, and on either side of where it is looked for
+_SERIES = 3  # neighbours of one category that are one action: two may be two
+_LONGEST_REST = 90  # frames between them
 
 
-def count_repetitions(sampled: FloatArray, height: float) -> int:
-    """Repetitions of what a part of a recording shows; 1 where nothing is repeated.
+@dataclass(frozen=True, slots=True, eq=False)
+class Chosen:
+    """An action: frames, number of the category, mean probabilities (C,) of all categories, how often it is done."""
 
-    Parameters
-    ----------
-    sampled : (n, 20, 3) m, canonical joints at 30 Hz.
-    height : m.
-    """
-    if len(sampled) < 2 * _SHORTEST * TAKE_RATE:
-        return 1
-    velocities = _measure_velocities(sampled, height)
-    speeds = np.sqrt((velocities**2).sum(axis=1))
-    moving = np.flatnonzero(speeds > _MOVING * np.percentile(speeds, 90))
-    if not len(moving):
-        return 1
-    velocities = velocities[moving[0] : moving[-1] + 1]
-    likeness = correlate(velocities)
-    least = round(_SHORTEST * TAKE_RATE)
-    peaks = 1 + np.flatnonzero((likeness[1:-1] >= likeness[:-2]) & (likeness[1:-1] > likeness[2:]))
-    peaks = peaks[peaks >= least]
-    if not len(peaks) or likeness[peaks].max() < _ALIKE:
-        return 1
-    period = peaks[likeness[peaks] >= _NEARLY * likeness[peaks].max()][0]
-    return max(round(len(velocities) / float(period)), 1)
+    start: int
+    stop: int
+    category: int
+    scores: NDArray[np.float32]
+    repetitions: int = 1
 
 
-def is_rest(sampled: FloatArray, height: float, place: int) -> bool:
-    """Whether the body rests about a frame of a part, rather than going on.
+def count_all(
+    chosen: Sequence[Chosen], sampled: FloatArray, height: float, usual: FloatArray | None = None
+) -> list[Chosen]:
+    """How often each action is done; one that is done three times or more, with rests or without, is one action.
 
     Parameters
     ----------
-    sampled : (n, 20, 3) m, canonical joints at 30 Hz.
+    chosen : in the order of time.
+    sampled : (n, 20, 3) m at ``TAKE_RATE``, of the take.
     height : m.
-    place : frame.
+    usual : as for `TakeLabeller`.
     """
-    speeds = np.sqrt((_measure_velocities(sampled, height) ** 2).sum(axis=1))
-    still = speeds <= _MOVING * np.percentile(speeds, 90)
-    around = still[max(place - _AROUND, 0) : place + _AROUND]
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], around, [False]]).astype(np.int8)))
-    return bool(len(edges)) and int((edges[1::2] - edges[::2]).max()) >= _REST
+    series: list[list[Chosen]] = []
+    for one in chosen:
+        last = series[-1][-1] if series else None
+        if last is not None and last.category == one.category and one.start - last.stop <= _LONGEST_REST:
+            series[-1].append(one)
+        else:
+            series.append([one])
+    joined = [one for some in series for one in _join(some, sampled, height)]
+    return [replace(one, repetitions=_count(one, sampled, height, usual)) for one in joined]
 
 
-def _measure_velocities(sampled: FloatArray, height: float) -> FloatArray:
-    """(n, 27) body heights a frame, of nine joints in the body-fixed system."""
-    from dousa.retrieval.features.channels import smooth_positions
-
-    poses = compute_small_poses(smooth_positions(sampled, _SMOOTHING), height).astype(np.float64)
-    velocities: FloatArray = np.gradient(poses, axis=0)
-    return velocities
+def _count(one: Chosen, sampled: FloatArray, height: float, usual: FloatArray | None) -> int:
+    known = usual[one.category] if usual is not None and one.category < len(usual) else None
+    return count_repetitions(sampled[one.start : one.stop], height, known)
 
 
-def correlate(velocities: FloatArray) -> FloatArray:
-    """(L,) how much velocities (n, K) resemble themselves 0, 1, 2 ... frames later, -1 to 1; L a share of n."""
-    n = len(velocities)
-    most = max(round(_LONGEST * n), 1)
-    size = 1 << (2 * n - 1).bit_length()
-    spectrum = np.fft.rfft(velocities, size, axis=0)
-    products = np.fft.irfft((spectrum * spectrum.conj()).sum(axis=1), size)[:most]
-    energy = np.concatenate([[0.0], np.cumsum((velocities**2).sum(axis=1))])
-    lags = np.arange(most)
-    before, after = energy[n - lags], energy[n] - energy[lags]
-    likeness: FloatArray = products / np.maximum(np.sqrt(before * after), 1e-12)
-    return likeness
+def _join(series: Sequence[Chosen], sampled: FloatArray, height: float) -> list[Chosen]:
+    """Neighbours of one category as one where they are a series, else as they are."""
+    if len(series) < _SERIES:
+        return list(series)
+    sizes = np.array([one.stop - one.start for one in series], np.float32)
+    scores = np.average(np.stack([one.scores for one in series]), axis=0, weights=sizes).astype(np.float32)
+    return [replace(series[0], stop=series[-1].stop, scores=scores)]

@@ -1,0 +1,159 @@
+"""How often an action is repeated: made cycles are counted, single motions and rests are one."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from oracles.short_actions import ACTIONS, make_clip
+from oracles.standing import standing
+
+from dousa.motion.canonical.joints import JOINT_INDEX
+from dousa.retrieval.counting.counter import (
+    choose_count,
+    count_repetitions,
+    describe_counts,
+    find_usual,
+    list_counts,
+    name_evidence,
+    use_weights,
+)
+from dousa.retrieval.counting.tallies import COUNTED, TALLIES, correlate, count_swings, measure_tallies
+
+HEIGHT = 1.7
+
+
+def raise_arms(times, seconds=1.2, rest=0.0, noise=0.0, fading=1.0, sides=("left", "right")):
+    """Hands up and down, with rests between."""
+    draw = np.random.default_rng(times)
+    up = 0.5 * (1.0 - np.cos(np.linspace(0.0, 2.0 * np.pi, round(seconds * 30), endpoint=False)))
+    once = np.concatenate([up, np.zeros(round(rest * 30))])
+    strength = np.concatenate([once * fading**number for number in range(times)])
+    body = np.repeat(standing(), len(strength), axis=0)
+    for side in sides:
+        for joint, share in (("elbow", 0.5), ("wrist", 0.9), ("hand", 1.0)):
+            body[:, JOINT_INDEX[f"{side}_{joint}"], 1] += share * strength
+    return body + noise * draw.normal(size=body.shape)
+
+
+def alternate_arms(times, seconds=0.8):
+    """One hand up and down, then the other, as often."""
+    left, right = (raise_arms(1, seconds, sides=(side,)) for side in ("left", "right"))
+    return np.concatenate([left, right] * times)
+
+
+@pytest.mark.parametrize("times", [1, 2, 3, 5, 8, 30])
+@pytest.mark.parametrize(
+    "options", [{}, {"noise": 0.02}, {"seconds": 0.7}, {"seconds": 4.0}, {"rest": 0.2}, {"rest": 1.5, "noise": 0.01}]
+)
+def test_made_cycles_are_counted(times, options):
+    assert count_repetitions(raise_arms(times, **options), HEIGHT) == times
+
+
+@pytest.mark.parametrize("times", [3, 5])
+def test_what_fades_is_counted_to_its_end(times):
+    assert count_repetitions(raise_arms(times, fading=0.8), HEIGHT) == times
+
+
+@pytest.mark.parametrize("action", ["bow", "kick", "raise left", "spread"])
+def test_a_single_action_is_done_once(action):
+    assert count_repetitions(make_clip(action, 1).positions, HEIGHT) == 1
+
+
+@pytest.mark.parametrize("n_frames", [1, 2, 5, 60])
+def test_nothing_is_repeated_in_a_rest(n_frames):
+    assert count_repetitions(np.repeat(standing(), n_frames, axis=0), HEIGHT) == 1
+
+
+@pytest.mark.parametrize("times", [1, 2, 4, 7])
+def test_the_clips_of_a_category_say_what_one_repetition_is(times):
+    usual = find_usual([measure_tallies(alternate_arms(1, seconds), HEIGHT) for seconds in (0.7, 0.8, 1.0)])
+    assert count_repetitions(alternate_arms(times), HEIGHT, usual) == times
+
+
+def test_clips_of_several_cycles_teach_the_cycle():
+    usual = find_usual([measure_tallies(raise_arms(times), HEIGHT) for times in (3, 4, 5, 3)])
+    assert usual[TALLIES.index("duration")] == pytest.approx(1.2, rel=0.1)
+    assert [count_repetitions(raise_arms(times), HEIGHT, usual) for times in (2, 3, 6)] == [2, 3, 6]
+
+
+def test_without_clips_nothing_is_usual():
+    usual = find_usual([])
+    assert np.isnan(usual).all()
+    assert choose_count(measure_tallies(raise_arms(4), HEIGHT), usual) == 4
+
+
+def test_tallies_of_amounts_are_in_their_units():
+    tallies = dict(zip(TALLIES, measure_tallies(raise_arms(2, seconds=1.5), HEIGHT), strict=True))
+    assert tallies["duration"] == pytest.approx(3.0)
+    assert 2.0 < tallies["moving"] <= 3.0
+    assert tallies["periods"] == pytest.approx(2.0, abs=0.2)
+
+
+def test_turning_and_moving_about_changes_no_tally():
+    motion = raise_arms(3, noise=0.002)
+    turned = motion[..., [2, 1, 0]] * (1.0, 1.0, -1.0) + (3.0, 0.0, -2.0)
+    np.testing.assert_allclose(measure_tallies(turned, HEIGHT), measure_tallies(motion, HEIGHT), rtol=1e-6)
+
+
+def test_the_correlation_is_that_of_its_definition():
+    velocities = np.random.default_rng(0).normal(size=(40, 3))
+    ours = correlate(velocities)
+    assert ours[0] == pytest.approx(1.0)
+    for lag in range(len(ours)):
+        before, after = velocities[: 40 - lag], velocities[lag:]
+        plain = (before * after).sum() / np.sqrt((before**2).sum() * (after**2).sum())
+        assert ours[lag] == pytest.approx(plain)
+
+
+@given(st.lists(st.integers(0, 12), min_size=1, max_size=40), st.integers(1, 6))
+def test_swings_are_those_of_prominent_peaks(values, least):
+    find_peaks = pytest.importorskip("scipy.signal").find_peaks
+    curve = np.array(values, np.float64)
+    tops, bottoms = count_swings(curve, float(least))
+    if np.ptp(curve) < least:
+        assert (tops, bottoms) == (0, 0)
+        return
+    for found, one in ((tops, curve), (bottoms, -curve)):
+        padded = np.concatenate([[one.min() - least], one, [one.min() - least]])
+        # Peaks as high as one before them are as prominent as what lies between them is deep: each counts once.
+        peaks, told = find_peaks(padded + 1e-9 * np.arange(len(padded)), prominence=least - 1e-6)
+        assert len(peaks) == len(told["prominences"]) == found
+
+
+def test_evidence_has_a_name_for_every_column():
+    tallies, counts = measure_tallies(raise_arms(3), HEIGHT), np.arange(1, 6)
+    for usual in (None, np.maximum(tallies, 0.5) / 3):
+        named = name_evidence(usual is not None)
+        assert describe_counts(tallies, counts, usual).shape == (5, len(named))
+        assert len(set(named)) == len(named)
+    best = describe_counts(tallies, counts, usual)[:, named.index(("duration", "near_usual"))]
+    assert best.argmax() == 2
+    assert best[2] == pytest.approx(0.0)
+
+
+def test_other_weights_count_otherwise_meanwhile():
+    tallies = measure_tallies(raise_arms(3), HEIGHT)
+    few = np.zeros(len(name_evidence(False)))
+    few[0] = 1.0
+    with use_weights({"alone": few, "known": np.zeros(len(name_evidence(True)))}):
+        assert choose_count(tallies) == 1
+    assert choose_count(tallies) == 3
+
+
+@given(st.lists(st.floats(0.0, 1e4), min_size=len(TALLIES), max_size=len(TALLIES)))
+def test_any_tallies_give_a_count_of_at_least_one(values):
+    tallies = np.array(values)
+    counts = list_counts(tallies)
+    assert counts[0] == 1
+    assert len(counts) >= min(tallies[: len(COUNTED)].max(), 400.0)
+    assert choose_count(tallies) in counts
+    assert choose_count(tallies, np.maximum(tallies, 0.5)) >= 1
+
+
+def test_actions_of_a_small_world_repeated():
+    for action in ACTIONS:
+        clips = [make_clip(action, 1, trial).positions for trial in range(4)]
+        usual = find_usual([measure_tallies(make_clip(action, 2, trial).positions, HEIGHT) for trial in range(4)])
+        assert count_repetitions(np.concatenate(clips), HEIGHT, usual) == 4
