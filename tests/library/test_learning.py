@@ -12,7 +12,7 @@ import pytest
 
 from dousa.errors import LibraryDamagedError
 from dousa.library import Library
-from dousa.library import train as _learning
+from dousa.library.growth import insert as _learning
 
 
 @pytest.fixture
@@ -110,7 +110,7 @@ def test_interrupted_while_it_learns_nothing_has_changed(library, library_file, 
         if moment == "grow":
             patch.setattr("dousa.retrieval.forest.growth.grow_forest", stop)
         else:
-            patch.setattr(_learning, "_update_answers", stop)
+            patch.setattr(_learning, "save_answers", stop)
         with pytest.raises(KeyboardInterrupt):
             library.add(nods, n_jobs=1)
     assert (answers(library_file), forest_row(library_file), library.stats()) == before

@@ -10,7 +10,7 @@ import os
 import time
 from collections import Counter, defaultdict
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import fields, replace
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any, cast
 
@@ -23,15 +23,16 @@ from dousa.formats.motion_files import FoundFile, ReadOptions, Skipped, find_mot
 from dousa.library import schema
 from dousa.library.annotations.places import FoundLabels, find_labels
 from dousa.library.annotations.store import annotate_takes, rename_segments
-from dousa.library.engine import Database, lock_for_writing, next_revision
+from dousa.library.engine import Database, next_revision
 from dousa.library.forests import StoredForest, load_forest
+from dousa.library.growth.insert import insert_clips
+from dousa.library.growth.lesson import Lesson, work_out
 from dousa.library.ingest import ClipRecord, FileRecord, ReadTask, look_at, read_clip, read_clips
 from dousa.library.labels import LabelRule, no_label
 from dousa.library.results import AddReport, Duplicate
 from dousa.library.seals.checksums import LABELS, NUMBERS, update_rows
-from dousa.library.selection import delete_clips, fetch_in
-from dousa.library.takes import DescribedTakes, describe_records, refresh_windows
-from dousa.library.train import insert_clips
+from dousa.library.selection import delete_clips, fetch_in, with_segments
+from dousa.library.takes import refresh_windows
 from dousa.messages import Message
 
 AddProgress = Callable[[int, int, str], None]
@@ -62,6 +63,17 @@ def _make_report(tally: Tally, seconds: float) -> AddReport:
     values |= {name: sum(tally[name]) for name in ("n_learned", "n_segments", "bytes")}
     values["new_categories"] = tuple(sorted(set(tally["new_categories"])))
     return AddReport(**(values | {"seconds": seconds}))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Sorted:
+    """Motions that were read: how they are counted, which are new, which clips they replace, which only moved."""
+
+    tally: Tally
+    fresh: list[ClipRecord]
+    gone: list[int]
+    moved: list[tuple[FileRecord, Any]]
+    lesson: Lesson | None
 
 
 class Adding:
@@ -250,16 +262,14 @@ class Adding:
         self._tally["skipped"] += [answer for answer in portion if isinstance(answer, Skipped)]
         read = [answer for answer in portion if not isinstance(answer, Skipped)]
         if read:
-            # Long recordings take a while to describe: not while other programs wait to write.
-            takes = describe_records(self.forest, [r for r in read if isinstance(r, ClipRecord)])
-            with self._database.writing() as connection:
-                lock_for_writing(connection)
-                tally = self._store(connection, read, takes)
-            for name, items in tally.items():
+            # What the forest learns takes a while to work out: not while other programs wait to write.
+            sorted_out = self._database.write_planned(lambda c, known: self._sort(c, read, known), self._store)
+            for name, items in sorted_out.tally.items():
                 self._tally[name] += items
         return []
 
-    def _store(self, connection: sa.Connection, read: list[FileRecord], takes: DescribedTakes) -> Tally:
+    def _sort(self, connection: sa.Connection, read: list[FileRecord], known: _Sorted | None) -> _Sorted:
+        """What is new, what changed and what is there already of motions that were read; nothing is written."""
         tally: Tally = defaultdict(list)
         stored = _load_rows(connection, read)
         by_path = {row.path: row for row in stored}
@@ -268,33 +278,44 @@ class Adding:
         gone = {row.path: row.id for row in stored if now.get(row.path, row.content_hash) != row.content_hash}
         owner = {row.content_hash: row.path for row in stored if row.path not in gone}
         fresh: list[ClipRecord] = []
+        moved: list[tuple[FileRecord, Any]] = []
         for record in read:
             tally["bytes"].append(record.row["size"])
             row, first = by_path.get(record.path), owner.get(record.row["content_hash"])
             if first == record.path and row is not None:
-                _move(connection, record, row)
+                moved.append((record, row))
                 tally["unchanged"].append(first)
                 self._note_labels(tally, first, row)
             elif first is None:
                 self._take(tally, fresh, record, row)
                 owner[record.row["content_hash"]] = record.path
             elif row is None and first in by_path and _is_gone(by_path[first]):
-                _move(connection, record, by_path[first])
+                moved.append((record, by_path[first]))
                 tally["moved"].append(Duplicate(record.path, first))
                 self._note_labels(tally, record.path, by_path[first])
                 owner[record.row["content_hash"]] = record.path
             else:
                 tally["duplicates"].append(Duplicate(record.path, first))
-        if fresh or gone or tally["moved"]:
+        lesson = None
+        if fresh:
+            # Loaded again: another program may have trained the library while files were read.
+            forest = load_forest(connection, self._database.where, self.forest)
+            left = with_segments(connection, list(gone.values()))
+            lesson = work_out(connection, forest, fresh, left, known.lesson if known else None)
+            tally["n_learned"].append(lesson.learned.n_clips)
+            tally["new_categories"] += lesson.learned.new_categories
+        return _Sorted(tally, fresh, list(gone.values()), moved, lesson)
+
+    def _store(self, connection: sa.Connection, found: _Sorted) -> _Sorted:
+        """Write what was sorted out, in the library as it was then."""
+        for record, row in found.moved:
+            _move(connection, record, row)
+        if found.fresh or found.gone or found.tally["moved"]:
             revision = next_revision(connection)
-            delete_clips(connection, list(gone.values()))
-            if fresh:
-                # Loaded again: another program may have trained the library while files were read.
-                forest = load_forest(connection, self._database.where, self.forest)
-                self.forest, learned = insert_clips(connection, fresh, forest, takes, revision)
-                tally["n_learned"].append(learned.n_clips)
-                tally["new_categories"] += learned.new_categories
-        return tally
+            delete_clips(connection, found.gone)
+            if found.lesson is not None:
+                self.forest = insert_clips(connection, found.fresh, found.lesson, revision)
+        return found
 
     def _take(self, tally: Tally, fresh: list[ClipRecord], known: FileRecord, row: Any) -> None:
         """Note a clip for the insert; ``row`` is the clip that stands under its path, if any."""

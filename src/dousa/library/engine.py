@@ -13,15 +13,17 @@ are computed anew from the stored positions.
 from __future__ import annotations
 
 import os
+import random
 import re
 import sqlite3
+import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from json import JSONDecodeError
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 from urllib.parse import quote
 
 import sqlalchemy as sa
@@ -42,7 +44,14 @@ from dousa.library.seals.checksums import LIBRARY_NAME, STATE, seal_rows, update
 _STATE_ID = 1
 _WRITES = "dousa_writes"
 _READ_ONLY = "dousa_read_only"
+_ATTEMPTS = 3  # of working something out beside other writers
+_MOST_PAUSE = 0.2  # s
+_BUSY = 5.0  # s that SQLite waits by itself; it cannot be interrupted meanwhile
 _SQLITE_START = b"SQLite format 3\0"
+
+
+Plan = TypeVar("Plan")
+Result = TypeVar("Result")
 
 
 def _is_url(path_or_url: str | os.PathLike[str]) -> bool:
@@ -68,7 +77,7 @@ def _make_engine(path_or_url: str | os.PathLike[str], *, create: bool, read_only
     _check_place(path, create)
     engine = sa.create_engine(
         "sqlite+pysqlite://",
-        creator=lambda: _connect(path, create, read_only, timeout),
+        creator=lambda: _connect(path, create, read_only, min(timeout, _BUSY)),
         poolclass=sa.pool.QueuePool,
         pool_size=1,
         execution_options={_READ_ONLY: read_only, LIBRARY_NAME: name_of(path_or_url)},
@@ -195,10 +204,12 @@ class Database:
     ----------
     engine : with the tables of a library.
     where : its name for messages.
+    timeout : s to wait for others who write.
     """
 
     engine: sa.Engine
     where: str
+    timeout: float = _BUSY
 
     @property
     def is_read_only(self) -> bool:
@@ -221,8 +232,46 @@ class Database:
             raise LibraryError("library_file.opened_read_only", library=self.where)
         with _plain_errors(self.where), self.engine.connect() as connection:
             connection.execution_options(**{_WRITES: True})
-            with connection.begin():
+            with self._begin_writing(connection):
                 yield connection
+
+    def _begin_writing(self, connection: sa.Connection) -> sa.RootTransaction:
+        """Begin a transaction that writes, when the others are done: LibraryLockedError when that takes too long."""
+        deadline = time.monotonic() + self.timeout
+        while True:
+            try:
+                return connection.begin()
+            except exc.OperationalError as error:
+                busy = getattr(error.orig, "sqlite_errorname", "").startswith("SQLITE_BUSY")
+                if not busy or time.monotonic() >= deadline:
+                    raise
+            time.sleep(random.uniform(0, _MOST_PAUSE))
+
+    def write_planned(
+        self, plan: Callable[[sa.Connection, Plan | None], Plan], write: Callable[[sa.Connection, Plan], Result]
+    ) -> Result:
+        """Work something out beside other writers, then write it in one transaction.
+
+        If another program wrote in between it is worked out again, and the last time while the others wait.
+
+        Parameters
+        ----------
+        plan : works it out, given a connection and what it returned the last time; it writes nothing.
+        write : writes it, in a library that is as it was for the plan.
+        """
+        planned: Plan | None = None
+        for attempt in range(_ATTEMPTS + 1):
+            with self.reading() as connection:
+                seen = read_revision(connection)
+                planned = plan(connection, planned)
+            with self.writing() as connection:
+                lock_for_writing(connection)
+                if read_revision(connection) == seen:
+                    return write(connection, planned)
+                if attempt == _ATTEMPTS:
+                    return write(connection, plan(connection, planned))
+            time.sleep(random.uniform(0, _MOST_PAUSE))  # so that two writers do not meet again and again
+        raise AssertionError
 
 
 @contextmanager
@@ -497,7 +546,7 @@ def open_database(path_or_url: str | os.PathLike[str], *, create: bool, read_onl
         raise OptionError("library_file.create_read_only")
     where = name_of(path_or_url)
     engine = _make_engine(path_or_url, create=create, read_only=read_only, timeout=timeout)
-    database = Database(engine, where)
+    database = Database(engine, where, timeout)
     try:
         _prepare(database, create, read_only)
     except BaseException:

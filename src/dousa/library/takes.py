@@ -35,10 +35,6 @@ if TYPE_CHECKING:
 _SAME_PLACE = 0.3  # intersection over union of two answers that are the same place
 
 
-DescribedTakes = dict[tuple[str, int], bytes]
-"""Windows by path, and ``learned`` of the forest that described them."""
-
-
 def describe_windows(
     stored: StoredForest, motion: StoredMotion, n_jobs: int | None = 1, grid: WindowGrid | None = None
 ) -> TakeWindows:
@@ -48,19 +44,6 @@ def describe_windows(
     kind = find_feature_set(stored.feature_set)
     seen = hide_joints(motion, kind.hidden)
     return describe_take(stored.forest, kind, seen, grid or stored.grid, n_jobs=choose_jobs(n_jobs))
-
-
-def describe_records(
-    stored: StoredForest | None, records: Iterable[ClipRecord], n_jobs: int | None = None
-) -> DescribedTakes:
-    """Windows of the takes among motions that are not written yet."""
-    if stored is None:
-        return {}
-    return {
-        (record.path, stored.learned): describe_windows(stored, record.motion, n_jobs).to_bytes()
-        for record in records
-        if record.row["kind"] == schema.TAKE and not lacks(stored.feature_set, record.row["absent"])
-    }
 
 
 def describe_takes(

@@ -35,11 +35,11 @@ Threshold = Annotated[
 ]
 
 
-def open_library(library: str, *, create: bool = False) -> Library:
+def open_library(library: str, *, create: bool = False, wait: float = 5.0) -> Library:
     """A library that can be changed."""
     from dousa.library import Library
 
-    return Library.open(library, create=create)
+    return Library.open(library, create=create, timeout=wait)
 
 
 def open_to_read(library: str) -> Library:
@@ -106,6 +106,7 @@ def add(
     label_options: o.LabelOptions,
     motion_options: o.MotionOptions,
     jobs: o.Jobs = None,
+    wait: o.Wait = 60.0,
     json: o.Json = False,
 ) -> None:
     """Add motion files to a library, which is created if necessary. Files already in it are skipped.
@@ -127,7 +128,7 @@ def add(
     _check_before_making(library, paths, label_options, options)
     if labels is not None and takes:
         _check_labels(paths, labels, tier)
-    with open_library(library, create=True) as opened, progress_bar() as progress:
+    with open_library(library, create=True, wait=wait) as opened, progress_bar() as progress:
         report = opened.add(
             paths,
             kind="take" if takes else "clip",
@@ -201,13 +202,14 @@ def train(
     bootstrap: Annotated[bool, typer.Option("--bootstrap", help="Each tree draws its clips with replacement.")] = False,
     seed: Annotated[int, typer.Option("--seed", min=0, help="The same seed gives the same forest.")] = 0,
     jobs: o.Jobs = None,
+    wait: o.Wait = 60.0,
     json: o.Json = False,
 ) -> None:
     """Train a forest on the categories of a library; clips get their histograms, takes their features.
 
     Example: dousa train moves.dousa
     """
-    with open_library(library) as opened, progress_bar() as progress:
+    with open_library(library, wait=wait) as opened, progress_bar() as progress:
         report = opened.train(
             feature_set=features.value if features else None,
             n_trees=trees,
@@ -456,13 +458,14 @@ def remove(
     clips: Clips = None,
     category: Annotated[str | None, typer.Option("--category", help="Only clips of this category.")] = None,
     performer: Annotated[str | None, typer.Option("--performer", help="Only clips of this performer.")] = None,
+    wait: o.Wait = 60.0,
     json: o.Json = False,
 ) -> None:
     """Remove clips or takes from a library; the files themselves are not touched.
 
     Example: dousa remove moves.dousa recordings/broken.bvh
     """
-    with open_library(library) as opened:
+    with open_library(library, wait=wait) as opened:
         removed = opened.remove(_selection(clips), category=category, performer=performer)
     if json:
         print_json({"removed": removed})
@@ -479,6 +482,7 @@ def relabel(
     where_performer: Annotated[
         str | None, typer.Option("--where-performer", help="Only clips of this performer.")
     ] = None,
+    wait: o.Wait = 60.0,
     json: o.Json = False,
 ) -> None:
     """Change the category or performer of clips or takes; run dousa train to retrain the forest.
@@ -489,7 +493,7 @@ def relabel(
 
     if category is None and performer is None:
         raise OptionError("library_cli.nothing_to_change")
-    with open_library(library) as opened:
+    with open_library(library, wait=wait) as opened:
         changed = opened.relabel(
             _selection(clips),
             category=UNCHANGED if category is None else category or None,

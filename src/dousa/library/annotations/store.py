@@ -11,6 +11,7 @@ import hashlib
 import json
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 import sqlalchemy as sa
@@ -20,12 +21,13 @@ from dousa.library import schema
 from dousa.library.engine import Database, next_revision
 from dousa.library.features import StoredMotion, load_motions
 from dousa.library.forests import ForestCache, StoredForest, load_forest
+from dousa.library.growth.insert import insert_clips
+from dousa.library.growth.lesson import Lesson, work_out
 from dousa.library.ingest import ClipRecord
 from dousa.library.results import TakeAnnotation, TakeSegment
 from dousa.library.seals.checksums import ANNOTATIONS, LABELS, SEGMENTS, seal_rows, update_rows
 from dousa.library.selection import delete_clips, fetch_in, find_row
 from dousa.library.takes import refresh_windows
-from dousa.library.train import insert_clips
 from dousa.messages import Message
 from dousa.motion.annotation import Annotation, Stretch
 from dousa.retrieval.features.posed_motion import AnnotatedTake
@@ -83,25 +85,10 @@ def annotate_takes(
     changes = AnnotationChanges()
     ids = sorted(wanted)
     for start in range(0, len(ids), _TAKES_AT_ONCE):
-        with database.writing() as connection:
-            rows = _read_takes(connection, ids[start : start + _TAKES_AT_ONCE])
-            known = _read_hashes(connection, [row.id for row in rows])
-            there = _read_segments(connection, [row.id for row in rows])
-            stale, restored = [], []
-            for row in rows:
-                labels = wanted[row.id]
-                if known.get(row.id) != _hash_labels(labels):
-                    stale.append((row, labels))
-                elif missing := _find_missing(row, labels, there.get(row.id, ())):
-                    restored.append((row, missing, ()))
-                else:
-                    changes += AnnotationChanges(unchanged=(row.path,))
-            if stale:
-                forest, own = _write(connection, database.where, stale, forest)
-                changes += own
-            if restored:
-                forest, _, own = _exchange(connection, database.where, restored, forest, by_hand=False)
-                changes += replace(own, takes=tuple(row.path for row, _, _ in restored))
+        some = {number: wanted[number] for number in ids[start : start + _TAKES_AT_ONCE]}
+        plan = partial(_plan_tables, database.where, some, forest)
+        done, _, forest = database.write_planned(plan, _exchange)
+        changes += done
     return forest, changes
 
 
@@ -126,17 +113,19 @@ def name_segment(
     -------
     The forest as it has learned, the number of the clip (None where the part is no motion), and what changed.
     """
-    with database.writing() as connection:
+
+    def plan(connection: sa.Connection, known: _Exchange | None) -> _Exchange:
         rows = _read_takes(connection, [take_id])
         if not rows:
-            return forest, None, AnnotationChanges()
+            return _Exchange(forest)
         before = _read_segments(connection, [take_id]).get(take_id, [])
         kept, changes = _fit(rows[0], [segment])
-        if not kept:
-            return forest, None, changes
-        gone = [one.clip_id for one in before if _is_same_place(one, kept[0])]
-        forest, ids, own = _exchange(connection, database.where, [(rows[0], kept, gone)], forest, by_hand=True)
-        return forest, ids[0], changes + own
+        gone = [one.clip_id for one in before if kept and _is_same_place(one, kept[0])]
+        places = [(rows[0], kept, gone)] if kept else []
+        return _plan(connection, database.where, places, _Exchange(forest, changes=changes, by_hand=True), known)
+
+    changes, ids, forest = database.write_planned(plan, _exchange)
+    return forest, ids[0] if ids else None, changes
 
 
 def _is_same_place(one: TakeSegment, other: Stretch) -> bool:
@@ -161,36 +150,125 @@ def _hash_labels(labels: Annotation) -> str:
     return hashlib.sha256(json.dumps(plain).encode()).hexdigest()
 
 
-def _write(
-    connection: sa.Connection, where: str, stale: Sequence[tuple[Any, Annotation]], forest: StoredForest | None
-) -> tuple[StoredForest | None, AnnotationChanges]:
-    before = _read_segments(connection, [row.id for row, _ in stale])
-    changes, exchanged = AnnotationChanges(), []
-    for row, labels in stale:
-        kept, own = _fit(row, labels.segments)
-        changes += own
-        there = {(one.start, one.end, one.category): one for one in before.get(row.id, ())}
-        stays = {(one.start, one.stop, one.category) for one in kept} & there.keys()
-        gone = [one for place, one in there.items() if place not in stays]
-        if by_hand := sum(one.by_hand for one in gone):
-            changes += AnnotationChanges(warnings=((row.path, Message("annotations.by_hand_gone", n=by_hand)),))
-        new = [one for one in kept if (one.start, one.stop, one.category) not in stays]
-        exchanged.append((row, new, [one.clip_id for one in gone]))
-    forest, _, own = _exchange(connection, where, exchanged, forest, by_hand=False)
+@dataclass(frozen=True, slots=True, eq=False)
+class _Exchange:
+    """Segments that take the place of others, worked out before they are written.
+
+    Parameters
+    ----------
+    forest : of the library.
+    tables : takes and the tables of labels that are written down.
+    records : new segments.
+    gone : numbers of those that go.
+    lesson : what the forest learns of it; None where there is nothing new.
+    changes : what is reported.
+    by_hand : whether somebody named the segments in the take.
+    """
+
+    forest: StoredForest | None
+    tables: Sequence[tuple[Any, Annotation]] = ()
+    records: Sequence[ClipRecord] = ()
+    gone: Sequence[int] = ()
+    lesson: Lesson | None = None
+    changes: AnnotationChanges = AnnotationChanges()
+    by_hand: bool = False
+
+
+def _plan_tables(
+    where: str,
+    wanted: Mapping[int, Annotation],
+    forest: StoredForest | None,
+    connection: sa.Connection,
+    known: _Exchange | None,
+) -> _Exchange:
+    """What tables of labels change for their takes."""
+    rows = _read_takes(connection, list(wanted))
+    hashes = _read_hashes(connection, [row.id for row in rows])
+    before = _read_segments(connection, [row.id for row in rows])
+    changes, tables, places = AnnotationChanges(), [], []
+    for row in rows:
+        labels, there = wanted[row.id], before.get(row.id, [])
+        if hashes.get(row.id) != _hash_labels(labels):
+            place, own = _compare(row, labels, there)
+            tables.append((row, labels))
+            places.append(place)
+            changes += own
+        elif missing := _find_missing(row, labels, there):
+            places.append((row, missing, []))
+        else:
+            changes += AnnotationChanges(unchanged=(row.path,))
+    changes += AnnotationChanges(takes=tuple(row.path for row, _, _ in places))
+    return _plan(connection, where, places, _Exchange(forest, tables, changes=changes), known)
+
+
+def _compare(
+    row: Any, labels: Annotation, there: Iterable[TakeSegment]
+) -> tuple[tuple[Any, list[Stretch], list[int]], AnnotationChanges]:
+    """What a new table adds to the segments of a take, and the numbers of those that go."""
+    kept, changes = _fit(row, labels.segments)
+    known = {(one.start, one.end, one.category): one for one in there}
+    stays = {(one.start, one.stop, one.category) for one in kept} & known.keys()
+    gone = [one for place, one in known.items() if place not in stays]
+    if by_hand := sum(one.by_hand for one in gone):
+        changes += AnnotationChanges(warnings=((row.path, Message("annotations.by_hand_gone", n=by_hand)),))
+    new = [one for one in kept if (one.start, one.stop, one.category) not in stays]
+    return (row, new, [one.clip_id for one in gone]), changes
+
+
+def _plan(
+    connection: sa.Connection,
+    where: str,
+    places: Sequence[tuple[Any, Sequence[Stretch], Sequence[int]]],
+    exchange: _Exchange,
+    known: _Exchange | None,
+) -> _Exchange:
+    """The records of new segments, and what the forest learns from them."""
+    gone = [clip_id for _, _, ids in places for clip_id in ids]
+    records: list[ClipRecord] = []
+    for row, new, _ in places:
+        if new:
+            (motion,) = load_motions(connection, [row.id])  # one at a time: they are long
+            records += [_make_record(row, motion, one, exchange.by_hand) for one in new]
+    changes = AnnotationChanges(n_segments=len(records), n_removed=len(gone))
+    forest, lesson = exchange.forest, None
+    if records:
+        # Loaded again: another program may have trained the library.
+        forest = load_forest(connection, where, forest)
+        lesson = work_out(connection, forest, records, gone, known.lesson if known else None)
+        changes += AnnotationChanges(n_learned=lesson.learned.n_clips, new_categories=lesson.learned.new_categories)
+    changes = exchange.changes + changes
+    return replace(exchange, forest=forest, records=records, gone=gone, lesson=lesson, changes=changes)
+
+
+def _exchange(
+    connection: sa.Connection, planned: _Exchange
+) -> tuple[AnnotationChanges, list[int], StoredForest | None]:
+    """Write new segments in the place of others; returns what changed, their numbers, and the forest as it learned."""
+    if not (planned.tables or planned.records or planned.gone):
+        return planned.changes, [], planned.forest
+    revision = next_revision(connection)
+    delete_clips(connection, planned.gone)
     table = schema.take_annotations
-    connection.execute(sa.delete(table).where(table.c.take_id.in_([row.id for row, _ in stale])))
-    rows = [
-        {
-            "take_id": row.id,
-            "source": labels.source,
-            "tier": labels.tier,
-            "labels_hash": _hash_labels(labels),
-            "unclear": [list(span) for span in labels.unclear],
-        }
-        for row, labels in stale
-    ]
-    connection.execute(sa.insert(table), seal_rows(table, rows))
-    return forest, changes + replace(own, takes=tuple(row.path for row, _ in stale))
+    if planned.tables:
+        connection.execute(sa.delete(table).where(table.c.take_id.in_([row.id for row, _ in planned.tables])))
+        rows = [
+            {
+                "take_id": row.id,
+                "source": labels.source,
+                "tier": labels.tier,
+                "labels_hash": _hash_labels(labels),
+                "unclear": [list(span) for span in labels.unclear],
+            }
+            for row, labels in planned.tables
+        ]
+        connection.execute(sa.insert(table), seal_rows(table, rows))
+    if planned.lesson is None:
+        return planned.changes, [], planned.forest
+    forest = insert_clips(connection, planned.records, planned.lesson, revision)
+    paths = [record.path for record in planned.records]
+    clips = schema.clips.c
+    numbers = {row.path: row.id for row in fetch_in(connection, sa.select(clips.id, clips.path), clips.path, paths)}
+    return planned.changes, [numbers[path] for path in paths], forest
 
 
 def _fit(row: Any, segments: Iterable[Stretch]) -> tuple[list[Stretch], AnnotationChanges]:
@@ -219,39 +297,6 @@ def _find_frames(row: Any, segment: Stretch) -> tuple[int, int]:
     """The first frame of a segment, and the one after its last."""
     first, stop = round(segment.start * row.frame_rate), round(segment.stop * row.frame_rate)
     return max(first, 0), min(stop, row.n_frames)
-
-
-def _exchange(
-    connection: sa.Connection,
-    where: str,
-    exchanged: Sequence[tuple[Any, Sequence[Stretch], Sequence[int]]],
-    forest: StoredForest | None,
-    *,
-    by_hand: bool,
-) -> tuple[StoredForest | None, list[int], AnnotationChanges]:
-    """Put new segments of takes in the place of others; returns the numbers of the new ones too."""
-    revision = next_revision(connection)
-    gone = [clip_id for _, _, ids in exchanged for clip_id in ids]
-    delete_clips(connection, gone)
-    records: list[ClipRecord] = []
-    for row, new, _ in exchanged:
-        if new:
-            (motion,) = load_motions(connection, [row.id])  # one at a time: they are long
-            records += [_make_record(row, motion, one, by_hand) for one in new]
-    if not records:
-        return forest, [], AnnotationChanges(n_removed=len(gone))
-    # Loaded again: another program may have trained the library.
-    forest, learned = insert_clips(connection, records, load_forest(connection, where, forest), {}, revision)
-    paths = [record.path for record in records]
-    table = schema.clips.c
-    numbers = {row.path: row.id for row in fetch_in(connection, sa.select(table.id, table.path), table.path, paths)}
-    changes = AnnotationChanges(
-        n_segments=len(records),
-        n_removed=len(gone),
-        n_learned=learned.n_clips,
-        new_categories=learned.new_categories,
-    )
-    return forest, [numbers[path] for path in paths], changes
 
 
 def name_path(take: str, start: float, stop: float) -> str:

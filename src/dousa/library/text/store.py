@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from typing import Any
 
 import sqlalchemy as sa
@@ -10,7 +10,7 @@ import sqlalchemy as sa
 from dousa.errors import LibraryDamagedError
 from dousa.library import schema
 from dousa.library.engine import Database
-from dousa.library.features import load_motions
+from dousa.library.features import StoredMotion, load_motions
 from dousa.library.seals.checksums import RELATIONS, seal_rows
 from dousa.library.selection import portions
 from dousa.retrieval.words.relations import RELATIONS_VERSION, Relation, find_relations
@@ -35,6 +35,22 @@ def load_relations(connection: sa.Connection) -> dict[int, tuple[Relation, ...]]
 def keep_relations(connection: sa.Connection) -> None:
     """Compute and write the relations of the clips and takes of which none are kept yet."""
     _write(connection, _list_missing(connection))
+
+
+def describe_relations(motion: StoredMotion) -> list[list[Any]]:
+    """The relations of a motion as they are kept."""
+    return _to_json(find_relations(motion))
+
+
+def save_relations(connection: sa.Connection, described: Mapping[int, list[list[Any]]]) -> None:
+    """Write the relations of clips and takes, by number, of which none are kept yet."""
+    table = schema.clip_relations
+    rows = [
+        {"clip_id": number, "version": RELATIONS_VERSION, "relations": relations}
+        for number, relations in described.items()
+    ]
+    for some in portions(rows):
+        connection.execute(sa.insert(table), seal_rows(table, some))
 
 
 def keep_all_relations(database: Database) -> None:
@@ -62,12 +78,9 @@ def _compute(connection: sa.Connection, ids: Iterable[int]) -> dict[int, tuple[R
 def _write(connection: sa.Connection, ids: list[int]) -> None:
     table = schema.clip_relations
     for some in portions(ids):
-        rows = [
-            {"clip_id": number, "version": RELATIONS_VERSION, "relations": _to_json(relations)}
-            for number, relations in _compute(connection, some).items()
-        ]
+        described = {number: _to_json(relations) for number, relations in _compute(connection, some).items()}
         connection.execute(sa.delete(table).where(table.c.clip_id.in_(list(some))))
-        connection.execute(sa.insert(table), seal_rows(table, rows))
+        save_relations(connection, described)
 
 
 def _to_json(relations: Iterable[Relation]) -> list[list[Any]]:

@@ -134,6 +134,12 @@ Jobs = Annotated[
 ]
 
 
+Wait = Annotated[
+    float,
+    typer.Option("--wait", metavar="SECONDS", min=0, help="How long to wait while other programs write."),
+]
+
+
 @dataclass(frozen=True, slots=True)
 class LabelOptions:
     """The rules that tell what is in a file, and whose it is."""
