@@ -143,3 +143,24 @@ def show(browser: Page, running: Running) -> Iterator[Callable[..., Page]]:
     yield open_page
     # A page that is left open would ask a studio that is gone, and complain in the next test.
     browser.driver.get("about:blank")
+
+
+@pytest.fixture
+def downloads(browser, tmp_path):
+    """``downloads(suffix)``: the file that the browser has fetched."""
+    folder = tmp_path / "downloads"
+    folder.mkdir()
+    browser.driver.execute_cdp_cmd(
+        "Browser.setDownloadBehavior", {"behavior": "allow", "downloadPath": str(folder), "eventsEnabled": False}
+    )
+
+    def wait(suffix, seconds=60.0):
+        end = time.monotonic() + seconds
+        while time.monotonic() < end:
+            found = [path for path in folder.glob(f"*{suffix}") if path.stat().st_size]
+            if found:
+                return found[0]
+            time.sleep(0.05)
+        raise AssertionError(f"no {suffix} came: {list(folder.iterdir())}")
+
+    return wait

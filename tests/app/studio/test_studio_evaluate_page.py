@@ -98,6 +98,31 @@ def test_from_files_to_a_grade(show, dances):
     assert page.messages() == []
 
 
+@pytest.mark.parametrize(("width", "height"), [(1440, 900), (390, 844)])
+def test_a_press_on_a_moment_brings_the_whole_player_into_view(show, address, width, height):
+    page = show(address, width, height)
+    _grade(page)
+    seen = """
+        const {top, bottom} = document.querySelector('#player .dousa-player').getBoundingClientRect();
+        const head = document.querySelector('header.bar').getBoundingClientRect().bottom;
+        return [top - head, innerHeight - bottom, bottom - top];
+    """
+    # So far down that only the lower half of the player is seen, and so far up that only the heads are.
+    for from_top in (0.5, 0.2):
+        page.run(
+            "const box = document.querySelector('#player .dousa-player').getBoundingClientRect();"
+            "const top = arguments[0] === 0.5 ? box.top + 0.5 * box.height : box.top - 0.75 * innerHeight;"
+            "window.scrollBy({top, behavior: 'instant'})",
+            from_top,
+        )
+        page.run("document.querySelector('#events [data-event], .moment [data-event], [data-event]').click()")
+        page.settle()
+        above, below, size = page.run(seen)
+        assert above >= -1, (from_top, above, below)
+        assert below >= -1 or size > height - 100, (from_top, above, below)
+    assert page.messages() == []
+
+
 def _compare_counts(page):
     sliders = page.run("return [...document.querySelectorAll('[data-counts^=segment]')].map((e) => e.textContent)")
     shown = page.run("return [...document.querySelectorAll('.segment-table .counts span')].map((e) => e.textContent)")

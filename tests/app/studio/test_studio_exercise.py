@@ -118,6 +118,7 @@ def test_from_files_to_repetitions(show, running, exercise):
     assert files == ["exercise.html", "repetitions.csv"]
     assert page.run("return document.documentElement.scrollWidth <= window.innerWidth")
     # The same motions again: what was chosen is still chosen.
+    page.run("window.scrollTo({top: 0, behavior: 'instant'})")
     page.find("#again").click()
     page.wait("return !document.querySelector('#setup').hidden")
     assert page.run("return document.querySelector('#repetitions').checked")

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import csv
 import io
-import time
 import zipfile
 
 import pytest
@@ -27,27 +26,6 @@ def hero(tmp_path):
     path = tmp_path / "hero.glb"
     write_motion(make_motion("bow", draw_performer(31)), path)
     return path
-
-
-@pytest.fixture
-def downloads(browser, tmp_path):
-    """``downloads(suffix)``: the file that the browser has fetched."""
-    folder = tmp_path / "downloads"
-    folder.mkdir()
-    browser.driver.execute_cdp_cmd(
-        "Browser.setDownloadBehavior", {"behavior": "allow", "downloadPath": str(folder), "eventsEnabled": False}
-    )
-
-    def wait(suffix, seconds=60.0):
-        end = time.monotonic() + seconds
-        while time.monotonic() < end:
-            found = [path for path in folder.glob(f"*{suffix}") if path.stat().st_size]
-            if found:
-                return found[0]
-            time.sleep(0.05)
-        raise AssertionError(f"no {suffix} came: {list(folder.iterdir())}")
-
-    return wait
 
 
 def choose_character(page, path):

@@ -112,6 +112,58 @@ def test_a_clip_is_shown_large_and_the_focus_comes_back(library_page):
     assert page.messages() == []
 
 
+def test_in_a_clip_space_plays_and_arrows_change_the_clip(library_page):
+    page = library_page()
+    page.find(".cell").click()
+    page.press(KEYS.ENTER)
+    page.wait("return document.querySelector('dialog .detail-stage canvas')")
+    playing = "return document.querySelector('dialog .dp-play')?.getAttribute('aria-label') ?? ''"
+    page.wait(f"{playing.replace('return ', 'return (')}).startsWith('Pause')")
+    page.press(" ")
+    page.wait(f"{playing.replace('return ', 'return (')}).startsWith('Play')")
+    assert page.run(DIALOG)
+    page.press(KEYS.ARROW_RIGHT)
+    page.wait(f"{DIALOG}.querySelector('h2').textContent === 'performer01_1.bvh'")
+    page.press(KEYS.ARROW_LEFT)
+    page.wait(f"{DIALOG}.querySelector('h2').textContent === 'performer00_1.bvh'")
+    page.press(KEYS.ESCAPE)
+    assert page.run(DIALOG) is None
+    assert page.messages() == []
+
+
+def test_who_comes_back_finds_selection_and_place(library_page):
+    page = library_page(width=700, height=500)
+    page.find(".cell").click()
+    page.press(KEYS.ARROW_RIGHT, held=KEYS.SHIFT)
+    page.run("window.scrollTo({top: 600, behavior: 'instant'})")
+    page.settle()
+    top = page.run("return window.scrollY")
+    assert top > 300
+    page.run("document.querySelector('#actions a').click()")
+    page.wait("return location.pathname === '/evaluate'")
+    page.driver.back()
+    page.wait("return document.querySelector('.chosen-count')?.textContent.startsWith('2')")
+    page.wait("return Math.abs(window.scrollY - arguments[0]) < 3", top)
+    links = page.run("return [...document.querySelectorAll('#actions a')].map((a) => a.getAttribute('href'))")
+    assert links == ["/evaluate?references=clip:1,clip:2"]
+    assert page.messages() == []
+
+
+def test_a_filter_leaves_what_is_chosen_and_says_what_it_hides(library_page):
+    page = library_page()
+    page.find(".cell").click()
+    page.press(KEYS.ARROW_RIGHT, held=KEYS.SHIFT)
+    said = "return document.querySelector('.chosen-count').textContent"
+    click(page, "[data-key='category squat']")
+    wait_count(page, 6)
+    page.wait(f"{said} === '2 chosen (2 not in this list)'")
+    page.run("document.querySelector('.cell .tick').click()")
+    page.wait(f"{said} === '3 chosen (2 not in this list)'")
+    click(page, "[data-key='category squat']")
+    page.wait(f"{said} === '3 chosen'")
+    assert page.messages() == []
+
+
 # --- choosing
 
 

@@ -268,6 +268,34 @@ def test_a_stretch_leads_to_a_search(show, running, recording):
     assert page.messages() == []
 
 
+def test_a_stretch_is_exported(show, running, recording, downloads):
+    from dousa.formats.registry import read_motion
+
+    library = running.app.state.studio.library
+    library.add(recording[0], kind="take")
+    take = next(clip for clip in library.clips() if clip.kind == "take")
+    page = show(f"/takes?motion=clip:{take.id}&at_s=3")
+    page.wait(LABELLED, seconds=60)
+    start, end = page.run(
+        "const row = document.querySelectorAll('#segments tbody tr')[1]; row.querySelector('.export').click();"
+        "const next = row.nextElementSibling;"
+        "return [Number(row.dataset.start), next ? Number(next.dataset.start) : null]"
+    )
+    page.wait("return document.querySelector('#export-format option')")
+    page.run("const one = document.querySelector('#export-format'); one.value = 'bvh';"
+             "one.dispatchEvent(new Event('change'))")  # fmt: skip
+    page.find("#export-go").click()
+    part = read_motion(downloads(".bvh"))
+    assert part.duration == pytest.approx(end - start, abs=0.3)
+    # What is chosen on the timeline is exported by the same button as any other part.
+    assert page.run("return document.querySelector('#export-part').disabled")
+    page.run("document.querySelector('#choose-stretch').click()")
+    page.wait("return !document.querySelector('#export-part').disabled")
+    page.find("#export-part").click()
+    page.wait("return document.querySelectorAll('dialog[open]').length")
+    assert page.messages() == []
+
+
 def test_a_dropped_take_is_added(show, running, recording):
     page = show("/takes")
     page.wait("return document.querySelector('#take-file') !== null")

@@ -14,6 +14,7 @@ function createPlayer(element, data, options = {}) {
       inner.listeners.add(callback);
       return () => inner.listeners.delete(callback);
     },
+    reveal: () => inner.reveal(),
     destroy: () => inner.destroy(),
     element: inner.root,
     get time() {

@@ -7,6 +7,7 @@
 //   player.onTime(callback) -> function that stops the calls; callback(seconds) after every change
 //   player.replace(data, {live: bool}): other data in the same player; view, time, speed and playing stay. With live a
 //     recording has grown: the room never shrinks, and who stands at the end stays there
+//   player.reveal(): scroll so far that all of it is seen, or its upper end where the window is too low
 //   player.destroy(); and to read: player.time .duration .playing .speed .view .looped
 
 const SPEEDS = [0.25, 0.5, 1, 2];
@@ -92,6 +93,13 @@ class Player {
     else this.furnish();
     if (this.looped) this.loop(this.looped[0], whole ? this.duration : this.looped[1]);
     this.seek(live && atEnd ? this.duration : this.time);
+  }
+
+  reveal() {
+    const box = this.root.getBoundingClientRect();
+    const head = parseFloat(getComputedStyle(document.documentElement).scrollPaddingTop) || 0;
+    if (box.top >= head && box.bottom <= window.innerHeight) return;
+    this.root.scrollIntoView({ block: box.height > window.innerHeight - head ? "start" : "nearest" });
   }
 
   comeFirst() {

@@ -29,8 +29,7 @@
       player.loop(first, Math.min(end + LEAD, data.duration));
       player.seek(first);
       player.play();
-      const box = root.querySelector("#player").getBoundingClientRect();
-      if (box.bottom < 120 || box.top > window.innerHeight - 120) root.querySelector("#stage").scrollIntoView();
+      player.reveal();
     };
 
     root.addEventListener("click", press);

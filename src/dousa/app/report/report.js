@@ -120,8 +120,7 @@
       this.player.loop(first, last);
       this.seek(first);
       this.player.play();
-      const box = this.find("player").getBoundingClientRect();
-      if (box.bottom < 120 || box.top > window.innerHeight - 120) this.find("stage").scrollIntoView();
+      this.player.reveal();
     }
 
     secondsAt(event, plot) {

@@ -30,9 +30,9 @@ export function openExport(ids, hits = null) {
 }
 
 /** Download one motion, or a part of one {motion, start_s, end_s}, in a format of choice, onto a character. */
-export function openDownload(part) {
+export function openDownload(part, title = t("onto_title")) {
   const body = h("div", { class: "stack exporting" });
-  const { close } = openDialog(t("onto_title"), body);
+  const { close } = openDialog(title, body);
   ask(body, {
     about: { element: null, chosen: () => [part], onChange: () => {} },
     original: false,

@@ -10,11 +10,11 @@ const count = new Intl.NumberFormat(language);
 /** Addresses of other pages that take these clips. */
 export function placesFor(clips) {
   const [clip] = clips;
-  const known = clips.length && clips.every(Boolean);
   const places = [];
+  if (!clips.length || !clips.every(Boolean)) return places;
   if (clips.length === 1 && clip.kind !== "take") places.push(["search_with", `/search?motion=${clip.motion}`, "search"]);
   if (clips.length === 1 && clip.kind === "take") places.push(["open_take", `/takes?motion=${clip.motion}`, "play"]);
-  if (known && clips.length <= MOST_REFERENCES) places.push(["evaluate_with", `/evaluate?references=${clips.map((one) => one.motion).join(",")}`, "mark"]);
+  if (clips.length <= MOST_REFERENCES) places.push(["evaluate_with", `/evaluate?references=${clips.map((one) => one.motion).join(",")}`, "mark"]);
   return places;
 }
 
@@ -38,7 +38,7 @@ export class Actions {
     const act = (word, shape, action, kind = "") => h("button", { type: "button", class: kind, dataset: { word }, onclick: action }, icon(shape), t(word));
     const { single } = selection;
     element.replaceChildren(
-      h("b", { class: "chosen-count" }, t("chosen", { count: count.format(selection.size) })),
+      h("b", { class: "chosen-count" }, t("chosen", { count: count.format(selection.size) }), selection.hidden ? h("span", { class: "note" }, ` ${t("chosen_hidden", { count: count.format(selection.hidden) })}`) : null),
       ...(single ? [act("look", "play", () => this.hooks.open(single))] : []),
       ...placesFor([...selection.clips.values()]).map(link),
       act("export", "download", () => this.export()),

@@ -6,6 +6,8 @@ import { formatSeconds, h, icon, language, t } from "../core/dom.js";
 import { attempt } from "../core/notices.js";
 import { link, placesFor } from "./actions.js";
 
+const calm = window.matchMedia("(prefers-reduced-motion: reduce)");
+
 /** hooks: neighbour(clip, step) -> clip or undefined, relabel(clip), remove(clip), closed(clip) */
 export function openDetail(first, hooks) {
   let [clip, player, round] = [first, null, 0];
@@ -24,7 +26,11 @@ export function openDetail(first, hooks) {
     const data = await attempt(() => get("/motions/player", { motion: clip.motion, language }));
     if (mine !== round || !data) return;
     if (player) player.replace(data);
-    else player = window.dousa.createPlayer(stage, data);
+    else {
+      player = window.dousa.createPlayer(stage, data);
+      if (!calm.matches) player.play();
+    }
+    if (clip.kind !== "take") player.loop(0, player.duration);
   };
   const act = (name) => {
     close();
@@ -37,6 +43,16 @@ export function openDetail(first, hooks) {
       player?.destroy();
       hooks.closed(clip);
     },
+  });
+  // The dialog itself has the focus at first, not the button that closes it: a space is for the player.
+  dialog.tabIndex = -1;
+  dialog.focus();
+  dialog.addEventListener("keydown", (event) => {
+    if (event.target.closest("button, summary, a, input, .dousa-player") || event.ctrlKey || event.metaKey || event.altKey) return;
+    const acts = { ArrowLeft: () => step(-1), ArrowRight: () => step(1), " ": () => (player?.playing ? player.pause() : player?.play()) };
+    if (!(event.key in acts)) return;
+    event.preventDefault();
+    acts[event.key]();
   });
   dialog.querySelector(".dialog-head h2").after(h("span", { class: "row push" }, turn("previous", -1, "‹"), turn("next", 1, "›")));
   show(first);
@@ -53,7 +69,8 @@ function describe(clip, act) {
     ["folder", clip.folder],
   ];
   const button = (name, shape, kind = "") => h("button", { type: "button", class: kind, onclick: () => act(name) }, icon(shape), t(name));
-  const file = h("a", { class: "button", href: `/api/motions/bvh?motion=${clip.motion}`, download: "" }, icon("download"), t("as_bvh"));
+  const download = async () => (await import("../core/exporting.js")).openDownload({ motion: clip.motion }, t("export"));
+  const file = h("button", { type: "button", dataset: { word: "export" }, onclick: download }, icon("download"), t("export"));
   return [
     h("div", { class: "row" }, h("span", { class: "badge" }, t(clip.kind === "take" ? "take" : "clip")), h("span", { class: "note" }, `#${clip.id}`)),
     h("dl", { class: "facts" }, ...rows.filter(([, value]) => value).flatMap(([name, value]) => [h("dt", {}, t(name)), h("dd", {}, value)])),

@@ -9,7 +9,7 @@ import { Actions } from "./actions.js";
 import { showFacets } from "./facets.js";
 import { Filter } from "./filter.js";
 import { Grid } from "./grid.js";
-import { fromAddress } from "./places.js";
+import { findPlace, fromAddress, keepPlace } from "./places.js";
 import { Selection } from "./selection.js";
 import { Source } from "./source.js";
 import { readForest, showForest } from "./training.js";
@@ -21,7 +21,6 @@ const problem = (error) => attempt(() => Promise.reject(error));
 
 const source = new Source({ reset: show, arrived: () => grid.renew(), failed: problem });
 const filter = new Filter(() => {
-  selection.clear();
   window.scrollTo({ top: Math.min(window.scrollY, listTop()), behavior: "instant" });
   attempt(() => source.ask(filter.query));
 });
@@ -70,9 +69,19 @@ function show({ total, facets, library }) {
   $("#nothing").hidden = total > 0 || empty;
   $("#all-button").hidden = total === 0;
   $("#all-button").textContent = t("choose_all", { count: count.format(total) });
+  attempt(countHidden);
   showChips();
   showFacets($("#facet-form"), facets, filter);
   grid.setTotal(total);
+}
+
+/** What is chosen stays when the list shows other clips; how many of it are not in the list is said. */
+async function countHidden() {
+  const { ids } = selection;
+  if (!ids.length) return;
+  const shown = filter.narrows ? new Set(await idsOf()) : null;
+  selection.hidden = shown ? ids.filter((id) => !shown.has(id)).length : 0;
+  actions.show();
 }
 
 function showChips() {
@@ -190,12 +199,14 @@ watchJobs((jobs) => {
   for (const job of jobs) ended.set(job.id, isActive(job));
   if (over.length) reload();
 });
+keepPlace({ selection, grid });
 const refresh = () => document.hidden || source.refresh().catch(() => {}); // the next look may find it
 document.addEventListener("visibilitychange", refresh);
 setInterval(refresh, LOOK_AGAIN);
 
 attempt(async () => {
   await source.ask(filter.query);
+  findPlace({ selection, grid });
   showForest(await readForest());
 });
 if (fromAddress("clip")) attempt(async () => look(await get(`/clips/${encodeURIComponent(fromAddress("clip"))}`)));

@@ -1,4 +1,6 @@
-// What of the page's state stands in its address besides the filter.
+// What of the page's state stands in its address besides the filter, and what is kept for who comes back.
+
+import { get } from "../core/api.js";
 
 /** Set or, with null, take away parts of the address without a new entry in the history. */
 export function inAddress(values) {
@@ -11,3 +13,43 @@ export function inAddress(values) {
 }
 
 export const fromAddress = (name) => new URLSearchParams(location.search).get(name);
+
+// --- where the page was left
+
+const KEY = "dousa-library-place";
+const MOST_KEPT = 20_000;
+const FEW = 20; // clips of which the bar of actions wants to know more
+
+/** Keep what is chosen and how far the page is scrolled, for who goes elsewhere and comes back in this tab. */
+export function keepPlace({ selection, grid }) {
+  window.addEventListener("pagehide", () => {
+    const place = { address: location.search, top: window.scrollY, active: grid.active, ids: selection.ids.slice(0, MOST_KEPT) };
+    try {
+      sessionStorage.setItem(KEY, JSON.stringify(place));
+    } catch {
+      // no room: the page begins at its top
+    }
+  });
+}
+
+/** Go back there, if the page was left with this address and is come back to or loaded again. */
+export async function findPlace({ selection, grid }) {
+  const [entry] = performance.getEntriesByType("navigation");
+  if (!["back_forward", "reload"].includes(entry?.type)) return;
+  try {
+    const place = JSON.parse(sessionStorage.getItem(KEY));
+    if (place?.address !== location.search) return;
+    grid.activate(Math.min(place.active, Math.max(grid.total - 1, 0)));
+    window.scrollTo({ top: place.top, behavior: "instant" });
+    if (place.ids.length) selection.restore(await findAgain(place.ids));
+  } catch {
+    // nothing that can be read
+  }
+}
+
+/** [number, clip or null] of those that are still there. */
+async function findAgain(numbers) {
+  const there = new Set((await get("/clips/ids")).ids);
+  const left = numbers.filter((number) => there.has(number));
+  return left.length > FEW ? left.map((number) => [number, null]) : Promise.all(left.map(async (number) => [number, await get(`/clips/${number}`)]));
+}

@@ -6,6 +6,7 @@ export class Selection {
     this.hooks = hooks;
     this.clips = new Map(); // number -> clip, or null where only the number is known
     this.anchor = 0;
+    this.hidden = 0; // of those that are chosen, how many the list does not show
   }
 
   get size() {
@@ -29,6 +30,7 @@ export class Selection {
     const clip = this.hooks.known(index);
     if (!clip) return;
     this.anchor = index;
+    this.hidden = 0;
     this.clips = new Map([[clip.id, clip]]);
     this.hooks.changed();
   }
@@ -48,6 +50,7 @@ export class Selection {
     const wish = (this.wish = Symbol("extend"));
     const pairs = known.every(Boolean) ? known.map((clip) => [clip.id, clip]) : await this.fetched(first, last);
     if (wish !== this.wish) return; // another key was pressed meanwhile
+    this.hidden = 0;
     this.clips = new Map(pairs);
     this.hooks.changed();
   }
@@ -57,13 +60,21 @@ export class Selection {
   }
 
   all(ids) {
+    this.hidden = 0;
     this.clips = new Map(ids.map((id) => [id, this.clips.get(id) ?? null]));
+    this.hooks.changed();
+  }
+
+  /** Those that were chosen before the page was left. */
+  restore(pairs) {
+    this.clips = new Map(pairs);
     this.hooks.changed();
   }
 
   clear() {
     if (!this.size) return;
     this.clips = new Map();
+    this.hidden = 0;
     this.hooks.changed();
   }
 }

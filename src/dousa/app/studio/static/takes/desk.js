@@ -1,9 +1,9 @@
 // What is under the cursor, and where a part gets its name.
 
-import { formatSeconds, h, t } from "../core/dom.js";
+import { formatSeconds, h, icon, t } from "../core/dom.js";
 
 export class Desk {
-  /** tools: {onCorrect(part, category) -> whether it was learned, onUndo(id), onStretch(segment)} */
+  /** tools: {onCorrect(part, category) -> whether it was learned, onUndo(id), onStretch(segment), onExport(part)} */
   constructor(element, tools) {
     Object.assign(this, { tools, part: null, now: null });
     this.what = h("p", { class: "now-what" });
@@ -12,8 +12,9 @@ export class Desk {
     this.options = h("datalist", { id: "categories" });
     this.input = h("input", { type: "text", id: "category", list: "categories", autocomplete: "off", maxlength: "200", placeholder: t("correct_placeholder"), oninput: () => this.settle() });
     this.button = h("button", { type: "submit", class: "primary", id: "correct" }, t("correct_button"));
+    this.take = h("button", { type: "button", id: "export-part", onclick: () => this.part && tools.onExport(this.part) }, icon("download"), t("export_part"));
     this.span = h("p", { class: "part" });
-    this.form = h("form", { class: "correct", onsubmit: (event) => this.submit(event) }, this.span, h("div", { class: "row" }, h("label", { class: "field" }, t("correct_category"), this.input), this.options, this.button));
+    this.form = h("form", { class: "correct", onsubmit: (event) => this.submit(event) }, this.span, h("div", { class: "row" }, h("label", { class: "field" }, t("correct_category"), this.input), this.options, this.button, this.take));
     this.list = h("ul", { class: "corrections" });
     element.replaceChildren(h("div", { class: "now-head" }, h("div", {}, h("h2", { class: "sr" }, t("now")), this.what, this.sure), this.stretch), h("h2", {}, t("correct_title")), this.form, this.list);
     this.setNow(null);
@@ -56,6 +57,7 @@ export class Desk {
   }
 
   settle() {
+    this.take.disabled = !this.part;
     this.button.disabled = this.busy || !this.part || !this.input.value.trim();
   }
 

@@ -31,6 +31,7 @@ const desk = new Desk($("#now"), {
   onCorrect: (part, category) => correct(part, category),
   onUndo: (id) => undo(id),
   onStretch: (segment) => choose(segment),
+  onExport: (part) => exportPart(part.start, part.end),
 });
 
 // --- one take
@@ -103,6 +104,11 @@ function choose(segment) {
   desk.setPart({ start: segment.start_s, end: segment.end_s });
 }
 
+async function exportPart(start, end) {
+  const { openDownload } = await import("../core/exporting.js");
+  openDownload({ motion, start_s: start.toFixed(3), end_s: end.toFixed(3) }, `${t("export_part")}: ${formatSeconds(start)} – ${formatSeconds(end)}`);
+}
+
 /** Given stretches that have a name, as the timeline and the table take them. */
 const named = (segments) => segments.filter((one) => one.category).map((one) => ({ ...one, unknown: false, confidence: null, corrected: null }));
 
@@ -119,7 +125,7 @@ async function load() {
   const segments = shown.map((one) => ({ start: one.start_s, end: one.end_s, label: one.category, kind: kindOf(one), confidence: one.confidence }));
   timeline.setSegments(segments);
   $("#legend").replaceChildren(makeLegend(segments, timeline.tones));
-  drawSegments($("#segments"), labels, { motion, tones: timeline.tones, onGo: (one) => seek(one.start_s), onChoose: (one) => { seek(one.start_s); choose(one); } });
+  drawSegments($("#segments"), labels, { motion, tones: timeline.tones, onGo: (one) => seek(one.start_s), onChoose: (one) => { seek(one.start_s); choose(one); }, onExport: (one) => exportPart(one.start_s, one.end_s) });
   desk.setCorrections(answer.corrections);
   const unknown = labels.reduce((sum, one) => sum + (one.unknown ? one.end_s - one.start_s : 0), 0);
   const facts = { duration: formatSeconds(info.duration_s), count: labels.length, unknown: Math.round((100 * unknown) / info.duration_s) };

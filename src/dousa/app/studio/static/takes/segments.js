@@ -16,8 +16,8 @@ function confidence(one) {
   return h("span", { class: "sure" }, h("span", { class: "track", "aria-hidden": "true" }, h("i", { style: { width: `${percent}%` } })), `${percent} %`);
 }
 
-/** tools: {motion, tones, onGo(segment), onChoose(segment)} */
-export function drawSegments(element, segments, { motion, tones, onGo, onChoose }) {
+/** tools: {motion, tones, onGo(segment), onChoose(segment), onExport(segment)} */
+export function drawSegments(element, segments, { motion, tones, onGo, onChoose, onExport }) {
   const scrolled = element.querySelector(".scroll")?.scrollTop ?? 0;
   const row = (one) => {
     const asked = new URLSearchParams({ motion, start_s: one.start_s.toFixed(2), end_s: one.end_s.toFixed(2) });
@@ -27,7 +27,7 @@ export function drawSegments(element, segments, { motion, tones, onGo, onChoose 
       h("td", {}, h("button", { type: "button", class: "small quiet go", onclick: () => onGo(one), ondblclick: () => onChoose(one) }, `${formatSeconds(one.start_s)} – ${formatSeconds(one.end_s)}`)),
       h("th", { scope: "row" }, h("span", { class: "what" }, swatchOf(one, tones), one.unknown ? h("i", {}, t("unknown")) : one.category)),
       h("td", {}, confidence(one)),
-      h("td", { class: "acts" }, h("button", { type: "button", class: "small quiet", onclick: () => onChoose(one), title: t("correct_title") }, icon("tag"), h("span", { class: "word" }, t("correct_title"))), h("a", { class: "button small quiet", href: `/search?${asked}`, title: t("search_segment") }, icon("search"), h("span", { class: "word" }, t("search_word")))),
+      h("td", { class: "acts" }, h("button", { type: "button", class: "small quiet", onclick: () => onChoose(one), title: t("correct_title") }, icon("tag"), h("span", { class: "word" }, t("correct_title"))), h("a", { class: "button small quiet", href: `/search?${asked}`, title: t("search_segment") }, icon("search"), h("span", { class: "word" }, t("search_word"))), h("button", { type: "button", class: "small quiet export", onclick: () => onExport(one), title: t("export_part") }, icon("download"), h("span", { class: "word" }, t("export_word")))),
     );
   };
   const head = ["time", "what", "sure", "act"].map((name) => h("th", { scope: "col" }, name === "act" ? h("span", { class: "sr" }, t("column_act")) : t(`column_${name}`)));
