@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import itertools
+import tracemalloc
 from collections import Counter
 
 import numpy as np
@@ -12,6 +14,7 @@ from oracles import plain_novelty as slow
 
 from dousa.errors import InvalidMotionError, NotTrainedError, TrainingError
 from dousa.retrieval import FEATURE_SETS, MotionForest, integrate
+from dousa.retrieval.forest import growth
 from dousa.retrieval.forest.growth import StandingClips, grow_forest
 from dousa.retrieval.forest.trees import evaluate_test, read_test
 
@@ -225,3 +228,48 @@ class TestErrors:
         standing = stand(forest, features[old], np.full(len(old), "strange"))
         with pytest.raises(TrainingError, match="retrain"):
             grow_forest(forest, standing, features[new], categories[new])
+
+
+def choose_pairs_slowly(own, n_standing, generator):
+    """All pairs of a category are listed, then some drawn."""
+    sizes = np.bincount(own[:n_standing])
+    usual = int(np.median(sizes[sizes > 0])) if n_standing else 0
+    chosen = [np.zeros((0, 2), np.int64)]
+    for category in np.unique(own[n_standing:]):
+        inside = np.flatnonzero(own == category)
+        pairs = np.array([pair for pair in itertools.combinations(inside, 2) if max(pair) >= n_standing], np.int64)
+        missing = usual - len(inside)
+        if missing > 0:
+            chosen.append(pairs.reshape(-1, 2)[generator.permutation(len(pairs))[:missing]])
+    return np.concatenate(chosen)
+
+
+@given(
+    standing=st.lists(st.integers(0, 3), max_size=60),
+    new=st.lists(st.integers(0, 4), min_size=1, max_size=8),
+    listed=st.sampled_from([0, 10**6]),
+)
+def test_pairs_are_drawn_among_all_that_have_a_new_clip(standing, new, listed):
+    own = np.array(standing + new, np.int32)
+    slow = choose_pairs_slowly(own, len(standing), np.random.default_rng(1))
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(growth, "_MOST_LISTED", listed)
+        pairs = growth._choose_pairs(own, len(standing), np.random.default_rng(1))
+    assert len(pairs) == len(slow)
+    if listed:
+        np.testing.assert_array_equal(pairs, slow)
+    assert len(np.unique(pairs, axis=0)) == len(pairs)
+    assert (own[pairs[:, 0]] == own[pairs[:, 1]]).all()
+    assert (pairs[:, 0] < pairs[:, 1]).all()
+    assert (pairs[:, 1] >= len(standing)).all()
+
+
+@pytest.mark.parametrize("sizes", [(20_000, 20_000), (20_000, 20_000, 5_000)])
+def test_one_clip_more_of_a_large_category_lists_no_pairs(sizes):
+    own = np.append(np.repeat(np.arange(len(sizes)), sizes), len(sizes) - 1).astype(np.int32)
+    tracemalloc.start()
+    pairs = growth._choose_pairs(own, len(own) - 1, np.random.default_rng(1))
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert len(pairs) == (0 if len(sizes) == 2 else 5_000)
+    assert peak < 20_000_000

@@ -29,6 +29,8 @@ from dousa.retrieval.features.integral import list_tests
 from dousa.retrieval.forest.forest import MotionForest
 from dousa.retrieval.forest.trees import Trees, TreesSpec, grow_some, prepare_material
 
+_MOST_LISTED = 1_000_000  # pairs; of more some are drawn
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Subtree:
@@ -285,13 +287,27 @@ def _choose_pairs(own: NDArray[np.int32], n_standing: int, generator: np.random.
     chosen = [np.zeros((0, 2), np.int64)]
     for category in np.unique(own[n_standing:]):
         inside = np.flatnonzero(own == category)
-        first, second = np.triu_indices(len(inside), k=1)
-        pairs = np.stack([inside[first], inside[second]], axis=1)
-        pairs = pairs[(pairs >= n_standing).any(axis=1)]
         missing = usual - len(inside)
-        if missing > 0:
-            chosen.append(pairs[generator.permutation(len(pairs))[:missing]])
+        if missing <= 0:
+            continue
+        starts, n_pairs = _number_pairs(int((inside < n_standing).sum()), len(inside))
+        if n_pairs <= _MOST_LISTED:
+            numbers = generator.permutation(n_pairs)[:missing]
+        else:
+            numbers = generator.choice(n_pairs, min(missing, n_pairs), replace=False)
+        first = np.searchsorted(starts, numbers, side="right") - 1
+        second = np.maximum(first + 1, (inside < n_standing).sum()) + numbers - starts[first]
+        chosen.append(np.stack([inside[first], inside[second]], axis=1))
     return np.concatenate(chosen)
+
+
+def _number_pairs(n_standing: int, n: int) -> tuple[IntArray, int]:
+    """Pairs of n clips of which one is new at least, numbered through: where those of each first clip begin (n,), and
+    how many there are. The second clip comes behind the first; the standing clips come before the new ones.
+    """
+    counts = n - np.maximum(np.arange(n, dtype=np.int64) + 1, n_standing)
+    starts = np.cumsum(counts) - counts
+    return starts, int(counts.sum())
 
 
 def _grow(
