@@ -350,6 +350,38 @@ def test_takes_are_described_anew_when_the_forest_learns(library, path_with_take
     change(path_with_take, "UPDATE take_windows SET learned = 0")
     with Library.open(path_with_take) as again:
         assert again.find(1, k=3) == after
+    assert not is_stale(path_with_take)
+
+
+def is_stale(path):
+    with closing(sqlite3.connect(path)) as connection:
+        query = "SELECT max(take_windows.learned != forests.learned) FROM take_windows, forests"
+        return bool(connection.execute(query).fetchone()[0])
+
+
+def test_windows_that_a_killed_program_left_behind_are_described_by_the_next(
+    library, path_with_take, write_move, tmp_path, monkeypatch
+):
+    write_move(tmp_path / "in" / "wave" / "new.bvh", "wave", 80, n_frames=60)
+
+    def kill(*args):
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch:
+        patch.setattr("dousa.library.add.refresh_windows", kill)
+        with pytest.raises(KeyboardInterrupt):
+            library.add(tmp_path / "in")
+    assert is_stale(path_with_take)
+    assert library.add(tmp_path / "in").unchanged
+    assert not is_stale(path_with_take)
+
+
+def test_windows_are_not_kept_where_nothing_may_change(library, path_with_take):
+    before = library.find(1, k=3)
+    change(path_with_take, "UPDATE take_windows SET learned = 0")
+    with Library.open(path_with_take, read_only=True) as again:
+        assert again.find(1, k=3) == before
+    assert is_stale(path_with_take)
 
 
 @pytest.mark.parametrize(

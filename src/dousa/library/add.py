@@ -208,7 +208,7 @@ class Adding:
         return self._finish(start, n_jobs)
 
     def _finish(self, start: float, n_jobs: int | None) -> AddReport:
-        if sum(self._tally["n_learned"]) and self.forest is not None:
+        if self.forest is not None:  # also where nothing was learned: an earlier run may have been stopped before this
             refresh_windows(self._database, self.forest, n_jobs)
         return _make_report(self._tally, time.perf_counter() - start)
 

@@ -89,13 +89,21 @@ def refresh_windows(database: Database, stored: StoredForest, n_jobs: int | None
         with database.reading() as connection:
             (motion,) = load_motions(connection, [clip_id])
         windows = describe_windows(stored, motion, n_jobs).to_bytes()
-        with database.writing() as connection:
-            now = connection.execute(sa.select(schema.forests.c.learned)).scalar_one_or_none()
-            there = connection.execute(sa.select(clips.id).where(clips.id == clip_id)).scalar_one_or_none()
-            if now != stored.learned or there is None:
-                return  # another program has changed the library, and sees to it
-            connection.execute(sa.delete(schema.take_windows).where(table.clip_id == clip_id))
-            save_windows(connection, stored, {clip_id: windows})
+        if not _replace_windows(database, stored, clip_id, windows):
+            return  # another program has changed the library, and sees to it
+
+
+def _replace_windows(database: Database, stored: StoredForest, clip_id: int, windows: bytes) -> bool:
+    """Write the windows of a take, if forest and take are still there."""
+    clips, table = schema.clips.c, schema.take_windows
+    with database.writing() as connection:
+        now = connection.execute(sa.select(schema.forests.c.learned)).scalar_one_or_none()
+        there = connection.execute(sa.select(clips.id).where(clips.id == clip_id)).scalar_one_or_none()
+        if now != stored.learned or there is None:
+            return False
+        connection.execute(sa.delete(table).where(table.c.clip_id == clip_id))
+        save_windows(connection, stored, {clip_id: windows})
+    return True
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -156,6 +164,7 @@ class Takes:
         self._part_windows: dict[int, tuple[StoredForest, TakeWindows]] = {}
         self._learned: int | None = None
         self._windows: dict[int, TakeWindows] = {}
+        self._keeps = True
 
     def find(
         self,
@@ -381,7 +390,16 @@ class Takes:
             if clip_id not in self._windows:
                 (motion,) = load_motions(connection, [clip_id])
                 self._windows[clip_id] = describe_windows(stored, motion, None)
+                self._keep(stored, clip_id)
         return {clip_id: self._windows[clip_id] for clip_id in ids}
+
+    def _keep(self, stored: StoredForest, clip_id: int) -> None:
+        """Write windows that had to be described, such as after a program was stopped; unless that cannot be."""
+        if self._keeps and not self._database.is_read_only:
+            try:
+                _replace_windows(self._database, stored, clip_id, self._windows[clip_id].to_bytes())
+            except LibraryError:
+                self._keeps = False  # once is enough to wait for others
 
 
 def _part_skipped(answers: Iterable[ReadTake | Skipped]) -> tuple[list[ReadTake], list[Skipped]]:

@@ -478,7 +478,7 @@ class Annotations:
 
     def _refresh(self, changes: AnnotationChanges, n_jobs: int | None) -> None:
         """Describe takes anew where the leaves of the forest have learned."""
-        if changes.n_learned and self._forests.last is not None:
+        if self._forests.last is not None:
             refresh_windows(self._database, self._forests.last, n_jobs)
 
 
