@@ -198,6 +198,21 @@ def test_an_older_library_takes_the_steps_it_lacks(library_file, next_migration)
     change(library_file, "SELECT * FROM notes")
 
 
+def test_features_of_positions_as_the_sensor_saw_them_are_computed_anew(library_file):
+    def sets() -> set[str]:
+        with closing(sqlite3.connect(library_file)) as connection:
+            return {row[0] for row in connection.execute("SELECT feature_set FROM clip_features")}
+
+    assert sets() == {"extended"}
+    change(library_file, "DELETE FROM dousa_migrations WHERE name = 'sensor noise'")
+    with Library.open(library_file) as library:
+        assert sets() == {""}
+        assert not library.check().damage
+        assert library.search(1, 3).results
+        library.train(n_trees=10)
+    assert sets() == {"extended"}
+
+
 def test_a_step_that_fails_leaves_the_library_as_it_was(library_file, monkeypatch):
     def fail(connection: sa.Connection) -> None:
         connection.execute(sa.text("CREATE TABLE notes (id INTEGER)"))

@@ -119,10 +119,11 @@ def _describe_for_forest(clip: PosedMotion, feature_set: FeatureSet) -> tuple[ND
     """Features and pose sequence; where both come from the same track, it is computed once."""
     from dousa.retrieval.features.feature_sets import compute_track
     from dousa.retrieval.features.pose_sequences import compute_pose_sequence, compute_window_poses
+    from dousa.retrieval.features.sensor_noise import reduce_noise
 
     if not feature_set.has_banks:
         return feature_set.compute(clip), compute_pose_sequence(clip)
-    track = compute_track(clip, feature_set)
+    track = compute_track(reduce_noise(clip), feature_set)
     whole = [0.0], [float(track.n_frames)]
     return track.describe(*whole)[0], compute_window_poses(track, *whole)[0]
 

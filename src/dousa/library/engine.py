@@ -463,6 +463,13 @@ def _checksums(connection: sa.Connection) -> None:
                 _add_column(connection, table, column.name)
 
 
+def _sensor_noise(connection: sa.Connection) -> None:
+    """Extended features were of positions as the sensor saw them: they are computed anew when they are needed."""
+    table = schema.clip_features
+    old = table.c.feature_set.startswith("extended", autoescape=True)
+    connection.execute(sa.update(table).where(old).values(feature_set="", checksum=None))
+
+
 def _add_column(connection: sa.Connection, table: sa.Table, name: str) -> None:
     column = sa.schema.CreateColumn(table.c[name]).compile(dialect=connection.dialect)
     connection.execute(sa.DDL(f"ALTER TABLE {table.name} ADD COLUMN {column}"))  # type: ignore[no-untyped-call]
@@ -477,6 +484,7 @@ MIGRATIONS: tuple[Migration, ...] = (
     Migration(6, "likeness", _likeness),
     Migration(7, "labellers of moments", _labellers_of_moments),
     Migration(8, "checksums", _checksums),
+    Migration(9, "sensor noise", _sensor_noise),
 )
 
 

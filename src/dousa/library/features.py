@@ -95,11 +95,12 @@ def describe_clip(motion: StoredMotion, feature_set: str) -> Description:
     """Features and poses of a motion whose positions are rounded; joints that the features leave out are hidden."""
     from dousa.retrieval.features.feature_sets import FEATURE_SETS, compute_track
     from dousa.retrieval.features.pose_sequences import compute_window_poses
+    from dousa.retrieval.features.sensor_noise import reduce_noise
 
     wanted = find_feature_set(feature_set)
     seen = hide_joints(motion, wanted.hidden)
     # The poses are read from the integrals of the extended features: these are computed once for both.
-    track = compute_track(seen, FEATURE_SETS["extended"].without(wanted.hidden))
+    track = compute_track(reduce_noise(seen), FEATURE_SETS["extended"].without(wanted.hidden))
     poses = compute_window_poses(track, [0.0], [track.n_frames])[0]
     if wanted is track.feature_set:
         return Description(feature_set, track.describe([0.0], [track.n_frames])[0], poses)

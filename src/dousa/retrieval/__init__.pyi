@@ -18,6 +18,7 @@ from .features.pose_features import (
 )
 from .features.pose_sequences import compute_pose_sequence, compute_window_poses
 from .features.posed_motion import LabelledClip
+from .features.sensor_noise import reduce_noise
 from .forest.calibration import Assessor, Calibration, Verdicts, guess_performers, learn_calibration
 from .forest.forest import Decision, MotionForest
 from .forest.growth import Growth, StandingClips, grow_forest
@@ -106,6 +107,7 @@ __all__ = [
     "rank_by_pose",
     "rank_clips",
     "read_live_frames",
+    "reduce_noise",
     "train_labeller",
     "write_timeline_csv",
 ]

@@ -12,7 +12,7 @@ from oracles.short_actions import make_clip, make_library
 from oracles.slow_takes import parts_of, pose_distance
 
 from dousa.errors import DousaError, InvalidMotionError, OptionError
-from dousa.retrieval import FEATURE_SETS, MotionForest, compute_track
+from dousa.retrieval import FEATURE_SETS, MotionForest, compute_track, reduce_noise
 from dousa.retrieval.takes import window_kernels as kernels
 from dousa.retrieval.takes.made_takes import join_clips
 from dousa.retrieval.takes.windows import TakeWindows, WindowGrid, choose_grid, describe_take, place_windows
@@ -64,7 +64,7 @@ def test_a_grid_needs_durations(durations):
 
 
 def test_leaves_are_those_of_the_whole_recording():
-    track = compute_track(TAKE, SET)
+    track = compute_track(reduce_noise(TAKE), SET)
     cells = track.describe(WINDOWS.starts, WINDOWS.stops)
     np.testing.assert_array_equal(WINDOWS.leaves, FOREST.apply(cells))
     assert WINDOWS.leaves.dtype == np.uint16

@@ -37,6 +37,7 @@ from dousa.retrieval.features.integral import MEAN, SPREAD, TREND, list_interval
 from dousa.retrieval.features.partial_bodies import FRAME_JOINTS, complete_positions, order_joints
 from dousa.retrieval.features.pose_features import FEATURES, Feature, compute_clip_features, compute_pose_features
 from dousa.retrieval.features.posed_motion import PosedMotion, check_shape
+from dousa.retrieval.features.sensor_noise import reduce_noise
 
 N_CELLS = 10
 DURATION = Channel("duration", "duration", "s")
@@ -137,7 +138,7 @@ class FeatureSet:
         return np.concatenate([duration, list_interval_tests(kinds, self.n_frames)])
 
     def compute(self, motion: PosedMotion, samples_per_frame: int = 8) -> FloatArray:
-        """The features of a clip.
+        """The features of a clip; with banks, of what is left without the noise of its sensor.
 
         Parameters
         ----------
@@ -154,7 +155,7 @@ class FeatureSet:
         """
         if not self.has_banks:
             return self.blank(compute_clip_features(self.complete(motion), self.n_frames, samples_per_frame))
-        track = compute_track(motion, self)
+        track = compute_track(reduce_noise(motion), self)
         cells: FloatArray = track.describe([0.0], [track.n_frames])[0]
         return cells
 

@@ -17,7 +17,6 @@ from numpy.typing import NDArray
 
 from dousa.arrays import FloatArray, IndexArray, IntArray
 from dousa.errors import InvalidMotionError, OptionError
-from dousa.retrieval.features.posed_motion import check_shape
 from dousa.retrieval.takes.windows import N_PARTS, TAKE_RATE, TakeWindows, compute_small_poses
 
 if TYPE_CHECKING:
@@ -101,10 +100,11 @@ def describe_query(forest: MotionForest, feature_set: FeatureSet, motion: PosedM
     InvalidMotionError : too short, another shape, not finite, no body height.
     """
     from dousa.retrieval.features.channels import sample_positions
+    from dousa.retrieval.features.sensor_noise import reduce_noise
 
-    points = check_shape(motion.positions, motion.height)
-    sampled = sample_positions(points, motion.frame_rate)
-    poses = compute_small_poses(sampled, motion.height, feature_set.hidden)
+    quiet = reduce_noise(motion)
+    sampled = sample_positions(quiet.positions, quiet.frame_rate)
+    poses = compute_small_poses(sampled, quiet.height, feature_set.hidden)
     if len(poses) < N_PARTS:
         raise InvalidMotionError("find.short", least=N_PARTS / TAKE_RATE, found=len(poses) / TAKE_RATE)
     return TakeQuery(forest.apply(feature_set.compute(motion)[None])[0], poses)

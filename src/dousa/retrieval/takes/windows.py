@@ -241,10 +241,12 @@ def describe_take(
     import joblib
 
     from dousa.retrieval.features.channels import sample_positions
+    from dousa.retrieval.features.sensor_noise import reduce_noise
 
     points = check_shape(motion.positions, motion.height)
-    sampled = sample_positions(points, motion.frame_rate)
-    poses = compute_small_poses(sampled, motion.height, feature_set.hidden)
+    quiet = reduce_noise(motion)
+    sampled = sample_positions(quiet.positions, quiet.frame_rate)
+    poses = compute_small_poses(sampled, quiet.height, feature_set.hidden)
     starts, stops = place_windows(grid, len(sampled))
     dtype = np.uint16 if forest.trees_.n_leaves < 2**16 else np.int32
     leaves = np.empty((len(starts), len(forest.trees_.roots)), dtype)
@@ -252,7 +254,7 @@ def describe_take(
     # One portion alone is not worth the threads.
     parallel = joblib.Parallel(n_jobs=n_jobs if len(portions) > 1 else 1, prefer="threads", return_as="generator")
     answers = parallel(
-        joblib.delayed(_apply_portion)(forest, feature_set, (sampled, motion.height), starts[rows], stops[rows])
+        joblib.delayed(_apply_portion)(forest, feature_set, (sampled, quiet.height), starts[rows], stops[rows])
         for rows in portions
     )
     for done, (rows, answer) in enumerate(zip(portions, answers, strict=True), 1):
