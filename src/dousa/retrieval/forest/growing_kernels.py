@@ -48,6 +48,7 @@ class Workspace(NamedTuple):
     values: FloatArray
     chosen: IntArray
     thresholds: FloatArray
+    states: NDArray[np.uint64]
     kept: IntArray
     kept_thresholds: FloatArray
     kept_scores: IntArray
@@ -76,6 +77,7 @@ class Workspace(NamedTuple):
             values=np.empty((_AT_ONCE, n_clips)),
             chosen=np.empty(_AT_ONCE, np.int64),
             thresholds=np.empty(_AT_ONCE),
+            states=np.empty(_AT_ONCE, np.uint64),
             kept=np.empty(_KEPT + 1, np.int64),
             kept_thresholds=np.empty(_KEPT + 1),
             kept_scores=np.empty(_KEPT + 1, np.int64),
@@ -260,16 +262,28 @@ def _split_at(values, threshold, n, labels, counts, left, log_table):
 
 
 @njit(cache=True, nogil=True)
-def _draw_tests(state, order, swaps, drawn, count, is_all, random_thresholds, chosen, thresholds):
-    """The next tests of a node into ``chosen``, and how far between lowest and highest value each has its threshold."""
+def _draw_tests(drawn, count, is_all, random_thresholds, work):
+    """The next tests of a node into ``chosen``, and how far between lowest and highest value each has its threshold.
+
+    ``states`` keeps the random numbers as they stood before each threshold: one that tells no clips apart needs none.
+    """
+    order, swaps = work.order, work.swaps
     for q in range(count):
         place = drawn + q
         if not is_all:
-            swaps[place] = place + _draw_below(state, len(order) - place)
+            swaps[place] = place + _draw_below(work.state, len(order) - place)
             order[place], order[swaps[place]] = order[swaps[place]], order[place]
-        chosen[q] = order[place]
+        work.chosen[q] = order[place]
+        work.states[q] = work.state[0]
         if random_thresholds:
-            thresholds[q] = (_draw_below(state, _HALVES) + 0.5) / _HALVES
+            work.thresholds[q] = (_draw_below(work.state, _HALVES) + 0.5) / _HALVES
+
+
+@njit(cache=True, nogil=True)
+def _put_back(order, swaps, first, last):
+    """Undo the draws of the tests first ... last - 1."""
+    for k in range(last - 1, first - 1, -1):
+        order[k], order[swaps[k]] = order[swaps[k]], order[k]
 
 
 @njit(cache=True, nogil=True)
@@ -315,34 +329,36 @@ def _find_splits(
     """
     n, n_tests = len(samples), len(tests)
     is_all = n_trials >= n_tests
-    best, n_kept, drawn = _NO_SCORE, 0, 0
+    best, n_kept, drawn, begun = _NO_SCORE, 0, 0, 0
     # No split gains more than all the entropy there is, nor more than the one bit a clip of an even split.
     # Once that is reached, drawing on cannot change the answer: the first of equals is kept.
     perfect = min(np.int64(0), total - log_table[n // 2] - log_table[n - n // 2])
     # If no drawn test tells two clips apart, drawing goes on, as in scikit-learn.
     while drawn < n_tests and (drawn < n_trials or n_kept == 0) and best < perfect - _SAME_SCORE:
         # Few at first: small nodes are often parted by the first.
-        count = min(2 + drawn, _AT_ONCE, (n_trials if drawn < n_trials else n_tests) - drawn)
-        _draw_tests(
-            work.state, work.order, work.swaps, drawn, count, is_all, random_thresholds, work.chosen, work.thresholds
-        )  # fmt: skip
-        drawn += count
+        count = min(2 + drawn - begun, _AT_ONCE, (n_trials if drawn < n_trials else n_tests) - drawn)
+        _draw_tests(drawn, count, is_all, random_thresholds, work)
         _evaluate_all(cells, size, width, tests, work.chosen[:count], samples, work.values)
+        end = drawn + count
         for q in range(count):
             test = work.chosen[q]
             score, threshold = _score_test(
                 work.values[q], n, work.thresholds[q], labels, counts, total, log_table, tolerances[tests[test, 1]],
                 best if most == 1 else _NO_SCORE, random_thresholds, work,
             )  # fmt: skip
+            drawn += 1
+            if score == _NO_SCORE and random_thresholds:
+                work.state[0], begun = work.states[q], drawn
+                break
             if score > _NO_SCORE and (most > 1 or score > best + _SAME_SCORE):
                 n_kept = min(_keep(work, n_kept, test, threshold, score), most)
                 best = max(best, work.kept_scores[0])
                 if best >= perfect - _SAME_SCORE:
                     break
+        if not is_all:
+            _put_back(work.order, work.swaps, drawn, end)
     if not is_all:
-        order, swaps = work.order, work.swaps
-        for k in range(drawn - 1, -1, -1):
-            order[k], order[swaps[k]] = order[swaps[k]], order[k]
+        _put_back(work.order, work.swaps, 0, drawn)
     return n_kept
 
 
