@@ -15,7 +15,7 @@ import zipfile
 import zlib
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import IO, Any
 
 import numpy as np
@@ -83,6 +83,7 @@ class Header:
     Parameters
     ----------
     dtype, shape : of the array.
+    n_packed : bytes that the data take in the file, perhaps compressed.
     order : ``"F"`` where the first axis runs fastest, else ``"C"``.
     n_bytes : of the data.
     """
@@ -91,6 +92,7 @@ class Header:
     shape: tuple[int, ...]
     order: str
     n_bytes: int
+    n_packed: int = 0
 
 
 class NpzFile:
@@ -123,7 +125,8 @@ class NpzFile:
             raise self._fail(Message("npz.no_array", array=name, found=self.names[:20]))
         member = self._members[name]
         with self._archive.open(member) as stream:
-            yield self._read_header(name, stream, member.file_size), stream
+            header = self._read_header(name, stream, member.file_size)
+            yield replace(header, n_packed=member.compress_size), stream
 
     def _read_header(self, name: str, stream: IO[bytes], size: int) -> Header:
         head = stream.read(10)
@@ -151,15 +154,16 @@ class NpzFile:
 
     def read_data(self, name: str, header: Header, stream: IO[bytes]) -> NDArray[Any]:
         """The array behind a head, not to be written to."""
-        parts, left = [], header.n_bytes
-        while left:
-            part = stream.read(min(left, 1 << 20))
+        whole, done = np.empty(header.n_bytes, np.uint8), 0  # no memory is taken before something comes
+        while done < header.n_bytes:
+            part = stream.read(min(header.n_bytes - done, 1 << 20))
             if not part:
                 raise self._fail(Message("npz.ends", array=name))
-            parts.append(part)
-            left -= len(part)
+            whole[done : done + len(part)] = np.frombuffer(part, np.uint8)
+            done += len(part)
         stream.read(1)  # lets zipfile compare the checksum
-        flat = np.frombuffer(b"".join(parts), header.dtype)
+        whole.flags.writeable = False
+        flat = whole.view(header.dtype)
         return flat.reshape(header.shape, order="F" if header.order == "F" else "C")
 
     def read(self, name: str, kinds: str, ndim: int | None = None, most: int = _MOST_BYTES) -> NDArray[Any]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import os
+import tracemalloc
 import zipfile
 
 import cv2
@@ -235,6 +236,28 @@ def test_a_bomb_is_refused_before_it_is_unpacked(tmp_path):
                 np.save(member, np.array(value))
     with pytest.raises(SilhouetteError, match="declares"):
         read_silhouettes(path)
+
+
+def test_masks_of_nobody_do_not_fill_the_memory(tmp_path):
+    path = tmp_path / "bomb.npz"
+    shape = (2_600, 800, 100)
+    header = f"{{'descr': '|u1', 'fortran_order': False, 'shape': {shape}, }}".encode().ljust(118) + b"\n"
+    zeros, deflate = bytes(1_000_000), zipfile.ZIP_DEFLATED
+    with zipfile.ZipFile(path, "w", deflate) as archive:
+        with archive.open("mask_packed.npy", "w", force_zip64=True) as member:
+            member.write(b"\x93NUMPY\x01\x00" + len(header).to_bytes(2, "little") + header)
+            left = int(np.prod(shape))
+            while left:
+                left -= member.write(zeros[:left])
+        for side in ("width", "height"):
+            with archive.open(f"{side}.npy", "w") as member:
+                np.save(member, np.array(800))
+    tracemalloc.start()
+    with pytest.raises(SilhouetteError, match="no person"):
+        read_silhouettes(path)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert peak < 20_000_000
 
 
 def test_truncated_and_damaged_files(tmp_path):

@@ -20,8 +20,9 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from dousa.errors import DousaError
+from dousa.errors import DousaError, SilhouetteError
 from dousa.files.disk import atomic_write
+from dousa.files.npz_arrays import open_npz
 from dousa.messages import Message
 
 _Track = TypeVar("_Track")
@@ -109,12 +110,14 @@ class PartialFile:
         if self.path is None or not os.path.lexists(self.path):
             return None, None
         try:
-            # numpy leaves a file open that it cannot understand
-            with open(self.path, "rb") as stream, np.load(stream, allow_pickle=False) as file:
-                if str(file[_KEY]) != self._key:
+            most = os.path.getsize(self.path)  # it is not compressed
+            with open_npz(self.path, SilhouetteError) as file:
+                if str(file.read(_KEY, "U", 0, most)) != self._key:
                     return None, Message("track_log.other_work", path=self.path)
                 names = [field.name for field in dataclasses.fields(kind)]  # type: ignore[arg-type]
-                return kind(**{name: _unpack(file[name]) for name in names if name in file}), None
+                return kind(
+                    **{name: _unpack(file.read(name, "biufU", None, most)) for name in names if name in file}
+                ), None
         except (*_DAMAGE, DousaError) as error:
             return None, Message("track_log.unusable", path=self.path, reason=error)
 

@@ -163,6 +163,8 @@ def _write_masks(archive: zipfile.ZipFile, spools: Sequence[str], shape: tuple[i
 
 
 _MOST_PACKED_BYTES = 2_000_000_000  # an hour of one view of 320 x 240 at 30 Hz takes 1.04e9
+_HARMLESS_BYTES = 200_000_000
+_MOST_DENSE = 300  # bytes of packed masks of one in the file; of a person 12 to 31, of nothing at all 1030
 _LONGEST_SIDE = 65_536
 _MOST_PIXELS = 200_000_000
 _MOST_VIEWS = 1000
@@ -284,7 +286,7 @@ def _read_masks(file: NpzFile) -> tuple[list[PackedMasks], list[tuple[int, int]]
                     found_rows=shape[2],
                     found_bytes=shape[3],
                 )
-            _check_amount(header.n_bytes)
+            _check_amount(header.n_bytes, header)
             masks = file.read_data("mask_packed", header, stream)
         return list(np.ascontiguousarray(masks).reshape(shape)), [(width, height)] * shape[0]
     for name in ("mask", "masks"):
@@ -313,9 +315,12 @@ def _view_shape(name: str, header: Header) -> tuple[int, int, int, int]:
     return shape[0], shape[1], shape[2], shape[3]
 
 
-def _check_amount(n_bytes: int) -> None:
+def _check_amount(n_bytes: int, header: Header) -> None:
+    """SilhouetteError for more packed masks than are read, or than the file can hold of a person."""
     if n_bytes > _MOST_PACKED_BYTES:
         raise SilhouetteError("mask_npz.amount", size=n_bytes / 1e9, most=_MOST_PACKED_BYTES / 1e9)
+    if n_bytes > max(_HARMLESS_BYTES, _MOST_DENSE * header.n_packed):
+        raise SilhouetteError("mask_npz.bomb", size=n_bytes / 1e6, packed=header.n_packed / 1e6)
 
 
 def _pack_stream(name: str, header: Header, stream: IO[bytes]) -> tuple[list[PackedMasks], list[tuple[int, int]]]:
@@ -323,7 +328,7 @@ def _pack_stream(name: str, header: Header, stream: IO[bytes]) -> tuple[list[Pac
     n_views, n_frames, height, width = _view_shape(name, header)
     if header.dtype.kind not in "buif":
         raise SilhouetteError("mask_npz.kind", array=name, found=str(header.dtype))
-    _check_amount(n_views * n_frames * height * ((width + 7) // 8))
+    _check_amount(n_views * n_frames * height * ((width + 7) // 8), header)
     if header.order == "F":
         raise SilhouetteError("mask_npz.order", array=name)
     image_bytes = height * width * header.dtype.itemsize
