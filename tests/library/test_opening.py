@@ -379,3 +379,29 @@ def test_a_url_whose_driver_is_missing():
 
 def test_the_mark_is_in_the_file(library_file):
     assert int.from_bytes(library_file.read_bytes()[68:72], "big") == schema.APPLICATION_ID
+
+
+@pytest.mark.parametrize("leftover", [True, False])
+def test_a_library_that_may_be_written_again(library_file, leftover):
+    """SQLite leaves a file behind that nobody may write either, where it was opened without the permission."""
+    with Library.open(library_file) as library:
+        library.search(1)  # loads what only root may read
+    folder = Path(tempfile.mkdtemp())
+    path = Path(shutil.copy(library_file, folder / "m.dousa"))
+    folder.chmod(0o777)
+    if os.geteuid() == 0:
+        os.chown(path, 65534, 65534)
+    try:
+        with as_nobody():
+            path.chmod(0o444)
+            library = Library.open(path)
+            library.search(1)
+            if not leftover:
+                library.close()
+            path.chmod(0o644)
+            with Library.open(path) as again:
+                assert again.relabel(1, performer="z")
+                assert again.clips(1)[0].performer == "z"
+            library.close()
+    finally:
+        shutil.rmtree(folder)

@@ -16,6 +16,7 @@ import os
 import random
 import re
 import sqlite3
+import stat
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
@@ -133,6 +134,7 @@ def _is_something_else(path: Path) -> bool:
 def _connect(path: Path, create: bool, read_only: bool, timeout: float) -> sqlite3.Connection:
     # Also to read: a connection that may not write cannot clear its lock files away. ``writing`` refuses.
     mode = "rwc" if create else "rw"
+    _free_lock_files(path)
     try:
         return _connect_as(path, f"mode={mode}", timeout)
     except sqlite3.OperationalError as error:
@@ -142,6 +144,16 @@ def _connect(path: Path, create: bool, read_only: bool, timeout: float) -> sqlit
         if error.sqlite_errorname.startswith(kinds) and not _has_log(path):
             return _connect_as(path, "mode=ro&immutable=1", timeout)
         raise
+
+
+def _free_lock_files(path: Path) -> None:
+    """Let lock files be written that were made while the library might not be; SQLite leaves them behind."""
+    with suppress(OSError):
+        mode = stat.S_IMODE(os.stat(path).st_mode)
+        for lock in (f"{path}-shm", f"{path}-wal"):
+            with suppress(FileNotFoundError):
+                if mode & ~os.stat(lock).st_mode & 0o222:
+                    os.chmod(lock, mode)
 
 
 def _connect_as(path: Path, options: str, timeout: float) -> sqlite3.Connection:
