@@ -106,7 +106,7 @@ def test_unknown_motions(dousa, library, tmp_path):
     code, out, _ = dousa("classify", library, stranger, friend)
     assert code == 0
     first, second = out.splitlines()
-    assert f"{stranger}: unknown (most like " in first and "likely to be known" in first
+    assert f"{stranger}: unknown (most like " in first and "likely right" in first
     assert second.startswith(f"{friend}: squat (squat ")
     answer = json.loads(dousa("search", library, stranger, "--json")[1])
     assert answer["category"] is None and answer["guess"] in KNOWN and answer["known"] < 0.5

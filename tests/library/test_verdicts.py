@@ -152,7 +152,8 @@ def test_a_motion_of_no_category_is_unknown(five_categories, tmp_path):
     answers = five_categories.classify([*strangers, *friends])
     assert [answer.category for answer in answers] == [None] * 3 + list(KNOWN)
     unknown = answers[0]
-    assert unknown.verdict.known < 0.2
+    assert unknown.verdict.confidence < 0.2
+    assert unknown.verdict.confidence <= unknown.verdict.known < 0.5
     assert min(answer.verdict.known for answer in answers[3:]) > 0.5
     assert unknown.verdict.guess == next(iter(unknown.histogram))
     assert (unknown.to_json()["category"], unknown.to_json()["guess"]) == (None, unknown.verdict.guess)

@@ -31,10 +31,11 @@ from dousa.experiments.table import Cell, Result, ResultTable, show
 from dousa.messages import Message
 from dousa.retrieval.features.feature_sets import DEFAULT_FEATURE_SET, FeatureSet, get_feature_set
 from dousa.retrieval.features.posed_motion import LabelledClip
-from dousa.retrieval.forest.calibration import Assessor, learn_calibration
+from dousa.retrieval.forest.calibration import Assessor, Copies, learn_calibration
 from dousa.retrieval.forest.forest import MotionForest
 from dousa.retrieval.forest.growth import StandingClips, grow_forest
 from dousa.retrieval.forest.pose_space import compute_auroc
+from dousa.retrieval.takes.made_takes import disturb_motion
 
 FORESTS: tuple[str, ...] = ("before", "grown", "trained anew")
 """The forests that are compared on new categories."""
@@ -252,7 +253,7 @@ def run_novelty_experiment(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _HeldBack:
-    """One trial with half of the categories: probabilities to be known, which were, and what else is reported."""
+    """One trial with half of the categories: confidences, which are known, and what else is reported."""
 
     probability: NDArray[np.float64]
     known: NDArray[np.bool_]
@@ -286,6 +287,12 @@ class _Trials:
         self.added: list[NewCategories] = []
         self.steps.say(Message("trial_progress.features"))
         self.features = np.stack([feature_set.compute(clip) for clip in clips])
+        self.disturbed = np.stack(
+            [
+                feature_set.compute(disturb_motion(clip, np.random.default_rng([random_state, number])))
+                for number, clip in enumerate(clips)
+            ]
+        )
 
     def draw(self, repeats: int) -> Iterator[tuple[Split, np.random.Generator]]:
         """Who trains and who is tested, and the random numbers of the trial."""
@@ -322,7 +329,7 @@ class _Trials:
         if known.any() and not kept[test].all():
             self.held_back.append(
                 _HeldBack(
-                    verdicts.known[judged],
+                    verdicts.confidence[judged],
                     known[judged],
                     calibration.threshold,
                     (calibration.false_alarms, calibration.misses),
@@ -391,7 +398,12 @@ class _Trials:
     def _calibrate(self, forest: MotionForest, rows: NDArray[np.intp]) -> Assessor:
         people = list(self.performers[rows]) if self.split != "half" else None
         calibration = learn_calibration(
-            forest, self.features[rows], self.labels[rows], people, feature_set=self.feature_set
+            forest,
+            self.features[rows],
+            self.labels[rows],
+            people,
+            feature_set=self.feature_set,
+            copies=Copies(np.arange(len(rows)), self.disturbed[rows]),
         )
         return Assessor(forest, calibration)
 

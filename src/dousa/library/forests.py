@@ -11,9 +11,11 @@ import numpy as np
 import sqlalchemy as sa
 from numpy.typing import NDArray
 
+from dousa.arrays import FloatArray
 from dousa.errors import DousaError, LibraryDamagedError, LibraryVersionError, NotTrainedError, TrainingError
 from dousa.library import schema
-from dousa.library.features import ClipFeatures, find_feature_set
+from dousa.library.engine import choose_jobs
+from dousa.library.features import ClipFeatures, StoredMotion, find_feature_set, load_motions
 from dousa.library.schema import pack
 from dousa.library.seals.checksums import FOREST, seal_rows, update_rows
 from dousa.library.selection import portions
@@ -22,13 +24,15 @@ if TYPE_CHECKING:
     from dousa.arrays import FloatArray
     from dousa.retrieval import MotionForest
     from dousa.retrieval.features.feature_sets import FeatureSet
-    from dousa.retrieval.forest.calibration import Assessor, Watch
+    from dousa.retrieval.forest.calibration import Assessor, Copies, Watch
     from dousa.retrieval.forest.likeness import Likeness
     from dousa.retrieval.takes.windows import WindowGrid
 
 _FOREST_ID = 1
 
 _MOST_HELD_BACK = 3000  # clips that the rounds of a calibration use: enough for two curves
+
+_MOST_COPIES = 500  # disturbed copies of them
 
 _TEMPOS = (0.5, 2.0)  # windows from half to twice the length of the clips
 
@@ -240,11 +244,36 @@ def choose_held_back(clips: ClipFeatures, labelled: Sequence[int]) -> tuple[list
     return rows, [clips.performers[row] or guess for row, guess in zip(rows, guesses, strict=True)]
 
 
+def describe_copies(
+    connection: sa.Connection, clips: ClipFeatures, labelled: Sequence[int], kind: FeatureSet, n_jobs: int | None = 1
+) -> Copies:
+    """Disturbed copies of some of the clips of ``choose_held_back``, which show what noise does to them."""
+    from joblib import Parallel, delayed
+
+    from dousa.retrieval.features.partial_bodies import hide_joints
+    from dousa.retrieval.forest.calibration import Copies
+    from dousa.retrieval.takes.made_takes import disturb_motion
+
+    rows, _ = choose_held_back(clips, labelled)
+    places = np.arange(0, len(rows), -(-len(rows) // _MOST_COPIES)) if rows else np.zeros(0, np.intp)
+
+    def describe(place: int, motion: StoredMotion) -> FloatArray:
+        whole = kind.complete(hide_joints(motion, kind.hidden))
+        return kind.compute(disturb_motion(whole, np.random.default_rng(place)))
+
+    motions = list(load_motions(connection, [clips.ids[rows[place]] for place in places]))
+    parallel = Parallel(n_jobs=choose_jobs(n_jobs), prefer="threads")
+    features = parallel(delayed(describe)(int(place), one) for place, one in zip(places, motions, strict=True))
+    shape = (0, kind.n_frames, kind.n_columns)
+    return Copies(places, np.stack(features) if features else np.zeros(shape))
+
+
 def learn_unknown(
     forest: MotionForest,
     clips: ClipFeatures,
     labelled: Sequence[int],
     kind: FeatureSet,
+    copies: Copies | None = None,
     watch: Watch | None = None,
 ) -> Assessor | None:
     """Tell known motions from unknown ones; None where there are too few clips or categories to learn that.
@@ -255,6 +284,7 @@ def learn_unknown(
     clips : those of the library that are trained on, and perhaps others.
     labelled : places of those that have a category.
     kind : features that it asks for.
+    copies : of ``describe_copies``.
     watch : looks on, as in ``learn_calibration``; its rows are those of ``choose_held_back``.
     """
     from dousa.retrieval.forest.calibration import Assessor, learn_calibration
@@ -267,6 +297,7 @@ def learn_unknown(
             np.array([clips.categories[row] for row in rows], dtype=np.str_),
             people,
             feature_set=kind,
+            copies=copies,
             watch=watch,
         )
     except TrainingError:

@@ -293,7 +293,7 @@ class Library:
         same_category : only clips of the category that most trees vote for.
         mirror : search for the mirror image of the query too.
         explain : give the reasons for the predicted category, and for the similarity of each clip.
-        threshold : probability of being known from which the query gets a category; None for the forest's own, 0
+        threshold : confidence from which the query gets a category; None for the forest's own, 0
             for always.
         among : only clips of these numbers, such as those that ``search_text`` found; None for all.
         options : what the query file does not say.

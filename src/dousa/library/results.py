@@ -72,11 +72,12 @@ class Verdict(_Answer):
 
     Parameters
     ----------
-    category : the category, None if the motion is of none that the forest knows.
+    category : the category; None where the guess is more likely wrong than right, so the motion is called unknown.
     guess : the category that most trees vote for, whether the motion is known or not.
     known : probability that the motion is of a category that the forest knows; None where the forest had too few
         categories to learn that, or was trained by an older dousa.
-    confidence : probability that the guess is right; None likewise.
+    confidence : probability that the guess is right, for somebody who does not know whether the library knows the
+        action, one in eleven being of none that it knows; None likewise.
     histogram : share of the trees that vote for each category, the largest first.
     explanation : the reasons, if requested.
     """

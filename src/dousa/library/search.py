@@ -282,8 +282,8 @@ def judge(stored: StoredForest, answers: TreeAnswers, features: FloatArray, thre
     ----------
     stored : the forest.
     answers, features : what its trees say of N motions, and (N, frames, columns) what they said it of.
-    threshold : probability of being known below which a motion is called unknown; None for that of the forest's
-        calibration, 0 for never.
+    threshold : probability of being right below which a guess is withheld, and the motion called unknown; None for
+        that of the forest's calibration, 0 for never.
     """
     guesses = answers.predicted()
     histograms = [_order_histogram(stored.categories, own) for own in answers.shares()]
@@ -293,7 +293,7 @@ def judge(stored: StoredForest, answers: TreeAnswers, features: FloatArray, thre
     seen = stored.assessor.assess(answers.leaves, features)
     limit = stored.assessor.calibration.threshold if threshold is None else threshold
     return [
-        Verdict(guess if known >= limit else None, guess, float(known), float(confidence), histogram)
+        Verdict(guess if confidence >= limit else None, guess, float(known), float(confidence), histogram)
         for (guess, histogram), known, confidence in zip(pairs, seen.known, seen.confidence, strict=True)
     ]
 

@@ -28,6 +28,7 @@ from dousa.library.forests import (
     TreeAnswers,
     ask_trees,
     choose_held_back,
+    describe_copies,
     fit_grid,
     learn_unknown,
     replace_forest,
@@ -93,13 +94,14 @@ def train_forest(
         kind, n_partial = _choose_joints(database.where, connection, kind)  # before the work
         clips = load_features(connection, kind.name, n_jobs=n_jobs, progress=tell_clips)
         grid = fit_grid(connection)
-    labelled, counts = _check_categories(database.where, clips.categories)
+        labelled, counts = _check_categories(database.where, clips.categories)
+        copies = describe_copies(connection, clips, labelled, kind, n_jobs)
     report(1, _STEPS, Message("library_training.growing_trees"))
     categories = np.array([clips.categories[row] for row in labelled], dtype=np.str_)
     forest.fit(clips.features[labelled], categories, feature_set=kind)
     report(2, _STEPS, Message("library_training.calibrating"))
     learner = make_likeness_learner(clips, labelled, kind)
-    assessor = learn_unknown(forest, clips, labelled, kind, learner.watch)
+    assessor = learn_unknown(forest, clips, labelled, kind, copies, learner.watch)
     likeness = None if assessor is None else learner.finish()
     names = tuple(str(name) for name in forest.classes_)
     stored = StoredForest(forest, names, kind.name, grid, assessor, 0, 0, likeness)

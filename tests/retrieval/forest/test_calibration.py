@@ -16,12 +16,21 @@ from dousa.retrieval import FEATURE_SETS, MotionForest
 from dousa.retrieval.forest.calibration import (
     Assessor,
     Calibration,
+    Copies,
     _draw_rounds,
     guess_performers,
     learn_calibration,
 )
+from dousa.retrieval.forest.evidence import (
+    EVIDENCE,
+    Judgement,
+    VoteScale,
+    gather_evidence,
+    measure_usual,
+    spread_curve,
+)
 from dousa.retrieval.forest.forest_file import pack_arrays
-from dousa.retrieval.forest.pose_space import Curve, compute_auroc, fit_curve, fit_pose_space
+from dousa.retrieval.forest.pose_space import Curve, compute_auroc, fit_curve, fit_pose_space, fit_weighted_curve
 
 
 def make_clips(n_categories=8, n_performers=3, each=3, spread=0.4, seed=0):
@@ -34,11 +43,15 @@ def make_clips(n_categories=8, n_performers=3, each=3, spread=0.4, seed=0):
 
 
 FEATURES, CATEGORIES, PERFORMERS = make_clips()
+
+VOTES, POSES = ("share", "around"), ("share", "around", "cosine")
+KNOWN = Judgement(spread_curve(Curve(-3.0, (4.0, 2.0)), VOTES), spread_curve(Curve(-3.5, (4.0, 2.0, 1.0)), POSES))
+SPACE = fit_pose_space(FEATURES, CATEGORIES)
 CALIBRATION = Calibration(
-    Curve(-3.0, (4.0, 2.0)),
-    Curve(-3.5, (4.0, 2.0, 1.0)),
-    Curve(1.0, (3.0,)),
-    fit_pose_space(FEATURES, CATEGORIES),
+    KNOWN,
+    KNOWN,
+    SPACE,
+    measure_usual(SPACE, FEATURES, CATEGORIES),
     0.5,
     0.9,
     0.1,
@@ -120,8 +133,90 @@ class TestCurve:
         else:
             assert compute_auroc(scores, positive) == pytest.approx(slow.area_under_curve(scores, positive))
 
+    def test_the_prior_rules_where_there_is_little_to_learn(self):
+        rng = np.random.default_rng(0)
+        prior = Curve(0.5, (1.5, 0.7))
+        few = rng.uniform(-2, 2, size=(2, 2))
+        fitted = fit_weighted_curve(few, np.array([True, False]), np.ones(2), prior)
+        assert fitted.slopes == pytest.approx(prior.slopes, abs=0.35)
+        many = rng.uniform(-2, 2, size=(20000, 2))
+        positive = rng.random(20000) < 1 / (1 + np.exp(-(-1.0 + 3.0 * many[:, 1])))
+        fitted = fit_weighted_curve(many, positive, np.ones(20000), prior)
+        assert fitted.slopes[0] < 0.5  # it stays a little near the prior
+        assert fitted.slopes[1] > 2.0
+
+    def test_weights_are_repetitions(self):
+        rng = np.random.default_rng(1)
+        scores, positive = rng.normal(size=(300, 2)), rng.random(300) < 0.5
+        heavy = np.arange(300) < 100
+        prior = Curve(0.0, (0.0, 0.0))
+        weighted = fit_weighted_curve(scores, positive, np.where(heavy, 2.0, 1.0), prior)
+        rows = np.r_[np.arange(300), np.arange(100)]
+        repeated = fit_weighted_curve(scores[rows], positive[rows], np.ones(400), prior)
+        places = rng.normal(size=(20, 2))
+        assert weighted.evaluate(places) == pytest.approx(repeated.evaluate(places), abs=0.02)
+
+
+class TestEvidence:
+    def test_equals_the_slow_transcription(self, material):
+        features, categories, kept, forest, _ = material
+        space = fit_pose_space(features[kept], categories[kept])
+        usual = measure_usual(space, features[kept], categories[kept])
+        guess, scores = VoteScale(forest).measure(forest.apply(features[::5]))
+        evidence, has_poses = gather_evidence(scores, space, usual, features[::5], forest.classes_[guess])
+        assert has_poses.all()
+        placed, own = space.place(features[kept]).tolist(), categories[kept].tolist()
+        centres = {
+            name: slow.middle_of([p for p, o in zip(placed, own, strict=True) if o == name]) for name in set(own)
+        }
+        for row, place, number in zip(evidence, space.place(features[::5]).tolist(), guess, strict=True):
+            said = dict(zip(EVIDENCE, row.tolist(), strict=True))
+            cosines = {name: slow.cosine(place, centre) for name, centre in centres.items()}
+            name = str(forest.classes_[number])
+            assert said["cosine"] == pytest.approx(cosines.pop(name))
+            assert said["pose_lead"] == pytest.approx(said["cosine"] - max(cosines.values()))
+            alone = [p for p, o in zip(placed, own, strict=True) if o == name]
+            each = [slow.cosine(p, slow.middle_of(alone[:k] + alone[k + 1 :])) for k, p in enumerate(alone)]
+            every = []
+            for other in centres:
+                group = [p for p, o in zip(placed, own, strict=True) if o == other]
+                every += [slow.cosine(p, slow.middle_of(group[:k] + group[k + 1 :])) for k, p in enumerate(group)]
+            wanted = (sum(each) + 2 * float(np.median(every))) / (len(each) + 2)
+            assert said["typical"] == pytest.approx(said["cosine"] - wanted)
+            assert said["log_lead"] == pytest.approx(
+                np.log((said["share"] + 0.02) / (said["share"] - said["lead"] + 0.02))
+            )
+
+    def test_a_category_that_came_later_has_what_is_usual(self):
+        more = CALIBRATION.with_clips(FEATURES[:4], np.repeat("new", 4))
+        places = np.searchsorted(more.poses.categories, CALIBRATION.poses.categories)
+        assert np.array_equal(more.usual[places], CALIBRATION.usual)
+        assert more.usual[np.searchsorted(more.poses.categories, "new")] == np.median(CALIBRATION.usual)
+
 
 class TestLearning:
+    def test_noise_is_not_taken_for_strangeness(self):
+        """Copies of the clips show what noise does; without them known noisy motions are trusted less."""
+        features, categories, performers = make_clips(12, 4, 4, spread=0.3)
+        rng = np.random.default_rng(3)
+        noisy = features + 0.7 * rng.normal(size=features.shape)
+        test = np.array([name == "p3" for name in performers])
+        forest = MotionForest(30, random_state=0).fit(features[~test], categories[~test])
+        people = [name for name in performers if name != "p3"]
+        again = features[~test] + 0.7 * rng.normal(size=features[~test].shape)
+        said = []
+        for copies in (None, Copies(np.arange(len(again)), again)):
+            calibration = learn_calibration(forest, features[~test], categories[~test], people, copies=copies)
+            verdicts = Assessor(forest, calibration).assess(forest.apply(noisy[test]), noisy[test])
+            right = forest.classes_[verdicts.guess] == categories[test]
+            said.append(abs(verdicts.confidence.mean() - right.mean()))
+        assert said[1] < said[0]
+        assert said[1] < 0.1
+
+    def test_copies_are_those_of_their_rows(self):
+        copies = Copies(np.array([1, 4, 6]), FEATURES[:3])
+        assert copies.find(np.array([6, 0, 4])).tolist() == [1, 2]
+
     def test_strange_categories_are_told(self, material):
         features, categories, kept, forest, people = material
         calibration = learn_calibration(forest, features[kept], categories[kept], people)
@@ -227,13 +322,18 @@ class TestPoses:
         assert (with_poses.known[~other] != without.known[~other]).any()
 
 
+ARRAYS = {**CALIBRATION.poses.to_arrays(), "usual": CALIBRATION.usual}
+
+
 class TestStorage:
     def test_round_trip(self):
         data = CALIBRATION.to_bytes()
         again = Calibration.from_bytes(data)
         assert again.to_bytes() == data
         assert again.to_json() == CALIBRATION.to_json()
-        assert json.loads(json.dumps(again.to_json()))["known"] == {"intercept": -3.0, "slopes": [4.0, 2.0]}
+        written = json.loads(json.dumps(again.to_json()))["known"]["by_votes"]
+        assert written["intercept"] == -3.0
+        assert dict(zip(EVIDENCE, written["slopes"], strict=True))["share"] == 4.0
         assert np.array_equal(
             again.poses.compare(FEATURES, CATEGORIES), CALIBRATION.poses.compare(FEATURES, CATEGORIES)
         )
@@ -241,10 +341,10 @@ class TestStorage:
     @pytest.mark.parametrize(
         "change",
         [
-            {"known": {"intercept": 0.0, "slopes": [1.0]}},
-            {"known": {"intercept": float("nan"), "slopes": [1.0, 1.0]}},
-            {"right": {"intercept": 0.0, "slopes": [-1.0]}},
-            {"right": 3},
+            {"known": {"by_votes": {"intercept": 0.0, "slopes": [1.0]}}},
+            {"known": {key: {"intercept": float("nan"), "slopes": [1.0] * 8} for key in ("by_votes", "by_poses")}},
+            {"sure": {key: {"intercept": 0.0, "slopes": [-1.0] * 8} for key in ("by_votes", "by_poses")}},
+            {"sure": 3},
             {"threshold": 1.5},
             {"threshold": "much"},
             {"auroc": None},
@@ -253,7 +353,7 @@ class TestStorage:
     def test_damaged_numbers(self, change):
         numbers = np.array(json.dumps({**CALIBRATION.to_json(), **change}, default=tuple))
         with pytest.raises(DousaError, match="retrain"):
-            Calibration.from_bytes(pack_arrays({"numbers": numbers, **CALIBRATION.poses.to_arrays()}))
+            Calibration.from_bytes(pack_arrays({"numbers": numbers, **ARRAYS}))
 
     @pytest.mark.parametrize(
         "change",
@@ -267,12 +367,38 @@ class TestStorage:
             {"counts": CALIBRATION.poses.counts.astype(float)},
             {"categories": CALIBRATION.poses.categories[::-1]},
             {"categories": np.repeat("a", 8)},
+            {"usual": CALIBRATION.usual[:-1]},
+            {"usual": np.full(8, np.nan)},
         ],
     )
     def test_damaged_poses(self, change):
         numbers = np.array(json.dumps(CALIBRATION.to_json()))
         with pytest.raises(DousaError, match="retrain"):
-            Calibration.from_bytes(pack_arrays({"numbers": numbers, **CALIBRATION.poses.to_arrays(), **change}))
+            Calibration.from_bytes(pack_arrays({"numbers": numbers, **ARRAYS, **change}))
+
+    def test_of_an_earlier_dousa(self, material):
+        """It is called unknown what was called so, and the guess is as likely right as the motion is known."""
+        features, _, _, forest, _ = material
+        curves = {
+            "known": {"intercept": -3.0, "slopes": [4.0, 2.0]},
+            "known_by_poses": {"intercept": -3.5, "slopes": [4.0, 2.0, 1.0]},
+            "right": {"intercept": 1.0, "slopes": [3.0]},
+        }
+        numbers = {name: getattr(CALIBRATION, name) for name in ("threshold", "auroc", "false_alarms", "misses")}
+        text = np.array(json.dumps({**curves, **numbers}))
+        earlier = Calibration.from_bytes(pack_arrays({"numbers": text, **SPACE.to_arrays()}))
+        leaves = forest.apply(features)
+        verdicts = Assessor(forest, earlier).assess(leaves, features)
+        guess, scores = VoteScale(forest).measure(leaves)
+        cosines = SPACE.compare(features, forest.classes_[guess])
+        wanted = Curve(-3.5, (4.0, 2.0, 1.0)).evaluate(np.column_stack([scores[:, :2], cosines]))
+        assert verdicts.known == pytest.approx(wanted)
+        assert np.array_equal(verdicts.confidence, verdicts.known)
+        assert Calibration.from_bytes(earlier.to_bytes()).to_bytes() == earlier.to_bytes()
+        del curves["known_by_poses"]
+        text = np.array(json.dumps({**curves, **numbers}))
+        with pytest.raises(DousaError, match="retrain"):
+            Calibration.from_bytes(pack_arrays({"numbers": text, **SPACE.to_arrays()}))
 
     @given(st.integers(0, 10**6), st.integers(0, 255))
     @settings(max_examples=60, deadline=None)

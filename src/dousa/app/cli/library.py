@@ -29,7 +29,7 @@ Threshold = Annotated[
         "--threshold",
         min=0,
         max=1,
-        help="Probability of being known below which a motion is unknown; 0: never.",
+        help="Confidence below which a motion is called unknown; 0: never.",
         show_default="0.5",
     ),
 ]

@@ -180,9 +180,9 @@ def describe_verdict(verdict: Verdict) -> str:
     votes = describe_votes(verdict.histogram)
     if verdict.category is not None:
         return f"{verdict.category} ({votes})"
-    if verdict.known is None:
+    if verdict.confidence is None:
         return str(Message("verdict.unknown", guess=verdict.guess, votes=votes))
-    return str(Message("verdict.unlikely", guess=verdict.guess, known=verdict.known, votes=votes))
+    return str(Message("verdict.unlikely", guess=verdict.guess, confidence=verdict.confidence, votes=votes))
 
 
 def _print_mirrored(out: Console, verdict: Verdict, mirrored: Verdict | None) -> None:

@@ -1,35 +1,40 @@
-"""Known or unknown: how far the guess of a forest can be trusted, learned from categories that are held back.
+"""How far the guess of a forest can be trusted, learned from people and categories that are held back.
 
-A forest names one of its categories for any motion, also for one that belongs to none. Three things tell the two
-cases apart, of which the leaves know the first two:
+A forest names one of its categories for any motion, also for one that belongs to none, and where a sensor is noisy its
+votes are spread although the guess is right. How much the evidence on a guess (``evidence``) says is learned by
+rounds: each holds back a part of the categories and the clips of some performers, trains a small forest on the rest,
+and looks at both, and at disturbed copies of both. Clips of people held back are known; those of categories held back
+play the unknown, and so do motions half way between two clips of different categories, as the categories of a library
+may be further from each other than a new one is from them.
 
-- the share of the trees that vote for the guessed category;
-- how many clips of that category stand in the clip's leaves, in proportion to how many usually stand around one of its
-  own clips (Breiman's proximity, section 10 of "Random forests", Machine Learning 45, 2001);
-- how well its poses go with those of the category (``_pose_space``).
-
-What values are usual for clips that the forest does not know is learned by rounds: each holds back a part of the
-categories and the clips of some performers, trains a small forest on the rest, and looks at both. The clips of the
-categories held back play the unknown, those of the performers held back the known. A logistic curve over the
-scores then gives the probability, known and unknown being taken for equally likely (Platt, "Probabilistic outputs for
-support vector machines", 1999, with his smoothed targets, so that no curve is certain).
+Logistic curves over the evidence then give two probabilities, for somebody who does not know beforehand whether the
+library knows the action, one motion in ten or so being of no category that it knows: that the motion is known, and
+that the guess is right. The curves stay near those learned over several sets where a library has little to learn from.
+Where the guess is more likely wrong than right, the motion is called unknown.
 """
 
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import asdict, dataclass, replace
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from dousa.arrays import BoolArray, FloatArray, IndexArray
-from dousa.errors import InvalidMotionError, TrainingError
+from dousa.errors import TrainingError
 from dousa.messages import Message
 from dousa.retrieval.features.feature_sets import FeatureSet
-from dousa.retrieval.forest import tree_kernels as kernels
+from dousa.retrieval.forest.evidence import (
+    Judgement,
+    VoteScale,
+    fit_judgement,
+    gather_evidence,
+    measure_usual,
+    spread_curve,
+)
 from dousa.retrieval.forest.forest import MotionForest
 from dousa.retrieval.forest.forest_file import check, damaged, pack_arrays, unpack_arrays
 from dousa.retrieval.forest.pose_space import (
@@ -37,7 +42,6 @@ from dousa.retrieval.forest.pose_space import (
     Curve,
     PoseSpace,
     compute_auroc,
-    fit_curve,
     fit_pose_space,
     read_curve,
 )
@@ -46,36 +50,65 @@ _ROUNDS = 8
 _CATEGORY_PARTS = 4  # a round holds back a quarter, so that its forest has almost as many categories as the real one
 _PERFORMER_PARTS = 3
 _TREES = 50
-_LEAST_USUAL = 1e-3
+_MOST_JUDGED = 500  # clips that are known, and as many that are not, in a round
+_MOST_BETWEEN = 250
+_COPY_WEIGHT = 2 / 3
 _SAME_HEIGHT = 0.04  # m
-_THRESHOLD = 0.5  # where a held back category and another are equally likely
+_THRESHOLD = 0.5
+STRANGERS = 0.1
+"""Motions of no category that the library knows, for each one of a known category."""
+
 _WHAT = Message("stored.calibration")
 Watch = Callable[[int, MotionForest, IndexArray, IndexArray, IndexArray], None]
 """Looks at a round: its number, its forest, and the clips that train it, that are known, and that are unknown."""
 
-_CURVES = {"known": 2, "known_by_poses": 3, "right": 1}
+_COLUMNS = ("around", "log_share", "log_lead", "typical", "pose_lead")
+# Fitted to libraries of one and of two of HDM05, UTD-MHAD, Bandai and UTKinect, each asked by its rounds, and with half
+# the weight of its strangers by the clips of the other sets. With any one of the four left out of the fit, the curves
+# were nearly as good on it as those that its own library learned (docs/confidence.md).
+KNOWN_PRIOR = Judgement(
+    spread_curve(Curve(0.9, (2.81, 0.81, 0.68)), _COLUMNS[:3]),
+    spread_curve(Curve(1.26, (2.14, 0.32, 0.62, 2.58, 0.0)), _COLUMNS),
+)
+SURE_PRIOR = Judgement(
+    spread_curve(Curve(0.05, (3.37, 1.14, 1.14)), _COLUMNS[:3]),
+    spread_curve(Curve(0.66, (1.87, 0.32, 0.84, 5.68, 2.32)), _COLUMNS),
+)
+_JUDGEMENTS = ("known", "sure")
 _NUMBERS = ("threshold", "auroc", "false_alarms", "misses")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class Copies:
+    """Disturbed copies of some clips: their rows (K,), each at most once, and the features (K, T, F)."""
+
+    rows: IndexArray
+    features: FloatArray
+
+    def find(self, rows: IndexArray) -> IndexArray:
+        """Places of the copies of clips, ascending."""
+        return np.flatnonzero(np.isin(self.rows, rows))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class Calibration:
-    """What the scores of a clip mean: whether it is known, and whether the guess is right.
+    """What the evidence on a guess means: whether the motion is known, and whether the guess is right.
 
     Parameters
     ----------
-    known : curve over the first two scores of ``Assessor.measure``: does the clip belong to any category of the forest?
-    known_by_poses : the same with the likeness of the poses as third score.
-    right : curve over the lead of the guess over the second category in votes: is the guess right, if it does?
-    poses : in which the likeness is measured.
-    threshold : a clip of a smaller probability to be known is called unknown.
-    auroc : over the rounds, how well the probability told held back categories from the others; 0.5 to 1.
+    known : does it belong to any category of the forest?
+    sure : is the guess right?
+    poses : in which poses are compared.
+    usual : (C,) cosine that is usual for a clip of each category, in the order of ``poses``.
+    threshold : a clip whose guess has a smaller probability to be right is called unknown.
+    auroc : over the rounds, how well ``known`` told held back categories from the others; 0.5 to 1.
     false_alarms, misses : over the rounds, the share of known clips called unknown, and of unknown ones called known.
     """
 
-    known: Curve
-    known_by_poses: Curve
-    right: Curve
+    known: Judgement
+    sure: Judgement
     poses: PoseSpace
+    usual: FloatArray
     threshold: float
     auroc: float
     false_alarms: float
@@ -83,29 +116,49 @@ class Calibration:
 
     def with_clips(self, features: FloatArray, categories: ArrayLike) -> Calibration:
         """The calibration of a forest that has taken up clips (M, T, F) of categories (M,), old or new."""
-        return replace(self, poses=self.poses.with_clips(features, np.asarray(categories)))
+        poses = self.poses.with_clips(features, np.asarray(categories))
+        usual = np.full(len(poses.categories), np.median(self.usual))
+        usual[np.searchsorted(poses.categories, self.poses.categories)] = self.usual
+        return replace(self, poses=poses, usual=usual)
 
     def to_json(self) -> dict[str, Any]:
         """The curves and numbers, ready for ``json.dumps``; without the poses."""
-        curves = {name: asdict(getattr(self, name)) for name in _CURVES}
-        return {**curves, **{name: getattr(self, name) for name in _NUMBERS}}
+        judgements = {name: getattr(self, name).to_json() for name in _JUDGEMENTS}
+        return {**judgements, **{name: getattr(self, name) for name in _NUMBERS}}
 
     def to_bytes(self) -> bytes:
         """An .npz file (no pickle); the same calibration gives the same bytes."""
-        return pack_arrays({"numbers": np.array(json.dumps(self.to_json())), **self.poses.to_arrays()})
+        arrays = {"numbers": np.array(json.dumps(self.to_json())), "usual": self.usual, **self.poses.to_arrays()}
+        return pack_arrays(arrays)
 
     @classmethod
     def from_bytes(cls, data: bytes) -> Calibration:
-        """The calibration that ``to_bytes`` wrote; DousaError where it is anything else."""
-        arrays = unpack_arrays(data, {"numbers", *ARRAYS}, _WHAT)
+        """The calibration that ``to_bytes`` wrote, or an earlier dousa; DousaError where it is anything else."""
+        arrays = unpack_arrays(data, {"numbers", *ARRAYS}, _WHAT, ("usual",))
+        poses = PoseSpace.from_arrays(arrays, _WHAT)
+        usual = arrays.get("usual", np.zeros(len(poses.categories)))
+        check(usual.shape == poses.categories.shape and usual.dtype == np.float64, _WHAT, "bad cosines")
+        check(bool(np.isfinite(usual).all()), _WHAT, "bad cosines")
         try:
             written = json.loads(str(arrays["numbers"]))
-            known, known_by_poses, right = (read_curve(written[name], count) for name, count in _CURVES.items())
+            if "usual" in arrays:
+                known, sure = (Judgement.from_json(written[name]) for name in _JUDGEMENTS)
+            else:
+                known = sure = _read_earlier(written)
             numbers = [float(written[name]) for name in _NUMBERS]
         except (KeyError, TypeError, ValueError, OverflowError, RecursionError) as error:
             raise damaged(_WHAT, error) from error
         check(all(0.0 <= number <= 1.0 for number in numbers), _WHAT, "shares beyond 0 ... 1")
-        return cls(known, known_by_poses, right, PoseSpace.from_arrays(arrays, _WHAT), *numbers)
+        return cls(known, sure, poses, usual, *numbers)
+
+
+def _read_earlier(written: Mapping[str, Any]) -> Judgement:
+    """Of a dousa that called a motion unknown where it was not likely known, whatever the guess."""
+    curves = (
+        spread_curve(read_curve(written["known"], 2), ("share", "around")),
+        spread_curve(read_curve(written["known_by_poses"], 3), ("share", "around", "cosine")),
+    )
+    return Judgement(*curves)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -116,8 +169,8 @@ class Verdicts:
     ----------
     guess : (N,) number of the most voted category.
     known : (N,) probability that the clip belongs to any category of the forest.
-    confidence : (N,) probability that the guess is right: that the clip is known, and the guess right then.
-    unknown : (N,) whether the clip is called unknown.
+    confidence : (N,) probability that the guess is right; at most ``known``.
+    unknown : (N,) whether the clip is called unknown: the guess is more likely wrong than right.
     """
 
     guess: IndexArray
@@ -137,7 +190,7 @@ class Assessor:
 
     def __init__(self, forest: MotionForest, calibration: Calibration) -> None:
         self.forest, self.calibration = forest, calibration
-        self._scale = _Scale(forest)
+        self._scale = VoteScale(forest)
 
     def measure(self, leaves: NDArray[np.integer[Any]]) -> tuple[IndexArray, FloatArray]:
         """The guesses and the scores of clips.
@@ -163,50 +216,11 @@ class Assessor:
         features : (N, T, F) of the same clips; with them, unknown ones are told better.
         """
         guess, scores = self.measure(leaves)
-        calibration = self.calibration
-        known = calibration.known.evaluate(scores[:, :2])
-        if features is not None and len(guess):
-            likeness = calibration.poses.compare(features, self.forest.classes_[guess])
-            by_poses = calibration.known_by_poses.evaluate(np.column_stack([scores[:, :2], likeness]))
-            known = np.where(np.isnan(likeness), known, by_poses)  # a category that came later without its poses
-        right = calibration.right.evaluate(scores[:, 2:])
-        return Verdicts(guess, known, known * right, known < calibration.threshold)
-
-
-class _Scale:
-    """How many clips of each category stand in a leaf, and how many usually do around a clip of that category."""
-
-    def __init__(self, forest: MotionForest) -> None:
-        trees = forest.trees_
-        self._forest, n_trees = forest, len(trees.roots)
-        counts = trees.leaf_counts.astype(np.float64)
-        # Every clip stands in one leaf of each tree, so the leaves know how large the categories are, and how many
-        # neighbours of its category each clip has: the sum of squares counts the pairs.
-        sizes = np.bincount(trees.leaf_classes, counts, trees.n_classes) / n_trees
-        pairs = np.bincount(trees.leaf_classes, counts**2, trees.n_classes) / n_trees
-        usual = (pairs - sizes) / np.maximum(sizes * (sizes - 1.0), 1e-9)
-        alone = sizes < 1.5
-        usual[alone] = np.median(usual[~alone]) if (~alone).any() else 1.0
-        weight = 1.0 / (np.maximum(sizes, 1.0) * np.maximum(usual, _LEAST_USUAL))
-        self._entries = (trees.leaf_starts, trees.leaf_classes, counts * weight[trees.leaf_classes])
-
-    def measure(self, leaves: NDArray[np.integer[Any]]) -> tuple[IndexArray, FloatArray]:
-        """As ``Assessor.measure``."""
-        trees = self._forest.trees_
-        if leaves.ndim != 2 or leaves.shape[1] != len(trees.roots):
-            raise InvalidMotionError("forest.leaves_shape", trees=len(trees.roots), shape=leaves.shape)
-        wide = np.ascontiguousarray(leaves, dtype=np.int64)
-        if wide.size and not (wide.min() >= 0 and wide.max() < trees.n_leaves):
-            raise InvalidMotionError("forest.leaves_range", last=trees.n_leaves - 1)
-        votes = self._forest.histograms_of(wide)
-        near = np.zeros_like(votes)
-        kernels.count_leaves(wide, *self._entries, near)
-        guess, rows = votes.argmax(axis=1), np.arange(len(votes))
-        first = votes[rows, guess]
-        votes[rows, guess] = -1.0
-        second = np.maximum(votes.max(axis=1), 0.0)
-        around = np.minimum(near[rows, guess] / wide.shape[1], 2.0)
-        return guess, np.stack([first, around, first - second], axis=1)
+        calibration, names = self.calibration, self.forest.classes_[guess]
+        evidence, has_poses = gather_evidence(scores, calibration.poses, calibration.usual, features, names)
+        known = calibration.known.evaluate(evidence, has_poses)
+        confidence = np.minimum(calibration.sure.evaluate(evidence, has_poses), known)
+        return Verdicts(guess, known, confidence, confidence < calibration.threshold)
 
 
 def learn_calibration(
@@ -216,10 +230,11 @@ def learn_calibration(
     performers: Sequence[str | None] | None = None,
     *,
     feature_set: FeatureSet | None = None,
+    copies: Copies | None = None,
     random_state: int = 0,
     watch: Watch | None = None,
 ) -> Calibration:
-    """Learn from categories that are held back what the scores of unknown clips are.
+    """Learn from people and categories that are held back how far guesses can be trusted.
 
     Parameters
     ----------
@@ -230,6 +245,7 @@ def learn_calibration(
         of people that the forest knows stand for the known, and strangers are called unknown too often;
         ``guess_performers`` helps.
     feature_set : that of ``MotionForest.fit``.
+    copies : disturbed copies of some of the clips, of any rows. Without them, noise is taken for strangeness.
     random_state : seed; the same seed gives the same calibration, however many workers.
     watch : called in each round with its number, its forest, and the rows that train it, that are known and unknown.
 
@@ -249,17 +265,19 @@ def learn_calibration(
     if len(names) < 3:
         raise TrainingError("calibration.categories", count=len(names))
     people = [None] * len(labels) if performers is None else performers
-    judge = _Judge(forest.get_params(), features, labels, feature_set, watch)
+    judge = _Judge(forest.get_params(), features, labels, feature_set, copies, watch)
     rounds = list(_draw_rounds(labels, people, random_state))
     # The forests side by side, each by one worker, as small ones are not worth dividing; the poses one after the other,
     # as the linear algebra has workers of its own.
     asked = Parallel(n_jobs=forest.n_jobs, prefer="threads")(
         delayed(judge.ask_forest)(number, *parts) for number, parts in enumerate(rounds)
     )
-    seen = [judge.compare_poses(*parts, *said) for parts, said in zip(rounds, asked, strict=True)]
+    held = enumerate(zip(rounds, asked, strict=True))
+    seen = [judge.compare_poses(number, parts, said) for number, (parts, said) in held]
     if not seen:
         raise TrainingError("calibration.clips")
-    return _summarise(seen, fit_pose_space(features, labels, feature_set))
+    space = judge.fit_space(np.arange(len(labels)))
+    return _summarise(seen, space, measure_usual(space, features, labels))
 
 
 def guess_performers(heights: ArrayLike) -> tuple[str, ...]:
@@ -276,12 +294,16 @@ def guess_performers(heights: ArrayLike) -> tuple[str, ...]:
     return tuple(f"{_SAME_HEIGHT * round(float(height) / _SAME_HEIGHT):.2f} m" for height in np.asarray(heights))
 
 
+_UNKNOWN, _KNOWN, _BETWEEN = range(3)
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class _Round:
-    """Clips held back: scores (M, 4), poses last; which are of known categories; which guesses are right."""
+    """Motions that were asked about: evidence (M, 8), kinds, which are copies, and which guesses are right (M,)."""
 
-    scores: FloatArray
-    known: BoolArray
+    evidence: FloatArray
+    kinds: IndexArray
+    copied: BoolArray
     right: BoolArray
 
 
@@ -293,6 +315,7 @@ class _Judge:
     features: FloatArray
     labels: NDArray[Any]
     feature_set: FeatureSet | None
+    copies: Copies | None = None
     watch: Watch | None = None
 
     def ask_forest(
@@ -302,44 +325,94 @@ class _Judge:
         trees = min(_TREES, self.parameters["n_trees"])
         small = MotionForest(**{**self.parameters, "n_trees": trees, "random_state": number, "n_jobs": 1})
         small.fit(self.features[train], self.labels[train], feature_set=self.feature_set)
-        leaves = small.apply(self.features[np.concatenate([known, unknown])])
         if self.watch is not None:
             self.watch(number, small, train, known, unknown)
-        guess, scores = _Scale(small).measure(leaves)
+        guess, scores = VoteScale(small).measure(small.apply(self._choose(number, known, unknown)[0]))
         return small.classes_[guess], scores
+
+    def _choose(
+        self, number: int, known: IndexArray, unknown: IndexArray
+    ) -> tuple[FloatArray, NDArray[Any], IndexArray, BoolArray]:
+        """Clips held back, their copies, and motions between two: features, labels, kinds, and which are copies."""
+        chance = np.random.default_rng(number)
+        known, unknown = (chance.permutation(rows)[:_MOST_JUDGED] for rows in (known, unknown))
+        other = chance.permutation(known)
+        apart = np.flatnonzero(self.labels[known] != self.labels[other])[:_MOST_BETWEEN]
+        between = 0.5 * (self.features[known[apart]] + self.features[other[apart]])
+        parts = [(self.features[known], known), (self.features[unknown], unknown), (between, known[apart])]
+        kinds = [_KNOWN, _UNKNOWN, _BETWEEN]
+        if self.copies is not None:
+            for kind, rows in ((_KNOWN, known), (_UNKNOWN, unknown)):
+                places = self.copies.find(rows)
+                parts.append((self.copies.features[places], self.copies.rows[places]))
+                kinds.append(kind)
+        sizes = [len(rows) for _, rows in parts]
+        labels = self.labels[np.concatenate([rows for _, rows in parts])]
+        return (
+            np.concatenate([features for features, _ in parts]),
+            labels,
+            np.repeat(kinds, sizes),
+            np.repeat(np.arange(len(parts)) >= _BETWEEN + 1, sizes),
+        )
+
+    def fit_space(self, rows: IndexArray) -> PoseSpace:
+        """The space of some clips and of their copies: what noise changes is scatter within a category."""
+        features, labels = self.features[rows], self.labels[rows]
+        if self.copies is not None:
+            places = self.copies.find(rows)
+            features = np.concatenate([features, self.copies.features[places]])
+            labels = np.concatenate([labels, self.labels[self.copies.rows[places]]])
+        return fit_pose_space(features, labels, self.feature_set)
 
     def compare_poses(
         self,
-        train: IndexArray,
-        known: IndexArray,
-        unknown: IndexArray,
-        guess: NDArray[Any],
-        scores: FloatArray,
+        number: int,
+        parts: tuple[IndexArray, IndexArray, IndexArray],
+        said: tuple[NDArray[Any], FloatArray],
     ) -> _Round:
-        """Add the likeness to the scores."""
-        looked = np.concatenate([known, unknown])
-        space = fit_pose_space(self.features[train], self.labels[train], self.feature_set)
-        scores = np.column_stack([scores, space.compare(self.features[looked], guess)])
-        return _Round(scores, np.arange(len(looked)) < len(known), guess == self.labels[looked])
+        """Add what the poses say."""
+        train, known, unknown = parts
+        guess, scores = said
+        features, labels, kinds, copied = self._choose(number, known, unknown)
+        space = self.fit_space(train)
+        usual = measure_usual(space, self.features[train], self.labels[train])
+        evidence, _ = gather_evidence(scores, space, usual, features, guess)
+        return _Round(evidence, kinds, copied, (guess == labels) & (kinds == _KNOWN))
 
 
-def _summarise(rounds: list[_Round], poses: PoseSpace) -> Calibration:
-    scores, known, right = (
-        np.concatenate([getattr(one, name) for one in rounds]) for name in ("scores", "known", "right")
+def _summarise(rounds: list[_Round], poses: PoseSpace, usual: FloatArray) -> Calibration:
+    evidence, kinds, copied, right = (
+        np.concatenate([getattr(one, name) for one in rounds]) for name in ("evidence", "kinds", "copied", "right")
     )
-    curve = fit_curve(scores[:, [0, 1, 3]], known)
-    probability = curve.evaluate(scores[:, [0, 1, 3]])
-    called = probability >= _THRESHOLD
+    weights = _weigh(kinds, copied)
+    known = fit_judgement(evidence, kinds == _KNOWN, weights, KNOWN_PRIOR)
+    sure = fit_judgement(evidence, right, weights, SURE_PRIOR)
+    plain = ~copied & (kinds != _BETWEEN)
+    belongs, seen = kinds[plain] == _KNOWN, evidence[plain]
+    called = sure.by_poses.evaluate(seen) >= _THRESHOLD
     return Calibration(
-        known=fit_curve(scores[:, :2], known),
-        known_by_poses=curve,
-        right=fit_curve(scores[known, 2:3], right[known], balanced=False),
+        known=known,
+        sure=sure,
         poses=poses,
+        usual=usual,
         threshold=_THRESHOLD,
-        auroc=compute_auroc(probability, known),
-        false_alarms=float(1.0 - called[known].mean()),
-        misses=float(called[~known].mean()),
+        auroc=compute_auroc(known.by_poses.evaluate(seen), belongs),
+        false_alarms=float(1.0 - called[belongs].mean()),
+        misses=float(called[~belongs].mean()) if not belongs.all() else 0.0,
     )
+
+
+def _weigh(kinds: IndexArray, copied: BoolArray) -> FloatArray:
+    """As many strangers as are met, half of them between known ones; copies weigh twice as much as the clips."""
+    weights = np.zeros(len(kinds))
+    has_both = len(np.unique(kinds)) == 3
+    for kind, weight in ((_KNOWN, 1.0), (_UNKNOWN, STRANGERS), (_BETWEEN, STRANGERS)):
+        share = 0.5 if has_both and kind != _KNOWN else 1.0
+        own, again = kinds == kind, (kinds == kind) & copied
+        of_copies = _COPY_WEIGHT if again.any() else 0.0
+        weights[own & ~copied] = weight * share * (1.0 - of_copies) / max(int((own & ~copied).sum()), 1)
+        weights[again] = weight * share * of_copies / max(int(again.sum()), 1)
+    return weights
 
 
 def _draw_rounds(

@@ -69,6 +69,12 @@ class PoseSpace:
         cosine = np.einsum("nk,nk->n", placed, centres) / np.maximum(lengths, _TINY)
         return np.where(self.categories[rows] == categories, np.clip(cosine, -1.0, 1.0), np.nan)
 
+    def compare_all(self, features: FloatArray) -> FloatArray:
+        """The cosines (N, C) of the angles between clips and the centres of all categories."""
+        placed = self.place(features)
+        lengths = np.outer(np.linalg.norm(placed, axis=1), np.linalg.norm(self.sums, axis=1))
+        return np.clip(placed @ self.sums.T / np.maximum(lengths, _TINY), -1.0, 1.0)
+
     def with_clips(self, features: FloatArray, categories: NDArray[Any]) -> PoseSpace:
         """The same space with more clips in it, of categories old or new."""
         names = np.unique(np.concatenate([self.categories, categories]))
@@ -175,6 +181,9 @@ def _join_cells(cells: FloatArray) -> FloatArray:
 
 _RIDGE = 1e-3  # holds curves finite where the scores part both sides without a mistake
 
+_SPREAD_RIDGE = 0.01  # the same on slopes in spreads of the scores
+_PRIOR_ROWS = 5.0
+
 _NEWTON_STEPS = 50
 
 
@@ -210,13 +219,47 @@ def compute_auroc(scores: FloatArray, positive: BoolArray) -> float:
 def fit_curve(scores: FloatArray, positive: BoolArray, *, balanced: bool = True) -> Curve:
     """The most likely logistic curve without falling slopes, both sides counting the same if ``balanced``."""
     n_positive, n_negative = int(positive.sum()), int((~positive).sum())
-    target = np.where(positive, (n_positive + 1) / (n_positive + 2), 1 / (n_negative + 2))
     weight = np.full(len(positive), 1.0 / max(len(positive), 1))
     if balanced and n_positive and n_negative:
         weight = np.where(positive, 0.5 / n_positive, 0.5 / n_negative)
+    pull = np.array([1e-9, *[_RIDGE] * scores.shape[1]])
+    return _fit_rising(scores, _smooth(positive), weight, np.zeros(len(pull)), pull)
+
+
+def fit_weighted_curve(scores: FloatArray, positive: BoolArray, weights: FloatArray, prior: Curve) -> Curve:
+    """The most likely logistic curve without falling slopes, near one that is known from elsewhere.
+
+    Parameters
+    ----------
+    scores : (N, K).
+    positive : (N,).
+    weights : (N,) of the rows; their sum does not matter.
+    prior : over the same scores; it counts as ``_PRIOR_ROWS`` rows do.
+    """
+    share = weights / weights.sum()
+    middle = share @ scores
+    spread = np.sqrt(share @ (scores - middle) ** 2)
+    centre = np.array([prior.intercept + np.dot(prior.slopes, middle), *prior.slopes])
+    weight = _PRIOR_ROWS / len(scores)
+    pull = np.array([weight, *((_SPREAD_RIDGE + weight) * spread**2 + _TINY)])
+    curve = _fit_rising(scores - middle, _smooth(positive), share, centre, pull)
+    return Curve(curve.intercept - float(np.dot(curve.slopes, middle)), curve.slopes)
+
+
+def _smooth(positive: BoolArray) -> FloatArray:
+    """Platt's targets, so that no curve is certain."""
+    n_positive, n_negative = int(positive.sum()), int((~positive).sum())
+    return np.where(positive, (n_positive + 1) / (n_positive + 2), 1 / (n_negative + 2))
+
+
+def _fit_rising(
+    scores: FloatArray, target: FloatArray, weight: FloatArray, centre: FloatArray, pull: FloatArray
+) -> Curve:
+    """The best curve; scores whose slopes would fall are left out, the worst one first."""
     used = np.arange(scores.shape[1])
     while True:
-        solution = _climb(scores[:, used], target, weight)
+        kept = np.append(0, used + 1)
+        solution = _climb(scores[:, used], target, weight, centre[kept], pull[kept])
         if not len(used) or solution[1:].min() >= 0.0:
             break
         used = np.delete(used, solution[1:].argmin())
@@ -225,14 +268,16 @@ def fit_curve(scores: FloatArray, positive: BoolArray, *, balanced: bool = True)
     return Curve(float(solution[0]), tuple(float(slope) for slope in slopes))
 
 
-def _climb(scores: FloatArray, target: FloatArray, weight: FloatArray) -> FloatArray:
+def _climb(
+    scores: FloatArray, target: FloatArray, weight: FloatArray, centre: FloatArray, pull: FloatArray
+) -> FloatArray:
     """Intercept and slopes of the largest likelihood, by Newton's method on a strictly concave function."""
     design = np.column_stack([np.ones(len(scores)), scores])
-    ridge = np.diag([1e-9, *[_RIDGE] * scores.shape[1]])
+    ridge = np.diag(pull)
     solution = np.zeros(design.shape[1])
     for _ in range(_NEWTON_STEPS):
         probability = _logistic(design @ solution)
-        slope = design.T @ (weight * (target - probability)) - ridge @ solution
+        slope = design.T @ (weight * (target - probability)) - ridge @ (solution - centre)
         bend = (design.T * (weight * np.maximum(probability * (1.0 - probability), 1e-6))) @ design + ridge
         step = np.linalg.solve(bend, slope)
         solution += step * min(1.0, 4.0 / max(np.abs(step).max(), 1e-12))

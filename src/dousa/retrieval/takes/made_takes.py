@@ -14,7 +14,7 @@ import numpy as np
 from dousa.arrays import FloatArray
 from dousa.errors import TrainingError
 from dousa.motion.canonical.joints import CANONICAL_PARENTS, JOINT_INDEX, MIRRORED_JOINTS
-from dousa.retrieval.features.posed_motion import LabelledClip
+from dousa.retrieval.features.posed_motion import LabelledClip, PosedMotion
 from dousa.retrieval.takes.windows import TAKE_RATE
 
 BLEND_SECONDS = (0.3, 0.5)
@@ -215,6 +215,13 @@ def disturb(take: JoinedTake, generator: np.random.Generator) -> JoinedTake:
         points[jumping] += generator.normal(0.0, _JUMP, (int(jumping.sum()), 3))
     height = take.height * float(np.exp(generator.normal(0.0, _HEIGHT)))
     return replace(take, positions=points, height=height, frame_rate=rate)
+
+
+def disturb_motion(motion: PosedMotion, generator: np.random.Generator) -> JoinedTake:
+    """A clip as another sensor may have seen it, as in ``disturb``; all its joints have a place."""
+    from dousa.retrieval.features.channels import sample_positions
+
+    return disturb(JoinedTake(sample_positions(motion.positions, motion.frame_rate), motion.height, ()), generator)
 
 
 def _stretch_bones(points: FloatArray, generator: np.random.Generator) -> FloatArray:

@@ -40,7 +40,7 @@ class SearchRequest(BaseModel):
     explain: bool = Field(default=False, description="say why")
     threshold: _Share | None = Field(
         default=None,
-        description="probability of being known below which the query is unknown; learned if left out",
+        description="confidence below which the query is unknown; learned if left out",
     )
     inside_takes: bool = Field(default=False, description="look into takes too")
 

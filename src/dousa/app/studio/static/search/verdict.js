@@ -48,8 +48,8 @@ export function drawVerdict(element, answer, { explain, onGo }) {
     else place.remove();
   });
   const mirrored = answer.mirrored?.fits_better ? h("p", { class: "badge unsure" }, t("verdict_mirrored", { category: answer.mirrored.category ?? answer.mirrored.guess })) : null;
-  const known = answer.known == null || answer.category !== null ? null : h("p", { class: "note" }, t("verdict_known_share", { percent: percent(answer.known) }));
+  const chance = answer.confidence == null || answer.category !== null ? null : h("p", { class: "note" }, t("verdict_right_share", { percent: percent(answer.confidence) }));
   element.classList.toggle("is-unknown", answer.category === null);
-  const words = h("div", { class: "verdict-head" }, ...headline(answer), mirrored, known, why);
+  const words = h("div", { class: "verdict-head" }, ...headline(answer), mirrored, chance, why);
   element.replaceChildren(words, h("div", { class: "votes" }, h("h3", {}, t("votes")), bars(answer.histogram)));
 }

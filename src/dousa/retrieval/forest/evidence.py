@@ -1,0 +1,184 @@
+"""Evidence for and against a guess of a forest: of the votes, of the leaves, and of the poses.
+
+- *share*, *lead*: the share of the trees that vote for the guess, and its lead over the second category;
+- *around*: how many clips of that category stand in the clip's leaves, in proportion to how many usually stand around
+  one of its own clips (Breiman's proximity, section 10 of "Random forests", Machine Learning 45, 2001);
+- *cosine*: how well its poses go with those of the category (``pose_space``); *typical*: the same, less what is usual
+  for a clip of that category; *pose_lead*: less what it is for the best other category.
+
+How much each of them says is learned (``calibration``). Here are also the judgements that weigh them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dousa.arrays import BoolArray, FloatArray, IndexArray
+from dousa.errors import InvalidMotionError
+from dousa.retrieval.forest import tree_kernels as kernels
+from dousa.retrieval.forest.forest import MotionForest
+from dousa.retrieval.forest.pose_space import Curve, PoseSpace, fit_weighted_curve, read_curve
+
+OF_VOTES = ("share", "around", "lead", "log_share", "log_lead")
+"""Columns of evidence that need no poses."""
+
+EVIDENCE: tuple[str, ...] = (*OF_VOTES, "cosine", "typical", "pose_lead")
+"""All columns."""
+
+_LEAST_SHARE = 0.02
+_LEAST_USUAL = 1e-3
+_USUAL_WEIGHT = 2.0  # clips of the usual category that stand beside those of each
+
+
+class VoteScale:
+    """How many clips of each category stand in a leaf, and how many usually do around a clip of that category."""
+
+    def __init__(self, forest: MotionForest) -> None:
+        trees = forest.trees_
+        self._forest, n_trees = forest, len(trees.roots)
+        counts = trees.leaf_counts.astype(np.float64)
+        # Every clip stands in one leaf of each tree, so the leaves know how large the categories are, and how many
+        # neighbours of its category each clip has: the sum of squares counts the pairs.
+        sizes = np.bincount(trees.leaf_classes, counts, trees.n_classes) / n_trees
+        pairs = np.bincount(trees.leaf_classes, counts**2, trees.n_classes) / n_trees
+        usual = (pairs - sizes) / np.maximum(sizes * (sizes - 1.0), 1e-9)
+        alone = sizes < 1.5
+        usual[alone] = np.median(usual[~alone]) if (~alone).any() else 1.0
+        weight = 1.0 / (np.maximum(sizes, 1.0) * np.maximum(usual, _LEAST_USUAL))
+        self._entries = (trees.leaf_starts, trees.leaf_classes, counts * weight[trees.leaf_classes])
+
+    def measure(self, leaves: NDArray[np.integer[Any]]) -> tuple[IndexArray, FloatArray]:
+        """The guesses and the scores of clips.
+
+        Parameters
+        ----------
+        leaves : (N, n_trees) as ``apply`` gives them.
+
+        Returns
+        -------
+        guess : (N,) number of the most voted category, the first of equals.
+        scores : (N, 3) share of the votes for it; clips of it in the leaves in proportion to the usual, at most 2; lead
+            over the second category in votes.
+        """
+        trees = self._forest.trees_
+        if leaves.ndim != 2 or leaves.shape[1] != len(trees.roots):
+            raise InvalidMotionError("forest.leaves_shape", trees=len(trees.roots), shape=leaves.shape)
+        wide = np.ascontiguousarray(leaves, dtype=np.int64)
+        if wide.size and not (wide.min() >= 0 and wide.max() < trees.n_leaves):
+            raise InvalidMotionError("forest.leaves_range", last=trees.n_leaves - 1)
+        votes = self._forest.histograms_of(wide)
+        near = np.zeros_like(votes)
+        kernels.count_leaves(wide, *self._entries, near)
+        guess, rows = votes.argmax(axis=1), np.arange(len(votes))
+        first = votes[rows, guess]
+        votes[rows, guess] = -1.0
+        second = np.maximum(votes.max(axis=1), 0.0)
+        around = np.minimum(near[rows, guess] / wide.shape[1], 2.0)
+        return guess, np.stack([first, around, first - second], axis=1)
+
+
+def measure_usual(space: PoseSpace, features: FloatArray, categories: NDArray[Any]) -> FloatArray:
+    """How near a clip of each category usually is to the others of it: a cosine (C,), in the order of the space.
+
+    Parameters
+    ----------
+    space : in which clips (N, T, F) of categories (N,) stand, and perhaps others.
+    """
+    placed, own = space.place(features), np.searchsorted(space.categories, categories)
+    centres = space.sums[own] - placed
+    lengths = np.linalg.norm(placed, axis=1) * np.linalg.norm(centres, axis=1)
+    cosines = np.einsum("nk,nk->n", placed, centres) / np.maximum(lengths, 1e-9)
+    paired = space.counts[own] > 1
+    middle = float(np.median(cosines[paired])) if paired.any() else 1.0
+    count = len(space.categories)
+    sums, sizes = (np.bincount(own[paired], weights, count) for weights in (cosines[paired], None))
+    usual: FloatArray = (sums + _USUAL_WEIGHT * middle) / (sizes + _USUAL_WEIGHT)
+    return usual
+
+
+def gather_evidence(
+    scores: FloatArray, space: PoseSpace, usual: FloatArray, features: FloatArray | None, guess: NDArray[Any]
+) -> tuple[FloatArray, BoolArray]:
+    """Evidence (N, 8) on guesses, and which of them (N,) have all of it: the poses of a category may be missing.
+
+    Parameters
+    ----------
+    scores : (N, 3) of ``VoteScale.measure``.
+    space, usual : with the cosines (C,) that are usual for its categories.
+    features : (N, T, F); None where poses are not looked at.
+    guess : (N,) categories.
+    """
+    share, around, lead = scores.T
+    logs = np.log(share + _LEAST_SHARE), np.log((share + _LEAST_SHARE) / (share - lead + _LEAST_SHARE))
+    evidence = np.zeros((len(scores), len(EVIDENCE)))
+    evidence[:, : len(OF_VOTES)] = np.column_stack([share, around, lead, *logs])
+    has_poses = np.zeros(len(scores), bool)
+    if features is not None and len(scores):
+        places = np.minimum(np.searchsorted(space.categories, guess), len(space.categories) - 1)
+        has_poses = space.categories[places] == guess
+        cosines = space.compare_all(features)
+        rows = np.arange(len(scores))
+        own = cosines[rows, places]
+        cosines[rows, places] = -1.0
+        evidence[:, len(OF_VOTES) :] = np.column_stack([own, own - usual[places], own - cosines.max(axis=1)])
+    return evidence, has_poses
+
+
+@dataclass(frozen=True, slots=True)
+class Judgement:
+    """A probability from evidence.
+
+    Parameters
+    ----------
+    by_votes : curve over all columns for guesses without poses.
+    by_poses : for the others.
+    """
+
+    by_votes: Curve
+    by_poses: Curve
+
+    def evaluate(self, evidence: FloatArray, has_poses: BoolArray) -> FloatArray:
+        """Probabilities (N,) of evidence (N, 8)."""
+        return np.where(has_poses, self.by_poses.evaluate(evidence), self.by_votes.evaluate(evidence))
+
+    def to_json(self) -> dict[str, Any]:
+        """Numbers for ``json.dumps``."""
+        return asdict(self)
+
+    @classmethod
+    def from_json(cls, data: Mapping[str, Any]) -> Judgement:
+        """What ``to_json`` gave; KeyError, TypeError or ValueError where it is anything else."""
+        return cls(*(read_curve(data[name], len(EVIDENCE)) for name in ("by_votes", "by_poses")))
+
+
+def spread_curve(curve: Curve, columns: Sequence[str]) -> Curve:
+    """A curve over some columns as one over all."""
+    slopes = dict(zip(columns, curve.slopes, strict=True))
+    return Curve(curve.intercept, tuple(slopes.get(name, 0.0) for name in EVIDENCE))
+
+
+_VOTE_COLUMNS = ("around", "log_share", "log_lead")
+_POSE_COLUMNS = (*_VOTE_COLUMNS, "typical", "pose_lead")
+
+
+def fit_judgement(evidence: FloatArray, positive: BoolArray, weights: FloatArray, prior: Judgement) -> Judgement:
+    """Learn from guesses (N,) of which is known whether they are positive.
+
+    Parameters
+    ----------
+    evidence : (N, 8), of guesses with poses.
+    positive, weights : (N,).
+    prior : what was learned over several sets.
+    """
+    curves = []
+    for columns, own in ((_VOTE_COLUMNS, prior.by_votes), (_POSE_COLUMNS, prior.by_poses)):
+        places = [EVIDENCE.index(name) for name in columns]
+        near = Curve(own.intercept, tuple(own.slopes[place] for place in places))
+        fitted = fit_weighted_curve(evidence[:, places], positive, weights, near)
+        curves.append(spread_curve(fitted, columns))
+    return Judgement(*curves)
