@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import json
+import os
 import re
 from importlib import resources
 
@@ -199,3 +200,57 @@ def test_searches_beyond_the_gate_are_sent_away(studio):
             assert studio.post(f"/api/search{path}", json=asked).status_code == 429
         assert studio.post("/api/classify", json={"motions": [{"motion": "clip:1"}]}).status_code == 429
     assert studio.post("/api/search", json={"query": {"motion": "clip:1"}}).status_code == 200
+
+
+@pytest.mark.parametrize(
+    ("path", "asked", "field", "said"),
+    [
+        ("/api/clips/relabel", {"clips": [1], "category": " "}, "category", "one line of text"),
+        ("/api/jobs/add", {"batch": "x"}, "batch", "16 digits"),
+        ("/api/search", {"query": {"motion": "squat"}}, "query.motion", "clip:NUMBER"),
+        ("/api/jobs/export", {"clips": [1], "onto": "hero"}, "onto", "file:BATCH/NAME"),
+        ("/api/jobs/estimate", {"batch": "0" * 16, "frames": "all"}, "frames", "FIRST:LAST"),
+        ("/api/clips/remove", {"clips": "all"}, "clips", "expected a list"),
+        ("/api/search", {"query": 3}, "query", "expected an object"),
+    ],
+)
+def test_a_field_that_is_wrong_is_explained_without_expressions(studio, path, asked, field, said):
+    for language in ("en", "ja"):
+        answer = studio.post(path, json=asked, headers={"accept-language": language})
+        assert answer.status_code == 422
+        problem = answer.json()["problem"]
+        assert problem.startswith(f"{field}: ")
+        assert not re.search(r"[\^$\[\]{}\\]|should|pattern|valid", problem), problem
+        assert said in problem or language == "ja"
+
+
+# --- the disk
+
+
+def test_space_is_shown_and_given_back(studio, bvh, wait_job):
+    used = studio.post("/api/uploads?name=hop/a.bvh", content=bvh.read_bytes() + b"\n").json()["batch"]
+    wait_job(studio, studio.post("/api/jobs/add", json={"batch": used}).json()["id"])
+    fresh, old = (studio.post(f"/api/uploads?name={n}.bvh", content=bvh.read_bytes()).json()["batch"] for n in "bc")
+    export = wait_job(studio, studio.post("/api/jobs/export", json={"clips": [1]}).json()["id"])
+    home = studio.app.state.studio.workspace.root
+    for batch in (used, old):
+        os.utime(home / "files" / batch, (1, 1))
+    space = studio.get("/api/space").json()
+    assert space["can_be_freed_bytes"] > len(bvh.read_bytes())
+    assert space["uploads_bytes"] > 3 * len(bvh.read_bytes()) and space["disk_free_bytes"] > 0
+    freed = studio.post("/api/space/free").json()
+    assert freed["freed_bytes"] == space["can_be_freed_bytes"] and freed["can_be_freed_bytes"] == 0
+    assert {used, fresh} <= {path.name for path in (home / "files").iterdir()}
+    assert not (home / "files" / old).exists()
+    assert studio.get(f"/api/jobs/{export['id']}").status_code == 404
+
+
+def test_what_an_interrupted_upload_left_goes_with_the_next_start(library_copy):
+    from dousa.app.studio.core.workspace import Workspace
+
+    home = Workspace(library_copy.with_suffix(".studio"))
+    part = home.root / "files" / ".0123456789abcdef.part"
+    part.write_bytes(b"x" * 1000)
+    home.hold()
+    assert not part.exists()
+    home.release()

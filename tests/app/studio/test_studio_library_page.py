@@ -346,3 +346,27 @@ def test_training_shows_how_far_it_is_and_what_came_of_it(library_page):
     page.driver.refresh()
     page.wait("return document.querySelector('#train-result')")
     assert page.messages() == []
+
+
+def test_an_upload_that_is_not_added_leaves_nothing(library_page, running, tmp_path):
+    from dousa.formats.registry import write_motion
+    from dousa.motion.synthetic import draw_performer, make_motion
+
+    write_motion(make_motion("bow", draw_performer(5)), tmp_path / "bow.bvh")
+    batches = running.app.state.studio.workspace.root / "files"
+    page = library_page()
+    click(page, "#add-button")
+    page.wait("return document.querySelector('#add-files')")
+    page.find("#add-files").send_keys(str(tmp_path / "bow.bvh"))
+    page.wait("return document.querySelector('#add-go')")
+    assert [path for path in batches.iterdir() if path.is_dir()]
+    page.press(KEYS.ESCAPE)
+    page.driver.set_script_timeout(20)
+    for _ in range(200):
+        if not [path for path in batches.iterdir() if path.is_dir()]:
+            break
+        page.settle()
+    assert not [path for path in batches.iterdir() if path.is_dir()]
+    page.run("document.querySelector('#jobs-button').click()")
+    page.wait("return document.querySelector('.space')?.textContent.includes('MB')")
+    assert page.messages() == []

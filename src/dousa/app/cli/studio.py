@@ -41,7 +41,7 @@ def studio(
     """Open the studio: library, search, takes, evaluation and estimation in the browser of this machine.
 
     The page and its interface for programs listen on 127.0.0.1 only, behind the printed address and token. If a studio
-    of this library runs already, that one is opened. Needs: pip install 'dousa[studio]'
+    of this library runs already, that one is opened. Needs: pip install 'dousa\\[studio]'
 
     Example: dousa studio moves.dousa
     """

@@ -21,6 +21,10 @@ from starlette.requests import ClientDisconnect
 from uvicorn.protocols.http.h11_impl import H11Protocol
 
 import dousa
+from dousa.app.studio.api.clips import ONE_LINE
+from dousa.app.studio.api.estimation import FRAMES_FORM
+from dousa.app.studio.api.exports import CHARACTER_FORM
+from dousa.app.studio.content.motions import MOTION_FORM
 from dousa.app.studio.content.studio import Studio
 from dousa.app.studio.core.answers import Answer, describe_disk, status_of, to_answer
 from dousa.app.studio.core.codes import Codes
@@ -225,11 +229,13 @@ def _describe_field(item: Mapping[str, Any]) -> Message:
     cause = context.get("error")
     if isinstance(cause, ValueError) and cause.args and isinstance(cause.args[0], DousaError):
         problem = cause.args[0].message
+    elif item["type"] == "string_pattern_mismatch":
+        problem = Message(_FORM_CODES.get(context.get("pattern", ""), "studio.field_form"))
     elif item["type"] in _FIELD_CODES:
         limits = {name: value for name, value in context.items() if isinstance(value, str | int | float)}
         problem = Message(_FIELD_CODES[item["type"]], **limits)
     else:
-        problem = Message("text.verbatim", text=item["msg"])
+        problem = Message("studio.field_other")
     return Message("studio.field", field=where, problem=problem)
 
 
@@ -252,13 +258,25 @@ _FIELD_CODES = {
     "string_type": "studio.field_text",
     "string_too_short": "studio.field_short",
     "string_too_long": "studio.field_long",
-    "string_pattern_mismatch": "studio.field_pattern",
+    "list_type": "studio.field_list",
+    "model_attributes_type": "studio.field_object",
+    "model_type": "studio.field_object",
+    "dict_type": "studio.field_object",
     "literal_error": "studio.field_choice",
     "too_short": "studio.field_few",
     "too_long": "studio.field_many",
     "json_invalid": "studio.field_json",
 }
 
+
+# Forms that texts must have -> what they are, for people.
+_FORM_CODES = {
+    "^[0-9a-f]{16}$": "studio.form_number",
+    ONE_LINE: "studio.form_line",
+    MOTION_FORM: "studio.form_motion",
+    CHARACTER_FORM: "studio.form_character",
+    FRAMES_FORM: "studio.form_frames",
+}
 
 _PATIENCE = 10.0  # s for the first line and the headers of a request; uvicorn itself waits for ever
 _LEAST_BYTES = 1000  # of a body, in every such time

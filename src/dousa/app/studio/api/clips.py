@@ -15,8 +15,9 @@ from dousa.app.studio.core.answers import BYTES, Answer, RefusedError
 router = APIRouter(tags=["library"])
 
 _Number = Annotated[int, Field(ge=1, le=2**31 - 1)]
-_LINE = r"^[^\x00-\x1f\x7f]*[^\s\x00-\x1f\x7f][^\x00-\x1f\x7f]*$"  # one line, not only of spaces
-_Label = Annotated[str, Field(min_length=1, max_length=200, pattern=_LINE)]
+ONE_LINE = r"^[^\x00-\x1f\x7f]*[^\s\x00-\x1f\x7f][^\x00-\x1f\x7f]*$"  # not only of spaces
+"""The form of a label: one line."""
+_Label = Annotated[str, Field(min_length=1, max_length=200, pattern=ONE_LINE)]
 _Names = Annotated[list[Annotated[str, Query(max_length=1000)]], Query(max_length=500)]
 _Seconds = Annotated[float | None, Query(ge=0, le=1e7, allow_inf_nan=False)]
 

@@ -27,6 +27,9 @@ FILES = {
 }
 """What can be fetched of an estimation."""
 
+FRAMES_FORM = r"^-?\d{0,9}:-?\d{0,9}$"
+"""The form of a range of frames."""
+
 _PREVIEW_S, _EXAMPLE_S = 180.0, 180.0  # s; backgrounds of long films take a while, kernels compile at first
 _Name = Annotated[str, Field(min_length=1, max_length=1000, description="name in the batch")]
 _JobId = Annotated[str, Path(pattern="^[0-9a-f]{16}$")]
@@ -74,7 +77,7 @@ class EstimateRequest(BaseModel):
     background_method: BackgroundMethod | None = None
     kind: SourceKind | None = None
     rate: Annotated[float, Field(gt=0, le=10_000, allow_inf_nan=False)] | None = None
-    frames: Annotated[str, Field(pattern=r"^-?\d{0,9}:-?\d{0,9}$")] | None = None
+    frames: Annotated[str, Field(pattern=FRAMES_FORM)] | None = None
     mirrored: bool = Field(False, description="the images are mirror images")
     body: BodyRequest | _Name | None = None
     start: StartRequest | None = Field(None, description="found if left out")

@@ -18,11 +18,14 @@ from dousa.messages import Message
 
 router = APIRouter(tags=["export"])
 
+CHARACTER_FORM = r"^(clip:[0-9]{1,15}|file:[0-9a-f]{16}/.{1,1000})$"
+"""The form of the name of a character."""
+
 _Number = Annotated[int, Field(ge=1, le=2**31 - 1)]
 _Character = Annotated[
     str,
     Field(
-        pattern=r"^(clip:[0-9]{1,15}|file:[0-9a-f]{16}/.{1,1000})$",
+        pattern=CHARACTER_FORM,
         description="file:BATCH/NAME of an upload, or clip:NUMBER: a file over the skeleton that motions are put onto",
     ),
 ]

@@ -7,6 +7,7 @@ from typing import Annotated, Literal
 from fastapi import APIRouter, Query
 from pydantic import BaseModel, ConfigDict, Field
 
+from dousa.app.studio.content.disk_space import describe_space, free_space
 from dousa.app.studio.content.studio import StudioNow
 from dousa.app.studio.core.answers import Answer
 from dousa.app.studio.jobs.board import ACTIVE
@@ -54,6 +55,18 @@ def add(studio: StudioNow, wanted: AddRequest) -> Answer:
 def train(studio: StudioNow, wanted: TrainRequest) -> Answer:
     """A job; the library keeps its old forest until the new one is there."""
     return Answer(studio.jobs.submit("train", wanted.model_dump(), studio.settings.library.name).to_json(), 202)
+
+
+@router.get("/space", summary="What the studio keeps on the disk")
+def get_space(studio: StudioNow) -> Answer:
+    """Bytes of the library, of uploads and of jobs; ``can_be_freed_bytes`` is what POST /space/free gives back."""
+    return Answer(describe_space(studio))
+
+
+@router.post("/space/free", summary="Give back disk space that nothing needs")
+def free(studio: StudioNow) -> Answer:
+    """Uploads that nothing uses and nobody has touched for an hour; exports that are over, with their files."""
+    return Answer(free_space(studio))
 
 
 @router.get("/jobs", summary="All jobs, the newest first")

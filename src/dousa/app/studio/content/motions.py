@@ -29,10 +29,13 @@ if TYPE_CHECKING:
     from dousa.library import Library
     from dousa.motion import CanonicalMotion, Motion
 
+MOTION_FORM = r"^(clip:[0-9]{1,15}|file:[0-9a-f]{16}/.{1,1000}|job:[0-9a-f]{16})$"
+"""The form of the name of a motion."""
+
 MotionName = Annotated[
     str,
     Field(
-        pattern=r"^(clip:[0-9]{1,15}|file:[0-9a-f]{16}/.{1,1000}|job:[0-9a-f]{16})$",
+        pattern=MOTION_FORM,
         description="clip:NUMBER of the library, file:BATCH/NAME of an upload, or job:ID of an estimation",
         examples=["clip:12"],
     ),

@@ -85,7 +85,18 @@ _NOWHERE = frozenset(':*?"<>|\u061c\u200e\u200f\u202a\u202b\u202c\u202d\u202e\u2
 _DEVICES = frozenset({"con", "prn", "aux", "nul", *(f"{name}{n}" for name in ("com", "lpt") for n in range(1, 10))})
 _KEPT = ".kept"  # marks a batch that a library or a job lives from
 _MOST_COUNTED = 1_000  # batches whose size is remembered
+_REST = 3600.0  # s after which a batch may be cleared away by hand
 _STALE = 7 * 86_400.0  # s after which other batches are cleared away when a studio starts
+
+
+def measure(folder: Path) -> int:
+    """Bytes of a file, or of all files below a folder; what vanishes meanwhile counts nothing."""
+    total = 0
+    for path in (folder, *folder.rglob("*")):
+        with suppress(OSError):
+            if path.is_file():
+                total += path.stat().st_size
+    return total
 
 
 def safe_parts(name: str) -> tuple[str, ...]:
@@ -264,7 +275,26 @@ class Workspace:
             raise RefusedError(404, "studio_jobs.no_job", job=job[:40])
         return self.root / "jobs" / job
 
+    def list_unused(self, mentioned: str) -> list[Path]:
+        """Batches that nothing lives from and nobody has touched for an hour.
+
+        Parameters
+        ----------
+        mentioned : text in which every batch stands that is asked for by something that is kept.
+        """
+        found = []
+        for folder in (self.root / "files").iterdir():
+            with suppress(OSError):
+                rests = time.time() - folder.stat().st_mtime > _REST
+                free = _BATCH.fullmatch(folder.name) and not (folder / _KEPT).exists()
+                if rests and free and folder.name not in mentioned:
+                    found.append(folder)
+        return found
+
     def _clear_stale(self) -> None:
+        for part in (self.root / "files").glob(".*.part"):  # of uploads that ended with their studio
+            with suppress(OSError):
+                part.unlink()
         for folder in (self.root / "files").iterdir():
             with suppress(OSError):
                 old = time.time() - folder.stat().st_mtime > _STALE

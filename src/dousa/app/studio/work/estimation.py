@@ -13,6 +13,7 @@ from dousa.app.studio.core.words import shorten, to_message
 from dousa.app.studio.core.workspace import safe_parts
 from dousa.app.studio.jobs.lanes import Context
 from dousa.app.studio.work.materials import Material, pair_backgrounds, sort_materials
+from dousa.app.studio.work.trust import rank_warnings
 from dousa.errors import OptionError
 from dousa.messages import Message
 
@@ -42,11 +43,16 @@ def estimate(request: dict[str, Any], context: Context) -> dict[str, Any]:
     with closing(FootageWriter(folder)) as footage:
         done = _estimate(request, make_request(request, context, outputs), context, footage)
     said = {"body": done.body, "start": done.start}
-    warnings = [shorten(to_message(warning), context.home) for warning in done.warnings]
+    answer = done.to_json()
+    lost_share = len(answer["lost_frames"]) / max(answer["n_frames"], 1)
+    said_of_it = [shorten(to_message(warning), context.home) for warning in done.warnings]
+    trust, warnings, weights = rank_warnings(said_of_it, lost_share)
     return {
-        **{key: value for key, value in done.to_json().items() if key != "outputs"},
+        **{key: value for key, value in answer.items() if key != "outputs"},
         **{key: shorten(to_message(value), context.home) for key, value in said.items()},
+        "trust": trust,
         "warnings": warnings,
+        "warning_weights": weights,
         "motion": "motion.bvh",
         "files": [path.name for path in done.outputs] + ([CAMERAS] if (folder / CAMERAS).exists() else []),
     }

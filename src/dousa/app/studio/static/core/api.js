@@ -47,8 +47,8 @@ export async function upload(file, { name = file.name, batch, signal } = {}) {
 const AT_ONCE = 4;
 
 /** Upload entries [{file, path}] into one batch, some at a time; refused files do not stop the others.
- *  onProgress(done, total) -> {batch (null if nothing was taken), files, refused: [{name, reason}]} */
-export async function uploadAll(entries, { batch = null, onProgress = () => {}, signal } = {}) {
+ *  onProgress(done, total), onBatch(name) as soon as there is one -> {batch (null if nothing was taken), files, refused: [{name, reason}]} */
+export async function uploadAll(entries, { batch = null, onProgress = () => {}, onBatch = () => {}, signal } = {}) {
   const answer = { batch, files: [], refused: [] };
   let [next, done] = [0, 0];
   const take = async () => {
@@ -56,6 +56,7 @@ export async function uploadAll(entries, { batch = null, onProgress = () => {}, 
     try {
       const came = await upload(file, { name: path, batch: answer.batch, signal });
       answer.batch = came.batch;
+      onBatch(came.batch);
       answer.files.push(...came.files);
       answer.refused.push(...came.refused);
     } catch (error) {

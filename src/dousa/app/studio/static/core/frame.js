@@ -1,8 +1,9 @@
 // What every page has: language, light and dark, the tray of jobs.
 
+import { get, post } from "./api.js";
 import { $, h, icon, language, t } from "./dom.js";
 import { forgetJob, isActive, resumeJob, stopJob, watchJobs } from "./jobs.js";
-import { attempt } from "./notices.js";
+import { attempt, notify } from "./notices.js";
 
 const YEAR = 31536000;
 const keep = (name, value) => {
@@ -41,12 +42,16 @@ showTheme();
 
 const tray = $("#jobs-tray");
 const trayButton = $("#jobs-button");
+const space = h("div", { class: "space" });
 const PLACES = { evaluate: "evaluate", estimate: "estimate", label: "takes", add: "library", train: "library" };
 
 function toggleTray(open) {
   tray.hidden = !open;
   trayButton.setAttribute("aria-expanded", String(open));
-  if (open) tray.focus({ preventScroll: true });
+  if (open) {
+    tray.focus({ preventScroll: true });
+    showSpace();
+  }
 }
 
 trayButton.addEventListener("click", () => toggleTray(tray.hidden));
@@ -92,9 +97,27 @@ watchJobs((jobs) => {
   $("#jobs-count").hidden = !active;
   $("#jobs-count").textContent = String(active);
   const place = focusedPlace();
-  tray.replaceChildren(...(jobs.length ? jobs.slice(0, 30).map(describeJob) : [h("p", {}, t("jobs_none"))]));
+  tray.replaceChildren(...(jobs.length ? jobs.slice(0, 30).map(describeJob) : [h("p", {}, t("jobs_none"))]), space);
   if (place) focusAgain(place);
 });
+
+// --- the disk
+
+const size = (bytes) => (bytes < 999.5e6 ? t("megabytes", { value: Math.round(bytes / 1e6) }) : t("gigabytes", { value: (bytes / 1e9).toFixed(1) }));
+
+async function showSpace(answer = null) {
+  const now = answer ?? (await get("/space").catch(() => null)); // the studio is away, which is said elsewhere
+  if (!now) return;
+  const free = async () => {
+    const done = await attempt(() => post("/space/free"));
+    if (!done) return;
+    notify(t("space_freed", { size: size(done.freed_bytes) }));
+    showSpace(done);
+  };
+  const act = h("button", { type: "button", class: "small", id: "space-free", title: t("space_free_title"), onclick: free }, t("space_free", { size: size(now.can_be_freed_bytes) }));
+  const kept = size(now.uploads_bytes + now.jobs_bytes);
+  space.replaceChildren(h("p", {}, t("space", { library: size(now.library_bytes), kept, free: size(now.disk_free_bytes) })), ...(now.can_be_freed_bytes > 0 ? [act] : []));
+}
 
 /** Which job of the tray has the focus, and which of its buttons; the tray itself has none. */
 function focusedPlace() {

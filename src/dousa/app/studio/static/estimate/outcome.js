@@ -9,16 +9,19 @@ import { attempt, notify } from "../core/notices.js";
 export function showOutcome(job) {
   const result = job.result;
   const motion = encodeURIComponent(`job:${job.id}`);
-  const says = result.warnings.map((text) => h("li", {}, text));
+  const trust = result.trust ?? "good"; // of an older studio nothing is known
+  const weights = result.warning_weights ?? [];
+  const says = result.warnings.map((text, at) => h("li", { class: weights[at] ?? "" }, weights[at] && weights[at] !== "good" ? h("b", { class: "weight" }, t(`weight_${weights[at]}`), " ") : null, text));
   const place = $("#outcome");
   place.replaceChildren(
-    h("h2", { id: "outcome-title" }, t("outcome_title")),
+    h("h2", { id: "outcome-title", class: `trust ${trust}` }, t(`outcome_title_${trust}`)),
+    h("p", { class: "note" }, t(`outcome_trust_${trust}`)),
+    h("ul", { class: "says" }, ...(says.length ? says : [h("li", { class: "good" }, t("outcome_good"))])),
     h("dl", { class: "outcome-facts" }, ...facts(result).flatMap(([name, value]) => [h("div", {}, h("dt", {}, name), h("dd", {}, value))])),
-    h("ul", { class: "says" }, ...(says.length ? says : [h("li", { class: "fine" }, t("outcome_good"))])),
     h(
       "div",
       { class: "row" },
-      h("a", { class: "button primary", id: "search-it", href: `/search?motion=${motion}` }, icon("search"), t("search_it")),
+      h("a", { class: `button ${trust === "bad" ? "" : "primary"}`, id: "search-it", href: `/search?motion=${motion}` }, icon("search"), t("search_it")),
       h("a", { class: "button", id: "evaluate-it", href: `/evaluate?performance=${motion}` }, icon("mark"), t("evaluate_it")),
       h("button", { type: "button", id: "add-it", onclick: () => askAndAdd(job) }, icon("folder"), t("add_it")),
     ),

@@ -76,7 +76,7 @@ class Watching {
     $("#watch-name").textContent = job.title;
     const badge = $("#watch-state");
     badge.textContent = t(`state_${job.state}`);
-    badge.className = `badge ${{ done: "good", failed: "bad", stopped: "unsure" }[job.state] ?? ""}`;
+    badge.className = `badge ${{ done: job.result?.trust ?? "good", failed: "bad", stopped: "unsure" }[job.state] ?? ""}`;
     this.showProgress();
     if (before?.state !== job.state) this.showActions();
     $("#watch-problem").replaceChildren(...(job.problem ? [h("p", { class: "problem-box" }, job.problem)] : []));

@@ -1,7 +1,7 @@
 // Adding files: upload, a few questions, the job, the report. The job outlives the page: its report is found again by
 // its number in the address.
 
-import { post, uploadAll } from "../core/api.js";
+import { post, remove, uploadAll } from "../core/api.js";
 import { foot, openDialog } from "../core/dialog.js";
 import { dropZone, LABEL_FILES, MOTION_FILES, refusedList } from "../core/drop.js";
 import { h, language, t } from "../core/dom.js";
@@ -28,9 +28,11 @@ export function openAdding({ entries, jobId, hooks }) {
   const stop = new AbortController();
   const { close } = openDialog(t("add_title"), body, {
     onClose: () => {
+      const left = open;
       open = null;
       end();
       stop.abort();
+      leave(left);
       inAddress({ job: null });
     },
   });
@@ -43,9 +45,21 @@ export function openAdding({ entries, jobId, hooks }) {
   };
   open = { batch: null, refused: [], files: [], busy: false, body, close, follow, stop };
   open.take = (more) => attempt(() => receive(open, more));
+  window.addEventListener("pagehide", gone);
   if (jobId) follow(jobId);
   else if (entries) open.take(entries);
   else body.replaceChildren(zone((more) => open.take(more)));
+}
+
+/** What was uploaded and not added is of no use to anybody. */
+async function leave(state) {
+  window.removeEventListener("pagehide", gone);
+  await state.uploading?.catch(() => {}); // stopped; the last file may just have arrived
+  if (state.batch && !state.job) await remove(`/uploads/${state.batch}`).catch(() => {}); // a week later it goes by itself
+}
+
+function gone() {
+  if (open?.batch && !open.job) fetch(`/api/uploads/${open.batch}`, { method: "DELETE", keepalive: true, credentials: "same-origin" });
 }
 
 export const zone = (onEntries, id = "add-files") => dropZone(onEntries, { accept: `${MOTION_FILES},${LABEL_FILES}`, folders: true, hint: t("add_hint"), id });
@@ -75,7 +89,9 @@ async function receive(state, entries) {
     text.textContent = t("uploading", { done: count.format(done), total: count.format(total) });
   };
   try {
-    const came = await uploadAll(withoutOutermost(entries), { batch: state.batch, onProgress, signal: state.stop.signal });
+    const onBatch = (batch) => (state.batch = batch);
+    state.uploading = uploadAll(withoutOutermost(entries), { batch: state.batch, onProgress, onBatch, signal: state.stop.signal });
+    const came = await state.uploading;
     state.batch = came.batch;
     state.files.push(...came.files);
     state.refused.push(...came.refused);

@@ -1,0 +1,52 @@
+"""What a studio keeps on the disk, and what of it can go."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from contextlib import suppress
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from dousa.app.studio.core.answers import RefusedError
+from dousa.app.studio.core.workspace import measure
+from dousa.app.studio.jobs.board import ACTIVE
+
+if TYPE_CHECKING:
+    from dousa.app.studio.content.studio import Studio
+
+
+def describe_space(studio: Studio) -> dict[str, Any]:
+    """Bytes of library, uploads and jobs, what `free_space` would give back, and what is left of the disk."""
+    root = studio.workspace.root
+    library = studio.settings.library
+    return {
+        "library_bytes": sum(measure(path) for path in library.parent.glob(f"{library.name}*") if path.is_file()),
+        "uploads_bytes": measure(root / "files"),
+        "jobs_bytes": measure(root / "jobs"),
+        "can_be_freed_bytes": sum(measure(path) for path in (*_list_exports(studio).values(), *_list_unused(studio))),
+        "disk_free_bytes": shutil.disk_usage(root).free,
+    }
+
+
+def free_space(studio: Studio) -> dict[str, Any]:
+    """Take away uploads that nothing uses, and forget finished exports: they can be made again."""
+    before = describe_space(studio)["can_be_freed_bytes"]
+    for folder in _list_unused(studio):
+        shutil.rmtree(folder, ignore_errors=True)
+    for job in _list_exports(studio):
+        with suppress(RefusedError):  # somebody else forgot it
+            studio.jobs.remove(job)
+    after = describe_space(studio)
+    return {"freed_bytes": max(before - after["can_be_freed_bytes"], 0), **after}
+
+
+def _list_exports(studio: Studio) -> dict[str, Path]:
+    """Folders of exports that are over, by number."""
+    over = (job for job in studio.jobs.all() if job.kind == "export" and job.state not in ACTIVE)
+    return {job.id: studio.jobs.folder(job) for job in over}
+
+
+def _list_unused(studio: Studio) -> list[Path]:
+    asked = json.dumps([job.request for job in studio.jobs.all()])
+    return studio.workspace.list_unused(asked)
