@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from dousa.arrays import FloatArray
 from dousa.errors import LibraryDamagedError, LibraryVersionError, OptionError
 from dousa.library import schema
-from dousa.library.engine import choose_jobs
+from dousa.library.engine import Database, choose_jobs
 from dousa.library.schema import pack, stack, unpack
 from dousa.library.seals import checksums
 from dousa.library.seals.checksums import BLOCK_FRAMES, seal_positions, seal_rows
@@ -64,7 +64,7 @@ class Description:
     Parameters
     ----------
     feature_set : name of the features.
-    features : (frames, columns) of this set.
+    features : (frames, columns) of this set, of float32 precision: a query meets its own clip to the last bit.
     poses : its pose sequence, see ``dousa.retrieval.features.pose_sequences``.
     """
 
@@ -102,9 +102,9 @@ def describe_clip(motion: StoredMotion, feature_set: str) -> Description:
     # The poses are read from the integrals of the extended features: these are computed once for both.
     track = compute_track(reduce_noise(seen), FEATURE_SETS["extended"].without(wanted.hidden))
     poses = compute_window_poses(track, [0.0], [track.n_frames])[0]
-    if wanted is track.feature_set:
-        return Description(feature_set, track.describe([0.0], [track.n_frames])[0], poses)
-    return Description(feature_set, wanted.compute(seen), poses)
+    features = track.describe([0.0], [track.n_frames])[0] if wanted is track.feature_set else wanted.compute(seen)
+    with np.errstate(over="ignore"):  # what is beyond float32 is beyond measure
+        return Description(feature_set, features.astype(np.float32).astype(np.float64), poses)
 
 
 def lacks(feature_set: str, absent: str) -> bool:
@@ -205,7 +205,10 @@ def _unpack(connection: sa.Connection, row: Any) -> StoredMotion:
 
 
 _FEATURES, _POSES = "<f8", "<f4"
-_LARGEST = 1e60  # squares of it are finite
+_LARGEST = 1e37  # of float32
+_IN_MEMORY = 2**32  # bytes of features; more are kept in a temporary file, of which memory holds what is in use
+
+_PORTION = 500  # clips whose features are read at a time
 
 Progress = Callable[[int, int], None]
 
@@ -217,7 +220,7 @@ class ClipFeatures:
     Parameters
     ----------
     ids : numbers of N clips.
-    features : (N, frames, columns) of one set.
+    features : (N, frames, columns) of one set, float32.
     categories, performers : labels, None where there are none.
     heights : m, of the performers.
     computed : by number, those that were not stored, or of another set.
@@ -242,7 +245,8 @@ def load_features(
 
     Parameters
     ----------
-    ids : of these clips, in this order; by default of all that have the joints, in the order of their numbers.
+    ids : of these clips, in this order; by default of all that have the joints, in an order of their contents, so that
+        nothing depends on when they were added.
     n_jobs : clips described at a time.
     progress : called with (clips described, clips to describe).
 
@@ -251,14 +255,20 @@ def load_features(
     LibraryDamagedError : arrays that are missing, of another length, or not finite.
     """
     kind = find_feature_set(feature_set)
-    shape = (kind.n_frames, kind.n_columns)
     rows = _read_rows(connection, ids, feature_set)
-    features = np.zeros((len(rows), *shape))
-    stored = [place for place, row in enumerate(rows) if row.feature_set == feature_set]
-    read = stack([rows[place].pose_features for place in stored], _FEATURES, shape, "features")
-    if read.size and not np.abs(read).max() < _LARGEST:
-        raise LibraryDamagedError("library_clips.features_beyond_measure")
-    features[stored] = read
+    features = _allocate((len(rows), kind.n_frames, kind.n_columns))
+    query = sa.select(*checksums.FEATURES.columns)
+    for start in range(0, len(rows), _PORTION):
+        places = {row.id: start + place for place, row in enumerate(rows[start : start + _PORTION])}
+        stored = [row.id for row in rows[start : start + _PORTION] if row.feature_set == feature_set]
+        read = list(fetch_in(connection, query, schema.clip_features.c.clip_id, stored))
+        for row in read:
+            checksums.FEATURES.check(connection, row)
+        blobs = [row.pose_features for row in read]
+        values = stack(blobs, _FEATURES, features.shape[1:], "features")
+        if values.size and not np.abs(values).max() < _LARGEST:
+            raise LibraryDamagedError("library_clips.features_beyond_measure")
+        features[[places[row.clip_id] for row in read]] = values
     lacking = [row.id for row in rows if row.feature_set != feature_set]
     computed = describe_stored(connection, lacking, feature_set, n_jobs, progress)
     for place, row in enumerate(rows):
@@ -274,28 +284,34 @@ def load_features(
     )
 
 
+def _allocate(shape: tuple[int, int, int]) -> NDArray[Any]:
+    """Room for features; in a temporary file, which goes with the last view of it, where that is much."""
+    if 4 * int(np.prod(shape)) <= _IN_MEMORY:
+        return np.zeros(shape, np.float32)
+    import tempfile
+
+    with tempfile.TemporaryFile() as file:
+        room: NDArray[Any] = np.asarray(np.memmap(file, np.float32, "w+", shape=shape))
+    return room
+
+
 def _read_rows(connection: sa.Connection, ids: Sequence[int] | None, feature_set: str) -> list[Any]:
+    """Rows of clips without their features, but with the set that these are of."""
     clips, table = schema.clips.c, schema.clip_features.c
-    own = (*checksums.LABELS.columns, *checksums.FEATURES.columns)
-    query = sa.select(*own, clips.height)
+    query = sa.select(*checksums.LABELS.columns, clips.height, table.feature_set)
     query = query.join(schema.clip_features, table.clip_id == clips.id, isouter=True)
     query = query.where(clips.kind == schema.CLIP)
     if ids is None:
-        rows = connection.execute(query.order_by(clips.id)).all()
-        _check_rows(connection, rows)
+        rows = connection.execute(query.order_by(clips.content_hash)).all()
+        for row in rows:
+            checksums.LABELS.check(connection, row)
         return [row for row in rows if not lacks(feature_set, row.absent)]
     found = {row.id: row for row in fetch_in(connection, query, clips.id, ids)}
-    _check_rows(connection, found.values())
+    for row in found.values():
+        checksums.LABELS.check(connection, row)
     if len(found) != len(set(ids)):
         raise LibraryDamagedError("library_clips.clips_missing", expected=len(set(ids)), found=len(found))
     return [found[clip_id] for clip_id in ids]
-
-
-def _check_rows(connection: sa.Connection, rows: Iterable[Any]) -> None:
-    for row in rows:
-        checksums.LABELS.check(connection, row)
-        if row.clip_id is not None:
-            checksums.FEATURES.check(connection, row)
 
 
 def describe_stored(
@@ -320,6 +336,47 @@ def describe_stored(
         if progress is not None:
             progress(len(described), len(ids))
     return described
+
+
+def keep_features(
+    database: Database, feature_set: str, n_jobs: int | None = 1, progress: Progress | None = None
+) -> None:
+    """Compute and write the features and poses of all clips that have none of a set, in portions of one transaction.
+
+    What is written stays when this is stopped, and memory holds one portion. Nothing is written where the library has a
+    forest that hides other joints: its poses are needed until another one stands in its place.
+
+    Parameters
+    ----------
+    feature_set : name of the features.
+    n_jobs : clips described at a time.
+    progress : called with (clips described, clips to describe).
+    """
+    table = schema.forests.c
+    with database.reading() as connection:
+        known = connection.execute(sa.select(table.parameters)).scalar_one_or_none()
+        set_of_forest = known.get("feature_set") if isinstance(known, dict) else None
+        if known is not None and not _has_same_poses(set_of_forest, feature_set):
+            return
+        rows = _read_rows(connection, None, feature_set)
+        lacking = sorted(row.id for row in rows if row.feature_set != feature_set)
+    done = 0
+    for some in portions(lacking):
+        with database.reading() as connection:
+            there = list(fetch_in(connection, sa.select(schema.clips.c.id), schema.clips.c.id, some))
+            described = describe_stored(connection, [row.id for row in there], feature_set, n_jobs)
+        with database.writing() as connection:
+            left = {row.id for row in fetch_in(connection, sa.select(schema.clips.c.id), schema.clips.c.id, some)}
+            still = {number: own for number, own in described.items() if number in left}
+            save_descriptions(connection, list(still), list(still.values()))
+        done += len(some)
+        if progress is not None:
+            progress(done, len(lacking))
+
+
+def _has_same_poses(one: Any, other: str) -> bool:
+    """Whether poses of one set of features are those of another."""
+    return isinstance(one, str) and find_feature_set(one).hidden == find_feature_set(other).hidden
 
 
 def load_poses(connection: sa.Connection, ids: Sequence[int], feature_set: str) -> NDArray[np.float32]:

@@ -30,6 +30,8 @@ if TYPE_CHECKING:
 
 _FOREST_ID = 1
 
+_AT_ONCE = 4096  # clips that trees are asked about
+
 _MOST_HELD_BACK = 3000  # clips that the rounds of a calibration use: enough for two curves
 
 _MOST_COPIES = 500  # disturbed copies of them
@@ -110,12 +112,17 @@ def ask_trees(stored: StoredForest, features: FloatArray) -> TreeAnswers:
     answers = count_votes(stored, find_leaves(stored, features))
     if stored.likeness is None or not len(features):
         return answers
-    return replace(answers, directions=stored.likeness.place(features))
+    # In portions, as a clip takes some kilobytes more on its way.
+    placed = [stored.likeness.place(features[start : start + _AT_ONCE]) for start in range(0, len(features), _AT_ONCE)]
+    return replace(answers, directions=np.concatenate(placed))
 
 
 def find_leaves(stored: StoredForest, features: FloatArray) -> NDArray[np.int32]:
     """(N, n_trees), the leaf that each clip reaches in each tree."""
-    return stored.forest.apply(features).astype(np.int32)
+    leaves = np.empty((len(features), len(stored.forest.trees_.roots)), np.int32)
+    for start in range(0, len(features), _AT_ONCE):
+        leaves[start : start + _AT_ONCE] = stored.forest.apply(features[start : start + _AT_ONCE])
+    return leaves
 
 
 def count_votes(stored: StoredForest, leaves: NDArray[np.int32]) -> TreeAnswers:

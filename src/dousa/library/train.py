@@ -19,6 +19,7 @@ from dousa.library import schema
 from dousa.library.engine import Database, next_revision, note_changed_clips, read_revision
 from dousa.library.features import (
     ClipFeatures,
+    keep_features,
     lacks,
     load_features,
     save_descriptions,
@@ -90,8 +91,10 @@ def train_forest(
         report(4, _STEPS, Message("library_training.describing_takes_done", done=done, total=total))
 
     with database.reading() as connection:
-        seen = read_revision(connection)
         kind, n_partial = _choose_joints(database.where, connection, kind)  # before the work
+    keep_features(database, kind.name, n_jobs, tell_clips)
+    with database.reading() as connection:
+        seen = read_revision(connection)
         clips = load_features(connection, kind.name, n_jobs=n_jobs, progress=tell_clips)
         grid = fit_grid(connection)
         labelled, counts = _check_categories(database.where, clips.categories)

@@ -176,7 +176,7 @@ def _find_axes(centred: FloatArray) -> FloatArray:
 def _join_cells(cells: FloatArray) -> FloatArray:
     """(N, T, C) to at most ``_CELLS`` cells."""
     groups = np.array_split(np.arange(cells.shape[1]), min(_CELLS, cells.shape[1]))
-    return np.stack([cells[:, group].mean(axis=1) for group in groups], axis=1)
+    return np.stack([cells[:, group].mean(axis=1, dtype=np.float64) for group in groups], axis=1)
 
 
 _RIDGE = 1e-3  # holds curves finite where the scores part both sides without a mistake
