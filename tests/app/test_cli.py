@@ -68,10 +68,8 @@ def library(trained, tmp_path) -> Path:
 def test_help_names_every_command_and_gives_examples(dousa):
     code, out, _ = dousa("--help")
     assert code == 0
-    commands = (
-        "info convert plot add train search classify find label list remove relabel check experiment demo".split()
-    )
-    for command in commands:
+    words = "info convert plot add train search classify find label list remove relabel check compact experiment demo"
+    for command in words.split():
         assert command in out
         code, text, _ = dousa(command, "--help")
         assert code == 0
@@ -223,6 +221,30 @@ def test_check_names_what_is_damaged_and_repairs_it(dousa, library):
     answer = json.loads(out)
     assert (code, answer["sound"], [one["path"] for one in answer["damage"]]) == (0, True, [path])
     assert dousa("check", library)[0] == 0
+
+
+def test_nothing_that_a_terminal_obeys_reaches_the_screen(dousa, motions, tmp_path):
+    path = tmp_path / "esc.bvh"
+    path.write_text((motions / "walk/p0.bvh").read_text().replace("spine", "sp\x9b31mine\x1b[31m"), encoding="utf-8")
+    code, out, _ = dousa("info", path, "--json")
+    assert code == 0
+    assert "\x9b" not in out
+    assert any("\x9b31mine" in name for name in json.loads(out)[0]["joints"])
+    library = tmp_path / "l.dousa"
+    assert dousa("add", library, motions / "walk")[0] == 0
+    assert dousa("relabel", library, "1", "--category", "x\x1b[31m\ny")[0] == 0
+    for words in (("list", library), ("list", library, "--clips"), ("info", path), ("add", library, path)):
+        code, out, err = dousa(*words)
+        assert code == 0
+        assert not {"\x1b", "\x9b", "\x07"} & set(out + err)
+
+
+def test_compact(dousa, library):
+    assert dousa("remove", library, "--category", "walk")[0] == 0
+    code, out, _ = dousa("compact", library)
+    assert (code, "MB now" in out) == (0, True)
+    code, out, _ = dousa("compact", library, "--json")
+    assert json.loads(out)["after"] == library.stat().st_size
 
 
 def test_list_relabel_remove(dousa, library, motions):

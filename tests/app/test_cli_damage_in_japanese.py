@@ -107,6 +107,7 @@ COMMANDS = [
     "remove none.dousa 1",
     "relabel none.dousa 1",
     "check none.dousa",
+    "compact none.dousa",
     "check lib.dousa --repair",
     "evaluate good.bvh",
     "evaluate none.bvh -p good.bvh",

@@ -328,6 +328,14 @@ def test_deep_hierarchies(bvh, tmp_path):
         read_bvh(bvh(chain(10_001)))
 
 
+def test_end_sites_are_no_joints(bvh):
+    ends = "End Site\n{\nOFFSET 0 1 0\n}\n"
+    text = chain(6_000).replace("}\n", ends + "}\n")  # one in each joint
+    assert read_bvh(bvh(text)).skeleton.n_joints == 12_000
+    with pytest.raises(MotionFileError, match="more than 10000 joints"):
+        read_bvh(bvh(chain(3).replace("}\n", 20_000 * ends + "}\n")))
+
+
 def test_values_beyond_the_largest_float_make_no_motion(bvh):
     with pytest.raises(MotionFileError, match="make no motion"):
         read_bvh(bvh(SMALL.replace("2 91", "1e308 91")), unit=100.0)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import json
 import os
+import re
 import sys
 import unicodedata
 from collections.abc import Callable, Iterator, Sequence
@@ -27,6 +28,10 @@ ProgressCallback = Callable[[int, int, Message | str], None]
 
 _WHOLE_ROWS = 4000  # columns: a row of a table in a file or pipe is never broken, so that it can be searched
 _UNSHOWN = ("Cc", "Cs", "Zl", "Zp")  # control characters, halves of characters, line and paragraph ends
+
+
+# What JSON lets through of them; a terminal takes some for the beginning of a command.
+_UNSAFE = re.compile("[\x7f-\x9f\u2028\u2029]")
 
 
 def console(*, stderr: bool = False) -> Console:
@@ -58,6 +63,7 @@ def print_json(answer: Any) -> None:
     """One JSON document on standard output; numbers that are not finite become null."""
     plain = to_json_value(answer)
     text = json.dumps(plain, ensure_ascii=False, indent=1, allow_nan=False)
+    text = _UNSAFE.sub(lambda found: f"\\u{ord(found[0]):04x}", text)
     try:
         text.encode(sys.stdout.encoding or "utf-8")
     except UnicodeEncodeError:  # a terminal of few characters, or a file name that is not Unicode
@@ -67,7 +73,7 @@ def print_json(answer: Any) -> None:
 
 def say(message: Message | str) -> None:
     """One line of answer on standard output, which a terminal breaks where it is full."""
-    console().print(str(message), markup=False, soft_wrap=True)
+    console().print(one_line(str(message)), markup=False, soft_wrap=True)
 
 
 def one_line(text: str) -> str:

@@ -21,6 +21,7 @@ from .results import (
 )
 from .selection import UNCHANGED
 from .text.answers import TextHit, TextResult
+from .upkeep.compact import CompactReport
 from .upkeep.report import CheckReport, Damage
 
 __all__ = [
@@ -29,6 +30,7 @@ __all__ = [
     "CheckReport",
     "Classification",
     "ClipInfo",
+    "CompactReport",
     "Damage",
     "Duplicate",
     "ExportReport",

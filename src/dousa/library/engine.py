@@ -259,6 +259,22 @@ class Database:
                     raise
             time.sleep(random.uniform(0, _MOST_PAUSE))
 
+    @contextmanager
+    def alone(self) -> Iterator[sqlite3.Connection]:
+        """The connection of an SQLite file itself, in no transaction; for what SQLAlchemy has no words for."""
+        with _plain_errors(self.where):
+            raw = self.engine.raw_connection()
+            try:
+                yield raw.driver_connection  # type: ignore[misc]
+            finally:
+                raw.close()
+
+    def check_writable(self) -> None:
+        """LibraryError where nothing could be written: said before long work, not after it."""
+        with self.writing() as connection:
+            state = library_state.c
+            connection.execute(sa.update(library_state).where(state.id == _STATE_ID).values(id=_STATE_ID))
+
     def write_planned(
         self, plan: Callable[[sa.Connection, Plan | None], Plan], write: Callable[[sa.Connection, Plan], Result]
     ) -> Result:

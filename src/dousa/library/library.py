@@ -36,6 +36,7 @@ if TYPE_CHECKING:
     from dousa.library.text.answers import TextResult
     from dousa.library.text.index import TextSearcher
     from dousa.library.train import TrainProgress
+    from dousa.library.upkeep.compact import CompactReport
     from dousa.library.upkeep.repair import CheckProgress
     from dousa.library.upkeep.report import CheckReport
     from dousa.motion import CanonicalMotion, Motion, Trajectories
@@ -722,6 +723,20 @@ class Library:
         if repair and self.database.is_read_only:
             raise LibraryError("library_file.opened_read_only", library=self.name)
         return check_library(self.database, repair, progress)
+
+    def compact(self) -> CompactReport:
+        """Make the file as small as what is in it; removed clips leave room that only new ones would use.
+
+        Needs free space of the size of what is left. Others may read meanwhile, and write when it is done; stopped at
+        any moment, the file is as it was.
+
+        Raises
+        ------
+        LibraryError : cannot be written, too little free space, or a database server, which sees to that itself.
+        """
+        from dousa.library.upkeep.compact import compact_library
+
+        return compact_library(self.database)
 
     def categories(self) -> dict[str, int]:
         """Number of clips of each category, by name."""

@@ -90,6 +90,7 @@ def train_forest(
     def tell_takes(done: int, total: int) -> None:
         report(4, _STEPS, Message("library_training.describing_takes_done", done=done, total=total))
 
+    database.check_writable()  # before the work
     with database.reading() as connection:
         kind, n_partial = _choose_joints(database.where, connection, kind)  # before the work
     keep_features(database, kind.name, n_jobs, tell_clips)

@@ -1,4 +1,4 @@
-"""Commands that look after a library: check."""
+"""Commands that look after a library: check, compact."""
 
 from __future__ import annotations
 
@@ -9,12 +9,14 @@ import typer
 from dousa.app import tables
 from dousa.app.cli.library import open_library, open_to_learn
 from dousa.app.cli.options import shared as o
-from dousa.app.output import console, print_json, progress_bar
+from dousa.app.output import console, print_json, progress_bar, say
+from dousa.messages import Message
 
 
 def register(app: typer.Typer) -> None:
     """Register this module's commands with the application."""
-    app.command(rich_help_panel="Library")(check)
+    for command in (check, compact):
+        app.command(rich_help_panel="Library")(command)
 
 
 def check(
@@ -39,3 +41,18 @@ def check(
         tables.print_check(console(), report)
     if not report.is_sound:
         raise typer.Exit(2)
+
+
+def compact(library: o.LibraryPath, wait: o.Wait = 60.0, json: o.Json = False) -> None:
+    """Make the file of a library smaller after clips were removed.
+
+    Needs as much free space as what is left in the library.
+
+    Example: dousa compact moves.dousa
+    """
+    with open_library(library, wait=wait) as opened:
+        report = opened.compact()
+    if json:
+        print_json(report.to_json())
+    else:
+        say(Message("library_compact.done", before=report.before / 1e6, after=report.after / 1e6))

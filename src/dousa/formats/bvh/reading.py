@@ -29,6 +29,7 @@ from dousa.motion.types import Motion, Provenance, Skeleton
 
 CHANNEL_NAMES = ("Xposition", "Yposition", "Zposition", "Xrotation", "Yrotation", "Zrotation")
 MAX_JOINTS = 10_000
+_MOST_WITH_ENDS = 40_000  # joints and end sites
 _USUAL_RATES = (
     24, 25, 30, 48, 50, 60, 72, 75, 90, 100, 120, 125, 144, 150, 180, 200, 240, 250, 300, 360, 480, 500
 )  # fmt: skip
@@ -113,6 +114,7 @@ class _Parser:
     joints: list[_Joint] = field(default_factory=list)
     open: list[int] = field(default_factory=list)
     pending: bool = False
+    n_joints: int = 0
 
     def take(self, text: bytes, position: int) -> None:
         if text == b"{":
@@ -171,7 +173,8 @@ class _Parser:
         self._add(_Joint(name.decode(self.encoding), self.open[-1] if self.open else -1, position, False))
 
     def _add(self, joint: _Joint) -> None:
-        if len(self.joints) == MAX_JOINTS:
+        self.n_joints += not joint.is_end
+        if self.n_joints > MAX_JOINTS or len(self.joints) >= _MOST_WITH_ENDS:
             raise BvhSyntaxError(joint.position, "bvh.too_many", most=MAX_JOINTS)
         self.joints.append(joint)
         self.pending = True
