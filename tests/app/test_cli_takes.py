@@ -339,3 +339,17 @@ def test_an_old_library_is_brought_up_to_date_and_searched(dousa, tmp_path):
     code, out, _ = dousa("search", path, 1, "-k", 2)
     assert code == 0 and "bow (bow 100%)" in out
     assert "features 'paper'" in dousa("list", path)[1]
+
+
+def test_the_table_of_a_take_says_how_often(capsys):
+    from rich.console import Console
+
+    from dousa.app.tables import print_timeline
+    from dousa.library import LabelledTake
+    from dousa.retrieval import Segment, Timeline
+
+    segments = (Segment(0.0, 9.0, "squat", 0.9, 5), Segment(9.0, 11.0, "kick", 0.8), Segment(11.0, 12.0, None, 0.6))
+    print_timeline(Console(width=90), LabelledTake("take.bvh", None, Timeline(segments, 12.0, 0.5)))
+    squat, kick, nothing = capsys.readouterr().out.splitlines()[-3:]
+    assert "squat × 5" in squat
+    assert "kick" in kick and "×" not in kick + nothing

@@ -81,6 +81,7 @@ _LESS = {
     "python benchmarks/ranking_weights.py": "--repeats 1",
     "benchmarks/label.py": "--minutes 1",
     "python benchmarks/count_labelled.py": "--folds 0 --only Intelli",
+    "python benchmarks/label_disturbed.py": "--only HDM05",
     "benchmarks/find.py": "--minutes 1",
     "benchmarks/correspondence.py --full 12000": "--frames 400 --full 200 --memory",
 }
@@ -115,6 +116,7 @@ BENCHMARKS = {
     "forest_query.py": "--clips 60 --classes 3",
     "in_turns.py": f"--before '{ROOT}' --rounds 1 --command 'forest_query.py --clips 60 --classes 3'",
     "label.py": "../shared/data/utd_mhad/skeleton --minutes 1",
+    "label_disturbed.py": "../shared/data --only HDM05",
     "label_corrections.py": "../shared/data/utd_mhad/skeleton --performer-from name:_s(.)_ --trials 1",
     "library_add.py": "../shared/data/bandai/run --jobs 1 --repeats 1 --peer-files 1",
     "ranking.py": "../shared/data/utd_mhad/skeleton --performer-from name:_s(.)_ --queries 1",

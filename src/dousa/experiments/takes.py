@@ -33,7 +33,7 @@ from dousa.retrieval.forest.forest import MotionForest
 from dousa.retrieval.takes.find import Found, describe_query, find_in_takes, overlap
 from dousa.retrieval.takes.label import Segment, TakeLabeller, label_take
 from dousa.retrieval.takes.labeller_training import train_labeller
-from dousa.retrieval.takes.made_takes import JoinedTake, join_clips, shuffle_into_takes
+from dousa.retrieval.takes.made_takes import JoinedTake, join_clips, join_series, shuffle_into_takes
 from dousa.retrieval.takes.windows import TAKE_RATE, TakeWindows, WindowGrid, choose_grid, describe_take
 
 OURS, NEVER_UNKNOWN = "trees over moments, best sequence", "the same, all said"
@@ -259,7 +259,7 @@ class _Trial:
                     one.stop / TAKE_RATE,
                     None if one.category in unknown else one.category,
                 )
-                for one in take.pieces
+                for one in join_series(take.pieces)
             ]
             counts[OURS].append(compare_timeline(timeline.segments, truth, timeline.duration))
             said = label_take(labeller, take, threshold=0.0, n_jobs=self.n_jobs).segments

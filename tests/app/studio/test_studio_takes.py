@@ -197,12 +197,15 @@ def test_corrections_are_laid_over_labels():
             "category": category,
             "unknown": category is None,
             "confidence": 0.9,
+            "repetitions": 3,
         }
 
     labels = [segment(0, 4, "walk"), segment(4, 6, None), segment(6, 9, "kick")]
     first = Correction("clip:1", 3.0, 7.0, "hop", 5, "b", made_s=1.0)
     second = Correction("clip:1", 6.5, 6.8, "skip", 6, "b", made_s=2.0)
     spans = [(one["start_s"], one["end_s"], one["category"]) for one in lay_over(labels, [second, first])]
+    often = [one.get("repetitions") for one in lay_over([*labels, segment(9, 12, "squat")], [second, first])]
+    assert often == [*[None] * 5, 3], "of what was cut nobody knows how often"
     assert spans == [
         (0, 3.0, "walk"),
         (3.0, 6.5, "hop"),

@@ -14,7 +14,7 @@ from dousa.retrieval.counting.tallies import TALLIES, measure_tallies
 from dousa.retrieval.forest.forest_file import pack_arrays, unpack_arrays
 from dousa.retrieval.takes.label import TakeLabeller, label_take
 from dousa.retrieval.takes.labeller_training import train_labeller
-from dousa.retrieval.takes.made_takes import join_clips
+from dousa.retrieval.takes.made_takes import Piece, join_clips, join_series
 from dousa.retrieval.takes.repetitions import Chosen, count_all
 
 HEIGHT = 1.7
@@ -88,3 +88,13 @@ def _names(data):
 
     with np.load(io.BytesIO(data)) as archive:
         return archive.files
+
+
+def test_the_truth_of_made_takes_says_series_as_a_labeller_does():
+    shown = "kick bow bow spread spread spread kick kick kick kick".split()
+    pieces = [Piece(10.0 * k, 10.0 * (k + 1), name) for k, name in enumerate(shown)]
+    joined = join_series(pieces)
+    assert [one.category for one in joined] == ["kick", "bow", "bow", "spread", "kick"]
+    assert [(one.start, one.stop) for one in joined[3:]] == [(30.0, 60.0), (60.0, 100.0)]
+    nothing = [Piece(10.0 * k, 10.0 * (k + 1), None) for k in range(4)]
+    assert join_series(nothing) == nothing

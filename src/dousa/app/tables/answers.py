@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from dousa.evaluation import Assessment
     from dousa.experiments.table import ResultTable
     from dousa.library import AddReport, Classification, FindResult, LabelledTake, SearchResult, TextResult, Verdict
-    from dousa.retrieval import Explanation, Likeness
+    from dousa.retrieval import Explanation, Likeness, Segment
     from dousa.retrieval.words.relations import Relation
 
 _SHOWN = 10
@@ -362,6 +362,14 @@ def print_places(out: Console, answer: FindResult, *, mirrored: bool) -> None:
     out.print(table)
 
 
+def _name_segment(segment: Segment) -> str:
+    """The category, and how often it is done where that is more than once."""
+    if segment.category is None:
+        return str(Message("columns.unknown"))
+    often = f" × {segment.repetitions}" if segment.repetitions > 1 else ""
+    return escape(one_line(segment.category)) + often
+
+
 def print_timeline(out: Console, answer: LabelledTake) -> None:
     """What happens in a take, one stretch in a row."""
     out.print(one_line(f"{answer.take}: {answer.timeline.duration:.1f} s"), markup=False, soft_wrap=True)
@@ -373,7 +381,7 @@ def print_timeline(out: Console, answer: LabelledTake) -> None:
         table.add_row(
             format_time(segment.start),
             format_time(segment.stop),
-            escape(one_line(segment.category)) if segment.category is not None else str(Message("columns.unknown")),
+            _name_segment(segment),
             f"{segment.confidence:.0%}",
             style=None if known else "dim",
         )

@@ -6,6 +6,7 @@ takes show what another body, sensor, camera and frame rate do to the same motio
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -18,6 +19,10 @@ from dousa.retrieval.features.posed_motion import LabelledClip, PosedMotion
 from dousa.retrieval.takes.windows import TAKE_RATE
 
 BLEND_SECONDS = (0.3, 0.5)
+
+SERIES = 3
+"""Neighbours of one category that are one action, repeated: two may be two."""
+
 _LEFT_HIP, _RIGHT_HIP = JOINT_INDEX["left_hip"], JOINT_INDEX["right_hip"]
 _LEFT_SHOULDER, _RIGHT_SHOULDER = JOINT_INDEX["left_shoulder"], JOINT_INDEX["right_shoulder"]
 
@@ -90,6 +95,15 @@ def join_clips(
     edges.append(float(length))
     pieces = tuple(Piece(edges[k], edges[k + 1], clip.category) for k, clip in enumerate(clips))
     return JoinedTake(np.concatenate(parts), clips[0].height, pieces)
+
+
+def join_series(pieces: Sequence[Piece]) -> list[Piece]:
+    """Pieces of which three or more of one category in a row are one: an action repeated, as a labeller says it."""
+    joined: list[Piece] = []
+    for _, run in itertools.groupby(pieces, key=lambda piece: (piece.category, piece.counted)):
+        same = list(run)
+        joined += [replace(same[0], stop=same[-1].stop)] if len(same) >= SERIES and same[0].category else same
+    return joined
 
 
 def go_on(last: FloatArray, clip: FloatArray) -> FloatArray:

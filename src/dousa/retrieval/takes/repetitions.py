@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 
 from dousa.arrays import FloatArray
 from dousa.retrieval.counting.counter import count_repetitions
+from dousa.retrieval.takes.made_takes import SERIES
 
-_SERIES = 3  # neighbours of one category that are one action: two may be two
-_LONGEST_REST = 90  # frames between them
+_LONGEST_REST = 90  # frames between neighbours of a series
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -56,7 +56,7 @@ def _count(one: Chosen, sampled: FloatArray, height: float, usual: FloatArray | 
 
 def _join(series: Sequence[Chosen], sampled: FloatArray, height: float) -> list[Chosen]:
     """Neighbours of one category as one where they are a series, else as they are."""
-    if len(series) < _SERIES:
+    if len(series) < SERIES:
         return list(series)
     sizes = np.array([one.stop - one.start for one in series], np.float32)
     scores = np.average(np.stack([one.scores for one in series]), axis=0, weights=sizes).astype(np.float32)

@@ -137,7 +137,10 @@ def lay_over(segments: Sequence[dict[str, Any]], corrections: Sequence[Correctio
 
 
 def _around(stretch: dict[str, Any], start: float, end: float) -> list[dict[str, Any]]:
-    """What is left of a stretch outside of a part."""
+    """What is left of a stretch outside of a part; how often it is done is known of the whole alone."""
+    if start >= stretch["end_s"] or end <= stretch["start_s"]:
+        return [stretch]
+    stretch = {name: value for name, value in stretch.items() if name != "repetitions"}
     left = {**stretch, "end_s": min(stretch["end_s"], start)}
     right = {**stretch, "start_s": max(stretch["start_s"], end)}
     return [one for one in (left, right) if one["end_s"] - one["start_s"] > _LEAST]

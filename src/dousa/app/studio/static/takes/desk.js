@@ -1,6 +1,7 @@
 // What is under the cursor, and where a part gets its name.
 
 import { formatSeconds, h, icon, t } from "../core/dom.js";
+import { often } from "./segments.js";
 
 export class Desk {
   /** tools: {onCorrect(part, category) -> whether it was learned, onUndo(id), onStretch(segment), onExport(part)} */
@@ -33,7 +34,7 @@ export class Desk {
     const tone = segment.unknown ? null : tones.of(segment.category);
     const swatch = h("b", { class: `tl-swatch ${tone ? `tl-pattern-${tone.pattern}` : "tl-unknown"}` }, tone ? tone.letter : "?");
     if (tone) swatch.style.setProperty("--hue", tone.hue);
-    this.what.replaceChildren(swatch, segment.unknown ? t("unknown") : segment.category);
+    this.what.replaceChildren(swatch, segment.unknown ? t("unknown") : segment.category, often(segment));
     const percent = Math.round(100 * segment.confidence);
     const sure = segment.confidence == null ? t("given") : t(segment.unknown ? "sure_unknown" : "sure", { percent });
     this.sure.textContent = segment.corrected ? t("timeline_corrected") : sure;

@@ -16,6 +16,11 @@ function confidence(one) {
   return h("span", { class: "sure" }, h("span", { class: "track", "aria-hidden": "true" }, h("i", { style: { width: `${percent}%` } })), `${percent} %`);
 }
 
+/** How often it is done, where that is more than once. */
+export function often(one) {
+  return !one.unknown && one.repetitions > 1 ? h("span", { class: "often" }, `× ${one.repetitions}`) : "";
+}
+
 /** tools: {motion, tones, onGo(segment), onChoose(segment), onExport(segment)} */
 export function drawSegments(element, segments, { motion, tones, onGo, onChoose, onExport }) {
   const scrolled = element.querySelector(".scroll")?.scrollTop ?? 0;
@@ -25,7 +30,7 @@ export function drawSegments(element, segments, { motion, tones, onGo, onChoose,
       "tr",
       { dataset: { start: String(one.start_s) } },
       h("td", {}, h("button", { type: "button", class: "small quiet go", onclick: () => onGo(one), ondblclick: () => onChoose(one) }, `${formatSeconds(one.start_s)} – ${formatSeconds(one.end_s)}`)),
-      h("th", { scope: "row" }, h("span", { class: "what" }, swatchOf(one, tones), one.unknown ? h("i", {}, t("unknown")) : one.category)),
+      h("th", { scope: "row" }, h("span", { class: "what" }, swatchOf(one, tones), one.unknown ? h("i", {}, t("unknown")) : one.category, often(one))),
       h("td", {}, confidence(one)),
       h("td", { class: "acts" }, h("button", { type: "button", class: "small quiet", onclick: () => onChoose(one), title: t("correct_title") }, icon("tag"), h("span", { class: "word" }, t("correct_title"))), h("a", { class: "button small quiet", href: `/search?${asked}`, title: t("search_segment") }, icon("search"), h("span", { class: "word" }, t("search_word"))), h("button", { type: "button", class: "small quiet export", onclick: () => onExport(one), title: t("export_part") }, icon("download"), h("span", { class: "word" }, t("export_word")))),
     );
