@@ -103,6 +103,7 @@ BENCHMARKS = {
     "film_cameras.py": "--help",  # it needs the pose models
     "keypoints.py": "--help",  # it needs the pose models
     "made_people.py": "--help",  # likewise, and a mesh
+    "confidence.py": "../shared/data --only hdm05 --folds 1 --find 2",
     "count_labelled.py": "../shared/data --folds 0 --only Intelli",
     "count_repetitions.py": "../shared/data --only synthetic --repeats 1",
     "correlation_matrix.py": "--frames 200 --repeats 1",

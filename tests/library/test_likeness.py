@@ -127,6 +127,9 @@ def test_places_in_takes_are_judged(made, tmp_path):
     flags = [place.alike for place in answer.results]
     assert flags == sorted(flags, reverse=True)
     assert [place.rank for place in answer.results] == list(range(1, len(flags) + 1))
+    chances = [place.probability for place in answer.results]
+    assert chances == sorted(chances, reverse=True)
+    assert [chance >= 0.5 for chance in chances] == flags
     nothing = made.find(made.clips(category="throw")[0].id, tmp_path / "take.bvh", 5)
     assert nothing.alike_count == 0
 

@@ -485,8 +485,8 @@ class Place(_Answer):
     tempo : how much faster than the query it goes on; 2 is double speed.
     mirrored : whether it is the mirror image of the query that it is like.
     rank : 1 for the best.
-    alike : whether it is alike at all, as learned from the clips of the library; None where that was not learned.
-    probability : that both mean the same, where all meanings are equally likely; None likewise.
+    alike : whether it is likelier than not that it shows what the query does; None where that was not learned.
+    probability : of that, for a place that was found; None likewise.
     """
 
     take: str

@@ -32,6 +32,7 @@ if TYPE_CHECKING:
     from dousa.retrieval.takes.find import Found
     from dousa.retrieval.takes.windows import TakeWindows, WindowGrid
 
+_ALIKE = 0.5
 _SAME_PLACE = 0.3  # intersection over union of two answers that are the same place
 
 
@@ -464,7 +465,12 @@ def _rank(found: list[tuple[Found, bool]], takes: Sequence[ReadTake], k: int) ->
 def _judge_places(
     connection: sa.Connection, stored: StoredForest, query: StoredMotion, takes: Sequence[ReadTake], places: list[Place]
 ) -> list[Place]:
-    """Places with whether they are alike at all, those first: each is looked at as a clip of its own."""
+    """Places with the probability that they show what the query does, the likeliest first.
+
+    Each is looked at as a clip of its own; those that are likelier so than not are alike.
+    """
+    from dousa.retrieval.takes.find import judge_place
+
     if stored.likeness is None or not places or any(take.stored is not stored for take in takes):
         return places  # bodies that lack joints are looked at by forests of their own
     by_path = {(take.path, take.clip_id): take for take in takes}
@@ -474,17 +480,19 @@ def _judge_places(
     named = find_meanings(stored.categories)
     meanings = np.unique([named[name] for name in stored.categories], return_inverse=True)[1]
     asked = [_describe_alike(stored, motion, meanings) for motion in (query, query.mirror())]
-    judged = []
+    judged: list[tuple[float, Place]] = []
     for place in places:
         whole = by_path[place.take, place.clip_id].motion or known[place.clip_id]
         first = min(round(place.start * whole.frame_rate), whole.n_frames - 1)
         last = max(round(place.end * whole.frame_rate), first + 1)
         part = StoredMotion(whole.positions[first:last], whole.frame_rate, whole.height)
-        told, direction = _describe_alike(stored, part, meanings)
-        chance = float(stored.likeness.judge(*asked[place.mirrored], told[None], direction[None])[0])
-        judged.append(replace(place, alike=chance >= stored.likeness.threshold, probability=round(chance, 4)))
-    judged.sort(key=lambda place: not place.alike)
-    return [replace(place, rank=rank) for rank, place in enumerate(judged, 1)]
+        shares, told, direction = _describe_alike(stored, part, meanings)
+        own = asked[place.mirrored]
+        likeness = float(stored.likeness.judge(*own[1:], told[None], direction[None])[0])
+        chance = judge_place(likeness, place.score, float(shares[own[0].argmax()]))
+        judged.append((chance, replace(place, alike=chance >= _ALIKE, probability=round(chance, 4))))
+    judged.sort(key=lambda one: -one[0])
+    return [replace(place, rank=rank) for rank, (_, place) in enumerate(judged, 1)]
 
 
 def _count_alike(stored: StoredForest, places: Sequence[Place]) -> int | None:
@@ -494,8 +502,9 @@ def _count_alike(stored: StoredForest, places: Sequence[Place]) -> int | None:
 
 def _describe_alike(
     stored: StoredForest, motion: StoredMotion, meanings: IndexArray
-) -> tuple[FloatArray, NDArray[np.float32]]:
-    """The votes of the trees for each meaning, and the direction, of a motion."""
+) -> tuple[FloatArray, FloatArray, NDArray[np.float32]]:
+    """Shares of the trees for each category and for each meaning, and the direction, of a motion."""
     answers = ask_trees(stored, describe_clip(motion, stored.feature_set).features[None])
     assert answers.directions is not None
-    return merge_votes(answers.shares(), meanings)[0], answers.directions[0]
+    shares = answers.shares()
+    return shares[0], merge_votes(shares, meanings)[0], answers.directions[0]

@@ -7,11 +7,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from oracles.short_actions import ACTIONS, make_clip, make_library
 
 from dousa.errors import InvalidMotionError, OptionError
 from dousa.retrieval import FEATURE_SETS, MotionForest
-from dousa.retrieval.takes.find import describe_query, find_in_takes, overlap
+from dousa.retrieval.takes.find import describe_query, find_in_takes, judge_place, overlap
 from dousa.retrieval.takes.made_takes import JoinedTake, join_clips
 from dousa.retrieval.takes.windows import WindowGrid, describe_take
 
@@ -143,3 +145,11 @@ def test_answers_are_plain_json():
     assert json.loads(json.dumps(found[0].to_json())).keys() == {
         "take", "start_s", "end_s", "score", "distance", "shared_leaves", "tempo"
     }  # fmt: skip
+
+
+@given(st.tuples(*[st.floats(0, 1)] * 3), st.tuples(*[st.floats(0, 1)] * 3))
+def test_a_place_is_the_likelier_right_the_more_speaks_for_it(one, other):
+    low, high = (judge_place(*pair(one, other)) for pair in (lambda a, b: map(min, a, b), lambda a, b: map(max, a, b)))
+    assert 0.0 < low <= high < 1.0
+    assert judge_place(1.0, 1.0, 1.0) > 0.95
+    assert judge_place(0.5, 0.0, 0.0) < 0.05

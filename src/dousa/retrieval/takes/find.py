@@ -31,6 +31,12 @@ _LEAST_SHARE = 0.02
 # Where the score is one half, and how fast it falls, for costs in units of how much the query moves.
 _MIDDLE, _STEEPNESS, _LEAST_MOVEMENT = 2.42, 6.3, 0.05
 
+# Weights of the log odds that a place shows the category of the query: of those of the likeness of both as clips, of
+# those of the score, and of the logarithm of the votes. Fitted to hits in joined takes of people who did not train, as
+# recorded and disturbed, of UTD-MHAD, HDM05, Bandai and UTKinect; each counts the same (docs/confidence.md).
+_OFFSET, _BY_LIKENESS, _BY_SCORE, _BY_VOTES = 1.05, 0.71, 0.34, 2.74
+_LEAST_CHANCE = 1e-4
+
 _MOST_ALIGNED = 64  # poses of either sequence that are aligned
 _BAND = 0.15
 _STEPS = np.linspace(-0.125, 0.125, 7)  # of the window's length: how far an edge may move
@@ -60,7 +66,7 @@ class Found:
     ----------
     take : its name.
     start, stop : s, from the beginning of the take.
-    score : 0 to 1, the larger the more alike; about the probability that a person calls both the same.
+    score : 0 to 1, the larger the more alike.
     distance : of the poses of both along the best alignment, root mean square in body heights.
     shared_leaves : share of trees in which both fall into the same leaf.
     tempo : how much faster than the query it goes on; 2 is double speed.
@@ -263,6 +269,20 @@ def _score(cost: float, poses: NDArray[np.float16]) -> float:
     values = poses.astype(np.float64)
     movement = float(np.sqrt(np.mean((values - values.mean(axis=0)) ** 2)))
     return float(1.0 / (1.0 + (cost / (_MIDDLE * (movement + _LEAST_MOVEMENT))) ** _STEEPNESS))
+
+
+def judge_place(likeness: float, score: float, votes: float) -> float:
+    """The probability that a place shows the category of the query.
+
+    Parameters
+    ----------
+    likeness : probability that query and place, as clips, mean the same where that is as likely as not.
+    score : of ``Found``.
+    votes : share of the trees that vote for the category of the query at the place.
+    """
+    odds = [np.log(chance / (1.0 - chance)) for chance in np.clip((likeness, score), _LEAST_CHANCE, 1 - _LEAST_CHANCE)]
+    total = _OFFSET + _BY_LIKENESS * odds[0] + _BY_SCORE * odds[1] + _BY_VOTES * np.log(votes + _LEAST_SHARE)
+    return float(1.0 / (1.0 + np.exp(-total)))
 
 
 def _align(one: NDArray[np.float16], other: NDArray[np.float16]) -> float:
