@@ -11,7 +11,9 @@ import numpy as np
 import pytest
 
 from dousa.errors import LibraryDamagedError
+from dousa.formats.motion_files import Skipped
 from dousa.library import Library
+from dousa.library import add as add_module
 from dousa.library.growth import insert as _learning
 
 
@@ -83,6 +85,38 @@ def test_it_does_not_matter_whether_clips_come_alone_or_together(two_categories,
     for path in sorted(nods.rglob("*.bvh")):
         assert two_categories.add(path, category_from="path:(.)").n_learned == 1
     assert two_categories.stats().n_learned == 5
+
+
+def test_the_forest_depends_on_the_files_and_not_on_the_clock(two_categories, nods, tmp_path, monkeypatch):
+    """However fast the files are read, by however many workers, and where the program was stopped and run again."""
+    monkeypatch.setattr(add_module, "_PORTION_CLIPS", 2)
+    stored = list[int]()
+    store = add_module.Adding._store_portion
+
+    def count(self, portion):
+        stored.append(sum(not isinstance(answer, Skipped) for answer in portion))
+        return store(self, portion)
+
+    monkeypatch.setattr(add_module.Adding, "_store_portion", count)
+
+    def stop_once(done, total, path):
+        if done == 4:
+            raise KeyboardInterrupt
+
+    seen = []
+    two_categories.close()
+    for name, n_jobs, seconds in (("fast", 1, 60.0), ("slow", 1, 0.0), ("workers", 2, 60.0), ("stopped", 1, 60.0)):
+        path = Path(shutil.copy(tmp_path / "two.dousa", tmp_path / f"{name}.dousa"))
+        monkeypatch.setattr(add_module, "_PORTION_SECONDS", seconds)
+        with Library.open(path) as library:
+            if name == "stopped":
+                with pytest.raises(KeyboardInterrupt):
+                    library.add(nods, n_jobs=n_jobs, progress=stop_once)
+            library.add(nods, n_jobs=n_jobs)
+        leaves = [(row[0], bytes(row[2])) for row in answers(path)]
+        seen.append((*forest_row(path)[2:], leaves))
+    assert len(stored) > 8 and max(stored) < 5  # in several portions
+    assert seen[1:] == seen[:1] * 3
 
 
 def test_clips_without_a_category_teach_nothing(library, library_file, write_move, tmp_path):

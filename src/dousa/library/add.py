@@ -1,7 +1,7 @@
 """Adding motions: what is known is left alone, the rest is read at the same time and written in portions.
 
 A portion is one transaction, so a program that is stopped in the middle keeps what it wrote and goes on from
-there when it is run again.
+there when it is run again. Where one ends depends on what the files hold, never on the clock.
 """
 
 from __future__ import annotations
@@ -44,8 +44,8 @@ _NO_LABEL = {
 }
 
 _MOST_DOUBTFUL = 500  # files that wait for the others
-_PORTION_CLIPS = 64
-_PORTION_SECONDS = 1.0
+_PORTION_CLIPS = 64  # on average; an eighth at least, and four times as many at most
+_PORTION_SECONDS = 1.0  # of a library that is not trained, so that a program that is stopped loses little
 
 _PORTION_FRAMES = (1 << 26) // (4 * 3 * 20)  # 64 MiB as they are stored
 
@@ -138,13 +138,15 @@ class Adding:
                     doubtful.append(cast("ClipRecord", answer))
                 else:
                     portion.append(answer)
-                if _is_full(portion) or time.monotonic() - last >= _PORTION_SECONDS:
+                is_late = self.forest is None and time.monotonic() - last >= _PORTION_SECONDS
+                if _is_full(portion) or is_late:
                     portion = self._store_portion(portion)
                     last = time.monotonic()
                 done += 1
                 report(done, len(files), answer.path)
         except KeyboardInterrupt:
-            self._store_portion(portion)
+            if self.forest is None:
+                self._store_portion(portion)
             raise
         finally:
             answers.close()
@@ -361,8 +363,17 @@ def _is_gone(row: Any) -> bool:
 
 
 def _is_full(portion: Sequence[Answer]) -> bool:
-    n_frames = sum(answer.motion.n_frames for answer in portion if isinstance(answer, ClipRecord))
-    return len(portion) >= _PORTION_CLIPS or n_frames >= _PORTION_FRAMES
+    """Whether a portion ends here, which depends on the contents of the files and on nothing else.
+
+    A forest learns portion by portion, so it is the same however fast the files were read, by however many workers, and
+    however often the program was stopped and run again: about every 64th content ends a portion.
+    """
+    read = [answer for answer in portion if not isinstance(answer, Skipped)]
+    if not read:
+        return False
+    n_frames = sum(answer.motion.n_frames for answer in read if isinstance(answer, ClipRecord))
+    is_last = int(read[-1].row["content_hash"][:8], 16) % _PORTION_CLIPS == 0 and 8 * len(read) >= _PORTION_CLIPS
+    return is_last or len(read) >= 4 * _PORTION_CLIPS or n_frames >= _PORTION_FRAMES
 
 
 def _load_rows(connection: sa.Connection, read: Sequence[FileRecord]) -> list[Any]:
