@@ -227,6 +227,11 @@ def test_classify_mirrored(library, other_hand, moves, tmp_path):
     assert library.classify(path)[0].mirrored is None
 
 
+def test_reasons_are_given_for_hits(five_categories, tmp_path):
+    hits = five_categories.search(write(tmp_path, "walk", 9), 4, explain=True).results
+    assert any(hit.likeness is not None and hit.likeness.reasons for hit in hits)
+
+
 def test_reasons_are_given_for_the_category_and_each_hit(library, moves, tmp_path):
     path = shutil.copy(moves / "bow" / "bow_p0.bvh", tmp_path / "q.bvh")
     result = library.search(path, 3, explain=True)
@@ -235,7 +240,7 @@ def test_reasons_are_given_for_the_category_and_each_hit(library, moves, tmp_pat
     for reason in why.reasons:
         assert reason.vote_without < reason.vote_before
         assert 0 <= reason.start < reason.end <= 24 / 30 + 1e-6
-    assert any(hit.likeness is not None and hit.likeness.reasons for hit in result.results)
+    assert all(hit.likeness is not None for hit in result.results)
     answer = json.loads(json.dumps(result.to_json()))
     assert answer["explanation"]["reasons"][0]["text"] == str(why.reasons[0].text)
     assert "likeness" in answer["results"][0]

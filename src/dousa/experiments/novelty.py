@@ -23,6 +23,8 @@ from dousa.experiments.runner import (
     Split,
     Steps,
     check_at_least,
+    describe_copies,
+    fit_forest,
     leave_performer_out,
     make_forest,
     split_half,
@@ -31,11 +33,10 @@ from dousa.experiments.table import Cell, Result, ResultTable, show
 from dousa.messages import Message
 from dousa.retrieval.features.feature_sets import DEFAULT_FEATURE_SET, FeatureSet, get_feature_set
 from dousa.retrieval.features.posed_motion import LabelledClip
-from dousa.retrieval.forest.calibration import Assessor, Copies, learn_calibration
+from dousa.retrieval.forest.calibration import Assessor, learn_calibration
 from dousa.retrieval.forest.forest import MotionForest
 from dousa.retrieval.forest.growth import StandingClips, grow_forest
 from dousa.retrieval.forest.pose_space import compute_auroc
-from dousa.retrieval.takes.made_takes import disturb_motion
 
 FORESTS: tuple[str, ...] = ("before", "grown", "trained anew")
 """The forests that are compared on new categories."""
@@ -287,12 +288,7 @@ class _Trials:
         self.added: list[NewCategories] = []
         self.steps.say(Message("trial_progress.features"))
         self.features = np.stack([feature_set.compute(clip) for clip in clips])
-        self.disturbed = np.stack(
-            [
-                feature_set.compute(disturb_motion(clip, np.random.default_rng([random_state, number])))
-                for number, clip in enumerate(clips)
-            ]
-        )
+        self.copies = describe_copies(clips, feature_set, random_state)
 
     def draw(self, repeats: int) -> Iterator[tuple[Split, np.random.Generator]]:
         """Who trains and who is tested, and the random numbers of the trial."""
@@ -393,7 +389,7 @@ class _Trials:
     def _fit(self, rows: NDArray[np.intp], generator: np.random.Generator) -> MotionForest:
         seed = int(generator.integers(2**31 - 1))
         forest = make_forest(self.feature_set, self.n_trees, seed, self.n_jobs)
-        return forest.fit(self.features[rows], self.labels[rows], feature_set=self.feature_set)
+        return fit_forest(forest, self.features, rows, self.labels[rows], self.copies, self.feature_set)
 
     def _calibrate(self, forest: MotionForest, rows: NDArray[np.intp]) -> Assessor:
         people = list(self.performers[rows]) if self.split != "half" else None
@@ -403,7 +399,7 @@ class _Trials:
             self.labels[rows],
             people,
             feature_set=self.feature_set,
-            copies=Copies(np.arange(len(rows)), self.disturbed[rows]),
+            copies=self.copies.of(rows),
         )
         return Assessor(forest, calibration)
 

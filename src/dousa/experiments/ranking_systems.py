@@ -21,13 +21,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from dousa.experiments.runner import Progress, Steps, make_forest
+from dousa.experiments.runner import Progress, Steps, describe_copies, fit_forest, make_forest
 from dousa.messages import Message
 from dousa.retrieval.ranking.ranking import RANKINGS, RankedClips, RankingQuery, rank_clips
 
 if TYPE_CHECKING:
     from dousa.retrieval.features.feature_sets import FeatureSet
     from dousa.retrieval.features.posed_motion import LabelledClip, PosedMotion
+    from dousa.retrieval.forest.calibration import Copies
     from dousa.retrieval.forest.forest import MotionForest
     from dousa.retrieval.ranking.templates import MotionTemplates
 
@@ -42,7 +43,7 @@ class RankingMaterial:
     Parameters
     ----------
     categories : (N,) str objects.
-    features : (N, T, F) of the forest.
+    features, copies : (N, T, F) of the forest, and disturbed copies of the clips, which it learns from too.
     sequences : (N, cells, columns) pose sequences of ours.
     poses : N of (T_i, 60) float32, body-fixed joint positions in body heights at 30 Hz.
     resampled : (N, EUCLIDEAN_FRAMES * 60) float32, the same at equally many instants.
@@ -52,6 +53,7 @@ class RankingMaterial:
 
     categories: NDArray[np.object_]
     features: NDArray[np.float64]
+    copies: Copies
     sequences: NDArray[np.float32]
     poses: list[NDArray[np.float32]]
     resampled: NDArray[np.float32]
@@ -74,6 +76,7 @@ def describe_clips(
         features = np.stack([one for one, _ in described])
         sequences = np.stack([two for _, two in described])
         clock.stop("forest")
+    copies = describe_copies(clips if set(systems) & set(RANKINGS) else (), feature_set)
     if {"euclidean", "dtw"} & set(systems):
         clock.start(Message("trial_progress.poses"))
         poses = [compute_body_poses(clip) for clip in clips]
@@ -86,7 +89,7 @@ def describe_clips(
         relational = [compute_relational_sequence(clip) for clip in clips]
         clock.stop("motion_templates")
     categories = np.array([clip.category for clip in clips], dtype=object)
-    return RankingMaterial(categories, features, sequences, poses, resampled, relational, milliseconds)
+    return RankingMaterial(categories, features, copies, sequences, poses, resampled, relational, milliseconds)
 
 
 def compute_body_poses(clip: PosedMotion) -> NDArray[np.float32]:
@@ -205,7 +208,7 @@ def _train_forest(
 ) -> tuple[MotionForest, RankedClips]:
     features = settings.feature_set
     forest = make_forest(features, settings.n_trees, seed, settings.n_jobs)
-    forest.fit(material.features[gallery], labels, feature_set=features)
+    fit_forest(forest, material.features, gallery, labels, material.copies, features)
     leaves = forest.apply(material.features[gallery])
     poses = np.ascontiguousarray(material.sequences[gallery])
     return forest, RankedClips(forest.histograms_of(leaves), leaves.astype(np.int32), poses.__getitem__)

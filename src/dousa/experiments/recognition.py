@@ -26,6 +26,8 @@ from dousa.experiments.runner import (
     check_categories,
     check_some,
     choose_split,
+    describe_copies,
+    fit_forest,
     make_folds,
     make_forest,
 )
@@ -33,6 +35,7 @@ from dousa.experiments.table import Cell, Result, ResultTable, show
 from dousa.messages import Message
 from dousa.retrieval.features.feature_sets import FeatureSet, get_feature_set
 from dousa.retrieval.features.posed_motion import LabelledClip
+from dousa.retrieval.forest.calibration import Copies
 
 SYSTEMS: tuple[str, ...] = ("full_tree", "random_tree", "forest", "motion_templates")
 
@@ -290,6 +293,7 @@ class _Material:
     categories: NDArray[Any]  # (N,) str objects
     features: NDArray[np.float64]  # (N, T, F)
     sequences: list[NDArray[np.bool_]]  # N of (T_i, 39)
+    copies: Copies  # of all clips, or none
     feature_seconds: float = 0.0
     relational_seconds: float = 0.0
 
@@ -317,6 +321,7 @@ def _describe(
     if set(systems) - {"motion_templates"}:
         steps.say(Message("trial_progress.features"))
         features = np.stack([settings.feature_set.compute(clip, samples_per_frame) for clip in clips])
+    copies = describe_copies(clips if "forest" in systems else (), settings.feature_set)
     between = time.perf_counter()
     if "motion_templates" in systems:
         from dousa.retrieval.ranking.templates import compute_relational_sequence
@@ -325,7 +330,7 @@ def _describe(
         sequences = [compute_relational_sequence(clip, settings.sampling_rate) for clip in clips]
     ended = time.perf_counter()
     categories = np.array([clip.category for clip in clips], dtype=object)
-    return _Material(categories, features, sequences, between - started, ended - between)
+    return _Material(categories, features, sequences, copies, between - started, ended - between)
 
 
 def _warm_up(settings: _Settings, systems: Sequence[str]) -> float:
@@ -336,6 +341,7 @@ def _warm_up(settings: _Settings, systems: Sequence[str]) -> float:
         np.array(["a", "a", "b", "b"], dtype=object),
         generator.random((4, settings.feature_set.n_frames, settings.feature_set.n_columns)),
         [generator.random((3, 39)) > 0.5 for _ in range(4)],
+        describe_copies((), settings.feature_set),
     )
     everything = np.arange(4)
     for system in systems:
@@ -358,7 +364,9 @@ def _train_and_predict(
         predicted = templates.predict_sequences([material.sequences[k] for k in fold.test])
     else:
         forest = _make_system(settings, system, seed)
-        forest.fit(material.features[fold.train], labels, feature_set=settings.feature_set)
+        # The paper's trees learn from the clips alone.
+        copies = material.copies if system == "forest" else describe_copies((), settings.feature_set)
+        fit_forest(forest, material.features, fold.train, labels, copies, settings.feature_set)
         fitted = time.perf_counter()
         predicted = forest.predict(material.features[fold.test])
     return np.asarray(predicted).astype(object), fitted - started, time.perf_counter() - fitted

@@ -14,12 +14,14 @@ from typing import TYPE_CHECKING, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from dousa.arrays import FloatArray
 from dousa.errors import OptionError, TrainingError
 from dousa.messages import Message
 
 if TYPE_CHECKING:
     from dousa.retrieval.features.feature_sets import FeatureSet
     from dousa.retrieval.features.posed_motion import LabelledClip
+    from dousa.retrieval.forest.calibration import Copies
     from dousa.retrieval.forest.forest import MotionForest
 
 Progress = Callable[[int, int, Message], None]
@@ -264,3 +266,40 @@ def make_forest(features: FeatureSet, n_trees: int, random_state: int, n_jobs: i
         random_state=random_state,
         n_jobs=n_jobs,
     )
+
+
+def describe_copies(clips: Sequence[LabelledClip], features: FeatureSet, random_state: int = 0) -> Copies:
+    """A disturbed copy of each clip, for forests to learn from as those of ``dousa train`` do.
+
+    None of no clips, and none for features without banks: the paper knows no copies.
+    """
+    from dousa.retrieval.forest.calibration import Copies
+    from dousa.retrieval.takes.made_takes import disturb_motion
+
+    some = clips if features.has_banks else ()
+    described = [
+        features.compute(disturb_motion(clip, np.random.default_rng([random_state, number])))
+        for number, clip in enumerate(some)
+    ]
+    blank = np.empty((0, features.n_frames, features.n_columns))
+    return Copies(np.arange(len(some)), np.stack(described) if described else blank)
+
+
+def fit_forest(
+    forest: MotionForest,
+    features: FloatArray,
+    rows: NDArray[np.intp],
+    labels: NDArray[np.str_],
+    copies: Copies,
+    feature_set: FeatureSet,
+) -> MotionForest:
+    """Train a forest on some of the clips, and on their copies.
+
+    Parameters
+    ----------
+    features : (N, T, F) of all clips.
+    rows, labels : (M,) those that train it, and their categories.
+    copies : of ``describe_copies``, of all clips.
+    """
+    joined, copied = copies.join(features, rows, rows)
+    return forest.fit(joined, labels, feature_set=feature_set, copied=copied)

@@ -24,7 +24,15 @@ from dousa.experiments.metrics import (
     add_counts,
     compare_timeline,
 )
-from dousa.experiments.runner import Progress, Steps, check_at_least, leave_performer_out, make_forest
+from dousa.experiments.runner import (
+    Progress,
+    Steps,
+    check_at_least,
+    describe_copies,
+    fit_forest,
+    leave_performer_out,
+    make_forest,
+)
 from dousa.experiments.table import Cell, Result, ResultTable, show
 from dousa.messages import Message
 from dousa.retrieval.features.feature_sets import DEFAULT_FEATURE_SET, FeatureSet, get_feature_set
@@ -209,6 +217,7 @@ class _Trial:
         self.clips, self.feature_set, self.n_trees = clips, feature_set, n_trees
         self.random_state, self.n_queries, self.n_jobs = random_state, n_queries, n_jobs
         self.features = np.stack([feature_set.compute(clip) for clip in clips])
+        self.copies = describe_copies(clips, feature_set, random_state)
         self.counts: dict[str, dict[str, list[TimelineCounts]]] = {}
         self.precisions: dict[str, list[tuple[float, bool]]] = {KNOWN_QUERIES: [], NEW_QUERIES: []}
         self.n_frames, self.label_seconds = 0, 0.0
@@ -217,7 +226,8 @@ class _Trial:
         """Learn from some clips, except those of unknown categories; label and search takes of the others."""
         kept = [int(k) for k in train if self.clips[k].category not in unknown]
         forest = make_forest(self.feature_set, self.n_trees, self.random_state, self.n_jobs)
-        forest.fit(self.features[kept], [self.clips[k].category for k in kept], feature_set=self.feature_set)
+        labels = np.array([self.clips[k].category for k in kept], dtype=np.str_)
+        fit_forest(forest, self.features, np.array(kept), labels, self.copies, self.feature_set)
         known = [self.clips[k] for k in kept]
         labeller = train_labeller(known, random_state=self.random_state, n_jobs=self.n_jobs)
         seconds = [len(clip.positions) / clip.frame_rate for clip in known]

@@ -34,7 +34,7 @@ _AT_ONCE = 4096  # clips that trees are asked about
 
 _MOST_HELD_BACK = 3000  # clips that the rounds of a calibration use: enough for two curves
 
-_MOST_COPIES = 500  # disturbed copies of them
+_MOST_COPIES = 1000  # disturbed copies of them: with a tenth of the clips the forest knows most of what noise does
 
 _TEMPOS = (0.5, 2.0)  # windows from half to twice the length of the clips
 
@@ -254,7 +254,10 @@ def choose_held_back(clips: ClipFeatures, labelled: Sequence[int]) -> tuple[list
 def describe_copies(
     connection: sa.Connection, clips: ClipFeatures, labelled: Sequence[int], kind: FeatureSet, n_jobs: int | None = 1
 ) -> Copies:
-    """Disturbed copies of some of the clips of ``choose_held_back``, which show what noise does to them."""
+    """Disturbed copies of some of the clips of ``choose_held_back``, which show what noise does to them.
+
+    None for features without banks: the paper knows no copies.
+    """
     from joblib import Parallel, delayed
 
     from dousa.retrieval.features.partial_bodies import hide_joints
@@ -262,7 +265,8 @@ def describe_copies(
     from dousa.retrieval.takes.made_takes import disturb_motion
 
     rows, _ = choose_held_back(clips, labelled)
-    places = np.arange(0, len(rows), -(-len(rows) // _MOST_COPIES)) if rows else np.zeros(0, np.intp)
+    some = bool(rows) and kind.has_banks
+    places = np.arange(0, len(rows), -(-len(rows) // _MOST_COPIES)) if some else np.zeros(0, np.intp)
 
     def describe(place: int, motion: StoredMotion) -> FloatArray:
         whole = kind.complete(hide_joints(motion, kind.hidden))
@@ -273,6 +277,19 @@ def describe_copies(
     features = parallel(delayed(describe)(int(place), one) for place, one in zip(places, motions, strict=True))
     shape = (0, kind.n_frames, kind.n_columns)
     return Copies(places, np.stack(features) if features else np.zeros(shape))
+
+
+def fit_forest(
+    forest: MotionForest, clips: ClipFeatures, labelled: Sequence[int], kind: FeatureSet, copies: Copies
+) -> None:
+    """Grow the trees of clips that have a category, and of copies that ``describe_copies`` made of them."""
+    held, _ = choose_held_back(clips, labelled)
+    rows = np.full(len(clips.ids), -1, np.intp)
+    rows[held] = np.arange(len(held))
+    chosen = np.asarray(labelled, np.intp)
+    categories = np.array([clips.categories[row] for row in labelled], dtype=np.str_)
+    features, copied = copies.join(clips.features, chosen, rows[chosen])
+    forest.fit(features, categories, feature_set=kind, copied=copied)
 
 
 def learn_unknown(

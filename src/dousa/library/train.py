@@ -30,6 +30,7 @@ from dousa.library.forests import (
     ask_trees,
     choose_held_back,
     describe_copies,
+    fit_forest,
     fit_grid,
     learn_unknown,
     replace_forest,
@@ -101,8 +102,7 @@ def train_forest(
         labelled, counts = _check_categories(database.where, clips.categories)
         copies = describe_copies(connection, clips, labelled, kind, n_jobs)
     report(1, _STEPS, Message("library_training.growing_trees"))
-    categories = np.array([clips.categories[row] for row in labelled], dtype=np.str_)
-    forest.fit(clips.features[labelled], categories, feature_set=kind)
+    fit_forest(forest, clips, labelled, kind, copies)
     report(2, _STEPS, Message("library_training.calibrating"))
     learner = make_likeness_learner(clips, labelled, kind)
     assessor = learn_unknown(forest, clips, labelled, kind, copies, learner.watch)

@@ -380,3 +380,37 @@ def test_some_clips_of_a_large_node_choose_as_well_as_all():
     peer.fit(columns[:4000], categories[:4000])
     ours, theirs = (one == categories[4000:] for one in (forest.predict(pose[4000:]), peer.predict(columns[4000:])))
     assert ours.mean() > theirs.mean() - 0.02
+
+
+def test_half_of_the_clips_of_each_tree_are_copies():
+    pose, categories = clips(0, n=40)
+    forest = MotionForest(n_trees=30, random_state=0)
+    alone = forest.fit(np.concatenate([pose, pose]), categories, copied=np.arange(40))
+    # Copies that are the same say nothing new: the same trees, whichever of the two each of them learned.
+    np.testing.assert_array_equal(
+        alone.predict_proba(pose), MotionForest(n_trees=30, random_state=0).fit(pose, categories).predict_proba(pose)
+    )
+    assert alone.trees_.leaf_counts.sum() == 30 * 40
+    # Far away copies, one of each clip: a tree has clips there if it learned copies, here if it learned clips.
+    far = MotionForest(n_trees=30, random_state=0).fit(np.concatenate([pose, pose + 100]), categories, copied=range(40))
+    alike = [np.mean(far.predict_proba(some)[np.arange(40), categories]) for some in (pose, pose + 100)]
+    assert alike == pytest.approx([0.75, 0.75], abs=0.2)
+
+
+def test_a_forest_that_learned_copies_knows_what_noise_does():
+    pose, categories = clips(1, n=400)
+    shift = np.zeros(pose.shape[2])
+    shift[:2] = 4.0  # what the sensor adds to two of four features
+    query, expected = pose[200:] + shift, categories[200:]
+    pose, categories = pose[:200], categories[:200]
+    plain = MotionForest(random_state=0).fit(pose, categories)
+    taught = MotionForest(random_state=0).fit(np.concatenate([pose, pose + shift]), categories, copied=range(200))
+    right = [np.mean(forest.predict(query) == expected) for forest in (plain, taught)]
+    assert right[1] > right[0] + 0.1
+
+
+@pytest.mark.parametrize("copied", [[0, 0], [-1], [7], [[1]]])
+def test_copies_of_clips_that_are_not_there_are_refused(copied):
+    pose, categories = clips(0, n=8)
+    with pytest.raises(TrainingError, match="copied: expected different clips"):
+        MotionForest(n_trees=2).fit(pose, categories[: 8 - len(copied)], copied=copied)

@@ -89,6 +89,30 @@ class Copies:
         """Places of the copies of clips, ascending."""
         return np.flatnonzero(np.isin(self.rows, rows))
 
+    def of(self, rows: IndexArray) -> Copies:
+        """The copies of some clips, whose rows are now 0 ... M - 1 in this order."""
+        places, order = self.find(rows), np.argsort(rows, kind="stable")
+        return Copies(order[np.searchsorted(rows, self.rows[places], sorter=order)], self.features[places])
+
+    def join(self, features: FloatArray, chosen: IndexArray, rows: IndexArray) -> tuple[FloatArray, IndexArray]:
+        """What ``MotionForest.fit`` takes of some clips and their copies.
+
+        Parameters
+        ----------
+        features : (N, T, F), of which those of the places ``chosen`` (M,) are meant.
+        rows : (M,) theirs among the rows of the copies.
+
+        Returns
+        -------
+        features : (M + K, T, F) of the clips, and behind them of the copies.
+        copied : (K,) clips among the M that have a copy.
+        """
+        places = self.find(rows)
+        joined = np.empty((len(chosen) + len(places), *features.shape[1:]), features.dtype)
+        np.take(features, chosen, axis=0, out=joined[: len(chosen)], mode="clip")
+        joined[len(chosen) :] = self.features[places]
+        return joined, self.of(rows).rows
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Calibration:
@@ -324,7 +348,9 @@ class _Judge:
         """Train on some clips, and guess the categories of others, with the scores."""
         trees = min(_TREES, self.parameters["n_trees"])
         small = MotionForest(**{**self.parameters, "n_trees": trees, "random_state": number, "n_jobs": 1})
-        small.fit(self.features[train], self.labels[train], feature_set=self.feature_set)
+        copies = Copies(np.zeros(0, np.intp), self.features[:0]) if self.copies is None else self.copies
+        features, copied = copies.join(self.features, train, train)
+        small.fit(features, self.labels[train], feature_set=self.feature_set, copied=copied)
         if self.watch is not None:
             self.watch(number, small, train, known, unknown)
         guess, scores = VoteScale(small).measure(small.apply(self._choose(number, known, unknown)[0]))

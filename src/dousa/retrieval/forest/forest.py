@@ -81,6 +81,17 @@ def number_categories(categories: ArrayLike, n_clips: int) -> tuple[NDArray[Any]
     return classes, numbers.astype(np.int32)
 
 
+def _check_copied(copied: ArrayLike | None, n_clips: int) -> IntArray:
+    """The clips that the last ones are copies of."""
+    if copied is None:
+        return np.zeros(0, np.int64)
+    rows = np.asarray(copied, dtype=np.int64)
+    last = n_clips - len(rows) - 1
+    if rows.ndim != 1 or len(np.unique(rows)) < len(rows) or (len(rows) and not 0 <= rows.min() <= rows.max() <= last):
+        raise TrainingError("forest.copied", last=last)
+    return rows
+
+
 def check_names(names: Sequence[str] | None, count: int) -> tuple[str, ...]:
     if names is None:
         is_ours = count == len(FEATURE_NAMES)
@@ -193,15 +204,19 @@ class MotionForest:
         feature_names: Sequence[str] | None = None,
         *,
         feature_set: FeatureSet | None = None,
+        copied: ArrayLike | None = None,
     ) -> MotionForest:
         """Grow the trees.
 
         Parameters
         ----------
-        features : (N, T, F) pose features of the training clips, thinned to T frames.
+        features : (N, T, F) pose features of the training clips, thinned to T frames; (N + K, T, F) with copies.
         categories : (N,) words or whole numbers; a single category is allowed and is then always the answer.
         feature_names : (F,) for ``decisions``; those of ``FEATURES`` where F is 56.
         feature_set : what the columns are and what may be asked of them; without one, their means.
+        copied : (K,) different clips of which the last K are copies, as a worse sensor may have seen them. Each tree
+            learns a clip by itself or by its copy, so the forest does not rely on what noise changes; half of the clips
+            by copies, or fewer where there are not as many.
 
         Raises
         ------
@@ -212,11 +227,13 @@ class MotionForest:
         self._check_options()
         shape = None if feature_set is None else (feature_set.n_frames, feature_set.n_columns)
         pose = check_features(features, shape, finite=True)
-        if not len(pose):
+        twins = _check_copied(copied, len(pose))
+        if len(pose) == len(twins):
             raise TrainingError("forest.no_clips")
         if measure_columns(pose).max() > _LARGEST_VALUE:
             raise InvalidMotionError("forest.too_large", largest=_LARGEST_VALUE)
-        classes, numbers = number_categories(categories, len(pose))
+        classes, numbers = number_categories(categories, len(pose) - len(twins))
+        numbers = np.append(numbers, numbers[twins])
         if feature_set is None:
             names = check_names(feature_names, pose.shape[2])
             tests = list_tests(pose.shape[2], pose.shape[1])
@@ -224,7 +241,7 @@ class MotionForest:
             names, tests = feature_set.column_names, feature_set.tests
         drawn = np.random.SeedSequence(self.random_state).generate_state(self.n_trees, np.uint64)
         seeds = drawn.astype(np.uint64)
-        trees = grow_trees(pose, numbers, len(classes), tests, self.make_spec(len(tests)), seeds)
+        trees = grow_trees(pose, numbers, len(classes), tests, self.make_spec(len(tests)), seeds, twins)
         self._take(trees, classes, names)
         return self
 

@@ -132,25 +132,28 @@ def grow_trees(
     tests: IntArray,
     spec: TreesSpec,
     seeds: NDArray[np.uint64],
+    copied: IntArray | None = None,
 ) -> Trees:
     """One tree per seed, whatever the number of workers.
 
     Parameters
     ----------
-    features : (N, T, F) checked pose features, float64 or float32; they are not copied.
-    categories : (N,) 0 ... n_classes - 1.
+    features : (N + K, T, F) checked pose features, float64 or float32; they are not copied.
+    categories : (N + K,) 0 ... n_classes - 1.
     tests : (R, 5) what may be asked at a node, see ``tree_kernels``.
     spec : how to grow.
     seeds : 64-bit, one per tree.
+    copied : (K,) clips of which the last K are copies: a tree learns one or the other. None if there are none.
     """
     from joblib import Parallel, delayed, effective_n_jobs
 
-    clips, frames, count = features.shape
-    material = prepare_material(features, categories, tests, clips)
+    frames, count = features.shape[1:]
+    copies = np.zeros(0, np.int64) if copied is None else copied
+    material = prepare_material(features, categories, tests, len(features) - len(copies))
     # A few trees a task: with few clips a tree takes less time than handing it out.
     tasks = np.array_split(seeds, min(len(seeds), 4 * effective_n_jobs(spec.n_jobs)))
     grown = Parallel(n_jobs=spec.n_jobs, prefer="threads")(
-        delayed(_grow_seeds)(material, n_classes, spec, some) for some in tasks
+        delayed(_grow_seeds)(material, n_classes, spec, some, copies) for some in tasks
     )
     return _join([tree for some in grown for tree in some], (count, frames, n_classes))
 
@@ -201,13 +204,22 @@ def grow_some(
     return trees
 
 
-def _grow_seeds(material: Material, n_classes: int, spec: TreesSpec, seeds: NDArray[np.uint64]) -> list[GrownTree]:
-    """A tree of all clips, or of a bootstrap sample of them, for each seed."""
-    clips = len(material[0])
+def _grow_seeds(
+    material: Material, n_classes: int, spec: TreesSpec, seeds: NDArray[np.uint64], copied: IntArray
+) -> list[GrownTree]:
+    """A tree of all clips, or of a bootstrap sample of them, for each seed; half of them by their copies."""
+    clips = len(material[0]) - len(copied)
+    share = min(1.0, 0.5 * clips / max(len(copied), 1))
 
     def draw(seed: np.uint64) -> IntArray:
-        drawn = np.random.default_rng(int(seed)).integers(0, clips, clips) if spec.bootstrap else None
-        return np.arange(clips) if drawn is None else np.sort(drawn)
+        generator = np.random.default_rng(int(seed))
+        drawn = np.sort(generator.integers(0, clips, clips)) if spec.bootstrap else np.arange(clips)
+        if not len(copied):
+            return drawn
+        learned = np.arange(clips)
+        chosen = np.flatnonzero(generator.random(len(copied)) < share)
+        learned[copied[chosen]] = clips + chosen
+        return learned[drawn]
 
     return grow_some(material, n_classes, spec, ((draw(seed), seed) for seed in seeds))
 
