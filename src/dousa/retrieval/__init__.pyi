@@ -40,6 +40,7 @@ from .takes.find import Found, TakeQuery, describe_query, find_in_takes
 from .takes.label import Segment, TakeLabeller, Timeline, label_take, write_timeline_csv
 from .takes.labeller_training import train_labeller
 from .takes.live import LiveAnswer, LiveLabeller, read_live_frames
+from .takes.repetitions import count_clip
 from .takes.windows import TakeWindows, WindowGrid, choose_grid, describe_take
 
 __all__ = [
@@ -89,6 +90,7 @@ __all__ = [
     "compute_relational_features",
     "compute_track",
     "compute_window_poses",
+    "count_clip",
     "describe_query",
     "describe_take",
     "explain",

@@ -9,13 +9,14 @@ import numpy as np
 import pytest
 from oracles.short_actions import make_clip
 
+from dousa.errors import InvalidMotionError
 from dousa.retrieval.counting.counter import find_usual
 from dousa.retrieval.counting.tallies import TALLIES, measure_tallies
 from dousa.retrieval.forest.forest_file import pack_arrays, unpack_arrays
 from dousa.retrieval.takes.label import TakeLabeller, label_take
 from dousa.retrieval.takes.labeller_training import train_labeller
 from dousa.retrieval.takes.made_takes import Piece, join_clips, join_series
-from dousa.retrieval.takes.repetitions import Chosen, count_all
+from dousa.retrieval.takes.repetitions import Chosen, count_all, count_clip
 
 HEIGHT = 1.7
 SCORES = np.ones(1, np.float32)
@@ -98,3 +99,12 @@ def test_the_truth_of_made_takes_says_series_as_a_labeller_does():
     assert [(one.start, one.stop) for one in joined[3:]] == [(30.0, 60.0), (60.0, 100.0)]
     nothing = [Piece(10.0 * k, 10.0 * (k + 1), None) for k in range(4)]
     assert join_series(nothing) == nothing
+
+
+def test_a_whole_clip_is_counted_at_any_frame_rate():
+    often = join_clips([make_clip("kick", 1, k) for k in range(5)], np.random.default_rng(3))
+    twice = replace(often, positions=np.repeat(often.positions, 2, axis=0), frame_rate=60.0)
+    alike = [make_clip("kick", person) for person in (2, 3, 4)]
+    assert [count_clip(often, alike), count_clip(twice, alike), count_clip(alike[0])] == [5, 5, 1]
+    with pytest.raises(InvalidMotionError, match="shape"):
+        count_clip(replace(often, positions=often.positions[:, :4]))

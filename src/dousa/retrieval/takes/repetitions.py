@@ -9,10 +9,35 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dousa.arrays import FloatArray
-from dousa.retrieval.counting.counter import count_repetitions
+from dousa.retrieval.counting.counter import choose_count, count_repetitions, find_usual
+from dousa.retrieval.counting.tallies import measure_tallies
+from dousa.retrieval.features.posed_motion import PosedMotion, check_motion
 from dousa.retrieval.takes.made_takes import SERIES
 
 _LONGEST_REST = 90  # frames between neighbours of a series
+
+
+def count_clip(motion: PosedMotion, alike: Sequence[PosedMotion] = ()) -> int:
+    """How often a whole clip shows its action.
+
+    Parameters
+    ----------
+    motion : of any frame rate.
+    alike : clips of the same action by anybody, which say what one repetition is: a cycle, or two if nearly all of them
+        show two (a step left, a step right). Without any a cycle is.
+
+    Raises
+    ------
+    InvalidMotionError : another shape than (n, 20, 3), positions that are not finite, no body height.
+    """
+    usual = find_usual([_measure(one) for one in alike])
+    return choose_count(_measure(motion), usual)
+
+
+def _measure(motion: PosedMotion) -> FloatArray:
+    from dousa.retrieval.features.channels import sample_positions
+
+    return measure_tallies(sample_positions(check_motion(motion), motion.frame_rate), motion.height)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
