@@ -370,3 +370,41 @@ def test_an_upload_that_is_not_added_leaves_nothing(library_page, running, tmp_p
     page.run("document.querySelector('#jobs-button').click()")
     page.wait("return document.querySelector('.space')?.textContent.includes('MB')")
     assert page.messages() == []
+
+
+def test_folders_become_categories_by_level_with_a_look_at_what_comes_out(library_page, running, tmp_path):
+    from dousa.formats.registry import write_motion
+    from dousa.motion.synthetic import draw_performer, make_motion
+
+    for number, place in enumerate(("archive/day1/bow", "archive/day2/bow", "archive/day2/nod")):
+        folder = tmp_path / "up" / place
+        folder.mkdir(parents=True)
+        write_motion(
+            make_motion("bow", draw_performer(40 + number)), folder / f"long_take_name_that_goes_on_{number}.bvh"
+        )
+    page = library_page()
+    click(page, "#add-button")
+    page.wait("return document.querySelector('#add-files-folder')")
+    page.find("#add-files-folder").send_keys(str(tmp_path / "up"))
+    page.wait("return document.querySelector('#add-go')")
+    said = "return document.querySelector('.tally-line').textContent"
+    assert page.run(said).startswith("Categories: 3 - ")
+    offered = page.run("return [...document.querySelectorAll('#add-category option')].map((one) => one.value)")
+    assert offered == ["folder", "last_folder", "level_1", "level_2", "level_3", "name", "none"]
+    page.run(
+        "const one = document.querySelector('#add-category'); one.value = 'last_folder';"
+        "one.dispatchEvent(new Event('input', {bubbles: true}))"
+    )
+    assert page.run(said) == "Categories: 2 - bow (2), nod (1)"
+    page.find("#add-go").click()
+    page.wait("return document.querySelector('.report-head')", seconds=90)
+    known = running.app.state.studio.library.stats().categories
+    assert known["bow"] == 2 and known["nod"] == 1
+    page.press(KEYS.ESCAPE)
+    page.find("#text").send_keys("goes_on")
+    wait_count(page, 3)
+    page.wait(f"{DRAWN} === 3")
+    # Names that begin alike differ where they end, and that is not cut.
+    ends = page.run("return [...document.querySelectorAll('.cell .name .cut-tail')].map((one) => one.textContent)")
+    assert {"goes_on_0.bvh"[-10:], "goes_on_1.bvh"[-10:]} <= set(ends)
+    assert page.messages() == []

@@ -277,3 +277,29 @@ def test_reasons_are_japanese_sentences(show, running):
     assert all("ふつうより" in text or "動きより" in text for text in said)
     assert not any(re.search("[a-z]", text) for text in said)
     assert page.messages() == []
+
+
+def test_a_long_name_fits_a_phone(show, running, bvh):
+    import urllib.request
+
+    name = "Session_2024_11_Studio_B_performer_with_a_long_name_kick_left_take_0001_cleaned.bvh"
+    headers = {"authorization": f"Bearer {running.token}"}
+    asked = urllib.request.Request(f"{running.url}/api/uploads?name={name}", bvh.read_bytes(), headers, method="POST")
+    with urllib.request.urlopen(asked) as answer:
+        motion = json.load(answer)["files"][0]["motion"]
+    page = show(f"/search?motion={motion}", width=390, height=844)
+    page.wait("return document.querySelectorAll('.hit').length > 3 && document.querySelector('.verdict-words')")
+    assert page.run("return document.documentElement.scrollWidth") <= 390
+    page.run("document.querySelector('.hit-open').click()")
+    page.wait("return !document.querySelector('#match').hidden")
+    page.settle()
+    assert page.run("return document.documentElement.scrollWidth") <= 390
+
+
+def test_the_open_tab_is_seen_on_a_narrow_phone(show):
+    page = show("/estimate", width=320, height=640)
+    seen = page.run(
+        "const a = document.querySelector('.bar nav [aria-current]').getBoundingClientRect();"
+        "return [a.left, a.right, innerWidth]"
+    )
+    assert seen[0] >= 0 and seen[1] <= seen[2]

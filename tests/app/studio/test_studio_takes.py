@@ -299,6 +299,34 @@ def test_a_stretch_is_exported(show, running, recording, downloads):
     assert page.messages() == []
 
 
+def test_playing_moves_nothing_on_a_phone_and_long_names_stay_inside(show, running, recording):
+    library = running.app.state.studio.library
+    library.add(recording[0], kind="take")
+    take = next(clip for clip in library.clips() if clip.kind == "take")
+    squats = [clip.id for clip in library.clips(category="squat")]
+    library.relabel(squats, category="locomotion_squatting_with_both_arms_raised_in_front_of_the_body_slowly")
+    page = show(f"/takes?motion=clip:{take.id}", 390, 844)
+    page.wait(LABELLED, seconds=90)
+    tops = page.run("""
+        const tops = new Set();
+        for (const row of document.querySelectorAll('#segments .go')) {
+          row.click();
+          tops.add(document.querySelector('#segments').getBoundingClientRect().top + scrollY);
+        }
+        return [...tops];
+    """)
+    assert len(tops) == 1
+    outside = """
+        const card = document.querySelector('#segments').getBoundingClientRect();
+        return [...document.querySelectorAll('#segments .acts')].filter((acts) =>
+          acts.getBoundingClientRect().right > card.right).length;
+    """
+    assert page.run(outside) == 0
+    page.resize(1440, 900)
+    page.settle()
+    assert page.run(outside) == 0
+
+
 def test_a_dropped_take_is_added(show, running, recording):
     page = show("/takes")
     page.wait("return document.querySelector('#take-file') !== null")

@@ -1,6 +1,6 @@
 // Dropping and choosing files and folders.
 
-import { h, icon, t } from "./dom.js";
+import { h, icon, language, t } from "./dom.js";
 
 /** What a file dialogue offers where labels or a motion are wanted; the studio looks at what comes. */
 export const LABEL_FILES = ".eaf,.TextGrid,.csv,.tsv";
@@ -24,9 +24,31 @@ async function readEntry(entry, prefix, found) {
 async function entriesOf(transfer) {
   const items = [...transfer.items].map((item) => item.webkitGetAsEntry?.()).filter(Boolean);
   const found = [];
-  if (items.length) for (const item of items) await readEntry(item, "", found);
-  else for (const file of transfer.files) found.push({ file, path: file.name });
+  const sign = showReading(found);
+  try {
+    if (items.length) for (const item of items) await readEntry(item, "", found);
+    else for (const file of transfer.files) found.push({ file, path: file.name });
+  } finally {
+    sign.end();
+  }
   return found;
+}
+
+const SIGN_AFTER = 150; // ms; a folder of thousands is read for seconds
+
+/** Says that a folder is being read, and how many files there are already. */
+function showReading(found) {
+  const text = h("p", { class: "reading", role: "status" });
+  const timer = setInterval(() => {
+    text.textContent = t("reading_drop", { count: new Intl.NumberFormat(language).format(found.length) });
+    if (!text.isConnected) document.body.append(text);
+  }, SIGN_AFTER);
+  return {
+    end() {
+      clearInterval(timer);
+      text.remove();
+    },
+  };
 }
 
 const chosen = (input) => [...input.files].map((file) => ({ file, path: file.webkitRelativePath || file.name }));

@@ -38,6 +38,13 @@ $("#theme-button").addEventListener("click", () => {
 });
 showTheme();
 
+// On a phone the tabs are wider than the window: the one that is open is brought into it.
+const tab = $(".bar nav [aria-current]");
+if (tab) {
+  const [box, nav] = [tab.getBoundingClientRect(), tab.parentElement.getBoundingClientRect()];
+  if (box.right > nav.right) tab.parentElement.scrollLeft += box.right - nav.right;
+}
+
 // --- the tray
 
 const tray = $("#jobs-tray");
@@ -84,7 +91,7 @@ function describeJob(job) {
     "article",
     { class: "job", dataset: { job: job.id, state: job.state } },
     h("header", {}, h("b", {}, t("job_title", { kind: t(`kind_${job.kind}`), title: job.title })), h("span", { class: "state" }, t(`state_${job.state}`))),
-    isActive(job) ? h("progress", { max: String(Math.max(job.total, 1)), value: job.total ? String(job.done) : null, "aria-label": t(`kind_${job.kind}`) }) : null,
+    isActive(job) ? h("progress", { max: String(Math.max(job.total, 1)), value: job.total && job.done ? String(job.done) : null, "aria-label": t(`kind_${job.kind}`) }) : null,
     isActive(job) && job.what ? h("p", { class: "what" }, job.total ? `${job.what} (${job.done}/${job.total})` : job.what) : null,
     job.problem ? h("p", { class: "problem-box" }, job.problem) : null,
     h("div", { class: "actions" }, ...actions),

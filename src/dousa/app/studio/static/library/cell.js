@@ -1,13 +1,17 @@
 // One clip in the grid: its figure, its label, its name. Cells are used again for other clips as the page scrolls.
 
+import { CutText } from "../core/cut.js";
 import { formatSeconds, h, icon, t } from "../core/dom.js";
 
 export class Cell {
   constructor() {
     this.canvas = h("canvas", {});
-    this.badge = h("span", { class: "badge" });
+    this.badgeInner = h("span", {});
+    this.badgeText = new CutText(this.badgeInner);
+    this.badge = h("span", { class: "badge" }, this.badgeInner);
     this.kind = h("span", { class: "kind" }, t("take"));
     this.name = h("span", { class: "name" });
+    this.nameText = new CutText(this.name);
     this.meta = h("span", { class: "meta" });
     this.length = h("span", { class: "length" });
     this.tick = h("span", { class: "tick", "aria-hidden": "true" }, icon("mark"));
@@ -37,11 +41,11 @@ export class Cell {
     element.classList.toggle("waiting", !clip);
     element.style.visibility = index === null ? "hidden" : "";
     element.title = clip ? [clip.folder, clip.name].filter(Boolean).join("/") : "";
-    this.name.textContent = clip?.name ?? "";
+    this.nameText.set(clip?.name ?? "");
     this.kind.hidden = clip?.kind !== "take";
     const guessed = clip && !clip.category && clip.kind !== "take" && clip.predicted_category;
     this.badge.className = `badge${guessed ? " unsure" : ""}${clip && !clip.category && !guessed ? " none" : ""}`;
-    this.badge.textContent = clip ? label(clip, guessed) : "";
+    this.badgeText.set(clip ? label(clip, guessed) : "");
     this.badge.hidden = !clip || (clip.kind === "take" && !clip.category);
     this.meta.textContent = clip?.performer ?? "";
     this.length.textContent = clip ? formatSeconds(clip.duration) : "";

@@ -1,5 +1,6 @@
 // The facets beside the list: what there is, how many of each, and a way to see only some.
 
+import { cutMiddle } from "../core/cut.js";
 import { h, language, t } from "../core/dom.js";
 
 const LENGTHS = { "0-2": [null, 2], "2-5": [2, 5], "5-15": [5, 15], "15-60": [15, 60], "60-": [60, null] };
@@ -57,7 +58,7 @@ function names(name, counts, filter) {
   const order = [...all].sort((a, b) => (b === "") - (a === "") || a.localeCompare(b, language, { numeric: true }));
   const rows = order.map((value) => {
     const input = h("input", { type: "checkbox", checked: chosen.includes(value), dataset: { key: `${name} ${value}` }, onchange: () => filter.toggle(name, value) });
-    return h("label", { class: "name-row" }, input, h("span", { class: value ? "" : "none" }, value || t("no_label")), h("span", { class: "n" }, count.format(counts[value] ?? 0)));
+    return h("label", { class: "name-row" }, input, cutMiddle(h("span", { class: value ? "" : "none", title: value }), value || t("no_label")), h("span", { class: "n" }, count.format(counts[value] ?? 0)));
   });
   return group(name, [h("div", { class: "names", dataset: { name } }, ...rows)]);
 }

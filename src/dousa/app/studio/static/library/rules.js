@@ -4,14 +4,23 @@ import { h, t } from "../core/dom.js";
 
 const SHOWN = 5;
 const SURE = /\.(eaf|textgrid|labels\.[ct]sv|boris\.[ct]sv)$/i; // hold nothing but labels
-const RULES = { folder: "folder", first_folder: "path:^([^/]+)/", none: "none" };
+const DEEPEST = 6; // levels of folders that are offered
+const RULES = { folder: "folder", last_folder: "path:([^/]+)/[^/]+$", none: "none", ...levels(DEEPEST) };
+
+/** {level_2: rule, ...}; the first level is the outermost folder. */
+function levels(deepest) {
+  return Object.fromEntries(Array.from({ length: deepest }, (_, at) => [`level_${at + 1}`, `path:^(?:[^/]+/){${at}}([^/]+)/`]));
+}
 
 /** names: of the motions that came, tables: of files that labels may be in -> {element, value: for POST /jobs/add} */
 export function askHow(names, tables = []) {
   const folders = names.some((name) => name.includes("/"));
   const kind = choice("add-kind", ["clip", "take"].map((name) => [name, t(`add_as_${name}`)]), "clip");
-  const category = rule("category", ["folder", "name", "none"], folders ? "folder" : "none", "^([A-Za-z]+)");
-  const performer = rule("performer", ["none", "first_folder", "name"], "none", "_([A-Za-z]+[0-9]*)");
+  const depth = Math.min(Math.max(...names.map((name) => name.split("/").length - 1), 0), DEEPEST);
+  const byLevel = depth > 1 ? Object.keys(levels(depth)) : [];
+  const byFolder = depth > 1 ? ["folder", "last_folder", ...byLevel] : ["folder"];
+  const category = rule("category", [...byFolder, "name", "none"], folders ? "folder" : "none", "^([A-Za-z]+)");
+  const performer = rule("performer", ["none", ...(depth > 1 ? byLevel : ["level_1"]), "name"], "none", "_([A-Za-z]+[0-9]*)");
   const unit = h("select", { id: "add-unit" }, ...["", "m", "cm", "mm", "inch", "cmu"].map((name) => h("option", { value: name }, t(`unit_${name || "file"}`))));
   const beside = h("input", { type: "checkbox", id: "add-labels", checked: tables.some((name) => SURE.test(name)) });
   const labels = h("label", { class: "check" }, beside, t("labels_beside", { count: tables.length }));
@@ -51,7 +60,7 @@ function choice(name, options, chosen) {
 }
 
 function rule(name, kinds, chosen, pattern) {
-  const select = h("select", { id: `add-${name}` }, ...kinds.map((kind) => h("option", { value: kind, selected: kind === chosen }, t(`from_${kind}`))));
+  const select = h("select", { id: `add-${name}` }, ...kinds.map((kind) => h("option", { value: kind, selected: kind === chosen }, wordOf(kind))));
   const text = h("input", { type: "text", id: `add-${name}-pattern`, value: pattern, maxlength: "200", spellcheck: "false", "aria-label": t("pattern_of", { name: t(`facet_${name}`) }) });
   const more = h("span", { class: "pattern" }, text, h("span", { class: "note" }, t("pattern_note")));
   const settle = () => (more.hidden = select.value !== "name");
@@ -68,11 +77,29 @@ function rule(name, kinds, chosen, pattern) {
       const at = file.lastIndexOf("/");
       if (select.value === "none") return null;
       if (select.value === "folder") return at < 0 ? null : file.slice(0, at);
-      if (select.value === "first_folder") return at < 0 ? null : file.slice(0, file.indexOf("/"));
+      if (select.value !== "name") return new RegExp(RULES[select.value].slice(5), "u").exec(file)?.[1]?.trim() || null;
       const found = new RegExp(text.value, "u").exec(file.slice(at + 1));
       return found?.[1]?.trim() || null;
     },
   };
+}
+
+const wordOf = (kind) => (kind.startsWith("level_") && kind !== "level_1" ? t("from_level", { level: kind.slice(6) }) : t(`from_${kind === "level_1" ? "first_folder" : kind}`));
+
+/** What comes out of a rule: how many labels, and which are the most frequent. */
+function tally(names, from, word) {
+  const counts = new Map();
+  try {
+    for (const name of names) {
+      const label = from.guess(name);
+      if (label !== null) counts.set(label, (counts.get(label) ?? 0) + 1);
+    }
+  } catch {
+    return null; // the table says that the expression is not one
+  }
+  if (!counts.size) return null;
+  const most = [...counts].sort((a, b) => b[1] - a[1]).slice(0, 4).map(([label, number]) => t("tally_label", { label, count: number }));
+  return h("p", { class: "note tally-line" }, t(word, { count: counts.size, names: most.join(t("tally_comma")) + (counts.size > most.length ? " …" : "") }));
 }
 
 function look(names, category, performer) {
@@ -87,5 +114,5 @@ function look(names, category, performer) {
   const some = names.filter((_, number) => number % step === 0).slice(0, SHOWN);
   const head = ["file", ...(category ? ["facet_category"] : []), "facet_performer"];
   const row = (name) => h("tr", {}, h("td", {}, name), category ? h("td", {}, label(category, name)) : null, h("td", {}, label(performer, name)));
-  return [h("table", { "aria-label": t("preview") }, h("thead", {}, h("tr", {}, ...head.map((word) => h("th", { scope: "col" }, t(word))))), h("tbody", {}, ...some.map(row)))];
+  return [category ? tally(names, category, "tally_category") : null, tally(names, performer, "tally_performer"), h("table", { "aria-label": t("preview") }, h("thead", {}, h("tr", {}, ...head.map((word) => h("th", { scope: "col" }, t(word))))), h("tbody", {}, ...some.map(row)))].filter(Boolean);
 }

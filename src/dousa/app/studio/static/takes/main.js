@@ -155,9 +155,9 @@ async function watch(id, name) {
 
 function drawProgress(job) {
   if (!isActive(job)) return;
-  const bar = h("progress", { max: String(Math.max(job.total, 1)), value: job.total > 1 ? String(job.done) : null, "aria-label": t("labelling") });
+  const bar = h("progress", { max: String(Math.max(job.total, 1)), value: job.total > 1 && job.done > 0 ? String(job.done) : null, "aria-label": t("labelling") }); // a bar that is empty for a minute says nothing
   const stop = h("button", { type: "button", class: "small", onclick: () => attempt(() => stopJob(job.id)) }, t("stop"));
-  $("#progress").replaceChildren(h("div", { class: "progress-row" }, h("span", { class: "note" }, job.total > 1 ? `${t("learning")} (${job.done}/${job.total})` : t("labelling")), bar, stop));
+  $("#progress").replaceChildren(h("div", { class: "progress-row" }, h("span", { class: "note" }, job.total > 1 ? t("learning_step", { step: Math.min(job.done + 1, job.total), total: job.total }) : t("labelling")), bar, stop));
 }
 
 // --- correcting
