@@ -26,4 +26,4 @@ def test_the_answer_is_shown_in_full():
         "seed 0",
     ):
         assert words in text
-    assert f"{answer.labelled['as recorded']['trees over moments, best sequence'].f_measure:.3f}" in text
+    assert f"{answer.labelled['as recorded']['discriminants of moments, best sequence'].f_measure:.3f}" in text

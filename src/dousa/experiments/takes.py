@@ -44,7 +44,7 @@ from dousa.retrieval.takes.labeller_training import train_labeller
 from dousa.retrieval.takes.made_takes import JoinedTake, join_clips, join_series, shuffle_into_takes
 from dousa.retrieval.takes.windows import TAKE_RATE, TakeWindows, WindowGrid, choose_grid, describe_take
 
-OURS, NEVER_UNKNOWN = "trees over moments, best sequence", "the same, all said"
+OURS, NEVER_UNKNOWN = "discriminants of moments, best sequence", "the same, all said"
 FRAMEWISE = "votes, frame by frame"
 AS_RECORDED, OTHER_TEMPO = "as recorded", "tempo 0.5 to 2"
 WITH_UNKNOWN, BOTH = "unknown pieces", "unknown pieces, tempo 0.5 to 2"

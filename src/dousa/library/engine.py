@@ -513,6 +513,7 @@ MIGRATIONS: tuple[Migration, ...] = (
     Migration(7, "labellers of moments", _labellers_of_moments),
     Migration(8, "checksums", _checksums),
     Migration(9, "sensor noise", _sensor_noise),
+    Migration(10, "labellers of discriminants", _labellers_of_moments),
 )
 
 

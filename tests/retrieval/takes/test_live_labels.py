@@ -69,7 +69,7 @@ def test_memory_and_room_do_not_grow():
     for k in range(3000):
         answer = live.push(TAKE.positions[k % len(TAKE.positions)], k / 30)
         if answer is not None:
-            sizes.append((len(live._shares), live._sampler._filled))
+            sizes.append((len(live._scores), live._sampler._filled))
     assert max(size for size, _ in sizes[len(sizes) // 2 :]) <= 2 * max(size for size, _ in sizes[: len(sizes) // 2])
     assert max(filled for _, filled in sizes) <= len(live._sampler._room)
 

@@ -1,4 +1,4 @@
-"""Trees over moments, and the sequence of segments, held to slow transcriptions."""
+"""Discriminants of moments, and the sequence of segments, held to slow transcriptions."""
 
 from __future__ import annotations
 
@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from oracles.slow_sequence import best_value, value_of
 
-from dousa.retrieval.takes.moment_forest import choose_scale, grow_moment_forest
 from dousa.retrieval.takes.moment_kernels import find_best_sequence
+from dousa.retrieval.takes.moment_model import MomentModel, MomentSums, choose_scale, sharpen, sum_moments
 from dousa.retrieval.takes.sequence import SequenceModel, SequenceWeights, fit_lengths, join_phases
 
 
@@ -56,35 +56,50 @@ def test_lengths_are_those_of_the_segments():
     assert wider.log_lengths[-1] == model.log_lengths[-1]
 
 
-def test_trees_know_what_they_saw_and_do_not_depend_on_threads():
-    draw = np.random.default_rng(0)
-    labels = draw.integers(0, 4, 600)
-    values = (draw.normal(size=(600, 12)) + labels[:, None] * (np.arange(12) % 3 == 0)).astype(np.float32)
+def make_moments(count, seed):
+    """Values (count, 12) of four states, of which every third value tells something."""
+    draw = np.random.default_rng(seed)
+    states = draw.integers(0, 4, count)
+    centres = np.random.default_rng(9).normal(size=(4, 12)) * (np.arange(12) % 3 == 0) * 4.0
+    return (draw.normal(size=(count, 12)) + centres[states]).astype(np.float32), states
+
+
+def test_discriminants_are_those_of_the_weighted_least_squares():
+    values, states = make_moments(5000, 0)  # more than a block
+    weigh, ridge = np.array([1.0, 2.0, 0.5, 1.0]), 0.3
     scale = choose_scale(values)
     codes = scale.encode(values)
-    forests = [
-        grow_moment_forest(codes, labels, np.ones(600), scale, 4, 20, random_state=3, n_jobs=jobs) for jobs in (1, 2)
-    ]
-    leaves = [forest.apply(codes) for forest in forests]
-    np.testing.assert_array_equal(*leaves)
-    shares = forests[0].judge(leaves[0])
+    found = sum_moments(scale, codes, np.arange(5000), states, weigh).solve(ridge)
+    seen = np.column_stack([(codes - scale.means) / scale.spreads, np.ones(5000)]).astype(np.float64)
+    roots = np.sqrt(weigh[states])[:, None]
+    # A penalty is as many more moments of nothing.
+    penalty = np.sqrt(ridge * weigh[states].sum()) * np.eye(13)[:12]
+    rows = np.concatenate([seen * roots, penalty])
+    wanted = np.concatenate([np.eye(4)[states] * roots, np.zeros((12, 4))])
+    np.testing.assert_allclose(found, np.linalg.lstsq(rows, wanted, rcond=None)[0], atol=2e-4)
+
+
+def test_sums_of_some_are_those_of_all_less_the_others():
+    values, states = make_moments(600, 1)
+    scale, weigh = choose_scale(values), np.ones(4)
+    codes = scale.encode(values)
+    whole = sum_moments(scale, codes, np.arange(600), states, weigh)
+    parts = MomentSums.zero(12, 4)
+    for first in (0, 250):
+        parts.add(sum_moments(scale, codes, np.arange(first, 250 if first == 0 else 600), states, weigh))
+    np.testing.assert_allclose(parts.squares, whole.squares, atol=1e-2)
+    np.testing.assert_allclose(parts.shown, whole.shown, atol=1e-2)
+
+
+def test_moments_never_seen_are_known_by_their_discriminants():
+    values, states = make_moments(600, 2)
+    scale = choose_scale(values)
+    weights = sum_moments(scale, scale.encode(values), np.arange(600), states, np.ones(4)).solve(0.1)
+    model = MomentModel(scale, weights, 8.0)
+    unseen, fresh = make_moments(300, 3)
+    scores = model.judge(unseen)
+    shares = sharpen(scores, model.sharpness)
     np.testing.assert_allclose(shares.sum(axis=1), 1.0, atol=1e-5)
-    assert (shares.argmax(axis=1) == labels).mean() > 0.95
-    fresh = draw.integers(0, 4, 300)
-    unseen = (draw.normal(size=(300, 12)) + fresh[:, None] * (np.arange(12) % 3 == 0)).astype(np.float32)
-    assert (forests[0].judge(forests[0].apply(scale.encode(unseen))).argmax(axis=1) == fresh).mean() > 0.6
-
-
-def test_leaves_are_reached_as_the_nodes_say():
-    draw = np.random.default_rng(1)
-    values = draw.normal(size=(200, 5)).astype(np.float32)
-    scale = choose_scale(values)
-    codes = scale.encode(values)
-    forest = grow_moment_forest(codes, draw.integers(0, 3, 200), np.ones(200), scale, 3, 3, random_state=0)
-    for row, reached in zip(codes[:20], forest.apply(codes[:20]), strict=True):
-        for root, leaf in zip(forest.roots, reached, strict=True):
-            node = int(root)
-            while forest.nodes[node, 2] >= 0:
-                value, threshold, left = forest.nodes[node]
-                node = int(left) + int(row[value] > threshold)
-            assert leaf == -1 - forest.nodes[node, 2]
+    assert (shares.argmax(axis=1) == fresh).mean() > 0.85
+    # What is judged are the values; bytes are nearly as good.
+    np.testing.assert_allclose(scores, scale.standardise(scale.encode(unseen)) @ weights, atol=0.02)

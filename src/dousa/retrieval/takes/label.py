@@ -1,8 +1,8 @@
 """Label a long take over time: which category from when to when, how sure, and where nothing known happens.
 
-Trees say how likely every category, and nothing, is at every moment (`moment_forest`), and the likeliest sequence of
-segments is found (`sequence`), which finds the places and the lengths of the actions at once. What is nothing, and what
-is not likely enough to be right, is unknown.
+Discriminants say how likely every category, and nothing, is at every moment (`moment_model`), and the likeliest
+sequence of segments is found (`sequence`), which finds the places and the lengths of the actions at once. What is
+nothing, and what is not likely enough to be right, is unknown.
 """
 
 from __future__ import annotations
@@ -22,20 +22,20 @@ from dousa.messages import Message
 from dousa.retrieval.counting.tallies import TALLIES
 from dousa.retrieval.features.posed_motion import PosedMotion, check_motion
 from dousa.retrieval.forest.forest_file import check, check_version, pack_arrays, unpack_arrays
-from dousa.retrieval.takes.moment_forest import FOREST_ARRAYS, MomentForest, read_moment_forest
+from dousa.retrieval.takes.moment_model import MODEL_ARRAYS, Codes, MomentModel, read_moment_model, sharpen
 from dousa.retrieval.takes.moments import HOP, N_VALUES, chunk_starts, count_moments, describe_chunk
 from dousa.retrieval.takes.repetitions import Chosen, count_all
-from dousa.retrieval.takes.sequence import N_PHASES, Run, SequenceModel, SequenceWeights, join_phases
+from dousa.retrieval.takes.sequence import FLOOR, N_PHASES, Run, SequenceModel, SequenceWeights, join_phases
 from dousa.retrieval.takes.windows import TAKE_RATE
 
 SHORT_GAP = 15
 """Frames between two actions, or at an end, that are shared out among them."""
 
-_WITHOUT_USUAL, _VERSION = 2, 3
+_VERSION = 4
 _WHAT = Message("stored.labeller")
 _NAMES = (
-    *("version", "classes", *FOREST_ARRAYS, "log_lengths", "spreads", "weights"),
-    *("calibration", "threshold", "held", "held_states"),
+    *("version", "classes", *MODEL_ARRAYS, "log_lengths", "spreads", "weights"),
+    *("calibration", "threshold", "held", "held_states", "usual"),
 )
 
 
@@ -120,50 +120,34 @@ def write_timeline_csv(timeline: Timeline, path: str | os.PathLike[str]) -> None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Taught:
-    """What single examples add to the probabilities.
-
-    Parameters
-    ----------
-    leaves : (K, n_trees) that moments of the examples, and moments that are held, reach.
-    additions : (K, S) what a moment with all the same leaves gets more of each state.
-    """
-
-    leaves: NDArray[np.int32]
-    additions: NDArray[np.float32]
-
-
-@dataclass(frozen=True, slots=True, eq=False)
 class TakeLabeller:
     """What is learned to label takes with.
 
     Parameters
     ----------
     classes : (C,) the categories.
-    forest : of moments; what it tells apart are three phases of each class (but those only taught), and nothing.
+    model : of moments; what it tells apart are three phases of each class, and nothing.
     sequence : how states follow one another.
-    calibration : (3,) the log odds that a segment is right: offset, weight of the log of the mean probability of its
-        category, weight of the lead over the second.
+    calibration : (1 + K,) the log odds that a segment is right: offset, and the weights of its evidence
+        (`describe_run`).
     threshold : confidence from which a category is said.
-    held : (H, n_trees) leaves of some moments that trained, of which the same is said when an example is taught.
-    held_states : (H,) what they are, as the forest counts: 3 c + phase, 3 C for nothing.
+    held : (H, F) bytes of some moments that trained, of which the same is said when an example is taught.
+    held_states : (H,) what they are, as the model counts: 3 c + phase, 3 C for nothing.
     usual : (C', 18) what one repetition of a category comes to in each tally (`find_usual`); NaN where that is not
         known. C' is C without the categories only taught, or 0.
-    taught : of examples.
     """
 
     classes: tuple[str, ...]
-    forest: MomentForest
+    model: MomentModel
     sequence: SequenceModel
-    calibration: tuple[float, float, float]
+    calibration: tuple[float, ...]
     threshold: float
-    held: NDArray[np.int32]
+    held: Codes
     held_states: NDArray[np.int32]
     usual: FloatArray = field(default_factory=lambda: np.empty((0, len(TALLIES))))
-    taught: Taught | None = None
 
     def judge(self, sampled: FloatArray, height: float, n_jobs: int | None = None) -> NDArray[np.float32]:
-        """How likely each phase of each category, and nothing, is at the moments of a recording.
+        """How much each phase of each category, and nothing, is shown at the moments of a recording.
 
         Parameters
         ----------
@@ -173,64 +157,51 @@ class TakeLabeller:
 
         Returns
         -------
-        (M, 3 C + 1)
+        (M, 3 C + 1) discriminants, about 1 for what is shown and about 0 for all else.
         """
         import joblib
 
         firsts = chunk_starts(len(sampled))
-        shares = np.empty((count_moments(len(sampled)), N_PHASES * len(self.classes) + 1), np.float32)
+        scores = np.empty((count_moments(len(sampled)), N_PHASES * len(self.classes) + 1), np.float32)
 
         def fill(first: int) -> None:
             rows, values = describe_chunk(sampled, height, first)
-            shares[rows] = self.judge_leaves(self.forest.apply(self.forest.scale.encode(values)))
+            scores[rows] = self.model.judge(values)
 
         # One chunk alone is not worth the threads.
         joblib.Parallel(n_jobs=n_jobs if len(firsts) > 1 else 1, prefer="threads")(
             joblib.delayed(fill)(first) for first in firsts
         )
-        return shares
+        return scores
 
-    def judge_leaves(self, leaves: NDArray[np.int32]) -> NDArray[np.float32]:
-        """(M, 3 C + 1) probabilities of the phases of the categories, and of nothing, from leaves (M, n_trees)."""
-        shares = self.forest.judge(leaves)
-        if self.taught is None:
-            return shares
-        from dousa.retrieval.takes.window_kernels import compare_leaves
-
-        wider = np.zeros((len(shares), N_PHASES * len(self.classes) + 1), np.float32)
-        wider[:, : shares.shape[1] - 1], wider[:, -1] = shares[:, :-1], shares[:, -1]
-        same = np.empty((len(self.taught.leaves), len(leaves)))
-        for row, known in zip(same, self.taught.leaves, strict=True):
-            compare_leaves(leaves, known, row)
-        wider += same.T.astype(np.float32) @ self.taught.additions
-        wider = np.maximum(wider, 0.0)
-        judged: NDArray[np.float32] = wider / np.maximum(wider.sum(axis=1, keepdims=True), 1e-6)
-        return judged
-
-    def choose(self, shares: NDArray[np.float32], n_frames: int, *, never_unknown: bool = False) -> list[Chosen]:
-        """The actions of a recording, in the order of time, from the probabilities (M, 3 C + 1) at its moments."""
-        runs = self.sequence.find_runs(shares, never_nothing=never_unknown)
+    def choose(self, scores: NDArray[np.float32], n_frames: int, *, never_unknown: bool = False) -> list[Chosen]:
+        """The actions of a recording, in the order of time, from the discriminants (M, 3 C + 1) at its moments."""
+        shares = sharpen(scores, self.model.sharpness)
         return [
-            Chosen(run.start * HOP, min(run.stop * HOP, n_frames), run.state, mean_scores(shares, run))
-            for run in runs
+            Chosen(
+                run.start * HOP,
+                min(run.stop * HOP, n_frames),
+                run.state,
+                describe_run(shares, run, self.sequence),
+            )
+            for run in self.sequence.find_runs(shares, never_nothing=never_unknown)
             if run.state < len(self.classes)
         ]
 
-    def confidence(self, scores: NDArray[np.float32]) -> FloatArray:
-        """(K,) probability that the best category of segments is right, from mean probabilities (K, C)."""
-        offset, by_score, by_lead = self.calibration
-        evidence = describe_scores(scores) @ (by_score, by_lead) + offset
-        sure: FloatArray = 1.0 / (1.0 + np.exp(-np.clip(evidence, -50, 50)))
+    def confidence(self, evidence: FloatArray) -> FloatArray:
+        """(W,) probability that segments are right, from their evidence (W, K)."""
+        offset, *weights = self.calibration
+        sure: FloatArray = 1.0 / (1.0 + np.exp(-np.clip(evidence @ np.array(weights) + offset, -50, 50)))
         return sure
 
     def to_bytes(self) -> bytes:
-        """The bytes of an .npz file (no pickle); the same labeller gives the same bytes. Nothing taught is in them."""
+        """The bytes of an .npz file (no pickle); the same labeller gives the same bytes."""
         weights = self.sequence.weights
         return pack_arrays(
             {
                 "version": np.array(_VERSION, np.int64),
                 "classes": np.array(self.classes, dtype=np.str_),
-                **self.forest.to_arrays(),
+                **self.model.to_arrays(),
                 "log_lengths": self.sequence.log_lengths,
                 "spreads": self.sequence.spreads,
                 "weights": np.array([weights.evidence, weights.nothing, weights.edges], np.float64),
@@ -245,15 +216,17 @@ class TakeLabeller:
     @classmethod
     def from_bytes(cls, data: bytes) -> TakeLabeller:
         """The labeller that ``to_bytes`` wrote; DousaError for damaged, other or newer bytes."""
-        arrays = unpack_arrays(data, _NAMES, _WHAT, optional=("usual",))
-        check_version(arrays, _WHAT, (_WITHOUT_USUAL, _VERSION))
+        arrays = unpack_arrays(data, _NAMES, _WHAT)
+        check_version(arrays, _WHAT, (_VERSION,))
         classes = arrays["classes"]
         check(classes.ndim == 1 and len(classes) > 0 and classes.dtype.kind == "U", _WHAT, "bad categories")
         check(len(np.unique(classes)) == len(classes), _WHAT, "a category occurs twice")
         states = len(classes) + 1
-        forest = read_moment_forest(arrays, N_PHASES * len(classes) + 1, N_VALUES, _WHAT)
-        numbers = {name: arrays[name] for name in ("log_lengths", "spreads", "weights", "calibration", "threshold")}
-        shapes = {"log_lengths": (states,), "spreads": (states,), "weights": (3,), "calibration": (3,), "threshold": ()}
+        model = read_moment_model(arrays, N_PHASES * len(classes) + 1, N_VALUES, _WHAT)
+        names = ("log_lengths", "spreads", "weights", "calibration", "threshold")
+        numbers = {name: arrays[name] for name in names}
+        shapes = {"log_lengths": (states,), "spreads": (states,), "weights": (3,), "threshold": ()}
+        shapes["calibration"] = (1 + N_EVIDENCE,)
         for name, array in numbers.items():
             right = array.dtype == np.float64 and array.shape == shapes[name]
             check(right and bool(np.isfinite(array).all()), _WHAT, f"bad {name}")
@@ -261,18 +234,16 @@ class TakeLabeller:
         check(bool((np.abs(means) < 20).all() and (spreads > 1e-3).all()), _WHAT, "bad lengths")
         check(bool((np.abs(weights) < 1e6).all()) and 0 <= float(numbers["threshold"]) <= 1, _WHAT, "bad threshold")
         held, of = arrays["held"], arrays["held_states"]
-        right = held.dtype == np.int32 and held.ndim == 2 and held.shape[1] == len(forest.roots)
-        right = right and of.dtype == np.int32 and of.shape == (len(held),)
-        check(right and held.flags.c_contiguous, _WHAT, "bad held moments")
-        check(not len(held) or bool(held.min() >= 0 and held.max() < len(forest.leaf_starts) - 1), _WHAT, "bad leaves")
-        usual = arrays.get("usual", np.empty((0, len(TALLIES))))
+        right = held.dtype == np.uint8 and held.ndim == 2 and held.shape[1] == N_VALUES
+        check(right and of.dtype == np.int32 and of.shape == (len(held),), _WHAT, "bad held moments")
+        usual = arrays["usual"]
         right = usual.dtype == np.float64 and usual.shape in ((len(classes), len(TALLIES)), (0, len(TALLIES)))
         check(right and bool((np.isnan(usual) | ((usual > 1e-3) & (usual < 1e6))).all()), _WHAT, "bad repetitions")
         return cls(
             tuple(map(str, classes)),
-            forest,
+            model,
             SequenceModel(means, spreads, SequenceWeights(*map(float, weights))),
-            (float(numbers["calibration"][0]), float(numbers["calibration"][1]), float(numbers["calibration"][2])),
+            tuple(map(float, numbers["calibration"])),
             float(numbers["threshold"]),
             held,
             of,
@@ -280,20 +251,27 @@ class TakeLabeller:
         )
 
 
-def mean_scores(shares: NDArray[np.float32], run: Run) -> NDArray[np.float32]:
-    """(C,) mean probabilities of the categories during a run, from those of the phases (M, 3 C + 1) at all moments."""
-    scores: NDArray[np.float32] = join_phases(shares[run.start : run.stop])[:, :-1].mean(axis=0)
-    return scores
+N_EVIDENCE = 6
+"""Numbers that say how sure a segment is."""
 
 
-def describe_scores(scores: NDArray[np.float32]) -> FloatArray:
-    """(W, 2) log of the best score, and its lead over the second as a share of it."""
-    if scores.shape[1] == 1:
-        best, second = scores[:, 0].astype(np.float64), np.zeros(len(scores))
-    else:
-        second, best = np.partition(scores, -2, axis=1)[:, -2:].T.astype(np.float64)
-    best = np.maximum(best, 1e-3)
-    return np.stack([np.log(best), 1.0 - np.maximum(second, 0.0) / best], axis=1)
+def describe_run(shares: NDArray[np.float32], run: Run, sequence: SequenceModel) -> FloatArray:
+    """(K,) what speaks for a run of a category, from the probabilities (M, 3 C + 1) at all moments.
+
+    The log of the mean probability of its category, the lead over the second as a share of it, how usual its length is,
+    the log of that length, and the log odds that its category begins where it does, and ends.
+    """
+    means = join_phases(shares[run.start : run.stop]).mean(axis=0)
+    own = max(float(means[run.state]), 1e-3)
+    second = float(np.delete(means[:-1], run.state).max(initial=0.0))
+    length = np.log((run.stop - run.start) * HOP)
+    usual = -0.5 * ((length - sequence.log_lengths[run.state]) / sequence.spreads[run.state]) ** 2
+    edges = []
+    for moment, phase in ((run.start, 0), (run.stop - 1, N_PHASES - 1)):
+        phases = shares[moment, N_PHASES * run.state : N_PHASES * (run.state + 1)]
+        edges.append(np.log((phases[phase] + FLOOR) / (phases.sum() - phases[phase] + FLOOR)))
+    evidence = (np.log(own), 1.0 - second / own, max(usual, -8.0), length, *edges)
+    return np.array(evidence, np.float64)
 
 
 def label_take(
@@ -321,10 +299,10 @@ def label_take(
         raise OptionError("labeller.threshold", found=limit)
     points = check_motion(motion)
     sampled = sample_positions(points, motion.frame_rate)
-    shares = labeller.judge(sampled, motion.height, n_jobs)
-    chosen = labeller.choose(shares, len(sampled), never_unknown=limit == 0)
+    scores = labeller.judge(sampled, motion.height, n_jobs)
+    chosen = labeller.choose(scores, len(sampled), never_unknown=limit == 0)
     chosen = count_all(chosen, sampled, motion.height, labeller.usual)
-    sure = labeller.confidence(np.stack([one.scores for one in chosen])) if chosen else np.zeros(0)
+    sure = labeller.confidence(np.stack([one.evidence for one in chosen])) if chosen else np.zeros(0)
     return make_timeline(chosen, sure, labeller.classes, len(points) / motion.frame_rate, limit)
 
 

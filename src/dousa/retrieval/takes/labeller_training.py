@@ -1,17 +1,17 @@
-"""Learn to label takes: trees over moments, how segments follow one another, and how sure an answer is.
+"""Learn to label takes: discriminants of moments, how segments follow one another, and how sure an answer is.
 
 What trains are takes: annotated ones, and takes made of clips, once as they are and some more times disturbed
-(`made_takes`). The trees learn from all of them. How much a moment's evidence weighs, how willing the sequence is to
-say "nothing", how much it minds where actions begin and end, and how sure an answer is cannot be seen there: those
-takes are known by heart. So the people are divided (clips by chance where they are not known), some categories are set
-aside too, fewer trees are grown on the rest, and the takes of the people left out say which weights label them best,
-how often an answer with this score is right, and what is gained by not answering.
+(`made_takes`). The discriminants come from sums over all moments. How large their penalty is, how sharp they are, how
+much evidence weighs, how willing the sequence is to say "nothing", and how sure an answer is are learned from moments
+of people who were left out (clips by chance where people are not known), some categories being set aside too: sums are
+subtracted, and nothing has to be seen twice.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,7 +21,8 @@ from dousa.errors import TrainingError
 from dousa.retrieval.counting.counter import find_usual
 from dousa.retrieval.counting.tallies import measure_tallies
 from dousa.retrieval.features.posed_motion import AnnotatedTake, LabelledClip, check_motion
-from dousa.retrieval.takes.label import SHORT_GAP, TakeLabeller, describe_scores, mean_scores
+from dousa.retrieval.takes.label import SHORT_GAP, TakeLabeller
+from dousa.retrieval.takes.labeller_tuning import STRANGE, UNCOUNTED, Trial, calibrate, choose_weights
 from dousa.retrieval.takes.made_takes import (
     JoinedTake,
     Piece,
@@ -30,28 +31,41 @@ from dousa.retrieval.takes.made_takes import (
     join_with_rests,
     shuffle_into_takes,
 )
-from dousa.retrieval.takes.moment_forest import Codes, MomentForest, Scale, choose_scale, grow_moment_forest
+from dousa.retrieval.takes.moment_model import (
+    Codes,
+    MomentModel,
+    MomentSums,
+    Scale,
+    choose_scale,
+    sharpen,
+    sum_moments,
+)
 from dousa.retrieval.takes.moments import HOP, describe_moments
-from dousa.retrieval.takes.sequence import N_PHASES, PHASE_FRAMES, Run, SequenceModel, SequenceWeights, fit_lengths
+from dousa.retrieval.takes.sequence import (
+    FLOOR,
+    N_PHASES,
+    PHASE_FRAMES,
+    Run,
+    SequenceWeights,
+    fit_lengths,
+    join_phases,
+)
 from dousa.retrieval.takes.windows import TAKE_RATE
 
 Progress = Callable[[int, int], None]
 
-_N_TREES, _N_FOLD_TREES = 60, 20
-_MOST_MOMENTS = 20_000  # that the trees are grown on; fewer in a fold
-_MOST_IN_FOLD = 8_000
-_LEAST_ROUNDS, _MOST_ROUNDS = 2, 5  # times that the material is shown: once as it is, then disturbed
+_MOST_MOMENTS = 9_000  # that are looked at, and for each category some more
+_MORE_MOMENTS = 40
+_LEAST_ROUNDS, _MOST_ROUNDS = 3, 5  # times that the material is shown: once as it is, then disturbed
 _PAIRED = 0.3  # chance that a clip is followed by one of its category, if there is one
 _FOLDS = 3
 _SET_ASIDE = 0.25  # share of the categories that a fold does not know
-_STRANGERS = 0.4  # times as many of those are met elsewhere: one action in ten
 _LEAST_STATES = 3  # categories, or nothing, that a fold must know
-_ENOUGH = 8  # answers, right and wrong ones each, that a calibration needs
-_MOST_HELD = 400  # moments
-_MOST_COUNTED = 12  # clips of a category whose repetitions are counted
-_DEFAULT_CALIBRATION = (4.0, 2.0, 2.0)
-_DEFAULT_THRESHOLD = 0.5
-_UNCOUNTED, _STRANGE = -1, -2  # moments of which nobody can say what they are; of categories that a fold does not know
+_MOST_HELD = 600  # moments
+_LEAST_COUNTED, _MOST_COUNTED, _ALL_COUNTED = 3, 12, 400  # clips of a category, and of all, that are counted
+_RIDGES = (0.1, 0.4, 1.6, 6.4)
+_SHARPNESSES = (3.0, 4.5, 6.5, 9.0, 13.0, 19.0, 28.0)
+_DEFAULT_RIDGE, _DEFAULT_SHARPNESS = 0.4, 6.5
 
 
 def train_labeller(
@@ -83,26 +97,23 @@ def train_labeller(
     classes = tuple(sorted(names))
     seeds = np.random.SeedSequence(random_state).spawn(2)
     report = progress or (lambda done, total: None)
-    report(0, _FOLDS + 2)
+    report(0, _STEPS)
     material = _make_material(clips, takes, np.random.default_rng(seeds[0]))
-    shown = _describe(material, classes, n_jobs)
-    report(1, _FOLDS + 2)
+    report(1, _STEPS)
+    scale, shown = _describe(material, classes, n_jobs)
+    report(2, _STEPS)
     generator = np.random.default_rng(seeds[1])
-    n_states = N_PHASES * len(classes) + 1
-    chosen = _thin([one.states for one in shown], n_states, _MOST_MOMENTS, generator)
-    codes, states = _gather(shown, chosen)
-    forest = _grow(codes, states, shown[0].scale, n_states, _N_TREES, random_state, n_jobs)
     sequence = fit_lengths(_measure(material, classes), SequenceWeights())
-    held = np.sort(generator.permutation(len(states))[:_MOST_HELD])
-    trials: list[_Trial] = []
-    for number, people in enumerate(_divide(material, generator)):
-        report(number + 2, _FOLDS + 2)
-        trials += _try_fold(shown, chosen, material, people, sequence, generator, n_jobs)
-    sequence = replace(sequence, weights=_choose_weights(sequence, trials))
-    calibration, threshold = _calibrate([answer for trial in trials for answer in trial.answer(sequence)])
-    leaves = forest.apply(codes[held])
+    model, trials = _learn_model(scale, shown, len(classes), generator)
+    report(3, _STEPS)
+    sequence = replace(sequence, weights=choose_weights(sequence, trials))
+    calibration, threshold = calibrate([answer for trial in trials for answer in trial.answer(sequence)])
+    codes, states = _gather(shown, len(classes), generator)
     usual = _find_usual(clips, takes, classes)
-    return TakeLabeller(classes, forest, sequence, calibration, threshold, leaves, states[held].astype(np.int32), usual)
+    return TakeLabeller(classes, model, sequence, calibration, threshold, codes, states, usual)
+
+
+_STEPS = 4
 
 
 def _find_usual(clips: Sequence[LabelledClip], takes: Sequence[AnnotatedTake], classes: Sequence[str]) -> FloatArray:
@@ -117,9 +128,10 @@ def _find_usual(clips: Sequence[LabelledClip], takes: Sequence[AnnotatedTake], c
             if one.category is not None:
                 start, stop = (round(seconds * take.frame_rate) for seconds in (one.start, one.stop))
                 shown[one.category].append((take.positions[start:stop], take.frame_rate, take.height))
+    most = int(np.clip(_ALL_COUNTED // max(len(shown), 1), _LEAST_COUNTED, _MOST_COUNTED))
     usual = []
     for some in shown.values():
-        few = some[:: max(-(-len(some) // _MOST_COUNTED), 1)]
+        few = some[:: max(-(-len(some) // most), 1)]
         usual.append(find_usual([measure_tallies(sample_positions(part, rate), height) for part, rate, height in few]))
     return np.stack(usual)
 
@@ -138,12 +150,13 @@ def _make_material(
 ) -> list[_Material]:
     """Annotated takes and takes made of the clips, in several rounds; of many clips each is shown in one round."""
     real = [(_to_joined(take), take.performer or take.name) for take in takes]
+    most = _MOST_MOMENTS + _MORE_MOMENTS * len({clip.category for clip in clips})
     per_round = sum(len(take.positions) for take, _ in real) / HOP
     per_round += sum(len(clip.positions) / clip.frame_rate for clip in clips) * TAKE_RATE / HOP
-    n_rounds = int(np.clip(round(_MOST_MOMENTS / max(per_round, 1.0)), _LEAST_ROUNDS, _MOST_ROUNDS))
-    share = min(1.0, _MOST_MOMENTS / max(per_round * n_rounds, 1.0))
+    n_rounds = int(np.clip(round(most / max(per_round, 1.0)), _LEAST_ROUNDS, _MOST_ROUNDS))
+    share = min(1.0, most / max(per_round * n_rounds, 1.0))
     material: list[_Material] = []
-    order = generator.permutation(len(clips))
+    order = _take_turns([clip.category for clip in clips], generator)
     for number in range(n_rounds):
         # Of few clips all are shown in every round, of many the next ones of them.
         first, count = round(number * share * len(clips)), round(share * len(clips))
@@ -154,6 +167,18 @@ def _make_material(
             material.append(_Material(take, some[0].performer or f"group {len(material)}", number))
         material += [_Material(take, performer, number) for take, performer in real]
     return [replace(one, take=disturb(one.take, generator)) if one.number else one for one in material]
+
+
+def _take_turns(categories: Sequence[str], generator: np.random.Generator) -> NDArray[np.intp]:
+    """All clips by chance, but first one of each category, then the second ones, and so on."""
+    mixed = generator.permutation(len(categories))
+    _, which = np.unique(np.array(categories, dtype=np.str_)[mixed], return_inverse=True)
+    by_category = np.argsort(which, kind="stable")
+    counts = np.bincount(which)
+    turns = np.empty(len(mixed), np.int64)
+    turns[by_category] = np.arange(len(mixed)) - np.repeat(np.cumsum(counts) - counts, counts)
+    order: NDArray[np.intp] = mixed[np.argsort(turns, kind="stable")]
+    return order
 
 
 def _pair(group: Sequence[int], categories: Sequence[str], generator: np.random.Generator) -> list[int]:
@@ -178,14 +203,15 @@ def _to_joined(take: AnnotatedTake) -> JoinedTake:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Shown:
-    """The moments of a take: bytes (M, F), states (M,): 3 c + phase of category c, 3 C for nothing."""
+    """The moments of a take: bytes (M, F), states (M,): 3 c + phase of category c, 3 C for nothing; who, and pieces."""
 
-    scale: Scale
     codes: Codes
     states: IntArray
+    performer: str
+    pieces: list[Run]
 
 
-def _describe(material: Sequence[_Material], classes: Sequence[str], n_jobs: int | None) -> list[_Shown]:
+def _describe(material: Sequence[_Material], classes: Sequence[str], n_jobs: int | None) -> tuple[Scale, list[_Shown]]:
     import joblib
 
     from dousa.retrieval.features.channels import sample_positions
@@ -200,24 +226,25 @@ def _describe(material: Sequence[_Material], classes: Sequence[str], n_jobs: int
 
     def show(one: _Material) -> _Shown:
         codes = scale.encode(values_of(one))
-        return _Shown(scale, codes, _states_of(one.take, len(codes), numbers))
+        states = _states_of(one.take, len(codes), numbers)
+        return _Shown(codes, states, one.performer, _runs_of(one.take, len(codes), numbers))
 
     shown: list[_Shown] = joblib.Parallel(n_jobs=n_jobs, prefer="threads")(
         joblib.delayed(show)(one) for one in material
     )
-    return shown
+    return scale, shown
 
 
 _SCALED_TAKES, _SCALED_MOMENTS = 12, 3  # takes that the scale is measured on, and every which moment of them
 
 
 def _states_of(take: JoinedTake, n_moments: int, numbers: dict[str, int]) -> IntArray:
-    states = np.full(n_moments, _UNCOUNTED)
+    states = np.full(n_moments, UNCOUNTED)
     middles = (np.arange(n_moments) + 0.5) * HOP
     for piece in take.pieces:
         inside = (middles >= piece.start) & (middles < piece.stop)
         if not piece.counted:
-            states[inside] = _UNCOUNTED
+            states[inside] = UNCOUNTED
         elif piece.category is None:
             states[inside] = N_PHASES * len(numbers)
         else:
@@ -227,44 +254,13 @@ def _states_of(take: JoinedTake, n_moments: int, numbers: dict[str, int]) -> Int
     return states
 
 
-def _thin(
-    states: Sequence[IntArray], n_states: int, most: int, generator: np.random.Generator
-) -> list[NDArray[np.bool_]]:
-    """Which moments train: as many as there may be, fewer of the states that have most."""
-    everything = np.concatenate(states)
-    counts = np.sort(np.bincount(everything[everything >= 0], minlength=n_states))
-    rest, left = most, n_states
-    limit = float(counts[-1])
-    for count in counts:
-        if count * left > rest:
-            limit = rest / left
-            break
-        rest, left = rest - int(count), left - 1
-    keep = np.zeros(len(everything), bool)
-    for state in range(n_states):
-        own = np.flatnonzero(everything == state)
-        keep[generator.permutation(own)[: max(round(limit), 1)]] = True
-    return np.split(keep, np.cumsum([len(some) for some in states])[:-1])
-
-
-def _gather(shown: Sequence[_Shown], chosen: Sequence[NDArray[np.bool_]]) -> tuple[Codes, IntArray]:
-    """(N, F) bytes, and (N,) states, of the chosen moments."""
-    codes = np.concatenate([one.codes[keep] for one, keep in zip(shown, chosen, strict=True)])
-    states = np.concatenate([one.states[keep] for one, keep in zip(shown, chosen, strict=True)])
-    return codes, states
-
-
-def _grow(
-    codes: Codes, states: IntArray, scale: Scale, n_states: int, n_trees: int, seed: int, n_jobs: int | None
-) -> MomentForest:
-    weights = _weigh(states, n_states)
-    return grow_moment_forest(codes, states, weights, scale, n_states, n_trees, random_state=seed, n_jobs=n_jobs)
-
-
-def _weigh(states: IntArray, n_states: int) -> FloatArray:
-    """The moments of a state weigh together as the square root of their number."""
-    weights: FloatArray = 1.0 / np.sqrt(np.maximum(np.bincount(states, minlength=n_states), 1.0))
-    return weights[states]
+def _gather(shown: Sequence[_Shown], n_categories: int, generator: np.random.Generator) -> tuple[Codes, Any]:
+    """(H, F) bytes and (H,) states of some moments, as many of each state as possible."""
+    places = [(k, m) for k, one in enumerate(shown) for m in np.flatnonzero(one.states >= 0)]
+    order = _take_turns([str(shown[k].states[m]) for k, m in places], generator)
+    chosen = [places[k] for k in order[:_MOST_HELD]]
+    codes = np.stack([shown[k].codes[m] for k, m in chosen])
+    return codes, np.array([shown[k].states[m] for k, m in chosen], np.int32)
 
 
 def _measure(material: Sequence[_Material], classes: Sequence[str]) -> list[list[float]]:
@@ -277,88 +273,139 @@ def _measure(material: Sequence[_Material], classes: Sequence[str]) -> list[list
     return [lengths[name] for name in (*classes, None)]
 
 
-def _divide(material: Sequence[_Material], generator: np.random.Generator) -> list[set[str]]:
+def _divide(shown: Sequence[_Shown], generator: np.random.Generator) -> list[set[str]]:
     """Performers that are left out together."""
-    names = sorted({one.performer for one in material})
+    names = sorted({one.performer for one in shown})
     mixed = generator.permutation(np.array(names))
     folds = [set(mixed[k::_FOLDS].tolist()) for k in range(_FOLDS)]
     return [fold for fold in folds if fold and len(fold) < len(names)]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Trial:
-    """A take of somebody left out: probabilities of the phases (M, 3 C + 1), and the truth (M,), C being nothing."""
+class _Fold:
+    """Takes of people left out, categories set aside, and the sums of all other moments."""
 
-    shares: NDArray[np.float32]
-    states: IntArray
-    pieces: list[Run]
-
-    def answer(self, sequence: SequenceModel) -> list[_Answer]:
-        """What the model says, and what of it is right."""
-        answers, n_categories = [], len(sequence.log_lengths) - 1
-        for run in sequence.find_runs(self.shares):
-            if run.state < n_categories:
-                true = self.states[run.start : run.stop]
-                true = true[true != _UNCOUNTED]
-                if len(true):
-                    evidence = describe_scores(mean_scores(self.shares, run)[None])[0]
-                    right = float((true == run.state).mean())
-                    strange = float((true == _STRANGE).mean())
-                    answers.append(_Answer(evidence, len(true), right, strange))
-        return answers
+    takes: list[_Shown]
+    aside: IntArray
+    sums: MomentSums
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Answer:
-    """A segment that was said: evidence (2,), moments, shares of them that are right, and of categories not known."""
-
-    evidence: FloatArray
-    length: int
-    right: float
-    strange: float
-
-
-def _try_fold(
-    shown: Sequence[_Shown],
-    chosen: Sequence[NDArray[np.bool_]],
-    material: Sequence[_Material],
-    people: set[str],
-    sequence: SequenceModel,
-    generator: np.random.Generator,
-    n_jobs: int | None,
-) -> list[_Trial]:
-    """Learn without some people and some categories, and judge takes of those people."""
-    n_categories = len(sequence.log_lengths) - 1
+def _learn_model(
+    scale: Scale, shown: Sequence[_Shown], n_categories: int, generator: np.random.Generator
+) -> tuple[MomentModel, list[Trial]]:
+    """The discriminants of all, and what those without some people say of these people's takes."""
     n_states = N_PHASES * n_categories + 1
-    aside = generator.permutation(n_categories)[: round(_SET_ASIDE * n_categories)]
-    # Of the moments that train all, so that nothing has the same share here and there.
-    train = [
-        keep & ~np.isin(one.states // N_PHASES, aside) & (take.performer not in people)
-        for one, keep, take in zip(shown, chosen, material, strict=True)
+    people = _divide(shown, generator)
+    mixed, count = generator.permutation(n_categories), round(_SET_ASIDE * n_categories)
+    asides = [mixed[k * count : (k + 1) * count] for k in range(len(people))]
+    states = np.concatenate([one.states for one in shown])
+    codes = np.concatenate([one.codes for one in shown])
+    weigh = _weigh(states[states >= 0], n_states)
+    # Which folds a moment is no part of, as bits: one sum for all that are in the same ones.
+    out = np.zeros(len(states), np.int64)
+    for k, (some, aside) in enumerate(zip(people, asides, strict=True)):
+        theirs = np.repeat([one.performer in some for one in shown], [len(one.states) for one in shown])
+        out |= (theirs | np.isin(states // N_PHASES, aside)).astype(np.int64) << k
+    out[states < 0] = -1
+    total = MomentSums.zero(codes.shape[1], n_states)
+    sums = [MomentSums.zero(codes.shape[1], n_states) for _ in people]
+    for pattern in np.unique(out[out >= 0]).tolist():
+        rows = np.flatnonzero(out == pattern)
+        part = sum_moments(scale, codes, rows, states, weigh)
+        total.add(part)
+        for k, own in enumerate(sums):
+            if not pattern >> k & 1:
+                own.add(part)
+    folds = [
+        _Fold([one for one in shown if one.performer in people[k]], asides[k], own)
+        for k, own in enumerate(sums)
+        if (own.shown[-1, ::N_PHASES] > 0).sum() >= _LEAST_STATES
     ]
-    share = _MOST_IN_FOLD / max(sum(int(keep.sum()) for keep in train), 1)
-    codes, states = _gather(shown, [keep & (generator.random(len(keep)) < share) for keep in train])
-    if len(np.unique(states // N_PHASES)) < _LEAST_STATES:
-        return []
-    forest = _grow(codes, states, shown[0].scale, n_states, _N_FOLD_TREES, int(generator.integers(2**31)), n_jobs)
-    trials = []
-    for one, take in zip(shown, material, strict=True):
-        if take.performer in people:
-            shares = forest.judge(forest.apply(one.codes))
-            states = np.where(one.states < 0, one.states, one.states // N_PHASES)
-            pieces = _runs_of(take.take, len(one.codes), states)
-            strange = _forgive(np.where(np.isin(states, aside), _STRANGE, states), n_categories)
-            trials.append(_Trial(shares, strange, [piece for piece in pieces if piece.state not in aside]))
+    ridge, sharpness, said = _choose_penalty(scale, folds, n_categories, weigh)
+    trials = [
+        one
+        for fold, scores in zip(folds, said, strict=True)
+        for one in _try_fold(fold, scores, sharpness, n_categories)
+    ]
+    return MomentModel(scale, total.solve(ridge), sharpness), trials
+
+
+def _choose_penalty(
+    scale: Scale, folds: Sequence[_Fold], n_categories: int, weigh: FloatArray
+) -> tuple[float, float, list[NDArray[np.float32]]]:
+    """The penalty that suits people left out best, how sharp all is then, and the discriminants of their moments."""
+    if not folds:
+        return _DEFAULT_RIDGE, _DEFAULT_SHARPNESS, []
+    states = [np.concatenate([one.states for one in fold.takes]) for fold in folds]
+    rows = [
+        np.flatnonzero((some >= 0) & ~np.isin(some // N_PHASES, fold.aside))
+        for fold, some in zip(folds, states, strict=True)
+    ]
+
+    def score(ridge: float, k: int) -> NDArray[np.float32]:
+        discriminants = folds[k].sums.solve(ridge)
+        return np.concatenate([scale.standardise(one.codes) @ discriminants for one in folds[k].takes])
+
+    def rate(said: Sequence[NDArray[np.float32]], sharpness: float) -> float:
+        return sum(
+            _rate(scores[some], of[some], sharpness, weigh)
+            for scores, of, some in zip(said, states, rows, strict=False)
+        )
+
+    # One fold says how much there has to be learned from, all how sharp it is.
+    values: dict[float, float] = {}
+    first: dict[float, NDArray[np.float32]] = {}
+    place = _RIDGES.index(_DEFAULT_RIDGE)
+    step = -1
+    while True:
+        for at in (place, place + step):
+            if 0 <= at < len(_RIDGES) and _RIDGES[at] not in values:
+                first[_RIDGES[at]] = score(_RIDGES[at], 0)
+                values[_RIDGES[at]] = max(rate([first[_RIDGES[at]]], one) for one in _SHARPNESSES)
+        best = max(values, key=lambda one: values[one])
+        if best == _RIDGES[place]:
+            if step > 0 or len(values) > 2:
+                break
+            step = 1
+        else:
+            place = _RIDGES.index(best)
+    said = [first[best], *(score(best, k) for k in range(1, len(folds)))]
+    return best, max(_SHARPNESSES, key=lambda one: rate(said, one)), said
+
+
+def _rate(scores: NDArray[np.float32], states: IntArray, sharpness: float, weigh: FloatArray) -> float:
+    """Log likelihood of what moments show."""
+    joined = join_phases(sharpen(scores, sharpness))
+    right = joined[np.arange(len(states)), states // N_PHASES]
+    return float((np.log(right + FLOOR) * weigh[states]).sum())
+
+
+def _try_fold(fold: _Fold, scores: NDArray[np.float32], sharpness: float, n_categories: int) -> list[Trial]:
+    trials, first = [], 0
+    for one in fold.takes:
+        own = scores[first : first + len(one.codes)]
+        first += len(own)
+        states = np.where(one.states < 0, one.states, one.states // N_PHASES)
+        strange = _forgive(np.where(np.isin(states, fold.aside), STRANGE, states), n_categories)
+        pieces = [piece for piece in one.pieces if piece.state not in fold.aside]
+        trials.append(Trial(sharpen(own, sharpness), strange, pieces))
     return trials
 
 
-def _runs_of(take: JoinedTake, n_moments: int, states: IntArray) -> list[Run]:
+def _runs_of(take: JoinedTake, n_moments: int, numbers: dict[str, int]) -> list[Run]:
     runs = []
     for piece in take.pieces:
         start, stop = round(piece.start / HOP), min(round(piece.stop / HOP), n_moments)
         if piece.counted and piece.category is not None and stop > start:
-            runs.append(Run(start, stop, int(states[(start + stop) // 2])))
+            runs.append(Run(start, stop, numbers[piece.category]))
     return runs
+
+
+def _weigh(states: IntArray, n_states: int) -> FloatArray:
+    """(S,) what a moment of each state weighs: all of a state together the square root of their number."""
+    weights: FloatArray = 1.0 / np.sqrt(np.maximum(np.bincount(states, minlength=n_states), 1.0))
+    weights *= len(states) / weights[states].sum()
+    return weights
 
 
 def _forgive(states: IntArray, nothing: int) -> IntArray:
@@ -367,118 +414,5 @@ def _forgive(states: IntArray, nothing: int) -> IntArray:
     forgiven = states.copy()
     for start, stop in zip(np.concatenate([[0], edges]), np.concatenate([edges, [len(states)]]), strict=True):
         if states[start] == nothing and (stop - start) * HOP <= SHORT_GAP + HOP:
-            forgiven[start:stop] = _UNCOUNTED
+            forgiven[start:stop] = UNCOUNTED
     return forgiven
-
-
-_EVIDENCE = (0.2, 0.4, 0.8, 1.6)
-_NOTHING = (1.0, 0.0, -1.0, -2.0, -3.0, -4.0, -6.0, -8.0)
-_EDGES = (0.0, 0.25, 0.5, 1.0, 1.5, 2.0)
-_OF_NOTHING = 0.5  # of a category: what nobody named may be an action all the same
-_SEARCHED = (
-    ("edges", _EDGES, 1.0),
-    ("nothing", _NOTHING, 0.1),  # where an action begins matters less than that it is seen
-    ("evidence", _EVIDENCE, 1.0),
-    ("edges", _EDGES, 1.0),
-    ("nothing", _NOTHING, 0.1),
-)
-_MOST_WORK = 1_000_000  # moments times states that weights are tried on
-
-
-def _choose_weights(sequence: SequenceModel, trials: Sequence[_Trial]) -> SequenceWeights:
-    """The weights that label the takes of people left out best, one changed at a time."""
-    best = sequence.weights
-    if not trials:
-        return best
-    most = _MOST_WORK / trials[0].shares.shape[1]
-    sizes = np.cumsum([len(one.shares) for one in trials])
-    step = max(round(float(sizes[-1]) / most), 1)
-    some = list(trials)[::step]
-    for name, values, events in _SEARCHED:
-        best = max(
-            (replace(best, **{name: one}) for one in dict.fromkeys((getattr(best, name), *values))),
-            key=lambda weights: _rate(replace(sequence, weights=weights), some, events),
-        )
-    return best
-
-
-def _rate(sequence: SequenceModel, trials: Sequence[_Trial], events: float) -> float:
-    """Mean share of right moments over the categories and nothing, and the F of the segments times ``events``."""
-    n_states = len(sequence.log_lengths)
-    right, total = np.zeros(n_states), np.zeros(n_states)
-    matched = said = true = 0
-    for trial in trials:
-        runs = sequence.find_runs(trial.shares)
-        answer = np.concatenate([np.full(run.stop - run.start, run.state) for run in runs])
-        counted = trial.states >= 0
-        total += np.bincount(trial.states[counted], minlength=n_states)
-        right += np.bincount(trial.states[counted & (answer == trial.states)], minlength=n_states)
-        # Segments where nothing happens are seen in the share of its moments; here they are not held against the model.
-        acts = np.concatenate([[0], np.cumsum((trial.states >= 0) & (trial.states < n_states - 1))])
-        actions = [
-            run
-            for run in runs
-            if run.state < n_states - 1 and 2 * (acts[run.stop] - acts[run.start]) >= run.stop - run.start
-        ]
-        said, true = said + len(actions), true + len(trial.pieces)
-        matched += sum(any(_is_same(run, piece) for run in actions) for piece in trial.pieces)
-    counts = np.where(total > 0, np.append(np.ones(n_states - 1), _OF_NOTHING), 0.0)
-    return float(counts @ (right / np.maximum(total, 1.0)) / max(counts.sum(), 1e-9)) + events * 2.0 * matched / max(
-        said + true, 1
-    )
-
-
-def _is_same(one: Run, other: Run) -> bool:
-    shared = min(one.stop, other.stop) - max(one.start, other.start)
-    return one.state == other.state and 2 * shared >= max(one.stop, other.stop) - min(one.start, other.start)
-
-
-def _calibrate(answers: Sequence[_Answer]) -> tuple[tuple[float, float, float], float]:
-    """Weights of the log odds that an answer is right, and the confidence from which answering pays.
-
-    An answer pays if its frames are more often right than they are of a category that is not known; of those a fold
-    shows more than takes do.
-    """
-    if not answers:
-        return _DEFAULT_CALIBRATION, _DEFAULT_THRESHOLD
-    evidence = np.stack([one.evidence for one in answers])
-    lengths, right, strange = (
-        np.array([getattr(one, name) for one in answers]) for name in ("length", "right", "strange")
-    )
-    correct = right > 0.5
-    if min(correct.sum(), (~correct).sum()) < _ENOUGH:
-        return _DEFAULT_CALIBRATION, _DEFAULT_THRESHOLD
-    offset, by_score, by_lead = fit_logistic(evidence, correct.astype(np.float64))
-    sure = 1.0 / (1.0 + np.exp(-(evidence @ (by_score, by_lead) + offset)))
-    order = np.argsort(-sure, kind="stable")
-    gained = np.cumsum(((right - _STRANGERS * strange) * lengths)[order])
-    best = int(gained.argmax())
-    if gained[best] <= 0:
-        return (offset, by_score, by_lead), 1.0
-    # Half way to the next answer, which does not pay any more.
-    following = sure[order[best + 1]] if best + 1 < len(order) else 0.0
-    return (offset, by_score, by_lead), float(0.5 * (sure[order[best]] + following))
-
-
-def fit_logistic(columns: FloatArray, truth: FloatArray) -> tuple[float, ...]:
-    """Offset and weights of the log odds by Newton's method, with a small penalty on the weights.
-
-    Parameters
-    ----------
-    columns : (N, K) evidence.
-    truth : (N,) 0 to 1.
-    """
-    design = np.column_stack([np.ones(len(columns)), columns])
-    penalty = np.diag([1e-6] + [1e-2] * columns.shape[1])
-    weights = np.zeros(design.shape[1])
-    for _ in range(50):
-        guess = 1.0 / (1.0 + np.exp(-np.clip(design @ weights, -30, 30)))
-        slope = design.T @ (truth - guess) - penalty @ weights
-        curvature = (design * (guess * (1.0 - guess))[:, None]).T @ design + penalty
-        step = np.linalg.solve(curvature, slope)
-        # Where the evidence parts right from wrong, full steps run away.
-        step *= min(1.0, 5.0 / max(float(np.abs(step).max()), 1e-12))
-        weights += step
-        if np.abs(step).max() < 1e-8:
-            break
-    return tuple(float(value) for value in weights)

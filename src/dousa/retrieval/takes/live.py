@@ -16,12 +16,13 @@ from math import isnan
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from dousa.arrays import FloatArray
 from dousa.errors import InvalidMotionError, OptionError
 from dousa.motion.canonical.joints import CANONICAL_JOINTS, JOINT_INDEX
-from dousa.retrieval.takes.label import SHORT_GAP, Segment, TakeLabeller, mean_scores
+from dousa.retrieval.takes.label import SHORT_GAP, Segment, TakeLabeller, describe_run
+from dousa.retrieval.takes.moment_model import sharpen
 from dousa.retrieval.takes.moments import HOP, REACH, describe_chunk
 from dousa.retrieval.takes.sequence import N_PHASES, Run
 from dousa.retrieval.takes.windows import TAKE_RATE
@@ -88,7 +89,7 @@ class LiveLabeller:
         self._threshold = labeller.threshold if threshold is None else threshold
         self._sampler = _Sampler(2 * (_BEFORE + _AHEAD) + _MEASURED)
         self._settled = 0  # moments whose label is certain
-        self._shares = np.zeros((0, N_PHASES * len(labeller.classes) + 1), np.float32)  # of the moments after those
+        self._scores = np.zeros((0, N_PHASES * len(labeller.classes) + 1), np.float32)  # of the moments after those
 
     def push(self, positions: ArrayLike, time: float) -> LiveAnswer | None:
         """Take a frame; answers come about eight times a second, None in between.
@@ -106,7 +107,7 @@ class LiveLabeller:
         if points.shape != (len(CANONICAL_JOINTS), 3) or not np.isfinite(points).all():
             raise InvalidMotionError("live.frame_shape", shape=points.shape)
         self._sampler.push(points, float(time))
-        if self._sampler.count < (self._settled + len(self._shares) + 1) * HOP or not self._know_height():
+        if self._sampler.count < (self._settled + len(self._scores) + 1) * HOP or not self._know_height():
             return None
         self._describe(self._sampler.count // HOP)
         return self._answer(self._settle())
@@ -132,31 +133,30 @@ class LiveLabeller:
 
     def _describe(self, n_moments: int) -> None:
         """Judge the moments that are new, and those before whose surroundings have changed."""
-        first = max(n_moments - _AHEAD // HOP - _judged_at_once(n_moments - self._settled - len(self._shares)), 0)
+        first = max(n_moments - _AHEAD // HOP - _judged_at_once(n_moments - self._settled - len(self._scores)), 0)
         first = max(first, self._settled)
         begin = max(first * HOP - _BEFORE, self._sampler.oldest)
         begin = -(-begin // HOP) * HOP
         sampled = self._sampler.last(self._sampler.count - begin)
         _, values = describe_chunk(sampled, float(self.height or 1.0), 0)
-        codes = self._labeller.forest.scale.encode(values[first - begin // HOP : n_moments - begin // HOP])
-        judged = self._labeller.judge_leaves(self._labeller.forest.apply(codes))
-        self._shares = np.concatenate([self._shares[: first - self._settled], judged])
+        judged = self._labeller.model.judge(values[first - begin // HOP : n_moments - begin // HOP])
+        self._scores = np.concatenate([self._scores[: first - self._settled], judged])
 
     def _settle(self, *, rest: bool = False) -> tuple[Segment, ...]:
         """Segments that will not change any more, in order; with the rest, all."""
         runs = self._runs()
-        done = runs if rest else [run for run in runs[:-1] if run.stop <= len(self._shares) - 2 * _AHEAD // HOP]
-        if not done and len(self._shares) > _LONGEST:
+        done = runs if rest else [run for run in runs[:-1] if run.stop <= len(self._scores) - 2 * _AHEAD // HOP]
+        if not done and len(self._scores) > _LONGEST:
             done = runs[:1]
         settled = tuple(self._segment(run, last=rest and run is done[-1]) for run in done)
         if done:
-            self._shares = self._shares[done[-1].stop :]
+            self._scores = self._scores[done[-1].stop :]
             self._settled += done[-1].stop
         return settled
 
     def _runs(self) -> list[Run]:
         """The likeliest sequence of what has not settled; short gaps belong to the action behind them."""
-        runs = self._labeller.sequence.find_runs(self._shares, never_nothing=self._threshold == 0)
+        runs = self._labeller.sequence.find_runs(self._share(), never_nothing=self._threshold == 0)
         nothing, joined = len(self._labeller.classes), list[Run]()
         for run in runs:
             before = joined[-1] if joined else None
@@ -164,12 +164,17 @@ class LiveLabeller:
             joined[len(joined) - short :] = [Run(before.start if before and short else run.start, run.stop, run.state)]
         return joined
 
+    def _share(self) -> NDArray[np.float32]:
+        """(M, 3 C + 1) probabilities of what has not settled."""
+        return sharpen(self._scores, self._labeller.model.sharpness) if len(self._scores) else self._scores
+
     def _segment(self, run: Run, *, last: bool = False) -> Segment:
         start, stop = (self._sampler.time_of((self._settled + edge) * HOP) for edge in (run.start, run.stop))
         stop = self._sampler.time_of(self._sampler.count) if last else stop
         if run.state == len(self._labeller.classes):
             return Segment(start, stop, None, 1.0)
-        sure = float(self._labeller.confidence(mean_scores(self._shares, run)[None])[0])
+        evidence = describe_run(self._share(), run, self._labeller.sequence)
+        sure = float(self._labeller.confidence(evidence[None])[0])
         known = sure >= self._threshold
         return Segment(start, stop, self._labeller.classes[run.state] if known else None, sure if known else 1.0 - sure)
 

@@ -1,8 +1,9 @@
 """What lies around a moment of a recording: the channels in cells of seconds, and in cells of movement.
 
 Every fifth of a second is a moment. Around each lie eight cells of 0.25 to 1 s, and eight cells of equal movement,
-which a quick and a slow performer fill alike; of each cell the mean and the spread of all channels are known, from
-running sums. The positions are smoothed more than for clips: a labeller shall not hear the noise of a sensor.
+which a quick and a slow performer fill alike. From running sums come the spread of all channels in each cell, and in
+the cells of seconds their mean; means over cells of movement say nothing more. The positions are smoothed more than for
+clips: a labeller shall not hear the noise of a sensor.
 """
 
 from __future__ import annotations
@@ -31,7 +32,7 @@ _PADDING = 60  # frames that the body stands still before and after a recording
 _MARGIN = REACH + 40  # frames on either side of a chunk: channels are smoothed over time, headings with 8 frames
 _CHUNK = 4092  # frames, a multiple of the hop
 
-N_VALUES = 2 * (len(_SECONDS) - 1) * 2 * len(CHANNELS)
+N_VALUES = 3 * (len(_SECONDS) - 1) * len(CHANNELS)
 """F, numbers that describe a moment."""
 
 

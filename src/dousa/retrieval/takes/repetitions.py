@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dousa.arrays import FloatArray
 from dousa.retrieval.counting.counter import choose_count, count_repetitions, find_usual
@@ -42,12 +41,12 @@ def _measure(motion: PosedMotion) -> FloatArray:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Chosen:
-    """An action: frames, number of the category, mean probabilities (C,) of all categories, how often it is done."""
+    """An action: frames, number of the category, what speaks for it (K,), how often it is done."""
 
     start: int
     stop: int
     category: int
-    scores: NDArray[np.float32]
+    evidence: FloatArray
     repetitions: int = 1
 
 
@@ -84,5 +83,5 @@ def _join(series: Sequence[Chosen], sampled: FloatArray, height: float) -> list[
     if len(series) < SERIES:
         return list(series)
     sizes = np.array([one.stop - one.start for one in series], np.float32)
-    scores = np.average(np.stack([one.scores for one in series]), axis=0, weights=sizes).astype(np.float32)
-    return [replace(series[0], stop=series[-1].stop, scores=scores)]
+    evidence = np.average(np.stack([one.evidence for one in series]), axis=0, weights=sizes)
+    return [replace(series[0], stop=series[-1].stop, evidence=evidence)]

@@ -18,7 +18,6 @@ from numpy.typing import NDArray
 from dousa.arrays import FloatArray
 from dousa.retrieval.takes.moments import HOP
 
-_FLOOR = 0.01  # of a probability: no moment forbids a category
 _SPREAD, _STRENGTH = 0.3, 4.0  # least spread of the log length; segments' worth of the spread of all
 _LONGEST = 250  # moments that are told apart; longer segments are reached one moment at a time
 
@@ -38,6 +37,9 @@ class SequenceWeights:
     nothing: float = -1.0
     edges: float = 0.5
 
+
+FLOOR = 0.01
+"""Of a probability: no moment forbids a category."""
 
 N_PHASES = 3
 """Of an action: its beginning, its middle, its end."""
@@ -97,13 +99,13 @@ class SequenceModel:
             return []
         weights = self.weights
         joined = np.maximum(join_phases(shares), 0.0).astype(np.float64)
-        evidence = np.log(joined + _FLOOR)
+        evidence = np.log(joined + FLOOR)
         evidence[:, -1] += weights.nothing
         evidence *= weights.evidence
         edges = [np.zeros(evidence.shape), np.zeros(evidence.shape)]
         for phase, edge in zip((0, N_PHASES - 1), edges, strict=True):
             own = np.maximum(shares[:, phase:-1:N_PHASES], 0.0)
-            edge[:, :-1] = weights.edges * np.log((own + _FLOOR) / (np.maximum(joined[:, :-1] - own, 0.0) + _FLOOR))
+            edge[:, :-1] = weights.edges * np.log((own + FLOOR) / (np.maximum(joined[:, :-1] - own, 0.0) + FLOOR))
         lengths, tails = self._tabulate(len(shares))
         again = np.zeros(len(tails))
         again[-1] = np.inf

@@ -1,0 +1,173 @@
+"""What is learned of a labeller on people left out: how much evidence weighs, how sure an answer is, when to answer.
+
+What trained is known by heart, so none of this can be seen there. The takes of people left out say which weights label
+them best, how often an answer with this evidence is right, and what is gained by not answering.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dousa.arrays import FloatArray, IntArray
+from dousa.retrieval.takes.label import describe_run
+from dousa.retrieval.takes.sequence import Run, SequenceModel, SequenceWeights
+
+UNCOUNTED, STRANGE = -1, -2
+"""Moments of which nobody can say what they are; of categories that a fold does not know."""
+
+_STRANGERS = 0.2  # times as many of those are met elsewhere: one action in twenty
+_ENOUGH = 8  # answers, right and wrong ones each, that a calibration needs
+_PENALTY = 0.3  # on the squares of the weights of evidence: a few answers make nobody sure
+_DEFAULT_CALIBRATION = (3.0, 2.0, 2.0, 0.0, 0.0, 0.0, 0.0)
+_DEFAULT_THRESHOLD = 0.5
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Trial:
+    """A take of somebody left out: probabilities of the phases (M, 3 C + 1), and the truth (M,), C being nothing."""
+
+    shares: NDArray[np.float32]
+    states: IntArray
+    pieces: list[Run]
+
+    def answer(self, sequence: SequenceModel) -> list[Answer]:
+        """What the model says, and what of it is right."""
+        answers, n_categories = [], len(sequence.log_lengths) - 1
+        for run in sequence.find_runs(self.shares):
+            if run.state < n_categories:
+                true = self.states[run.start : run.stop]
+                true = true[true != UNCOUNTED]
+                if len(true):
+                    evidence = describe_run(self.shares, run, sequence)
+                    right, strange = (float((true == state).mean()) for state in (run.state, STRANGE))
+                    found = any(_is_same(run, piece) for piece in self.pieces)
+                    answers.append(Answer(evidence, len(true), right, strange, found))
+        return answers
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Answer:
+    """A segment that was said: evidence (K,), moments, shares of them that are right, and of categories not known, and
+    whether it overlaps a true one of its category by half.
+    """
+
+    evidence: FloatArray
+    length: int
+    right: float
+    strange: float
+    found: bool
+
+
+_EVIDENCE = (0.2, 0.4, 0.8, 1.6)
+_NOTHING = (1.0, 0.0, -1.0, -2.0, -3.0, -4.0, -6.0)
+_EDGES = (0.0, 0.25, 0.5, 1.0, 1.5, 2.0)
+_OF_NOTHING = 0.5  # of a category: what nobody named may be an action all the same
+_EVENTS_OF_NOTHING = 0.3
+_SEARCHED = (
+    ("edges", _EDGES, 1.0),
+    ("nothing", _NOTHING, _EVENTS_OF_NOTHING),  # where an action begins matters less than that it is seen
+    ("evidence", _EVIDENCE, 1.0),
+    ("edges", _EDGES, 1.0),
+    ("nothing", _NOTHING, _EVENTS_OF_NOTHING),
+)
+_MOST_WORK = 300_000  # moments times states that weights are tried on
+
+
+def choose_weights(sequence: SequenceModel, trials: Sequence[Trial]) -> SequenceWeights:
+    """The weights that label the takes of people left out best, one changed at a time."""
+    best = sequence.weights
+    if not trials:
+        return best
+    most = _MOST_WORK / trials[0].shares.shape[1]
+    sizes = np.cumsum([len(one.shares) for one in trials])
+    step = max(round(float(sizes[-1]) / most), 1)
+    some = list(trials)[::step]
+    for name, values, events in _SEARCHED:
+        best = max(
+            (replace(best, **{name: one}) for one in dict.fromkeys((getattr(best, name), *values))),
+            key=lambda weights: _rate(replace(sequence, weights=weights), some, events),
+        )
+    return best
+
+
+def _rate(sequence: SequenceModel, trials: Sequence[Trial], events: float) -> float:
+    """Mean share of right moments over the categories and nothing, and the F of the segments times ``events``."""
+    n_states = len(sequence.log_lengths)
+    right, total = np.zeros(n_states), np.zeros(n_states)
+    matched = said = true = 0
+    for trial in trials:
+        runs = sequence.find_runs(trial.shares)
+        answer = np.concatenate([np.full(run.stop - run.start, run.state) for run in runs])
+        counted = trial.states >= 0
+        total += np.bincount(trial.states[counted], minlength=n_states)
+        right += np.bincount(trial.states[counted & (answer == trial.states)], minlength=n_states)
+        actions = [run for run in runs if run.state < n_states - 1]
+        said, true = said + len(actions), true + len(trial.pieces)
+        matched += sum(any(_is_same(run, piece) for run in actions) for piece in trial.pieces)
+    counts = np.where(total > 0, np.append(np.ones(n_states - 1), _OF_NOTHING), 0.0)
+    return float(counts @ (right / np.maximum(total, 1.0)) / max(counts.sum(), 1e-9)) + events * 2.0 * matched / max(
+        said + true, 1
+    )
+
+
+def _is_same(one: Run, other: Run) -> bool:
+    shared = min(one.stop, other.stop) - max(one.start, other.start)
+    return one.state == other.state and 2 * shared >= max(one.stop, other.stop) - min(one.start, other.start)
+
+
+def calibrate(answers: Sequence[Answer]) -> tuple[tuple[float, ...], float]:
+    """Weights of the log odds that an answer is right, and the confidence from which answering pays.
+
+    An answer pays if its frames are more often right than they are of a category that is not known; of those a fold
+    shows more than takes do.
+    """
+    if not answers:
+        return _DEFAULT_CALIBRATION, _DEFAULT_THRESHOLD
+    evidence = np.stack([one.evidence for one in answers])
+    lengths, right, strange, found = (
+        np.array([getattr(one, name) for one in answers], np.float64)
+        for name in ("length", "right", "strange", "found")
+    )
+    if min(found.sum(), (1.0 - found).sum()) < _ENOUGH:
+        return _DEFAULT_CALIBRATION, _DEFAULT_THRESHOLD
+    often = np.where(strange > 0.5, _STRANGERS, 1.0)
+    offset, *weights = fit_logistic(evidence, found, often)
+    sure = 1.0 / (1.0 + np.exp(-(evidence @ np.array(weights) + offset)))
+    order = np.argsort(-sure, kind="stable")
+    gained = np.cumsum(((right - _STRANGERS * strange) * lengths)[order])
+    best = int(gained.argmax())
+    if gained[best] <= 0:
+        return (offset, *weights), 1.0
+    # Half way to the next answer, which does not pay any more.
+    following = sure[order[best + 1]] if best + 1 < len(order) else 0.0
+    return (offset, *weights), float(0.5 * (sure[order[best]] + following))
+
+
+def fit_logistic(columns: FloatArray, truth: FloatArray, often: FloatArray | None = None) -> tuple[float, ...]:
+    """Offset and weights of the log odds by Newton's method, with a small penalty on the weights.
+
+    Parameters
+    ----------
+    columns : (N, K) evidence.
+    truth : (N,) 0 to 1.
+    often : (N,) how often each counts; None for once.
+    """
+    counts = np.ones(len(columns)) if often is None else often
+    design = np.column_stack([np.ones(len(columns)), columns])
+    penalty = np.diag([1e-6] + [_PENALTY] * columns.shape[1])
+    weights = np.zeros(design.shape[1])
+    for _ in range(50):
+        guess = 1.0 / (1.0 + np.exp(-np.clip(design @ weights, -30, 30)))
+        slope = design.T @ (counts * (truth - guess)) - penalty @ weights
+        curvature = (design * (counts * guess * (1.0 - guess))[:, None]).T @ design + penalty
+        step = np.linalg.solve(curvature, slope)
+        # Where the evidence parts right from wrong, full steps run away.
+        step *= min(1.0, 5.0 / max(float(np.abs(step).max()), 1e-12))
+        weights += step
+        if np.abs(step).max() < 1e-8:
+            break
+    return tuple(float(value) for value in weights)

@@ -1,0 +1,194 @@
+"""Linear discriminants of the moments of recordings: how likely each state is at a moment.
+
+The least squares of all values, standardised, against what a moment shows (1 for its state, 0 for the others), with a
+penalty on the weights: ridge regression, whose directions are those of Fisher's discriminants. It needs sums over the
+moments alone, so a model without some people is the difference of two sums. Values are clipped to where all but the
+outermost of the training moments lie, and kept as bytes.
+Source: Hastie, Tibshirani, Friedman, "The elements of statistical learning", 2009, sections 3.4.1 and 4.2.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dousa.arrays import FloatArray, IntArray
+from dousa.messages import Message
+from dousa.retrieval.forest.forest_file import check
+
+Codes = NDArray[np.uint8]
+Floats = NDArray[np.float32]
+
+_BLOCK = 2048  # moments that are standardised at a time
+_STEPS = 255.0
+
+
+@dataclass(frozen=True, slots=True)
+class Scale:
+    """How values become bytes, and those standard scores.
+
+    Parameters
+    ----------
+    lows : (F,) float32, what becomes 0.
+    scales : (F,) float32, steps a unit.
+    means, spreads : (F,) float32 of the steps.
+    """
+
+    lows: Floats
+    scales: Floats
+    means: Floats
+    spreads: Floats
+
+    def encode(self, values: Floats) -> Codes:
+        """(M, F) bytes of the values of moments."""
+        return np.rint(self.place(values)).astype(np.uint8)
+
+    def standardise(self, codes: Codes) -> Floats:
+        """(M, F + 1) standard scores of bytes, and a column of ones."""
+        scores = np.ones((len(codes), codes.shape[1] + 1), np.float32)
+        np.subtract(codes, self.means, out=scores[:, :-1])
+        scores[:, :-1] /= self.spreads
+        return scores
+
+    def place(self, values: Floats) -> Floats:
+        """(M, F) steps from 0 to 255, and what lies between them."""
+        placed = values - self.lows
+        placed *= self.scales
+        return np.clip(placed, 0.0, _STEPS, out=placed)
+
+
+def choose_scale(values: Floats) -> Scale:
+    """The scale on which all but the outermost of some moments (M, F) lie."""
+    low, high = np.percentile(values, (1.0, 99.0), axis=0).astype(np.float32)
+    scales = (_STEPS / np.maximum(high - low, 1e-6)).astype(np.float32)
+    placed = np.clip((values - low) * scales, 0.0, _STEPS)
+    return Scale(low, scales, placed.mean(axis=0), placed.std(axis=0) + np.float32(1.0))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MomentModel:
+    """Discriminants.
+
+    Parameters
+    ----------
+    scale : of the values.
+    weights : (F + 1, S) of the standard scores, the last row being added to all.
+    sharpness : what a difference of two discriminants is multiplied by to be one of log probabilities.
+    """
+
+    scale: Scale
+    weights: Floats
+    sharpness: float
+    _folded: Floats = field(init=False, repr=False)
+    _added: Floats = field(init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        folded = self.weights[:-1] / self.scale.spreads[:, None]
+        object.__setattr__(self, "_added", self.weights[-1] - self.scale.means @ folded)
+        object.__setattr__(self, "_folded", folded)
+
+    def judge(self, values: Floats) -> Floats:
+        """(M, S) discriminants of the states at moments, from their values (M, F)."""
+        scores: Floats = self.scale.place(values) @ self._folded + self._added
+        return scores
+
+    def to_arrays(self) -> dict[str, NDArray[Any]]:
+        """Plain arrays by name."""
+        scale = self.scale
+        return {
+            "lows": scale.lows,
+            "scales": scale.scales,
+            "means": scale.means,
+            "deviations": scale.spreads,
+            "discriminants": self.weights,
+            "sharpness": np.array(self.sharpness, np.float64),
+        }
+
+
+MODEL_ARRAYS = ("lows", "scales", "means", "deviations", "discriminants", "sharpness")
+"""Names of the arrays of a model."""
+
+
+def read_moment_model(arrays: dict[str, NDArray[Any]], n_states: int, n_values: int, what: Message) -> MomentModel:
+    """The model of stored arrays; DousaError that ``what`` is damaged where no moment could be judged."""
+    lows, scales, means, spreads, weights, sharpness = (arrays[name] for name in MODEL_ARRAYS)
+    rows = lows, scales, means, spreads
+    right = all(one.shape == (n_values,) and one.dtype == np.float32 and bool(np.isfinite(one).all()) for one in rows)
+    check(right and bool((spreads > 0.5).all()), what, "bad scale")
+    right = weights.shape == (n_values + 1, n_states) and weights.dtype == np.float32
+    check(right and bool((np.abs(weights) < 1e6).all()), what, "bad discriminants")
+    right = sharpness.shape == () and sharpness.dtype == np.float64 and bool(np.isfinite(sharpness))
+    check(right and 0 < float(sharpness) < 1e3, what, "bad sharpness")
+    return MomentModel(Scale(lows, scales, means, spreads), weights, float(sharpness))
+
+
+def sharpen(scores: Floats, sharpness: float) -> Floats:
+    """(M, S) probabilities from discriminants (M, S)."""
+    shares: Floats = scores - scores.max(axis=1, keepdims=True)
+    shares *= np.float32(sharpness)
+    np.exp(shares, out=shares)
+    shares /= shares.sum(axis=1, keepdims=True)
+    return shares
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MomentSums:
+    """What discriminants are computed from.
+
+    Parameters
+    ----------
+    squares : (F + 1, F + 1) sums of products of standard scores, weighted.
+    shown : (F + 1, S) sums of the standard scores of each state, weighted.
+    """
+
+    squares: Floats
+    shown: Floats
+
+    @classmethod
+    def zero(cls, n_values: int, n_states: int) -> MomentSums:
+        """Of no moment."""
+        size = n_values + 1
+        return cls(np.zeros((size, size), np.float32), np.zeros((size, n_states), np.float32))
+
+    def add(self, other: MomentSums) -> None:
+        """The moments of another are these too."""
+        np.add(self.squares, other.squares, out=self.squares)
+        np.add(self.shown, other.shown, out=self.shown)
+
+    def solve(self, ridge: float) -> Floats:
+        """(F + 1, S) discriminants; ``ridge`` is the penalty as a share of the weight of all moments."""
+        penalised = self.squares.copy()
+        weight = float(penalised[-1, -1])
+        places = np.arange(len(penalised) - 1)
+        penalised[places, places] += np.float32(max(ridge * weight, 1e-3))
+        penalised[-1, -1] += np.float32(1e-3)
+        found: Floats = np.linalg.solve(penalised, self.shown)
+        return found
+
+
+def sum_moments(scale: Scale, codes: Codes, rows: IntArray, states: IntArray, weights: FloatArray) -> MomentSums:
+    """The sums over some moments.
+
+    Parameters
+    ----------
+    codes : (N, F) bytes.
+    rows : which moments.
+    states : (N,) of all, from 0 to below S.
+    weights : (S,) of a moment of each state.
+    """
+    sums = MomentSums.zero(codes.shape[1], len(weights))
+    rows = rows[np.argsort(states[rows], kind="stable")]
+    for first in range(0, len(rows), _BLOCK):
+        some = rows[first : first + _BLOCK]
+        of = states[some]
+        roots = np.sqrt(weights[of]).astype(np.float32)[:, None]
+        scores = scale.standardise(codes[some])
+        scores *= roots
+        np.add(sums.squares, scores.T @ scores, out=sums.squares)
+        scores *= roots
+        begins = np.flatnonzero(np.diff(of, prepend=-1))
+        sums.shown[:, of[begins]] += np.add.reduceat(scores, begins, axis=0).T
+    return sums
