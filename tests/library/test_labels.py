@@ -9,6 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from dousa.errors import OptionError
+from dousa.library import Library
 from dousa.library.labels import parse_label_rule
 
 ROOT = Path("/data")
@@ -129,3 +130,30 @@ def test_a_missing_table_and_one_of_another_encoding(tmp_path):
         parse_label_rule(f"csv:{tmp_path / 'none.csv'}", "category")
     with pytest.raises(OptionError, match="not text in UTF-8; save it as CSV UTF-8"):
         parse_label_rule(write_table(tmp_path, "path,category\nä.bvh,x\n", "latin-1"), "category")
+
+
+@pytest.mark.parametrize(("label", "message"), [("a\0b", "zero bytes"), ("x" * 1001, "at most 1000 bytes")])
+def test_labels_that_not_every_database_keeps(library, moves, tmp_path, label, message):
+    before = library.clips()
+    table = tmp_path / "labels.csv"
+    table.write_text(f"file,category\nwave_p0.bvh,{label}\n", encoding="utf-8")
+    calls = (
+        lambda: library.relabel(1, category=label),
+        lambda: library.relabel(1, performer=label),
+        lambda: library.add_motion(library.trajectories(1), label, "wave"),
+        lambda: library.add_motion(library.trajectories(1), "m", label),
+        lambda: library.add(moves, category_from=f"csv:{table}"),
+    )
+    for call in calls:
+        with pytest.raises(OptionError, match=message):
+            call()
+    assert library.clips() == before
+
+
+def test_words_that_are_no_text(library, tmp_path, moves):
+    for ask in (lambda: library.clips(category="\udcff"), lambda: library.relabel(1, category="\udcff")):
+        with pytest.raises(OptionError, match="Unicode"):
+            ask()
+    with Library.open(tmp_path / "\udcff.dousa", create=True) as odd:
+        assert odd.add(moves / "wave").added
+    assert (tmp_path / "\udcff.dousa").exists()

@@ -28,7 +28,7 @@ from dousa.library.forests import StoredForest, load_forest
 from dousa.library.growth.insert import insert_clips
 from dousa.library.growth.lesson import Lesson, work_out
 from dousa.library.ingest import ClipRecord, FileRecord, ReadTask, look_at, read_clip, read_clips
-from dousa.library.labels import LabelRule, no_label
+from dousa.library.labels import LabelRule, check_text, no_label
 from dousa.library.results import AddReport, Duplicate
 from dousa.library.seals.checksums import LABELS, NUMBERS, update_rows
 from dousa.library.selection import delete_clips, fetch_in, with_segments
@@ -118,6 +118,8 @@ class Adding:
         self._tally["skipped"] += missing
         self._tally["passed_over"] += others.most_common()
         self._found = {str(file.path): file for file in files}
+        for path in self._found:
+            self._labels(path)
         # All tables before anything is written: a mistake in one leaves nothing half done.
         labels = {} if self._labels_from is None else find_labels(files, self._labels_from, self._tier)
         tasks = self._plan()
@@ -249,7 +251,10 @@ class Adding:
 
     def _labels(self, path: str) -> Labels:
         file = self._found[path]
-        return {name: rule(file.root, file.path) for name, rule in self._rules.items()}
+        labels = {name: rule(file.root, file.path) for name, rule in self._rules.items()}
+        for label in labels.values():
+            check_text(label or "")
+        return labels
 
     def _note_labels(self, tally: Tally, path: str, row: Any) -> None:
         """Whether a stored clip would be another kind or have other labels now: it stays, but the report says so."""

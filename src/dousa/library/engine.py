@@ -157,7 +157,7 @@ def _free_lock_files(path: Path) -> None:
 
 
 def _connect_as(path: Path, options: str, timeout: float) -> sqlite3.Connection:
-    name = f"file:{quote(path.as_posix())}?{options}"
+    name = f"file:{quote(os.fsencode(path.as_posix()))}?{options}"
     connection = sqlite3.connect(name, uri=True, timeout=timeout, check_same_thread=False, isolation_level=None)
     try:
         connection.execute("SELECT count(*) FROM sqlite_master")
@@ -311,6 +311,9 @@ def _plain_errors(where: str) -> Iterator[None]:
         raise _translate(error.orig, where) from error
     except sqlite3.Error as error:
         raise _translate(error, where) from error
+    except UnicodeEncodeError as error:
+        text = str(error.object).encode(errors="backslashreplace").decode()
+        raise OptionError("library_file.not_unicode", text=text) from error
     except (exc.SQLAlchemyError, UnicodeDecodeError, JSONDecodeError) as error:
         raise LibraryDamagedError("library_file.content_damaged", library=where, reason=error) from error
 
@@ -528,9 +531,16 @@ def _record(connection: sa.Connection, step: Migration) -> None:
     )
 
 
+def _lock_tables(connection: sa.Connection) -> None:
+    """Let one program at a time make or change the tables: a server would let several begin, and all but one fail."""
+    if connection.dialect.name == "postgresql":
+        connection.execute(sa.select(sa.func.pg_advisory_xact_lock(APPLICATION_ID)))
+
+
 def _create_tables(database: Database) -> None:
     """Make the tables of a new library, all or none; does nothing if another program just did."""
     with database.writing() as connection:
+        _lock_tables(connection)
         if sa.inspect(connection).has_table(schema.migrations.name):
             return
         schema.metadata.create_all(connection)
@@ -565,6 +575,7 @@ def _migrate(database: Database) -> None:
     """Take the steps that a library lacks, each in a transaction of its own."""
     for step in MIGRATIONS:
         with database.writing() as connection:
+            _lock_tables(connection)
             if _applied_number(connection, database.where) < step.number:
                 step.apply(connection)
                 _record(connection, step)

@@ -38,6 +38,19 @@ _WORDS = {
 }
 
 
+MOST_BYTES = 1000
+"""Of a label in UTF-8: a database server cannot look up longer ones."""
+
+
+def check_text(text: str) -> None:
+    """OptionError for a label or name that not every database can keep."""
+    shown = text[:40].encode(errors="backslashreplace").decode()
+    if "\0" in text:
+        raise OptionError("label_rules.zero", text=shown)
+    if len(text.encode(errors="surrogatepass")) > MOST_BYTES:
+        raise OptionError("label_rules.too_long", text=shown, most=MOST_BYTES)
+
+
 def parse_label_rule(text: str | None, label: str) -> LabelRule:
     """The rule that a text describes.
 

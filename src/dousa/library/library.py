@@ -17,7 +17,7 @@ from dousa.library import selection as _selection
 from dousa.library.engine import check_jobs, choose_jobs, next_revision, open_database, read_revision
 from dousa.library.features import load_trajectories
 from dousa.library.forests import ForestCache
-from dousa.library.labels import LabelRule, no_label, parse_label_rule
+from dousa.library.labels import LabelRule, check_text, no_label, parse_label_rule
 from dousa.library.results import AddReport, ClipInfo, LibraryStats, TrainReport
 from dousa.library.schema import CLIP, TAKE
 from dousa.library.selection import UNCHANGED, Selection, Unchanged, fetch_in, select_ids
@@ -210,6 +210,7 @@ class Library:
             raise OptionError("library_add.take_has_no_category", category=category)
         if not name.strip() or not is_unicode(name):
             raise OptionError("library_add.no_name", name=name.encode(errors="backslashreplace").decode())
+        check_text(name)
         options = options or ReadOptions()
         record = make_record(read_query(motion, options), name, kind)
         rules: dict[str, LabelRule] = {
@@ -761,6 +762,9 @@ def _check_kind(kind: str) -> None:
 def _check_labels(*labels: object) -> None:
     if any(isinstance(label, str) and not label.strip() for label in labels):
         raise OptionError("library_clips.empty_label")
+    for label in labels:
+        if isinstance(label, str):
+            check_text(label)
 
 
 def _check_k(k: int) -> None:

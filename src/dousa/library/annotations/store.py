@@ -24,6 +24,7 @@ from dousa.library.forests import ForestCache, StoredForest, load_forest
 from dousa.library.growth.insert import insert_clips
 from dousa.library.growth.lesson import Lesson, work_out
 from dousa.library.ingest import ClipRecord
+from dousa.library.labels import check_text
 from dousa.library.results import TakeAnnotation, TakeSegment
 from dousa.library.seals.checksums import ANNOTATIONS, LABELS, SEGMENTS, seal_rows, update_rows
 from dousa.library.selection import delete_clips, fetch_in, find_row
@@ -82,6 +83,9 @@ def annotate_takes(
     -------
     The forest as it has learned, and what changed; takes with the same labels as before are not touched.
     """
+    for labels in wanted.values():
+        for one in labels.segments:
+            check_text(one.category or "")
     changes = AnnotationChanges()
     ids = sorted(wanted)
     for start in range(0, len(ids), _TAKES_AT_ONCE):
@@ -464,6 +468,7 @@ class Annotations:
         """
         if not category.strip():
             raise OptionError("library_clips.empty_label")
+        check_text(category)
         self._check_take(take)
         part = Stretch(start, end, category)
         self._forests.last, number, changes = name_segment(self._database, take, part, self._forests.last)

@@ -1,0 +1,158 @@
+"""A library on a PostgreSQL server that these tests start; they are skipped where there is none."""
+
+from __future__ import annotations
+
+import getpass
+import glob
+import multiprocessing
+import os
+import shutil
+import socket
+import subprocess
+import tempfile
+from pathlib import Path
+
+import pytest
+
+from dousa.errors import OptionError
+from dousa.library import Library
+
+pytest.importorskip("psycopg", reason="the driver psycopg is not installed")
+
+
+def find_program(name):
+    folders = sorted(glob.glob("/usr/lib/postgresql/*/bin"), reverse=True)
+    return shutil.which(name) or shutil.which(name, path=os.pathsep.join(folders))
+
+
+@pytest.fixture(scope="module")
+def server():
+    """The URL of a server with a data folder and a port of its own."""
+    if find_program("initdb") is None:
+        pytest.skip("PostgreSQL is not installed")
+    folder = Path(tempfile.mkdtemp())
+    owner = getpass.getuser()
+    as_owner = {}
+    if os.geteuid() == 0:  # it refuses to run as root
+        owner = "postgres"
+        shutil.chown(folder, owner)
+        as_owner = {"user": owner}
+    data, log = folder / "data", folder / "log"
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        port = probe.getsockname()[1]
+    options = f"-c listen_addresses=127.0.0.1 -c port={port} -c unix_socket_directories={folder} -c fsync=off"
+    control = [find_program("pg_ctl"), "-D", data, "-w"]
+    quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL, "cwd": folder, **as_owner}
+    subprocess.run([find_program("initdb"), "-D", data, "-A", "trust", "-U", owner, "-E", "UTF8"], check=True, **quiet)
+    subprocess.run([*control, "-l", log, "-o", options, "start"], check=True, **quiet)
+    try:
+        yield f"postgresql+psycopg://{owner}@127.0.0.1:{port}"
+    finally:
+        subprocess.run([*control, "-m", "immediate", "stop"], check=True, **quiet)
+        shutil.rmtree(folder)
+
+
+@pytest.fixture
+def url(server, request):
+    """An empty database."""
+    import psycopg
+
+    name = f"d{abs(hash(request.node.name))}"
+    plain = server.replace("+psycopg", "")
+    with psycopg.connect(f"{plain}/postgres", autocommit=True) as connection:
+        connection.execute(f"CREATE DATABASE {name}")
+    return f"{server}/{name}"
+
+
+def create(url, wait):
+    wait.wait()
+    Library.open(url, create=True).close()
+
+
+@pytest.mark.parametrize("attempt", range(3))
+def test_four_programs_make_one_library_at_once(url, attempt):
+    context = multiprocessing.get_context("spawn")
+    start = context.Barrier(4)
+    programs = [context.Process(target=create, args=(url, start)) for _ in range(4)]
+    for program in programs:
+        program.start()
+    for program in programs:
+        program.join()
+    assert [program.exitcode for program in programs] == [0, 0, 0, 0]
+    with Library.open(url) as library:
+        assert library.clips() == []
+
+
+def add_one(url, folder):
+    with Library.open(url, timeout=60.0) as library:
+        library.add(folder, n_jobs=1)
+
+
+def test_four_programs_add_to_a_trained_library(url, moves, write_move, tmp_path):
+    with Library.open(url, create=True) as library:
+        library.add(moves, performer_from=r"name:_(p\d)", n_jobs=1)
+        library.train(n_trees=10, n_jobs=1)
+    folders = [tmp_path / f"in{n}" for n in range(4)]
+    for n, folder in enumerate(folders):
+        for seed in range(3):
+            write_move(folder / "wave" / f"w{n}_{seed}.bvh", "wave", 1000 + 10 * n + seed)
+    context = multiprocessing.get_context("spawn")
+    programs = [context.Process(target=add_one, args=(url, folder)) for folder in folders]
+    for program in programs:
+        program.start()
+    for program in programs:
+        program.join()
+    assert [program.exitcode for program in programs] == [0, 0, 0, 0]
+    with Library.open(url) as library:
+        assert library.categories()["wave"] == 5 + 12
+        assert library.stats().n_learned == 12
+        assert len(library.search(1, 100).results) == 27
+        assert library.check().is_sound
+
+
+def test_the_same_answers_as_from_a_file(url, moves, tmp_path, write_move):
+    answers = []
+    for where in (url, tmp_path / "m.dousa"):
+        with Library.open(where, create=True) as library:
+            library.add(moves, n_jobs=1)
+            library.train(n_trees=10, n_jobs=1)
+            library.add(write_move(tmp_path / "in" / "take.bvh", "wave", 3, n_frames=120), kind="take", n_jobs=1)
+            take = next(clip for clip in library.clips() if clip.kind == "take")
+            part = library.annotations.name(take.id, 0.5, 2.0, "wave")
+            found = library.find(1, k=3)
+            library.relabel(2, category="nod")
+            library.remove(3)
+            answers.append(
+                (
+                    library.categories(),
+                    [hit.to_json() for hit in library.search(1, 20, mirror=True).results],
+                    [place.to_json() for place in found.results],
+                    library.trajectories(part).positions.tobytes(),
+                    [hit.path for hit in library.search_text("wave").results],
+                    library.check().is_sound,
+                )
+            )
+    assert answers[0] == answers[1]
+
+
+def test_damage_is_told_and_repaired(url, moves):
+    import psycopg
+
+    with Library.open(url, create=True) as library:
+        library.add(moves, n_jobs=1)
+        plain = url.replace("+psycopg", "")
+        with psycopg.connect(plain, autocommit=True) as connection:
+            flipped = "set_bit(positions, 77, 1 - get_bit(positions, 77))"
+            connection.execute(f"UPDATE clip_trajectories SET positions = {flipped}")
+        assert len(library.check().damage) == 15
+        assert library.check(repair=True).is_sound
+
+
+def test_labels_that_a_server_cannot_keep(url, moves):
+    with Library.open(url, create=True) as library:
+        library.add(moves, n_jobs=1)
+        for label in ("a\0b", "x" * 9000):
+            with pytest.raises(OptionError):
+                library.relabel(1, category=label)
+        library.relabel(1, category="é" * 500)
