@@ -261,3 +261,36 @@ def test_flips_anywhere_in_the_file_are_found_or_change_nothing(library_file, tm
     silent, found = find_silent_flips(library_file, tmp_path / "flipped.dousa", 25, 1)
     assert silent == []
     assert found > 5
+
+
+def find_root(path, table):
+    """Number of the page where a table or an index begins, and the bytes of a page."""
+    with closing(sqlite3.connect(path)) as connection:
+        size = connection.execute("PRAGMA page_size").fetchone()[0]
+        query = "SELECT rootpage FROM sqlite_master WHERE name = ?"
+        return connection.execute(query, (table,)).fetchone()[0], size
+
+
+@pytest.mark.parametrize("table", ["clip_features", "clip_trajectories", "clips", "forests", "ix_clips_category"])
+def test_what_can_be_read_of_a_broken_file_is_saved(library_file, table):
+    with Library.open(library_file) as library:
+        before = library.clips()
+        library.compact()  # so that all is in the file itself
+    page, size = find_root(library_file, table)
+    content = bytearray(library_file.read_bytes())
+    content[(page - 1) * size : (page - 1) * size + 12] = b"\xff" * 12
+    library_file.write_bytes(content)
+    with Library.open(library_file) as library:
+        assert library.check().is_sound is False
+        report = library.check(repair=True)
+        assert library_file.with_name("moves.dousa.damaged").read_bytes() == content
+        left = {one.what.code for one in report.damage if not one.repaired}
+        assert left <= {"library_damage.forest", "library_damage.clip", "library_damage.positions"}
+        if table == "clips":
+            assert [one.path for one in report.damage if one.what.code == "library_damage.clip"]
+            return
+        assert [clip.path for clip in library.clips()] == [clip.path for clip in before]
+        library.train(n_trees=5)
+        assert library.check().is_sound
+        library.search(1)
+        library.trajectories(1)

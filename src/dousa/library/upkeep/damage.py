@@ -56,11 +56,13 @@ class Findings:
     faults : what is damaged, each once.
     unsealed : keys of rows without a checksum, by table.
     n_rows : rows that were looked at.
+    n_clips : clips and takes.
     """
 
     faults: list[Fault] = field(default_factory=list)
     unsealed: dict[str, list[Any]] = field(default_factory=dict)
     n_rows: int = 0
+    n_clips: int = 0
 
     def add(self, fault: Fault) -> None:
         """Note a fault, if it is a new one."""
@@ -89,7 +91,7 @@ def find_damage(database: Database, tell: Tell | None = None) -> Findings:
             with _noting(findings), database.reading() as connection:
                 _check_rows(connection, table, some, findings)
             done += len(some)
-    findings.n_rows = total
+    findings.n_rows, findings.n_clips = total, len(keys.get(schema.clips.name, []))
     with _noting(findings), database.reading() as connection:
         _check_state(connection, findings)
         _check_forest(connection, database.where, findings)
@@ -199,6 +201,9 @@ def _check_forest(connection: sa.Connection, where: str, findings: Findings) -> 
         stored = load_forest(connection, where)
     except LibraryError:
         findings.add(Fault(checksums.FOREST.what, 1, checksums.FOREST))
+    asked = connection.execute(sa.select(schema.clip_leaves.c.clip_id).limit(1)).first()
+    if asked is not None and connection.execute(sa.select(table.id)).first() is None:
+        findings.add(Fault(checksums.FOREST.what, 1, checksums.FOREST))  # it is gone
     labeller = connection.execute(sa.select(table.labeller)).scalar()
     if labeller is not None and not _is_readable(TakeLabeller.from_bytes, labeller):
         findings.add(Fault(_LABELLER, 1))

@@ -29,6 +29,7 @@ from dousa.library.takes import refresh_windows
 from dousa.library.text.store import keep_all_relations
 from dousa.library.upkeep.damage import Fault, Findings, are_positions, find_damage
 from dousa.library.upkeep.report import CheckReport, Damage
+from dousa.library.upkeep.salvage import salvage_library
 from dousa.messages import Message
 
 CheckProgress = Callable[[int, int, Message], None]
@@ -58,6 +59,9 @@ def check_library(database: Database, repair: bool, progress: CheckProgress | No
         return find_damage(database, lambda done, total: report(done, total, Message("library_check.checking")))
 
     findings = look()
+    damage = _salvage(database, findings) if repair else []
+    if damage:
+        findings = look()
     outcomes = {fault: _foresee(database, fault) for fault in findings.faults}
     left = set(findings.faults)
     if repair and findings.faults:
@@ -67,22 +71,33 @@ def check_library(database: Database, repair: bool, progress: CheckProgress | No
         _compute_again(database)
         left = set(look().faults)
     with database.reading() as connection:
-        n_clips = int(connection.execute(sa.select(sa.func.count()).select_from(schema.clips)).scalar_one())
         names: dict[int, str] = {}
         for fault in findings.faults:
             if (number := _clip_of(fault)) is not None:
                 names[number] = _name(connection, number)
     n_unsealed = sum(map(len, findings.unsealed.values()))
     n_sealed = 0 if database.is_read_only else _seal_rows(database, findings)
-    damage = []
     for fault in findings.faults:
         number = _clip_of(fault)
         path = None if number is None else names[number]
         damage.append(Damage(fault.what, number, path, outcomes[fault], repair and fault not in left))
     seconds = time.perf_counter() - start
     return CheckReport(
-        database.where, n_clips, findings.n_rows, n_sealed, n_unsealed - n_sealed, tuple(damage), seconds
+        database.where, findings.n_clips, findings.n_rows, n_sealed, n_unsealed - n_sealed, tuple(damage), seconds
     )
+
+
+def _salvage(database: Database, findings: Findings) -> list[Damage]:
+    """Where the structure of the file is damaged, save what can be read; empty where it is not."""
+    broken = [fault for fault in findings.faults if fault.what.code == "library_damage.structure"]
+    if not broken or database.engine.dialect.name != "sqlite":
+        return []
+    database.check_writable()
+    lost = salvage_library(database)
+    kept = Message("library_check.salvaged", name=f"{os.path.basename(database.where)}.damaged")
+    damage = [Damage(fault.what, None, None, kept, repaired=True) for fault in broken]
+    gone, again = Message("library_damage.clip"), Message("library_check.lost_clip")
+    return damage + [Damage(gone, number, path, again, repaired=False) for number, path in lost.items()]
 
 
 def _clip_of(fault: Fault) -> int | None:
@@ -106,7 +121,7 @@ def _foresee(database: Database, fault: Fault) -> Message:
     """What a repair would do."""
     code = fault.what.code
     if code == "library_damage.structure":
-        return Message("library_check.make_again")
+        return Message("library_check.would_salvage")
     if code == "library_damage.forest":
         return Message("library_check.retrain")
     if code in _COMPUTED or code == "library_damage.labeller":
