@@ -12,6 +12,7 @@ from oracles import hamada
 
 from dousa.errors import InvalidMotionError, NotTrainedError, OptionError, TrainingError
 from dousa.retrieval import FEATURE_NAMES, FEATURE_SETS, MotionForest, integrate, list_tests
+from dousa.retrieval.forest import trees as trees_module
 
 
 def clips(seed, n=30, frames=3, features=4, classes=4, steps=None):
@@ -414,3 +415,26 @@ def test_copies_of_clips_that_are_not_there_are_refused(copied):
     pose, categories = clips(0, n=8)
     with pytest.raises(TrainingError, match="copied: expected different clips"):
         MotionForest(n_trees=2).fit(pose, categories[: 8 - len(copied)], copied=copied)
+
+
+@pytest.mark.parametrize("bootstrap", [False, True])
+def test_trees_of_very_many_clips_grow_from_some_and_count_all(monkeypatch, bootstrap):
+    monkeypatch.setattr(trees_module, "MOST_GROWN", 300)
+    random = np.random.default_rng(4)
+    categories = np.concatenate([random.integers(0, 4, 2400), np.full(15, 4)])  # one of them is rare
+    pose = random.normal(size=(2415, 3, 6)) + 2.0 * random.normal(size=(5, 1, 6))[categories]
+    forests = [
+        MotionForest(12, bootstrap=bootstrap, random_state=0, n_jobs=n_jobs).fit(pose[::2], categories[::2])
+        for n_jobs in (1, 2)
+    ]
+    trees = forests[0].trees_
+    counted = np.zeros((trees.n_leaves, 5), int)
+    np.add.at(counted, (forests[0].apply(pose[::2]), categories[::2, None]), 1)
+    leaf = np.repeat(np.arange(trees.n_leaves), np.diff(trees.leaf_starts))
+    assert (counted[leaf, trees.leaf_classes] == trees.leaf_counts).all()
+    assert trees.leaf_counts.sum() == 12 * len(pose[::2])
+    assert trees.n_leaves < 12 * 300
+    right = forests[0].predict(pose[1::2]) == categories[1::2]
+    assert right.mean() > 0.9 and right[categories[1::2] == 4].mean() > 0.5
+    assert forests[0].to_bytes() == forests[1].set_params(n_jobs=1).to_bytes()
+    assert (np.unique(trees.nodes[trees.roots], axis=0).shape[0]) > 1  # each tree has drawn its own

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -134,7 +134,7 @@ def grow_trees(
     seeds: NDArray[np.uint64],
     copied: IntArray | None = None,
 ) -> Trees:
-    """One tree per seed, whatever the number of workers.
+    """One tree per seed, whatever the number of workers; of more than ``MOST_GROWN`` clips from some for each tree.
 
     Parameters
     ----------
@@ -149,13 +149,63 @@ def grow_trees(
 
     frames, count = features.shape[1:]
     copies = np.zeros(0, np.int64) if copied is None else copied
-    material = prepare_material(features, categories, tests, len(features) - len(copies))
+    clips = len(features) - len(copies)
+    material = prepare_material(features, categories, tests, min(clips, MOST_GROWN))
     # A few trees a task: with few clips a tree takes less time than handing it out.
     tasks = np.array_split(seeds, min(len(seeds), 4 * effective_n_jobs(spec.n_jobs)))
     grown = Parallel(n_jobs=spec.n_jobs, prefer="threads")(
         delayed(_grow_seeds)(material, n_classes, spec, some, copies) for some in tasks
     )
-    return _join([tree for some in grown for tree in some], (count, frames, n_classes))
+    trees = _join([tree for some in grown for tree in some], (count, frames, n_classes))
+    if clips <= MOST_GROWN:
+        return trees
+    return _count_again(trees, features[:clips], categories[:clips], spec.n_jobs)
+
+
+def _count_again(trees: Trees, features: FloatArray, categories: NDArray[np.int32], n_jobs: int | None) -> Trees:
+    """Trees that were grown from some of the clips, with all clips in their leaves."""
+    from joblib import Parallel, delayed
+
+    from dousa.retrieval.forest.tree_kernels import find_leaves
+
+    leaves = np.empty((len(features), len(trees.roots)), np.int32)
+    Parallel(n_jobs=n_jobs, prefer="threads")(
+        delayed(find_leaves)(features[part], trees.nodes, trees.cuts, trees.roots, trees.only_means, leaves[part])
+        for part in (slice(start, start + _AT_ONCE) for start in range(0, len(features), _AT_ONCE))
+    )
+    keys, counts = [], []
+    for column in leaves.T:  # the leaves of a tree follow those of the tree before
+        own, found = np.unique(column.astype(np.int64) * trees.n_classes + categories, return_counts=True)
+        keys.append(own)
+        counts.append(found)
+    # Rounding may take a clip past the leaf that it made: such a leaf keeps its count.
+    leaf = np.repeat(np.arange(trees.n_leaves), np.diff(trees.leaf_starts))
+    left = ~np.isin(leaf, np.concatenate(keys) // trees.n_classes)
+    all_keys = np.concatenate([*keys, leaf[left] * trees.n_classes + trees.leaf_classes[left]])
+    order = np.argsort(all_keys, kind="stable")
+    all_counts = np.concatenate([*counts, trees.leaf_counts[left]])[order].astype(np.int32)
+    number, classes = np.divmod(all_keys[order], trees.n_classes)
+    starts = np.searchsorted(number, np.arange(trees.n_leaves + 1))
+    return replace(trees, leaf_starts=starts, leaf_classes=classes.astype(np.int32), leaf_counts=all_counts)
+
+
+MOST_GROWN = 100_000
+"""Clips that one tree is grown from; of more, each tree draws its own, and then counts all of them in its leaves."""
+
+_LEAST_DRAWN = 20  # clips of a category, if it has as many
+_AT_ONCE = 4096  # clips that go down the trees in one task
+
+
+def _draw_some(categories: NDArray[np.int32], n_classes: int, seed: np.uint64) -> IntArray:
+    """Some of very many clips, ascending: of each category the same share, but a few at least."""
+    sizes = np.bincount(categories, minlength=n_classes)
+    least = min(_LEAST_DRAWN, MOST_GROWN // n_classes)
+    share = (MOST_GROWN - least * n_classes) / len(categories)
+    wanted = np.minimum(np.maximum((sizes * share).astype(np.int64), least), sizes)
+    # The first so many of each category, in an order that is drawn.
+    order = np.lexsort((np.random.default_rng(int(seed)).random(len(categories)), categories))
+    rank = np.arange(len(categories)) - np.repeat(np.cumsum(sizes) - sizes, sizes)
+    return np.sort(order[rank < wanted[categories[order]]])
 
 
 _AT_A_TIME = 1024  # clips of which a copy is made
@@ -203,23 +253,16 @@ def grow_some(
         trees.append((kept[0].copy(), kept[1].copy(), kept[2].copy(), kept[3].copy()))
     return trees
 
-
-def _grow_seeds(
-    material: Material, n_classes: int, spec: TreesSpec, seeds: NDArray[np.uint64], copied: IntArray
-) -> list[GrownTree]:
-    """A tree of all clips, or of a bootstrap sample of them, for each seed; half of them by their copies."""
+    """A tree of all clips, of a bootstrap sample, or of some of very many, for each seed; half of them by their copies."""
     clips = len(material[0]) - len(copied)
     share = min(1.0, 0.5 * clips / max(len(copied), 1))
 
     def draw(seed: np.uint64) -> IntArray:
         generator = np.random.default_rng(int(seed))
-        drawn = np.sort(generator.integers(0, clips, clips)) if spec.bootstrap else np.arange(clips)
+        some = _draw_some(material[2][:clips], n_classes, seed) if clips > MOST_GROWN else np.arange(clips)
+        drawn = some[np.sort(generator.integers(0, len(some), len(some)))] if spec.bootstrap else some
         if not len(copied):
             return drawn
-        learned = np.arange(clips)
-        chosen = np.flatnonzero(generator.random(len(copied)) < share)
-        learned[copied[chosen]] = clips + chosen
-        return learned[drawn]
 
     return grow_some(material, n_classes, spec, ((draw(seed), seed) for seed in seeds))
 
