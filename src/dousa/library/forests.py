@@ -373,12 +373,13 @@ def update_forest(connection: sa.Connection, stored: StoredForest, n_clips: int)
 
 def save_answers(connection: sa.Connection, ids: Sequence[int], answers: TreeAnswers) -> None:
     """Write what the trees say of clips of which nothing is written yet."""
-    directions = [None] * len(ids) if answers.directions is None else [pack(one, "<f4") for one in answers.directions]
-    rows = [
-        {"clip_id": clip_id, "predicted_category": category, "leaves": pack(leaves, "<i4"), "direction": direction}
-        for clip_id, category, leaves, direction in zip(
-            ids, answers.predicted(), answers.leaves, directions, strict=True
-        )
-    ]
-    for some in portions(rows):
-        connection.execute(sa.insert(schema.clip_leaves), seal_rows(schema.clip_leaves, some))
+    for start in range(0, len(ids), _AT_ONCE):
+        some = answers[start : start + _AT_ONCE]
+        directions = [None] * len(some.leaves) if some.directions is None else [pack(d, "<f4") for d in some.directions]
+        told = zip(ids[start : start + _AT_ONCE], some.predicted(), some.leaves, directions, strict=True)
+        rows = [
+            {"clip_id": clip_id, "predicted_category": category, "leaves": pack(leaves, "<i4"), "direction": direction}
+            for clip_id, category, leaves, direction in told
+        ]
+        for few in portions(rows):
+            connection.execute(sa.insert(schema.clip_leaves), seal_rows(schema.clip_leaves, few))
