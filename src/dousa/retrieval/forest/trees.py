@@ -253,7 +253,11 @@ def grow_some(
         trees.append((kept[0].copy(), kept[1].copy(), kept[2].copy(), kept[3].copy()))
     return trees
 
-    """A tree of all clips, of a bootstrap sample, or of some of very many, for each seed; half of them by their copies."""
+
+def _grow_seeds(
+    material: Material, n_classes: int, spec: TreesSpec, seeds: NDArray[np.uint64], copied: IntArray
+) -> list[GrownTree]:
+    """A tree of all clips, a bootstrap sample, or some of very many, for each seed; half of them by their copies."""
     clips = len(material[0]) - len(copied)
     share = min(1.0, 0.5 * clips / max(len(copied), 1))
 
@@ -263,6 +267,10 @@ def grow_some(
         drawn = some[np.sort(generator.integers(0, len(some), len(some)))] if spec.bootstrap else some
         if not len(copied):
             return drawn
+        learned = np.arange(clips)
+        chosen = np.flatnonzero(generator.random(len(copied)) < share)
+        learned[copied[chosen]] = clips + chosen
+        return learned[drawn]
 
     return grow_some(material, n_classes, spec, ((draw(seed), seed) for seed in seeds))
 
