@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 from fastapi import APIRouter, Depends, Query, Response
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from dousa.app.studio.content.clips import Asked, Snapshot, Sort
-from dousa.app.studio.content.studio import StudioNow
+from dousa.app.studio.content.studio import Studio, StudioNow
 from dousa.app.studio.core.answers import BYTES, Answer, RefusedError
 
 router = APIRouter(tags=["library"])
@@ -133,10 +133,22 @@ def get_clip(studio: StudioNow, clip_id: int) -> Answer:
 
 @router.post("/clips/relabel", summary="Give clips another category or performer")
 def relabel(studio: StudioNow, wanted: Relabelling) -> Answer:
-    """The forest learns of it in the next training. Clips that are gone meanwhile are left out."""
+    """The forest learns of it in the next training. Clips that are gone meanwhile are left out.
+
+    ``before`` are requests that give the clips the labels back that they had.
+    """
     there = _check_there(studio.listing.now(), wanted.clips)
+    before = _group_labels(studio, there, tuple(wanted.labels))
     changed = studio.library.relabel(there, **wanted.labels)
-    return Answer({"changed": len(changed), "missing": len(set(wanted.clips)) - len(there)})
+    return Answer({"changed": len(changed), "missing": len(set(wanted.clips)) - len(there), "before": before})
+
+
+def _group_labels(studio: Studio, clip_ids: list[int], names: tuple[str, ...]) -> list[dict[str, Any]]:
+    """Labels of clips as bodies of POST /clips/relabel."""
+    groups: dict[tuple[str | None, ...], list[int]] = {}
+    for clip in studio.library.clips(clip_ids):
+        groups.setdefault(tuple(getattr(clip, name) for name in names), []).append(clip.id)
+    return [{**dict(zip(names, labels, strict=True)), "clips": ids} for labels, ids in groups.items()]
 
 
 @router.post("/clips/remove", summary="Take clips out of the library")

@@ -4,8 +4,8 @@ import { $, $$, h, icon, t } from "./dom.js";
 
 const SHOWN_FOR = 6000; // ms; problems stay until they are closed
 
-/** kind: "note" or "problem". */
-export function notify(text, kind = "note") {
+/** kind: "note" or "problem"; action: a button beside the text. */
+export function notify(text, kind = "note", action = null) {
   if (kind === "problem") withdraw(text); // two requests that fail for one reason say it once
   const close = () => notice.remove();
   const notice = h(
@@ -13,6 +13,7 @@ export function notify(text, kind = "note") {
     { class: `notice ${kind}`, role: kind === "problem" ? "alert" : null },
     h("span", { class: "mark" }, kind === "problem" ? t("problem") : t("done")),
     h("p", {}, text),
+    action,
     h("button", { class: "quiet small icon", type: "button", "aria-label": t("close"), onclick: close }, icon("close")),
   );
   $("#notices").append(notice);

@@ -4,6 +4,7 @@ import { post } from "../core/api.js";
 import { foot, openDialog } from "../core/dialog.js";
 import { h, icon, language, t } from "../core/dom.js";
 import { attempt, notify } from "../core/notices.js";
+import { rememberRelabelling, undoButton } from "./undo.js";
 
 const count = new Intl.NumberFormat(language);
 
@@ -22,9 +23,10 @@ export async function openRelabel(ids, facets, done) {
     const labels = Object.fromEntries(fields.filter((field) => field.value !== undefined).map((field) => [field.name, field.value]));
     save.disabled = true;
     attempt(async () => {
-      const { changed, missing } = await post("/clips/relabel", { clips: ids, ...labels });
+      const { changed, missing, before } = await post("/clips/relabel", { clips: ids, ...labels });
       close();
-      notify([t("relabelled", { count: count.format(changed) }), missing ? t("were_gone", { count: count.format(missing) }) : ""].filter(Boolean).join(" "));
+      rememberRelabelling(before);
+      notify([t("relabelled", { count: count.format(changed) }), missing ? t("were_gone", { count: count.format(missing) }) : ""].filter(Boolean).join(" "), "note", undoButton(done));
     }).finally(() => {
       save.disabled = false;
       done();

@@ -13,6 +13,7 @@ import { findPlace, fromAddress, keepPlace } from "./places.js";
 import { Selection } from "./selection.js";
 import { Source } from "./source.js";
 import { readForest, showForest } from "./training.js";
+import { listenForUndo } from "./undo.js";
 
 const LOOK_AGAIN = 8000; // ms between looks whether somebody else has changed the library
 const count = new Intl.NumberFormat(language);
@@ -200,6 +201,7 @@ watchJobs((jobs) => {
   if (over.length) reload();
 });
 keepPlace({ selection, grid });
+listenForUndo(reload);
 const refresh = () => document.hidden || source.refresh().catch(() => {}); // the next look may find it
 document.addEventListener("visibilitychange", refresh);
 setInterval(refresh, LOOK_AGAIN);
