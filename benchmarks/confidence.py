@@ -50,7 +50,7 @@ MEANINGS = {
     "sit": r"stand_to_sit|sitDown.*", "stand": r"sit_to_stand|standUp.*", "push": r"push", "pick up": r"pickUp",
     "raise": r"raise-up.*",
 }  # fmt: skip
-MOST_COPIES = 500  # as in the library
+MOST_COPIES = 1000  # as in the library
 Rows = dict[str, list[tuple[np.ndarray, np.ndarray]]]
 
 
@@ -115,9 +115,10 @@ class Trained:
         means = find_meanings(set(self.labels.tolist()))
         meanings = np.array([means[name] for name in self.labels])
         self.forest = MotionForest(thresholds=KIND.thresholds, n_trials=KIND.n_trials, random_state=seed)
-        self.forest.fit(features, self.labels, feature_set=KIND)
-        learner = LikenessLearner(features, self.labels, meanings, np.array(people), KIND)
         rows = np.arange(0, len(clips), -(-len(clips) // MOST_COPIES))
+        twice = np.concatenate([features, copies[rows]])
+        self.forest.fit(twice, self.labels, feature_set=KIND, copied=rows)
+        learner = LikenessLearner(features, self.labels, meanings, np.array(people), KIND)
         calibration = learn_calibration(
             self.forest, features, self.labels, people,
             feature_set=KIND, copies=Copies(rows, copies[rows]), watch=learner.watch,

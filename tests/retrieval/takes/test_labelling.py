@@ -26,7 +26,7 @@ from dousa.retrieval.takes.label import (
 )
 from dousa.retrieval.takes.labeller_training import train_labeller
 from dousa.retrieval.takes.labeller_tuning import fit_logistic
-from dousa.retrieval.takes.made_takes import JoinedTake, disturb, join_clips, join_with_rests
+from dousa.retrieval.takes.made_takes import JoinedTake, disturb, disturb_motion, join_clips, join_with_rests
 
 CLIPS = make_library((0, 1, 2), 3)
 LABELLER = train_labeller(CLIPS)
@@ -79,6 +79,19 @@ def test_the_same_is_said_of_a_noisy_slow_sensor():
     assert noisy.frame_rate < 30 or np.abs(noisy.positions - TAKE.positions).max() > 0
     timeline = label_take(LABELLER, noisy)
     assert compare_timeline(timeline.segments, TRUTH, timeline.duration).scores().frame_accuracy > 0.75
+
+
+def test_a_clip_is_disturbed_by_its_seed_alone_and_some_errors_last():
+    clip = make_clip("wave", 7)
+    seen = [disturb_motion(clip, np.random.default_rng(seed)) for seed in range(12)]
+    again = disturb_motion(clip, np.random.default_rng(3))
+    np.testing.assert_array_equal(again.positions, seen[3].positions)
+    length = len(clip.positions) / clip.frame_rate
+    assert all(np.isfinite(one.positions).all() and one.positions.shape[1:] == (20, 3) for one in seen)
+    assert all(abs(len(one.positions) / one.frame_rate - length) < 0.2 for one in seen)
+    assert len({one.frame_rate for one in seen}) > 3
+    short = replace(clip, positions=clip.positions[:1])
+    assert np.isfinite(disturb_motion(short, np.random.default_rng(0)).positions).all()
 
 
 def test_an_action_never_trained_is_unknown():

@@ -38,7 +38,7 @@ from dousa.retrieval.forest.pose_space import (
 
 _QUERIES = 60  # of each round, that are compared with all clips that trained
 _AS_GOOD = 0.01  # of F: where many thresholds part alike from others, the strictest
-_ODDS = np.linspace(0.0, 9.0, 46)  # thresholds that are tried, as log odds: what is less likely than not is not alike
+_ODDS = np.linspace(np.log(2.0), 9.0, 43)  # thresholds that are tried, as log odds: from twice as likely as not
 _WHAT = Message("stored.calibration")
 _NUMBERS = ("threshold", "precision", "recall")
 

@@ -202,6 +202,7 @@ _SLOWEST = 10.0  # Hz
 _NOISE = 0.035  # m, of the noisiest joints
 _MISSING = 0.1  # of the frames of a joint, at most
 _LONGEST_GAP = 6  # frames
+_DRIFT, _LASTING = 0.04, (0.7, 4.0)  # m, of errors that last; frames of their standard deviation
 _JUMP, _JUMPS, _JUMP_SHARE = 0.1, 0.01, 0.3  # m; share of the frames of a joint; share of the takes that have such
 
 
@@ -232,10 +233,18 @@ def disturb(take: JoinedTake, generator: np.random.Generator) -> JoinedTake:
 
 
 def disturb_motion(motion: PosedMotion, generator: np.random.Generator) -> JoinedTake:
-    """A clip as another sensor may have seen it, as in ``disturb``; all its joints have a place."""
-    from dousa.retrieval.features.channels import sample_positions
+    """A clip as another sensor may have seen it; all its joints have a place.
 
-    return disturb(JoinedTake(sample_positions(motion.positions, motion.frame_rate), motion.height, ()), generator)
+    As in ``disturb``, and half of them with errors that last for some frames, which no filter takes off.
+    """
+    from dousa.retrieval.features.channels import sample_positions, smooth_positions
+
+    points = sample_positions(motion.positions, motion.frame_rate)
+    if generator.random() < 0.5:
+        errors = smooth_positions(generator.normal(size=points.shape), generator.uniform(*_LASTING))
+        errors /= errors.std() + 1e-9
+        points = points + errors * (_DRIFT * generator.random() / np.sqrt(3.0))
+    return disturb(JoinedTake(points, motion.height, ()), generator)
 
 
 def _stretch_bones(points: FloatArray, generator: np.random.Generator) -> FloatArray:
