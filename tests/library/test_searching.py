@@ -222,8 +222,8 @@ def test_the_order_inside_a_category_is_a_ranking(empty_library, shared_data):
         assert (results[0].path, results[0].rank_distance, results[0].leaf_share) == (clip.path, 0.0, 1.0)
         keys = [hit.rank_distance for hit in results]
         assert keys == sorted(keys)
-        # All at one distance, as the forest learned from them, and yet in an order.
-        assert {hit.distance for hit in results} == {0.0}
+        # All at nearly one distance, as each tree learned from them or from their copies, and yet in an order.
+        assert max(hit.distance for hit in results) < 0.25
         orders.append(tuple(hit.path for hit in results))
     assert len(set(orders)) == len(clips)
     assert all(list(order) != sorted(order) for order in orders)
