@@ -112,6 +112,7 @@ BENCHMARKS = {
     "correspondence.py": "--memory --frames 400",
     "estimate.py": "--length 4 --threads 1",
     "partial_bodies.py": "--set HDM05 --only legs --seeds 1",
+    "noisy_clips.py": "--set HDM05 --repeats 1 --calibrated 1",
     "few_clips.py": "../shared/data/bandai --share 0.5",
     "first_run.py": "--only keypoints",
     "forest.py": "--clips 60 --classes 3 --repeats 1",
