@@ -229,7 +229,8 @@ def test_several_programs_may_make_figures_at_once(studio):
 
 def test_relabelling(studio):
     answer = studio.post("/api/clips/relabel", json={"clips": [1, 2, 999], "category": "  hop  "})
-    assert answer.json() == {"changed": 2, "missing": 1}
+    before = [{"category": "kick_left", "clips": [1, 2]}]
+    assert answer.json() == {"changed": 2, "missing": 1, "before": before}
     items = studio.get("/api/clips", params={"category": "hop"}).json()["items"]
     assert sorted(item["id"] for item in items) == [1, 2]
     assert items[0]["performer"] is not None
