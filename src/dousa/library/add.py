@@ -118,12 +118,13 @@ class Adding:
         self._tally["skipped"] += missing
         self._tally["passed_over"] += others.most_common()
         self._found = {str(file.path): file for file in files}
+        report = progress or (lambda done, total, path: None)
+        report(0, len(files), "")  # a rule for labels may take for ever
         for path in self._found:
             self._labels(path)
         # All tables before anything is written: a mistake in one leaves nothing half done.
         labels = {} if self._labels_from is None else find_labels(files, self._labels_from, self._tier)
         tasks = self._plan()
-        report = progress or (lambda done, total, path: None)
         done = len(files) - len(tasks)
         report(done, len(files), "")
         portion: list[Answer] = []

@@ -127,12 +127,18 @@ def test_tables_of_this_machine_are_not_read(studio, wait_job, tmp_path):
         assert wait_job(studio, job["id"])["state"] == "failed"
 
 
+def wait_until_begun(studio, job, seconds=60.0):
+    late = time.monotonic() + seconds
+    while studio.get(f"/api/jobs/{job}").json()["total"] == 0:
+        assert time.monotonic() < late, "the job does not say that it has begun"
+        time.sleep(0.05)
+
+
 @pytest.mark.skipif(os.name != "posix", reason="stops processes by signals")
 def test_an_expression_without_end_can_be_stopped(studio, bvh, wait_job):
     batch = send(studio, "a" * 40 + "!.bvh", bvh.read_bytes() + b"\n")["batch"]
     job = studio.post("/api/jobs/add", json={"batch": batch, "category_from": "name:(a+)+$"}).json()
-    while studio.get(f"/api/jobs/{job['id']}").json()["total"] == 0:
-        time.sleep(0.05)
+    wait_until_begun(studio, job["id"])
     studio.post(f"/api/jobs/{job['id']}/stop")
     assert wait_job(studio, job["id"])["state"] == "stopped"
 
@@ -151,8 +157,7 @@ def test_work_that_does_not_hear_ctrl_c_is_ended(studio, wait_job, monkeypatch):
         lanes.subprocess, "Popen", lambda words, **options: real([sys.executable, "-c", deaf], **options)
     )
     job = studio.post("/api/jobs/train", json={}).json()
-    while studio.get(f"/api/jobs/{job['id']}").json()["total"] == 0:
-        time.sleep(0.05)
+    wait_until_begun(studio, job["id"])
     studio.post(f"/api/jobs/{job['id']}/stop")
     assert wait_job(studio, job["id"], 30)["state"] == "stopped"
 
