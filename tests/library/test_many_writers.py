@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-import multiprocessing
+import subprocess
+import sys
 import threading
 import time
 
@@ -107,9 +108,13 @@ def test_a_segment_is_named_while_others_write(library, library_file, monkeypatc
     assert library.check().is_sound
 
 
-def add_one(library_file, folder):
-    with Library.open(library_file, timeout=60.0) as library:
-        library.add(folder, n_jobs=1)
+_ADD = """
+import sys
+from dousa.library import Library
+
+with Library.open(sys.argv[1], timeout=60.0) as library:
+    library.add(sys.argv[2], n_jobs=1)
+"""
 
 
 def test_four_programs_add_to_a_trained_library(library_file, write_move, tmp_path):
@@ -117,13 +122,8 @@ def test_four_programs_add_to_a_trained_library(library_file, write_move, tmp_pa
     for n, folder in enumerate(folders):
         for seed in range(4):
             write_move(folder / "wave" / f"w{n}_{seed}.bvh", "wave", 1000 + 10 * n + seed)
-    context = multiprocessing.get_context("spawn")
-    programs = [context.Process(target=add_one, args=(library_file, folder)) for folder in folders]
-    for program in programs:
-        program.start()
-    for program in programs:
-        program.join()
-    assert [program.exitcode for program in programs] == [0, 0, 0, 0]
+    programs = [subprocess.Popen([sys.executable, "-c", _ADD, library_file, folder]) for folder in folders]
+    assert [program.wait() for program in programs] == [0, 0, 0, 0]
     with Library.open(library_file) as library:
         assert library.categories()["wave"] == 5 + 16
         assert library.stats().n_learned == 16

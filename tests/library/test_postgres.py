@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import getpass
 import glob
-import multiprocessing
 import os
 import shutil
 import socket
 import subprocess
+import sys
 import tempfile
 from pathlib import Path
 
@@ -65,28 +65,41 @@ def url(server, request):
     return f"{server}/{name}"
 
 
-def create(url, wait):
-    wait.wait()
-    Library.open(url, create=True).close()
+_CREATE = """
+import sys
+from dousa.library import Library
+
+print("ready", flush=True)
+sys.stdin.readline()
+Library.open(sys.argv[1], create=True).close()
+"""
+_ADD = """
+import sys
+from dousa.library import Library
+
+with Library.open(sys.argv[1], timeout=60.0) as library:
+    library.add(sys.argv[2], n_jobs=1)
+"""
+
+
+def run_program(text, *words, **options):
+    return subprocess.Popen([sys.executable, "-c", text, *map(str, words)], text=True, **options)
 
 
 @pytest.mark.parametrize("attempt", range(3))
 def test_four_programs_make_one_library_at_once(url, attempt):
-    context = multiprocessing.get_context("spawn")
-    start = context.Barrier(4)
-    programs = [context.Process(target=create, args=(url, start)) for _ in range(4)]
+    pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE}
+    programs = [run_program(_CREATE, url, **pipes) for _ in range(4)]
     for program in programs:
-        program.start()
+        assert program.stdout.readline() == "ready\n"
     for program in programs:
-        program.join()
-    assert [program.exitcode for program in programs] == [0, 0, 0, 0]
+        program.stdin.write("\n")
+        program.stdin.flush()
+    for program in programs:
+        program.communicate()
+    assert [program.returncode for program in programs] == [0, 0, 0, 0]
     with Library.open(url) as library:
         assert library.clips() == []
-
-
-def add_one(url, folder):
-    with Library.open(url, timeout=60.0) as library:
-        library.add(folder, n_jobs=1)
 
 
 def test_four_programs_add_to_a_trained_library(url, moves, write_move, tmp_path):
@@ -97,13 +110,8 @@ def test_four_programs_add_to_a_trained_library(url, moves, write_move, tmp_path
     for n, folder in enumerate(folders):
         for seed in range(3):
             write_move(folder / "wave" / f"w{n}_{seed}.bvh", "wave", 1000 + 10 * n + seed)
-    context = multiprocessing.get_context("spawn")
-    programs = [context.Process(target=add_one, args=(url, folder)) for folder in folders]
-    for program in programs:
-        program.start()
-    for program in programs:
-        program.join()
-    assert [program.exitcode for program in programs] == [0, 0, 0, 0]
+    programs = [run_program(_ADD, url, folder) for folder in folders]
+    assert [program.wait() for program in programs] == [0, 0, 0, 0]
     with Library.open(url) as library:
         assert library.categories()["wave"] == 5 + 12
         assert library.stats().n_learned == 12

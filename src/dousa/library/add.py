@@ -126,7 +126,8 @@ class Adding:
         labels = {} if self._labels_from is None else find_labels(files, self._labels_from, self._tier)
         tasks = self._plan()
         done = len(files) - len(tasks)
-        report(done, len(files), "")
+        if done:
+            report(done, len(files), "")
         portion: list[Answer] = []
         doubtful: list[ClipRecord] = []
         votes = FrameVotes()
