@@ -38,7 +38,7 @@ const SIGN_AFTER = 150; // ms; a folder of thousands is read for seconds
 
 /** Says that a folder is being read, and how many files there are already. */
 function showReading(found) {
-  const text = h("p", { class: "reading", role: "status" });
+  const text = h("p", { class: "reading-folder", role: "status" });
   const timer = setInterval(() => {
     text.textContent = t("reading_drop", { count: new Intl.NumberFormat(language).format(found.length) });
     if (!text.isConnected) document.body.append(text);
