@@ -153,7 +153,7 @@ class Trained:
         nearest = np.full(len(features), 0.5) if self._curve is None else self._curve.predict(away.min(axis=1))
         return {
             "dousa": (guess, seen.confidence),
-            "share of the votes": (guess, self.assessor.measure(leaves)[1][:, 0]),
+            "share of the votes": (guess, self.assessor.scale.measure(leaves)[1][:, 0]),
             "nearest, isotonic": (self.labels[away.argmin(axis=1)], nearest),
         }
 

@@ -73,7 +73,7 @@ class TestScores:
         features, categories, kept, forest, _ = material
         stored = forest.apply(features[kept]).tolist()
         queries = forest.apply(features[::5])
-        guess, scores = Assessor(forest, CALIBRATION).measure(queries)
+        guess, scores = Assessor(forest, CALIBRATION).scale.measure(queries)
         for leaves, number, row in zip(queries.tolist(), guess, scores, strict=True):
             votes = sorted(slow.votes_for(forest, leaves, name) for name in forest.classes_)
             name = forest.classes_[number]

@@ -214,22 +214,7 @@ class Assessor:
 
     def __init__(self, forest: MotionForest, calibration: Calibration) -> None:
         self.forest, self.calibration = forest, calibration
-        self._scale = VoteScale(forest)
-
-    def measure(self, leaves: NDArray[np.integer[Any]]) -> tuple[IndexArray, FloatArray]:
-        """The guesses and the scores of clips.
-
-        Parameters
-        ----------
-        leaves : (N, n_trees) as ``apply`` gives them.
-
-        Returns
-        -------
-        guess : (N,) number of the most voted category, the first of equals.
-        scores : (N, 3) share of the votes for it; clips of it in the leaves in proportion to the usual, at most 2; lead
-            over the second category in votes.
-        """
-        return self._scale.measure(leaves)
+        self.scale = VoteScale(forest)
 
     def assess(self, leaves: NDArray[np.integer[Any]], features: FloatArray | None = None) -> Verdicts:
         """What is thought of clips.
@@ -239,7 +224,7 @@ class Assessor:
         leaves : (N, n_trees) as ``apply`` gives them.
         features : (N, T, F) of the same clips; with them, unknown ones are told better.
         """
-        guess, scores = self.measure(leaves)
+        guess, scores = self.scale.measure(leaves)
         calibration, names = self.calibration, self.forest.classes_[guess]
         evidence, has_poses = gather_evidence(scores, calibration.poses, calibration.usual, features, names)
         known = calibration.known.evaluate(evidence, has_poses)
