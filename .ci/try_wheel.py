@@ -9,6 +9,7 @@ where it needs an extra, which; with all extras the same commands must pass.
 from __future__ import annotations
 
 import html
+import http.client
 import os
 import re
 import subprocess
@@ -83,6 +84,19 @@ def check_contents(folder: Path) -> Path:
     return wheel
 
 
+class _LocalConnection(http.client.HTTPConnection):
+    """A connection to this machine, whatever the name: browsers know the names below localhost, not every system."""
+
+    def connect(self) -> None:
+        self.host = "127.0.0.1"
+        super().connect()
+
+
+class _LocalHandler(urllib.request.HTTPHandler):
+    def http_open(self, req: urllib.request.Request) -> http.client.HTTPResponse:
+        return self.do_open(_LocalConnection, req)
+
+
 class Environment:
     """A fresh environment, and an empty folder to work in, both below one folder."""
 
@@ -115,10 +129,11 @@ class Environment:
                 if address is None:
                     sys.exit(f"{' '.join(words)}: expected the address of the studio, got {said}")
                 cookies = urllib.request.HTTPCookieProcessor()
-                browser = urllib.request.build_opener(urllib.request.ProxyHandler({}), cookies)
-                page = browser.open(address[0], timeout=60).read().decode()
+                browser = urllib.request.build_opener(urllib.request.ProxyHandler({}), _LocalHandler, cookies)
+                answer = browser.open(address[0], timeout=60)
+                page = answer.read().decode()
                 for link in sorted(set(re.findall(r'(?:href|src)="(/[^"#]*)"', page))):
-                    browser.open(urllib.parse.urljoin(address[0], html.unescape(link)), timeout=60).read()
+                    browser.open(urllib.parse.urljoin(answer.url, html.unescape(link)), timeout=60).read()
             finally:
                 studio.terminate()
 
