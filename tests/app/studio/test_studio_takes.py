@@ -4,7 +4,10 @@ from __future__ import annotations
 
 import csv
 import io
+import json
 from pathlib import Path
+from urllib.parse import urlencode
+from urllib.request import Request, urlopen
 
 import numpy as np
 import pytest
@@ -187,6 +190,11 @@ def test_a_part_of_a_take_is_not_labelled_alone(studio, recording):
     assert studio.post("/api/jobs/label", json=asked).status_code == 422
 
 
+def test_strips_of_what_is_no_take_are_refused(studio):
+    assert studio.get("/api/takes/strips", params={"motion": "clip:99999"}).status_code == 404
+    assert studio.get("/api/takes/strips").status_code == 422
+
+
 def test_corrections_are_laid_over_labels():
     from dousa.app.studio.content.corrections import Correction, lay_over
 
@@ -254,6 +262,82 @@ def test_a_take_is_labelled_corrected_learned_and_taken_back(show, running, reco
     page.run("document.querySelector('.undo').click()")
     page.wait("return document.querySelectorAll('.corrections li').length === 0", seconds=60)
     page.wait("return document.querySelector('.tl-corrected') === null", seconds=60)
+    assert page.messages() == []
+
+
+def ask(running, path, **asked):
+    """An answer of a studio that listens."""
+    address = f"{running.url}/api{path}?{urlencode(asked)}"
+    with urlopen(Request(address, headers={"authorization": f"Bearer {running.token}"}), timeout=60) as answer:
+        return json.load(answer)
+
+
+def test_stretches_are_gone_through_split_and_joined(show, running, recording):
+    library = running.app.state.studio.library
+    library.add(recording[0], kind="take")
+    take = next(clip for clip in library.clips() if clip.kind == "take")
+    page = show(f"/takes?motion=clip:{take.id}")
+    page.wait(LABELLED, seconds=60)
+    shown = ask(running, "/takes/labels", motion=f"clip:{take.id}")["labels"]["segments"]
+    press = "document.dispatchEvent(new KeyboardEvent('keydown', {key: arguments[0], bubbles: true}))"
+    cursor = "return Number(document.querySelector('.tl-cursor').getAttribute('aria-valuenow'))"
+    corrected = "return document.querySelectorAll('.tl-segment.tl-corrected').length"
+
+    # The least sure first; then the next.
+    order = sorted(shown, key=lambda one: one["confidence"])
+    for one in order[:2]:
+        page.run(press, "u")
+        assert page.run(cursor) == pytest.approx(one["start_s"], abs=0.02)
+        assert page.run("return document.querySelector('#category').value") == (one["category"] or "")
+    assert page.run("return document.querySelectorAll('.tl-sure').length") == len(shown)
+
+    # One that has a name is right: it is learned.
+    known = next(one for one in shown if one["category"] and one["end_s"] - one["start_s"] > 1.0)
+    go = "document.querySelector(`#segments tr[data-start='${arguments[0]}'] .go`).click()"
+    page.run(go, known["start_s"])
+    page.run(press, "y")
+    page.wait(f"{corrected} === 1", seconds=60)
+    page.wait("return !document.querySelector('#review-split').disabled", seconds=60)
+
+    # It is split in its middle, and made whole again.
+    page.run("document.querySelector(`#segments tr[aria-current]`)?.removeAttribute('aria-current')")
+    start = page.run("return document.querySelector('.tl-corrected').style.left")
+    share = float(start.removesuffix("%")) / 100
+    seek = """
+        const inner = document.querySelector('.tl-inner').getBoundingClientRect();
+        const place = {clientX: inner.left + inner.width * arguments[0], clientY: inner.top + 50};
+        const event = {...place, bubbles: true, pointerId: 1, pointerType: 'mouse', button: 0};
+        document.querySelector('.tl-track').dispatchEvent(new PointerEvent('pointerdown', event));
+        window.dispatchEvent(new PointerEvent('pointerup', event));
+    """
+    width = float(page.run("return document.querySelector('.tl-corrected').style.width").removesuffix("%")) / 100
+    page.run(seek, share + 0.5 * width)
+    page.run(press, "x")
+    page.wait(f"{corrected} === 2", seconds=60)
+    page.wait("return !document.querySelector('#review-join').disabled", seconds=60)
+    page.run(seek, share + 0.25 * width)
+    page.run(press, "j")
+    page.wait(f"{corrected} === 1", seconds=60)
+    page.wait("return !document.querySelector('#review-join').disabled", seconds=60)
+    (whole,) = ask(running, "/takes/labels", motion=f"clip:{take.id}")["corrections"]
+    assert (whole["start_s"], whole["end_s"]) == pytest.approx((known["start_s"], known["end_s"]), abs=0.05)
+    assert whole["category"] == known["category"]
+    assert page.messages() == []
+
+
+def test_takes_are_listed_with_their_labels(show, running, recording, table):
+    library = running.app.state.studio.library
+    library.add(recording[0], kind="take")
+    take = next(clip for clip in library.clips() if clip.kind == "take")
+    name = f"clip:{take.id}"
+    assert ask(running, "/takes/strips", motion=name)["takes"][name]["segments"] is None
+    page = show(f"/takes?motion={name}")
+    page.wait(LABELLED, seconds=60)
+    page = show("/takes")
+    page.wait("return document.querySelectorAll('.take-strip i').length > 2")
+    labels = ask(running, "/takes/labels", motion=name)["labels"]["segments"]
+    assert page.run("return document.querySelectorAll('.take-strip i').length") == len(labels)
+    assert str(len(labels)) in page.run("return document.querySelector('.take-row .note').textContent")
     assert page.messages() == []
 
 

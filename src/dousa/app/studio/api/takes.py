@@ -68,6 +68,25 @@ def get_labels(studio: StudioNow, motion: _Motion) -> Answer:
     return Answer(_describe(studio, MotionRef(motion=motion)))
 
 
+@router.get("/takes/strips", summary="The labels of several takes in short")
+def get_strips(studio: StudioNow, motion: Annotated[list[MotionName], Query(min_length=1, max_length=100)]) -> Answer:
+    """For each take: ``given``, whether a table of labels says so, and ``segments``, null before it was labelled."""
+    return Answer({"takes": {name: _summarise(studio, MotionRef(motion=name)) for name in motion}})
+
+
+def _summarise(studio: Studio, ref: MotionRef) -> dict[str, Any]:
+    answer = _describe(studio, ref)
+    labels = answer["given"] or answer["labels"]
+    if labels is None:
+        return {"given": False, "segments": None}
+    kept = [one for one in labels["segments"] if one["category"] or one.get("unknown")]
+    segments = [
+        {**{name: one[name] for name in ("start_s", "end_s", "category")}, "unknown": one["category"] is None}
+        for one in kept
+    ]
+    return {"given": answer["given"] is not None, "segments": segments}
+
+
 def _describe(studio: Studio, ref: MotionRef) -> dict[str, Any]:
     from dousa.app.studio.content.corrections import lay_over, list_corrections
 

@@ -1,7 +1,7 @@
 // The whole of a timeline in little, while only a part of it is seen; click or drag to see another part.
 
 import { h } from "./dom.js";
-import { place } from "./timeline_parts.js";
+import { drawStrip, place } from "./timeline_parts.js";
 
 export class Overview {
   /** scroll: the element that scrolls; onGo(share): the middle of what is to be seen. */
@@ -24,13 +24,7 @@ export class Overview {
   }
 
   draw(segments, duration, tones) {
-    const piece = (one) => {
-      const unknown = one.kind === "unknown";
-      const element = h("i", { class: unknown ? "tl-none" : "", style: place(one.start, one.end, duration) });
-      if (!unknown) element.style.setProperty("--hue", tones.of(one.label).hue);
-      return element;
-    };
-    this.strip.replaceChildren(...segments.map(piece));
+    drawStrip(this.strip, segments, duration, tones);
   }
 
   place() {

@@ -49,7 +49,20 @@ export function makeSegment(segment, duration, tones) {
   );
   if (tone) element.style.setProperty("--hue", tone.hue);
   if (segment.kind === "corrected") element.append(h("i", {}, "✎"));
+  else if (segment.confidence != null) element.append(h("u", { class: "tl-sure", style: { width: percent(segment.confidence, 1) } }));
   return element;
+}
+
+/** Stretches in little, without words. */
+export function drawStrip(element, segments, duration, tones) {
+  const piece = (one) => {
+    const unknown = one.kind === "unknown";
+    const part = h("i", { class: unknown ? "tl-none" : "", style: place(one.start, one.end, duration) });
+    if (!unknown) part.style.setProperty("--hue", tones.of(one.label).hue);
+    return part;
+  };
+  element.classList.add("tl-little");
+  element.replaceChildren(...segments.map(piece));
 }
 
 /** What the letters and patterns mean: [{label, kind}] in any order. */

@@ -4,8 +4,9 @@ import { formatSeconds, h, icon, t } from "../core/dom.js";
 import { often } from "./segments.js";
 
 export class Desk {
-  /** tools: {onCorrect(part, category) -> whether it was learned, onUndo(id), onStretch(segment), onExport(part)} */
-  constructor(element, tools) {
+  /** tools: {onCorrect(part, category) -> whether it was learned, onUndo(id), onStretch(segment), onExport(part)};
+   *  review: an element to go through the stretches with */
+  constructor(element, tools, review) {
     Object.assign(this, { tools, part: null, now: null });
     this.what = h("p", { class: "now-what" });
     this.sure = h("p", { class: "note" });
@@ -17,7 +18,7 @@ export class Desk {
     this.span = h("p", { class: "part" });
     this.form = h("form", { class: "correct", onsubmit: (event) => this.submit(event) }, this.span, h("div", { class: "row" }, h("label", { class: "field" }, t("correct_category"), this.input), this.options, this.button, this.take));
     this.list = h("ul", { class: "corrections" });
-    element.replaceChildren(h("div", { class: "now-head" }, h("div", {}, h("h2", { class: "sr" }, t("now")), this.what, this.sure), this.stretch), h("h2", {}, t("correct_title")), this.form, this.list);
+    element.replaceChildren(h("div", { class: "now-head" }, h("div", {}, h("h2", { class: "sr" }, t("now")), this.what, this.sure), this.stretch), review, h("h2", {}, t("correct_title")), this.form, this.list);
     this.setNow(null);
     this.setPart(null);
   }
@@ -40,8 +41,10 @@ export class Desk {
     this.sure.textContent = segment.corrected ? t("timeline_corrected") : sure;
   }
 
-  setPart(part) {
+  /** category: what the part is called already; what was typed stays if left out */
+  setPart(part, category) {
     this.part = part;
+    if (category !== undefined) this.input.value = category ?? "";
     this.span.textContent = part ? t("timeline_part", { start: formatSeconds(part.start), end: formatSeconds(part.end) }) : t("correct_hint");
     this.span.classList.toggle("chosen", Boolean(part));
     this.settle();

@@ -10,7 +10,9 @@ import { pickClips } from "../core/pick.js";
 import { createTimeline } from "../core/timeline.js";
 import { makeLegend } from "../core/timeline_parts.js";
 import { Desk } from "./desk.js";
+import { Review } from "./review.js";
 import { drawSegments, markSegment } from "./segments.js";
+import { listTakes } from "./strips.js";
 
 const [LONG, SEEN] = [150, 75]; // s: of a longer take so much is shown at first
 
@@ -27,12 +29,25 @@ let labels = []; // stretches with corrections, or those that were given
 let wantsGiven = true; // shows the given labels where there are some
 let jobShown = null;
 
+const review = new Review({
+  segments: () => labels,
+  time: () => player?.time ?? 0,
+  onGo: (segment) => {
+    player.pause();
+    seek(segment.start_s);
+    choose(segment);
+  },
+  onChoose: (segment) => choose(segment),
+  onLearn: (parts, replaced) => learn(parts, replaced),
+  isShown: () => !$("#take").hidden,
+});
+
 const desk = new Desk($("#now"), {
-  onCorrect: (part, category) => correct(part, category),
+  onCorrect: (part, category) => learn([{ ...part, category }]),
   onUndo: (id) => undo(id),
   onStretch: (segment) => choose(segment),
   onExport: (part) => exportPart(part.start, part.end),
-});
+}, review.element);
 
 // --- one take
 
@@ -91,6 +106,7 @@ function makePlayer(data) {
     const place = labels.findIndex((one) => one.start_s <= seconds && seconds < one.end_s);
     markSegment($("#segments"), place);
     desk.setNow(labels[place] ?? null, timeline.tones);
+    review.settle();
   });
 }
 
@@ -101,7 +117,7 @@ function seek(seconds) {
 
 function choose(segment) {
   timeline.setSelection(segment.start_s, segment.end_s);
-  desk.setPart({ start: segment.start_s, end: segment.end_s });
+  desk.setPart({ start: segment.start_s, end: segment.end_s }, segment.category);
 }
 
 async function exportPart(start, end) {
@@ -164,11 +180,15 @@ function drawProgress(job) {
 
 const placesOf = (category) => labels.filter((one) => one.category === category && !one.corrected).length;
 
-async function correct(part, category) {
+/** parts: [{start, end, category}] of one category; replaced: numbers of the corrections whose places they take. */
+async function learn(parts, replaced = []) {
+  const [{ category }] = parts;
   const before = placesOf(category);
-  const answer = await attempt(() => post("/takes/correct", { motion, start_s: part.start, end_s: part.end, category }));
-  if (!answer) return false;
-  library.categories[category] = (library.categories[category] ?? 0) + 1;
+  for (const { start, end } of parts)
+    if (!(await attempt(() => post("/takes/correct", { motion, start_s: start, end_s: end, category })))) return false;
+  const { corrections } = replaced.length ? await get("/takes/labels", { motion }) : { corrections: [] };
+  for (const { id } of corrections) if (replaced.includes(id)) await attempt(() => remove(`/takes/corrections/${id}`));
+  library.categories[category] = (library.categories[category] ?? 0) + parts.length;
   desk.setCategories(Object.keys(library.categories));
   timeline.setSelection(null);
   desk.setPart(null);
@@ -262,8 +282,7 @@ async function drawStart(problem = "") {
   $("#progress").replaceChildren();
   showFrame(false, problem);
   const { items } = await get("/clips", { kind: "take", limit: 100 });
-  const row = (clip) => h("li", {}, h("a", { class: "take-row", href: `/takes?motion=clip:${clip.id}` }, h("b", {}, baseName(clip.path)), h("span", { class: "note" }, formatSeconds(clip.duration)), h("span", { class: "note" }, clip.performer ?? "")));
-  const list = items.length ? h("ul", { class: "take-list" }, ...items.map(row)) : h("p", { class: "note" }, t("start_no_takes"));
+  const list = items.length ? listTakes(items) : h("p", { class: "note" }, t("start_no_takes"));
   const zone = dropZone(take, { text: t("start_drop"), hint: t("start_hint"), accept: MOTION_FILES, id: "take-file" });
   $("#start").replaceChildren(h("div", { class: "choose" }, zone, h("h2", {}, t("start_takes")), list));
 }
