@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from oracles.slow_relations import find_relations as find_slowly
 
 from dousa.messages import LANGUAGES
 from dousa.messages.tables import load_section
 from dousa.motion import canonicalise
 from dousa.motion.canonical.canonicalise import mirror_positions
 from dousa.motion.canonical.joints import CANONICAL_JOINTS, JOINT_INDEX
-from dousa.motion.synthetic.performers import draw_performer, make_motion
+from dousa.motion.synthetic.performers import CATEGORIES, draw_performer, make_motion
 from dousa.retrieval import LabelledClip
 from dousa.retrieval.words.relations import find_relations
 from dousa.retrieval.words.vocabulary import load_vocabulary
@@ -126,6 +127,35 @@ def test_missing_joints_and_single_frames_give_no_error():
     points[:, JOINT_INDEX["right_hand"]] = np.nan
     assert "left_hand above_head" in said(LabelledClip("x", "x", None, points, 30.0, 1.7))
     find_relations(LabelledClip("x", "x", None, pose()[None], 30.0, 1.7))
+
+
+def every_question():
+    """Motions of all made categories, as they are, mirrored, with joints missing, at other rates, and cut short."""
+    for number, category in enumerate(CATEGORIES):
+        motion = canonicalise(make_motion(category, draw_performer(number), seed=number))
+        yield LabelledClip(category, category, None, motion.positions, motion.frame_rate, motion.height)
+        yield LabelledClip(category, category, None, mirror_positions(motion.positions), 100.0, motion.height)
+        yield LabelledClip(category, category, None, motion.positions[: 1 + number % 5], 12.0, motion.height)
+        for joints in (("left_hand", "right_ankle"), ("pelvis", "head"), ("left_ankle", "right_ankle"), ("neck",)):
+            points = motion.positions.copy()
+            points[:, [JOINT_INDEX[joint] for joint in joints]] = np.nan
+            yield LabelledClip(category, category, None, points, motion.frame_rate, motion.height)
+    generator = np.random.default_rng(0)
+    for _ in range(40):  # the body falls, turns and reaches everywhere
+        waves = np.sin(np.outer(np.linspace(0, 1, 90), np.arange(1, 6) * np.pi))
+        moved = np.einsum("tw,wjk->tjk", waves, generator.normal(0, 0.15, (5, len(CANONICAL_JOINTS), 3)))
+        walked = 0.4 * np.cumsum(np.einsum("tw,wk->tk", waves, generator.normal(0, 0.1, (5, 3))), axis=0)
+        points = pose() + moved + walked[:, None] * (1, 0.02, 1)
+        yield LabelledClip("x", "x", None, points, 30.0, 1.7)
+
+
+def test_compiled_questions_answer_as_the_slow_ones():
+    told = set()
+    for motion in every_question():
+        found = find_relations(motion)
+        assert found == find_slowly(motion)
+        told |= {one.name for one in found}
+    assert len(told) >= 28
 
 
 def test_every_relation_has_words_that_the_table_understands():
