@@ -284,6 +284,17 @@ def test_every_picture_has_words_and_a_table(english: str) -> None:
     assert len(captions) == len(tables)
 
 
+def test_the_style_of_exercises_is_about_nothing_of_a_dance(english: str) -> None:
+    """The studio loads both on one page: a class of one that the other uses for something else covered the report."""
+    styled = {}
+    for name in ("report.css", "exercise.css"):
+        style = (resources.files("dousa.app.report") / name).read_text(encoding="utf-8")
+        styled[name] = set(re.findall(r"\.(-?[a-zA-Z][\w-]*)", re.sub(r"{[^{}]*}|/\*.*?\*/", " ", style)))
+    used = {one for names in re.findall(r' class="([^"]*)"', english) for one in names.split()}
+    assert styled["report.css"] & used
+    assert (styled["exercise.css"] - styled["report.css"]) & used == set()
+
+
 def test_no_number_is_nan(english: str) -> None:
     reader = _read(english)
     for tag, attrs in reader.elements:

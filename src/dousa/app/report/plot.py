@@ -45,7 +45,7 @@ class Plot:
         """A band from bottom to top with a word in it; with attributes a button."""
         width = max(min(end, self._across[1]) - max(start, self._across[0]), 0.0)
         place = f"left:{percent(start, *self._across)};width:{percent(width, 0.0, self._across[1] - self._across[0])}"
-        tag = {"class": f"span {css_class}", "style": place}
+        tag = {"class": f"repetition-span {css_class}", "style": place}
         if attributes:
             shown = {"type": "button", **tag, **{name.replace("_", "-"): value for name, value in attributes.items()}}
             self._marks.append(element("button", shown, text))
