@@ -4,6 +4,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from oracles.slow_noise import smooth_places as smooth_slowly
 from oracles.standing import standing
 
 from dousa.errors import InvalidMotionError
@@ -88,6 +89,21 @@ def test_joints_that_are_absent_stay_so():
     assert np.isnan(part.positions[:, HAND]).all()
     others = np.arange(20) != HAND
     np.testing.assert_allclose(part.positions[:, others], whole.positions[:, others], atol=0.01)
+
+
+@pytest.mark.parametrize("n_frames", [8, 9, 60, 61, 299, 301])
+@pytest.mark.parametrize("size", [0.0, 0.002, 0.03])
+def test_compiled_loops_find_what_the_slow_ones_do(n_frames, size):
+    points = disturb(wave(n_frames, 30.0), size).positions
+    generator = np.random.default_rng(n_frames)
+    for count in range(4):  # glitches, of which the later rounds find some
+        found, noise = smooth_places(points)
+        expected, slowly = smooth_slowly(points)
+        assert (found is points) == (expected is points)
+        assert noise == pytest.approx(slowly, abs=1e-12)
+        np.testing.assert_allclose(found, expected, rtol=0, atol=1e-12)
+        for _ in range(1 + count):
+            points[generator.integers(n_frames), generator.integers(20)] += generator.normal(0, 0.3, 3)
 
 
 def test_groups_of_joints_change_nothing(monkeypatch):

@@ -13,14 +13,16 @@ depends on the rate, the body or the movement.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
 
-from dousa.arrays import BoolArray, FloatArray
+from dousa.arrays import BoolArray, FloatArray, IndexArray
 from dousa.motion.canonical.anthropometry import stature_of_parts
 from dousa.motion.canonical.geometry import chain_height
+from dousa.retrieval.features import noise_kernels as kernels
 from dousa.retrieval.features.channels import CHANNEL_RATE, sample_positions
 from dousa.retrieval.features.posed_motion import PosedMotion, check_frame_rate, check_shape
 
@@ -32,6 +34,7 @@ _GLITCH = 8.0  # standard deviations: what moves fast for a moment is no glitch;
 _MEDIAN_OF_SQUARES = 2.366  # of three normal deviates together, chi-squared
 _ROUNDS = 3
 _AT_ONCE = 1 << 18  # frames of joints: an hour does not fill the memory
+_SHORT = 300  # frames: the splines of clips are kept in memory, at most 34 MB of them
 _END = 3  # frames whose mean is where a joint begins, or ends
 
 
@@ -66,15 +69,18 @@ def reduce_noise(motion: PosedMotion) -> PosedMotion:
     rate = min(motion.frame_rate, CHANNEL_RATE)
     if motion.frame_rate > CHANNEL_RATE:
         points = sample_positions(points, motion.frame_rate)
-    there: BoolArray = np.all(np.isfinite(points), axis=(0, 2))
+    finite: BoolArray = np.isfinite(points)
+    whole = bool(finite.all())
+    there: BoolArray = np.ones(points.shape[1], np.bool_) if whole else np.all(finite, axis=(0, 2))
     if len(points) < _FEWEST or not there.any():
         return motion
-    seen = points if there.all() else points[:, there]
+    seen = points if whole else points[:, there]
     smooth, noise = smooth_places(seen)
     if smooth is seen:
         return motion
-    quiet = smooth if there.all() else points.copy()
-    quiet[:, there] = smooth
+    quiet = smooth if whole else points.copy()
+    if not whole:
+        quiet[:, there] = smooth
     before, after = _measure_bones(points), _measure_bones(quiet)
     share = after / before if before > 0 and after > 0 else 1.0
     return QuietMotion(quiet, rate, motion.height * share, noise)
@@ -92,66 +98,101 @@ def smooth_places(points: FloatArray) -> tuple[FloatArray, float]:
     points : (n, J, 3); the same array where there is neither noise nor a glitch.
     noise : in the unit of the points, along each axis.
     """
-    fit, noise = _fit_splines(points)
-    believed = points
+    courses: FloatArray = np.ascontiguousarray(points.transpose(1, 2, 0))
+    believed, limit = courses, _GLITCH**2 / _MEDIAN_OF_SQUARES
+    changed, room = np.zeros(len(courses), np.bool_), np.empty((2, len(points)))
+    splines = _Splines(courses)
+    fit, noise = splines.fit()
     for _ in range(_ROUNDS):
         if noise < _NO_NOISE:
             break
-        squared = np.einsum("tjk,tjk->tj", points - fit, points - fit)
-        # The median of the squares of three errors; a joint that is tracked badly has larger ones everywhere.
-        glitches = squared > _GLITCH**2 / _MEDIAN_OF_SQUARES * np.median(squared, axis=0)
-        if not glitches.any():
+        believed = courses.copy() if believed is courses else believed
+        if not kernels.believe(courses, fit, limit, room, changed, believed):
             break
-        believed = np.where(glitches[:, :, None], fit, points)
-        fit, noise = _fit_splines(believed)
-    return (believed if noise < _NO_NOISE else fit), noise
+        splines.read(believed, np.flatnonzero(changed))
+        fit, noise = splines.fit()
+    if noise < _NO_NOISE and not changed.any():
+        return points, noise
+    smooth = believed if noise < _NO_NOISE else fit
+    return np.ascontiguousarray(smooth.transpose(2, 0, 1)), noise
 
 
-def _fit_splines(points: FloatArray) -> tuple[FloatArray, float]:
-    """The spline of each joint, and the standard deviation of the errors of all.
+class _Splines:
+    """The splines of all weights through the courses of joints, one of which is chosen for each.
 
     In the frequencies of a recording that is reflected at its ends, the penalty of a spline is diagonal (Garcia,
     "Robust smoothing of gridded data", Computational Statistics and Data Analysis 54, 2010).
+
+    Parameters
+    ----------
+    courses : (J, 3, n).
     """
-    count = len(points)
-    ends = min(_END, count // 2)
-    first, last = points[:ends].mean(axis=0), points[-ends:].mean(axis=0)
-    line = np.linspace(-0.5, 0.5, count)[:, None, None] * ((last - first) * count / (count - ends))
-    some = max(_AT_ONCE // count, 1)
-    groups = [slice(joint, joint + some) for joint in range(0, points.shape[1], some)]
-    waves = [_to_waves(points[:, group] - line[:, group]) for group in groups]
-    power = np.concatenate([np.sum(one.real**2 + one.imag**2, axis=2) for one in waves], axis=1) / (2.0 * count)
-    power[0] /= 2.0
-    kept, freedom = _list_splines(count)
-    left = ((1.0 - kept) ** 2) @ power  # (L, J) squared residuals
-    chosen = np.argmin(left / (count - freedom) ** 2, axis=0)
-    sizes = left[chosen, np.arange(left.shape[1])] / (3.0 * (count - freedom[chosen, 0]))
-    variance = float(np.median(sizes))
-    # A joint whose errors are larger than the others' has them; one of which too little is thought has not.
-    chosen = np.argmin(left + 6.0 * np.maximum(sizes, variance) * freedom, axis=0)
-    smooth = line
-    for group, one in zip(groups, waves, strict=True):
-        smooth[:, group] += _from_waves(one * kept[chosen[group]].T[:, :, None])
-    return smooth, float(np.sqrt(variance))
+
+    def __init__(self, courses: FloatArray) -> None:
+        n_joints, _, self._count = courses.shape
+        self._list = _list_splines(self._count)
+        self._lines, self._smooth = np.empty_like(courses), np.empty_like(courses)
+        self._waves = np.empty((n_joints, 3, self._count + 1), np.complex128)
+        self._left, self._room = np.empty((n_joints, len(_WEIGHTS))), np.empty((2, n_joints))
+        self._fitted = np.full(n_joints, -1)
+        self.read(courses, np.arange(n_joints))
+
+    def _portions(self, rows: IndexArray) -> Iterator[IndexArray]:
+        some = max(_AT_ONCE // self._count, 1)
+        return (rows[first : first + some] for first in range(0, len(rows), some))
+
+    def read(self, courses: FloatArray, rows: IndexArray) -> None:
+        """Look again at the courses of some joints."""
+        for some in self._portions(rows):
+            reflected = np.empty((len(some), 3, 2 * self._count))
+            kernels.level(courses, some, min(_END, self._count // 2), self._list.ramp, self._lines, reflected)
+            waves = np.fft.rfft(reflected)
+            kernels.measure(waves, some, self._list.lost, self._left)
+            self._waves[some] = waves
+        self._fitted[rows] = -1
+
+    def fit(self) -> tuple[FloatArray, float]:
+        """The spline of each joint (J, 3, n), and the standard deviation of the errors of all."""
+        chosen = np.empty_like(self._fitted)
+        variance = kernels.choose(self._left, self._list.freedom, self._count, self._room, chosen)
+        for some in self._portions(np.flatnonzero(chosen != self._fitted)):
+            waves = self._waves[some]
+            kernels.weigh(waves, some, self._list.kept, chosen)
+            kernels.raise_again(np.fft.irfft(waves, 2 * self._count), some, self._lines, self._smooth)
+        self._fitted = chosen
+        return self._smooth, float(np.sqrt(variance))
 
 
-def _to_waves(values: FloatArray) -> NDArray[np.complex128]:
-    """The frequencies (n, J, 3) of values (n, J, 3) that are reflected at their ends; the last, n, is always 0."""
-    waves: NDArray[np.complex128] = np.fft.rfft(np.concatenate([values, values[::-1]]), axis=0)[:-1]
-    return waves
+@dataclass(frozen=True, slots=True, eq=False)
+class _SplineList:
+    """Splines of all weights through so many frames.
+
+    Parameters
+    ----------
+    kept : (L, n) what each keeps of each wave.
+    lost : (n, L) share of the power that it takes off.
+    freedom : (L,) degrees of freedom.
+    ramp : (n,) from -0.5 to 0.5.
+    """
+
+    kept: FloatArray
+    lost: FloatArray
+    freedom: FloatArray
+    ramp: FloatArray
 
 
-def _from_waves(waves: NDArray[np.complex128]) -> FloatArray:
-    values: FloatArray = np.fft.irfft(waves, 2 * len(waves), axis=0)[: len(waves)]
-    return values
+def _list_splines(count: int) -> _SplineList:
+    return _keep_list(count) if count <= _SHORT else _make_list(count)
 
 
-def _list_splines(count: int) -> tuple[FloatArray, FloatArray]:
-    """What splines of every weight keep of each wave of so many frames (L, n), and their degrees of freedom (L, 1)."""
+def _make_list(count: int) -> _SplineList:
     stiffness = (2.0 - 2.0 * np.cos(np.pi * np.arange(count) / count)) ** _ORDER
     kept: FloatArray = 1.0 / (1.0 + _WEIGHTS[:, None] * stiffness)
-    freedom: FloatArray = kept.sum(axis=1)[:, None]
-    return kept, freedom
+    lost: FloatArray = np.ascontiguousarray(((1.0 - kept) ** 2).T)
+    return _SplineList(kept, lost, kept.sum(axis=1), np.linspace(-0.5, 0.5, count))
+
+
+_keep_list = lru_cache(maxsize=256)(_make_list)
 
 
 def _measure_bones(points: FloatArray) -> float:
