@@ -68,7 +68,8 @@ def library(trained, tmp_path) -> Path:
 def test_help_names_every_command_and_gives_examples(dousa):
     code, out, _ = dousa("--help")
     assert code == 0
-    words = "info convert plot add train search classify find label list remove relabel check compact experiment demo"
+    words = "info convert plot add train search classify find label list remove relabel tag undo check compact demo"
+    words += " experiment"
     for command in words.split():
         assert command in out
         code, text, _ = dousa(command, "--help")

@@ -1,7 +1,10 @@
 from .engine import choose_jobs
 from .export.clip_export import ExportReport
+from .journal.entries import JournalEntry
 from .labels import parse_label_rule
 from .library import Library
+from .marks.searches import SavedSearch
+from .marks.tags import FAVOURITE
 from .results import (
     AddReport,
     Classification,
@@ -25,6 +28,7 @@ from .upkeep.compact import CompactReport
 from .upkeep.report import CheckReport, Damage
 
 __all__ = [
+    "FAVOURITE",
     "UNCHANGED",
     "AddReport",
     "CheckReport",
@@ -36,10 +40,12 @@ __all__ = [
     "ExportReport",
     "FindResult",
     "Hit",
+    "JournalEntry",
     "LabelledTake",
     "Library",
     "LibraryStats",
     "Place",
+    "SavedSearch",
     "SearchResult",
     "Skipped",
     "TakeAnnotation",

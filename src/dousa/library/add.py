@@ -28,10 +28,11 @@ from dousa.library.forests import StoredForest, load_forest
 from dousa.library.growth.insert import insert_clips
 from dousa.library.growth.lesson import Lesson, work_out
 from dousa.library.ingest import ClipRecord, FileRecord, ReadTask, look_at, read_clip, read_clips
+from dousa.library.journal.recording import recording
 from dousa.library.labels import LabelRule, check_text, no_label
 from dousa.library.results import AddReport, Duplicate
 from dousa.library.seals.checksums import LABELS, NUMBERS, update_rows
-from dousa.library.selection import delete_clips, fetch_in, with_segments
+from dousa.library.selection import delete_clips, fetch_in, read_tags, save_tags, with_segments
 from dousa.library.takes import refresh_windows
 from dousa.messages import Message
 
@@ -108,6 +109,7 @@ class Adding:
         self._tier = tier
         self._found: dict[str, FoundFile] = {}
         self._labels_stay = True
+        self._change: int | None = None  # in the journal: one for all portions
         self._tally: Tally = defaultdict(list)
 
     def run(self, paths: Sequence[Any], n_jobs: int | None, progress: AddProgress | None) -> AddReport:
@@ -174,7 +176,7 @@ class Adding:
                 self._tally["warnings"].append((row.path, Message("annotations.no_table")))
             else:
                 wanted[row.id], notes[row.id] = to_annotation(own.file, own.tiers, self._tier, row.frame_rate)
-        self.forest, changes = annotate_takes(self._database, wanted, self.forest)
+        self.forest, changes = annotate_takes(self._database, wanted, self.forest, self._change)
         changed = set(changes.takes)
         # What was said of labels that have not changed is not said again.
         self._tally["warnings"] += [(row.path, n) for row in rows if row.path in changed for n in notes[row.id]]
@@ -321,9 +323,13 @@ class Adding:
             _move(connection, record, row)
         if found.fresh or found.gone or found.tally["moved"]:
             revision = next_revision(connection)
-            delete_clips(connection, found.gone)
-            if found.lesson is not None:
-                self.forest = insert_clips(connection, found.fresh, found.lesson, revision)
+            with recording(connection, revision, "add", gone=found.gone, into=self._change) as recorded:
+                tags = _read_own_tags(connection, found.gone)
+                delete_clips(connection, found.gone)
+                if found.lesson is not None:
+                    self.forest = insert_clips(connection, found.fresh, found.lesson, revision)
+                _give_tags(connection, tags)
+            self._change = recorded.number
         return found
 
     def _take(self, tally: Tally, fresh: list[ClipRecord], known: FileRecord, row: Any) -> None:
@@ -362,6 +368,20 @@ def _move(connection: sa.Connection, record: FileRecord, row: Any) -> None:
     update_rows(connection, LABELS, {row.id: {"path": record.path}})
     update_rows(connection, NUMBERS, {row.id: {name: record.row[name] for name in ("fingerprint", "read_options")}})
     rename_segments(connection, record.path)
+
+
+def _read_own_tags(connection: sa.Connection, ids: Sequence[int]) -> dict[str, tuple[str, ...]]:
+    """Tags of clips that are replaced, by path."""
+    clips, tags = schema.clips.c, read_tags(connection, ids)
+    rows = fetch_in(connection, sa.select(clips.id, clips.path), clips.id, list(tags))
+    return {row.path: tags[row.id] for row in rows}
+
+
+def _give_tags(connection: sa.Connection, tags: Mapping[str, Sequence[str]]) -> None:
+    """Clips whose file changed keep their tags."""
+    clips = schema.clips.c
+    rows = fetch_in(connection, sa.select(clips.id, clips.path), clips.path, list(tags))
+    save_tags(connection, {row.id: tags[row.path] for row in rows})
 
 
 def _is_gone(row: Any) -> bool:

@@ -488,6 +488,8 @@ def _labellers_of_moments(connection: sa.Connection) -> None:
 def _checksums(connection: sa.Connection) -> None:
     """A checksum for each row; those that are there get theirs from ``Library.check``."""
     for table in schema.metadata.sorted_tables:
+        if not sa.inspect(connection).has_table(table.name):
+            continue  # made by a later step
         known = {column["name"] for column in sa.inspect(connection).get_columns(table.name)}
         for column in table.c:
             if "checksum" in column.name and column.name not in known:
@@ -499,6 +501,12 @@ def _sensor_noise(connection: sa.Connection) -> None:
     table = schema.clip_features
     old = table.c.feature_set.startswith("extended", autoescape=True)
     connection.execute(sa.update(table).where(old).values(feature_set="", checksum=None))
+
+
+def _journal(connection: sa.Connection) -> None:
+    """What people change can be undone, clips have tags, and searches are kept."""
+    for table in (schema.clip_tags, schema.saved_searches, *schema.JOURNAL_TABLES):
+        table.create(connection, checkfirst=True)
 
 
 def _add_column(connection: sa.Connection, table: sa.Table, name: str) -> None:
@@ -517,6 +525,7 @@ MIGRATIONS: tuple[Migration, ...] = (
     Migration(8, "checksums", _checksums),
     Migration(9, "sensor noise", _sensor_noise),
     Migration(10, "labellers of discriminants", _labellers_of_moments),
+    Migration(11, "journal, tags and saved searches", _journal),
 )
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterable, Iterator, Sequence
+from contextlib import nullcontext
 from functools import cached_property
 from types import TracebackType
 from typing import TYPE_CHECKING, Literal, TypeAlias
@@ -17,6 +18,7 @@ from dousa.library import selection as _selection
 from dousa.library.engine import check_jobs, choose_jobs, next_revision, open_database, read_revision
 from dousa.library.features import load_trajectories
 from dousa.library.forests import ForestCache
+from dousa.library.journal.recording import recording
 from dousa.library.labels import LabelRule, check_text, no_label, parse_label_rule
 from dousa.library.results import AddReport, ClipInfo, LibraryStats, TrainReport
 from dousa.library.schema import CLIP, TAKE
@@ -28,7 +30,9 @@ if TYPE_CHECKING:
     from dousa.library.engine import Database
     from dousa.library.export.clip_export import ExportProgress, ExportReport
     from dousa.library.ingest import Query
+    from dousa.library.journal.entries import JournalEntry
     from dousa.library.labelling import Labellers, LearnProgress
+    from dousa.library.marks.searches import SavedSearches
     from dousa.library.partial.forests import PartForests
     from dousa.library.results import Classification, FindResult, LabelledTake, SearchResult
     from dousa.library.search import PartProgress, Searcher
@@ -526,25 +530,37 @@ class Library:
 
         return Annotations(self.database, self._forests)
 
+    @cached_property
+    def searches(self) -> SavedSearches:
+        """Searches and selections that are kept under a name."""
+        from dousa.library.marks.searches import SavedSearches
+
+        return SavedSearches(self.database)
+
     def clips(
-        self, selection: Selection | None = None, *, category: str | None = None, performer: str | None = None
+        self,
+        selection: Selection | None = None,
+        *,
+        category: str | None = None,
+        performer: str | None = None,
+        tag: str | None = None,
     ) -> list[ClipInfo]:
         """Clips and takes in the order of their paths: all, or those chosen.
 
         Parameters
         ----------
         selection : numbers, files, or folders, which stand for all clips below them.
-        category, performer : only clips of this label.
+        category, performer, tag : only clips of this label, with this tag.
 
         Raises
         ------
         LibraryError : nothing fits.
         """
         with self.database.reading() as connection:
-            if selection is None and category is None and performer is None:
+            if selection is None and category is None and performer is None and tag is None:
                 return _selection.list_clips(connection)
             chosen = () if selection is None else selection
-            ids = select_ids(connection, self.name, chosen, category, performer)
+            ids = select_ids(connection, self.name, chosen, category, performer, tag)
             return _selection.list_clips(connection, ids)
 
     @property
@@ -600,6 +616,7 @@ class Library:
         *,
         category: str | None = None,
         performer: str | None = None,
+        tag: str | None = None,
         to: str = "original",
         onto: str | os.PathLike[str] | None = None,
         keep_reach: bool = False,
@@ -616,7 +633,7 @@ class Library:
         ----------
         path : folder, made if necessary, in which files of others are left alone; or a ZIP file, by its suffix.
         selection : numbers, files, or folders, which stand for all clips below them; all if left out.
-        category, performer : only clips of this label.
+        category, performer, tag : only clips of this label, with this tag.
         to : name of a format that is written, such as ``"glb"`` or ``"bvh"``, or ``"original"``.
         onto : file of a character whose skeleton the motions are put onto; see ``dousa.motion.retarget``.
         keep_reach : hands reach the same places, instead of arm directions.
@@ -636,20 +653,28 @@ class Library:
         from dousa.library.export.clip_export import ExportFormat, export_clips
 
         form = ExportFormat(to, onto, keep_reach, frame_rate)
-        clips = self.clips(selection, category=category, performer=performer)
+        clips = self.clips(selection, category=category, performer=performer, tag=tag)
         return export_clips(self, clips, path, form, options, progress)
 
     def remove(
-        self, selection: Selection = (), *, category: str | None = None, performer: str | None = None
+        self,
+        selection: Selection = (),
+        *,
+        category: str | None = None,
+        performer: str | None = None,
+        tag: str | None = None,
+        for_good: bool = False,
     ) -> list[str]:
         """Take clips or takes out of the library; their files stay on the disk.
 
-        The forest still knows what it learned from them, until the next training.
+        The forest still knows what it learned from them, until the next training. ``undo`` brings them back until
+        ``compact`` forgets them.
 
         Parameters
         ----------
         selection : numbers, files, or folders, which stand for all clips below them.
-        category, performer : only clips of this label.
+        category, performer, tag : only clips of this label, with this tag.
+        for_good : nothing is kept for an undo, which needs as much room on the disk as what is removed.
 
         Returns
         -------
@@ -661,11 +686,12 @@ class Library:
         LibraryError : something chosen is not there, or the library cannot be written.
         """
         with self.database.writing() as connection:
-            ids = select_ids(connection, self.name, selection, category, performer)
+            ids = select_ids(connection, self.name, selection, category, performer, tag)
             paths = _selection.list_paths(connection, ids)
             if ids:
-                next_revision(connection)
-                _selection.delete_clips(connection, ids)
+                revision = next_revision(connection)
+                with nullcontext() if for_good else recording(connection, revision, "remove", gone=ids):
+                    _selection.delete_clips(connection, ids)
         return paths
 
     def relabel(
@@ -697,12 +723,103 @@ class Library:
         if category is UNCHANGED and performer is UNCHANGED:
             raise OptionError("library_clips.no_new_label")
         _check_labels(category, performer)
+        told = {"category": category, "performer": performer}
+        told = {name: label for name, label in told.items() if label is not UNCHANGED}
         with self.database.writing() as connection:
             ids = select_ids(connection, self.name, selection, where_category, where_performer)
             if ids:
-                next_revision(connection)
-                _selection.set_labels(connection, ids, category, performer)
+                revision, marked = next_revision(connection), _selection.with_segments(connection, ids)
+                with recording(connection, revision, "relabel", marked=marked, told=told):
+                    _selection.set_labels(connection, ids, category, performer)
             return [clip.path for clip in _selection.list_clips(connection, ids)]
+
+    def tag(
+        self,
+        selection: Selection = (),
+        *,
+        add: Iterable[str] = (),
+        remove: Iterable[str] = (),
+        where_category: str | None = None,
+        where_performer: str | None = None,
+        where_tag: str | None = None,
+    ) -> list[str]:
+        """Give tags to clips or takes, or take tags away; nothing is learned from them.
+
+        Parameters
+        ----------
+        selection : numbers, files, or folders, which stand for all clips below them.
+        add, remove : names of tags; ``"favourite"`` is a star in the studio.
+        where_category, where_performer, where_tag : only clips of this label, with this tag.
+
+        Returns
+        -------
+        Paths of the clips whose tags changed.
+
+        Raises
+        ------
+        OptionError : nothing is chosen, no tag is given, or what is none.
+        LibraryError : something chosen is not there, or the library cannot be written.
+        """
+        from dousa.library.marks.tags import change_tags, check_tags
+
+        more, less = check_tags(add), check_tags(remove)
+        if not more and not less:
+            raise OptionError("library_tags.nothing_to_change")
+        told = {"tags": [*(f"+{name}" for name in more), *(f"-{name}" for name in less)]}
+        with self.database.writing() as connection:
+            ids = select_ids(connection, self.name, selection, where_category, where_performer, where_tag)
+            with recording(connection, next_revision(connection), "tag", marked=ids, told=told):
+                changed = change_tags(connection, ids, more, less)
+            return _selection.list_paths(connection, list(changed))
+
+    def tags(self) -> dict[str, int]:
+        """Number of clips and takes that have a tag, by name."""
+        from dousa.library.marks.tags import count_tags
+
+        with self.database.reading() as connection:
+            return count_tags(connection)
+
+    def journal(self) -> list[JournalEntry]:
+        """The changes that can be undone, or done again: what was added, removed, relabelled, tagged; the last first.
+
+        The last 1,000 are kept, with removed clips of up to 1 GB, until ``compact``.
+        """
+        from dousa.library.journal.entries import list_entries
+
+        with self.database.reading() as connection:
+            return list_entries(connection)
+
+    def undo(self, number: int | None = None, *, n_jobs: int | None = None) -> JournalEntry:
+        """Take a change back: labels, tags and takes are as they were, removed clips are there again.
+
+        What a forest learned from clips that were added stays until the next training.
+
+        Parameters
+        ----------
+        number : of a change, by default the last one that is in force.
+        n_jobs : takes described at a time, as in ``add``.
+
+        Raises
+        ------
+        LibraryError : there is nothing to undo, or somebody has changed the same clips since; then nothing happens.
+        """
+        return self._step(number, redo=False, n_jobs=n_jobs)
+
+    def redo(self, number: int | None = None, *, n_jobs: int | None = None) -> JournalEntry:
+        """Do a change again that was undone, as long as no new one was made; as ``undo``."""
+        return self._step(number, redo=True, n_jobs=n_jobs)
+
+    def _step(self, number: int | None, *, redo: bool, n_jobs: int | None) -> JournalEntry:
+        from dousa.library.forests import load_forest
+        from dousa.library.journal.undoing import step
+        from dousa.library.takes import refresh_windows
+
+        entry = step(self.database, number, redo=redo)
+        with self.database.reading() as connection:
+            stored = load_forest(connection, self.name, self._forests.last)
+        if stored is not None:
+            refresh_windows(self.database, stored, n_jobs)
+        return entry
 
     def check(self, *, repair: bool = False, progress: CheckProgress | None = None) -> CheckReport:
         """Whether everything in the library is as it was written: the structure of the file, and every checksum.
@@ -727,6 +844,8 @@ class Library:
 
     def compact(self) -> CompactReport:
         """Make the file as small as what is in it; removed clips leave room that only new ones would use.
+
+        Removed clips that ``undo`` would bring back are forgotten, and changes that need them.
 
         Needs free space of the size of what is left. Others may read meanwhile, and write when it is done; stopped at
         any moment, the file is as it was.

@@ -359,6 +359,7 @@ class ClipInfo(_Answer):
     take_id : of a segment, the number of the take that it is a part of; else None.
     start_s, end_s : where it lies in that take.
     absent : canonical joints that the body lacks.
+    tags : sorted names that people gave it.
     """
 
     id: int
@@ -378,6 +379,7 @@ class ClipInfo(_Answer):
     start_s: float | None = None
     end_s: float | None = None
     absent: tuple[str, ...] = ()
+    tags: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)

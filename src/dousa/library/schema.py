@@ -229,6 +229,69 @@ part_forests = sa.Table(
     _checksum(),
 )
 
+clip_tags = sa.Table(
+    "clip_tags",
+    metadata,
+    # Of clips and takes that have tags.
+    _clip_id(),
+    # Sorted names.
+    sa.Column("tags", sa.JSON, nullable=False),
+    _checksum(),
+)
+
+saved_searches = sa.Table(
+    "saved_searches",
+    metadata,
+    sa.Column("number", sa.Integer, primary_key=True, autoincrement=False),
+    sa.Column("name", sa.Text, nullable=False, unique=True),
+    # What is asked for, by name of the filter; or ``{"clips": [...]}`` of clips that were chosen one by one.
+    sa.Column("asked", sa.JSON, nullable=False),
+    _checksum(),
+)
+
+journal = sa.Table(
+    "journal",
+    metadata,
+    # The revision of the library that the change made: never used twice.
+    sa.Column("number", sa.BigInteger, primary_key=True, autoincrement=False),
+    sa.Column("made_at", sa.Text, nullable=False),
+    sa.Column("kind", sa.Text, nullable=False),
+    sa.Column("n_clips", sa.Integer, nullable=False),
+    # Values of the message that tells it.
+    sa.Column("told", sa.JSON, nullable=False),
+    # What was before and what is after, see ``dousa.library.journal.recording``.
+    sa.Column("changes", sa.JSON, nullable=False),
+    # The revision in which it was undone; None while it is in force.
+    sa.Column("undone", sa.BigInteger),
+    _checksum(),
+)
+
+removed_clips = sa.Table(
+    "removed_clips",
+    metadata,
+    # Number of a clip or take that an undo, or a redo, brings back: ``kept`` has the rows of other tables about it.
+    sa.Column("number", sa.Integer, primary_key=True, autoincrement=False),
+    sa.Column("change", sa.BigInteger, sa.ForeignKey("journal.number", ondelete="CASCADE"), nullable=False, index=True),
+    # Bytes of its positions.
+    sa.Column("size", sa.BigInteger, nullable=False),
+    sa.Column("kept", sa.JSON, nullable=False),
+    _checksum(),
+)
+
+removed_positions = sa.Table(
+    "removed_positions",
+    metadata,
+    sa.Column(
+        "number", sa.Integer, sa.ForeignKey("removed_clips.number", ondelete="CASCADE"), primary_key=True,
+        autoincrement=False,
+    ),
+    sa.Column("positions", sa.LargeBinary, nullable=False),
+    sa.Column("block_checksums", sa.LargeBinary),
+)  # fmt: skip
+
+JOURNAL_TABLES = (journal, removed_clips, removed_positions)
+"""What an undo needs; a library is whole without it."""
+
 
 def is_id(number: int) -> bool:
     """Whether a clip or take can have this number."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import enum
 import os
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any, TypeVar
 
 import sqlalchemy as sa
@@ -13,7 +13,7 @@ from dousa.errors import LibraryError, OptionError
 from dousa.library import schema
 from dousa.library.engine import note_changed_clips, read_revision
 from dousa.library.results import ClipInfo, LibraryStats
-from dousa.library.seals.checksums import LABELS, NUMBERS, update_rows
+from dousa.library.seals.checksums import LABELS, NUMBERS, TAGS, seal_rows, update_rows
 
 _VALUES_AT_ONCE = 500  # databases limit the number of values in one query
 
@@ -34,14 +34,19 @@ UNCHANGED = Unchanged.UNCHANGED
 
 
 def select_ids(
-    connection: sa.Connection, where: str, selection: Selection, category: str | None, performer: str | None
+    connection: sa.Connection,
+    where: str,
+    selection: Selection,
+    category: str | None,
+    performer: str | None,
+    tag: str | None = None,
 ) -> list[int]:
     """Numbers of the clips that are chosen, ascending.
 
     Parameters
     ----------
     selection : clips; nothing chosen means all clips, of the category or performer where one is given.
-    category, performer : only clips of this label.
+    category, performer, tag : only clips of this label, with this tag.
 
     Raises
     ------
@@ -49,7 +54,7 @@ def select_ids(
     LibraryError : a number or path that fits no clip.
     """
     items = [selection] if isinstance(selection, int | str | os.PathLike) else list(selection)
-    if not items and category is None and performer is None:
+    if not items and category is None and performer is None and tag is None:
         raise OptionError("library_clips.nothing_chosen")
     table = schema.clips.c
     query = sa.select(table.id, table.path)
@@ -57,13 +62,12 @@ def select_ids(
         query = query.where(table.category == category)
     if performer is not None:
         query = query.where(table.performer == performer)
-    rows = connection.execute(query).all()
+    rows: Sequence[Any] = connection.execute(query).all()
+    if tag is not None:
+        tagged = {number for number, tags in read_tags(connection).items() if tag in tags}
+        rows = [row for row in rows if row.id in tagged]
     if not rows and not items:
-        if performer is None:
-            raise LibraryError("library_clips.none_of_category", library=where, category=category)
-        if category is None:
-            raise LibraryError("library_clips.none_of_performer", library=where, performer=performer)
-        raise LibraryError("library_clips.none_of_both", library=where, category=category, performer=performer)
+        raise _none_of(where, category, performer, tag)
     if not items:
         return sorted(row.id for row in rows)
     known = {row.id for row in rows}
@@ -76,6 +80,16 @@ def select_ids(
         else:
             raise LibraryError("library_clips.no_clip", library=where, number=item)
     return sorted(chosen)
+
+
+def _none_of(where: str, category: str | None, performer: str | None, tag: str | None) -> LibraryError:
+    if tag is not None:
+        return LibraryError("library_tags.none_of_tag", library=where, tag=tag)
+    if performer is None:
+        return LibraryError("library_clips.none_of_category", library=where, category=category)
+    if category is None:
+        return LibraryError("library_clips.none_of_performer", library=where, performer=performer)
+    return LibraryError("library_clips.none_of_both", library=where, category=category, performer=performer)
 
 
 def _below(rows: Sequence[Any], item: str | os.PathLike[str], where: str) -> set[int]:
@@ -117,6 +131,7 @@ def list_clips(connection: sa.Connection, ids: Sequence[int] | None = None) -> l
     names = [name for name in ClipInfo.__dataclass_fields__ if name in clips.c]
     more = (leaves.c.predicted_category, parts.c.take_id, parts.c.start_s, parts.c.end_s)
     query = sa.select(*dict.fromkeys((*LABELS.columns, *NUMBERS.columns)), *more)
+    tagged = read_tags(connection, ids)
     query = query.join(leaves, leaves.c.clip_id == clips.c.id, isouter=True)
     query = query.join(parts, parts.c.clip_id == clips.c.id, isouter=True)
     rows: Iterable[Any] = connection.execute(query) if ids is None else fetch_in(connection, query, clips.c.id, ids)
@@ -126,9 +141,31 @@ def list_clips(connection: sa.Connection, ids: Sequence[int] | None = None) -> l
         NUMBERS.check(connection, row)
         values = {name: getattr(row, name) for name in (*names, *(column.name for column in more))}
         values["warnings"] = tuple(map(schema.as_message, row.warnings))
-        infos.append(ClipInfo(**(values | {"absent": tuple(row.absent.split())})))
+        infos.append(ClipInfo(**(values | {"absent": tuple(row.absent.split()), "tags": tagged.get(row.id, ())})))
     # Sorted here: databases differ in how they order text.
     return sorted(infos, key=lambda info: info.path)
+
+
+def read_tags(connection: sa.Connection, ids: Sequence[int] | None = None) -> dict[int, tuple[str, ...]]:
+    """Tags of the clips and takes that have some, by number; of all, or of these."""
+    query = sa.select(*TAGS.columns)
+    key = schema.clip_tags.c.clip_id
+    rows: Iterable[Any] = connection.execute(query) if ids is None else fetch_in(connection, query, key, ids)
+    found = {}
+    for row in rows:
+        TAGS.check(connection, row)
+        found[row.clip_id] = tuple(row.tags)
+    return found
+
+
+def save_tags(connection: sa.Connection, tags: Mapping[int, Iterable[str]]) -> None:
+    """Give clips and takes these tags, in the place of those that they have; after ``next_revision``."""
+    table = schema.clip_tags
+    rows = [{"clip_id": number, "tags": sorted(set(own))} for number, own in tags.items()]
+    for some in portions(rows):
+        connection.execute(sa.delete(table).where(table.c.clip_id.in_([row["clip_id"] for row in some])))
+        if some := [row for row in some if row["tags"]]:
+            connection.execute(sa.insert(table), seal_rows(table, some))
 
 
 def list_paths(connection: sa.Connection, ids: Sequence[int]) -> list[str]:

@@ -67,6 +67,14 @@ def clip_or_path(text: str) -> int | str:
     return int(text) if is_number and not os.path.exists(text) else text
 
 
+def choose_saved(library: Library, name: str) -> list[int | str]:
+    """The clips of a saved search or selection; LibraryError where nothing fits it now."""
+    found: list[int | str] = [*library.searches.find(name)]
+    if not found:
+        raise LibraryError("library_searches.empty", library=library.name, name=name)
+    return found
+
+
 RankingName = Literal["fused", "histogram", "leaves", "pose"]
 """What clips are ordered by."""
 
@@ -379,17 +387,30 @@ def list_clips(
     library: o.LibraryPath,
     category: Annotated[str | None, typer.Option("--category", help="Only clips of this category.")] = None,
     performer: Annotated[str | None, typer.Option("--performer", help="Only clips of this performer.")] = None,
+    tag: Annotated[str | None, typer.Option("--tag", help="Only clips with this tag.")] = None,
+    select: o.Select = None,
     clips: Annotated[bool, typer.Option("--clips", help="List every clip and take, not only the categories.")] = False,
+    save: Annotated[
+        str | None, typer.Option("--save", metavar="NAME", help="Keep this search under a name, for --select.")
+    ] = None,
     json: o.Json = False,
 ) -> None:
-    """List what is in a library: its categories, or with --clips (or a category or performer) every clip and take.
+    """List what is in a library: its categories, or with --clips (or a category, performer or tag) every clip and take.
 
     Example: dousa list moves.dousa --category walk
     """
+    asked = {"category": category, "performer": performer, "tag": tag}
+    asked = {name: label for name, label in asked.items() if label is not None}
+    if save is not None:
+        if select is not None or not asked:
+            raise OptionError("library_searches.nothing_to_save")
+        with open_library(library) as opened:
+            opened.searches.save(save, asked)
     with open_to_read(library) as opened:
         stats = opened.stats()
-        chosen = category is not None or performer is not None
-        rows = opened.clips(category=category, performer=performer) if chosen or clips or json else []
+        saved = None if select is None else choose_saved(opened, select)
+        wanted = bool(asked) or clips or json or saved is not None
+        rows = opened.clips(saved, category=category, performer=performer, tag=tag) if wanted else []
     if json:
         print_json({**stats.to_json(), "clips": [clip.to_json() for clip in rows]})
     elif rows:
@@ -407,6 +428,8 @@ def export(
     ],
     category: Annotated[str | None, typer.Option("--category", help="Only clips of this category.")] = None,
     performer: Annotated[str | None, typer.Option("--performer", help="Only clips of this performer.")] = None,
+    tag: Annotated[str | None, typer.Option("--tag", help="Only clips with this tag.")] = None,
+    select: o.Select = None,
     to: Annotated[
         str,
         typer.Option(
@@ -428,11 +451,13 @@ def export(
     """
     options = motion_options.load()
     with open_to_read(library) as opened, progress_bar() as progress:
+        chosen = _selection(clips) + (choose_saved(opened, select) if select is not None else [])
         report = opened.export(
             output,
-            _selection(clips) if clips else None,
+            chosen or None,
             category=category,
             performer=performer,
+            tag=tag,
             to=to,
             **o.list_values(character_options),
             options=options,
@@ -458,15 +483,19 @@ def remove(
     clips: Clips = None,
     category: Annotated[str | None, typer.Option("--category", help="Only clips of this category.")] = None,
     performer: Annotated[str | None, typer.Option("--performer", help="Only clips of this performer.")] = None,
+    tag: Annotated[str | None, typer.Option("--tag", help="Only clips with this tag.")] = None,
+    for_good: Annotated[
+        bool, typer.Option("--for-good", help="Keep nothing for dousa undo, such as on a full disk.")
+    ] = False,
     wait: o.Wait = 60.0,
     json: o.Json = False,
 ) -> None:
-    """Remove clips or takes from a library; the files themselves are not touched.
+    """Remove clips or takes from a library; the files themselves are not touched, and dousa undo brings them back.
 
     Example: dousa remove moves.dousa recordings/broken.bvh
     """
     with open_library(library, wait=wait) as opened:
-        removed = opened.remove(_selection(clips), category=category, performer=performer)
+        removed = opened.remove(_selection(clips), category=category, performer=performer, tag=tag, for_good=for_good)
     if json:
         print_json({"removed": removed})
     else:

@@ -19,6 +19,7 @@ from dousa.app.cli import evaluation as cli_evaluation
 from dousa.app.cli import experiments as cli_trials
 from dousa.app.cli import files as cli_files
 from dousa.app.cli import films as cli_films
+from dousa.app.cli import journal as cli_journal
 from dousa.app.cli import keypoints as cli_keypoints
 from dousa.app.cli import library as cli_library
 from dousa.app.cli import studio as cli_studio
@@ -60,8 +61,8 @@ app = _Application(
 )
 
 for group in (
-    cli_files, cli_library, cli_upkeep, cli_takes, cli_estimation, cli_films, cli_keypoints, cli_evaluation, cli_studio,
-    cli_trials,
+    cli_files, cli_library, cli_journal, cli_upkeep, cli_takes, cli_estimation, cli_films, cli_keypoints,
+    cli_evaluation, cli_studio, cli_trials,
 ):  # fmt: skip
     group.register(app)
 

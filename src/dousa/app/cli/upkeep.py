@@ -44,7 +44,7 @@ def check(
 
 
 def compact(library: o.LibraryPath, wait: o.Wait = 60.0, json: o.Json = False) -> None:
-    """Make the file of a library smaller after clips were removed.
+    """Make the file of a library smaller after clips were removed. They cannot be brought back by dousa undo then.
 
     Needs as much free space as what is left in the library.
 
@@ -54,5 +54,8 @@ def compact(library: o.LibraryPath, wait: o.Wait = 60.0, json: o.Json = False) -
         report = opened.compact()
     if json:
         print_json(report.to_json())
-    else:
+        return
+    if report.forgotten:
+        say(Message("library_compact.forgotten", megabytes=report.forgotten / 1e6))
+    if report.before:
         say(Message("library_compact.done", before=report.before / 1e6, after=report.after / 1e6))

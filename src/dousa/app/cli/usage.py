@@ -131,13 +131,25 @@ class Group(TyperGroup):
         return super().resolve_command(ctx, args)
 
 
+def spell_tags(words: Sequence[str]) -> list[str]:
+    """The words of ``dousa tag`` with ``+fight`` and ``-draft`` as ``--add=fight`` and ``--take=draft``."""
+    spelled: list[str] = []
+    for place, word in enumerate(words):
+        if word == "--":
+            return [*spelled, *words[place:]]
+        is_option = word.startswith("--") or word in ("-", "-h")
+        option = "" if is_option or len(word) < 2 else {"+": "--add=", "-": "--take="}.get(word[0], "")
+        spelled.append(option + word[1:] if option else word)
+    return spelled
+
+
 class Command(TyperCommand):
     """A command that names the arguments which are too many."""
 
     allow_extra_args = True
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
-        rest = super().parse_args(ctx, args)
+        rest = super().parse_args(ctx, spell_tags(args) if ctx.info_name == "tag" else args)
         if rest and not ctx.resilient_parsing:
             raise OptionError("usage.extra_arguments", found=rest, command=ctx.command_path)
         return rest

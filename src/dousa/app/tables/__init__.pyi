@@ -16,7 +16,7 @@ from .answers import (
 )
 from .progress import print_progress
 from .repetitions import print_repetitions
-from .upkeep import print_check
+from .upkeep import print_check, print_journal, print_tags
 
 __all__ = [
     "describe_votes",
@@ -27,6 +27,7 @@ __all__ = [
     "print_clips",
     "print_estimation",
     "print_info",
+    "print_journal",
     "print_places",
     "print_progress",
     "print_repetitions",
@@ -34,6 +35,7 @@ __all__ = [
     "print_some",
     "print_stats",
     "print_tables",
+    "print_tags",
     "print_text_search",
     "print_timeline",
 ]

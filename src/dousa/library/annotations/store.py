@@ -24,6 +24,7 @@ from dousa.library.forests import ForestCache, StoredForest, load_forest
 from dousa.library.growth.insert import insert_clips
 from dousa.library.growth.lesson import Lesson, work_out
 from dousa.library.ingest import ClipRecord
+from dousa.library.journal.recording import recording
 from dousa.library.labels import check_text
 from dousa.library.results import TakeAnnotation, TakeSegment
 from dousa.library.seals.checksums import ANNOTATIONS, LABELS, SEGMENTS, seal_rows, update_rows
@@ -70,7 +71,7 @@ _COLUMNS = ("id", "path", "performer", "content_hash", "read_options", "format",
 
 
 def annotate_takes(
-    database: Database, wanted: Mapping[int, Annotation], forest: StoredForest | None
+    database: Database, wanted: Mapping[int, Annotation], forest: StoredForest | None, change: int | None = None
 ) -> tuple[StoredForest | None, AnnotationChanges]:
     """Give takes the labels of tables, in the place of those that they have.
 
@@ -78,6 +79,7 @@ def annotate_takes(
     ----------
     wanted : by number of the take; those that are not there are left out.
     forest : of the library, if it is loaded.
+    change : number in the journal, of what this belongs to.
 
     Returns
     -------
@@ -91,7 +93,7 @@ def annotate_takes(
     for start in range(0, len(ids), _TAKES_AT_ONCE):
         some = {number: wanted[number] for number in ids[start : start + _TAKES_AT_ONCE]}
         plan = partial(_plan_tables, database.where, some, forest)
-        done, _, forest = database.write_planned(plan, _exchange)
+        done, _, forest, change = database.write_planned(plan, partial(_exchange, change=change))
         changes += done
     return forest, changes
 
@@ -128,7 +130,7 @@ def name_segment(
         places = [(rows[0], kept, gone)] if kept else []
         return _plan(connection, database.where, places, _Exchange(forest, changes=changes, by_hand=True), known)
 
-    changes, ids, forest = database.write_planned(plan, _exchange)
+    changes, ids, forest, _ = database.write_planned(plan, _exchange)
     return forest, ids[0] if ids else None, changes
 
 
@@ -245,12 +247,27 @@ def _plan(
 
 
 def _exchange(
-    connection: sa.Connection, planned: _Exchange
-) -> tuple[AnnotationChanges, list[int], StoredForest | None]:
-    """Write new segments in the place of others; returns what changed, their numbers, and the forest as it learned."""
+    connection: sa.Connection, planned: _Exchange, change: int | None = None
+) -> tuple[AnnotationChanges, list[int], StoredForest | None, int | None]:
+    """Write new segments in the place of others.
+
+    Returned are what changed, their numbers, the forest as it learned, and the number of the change in the journal.
+    """
     if not (planned.tables or planned.records or planned.gone):
-        return planned.changes, [], planned.forest
+        return planned.changes, [], planned.forest, change
     revision = next_revision(connection)
+    takes = {row.id for row, _ in planned.tables}
+    named = next((str(one.row["category"]) for one in planned.records if planned.by_hand), None)
+    kind, told = ("label", {}) if named is None else ("name", {"category": named})
+    written = recording(connection, revision, kind, gone=planned.gone, takes=takes, told=told, into=change)
+    with written as recorded:
+        ids, forest = _write_exchange(connection, planned, revision)
+    return planned.changes, ids, forest, recorded.number
+
+
+def _write_exchange(
+    connection: sa.Connection, planned: _Exchange, revision: int
+) -> tuple[list[int], StoredForest | None]:
     delete_clips(connection, planned.gone)
     table = schema.take_annotations
     if planned.tables:
@@ -267,12 +284,12 @@ def _exchange(
         ]
         connection.execute(sa.insert(table), seal_rows(table, rows))
     if planned.lesson is None:
-        return planned.changes, [], planned.forest
+        return [], planned.forest
     forest = insert_clips(connection, planned.records, planned.lesson, revision)
     paths = [record.path for record in planned.records]
     clips = schema.clips.c
     numbers = {row.path: row.id for row in fetch_in(connection, sa.select(clips.id, clips.path), clips.path, paths)}
-    return planned.changes, [numbers[path] for path in paths], forest
+    return [numbers[path] for path in paths], forest
 
 
 def _fit(row: Any, segments: Iterable[Stretch]) -> tuple[list[Stretch], AnnotationChanges]:

@@ -134,9 +134,14 @@ PART_FORESTS = _seal(
     ("feature_set", "learned_from", "clip_ids", "leaves", "poses"),
 )
 STATE = _seal(schema.library_state, Message("library_damage.state"))
+TAGS = _seal(schema.clip_tags, Message("library_damage.tags"))
+SEARCHES = _seal(schema.saved_searches, Message("library_damage.search"))
+JOURNAL = _seal(schema.journal, Message("library_damage.journal"))
+REMOVED = _seal(schema.removed_clips, Message("library_damage.removed"))
 
 SEALS = (
-    LABELS, NUMBERS, FEATURES, POSES, LEAVES, RELATIONS, SEGMENTS, ANNOTATIONS, FOREST, PART_FORESTS, STATE,
+    LABELS, NUMBERS, FEATURES, POSES, LEAVES, RELATIONS, SEGMENTS, ANNOTATIONS, FOREST, PART_FORESTS, STATE, TAGS,
+    SEARCHES, JOURNAL, REMOVED,
 )  # fmt: skip
 POSITIONS = Message("library_damage.positions")
 

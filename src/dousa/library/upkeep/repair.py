@@ -47,6 +47,7 @@ _COMPUTED = {
 
 _MENDED = ("library_damage.labels", "library_damage.numbers", "library_damage.segment", "library_damage.annotation",
            "library_damage.forest", "library_damage.state")  # fmt: skip
+_FORGOTTEN = ("library_damage.tags", "library_damage.search", "library_damage.journal", "library_damage.removed")
 _POSITIONS_AT_ONCE = 16
 
 
@@ -124,12 +125,12 @@ def _foresee(database: Database, fault: Fault) -> Message:
         return Message("library_check.would_salvage")
     if code == "library_damage.forest":
         return Message("library_check.retrain")
-    if code in _COMPUTED or code == "library_damage.labeller":
+    if code in _COMPUTED or code in ("library_damage.labeller", "library_damage.state"):
         return Message("library_check.would_compute")
     if code == "library_damage.positions":
         return _look_at_file(database, fault.key)[0]
-    if code == "library_damage.state":
-        return Message("library_check.would_compute")
+    if code in _FORGOTTEN:
+        return Message("library_check.would_forget")
     return Message("library_check.lost_labels" if code == "library_damage.annotation" else "library_check.lost")
 
 
@@ -152,6 +153,8 @@ def _repair(database: Database, fault: Fault) -> Message | None:
                 done = _count_again(database)
             elif done is None and code == "library_damage.numbers":
                 done = _read_numbers(database, fault.key)
+        elif code in _FORGOTTEN and fault.seal is not None:
+            done = _mend_row(database, fault.seal, fault.key) or _forget_row(database, fault.seal, fault.key)
     except LibraryError:
         return None
     return done
@@ -182,6 +185,13 @@ def _mend_row(database: Database, seal: Seal, key: Any) -> Message | None:
         named[seal.checksum.name] = seal.compute(values)
         connection.execute(sa.update(table).where(own == key).values(**named))
     return Message("library_check.one_bit")
+
+
+def _forget_row(database: Database, seal: Seal, key: Any) -> Message:
+    """Throw away what people can do without: tags of a clip, a search that is kept, a change that can be undone."""
+    with database.writing() as connection:
+        connection.execute(sa.delete(seal.checksum.table).where(seal.covered[0] == key))
+    return Message("library_check.forgotten")
 
 
 def _count_again(database: Database) -> Message:

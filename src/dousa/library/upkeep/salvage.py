@@ -16,8 +16,8 @@ from dousa.library import schema
 from dousa.library.engine import Database, open_database
 from dousa.library.seals.checksums import seal_rows
 
-# Forests for parts of bodies are learned again; the state is counted again.
-_LEFT_OUT = (schema.migrations, schema.library_state, schema.part_forests)
+# Forests for parts of bodies are learned again; the state is counted again. What was changed cannot be undone any more.
+_LEFT_OUT = (schema.migrations, schema.library_state, schema.part_forests, *schema.JOURNAL_TABLES)
 
 
 def salvage_library(database: Database) -> dict[int, str]:

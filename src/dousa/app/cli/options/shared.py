@@ -159,6 +159,11 @@ class LabelOptions:
     ] = None
 
 
+Select = Annotated[
+    str | None,
+    typer.Option("--select", metavar="NAME", help="Only clips of a saved search or selection (see dousa tag --list)."),
+]
+
 LibraryPath = Annotated[
     str, typer.Argument(metavar="LIB", help="The library: a file such as moves.dousa, or a database URL.")
 ]
