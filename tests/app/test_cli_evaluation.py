@@ -48,7 +48,7 @@ def asked(monkeypatch):
         made = make_assessment()
         return dataclasses.replace(made, n_references=len(references), calibrated=len(references) >= 5)
 
-    def write_report(assessment, folder, language="en", timing=None):
+    def write_report(assessment, folder, language="en", timing=None, notes=""):
         calls.report.append((Path(folder), language))
         Path(folder).mkdir(parents=True, exist_ok=True)
         for name in ("report.html", "curves.csv"):
@@ -154,6 +154,8 @@ def test_nothing_found_and_no_grade(run, takes, asked, monkeypatch):
         (("{takes}", "-p", "{pupil}", "--weights", "{pupil}"), "expected 'segment = number'"),
         (("{takes}", "-p", "{pupil}", "-o", "{pupil}"), "is a file"),
         (("{takes}", "-p", "{pupil}", "-o", "{pupil}/deeper"), "is a file"),
+        (("{takes}", "-p", "{pupil}", "--notes", "well done"), "--output"),
+        (("{takes}", "-p", "{pupil}", "--notes", "well done", "--repetitions"), "--notes"),
         (("{takes}", "-p", "{pupil}", "--joint-map", "{dir}/none"), "joint map"),
         (("{takes}", "-p", "{pupil}", "--unit", "furlong"), "furlong"),
     ],
@@ -222,11 +224,14 @@ def test_the_real_assessment_and_report(run, takes, tmp_path):
         tmp_path / "report",
         "--lang",
         "ja",
+        "--notes",
+        "ひざを <柔らかく>",
     )
     code, out, err = run(*words)
     assert code == 0 and "評価" in out and "Traceback" not in err
     page = (tmp_path / "report" / "report.html").read_text(encoding="utf-8")
     assert "pupil.bvh" in page and "t0.bvh" in page
+    assert "ひざを &lt;柔らかく&gt;" in page
     code, out, _ = run(*words, "--json")
     assert code == 0 and json.loads(out)["report"] == str(tmp_path / "report" / "report.html")
 

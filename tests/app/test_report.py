@@ -206,6 +206,15 @@ def test_every_text_of_the_report_is_used() -> None:
     assert unused == []
 
 
+def test_what_the_teacher_says_stands_in_the_page_as_text() -> None:
+    assessment = make_assessment()
+    page = build_page(assessment, "en", notes="Softer knees\n<script>alert(1)</script>")
+    assert 'id="notes"' in page
+    assert "Softer knees\n&lt;script&gt;alert(1)&lt;/script&gt;" in page
+    assert page.index('id="watch"') < page.index('id="notes"') < page.index('id="analysis"')
+    assert 'id="notes"' not in build_page(assessment, "en", notes=" \n")
+
+
 @pytest.mark.parametrize("language", ["en", "ja"])
 def test_hostile_words_stay_words(language: str) -> None:
     assessment = make_assessment(words=HOSTILE_WORDS)

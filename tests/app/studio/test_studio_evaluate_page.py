@@ -56,6 +56,7 @@ def _grade(page: Any) -> str:
 
 def _wait_report(page: Any) -> str:
     page.wait("return document.querySelector('#adjust-score')?.textContent", seconds=90)
+    page.run("document.querySelector('#analysis').open = true")
     return page.run("return new URLSearchParams(location.search).get('job')")
 
 
@@ -306,4 +307,56 @@ def test_looks(show, client, width, height, scheme, language, tmp_path):
         "!(one.textContent.trim() || one.getAttribute('aria-label') || one.labels?.length)).map((one) => one.outerHTML)"
     )
     assert nameless == []
+    assert page.messages() == []
+
+
+def test_a_teacher_adds_notes_and_prints_what_a_pupil_needs(show, address, client, running):
+    """The first sheets have grade, advice, notes and worst moments; the analysis stays folded until it is opened."""
+    import base64
+
+    page = show(address, 1440, 900, "light", "en")
+    page.run("localStorage.removeItem('dousa_analysis')")
+    page.wait("return document.querySelector('#grade') && !document.querySelector('#grade').disabled")
+    page.find("#grade").click()
+    page.wait("return document.querySelector('#adjust-score')?.textContent", seconds=90)
+    job = page.run("return new URLSearchParams(location.search).get('job')")
+    assert not page.run("return document.querySelector('#analysis').open")
+    field = page.find("#notes")
+    field.send_keys("Softer knees. <b>See</b> you Monday.")
+    page.wait("return document.querySelector('[data-part=notes] .note').textContent !== ''", seconds=20)
+    assert client.ask("GET", f"/api/evaluations/{job}/report")["notes"] == "Softer knees. <b>See</b> you Monday."
+
+    page.driver.execute_cdp_cmd("Emulation.setEmulatedMedia", {"media": "print"})
+    seen = page.run("""
+        const shown = (one) => document.querySelector(one).getClientRects().length > 0;
+        return Object.fromEntries(['.head', '#analysis', '#notes', '.only-print', '[data-part=advice]',
+          '[data-part=moments]', '#player', 'body > .bar'].map((one) => [one, shown(one)]));
+    """)
+    page.driver.execute_cdp_cmd("Emulation.setEmulatedMedia", {"media": ""})
+    assert [name for name, shown in seen.items() if shown] == [
+        ".only-print",
+        "[data-part=advice]",
+        "[data-part=moments]",
+    ]
+    sheet = page.driver.execute_cdp_cmd("Page.printToPDF", {"printBackground": True})
+    assert 1 <= base64.b64decode(sheet["data"]).count(b"/Type /Page\n") <= 5
+
+    # They are still there after a reload, and in the report that is downloaded, as text.
+    page.driver.refresh()
+    page.wait("return document.querySelector('#notes')?.value", seconds=90)
+    assert page.run("return document.querySelector('#notes').value") == "Softer knees. <b>See</b> you Monday."
+    headers = {"authorization": f"Bearer {running.token}"}
+    request = urllib.request.Request(f"{running.url}/api/evaluations/{job}/report.html", headers=headers)
+    with urllib.request.urlopen(request) as answer:
+        assert "Softer knees. &lt;b&gt;See&lt;/b&gt; you Monday." in answer.read().decode()
+
+    # What lies open is remembered; nothing of the report lies over the rest.
+    page.run("document.querySelector('#analysis').open = true")
+    page.driver.refresh()
+    page.wait("return document.querySelector('#analysis')?.open", seconds=90)
+    over = """
+        return [...document.querySelectorAll('#report :is(td, th)')]
+          .filter((one) => ['absolute', 'fixed'].includes(getComputedStyle(one).position)).length
+    """
+    assert page.run(over) == 0
     assert page.messages() == []

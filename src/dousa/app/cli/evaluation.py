@@ -60,6 +60,10 @@ def evaluate(
         Path | None,
         typer.Option("--output", "-o", metavar="DIR", help="Write the report (HTML) and the curves (CSV) there."),
     ] = None,
+    notes: Annotated[
+        str | None,
+        typer.Option("--notes", metavar="TEXT", help="What you have to say of the performance; stands in the report."),
+    ] = None,
     *,
     judging_options: JudgingOptions,
     exercise_options: ExerciseOptions,
@@ -83,7 +87,9 @@ def evaluate(
 
     if performance is None:
         raise OptionError("evaluation_cli.no_performance")
-    check_exercise_options(exercise_options, {"--furi": judging_options.furi})
+    check_exercise_options(exercise_options, {"--furi": judging_options.furi, "--notes": notes})
+    if notes is not None and output is None:
+        raise OptionError("evaluation_cli.notes_without_output")
     check_beat_options(beat_options.music, beat_options.beats, beat_options.music_start, exercise_options.repetitions)
     if output is not None:
         check_folder(output)
@@ -94,7 +100,9 @@ def evaluate(
     if exercise_options.repetitions:
         evaluate_exercise(files, performance, options, judging_options, exercise_options, output=output, json=json)
     else:
-        _evaluate_dance(files, performance, options, judging_options, beat_options, output=output, json=json)
+        _evaluate_dance(
+            files, performance, options, judging_options, beat_options, output=output, notes=notes or "", json=json
+        )
 
 
 def _evaluate_dance(
@@ -105,6 +113,7 @@ def _evaluate_dance(
     music: BeatOptions,
     *,
     output: Path | None,
+    notes: str,
     json: bool,
 ) -> None:
     """Assess a dance as a whole; print a table or JSON, write the report."""
@@ -129,7 +138,7 @@ def _evaluate_dance(
             from dousa.app.report import write_report
 
             progress(len(references) + 1, len(references) + 2, Message("evaluation_cli.writing_report"))
-            page = write_report(done.assessment, output, language=get_language(), timing=timing)
+            page = write_report(done.assessment, output, language=get_language(), timing=timing, notes=notes)
     _warn(done)
     if json:
         print_json(_describe(done, page, judging.detail) | ({} if timing is None else {"beats": timing.to_json()}))

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from dousa.formats.motion_files import ReadOptions
 
 
-def check_exercise_options(options: ExerciseOptions, others: Mapping[str, Path | None]) -> None:
+def check_exercise_options(options: ExerciseOptions, others: Mapping[str, Path | str | None]) -> None:
     """Whether the options go together, before the long work.
 
     Raises

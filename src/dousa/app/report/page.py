@@ -79,7 +79,7 @@ def build_parts(assessment: Assessment, language: str, names: Collection[str] | 
 
 def build_frame(language: str) -> str:
     """The markup around the parts, which are empty: elements with ``data-part``."""
-    slots = dict.fromkeys((*PARTS, "header", "files", "beats"), "")
+    slots = dict.fromkeys((*PARTS, "header", "files", "beats"), "") | {"notes": '<section data-part="notes"></section>'}
     slots |= {f"text_{name}": escape(text) for name, text in load_section("report", language).items()}
     return fill_slots(read_file("report.html"), slots)
 
@@ -156,7 +156,11 @@ def _say_warnings(assessment: Assessment, language: str) -> tuple[str, ...]:
 
 
 def build_page(
-    assessment: Assessment, language: str, title: str | None = None, timing: BeatTiming | None = None
+    assessment: Assessment,
+    language: str,
+    title: str | None = None,
+    timing: BeatTiming | None = None,
+    notes: str = "",
 ) -> str:
     """The page.
 
@@ -166,6 +170,7 @@ def build_page(
     language : ``"en"`` or ``"ja"``.
     title : its title; None for who against whom.
     timing : of its accents against the beats of music, if there is any.
+    notes : what somebody says of the performance, in lines.
 
     Returns
     -------
@@ -186,6 +191,7 @@ def build_page(
         "title": escape(title),
         "files": _files(words),
         "beats": build_beats(timing, assessment.performance.duration, language),
+        "notes": _build_notes(notes, words),
         "data": format_player_data(collect_data(assessment, language)),
         "player_data": format_player_data(encode_player_data(assessment, language)),
         "player_style": read_player_style(),
@@ -205,6 +211,15 @@ def build_page(
     slots["font"] = font_rule(font)
     slots["report"] = fill_slots(read_file("report.html"), slots)
     return fill_slots(read_file("page.html"), slots)
+
+
+def _build_notes(notes: str, words: Mapping[str, str]) -> str:
+    """What somebody says of the performance, as a section; nothing where nothing is said."""
+    said = notes.strip()
+    if not said:
+        return ""
+    card = element("div", {"class": "card"}, inner=element("p", {"class": "notes-said"}, said))
+    return element("section", {"id": "notes"}, inner=element("h2", None, words["notes_title"]) + card)
 
 
 def collect_text(*markup: str) -> str:
@@ -232,6 +247,7 @@ def write_report(
     language: str = "en",
     title: str | None = None,
     timing: BeatTiming | None = None,
+    notes: str = "",
 ) -> Path:
     """Write ``report.html``, ``curves.csv`` and ``events.csv``.
 
@@ -242,6 +258,7 @@ def write_report(
     language : ``"en"`` or ``"ja"``, of the page and its sentences.
     title : of the page; None for who against whom.
     timing : accents against the beats of music, of `dousa.evaluation.assess_timing`; None for no section on it.
+    notes : what somebody, a teacher say, has to say of the performance; stands in the page as it is.
 
     Returns
     -------
@@ -253,7 +270,7 @@ def write_report(
     OptionError : a language that there is not, or a folder that cannot be made or written.
     """
     check_language(language)
-    page = build_page(assessment, language, title, timing)
+    page = build_page(assessment, language, title, timing, notes)
     home = Path(folder)
     contents = {
         CURVES_NAME: to_curves_csv(assessment),

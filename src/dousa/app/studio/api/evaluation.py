@@ -6,7 +6,7 @@ from typing import Annotated, Any, Literal
 from urllib.parse import quote
 
 from fastapi import APIRouter, Query
-from pydantic import Field
+from pydantic import BaseModel, ConfigDict, Field
 from starlette.responses import Response
 
 from dousa.app.studio.content.evaluations import (
@@ -61,9 +61,25 @@ def get_report(studio: StudioNow, job_id: str, language: _Language = "en") -> An
             "exact": True,
             "assessment": describe(ready, assessment, adjustment, language),
             "frame": build_frame(language),
+            "notes": studio.evaluations.read_notes(job_id),
             **_show(assessment, language),
         }
     )
+
+
+class NotesRequest(BaseModel):
+    """What somebody has to say of a performance."""
+
+    model_config = ConfigDict(extra="forbid")
+
+    notes: str = Field(max_length=20_000)
+
+
+@router.put("/evaluations/{job_id}/notes", summary="Say something of the performance")
+def put_notes(studio: StudioNow, job_id: str, wanted: NotesRequest) -> Answer:
+    """Kept with the evaluation; stands in its report."""
+    studio.evaluations.write_notes(job_id, wanted.notes)
+    return Answer({"notes": wanted.notes})
 
 
 @router.get("/evaluations/{job_id}/exercise", summary="The report of an exercise")
@@ -169,7 +185,8 @@ def _write(name: str, studio: Studio, job_id: str, language: Language) -> str | 
         return format_weights(adjustment.weights, adjustment.importance)
     assessment = ready.assess(adjustment)
     if name == "report.html":
-        return build_page(assessment, language).encode("utf-8", "replace")
+        notes = studio.evaluations.read_notes(job_id)
+        return build_page(assessment, language, notes=notes).encode("utf-8", "replace")
     return to_curves_csv(assessment) if name == "curves.csv" else to_events_csv(assessment, language)
 
 

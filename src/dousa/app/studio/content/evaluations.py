@@ -34,7 +34,7 @@ _LONGEST_S = 600.0  # s of a motion
 _MOST_WORK = 1.5e6  # s^2 of all pairs, since every take is compared with every other one: half a minute
 _WAIT = 120.0  # s for others whose evaluation is made again
 _SLACK_S = 0.1  # s that the last figure may end after the dance: people round
-_ADJUSTED, _PROGRESS = "adjusted.json", "progress"
+_ADJUSTED, _NOTES, _PROGRESS = "adjusted.json", "notes.txt", "progress"
 _MOST_ATTEMPTS = 30  # that are drawn
 _OTHER = 0.6  # of the performance
 
@@ -232,6 +232,20 @@ class Evaluations:
 
         with atomic_write(self._board.folder(self._done(job_id)) / _ADJUSTED) as file:
             file.write(json.dumps(adjustment.model_dump(include=_ADJUSTABLE)).encode())
+
+    def read_notes(self, job_id: str) -> str:
+        """What somebody says of the performance; empty where nothing is said."""
+        folder = self._board.folder(self._done(job_id))
+        with suppress(OSError):
+            return (folder / _NOTES).read_bytes().decode("utf-8", "replace")
+        return ""
+
+    def write_notes(self, job_id: str, notes: str) -> None:
+        """Keep them, for every page that shows the evaluation, and for its report."""
+        from dousa.files.disk import atomic_write
+
+        with atomic_write(self._board.folder(self._done(job_id)) / _NOTES) as file:
+            file.write(notes.encode("utf-8", "replace"))
 
     def compare_with_earlier(self, job_id: str) -> Progress | None:
         """This evaluation and those before it against the same reference, as they were asked for; None if it is the

@@ -82,7 +82,8 @@ function drawTools(job) {
     show("setup");
   };
   const files = h("details", { class: "menu" }, h("summary", { class: "button" }, t("download")), h("div", { class: "menu-list" }, ...downloadLinks(job)));
-  $("#tools").replaceChildren(h("button", { type: "button", id: "again", onclick: again }, t("change_motions")), h("a", { class: "button", href: "/evaluate" }, t("new_evaluation")), files);
+  const print = h("button", { type: "button", id: "print", onclick: () => window.print(), title: t("print_title") }, t("print"));
+  $("#tools").replaceChildren(h("button", { type: "button", id: "again", onclick: again }, t("change_motions")), h("a", { class: "button", href: "/evaluate" }, t("new_evaluation")), print, files);
   $("#tools").hidden = false;
 }
 

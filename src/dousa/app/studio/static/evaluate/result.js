@@ -4,9 +4,12 @@ import { get } from "../core/api.js";
 import { $, h, icon, language, t } from "../core/dom.js";
 import { Adjust } from "./adjust.js";
 import { Asking } from "./asking.js";
+import { putNotes } from "./notes.js";
 import { putParts } from "./parts.js";
 
 const FILES = { "report.html": "report", "curves.csv": "curves", "events.csv": "events", "furi.txt": "furi", "weights.toml": "weights" };
+
+const FOLD = "dousa_analysis"; // whether somebody opened it last time
 
 const EXERCISE_FILES = { "exercise.html": "report", "repetitions.csv": "repetitions" };
 
@@ -32,6 +35,8 @@ export class Result {
     onArrival();
     this.root.innerHTML = answer.frame;
     putParts(this.root, answer.parts);
+    this.keepNotes = putNotes($("[data-part='notes']", this.root), job, answer.notes);
+    this.foldAnalysis();
     this.foldForPhones();
     $("[data-part='files']", this.root).replaceChildren(h("span", { class: "row" }, ...downloadLinks(wanted)));
     this.data = answer.data;
@@ -46,7 +51,7 @@ export class Result {
       onProblem: (error) => this.adjust.refuse(error),
       onBusy: (busy) => this.root.setAttribute("aria-busy", String(busy)),
     });
-    $("#analysis", this.root).after(this.adjust.element);
+    $("[data-part='facts']", this.root).after(this.adjust.element);
     this.showProgress(job, mine);
     this.endTime = this.player.onTime((seconds) => this.followPlayer(seconds));
     this.followPlayer(this.player.time);
@@ -82,6 +87,17 @@ export class Result {
     this.adjust.take(answer);
   }
 
+  /** Advice, player and worst moments are for everybody; what they rest on is there for who opens it. */
+  foldAnalysis() {
+    const head = $("#analysis", this.root);
+    const rest = [];
+    for (let next = head.nextElementSibling; next; next = next.nextElementSibling) rest.push(next);
+    const title = $("h2", head);
+    const fold = h("details", { class: "analysis", id: "analysis", open: localStorage.getItem(FOLD) === "open" }, h("summary", {}, title), ...[...head.children].filter((one) => one !== title), ...rest);
+    fold.addEventListener("toggle", () => localStorage.setItem(FOLD, fold.open ? "open" : "closed"));
+    head.replaceWith(fold);
+  }
+
   // On a phone the pictures of all figures would be a long way to scroll: the first one stays open.
   foldForPhones() {
     if (window.innerWidth >= 700) return;
@@ -106,12 +122,13 @@ export class Result {
 
   clear() {
     this.turn = null;
+    this.keepNotes?.();
     this.asking?.end();
     this.endTime?.();
     this.report?.unbind();
     this.adjust?.destroy();
     this.player?.destroy();
-    Object.assign(this, { asking: null, endTime: null, report: null, adjust: null, player: null });
+    Object.assign(this, { asking: null, keepNotes: null, endTime: null, report: null, adjust: null, player: null });
     this.root.replaceChildren();
   }
 }
