@@ -152,11 +152,30 @@ def test_the_jobs_are_reached_and_left_by_keyboard(settled, running):
     studio.jobs.submit("train", {"feature_set": "extended", "n_trees": 1}, "moves.dousa")
     page.find("#jobs-button").send_keys(KEYS.ENTER)
     page.wait("return document.querySelector('#jobs-tray .job[data-state=done]')", seconds=90)
+    assert "took" in page.run("return document.querySelector('.job-times').textContent")
     page.press(KEYS.TAB)
     assert page.run("return document.activeElement.closest('#jobs-tray') !== null")
     page.press(KEYS.ESCAPE)
     assert page.run("return document.activeElement.id") == "jobs-button"
     assert page.run("return document.querySelector('#jobs-tray').hidden")
+
+
+def test_finished_jobs_are_cleared_and_results_stay(settled, running):
+    """What was trained and what failed are lines of the past; an evaluation is something to come back to."""
+    from dousa.app.studio.jobs.board import Job
+
+    page = settled("/library")
+    board = running.app.state.studio.jobs
+    for number, (kind, state) in enumerate([("train", "done"), ("add", "failed"), ("evaluate", "done")]):
+        job = Job(f"{number:016x}", kind, kind, {}, state=state, started_s=1.0, finished_s=63.0, result={})
+        board._jobs[job.id] = job
+    page.find("#jobs-button").click()
+    page.wait("return document.querySelectorAll('#jobs-tray .job').length === 3", seconds=20)
+    assert page.run("return document.querySelector('.job-times').textContent") == "took 1:02"
+    page.find("#jobs-clear").click()
+    page.wait("return document.querySelectorAll('#jobs-tray .job').length === 1", seconds=20)
+    assert [job.kind for job in board.all()] == ["evaluate"]
+    assert page.messages() == []
 
 
 def test_two_requests_that_fail_for_one_reason_say_it_once_and_in_japanese(settled):

@@ -2,6 +2,7 @@
 
 import { get, post } from "./api.js";
 import { $, h, icon, language, t } from "./dom.js";
+import { keepTimes, sayTimes, tellEnds, tellSwitch } from "./job_news.js";
 import { forgetJob, isActive, resumeJob, stopJob, watchJobs } from "./jobs.js";
 import { attempt, notify } from "./notices.js";
 
@@ -93,18 +94,37 @@ function describeJob(job) {
     h("header", {}, h("b", {}, t("job_title", { kind: t(`kind_${job.kind}`), title: job.title })), h("span", { class: "state" }, t(`state_${job.state}`))),
     isActive(job) ? h("progress", { max: String(Math.max(job.total, 1)), value: job.total && job.done ? String(job.done) : null, "aria-label": t(`kind_${job.kind}`) }) : null,
     isActive(job) && job.what ? h("p", { class: "what" }, job.total ? `${job.what} (${job.done}/${job.total})` : job.what) : null,
+    h("p", { class: "what job-times", dataset: { job: job.id } }, sayTimes(job)),
     job.problem ? h("p", { class: "problem-box" }, job.problem) : null,
     h("div", { class: "actions" }, ...actions),
   );
 }
 
+// Labels, evaluations and estimates are results to come back to; of the others nothing but a line is left.
+const canBeCleared = (job) => !isActive(job) && (job.state !== "done" || ["add", "train", "export"].includes(job.kind));
+
+async function clearEnded(ended) {
+  for (const job of ended) await forgetJob(job.id);
+}
+
+function describeTray(jobs) {
+  const ended = jobs.filter(canBeCleared);
+  const clear = ended.length > 1 ? h("button", { type: "button", class: "small", id: "jobs-clear", title: t("jobs_clear_title"), onclick: () => attempt(() => clearEnded(ended)) }, t("jobs_clear", { count: ended.length })) : null;
+  return h("div", { class: "row tray-tools" }, ...[tellSwitch(), clear].filter(Boolean));
+}
+
+let shown = [];
+keepTimes(tray, () => shown);
+
 watchJobs((jobs) => {
+  shown = jobs;
+  tellEnds(jobs);
   const active = jobs.filter(isActive).length;
   trayButton.classList.toggle("busy", active > 0);
   $("#jobs-count").hidden = !active;
   $("#jobs-count").textContent = String(active);
   const place = focusedPlace();
-  tray.replaceChildren(...(jobs.length ? jobs.slice(0, 30).map(describeJob) : [h("p", {}, t("jobs_none"))]), space);
+  tray.replaceChildren(...(jobs.length ? [describeTray(jobs), ...jobs.slice(0, 30).map(describeJob)] : [h("p", {}, t("jobs_none"))]), space);
   if (place) focusAgain(place);
 });
 
