@@ -26,7 +26,8 @@ from dousa.retrieval.forest.evidence import (
     Judgement,
     VoteScale,
     gather_evidence,
-    measure_usual,
+    learn_usual,
+    relate_to_usual,
     spread_curve,
 )
 from dousa.retrieval.forest.forest_file import pack_arrays
@@ -51,7 +52,7 @@ CALIBRATION = Calibration(
     KNOWN,
     KNOWN,
     SPACE,
-    measure_usual(SPACE, FEATURES, CATEGORIES),
+    np.column_stack([np.linspace(0.7, 0.9, 8), np.linspace(1.0, 2.0, 8)]),
     0.5,
     0.9,
     0.1,
@@ -161,10 +162,10 @@ class TestEvidence:
     def test_equals_the_slow_transcription(self, material):
         features, categories, kept, forest, _ = material
         space = fit_pose_space(features[kept], categories[kept])
-        usual = measure_usual(space, features[kept], categories[kept])
         guess, scores = VoteScale(forest).measure(forest.apply(features[::5]))
-        evidence, has_poses = gather_evidence(scores, space, usual, features[::5], forest.classes_[guess])
+        evidence, has_poses, places = gather_evidence(scores, space, features[::5], forest.classes_[guess])
         assert has_poses.all()
+        assert np.array_equal(space.categories[places], forest.classes_[guess])
         placed, own = space.place(features[kept]).tolist(), categories[kept].tolist()
         centres = {
             name: slow.middle_of([p for p, o in zip(placed, own, strict=True) if o == name]) for name in set(own)
@@ -175,23 +176,37 @@ class TestEvidence:
             name = str(forest.classes_[number])
             assert said["cosine"] == pytest.approx(cosines.pop(name))
             assert said["pose_lead"] == pytest.approx(said["cosine"] - max(cosines.values()))
-            alone = [p for p, o in zip(placed, own, strict=True) if o == name]
-            each = [slow.cosine(p, slow.middle_of(alone[:k] + alone[k + 1 :])) for k, p in enumerate(alone)]
-            every = []
-            for other in centres:
-                group = [p for p, o in zip(placed, own, strict=True) if o == other]
-                every += [slow.cosine(p, slow.middle_of(group[:k] + group[k + 1 :])) for k, p in enumerate(group)]
-            wanted = (sum(each) + 2 * float(np.median(every))) / (len(each) + 2)
-            assert said["typical"] == pytest.approx(said["cosine"] - wanted)
+            far = float(np.linalg.norm(np.array(place) - np.array(centres[name])))
+            assert said["distance"] == pytest.approx(np.log(far))
             assert said["log_lead"] == pytest.approx(
                 np.log((said["share"] + 0.02) / (said["share"] - said["lead"] + 0.02))
             )
+
+    def test_what_is_usual_is_learned_from_right_guesses_and_for_each_clip_without_it(self):
+        rng = np.random.default_rng(0)
+        values, names = rng.normal(size=(40, 2)), np.array(["a", "b", "c", "d"])
+        evidence = np.zeros((40, len(EVIDENCE)))
+        places = [EVIDENCE.index("cosine"), EVIDENCE.index("distance")]
+        evidence[:, places] = values
+        guess, right = names[rng.integers(0, 3, 40)], rng.random(40) < 0.7
+        usual, own = learn_usual(evidence, guess, right, names)
+        middle = np.median(values[right], axis=0)
+        for place, name in enumerate(names):
+            inside = values[right & (guess == name)]
+            assert usual[place] == pytest.approx((inside.sum(axis=0) + 3 * middle) / (len(inside) + 3))
+        for row in range(40):
+            others = right & (guess == guess[row]) & (np.arange(40) != row)
+            assert own[row] == pytest.approx((values[others].sum(axis=0) + 3 * middle) / (others.sum() + 3))
+        assert usual[3] == pytest.approx(middle)  # never guessed
+        related = relate_to_usual(evidence, own)
+        assert related[:, EVIDENCE.index("typical")] == pytest.approx(values[:, 0] - own[:, 0])
+        assert related[:, EVIDENCE.index("near")] == pytest.approx(own[:, 1] - values[:, 1])
 
     def test_a_category_that_came_later_has_what_is_usual(self):
         more = CALIBRATION.with_clips(FEATURES[:4], np.repeat("new", 4))
         places = np.searchsorted(more.poses.categories, CALIBRATION.poses.categories)
         assert np.array_equal(more.usual[places], CALIBRATION.usual)
-        assert more.usual[np.searchsorted(more.poses.categories, "new")] == np.median(CALIBRATION.usual)
+        assert more.usual[np.searchsorted(more.poses.categories, "new")] == pytest.approx([0.8, 1.5])
 
 
 class TestLearning:
@@ -212,6 +227,21 @@ class TestLearning:
             said.append(abs(verdicts.confidence.mean() - right.mean()))
         assert said[1] < said[0]
         assert said[1] < 0.1
+
+    def test_what_is_less_sure_than_most_of_those_held_back_is_unknown(self):
+        """Categories far apart: the curves alone would call motions known that lie far from all of them."""
+        features, categories, performers = make_clips(8, 4, 4, spread=0.3)
+        again = features + 0.3 * np.random.default_rng(5).normal(size=features.shape)
+        forest = MotionForest(30, random_state=0).fit(features, categories)
+        copies = Copies(np.arange(len(again)), again)
+        calibration = learn_calibration(forest, features, categories, performers, copies=copies)
+        assert 0.5 < calibration.threshold <= 0.9
+        assert calibration.false_alarms < 0.05
+        between = 0.5 * (features[:-16] + features[16:])  # of two categories
+        own, strange = (Assessor(forest, calibration).assess(forest.apply(some), some) for some in (features, between))
+        assert own.unknown.mean() < 0.05
+        assert np.array_equal(strange.unknown, strange.confidence < calibration.threshold)
+        assert strange.unknown.mean() > 0.95 > (strange.confidence < 0.5).mean()
 
     def test_copies_are_those_of_their_rows(self):
         copies = Copies(np.array([1, 4, 6]), FEATURES[:3])
@@ -399,6 +429,27 @@ class TestStorage:
         text = np.array(json.dumps({**curves, **numbers}))
         with pytest.raises(DousaError, match="retrain"):
             Calibration.from_bytes(pack_arrays({"numbers": text, **SPACE.to_arrays()}))
+
+    def test_of_a_dousa_that_measured_no_distance(self, material):
+        features, _, _, forest, _ = material
+        curve = {"intercept": -1.0, "slopes": [0.5, 1.0, 0.0, 0.3, 0.2, 0.0, 2.0, 1.5]}
+        judgement = {"by_votes": curve, "by_poses": curve}
+        text = np.array(json.dumps({**CALIBRATION.to_json(), "known": judgement, "sure": judgement}))
+        usual = np.linspace(0.5, 0.9, 8)
+        earlier = Calibration.from_bytes(pack_arrays({"numbers": text, **SPACE.to_arrays(), "usual": usual}))
+        leaves = forest.apply(features)
+        verdicts = Assessor(forest, earlier).assess(leaves, features)
+        guess, scores = VoteScale(forest).measure(leaves)
+        cosines = SPACE.compare_all(SPACE.place(features))
+        own, rows = np.searchsorted(SPACE.categories, forest.classes_[guess]), np.arange(len(guess))
+        best = cosines[rows, own]
+        cosines[rows, own] = -1.0
+        share, around, lead = scores.T
+        odds = -1.0 + 0.5 * share + around + 0.3 * np.log(share + 0.02)
+        odds += 0.2 * np.log((share + 0.02) / (share - lead + 0.02))
+        odds += 2.0 * (best - usual[own]) + 1.5 * (best - cosines.max(axis=1))
+        assert verdicts.confidence == pytest.approx(1 / (1 + np.exp(-odds)))
+        assert Calibration.from_bytes(earlier.to_bytes()).to_bytes() == earlier.to_bytes()
 
     @given(st.integers(0, 10**6), st.integers(0, 255))
     @settings(max_examples=60, deadline=None)

@@ -10,7 +10,9 @@ may be further from each other than a new one is from them.
 Logistic curves over the evidence then give two probabilities, for somebody who does not know beforehand whether the
 library knows the action, one motion in ten or so being of no category that it knows: that the motion is known, and
 that the guess is right. The curves stay near those learned over several sets where a library has little to learn from.
-Where the guess is more likely wrong than right, the motion is called unknown.
+Where the guess is more likely wrong than right, the motion is called unknown; and also where it is less sure than 95 %
+of the right guesses on disturbed motions of people held back, though not above 0.9. A library whose categories are far
+apart is sure of all of them, and nothing that it holds back lies between: what does is a stranger of another kind.
 """
 
 from __future__ import annotations
@@ -32,7 +34,8 @@ from dousa.retrieval.forest.evidence import (
     VoteScale,
     fit_judgement,
     gather_evidence,
-    measure_usual,
+    learn_usual,
+    relate_to_usual,
     spread_curve,
 )
 from dousa.retrieval.forest.forest import MotionForest
@@ -54,7 +57,8 @@ _MOST_JUDGED = 500  # clips that are known, and as many that are not, in a round
 _MOST_BETWEEN = 250
 _COPY_WEIGHT = 2 / 3
 _SAME_HEIGHT = 0.04  # m
-_THRESHOLD = 0.5
+_THRESHOLDS = (0.5, 0.9)  # the lowest and the highest
+_LOST = 0.05  # of the right guesses on disturbed motions of people held back that are called unknown, if it is more
 STRANGERS = 0.1
 """Motions of no category that the library knows, for each one of a known category."""
 
@@ -62,17 +66,17 @@ _WHAT = Message("stored.calibration")
 Watch = Callable[[int, MotionForest, IndexArray, IndexArray, IndexArray], None]
 """Looks at a round: its number, its forest, and the clips that train it, that are known, and that are unknown."""
 
-_COLUMNS = ("around", "log_share", "log_lead", "typical", "pose_lead")
-# Fitted to libraries of one and of two of HDM05, UTD-MHAD, Bandai and UTKinect, each asked by its rounds, and with half
-# the weight of its strangers by the clips of the other sets. With any one of the four left out of the fit, the curves
-# were nearly as good on it as those that its own library learned (docs/confidence.md).
+_COLUMNS = ("around", "log_share", "log_lead", "typical", "pose_lead", "near")
+# Fitted to libraries of HDM05, UTD-MHAD, Bandai and UTKinect, each with one person left out, asked by their rounds, and
+# by the clips of the other three sets that mean something else, at half the weight of the strangers of the rounds. With
+# any one of the four left out of the fit, the curves were nearly as good on it (docs/confidence.md).
 KNOWN_PRIOR = Judgement(
-    spread_curve(Curve(0.9, (2.81, 0.81, 0.68)), _COLUMNS[:3]),
-    spread_curve(Curve(1.26, (2.14, 0.32, 0.62, 2.58, 0.0)), _COLUMNS),
+    spread_curve(Curve(2.21, (3.08, 2.2, 0.0)), _COLUMNS[:3]),
+    spread_curve(Curve(2.93, (1.56, 1.2, 0.0, 5.27, 0.0, 0.3)), _COLUMNS),
 )
 SURE_PRIOR = Judgement(
-    spread_curve(Curve(0.05, (3.37, 1.14, 1.14)), _COLUMNS[:3]),
-    spread_curve(Curve(0.66, (1.87, 0.32, 0.84, 5.68, 2.32)), _COLUMNS),
+    spread_curve(Curve(0.67, (3.49, 1.94, 0.74)), _COLUMNS[:3]),
+    spread_curve(Curve(2.06, (1.16, 0.7, 0.4, 5.03, 1.49, 2.27)), _COLUMNS),
 )
 _JUDGEMENTS = ("known", "sure")
 _NUMBERS = ("threshold", "auroc", "false_alarms", "misses")
@@ -123,7 +127,8 @@ class Calibration:
     known : does it belong to any category of the forest?
     sure : is the guess right?
     poses : in which poses are compared.
-    usual : (C,) cosine that is usual for a clip of each category, in the order of ``poses``.
+    usual : (C, 2) cosine, and logarithm of the distance, that are usual for a clip of each category, in the order of
+        ``poses``, by somebody who did not train it.
     threshold : a clip whose guess has a smaller probability to be right is called unknown.
     auroc : over the rounds, how well ``known`` told held back categories from the others; 0.5 to 1.
     false_alarms, misses : over the rounds, the share of known clips called unknown, and of unknown ones called known.
@@ -141,7 +146,7 @@ class Calibration:
     def with_clips(self, features: FloatArray, categories: ArrayLike) -> Calibration:
         """The calibration of a forest that has taken up clips (M, T, F) of categories (M,), old or new."""
         poses = self.poses.with_clips(features, np.asarray(categories))
-        usual = np.full(len(poses.categories), np.median(self.usual))
+        usual = np.tile(np.median(self.usual, axis=0), (len(poses.categories), 1))
         usual[np.searchsorted(poses.categories, self.poses.categories)] = self.usual
         return replace(self, poses=poses, usual=usual)
 
@@ -161,7 +166,9 @@ class Calibration:
         arrays = unpack_arrays(data, {"numbers", *ARRAYS}, _WHAT, ("usual",))
         poses = PoseSpace.from_arrays(arrays, _WHAT)
         usual = arrays.get("usual", np.zeros(len(poses.categories)))
-        check(usual.shape == poses.categories.shape and usual.dtype == np.float64, _WHAT, "bad cosines")
+        if usual.ndim == 1:  # an earlier dousa knew no distance
+            usual = np.stack([usual, np.zeros_like(usual)], axis=1)
+        check(usual.shape == (len(poses.categories), 2) and usual.dtype == np.float64, _WHAT, "bad cosines")
         check(bool(np.isfinite(usual).all()), _WHAT, "bad cosines")
         try:
             written = json.loads(str(arrays["numbers"]))
@@ -226,7 +233,8 @@ class Assessor:
         """
         guess, scores = self.scale.measure(leaves)
         calibration, names = self.calibration, self.forest.classes_[guess]
-        evidence, has_poses = gather_evidence(scores, calibration.poses, calibration.usual, features, names)
+        seen, has_poses, places = gather_evidence(scores, calibration.poses, features, names)
+        evidence = relate_to_usual(seen, calibration.usual[places])
         known = calibration.known.evaluate(evidence, has_poses)
         confidence = np.minimum(calibration.sure.evaluate(evidence, has_poses), known)
         return Verdicts(guess, known, confidence, confidence < calibration.threshold)
@@ -286,7 +294,7 @@ def learn_calibration(
     if not seen:
         raise TrainingError("calibration.clips")
     space = judge.fit_space(np.arange(len(labels)))
-    return _summarise(seen, space, measure_usual(space, features, labels))
+    return _summarise(seen, space)
 
 
 def guess_performers(heights: ArrayLike) -> tuple[str, ...]:
@@ -308,9 +316,10 @@ _UNKNOWN, _KNOWN, _BETWEEN = range(3)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Round:
-    """Motions that were asked about: evidence (M, 8), kinds, which are copies, and which guesses are right (M,)."""
+    """Motions that were asked about: evidence (M, 10), and guesses, kinds, which are copies or guessed right (M,)."""
 
     evidence: FloatArray
+    guess: NDArray[Any]
     kinds: IndexArray
     copied: BoolArray
     right: BoolArray
@@ -386,28 +395,31 @@ class _Judge:
         guess, scores = said
         features, labels, kinds, copied = self._choose(number, known, unknown)
         space = self.fit_space(train)
-        usual = measure_usual(space, self.features[train], self.labels[train])
-        evidence, _ = gather_evidence(scores, space, usual, features, guess)
-        return _Round(evidence, kinds, copied, (guess == labels) & (kinds == _KNOWN))
+        evidence, _, _ = gather_evidence(scores, space, features, guess)
+        return _Round(evidence, guess, kinds, copied, (guess == labels) & (kinds == _KNOWN))
 
 
-def _summarise(rounds: list[_Round], poses: PoseSpace, usual: FloatArray) -> Calibration:
-    evidence, kinds, copied, right = (
-        np.concatenate([getattr(one, name) for one in rounds]) for name in ("evidence", "kinds", "copied", "right")
+def _summarise(rounds: list[_Round], poses: PoseSpace) -> Calibration:
+    seen, guess, kinds, copied, right = (
+        np.concatenate([getattr(one, name) for one in rounds])
+        for name in ("evidence", "guess", "kinds", "copied", "right")
     )
-    weights = _weigh(kinds, copied)
+    usual, own = learn_usual(seen, guess, right & ~copied, poses.categories)
+    evidence, weights = relate_to_usual(seen, own), _weigh(kinds, copied)
     known = fit_judgement(evidence, kinds == _KNOWN, weights, KNOWN_PRIOR)
     sure = fit_judgement(evidence, right, weights, SURE_PRIOR)
+    confidence = np.minimum(sure.by_poses.evaluate(evidence), known.by_poses.evaluate(evidence))
+    harder = right & copied if (right & copied).any() else right
+    threshold = float(np.clip(np.quantile(confidence[harder], _LOST), *_THRESHOLDS)) if right.any() else _THRESHOLDS[0]
     plain = ~copied & (kinds != _BETWEEN)
-    belongs, seen = kinds[plain] == _KNOWN, evidence[plain]
-    called = sure.by_poses.evaluate(seen) >= _THRESHOLD
+    belongs, called = kinds[plain] == _KNOWN, confidence[plain] >= threshold
     return Calibration(
         known=known,
         sure=sure,
         poses=poses,
         usual=usual,
-        threshold=_THRESHOLD,
-        auroc=compute_auroc(known.by_poses.evaluate(seen), belongs),
+        threshold=threshold,
+        auroc=compute_auroc(known.by_poses.evaluate(evidence[plain]), belongs),
         false_alarms=float(1.0 - called[belongs].mean()),
         misses=float(called[~belongs].mean()) if not belongs.all() else 0.0,
     )

@@ -4,7 +4,9 @@
 - *around*: how many clips of that category stand in the clip's leaves, in proportion to how many usually stand around
   one of its own clips (Breiman's proximity, section 10 of "Random forests", Machine Learning 45, 2001);
 - *cosine*: how well its poses go with those of the category (``pose_space``); *typical*: the same, less what is usual
-  for a clip of that category; *pose_lead*: less what it is for the best other category.
+  for a clip of that category by somebody else; *pose_lead*: less what it is for the best other category;
+- *distance*: the logarithm of how far its poses are from the centre of the category; *near*: how much less that is than
+  usual for a clip of that category by somebody else.
 
 How much each of them says is learned (``calibration``). Here are also the judgements that weigh them.
 """
@@ -27,12 +29,15 @@ from dousa.retrieval.forest.pose_space import Curve, PoseSpace, fit_weighted_cur
 OF_VOTES = ("share", "around", "lead", "log_share", "log_lead")
 """Columns of evidence that need no poses."""
 
-EVIDENCE: tuple[str, ...] = (*OF_VOTES, "cosine", "typical", "pose_lead")
-"""All columns."""
+EVIDENCE: tuple[str, ...] = (*OF_VOTES, "cosine", "typical", "pose_lead", "distance", "near")
+"""All columns; those of earlier libraries end before the distance."""
+
+_OF_POSES = ("cosine", "distance")  # what has a usual value in each category
+_EARLIER = 8  # columns, before there was a distance
 
 _LEAST_SHARE = 0.02
 _LEAST_USUAL = 1e-3
-_USUAL_WEIGHT = 2.0  # clips of the usual category that stand beside those of each
+_USUAL_WEIGHT = 3.0  # clips of the usual category that stand beside those of each
 
 
 class VoteScale:
@@ -82,34 +87,53 @@ class VoteScale:
         return guess, np.stack([first, around, first - second], axis=1)
 
 
-def measure_usual(space: PoseSpace, features: FloatArray, categories: NDArray[Any]) -> FloatArray:
-    """How near a clip of each category usually is to the others of it: a cosine (C,), in the order of the space.
+def learn_usual(
+    evidence: FloatArray, guess: NDArray[Any], right: BoolArray, categories: NDArray[Any]
+) -> tuple[FloatArray, FloatArray]:
+    """What cosine and distance are usual for a clip of each category, by somebody who did not train it.
 
     Parameters
     ----------
-    space : in which clips (N, T, F) of categories (N,) stand, and perhaps others.
+    evidence, guess : (N, 10) and (N,) categories, of clips held back.
+    right : (N,) those from which it is learned: clips of people held back whose guess is right.
+    categories : (C,) sorted.
+
+    Returns
+    -------
+    usual : (C, 2) cosine, and logarithm of the distance; categories that were seldom guessed are like the others.
+    own : (N, 2) for each clip, learned without it.
     """
-    placed, own = space.place(features), np.searchsorted(space.categories, categories)
-    centres = space.sums[own] - placed
-    lengths = np.linalg.norm(placed, axis=1) * np.linalg.norm(centres, axis=1)
-    cosines = np.einsum("nk,nk->n", placed, centres) / np.maximum(lengths, 1e-9)
-    paired = space.counts[own] > 1
-    middle = float(np.median(cosines[paired])) if paired.any() else 1.0
-    count = len(space.categories)
-    sums, sizes = (np.bincount(own[paired], weights, count) for weights in (cosines[paired], None))
+    values = evidence[:, [EVIDENCE.index(name) for name in _OF_POSES]]
+    rows, weight = np.searchsorted(categories, guess), right.astype(np.float64)
+    middle = np.median(values[right], axis=0) if right.any() else np.array([1.0, 0.0])
+    sizes = np.bincount(rows, weight, len(categories))[:, None]
+    sums = np.stack([np.bincount(rows, weight * column, len(categories)) for column in values.T], axis=1)
     usual: FloatArray = (sums + _USUAL_WEIGHT * middle) / (sizes + _USUAL_WEIGHT)
-    return usual
+    without = sums[rows] - weight[:, None] * values + _USUAL_WEIGHT * middle
+    own: FloatArray = without / (sizes[rows] - weight[:, None] + _USUAL_WEIGHT)
+    return usual, own
+
+
+def relate_to_usual(evidence: FloatArray, usual: FloatArray) -> FloatArray:
+    """The evidence (N, 10) with what it is relative to usual values (N, 2) of ``learn_usual``."""
+    related = evidence.copy()
+    cosine, distance = (evidence[:, EVIDENCE.index(name)] for name in _OF_POSES)
+    related[:, EVIDENCE.index("typical")] = cosine - usual[:, 0]
+    related[:, EVIDENCE.index("near")] = usual[:, 1] - distance
+    return related
 
 
 def gather_evidence(
-    scores: FloatArray, space: PoseSpace, usual: FloatArray, features: FloatArray | None, guess: NDArray[Any]
-) -> tuple[FloatArray, BoolArray]:
-    """Evidence (N, 8) on guesses, and which of them (N,) have all of it: the poses of a category may be missing.
+    scores: FloatArray, space: PoseSpace, features: FloatArray | None, guess: NDArray[Any]
+) -> tuple[FloatArray, BoolArray, IndexArray]:
+    """Evidence (N, 10) on guesses, not yet related to what is usual, and which of them (N,) have all of it.
+
+    The poses of a category may be missing. The third is the place (N,) of each category in the space.
 
     Parameters
     ----------
     scores : (N, 3) of ``VoteScale.measure``.
-    space, usual : with the cosines (C,) that are usual for its categories.
+    space : of the poses.
     features : (N, T, F); None where poses are not looked at.
     guess : (N,) categories.
     """
@@ -118,15 +142,18 @@ def gather_evidence(
     evidence = np.zeros((len(scores), len(EVIDENCE)))
     evidence[:, : len(OF_VOTES)] = np.column_stack([share, around, lead, *logs])
     has_poses = np.zeros(len(scores), bool)
+    places = np.minimum(np.searchsorted(space.categories, guess), len(space.categories) - 1)
     if features is not None and len(scores):
-        places = np.minimum(np.searchsorted(space.categories, guess), len(space.categories) - 1)
         has_poses = space.categories[places] == guess
-        cosines = space.compare_all(features)
+        placed = space.place(features)
+        cosines = space.compare_all(placed)
         rows = np.arange(len(scores))
         own = cosines[rows, places]
         cosines[rows, places] = -1.0
-        evidence[:, len(OF_VOTES) :] = np.column_stack([own, own - usual[places], own - cosines.max(axis=1)])
-    return evidence, has_poses
+        evidence[:, EVIDENCE.index("cosine")] = own
+        evidence[:, EVIDENCE.index("pose_lead")] = own - cosines.max(axis=1)
+        evidence[:, EVIDENCE.index("distance")] = space.measure_distances(placed, places)
+    return evidence, has_poses, places
 
 
 @dataclass(frozen=True, slots=True)
@@ -143,7 +170,7 @@ class Judgement:
     by_poses: Curve
 
     def evaluate(self, evidence: FloatArray, has_poses: BoolArray) -> FloatArray:
-        """Probabilities (N,) of evidence (N, 8)."""
+        """Probabilities (N,) of evidence (N, 10)."""
         return np.where(has_poses, self.by_poses.evaluate(evidence), self.by_votes.evaluate(evidence))
 
     def to_json(self) -> dict[str, Any]:
@@ -153,7 +180,12 @@ class Judgement:
     @classmethod
     def from_json(cls, data: Mapping[str, Any]) -> Judgement:
         """What ``to_json`` gave; KeyError, TypeError or ValueError where it is anything else."""
-        return cls(*(read_curve(data[name], len(EVIDENCE)) for name in ("by_votes", "by_poses")))
+        curves = []
+        for name in ("by_votes", "by_poses"):
+            count = _EARLIER if len(data[name]["slopes"]) == _EARLIER else len(EVIDENCE)
+            curve = read_curve(data[name], count)
+            curves.append(spread_curve(curve, EVIDENCE[:count]))
+        return cls(*curves)
 
 
 def spread_curve(curve: Curve, columns: Sequence[str]) -> Curve:
@@ -163,7 +195,7 @@ def spread_curve(curve: Curve, columns: Sequence[str]) -> Curve:
 
 
 _VOTE_COLUMNS = ("around", "log_share", "log_lead")
-_POSE_COLUMNS = (*_VOTE_COLUMNS, "typical", "pose_lead")
+_POSE_COLUMNS = (*_VOTE_COLUMNS, "typical", "pose_lead", "near")
 
 
 def fit_judgement(evidence: FloatArray, positive: BoolArray, weights: FloatArray, prior: Judgement) -> Judgement:
@@ -171,7 +203,7 @@ def fit_judgement(evidence: FloatArray, positive: BoolArray, weights: FloatArray
 
     Parameters
     ----------
-    evidence : (N, 8), of guesses with poses.
+    evidence : (N, 10), of guesses with poses.
     positive, weights : (N,).
     prior : what was learned over several sets.
     """

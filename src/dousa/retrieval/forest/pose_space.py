@@ -69,11 +69,16 @@ class PoseSpace:
         cosine = np.einsum("nk,nk->n", placed, centres) / np.maximum(lengths, _TINY)
         return np.where(self.categories[rows] == categories, np.clip(cosine, -1.0, 1.0), np.nan)
 
-    def compare_all(self, features: FloatArray) -> FloatArray:
-        """The cosines (N, C) of the angles between clips and the centres of all categories."""
-        placed = self.place(features)
+    def compare_all(self, placed: FloatArray) -> FloatArray:
+        """The cosines (N, C) of the angles between clips, placed (N, K), and the centres of all categories."""
         lengths = np.outer(np.linalg.norm(placed, axis=1), np.linalg.norm(self.sums, axis=1))
         return np.clip(placed @ self.sums.T / np.maximum(lengths, _TINY), -1.0, 1.0)
+
+    def measure_distances(self, placed: FloatArray, rows: IntArray) -> FloatArray:
+        """Logarithms (N,) of the distances of clips, placed (N, K), from the centres of categories ``rows`` (N,)."""
+        centres = self.sums / np.maximum(self.counts, 1)[:, None]
+        distances: FloatArray = np.log(np.linalg.norm(placed - centres[rows], axis=1) + _TINY)
+        return distances
 
     def with_clips(self, features: FloatArray, categories: NDArray[Any]) -> PoseSpace:
         """The same space with more clips in it, of categories old or new."""
