@@ -7,6 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from oracles.short_actions import ACTIONS, make_clip
+from oracles.slow_tallies import measure_tallies as measure_slowly
 from oracles.standing import standing
 
 from dousa.motion.canonical.joints import JOINT_INDEX
@@ -19,7 +20,7 @@ from dousa.retrieval.counting.counter import (
     name_evidence,
     use_weights,
 )
-from dousa.retrieval.counting.tallies import COUNTED, TALLIES, correlate, count_swings, measure_tallies
+from dousa.retrieval.counting.tallies import COUNTED, TALLIES, correlate, count_swings, measure_tallies, read_quantile
 
 HEIGHT = 1.7
 
@@ -49,6 +50,22 @@ def alternate_arms(times, seconds=0.8):
 )
 def test_made_cycles_are_counted(times, options):
     assert count_repetitions(raise_arms(times, **options), HEIGHT) == times
+
+
+@pytest.mark.parametrize("noise", [0.0, 0.004, 0.03])
+def test_tallies_are_those_of_the_slow_code(noise):
+    draw = np.random.default_rng(int(1000 * noise))
+    for number, action in enumerate([*ACTIONS] * 4):
+        clip = np.concatenate([make_clip(action, number).positions] * (1 + number % 3))[: 400 - 7 * number]
+        clip = clip + noise * draw.normal(size=clip.shape)
+        found, expected = measure_tallies(clip, HEIGHT), measure_slowly(clip, HEIGHT)
+        np.testing.assert_array_equal(found[: len(COUNTED)], expected[: len(COUNTED)])
+        np.testing.assert_allclose(found, expected, rtol=1e-12)
+
+
+@given(st.lists(st.floats(-1e3, 1e3), min_size=1, max_size=40), st.floats(0, 1))
+def test_quantiles_are_those_of_numpy(values, share):
+    assert read_quantile(np.sort(values), share) == pytest.approx(np.quantile(values, share), rel=1e-9, abs=1e-9)
 
 
 @pytest.mark.parametrize("times", [3, 5])

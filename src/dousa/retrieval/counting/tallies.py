@@ -7,11 +7,14 @@ moved. Each is wrong now and then, on its own occasions; `counter` learns whom t
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from numba import njit
 
 from dousa.arrays import BoolArray, FloatArray
 from dousa.motion.canonical.joints import JOINT_INDEX
+from dousa.retrieval.features.channel_kernels import smooth
 
 RATE = 30.0
 """Frames a second of what is counted."""
@@ -31,6 +34,8 @@ TALLIES = (*COUNTED, *AMOUNTS)
 _JOINTS = "head left_elbow left_hand right_elbow right_hand left_knee left_ankle right_knee right_ankle".split()
 _INDEX = [JOINT_INDEX[joint] for joint in _JOINTS]
 _SMOOTHING = 3.0  # frames, standard deviation: a sensor's noise is quicker than people
+_WEIGHTS = np.exp(-0.5 * (np.arange(int(4.0 * _SMOOTHING + 0.5) + 1) / _SMOOTHING) ** 2)
+_WEIGHTS /= 2.0 * _WEIGHTS.sum() - _WEIGHTS[0]
 _LARGE, _SMALL = 0.5, 0.3  # shares of the range (5 to 95 %) that a movement out and back has at least
 _TURN, _SMALL_TURN, _BURST = 0.6, 0.3, 0.35  # likewise of the speed along one direction, of the body's speed (95 %)
 _MOVING = 0.15  # share of the speed (90 %) below which the body rests
@@ -52,59 +57,88 @@ def measure_tallies(sampled: FloatArray, height: float) -> FloatArray:
     -------
     (18,) in the order of ``TALLIES``; 0 where nothing moves.
     """
-    from dousa.motion.resampling import smooth_gaussian
     from dousa.retrieval.features.partial_bodies import FRAME_JOINTS, complete_positions
     from dousa.retrieval.features.pose_features import turn_to_body
 
     points = complete_positions(sampled, height, (), {*_JOINTS, *FRAME_JOINTS})
     if len(points) < 2:
         return np.zeros(len(TALLIES))
-    points = smooth_gaussian(points, _SMOOTHING)
+    points = _smooth(points)
     poses = turn_to_body((points - points[:, :1]) / height)[:, _INDEX].reshape(len(points), -1)
     velocities: FloatArray = np.asarray(np.gradient(poses, axis=0))
     speeds = np.sqrt((velocities**2).sum(axis=1))
-    if speeds.max() <= 1e-9:
+    ordered = np.sort(speeds)
+    if ordered[-1] <= 1e-9:
         return np.zeros(len(TALLIES))
-    moving = speeds > _MOVING * np.percentile(speeds, 90)
+    moving = speeds > _MOVING * read_quantile(ordered, 0.9)
     counts = (
         *_count_along_axes(poses),
         *_count_quick(poses, velocities),
-        count_swings(smooth_gaussian(speeds, _SMOOTHING), _BURST * float(np.percentile(speeds, 95)))[0],
+        count_swings(_smooth(speeds), _BURST * read_quantile(ordered, 0.95))[0],
         _count_bouts(moving),
-        *_count_away(poses, speeds),
+        *_count_away(poses, speeds, read_quantile(ordered, 0.2)),
         _count_periods(velocities, moving),
     )
     return np.array([*counts, len(points) / RATE, speeds.sum(), moving.sum() / RATE], np.float64)
+
+
+def _smooth(values: FloatArray) -> FloatArray:
+    """Values (n, ...) over time under a Gaussian; the ends are held."""
+    even = np.empty(values.shape)
+    smooth(values.reshape(len(values), -1), _WEIGHTS, even.reshape(len(values), -1))
+    return even
+
+
+def read_quantile(ordered: FloatArray, share: float) -> float:
+    """A quantile of values (n,) that are sorted, linear between two of them, as ``np.quantile`` has it."""
+    place = (len(ordered) - 1) * share
+    below = int(place)
+    low, high, part = float(ordered[below]), float(ordered[min(below + 1, len(ordered) - 1)]), place - below
+    return low + (high - low) * part if part < 0.5 else high - (high - low) * (1.0 - part)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Curve:
+    """A curve (n,) and where it ranges: the quantiles of 5 and of 95 %."""
+
+    values: FloatArray
+    low: float
+    high: float
+
+    @classmethod
+    def of(cls, values: FloatArray) -> _Curve:
+        ordered = np.sort(values)
+        return cls(values, read_quantile(ordered, 0.05), read_quantile(ordered, 0.95))
+
+    @classmethod
+    def turned_out(cls, values: FloatArray) -> _Curve:
+        """A curve or its negative, such that most of the time is spent low: repetitions leave a rest."""
+        ordered = np.sort(values)
+        if read_quantile(ordered, 0.5) > 0.5 * (ordered[0] + ordered[-1]):
+            values, ordered = -values, -ordered[::-1]
+        return cls(values, read_quantile(ordered, 0.05), read_quantile(ordered, 0.95))
+
+    def count_swings(self, share: float) -> tuple[int, int]:
+        """Tops and bottoms that differ by a share of the range."""
+        return count_swings(self.values, share * (self.high - self.low))
+
+    def count_crossings(self) -> float:
+        """Half of how often it crosses the middle of its range."""
+        above = self.values > 0.5 * (self.low + self.high)
+        return 0.5 * np.count_nonzero(above[1:] != above[:-1])
 
 
 def _count_along_axes(poses: FloatArray) -> tuple[float, ...]:
     """Movements out and back along the two directions of most movement, and half of the crossings of the middle."""
     spread = poses - poses.mean(axis=0)
     axes = np.linalg.eigh(spread.T @ spread)[1][:, :-3:-1]
-    first, second = (_turn_out(curve) for curve in (spread @ axes).T)
-    reach, other = _reach(first), _reach(second)
+    first, second = (_Curve.turned_out(curve) for curve in (spread @ axes).T)
     return (
-        *count_swings(first, _LARGE * reach),
-        *count_swings(first, _SMALL * reach),
-        count_swings(second, _LARGE * other)[0],
-        _count_crossings(first),
+        *first.count_swings(_LARGE),
+        *first.count_swings(_SMALL),
+        second.count_swings(_LARGE)[0],
+        first.count_crossings(),
     )
-
-
-def _reach(curve: FloatArray) -> float:
-    low, high = np.quantile(curve, (0.05, 0.95))
-    return float(high - low)
-
-
-def _count_crossings(curve: FloatArray) -> float:
-    """Half of how often a curve crosses the middle of its range."""
-    above = curve > 0.5 * np.quantile(curve, (0.05, 0.95)).sum()
-    return 0.5 * np.count_nonzero(above[1:] != above[:-1])
-
-
-def _turn_out(curve: FloatArray) -> FloatArray:
-    """The curve or its negative, such that most of the time is spent low: repetitions leave a rest."""
-    return -curve if np.median(curve) > 0.5 * (curve.min() + curve.max()) else curve
 
 
 def _count_quick(poses: FloatArray, velocities: FloatArray) -> tuple[float, ...]:
@@ -114,14 +148,16 @@ def _count_quick(poses: FloatArray, velocities: FloatArray) -> tuple[float, ...]
     """
     axis = np.linalg.eigh(velocities.T @ velocities)[1][:, -1]
     along = velocities @ axis
-    speed = float(np.quantile(np.abs(along), 0.95))
+    speed = read_quantile(np.sort(np.abs(along)), 0.95)
     curve = poses @ axis
-    curve = _turn_out(curve - np.polyval(np.polyfit(np.arange(len(curve)), curve, 1), np.arange(len(curve))))
+    times = np.arange(len(curve)) - 0.5 * (len(curve) - 1)
+    drift = (times @ curve) / (times @ times)  # of the line of least squares
+    level = _Curve.turned_out(curve - curve.mean() - drift * times)
     return (
         0.5 * sum(count_swings(along, _TURN * speed)),
         0.5 * sum(count_swings(along, _SMALL_TURN * speed)),
-        count_swings(curve, _SMALL * _reach(curve))[0],
-        _count_crossings(curve),
+        level.count_swings(_SMALL)[0],
+        level.count_crossings(),
     )
 
 
@@ -131,15 +167,15 @@ def _count_bouts(moving: BoolArray) -> int:
     return 1 + int(np.count_nonzero(np.diff(places) > _BOUT_GAP))
 
 
-def _count_away(poses: FloatArray, speeds: FloatArray) -> tuple[float, float]:
+def _count_away(poses: FloatArray, speeds: FloatArray, calm: float) -> tuple[float, float]:
     """Movements away from the pose at rest and back, by their tops and by half of the crossings of the middle."""
-    slow = poses[speeds <= np.quantile(speeds, 0.2)]
+    slow = poses[speeds <= calm]
     # Of the calm poses the one that most others are like.
     some = slow[:: max(len(slow) // 60, 1)]
     near = ((some[:, None] - some[None]) ** 2).sum(axis=2)
     rest = some[int(np.median(near, axis=1).argmin())]
-    away = np.sqrt(((poses - rest) ** 2).sum(axis=1))
-    return count_swings(away, _LARGE * _reach(away))[0], _count_crossings(away)
+    away = _Curve.of(np.sqrt(((poses - rest) ** 2).sum(axis=1)))
+    return away.count_swings(_LARGE)[0], away.count_crossings()
 
 
 def _count_periods(velocities: FloatArray, moving: BoolArray) -> float:
