@@ -10,7 +10,7 @@ SLOW := browser or documents or slow
 # `make test COVERAGE=1` adds what it ran to the data that `make coverage` prints.
 COVERED := $(if $(COVERAGE),--cov --cov-append --cov-report=)
 
-.PHONY: demo studio test test-slow test-all lint types coverage wheel fuzz bench peers blender figures docs lock clean
+.PHONY: demo studio test test-slow test-postgres test-all lint types coverage wheel fuzz bench peers blender figures docs lock clean
 
 demo: $(VENV)/.demo
 	$(BIN)/dousa demo
@@ -24,6 +24,10 @@ test: $(VENV)/.dev lint
 
 test-slow: $(VENV)/.dev
 	$(BIN)/pytest -n $(JOBS) -m "$(SLOW)" $(COVERED)
+
+# The tests of libraries once more, each library a database of a PostgreSQL server that they start.
+test-postgres: $(VENV)/.dev
+	DOUSA_TEST_DATABASE=postgresql $(BIN)/pytest -n $(JOBS) -m "not ($(SLOW))" tests/library $(COVERED)
 
 test-all: test test-slow
 

@@ -9,6 +9,7 @@ music       the beats of a piece of music                                       
 usd         skeletons of USD files                                               usd-core
 studio      the page in the browser, with all of the above                       FastAPI, uvicorn, Jinja
 words       English words of a search that no table has, by their meaning        WordLlama
+postgres    libraries in a PostgreSQL database                                   psycopg
 ==========  ===================================================================  =====================================
 
 ``from dousa.extras import cv2`` is ``import cv2`` with that message; it stands where OpenCV is used, so that nothing

@@ -38,8 +38,8 @@ class _Rule:
 _RULES = (
     _Rule(r"(?:.*\s)?--write(?:[\s=].*)?", How.WRITES),  # before all others: on little data it would ship a bad judge
     _Rule(
-        r"make (?:demo|studio|test|test-slow|test-all|types|coverage|wheel|lint|fuzz|bench|peers|blender|figures"
-        r"|docs|lock|clean)",
+        r"make (?:demo|studio|test|test-slow|test-postgres|test-all|types|coverage|wheel|lint|fuzz|bench|peers|blender"
+        r"|figures|docs|lock|clean)",
         How.DRY,
     ),
     _Rule(r"pip install .*", How.INSTALLED),

@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 
 from dousa.library import Library
+from library import database_server
 
 WriteMove = Callable[..., Path]
 
@@ -81,6 +82,29 @@ def _write_move(path: Path, move: str = "wave", seed: int = 0, n_frames: int = 2
     path.parent.mkdir(parents=True, exist_ok=True)
     path.write_text("\n".join(lines) + "\n")
     return path
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _database_server() -> Iterator[None]:
+    """With ``DOUSA_TEST_DATABASE=postgresql`` libraries are databases of a server, as long as the tests last."""
+    if not database_server.WANTED:
+        yield
+        return
+    with database_server.use_server():
+        yield
+
+
+@pytest.fixture(autouse=True)
+def _databases_of_a_test(request: pytest.FixtureRequest) -> Iterator[None]:
+    """A test on a server leaves no databases behind."""
+    if not database_server.WANTED:
+        yield
+        return
+    if request.node.get_closest_marker("sqlite"):
+        pytest.skip("about a file of SQLite")
+    folder = request.getfixturevalue("tmp_path")
+    yield
+    database_server.drop_below(folder)
 
 
 @pytest.fixture(scope="session")

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import shutil
-import sqlite3
-from contextlib import closing
 from pathlib import Path
 
 import numpy as np
@@ -15,6 +13,7 @@ from dousa.formats.motion_files import Skipped
 from dousa.library import Library
 from dousa.library import add as add_module
 from dousa.library.growth import insert as _learning
+from library.database_server import run_sql
 
 
 @pytest.fixture
@@ -35,13 +34,11 @@ def two_categories(moves, tmp_path):
 
 
 def answers(path: Path) -> list[tuple]:
-    with closing(sqlite3.connect(path)) as connection:
-        return connection.execute("SELECT * FROM clip_leaves ORDER BY clip_id").fetchall()
+    return run_sql(path, "SELECT * FROM clip_leaves ORDER BY clip_id")
 
 
 def forest_row(path: Path) -> tuple:
-    with closing(sqlite3.connect(path)) as connection:
-        return connection.execute("SELECT revision, learned, n_learned, categories, data FROM forests").fetchone()
+    return run_sql(path, "SELECT revision, learned, n_learned, categories, data FROM forests")[0]
 
 
 def test_a_new_category_is_known_at_once(two_categories, nods, write_move, tmp_path):
@@ -173,8 +170,7 @@ def test_another_program_trains_while_files_are_read(library, library_file, nods
 
 
 def test_leaves_that_are_not_there_are_told(library, library_file, nods):
-    with closing(sqlite3.connect(library_file)) as connection, connection:
-        connection.execute(f"UPDATE clip_leaves SET checksum = NULL, leaves = x'{'ffffff00' * 20}'")
+    run_sql(library_file, f"UPDATE clip_leaves SET checksum = NULL, leaves = x'{'ffffff00' * 20}'")
     with pytest.raises(LibraryDamagedError, match="dousa train"):
         library.add(nods)
     library.train(n_trees=5)

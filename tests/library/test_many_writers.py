@@ -12,6 +12,7 @@ import pytest
 from dousa.errors import LibraryLockedError
 from dousa.library import Library
 from dousa.retrieval.forest import growth
+from library.database_server import address
 
 
 @pytest.fixture
@@ -122,7 +123,7 @@ def test_four_programs_add_to_a_trained_library(library_file, write_move, tmp_pa
     for n, folder in enumerate(folders):
         for seed in range(4):
             write_move(folder / "wave" / f"w{n}_{seed}.bvh", "wave", 1000 + 10 * n + seed)
-    programs = [subprocess.Popen([sys.executable, "-c", _ADD, library_file, folder]) for folder in folders]
+    programs = [subprocess.Popen([sys.executable, "-c", _ADD, address(library_file), folder]) for folder in folders]
     assert [program.wait() for program in programs] == [0, 0, 0, 0]
     with Library.open(library_file) as library:
         assert library.categories()["wave"] == 5 + 16

@@ -18,6 +18,8 @@ from dousa.errors import LibraryError, LibraryVersionError
 from dousa.library import Library, engine
 from dousa.retrieval import FEATURE_SETS
 
+pytestmark = pytest.mark.sqlite  # these are files
+
 MADE = Path(__file__).with_name("library_of_tables_1.dousa.gz")
 
 # Of clip 1 ... 6: the category and the order of all clips, by eq. 8, common leaves and pose features.

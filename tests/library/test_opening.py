@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import shutil
 import sqlite3
+import sys
 import tempfile
 from collections.abc import Iterator
 from contextlib import closing, contextmanager
@@ -23,14 +24,15 @@ from dousa.errors import (
 )
 from dousa.library import Library, schema
 from dousa.library import engine as _engine
+from library.database_server import address, connect_plainly, run_sql
 
 
 def change(path: Path, *statements: str) -> None:
-    with closing(sqlite3.connect(path)) as connection, connection:
-        for statement in statements:
-            connection.execute(statement)
+    for statement in statements:
+        run_sql(path, statement)
 
 
+@pytest.mark.sqlite
 def test_create_makes_a_library_and_opens_it_again(tmp_path):
     path = tmp_path / "any name"
     with Library.open(path, create=True) as library:
@@ -61,6 +63,7 @@ def test_create_and_read_only_contradict(tmp_path):
         Library.open(tmp_path / "m.dousa", create=True, read_only=True)
 
 
+@pytest.mark.sqlite
 @pytest.mark.parametrize("content", [b"garbage " * 1000, b"x", b"SQLite format 3\0" + b"\xff" * 5000])
 @pytest.mark.parametrize("create", [True, False])
 def test_a_file_of_something_else_is_not_touched(tmp_path, content, create):
@@ -71,6 +74,7 @@ def test_a_file_of_something_else_is_not_touched(tmp_path, content, create):
     assert path.read_bytes() == content
 
 
+@pytest.mark.sqlite
 @pytest.mark.parametrize("statements", [["CREATE TABLE t (x)"], ["PRAGMA application_id = 7"]])
 def test_a_database_of_another_program_is_not_touched(tmp_path, statements):
     path = tmp_path / "m.dousa"
@@ -81,6 +85,7 @@ def test_a_database_of_another_program_is_not_touched(tmp_path, statements):
     assert path.read_bytes() == before
 
 
+@pytest.mark.sqlite
 def test_an_empty_file_is_not_yet_a_library(tmp_path):
     path = tmp_path / "m.dousa"
     path.touch()
@@ -100,6 +105,7 @@ def use(library: Library, moves: Path) -> None:
     library.train(n_trees=3)
 
 
+@pytest.mark.sqlite
 @pytest.mark.parametrize("share", [0.01, 0.3, 0.6, 0.9, 0.99])
 def test_a_file_that_was_cut_short(library_file, moves, share):
     data = library_file.read_bytes()
@@ -108,6 +114,7 @@ def test_a_file_that_was_cut_short(library_file, moves, share):
         use(library, moves)
 
 
+@pytest.mark.sqlite
 @pytest.mark.slow
 def test_flipped_bytes_give_library_errors_or_nothing(library_file, moves):
     data = library_file.read_bytes()
@@ -137,9 +144,17 @@ def test_flipped_bytes_give_library_errors_or_nothing(library_file, moves):
         ),
         ("UPDATE forests SET parameters = '{}'", lambda library, moves: library.search(1)),
         ("UPDATE forests SET data = zeroblob(5000)", lambda library, moves: library.classify(moves)),
-        ("UPDATE forests SET categories = '[\"a\"'", lambda library, moves: library.search(1)),
+        pytest.param(
+            "UPDATE forests SET categories = '[\"a\"'",
+            lambda library, moves: library.search(1),
+            marks=pytest.mark.sqlite,  # a server takes no broken JSON
+        ),
         ('UPDATE forests SET categories = \'["a","b","c"]\'', lambda library, moves: library.classify(moves)),
-        ("UPDATE clips SET warnings = '['", lambda library, moves: library.clips()),
+        pytest.param(
+            "UPDATE clips SET warnings = '['",
+            lambda library, moves: library.clips(),
+            marks=pytest.mark.sqlite,
+        ),
         ("DROP TABLE clips", lambda library, moves: library.clips()),
         ("DELETE FROM library_state", lambda library, moves: library.stats()),
         ("DELETE FROM dousa_migrations", lambda library, moves: library.stats()),
@@ -184,8 +199,7 @@ def next_migration(monkeypatch) -> None:
 
 
 def applied(path: Path) -> list[tuple[int, str]]:
-    with closing(sqlite3.connect(path)) as connection:
-        return connection.execute("SELECT number, name FROM dousa_migrations ORDER BY number").fetchall()
+    return run_sql(path, "SELECT number, name FROM dousa_migrations ORDER BY number")
 
 
 def test_an_older_library_takes_the_steps_it_lacks(library_file, next_migration):
@@ -200,8 +214,7 @@ def test_an_older_library_takes_the_steps_it_lacks(library_file, next_migration)
 
 def test_features_of_positions_as_the_sensor_saw_them_are_computed_anew(library_file):
     def sets() -> set[str]:
-        with closing(sqlite3.connect(library_file)) as connection:
-            return {row[0] for row in connection.execute("SELECT feature_set FROM clip_features")}
+        return {row[0] for row in run_sql(library_file, "SELECT feature_set FROM clip_features")}
 
     assert sets() == {"extended"}
     before = "SELECT number FROM dousa_migrations WHERE name = 'sensor noise'"
@@ -233,6 +246,13 @@ def test_the_numbers_of_the_migrations_have_no_gaps():
 
 @contextmanager
 def locked(path: Path) -> Iterator[None]:
+    known = address(path)
+    if isinstance(known, str):
+        with connect_plainly(known) as other:
+            other.execute("SELECT revision FROM library_state FOR UPDATE")
+            yield
+            other.rollback()
+        return
     with closing(sqlite3.connect(path, isolation_level=None)) as other:
         other.execute("BEGIN IMMEDIATE")
         yield
@@ -287,6 +307,7 @@ def frozen_library(library_file: Path) -> Iterator[Path]:
     shutil.rmtree(folder)
 
 
+@pytest.mark.sqlite
 @pytest.mark.parametrize("read_only", [True, False])
 @pytest.mark.parametrize("writable_folder", [True, False])
 def test_a_library_without_permission_to_write(frozen_library, moves, read_only, writable_folder):
@@ -301,6 +322,7 @@ def test_a_library_without_permission_to_write(frozen_library, moves, read_only,
             library.train(n_trees=2)
 
 
+@pytest.mark.sqlite
 def test_a_library_that_may_not_be_made_or_read(frozen_library):
     with as_nobody(), pytest.raises(LibraryError, match="cannot be opened; check the permissions"):
         Library.open(frozen_library.parent / "new.dousa", create=True)
@@ -309,6 +331,7 @@ def test_a_library_that_may_not_be_made_or_read(frozen_library):
         Library.open(frozen_library)
 
 
+@pytest.mark.sqlite
 def test_a_full_disk_does_not_hinder_reading(library_file, moves, monkeypatch):
     """SQLite makes files beside the library even to read it; where it cannot, it does without."""
     connect = _engine._connect_as
@@ -327,6 +350,7 @@ def test_a_full_disk_does_not_hinder_reading(library_file, moves, monkeypatch):
         Library.open(library_file)
 
 
+@pytest.mark.sqlite
 def test_a_full_disk_keeps_what_was_there(library_file, write_move, tmp_path):
     new = [write_move(tmp_path / "in" / f"{seed}.bvh", "wave", 100 + seed, n_frames=200) for seed in range(8)]
     with Library.open(library_file) as library:
@@ -364,24 +388,24 @@ def test_a_password_is_not_told():
     assert _engine.name_of(Path("a/b.dousa")) == "a/b.dousa"
 
 
+@pytest.mark.sqlite
 def test_an_sqlite_file_is_named_and_not_given_as_a_url(library_file):
     with pytest.raises(LibraryError, match="name an SQLite file without"):
         Library.open(f"sqlite:///{library_file}")
 
 
-def test_a_url_whose_driver_is_missing():
-    pytest.importorskip("sqlalchemy")
-    try:
-        import psycopg  # noqa: F401
-    except ImportError:
-        with pytest.raises(LibraryError, match="pip install psycopg"):
-            Library.open("postgresql+psycopg://localhost/none")
+def test_a_url_whose_driver_is_missing(monkeypatch):
+    monkeypatch.setitem(sys.modules, "psycopg", None)
+    with pytest.raises(LibraryError, match=r"pip install 'dousa\[postgres\]'"):
+        Library.open("postgresql+psycopg://localhost/none")
 
 
+@pytest.mark.sqlite
 def test_the_mark_is_in_the_file(library_file):
     assert int.from_bytes(library_file.read_bytes()[68:72], "big") == schema.APPLICATION_ID
 
 
+@pytest.mark.sqlite
 @pytest.mark.parametrize("leftover", [True, False])
 def test_a_library_that_may_be_written_again(library_file, leftover):
     """SQLite leaves a file behind that nobody may write either, where it was opened without the permission."""

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import json
 import math
-import sqlite3
-from contextlib import closing
 
 import numpy as np
 import pytest
@@ -14,6 +12,7 @@ from dousa.errors import InvalidMotionError, JointMappingError, LibraryDamagedEr
 from dousa.formats.motion_files import read_canonical
 from dousa.library import Library
 from dousa.motion import CANONICAL_JOINTS, canonicalise
+from library.database_server import run_sql
 
 SIDES = ("left", "right")
 ARMS = tuple(f"{side}_{joint}" for side in SIDES for joint in ("elbow", "wrist", "hand"))
@@ -106,8 +105,7 @@ def test_the_forest_of_a_part_is_kept_until_clips_change(library_file, library, 
     answer = library.search(query).to_json()
 
     def read():
-        with closing(sqlite3.connect(library_file)) as connection:
-            return connection.execute("SELECT feature_set, learned_from FROM part_forests").fetchall()
+        return run_sql(library_file, "SELECT feature_set, learned_from FROM part_forests")
 
     (kept,) = read()
     assert kept[0].startswith("extended without neck head left_shoulder")
@@ -188,8 +186,7 @@ def test_takes_of_parts_are_searched_and_labelled(library, moves, squat):
 
 def test_damaged_joints_are_told(library_file, library, squat):
     library.add_motion(cut(squat, UPPER), "legs")
-    with closing(sqlite3.connect(library_file)) as connection, connection:
-        connection.execute("UPDATE clips SET absent = 'tail', label_checksum = NULL WHERE path = 'legs'")
+    run_sql(library_file, "UPDATE clips SET absent = 'tail', label_checksum = NULL WHERE path = 'legs'")
     number = next(clip.id for clip in library.clips() if clip.path == "legs")
     with pytest.raises(LibraryDamagedError, match="legs"):
         library.trajectories(number)

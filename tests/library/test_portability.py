@@ -22,6 +22,7 @@ def test_the_tables_can_be_made_in_postgresql():
             assert str(CreateIndex(index).compile(dialect=dialect))
 
 
+@pytest.mark.sqlite
 def test_every_question_can_be_asked_in_postgresql(tmp_path, moves, write_move):
     asked = []
     with Library.open(tmp_path / "m.dousa", create=True) as library:

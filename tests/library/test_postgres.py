@@ -2,67 +2,29 @@
 
 from __future__ import annotations
 
-import getpass
-import glob
-import os
-import shutil
-import socket
 import subprocess
 import sys
-import tempfile
-from pathlib import Path
 
 import pytest
 
 from dousa.errors import OptionError
 from dousa.library import Library
+from library.database_server import Server, connect_plainly, run_server, why_no_server
 
-pytest.importorskip("psycopg", reason="the driver psycopg is not installed")
-
-
-def find_program(name):
-    folders = sorted(glob.glob("/usr/lib/postgresql/*/bin"), reverse=True)
-    return shutil.which(name) or shutil.which(name, path=os.pathsep.join(folders))
+pytestmark = pytest.mark.skipif(why_no_server() is not None, reason=str(why_no_server()))
 
 
 @pytest.fixture(scope="module")
 def server():
-    """The URL of a server with a data folder and a port of its own."""
-    if find_program("initdb") is None:
-        pytest.skip("PostgreSQL is not installed")
-    folder = Path(tempfile.mkdtemp())
-    owner = getpass.getuser()
-    as_owner = {}
-    if os.geteuid() == 0:  # it refuses to run as root
-        owner = "postgres"
-        shutil.chown(folder, owner)
-        as_owner = {"user": owner}
-    data, log = folder / "data", folder / "log"
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        port = probe.getsockname()[1]
-    options = f"-c listen_addresses=127.0.0.1 -c port={port} -c unix_socket_directories={folder} -c fsync=off"
-    control = [find_program("pg_ctl"), "-D", data, "-w"]
-    quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL, "cwd": folder, **as_owner}
-    subprocess.run([find_program("initdb"), "-D", data, "-A", "trust", "-U", owner, "-E", "UTF8"], check=True, **quiet)
-    subprocess.run([*control, "-l", log, "-o", options, "start"], check=True, **quiet)
-    try:
-        yield f"postgresql+psycopg://{owner}@127.0.0.1:{port}"
-    finally:
-        subprocess.run([*control, "-m", "immediate", "stop"], check=True, **quiet)
-        shutil.rmtree(folder)
+    """A server with a data folder and a port of its own."""
+    with run_server() as start:
+        yield Server(start)
 
 
 @pytest.fixture
-def url(server, request):
-    """An empty database."""
-    import psycopg
-
-    name = f"d{abs(hash(request.node.name))}"
-    plain = server.replace("+psycopg", "")
-    with psycopg.connect(f"{plain}/postgres", autocommit=True) as connection:
-        connection.execute(f"CREATE DATABASE {name}")
-    return f"{server}/{name}"
+def url(server):
+    """Of an empty database."""
+    return server.make()
 
 
 _CREATE = """
@@ -145,12 +107,9 @@ def test_the_same_answers_as_from_a_file(url, moves, tmp_path, write_move):
 
 
 def test_damage_is_told_and_repaired(url, moves):
-    import psycopg
-
     with Library.open(url, create=True) as library:
         library.add(moves, n_jobs=1)
-        plain = url.replace("+psycopg", "")
-        with psycopg.connect(plain, autocommit=True) as connection:
+        with connect_plainly(url) as connection:
             flipped = "set_bit(positions, 77, 1 - get_bit(positions, 77))"
             connection.execute(f"UPDATE clip_trajectories SET positions = {flipped}")
         assert len(library.check().damage) == 15

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import sqlite3
-from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
 
@@ -22,6 +20,7 @@ from dousa.errors import (
 from dousa.formats.registry import read_motion, write_motion
 from dousa.library import Library
 from dousa.motion import CANONICAL_JOINTS, Trajectories, compute_trajectories
+from library.database_server import run_sql
 
 RATE = 30.0
 
@@ -83,13 +82,11 @@ def library(path_with_take):
 
 
 def change(path: Path, statement: str) -> None:
-    with closing(sqlite3.connect(path)) as connection, connection:
-        connection.execute(statement)
+    run_sql(path, statement)
 
 
 def count(path: Path, table: str) -> int:
-    with closing(sqlite3.connect(path)) as connection:
-        return connection.execute(f"SELECT count(*) FROM {table}").fetchone()[0]
+    return run_sql(path, f"SELECT count(*) FROM {table}")[0][0]
 
 
 def where(start: float) -> int:
@@ -339,10 +336,7 @@ def test_takes_are_described_anew_when_the_forest_learns(library, path_with_take
     for seed in range(3):
         write_move(tmp_path / "in" / "wave" / f"new{seed}.bvh", "wave", 80 + seed, n_frames=60)
     assert library.add(tmp_path / "in").n_learned == 3
-    with closing(sqlite3.connect(path_with_take)) as connection:
-        stamps = connection.execute(
-            "SELECT take_windows.learned, forests.learned FROM take_windows, forests"
-        ).fetchall()
+    stamps = run_sql(path_with_take, "SELECT take_windows.learned, forests.learned FROM take_windows, forests")
     assert stamps[0][0] == stamps[0][1]
     after = library.find(1, k=3)
     assert [place.start for place in after.results] == [place.start for place in before.results]
@@ -354,9 +348,8 @@ def test_takes_are_described_anew_when_the_forest_learns(library, path_with_take
 
 
 def is_stale(path):
-    with closing(sqlite3.connect(path)) as connection:
-        query = "SELECT max(take_windows.learned != forests.learned) FROM take_windows, forests"
-        return bool(connection.execute(query).fetchone()[0])
+    query = "SELECT count(*) FROM take_windows, forests WHERE take_windows.learned != forests.learned"
+    return bool(run_sql(path, query)[0][0])
 
 
 def test_windows_that_a_killed_program_left_behind_are_described_by_the_next(
@@ -415,16 +408,15 @@ def test_a_damaged_labeller(path_with_take, take_file):
 def test_windows_of_another_forest_are_not_compared(path_with_take, take_file):
     with Library.open(path_with_take) as library:
         library.train(n_trees=7)
-        with closing(sqlite3.connect(path_with_take)) as connection:
-            (data,) = connection.execute("SELECT data FROM take_windows").fetchone()
+        ((data,),) = run_sql(path_with_take, "SELECT data FROM take_windows")
         library.train(n_trees=9)
-    with closing(sqlite3.connect(path_with_take)) as connection, connection:
-        connection.execute("UPDATE take_windows SET data = ?", (data,))
+    run_sql(path_with_take, "UPDATE take_windows SET data = ?", data)
     with Library.open(path_with_take) as library, pytest.raises(LibraryDamagedError, match="another forest"):
         library.find(1)
 
 
 @pytest.mark.slow
+@pytest.mark.sqlite
 def test_flipped_bytes_give_library_errors_or_nothing(path_with_take, take_file):
     with Library.open(path_with_take) as library:
         library.label(take_file)

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import gzip
-import sqlite3
-from contextlib import closing
 from pathlib import Path
 
 import pytest
@@ -14,6 +12,7 @@ from dousa.formats.registry import write_motion
 from dousa.library import Library, TextResult
 from dousa.motion.synthetic.performers import draw_performer, make_motion
 from dousa.retrieval.words import vectors
+from library.database_server import run_sql
 
 NAMES = {
     "kickLFront1Reps": "kick_left",
@@ -146,13 +145,13 @@ def test_new_clips_and_labels_are_found(tmp_path):
         assert found(library, "bend forward") == set()
 
 
+@pytest.mark.sqlite
 def test_a_library_of_an_older_dousa_is_searched_and_indexed_when_it_is_trained(tmp_path):
     path = tmp_path / "old.dousa"
     path.write_bytes(gzip.decompress(Path(__file__).with_name("library_of_tables_1.dousa.gz").read_bytes()))
 
     def count():
-        with closing(sqlite3.connect(path)) as connection:
-            return connection.execute("SELECT count(*) FROM clip_relations").fetchone()[0]
+        return run_sql(path, "SELECT count(*) FROM clip_relations")[0][0]
 
     with Library.open(path) as library:
         before = library.search_text("bending forward", None)
@@ -166,8 +165,7 @@ def test_damaged_relations_are_told(tmp_path):
     path = tmp_path / "damaged.dousa"
     with Library.open(path, create=True) as library:
         library.add_motion(make_motion("walk", draw_performer(1), seed=1), "one", "walk")
-    with closing(sqlite3.connect(path)) as connection, connection:
-        connection.execute("UPDATE clip_relations SET relations = '[[1]]', checksum = NULL")
+    run_sql(path, "UPDATE clip_relations SET relations = '[[1]]', checksum = NULL")
     with Library.open(path) as library, pytest.raises(LibraryDamagedError, match="in words is damaged"):
         library.search_text("walk")
 

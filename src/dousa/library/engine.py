@@ -1,7 +1,8 @@
 """The database of a library: connections, everything that only SQLite needs, errors in plain words, versions.
 
 A path becomes one SQLite file in WAL mode; a URL such as ``postgresql+psycopg://...`` is left to SQLAlchemy.
-Transactions that write begin with ``BEGIN IMMEDIATE``: they wait for each other instead of failing half way.
+Transactions that write begin with ``BEGIN IMMEDIATE``, on a server with a lock of its own: they wait for each other
+instead of failing half way.
 
 The versions of the tables are numbered and named steps, each in a transaction of its own. A new library is made from
 ``schema`` at once and every step is recorded as done; an older library takes the steps that it lacks. To change a
@@ -90,11 +91,14 @@ def _make_engine(path_or_url: str | os.PathLike[str], *, create: bool, read_only
 def _server_engine(url: str, read_only: bool, timeout: float) -> sa.Engine:
     name = name_of(url)
     try:
-        engine = sa.create_engine(url, execution_options={_READ_ONLY: read_only, LIBRARY_NAME: name})
+        # A server that was started again in the meantime is connected to anew.
+        options = {_READ_ONLY: read_only, LIBRARY_NAME: name}
+        engine = sa.create_engine(url, pool_pre_ping=True, execution_options=options)
     except (exc.ArgumentError, exc.NoSuchModuleError, ValueError) as error:
         raise LibraryError("library_file.not_a_url", library=name, reason=error) from error
     except ImportError as error:
-        raise LibraryError("library_file.driver_missing", library=name, package=error.name) from error
+        package = "'dousa[postgres]'" if error.name == "psycopg" else error.name
+        raise LibraryError("library_file.driver_missing", library=name, package=package) from error
     if engine.dialect.name == "sqlite":
         # It would lack all that we give a file: the log, foreign keys, writers that wait.
         raise LibraryError("library_file.sqlite_url", library=name)
@@ -245,6 +249,9 @@ class Database:
         with _plain_errors(self.where), self.engine.connect() as connection:
             connection.execution_options(**{_WRITES: True})
             with self._begin_writing(connection):
+                if self.engine.dialect.name == "postgresql":
+                    # One program writes at a time, as to a file: a server would let all begin, and some of them fail.
+                    connection.execute(sa.select(sa.func.pg_advisory_xact_lock(APPLICATION_ID)))
                 yield connection
 
     def _begin_writing(self, connection: sa.Connection) -> sa.RootTransaction:
@@ -332,6 +339,7 @@ _SQLITE_PROBLEMS: dict[str, tuple[type[LibraryError], str]] = {
 }
 _SERVER_PROBLEMS: dict[str, tuple[type[LibraryError], str]] = {
     "55P03": (LibraryLockedError, "library_file.locked"),
+    "40P01": (LibraryLockedError, "library_file.locked"),
     "53100": (LibraryError, "library_file.server_disk_full"),
     "25006": (LibraryError, "library_file.server_read_only"),
     "42501": (LibraryError, "library_file.server_no_permission"),
@@ -347,7 +355,8 @@ def _translate(error: BaseException | None, where: str) -> LibraryError:
         return kind(code, library=where)
     # Drivers like to speak in several lines.
     reason = " ".join(str(error).split())
-    if name == "SQLITE_ERROR" and "no such" in reason:
+    gone = str(getattr(error, "sqlstate", "")) in ("42P01", "42703")
+    if gone or (name == "SQLITE_ERROR" and "no such" in reason):
         return LibraryDamagedError("library_file.table_missing", library=where, reason=reason)
     return LibraryError("library_file.database_error", library=where, reason=reason)
 
@@ -540,16 +549,9 @@ def _record(connection: sa.Connection, step: Migration) -> None:
     )
 
 
-def _lock_tables(connection: sa.Connection) -> None:
-    """Let one program at a time make or change the tables: a server would let several begin, and all but one fail."""
-    if connection.dialect.name == "postgresql":
-        connection.execute(sa.select(sa.func.pg_advisory_xact_lock(APPLICATION_ID)))
-
-
 def _create_tables(database: Database) -> None:
     """Make the tables of a new library, all or none; does nothing if another program just did."""
     with database.writing() as connection:
-        _lock_tables(connection)
         if sa.inspect(connection).has_table(schema.migrations.name):
             return
         schema.metadata.create_all(connection)
@@ -584,7 +586,6 @@ def _migrate(database: Database) -> None:
     """Take the steps that a library lacks, each in a transaction of its own."""
     for step in MIGRATIONS:
         with database.writing() as connection:
-            _lock_tables(connection)
             if _applied_number(connection, database.where) < step.number:
                 step.apply(connection)
                 _record(connection, step)

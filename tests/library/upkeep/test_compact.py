@@ -12,6 +12,8 @@ import pytest
 from dousa.errors import LibraryError
 from dousa.library import Library
 
+pytestmark = pytest.mark.sqlite  # a server sees to its room itself
+
 
 def test_the_file_shrinks_and_says_the_same(library, library_file):
     library.remove(category="wave")
