@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from dousa.retrieval.features.posed_motion import LabelledClip
     from dousa.retrieval.forest.calibration import Copies
     from dousa.retrieval.forest.forest import MotionForest
+    from dousa.retrieval.forest.stretches import StretchJudge
 
 Progress = Callable[[int, int, Message], None]
 """Called with the steps done, their total, and what comes next or was done."""
@@ -303,3 +304,35 @@ def fit_forest(
     """
     joined, copied = copies.join(features, rows, rows)
     return forest.fit(joined, labels, feature_set=feature_set, copied=copied)
+
+
+def learn_judge(
+    forest: MotionForest,
+    features: FloatArray,
+    rows: NDArray[np.intp],
+    clips: Sequence[LabelledClip],
+    copies: Copies,
+    feature_set: FeatureSet,
+) -> StretchJudge | None:
+    """Who judges stretches of takes as clips, as in ``dousa label``; None where there is too little to learn it from.
+
+    Parameters
+    ----------
+    forest : trained on some clips, by ``fit_forest``.
+    features : (N, T, F) of all clips.
+    rows, clips : (M,) those that trained it.
+    copies : of ``describe_copies``, of all clips.
+    """
+    from dousa.retrieval.forest.calibration import Assessor, guess_performers, learn_calibration
+    from dousa.retrieval.forest.stretches import StretchJudge
+
+    guesses = guess_performers([clip.height for clip in clips])
+    people = [clip.performer or guess for clip, guess in zip(clips, guesses, strict=True)]
+    labels = np.array([clip.category for clip in clips], dtype=np.str_)
+    try:
+        calibration = learn_calibration(
+            forest, features[rows], labels, people, feature_set=feature_set, copies=copies.of(rows)
+        )
+    except TrainingError:
+        return None
+    return StretchJudge(Assessor(forest, calibration), feature_set)

@@ -30,6 +30,7 @@ from dousa.experiments.runner import (
     check_at_least,
     describe_copies,
     fit_forest,
+    learn_judge,
     leave_performer_out,
     make_forest,
 )
@@ -38,6 +39,7 @@ from dousa.messages import Message
 from dousa.retrieval.features.feature_sets import DEFAULT_FEATURE_SET, FeatureSet, get_feature_set
 from dousa.retrieval.features.posed_motion import LabelledClip
 from dousa.retrieval.forest.forest import MotionForest
+from dousa.retrieval.forest.stretches import StretchJudge
 from dousa.retrieval.takes.find import Found, describe_query, find_in_takes, overlap
 from dousa.retrieval.takes.label import Segment, TakeLabeller, label_take
 from dousa.retrieval.takes.labeller_training import train_labeller
@@ -230,12 +232,13 @@ class _Trial:
         fit_forest(forest, self.features, np.array(kept), labels, self.copies, self.feature_set)
         known = [self.clips[k] for k in kept]
         labeller = train_labeller(known, random_state=self.random_state, n_jobs=self.n_jobs)
+        judge = learn_judge(forest, self.features, np.array(kept), known, self.copies, self.feature_set)
         seconds = [len(clip.positions) / clip.frame_rate for clip in known]
         grid = choose_grid(seconds, *_PLAIN_LENGTHS)
         kinds = (WITH_UNKNOWN, BOTH) if unknown else (AS_RECORDED, OTHER_TEMPO)
         for kind, other_tempo in zip(kinds, (False, True), strict=True):
             takes = self._join(test, number, other_tempo=other_tempo)
-            self._label(kind, (forest, grid), labeller, takes, unknown)
+            self._label(kind, (forest, grid), (labeller, judge), takes, unknown)
             if not other_tempo:
                 self._find(forest, takes, train, unknown, number)
 
@@ -253,14 +256,15 @@ class _Trial:
         self,
         kind: str,
         plain: tuple[MotionForest, WindowGrid],
-        labeller: TakeLabeller,
+        ours: tuple[TakeLabeller, StretchJudge | None],
         takes: Sequence[JoinedTake],
         unknown: frozenset[str],
     ) -> None:
+        labeller, judge = ours
         counts = self.counts.setdefault(kind, {OURS: [], NEVER_UNKNOWN: [], FRAMEWISE: []})
         for take in takes:
             start = time.perf_counter()
-            timeline = label_take(labeller, take, n_jobs=self.n_jobs)
+            timeline = label_take(labeller, take, judge=judge, n_jobs=self.n_jobs)
             self.label_seconds += time.perf_counter() - start
             self.n_frames += round(timeline.duration * TAKE_RATE)
             truth = [
@@ -272,7 +276,7 @@ class _Trial:
                 for one in join_series(take.pieces)
             ]
             counts[OURS].append(compare_timeline(timeline.segments, truth, timeline.duration))
-            said = label_take(labeller, take, threshold=0.0, n_jobs=self.n_jobs).segments
+            said = label_take(labeller, take, judge=judge, threshold=0.0, n_jobs=self.n_jobs).segments
             counts[NEVER_UNKNOWN].append(compare_timeline(said, truth, timeline.duration))
             forest, grid = plain
             windows = describe_take(forest, self.feature_set, take, grid, n_jobs=self.n_jobs)

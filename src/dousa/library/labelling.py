@@ -28,6 +28,7 @@ from dousa.retrieval.features.partial_bodies import hide_joints
 if TYPE_CHECKING:
     from dousa.retrieval import LabelledClip
     from dousa.retrieval.features.posed_motion import AnnotatedTake, PosedMotion
+    from dousa.retrieval.forest.stretches import StretchJudge
     from dousa.retrieval.takes.label import TakeLabeller
     from dousa.retrieval.takes.live import LiveLabeller
 
@@ -83,8 +84,21 @@ class Labellers:
         whole = part is stored
         labeller = self.get(stored, n_jobs, progress, examples) if whole else self._get_part(part, n_jobs, progress)
         seen = _complete(motion, part.feature_set)
-        timeline = label_take(labeller, seen, threshold=threshold, n_jobs=choose_jobs(n_jobs))
+        judge = self._find_judge(part, examples if whole else ())
+        timeline = label_take(labeller, seen, judge=judge, threshold=threshold, n_jobs=choose_jobs(n_jobs))
         return LabelledTake(path, clip_id, timeline, () if note is None else (note,))
+
+    def _find_judge(self, stored: StoredForest, examples: Sequence[int] = ()) -> StretchJudge | None:
+        """Who judges segments as clips; of what examples teach the trees have seen too little."""
+        from dousa.retrieval.forest.stretches import StretchJudge
+
+        if stored.assessor is None:
+            return None
+        judge = StretchJudge(stored.assessor, find_feature_set(stored.feature_set))
+        if not examples:
+            return judge
+        with self._database.reading() as connection:
+            return judge.sparing(frozenset(name for _, name in _read_labels(connection, examples)))
 
     def _get_part(self, part: StoredForest, n_jobs: int | None, progress: LearnProgress | None) -> TakeLabeller:
         """What takes of bodies that lack joints are labelled with; it stays in memory, and examples do not teach it."""
@@ -106,7 +120,7 @@ class Labellers:
 
         stored = self._load()
         labeller = self.get(stored, n_jobs, progress)
-        return LiveLabeller(labeller, height=height, threshold=threshold)
+        return LiveLabeller(labeller, height=height, threshold=threshold, judge=self._find_judge(stored))
 
     def _load(self) -> StoredForest:
         with self._database.reading() as connection:

@@ -191,7 +191,9 @@ def test_any_probabilities_make_a_timeline_in_order(seed):
     n_frames = int(draw.integers(1, 900))
     shares = draw.dirichlet(np.full(3 * len(LABELLER.classes) + 1, 0.2), -(-n_frames // 6)).astype(np.float32)
     chosen = LABELLER.choose(shares, n_frames)
-    segments = make_timeline(chosen, draw.uniform(size=len(chosen)), LABELLER.classes, n_frames / 30, 0.5).segments
+    segments = make_timeline(
+        chosen, draw.uniform(size=len(chosen)) < 0.5, LABELLER.classes, n_frames / 30, 0.5
+    ).segments
     edges = [segments[0].start, *(one.stop for one in segments)]
     assert edges[0] == 0.0
     assert edges[-1] == pytest.approx(n_frames / 30)

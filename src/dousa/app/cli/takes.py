@@ -88,7 +88,13 @@ def label(
     ],
     threshold: Annotated[
         float | None,
-        typer.Option("--threshold", min=0, max=1, help="Minimum confidence of a label.", show_default="learned"),
+        typer.Option(
+            "--threshold",
+            min=0,
+            max=1,
+            help="Minimum confidence of a label.",
+            show_default="more likely right than wrong, as a clip or all in all",
+        ),
     ] = None,
     csv: Annotated[Path | None, typer.Option("--csv", help="Write the timeline as a table.")] = None,
     picture: Annotated[Path | None, typer.Option("--picture", help="Draw the timeline: .png, .svg or .pdf.")] = None,

@@ -10,11 +10,24 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
+import numpy as np
+
 from dousa.errors import TrainingError
 from dousa.experiments.annotated.scores import AnnotatedTakesResult, FrameTally
-from dousa.experiments.runner import Progress, Steps, check_at_least, leave_performer_out
+from dousa.experiments.runner import (
+    Progress,
+    Steps,
+    check_at_least,
+    describe_copies,
+    fit_forest,
+    learn_judge,
+    leave_performer_out,
+    make_forest,
+)
 from dousa.messages import Message
-from dousa.retrieval.features.posed_motion import AnnotatedTake
+from dousa.retrieval.features.feature_sets import DEFAULT_FEATURE_SET, get_feature_set
+from dousa.retrieval.features.posed_motion import AnnotatedTake, LabelledClip
+from dousa.retrieval.forest.stretches import StretchJudge, cut_stretch
 from dousa.retrieval.takes.label import Segment, label_take
 from dousa.retrieval.takes.labeller_training import train_labeller
 
@@ -93,11 +106,37 @@ class _Ours:
     def learn(self, takes: Sequence[AnnotatedTake]) -> LabelTake:
         """A labeller of what happens in the takes."""
         labeller = train_labeller([], takes, random_state=self.random_state, n_jobs=self.n_jobs)
+        judge = learn_clip_judge(cut_segments(takes), self.random_state, self.n_jobs)
 
         def label(take: AnnotatedTake) -> dict[str, Sequence[Segment]]:
             return {
-                OURS: label_take(labeller, take, n_jobs=self.n_jobs).segments,
-                NEVER_UNKNOWN: label_take(labeller, take, threshold=0.0, n_jobs=self.n_jobs).segments,
+                name: label_take(labeller, take, judge=judge, threshold=threshold, n_jobs=self.n_jobs).segments
+                for name, threshold in ((OURS, None), (NEVER_UNKNOWN, 0.0))
             }
 
         return label
+
+
+def cut_segments(takes: Sequence[AnnotatedTake]) -> list[LabelledClip]:
+    """The segments of takes that have a category, as clips."""
+    clips = []
+    for take in takes:
+        for one in take.stretches:
+            if one.category is not None:
+                part = cut_stretch(take, one.start, one.stop)
+                name = f"{take.name} {one.start:.2f}"
+                clips.append(
+                    LabelledClip(name, one.category, take.performer, part.positions, part.frame_rate, part.height)
+                )
+    return clips
+
+
+def learn_clip_judge(clips: Sequence[LabelledClip], random_state: int, n_jobs: int | None) -> StretchJudge | None:
+    """The forest of some clips that judges segments, as `dousa train` learns it."""
+    kind = get_feature_set(DEFAULT_FEATURE_SET)
+    features = np.stack([kind.compute(clip) for clip in clips])
+    copies = describe_copies(clips, kind, random_state)
+    forest = make_forest(kind, 100, random_state, n_jobs)
+    rows, labels = np.arange(len(clips)), np.array([clip.category for clip in clips], dtype=np.str_)
+    fit_forest(forest, features, rows, labels, copies, kind)
+    return learn_judge(forest, features, rows, clips, copies, kind)

@@ -198,7 +198,7 @@ class Verdicts:
 
     Parameters
     ----------
-    guess : (N,) number of the most voted category.
+    guess : (N,) number of the category that was judged: the most voted one, unless another was asked about.
     known : (N,) probability that the clip belongs to any category of the forest.
     confidence : (N,) probability that the guess is right; at most ``known``.
     unknown : (N,) whether the clip is called unknown: the guess is more likely wrong than right.
@@ -223,15 +223,21 @@ class Assessor:
         self.forest, self.calibration = forest, calibration
         self.scale = VoteScale(forest)
 
-    def assess(self, leaves: NDArray[np.integer[Any]], features: FloatArray | None = None) -> Verdicts:
+    def assess(
+        self,
+        leaves: NDArray[np.integer[Any]],
+        features: FloatArray | None = None,
+        guess: IndexArray | None = None,
+    ) -> Verdicts:
         """What is thought of clips.
 
         Parameters
         ----------
         leaves : (N, n_trees) as ``apply`` gives them.
         features : (N, T, F) of the same clips; with them, unknown ones are told better.
+        guess : (N,) numbers of the categories that are asked about; None for the most voted.
         """
-        guess, scores = self.scale.measure(leaves)
+        guess, scores = self.scale.measure(leaves, guess)
         calibration, names = self.calibration, self.forest.classes_[guess]
         seen, has_poses, places = gather_evidence(scores, calibration.poses, features, names)
         evidence = relate_to_usual(seen, calibration.usual[places])

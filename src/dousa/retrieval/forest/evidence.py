@@ -57,18 +57,21 @@ class VoteScale:
         weight = 1.0 / (np.maximum(sizes, 1.0) * np.maximum(usual, _LEAST_USUAL))
         self._entries = (trees.leaf_starts, trees.leaf_classes, counts * weight[trees.leaf_classes])
 
-    def measure(self, leaves: NDArray[np.integer[Any]]) -> tuple[IndexArray, FloatArray]:
+    def measure(
+        self, leaves: NDArray[np.integer[Any]], guess: IndexArray | None = None
+    ) -> tuple[IndexArray, FloatArray]:
         """The guesses and the scores of clips.
 
         Parameters
         ----------
         leaves : (N, n_trees) as ``apply`` gives them.
+        guess : (N,) numbers of the categories that are asked about; None for the most voted, the first of equals.
 
         Returns
         -------
-        guess : (N,) number of the most voted category, the first of equals.
+        guess : (N,) as given, or the most voted.
         scores : (N, 3) share of the votes for it; clips of it in the leaves in proportion to the usual, at most 2; lead
-            over the second category in votes.
+            over the best other category in votes.
         """
         trees = self._forest.trees_
         if leaves.ndim != 2 or leaves.shape[1] != len(trees.roots):
@@ -79,7 +82,7 @@ class VoteScale:
         votes = self._forest.histograms_of(wide)
         near = np.zeros_like(votes)
         kernels.count_leaves(wide, *self._entries, near)
-        guess, rows = votes.argmax(axis=1), np.arange(len(votes))
+        guess, rows = votes.argmax(axis=1) if guess is None else guess, np.arange(len(votes))
         first = votes[rows, guess]
         votes[rows, guess] = -1.0
         second = np.maximum(votes.max(axis=1), 0.0)

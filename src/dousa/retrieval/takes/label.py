@@ -1,8 +1,9 @@
 """Label a long take over time: which category from when to when, how sure, and where nothing known happens.
 
 Discriminants say how likely every category, and nothing, is at every moment (`moment_model`), and the likeliest
-sequence of segments is found (`sequence`), which finds the places and the lengths of the actions at once. What is
-nothing, and what is not likely enough to be right, is unknown.
+sequence of segments is found (`sequence`), which finds the places and the lengths of the actions at once. Each segment
+is then cut out and judged as a clip, by the forest and the curves that clips are judged by (`stretches`); how likely
+its category is right follows from both. What is nothing, and what is not likely enough to be right, is unknown.
 """
 
 from __future__ import annotations
@@ -10,7 +11,7 @@ from __future__ import annotations
 import csv
 import os
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -22,6 +23,7 @@ from dousa.messages import Message
 from dousa.retrieval.counting.tallies import TALLIES
 from dousa.retrieval.features.posed_motion import PosedMotion, check_motion
 from dousa.retrieval.forest.forest_file import check, check_version, pack_arrays, unpack_arrays
+from dousa.retrieval.forest.stretches import StretchJudge
 from dousa.retrieval.takes.moment_model import MODEL_ARRAYS, Codes, MomentModel, read_moment_model, sharpen
 from dousa.retrieval.takes.moments import HOP, N_VALUES, chunk_starts, count_moments, describe_chunk
 from dousa.retrieval.takes.repetitions import Chosen, count_all
@@ -274,8 +276,62 @@ def describe_run(shares: NDArray[np.float32], run: Run, sequence: SequenceModel)
     return np.array(evidence, np.float64)
 
 
+# Weights of the log odds that a segment is right: of those that the labeller gives it, and of those that it has as a
+# clip. Fitted to segments in takes of people who did not train: HDM05's and UTD-MHAD's joined clips, as recorded, slow
+# and noisy, with and without unknown actions, and UTKinect's own takes, each set counting the same (docs/takes.md).
+_OFFSET, _BY_LABELLER, _BY_CLIP = -1.2, 0.72, 0.4
+_LEAST_CHANCE = 1e-3
+_EVEN = 0.5
+
+
+def weigh_chosen(
+    labeller: TakeLabeller, chosen: Sequence[Chosen], motion: PosedMotion, judge: StretchJudge | None
+) -> list[Chosen]:
+    """Actions with how likely they are right, and of another category where the clips are surer of that.
+
+    Parameters
+    ----------
+    motion : what the frames of the actions count in.
+    judge : of clips; None, or one that does not know a category: the labeller's word alone counts.
+    """
+    if not chosen:
+        return []
+    sure = labeller.confidence(np.stack([one.evidence for one in chosen]))
+    said = [
+        replace(one, confidence=float(own), likely=bool(own >= labeller.threshold))
+        for one, own in zip(chosen, sure, strict=True)
+    ]
+    if judge is None:
+        return said
+    numbers = {name: number for number, name in enumerate(labeller.classes)}
+    spans = [(one.start / TAKE_RATE, one.stop / TAKE_RATE) for one in chosen]
+    seen = judge.judge(motion, spans, [labeller.classes[one.category] for one in chosen])
+    weighed = []
+    for k, (one, guess) in enumerate(zip(said, seen.guesses, strict=True)):
+        own, chance, other = one.confidence, float(seen.chances[k]), float(seen.guess_chances[k])
+        if not seen.judged[k]:
+            weighed.append(one)
+        elif guess in numbers and min(other, 1.0 - own) > max(_EVEN, min(chance, own)):
+            weighed.append(replace(one, category=numbers[guess], confidence=min(other, 1.0 - own), likely=True))
+        else:
+            both = combine_chances(own, chance)
+            weighed.append(replace(one, confidence=both, likely=max(both, chance) >= _EVEN))
+    return weighed
+
+
+def combine_chances(by_labeller: float, by_clip: float) -> float:
+    """The probability that a segment is right, from what the labeller and the clips say of it, each by itself."""
+    odds = [np.log(one / (1.0 - one)) for one in np.clip((by_labeller, by_clip), _LEAST_CHANCE, 1.0 - _LEAST_CHANCE)]
+    return float(1.0 / (1.0 + np.exp(-(_OFFSET + _BY_LABELLER * odds[0] + _BY_CLIP * odds[1]))))
+
+
 def label_take(
-    labeller: TakeLabeller, motion: PosedMotion, *, threshold: float | None = None, n_jobs: int | None = None
+    labeller: TakeLabeller,
+    motion: PosedMotion,
+    *,
+    judge: StretchJudge | None = None,
+    threshold: float | None = None,
+    n_jobs: int | None = None,
 ) -> Timeline:
     """Label a take from beginning to end.
 
@@ -283,8 +339,9 @@ def label_take(
     ----------
     labeller : what was learned.
     motion : of any length and frame rate.
-    threshold : confidence from which a category is said, 0 to 1; None for the labeller's own. With 0 nothing is
-        unknown.
+    judge : the forest that judges segments as clips; without one the labeller's word alone counts.
+    threshold : confidence from which a category is said, 0 to 1. With 0 nothing is unknown. None: what is more likely
+        right than wrong, as a clip or all in all; without a judge, what the labeller has learned.
     n_jobs : threads; None for one. The result does not depend on it.
 
     Raises
@@ -294,36 +351,43 @@ def label_take(
     """
     from dousa.retrieval.features.channels import sample_positions
 
-    limit = labeller.threshold if threshold is None else threshold
-    if not 0 <= limit <= 1:
-        raise OptionError("labeller.threshold", found=limit)
+    check_threshold(threshold)
     points = check_motion(motion)
     sampled = sample_positions(points, motion.frame_rate)
     scores = labeller.judge(sampled, motion.height, n_jobs)
-    chosen = labeller.choose(scores, len(sampled), never_unknown=limit == 0)
+    chosen = labeller.choose(scores, len(sampled), never_unknown=threshold == 0)
+    chosen = weigh_chosen(labeller, chosen, motion, judge)
     chosen = count_all(chosen, sampled, motion.height, labeller.usual)
-    sure = labeller.confidence(np.stack([one.evidence for one in chosen])) if chosen else np.zeros(0)
-    return make_timeline(chosen, sure, labeller.classes, len(points) / motion.frame_rate, limit)
+    limit = usual_threshold(labeller, judge) if threshold is None else threshold
+    said = [one.likely if threshold is None else one.confidence >= threshold for one in chosen]
+    return make_timeline(chosen, said, labeller.classes, len(points) / motion.frame_rate, limit)
+
+
+def check_threshold(threshold: float | None) -> None:
+    """OptionError for a probability outside 0 to 1."""
+    if threshold is not None and not 0 <= threshold <= 1:
+        raise OptionError("labeller.threshold", found=threshold)
+
+
+def usual_threshold(labeller: TakeLabeller, judge: StretchJudge | None) -> float:
+    """The confidence from which a category is said where nobody asks for another."""
+    return labeller.threshold if judge is None else _EVEN
 
 
 def make_timeline(
-    chosen: Sequence[Chosen], sure: FloatArray, classes: Sequence[str], duration: float, threshold: float
+    chosen: Sequence[Chosen], said: Sequence[bool], classes: Sequence[str], duration: float, threshold: float
 ) -> Timeline:
-    """Segments without gaps from chosen windows and how sure each is."""
+    """Segments without gaps from actions, and which of them are said."""
     n_frames = duration * TAKE_RATE
     spans = _share_gaps([(float(one.start), float(one.stop)) for one in chosen], n_frames)
     parts: list[Segment] = []
     reached = 0.0
-    for one, (start, stop), confidence in zip(chosen, spans, sure, strict=True):
+    for one, (start, stop), known in zip(chosen, spans, said, strict=True):
         if start > reached:
             parts.append(Segment(reached / TAKE_RATE, start / TAKE_RATE, None, 1.0))
-        known = bool(confidence >= threshold)
-        category, sureness = (
-            classes[one.category] if known else None,
-            confidence if known else 1.0 - confidence,
-        )
-        often = one.repetitions if known else 1
-        parts.append(Segment(start / TAKE_RATE, stop / TAKE_RATE, category, float(sureness), often))
+        category = classes[one.category] if known else None
+        sure = one.confidence if known else 1.0 - one.confidence
+        parts.append(Segment(start / TAKE_RATE, stop / TAKE_RATE, category, sure, one.repetitions if known else 1))
         reached = stop
     if reached < n_frames:
         parts.append(Segment(reached / TAKE_RATE, duration, None, 1.0))

@@ -21,9 +21,18 @@ from numpy.typing import ArrayLike, NDArray
 from dousa.arrays import FloatArray
 from dousa.errors import InvalidMotionError, OptionError
 from dousa.motion.canonical.joints import CANONICAL_JOINTS, JOINT_INDEX
-from dousa.retrieval.takes.label import SHORT_GAP, Segment, TakeLabeller, describe_run
+from dousa.retrieval.forest.stretches import CutStretch, StretchJudge
+from dousa.retrieval.takes.label import (
+    SHORT_GAP,
+    Segment,
+    TakeLabeller,
+    check_threshold,
+    describe_run,
+    weigh_chosen,
+)
 from dousa.retrieval.takes.moment_model import sharpen
 from dousa.retrieval.takes.moments import HOP, REACH, describe_chunk
+from dousa.retrieval.takes.repetitions import Chosen
 from dousa.retrieval.takes.sequence import N_PHASES, Run
 from dousa.retrieval.takes.windows import TAKE_RATE
 
@@ -72,21 +81,27 @@ class LiveLabeller:
     ----------
     labeller : as for takes.
     height : m, of the performer; None to estimate it from the first second.
-    threshold : confidence from which a category is said; None for the labeller's own. With 0 nothing is unknown.
+    threshold, judge : as for takes; of a long segment the last quarter of a minute is judged as a clip.
 
     Raises
     ------
     OptionError : a height or threshold out of range.
     """
 
-    def __init__(self, labeller: TakeLabeller, *, height: float | None = None, threshold: float | None = None) -> None:
+    def __init__(
+        self,
+        labeller: TakeLabeller,
+        *,
+        height: float | None = None,
+        threshold: float | None = None,
+        judge: StretchJudge | None = None,
+    ) -> None:
         if height is not None and not 0 < height < np.inf:
             raise OptionError("live.height_option", found=height)
-        if threshold is not None and not 0 <= threshold <= 1:
-            raise OptionError("labeller.threshold", found=threshold)
+        check_threshold(threshold)
         self.height = height
-        self._labeller = labeller
-        self._threshold = labeller.threshold if threshold is None else threshold
+        self._labeller, self._judge = labeller, judge
+        self._threshold = threshold
         self._sampler = _Sampler(2 * (_BEFORE + _AHEAD) + _MEASURED)
         self._settled = 0  # moments whose label is certain
         self._scores = np.zeros((0, N_PHASES * len(labeller.classes) + 1), np.float32)  # of the moments after those
@@ -173,10 +188,21 @@ class LiveLabeller:
         stop = self._sampler.time_of(self._sampler.count) if last else stop
         if run.state == len(self._labeller.classes):
             return Segment(start, stop, None, 1.0)
+        weighed = self._weigh(run)
+        sure = weighed.confidence
+        known = weighed.likely if self._threshold is None else sure >= self._threshold
+        category = self._labeller.classes[weighed.category] if known else None
+        return Segment(start, stop, category, sure if known else 1.0 - sure)
+
+    def _weigh(self, run: Run) -> Chosen:
+        """How likely a run of a category is right, by what is still there of it."""
         evidence = describe_run(self._share(), run, self._labeller.sequence)
-        sure = float(self._labeller.confidence(evidence[None])[0])
-        known = sure >= self._threshold
-        return Segment(start, stop, self._labeller.classes[run.state] if known else None, sure if known else 1.0 - sure)
+        begin = self._sampler.oldest
+        start, stop = ((self._settled + edge) * HOP for edge in (run.start, run.stop))
+        kept = Chosen(max(start - begin, 0), min(stop, self._sampler.count) - begin, run.state, evidence)
+        motion = CutStretch(self._sampler.last(self._sampler.count - begin), TAKE_RATE, float(self.height or 1.0))
+        # Of what is gone the labeller's word counts alone.
+        return weigh_chosen(self._labeller, [kept], motion, self._judge if kept.stop > HOP else None)[0]
 
     def _answer(self, settled: tuple[Segment, ...]) -> LiveAnswer:
         time = self._sampler.time_of(self._sampler.count)

@@ -41,13 +41,25 @@ def _measure(motion: PosedMotion) -> FloatArray:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Chosen:
-    """An action: frames, number of the category, what speaks for it (K,), how often it is done."""
+    """An action of a take.
+
+    Parameters
+    ----------
+    start, stop : frames at ``TAKE_RATE``.
+    category : number of it.
+    evidence : (K,) what speaks for it in the labeller.
+    repetitions : how often it is done.
+    confidence : probability that the category is right.
+    likely : whether it is named where nobody asks for a confidence.
+    """
 
     start: int
     stop: int
     category: int
     evidence: FloatArray
     repetitions: int = 1
+    confidence: float = 0.0
+    likely: bool = True
 
 
 def count_all(
@@ -84,4 +96,8 @@ def _join(series: Sequence[Chosen], sampled: FloatArray, height: float) -> list[
         return list(series)
     sizes = np.array([one.stop - one.start for one in series], np.float32)
     evidence = np.average(np.stack([one.evidence for one in series]), axis=0, weights=sizes)
-    return [replace(series[0], stop=series[-1].stop, evidence=evidence)]
+    confidence, likely = (
+        float(np.average([getattr(one, name) for one in series], weights=sizes)) for name in ("confidence", "likely")
+    )
+    whole = replace(series[0], stop=series[-1].stop, evidence=evidence)
+    return [replace(whole, confidence=confidence, likely=likely >= 0.5)]
