@@ -69,24 +69,25 @@ def describe_counts(tallies: FloatArray, counts: IntArray, usual: FloatArray | N
     -------
     (K, F), as many columns as `name_evidence` has names.
     """
-    columns = [-np.log(counts), (counts == 1).astype(np.float64)]
     values = np.maximum(tallies, _LEAST)
-    for value in values[: len(COUNTED)]:
-        columns += [_come_near(np.log(value / counts)), _hit(value, counts)]
+    counted, sizes = values[: len(COUNTED)], counts[:, None]
+    alone = np.stack([_come_near(np.log(counted / sizes)), _hit(counted, sizes)], axis=2)
+    parts = [np.stack([-np.log(counts), counts == 1], axis=1), alone.reshape(len(counts), -1)]
     if usual is not None:
-        for value, unit in zip(values, usual, strict=True):
-            ratio = np.log(value / (unit * counts))
-            columns += [_come_near(ratio), _hit(value / unit, counts), -np.clip(ratio, 0.0, _FARTHEST)]
-    return np.stack(columns, axis=1)
+        ratios = np.log(values / (usual * sizes))
+        over = -np.minimum(np.maximum(ratios, 0.0), _FARTHEST)
+        known = np.stack([_come_near(ratios), _hit(values / usual, sizes), over], axis=2)
+        parts.append(known.reshape(len(counts), -1))
+    return np.concatenate(parts, axis=1)
 
 
-def _come_near(ratio: FloatArray) -> FloatArray:
-    near: FloatArray = -np.minimum(np.abs(ratio), _FARTHEST)
+def _come_near(ratios: FloatArray) -> FloatArray:
+    near: FloatArray = -np.minimum(np.abs(ratios), _FARTHEST)
     return near
 
 
-def _hit(value: float, counts: IntArray) -> FloatArray:
-    hit: BoolArray = np.abs(value - counts) <= 0.5
+def _hit(values: FloatArray, counts: IntArray) -> FloatArray:
+    hit: BoolArray = np.abs(values - counts) <= 0.5
     return hit.astype(np.float64)
 
 
