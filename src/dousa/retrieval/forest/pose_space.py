@@ -81,12 +81,16 @@ class PoseSpace:
         return distances
 
     def with_clips(self, features: FloatArray, categories: NDArray[Any]) -> PoseSpace:
-        """The same space with more clips in it, of categories old or new."""
+        """The same space with more clips (N, T, F) in it, of categories old or new."""
+        return self.with_placed(self.place(features), categories)
+
+    def with_placed(self, placed: FloatArray, categories: NDArray[Any]) -> PoseSpace:
+        """The same of clips (N, K) as ``place`` puts them."""
         names = np.unique(np.concatenate([self.categories, categories]))
         sums, counts = np.zeros((len(names), self.axes.shape[1])), np.zeros(len(names), np.int64)
         old, own = np.searchsorted(names, self.categories), np.searchsorted(names, categories)
         sums[old], counts[old] = self.sums, self.counts
-        np.add.at(sums, own, self.place(features))
+        np.add.at(sums, own, placed)
         np.add.at(counts, own, 1)
         return PoseSpace(self.layout, self.middle, self.scale, self.axes, sums, counts, names)
 
@@ -135,15 +139,18 @@ def fit_pose_space(features: FloatArray, categories: NDArray[Any], feature_set: 
     middle, spread = described.mean(axis=0), described.var(axis=0)
     # A column that hardly varies must not speak as loudly as the others: half of its scale is that of all.
     scale = 1.0 / np.sqrt(spread + _mean_of_channels(spread, layout) + _TINY)
-    axes = _find_axes((described - middle) * scale)
-    placed = ((described - middle) * scale) @ axes
+    centred = described  # in its place: there may be many clips
+    centred -= middle
+    centred *= scale
+    axes = _find_axes(centred)
+    placed = centred @ axes
     centres = np.stack([placed[own == number].mean(axis=0) for number in range(len(names))])
     apart = placed - centres[own]
     scatter = apart.T @ apart / max(len(placed) - len(names), 1)
     floor = _SHRINKING * np.trace(scatter) / max(len(scatter), 1) + 1e-6 * placed.var() + _TINY
     axes = axes @ np.linalg.cholesky(np.linalg.inv(scatter + floor * np.eye(len(scatter))))
     nobody = np.zeros((0, axes.shape[1])), np.zeros(0, np.int64), names[:0]
-    return PoseSpace(layout, middle, scale, axes, *nobody).with_clips(features, np.asarray(categories))
+    return PoseSpace(layout, middle, scale, axes, *nobody).with_placed(centred @ axes, np.asarray(categories))
 
 
 def _describe(features: FloatArray, layout: IntArray) -> FloatArray:
@@ -153,7 +160,8 @@ def _describe(features: FloatArray, layout: IntArray) -> FloatArray:
     if not has_squares:
         return means.reshape(len(features), -1)
     squares = _join_cells(features[:, :, count + 1 : 2 * count + 1])
-    spreads = np.sqrt(np.maximum(squares - means**2, 0.0))
+    squares -= means**2
+    spreads = np.sqrt(np.maximum(squares, 0.0, out=squares), out=squares)
     return np.concatenate([means, spreads], axis=1).reshape(len(features), -1)
 
 
@@ -181,7 +189,14 @@ def _find_axes(centred: FloatArray) -> FloatArray:
 def _join_cells(cells: FloatArray) -> FloatArray:
     """(N, T, C) to at most ``_CELLS`` cells."""
     groups = np.array_split(np.arange(cells.shape[1]), min(_CELLS, cells.shape[1]))
-    return np.stack([cells[:, group].mean(axis=1, dtype=np.float64) for group in groups], axis=1)
+    joined = np.empty((len(cells), len(groups), cells.shape[2]))
+    for row, group in enumerate(groups):
+        mean = joined[:, row]
+        mean[:] = cells[:, group[0]]
+        for cell in group[1:]:
+            mean += cells[:, cell]
+        mean /= len(group)
+    return joined
 
 
 _RIDGE = 1e-3  # holds curves finite where the scores part both sides without a mistake
