@@ -51,7 +51,7 @@ MEANINGS = {
     "raise": r"raise-up.*",
 }  # fmt: skip
 MOST_COPIES = 1000  # as in the library
-Rows = dict[str, list[tuple[np.ndarray, np.ndarray]]]
+Rows = dict[str, list[tuple[np.ndarray, ...]]]  # what was said, and whether that was right; or called unknown
 
 
 def find_meaning(category: str) -> str:
@@ -144,17 +144,18 @@ class Trained:
         squares = (points**2).sum(axis=1)[:, None] + (self._points**2).sum(axis=1) - 2 * points @ self._points.T
         return np.sqrt(np.maximum(squares, 0) / points.shape[1])
 
-    def classify(self, features: np.ndarray) -> dict[str, tuple[np.ndarray, np.ndarray]]:
-        """Guesses and confidences of dousa and the baselines."""
+    def classify(self, features: np.ndarray) -> dict[str, tuple[np.ndarray, np.ndarray, np.ndarray]]:
+        """Guesses and confidences of dousa and the baselines, and what they call unknown."""
         leaves = self.forest.apply(features)
         seen = self.assessor.assess(leaves, features)
         guess = self.forest.classes_[seen.guess]
         away = self._distances((features.reshape(len(features), -1) - self._middle) / self._spread)
         nearest = np.full(len(features), 0.5) if self._curve is None else self._curve.predict(away.min(axis=1))
+        share = self.assessor.scale.measure(leaves)[1][:, 0]
         return {
-            "dousa": (guess, seen.confidence),
-            "share of the votes": (guess, self.assessor.scale.measure(leaves)[1][:, 0]),
-            "nearest, isotonic": (self.labels[away.argmin(axis=1)], nearest),
+            "dousa": (guess, seen.confidence, seen.unknown),
+            "share of the votes": (guess, share, share < 0.5),
+            "nearest, isotonic": (self.labels[away.argmin(axis=1)], nearest, nearest < 0.5),
         }
 
     def describe(self, features: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -203,9 +204,10 @@ def print_rows(title: str, rows: Rows) -> None:
         error, area = calibration_error(chance, right), compute_auroc(chance, right.astype(bool))
         if title.startswith("unknown"):
             belongs = right > 0
-            called = f"known called unknown {np.mean(chance[belongs] < 0.5):.3f}"
+            told = np.concatenate([part[2] for part in parts])
+            called = f"known called unknown {told[belongs].mean():.3f}"
             if not belongs.all():
-                called += f"  strange called known {np.mean(chance[~belongs] >= 0.5):.3f}"
+                called += f"  strange called known {np.mean(~told[~belongs]):.3f}"
             print(f"{title:42s} {system:20s} n {len(right):5d}  AUROC {area:.3f}  {called}", flush=True)
             continue
         print(
@@ -254,7 +256,7 @@ class Trial:
         labels = np.array([clip.category for clip in self.clips[name]])[rows]
         for version in VERSIONS:
             answers = trained.classify(self.features[name][version][rows])
-            for system, (guess, chance) in answers.items():
+            for system, (guess, chance, _) in answers.items():
                 same = [find_meaning(one) == find_meaning(other) for one, other in zip(guess, labels, strict=True)]
                 right = np.array(same) if strangers else guess == labels
                 for key in (f"{title}, {version}", f"{title}, all"):
@@ -265,15 +267,16 @@ class Trial:
         known = {find_meaning(label) for label in trained.labels}
         for version in VERSIONS:
             said = trained.classify(self.features[name][version][rows])
-            for system, (_, chance) in said.items():
-                self.rows[f"unknown, {name}, {version}"][system].append((chance, np.ones(len(chance), bool)))
+            for system, (_, chance, told) in said.items():
+                self.rows[f"unknown, {name}, {version}"][system].append((chance, np.ones(len(chance), bool), told))
         for other in self.clips:
             strange = np.array([find_meaning(clip.category) not in known for clip in self.clips[other]])
             if other != name and strange.any():
                 for version in VERSIONS:
                     said = trained.classify(self.features[other]["recorded"][strange])
-                    for system, (_, chance) in said.items():
-                        self.rows[f"unknown, {name}, {version}"][system].append((chance, np.zeros(len(chance), bool)))
+                    for system, (_, chance, told) in said.items():
+                        part = chance, np.zeros(len(chance), bool), told
+                        self.rows[f"unknown, {name}, {version}"][system].append(part)
 
     def search(self, trained: Trained, name: str, rows: np.ndarray, n_queries: int, seed: int) -> None:
         chance = np.random.default_rng(seed)
