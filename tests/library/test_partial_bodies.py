@@ -12,6 +12,7 @@ from dousa.errors import InvalidMotionError, JointMappingError, LibraryDamagedEr
 from dousa.formats.motion_files import read_canonical
 from dousa.library import Library
 from dousa.motion import CANONICAL_JOINTS, canonicalise
+from dousa.retrieval.forest.calibration import Calibration
 from library.database_server import run_sql
 
 SIDES = ("left", "right")
@@ -119,6 +120,14 @@ def test_the_forest_of_a_part_is_kept_until_clips_change(library_file, library, 
     (again,) = read()
     assert again[0] == kept[0]
     assert again[1] != kept[1]
+
+
+def test_the_forest_of_a_part_learns_from_disturbed_copies_too(library_file, library, squat):
+    library.search(cut(squat, UPPER))
+    ((calibration,),) = run_sql(library_file, "SELECT calibration FROM part_forests")
+    n_clips = sum(clip.category is not None for clip in library.clips())
+    # The space of the poses is one of the clips and of a copy of each.
+    assert Calibration.from_bytes(calibration).poses.counts.sum() == 2 * n_clips
 
 
 def test_a_library_that_cannot_be_written_answers_too(library_file, squat):

@@ -21,7 +21,15 @@ from dousa.errors import DousaError, LibraryDamagedError, LibraryError
 from dousa.library import schema
 from dousa.library.engine import Database
 from dousa.library.features import ClipFeatures, Description, describe_stored, find_feature_set, lacks
-from dousa.library.forests import StoredForest, TreeAnswers, count_votes, find_leaves, learn_unknown
+from dousa.library.forests import (
+    StoredForest,
+    TreeAnswers,
+    count_votes,
+    describe_copies,
+    find_leaves,
+    fit_forest,
+    learn_unknown,
+)
 from dousa.library.schema import pack, stack
 from dousa.library.seals.checksums import PART_FORESTS, seal_rows
 from dousa.library.search import PartProgress
@@ -29,10 +37,12 @@ from dousa.messages import Message
 from dousa.retrieval.features.partial_bodies import is_comparable, name_parts
 
 if TYPE_CHECKING:
-    from dousa.arrays import FloatArray
     from dousa.retrieval.features.feature_sets import FeatureSet
+    from dousa.retrieval.forest.calibration import Copies
 
 _STEPS = 4
+
+_LEARNED_BY = "copies"  # what is learned otherwise than by an earlier dousa is learned anew
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -142,8 +152,10 @@ class PartForests:
             stored, answers = self._read(connection, main, kind, material)
             missing = [clip_id for clip_id in material.ids if clip_id not in answers.leaves]
             described = _describe(connection, missing, kind, n_jobs, progress)
-        if stored is None:
-            stored = _train(main, kind, material, described, progress)
+            if stored is None:
+                clips = _gather_taught(material, described)
+                copies = describe_copies(connection, clips, range(len(clips.ids)), kind, n_jobs)
+                stored = _train(main, kind, clips, copies, progress)
         if missing:
             features = np.stack([described[clip_id].features for clip_id in missing])
             answers.leaves.update(zip(missing, find_leaves(stored, features), strict=True))
@@ -212,7 +224,7 @@ def _read_material(connection: sa.Connection, main: StoredForest, kind: FeatureS
     there = [row for row in rows if not lacks(kind.name, row.absent)]
     parameters = {name: value for name, value in main.forest.get_params().items() if name != "n_jobs"}
     taught = [(row.id, row.category, row.performer) for row in there if row.category is not None]
-    digest = hashlib.sha256(json.dumps([kind.name, parameters, taught]).encode())
+    digest = hashlib.sha256(json.dumps([kind.name, parameters, taught, _LEARNED_BY]).encode())
     return _Material(there, digest.hexdigest())
 
 
@@ -234,32 +246,32 @@ def _describe(
     return describe_stored(connection, ids, kind.name, n_jobs, tell)
 
 
-def _train(
-    main: StoredForest,
-    kind: FeatureSet,
-    material: _Material,
-    described: dict[int, Description],
-    progress: PartProgress | None,
-) -> StoredForest:
-    """A forest with the parameters of the library's, over the clips that have a category."""
-    from dousa.retrieval import MotionForest
-
-    report = progress or (lambda done, total, what: None)
+def _gather_taught(material: _Material, described: dict[int, Description]) -> ClipFeatures:
+    """The clips that have a category."""
     rows = [row for row in material.rows if row.category is not None]
-    features: FloatArray = np.stack([described[row.id].features for row in rows])
-    forest = MotionForest().set_params(**main.forest.get_params())
-    report(1, _STEPS, Message("library_training.growing_trees"))
-    forest.fit(features, np.array([row.category for row in rows], dtype=np.str_), feature_set=kind)
-    report(2, _STEPS, Message("library_training.calibrating"))
-    clips = ClipFeatures(
+    return ClipFeatures(
         ids=[row.id for row in rows],
-        features=features,
+        features=np.stack([described[row.id].features for row in rows]),
         categories=[row.category for row in rows],
         performers=[row.performer for row in rows],
         heights=[row.height for row in rows],
         computed={},
     )
-    assessor = learn_unknown(forest, clips, range(len(rows)), kind)
+
+
+def _train(
+    main: StoredForest, kind: FeatureSet, clips: ClipFeatures, copies: Copies, progress: PartProgress | None
+) -> StoredForest:
+    """A forest with the parameters of the library's, over clips that have a category, and their disturbed copies."""
+    from dousa.retrieval import MotionForest
+
+    report = progress or (lambda done, total, what: None)
+    forest = MotionForest().set_params(**main.forest.get_params())
+    labelled = range(len(clips.ids))
+    report(1, _STEPS, Message("library_training.growing_trees"))
+    fit_forest(forest, clips, labelled, kind, copies)
+    report(2, _STEPS, Message("library_training.calibrating"))
+    assessor = learn_unknown(forest, clips, labelled, kind, copies)
     report(3, _STEPS, Message("library_training.writing"))
     categories = tuple(str(name) for name in forest.classes_)
     return replace(main, forest=forest, categories=categories, feature_set=kind.name, assessor=assessor)
