@@ -34,6 +34,10 @@ def studio(
         int,
         typer.Option("--max-upload", min=1, max=100_000, metavar="MB", help="Maximum size of an uploaded file."),
     ] = 500,
+    watch: Annotated[
+        Path | None,
+        typer.Option("--watch", metavar="DIR", help="Add what appears in this folder, while the studio runs."),
+    ] = None,
     no_browser: Annotated[
         bool, typer.Option("--no-browser", help="Only print the address; do not open a browser.")
     ] = False,
@@ -44,11 +48,13 @@ def studio(
     of this library runs already, that one is opened. Needs: pip install 'dousa\\[studio]'
 
     Example: dousa studio moves.dousa
+
+    Example: dousa studio moves.dousa --watch recordings
     """
     from dousa.app.studio import Settings, serve
 
     settings = Settings(library, port=port, home=home, most_bytes=max_upload * 1_000_000)
-    serve(settings, opens_browser=not no_browser)
+    serve(settings, opens_browser=not no_browser, watched=watch)
 
 
 LIBRARY = "demo.dousa"

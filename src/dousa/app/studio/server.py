@@ -11,6 +11,7 @@ import webbrowser
 from collections.abc import AsyncIterator, Mapping
 from contextlib import asynccontextmanager, suppress
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import h11
@@ -32,6 +33,8 @@ from dousa.app.studio.core.guard import Guard
 from dousa.app.studio.core.home_lock import HomeTakenError, ask_running
 from dousa.app.studio.core.words import name_error
 from dousa.app.studio.core.workspace import Settings
+from dousa.app.studio.jobs.board import ACTIVE
+from dousa.app.studio.jobs.folder_watch import FolderWatch
 from dousa.app.studio.work.worker import make_lanes
 from dousa.errors import DousaError, OptionError
 from dousa.extras import require
@@ -41,7 +44,7 @@ _ARENA_MAX, _MMAP_THRESHOLD = -8, -3  # names of malloc.h
 _TRIES = 20  # ports after the one asked for
 
 
-def serve(settings: Settings, *, opens_browser: bool = True) -> None:
+def serve(settings: Settings, *, opens_browser: bool = True, watched: Path | None = None) -> None:
     """Listen on this machine and show the address, until Ctrl-C.
 
     Parameters
@@ -49,11 +52,15 @@ def serve(settings: Settings, *, opens_browser: bool = True) -> None:
     settings : where, and for which library; a port that is taken is replaced by the next free one. If a studio of
         this library runs already, that one is shown.
     opens_browser : show the page in the browser of this machine.
+    watched : folder; what appears in it goes into the library while the studio runs.
 
     Raises
     ------
-    OptionError : no port is free; or the folder is another studio's, which does not answer.
+    OptionError : no port is free; or the folder is another studio's, which does not answer; or what is to be watched is
+        no folder, or the studio that runs already would have to watch it.
     """
+    if watched is not None and not watched.is_dir():
+        raise OptionError("studio.no_watched_folder", folder=watched)
     _tame_memory()
     # Many small products for each request: threads of the linear algebra cost twice what they save.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
@@ -69,6 +76,8 @@ def serve(settings: Settings, *, opens_browser: bool = True) -> None:
             running = ask_running(settings.folder)
             if running is None:
                 raise
+            if watched is not None:
+                raise OptionError("studio.cannot_watch", library=settings.library) from None
             _show_running(settings, running, opens_browser)
             return
         config = uvicorn.Config(
@@ -80,12 +89,24 @@ def serve(settings: Settings, *, opens_browser: bool = True) -> None:
         app.state.studio.held.announce(settings.address, settings.token)
         _say_serving(settings, app.state.codes.issue())
         threading.Thread(target=warm_up, args=(app.state.studio,), daemon=True).start()
+        if watched is not None:
+            _watch(watched, app.state.studio).start()
         if opens_browser:
             address = f"{settings.address}/?code={app.state.codes.issue()}"
             threading.Timer(0.5, webbrowser.open, [address]).start()
         with suppress(KeyboardInterrupt):  # the usual end
             server.run(sockets=[listener])
         sys.stderr.write(f"{Message('studio.stopped')}\n")
+
+
+def _watch(folder: Path, studio: Studio) -> FolderWatch:
+    def take_in(files: list[str]) -> None:
+        studio.jobs.submit("watch", {"folder": str(folder.absolute()), "files": files}, folder.name)
+
+    def is_busy() -> bool:
+        return any(job.kind == "watch" and job.state in ACTIVE for job in studio.jobs.all())
+
+    return FolderWatch(folder, take_in, is_busy)
 
 
 def _say_serving(settings: Settings, code: str) -> None:

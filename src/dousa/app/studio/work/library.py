@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import csv
+from collections.abc import Mapping, Sequence
 from pathlib import Path, PurePath
 from typing import TYPE_CHECKING, Any
 
@@ -21,17 +23,39 @@ def add(request: dict[str, Any], context: Context) -> dict[str, Any]:
     from dousa.formats.motion_files import ReadOptions
 
     folder = context.home / "files" / str(request["batch"])
+    options = {
+        "kind": request["kind"],
+        "category_from": _inside(request.get("category_from"), folder),
+        "performer_from": _inside(request.get("performer_from"), folder),
+        "labels_from": "beside" if request.get("labels") else None,
+        "tier": request.get("tier"),
+        "options": ReadOptions(request.get("joint_map"), request.get("unit"), request.get("up")),
+    }
+    answer: dict[str, Any] = _without_folder(_take_in([folder], options, context), f"{folder}/")
+    return answer
+
+
+def watch(request: dict[str, Any], context: Context) -> dict[str, Any]:
+    """Add what is new in a folder of this machine, as `dousa add` does; ``request``: folder and files.
+
+    They are not asked for by pages but by who started the studio. Of the others in the folder some may have been
+    removed on purpose.
+    """
+    folder, files = Path(request["folder"]), [Path(path) for path in request["files"]]
+    table = context.folder / "categories.csv"
+    with table.open("w", newline="", encoding="utf-8") as file:
+        rows = ((path, path.parent.relative_to(folder).as_posix().removeprefix(".")) for path in files)
+        csv.writer(file).writerows([("path", "category"), *rows])
+    return _take_in(files, {"category_from": f"csv:{table}"}, context)
+
+
+def _take_in(paths: Sequence[Path], options: Mapping[str, Any], context: Context) -> dict[str, Any]:
     with context.open_library() as library:
         before = {clip.id for clip in library.clips()}
         report = library.add(
-            [folder],
-            kind=request["kind"],
-            category_from=_inside(request.get("category_from"), folder),
-            performer_from=_inside(request.get("performer_from"), folder),
-            labels_from="beside" if request.get("labels") else None,
-            tier=request.get("tier"),
-            options=ReadOptions(request.get("joint_map"), request.get("unit"), request.get("up")),
+            paths,
             progress=lambda done, total, path: context.progress(done, total, Path(str(path)).name),
+            **options,
         )
         if report.added or report.replaced:
             _draw_ahead(library, before, context)
@@ -39,8 +63,7 @@ def add(request: dict[str, Any], context: Context) -> dict[str, Any]:
             "skipped": [{"path": one.path, "reason": shorten(one.reason, context.home)} for one in report.skipped],
             "warnings": [{"path": path, "warning": shorten(text, context.home)} for path, text in report.warnings],
         }
-        answer: dict[str, Any] = _without_folder(report.to_json() | said, f"{folder}/")
-    return answer
+    return report.to_json() | said
 
 
 def _inside(rule: str | None, folder: Path) -> str | None:

@@ -26,6 +26,7 @@ Work = Callable[[dict[str, Any], Context], dict[str, Any]]
 
 IN_PROCESS = {
     "add": ("library", "add"),
+    "watch": ("library", "watch"),
     "train": ("library", "train"),
     "export": ("library", "export"),
     "estimate": ("estimation", "estimate"),
@@ -49,6 +50,7 @@ def make_lanes(studio: Studio) -> Mapping[str, Lane]:
     process = run_in_process(studio.settings)
     return {
         "add": Lane("library", process, resumable=True),
+        "watch": Lane("library", process, resumable=True),
         "train": Lane("library", process, resumable=True),
         "export": Lane("export", process, resumable=True),
         "estimate": Lane("estimation", process, resumable=True),

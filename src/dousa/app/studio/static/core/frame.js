@@ -51,7 +51,7 @@ if (tab) {
 const tray = $("#jobs-tray");
 const trayButton = $("#jobs-button");
 const space = h("div", { class: "space" });
-const PLACES = { evaluate: "evaluate", estimate: "estimate", label: "takes", add: "library", train: "library" };
+const PLACES = { evaluate: "evaluate", estimate: "estimate", label: "takes", add: "library", watch: "library", train: "library" };
 
 function toggleTray(open) {
   tray.hidden = !open;
@@ -85,7 +85,7 @@ function describeJob(job) {
   if (isActive(job)) actions.push(act("stop", () => stopJob(job.id)));
   else actions.push(act("forget", () => forgetJob(job.id), "quiet"));
   if (job.resumable && (job.state === "stopped" || job.state === "failed")) actions.unshift(act("resume", () => resumeJob(job.id)));
-  const shows = ["evaluate", "estimate", "label", "add", "train"].includes(job.kind) && job.state !== "failed";
+  const shows = Object.hasOwn(PLACES, job.kind) && job.state !== "failed";
   if (job.kind === "export" && job.state === "done") actions.unshift(h("a", { class: "button small", href: `/api/exports/${job.id}`, download: "" }, t("download_file")));
   if (shows) actions.unshift(h("a", { class: "button small", href: `/${PLACES[job.kind]}?job=${job.id}` }, t("show")));
   return h(
@@ -101,7 +101,7 @@ function describeJob(job) {
 }
 
 // Labels, evaluations and estimates are results to come back to; of the others nothing but a line is left.
-const canBeCleared = (job) => !isActive(job) && (job.state !== "done" || ["add", "train", "export"].includes(job.kind));
+const canBeCleared = (job) => !isActive(job) && (job.state !== "done" || ["add", "watch", "train", "export"].includes(job.kind));
 
 async function clearEnded(ended) {
   for (const job of ended) await forgetJob(job.id);

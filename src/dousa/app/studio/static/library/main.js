@@ -174,7 +174,7 @@ const train = async (jobId) => (await import("./training.js")).openTraining(jobI
 
 async function openJob(id) {
   const job = await attempt(() => get(`/jobs/${id}`));
-  if (job?.kind === "add") add({ jobId: id });
+  if (["add", "watch"].includes(job?.kind)) add({ jobId: id });
   if (job?.kind === "train") train(id);
 }
 
@@ -196,7 +196,7 @@ acceptDrops(document.documentElement, (entries) => add({ entries }));
 // Another tab or program may have written, and jobs of ours end.
 const ended = new Map();
 watchJobs((jobs) => {
-  const over = jobs.filter((job) => ["add", "train"].includes(job.kind) && !isActive(job) && ended.get(job.id) === true);
+  const over = jobs.filter((job) => ["add", "watch", "train"].includes(job.kind) && !isActive(job) && ended.get(job.id) === true);
   for (const job of jobs) ended.set(job.id, isActive(job));
   if (over.length) reload();
 });
