@@ -109,7 +109,7 @@ class Adding:
         self._tier = tier
         self._found: dict[str, FoundFile] = {}
         self._labels_stay = True
-        self._change: int | None = None  # in the journal: one for all portions
+        self.change: int | None = None  # in the journal: one for all portions
         self._tally: Tally = defaultdict(list)
 
     def run(self, paths: Sequence[Any], n_jobs: int | None, progress: AddProgress | None) -> AddReport:
@@ -176,7 +176,7 @@ class Adding:
                 self._tally["warnings"].append((row.path, Message("annotations.no_table")))
             else:
                 wanted[row.id], notes[row.id] = to_annotation(own.file, own.tiers, self._tier, row.frame_rate)
-        self.forest, changes = annotate_takes(self._database, wanted, self.forest, self._change)
+        self.forest, changes = annotate_takes(self._database, wanted, self.forest, self.change)
         changed = set(changes.takes)
         # What was said of labels that have not changed is not said again.
         self._tally["warnings"] += [(row.path, n) for row in rows if row.path in changed for n in notes[row.id]]
@@ -323,13 +323,13 @@ class Adding:
             _move(connection, record, row)
         if found.fresh or found.gone or found.tally["moved"]:
             revision = next_revision(connection)
-            with recording(connection, revision, "add", gone=found.gone, into=self._change) as recorded:
+            with recording(connection, revision, "add", gone=found.gone, into=self.change) as recorded:
                 tags = _read_own_tags(connection, found.gone)
                 delete_clips(connection, found.gone)
                 if found.lesson is not None:
                     self.forest = insert_clips(connection, found.fresh, found.lesson, revision)
                 _give_tags(connection, tags)
-            self._change = recorded.number
+            self.change = recorded.number
         return found
 
     def _take(self, tally: Tally, fresh: list[ClipRecord], known: FileRecord, row: Any) -> None:

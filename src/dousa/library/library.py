@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import threading
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import nullcontext
 from functools import cached_property
@@ -18,7 +19,7 @@ from dousa.library import selection as _selection
 from dousa.library.engine import check_jobs, choose_jobs, next_revision, open_database, read_revision
 from dousa.library.features import load_trajectories
 from dousa.library.forests import ForestCache
-from dousa.library.journal.recording import recording
+from dousa.library.journal.recording import Recorded, recording
 from dousa.library.labels import LabelRule, check_text, no_label, parse_label_rule
 from dousa.library.results import AddReport, ClipInfo, LibraryStats, TrainReport
 from dousa.library.schema import CLIP, TAKE
@@ -64,6 +65,7 @@ class Library:
     def __init__(self, database: Database) -> None:
         self.database = database
         self._forests = ForestCache(database.where)
+        self._last = threading.local()
 
     @classmethod
     def open(
@@ -166,7 +168,10 @@ class Library:
             "performer": parse_label_rule(performer_from, "performer"),
         }
         adding = Adding(self.database, kind, rules, options or ReadOptions(), self._forests.last, labels_from, tier)
-        return adding.run(_as_list(paths), n_jobs, progress)
+        try:
+            return adding.run(_as_list(paths), n_jobs, progress)
+        finally:
+            self._last.change = adding.change
 
     def add_motion(
         self,
@@ -690,8 +695,9 @@ class Library:
             paths = _selection.list_paths(connection, ids)
             if ids:
                 revision = next_revision(connection)
-                with nullcontext() if for_good else recording(connection, revision, "remove", gone=ids):
+                with nullcontext() if for_good else recording(connection, revision, "remove", gone=ids) as recorded:
                     _selection.delete_clips(connection, ids)
+                self._note_change(recorded)
         return paths
 
     def relabel(
@@ -729,8 +735,9 @@ class Library:
             ids = select_ids(connection, self.name, selection, where_category, where_performer)
             if ids:
                 revision, marked = next_revision(connection), _selection.with_segments(connection, ids)
-                with recording(connection, revision, "relabel", marked=marked, told=told):
+                with recording(connection, revision, "relabel", marked=marked, told=told) as recorded:
                     _selection.set_labels(connection, ids, category, performer)
+                self._note_change(recorded)
             return [clip.path for clip in _selection.list_clips(connection, ids)]
 
     def tag(
@@ -768,8 +775,9 @@ class Library:
         told = {"tags": [*(f"+{name}" for name in more), *(f"-{name}" for name in less)]}
         with self.database.writing() as connection:
             ids = select_ids(connection, self.name, selection, where_category, where_performer, where_tag)
-            with recording(connection, next_revision(connection), "tag", marked=ids, told=told):
+            with recording(connection, next_revision(connection), "tag", marked=ids, told=told) as recorded:
                 changed = change_tags(connection, ids, more, less)
+            self._note_change(recorded)
             return _selection.list_paths(connection, list(changed))
 
     def tags(self) -> dict[str, int]:
@@ -788,6 +796,15 @@ class Library:
 
         with self.database.reading() as connection:
             return list_entries(connection)
+
+    @property
+    def last_change(self) -> int | None:
+        """Number of the change that this thread made last with ``add``, ``relabel``, ``tag`` or ``remove``; None where
+        that changed nothing."""
+        return getattr(self._last, "change", None)
+
+    def _note_change(self, recorded: Recorded | None) -> None:
+        self._last.change = None if recorded is None else recorded.number
 
     def undo(self, number: int | None = None, *, n_jobs: int | None = None) -> JournalEntry:
         """Take a change back: labels, tags and takes are as they were, removed clips are there again.

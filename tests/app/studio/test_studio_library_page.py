@@ -209,34 +209,6 @@ def test_relabelling_by_keyboard(library_page, running):
     assert page.messages() == []
 
 
-def test_a_relabelling_is_undone_and_done_again_by_keys(library_page, running):
-    page = library_page()
-    page.find(".cell").click()
-    page.press(KEYS.END, held=KEYS.CONTROL)
-    page.press(" ")  # clips of two categories
-    click(page, "[data-word=relabel]")
-    page.find("#relabel-category").send_keys("hop", KEYS.ENTER)
-    page.wait("return document.querySelector('#undo')")
-    library = running.app.state.studio.library
-
-    def wait_for(first, last):
-        for _ in range(300):
-            if [library.clips([1])[0].category, library.clips([N])[0].category] == [first, last]:
-                return True
-            page.settle()
-        return False
-
-    assert wait_for("hop", "hop")
-    page.driver.refresh()  # what can be undone outlives a reload
-    page.wait(f"{DRAWN} > 0")
-    page.run("document.querySelector('.cell').focus()")
-    page.press("z", held=KEYS.CONTROL)
-    assert wait_for("kick_left", "wave_right")
-    page.press("y", held=KEYS.CONTROL)
-    assert wait_for("hop", "hop")
-    assert page.messages() == []
-
-
 def test_taking_a_label_away_shows_what_the_forest_thinks(library_page):
     page = library_page()
     page.find(".cell").click()

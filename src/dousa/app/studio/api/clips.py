@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 from fastapi import APIRouter, Depends, Query, Response
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from dousa.app.studio.content.clips import Asked, Snapshot, Sort
-from dousa.app.studio.content.studio import Studio, StudioNow
+from dousa.app.studio.content.studio import StudioNow
 from dousa.app.studio.core.answers import BYTES, Answer, RefusedError
 
 router = APIRouter(tags=["library"])
@@ -57,6 +57,13 @@ class Relabelling(Clips):
         return {name: value.strip() if value else None for name, value in given.items()}
 
 
+class Tagging(Clips):
+    """Clips and the tags that they get and lose."""
+
+    add: Annotated[list[_Label], Field(max_length=100)] = []
+    remove: Annotated[list[_Label], Field(max_length=100)] = []
+
+
 def _read_asked(
     text: Annotated[str, Query(max_length=300, description="words; all must occur in names or labels")] = "",
     category: Annotated[_Names | None, Query(description="any of these; an empty one: without a label")] = None,
@@ -66,10 +73,15 @@ def _read_asked(
     max_s: _Seconds = None,
     batch: Annotated[str | None, Query(pattern="^[0-9a-f]{16}$", description="of an upload")] = None,
     sort: Sort = "path",
+    *,
+    studio: StudioNow,
+    tag: Annotated[_Names | None, Query(description="likewise")] = None,
+    saved: Annotated[str | None, Query(max_length=200, description="name of a selection that is kept")] = None,
 ) -> Asked:
-    labels: dict[str, Sequence[str]] = {"category": category or (), "performer": performer or ()}
+    labels: dict[str, Sequence[str]] = {"category": category or (), "performer": performer or (), "tag": tag or ()}
     labels["kind"] = () if kind is None else (kind,)
-    return Asked(text, labels, min_s, max_s, batch, sort)
+    among = None if saved is None else frozenset(studio.library.searches.find(saved))
+    return Asked(text, labels, min_s, max_s, batch, sort, among)
 
 
 _AskedNow = Annotated[Asked, Depends(_read_asked)]
@@ -135,28 +147,33 @@ def get_clip(studio: StudioNow, clip_id: int) -> Answer:
 def relabel(studio: StudioNow, wanted: Relabelling) -> Answer:
     """The forest learns of it in the next training. Clips that are gone meanwhile are left out.
 
-    ``before`` are requests that give the clips the labels back that they had.
+    ``change`` is the number that POST /journal/undo takes; null where nothing changed.
     """
     there = _check_there(studio.listing.now(), wanted.clips)
-    before = _group_labels(studio, there, tuple(wanted.labels))
-    changed = studio.library.relabel(there, **wanted.labels)
-    return Answer({"changed": len(changed), "missing": len(set(wanted.clips)) - len(there), "before": before})
+    library = studio.library
+    changed = library.relabel(there, **wanted.labels)
+    missing = len(set(wanted.clips)) - len(there)
+    return Answer({"changed": len(changed), "missing": missing, "change": library.last_change})
 
 
-def _group_labels(studio: Studio, clip_ids: list[int], names: tuple[str, ...]) -> list[dict[str, Any]]:
-    """Labels of clips as bodies of POST /clips/relabel."""
-    groups: dict[tuple[str | None, ...], list[int]] = {}
-    for clip in studio.library.clips(clip_ids):
-        groups.setdefault(tuple(getattr(clip, name) for name in names), []).append(clip.id)
-    return [{**dict(zip(names, labels, strict=True)), "clips": ids} for labels, ids in groups.items()]
+@router.post("/clips/tag", summary="Give tags to clips, or take tags away")
+def tag(studio: StudioNow, wanted: Tagging) -> Answer:
+    """``favourite`` is the star. Clips that are gone meanwhile are left out; ``change`` as in POST /clips/relabel."""
+    there = _check_there(studio.listing.now(), wanted.clips)
+    library = studio.library
+    changed = library.tag(there, add=wanted.add, remove=wanted.remove)
+    missing = len(set(wanted.clips)) - len(there)
+    return Answer({"changed": len(changed), "missing": missing, "change": library.last_change})
 
 
 @router.post("/clips/remove", summary="Take clips out of the library")
 def remove(studio: StudioNow, wanted: Clips) -> Answer:
-    """Their files stay. Clips that are gone already are left out."""
+    """Their files stay, and POST /journal/undo with ``change`` brings them back. Clips that are gone are left out."""
     there = _check_there(studio.listing.now(), wanted.clips)
-    removed = studio.library.remove(there)
-    return Answer({"removed": len(removed), "missing": len(set(wanted.clips)) - len(there)})
+    library = studio.library
+    removed = library.remove(there)
+    missing = len(set(wanted.clips)) - len(there)
+    return Answer({"removed": len(removed), "missing": missing, "change": library.last_change})
 
 
 def _check_there(snapshot: Snapshot, clip_ids: list[int]) -> list[int]:

@@ -14,6 +14,7 @@ import re
 import sqlite3
 import threading
 import unicodedata
+from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import closing, contextmanager, suppress
 from dataclasses import dataclass, field
@@ -58,10 +59,11 @@ class Asked:
     Parameters
     ----------
     text : words that name, folder, category or performer must contain, all of them.
-    labels : ``category``, ``performer`` or ``kind`` to the names that fit, `NO_LABEL` for none; all if it is empty.
+    labels : ``category``, ``performer``, ``kind`` or ``tag`` to the names that fit, `NO_LABEL` for none; all if empty.
     min_s, max_s : at least so long, and shorter than that; None for any.
     batch : only what came with this batch of uploads.
     sort : the order.
+    among : only clips of these numbers; None for all.
     """
 
     text: str = ""
@@ -70,6 +72,7 @@ class Asked:
     max_s: float | None = None
     batch: str | None = None
     sort: Sort = "path"
+    among: frozenset[int] | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -110,6 +113,7 @@ class Snapshot:
             self._names[label] = sorted(set(values))
             code = {name: number for number, name in enumerate(self._names[label])}
             self._codes[label] = np.array([code[value] for value in values], np.intp)
+        self._tags = [clip.tags or (NO_LABEL,) for clip in clips]
         self._lengths = np.digitize(self.durations, [end for _, end in LENGTHS.values()])
         self._orders: dict[str, NDArray[np.intp]] = {}
 
@@ -123,8 +127,11 @@ class Snapshot:
     def find(self, asked: Asked) -> Found:
         """Which rows fit, and what the facets say."""
         masks = {label: self._labelled(label, asked.labels.get(label, ())) for label in _LABELS}
+        masks["tag"] = self._tagged(asked.labels.get("tag", ()))
         masks["length"] = self._long(asked.min_s, asked.max_s)
         rest = self._matching(asked.text)
+        if asked.among is not None:
+            rest = _both(rest, np.isin(self.ids, np.array(sorted(asked.among), np.int64)))
         if asked.batch is not None:
             rest = _both(rest, np.array([batch == asked.batch for batch in self._batches], bool))
         fits = rest
@@ -166,6 +173,10 @@ class Snapshot:
         known = np.array([name in names for name in self._names[label]], bool)
         return known[self._codes[label]] if len(known) else np.zeros(0, bool)
 
+    def _tagged(self, wanted: Sequence[str]) -> Mask | None:
+        names = frozenset(wanted)
+        return np.array([not names.isdisjoint(tags) for tags in self._tags], bool) if names else None
+
     def _long(self, min_s: float | None, max_s: float | None) -> Mask | None:
         if min_s is None and max_s is None:
             return None
@@ -183,6 +194,9 @@ class Snapshot:
         for other, own in masks.items():
             if other != name:
                 mask = _both(mask, own)
+        if name == "tag":
+            rows = range(len(self._tags)) if mask is None else np.flatnonzero(mask)
+            return dict(Counter(tag for row in rows for tag in self._tags[row]).most_common(_MOST_NAMES))
         names = list(LENGTHS) if name == "length" else self._names[name]
         codes = self._lengths if name == "length" else self._codes[name]
         counts = np.bincount(codes if mask is None else codes[mask], minlength=len(names))
@@ -242,7 +256,7 @@ def _plain(text: str) -> str:
 
 
 def _searchable(clip: ClipInfo, short: str) -> str:
-    words = (short, clip.category or clip.predicted_category, clip.performer)
+    words = (short, clip.category or clip.predicted_category, clip.performer, *clip.tags)
     return _plain("\n".join(word for word in words if word))
 
 

@@ -153,7 +153,8 @@ _LABELS = "labels.csv"
 
 def list_corrections(studio: Studio, ref: MotionRef) -> list[Correction]:
     """What was corrected in a take, under any of its names, in the order of time."""
-    found = Corrections(studio.workspace.root).of(_names(studio, ref))
+    there = studio.listing.now()  # the clip of one may have gone by an undo, and may come back
+    found = [one for one in Corrections(studio.workspace.root).of(_names(studio, ref)) if one.clip_id in there]
     take = find_take(studio, ref)
     if take is not None:
         known = {one.clip_id for one in found}

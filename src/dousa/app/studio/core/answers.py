@@ -30,6 +30,18 @@ _NO_ROOM_CODES = frozenset(
     {"disk.full", "disk.quota", "disk.large_file", "library_file.disk_full", "library_file.server_disk_full"}
 )
 
+_CONFLICTS = frozenset(
+    {
+        "journal.changed_later",
+        "journal.changed_since",
+        "journal.in_force",
+        "journal.not_kept",
+        "journal.nothing_to_redo",
+        "journal.nothing_to_undo",
+        "journal.undone_already",
+    }
+)
+
 
 class RefusedError(DousaError):
     """A request that the studio does not carry out.
@@ -51,7 +63,7 @@ def status_of(error: DousaError) -> int:
         return error.status
     if error.code in _NO_ROOM_CODES:
         return 507
-    if isinstance(error, NotTrainedError | TrainingError | LibraryLockedError):
+    if isinstance(error, NotTrainedError | TrainingError | LibraryLockedError) or error.code in _CONFLICTS:
         return 409
     if isinstance(error, LibraryError):
         return 404

@@ -63,7 +63,7 @@ def _take_in(paths: Sequence[Path], options: Mapping[str, Any], context: Context
             "skipped": [{"path": one.path, "reason": shorten(one.reason, context.home)} for one in report.skipped],
             "warnings": [{"path": path, "warning": shorten(text, context.home)} for path, text in report.warnings],
         }
-    return report.to_json() | said
+        return {**report.to_json(), **said, "change": library.last_change}  # to be undone
 
 
 def _inside(rule: str | None, folder: Path) -> str | None:

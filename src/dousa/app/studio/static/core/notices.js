@@ -3,6 +3,7 @@
 import { $, $$, h, icon, t } from "./dom.js";
 
 const SHOWN_FOR = 6000; // ms; problems stay until they are closed
+const WITH_ACTION = 15000; // ms to make up one's mind
 
 /** kind: "note" or "problem"; action: a button beside the text. */
 export function notify(text, kind = "note", action = null) {
@@ -18,7 +19,7 @@ export function notify(text, kind = "note", action = null) {
   );
   $("#notices").append(notice);
   while ($("#notices").children.length > 4) $("#notices").firstChild.remove();
-  if (kind !== "problem") setTimeout(close, SHOWN_FOR);
+  if (kind !== "problem") setTimeout(close, action ? WITH_ACTION : SHOWN_FOR);
 }
 
 /** Take a problem back that is none any more. */

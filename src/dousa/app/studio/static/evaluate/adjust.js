@@ -1,8 +1,9 @@
 // The panel in which figures and weights are changed, and what it says of the grade.
 
-import { h, t } from "../core/dom.js";
+import { h, icon, t } from "../core/dom.js";
 import { Cuts } from "./cuts.js";
 import { isSameFigures } from "./figures.js";
+import { Steps } from "./steps.js";
 import { Weights, describeWeights, gather, spread } from "./weights.js";
 
 /** onChange({weights, importance, furi}, done), onSeek(s of the reference); names: of the nine segments */
@@ -15,7 +16,7 @@ export class Adjust {
     this.changed = h("p", { class: "changed", id: "adjust-changed" });
     this.problem = h("p", { class: "problem-box", role: "alert", hidden: true });
     const [cuts, weights] = [h("section", { class: "cuts", "aria-label": t("cuts") }), h("section", { class: "weights", "aria-label": t("weights") })];
-    const says = h("div", { class: "adjust-now", "aria-live": "polite" }, h("span", { class: "note" }, t("now")), this.score, this.before, this.state);
+    const says = h("div", { class: "adjust-now", "aria-live": "polite" }, ...this.makeSteps(), h("span", { class: "note" }, t("now")), this.score, this.before, this.state);
     this.element = h("section", { class: "card adjust", id: "adjust", "aria-label": t("adjust") }, h("header", { class: "adjust-head" }, h("div", {}, h("h2", {}, t("adjust")), h("p", { class: "note" }, t("adjust_hint"))), says), this.changed, this.problem, h("div", { class: "adjust-body" }, cuts, weights));
     this.cuts = new Cuts(cuts, {
       duration: assessment.reference_duration_s,
@@ -27,6 +28,26 @@ export class Adjust {
     this.cuts.show(assessment.furi_used);
     this.weights.show(spread(assessment.weights), assessment.importance);
     this.take({ assessment, exact: true, kept: true });
+    this.steps.begin();
+  }
+
+  /** Buttons that take a change back, and do it again; the keys do the same. */
+  makeSteps() {
+    const button = (name, by) => h("button", { type: "button", class: "quiet small icon", id: `adjust-${name}`, "aria-label": t(name), title: t(name), disabled: true, onclick: () => this.steps.go(by) }, icon("undo"));
+    const buttons = { undo: button("undo", -1), redo: button("redo", 1) };
+    this.steps = new Steps({
+      read: () => ({ figures: this.cuts.figures.map((one) => ({ ...one })), values: [...this.weights.values], importance: this.weights.importance }),
+      show: ({ figures, values, importance }) => {
+        this.cuts.show(figures);
+        this.weights.show(values, importance);
+        this.tell(true);
+      },
+      changed: ({ back, forth }) => {
+        buttons.undo.disabled = !back;
+        buttons.redo.disabled = !forth;
+      },
+    });
+    return Object.values(buttons);
   }
 
   values() {
@@ -35,6 +56,7 @@ export class Adjust {
   }
 
   tell(done) {
+    if (done) this.steps.note();
     this.sayChanged();
     this.setState("working");
     this.onChange(this.values(), done);
@@ -81,6 +103,7 @@ export class Adjust {
   }
 
   destroy() {
+    this.steps.end();
     this.cuts.destroy();
   }
 }

@@ -3,6 +3,7 @@
 import { $, h, icon, language, t } from "../core/dom.js";
 import { attempt } from "../core/notices.js";
 import { openRelabel, openRemove } from "./dialogs.js";
+import { openKeep, openTags, toggleStars } from "./tags.js";
 
 const MOST_REFERENCES = 20;
 const count = new Intl.NumberFormat(language);
@@ -20,7 +21,7 @@ export function placesFor(clips) {
 
 export const link = ([word, href, shape]) => h("a", { class: "button", href }, icon(shape), t(word));
 
-/** hooks: facets(), open(clip), changed() */
+/** hooks: facets(), open(clip), changed(), kept() */
 export class Actions {
   constructor(selection, hooks) {
     Object.assign(this, { selection, hooks, element: $("#actions") });
@@ -42,7 +43,9 @@ export class Actions {
       ...(single ? [act("look", "play", () => this.hooks.open(single))] : []),
       ...placesFor([...selection.clips.values()]).map(link),
       act("export", "download", () => this.export()),
-      act("relabel", "tag", () => this.relabel()),
+      act("relabel", "label", () => this.relabel()),
+      act("tags", "tag", () => this.tag()),
+      act("keep", "star", () => this.keep()),
       act("remove", "trash", () => this.remove(), "danger"),
       h("button", { type: "button", class: "quiet icon", "aria-label": t("choose_none"), title: t("choose_none"), dataset: { word: "none" }, onclick: () => selection.clear() }, icon("close")),
     );
@@ -55,6 +58,18 @@ export class Actions {
 
   relabel(ids = this.selection.ids) {
     attempt(async () => openRelabel(ids, await this.hooks.facets(), () => this.hooks.changed()));
+  }
+
+  tag(ids = this.selection.ids, clips = [...this.selection.clips.values()]) {
+    attempt(async () => openTags(ids, clips, (await this.hooks.facets()).tag ?? {}, () => this.hooks.changed()));
+  }
+
+  star(ids = this.selection.ids, clips = [...this.selection.clips.values()]) {
+    return toggleStars(ids, clips, () => this.hooks.changed());
+  }
+
+  keep() {
+    openKeep({ clips: this.selection.ids }, t("keep_selection_note", { count: count.format(this.selection.size) }), () => this.hooks.kept());
   }
 
   remove(clips = [...this.selection.clips.values()], ids = this.selection.ids) {

@@ -2,6 +2,7 @@
 
 import { CutText } from "../core/cut.js";
 import { formatSeconds, h, icon, t } from "../core/dom.js";
+import { FAVOURITE } from "./tags.js";
 
 export class Cell {
   constructor() {
@@ -15,11 +16,12 @@ export class Cell {
     this.meta = h("span", { class: "meta" });
     this.length = h("span", { class: "length" });
     this.tick = h("span", { class: "tick", "aria-hidden": "true" }, icon("mark"));
+    this.star = h("span", { class: "star", role: "img", "aria-label": t("favourite") }, icon("star"));
     this.lack = h("span", { class: "lack" }, t("no_picture"));
     this.element = h(
       "div",
       { class: "cell", role: "gridcell", tabindex: "-1" },
-      h("span", { class: "stage" }, this.canvas, this.lack, this.kind, this.length, this.tick),
+      h("span", { class: "stage" }, this.canvas, this.lack, this.kind, this.star, this.length, this.tick),
       h("span", { class: "text" }, this.name, h("span", { class: "below" }, this.badge, this.meta)),
     );
     this.shown = "";
@@ -30,7 +32,7 @@ export class Cell {
   show(index, clip, bytes) {
     this.index = index;
     this.id = clip?.id ?? null;
-    const key = clip ? `${clip.id} ${clip.category} ${clip.performer} ${clip.predicted_category}` : `${index === null}`;
+    const key = clip ? `${clip.id} ${clip.category} ${clip.performer} ${clip.predicted_category} ${clip.tags}` : `${index === null}`;
     if (key !== this.shown) this.write(index, clip);
     this.shown = key;
     if (bytes !== this.bytes) this.draw(bytes);
@@ -43,13 +45,14 @@ export class Cell {
     element.title = clip ? [clip.folder, clip.name].filter(Boolean).join("/") : "";
     this.nameText.set(clip?.name ?? "");
     this.kind.hidden = clip?.kind !== "take";
+    this.star.hidden = !clip?.tags.includes(FAVOURITE);
     const guessed = clip && !clip.category && clip.kind !== "take" && clip.predicted_category;
     this.badge.className = `badge${guessed ? " unsure" : ""}${clip && !clip.category && !guessed ? " none" : ""}`;
     this.badgeText.set(clip ? label(clip, guessed) : "");
     this.badge.hidden = !clip || (clip.kind === "take" && !clip.category);
-    this.meta.textContent = clip?.performer ?? "";
+    this.meta.textContent = [clip?.performer, ...(clip?.tags ?? []).filter((tag) => tag !== FAVOURITE).map((tag) => `#${tag}`)].filter(Boolean).join(" ");
     this.length.textContent = clip ? formatSeconds(clip.duration) : "";
-    const said = [clip?.name, this.badge.hidden ? t("take") : this.badge.textContent, this.length.textContent, clip?.performer];
+    const said = [clip?.name, this.badge.hidden ? t("take") : this.badge.textContent, this.length.textContent, this.meta.textContent, this.star.hidden ? "" : t("favourite")];
     if (clip) element.setAttribute("aria-label", said.filter(Boolean).join(", "));
     else element.removeAttribute("aria-label");
   }

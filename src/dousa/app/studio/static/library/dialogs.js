@@ -4,7 +4,7 @@ import { post } from "../core/api.js";
 import { foot, openDialog } from "../core/dialog.js";
 import { h, icon, language, t } from "../core/dom.js";
 import { attempt, notify } from "../core/notices.js";
-import { rememberRelabelling, undoButton } from "./undo.js";
+import { undoButton } from "../core/undo.js";
 
 const count = new Intl.NumberFormat(language);
 
@@ -23,10 +23,9 @@ export async function openRelabel(ids, facets, done) {
     const labels = Object.fromEntries(fields.filter((field) => field.value !== undefined).map((field) => [field.name, field.value]));
     save.disabled = true;
     attempt(async () => {
-      const { changed, missing, before } = await post("/clips/relabel", { clips: ids, ...labels });
+      const { changed, missing, change } = await post("/clips/relabel", { clips: ids, ...labels });
       close();
-      rememberRelabelling(before);
-      notify([t("relabelled", { count: count.format(changed) }), missing ? t("were_gone", { count: count.format(missing) }) : ""].filter(Boolean).join(" "), "note", undoButton(done));
+      notify([t("relabelled", { count: count.format(changed) }), missing ? t("were_gone", { count: count.format(missing) }) : ""].filter(Boolean).join(" "), "note", undoButton(change, done));
     }).finally(() => {
       save.disabled = false;
       done();
@@ -60,8 +59,8 @@ export function openRemove(ids, names, done) {
   go.addEventListener("click", () => {
     go.disabled = true;
     attempt(async () => {
-      const { removed } = await post("/clips/remove", { clips: ids });
-      notify(t("removed", { count: count.format(removed) }));
+      const { removed, change } = await post("/clips/remove", { clips: ids });
+      notify(t("removed", { count: count.format(removed) }), "note", undoButton(change, done));
     }).finally(() => {
       close();
       done();

@@ -2,6 +2,7 @@
 
 import { cutMiddle } from "../core/cut.js";
 import { h, language, t } from "../core/dom.js";
+import { nameTag } from "./tags.js";
 
 const LENGTHS = { "0-2": [null, 2], "2-5": [2, 5], "5-15": [5, 15], "15-60": [15, 60], "60-": [60, null] };
 const count = new Intl.NumberFormat(language);
@@ -14,6 +15,7 @@ export function showFacets(form, facets, filter) {
     chips("length", lengths(facets.length, filter)),
     names("category", facets.category, filter),
     names("performer", facets.performer, filter),
+    names("tag", facets.tag, filter),
   );
   for (const list of form.querySelectorAll(".names")) list.scrollTop = scrolled.get(list.dataset.name) ?? 0;
   if (focused !== null) form.querySelector(`[data-key="${CSS.escape(focused)}"]`)?.focus();
@@ -51,6 +53,8 @@ function chips(name, options) {
 
 // --- any of many
 
+const show = (name, value) => (value ? (name === "tag" ? nameTag(value) : value) : t(name === "tag" ? "no_tag" : "no_label"));
+
 function names(name, counts, filter) {
   const chosen = filter.query.getAll(name);
   const all = new Set([...Object.keys(counts), ...chosen]);
@@ -58,7 +62,7 @@ function names(name, counts, filter) {
   const order = [...all].sort((a, b) => (b === "") - (a === "") || a.localeCompare(b, language, { numeric: true }));
   const rows = order.map((value) => {
     const input = h("input", { type: "checkbox", checked: chosen.includes(value), dataset: { key: `${name} ${value}` }, onchange: () => filter.toggle(name, value) });
-    return h("label", { class: "name-row" }, input, cutMiddle(h("span", { class: value ? "" : "none", title: value }), value || t("no_label")), h("span", { class: "n" }, count.format(counts[value] ?? 0)));
+    return h("label", { class: "name-row" }, input, cutMiddle(h("span", { class: value ? "" : "none", title: value }), show(name, value)), h("span", { class: "n" }, count.format(counts[value] ?? 0)));
   });
   return group(name, [h("div", { class: "names", dataset: { name } }, ...rows)]);
 }

@@ -1,7 +1,7 @@
 // What the list is filtered by; it stands in the address, so that a reload or a link shows the same.
 
-const SINGLE = ["text", "kind", "min_s", "max_s", "batch", "sort"];
-const SEVERAL = ["category", "performer"];
+const SINGLE = ["text", "kind", "min_s", "max_s", "batch", "saved", "sort"];
+const SEVERAL = ["category", "performer", "tag"];
 
 export class Filter {
   constructor(changed) {
@@ -37,6 +37,14 @@ export class Filter {
     this.query.delete(name);
     const wanted = others.includes(value) ? others.filter((other) => other !== value) : [...others, value];
     for (const one of wanted) this.query.append(name, one);
+    this.tell();
+  }
+
+  /** Another filter as a whole, such as one that was kept. */
+  replace(values) {
+    const sort = this.get("sort");
+    this.query = new URLSearchParams(sort ? { sort } : {});
+    for (const [name, value] of Object.entries(values)) for (const one of [value].flat()) if (one !== null) this.query.append(name, String(one));
     this.tell();
   }
 

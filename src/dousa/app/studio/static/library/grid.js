@@ -5,8 +5,8 @@ import { h } from "../core/dom.js";
 import { Cell } from "./cell.js";
 
 const GAP = 12;
-const NARROWEST = 158;
-const ROW = 226; // px with the gap; the style sheet draws cells of this height
+const TEXT = 68; // px of a cell below its figure
+const LIST_ROW = 56; // px with the gap
 const BEYOND = 1; // rows kept ready above and below what is seen
 const AHEAD = 3; // rows whose figures are asked for ahead
 
@@ -14,6 +14,7 @@ export class Grid {
   /** hooks: chosen(id) -> bool, acts on click(index, event), open(index), key(event, index) -> true if it was used */
   constructor(element, source, hooks) {
     Object.assign(this, { element, source, hooks, total: 0, columns: 0, active: 0, rows: new Map(), spare: [] });
+    Object.assign(this, { size: 158, list: false, row: 226 });
     const wake = () => this.request();
     window.addEventListener("scroll", wake, { passive: true }); // rows that stay are not looked at
     new ResizeObserver(() => this.layout()).observe(element);
@@ -25,8 +26,29 @@ export class Grid {
     this.layout();
   }
 
+  /** How the cells look: size is the least width of one in px, list a row for each. */
+  setLook({ size, list }) {
+    const top = this.index();
+    const figure = Math.round(0.92 * size);
+    Object.assign(this, { size, list, row: list ? LIST_ROW : figure + TEXT + GAP, columns: 0 });
+    this.element.classList.toggle("list", list);
+    this.element.style.setProperty("--figure", `${figure}px`);
+    this.layout();
+    if (top > 0) this.reveal(top);
+  }
+
+  /** The first clip that is seen. */
+  index() {
+    return this.columns ? this.seen()[0] * this.columns : 0;
+  }
+
+  reveal(index) {
+    const top = this.element.getBoundingClientRect().top + window.scrollY + Math.floor(index / this.columns) * this.row;
+    window.scrollTo({ top: top - 116, behavior: "instant" });
+  }
+
   layout() {
-    const columns = Math.max(Math.floor((this.element.clientWidth + GAP) / (NARROWEST + GAP)), 1);
+    const columns = this.list ? 1 : Math.max(Math.floor((this.element.clientWidth + GAP) / (this.size + GAP)), 1);
     if (columns !== this.columns) {
       const focused = this.element.contains(document.activeElement);
       this.columns = columns;
@@ -52,7 +74,7 @@ export class Grid {
 
   measure() {
     this.rowCount = Math.ceil(this.total / this.columns);
-    this.element.style.height = `${Math.max(this.rowCount * ROW - GAP, 0)}px`;
+    this.element.style.height = `${Math.max(this.rowCount * this.row - GAP, 0)}px`;
     this.element.setAttribute("aria-rowcount", String(this.rowCount));
   }
 
@@ -69,8 +91,8 @@ export class Grid {
   /** Rows that can be seen, first and behind the last. */
   seen() {
     const top = -this.element.getBoundingClientRect().top;
-    const first = Math.max(Math.floor(top / ROW), 0);
-    return [Math.min(first, this.rowCount), Math.max(Math.min(Math.ceil((top + window.innerHeight) / ROW), this.rowCount), 0)];
+    const first = Math.max(Math.floor(top / this.row), 0);
+    return [Math.min(first, this.rowCount), Math.max(Math.min(Math.ceil((top + window.innerHeight) / this.row), this.rowCount), 0)];
   }
 
   render() {
@@ -99,7 +121,7 @@ export class Grid {
   place(number) {
     const row = this.spare.pop() ?? this.make();
     row.element.hidden = false;
-    row.element.style.transform = `translateY(${number * ROW}px)`;
+    row.element.style.transform = `translateY(${number * this.row}px)`;
     row.element.setAttribute("aria-rowindex", String(number + 1));
     this.rows.set(number, row);
     return row;
@@ -157,7 +179,7 @@ export class Grid {
   }
 
   keydown(event) {
-    const page = Math.max(Math.floor((window.innerHeight - 140) / ROW), 1);
+    const page = Math.max(Math.floor((window.innerHeight - 140) / this.row), 1);
     const rowStart = this.active - (this.active % this.columns);
     const steps = {
       ArrowLeft: this.active - 1,
@@ -184,10 +206,10 @@ export class Grid {
   focus(index) {
     if (!this.total) return;
     this.activate(index);
-    const top = this.element.getBoundingClientRect().top + Math.floor(index / this.columns) * ROW;
+    const top = this.element.getBoundingClientRect().top + Math.floor(index / this.columns) * this.row;
     const [above, below] = [132, window.innerHeight - 84]; // the head of the page and the bar at its foot
     if (top < above) window.scrollBy({ top: top - above, behavior: "instant" });
-    else if (top + ROW > below) window.scrollBy({ top: top + ROW - below, behavior: "instant" });
+    else if (top + this.row > below) window.scrollBy({ top: top + this.row - below, behavior: "instant" });
     const row = Math.floor(index / this.columns);
     if (!this.rows.has(row)) this.fill(this.place(row), row);
     this.cellAt(index).element.focus({ preventScroll: true });

@@ -5,15 +5,17 @@ import { $, h, icon, language, later, t } from "../core/dom.js";
 import { acceptDrops } from "../core/drop.js";
 import { isActive, watchJobs } from "../core/jobs.js";
 import { attempt } from "../core/notices.js";
+import { listenForUndo } from "../core/undo.js";
 import { Actions } from "./actions.js";
 import { showFacets } from "./facets.js";
 import { Filter } from "./filter.js";
 import { Grid } from "./grid.js";
-import { findPlace, fromAddress, keepPlace } from "./places.js";
+import { Panes, nothingChosen } from "./panes.js";
+import { findAgain, findPlace, fromAddress, keepPlace } from "./places.js";
 import { Selection } from "./selection.js";
 import { Source } from "./source.js";
+import { openKeep, readAsked, showKept } from "./tags.js";
 import { readForest, showForest } from "./training.js";
-import { listenForUndo } from "./undo.js";
 
 const LOOK_AGAIN = 8000; // ms between looks whether somebody else has changed the library
 const count = new Intl.NumberFormat(language);
@@ -29,8 +31,10 @@ const selection = new Selection({
   changed: () => {
     actions.show();
     grid.renew();
+    showLook();
   },
   known: (index) => source.item(index),
+  findAgain,
   idsBetween: (first, last) => idsOf({ offset: first, limit: last - first + 1 }),
 });
 const grid = new Grid($("#grid"), source, {
@@ -44,7 +48,16 @@ const actions = new Actions(selection, {
   facets: async () => (await get("/clips", { limit: 0 })).facets,
   open: (clip) => look(clip),
   changed: reload,
+  kept: () => showKept($("#kept"), keptHooks),
 });
+const keptHooks = {
+  current: () => filter.get("saved"),
+  use: (one) => {
+    $("#text").value = one.asked.text ?? "";
+    filter.replace(one.n_clips === null ? one.asked : { saved: one.name });
+    showKept($("#kept"), keptHooks);
+  },
+};
 
 const listTop = () => $("#browse").getBoundingClientRect().top + window.scrollY - 70;
 
@@ -74,6 +87,7 @@ function show({ total, facets, library }) {
   showChips();
   showFacets($("#facet-form"), facets, filter);
   grid.setTotal(total);
+  showLook();
 }
 
 /** What is chosen stays when the list shows other clips; how many of it are not in the list is said. */
@@ -89,6 +103,8 @@ function showChips() {
   const chip = (text, clear) => h("button", { type: "button", class: "small chip", onclick: clear }, text, icon("close"));
   const chips = [];
   if (filter.get("batch")) chips.push(chip(t("only_batch"), () => filter.set({ batch: null })));
+  if (filter.get("saved")) chips.push(chip(t("only_saved", { name: filter.get("saved") }), () => filter.set({ saved: null })));
+  if (Object.keys(readAsked(filter.query)).length) chips.push(h("button", { type: "button", class: "quiet small", id: "keep-search", onclick: keepSearch }, icon("star"), t("keep_search")));
   if (filter.narrows) chips.push(h("button", { type: "button", class: "quiet small", onclick: clearFilter }, t("clear_filter")));
   $("#chips").replaceChildren(...chips);
 }
@@ -103,6 +119,10 @@ async function showStart() {
   );
 }
 
+function keepSearch() {
+  openKeep(readAsked(filter.query), t("keep_search_note"), () => showKept($("#kept"), keptHooks));
+}
+
 function clearFilter() {
   $("#text").value = "";
   filter.clear();
@@ -111,6 +131,7 @@ function clearFilter() {
 function reload() {
   return attempt(async () => {
     await source.ask();
+    await selection.refresh();
     showForest(await readForest());
   });
 }
@@ -131,6 +152,7 @@ function press(event, index) {
   else if (event.key === "Enter" && clip) look(clip);
   else if (event.key === "Escape" && selection.size) selection.clear();
   else if (event.key === "Delete" && selection.size) actions.remove();
+  else if (event.key === "f" && !event.ctrlKey && !event.metaKey && !event.altKey && (selection.size || clip)) selection.size ? actions.star() : actions.star([clip.id], [clip]);
   else return false;
   return true;
 }
@@ -153,10 +175,41 @@ async function look(clip) {
       return source.item(at);
     },
     relabel: (one) => actions.relabel([one.id]),
+    tags: (one) => actions.tag([one.id], [one]),
     remove: (one) => actions.remove([one], [one.id]),
     closed: (one) => grid.focus(indexOf(one)),
   });
 }
+
+// --- the pane of one clip
+
+let shown = null; // in the pane
+
+/** The clip that was chosen last, if the pane is open. */
+const showLook = later(async () => {
+  const clip = selection.single ?? source.item(grid.active);
+  if (!panes.isOpen || !clip) return;
+  const { Look } = await import("./detail.js");
+  if (!shown) {
+    shown = new Look((name, one) => ({ relabel: () => actions.relabel([one.id]), tags: () => actions.tag([one.id], [one]), remove: () => actions.remove([one], [one.id]) })[name]());
+    $("#look").replaceChildren(shown.title = h("h2", {}), shown.element);
+  }
+  shown.title.textContent = clip.name;
+  shown.title.title = clip.name;
+  shown.show(clip);
+}, 120);
+
+const panes = new Panes({
+  grid: (shape) => grid.setLook(shape),
+  look: (open) => {
+    if (open) showLook();
+    else {
+      shown?.destroy();
+      shown = null;
+      $("#look").replaceChildren(nothingChosen());
+    }
+  },
+});
 
 // --- adding and training
 
@@ -209,6 +262,7 @@ setInterval(refresh, LOOK_AGAIN);
 attempt(async () => {
   await source.ask(filter.query);
   findPlace({ selection, grid });
+  attempt(() => showKept($("#kept"), keptHooks));
   showForest(await readForest());
 });
 if (fromAddress("clip")) attempt(async () => look(await get(`/clips/${encodeURIComponent(fromAddress("clip"))}`)));

@@ -48,7 +48,7 @@ export async function findPlace({ selection, grid }) {
 }
 
 /** [number, clip or null] of those that are still there. */
-async function findAgain(numbers) {
+export async function findAgain(numbers) {
   const there = new Set((await get("/clips/ids")).ids);
   const left = numbers.filter((number) => there.has(number));
   return left.length > FEW ? left.map((number) => [number, null]) : Promise.all(left.map(async (number) => [number, await get(`/clips/${number}`)]));

@@ -4,6 +4,7 @@ import { foot } from "../core/dialog.js";
 import { h, icon, language, t } from "../core/dom.js";
 import { resumeJob } from "../core/jobs.js";
 import { attempt } from "../core/notices.js";
+import { undo } from "../core/undo.js";
 
 const count = new Intl.NumberFormat(language);
 
@@ -22,7 +23,8 @@ export function report(job, refused, { close, hooks }) {
     action(batch);
   };
   const act = (word, action) => h("button", { type: "button", onclick: leave(action) }, t(word));
-  const acts = fresh && batch ? [act("show_added", hooks.showBatch), act("label_added", hooks.relabelBatch)] : [];
+  const back = fresh && result.change ? [h("button", { type: "button", class: "quiet", id: "undo-adding", onclick: () => (close(), undo(hooks.changed, result.change)) }, icon("undo"), t("undo"))] : [];
+  const acts = fresh && batch ? [act("show_added", hooks.showBatch), act("label_added", hooks.relabelBatch), ...back] : [];
   return [
     h("p", { role: "status", id: "add-report", class: "report-head" }, fresh ? icon("mark") : null, t(fresh ? "added_head" : "added_nothing", { count: count.format(fresh), seconds: result.seconds.toFixed(1) })),
     tally(result),

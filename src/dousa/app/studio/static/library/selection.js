@@ -1,7 +1,8 @@
 // Which clips are chosen: by number, whether they are on the page or far below.
 
 export class Selection {
-  /** hooks: changed(), idsBetween(first, last) -> promise of numbers, known(index) -> clip or undefined */
+  /** hooks: changed(), idsBetween(first, last) -> promise of numbers, known(index) -> clip or undefined,
+   *  findAgain(numbers) -> promise of [number, clip or null] */
   constructor(hooks) {
     this.hooks = hooks;
     this.clips = new Map(); // number -> clip, or null where only the number is known
@@ -68,6 +69,13 @@ export class Selection {
   /** Those that were chosen before the page was left. */
   restore(pairs) {
     this.clips = new Map(pairs);
+    this.hooks.changed();
+  }
+
+  /** What is known of the chosen clips is what they are now; those that are gone are chosen no more. */
+  async refresh() {
+    if (!this.size) return;
+    this.clips = new Map(await this.hooks.findAgain(this.ids));
     this.hooks.changed();
   }
 

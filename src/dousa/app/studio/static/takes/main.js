@@ -9,6 +9,7 @@ import { attempt, notify } from "../core/notices.js";
 import { pickClips } from "../core/pick.js";
 import { createTimeline } from "../core/timeline.js";
 import { makeLegend } from "../core/timeline_parts.js";
+import { listenForUndo } from "../core/undo.js";
 import { Desk } from "./desk.js";
 import { Review } from "./review.js";
 import { drawSegments, markSegment } from "./segments.js";
@@ -205,6 +206,15 @@ async function undo(id) {
   await attempt(load);
   await label();
 }
+
+/** The library as it is after a step back or forth, in the take that is shown. */
+async function afterUndo() {
+  if (!motion) return;
+  await load();
+  await label();
+}
+
+listenForUndo(afterUndo);
 
 // --- choosing a take
 

@@ -1,0 +1,99 @@
+// The panes of the page: how wide they are, how large the figures, grid or list. Remembered in this browser.
+
+import { $, h, t } from "../core/dom.js";
+
+const KEY = "dousa-library-panes";
+const STEP = 24; // px of an arrow key
+const LIMITS = { left: [160, 520], right: [300, 1600] };
+const FIRST = { left: 240, right: null, look: null, size: 158, list: false };
+const WIDE = window.matchMedia("(min-width: 1200px)");
+
+function read() {
+  try {
+    return { ...FIRST, ...JSON.parse(localStorage.getItem(KEY)) };
+  } catch {
+    return { ...FIRST };
+  }
+}
+
+/** hooks: look(open) when the pane of one clip opens or closes, grid({size, list}) */
+export class Panes {
+  constructor(hooks) {
+    Object.assign(this, { hooks, now: read(), browse: $("#browse") });
+    for (const side of ["left", "right"]) this.makeSplitter(side, $(`#split-${side}`));
+    this.size = $("#cell-size");
+    this.size.value = String(this.now.size);
+    this.size.addEventListener("input", () => this.set({ size: Number(this.size.value) }));
+    $("#view-grid").addEventListener("click", () => this.set({ list: false }));
+    $("#view-list").addEventListener("click", () => this.set({ list: true }));
+    $("#look-button").addEventListener("click", () => this.set({ look: !this.isOpen }));
+    WIDE.addEventListener("change", () => this.draw());
+    window.addEventListener("resize", () => this.draw());
+    this.draw();
+  }
+
+  /** The pane of one clip is open where there is room for it, unless somebody closed it. */
+  get isOpen() {
+    return WIDE.matches && (this.now.look ?? window.innerWidth >= 1400);
+  }
+
+  widthOf(side) {
+    const [low, high] = LIMITS[side];
+    const room = side === "left" ? 0.4 : 0.62;
+    const wanted = this.now[side] ?? Math.round(window.innerWidth * (window.innerWidth > 1900 ? 0.42 : 0.32));
+    return Math.min(Math.max(wanted, low), high, Math.max(Math.round(window.innerWidth * room), low));
+  }
+
+  set(values) {
+    Object.assign(this.now, values);
+    try {
+      localStorage.setItem(KEY, JSON.stringify(this.now));
+    } catch {
+      // no room: it is forgotten with the page
+    }
+    this.draw();
+  }
+
+  draw() {
+    const { now, browse } = this;
+    browse.style.setProperty("--left", `${this.widthOf("left")}px`);
+    browse.style.setProperty("--right", `${this.widthOf("right")}px`);
+    browse.classList.toggle("looking", this.isOpen);
+    for (const side of ["left", "right"]) {
+      const [low, high] = LIMITS[side];
+      for (const [name, value] of [["valuenow", this.widthOf(side)], ["valuemin", low], ["valuemax", high]]) $(`#split-${side}`).setAttribute(`aria-${name}`, String(value));
+    }
+    $("#view-grid").setAttribute("aria-pressed", String(!now.list));
+    $("#view-list").setAttribute("aria-pressed", String(now.list));
+    $("#look-button").setAttribute("aria-pressed", String(this.isOpen));
+    this.size.disabled = now.list;
+    const shape = `${now.size} ${now.list}`;
+    if (shape !== this.shape) this.hooks.grid({ size: now.size, list: now.list });
+    this.shape = shape;
+    if (this.isOpen !== this.told) this.hooks.look(this.isOpen);
+    this.told = this.isOpen;
+  }
+
+  /** A line between two panes that is dragged, moved with arrow keys, and put back by a double click. */
+  makeSplitter(side, line) {
+    const sign = side === "left" ? 1 : -1;
+    line.addEventListener("pointerdown", (event) => {
+      event.preventDefault();
+      line.setPointerCapture(event.pointerId);
+      const [from, width] = [event.clientX, this.widthOf(side)];
+      const move = ({ clientX }) => this.set({ [side]: width + sign * (clientX - from) });
+      line.addEventListener("pointermove", move);
+      line.addEventListener("lostpointercapture", () => line.removeEventListener("pointermove", move), { once: true });
+    });
+    line.addEventListener("dblclick", () => this.set({ [side]: FIRST[side] }));
+    line.addEventListener("keydown", (event) => {
+      const by = { ArrowLeft: -STEP, ArrowRight: STEP }[event.key];
+      if (!by) return;
+      event.preventDefault();
+      this.set({ [side]: this.widthOf(side) + sign * by });
+    });
+  }
+}
+
+/** What the pane says as long as no clip is chosen. */
+export const nothingChosen = () => h("p", { class: "empty" }, t("look_empty"));
