@@ -9,10 +9,9 @@ import numpy as np
 import pytest
 
 from dousa.errors import LibraryDamagedError
-from dousa.formats.motion_files import Skipped
 from dousa.library import Library
 from dousa.library import add as add_module
-from dousa.library.growth import insert as _learning
+from dousa.library.growth import insert as _insert
 from library.database_server import run_sql
 
 
@@ -84,36 +83,55 @@ def test_it_does_not_matter_whether_clips_come_alone_or_together(two_categories,
     assert two_categories.stats().n_learned == 5
 
 
-def test_the_forest_depends_on_the_files_and_not_on_the_clock(two_categories, nods, tmp_path, monkeypatch):
-    """However fast the files are read, by however many workers, and where the program was stopped and run again."""
+def tell_all(library):
+    """What a library says of its clips, by their files."""
+    clips = sorted(library.clips(), key=lambda clip: clip.path)
+    queries = [(Path(clip.path).name, clip.predicted_category, library.search(clip.id, 100)) for clip in clips]
+    return [
+        (name, guess, found.verdict.to_json(), [(hit.path, hit.distance, hit.rank_distance) for hit in found.results])
+        for name, guess, found in queries
+    ]
+
+
+@pytest.mark.parametrize("how", ["slow", "workers", "stopped", "killed", "in turns", "backwards"])
+def test_the_same_clips_give_the_same_forest(two_categories, write_move, tmp_path, monkeypatch, how):
+    """However fast they are read, in whatever order and portions, and where a program was stopped and run again."""
+    for seed in range(5):
+        for name in ("squat", "bow"):
+            write_move(tmp_path / "new" / name / f"{name}{seed}.bvh", name, 200 + seed)
     monkeypatch.setattr(add_module, "_PORTION_CLIPS", 2)
-    stored = list[int]()
-    store = add_module.Adding._store_portion
-
-    def count(self, portion):
-        stored.append(sum(not isinstance(answer, Skipped) for answer in portion))
-        return store(self, portion)
-
-    monkeypatch.setattr(add_module.Adding, "_store_portion", count)
+    two_categories.close()
+    files = sorted((tmp_path / "new").rglob("*.bvh"))
+    rules = {"category_from": "name:([a-z]+)", "n_jobs": 1}
 
     def stop_once(done, total, path):
         if done == 4:
             raise KeyboardInterrupt
 
     seen = []
-    two_categories.close()
-    for name, n_jobs, seconds in (("fast", 1, 60.0), ("slow", 1, 0.0), ("workers", 2, 60.0), ("stopped", 1, 60.0)):
-        path = Path(shutil.copy(tmp_path / "two.dousa", tmp_path / f"{name}.dousa"))
-        monkeypatch.setattr(add_module, "_PORTION_SECONDS", seconds)
-        with Library.open(path) as library:
-            if name == "stopped":
+    for which in ("at once", how):
+        with Library.open(shutil.copy(tmp_path / "two.dousa", tmp_path / f"{which}.dousa")) as library:
+            portions = [[tmp_path / "new"]]
+            if which == "slow":
+                monkeypatch.setattr(add_module, "_PORTION_SECONDS", 0.0)
+            elif which == "workers":
+                rules["n_jobs"] = 2
+            elif which == "stopped":
                 with pytest.raises(KeyboardInterrupt):
-                    library.add(nods, n_jobs=n_jobs, progress=stop_once)
-            library.add(nods, n_jobs=n_jobs)
-        leaves = [(row[0], bytes(row[2])) for row in answers(path)]
-        seen.append((*forest_row(path)[2:], leaves))
-    assert len(stored) > 8 and max(stored) < 5  # in several portions
-    assert seen[1:] == seen[:1] * 3
+                    library.add(tmp_path / "new", **rules, progress=stop_once)
+            elif which == "killed":
+                with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
+                    patch.setattr("dousa.retrieval.forest.growth.grow_forest", interrupt)
+                    library.add(tmp_path / "new", **rules)
+            elif which == "in turns":
+                portions = [files[:3], files[3:4], files[4:]]
+            elif which == "backwards":
+                portions = [[path] for path in reversed(files)]
+            reports = [library.add(some, **rules) for some in portions]
+            assert sum(report.n_learned for report in reports) == library.stats().n_learned == 10
+            seen.append(tell_all(library))
+            assert library.check().is_sound
+    assert seen[0] == seen[1]
 
 
 def test_clips_without_a_category_teach_nothing(library, library_file, write_move, tmp_path):
@@ -130,23 +148,45 @@ def test_takes_teach_nothing(library, library_file, nods):
     assert forest_row(library_file) == before
 
 
-@pytest.mark.parametrize("moment", ["grow", "after"])
-def test_interrupted_while_it_learns_nothing_has_changed(library, library_file, nods, monkeypatch, moment):
+def interrupt(*args, **options):
+    raise KeyboardInterrupt
+
+
+def test_interrupted_while_it_writes_nothing_has_changed(library, library_file, nods, monkeypatch):
     before = answers(library_file), forest_row(library_file), library.stats()
-
-    def stop(*args, **options):
-        raise KeyboardInterrupt
-
-    with monkeypatch.context() as patch:
-        if moment == "grow":
-            patch.setattr("dousa.retrieval.forest.growth.grow_forest", stop)
-        else:
-            patch.setattr(_learning, "save_answers", stop)
-        with pytest.raises(KeyboardInterrupt):
-            library.add(nods, n_jobs=1)
+    with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
+        patch.setattr(_insert, "save_answers", interrupt)
+        library.add(nods, n_jobs=1)
     assert (answers(library_file), forest_row(library_file), library.stats()) == before
     assert library.add(nods).n_learned == 5
-    assert library.search(1, 100).results
+
+
+@pytest.mark.parametrize("part", ["retrieval.forest.growth.grow_forest", "library.growth.lesson.update_rows"])
+def test_interrupted_while_it_learns_the_clips_are_there(library, library_file, nods, monkeypatch, part):
+    """They are found as the forest sees them as it is, and learned when anything is added again."""
+    before = answers(library_file), forest_row(library_file)
+    with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
+        patch.setattr(f"dousa.{part}", interrupt)
+        library.add(nods, n_jobs=1)
+    assert forest_row(library_file) == before[1]
+    assert answers(library_file)[:15] == before[0]
+    assert len(library.search(1, 100).results) == 20
+    assert library.check().is_sound
+    report = library.add(nods)
+    assert (report.n_learned, report.new_categories, len(report.unchanged)) == (5, ("squat_down",), 5)
+    assert library.search(next(nods.rglob("*.bvh")), 1).verdict.guess == "squat_down"
+    assert library.add(nods).n_learned == 0
+
+
+def test_what_waits_may_be_renamed_and_removed(library, nods, monkeypatch):
+    with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
+        patch.setattr("dousa.retrieval.forest.growth.grow_forest", interrupt)
+        library.add(nods, n_jobs=1)
+    first, second, *_ = library.clips(nods)
+    library.remove(first.id)
+    library.relabel(second.id, category=None)
+    assert library.add(nods / "squat_down" / "n4.bvh").n_learned == 3
+    assert library.add(nods / "squat_down" / "n4.bvh").n_learned == 0
 
 
 def test_another_program_sees_what_was_learned(library, library_file, nods):
@@ -173,8 +213,8 @@ def test_leaves_that_are_not_there_are_told(library, library_file, nods):
     run_sql(library_file, f"UPDATE clip_leaves SET checksum = NULL, leaves = x'{'ffffff00' * 20}'")
     with pytest.raises(LibraryDamagedError, match="dousa train"):
         library.add(nods)
-    library.train(n_trees=5)
-    assert library.add(nods).n_learned == 5
+    assert library.train(n_trees=5).n_clips == 20
+    assert library.add(nods).n_learned == 0
 
 
 def test_a_changed_file_teaches_again(library, write_move, tmp_path):

@@ -128,4 +128,4 @@ def test_the_features_of_the_paper_can_be_asked_for_again(old_file):
         assert library.train(n_trees=5, feature_set="paper").feature_set == "paper"
         with library.database.engine.connect() as connection:
             sizes = connection.exec_driver_sql("SELECT DISTINCT length(pose_features) FROM clip_features").all()
-        assert sizes == [(np.prod((10, FEATURE_SETS["paper"].n_columns)) * 8,)]
+        assert sizes == [(np.prod((10, FEATURE_SETS["paper"].n_columns)) * 4,)]

@@ -11,6 +11,7 @@ from collections.abc import Iterator
 from contextlib import closing, contextmanager
 from pathlib import Path
 
+import numpy as np
 import pytest
 import sqlalchemy as sa
 from sqlalchemy import event
@@ -430,3 +431,17 @@ def test_a_library_that_may_be_written_again(library_file, leftover):
             library.close()
     finally:
         shutil.rmtree(folder)
+
+
+def test_features_that_an_older_dousa_wrote_in_double_are_the_same(library, library_file):
+    before = library.search(3, 100).to_json(), library.train(n_trees=5).calibration
+    expected = library.search(3, 100).to_json()
+    library.close()
+    with closing(sqlite3.connect(library_file)) as connection, connection:
+        for number, data in connection.execute("SELECT clip_id, pose_features FROM clip_features").fetchall():
+            wide = np.frombuffer(data, "<f4").astype("<f8").tobytes()
+            statement = "UPDATE clip_features SET pose_features = ?, checksum = NULL WHERE clip_id = ?"
+            connection.execute(statement, (wide, number))
+    assert library.search(3, 100).to_json() == expected != before[0]
+    library.train(n_trees=5)
+    assert library.search(3, 100).to_json() == expected

@@ -1,7 +1,7 @@
 """Adding motions: what is known is left alone, the rest is read at the same time and written in portions.
 
 A portion is one transaction, so a program that is stopped in the middle keeps what it wrote and goes on from
-there when it is run again. Where one ends depends on what the files hold, never on the clock.
+there when it is run again. A trained forest learns once, when all is written.
 """
 
 from __future__ import annotations
@@ -25,14 +25,15 @@ from dousa.library.annotations.places import FoundLabels, find_labels
 from dousa.library.annotations.store import annotate_takes, rename_segments
 from dousa.library.engine import Database, next_revision
 from dousa.library.forests import StoredForest, load_forest
+from dousa.library.growth.arrival import Arrival, describe_arrival
 from dousa.library.growth.insert import insert_clips
-from dousa.library.growth.lesson import Lesson, work_out
+from dousa.library.growth.lesson import learn_new
 from dousa.library.ingest import ClipRecord, FileRecord, ReadTask, look_at, read_clip, read_clips
 from dousa.library.journal.recording import recording
 from dousa.library.labels import LabelRule, check_text, no_label
 from dousa.library.results import AddReport, Duplicate
 from dousa.library.seals.checksums import LABELS, NUMBERS, update_rows
-from dousa.library.selection import delete_clips, fetch_in, read_tags, save_tags, with_segments
+from dousa.library.selection import delete_clips, fetch_in, read_tags, save_tags
 from dousa.library.takes import refresh_windows
 from dousa.messages import Message
 
@@ -45,9 +46,8 @@ _NO_LABEL = {
 }
 
 _MOST_DOUBTFUL = 500  # files that wait for the others
-_PORTION_CLIPS = 64  # on average; an eighth at least, and four times as many at most
-_PORTION_SECONDS = 1.0  # of a library that is not trained, so that a program that is stopped loses little
-
+_PORTION_CLIPS = 256
+_PORTION_SECONDS = 1.0  # so that a program that is stopped loses little
 _PORTION_FRAMES = (1 << 26) // (4 * 3 * 20)  # 64 MiB as they are stored
 
 Labels = dict[str, str | None]
@@ -74,7 +74,7 @@ class _Sorted:
     fresh: list[ClipRecord]
     gone: list[int]
     moved: list[tuple[FileRecord, Any]]
-    lesson: Lesson | None
+    arrival: Arrival | None
 
 
 class Adding:
@@ -108,6 +108,7 @@ class Adding:
         self._labels_from = labels_from
         self._tier = tier
         self._found: dict[str, FoundFile] = {}
+        self._known_labels: dict[str, Labels] = {}
         self._labels_stay = True
         self.change: int | None = None  # in the journal: one for all portions
         self._tally: Tally = defaultdict(list)
@@ -144,15 +145,13 @@ class Adding:
                     doubtful.append(cast("ClipRecord", answer))
                 else:
                     portion.append(answer)
-                is_late = self.forest is None and time.monotonic() - last >= _PORTION_SECONDS
-                if _is_full(portion) or is_late:
+                if _is_full(portion) or time.monotonic() - last >= _PORTION_SECONDS:
                     portion = self._store_portion(portion)
                     last = time.monotonic()
                 done += 1
                 report(done, len(files), answer.path)
         except KeyboardInterrupt:
-            if self.forest is None:
-                self._store_portion(portion)
+            self._store_portion(portion)
             raise
         finally:
             answers.close()
@@ -216,7 +215,11 @@ class Adding:
         return self._finish(start, n_jobs)
 
     def _finish(self, start: float, n_jobs: int | None) -> AddReport:
-        if self.forest is not None:  # also where nothing was learned: an earlier run may have been stopped before this
+        # Also where nothing is new: an earlier run may have been stopped before this.
+        self.forest, learned = learn_new(self._database, self.forest)
+        self._tally["n_learned"].append(learned.n_clips)
+        self._tally["new_categories"] += learned.new_categories
+        if self.forest is not None:
             refresh_windows(self._database, self.forest, n_jobs)
         return _make_report(self._tally, time.perf_counter() - start)
 
@@ -254,11 +257,14 @@ class Adding:
         return ReadTask(path, self._options, known, chosen, feature_set)
 
     def _labels(self, path: str) -> Labels:
-        file = self._found[path]
-        labels = {name: rule(file.root, file.path) for name, rule in self._rules.items()}
-        for label in labels.values():
-            check_text(label or "")
-        return labels
+        """What the rules say of a file; each is asked once."""
+        if path not in self._known_labels:
+            file = self._found[path]
+            labels = {name: rule(file.root, file.path) for name, rule in self._rules.items()}
+            for label in labels.values():
+                check_text(label or "")
+            self._known_labels[path] = labels
+        return self._known_labels[path]
 
     def _note_labels(self, tally: Tally, path: str, row: Any) -> None:
         """Whether a stored clip would be another kind or have other labels now: it stays, but the report says so."""
@@ -273,7 +279,7 @@ class Adding:
         self._tally["skipped"] += [answer for answer in portion if isinstance(answer, Skipped)]
         read = [answer for answer in portion if not isinstance(answer, Skipped)]
         if read:
-            # What the forest learns takes a while to work out: not while other programs wait to write.
+            # What the forest says takes a while to work out: not while other programs wait to write.
             sorted_out = self._database.write_planned(lambda c, known: self._sort(c, read, known), self._store)
             for name, items in sorted_out.tally.items():
                 self._tally[name] += items
@@ -307,15 +313,12 @@ class Adding:
                 owner[record.row["content_hash"]] = record.path
             else:
                 tally["duplicates"].append(Duplicate(record.path, first))
-        lesson = None
+        arrival = None
         if fresh:
             # Loaded again: another program may have trained the library while files were read.
-            forest = load_forest(connection, self._database.where, self.forest)
-            left = with_segments(connection, list(gone.values()))
-            lesson = work_out(connection, forest, fresh, left, known.lesson if known else None)
-            tally["n_learned"].append(lesson.learned.n_clips)
-            tally["new_categories"] += lesson.learned.new_categories
-        return _Sorted(tally, fresh, list(gone.values()), moved, lesson)
+            self.forest = load_forest(connection, self._database.where, self.forest)
+            arrival = describe_arrival(self.forest, fresh, known.arrival if known else None)
+        return _Sorted(tally, fresh, list(gone.values()), moved, arrival)
 
     def _store(self, connection: sa.Connection, found: _Sorted) -> _Sorted:
         """Write what was sorted out, in the library as it was then."""
@@ -326,8 +329,8 @@ class Adding:
             with recording(connection, revision, "add", gone=found.gone, into=self.change) as recorded:
                 tags = _read_own_tags(connection, found.gone)
                 delete_clips(connection, found.gone)
-                if found.lesson is not None:
-                    self.forest = insert_clips(connection, found.fresh, found.lesson, revision)
+                if found.arrival is not None:
+                    insert_clips(connection, found.fresh, found.arrival)
                 _give_tags(connection, tags)
             self.change = recorded.number
         return found
@@ -390,17 +393,9 @@ def _is_gone(row: Any) -> bool:
 
 
 def _is_full(portion: Sequence[Answer]) -> bool:
-    """Whether a portion ends here, which depends on the contents of the files and on nothing else.
-
-    A forest learns portion by portion, so it is the same however fast the files were read, by however many workers, and
-    however often the program was stopped and run again: about every 64th content ends a portion.
-    """
-    read = [answer for answer in portion if not isinstance(answer, Skipped)]
-    if not read:
-        return False
-    n_frames = sum(answer.motion.n_frames for answer in read if isinstance(answer, ClipRecord))
-    is_last = int(read[-1].row["content_hash"][:8], 16) % _PORTION_CLIPS == 0 and 8 * len(read) >= _PORTION_CLIPS
-    return is_last or len(read) >= 4 * _PORTION_CLIPS or n_frames >= _PORTION_FRAMES
+    """Whether a portion is large enough to be written."""
+    n_frames = sum(answer.motion.n_frames for answer in portion if isinstance(answer, ClipRecord))
+    return len(portion) >= _PORTION_CLIPS or n_frames >= _PORTION_FRAMES
 
 
 def _load_rows(connection: sa.Connection, read: Sequence[FileRecord]) -> list[Any]:

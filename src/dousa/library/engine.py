@@ -392,9 +392,14 @@ def note_changed_clips(connection: sa.Connection) -> None:
     update_rows(connection, STATE, {_STATE_ID: {"clips_revision": read_revision(connection)}})
 
 
+def next_clip_id(connection: sa.Connection) -> int:
+    """The number that the next new clip gets."""
+    return int(_read_state(connection).next_clip_id)
+
+
 def take_clip_ids(connection: sa.Connection, count: int) -> range:
     """Numbers for new clips, never used before; after ``next_revision`` in the same transaction."""
-    first = int(_read_state(connection).next_clip_id)
+    first = next_clip_id(connection)
     update_rows(connection, STATE, {_STATE_ID: {"next_clip_id": first + count}})
     return range(first, first + count)
 
@@ -484,9 +489,7 @@ def _parts_of_bodies(connection: sa.Connection) -> None:
 def _likeness(connection: sa.Connection) -> None:
     """Which clips are alike, learned with the next training."""
     for table, column in ((schema.forests, "likeness"), (schema.clip_leaves, "direction")):
-        # An old library got its table of leaves by a step above, as it is now.
-        if column not in {known["name"] for known in sa.inspect(connection).get_columns(table.name)}:
-            _add_column(connection, table, column)
+        _add_missing_column(connection, table, column)
 
 
 def _labellers_of_moments(connection: sa.Connection) -> None:
@@ -499,10 +502,9 @@ def _checksums(connection: sa.Connection) -> None:
     for table in schema.metadata.sorted_tables:
         if not sa.inspect(connection).has_table(table.name):
             continue  # made by a later step
-        known = {column["name"] for column in sa.inspect(connection).get_columns(table.name)}
         for column in table.c:
-            if "checksum" in column.name and column.name not in known:
-                _add_column(connection, table, column.name)
+            if "checksum" in column.name:
+                _add_missing_column(connection, table, column.name)
 
 
 def _sensor_noise(connection: sa.Connection) -> None:
@@ -516,6 +518,20 @@ def _journal(connection: sa.Connection) -> None:
     """What people change can be undone, clips have tags, and searches are kept."""
     for table in (schema.clip_tags, schema.saved_searches, *schema.JOURNAL_TABLES):
         table.create(connection, checkfirst=True)
+
+
+def _clips_to_learn(connection: sa.Connection) -> None:
+    """Clips that a forest has not learned from yet; all that are there it has learned from, or does not know."""
+    schema.unlearned.create(connection, checkfirst=True)
+    _add_missing_column(connection, schema.forests, "first_later")
+    following = connection.execute(sa.select(library_state.c.next_clip_id)).scalar()
+    connection.execute(sa.update(schema.forests).values(first_later=following))
+
+
+def _add_missing_column(connection: sa.Connection, table: sa.Table, name: str) -> None:
+    """A column that is there already where a step above made the table as it is now."""
+    if name not in {known["name"] for known in sa.inspect(connection).get_columns(table.name)}:
+        _add_column(connection, table, name)
 
 
 def _add_column(connection: sa.Connection, table: sa.Table, name: str) -> None:
@@ -535,6 +551,7 @@ MIGRATIONS: tuple[Migration, ...] = (
     Migration(9, "sensor noise", _sensor_noise),
     Migration(10, "labellers of discriminants", _labellers_of_moments),
     Migration(11, "journal, tags and saved searches", _journal),
+    Migration(12, "clips to be learned", _clips_to_learn),
 )
 
 

@@ -204,7 +204,8 @@ def _unpack(connection: sa.Connection, row: Any) -> StoredMotion:
     return StoredMotion(positions, row.frame_rate, row.height)
 
 
-_FEATURES, _POSES = "<f8", "<f4"
+_FEATURES, _POSES = "<f4", "<f4"
+_EARLIER_FEATURES = "<f8"  # of an older dousa; the values are of float32 precision as well
 _LARGEST = 1e37  # of float32
 _IN_MEMORY = 2**32  # bytes of features; more are kept in a temporary file, of which memory holds what is in use
 
@@ -262,13 +263,13 @@ def load_features(
         places = {row.id: start + place for place, row in enumerate(rows[start : start + _PORTION])}
         stored = [row.id for row in rows[start : start + _PORTION] if row.feature_set == feature_set]
         read = list(fetch_in(connection, query, schema.clip_features.c.clip_id, stored))
-        for row in read:
-            checksums.FEATURES.check(connection, row)
-        blobs = [row.pose_features for row in read]
-        values = stack(blobs, _FEATURES, features.shape[1:], "features")
-        if values.size and not np.abs(values).max() < _LARGEST:
-            raise LibraryDamagedError("library_clips.features_beyond_measure")
-        features[[places[row.clip_id] for row in read]] = values
+        if read:
+            checksums.FEATURES.check_all(connection, list(zip(*read, strict=True)))
+        for own in _stack_features(read, features.shape[1:]):
+            values = own[1]
+            if not np.abs(values).max() < _LARGEST:
+                raise LibraryDamagedError("library_clips.features_beyond_measure")
+            features[[places[clip_id] for clip_id in own[0]]] = values
     lacking = [row.id for row in rows if row.feature_set != feature_set]
     computed = describe_stored(connection, lacking, feature_set, n_jobs, progress)
     for place, row in enumerate(rows):
@@ -282,6 +283,15 @@ def load_features(
         heights=[row.height for row in rows],
         computed=computed,
     )
+
+
+def _stack_features(rows: Sequence[Any], shape: tuple[int, ...]) -> Iterator[tuple[list[int], NDArray[Any]]]:
+    """Numbers and features of rows: those that an older dousa wrote, and the others."""
+    earlier = int(np.prod(shape)) * np.dtype(_EARLIER_FEATURES).itemsize
+    for kind in (_EARLIER_FEATURES, _FEATURES):
+        some = [row for row in rows if (len(row.pose_features) == earlier) == (kind == _EARLIER_FEATURES)]
+        if some:
+            yield [row.clip_id for row in some], stack([row.pose_features for row in some], kind, shape, "features")
 
 
 def _allocate(shape: tuple[int, int, int]) -> NDArray[Any]:

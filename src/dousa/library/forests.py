@@ -53,6 +53,7 @@ class StoredForest:
     revision : of the library at the end of the training; other trees have another one.
     learned : of the library when the leaves last learned; the histograms of clips hold until then.
     likeness : tells which clips are alike; None where there were too few to learn that, or an older dousa trained.
+    first_later : number from which on clips came after the training.
     """
 
     forest: MotionForest
@@ -63,6 +64,7 @@ class StoredForest:
     revision: int
     learned: int
     likeness: Likeness | None = None
+    first_later: int = 1
 
     @property
     def hidden(self) -> tuple[str, ...]:
@@ -125,6 +127,12 @@ def find_leaves(stored: StoredForest, features: FloatArray) -> NDArray[np.int32]
     return leaves
 
 
+def check_leaves(stored: StoredForest, leaves: NDArray[np.int32]) -> None:
+    """LibraryDamagedError for a leaf that the forest does not have."""
+    if leaves.size and not (leaves.min() >= 0 and leaves.max() < stored.forest.trees_.n_leaves):
+        raise LibraryDamagedError("library_forest.no_such_leaf")
+
+
 def count_votes(stored: StoredForest, leaves: NDArray[np.int32]) -> TreeAnswers:
     """What the trees say of clips whose leaves (N, n_trees) are known.
 
@@ -132,11 +140,23 @@ def count_votes(stored: StoredForest, leaves: NDArray[np.int32]) -> TreeAnswers:
     ------
     LibraryDamagedError : a leaf that the forest does not have.
     """
-    if leaves.size and not (leaves.min() >= 0 and leaves.max() < stored.forest.trees_.n_leaves):
-        raise LibraryDamagedError("library_forest.no_such_leaf")
+    check_leaves(stored, leaves)
     shares = stored.forest.histograms_of(leaves.astype(np.int64))
     votes = np.rint(shares * leaves.shape[1]).astype(np.int32)
     return TreeAnswers(votes, leaves, stored.categories)
+
+
+def name_votes(stored: StoredForest, leaves: NDArray[np.int32]) -> list[str]:
+    """The most voted category of each of many clips whose leaves (N, n_trees) are known, as ``TreeAnswers.predicted``.
+
+    Raises
+    ------
+    LibraryDamagedError : a leaf that the forest does not have.
+    """
+    names: list[str] = []
+    for start in range(0, len(leaves), _AT_ONCE):
+        names += count_votes(stored, leaves[start : start + _AT_ONCE]).predicted()
+    return names
 
 
 def load_forest(connection: sa.Connection, where: str, known: StoredForest | None = None) -> StoredForest | None:
@@ -156,7 +176,7 @@ def load_forest(connection: sa.Connection, where: str, known: StoredForest | Non
     state = connection.execute(query).one_or_none()
     if state is None or (known is not None and (known.revision, known.learned) == tuple(state)):
         return None if state is None else known
-    columns = (*FOREST.columns, table.data, table.calibration, table.likeness)
+    columns = (*FOREST.columns, table.data, table.calibration, table.likeness, table.first_later)
     row = connection.execute(sa.select(*columns).where(table.id == _FOREST_ID)).one()
     FOREST.check(connection, row)
     from dousa.retrieval import MotionForest
@@ -182,6 +202,7 @@ def load_forest(connection: sa.Connection, where: str, known: StoredForest | Non
         int(state.revision),
         int(state.learned),
         _read_likeness(row.likeness, where),
+        int(row.first_later or 1),
     )
 
 
@@ -342,6 +363,7 @@ def replace_forest(
         "parameters": {**parameters, "feature_set": stored.feature_set},
         "n_clips": n_clips,
         "window_lengths": list(stored.grid.lengths),
+        "first_later": stored.first_later,
         "n_learned": 0,
         "labeller": labeller,
         **_to_columns(stored),
@@ -369,6 +391,18 @@ def update_forest(connection: sa.Connection, stored: StoredForest, n_clips: int)
         **_to_columns(stored),
     }
     update_rows(connection, FOREST, {_FOREST_ID: values})
+
+
+def keep_unlearned(connection: sa.Connection, ids: Sequence[int]) -> None:
+    """Note that the forest has these clips still to learn, and no others."""
+    connection.execute(sa.delete(schema.unlearned))
+    note_unlearned(connection, ids)
+
+
+def note_unlearned(connection: sa.Connection, ids: Sequence[int]) -> None:
+    """Note that the forest has these clips still to learn."""
+    for some in portions([{"clip_id": number} for number in ids]):
+        connection.execute(sa.insert(schema.unlearned), list(some))
 
 
 def save_answers(connection: sa.Connection, ids: Sequence[int], answers: TreeAnswers) -> None:

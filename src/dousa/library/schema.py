@@ -109,7 +109,7 @@ clip_features = sa.Table(
     _clip_id(),
     # Name in ``FEATURE_SETS``; empty where an older dousa computed them: they are computed anew when needed.
     sa.Column("feature_set", sa.Text, nullable=False, server_default=""),
-    # float64, little endian, (frames, columns) of the set: not float32, so that a query file meets its own clip
+    # float32, little endian, (frames, columns) of the set; float64 of the same values where an older dousa wrote them
     sa.Column("pose_features", sa.LargeBinary, nullable=False),
     _checksum(),
 )
@@ -201,6 +201,8 @@ forests = sa.Table(
     sa.Column("n_clips", sa.Integer, nullable=False),
     # Frames of the windows that takes are cut into; None in a library that an older dousa trained.
     sa.Column("window_lengths", sa.JSON(none_as_null=True)),
+    # Number from which on clips came after the training; None if an older dousa trained, and nobody knows.
+    sa.Column("first_later", sa.Integer),
     # Clips that the leaves learned after the training.
     sa.Column("n_learned", sa.Integer, nullable=False, server_default="0"),
     sa.Column("data", sa.LargeBinary, nullable=False),
@@ -211,6 +213,13 @@ forests = sa.Table(
     # ``TakeLabeller.to_bytes``: learned when a take is first labelled
     sa.Column("labeller", sa.LargeBinary),
     _checksum(),
+)
+
+unlearned = sa.Table(
+    "unlearned",
+    metadata,
+    # Clips that have leaves and a category, from which the forest has not learned yet: who adds clips sees to it.
+    _clip_id(),
 )
 
 part_forests = sa.Table(

@@ -16,7 +16,7 @@ import sqlalchemy as sa
 
 from dousa.errors import TrainingError
 from dousa.library import schema
-from dousa.library.engine import Database, next_revision, note_changed_clips, read_revision
+from dousa.library.engine import Database, next_clip_id, next_revision, note_changed_clips, read_revision
 from dousa.library.features import (
     ClipFeatures,
     keep_features,
@@ -32,6 +32,7 @@ from dousa.library.forests import (
     describe_copies,
     fit_forest,
     fit_grid,
+    keep_unlearned,
     learn_unknown,
     replace_forest,
     save_answers,
@@ -96,7 +97,7 @@ def train_forest(
         kind, n_partial = _choose_joints(database.where, connection, kind)  # before the work
     keep_features(database, kind.name, n_jobs, tell_clips)
     with database.reading() as connection:
-        seen = read_revision(connection)
+        seen, following = read_revision(connection), next_clip_id(connection)
         clips = load_features(connection, kind.name, n_jobs=n_jobs, progress=tell_clips)
         grid = fit_grid(connection)
         labelled, counts = _check_categories(database.where, clips.categories)
@@ -108,7 +109,7 @@ def train_forest(
     assessor = learn_unknown(forest, clips, labelled, kind, copies, learner.watch)
     likeness = None if assessor is None else learner.finish()
     names = tuple(str(name) for name in forest.classes_)
-    stored = StoredForest(forest, names, kind.name, grid, assessor, 0, 0, likeness)
+    stored = StoredForest(forest, names, kind.name, grid, assessor, 0, 0, likeness, following)
     report(3, _STEPS, Message("library_training.labeller"))
     with database.reading() as connection:
         labeller = learn_labeller(connection, stored, n_jobs)
@@ -184,6 +185,8 @@ def _store(
         save_descriptions(connection, list(known.clips.computed), list(known.clips.computed.values()))
         connection.execute(sa.delete(schema.clip_leaves))
         save_answers(connection, known.clips.ids, known.answers)
+        later = zip(known.clips.ids, known.clips.categories, strict=True)
+        keep_unlearned(connection, [n for n, category in later if n >= own.first_later and category is not None])
         connection.execute(sa.delete(schema.take_windows))
         save_windows(connection, own, known.windows)
         return own

@@ -14,7 +14,7 @@ from oracles import plain_novelty as slow
 
 from dousa.errors import InvalidMotionError, NotTrainedError, TrainingError
 from dousa.retrieval import FEATURE_SETS, MotionForest, integrate
-from dousa.retrieval.forest import growth
+from dousa.retrieval.forest import growth, points
 from dousa.retrieval.forest.growth import StandingClips, grow_forest
 from dousa.retrieval.forest.trees import evaluate_test, read_test
 
@@ -230,46 +230,100 @@ class TestErrors:
             grow_forest(forest, standing, features[new], categories[new])
 
 
-def choose_pairs_slowly(own, n_standing, generator):
-    """All pairs of a category are listed, then some drawn."""
-    sizes = np.bincount(own[:n_standing])
-    usual = int(np.median(sizes[sizes > 0])) if n_standing else 0
-    chosen = [np.zeros((0, 2), np.int64)]
-    for category in np.unique(own[n_standing:]):
+def list_pairs_slowly(own, keys, later, usual):
+    """All pairs of a category with a clip that came later are listed; those of the smallest keys are taken."""
+    chosen = set()
+    for category in set(own[later].tolist()):
         inside = np.flatnonzero(own == category)
-        pairs = np.array([pair for pair in itertools.combinations(inside, 2) if max(pair) >= n_standing], np.int64)
-        missing = usual - len(inside)
-        if missing > 0:
-            chosen.append(pairs.reshape(-1, 2)[generator.permutation(len(pairs))[:missing]])
-    return np.concatenate(chosen)
+        pairs = [frozenset(pair) for pair in itertools.combinations(inside.tolist(), 2) if later[list(pair)].any()]
+        drawn = {pair: points.mix(*np.sort(keys[list(pair)])[:, None])[0] for pair in pairs}
+        chosen |= set(sorted(pairs, key=drawn.__getitem__)[: max(usual - len(inside), 0)])
+    return chosen
 
 
 @given(
-    standing=st.lists(st.integers(0, 3), max_size=60),
-    new=st.lists(st.integers(0, 4), min_size=1, max_size=8),
-    listed=st.sampled_from([0, 10**6]),
+    own=st.lists(st.integers(0, 4), min_size=1, max_size=60),
+    n_later=st.integers(1, 8),
+    usual=st.integers(0, 40),
+    listed=st.sampled_from([3, 10**6]),
 )
-def test_pairs_are_drawn_among_all_that_have_a_new_clip(standing, new, listed):
-    own = np.array(standing + new, np.int32)
-    slow = choose_pairs_slowly(own, len(standing), np.random.default_rng(1))
+def test_pairs_are_drawn_among_all_that_have_a_later_clip(own, n_later, usual, listed):
+    own = np.array(own, np.int32)
+    keys = np.random.default_rng(0).integers(0, 2**63, len(own)).astype(np.uint64)
+    later = np.arange(len(own)) >= len(own) - n_later
+    slow = list_pairs_slowly(own, keys, later, usual)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(growth, "_MOST_LISTED", listed)
-        pairs = growth._choose_pairs(own, len(standing), np.random.default_rng(1))
-    assert len(pairs) == len(slow)
-    if listed:
-        np.testing.assert_array_equal(pairs, slow)
-    assert len(np.unique(pairs, axis=0)) == len(pairs)
-    assert (own[pairs[:, 0]] == own[pairs[:, 1]]).all()
-    assert (pairs[:, 0] < pairs[:, 1]).all()
-    assert (pairs[:, 1] >= len(standing)).all()
+        patch.setattr(points, "_MOST_LISTED", listed)
+        pairs = points.choose_pairs(own, keys, later, usual)
+    found = [frozenset(pair) for pair in zip(pairs.first.tolist(), pairs.second.tolist(), strict=True)]
+    assert len(set(found)) == len(found) <= len(slow)
+    assert all(len(pair) == 2 and later[list(pair)].any() and len(set(own[list(pair)])) == 1 for pair in found)
+    if listed > 3:
+        assert set(found) == slow
 
 
 @pytest.mark.parametrize("sizes", [(20_000, 20_000), (20_000, 20_000, 5_000)])
 def test_one_clip_more_of_a_large_category_lists_no_pairs(sizes):
     own = np.append(np.repeat(np.arange(len(sizes)), sizes), len(sizes) - 1).astype(np.int32)
+    keys = points.mix(np.arange(len(own), dtype=np.uint64), np.zeros(1, np.uint64))
+    later = np.arange(len(own)) == len(own) - 1
     tracemalloc.start()
-    pairs = growth._choose_pairs(own, len(own) - 1, np.random.default_rng(1))
+    pairs = points.choose_pairs(own, keys, later, 20_000)
     peak = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
-    assert len(pairs) == (0 if len(sizes) == 2 else 5_000)
-    assert peak < 20_000_000
+    assert len(pairs.first) == (0 if len(sizes) == 2 else points.MOST_POINTS)
+    assert peak < 60_000_000
+
+
+def take_up(forest, features, categories, keys, old, portions):
+    """The forest after some portions of clips, and the leaves of all."""
+    rows, leaves = old, forest.apply(features[old])
+    for some in portions:
+        later = np.arange(len(rows)) >= len(old)
+        standing = StandingClips(
+            categories[rows], leaves, lambda picked, rows=rows: features[rows[picked]], keys[rows], later
+        )
+        growth = grow_forest(forest, standing, features[some], categories[some], keys=keys[some])
+        leaves[growth.moved] = growth.moved_leaves
+        rows, leaves = np.concatenate([rows, some]), np.concatenate([leaves, growth.leaves])
+        forest = MotionForest.from_bytes(growth.forest.to_bytes())
+        assert np.array_equal(forest.apply(features[rows]), leaves)
+    return forest
+
+
+@settings(max_examples=40, deadline=None)
+@given(st.integers(0, 1000), st.data(), st.sampled_from(["best", "random"]), st.sampled_from([2, 64]))
+def test_the_same_clips_give_the_same_forest_in_whatever_portions(seed, data, thresholds, most_others):
+    features, categories = make_clips(seed, n_categories=5, each=8, spread=0.9)
+    old, new = split_off(features, categories, ["c1"], 8)
+    more = np.random.default_rng(seed).choice(old, 6, replace=False)
+    old, new = np.setdiff1d(old, more), np.concatenate([new, more])
+    forest = MotionForest(4, thresholds=thresholds, random_state=seed).fit(features[old], categories[old])
+    keys = np.random.default_rng(seed).integers(0, 2**63, len(features)).astype(np.uint64)
+    order = np.array(data.draw(st.permutations(new.tolist())))
+    cuts = sorted(data.draw(st.sets(st.integers(1, len(new) - 1), max_size=4)))
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(growth, "_MOST_OTHERS", most_others)  # 2: leaves become trees, and leaves again
+        at_once = take_up(forest, features, categories, keys, old, [new])
+        in_turns = take_up(forest, features, categories, keys, old, np.split(order, cuts))
+    assert decisions_of(at_once, features) == decisions_of(in_turns, features)
+    for histogram in ("votes", "leaves"):
+        both = [one.predict_proba(features, histogram) for one in (at_once, in_turns)]
+        assert np.array_equal(*both)
+
+
+def test_a_leaf_of_very_many_clips_grows_for_more_than_one_stranger():
+    rng = np.random.default_rng(0)
+    features = rng.normal(size=(402, 3, 2)) + np.repeat([0.0, 9.0], 201)[:, None, None]
+    categories = np.repeat(["near", "far"], 201)
+    forest = MotionForest(5, random_state=0).fit(features, categories)
+    for count, grows in ((1, False), (3, False), (4, True)):
+        added = rng.normal(size=(count, 3, 2)) + 30.0
+        standing = stand(forest, features, categories)
+        read = []
+        seen = StandingClips(categories, standing.leaves, lambda rows, read=read: read.append(rows) or features[rows])
+        grown = grow_forest(forest, seen, added, ["near"] * count)
+        assert (grown.forest.trees_.n_leaves > forest.trees_.n_leaves) == grows
+        assert sum(map(len, read)) == (201 if grows else 0)
+        assert grown.forest.trees_.leaf_counts.sum() == 5 * (402 + count)
+        assert grown.changed.any() == grows

@@ -21,8 +21,9 @@ from dousa.library import schema
 from dousa.library.engine import Database, next_revision
 from dousa.library.features import StoredMotion, load_motions
 from dousa.library.forests import ForestCache, StoredForest, load_forest
+from dousa.library.growth.arrival import Arrival, describe_arrival
 from dousa.library.growth.insert import insert_clips
-from dousa.library.growth.lesson import Lesson, work_out
+from dousa.library.growth.lesson import learn_new
 from dousa.library.ingest import ClipRecord
 from dousa.library.journal.recording import recording
 from dousa.library.labels import check_text
@@ -95,7 +96,15 @@ def annotate_takes(
         plan = partial(_plan_tables, database.where, some, forest)
         done, _, forest, change = database.write_planned(plan, partial(_exchange, change=change))
         changes += done
-    return forest, changes
+    return _learn(database, forest, changes)
+
+
+def _learn(
+    database: Database, forest: StoredForest | None, changes: AnnotationChanges
+) -> tuple[StoredForest | None, AnnotationChanges]:
+    """Let the forest learn from segments that were written."""
+    forest, learned = learn_new(database, forest)
+    return forest, changes + AnnotationChanges(n_learned=learned.n_clips, new_categories=learned.new_categories)
 
 
 def _find_missing(row: Any, labels: Annotation, there: Iterable[TakeSegment]) -> list[Stretch]:
@@ -130,8 +139,9 @@ def name_segment(
         places = [(rows[0], kept, gone)] if kept else []
         return _plan(connection, database.where, places, _Exchange(forest, changes=changes, by_hand=True), known)
 
-    changes, ids, forest, _ = database.write_planned(plan, _exchange)
-    return forest, ids[0] if ids else None, changes
+    done, ids, asked, _ = database.write_planned(plan, _exchange)
+    grown, changes = _learn(database, asked, done)
+    return grown, ids[0] if ids else None, changes
 
 
 def _is_same_place(one: TakeSegment, other: Stretch) -> bool:
@@ -166,7 +176,7 @@ class _Exchange:
     tables : takes and the tables of labels that are written down.
     records : new segments.
     gone : numbers of those that go.
-    lesson : what the forest learns of it; None where there is nothing new.
+    arrival : what follows from the records; None where there are none.
     changes : what is reported.
     by_hand : whether somebody named the segments in the take.
     """
@@ -175,7 +185,7 @@ class _Exchange:
     tables: Sequence[tuple[Any, Annotation]] = ()
     records: Sequence[ClipRecord] = ()
     gone: Sequence[int] = ()
-    lesson: Lesson | None = None
+    arrival: Arrival | None = None
     changes: AnnotationChanges = AnnotationChanges()
     by_hand: bool = False
 
@@ -228,7 +238,7 @@ def _plan(
     exchange: _Exchange,
     known: _Exchange | None,
 ) -> _Exchange:
-    """The records of new segments, and what the forest learns from them."""
+    """The records of new segments, and what follows from them."""
     gone = [clip_id for _, _, ids in places for clip_id in ids]
     records: list[ClipRecord] = []
     for row, new, _ in places:
@@ -236,14 +246,13 @@ def _plan(
             (motion,) = load_motions(connection, [row.id])  # one at a time: they are long
             records += [_make_record(row, motion, one, exchange.by_hand) for one in new]
     changes = AnnotationChanges(n_segments=len(records), n_removed=len(gone))
-    forest, lesson = exchange.forest, None
+    forest, arrival = exchange.forest, None
     if records:
         # Loaded again: another program may have trained the library.
         forest = load_forest(connection, where, forest)
-        lesson = work_out(connection, forest, records, gone, known.lesson if known else None)
-        changes += AnnotationChanges(n_learned=lesson.learned.n_clips, new_categories=lesson.learned.new_categories)
+        arrival = describe_arrival(forest, records, known.arrival if known else None)
     changes = exchange.changes + changes
-    return replace(exchange, forest=forest, records=records, gone=gone, lesson=lesson, changes=changes)
+    return replace(exchange, forest=forest, records=records, gone=gone, arrival=arrival, changes=changes)
 
 
 def _exchange(
@@ -251,7 +260,7 @@ def _exchange(
 ) -> tuple[AnnotationChanges, list[int], StoredForest | None, int | None]:
     """Write new segments in the place of others.
 
-    Returned are what changed, their numbers, the forest as it learned, and the number of the change in the journal.
+    Returned are what changed, their numbers, the forest, and the number of the change in the journal.
     """
     if not (planned.tables or planned.records or planned.gone):
         return planned.changes, [], planned.forest, change
@@ -261,13 +270,12 @@ def _exchange(
     kind, told = ("label", {}) if named is None else ("name", {"category": named})
     written = recording(connection, revision, kind, gone=planned.gone, takes=takes, told=told, into=change)
     with written as recorded:
-        ids, forest = _write_exchange(connection, planned, revision)
-    return planned.changes, ids, forest, recorded.number
+        ids = _write_exchange(connection, planned)
+    return planned.changes, ids, planned.forest, recorded.number
 
 
-def _write_exchange(
-    connection: sa.Connection, planned: _Exchange, revision: int
-) -> tuple[list[int], StoredForest | None]:
+def _write_exchange(connection: sa.Connection, planned: _Exchange) -> list[int]:
+    """Write it, and return the numbers of the new segments."""
     delete_clips(connection, planned.gone)
     table = schema.take_annotations
     if planned.tables:
@@ -283,13 +291,13 @@ def _write_exchange(
             for row, labels in planned.tables
         ]
         connection.execute(sa.insert(table), seal_rows(table, rows))
-    if planned.lesson is None:
-        return [], planned.forest
-    forest = insert_clips(connection, planned.records, planned.lesson, revision)
+    if planned.arrival is None:
+        return []
+    insert_clips(connection, planned.records, planned.arrival)
     paths = [record.path for record in planned.records]
     clips = schema.clips.c
     numbers = {row.path: row.id for row in fetch_in(connection, sa.select(clips.id, clips.path), clips.path, paths)}
-    return [numbers[path] for path in paths], forest
+    return [numbers[path] for path in paths]
 
 
 def _fit(row: Any, segments: Iterable[Stretch]) -> tuple[list[Stretch], AnnotationChanges]:

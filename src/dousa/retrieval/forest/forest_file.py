@@ -93,6 +93,7 @@ def pack_forest(file: ForestFile) -> bytes:
             "feature_names": np.array(file.feature_names, dtype=np.str_),
             **{name: getattr(trees, name) for name in _TREE_ARRAYS},
             "sizes": np.array([trees.n_features, trees.n_frames, trees.n_classes], np.int64),
+            **({} if trees.homes is None else {"homes": trees.homes}),
         }
     )
 
@@ -100,7 +101,7 @@ def pack_forest(file: ForestFile) -> bytes:
 def unpack_forest(data: bytes) -> ForestFile:
     """The forest in the bytes; DousaError if they are damaged, something else, or of a newer version."""
     names = {"version", "parameters", "classes", "feature_names", *_TREE_ARRAYS, "sizes"}
-    arrays = unpack_arrays(data, names, _WHAT)
+    arrays = unpack_arrays(data, names, _WHAT, ("homes",))
     check_version(arrays, _WHAT, (_WITHOUT_KINDS, _VERSION))
     for name, (dtype, axes) in _TREE_ARRAYS.items():
         array = arrays[name]
@@ -109,7 +110,8 @@ def unpack_forest(data: bytes) -> ForestFile:
     _check(sizes.dtype == np.int64 and sizes.shape == (3,), "bad sizes")
     _check(((sizes >= 1) & (sizes < 2**31)).all(), "bad sizes")
     fields: list[Any] = [arrays[name] for name in _TREE_ARRAYS]
-    trees = Trees(*fields, *(int(size) for size in sizes))
+    n_features, n_frames, n_classes = (int(size) for size in sizes)
+    trees = Trees(*fields, n_features, n_frames, n_classes, arrays.get("homes"))
     _check_trees(trees)
     classes, features = arrays["classes"], arrays["feature_names"]
     _check(classes.shape == (trees.n_classes,) and classes.dtype.kind in "Uiub", "bad categories")
@@ -157,3 +159,8 @@ def _check_trees(trees: Trees) -> None:
     _check(bool((np.diff(starts) > 0).all()) and len(trees.leaf_counts) == entries, "bad leaves")
     in_range = (trees.leaf_classes >= 0) & (trees.leaf_classes < trees.n_classes) & (trees.leaf_counts > 0)
     _check(bool(in_range.all()), "a leaf of a category that does not exist")
+    if trees.homes is not None:
+        homes = trees.homes
+        _check(homes.dtype == np.int32 and homes.shape == (trees.n_leaves,), "bad homes")
+        _check(bool(((homes >= 0) & (homes < trees.n_leaves)).all()), "a home that does not exist")
+        _check(bool((homes[homes] == homes).all()), "a home that has grown itself")

@@ -1,7 +1,7 @@
 """New categories without training again: the leaves of a forest take up new clips, and grow where they must.
 
 New clips run down the trees. Where one arrives in a leaf of another category, the leaf becomes a small tree, grown by
-the forest's own rule from the clips that stand in it; the splits above stay as they are. So what the forest has
+the forest's own rule from all the clips that stand in it; the splits above stay as they are. So what the forest has
 learned is kept, and the work is that of a few leaves.
 
 A category of few clips is met by few leaves only, and a query falls between them. So while a category that receives
@@ -9,27 +9,32 @@ clips is smaller than half of the others are, points half way between two of its
 Chawla et al., Journal of Artificial Intelligence Research 16, 2002): features are means over cells of time, and so is
 the mean of two of them. These points live in the counts of the leaves only.
 
-The order in which clips are added matters a little: each time, the leaves grow by what stands in them then.
+What becomes of a leaf of the training follows from the clips that stand in it and from nothing else: not from their
+order, nor from what stood in it before (``Trees.homes`` says which leaf of the training each leaf grew from, and a leaf
+that is met again is grown anew). So the same clips give the same forest, in whatever portions they were added. A leaf
+of very many clips grows only when the others are a 64th of it: one stranger among hundreds is the mistake of a tree,
+and to part it from them, all of them would have to be looked at.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from itertools import pairwise
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from dousa.arrays import FloatArray, IntArray
+from dousa.arrays import BoolArray, FloatArray, IntArray
 from dousa.errors import InvalidMotionError, TrainingError
 from dousa.retrieval.features.feature_sets import FeatureSet
 from dousa.retrieval.features.integral import list_tests
-from dousa.retrieval.forest.forest import MotionForest
-from dousa.retrieval.forest.trees import Trees, TreesSpec, grow_some, prepare_material
+from dousa.retrieval.forest.forest import MotionForest, check_features
+from dousa.retrieval.forest.points import Pairs, choose_pairs, mix
+from dousa.retrieval.forest.trees import Trees, TreesSpec, grow_some, prepare_leaves
 
-_MOST_LISTED = 1_000_000  # pairs; of more some are drawn
+_MOST_OTHERS = 64  # a leaf grows where this many times the clips of other categories are all of its clips, or more
+_AT_ONCE = 1 << 16  # clips whose leaves are looked at
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -72,26 +77,64 @@ def grow_subtrees(
     members : for each leaf its number and the clips that stand in it.
     seeds : 64-bit, one per leaf.
     """
-    material = prepare_material(features, categories, tests, max(len(inside) for _, inside in members))
+    if not members:
+        return []
+    material = prepare_leaves(features, categories, tests, max(len(inside) for _, inside in members))
     drawn = ((inside.copy(), seed) for (_, inside), seed in zip(members, seeds, strict=True))
     grown = grow_some(material, n_classes, spec, drawn)
     return [Subtree(leaf, *tree) for (leaf, _), tree in zip(members, grown, strict=True)]
+
+
+def collapse_leaves(trees: Trees, leaves: IntArray) -> Trees:
+    """The trees with what has grown from some leaves of the training put back into one leaf each.
+
+    The other leaves that grew from one keep their numbers, but nothing leads to them: ``replace_leaves`` uses them.
+    """
+    homes = trees.home_leaves
+    again = np.zeros(trees.n_leaves, bool)
+    again[leaves] = True
+    again &= np.bincount(homes, minlength=trees.n_leaves) > 1
+    children = trees.nodes[:, 2].astype(np.int64)
+    inner = np.flatnonzero(children >= 0)
+    parents = np.full(len(children), -1)
+    parents[children[inner]] = parents[children[inner] + 1] = inner
+    owners = np.full(len(children), -1)
+    outer = np.flatnonzero(children < 0)
+    own = homes[-1 - children[outer]]
+    owners[outer] = np.where(again[own], own, -1)
+    while True:  # upwards, while both sides are of one home
+        left = owners[children[inner]]
+        found = (left >= 0) & (left == owners[children[inner] + 1]) & (owners[inner] < 0)
+        if not found.any():
+            break
+        owners[inner[found]] = left[found]
+    above = np.where(parents >= 0, owners[parents], -1)
+    gone = (owners >= 0) & (above == owners)
+    nodes = trees.nodes.copy()
+    tops = np.flatnonzero((owners >= 0) & ~gone)
+    nodes[tops] = 0
+    nodes[tops, 2] = -1 - owners[tops]
+    shifted = np.cumsum(~gone) - 1
+    inner = np.flatnonzero(nodes[:, 2] >= 0)
+    nodes[inner, 2] = shifted[nodes[inner, 2]]
+    return replace(trees, nodes=np.ascontiguousarray(nodes[~gone]), roots=shifted[trees.roots])
 
 
 def replace_leaves(trees: Trees, subtrees: Sequence[Subtree], n_classes: int) -> Trees:
     """The trees with subtrees in the place of some of their leaves.
 
     Old nodes keep their tests and their order. The first leaf of a subtree takes the number of the leaf that it
-    replaces, the others are numbered on behind all leaves; so a clip in any other leaf stays where it is.
+    replaces, the others numbers that ``collapse_leaves`` left of the same home, or else numbers behind all leaves; so a
+    clip in any other leaf stays where it is.
 
     Parameters
     ----------
     trees : whose leaf classes are numbered as in the subtrees.
-    subtrees : of different leaves.
+    subtrees : of different leaves of the training.
     n_classes : C of the new trees.
     """
     old = trees.nodes[:, 2]
-    node_of_leaf = np.empty(trees.n_leaves, np.int64)
+    node_of_leaf = np.full(trees.n_leaves, -1, np.int64)
     node_of_leaf[-1 - old[old < 0]] = np.flatnonzero(old < 0)
     home = np.searchsorted(trees.roots, [node_of_leaf[one.leaf] for one in subtrees], side="right") - 1
     added = np.bincount(home, [len(one.nodes) - 1 for one in subtrees], len(trees.roots)).astype(np.int64)
@@ -103,37 +146,53 @@ def replace_leaves(trees: Trees, subtrees: Sequence[Subtree], n_classes: int) ->
     inner = old >= 0
     nodes[place[inner], 2] += np.repeat(shifts[:-1], lengths)[inner].astype(np.int32)
     free = trees.roots + lengths + shifts[:-1]  # where the next subtree of each tree goes
-    n_leaves = trees.n_leaves
-    for one, tree in zip(subtrees, home, strict=True):
-        numbers = np.append(one.leaf, n_leaves + np.arange(one.n_leaves - 1))
-        n_leaves += one.n_leaves - 1
+    numbers, homes = _number_leaves(trees, subtrees, node_of_leaf)
+    for one, own, tree in zip(subtrees, numbers, home, strict=True):
         moved = one.nodes.copy()
         children = one.nodes[:, 2]
         # The subtree's root takes the place of the leaf, so its other nodes begin one earlier.
-        moved[:, 2] = np.where(children < 0, -1 - numbers[-1 - np.minimum(children, -1)], children + free[tree] - 1)
+        moved[:, 2] = np.where(children < 0, -1 - own[-1 - np.minimum(children, -1)], children + free[tree] - 1)
         nodes[place[node_of_leaf[one.leaf]]] = moved[0]
         nodes[free[tree] : free[tree] + len(moved) - 1] = moved[1:]
         free[tree] += len(moved) - 1
-    entries = _replace_entries(trees, subtrees)
-    return Trees(nodes, trees.roots + shifts[:-1], *entries, trees.n_features, trees.n_frames, n_classes)
+    entries = _replace_entries(trees, subtrees, numbers, len(homes))
+    sizes = trees.n_features, trees.n_frames, n_classes
+    return Trees(nodes, trees.roots + shifts[:-1], *entries, *sizes, homes)
+
+
+def _number_leaves(
+    trees: Trees, subtrees: Sequence[Subtree], node_of_leaf: IntArray
+) -> tuple[list[IntArray], NDArray[np.int32]]:
+    """The numbers of the leaves of each subtree, and the homes of all leaves then."""
+    homes = trees.home_leaves
+    spare: dict[int, list[int]] = {}
+    for leaf in np.flatnonzero(node_of_leaf < 0):
+        spare.setdefault(int(homes[leaf]), []).append(int(leaf))
+    numbers, more, n_leaves = [], [homes], trees.n_leaves
+    for one in subtrees:
+        own = [one.leaf, *spare.get(one.leaf, [])][: one.n_leaves]
+        missing = one.n_leaves - len(own)
+        numbers.append(np.array([*own, *range(n_leaves, n_leaves + missing)]))
+        more.append(np.full(missing, one.leaf, np.int32))
+        n_leaves += missing
+    return numbers, np.concatenate(more)
 
 
 def _replace_entries(
-    trees: Trees, subtrees: Sequence[Subtree]
+    trees: Trees, subtrees: Sequence[Subtree], numbers: Sequence[IntArray], n_leaves: int
 ) -> tuple[IntArray, NDArray[np.int32], NDArray[np.int32]]:
-    """Starts, classes and counts of all leaves in the order of their new numbers."""
+    """Starts, classes and counts of all leaves in the order of their numbers."""
     starts = trees.leaf_starts
-    rows = list(zip(starts[:-1].tolist(), starts[1:].tolist(), strict=True))
+    begins, stops = np.zeros((2, n_leaves), np.int64)
+    begins[: trees.n_leaves], stops[: trees.n_leaves] = starts[:-1], starts[1:]
     classes, counts = [trees.leaf_classes], [trees.leaf_counts]
     end = int(starts[-1])
-    for one in subtrees:
-        ends = (one.leaf_starts + end).tolist()
-        rows[one.leaf] = (ends[0], ends[1])
-        rows.extend(pairwise(ends[1:]))
+    for one, own in zip(subtrees, numbers, strict=True):
+        ends = one.leaf_starts + end
+        begins[own], stops[own] = ends[:-1], ends[1:]
         classes.append(one.leaf_classes)
         counts.append(one.leaf_counts)
-        end = ends[-1]
-    begins, stops = np.array(rows, np.int64).T
+        end = int(ends[-1])
     sizes = stops - begins
     new_starts = np.concatenate([[0], np.cumsum(sizes)])
     picked = np.repeat(begins - new_starts[:-1], sizes) + np.arange(new_starts[-1])
@@ -153,11 +212,16 @@ class StandingClips:
     leaves : (N, n_trees) as ``apply`` gives them.
     read_features : gives the features (n, T, F) of some clips by their places (n,); it is asked only for those whose
         leaves grow.
+    keys : (N,) uint64, that stand for the contents of the clips; their places by default, and then the forest depends
+        on the order in which clips are added.
+    later : (N,) whether each was taken up after the training; by default none was.
     """
 
     categories: ArrayLike
     leaves: NDArray[np.integer[Any]]
     read_features: FeatureReader
+    keys: NDArray[np.uint64] | None = None
+    later: BoolArray | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -171,12 +235,15 @@ class Growth:
     moved : (K,) places of the standing clips that have come into other leaves.
     moved_leaves : (K, n_trees) of theirs. The histograms of these clips change, and where there are new categories
         those of all clips get their columns: ``forest.histograms_of(leaves)``.
+    changed : (L,) the leaves of the old forest from which any clip, also one that the forest was not taught, may have
+        come into others.
     """
 
     forest: MotionForest
     leaves: IntArray
     moved: IntArray
     moved_leaves: IntArray
+    changed: BoolArray
 
 
 def grow_forest(
@@ -185,6 +252,7 @@ def grow_forest(
     features: ArrayLike,
     categories: ArrayLike,
     *,
+    keys: NDArray[np.uint64] | None = None,
     feature_set: FeatureSet | None = None,
     random_state: int = 0,
 ) -> Growth:
@@ -196,8 +264,10 @@ def grow_forest(
     standing : all clips that it knows.
     features : (M, T, F) of the new clips; without any, the forest comes back as it is.
     categories : (M,) theirs.
+    keys : (M,) as those of the standing clips.
     feature_set : that of ``MotionForest.fit``.
-    random_state : seed; the same seed and clips give the same forest.
+    random_state : seed; the same seed and clips give the same forest but for the numbers of its leaves, however many
+        are added at a time.
 
     Returns
     -------
@@ -214,7 +284,8 @@ def grow_forest(
     if len(known) != len(standing.leaves) or standing.leaves.shape[1:] != leaves.shape[1:]:
         raise InvalidMotionError("growth.leaves", clips=len(known), trees=leaves.shape[1], shape=standing.leaves.shape)
     if not len(leaves):
-        return Growth(forest, leaves, np.zeros(0, np.int64), leaves[:0])
+        nothing = np.zeros(forest.trees_.n_leaves, bool)
+        return Growth(forest, leaves, np.zeros(0, np.int64), leaves[:0], nothing)
     if labels.shape != (len(leaves),) or labels.dtype.kind != forest.classes_.dtype.kind:
         kind = forest.classes_.dtype
         raise TrainingError("growth.labels", kind=kind, clips=len(leaves), found=labels.dtype, shape=labels.shape)
@@ -222,57 +293,47 @@ def grow_forest(
         raise TrainingError("growth.categories")
     classes = np.unique(np.concatenate([forest.classes_, labels]))
     own = np.searchsorted(classes, np.concatenate([known, labels]).astype(classes.dtype)).astype(np.int32)
-    generator = np.random.default_rng(random_state)
-    material = _Material(standing, np.asarray(features, np.float64), leaves.astype(np.int64), own)
-    material = material.with_points(_choose_pairs(own, len(known), generator), forest)
-    grown, involved = _grow(forest, material, classes, feature_set, generator)
-    if not len(involved):
-        return Growth(grown, grown.apply(features), involved, leaves[:0])
-    now = grown.apply(standing.read_features(involved))
-    changed = (now != standing.leaves[involved]).any(axis=1)
-    return Growth(grown, grown.apply(features), involved[changed], now[changed])
+    material = _gather(forest, standing, (check_features(features), leaves, keys), own)
+    grown, growing, read = _grow(forest, material, classes, feature_set, random_state)
+    moved, moved_leaves = _move(forest, grown, material, *read)
+    home = forest.trees_.home_leaves
+    changed = growing[home] | (material.touched[home] & (home != np.arange(len(home))))
+    return Growth(grown, grown.apply(features), moved, moved_leaves, changed)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Material:
-    """Standing clips, then the new ones and the points between clips, all numbered through.
+    """Standing clips, then the new ones, then the points between clips, all numbered through.
 
     Parameters
     ----------
-    features, leaves : of what is new, (M, T, F) and (M, n_trees).
-    own : (N + M,) number of each one's category.
+    features : (M + P, T, F) of what does not stand.
+    homes : (M + P, n_trees) leaves of the training that it reaches.
+    own : (N + M + P,) number of each one's category.
+    keys : (N + M + P,) of their contents.
+    touched : (L,) whether a leaf of the training must be looked at: something has come, or a point has gone.
     """
 
     standing: StandingClips
     features: FloatArray
-    leaves: IntArray
+    homes: NDArray[np.int32]
     own: NDArray[np.int32]
+    keys: NDArray[np.uint64]
+    touched: BoolArray
 
     @property
     def n_standing(self) -> int:
         """N."""
-        return len(self.own) - len(self.leaves)
+        return len(self.own) - len(self.homes)
 
     def read(self, rows: IntArray) -> FloatArray:
         """Features of any of them."""
         known = rows < self.n_standing
-        read = np.empty((len(rows), *self.features.shape[1:]))
+        read = np.empty((len(rows), *self.features.shape[1:]), self.features.dtype)
         if known.any():
             read[known] = self.standing.read_features(rows[known])
         read[~known] = self.features[rows[~known] - self.n_standing]
         return read
-
-    def with_points(self, pairs: IntArray, forest: MotionForest) -> _Material:
-        """The same with the points half way between pairs (P, 2) of clips of one category."""
-        if not len(pairs):
-            return self
-        points = 0.5 * (self.read(pairs[:, 0]) + self.read(pairs[:, 1]))
-        return _Material(
-            self.standing,
-            np.concatenate([self.features, points]),
-            np.concatenate([self.leaves, forest.apply(points)]),
-            np.concatenate([self.own, self.own[pairs[:, 0]]]),
-        )
 
 
 def _read_labels(categories: ArrayLike) -> NDArray[Any]:
@@ -280,34 +341,57 @@ def _read_labels(categories: ArrayLike) -> NDArray[Any]:
     return labels.astype(np.str_) if labels.dtype == object else labels
 
 
-def _choose_pairs(own: NDArray[np.int32], n_standing: int, generator: np.random.Generator) -> IntArray:
-    """(P, 2) pairs of clips of one category, one of them new at least, to fill small categories up."""
-    sizes = np.bincount(own[:n_standing])
-    usual = int(np.median(sizes[sizes > 0])) if n_standing else 0
-    chosen = [np.zeros((0, 2), np.int64)]
-    for category in np.unique(own[n_standing:]):
-        inside = np.flatnonzero(own == category)
-        missing = usual - len(inside)
-        if missing <= 0:
-            continue
-        starts, n_pairs = _number_pairs(int((inside < n_standing).sum()), len(inside))
-        if n_pairs <= _MOST_LISTED:
-            numbers = generator.permutation(n_pairs)[:missing]
-        else:
-            numbers = generator.choice(n_pairs, min(missing, n_pairs), replace=False)
-        first = np.searchsorted(starts, numbers, side="right") - 1
-        second = np.maximum(first + 1, (inside < n_standing).sum()) + numbers - starts[first]
-        chosen.append(np.stack([inside[first], inside[second]], axis=1))
-    return np.concatenate(chosen)
+def _gather(
+    forest: MotionForest,
+    standing: StandingClips,
+    new: tuple[FloatArray, IntArray, NDArray[np.uint64] | None],
+    own: NDArray[np.int32],
+) -> _Material:
+    """What there is to grow from; ``new`` are features (M, T, F), leaves and keys."""
+    features, leaves, new_keys = new
+    count, total = len(own) - len(features), len(own)
+    keys = np.arange(total, dtype=np.uint64)
+    if standing.keys is not None and new_keys is not None:
+        keys = np.concatenate([standing.keys, new_keys])
+    later = np.arange(total) >= count
+    if standing.later is not None:
+        later[:count] = standing.later
+    homes = forest.trees_.home_leaves
+    here = homes[leaves]
+    touched = np.zeros(forest.trees_.n_leaves, bool)
+    touched[here] = True
+    usual = _count_usual(own, later)
+    before = choose_pairs(own[:count], keys[:count], later[:count], usual)
+    after = choose_pairs(own, keys, later, usual)
+    material = _Material(standing, features, here, own, keys, touched)
+    coming, going = after.without(before), before.without(after)
+    points, point_homes = _make_points(forest, material, after)
+    touched[point_homes[coming]] = True
+    touched[_make_points(forest, material, before.take(going))[1]] = True
+    return _Material(
+        standing,
+        np.concatenate([features, points]),
+        np.concatenate([here, point_homes]),
+        np.concatenate([own, own[after.first]]),
+        np.concatenate([keys, after.keys]),
+        touched,
+    )
 
 
-def _number_pairs(n_standing: int, n: int) -> tuple[IntArray, int]:
-    """Pairs of n clips of which one is new at least, numbered through: where those of each first clip begin (n,), and
-    how many there are. The second clip comes behind the first; the standing clips come before the new ones.
-    """
-    counts = n - np.maximum(np.arange(n, dtype=np.int64) + 1, n_standing)
-    starts = np.cumsum(counts) - counts
-    return starts, int(counts.sum())
+def _count_usual(own: NDArray[np.int32], later: BoolArray) -> int:
+    """Clips of a category in the training, in the middle of all categories."""
+    sizes = np.bincount(own[~later])
+    return int(np.median(sizes[sizes > 0])) if (~later).any() else 0
+
+
+def _make_points(forest: MotionForest, material: _Material, pairs: Pairs) -> tuple[FloatArray, NDArray[np.int32]]:
+    """Features (P, T, F) half way between pairs of clips, and the leaves of the training (P, n_trees) they reach."""
+    rows, places = np.unique(np.concatenate([pairs.first, pairs.second]), return_inverse=True)
+    ends = material.read(rows)
+    points = ends[places[: len(pairs.first)]]
+    points += ends[places[len(pairs.first) :]]
+    points *= 0.5
+    return points, forest.trees_.home_leaves[forest.apply(points)]
 
 
 def _grow(
@@ -315,26 +399,43 @@ def _grow(
     material: _Material,
     classes: NDArray[Any],
     feature_set: FeatureSet | None,
-    generator: np.random.Generator,
-) -> tuple[MotionForest, IntArray]:
-    """The grown forest, and the standing clips in the leaves that the new ones have reached."""
+    random_state: int,
+) -> tuple[MotionForest, BoolArray, tuple[IntArray, FloatArray]]:
+    """The grown forest, which leaves of the training became trees now, and the clips of these with their features."""
     trees = _renumber(forest, classes)
-    members = _list_members(material, trees.n_leaves)
-    rows, places = np.unique(np.concatenate([inside for _, inside in members]), return_inverse=True)
-    ends = np.cumsum([len(inside) for _, inside in members])[:-1]
-    local = zip((leaf for leaf, _ in members), np.split(places, ends), strict=True)
+    numbers = np.flatnonzero(material.touched)
+    counts = _count_members(material, trees, numbers, len(classes))
+    others = counts.sum(axis=1) - counts.max(axis=1)
+    grows = (others > 0) & (others * _MOST_OTHERS >= counts.sum(axis=1))
+    stumps = [_make_stump(int(leaf), row) for leaf, row in zip(numbers[~grows], counts[~grows], strict=True)]
+    growing = np.zeros(trees.n_leaves, bool)
+    growing[numbers[grows]] = True
+    clips, leaves = _list_members(material, trees, growing)
+    rows, places = np.unique(clips, return_inverse=True)
+    features = material.read(rows)
+    order = np.lexsort((material.keys[clips], leaves))
+    parts = np.split(places[order], np.cumsum(counts[grows].sum(axis=1))[:-1]) if grows.any() else []
     tests = list_tests(trees.n_features, trees.n_frames) if feature_set is None else feature_set.tests
     subtrees = grow_subtrees(
-        material.read(rows),
+        features,
         material.own[rows],
         len(classes),
         tests,
         forest.make_spec(len(tests)),
-        list(local),
-        generator.integers(0, 2**63, len(members)).astype(np.uint64),
+        list(zip(numbers[grows].tolist(), parts, strict=True)),
+        mix(numbers[grows].astype(np.uint64), np.full(1, random_state, np.uint64)),
     )
-    grown = forest.with_trees(replace_leaves(trees, subtrees, len(classes)), classes)
-    return grown, rows[rows < material.n_standing]
+    subtrees = sorted(stumps + subtrees, key=lambda one: one.leaf)
+    plain = collapse_leaves(trees, numbers)
+    grown = forest.with_trees(replace_leaves(plain, subtrees, len(classes)), classes)
+    return grown, growing, (rows, features)
+
+
+def _make_stump(leaf: int, counts: IntArray) -> Subtree:
+    """A leaf that stays one, with so many clips of each category."""
+    classes = np.flatnonzero(counts).astype(np.int32)
+    node = np.array([[0, 0, -1, 0, 0, 0]], np.int32)
+    return Subtree(leaf, node, np.array([0, len(classes)]), classes, counts[classes].astype(np.int32))
 
 
 def _renumber(forest: MotionForest, classes: NDArray[Any]) -> Trees:
@@ -344,13 +445,65 @@ def _renumber(forest: MotionForest, classes: NDArray[Any]) -> Trees:
     return replace(forest.trees_, leaf_classes=own, n_classes=len(classes))
 
 
-def _list_members(material: _Material, n_leaves: int) -> list[tuple[int, IntArray]]:
-    """The leaves that new clips and points have reached, in order, and everything that stands in each."""
-    reached = np.zeros(n_leaves, bool)
-    reached[material.leaves] = True
-    everyone = np.concatenate([material.standing.leaves.astype(np.int64), material.leaves])
-    clips, trees = np.nonzero(reached[everyone])
-    leaves = everyone[clips, trees]
-    order = np.lexsort((clips, leaves))
-    numbers, starts = np.unique(leaves[order], return_index=True)
-    return list(zip(numbers.tolist(), np.split(clips[order], starts[1:]), strict=True))
+def _iterate_homes(material: _Material, trees: Trees) -> Iterator[tuple[int, NDArray[np.int32]]]:
+    """The leaves of the training (n, n_trees) that everything stands in, in portions, and where each begins."""
+    homes, standing = trees.home_leaves, material.standing.leaves
+    for start in range(0, len(standing), _AT_ONCE):
+        yield start, homes[standing[start : start + _AT_ONCE]]
+    yield len(standing), material.homes
+
+
+def _count_members(material: _Material, trees: Trees, numbers: IntArray, n_classes: int) -> IntArray:
+    """(K, C), what stands in K leaves of the training."""
+    ranks = np.full(trees.n_leaves, -1)
+    ranks[numbers] = np.arange(len(numbers))
+    counts = np.zeros(len(numbers) * n_classes, np.int64)
+    for start, homes in _iterate_homes(material, trees):
+        own = ranks[homes]
+        clips, columns = np.nonzero(own >= 0)
+        places = own[clips, columns] * n_classes + material.own[start + clips]
+        counts += np.bincount(places, minlength=len(counts))
+    return counts.reshape(-1, n_classes)
+
+
+def _list_members(material: _Material, trees: Trees, growing: BoolArray) -> tuple[IntArray, IntArray]:
+    """Everything that stands in some leaves of the training, and in which."""
+    found = []
+    for start, homes in _iterate_homes(material, trees):
+        clips, columns = np.nonzero(growing[homes])
+        found.append((start + clips, homes[clips, columns].astype(np.int64)))
+    clips, leaves = (np.concatenate(parts) for parts in zip(*found, strict=True))
+    return clips, leaves
+
+
+def _move(
+    before: MotionForest,
+    grown: MotionForest,
+    material: _Material,
+    rows: IntArray,
+    features: FloatArray,
+) -> tuple[IntArray, IntArray]:
+    """Places of the standing clips that are in other leaves now, and their leaves.
+
+    Parameters
+    ----------
+    rows, features : clips whose features were read: all that stand in a leaf that became a tree.
+    """
+    standing, trees = material.standing.leaves, before.trees_
+    stands = rows < material.n_standing
+    rows = rows[stands]
+    now = grown.apply(features[stands]) if len(rows) else np.zeros((0, standing.shape[1]), np.int64)
+    # In a leaf that had grown, and is one again, are clips whose features were not read: they need none.
+    home = trees.home_leaves
+    back = material.touched[home] & (home != np.arange(trees.n_leaves))
+    found = [np.zeros(0, np.int64)]
+    if back.any():
+        for start in range(0, len(standing), _AT_ONCE):
+            found.append(start + np.flatnonzero(back[standing[start : start + _AT_ONCE]].any(axis=1)))
+    others = np.setdiff1d(np.concatenate(found), rows)
+    plain = standing[others].astype(np.int64)
+    plain = np.where(back[plain], home[plain], plain)
+    everyone, leaves = np.concatenate([rows, others]), np.concatenate([now, plain])
+    changed = (leaves != standing[everyone]).any(axis=1)
+    order = np.argsort(everyone[changed], kind="stable")
+    return everyone[changed][order], leaves[changed][order]

@@ -27,6 +27,7 @@ _AXES = 60
 _SHRINKING = 0.1  # of the mean scatter, added along every axis
 _STEPS = 3
 _TINY = 1e-9
+_GRID = 2.0**20
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -90,7 +91,8 @@ class PoseSpace:
         sums, counts = np.zeros((len(names), self.axes.shape[1])), np.zeros(len(names), np.int64)
         old, own = np.searchsorted(names, self.categories), np.searchsorted(names, categories)
         sums[old], counts[old] = self.sums, self.counts
-        np.add.at(sums, own, placed)
+        # On a grid, so that the sums do not depend on the order in which clips come.
+        np.add.at(sums, own, np.rint(placed * _GRID) / _GRID)
         np.add.at(counts, own, 1)
         return PoseSpace(self.layout, self.middle, self.scale, self.axes, sums, counts, names)
 

@@ -42,6 +42,8 @@ class Trees:
     leaf_starts : (L + 1,) where the entries of each leaf begin.
     leaf_classes, leaf_counts : (E,) int32, the category and the number of training clips of each entry.
     n_features, n_frames, n_classes : F, T and C.
+    homes : (L,) int32, the leaf of the training that each leaf has grown from; None where nothing has grown. The first
+        leaf of each keeps its number.
     only_means : whether no node asks for a spread or a trend.
     """
 
@@ -53,6 +55,7 @@ class Trees:
     n_features: int
     n_frames: int
     n_classes: int
+    homes: NDArray[np.int32] | None = None
     only_means: bool = field(init=False)
 
     def __post_init__(self) -> None:
@@ -67,6 +70,11 @@ class Trees:
     def n_leaves(self) -> int:
         """Leaves of all trees together."""
         return len(self.leaf_starts) - 1
+
+    @property
+    def home_leaves(self) -> NDArray[np.int32]:
+        """(L,) ``homes``, also where nothing has grown."""
+        return np.arange(self.n_leaves, dtype=np.int32) if self.homes is None else self.homes
 
     def leaf_shares(self) -> FloatArray:
         """(E,) every entry's share of its leaf's clips: the leaf's histogram."""
@@ -233,6 +241,15 @@ def prepare_material(features: FloatArray, categories: NDArray[np.int32], tests:
     return features, tolerances, categories, tests, logarithms
 
 
+def prepare_leaves(features: FloatArray, categories: NDArray[np.int32], tests: IntArray, largest: int) -> Material:
+    """The same, where what counts as one value follows from the clips of each tree, and not from all."""
+    _, _, categories, tests, logarithms = prepare_material(features[:0], categories, tests, largest)
+    sizes = np.empty((len(features), features.shape[2]))
+    for start in range(0, len(features), _AT_A_TIME):
+        sizes[start : start + _AT_A_TIME] = np.abs(features[start : start + _AT_A_TIME]).max(axis=1)
+    return features, _SAME_VALUE * sizes, categories, tests, logarithms
+
+
 def grow_some(
     material: Material, n_classes: int, spec: TreesSpec, drawn: Iterable[tuple[IntArray, np.uint64]]
 ) -> list[GrownTree]:
@@ -243,9 +260,11 @@ def grow_some(
     work = kernels.Workspace.create(largest, n_classes, len(material[3]))
     limit = spec.max_entropy * kernels.FIXED_POINT
     trees = []
+    features, tolerances, *others = material
     for samples, seed in drawn:
+        own = tolerances if tolerances.ndim == 1 else tolerances[samples].max(axis=0)
         n_nodes, n_leaves = kernels.grow_tree(  # type: ignore[call-arg]
-            *material, samples, spec.n_trials, spec.random_thresholds, limit, seed, work,
+            features, own, *others, samples, spec.n_trials, spec.random_thresholds, limit, seed, work,
             nodes, nodes.view(np.float64), starts, classes, counts,
         )  # fmt: skip
         entries = starts[n_leaves]
