@@ -23,6 +23,7 @@ import subprocess
 import sys
 import tempfile
 import time
+from collections.abc import Callable
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -44,8 +45,8 @@ N_FRAMES = 60
 MOVED = 0.03  # m, standard deviation of each of three waves in the way of every joint
 
 
-def make_library(path: Path, n_clips: int, n_categories: int) -> None:
-    """A library of clips that differ at random from one prototype per category."""
+def make_library(path: Path, n_clips: int, n_categories: int, tell: Callable[[int], None] | None = None) -> None:
+    """A library of clips that differ at random from one prototype per category; ``tell`` is called with those done."""
     rng = np.random.default_rng(0)
     prototypes = []
     for number in range(n_categories):
@@ -59,6 +60,8 @@ def make_library(path: Path, n_clips: int, n_categories: int) -> None:
             with library.database.writing() as connection:
                 next_revision(connection)
                 insert_clips(connection, numbers, prototypes, rng, now)
+            if tell is not None:
+                tell(numbers.stop)
 
 
 def insert_clips(

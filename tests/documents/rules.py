@@ -127,6 +127,7 @@ BENCHMARKS = {
     "read_bvh.py": "../shared/data",
     "recognition.py": "",
     "retargeting.py": "--pairs 2",
+    "scale.py": "60 --categories 3",
     "search.py": "--clips 60 --categories 3",
     # These start a server and ask it, as tests/app/studio does: only their options are read.
     **{path.name: "--help" for path in sorted((ROOT / "benchmarks").glob("studio_*.py"))},

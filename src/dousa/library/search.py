@@ -56,12 +56,14 @@ class Asked:
     answers, features : what the trees say of it, and what they say it of; one row each.
     poses : its pose sequence.
     mirrored : whether it is the mirror image of the query.
+    chances : (N,) of ``find_alike``, of the clips of an index, where they are known.
     """
 
     answers: TreeAnswers
     features: FloatArray
     poses: NDArray[np.float32]
     mirrored: bool = False
+    chances: FloatArray | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -79,6 +81,7 @@ class SearchIndex:
     likeness : tells which clips are alike; None where that was not learned, as the next two.
     meanings : (C,) number of what each category means; categories of one meaning have the same.
     told : (N, M) share of the trees that vote for each meaning.
+    lengths : (N,) Euclidean lengths of these.
     """
 
     revision: int
@@ -91,6 +94,7 @@ class SearchIndex:
     likeness: Likeness | None = None
     meanings: NDArray[np.intp] | None = None
     told: FloatArray | None = None
+    lengths: FloatArray | None = None
 
     def answers_of(self, clip_id: int) -> TreeAnswers:
         """What the trees say of one clip."""
@@ -111,13 +115,10 @@ def load_index(connection: sa.Connection, revision: int, stored: StoredForest) -
     query = query.join(schema.clip_leaves, table.clip_id == clips.id)
     parts = sa.select(clips.id, clips.absent).where(clips.kind == schema.CLIP, clips.absent != "")
     # Sorted here: databases differ in how they order text.
-    rows = list(connection.execute(query))
-    for row in rows:
-        if not (LABELS.is_whole(row[:own]) and LEAVES.is_whole(row[own:])):
-            LABELS.check(connection, row)
-            LEAVES.check(connection, row)
-    rows.sort(key=itemgetter(1))
-    columns = zip(*rows, strict=True) if rows else ((),) * (own + len(LEAVES.columns))
+    rows = sorted(connection.execute(query).all(), key=itemgetter(1))
+    columns = list(zip(*rows, strict=True)) if rows else [()] * (own + len(LEAVES.columns))
+    LABELS.check_all(connection, columns[:own])
+    LEAVES.check_all(connection, columns[own:])
     ids, paths, given, _, _, _, _, _, predicted, leaves, directions, _ = columns
     answers = count_votes(stored, stack(leaves, "<i4", (len(stored.forest.trees_.roots),), "leaves"))
     if stored.likeness is not None and None not in directions:
@@ -125,6 +126,7 @@ def load_index(connection: sa.Connection, revision: int, stored: StoredForest) -
         answers = replace(answers, directions=stack(directions, "<f4", (width,), "directions"))
     named = find_meanings(stored.categories)
     meanings = np.unique([named[name] for name in stored.categories], return_inverse=True)[1]
+    told = merge_votes(answers.shares(), meanings)
     return SearchIndex(
         revision=revision,
         ids=ids,
@@ -135,7 +137,8 @@ def load_index(connection: sa.Connection, revision: int, stored: StoredForest) -
         partial={row.id: row.absent for row in connection.execute(parts) if lacks(stored.feature_set, row.absent)},
         likeness=stored.likeness,
         meanings=meanings,
-        told=merge_votes(answers.shares(), meanings),
+        told=told,
+        lengths=np.linalg.norm(told, axis=1),
     )
 
 
@@ -145,14 +148,18 @@ def find_alike(index: SearchIndex, asked: Asked) -> FloatArray | None:
     if index.likeness is None or index.meanings is None or index.told is None or directions is None or own is None:
         return None
     told = merge_votes(asked.answers.shares(), index.meanings)[0]
-    return index.likeness.judge(told, own[0], index.told, directions)
+    return index.likeness.judge(told, own[0], index.told, directions, index.lengths)
+
+
+def _with_chances(index: SearchIndex, asked: Asked) -> Asked:
+    return replace(asked, chances=find_alike(index, asked))
 
 
 def count_alike(
     index: SearchIndex, asked: Sequence[Asked], category: str | None, among: Iterable[int] | None
 ) -> int | None:
     """How many clips are alike to a motion or its mirror image; None where that was not learned."""
-    chances = [find_alike(index, one) for one in asked]
+    chances = [find_alike(index, one) if one.chances is None else one.chances for one in asked]
     if index.likeness is None or any(chance is None for chance in chances):
         return None
     alike = np.any([chance >= index.likeness.threshold for chance in chances if chance is not None], axis=0)
@@ -229,7 +236,7 @@ def rank_places(
         None if directions is None or own is None else np.round(directions[rows] @ own[0], 6),
     )
     ranking = rank_clips(by, RankingQuery(asked.answers.votes[0], asked.answers.leaves[0], asked.poses), clips)
-    order, chances = ranking.order, find_alike(index, asked)
+    order, chances = ranking.order, find_alike(index, asked) if asked.chances is None else asked.chances
     alike = None if chances is None or index.likeness is None else chances[rows] >= index.likeness.threshold
     if alike is not None and by == DEFAULT_RANKING:
         order = order[np.argsort(~alike[order], kind="stable")]
@@ -420,6 +427,7 @@ class Searcher(ABC):
         if wanted.mirror:
             assert motion is not None
             asked.append(ask_forest(stored, motion.mirror(), mirrored=True))
+        asked = [_with_chances(index, one) for one in asked]
         verdicts = [judge(stored, one.answers, one.features, wanted.threshold)[0] for one in asked]
         category = verdicts[0].guess if wanted.same_category else None
         read_poses = partial(self._read_poses, connection, stored.feature_set)

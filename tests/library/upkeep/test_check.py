@@ -16,6 +16,7 @@ import pytest
 from dousa.errors import LibraryDamagedError, LibraryError
 from dousa.library import Library
 from dousa.library.seals.bits import mend_bytes
+from dousa.library.seals.checksums import SEALS
 from dousa.motion import canonicalise
 from dousa.motion.synthetic import draw_performer, make_motion
 from library.database_server import run_sql
@@ -294,3 +295,24 @@ def test_what_can_be_read_of_a_broken_file_is_saved(library_file, table):
         assert library.check().is_sound
         library.search(1)
         library.trajectories(1)
+
+
+@pytest.mark.parametrize("seal", SEALS, ids=lambda seal: f"{seal.checksum.table.name}.{seal.checksum.name}")
+def test_checksums_of_many_rows_are_those_of_each(seal):
+    chance = random.Random(1)
+    drawn = {
+        bytes: lambda: chance.randbytes(chance.randrange(9)),
+        float: chance.random,
+        str: lambda: "あa"[: chance.randrange(3)],
+    }
+    make = {
+        kind: drawn.get(kind, lambda: chance.randrange(2**31)) for kind in (bytes, float, str, int, bool, dict, object)
+    }
+    rows = [[make[column.type.python_type]() for column in seal.covered] for _ in range(20)]
+    for row in rows[5:]:
+        row[chance.randrange(len(row))] = None
+    sums = [seal.compute(row) for row in rows]
+    assert seal.compute_all(list(zip(*rows, strict=True))) == sums
+    seal.check_all(None, [*zip(*rows, strict=True), sums])
+    with pytest.raises(AttributeError):  # the error asks the connection which clip that is
+        seal.check_all(None, [*zip(*rows, strict=True), [*sums[:-1], sums[-1] ^ 1]])

@@ -109,9 +109,8 @@ def unpack_forest(data: bytes) -> ForestFile:
     sizes = arrays["sizes"]
     _check(sizes.dtype == np.int64 and sizes.shape == (3,), "bad sizes")
     _check(((sizes >= 1) & (sizes < 2**31)).all(), "bad sizes")
-    fields: list[Any] = [arrays[name] for name in _TREE_ARRAYS]
-    n_features, n_frames, n_classes = (int(size) for size in sizes)
-    trees = Trees(*fields, n_features, n_frames, n_classes, arrays.get("homes"))
+    fields: list[Any] = [*(arrays[name] for name in _TREE_ARRAYS), *map(int, sizes), arrays.get("homes")]
+    trees = Trees(*fields)
     _check_trees(trees)
     classes, features = arrays["classes"], arrays["feature_names"]
     _check(classes.shape == (trees.n_classes,) and classes.dtype.kind in "Uiub", "bad categories")

@@ -66,7 +66,12 @@ class Likeness:
         return _shorten(self.space.place(features)).astype(np.float32)
 
     def judge(
-        self, votes: FloatArray, direction: NDArray[np.float32], all_votes: FloatArray, directions: NDArray[np.float32]
+        self,
+        votes: FloatArray,
+        direction: NDArray[np.float32],
+        all_votes: FloatArray,
+        directions: NDArray[np.float32],
+        lengths: FloatArray | None = None,
     ) -> FloatArray:
         """Probabilities (N,) that clips mean the same as a query.
 
@@ -74,8 +79,10 @@ class Likeness:
         ----------
         votes, direction : (M,) share of the trees for each meaning, and (K,) of ``place``, of the query.
         all_votes, directions : (N, M) and (N, K) of the clips.
+        lengths : (N,) Euclidean lengths of the rows of ``all_votes``, if they are known.
         """
-        return self.curve.evaluate(_score(votes, direction, all_votes, directions))
+        own = np.linalg.norm(all_votes, axis=1) if lengths is None else lengths
+        return self.curve.evaluate(_score(votes, direction, all_votes, directions, own))
 
     def to_bytes(self) -> bytes:
         """An .npz file (no pickle)."""
@@ -102,13 +109,15 @@ def _shorten(placed: FloatArray) -> FloatArray:
     return directions
 
 
-def _score(votes: FloatArray, direction: NDArray[Any], all_votes: FloatArray, directions: NDArray[Any]) -> FloatArray:
+def _score(
+    votes: FloatArray, direction: NDArray[Any], all_votes: FloatArray, directions: NDArray[Any], lengths: FloatArray
+) -> FloatArray:
     """(N, 2): the cosines of the votes, and of the directions.
 
     Not eq. 8: the votes on a stranger are spread, those on a clip that trained are not, and that alone puts them apart.
     """
-    lengths = np.linalg.norm(all_votes, axis=1) * np.linalg.norm(votes)
-    return np.column_stack([all_votes @ votes / np.maximum(lengths, 1e-9), directions @ direction])
+    both = lengths * np.linalg.norm(votes)
+    return np.column_stack([all_votes @ votes / np.maximum(both, 1e-9), directions @ direction])
 
 
 def merge_votes(votes: FloatArray, meanings: IndexArray) -> FloatArray:
@@ -154,11 +163,11 @@ class LikenessLearner:
             [chance.choice(rows, min(_QUERIES // 2, len(rows)), replace=False) for rows in (known, unknown)]
         ).astype(np.intp)
         asked, stored = (self._ask(forest, space, numbers, rows) for rows in (queries, train))
-        pairs = []
+        lengths, pairs = np.linalg.norm(stored[0], axis=1), []
         for row, votes, direction in zip(queries, *asked, strict=True):
             others = self._performers[train] != self._performers[row] if self._has_people else np.ones(len(train), bool)
             same = (self._meanings[train] == self._meanings[row])[others]
-            pairs.append((_score(votes, direction, *stored)[others], same, bool(same.any())))
+            pairs.append((_score(votes, direction, *stored, lengths)[others], same, bool(same.any())))
         self._rounds[number] = pairs
 
     def _ask(

@@ -1,0 +1,112 @@
+"""What a library costs as it grows: making it, training, searching, and adding 64 clips to it when it is trained.
+
+    python benchmarks/scale.py [N ...] [--categories N] [--folder FOLDER]
+
+The clips are made as by ``benchmarks/search.py``, 60 frames each. Prints for each size the clips written per second in
+every tenth of it; then, each in a process of its own, the seconds on the clock and of processors, and the largest
+memory, of training, of the first search and a warm one, and of adding 64 files of people and motions that the library
+does not know. A clip takes 14 kB before the training and 31 kB after it.
+"""
+
+from __future__ import annotations
+
+import argparse
+import multiprocessing
+import resource
+import tempfile
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+from search import make_library, train
+
+from dousa.formats.registry import write_motion
+from dousa.library import Library
+from dousa.motion.synthetic.performers import CATEGORIES, draw_performer, make_motion
+
+N_ADDED = 64
+N_WARM = 20
+
+
+def make(path: Path, n_clips: int, n_categories: int) -> None:
+    """Make a library, and print how fast its tenths are written."""
+    last, rates, step = [0, time.perf_counter()], [], max(n_clips // 10, 1)
+
+    def tell(done: int) -> None:
+        if done - last[0] >= step or done == n_clips:
+            now = time.perf_counter()
+            rates.append((done - last[0]) / (now - last[1]))
+            last[:] = done, now
+
+    make_library(path, n_clips, n_categories, tell)
+    size, told = path.stat().st_size / 1e6, ", ".join(f"{rate:.0f}" for rate in rates)
+    print(f"{n_clips} clips made, {size:.0f} MB: {told} a second", flush=True)
+
+
+def write_files(folder: Path, n_categories: int) -> None:
+    """Motions of people that the library does not know, in a folder for each category."""
+    for number in range(N_ADDED):
+        category = number % n_categories
+        path = folder / f"kind {category:02}" / f"{number}.bvh"
+        path.parent.mkdir(parents=True, exist_ok=True)
+        write_motion(make_motion(CATEGORIES[category % len(CATEGORIES)], draw_performer(1000 + number)), path)
+
+
+def measure(what: str, work: Callable[[], object]) -> None:
+    """Do something, and print what it took."""
+    wall, processors = time.perf_counter(), time.process_time()
+    work()
+    wall, processors = time.perf_counter() - wall, time.process_time() - processors
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e6
+    print(f"{what}: {wall:.3f} s ({processors:.3f} of processors), at most {peak:.2f} GB", flush=True)
+
+
+def search(path: Path) -> None:
+    """Time the first search and a warm one, with all modules and kernels loaded."""
+    with tempfile.TemporaryDirectory() as folder:
+        small = Path(folder, "small.dousa")
+        make_library(small, 60, 3)
+        with Library.open(small) as library:
+            library.train(n_trees=5)
+            library.search(1)
+    with Library.open(path) as library:
+        measure("first search", lambda: library.search(1))
+        library.search(2)
+        measure(f"{N_WARM} warm searches", lambda: [library.search(3 + number) for number in range(N_WARM)])
+
+
+def add(path: Path, files: Path) -> None:
+    """Time adding some files to a trained library."""
+    with Library.open(path) as library:
+        measure(f"add {N_ADDED} clips", lambda: library.add(files, n_jobs=1))
+
+
+def run_alone(function: Callable[..., None], *arguments: object) -> None:
+    """Call a function in a process of its own, so that its memory can be told."""
+    process = multiprocessing.get_context("spawn").Process(target=function, args=arguments)
+    process.start()
+    process.join()
+    if process.exitcode:
+        raise SystemExit(f"{function.__name__} ended with {process.exitcode}")
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("sizes", type=int, nargs="*", default=[10_000], metavar="N")
+    parser.add_argument("--categories", type=int, default=70)
+    parser.add_argument("--folder", type=Path, help="where the libraries are made; by default a temporary one")
+    options = parser.parse_args()
+    with tempfile.TemporaryDirectory(dir=options.folder) as folder:
+        files = Path(folder, "new")
+        write_files(files, options.categories)
+        for size in options.sizes:
+            path = Path(folder, f"{size}.dousa")
+            make(path, size, options.categories)
+            run_alone(train, path)
+            run_alone(search, path)
+            run_alone(add, path, files)
+            path.unlink()
+
+
+if __name__ == "__main__":
+    main()
