@@ -433,6 +433,7 @@ def test_a_library_that_may_be_written_again(library_file, leftover):
         shutil.rmtree(folder)
 
 
+@pytest.mark.sqlite
 def test_features_that_an_older_dousa_wrote_in_double_are_the_same(library, library_file):
     before = library.search(3, 100).to_json(), library.train(n_trees=5).calibration
     expected = library.search(3, 100).to_json()

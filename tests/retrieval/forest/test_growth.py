@@ -307,6 +307,8 @@ def test_the_same_clips_give_the_same_forest_in_whatever_portions(seed, data, th
         at_once = take_up(forest, features, categories, keys, old, [new])
         in_turns = take_up(forest, features, categories, keys, old, np.split(order, cuts))
     assert decisions_of(at_once, features) == decisions_of(in_turns, features)
+    entries = [np.bincount(t.leaf_classes, t.leaf_counts**2.0) for t in (at_once.trees_, in_turns.trees_)]
+    assert np.array_equal(*entries)
     for histogram in ("votes", "leaves"):
         both = [one.predict_proba(features, histogram) for one in (at_once, in_turns)]
         assert np.array_equal(*both)

@@ -156,7 +156,8 @@ def _check_trees(trees: Trees) -> None:
     starts, entries = trees.leaf_starts, len(trees.leaf_classes)
     _check(len(starts) > 1 and starts[0] == 0 and starts[-1] == entries, "bad leaves")
     _check(bool((np.diff(starts) > 0).all()) and len(trees.leaf_counts) == entries, "bad leaves")
-    in_range = (trees.leaf_classes >= 0) & (trees.leaf_classes < trees.n_classes) & (trees.leaf_counts > 0)
+    least = 1 if trees.homes is None else 0
+    in_range = (trees.leaf_classes >= 0) & (trees.leaf_classes < trees.n_classes) & (trees.leaf_counts >= least)
     _check(bool(in_range.all()), "a leaf of a category that does not exist")
     if trees.homes is not None:
         homes = trees.homes

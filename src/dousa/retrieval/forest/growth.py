@@ -88,7 +88,8 @@ def grow_subtrees(
 def collapse_leaves(trees: Trees, leaves: IntArray) -> Trees:
     """The trees with what has grown from some leaves of the training put back into one leaf each.
 
-    The other leaves that grew from one keep their numbers, but nothing leads to them: ``replace_leaves`` uses them.
+    The other leaves that grew from one keep their numbers, but nothing leads to them: ``replace_leaves`` uses them, or
+    leaves them without clips.
     """
     homes = trees.home_leaves
     again = np.zeros(trees.n_leaves, bool)
@@ -146,7 +147,7 @@ def replace_leaves(trees: Trees, subtrees: Sequence[Subtree], n_classes: int) ->
     inner = old >= 0
     nodes[place[inner], 2] += np.repeat(shifts[:-1], lengths)[inner].astype(np.int32)
     free = trees.roots + lengths + shifts[:-1]  # where the next subtree of each tree goes
-    numbers, homes = _number_leaves(trees, subtrees, node_of_leaf)
+    numbers, homes, unused = _number_leaves(trees, subtrees, node_of_leaf)
     for one, own, tree in zip(subtrees, numbers, home, strict=True):
         moved = one.nodes.copy()
         children = one.nodes[:, 2]
@@ -155,31 +156,33 @@ def replace_leaves(trees: Trees, subtrees: Sequence[Subtree], n_classes: int) ->
         nodes[place[node_of_leaf[one.leaf]]] = moved[0]
         nodes[free[tree] : free[tree] + len(moved) - 1] = moved[1:]
         free[tree] += len(moved) - 1
-    entries = _replace_entries(trees, subtrees, numbers, len(homes))
+    entries = _replace_entries(trees, subtrees, numbers, unused, len(homes))
     sizes = trees.n_features, trees.n_frames, n_classes
     return Trees(nodes, trees.roots + shifts[:-1], *entries, *sizes, homes)
 
 
 def _number_leaves(
     trees: Trees, subtrees: Sequence[Subtree], node_of_leaf: IntArray
-) -> tuple[list[IntArray], NDArray[np.int32]]:
-    """The numbers of the leaves of each subtree, and the homes of all leaves then."""
+) -> tuple[list[IntArray], NDArray[np.int32], list[int]]:
+    """The numbers of the leaves of each subtree, the homes of all leaves then, and leaves that nothing leads to."""
     homes = trees.home_leaves
     spare: dict[int, list[int]] = {}
     for leaf in np.flatnonzero(node_of_leaf < 0):
         spare.setdefault(int(homes[leaf]), []).append(int(leaf))
     numbers, more, n_leaves = [], [homes], trees.n_leaves
     for one in subtrees:
-        own = [one.leaf, *spare.get(one.leaf, [])][: one.n_leaves]
+        free = spare.pop(one.leaf, [])
+        own = [one.leaf, *free[: one.n_leaves - 1]]
+        spare[one.leaf] = free[one.n_leaves - 1 :]
         missing = one.n_leaves - len(own)
         numbers.append(np.array([*own, *range(n_leaves, n_leaves + missing)]))
         more.append(np.full(missing, one.leaf, np.int32))
         n_leaves += missing
-    return numbers, np.concatenate(more)
+    return numbers, np.concatenate(more), [leaf for free in spare.values() for leaf in free]
 
 
 def _replace_entries(
-    trees: Trees, subtrees: Sequence[Subtree], numbers: Sequence[IntArray], n_leaves: int
+    trees: Trees, subtrees: Sequence[Subtree], numbers: Sequence[IntArray], unused: Sequence[int], n_leaves: int
 ) -> tuple[IntArray, NDArray[np.int32], NDArray[np.int32]]:
     """Starts, classes and counts of all leaves in the order of their numbers."""
     starts = trees.leaf_starts
@@ -193,6 +196,9 @@ def _replace_entries(
         classes.append(one.leaf_classes)
         counts.append(one.leaf_counts)
         end = int(ends[-1])
+    classes.append(np.zeros(1, np.int32))
+    counts.append(np.zeros(1, np.int32))
+    begins[unused], stops[unused] = end, end + 1
     sizes = stops - begins
     new_starts = np.concatenate([[0], np.cumsum(sizes)])
     picked = np.repeat(begins - new_starts[:-1], sizes) + np.arange(new_starts[-1])

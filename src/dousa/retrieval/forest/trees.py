@@ -40,7 +40,8 @@ class Trees:
     nodes : (M, 6) int32.
     roots : (n_trees,) index of each tree's first node.
     leaf_starts : (L + 1,) where the entries of each leaf begin.
-    leaf_classes, leaf_counts : (E,) int32, the category and the number of training clips of each entry.
+    leaf_classes, leaf_counts : (E,) int32, the category and the number of training clips of each entry; an entry
+        without clips in a leaf that nothing leads to.
     n_features, n_frames, n_classes : F, T and C.
     homes : (L,) int32, the leaf of the training that each leaf has grown from; None where nothing has grown. The first
         leaf of each keeps its number.
@@ -79,7 +80,7 @@ class Trees:
     def leaf_shares(self) -> FloatArray:
         """(E,) every entry's share of its leaf's clips: the leaf's histogram."""
         sizes = np.add.reduceat(self.leaf_counts, self.leaf_starts[:-1])
-        shares: FloatArray = self.leaf_counts / np.repeat(sizes, np.diff(self.leaf_starts))
+        shares: FloatArray = self.leaf_counts / np.repeat(np.maximum(sizes, 1), np.diff(self.leaf_starts))
         return shares
 
     def leaf_categories(self) -> NDArray[np.int32]:
