@@ -797,6 +797,13 @@ class Library:
         with self.database.reading() as connection:
             return list_entries(connection)
 
+    def removed_paths(self) -> list[str]:
+        """Paths of the removed clips that are kept for ``undo``: their files are still of use."""
+        from dousa.library.journal.kept import list_kept_paths
+
+        with self.database.reading() as connection:
+            return list_kept_paths(connection)
+
     @property
     def last_change(self) -> int | None:
         """Number of the change that this thread made last with ``add``, ``relabel``, ``tag`` or ``remove``; None where

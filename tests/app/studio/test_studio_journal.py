@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+
 import pytest
 
 from dousa.library import Library
@@ -89,3 +91,26 @@ def test_adding_is_undone_in_the_studio(studio, bvh, wait_job, kind):
         assert len(ids(studio)) == N + 1
         assert studio.post("/api/journal/undo", json={"number": result["change"]}).json()["kind"] == "add"
     assert len(ids(studio)) == N
+
+
+def test_removed_clips_are_forgotten_and_their_uploads_freed(studio, bvh, wait_job):
+    content = bvh.read_bytes() + b"\n"
+    batch = studio.post("/api/uploads", params={"name": "new/a.bvh"}, content=content).json()["batch"]
+    job = studio.post("/api/jobs/add", json={"batch": batch}).json()["id"]
+    (path,) = wait_job(studio, job)["result"]["added"] or [None]
+    clip = next(one for one in library_of(studio).clips() if one.path.endswith(f"{batch}/{path}"))
+    assert studio.delete(f"/api/jobs/{job}").status_code == 200
+    folder = studio.app.state.studio.workspace.root / "files" / batch
+    os.utime(folder, (1, 1))
+    assert studio.get("/api/space").json()["can_be_freed_bytes"] == 0  # a clip comes from it
+    studio.post("/api/clips/remove", json={"clips": [clip.id]})
+    space = studio.get("/api/space").json()
+    assert space["removed_bytes"] > 0 and space["can_be_freed_bytes"] == 0  # it may come back
+    studio.post("/api/journal/undo", json={})
+    assert studio.get("/api/space").json()["removed_bytes"] == 0
+    studio.post("/api/clips/remove", json={"clips": [clip.id]})
+    forgotten = studio.post("/api/space/compact").json()
+    assert forgotten["removed_bytes"] == 0 and forgotten["can_be_freed_bytes"] >= len(content)
+    assert studio.post("/api/journal/undo", json={}).status_code == 409
+    studio.post("/api/space/free")
+    assert not folder.exists()

@@ -89,6 +89,12 @@ def list_kept(connection: sa.Connection, ids: Sequence[int], change: int) -> dic
     return found
 
 
+def list_kept_paths(connection: sa.Connection) -> list[str]:
+    """Paths of all removed clips that are kept."""
+    path = schema.removed_clips.c.kept[schema.clips.name]["path"].as_string()
+    return [str(found) for found in connection.execute(sa.select(path)).scalars()]
+
+
 def bring_back(connection: sa.Connection, where: str, kept: dict[int, dict[str, Any]]) -> None:
     """Put removed clips back as they were, with what the present forest says of them.
 

@@ -46,7 +46,7 @@ class TrainRequest(BaseModel):
 def add(studio: StudioNow, wanted: AddRequest) -> Answer:
     """A job; its result says what was added and what was refused, and why."""
     files = studio.workspace.files(wanted.batch)
-    studio.workspace.keep(wanted.batch)
+    studio.workspace.keep(wanted.batch, by_library=True)
     job = studio.jobs.submit("add", wanted.model_dump(), Message("studio_jobs.files", count=len(files)))
     return Answer(job.to_json(), 202)
 
@@ -61,6 +61,13 @@ def train(studio: StudioNow, wanted: TrainRequest) -> Answer:
 def get_space(studio: StudioNow) -> Answer:
     """Bytes of the library, of uploads and of jobs; ``can_be_freed_bytes`` is what POST /space/free gives back."""
     return Answer(describe_space(studio))
+
+
+@router.post("/space/compact", summary="Forget removed clips, and make the library file smaller")
+def compact(studio: StudioNow) -> Answer:
+    """They cannot be brought back by POST /journal/undo any more. Needs as much free space as what is left."""
+    report = studio.library.compact()
+    return Answer({"freed_bytes": max(report.before - report.after, 0), **describe_space(studio)})
 
 
 @router.post("/space/free", summary="Give back disk space that nothing needs")

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import json
+import os
 import shutil
 from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from dousa.app.studio.content.corrections import Corrections
 from dousa.app.studio.core.answers import RefusedError
 from dousa.app.studio.core.workspace import measure
 from dousa.app.studio.jobs.board import ACTIVE
@@ -17,13 +19,17 @@ if TYPE_CHECKING:
 
 
 def describe_space(studio: Studio) -> dict[str, Any]:
-    """Bytes of library, uploads and jobs, what `free_space` would give back, and what is left of the disk."""
+    """Bytes of library, uploads and jobs, what `free_space` would give back, and what is left of the disk.
+
+    ``removed_bytes`` are those of removed clips that the library keeps for an undo; `Library.compact` forgets them.
+    """
     root = studio.workspace.root
     library = studio.settings.library
     return {
         "library_bytes": sum(measure(path) for path in library.parent.glob(f"{library.name}*") if path.is_file()),
         "uploads_bytes": measure(root / "files"),
         "jobs_bytes": measure(root / "jobs"),
+        "removed_bytes": sum(entry.kept_bytes for entry in studio.library.journal()),
         "can_be_freed_bytes": sum(measure(path) for path in (*_list_exports(studio).values(), *_list_unused(studio))),
         "disk_free_bytes": shutil.disk_usage(root).free,
     }
@@ -48,5 +54,10 @@ def _list_exports(studio: Studio) -> dict[str, Path]:
 
 
 def _list_unused(studio: Studio) -> list[Path]:
-    asked = json.dumps([job.request for job in studio.jobs.all()])
-    return studio.workspace.list_unused(asked)
+    """Batches that no job or correction names and from which no clip comes, also none that an undo brings back."""
+    asked = [json.dumps([job.request for job in studio.jobs.all()])]
+    asked += [one.batch for one in Corrections(studio.workspace.root).all()]
+    files = f"{studio.workspace.root / 'files'}{os.sep}"
+    paths = [clip.path for clip in studio.listing.now().clips] + studio.library.removed_paths()
+    asked += {path.removeprefix(files).partition(os.sep)[0] for path in paths if path.startswith(files)}
+    return studio.workspace.list_unused(" ".join(asked))

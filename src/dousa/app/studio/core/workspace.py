@@ -84,6 +84,7 @@ _DEEPEST, _LONGEST, _LONGEST_PATH = 12, 200, 1_000  # folders; bytes of a name; 
 _NOWHERE = frozenset(':*?"<>|\u061c\u200e\u200f\u202a\u202b\u202c\u202d\u202e\u2066\u2067\u2068\u2069')
 _DEVICES = frozenset({"con", "prn", "aux", "nul", *(f"{name}{n}" for name in ("com", "lpt") for n in range(1, 10))})
 _KEPT = ".kept"  # marks a batch that a library or a job lives from
+_OF_LIBRARY = "library"  # in that file: kept as long as clips come from it
 _MOST_COUNTED = 1_000  # batches whose size is remembered
 _REST = 3600.0  # s after which a batch may be cleared away by hand
 _STALE = 7 * 86_400.0  # s after which other batches are cleared away when a studio starts
@@ -257,10 +258,18 @@ class Workspace:
                 self._sizes[batch] = files, size
         return fits
 
-    def keep(self, batch: str) -> Path:
-        """Say that a batch is in use, so that it is never cleared away; its folder."""
+    def keep(self, batch: str, *, by_library: bool = False) -> Path:
+        """Say that a batch is in use, so that it is never cleared away; its folder.
+
+        Parameters
+        ----------
+        by_library : only as long as clips of the library come from it.
+        """
         folder = self.batch_folder(batch)
-        (folder / _KEPT).touch()
+        if by_library and not (folder / _KEPT).exists():
+            (folder / _KEPT).write_text(_OF_LIBRARY)
+        elif not by_library:
+            (folder / _KEPT).write_text("")
         return folder
 
     def discard(self, batch: str) -> None:
@@ -286,7 +295,8 @@ class Workspace:
         for folder in (self.root / "files").iterdir():
             with suppress(OSError):
                 rests = time.time() - folder.stat().st_mtime > _REST
-                free = _BATCH.fullmatch(folder.name) and not (folder / _KEPT).exists()
+                kept = folder / _KEPT
+                free = _BATCH.fullmatch(folder.name) and (not kept.exists() or kept.read_text() == _OF_LIBRARY)
                 if rests and free and folder.name not in mentioned:
                     found.append(folder)
         return found

@@ -141,9 +141,17 @@ async function showSpace(answer = null) {
     notify(t("space_freed", { size: size(done.freed_bytes) }));
     showSpace(done);
   };
+  const forget = async () => {
+    const done = await attempt(() => post("/space/compact"));
+    if (!done) return;
+    notify(t("space_freed", { size: size(done.freed_bytes) }));
+    showSpace(done);
+  };
+  const sure = () => (compact.dataset.sure ? forget() : ((compact.dataset.sure = "1"), (compact.textContent = t("space_forget_sure"))));
+  const compact = h("button", { type: "button", class: "small", id: "space-compact", title: t("space_forget_title"), onclick: sure }, t("space_forget", { size: size(now.removed_bytes) }));
   const act = h("button", { type: "button", class: "small", id: "space-free", title: t("space_free_title"), onclick: free }, t("space_free", { size: size(now.can_be_freed_bytes) }));
   const kept = size(now.uploads_bytes + now.jobs_bytes);
-  space.replaceChildren(h("p", {}, t("space", { library: size(now.library_bytes), kept, free: size(now.disk_free_bytes) })), ...(now.can_be_freed_bytes > 0 ? [act] : []));
+  space.replaceChildren(h("p", {}, t("space", { library: size(now.library_bytes), kept, free: size(now.disk_free_bytes) })), ...(now.can_be_freed_bytes > 0 ? [act] : []), ...(now.removed_bytes > 0 ? [compact] : []));
 }
 
 /** Which job of the tray has the focus, and which of its buttons; the tray itself has none. */
