@@ -279,7 +279,7 @@ def describe_run(shares: NDArray[np.float32], run: Run, sequence: SequenceModel)
 # Weights of the log odds that a segment is right: of those that the labeller gives it, and of those that it has as a
 # clip. Fitted to segments in takes of people who did not train: HDM05's and UTD-MHAD's joined clips, as recorded, slow
 # and noisy, with and without unknown actions, and UTKinect's own takes, each set counting the same (docs/takes.md).
-_OFFSET, _BY_LABELLER, _BY_CLIP = -1.2, 0.72, 0.4
+_OFFSET, _BY_LABELLER, _BY_CLIP = -1.48, 0.76, 0.39
 _LEAST_CHANCE = 1e-3
 _EVEN = 0.5
 
