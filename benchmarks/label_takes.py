@@ -1,6 +1,9 @@
-"""Real annotated takes of people left out in turn: dousa and the plainest baseline, in one run.
+"""Real annotated takes of people left out in turn: dousa, a peer and the plainest baseline, in one run.
 
     python benchmarks/label_takes.py FOLDER --labels beside --performer-from REGEX-RULE [--repeats N]
+
+dousa learns from the takes, and from their segments as if they were clips. The peer is a sliding MiniRocket with the
+same decoding (`_sliding_rocket.py`), if aeon can be imported: it has an environment of its own, see `recognition.py`.
 
 The baseline calls every frame by extremely randomised trees (scikit-learn) on the mean and the spread of the joints
 over the second and a half around it, one more category being nothing; the most frequent name of the second around a
@@ -14,17 +17,25 @@ from collections.abc import Sequence
 from itertools import pairwise
 from pathlib import Path
 
+import _sliding_rocket
 import numpy as np
 from sklearn.ensemble import ExtraTreesClassifier
 
 from dousa.app.pipelines.experiment_clips import read_annotated_takes
 from dousa.arrays import FloatArray, IndexArray
-from dousa.experiments.annotated.trial import LabelTake, run_annotated_takes_experiment
+from dousa.experiments.annotated.trial import (
+    LabelTake,
+    LearnToLabel,
+    cut_segments,
+    learn_clip_judge,
+    run_annotated_takes_experiment,
+)
 from dousa.formats import ReadOptions
 from dousa.motion.canonical.joints import JOINT_INDEX
 from dousa.retrieval.features.channels import sample_positions
 from dousa.retrieval.features.posed_motion import AnnotatedTake
-from dousa.retrieval.takes.label import Segment
+from dousa.retrieval.takes.label import Segment, label_take
+from dousa.retrieval.takes.labeller_training import train_labeller
 from dousa.retrieval.takes.windows import TAKE_RATE
 
 HALF, SMOOTH = 22, 15  # frames to either side
@@ -82,6 +93,32 @@ def learn(takes: Sequence[AnnotatedTake]) -> LabelTake:
 # ... to here.
 
 
+def learn_from_clips(takes: Sequence[AnnotatedTake]) -> LabelTake:
+    """What `dousa train` learns where the segments have been cut out and the takes are gone."""
+    clips = cut_segments(takes)
+    labeller, judge = train_labeller(clips, n_jobs=2), learn_clip_judge(clips, 0, 2)
+
+    def label(take: AnnotatedTake) -> dict[str, list[Segment]]:
+        return {
+            name: list(label_take(labeller, take, judge=judge, threshold=threshold, n_jobs=2).segments)
+            for name, threshold in (("dousa, from clips", None), ("dousa, from clips, threshold 0", 0.0))
+        }
+
+    return label
+
+
+def choose_methods() -> dict[str, LearnToLabel]:
+    """What dousa is compared with."""
+    methods: dict[str, LearnToLabel] = {"from clips": learn_from_clips, "baseline": learn}
+    try:
+        import aeon  # noqa: F401
+    except ImportError:
+        print("without the sliding MiniRocket: aeon cannot be imported")
+    else:
+        methods["MiniRocket"] = _sliding_rocket.learn
+    return methods
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("folders", type=Path, nargs="+")
@@ -94,14 +131,14 @@ def main() -> None:
     )
     found: dict[str, list[tuple[float, float, float]]] = {}
     for seed in range(options.repeats):
-        methods = {"baseline": learn} if not seed else {}
+        methods = choose_methods() if not seed else {}
         result = run_annotated_takes_experiment(takes, methods=methods, random_state=seed, n_jobs=2)
         for name, one in result.scores.items():
             found.setdefault(name, []).append((one.annotated_right, one.rest_called, one.timeline.f_measure))
     print(f"{len(takes)} takes; annotated frames right, rest called something, F of segments (mean, spread)")
     for name, rows in found.items():
         mean, spread = np.mean(rows, axis=0), np.std(rows, axis=0)
-        print(f"{name:24}", "  ".join(f"{m:.3f} ± {s:.3f}" for m, s in zip(mean, spread, strict=True)))
+        print(f"{name:33}", "  ".join(f"{m:.3f} ± {s:.3f}" for m, s in zip(mean, spread, strict=True)))
 
 
 if __name__ == "__main__":

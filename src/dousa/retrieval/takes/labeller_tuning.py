@@ -63,7 +63,7 @@ class Answer:
 
 
 _EVIDENCE = (0.2, 0.4, 0.8, 1.6)
-_NOTHING = (1.0, 0.0, -1.0, -2.0, -3.0)  # what is nothing after all is found where segments are judged as clips
+_NOTHING = (1.0, 0.0, -1.0, -2.0)  # what is nothing after all is found where segments are judged as clips
 _EDGES = (0.0, 0.25, 0.5, 1.0, 1.5, 2.0)
 _OF_NOTHING = 0.5  # of a category: what nobody named may be an action all the same
 _EVENTS_OF_NOTHING = 0.3
