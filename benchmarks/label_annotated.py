@@ -15,6 +15,7 @@ from pathlib import Path
 
 from _take_material import read_or_make_clips
 
+from dousa.experiments.annotated.trial import learn_clip_judge
 from dousa.experiments.metrics import TrueSegment, compare_timeline
 from dousa.formats.registry import read_motion
 from dousa.motion import canonicalise
@@ -49,12 +50,12 @@ def main() -> None:
     parser.add_argument("--performer-from", default=None)
     options = parser.parse_args()
     clips = [clip for folder in options.folders for clip in read_or_make_clips(folder, options.performer_from)]
-    labeller = train_labeller(clips, n_jobs=2)
+    labeller, judge = train_labeller(clips, n_jobs=2), learn_clip_judge(clips, 0, 2)
     motion = canonicalise(read_motion(options.take))
     same = dict(pair.split("=", 1) for pair in options.same)
     truth = read_truth(options.truth, options.take.stem, motion.frame_rate, same)
     for name, threshold in (("with unknown", None), ("all said", 0.0)):
-        timeline = label_take(labeller, motion, threshold=threshold)
+        timeline = label_take(labeller, motion, judge=judge, threshold=threshold)
         scores = compare_timeline(timeline.segments, truth, timeline.duration).scores()
         print(f"{name}: {scores.frame_accuracy:.3f} of {scores.n_frames} frames right")
         for one in timeline.segments:

@@ -18,8 +18,10 @@ import numpy as np
 from _take_material import read_or_make_clips
 from _timing import timed
 
+from dousa.experiments.annotated.trial import learn_clip_judge
 from dousa.retrieval import TakeLabeller, label_take, train_labeller
 from dousa.retrieval.features.posed_motion import LabelledClip
+from dousa.retrieval.forest.stretches import StretchJudge
 from dousa.retrieval.takes.made_takes import JoinedTake, join_clips
 from dousa.retrieval.takes.teaching import Example, teach_labeller
 from dousa.retrieval.takes.windows import TAKE_RATE
@@ -47,9 +49,11 @@ def choose_take(clips: list[LabelledClip], strange: str, performer: str, generat
     return join_clips(chosen, generator)
 
 
-def score(labeller: TakeLabeller, take: JoinedTake, strange: str, skipped: int, seconds: float) -> Score:
+def score(
+    system: tuple[TakeLabeller, StretchJudge | None], take: JoinedTake, strange: str, skipped: int, seconds: float
+) -> Score:
     """How well a take is labelled, without the piece that was corrected."""
-    timeline = label_take(labeller, take, n_jobs=2)
+    timeline = label_take(system[0], take, judge=system[1], n_jobs=2)
     named, others = [], []
     for number, piece in enumerate(take.pieces):
         for frame in np.arange(piece.start, piece.stop) if number != skipped else ():
@@ -68,10 +72,12 @@ def run_trial(clips: list[LabelledClip], strange: str, performer: str, generator
     part = LabelledClip("part", strange, None, take.positions[start:stop], take.frame_rate, take.height)
     took, taught = timed(lambda: teach_labeller(labeller, [Example(part, strange)]))
     took_anew, anew = timed(lambda: train_labeller([*known, part], n_jobs=2))
+    judge = learn_clip_judge(known, 0, 2)
+    sparing = None if judge is None else judge.sparing(frozenset([strange]))  # as the library does
     return [
-        score(labeller, take, strange, number, 0.0),
-        score(taught, take, strange, number, took),
-        score(anew, take, strange, number, took_anew),
+        score((labeller, judge), take, strange, number, 0.0),
+        score((taught, sparing), take, strange, number, took),
+        score((anew, sparing), take, strange, number, took_anew),
     ]
 
 

@@ -26,6 +26,7 @@ from label_takes import describe
 from sklearn.neighbors import KNeighborsClassifier
 
 from dousa.app.pipelines.experiment_clips import read_labelled_clips
+from dousa.experiments.annotated.trial import learn_clip_judge
 from dousa.experiments.metrics import TimelineCounts, TrueSegment, add_counts, compare_timeline
 from dousa.formats import ReadOptions
 from dousa.retrieval.features.posed_motion import AnnotatedTake, LabelledClip
@@ -87,10 +88,10 @@ def learn_frames(clips: Sequence[LabelledClip]) -> Label:
 
 def learn_ours(clips: Sequence[LabelledClip], threshold: float | None = None) -> Label:
     """The labeller of `dousa train`."""
-    labeller = train_labeller(clips, n_jobs=2)
+    labeller, judge = train_labeller(clips, n_jobs=2), learn_clip_judge(clips, 0, 2)
 
     def label(take: JoinedTake) -> Sequence[Segment]:
-        return label_take(labeller, take, threshold=threshold).segments
+        return label_take(labeller, take, judge=judge, threshold=threshold).segments
 
     return label
 

@@ -83,6 +83,7 @@ _LESS = {
     "python benchmarks/count_labelled.py": "--folds 0 --only Intelli",
     "python benchmarks/label_disturbed.py": "--only HDM05",
     "python benchmarks/confidence.py": "--only hdm05 --folds 1 --find 2",
+    "python benchmarks/segment_confidence.py": "--only hdm05",
     "benchmarks/find.py": "--minutes 1",
     "benchmarks/correspondence.py --full 12000": "--frames 400 --full 200 --memory",
 }
@@ -129,6 +130,7 @@ BENCHMARKS = {
     "retargeting.py": "--pairs 2",
     "scale.py": "60 --categories 3",
     "search.py": "--clips 60 --categories 3",
+    "segment_confidence.py": "../shared/data --only hdm05",
     # These start a server and ask it, as tests/app/studio does: only their options are read.
     **{path.name: "--help" for path in sorted((ROOT / "benchmarks").glob("studio_*.py"))},
     "silhouette_candidates.py": "--candidates 100 --limbs left_forearm",
