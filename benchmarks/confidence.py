@@ -7,7 +7,8 @@ are asked as recorded, and disturbed by two generators that training does not us
 % of the joints missing and bridged) and `drifting` (noise of 1 to 4 cm that drifts, joints held for up to half a
 second), both seen from any side and at other tempos. *Sets*: three sets are learned, and all clips of the fourth asked;
 right is a guess that means the same (MEANINGS), so most have no right answer. *Unknown* is the AUROC of people left out
-against clips of the other sets that mean something else.
+against clips of the other sets that mean something else; *mixed* is the error on both, one in eleven being of these, as
+a confidence assumes.
 
 The error is that of ten bins of equal width (Guo et al., ICML 2017). The baselines: the share of the votes as it is;
 and the distance to the nearest clip in standardised features, by an isotonic fit on the people of the library, left out
@@ -35,7 +36,7 @@ from dousa.library.text.meanings import find_meanings
 from dousa.retrieval import FEATURE_SETS, MotionForest
 from dousa.retrieval.features.channels import sample_positions
 from dousa.retrieval.features.posed_motion import LabelledClip
-from dousa.retrieval.forest.calibration import Assessor, Copies, guess_performers, learn_calibration
+from dousa.retrieval.forest.calibration import STRANGERS, Assessor, Copies, guess_performers, learn_calibration
 from dousa.retrieval.forest.likeness import LikenessLearner, merge_votes
 from dousa.retrieval.forest.pose_space import compute_auroc
 from dousa.retrieval.takes.find import describe_query, find_in_takes, judge_place, overlap
@@ -193,9 +194,24 @@ class Trained:
         return said
 
 
-def calibration_error(chance: np.ndarray, right: np.ndarray) -> float:
-    bins = np.minimum((chance * 10).astype(int), 9)
-    return sum(abs(float((chance - right)[bins == number].sum())) for number in range(10)) / max(len(chance), 1)
+def calibration_error(chance: np.ndarray, right: np.ndarray, weights: np.ndarray | None = None) -> float:
+    weights = np.ones(len(chance)) if weights is None else weights
+    apart = np.bincount(np.minimum((chance * 10).astype(int), 9), weights * (chance - right), 10)
+    return float(np.abs(apart).sum() / max(weights.sum(), 1e-9))
+
+
+def mix(rows: dict[str, Rows], names: list[str], versions: list[str], system: str) -> tuple[np.ndarray, ...]:
+    """People left out of sets, and strangers to them, one in eleven: what is said, what is right, and weights."""
+    parts = []
+    for name in names:
+        for version in versions:
+            known = rows[f"people, {name}, {version}"][system]
+            chance, right = (np.concatenate([np.asarray(part[side], float) for part in known]) for side in (0, 1))
+            strange = np.concatenate([part[0][part[1] == 0] for part in rows[f"unknown, {name}, {version}"][system]])
+            share = STRANGERS * len(chance) / max(len(strange), 1)
+            weights = np.repeat([1.0, share], [len(chance), len(strange)])
+            parts.append((np.append(chance, strange), np.append(right, np.zeros(len(strange))), weights))
+    return tuple(np.concatenate([part[side] for part in parts]) for side in range(3))
 
 
 def print_rows(title: str, rows: Rows) -> None:
@@ -299,21 +315,24 @@ def draw_figure(rows: dict[str, Rows], path: Path) -> None:
     import matplotlib.pyplot as plt
 
     figure, axes = plt.subplots(1, 2, figsize=(7, 3.4), sharey=True, layout="constrained")
+    names = sorted({key.split(", ")[1] for key in rows if key.startswith("unknown")})
     for axis, start in zip(axes, ("people", "find"), strict=True):
         for system in ("dousa", "share of the votes" if start == "people" else "likeness as clips"):
-            parts = [
-                part
-                for key, own in rows.items()
-                if key.startswith(start) and key.endswith(", all")
-                for part in own[system]
-            ]
-            chance, right = (np.concatenate([part[side] for part in parts]) for side in (0, 1))
+            if start == "people":
+                chance, right, weights = mix(rows, names, list(VERSIONS), system)
+            else:
+                parts = [part for name in names for part in rows[f"find, {name}, all"][system]]
+                chance, right = (np.concatenate([part[side] for part in parts]) for side in (0, 1))
+                weights = np.ones(len(chance))
             bins = np.minimum((chance * 10).astype(int), 9)
-            there = [number for number in range(10) if (bins == number).sum() >= 20]
-            spots = [(chance[bins == number].mean(), right[bins == number].mean()) for number in there]
+            there = [number for number in range(10) if weights[bins == number].sum() >= 20]
+            spots = [
+                [np.average(side[bins == number], weights=weights[bins == number]) for side in (chance, right)]
+                for number in there
+            ]
             axis.plot(*np.array(spots).T, "o-", label=system)
         axis.plot([0, 1], [0, 1], color="0.7", zorder=0)
-        axis.set(xlabel="what it says", title={"people": "classify, people left out", "find": "find"}[start])
+        axis.set(xlabel="what it says", title={"people": "classify", "find": "find"}[start])
         axis.legend()
     axes[0].set_ylabel("how often it is right")
     figure.savefig(path)
@@ -347,6 +366,13 @@ def main() -> None:
         trial.ask(trained, name, everything, "sets", True)
     for title, rows in trial.rows.items():
         print_rows(title, rows)
+    for system in ("dousa", "share of the votes", "nearest, isotonic") if len(trial.clips) > 1 else ():
+        for version in (*VERSIONS, "all"):
+            chance, right, weights = mix(
+                trial.rows, list(trial.clips), list(VERSIONS) if version == "all" else [version], system
+            )
+            error = calibration_error(chance, right, weights)
+            print(f"mixed, {version:35s} {system:20s} error {error:.3f}", flush=True)
     if asked.figure is not None:
         draw_figure(trial.rows, asked.figure)
 

@@ -51,8 +51,9 @@ def disturb(clip: LabelledClip, generator: np.random.Generator, asked: argparse.
     points = clip.positions[below] * (1.0 - share) + clip.positions[below + 1] * share
     points = points + generator.normal(0.0, asked.noise, points.shape)
     points[generator.random(points.shape[:2]) < asked.missing] = np.nan
-    read = canonicalise(Trajectories(CANONICAL_JOINTS, points, asked.rate, np.array(CANONICAL_PARENTS)))
-    return LabelledClip(clip.name, clip.category, clip.performer, read.positions, asked.rate, read.height)
+    rate = asked.rate * float(np.exp(generator.uniform(-asked.tempo, asked.tempo))) if asked.tempo else asked.rate
+    read = canonicalise(Trajectories(CANONICAL_JOINTS, points, rate, np.array(CANONICAL_PARENTS)))
+    return LabelledClip(clip.name, clip.category, clip.performer, read.positions, rate, read.height)
 
 
 class Forest:
@@ -184,6 +185,7 @@ def main() -> None:
     parser.add_argument("--rate", type=float, default=15.0, help="Hz")
     parser.add_argument("--noise", type=float, default=0.03, help="m")
     parser.add_argument("--missing", type=float, default=0.05, help="share of the places")
+    parser.add_argument("--tempo", type=float, default=0.0, help="logarithm of how much faster or slower at most")
     asked = parser.parse_args()
     systems = list_systems(asked.calibrated)
     for title, (folder, performer) in SETS.items():
