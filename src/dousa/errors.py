@@ -16,6 +16,7 @@
     ├── KeypointError           keypoints that cannot be had: their file, their numbers, the models that find them
     ├── CalibrationError        a camera that cannot be: its file, its numbers, or its views disagree
     ├── BodyModelError          a body model that cannot be: its file, its measures, or its tree
+    ├── ClusterError            a cluster of workers cannot be reached, or is not as it must be
     ├── OptionError             a command or function was called with a value outside its range
     └── MissingExtraError       an optional package is not installed; says the pip command
 
@@ -194,6 +195,10 @@ class KeypointError(_LocatableError):
 
 class CalibrationError(_LocatableError):
     """A camera that cannot be: its file, its numbers, or views that disagree with it."""
+
+
+class ClusterError(DousaError):
+    """A cluster of workers cannot be reached, is gone, or is of another version."""
 
 
 class BodyModelError(_LocatableError):

@@ -10,6 +10,7 @@ usd         skeletons of USD files                                              
 studio      the page in the browser, with all of the above                       FastAPI, uvicorn, Jinja
 words       English words of a search that no table has, by their meaning        WordLlama
 postgres    libraries in a PostgreSQL database                                   psycopg
+cluster     adding, training and experiments on the workers of a cluster         Dask distributed
 ==========  ===================================================================  =====================================
 
 ``from dousa.extras import cv2`` is ``import cv2`` with that message; it stands where OpenCV is used, so that nothing

@@ -51,6 +51,7 @@ _RULES = (
     # It needs the net; these need what that installs.
     _Rule(r"dousa (?:models install|keypoints|sync|calibrate) ?.*", How.MENTIONED),
     _Rule(r"curl .*|[A-Z]+=\$\(python3 -c .*\)", How.ASKED),
+    _Rule(r"dousa .*(?:--cluster|postgresql\+psycopg:).*", How.MENTIONED),  # tests/workers, tests/library start these
     _Rule(r"dousa .*", How.FOLLOWED),
     _Rule(r"tracker \| dousa label .*", How.FOLLOWED),
     _Rule(r"printf .* > [\w.-]+", How.FOLLOWED),

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from dousa.arrays import FloatArray
 from dousa.errors import OptionError, TrainingError
 from dousa.messages import Message
+from dousa.workers.current import current_cluster
 
 if TYPE_CHECKING:
     from dousa.retrieval.features.feature_sets import FeatureSet
@@ -76,7 +77,10 @@ def run_tasks(
     if n_jobs == 0:
         raise OptionError("trials.workers")
     answers: Iterable[_Answer]
-    if n_jobs in (None, 1) or len(tasks) < 2:
+    cluster = current_cluster()
+    if cluster is not None and len(tasks) > 1:
+        answers = cluster.map(work, tasks, most=1)
+    elif n_jobs in (None, 1) or len(tasks) < 2:
         answers = map(work, tasks)
     else:
         import joblib

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -22,6 +23,7 @@ from dousa.motion import CANONICAL_JOINTS
 from dousa.motion.canonical.joints import JOINT_INDEX, CanonicalPoses, find_absent
 from dousa.retrieval.features.partial_bodies import hide_joints, order_joints
 from dousa.retrieval.features.posed_motion import SLOWEST_RATE
+from dousa.workers.current import current_cluster
 
 if TYPE_CHECKING:
     from dousa.arrays import FloatArray
@@ -337,11 +339,17 @@ def describe_stored(
     import joblib
 
     parallel = joblib.Parallel(n_jobs=choose_jobs(n_jobs), prefer="threads")
+    cluster = current_cluster()
     described: dict[int, Description] = {}
     for some in portions(ids):
         # Read here, and not where they are described: a connection is for one thread at a time.
         motions = list(load_motions(connection, some))
-        answers = parallel(joblib.delayed(describe_clip)(motion, feature_set) for motion in motions)
+        if cluster is not None:
+            sizes = [motion.positions.nbytes for motion in motions]
+            describe = partial(describe_clip, feature_set=feature_set)
+            answers = list(cluster.map(describe, motions, sizes=sizes))
+        else:
+            answers = parallel(joblib.delayed(describe_clip)(motion, feature_set) for motion in motions)
         described.update(zip(some, answers, strict=True))
         if progress is not None:
             progress(len(described), len(ids))

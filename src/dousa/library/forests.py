@@ -19,6 +19,7 @@ from dousa.library.features import ClipFeatures, StoredMotion, find_feature_set,
 from dousa.library.schema import pack
 from dousa.library.seals.checksums import FOREST, seal_rows, update_rows
 from dousa.library.selection import portions
+from dousa.workers.current import current_cluster
 
 if TYPE_CHECKING:
     from dousa.arrays import FloatArray
@@ -289,13 +290,19 @@ def describe_copies(
     some = bool(rows) and kind.has_banks
     places = np.arange(0, len(rows), -(-len(rows) // _MOST_COPIES)) if some else np.zeros(0, np.intp)
 
-    def describe(place: int, motion: StoredMotion) -> FloatArray:
+    def describe(task: tuple[int, StoredMotion]) -> FloatArray:
+        place, motion = task
         whole = kind.complete(hide_joints(motion, kind.hidden))
         return kind.compute(disturb_motion(whole, np.random.default_rng(place)))
 
     motions = list(load_motions(connection, [clips.ids[rows[place]] for place in places]))
-    parallel = Parallel(n_jobs=choose_jobs(n_jobs), prefer="threads")
-    features = parallel(delayed(describe)(int(place), one) for place, one in zip(places, motions, strict=True))
+    cluster = current_cluster()
+    if cluster is not None:
+        sizes = [motion.positions.nbytes for motion in motions]
+        features = list(cluster.map(describe, list(zip(places.tolist(), motions, strict=True)), sizes=sizes))
+    else:
+        parallel = Parallel(n_jobs=choose_jobs(n_jobs), prefer="threads")
+        features = parallel(delayed(describe)(one) for one in zip(places.tolist(), motions, strict=True))
     shape = (0, kind.n_frames, kind.n_columns)
     return Copies(places, np.stack(features) if features else np.zeros(shape))
 

@@ -1,7 +1,7 @@
 """From motions to records: reading a file, or taking a motion of the memory, with everything that is derived from it.
 
-``read_clip`` is a pure function of a task, so that joblib can run it in threads here or anywhere else
-(``joblib.parallel_config("dask")`` around ``Library.add``).
+``read_clip`` is a pure function of a task, so that joblib can run it in threads here or anywhere else, and so can the
+workers of a cluster (``dousa.workers``).
 """
 
 from __future__ import annotations
@@ -24,9 +24,11 @@ from dousa.library.schema import CLIP, pack
 from dousa.messages import Message
 from dousa.motion import CANONICAL_JOINTS, CanonicalMotion, canonicalise
 from dousa.retrieval.features.posed_motion import check_frame_rate
+from dousa.workers.current import current_cluster
 
 if TYPE_CHECKING:
     from dousa.motion import Motion, Trajectories
+    from dousa.workers.cluster import Cluster
 
 
 @dataclass(frozen=True, slots=True)
@@ -240,6 +242,10 @@ def read_clips(
 ) -> Generator[ClipRecord | FileRecord | Skipped, None, None]:
     """Read many files at the same time (``n_jobs`` as in ``Library.add``); answers come in the order of the tasks."""
     check_jobs(n_jobs)
+    cluster = current_cluster()
+    if cluster is not None and tasks:
+        yield from _read_elsewhere(cluster, tasks)
+        return
     if len(tasks) <= 1 or n_jobs == 1:
         yield from map(read_clip, tasks)
         return
@@ -256,6 +262,16 @@ def read_clips(
             # Stopped in the middle: joblib regrets the files that were read in vain.
             warnings.simplefilter("ignore", UserWarning)
             answers.close()
+
+
+def _read_elsewhere(
+    cluster: Cluster, tasks: Sequence[ReadTask]
+) -> Generator[ClipRecord | FileRecord | Skipped, None, None]:
+    cluster.check_paths([task.path for task in tasks])
+    sizes = [os.path.getsize(task.path) if os.path.isfile(task.path) else 0 for task in tasks]
+    for task, answer in zip(tasks, cluster.map(read_clip, tasks, sizes=sizes), strict=True):
+        # One that a worker cannot use is tried here: it may be the worker that does not see it.
+        yield read_clip(task) if isinstance(answer, Skipped) else answer
 
 
 Query: TypeAlias = "int | str | os.PathLike[str] | CanonicalMotion | Motion | Trajectories"

@@ -26,6 +26,7 @@ from dousa.app.output import ProgressCallback, console, print_json, progress_bar
 from dousa.errors import OptionError
 from dousa.extras import require
 from dousa.messages import Message
+from dousa.workers.current import use_cluster
 
 if TYPE_CHECKING:
     from dousa.estimation.tracking.settings import TrackerSettings
@@ -49,6 +50,7 @@ def experiment(
     label_options: o.LabelOptions,
     motion_options: o.MotionOptions,
     jobs: o.Jobs = None,
+    cluster: o.Cluster = None,
     figure: Annotated[Path | None, typer.Option("--figure", help="Draw the table: .png, .svg or .pdf.")] = None,
     json: o.Json = False,
 ) -> None:
@@ -77,7 +79,7 @@ def experiment(
     }
     files: dict[str, Any] = {"performer_from": label_options.performer_from, "options": motion_options.load()}
     result: Result
-    with progress_bar() as progress:
+    with use_cluster(cluster), progress_bar() as progress:
         shared["progress"] = progress
         files |= {"n_jobs": jobs, "progress": progress}
         if kind is _Kind.ANNOTATED:

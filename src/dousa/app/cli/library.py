@@ -14,10 +14,12 @@ from dousa.app.output import console, print_json, progress_bar, say, warn
 from dousa.errors import LibraryError, LibraryVersionError, OptionError
 from dousa.extras import require
 from dousa.messages import Message
+from dousa.workers.current import use_cluster
 
 if TYPE_CHECKING:
     from dousa.formats.motion_files import ReadOptions
     from dousa.library import Library
+    from dousa.workers import Cluster
 
 Query = Annotated[str, typer.Argument(metavar="QUERY", help="A motion file, or the number of a clip (see dousa list).")]
 Mirror = Annotated[bool, typer.Option("--mirror", help="Also search for the mirror image of the motion.")]
@@ -114,6 +116,7 @@ def add(
     label_options: o.LabelOptions,
     motion_options: o.MotionOptions,
     jobs: o.Jobs = None,
+    cluster: o.Cluster = None,
     wait: o.Wait = 60.0,
     json: o.Json = False,
 ) -> None:
@@ -136,7 +139,11 @@ def add(
     _check_before_making(library, paths, label_options, options)
     if labels is not None and takes:
         _check_labels(paths, labels, tier)
-    with open_library(library, create=True, wait=wait) as opened, progress_bar() as progress:
+    with (
+        use_cluster(cluster) as workers,
+        _open_for_workers(workers, library, paths, wait) as opened,
+        progress_bar() as progress,
+    ):
         report = opened.add(
             paths,
             kind="take" if takes else "clip",
@@ -177,6 +184,15 @@ def _check_before_making(library: str, paths: list[Path], label_options: o.Label
             raise OptionError("library_cli.no_motion", path=paths[0], known=SUFFIXES)
 
 
+def _open_for_workers(workers: Cluster | None, library: str, paths: list[Path], wait: float) -> Library:
+    """The library that files go into; where workers do not see the files, none is made."""
+    if workers is not None:
+        from dousa.formats.motion_files import find_motion_files
+
+        workers.check_paths([file.path for file in find_motion_files(paths)[0]])
+    return open_library(library, create=True, wait=wait)
+
+
 def _check_labels(paths: list[Path], rule: str, tier: str | None) -> None:
     """Find mistakes in tables of labels before an empty library is left behind."""
     from dousa.formats.motion_files import find_motion_files
@@ -210,6 +226,7 @@ def train(
     bootstrap: Annotated[bool, typer.Option("--bootstrap", help="Each tree draws its clips with replacement.")] = False,
     seed: Annotated[int, typer.Option("--seed", min=0, help="The same seed gives the same forest.")] = 0,
     jobs: o.Jobs = None,
+    cluster: o.Cluster = None,
     wait: o.Wait = 60.0,
     json: o.Json = False,
 ) -> None:
@@ -217,7 +234,7 @@ def train(
 
     Example: dousa train moves.dousa
     """
-    with open_library(library, wait=wait) as opened, progress_bar() as progress:
+    with use_cluster(cluster), open_library(library, wait=wait) as opened, progress_bar() as progress:
         report = opened.train(
             feature_set=features.value if features else None,
             n_trees=trees,

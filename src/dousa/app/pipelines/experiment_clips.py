@@ -17,6 +17,7 @@ from dousa.formats.motion_files import (
 )
 from dousa.library import choose_jobs, parse_label_rule
 from dousa.messages import Message
+from dousa.workers.current import current_cluster
 
 if TYPE_CHECKING:
     from dousa.app.output import ProgressCallback
@@ -194,8 +195,15 @@ def _read_each(
     """The answers to the tasks in their order, several worked on at a time."""
     import joblib
 
-    parallel = joblib.Parallel(n_jobs=choose_jobs(n_jobs), prefer="threads", return_as="generator")
-    for done, answer in enumerate(parallel(joblib.delayed(read)(*task) for task in tasks), 1):
+    cluster = current_cluster()
+    if cluster is not None:
+        cluster.check_paths([task[0].path for task in tasks])
+        sizes = [os.path.getsize(task[0].path) if os.path.isfile(task[0].path) else 0 for task in tasks]
+        answers = cluster.map(lambda task: read(*task), tasks, sizes=sizes)
+    else:
+        parallel = joblib.Parallel(n_jobs=choose_jobs(n_jobs), prefer="threads", return_as="generator")
+        answers = parallel(joblib.delayed(read)(*task) for task in tasks)
+    for done, answer in enumerate(answers, 1):
         if progress is not None:
             progress(done, len(tasks), Message("progress.reading"))
         yield answer

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -12,6 +13,7 @@ from numpy.typing import NDArray
 from dousa.arrays import FloatArray, IntArray
 from dousa.retrieval.features.integral import MEAN, SPREAD, TREND
 from dousa.retrieval.forest import growing_kernels as kernels
+from dousa.workers.current import current_cluster
 
 KIND_NAMES = ("mean", "spread", "trend")
 """Names of the kinds of tests, by their numbers in the kernels."""
@@ -161,10 +163,14 @@ def grow_trees(
     clips = len(features) - len(copies)
     material = prepare_material(features, categories, tests, min(clips, MOST_GROWN))
     # A few trees a task: with few clips a tree takes less time than handing it out.
-    tasks = np.array_split(seeds, min(len(seeds), 4 * effective_n_jobs(spec.n_jobs)))
-    grown = Parallel(n_jobs=spec.n_jobs, prefer="threads")(
-        delayed(_grow_seeds)(material, n_classes, spec, some, copies) for some in tasks
-    )
+    cluster = None if spec.n_jobs == 1 else current_cluster()
+    workers = effective_n_jobs(spec.n_jobs) if cluster is None else cluster.n_threads
+    tasks = np.array_split(seeds, min(len(seeds), 4 * workers))
+    grow = partial(_grow_seeds, material, n_classes, spec, copies)
+    if cluster is not None:
+        grown = list(cluster.map(grow, tasks, most=1))
+    else:
+        grown = Parallel(n_jobs=spec.n_jobs, prefer="threads")(delayed(grow)(some) for some in tasks)
     trees = _join([tree for some in grown for tree in some], (count, frames, n_classes))
     if clips <= MOST_GROWN:
         return trees
@@ -275,7 +281,7 @@ def grow_some(
 
 
 def _grow_seeds(
-    material: Material, n_classes: int, spec: TreesSpec, seeds: NDArray[np.uint64], copied: IntArray
+    material: Material, n_classes: int, spec: TreesSpec, copied: IntArray, seeds: NDArray[np.uint64]
 ) -> list[GrownTree]:
     """A tree of all clips, a bootstrap sample, or some of very many, for each seed; half of them by their copies."""
     clips = len(material[0]) - len(copied)

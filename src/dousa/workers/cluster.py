@@ -1,0 +1,216 @@
+"""A cluster of workers behind a scheduler of Dask.
+
+A portion of work is a task of Dask: it is repeated elsewhere when its worker dies. Few portions wait at a time, so that
+neither the scheduler nor the client holds more than they have use for; answers come in the order of the tasks, so that
+what is made of them does not depend on how many workers there were.
+"""
+
+from __future__ import annotations
+
+import logging
+import os
+import time
+import warnings
+from collections import deque
+from collections.abc import Callable, Generator, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from typing import Any, TypeVar
+
+from dousa.errors import ClusterError, OptionError
+from dousa.extras import require
+from dousa.workers.remote import check_versions, cut, find_hidden, list_versions, run_portion
+
+_Task = TypeVar("_Task")
+_Answer = TypeVar("_Answer")
+
+_CONNECT = 10.0  # s to wait for a scheduler
+_ALONE = 60.0  # s to wait for workers to come back when all are gone
+_TURN = 2.0  # s between two looks at whether there are workers
+_ATTEMPTS = 5  # of a portion whose data were lost with their workers
+_MOST_BYTES = 1 << 23  # of the files or arrays of a portion
+_INLINE = 1 << 18  # bytes; what is larger is handed out to the workers before they are asked for anything
+_SEEN = 100  # files that every worker is asked for
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Cluster:
+    """Workers that are ready.
+
+    Parameters
+    ----------
+    address : of the scheduler.
+    client : of Dask.
+    """
+
+    address: str
+    client: Any
+
+    @property
+    def n_threads(self) -> int:
+        """Portions that are worked on at a time."""
+        return sum(int(worker["nthreads"]) for worker in self._workers().values())
+
+    def _workers(self) -> dict[str, Any]:
+        workers: dict[str, Any] = self.client.scheduler_info(n_workers=-1)["workers"]
+        return workers
+
+    def check_paths(self, paths: Sequence[str | os.PathLike[str]]) -> None:
+        """ClusterError where a worker does not see the files that it shall read; some of them are asked for."""
+        step = max(1, len(paths) // _SEEN)
+        sizes = {}
+        for given in paths[::step]:
+            path = os.fspath(given)
+            if os.path.isfile(path):
+                sizes[path] = os.path.getsize(path)
+        for worker, hidden in self.client.run(find_hidden, sizes).items():
+            if hidden is not None:
+                raise ClusterError("cluster.hidden", worker=worker, path=hidden)
+
+    def map(
+        self,
+        work: Callable[[_Task], _Answer],
+        tasks: Sequence[_Task],
+        *,
+        most: int = 64,
+        sizes: Sequence[int] | None = None,
+    ) -> Generator[_Answer, None, None]:
+        """Answers in the order of the tasks.
+
+        Parameters
+        ----------
+        work : what is done to each; it changes nothing, as it may be done twice.
+        tasks : any number.
+        most : tasks in a portion.
+        sizes : bytes that each task reads or brings along; None for few.
+
+        Raises
+        ------
+        ClusterError : the scheduler is gone, all workers are, or they die of the same tasks.
+        """
+        import cloudpickle
+
+        shared = _Shared(self, cloudpickle.dumps(work))
+        portions = cut([0] * len(tasks) if sizes is None else sizes, most, _MOST_BYTES)
+        ahead = 2 * max(self.n_threads, 1) + 2
+        waiting: deque[_Portion] = deque()
+        coming = iter(portions)
+        try:
+            while True:
+                while len(waiting) < ahead and (portion := next(coming, None)) is not None:
+                    waiting.append(_Portion(self, shared, cloudpickle.dumps(list(tasks[portion]))))
+                if not waiting:
+                    return
+                yield from waiting.popleft().finish()
+        finally:
+            for left in waiting:
+                left.cancel()
+
+    def wait(self, future: Any) -> Any:
+        """What a future holds; ClusterError when nobody is left who could work on it."""
+        alone_since = None
+        while True:
+            try:
+                return future.result(timeout=_TURN)
+            except TimeoutError:
+                if future.status == "error":
+                    raise  # the work's own
+            if self.client.status != "running":
+                raise ClusterError("cluster.lost", address=self.address)
+            now = time.monotonic()
+            alone_since = None if self._workers() else alone_since or now
+            if alone_since is not None and now - alone_since > _ALONE:
+                raise ClusterError("cluster.no_workers", address=self.address)
+
+
+class _Shared:
+    """Work that all portions share, where the workers have it."""
+
+    def __init__(self, cluster: Cluster, work: bytes) -> None:
+        self._cluster, self._work = cluster, work
+        self._held: Any = None
+
+    def hold(self, anew: bool = False) -> Any:
+        """The work itself, or what stands for it on the workers."""
+        if len(self._work) <= _INLINE:
+            return self._work
+        if self._held is None or anew:
+            self._held = self._cluster.client.scatter(self._work, broadcast=True, hash=False)
+        return self._held
+
+
+class _Portion:
+    """Some tasks that a worker has been given."""
+
+    def __init__(self, cluster: Cluster, shared: _Shared, tasks: bytes) -> None:
+        self._cluster, self._shared, self._tasks = cluster, shared, tasks
+        self._future = self._submit(anew=False)
+
+    def _submit(self, anew: bool) -> Any:
+        client, tasks = self._cluster.client, self._tasks
+        given = tasks if len(tasks) <= _INLINE else client.scatter(tasks, hash=False)
+        return client.submit(run_portion, self._shared.hold(anew), given, list_versions(), pure=False)
+
+    def finish(self) -> list[Any]:
+        """The answers, as soon as they are there."""
+        from concurrent.futures import CancelledError
+
+        from distributed.scheduler import KilledWorker
+
+        for attempt in range(_ATTEMPTS):
+            try:
+                answers: list[Any] = self._cluster.wait(self._future)
+                return answers
+            except KilledWorker as error:
+                raise ClusterError("cluster.killed", address=self._cluster.address) from error
+            except CancelledError:  # data that were handed out were lost with a worker
+                if self._cluster.client.status != "running":
+                    break
+                self._future = self._submit(anew=attempt > 0)
+        raise ClusterError("cluster.lost", address=self._cluster.address)
+
+    def cancel(self) -> None:
+        """Nobody asks for the answers any more."""
+        self._future.cancel()
+
+
+@contextmanager
+def connect(address: str) -> Iterator[Cluster]:
+    """The cluster of a scheduler, whose workers have been looked at; see ``use_cluster``."""
+    distributed = require("distributed", "cluster")
+    if "://" not in address:
+        raise OptionError("cluster.address", address=address)
+    for name in ("distributed", "tornado"):  # what it writes to the terminal is said as an error, or is no matter
+        logging.getLogger(name).setLevel(logging.CRITICAL)
+    client = None
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # of other versions: they are compared below
+        try:
+            client = distributed.Client(address, timeout=_CONNECT, set_as_default=False)
+        except (OSError, ValueError, RuntimeError) as error:
+            raise ClusterError("cluster.unreachable", address=address, reason=_shorten(error)) from error
+    try:
+        cluster = Cluster(address, client)
+        _check_workers(cluster)
+        yield cluster
+    finally:
+        client.close(timeout=_CONNECT)
+
+
+def _shorten(error: BaseException) -> str:
+    return " ".join(str(error).split()) or type(error).__name__
+
+
+def _check_workers(cluster: Cluster) -> None:
+    """ClusterError where there are no workers, or some that are not as we are."""
+    try:
+        found = cluster.client.run(list_versions, on_error="return")
+    except (OSError, ValueError) as error:
+        raise ClusterError("cluster.unreachable", address=cluster.address, reason=_shorten(error)) from error
+    if not found:
+        raise ClusterError("cluster.no_workers", address=cluster.address)
+    expected = list_versions()
+    for worker, versions in found.items():
+        if not isinstance(versions, dict):
+            raise ClusterError("cluster.not_ours", worker=worker, reason=_shorten(versions))
+        check_versions(worker, versions, expected)

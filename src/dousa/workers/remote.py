@@ -1,0 +1,88 @@
+"""What runs on a worker: a portion of tasks, and questions about the worker itself.
+
+Work and tasks come as bytes, so that work which many portions share (such as the features of all clips) is unpacked
+once by each worker.
+"""
+
+from __future__ import annotations
+
+import os
+import pickle
+import platform
+import zlib
+from collections import OrderedDict
+from collections.abc import Callable, Sequence
+from importlib import metadata
+from threading import Lock
+from typing import Any
+
+from dousa.errors import ClusterError
+
+_MOST_KEPT = 2
+_KEPT: OrderedDict[tuple[int, int], Callable[[Any], Any]] = OrderedDict()
+_LOCK = Lock()
+
+
+def list_versions() -> dict[str, str]:
+    """What the numbers depend on, by name."""
+    import dousa
+
+    names = ("numpy", "numba")
+    return {
+        "dousa": dousa.__version__,
+        "Python": ".".join(platform.python_version_tuple()[:2]),
+        **{name: metadata.version(name) for name in names},
+    }
+
+
+def check_versions(worker: str, found: dict[str, str], expected: dict[str, str]) -> None:
+    """ClusterError where a worker has other versions than the client."""
+    for name, version in expected.items():
+        if found.get(name) != version:
+            raise ClusterError("cluster.versions", worker=worker, name=name, found=found.get(name), expected=version)
+
+
+def find_hidden(sizes: dict[str, int]) -> str | None:
+    """The first of some files that is not there, or has another size (bytes)."""
+    for path, size in sizes.items():
+        try:
+            if os.stat(path).st_size != size:
+                return path
+        except OSError:
+            return path
+    return None
+
+
+def run_portion(work: bytes, tasks: bytes, expected: dict[str, str]) -> list[Any]:
+    """Answers to a portion of tasks, in their order.
+
+    Parameters
+    ----------
+    work, tasks : a function of one task, and a list, pickled.
+    expected : versions of the client; a worker may have come after it asked for them.
+    """
+    check_versions(platform.node(), list_versions(), expected)
+    function = _unpack(work)
+    return [function(task) for task in pickle.loads(tasks)]
+
+
+def _unpack(work: bytes) -> Callable[[Any], Any]:
+    key = len(work), zlib.crc32(work)
+    with _LOCK:
+        if key not in _KEPT:
+            _KEPT[key] = pickle.loads(work)
+            while len(_KEPT) > _MOST_KEPT:
+                _KEPT.popitem(last=False)
+        _KEPT.move_to_end(key)
+        return _KEPT[key]
+
+
+def cut(sizes: Sequence[int], most: int, most_bytes: int) -> list[slice]:
+    """Portions of at most so many tasks and bytes, in order; one task at least in each."""
+    cuts, start, total = [], 0, 0
+    for number, size in enumerate(sizes):
+        if number > start and (number - start >= most or total + size > most_bytes):
+            cuts.append(slice(start, number))
+            start, total = number, 0
+        total += size
+    return [*cuts, slice(start, len(sizes))] if len(sizes) else []
