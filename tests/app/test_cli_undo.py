@@ -87,6 +87,7 @@ def test_tags_and_what_is_selected_by_them(dousa, library, tmp_path):
     assert dousa("export", library, "--select", "fights", "--to", "bvh", "-o", target)[0] == 0
     with zipfile.ZipFile(target) as packed:
         assert sum(name.endswith(".bvh") for name in packed.namelist()) == 2
+        assert packed.read("manifest.csv").decode().count("fight; high kick") == 2
     assert dousa("tag", library, "--select", "fights", "-fight")[0] == 0
     code, _, err = dousa("export", library, "--select", "fights", "-o", target)
     assert (code, "nothing fits the saved search" in err) == (2, True)

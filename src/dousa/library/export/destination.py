@@ -17,8 +17,8 @@ from dousa.files.disk import atomic_write
 
 MANIFEST = "manifest.csv"
 COLUMNS = (
-    "file", "id", "kind", "category", "performer", "n_frames", "frame_rate", "duration_s", "source", "start_s", "end_s",
-    "from", "made_of",
+    "file", "id", "kind", "category", "performer", "tags", "n_frames", "frame_rate", "duration_s", "source", "start_s",
+    "end_s", "from", "made_of",
 )  # fmt: skip
 
 Rows = dict[str, dict[str, str]]
@@ -121,6 +121,7 @@ def read_manifest(path: Path) -> Rows:
             rows = list(csv.DictReader(file))
     except (OSError, UnicodeDecodeError, csv.Error):
         return {}
+    rows = [{"tags": "", **row} for row in rows]  # an earlier version had none
     return {
         row["file"]: row for row in rows if set(row) == set(COLUMNS) and all(isinstance(v, str) for v in row.values())
     }

@@ -97,7 +97,7 @@ function describe(clip, act) {
   ];
   const button = (name, shape, kind = "") => h("button", { type: "button", class: kind, onclick: () => act(name) }, icon(shape), t(name));
   const download = async () => (await import("../core/exporting.js")).openDownload({ motion: clip.motion }, t("export"));
-  const file = h("button", { type: "button", dataset: { word: "export" }, onclick: download }, icon("download"), t("export"));
+  const file = h("button", { type: "button", dataset: { word: "export-one" }, onclick: download }, icon("download"), t("export"));
   return [
     h("div", { class: "row" }, h("span", { class: "badge" }, t(clip.kind === "take" ? "take" : "clip")), h("span", { class: "note" }, `#${clip.id}`)),
     h("dl", { class: "facts" }, ...rows.filter(([, value]) => value).flatMap(([name, value]) => [h("dt", {}, t(name)), h("dd", {}, value)])),
