@@ -264,13 +264,13 @@ def grow_some(
     largest = len(material[4]) - 1
     nodes, starts = np.zeros((2 * largest - 1, 6), np.int32), np.zeros(largest + 1, np.int64)
     classes, counts = np.zeros(largest, np.int32), np.zeros(largest, np.int32)
-    work = kernels.Workspace.create(largest, n_classes, len(material[3]))
+    work = kernels.Workspace.create(material[0], largest, n_classes, len(material[3]))
     limit = spec.max_entropy * kernels.FIXED_POINT
     trees = []
     features, tolerances, *others = material
     for samples, seed in drawn:
         own = tolerances if tolerances.ndim == 1 else tolerances[samples].max(axis=0)
-        n_nodes, n_leaves = kernels.grow_tree(  # type: ignore[call-arg]
+        n_nodes, n_leaves = kernels.grow_tree(
             features, own, *others, samples, spec.n_trials, spec.random_thresholds, limit, seed, work,
             nodes, nodes.view(np.float64), starts, classes, counts,
         )  # fmt: skip
