@@ -37,6 +37,8 @@ _MOST_HELD_BACK = 3000  # clips that the rounds of a calibration use: enough for
 
 _MOST_COPIES = 1000  # disturbed copies of them: with a tenth of the clips the forest knows most of what noise does
 
+_PARTS = 64  # of a vote: a power of two, so that nothing is rounded where trees give whole votes
+
 _TEMPOS = (0.5, 2.0)  # windows from half to twice the length of the clips
 
 
@@ -83,8 +85,8 @@ class TreeAnswers:
 
     Parameters
     ----------
-    votes : (N, n_categories) int32, how many trees name each category: the histogram H of section 3.4, times
-        the number of trees. Whole numbers, so that equal histograms are equal to the last bit.
+    votes : (N, n_categories) int32, how many trees name each category, in 64ths of a vote: the histogram H of section
+        3.4, times 64 trees. Whole numbers, so that equal histograms are equal to the last bit.
     leaves : (N, n_trees) int32, the leaf that each clip reaches in each tree.
     categories : names, in the order of the votes.
     directions : (N, K) of ``Likeness.place``; None where they are not known.
@@ -102,7 +104,7 @@ class TreeAnswers:
 
     def shares(self) -> FloatArray:
         """(N, n_categories) share of the trees that name each category: the histograms."""
-        shares: FloatArray = self.votes / self.leaves.shape[1]
+        shares: FloatArray = self.votes / (_PARTS * self.leaves.shape[1])
         return shares
 
     def predicted(self) -> list[str]:
@@ -143,7 +145,7 @@ def count_votes(stored: StoredForest, leaves: NDArray[np.int32]) -> TreeAnswers:
     """
     check_leaves(stored, leaves)
     shares = stored.forest.histograms_of(leaves.astype(np.int64))
-    votes = np.rint(shares * leaves.shape[1]).astype(np.int32)
+    votes = np.rint(shares * (_PARTS * leaves.shape[1])).astype(np.int32)
     return TreeAnswers(votes, leaves, stored.categories)
 
 

@@ -438,3 +438,25 @@ def test_trees_of_very_many_clips_grow_from_some_and_count_all(monkeypatch, boot
     assert right.mean() > 0.9 and right[categories[1::2] == 4].mean() > 0.5
     assert forests[0].to_bytes() == forests[1].set_params(n_jobs=1).to_bytes()
     assert (np.unique(trees.nodes[trees.roots], axis=0).shape[0]) > 1  # each tree has drawn its own
+
+
+def test_trees_that_grow_from_some_share_their_votes(monkeypatch):
+    """Leaves then hold clips of several categories, of which the most frequent one alone says less."""
+    monkeypatch.setattr(trees_module, "MOST_GROWN", 500)
+    random = np.random.default_rng(0)
+    patterns = random.normal(size=(40, 4, 12))
+
+    def draw(count):
+        own = random.integers(0, 40, count)
+        noise = random.normal(size=(count, 1, 12)) + random.normal(size=(count, 4, 12))
+        return patterns[own] + 1.2 * noise, own
+
+    (pose, categories), (query, expected) = draw(2400), draw(1000)
+    forest = MotionForest(30, random_state=0).fit(pose, categories)
+    forest = MotionForest.from_bytes(forest.to_bytes())
+    named = forest.trees_.leaf_categories()[forest.apply(query)]
+    votes = np.stack([np.bincount(row, minlength=40) for row in named])
+    right = [(guess == expected).mean() for guess in (votes.argmax(axis=1), forest.predict(query))]
+    assert right[1] > right[0] + 0.03
+    assert np.array_equal(forest.predict_proba(query), forest.predict_proba(query, "leaves"))
+    assert np.allclose([forest.count_votes(clip) / 30 for clip in query[:50]], forest.predict_proba(query[:50]))

@@ -267,7 +267,8 @@ class MotionForest:
         ----------
         features : (N, T, F) as in ``fit``.
         histogram : ``"votes"``, each tree names its leaf's most frequent category (the first of equals); or
-            ``"leaves"``, the mean of the leaves' histograms.
+            ``"leaves"``, the mean of the leaves' histograms, which is also what the trees of very many clips vote by
+            (``Trees.pooled``).
 
         Returns
         -------
@@ -434,6 +435,8 @@ class MotionForest:
         ones = np.arange(trees.n_leaves + 1)
         self._votes = (ones, trees.leaf_categories(), np.ones(trees.n_leaves))
         self._shares = (trees.leaf_starts, trees.leaf_classes, trees.leaf_shares())
+        if trees.pooled:
+            self._votes = self._shares
 
     def _entries(self, histogram: str) -> tuple[NDArray[Any], NDArray[Any], NDArray[Any]]:
         self._fitted  # noqa: B018

@@ -94,6 +94,7 @@ def pack_forest(file: ForestFile) -> bytes:
             **{name: getattr(trees, name) for name in _TREE_ARRAYS},
             "sizes": np.array([trees.n_features, trees.n_frames, trees.n_classes], np.int64),
             **({} if trees.homes is None else {"homes": trees.homes}),
+            **({"pooled": np.array(1, np.int64)} if trees.pooled else {}),
         }
     )
 
@@ -101,7 +102,7 @@ def pack_forest(file: ForestFile) -> bytes:
 def unpack_forest(data: bytes) -> ForestFile:
     """The forest in the bytes; DousaError if they are damaged, something else, or of a newer version."""
     names = {"version", "parameters", "classes", "feature_names", *_TREE_ARRAYS, "sizes"}
-    arrays = unpack_arrays(data, names, _WHAT, ("homes",))
+    arrays = unpack_arrays(data, names, _WHAT, ("homes", "pooled"))
     check_version(arrays, _WHAT, (_WITHOUT_KINDS, _VERSION))
     for name, (dtype, axes) in _TREE_ARRAYS.items():
         array = arrays[name]
@@ -109,7 +110,12 @@ def unpack_forest(data: bytes) -> ForestFile:
     sizes = arrays["sizes"]
     _check(sizes.dtype == np.int64 and sizes.shape == (3,), "bad sizes")
     _check(((sizes >= 1) & (sizes < 2**31)).all(), "bad sizes")
-    fields: list[Any] = [*(arrays[name] for name in _TREE_ARRAYS), *map(int, sizes), arrays.get("homes")]
+    fields: list[Any] = [
+        *(arrays[name] for name in _TREE_ARRAYS),
+        *map(int, sizes),
+        arrays.get("homes"),
+        "pooled" in arrays,
+    ]
     trees = Trees(*fields)
     _check_trees(trees)
     classes, features = arrays["classes"], arrays["feature_names"]

@@ -158,7 +158,7 @@ def replace_leaves(trees: Trees, subtrees: Sequence[Subtree], n_classes: int) ->
         free[tree] += len(moved) - 1
     entries = _replace_entries(trees, subtrees, numbers, unused, len(homes))
     sizes = trees.n_features, trees.n_frames, n_classes
-    return Trees(nodes, trees.roots + shifts[:-1], *entries, *sizes, homes)
+    return Trees(nodes, trees.roots + shifts[:-1], *entries, *sizes, homes, trees.pooled)
 
 
 def _number_leaves(

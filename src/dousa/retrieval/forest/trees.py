@@ -47,6 +47,8 @@ class Trees:
     n_features, n_frames, n_classes : F, T and C.
     homes : (L,) int32, the leaf of the training that each leaf has grown from; None where nothing has grown. The first
         leaf of each keeps its number.
+    pooled : whether the leaves hold clips that the trees did not grow from, of several categories: a tree then shares
+        its vote among those of its leaf.
     only_means : whether no node asks for a spread or a trend.
     """
 
@@ -59,6 +61,7 @@ class Trees:
     n_frames: int
     n_classes: int
     homes: NDArray[np.int32] | None = None
+    pooled: bool = False
     only_means: bool = field(init=False)
 
     def __post_init__(self) -> None:
@@ -201,7 +204,8 @@ def _count_again(trees: Trees, features: FloatArray, categories: NDArray[np.int3
     all_counts = np.concatenate([*counts, trees.leaf_counts[left]])[order].astype(np.int32)
     number, classes = np.divmod(all_keys[order], trees.n_classes)
     starts = np.searchsorted(number, np.arange(trees.n_leaves + 1))
-    return replace(trees, leaf_starts=starts, leaf_classes=classes.astype(np.int32), leaf_counts=all_counts)
+    entries = {"leaf_starts": starts, "leaf_classes": classes.astype(np.int32), "leaf_counts": all_counts}
+    return replace(trees, **entries, pooled=True)
 
 
 MOST_GROWN = 100_000
