@@ -23,7 +23,7 @@ from dousa.retrieval.ranking.ranking import RANKINGS, RankedClips, RankingQuery,
 def make_index(seed: int, n_clips: int = 60, n_trees: int = 6) -> tuple[SearchIndex, np.ndarray]:
     """Few trees and leaves, so that there are equals of every kind; and poses."""
     rng = np.random.default_rng(seed)
-    votes = rng.multinomial(n_trees, [0.8, 0.15, 0.05], n_clips).astype(np.int32)
+    votes = 64 * rng.multinomial(n_trees, [0.8, 0.15, 0.05], n_clips).astype(np.int32)
     leaves = rng.integers(0, 2, (n_clips, n_trees)).astype(np.int32)
     index = SearchIndex(
         revision=1,
@@ -94,7 +94,7 @@ def test_a_motion_and_its_mirror_image_are_merged(by):
 
 def test_nothing_is_found_among_nothing():
     index, poses = make_index(6, 0)
-    answers = TreeAnswers(np.array([[6, 0, 0]], np.int32), np.zeros((1, 6), np.int32), ("a", "b", "c"))
+    answers = TreeAnswers(np.array([[6 * 64, 0, 0]], np.int32), np.zeros((1, 6), np.int32), ("a", "b", "c"))
     asked = Asked(answers, NO_FEATURES, poses[:0])
     assert search_index(index, [asked], 3, "leaves", None, lambda ids: poses) == ()
 
