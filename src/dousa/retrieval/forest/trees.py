@@ -204,8 +204,8 @@ def _count_again(trees: Trees, features: FloatArray, categories: NDArray[np.int3
     all_counts = np.concatenate([*counts, trees.leaf_counts[left]])[order].astype(np.int32)
     number, classes = np.divmod(all_keys[order], trees.n_classes)
     starts = np.searchsorted(number, np.arange(trees.n_leaves + 1))
-    own = classes.astype(np.int32)
-    return replace(trees, leaf_starts=starts, leaf_classes=own, leaf_counts=all_counts, pooled=True)
+    named = classes.astype(np.int32)
+    return replace(trees, leaf_starts=starts, leaf_classes=named, leaf_counts=all_counts, pooled=True)
 
 
 MOST_GROWN = 100_000
