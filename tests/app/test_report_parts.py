@@ -25,7 +25,7 @@ def test_the_page_is_made_of_the_parts(language: str) -> None:
     assessment = make_assessment()
     page, parts = build_page(assessment, language), build_parts(assessment, language)
     frame = build_frame(language)
-    assert sorted(re.findall(r'data-part="(\w+)"', frame)) == sorted([*parts, "files"])
+    assert sorted(re.findall(r'data-part="(\w+)"', frame)) == sorted([*parts, "files", "notes"])
     for name, markup in parts.items():
         if name == "header" and language == "ja":
             continue  # the page may say there that the font is missing
