@@ -51,6 +51,15 @@ def check_text(text: str) -> None:
         raise OptionError("label_rules.too_long", text=shown, most=MOST_BYTES)
 
 
+def check_labels(*labels: object) -> None:
+    """OptionError for an empty label, or one that not every database can keep; None and others are no labels."""
+    if any(isinstance(label, str) and not label.strip() for label in labels):
+        raise OptionError("library_clips.empty_label")
+    for label in labels:
+        if isinstance(label, str):
+            check_text(label)
+
+
 def parse_label_rule(text: str | None, label: str) -> LabelRule:
     """The rule that a text describes.
 

@@ -3,35 +3,22 @@
 from __future__ import annotations
 
 import os
-import threading
-from collections.abc import Iterable, Iterator, Sequence
-from contextlib import nullcontext
+from collections.abc import Iterable
 from functools import cached_property
-from types import TracebackType
 from typing import TYPE_CHECKING, Literal, TypeAlias
-
-import sqlalchemy as sa
 
 from dousa.errors import LibraryError, OptionError
 from dousa.formats.motion_files import ReadOptions, is_unicode
-from dousa.library import schema
-from dousa.library import selection as _selection
-from dousa.library.engine import check_jobs, choose_jobs, next_revision, open_database, read_revision
-from dousa.library.features import load_trajectories
-from dousa.library.forests import ForestCache
-from dousa.library.journal.recording import Recorded, recording
-from dousa.library.labels import LabelRule, check_text, no_label, parse_label_rule
-from dousa.library.results import AddReport, ClipInfo, LibraryStats, TrainReport
+from dousa.library.engine import check_jobs, choose_jobs
+from dousa.library.front.changes import LibraryChanges
+from dousa.library.labels import LabelRule, check_labels, check_text, no_label, parse_label_rule
+from dousa.library.results import AddReport, TrainReport
 from dousa.library.schema import CLIP, TAKE
-from dousa.library.selection import UNCHANGED, Selection, Unchanged, fetch_in, select_ids
 
 if TYPE_CHECKING:
     from dousa.library.add import AddProgress
     from dousa.library.annotations.store import Annotations
-    from dousa.library.engine import Database
-    from dousa.library.export.clip_export import ExportProgress, ExportReport
     from dousa.library.ingest import Query
-    from dousa.library.journal.entries import JournalEntry
     from dousa.library.labelling import Labellers, LearnProgress
     from dousa.library.marks.searches import SavedSearches
     from dousa.library.partial.forests import PartForests
@@ -51,7 +38,7 @@ Paths: TypeAlias = str | os.PathLike[str] | Iterable[str | os.PathLike[str]]
 """One path or several."""
 
 
-class Library:
+class Library(LibraryChanges):
     """A collection of motion clips that can be trained and searched, made with ``Library.open``.
 
     Usable in a ``with`` statement, from several threads, and by several programs at once: each sees what the
@@ -61,55 +48,6 @@ class Library:
     ----------
     database : with the tables of a library.
     """
-
-    def __init__(self, database: Database) -> None:
-        self.database = database
-        self._forests = ForestCache(database.where)
-        self._last = threading.local()
-
-    @classmethod
-    def open(
-        cls,
-        path_or_url: str | os.PathLike[str],
-        *,
-        create: bool = False,
-        read_only: bool = False,
-        timeout: float = 5.0,
-    ) -> Library:
-        """Open a library, or make one.
-
-        Parameters
-        ----------
-        path_or_url : a file of any name, by custom ``NAME.dousa``; or the SQLAlchemy URL of a database.
-        create : a library that does not exist is made.
-        read_only : refuse every change.
-        timeout : s to wait while another program writes.
-
-        Raises
-        ------
-        LibraryError : no library there, no such folder, no permission.
-        LibraryDamagedError : not a library, or damaged.
-        LibraryVersionError : written by a newer dousa.
-        LibraryLockedError : another program is writing, longer than the timeout.
-        """
-        return cls(open_database(path_or_url, create=create, read_only=read_only, timeout=timeout))
-
-    @property
-    def name(self) -> str:
-        """The path or URL it was opened with."""
-        return self.database.where
-
-    def close(self) -> None:
-        """Let go of the file; a closed library opens itself again when it is used."""
-        self.database.engine.dispose()
-
-    def __enter__(self) -> Library:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
 
     def add(
         self,
@@ -214,7 +152,7 @@ class Library:
 
         _check_kind(kind)
         check_jobs(n_jobs)
-        _check_labels(category, performer)
+        check_labels(category, performer)
         if kind == TAKE and category is not None:
             raise OptionError("library_add.take_has_no_category", category=category)
         if not name.strip() or not is_unicode(name):
@@ -542,309 +480,6 @@ class Library:
 
         return SavedSearches(self.database)
 
-    def clips(
-        self,
-        selection: Selection | None = None,
-        *,
-        category: str | None = None,
-        performer: str | None = None,
-        tag: str | None = None,
-    ) -> list[ClipInfo]:
-        """Clips and takes in the order of their paths: all, or those chosen.
-
-        Parameters
-        ----------
-        selection : numbers, files, or folders, which stand for all clips below them.
-        category, performer, tag : only clips of this label, with this tag.
-
-        Raises
-        ------
-        LibraryError : nothing fits.
-        """
-        with self.database.reading() as connection:
-            if selection is None and category is None and performer is None and tag is None:
-                return _selection.list_clips(connection)
-            chosen = () if selection is None else selection
-            ids = select_ids(connection, self.name, chosen, category, performer, tag)
-            return _selection.list_clips(connection, ids)
-
-    @property
-    def revision(self) -> int:
-        """Number of the last write, of this program or another; while it is the same, nothing has changed."""
-        with self.database.reading() as connection:
-            return read_revision(connection)
-
-    def contents(self, clip_ids: Sequence[int]) -> dict[int, str]:
-        """What stands for the content of clips, by number: whoever keeps something made of a clip knows it by this.
-
-        Parameters
-        ----------
-        clip_ids : of clips and takes; numbers that are not there are left out.
-        """
-        clips = schema.clips.c
-        query = sa.select(clips.id, clips.content_hash, clips.read_options)
-        wanted = [number for number in clip_ids if schema.is_id(number)]
-        with self.database.reading() as connection:
-            rows = fetch_in(connection, query, clips.id, wanted)
-            return {row.id: f"{row.content_hash} {row.read_options}" for row in rows}
-
-    def trajectories(self, clip_id: int) -> Trajectories:
-        """The canonical joints of a clip, in metres.
-
-        Raises
-        ------
-        LibraryError : no such clip; LibraryDamagedError: its numbers are damaged.
-        """
-        found = dict(self.iterate_trajectories([clip_id]))
-        if clip_id not in found:
-            raise LibraryError("library_clips.no_clip", library=self.name, number=clip_id)
-        return found[clip_id]
-
-    def iterate_trajectories(self, clip_ids: Sequence[int]) -> Iterator[tuple[int, Trajectories]]:
-        """Numbers and canonical joints of many clips, in any order; one at a time is in memory.
-
-        Parameters
-        ----------
-        clip_ids : of clips and takes; numbers that are not there are left out.
-
-        Raises
-        ------
-        LibraryDamagedError : the numbers of one are damaged.
-        """
-        with self.database.reading() as connection:
-            yield from load_trajectories(connection, [number for number in clip_ids if schema.is_id(number)])
-
-    def export(
-        self,
-        path: str | os.PathLike[str],
-        selection: Selection | None = None,
-        *,
-        category: str | None = None,
-        performer: str | None = None,
-        tag: str | None = None,
-        to: str = "original",
-        onto: str | os.PathLike[str] | None = None,
-        keep_reach: bool = False,
-        frame_rate: float | None = None,
-        options: ReadOptions | None = None,
-        progress: ExportProgress | None = None,
-    ) -> ExportReport:
-        """Write clips as files, a folder per category, with a ``manifest.csv`` of their labels.
-
-        Run again, it keeps what is there and unchanged: an interrupted export goes on where it stopped. Of a clip whose
-        file is gone the stored joints are written, which the column ``from`` says.
-
-        Parameters
-        ----------
-        path : folder, made if necessary, in which files of others are left alone; or a ZIP file, by its suffix.
-        selection : numbers, files, or folders, which stand for all clips below them; all if left out.
-        category, performer, tag : only clips of this label, with this tag.
-        to : name of a format that is written, such as ``"glb"`` or ``"bvh"``, or ``"original"``.
-        onto : file of a character whose skeleton the motions are put onto; see ``dousa.motion.retarget``.
-        keep_reach : hands reach the same places, instead of arm directions.
-        frame_rate : Hz to resample to.
-        options : how files are read, where that is not as they were when they were added.
-        progress : called with the number of clips that are done, of all, and the name of the next.
-
-        Returns
-        -------
-        What was written, kept and skipped.
-
-        Raises
-        ------
-        LibraryError : nothing fits.
-        OptionError : a format that does not exist, the originals put onto a character, a character without a skeleton.
-        """
-        from dousa.library.export.clip_export import ExportFormat, export_clips
-
-        form = ExportFormat(to, onto, keep_reach, frame_rate)
-        clips = self.clips(selection, category=category, performer=performer, tag=tag)
-        return export_clips(self, clips, path, form, options, progress)
-
-    def remove(
-        self,
-        selection: Selection = (),
-        *,
-        category: str | None = None,
-        performer: str | None = None,
-        tag: str | None = None,
-        for_good: bool = False,
-    ) -> list[str]:
-        """Take clips or takes out of the library; their files stay on the disk.
-
-        The forest still knows what it learned from them, until the next training. ``undo`` brings them back until
-        ``compact`` forgets them.
-
-        Parameters
-        ----------
-        selection : numbers, files, or folders, which stand for all clips below them.
-        category, performer, tag : only clips of this label, with this tag.
-        for_good : nothing is kept for an undo, which needs as much room on the disk as what is removed.
-
-        Returns
-        -------
-        Paths of the clips that were removed.
-
-        Raises
-        ------
-        OptionError : nothing is chosen.
-        LibraryError : something chosen is not there, or the library cannot be written.
-        """
-        with self.database.writing() as connection:
-            ids = select_ids(connection, self.name, selection, category, performer, tag)
-            paths = _selection.list_paths(connection, ids)
-            if ids:
-                revision = next_revision(connection)
-                with nullcontext() if for_good else recording(connection, revision, "remove", gone=ids) as recorded:
-                    _selection.delete_clips(connection, ids)
-                self._note_change(recorded)
-        return paths
-
-    def relabel(
-        self,
-        selection: Selection = (),
-        *,
-        category: str | Unchanged | None = UNCHANGED,
-        performer: str | Unchanged | None = UNCHANGED,
-        where_category: str | None = None,
-        where_performer: str | None = None,
-    ) -> list[str]:
-        """Give clips or takes another category or performer; the forest learns of it in the next training.
-
-        Parameters
-        ----------
-        selection : numbers, files, or folders, which stand for all clips below them.
-        category, performer : the new labels, None for no label.
-        where_category, where_performer : only clips that have this label now.
-
-        Returns
-        -------
-        Paths of the clips that were chosen.
-
-        Raises
-        ------
-        OptionError : nothing is chosen, or no new label is given, or an empty one.
-        LibraryError : something chosen is not there, or the library cannot be written.
-        """
-        if category is UNCHANGED and performer is UNCHANGED:
-            raise OptionError("library_clips.no_new_label")
-        _check_labels(category, performer)
-        told = {"category": category, "performer": performer}
-        told = {name: label for name, label in told.items() if label is not UNCHANGED}
-        with self.database.writing() as connection:
-            ids = select_ids(connection, self.name, selection, where_category, where_performer)
-            if ids:
-                revision, marked = next_revision(connection), _selection.with_segments(connection, ids)
-                with recording(connection, revision, "relabel", marked=marked, told=told) as recorded:
-                    _selection.set_labels(connection, ids, category, performer)
-                self._note_change(recorded)
-            return [clip.path for clip in _selection.list_clips(connection, ids)]
-
-    def tag(
-        self,
-        selection: Selection = (),
-        *,
-        add: Iterable[str] = (),
-        remove: Iterable[str] = (),
-        where_category: str | None = None,
-        where_performer: str | None = None,
-        where_tag: str | None = None,
-    ) -> list[str]:
-        """Give tags to clips or takes, or take tags away; nothing is learned from them.
-
-        Parameters
-        ----------
-        selection : numbers, files, or folders, which stand for all clips below them.
-        add, remove : names of tags; ``"favourite"`` is a star in the studio.
-        where_category, where_performer, where_tag : only clips of this label, with this tag.
-
-        Returns
-        -------
-        Paths of the clips whose tags changed.
-
-        Raises
-        ------
-        OptionError : nothing is chosen, no tag is given, or what is none.
-        LibraryError : something chosen is not there, or the library cannot be written.
-        """
-        from dousa.library.marks.tags import change_tags, check_tags
-
-        more, less = check_tags(add), check_tags(remove)
-        if not more and not less:
-            raise OptionError("library_tags.nothing_to_change")
-        told = {"tags": [*(f"+{name}" for name in more), *(f"-{name}" for name in less)]}
-        with self.database.writing() as connection:
-            ids = select_ids(connection, self.name, selection, where_category, where_performer, where_tag)
-            with recording(connection, next_revision(connection), "tag", marked=ids, told=told) as recorded:
-                changed = change_tags(connection, ids, more, less)
-            self._note_change(recorded)
-            return _selection.list_paths(connection, list(changed))
-
-    def tags(self) -> dict[str, int]:
-        """Number of clips and takes that have a tag, by name."""
-        from dousa.library.marks.tags import count_tags
-
-        with self.database.reading() as connection:
-            return count_tags(connection)
-
-    def journal(self) -> list[JournalEntry]:
-        """The changes that can be undone, or done again: what was added, removed, relabelled, tagged; the last first.
-
-        The last 1,000 are kept, with removed clips of up to 1 GB, until ``compact``.
-        """
-        from dousa.library.journal.entries import list_entries
-
-        with self.database.reading() as connection:
-            return list_entries(connection)
-
-    def removed_paths(self) -> list[str]:
-        """Paths of the removed clips that are kept for ``undo``: their files are still of use."""
-        from dousa.library.journal.kept import list_kept_paths
-
-        with self.database.reading() as connection:
-            return list_kept_paths(connection)
-
-    @property
-    def last_change(self) -> int | None:
-        """Number of the change that this thread made last with ``add``, ``relabel``, ``tag`` or ``remove``; None where
-        that changed nothing."""
-        return getattr(self._last, "change", None)
-
-    def _note_change(self, recorded: Recorded | None) -> None:
-        self._last.change = None if recorded is None else recorded.number
-
-    def undo(self, number: int | None = None, *, n_jobs: int | None = None) -> JournalEntry:
-        """Take a change back: labels, tags and takes are as they were, removed clips are there again.
-
-        What a forest learned from clips that were added stays until the next training.
-
-        Parameters
-        ----------
-        number : of a change, by default the last one that is in force.
-        n_jobs : takes described at a time, as in ``add``.
-
-        Raises
-        ------
-        LibraryError : there is nothing to undo, or somebody has changed the same clips since; then nothing happens.
-        """
-        return self._step(number, redo=False, n_jobs=n_jobs)
-
-    def redo(self, number: int | None = None, *, n_jobs: int | None = None) -> JournalEntry:
-        """Do a change again that was undone, as long as no new one was made; as ``undo``."""
-        return self._step(number, redo=True, n_jobs=n_jobs)
-
-    def _step(self, number: int | None, *, redo: bool, n_jobs: int | None) -> JournalEntry:
-        from dousa.library.forests import load_forest
-        from dousa.library.journal.undoing import step
-        from dousa.library.takes import refresh_windows
-
-        entry = step(self.database, number, redo=redo)
-        with self.database.reading() as connection:
-            stored = load_forest(connection, self.name, self._forests.last)
-        if stored is not None:
-            refresh_windows(self.database, stored, n_jobs)
-        return entry
-
     def check(self, *, repair: bool = False, progress: CheckProgress | None = None) -> CheckReport:
         """Whether everything in the library is as it was written: the structure of the file, and every checksum.
 
@@ -882,16 +517,6 @@ class Library:
 
         return compact_library(self.database)
 
-    def categories(self) -> dict[str, int]:
-        """Number of clips of each category, by name."""
-        with self.database.reading() as connection:
-            return _selection.count_by(connection, "category")
-
-    def stats(self) -> LibraryStats:
-        """The library in numbers."""
-        with self.database.reading() as connection:
-            return _selection.summarise(connection)
-
 
 def _as_list(paths: Paths) -> list[str | os.PathLike[str]]:
     return [paths] if isinstance(paths, str | os.PathLike) else list(paths)
@@ -900,14 +525,6 @@ def _as_list(paths: Paths) -> list[str | os.PathLike[str]]:
 def _check_kind(kind: str) -> None:
     if kind not in (CLIP, TAKE):
         raise OptionError("library_add.unknown_kind", kind=kind)
-
-
-def _check_labels(*labels: object) -> None:
-    if any(isinstance(label, str) and not label.strip() for label in labels):
-        raise OptionError("library_clips.empty_label")
-    for label in labels:
-        if isinstance(label, str):
-            check_text(label)
 
 
 def _check_k(k: int) -> None:
