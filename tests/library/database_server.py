@@ -162,11 +162,11 @@ _RUNNING: list[Server] = []
 @contextmanager
 def use_server() -> Iterator[None]:
     """Libraries are opened in databases of a server of our own, as long as this lasts."""
-    from dousa.library import library
+    from dousa.library.front import contents
 
     with run_server() as url, pytest.MonkeyPatch.context() as patch:
         server = Server(url)
-        patch.setattr(library, "open_database", server.open_database)
+        patch.setattr(contents, "open_database", server.open_database)
         _RUNNING.append(server)
         try:
             yield

@@ -10,6 +10,8 @@ from dousa.errors import LibraryError
 from dousa.library import Library
 from library.test_postgres import server, url  # noqa: F401
 
+pytest.importorskip("psycopg", reason="the driver psycopg is not installed")
+
 
 def rows(library):
     return [(clip.id, clip.path, clip.category, clip.performer, clip.tags) for clip in library.clips()]
