@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import pytest
 
+from app.studio.library_page import CELLS, click, wait_count
+
 KEYS = pytest.importorskip("selenium.webdriver", reason="selenium is not installed: pip install selenium").Keys
 N = 24
-CELLS = "return [...document.querySelectorAll('.cell')].filter((cell) => cell.cell.id && cell.offsetParent)"
-COUNT = "return document.querySelector('#count').textContent"
 NOTICE = "return [...document.querySelectorAll('.notice p')].some((p) => p.textContent.includes(arguments[0]))"
 
 
@@ -19,17 +19,6 @@ def library_page(show):
         return page
 
     return open_page
-
-
-def click(page, selector):
-    page.wait("return document.querySelector(arguments[0])", selector)
-    page.run("document.querySelector(arguments[0]).click()", selector)
-    page.settle()
-
-
-def wait_count(page, text):
-    page.wait(f"{COUNT}.startsWith(arguments[0])", str(text))
-    page.settle()
 
 
 def test_a_removal_and_a_label_are_undone_by_button_and_by_keys_also_after_a_reload(library_page, running):

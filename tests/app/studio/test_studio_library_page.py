@@ -6,14 +6,14 @@ from pathlib import Path
 
 import pytest
 
+from app.studio.library_page import CELLS, click, wait_count
+
 KEYS = pytest.importorskip("selenium.webdriver", reason="selenium is not installed: pip install selenium").Keys
 DATA = Path(__file__).resolve().parents[4] / "shared" / "data" / "bandai"
 N = 24
 
-CELLS = "return [...document.querySelectorAll('.cell')].filter((cell) => cell.cell.id && cell.offsetParent)"
 DRAWN = f"{CELLS}.filter((cell) => !cell.querySelector('canvas').hidden).length"
 CHOSEN = "return [...document.querySelectorAll('.cell[aria-selected=true]')].map((cell) => cell.cell.id)"
-COUNT = "return document.querySelector('#count').textContent"
 DIALOG = "return document.querySelector('dialog[open]')"
 
 
@@ -27,17 +27,6 @@ def library_page(show):
         return page
 
     return open_page
-
-
-def click(page, selector):
-    page.wait("return document.querySelector(arguments[0])", selector)
-    page.run("document.querySelector(arguments[0]).click()", selector)
-    page.settle()
-
-
-def wait_count(page, number):
-    page.wait(f"{COUNT}.startsWith(arguments[0])", str(number))
-    page.settle()
 
 
 def no_messages(page):

@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import Annotated, Literal
+from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING, Annotated, Literal
 
 from fastapi import APIRouter, Depends, Query, Response
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from dousa.app.studio.content.clips import Asked, Snapshot, Sort
-from dousa.app.studio.content.studio import StudioNow
+from dousa.app.studio.content.studio import Studio, StudioNow
 from dousa.app.studio.core.answers import BYTES, Answer, RefusedError
+
+if TYPE_CHECKING:
+    from dousa.library import Library
 
 router = APIRouter(tags=["library"])
 
@@ -149,31 +152,29 @@ def relabel(studio: StudioNow, wanted: Relabelling) -> Answer:
 
     ``change`` is the number that POST /journal/undo takes; null where nothing changed.
     """
-    there = _check_there(studio.listing.now(), wanted.clips)
-    library = studio.library
-    changed = library.relabel(there, **wanted.labels)
-    missing = len(set(wanted.clips)) - len(there)
-    return Answer({"changed": len(changed), "missing": missing, "change": library.last_change})
+    return _change(studio, wanted.clips, "changed", lambda library, there: library.relabel(there, **wanted.labels))
 
 
 @router.post("/clips/tag", summary="Give tags to clips, or take tags away")
 def tag(studio: StudioNow, wanted: Tagging) -> Answer:
     """``favourite`` is the star. Clips that are gone meanwhile are left out; ``change`` as in POST /clips/relabel."""
-    there = _check_there(studio.listing.now(), wanted.clips)
-    library = studio.library
-    changed = library.tag(there, add=wanted.add, remove=wanted.remove)
-    missing = len(set(wanted.clips)) - len(there)
-    return Answer({"changed": len(changed), "missing": missing, "change": library.last_change})
+    return _change(
+        studio, wanted.clips, "changed", lambda library, there: library.tag(there, add=wanted.add, remove=wanted.remove)
+    )
 
 
 @router.post("/clips/remove", summary="Take clips out of the library")
 def remove(studio: StudioNow, wanted: Clips) -> Answer:
     """Their files stay, and POST /journal/undo with ``change`` brings them back. Clips that are gone are left out."""
-    there = _check_there(studio.listing.now(), wanted.clips)
+    return _change(studio, wanted.clips, "removed", lambda library, there: library.remove(there))
+
+
+def _change(studio: Studio, clips: list[int], word: str, act: Callable[[Library, list[int]], list[str]]) -> Answer:
+    """Change those clips that are still there; how many that were, under a word, and what an undo takes."""
+    there = _check_there(studio.listing.now(), clips)
     library = studio.library
-    removed = library.remove(there)
-    missing = len(set(wanted.clips)) - len(there)
-    return Answer({"removed": len(removed), "missing": missing, "change": library.last_change})
+    changed = act(library, there)
+    return Answer({word: len(changed), "missing": len(set(clips)) - len(there), "change": library.last_change})
 
 
 def _check_there(snapshot: Snapshot, clip_ids: list[int]) -> list[int]:
