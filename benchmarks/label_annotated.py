@@ -13,6 +13,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
+import numpy as np
 from _take_material import read_or_make_clips
 
 from dousa.experiments.annotated.trial import learn_clip_judge
@@ -21,6 +22,7 @@ from dousa.formats.registry import read_motion
 from dousa.motion import canonicalise
 from dousa.retrieval.takes.label import label_take
 from dousa.retrieval.takes.labeller_training import train_labeller
+from dousa.retrieval.takes.windows import TAKE_RATE
 
 
 def read_truth(path: Path, take: str, frame_rate: float, same: dict[str, str]) -> list[TrueSegment]:
@@ -58,8 +60,16 @@ def main() -> None:
         timeline = label_take(labeller, motion, judge=judge, threshold=threshold)
         scores = compare_timeline(timeline.segments, truth, timeline.duration).scores()
         print(f"{name}: {scores.frame_accuracy:.3f} of {scores.n_frames} frames right")
+        shared = [
+            timeline.category_at(seconds) == piece.category
+            for piece in truth
+            if piece.category is not None
+            for seconds in np.arange(piece.start, piece.stop, 1.0 / TAKE_RATE)
+        ]
+        print(f"  {np.mean(shared or [np.nan]):.3f} of those {len(shared)} that show a category")
         for one in timeline.segments:
-            print(f"  {one.start:6.1f} {one.stop:6.1f}  {one.category or 'unknown':32} {one.confidence:.2f}")
+            side = " mirrored" if one.mirrored else ""
+            print(f"  {one.start:6.1f} {one.stop:6.1f}  {one.category or 'unknown':32} {one.confidence:.2f}{side}")
     print("truth:")
     for piece in truth:
         if piece.counted:

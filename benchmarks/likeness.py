@@ -20,6 +20,8 @@ import numpy as np
 
 from dousa.library import ClipInfo, Library, SearchResult
 from dousa.library import search as search_room
+from dousa.library.index.leaf_index import LeafIndex
+from dousa.library.partial import dense_index
 from dousa.retrieval import RankedClips, Ranking, RankingQuery
 
 SETS = {
@@ -101,7 +103,7 @@ def search(library: Library, query: object, k: int, cosines: bool) -> SearchResu
     """The answer; or as it would be without the angle, and with equal clips in a random order, not in that of paths."""
     if cosines:
         return library.search(query, k)  # type: ignore[arg-type]
-    learned, plain = search_room.find_alike, search_room.rank_clips
+    learned, plain, usual = dense_index.find_alike, dense_index.rank_clips, search_room.search_index
 
     def rank_shuffled(by: str, asked: RankingQuery, clips: RankedClips) -> Ranking:
         rows = np.random.default_rng(1).permutation(len(clips.leaves))
@@ -111,12 +113,17 @@ def search(library: Library, query: object, k: int, cosines: bool) -> SearchResu
         parts = (part[back] for part in (found.distances, found.histogram, found.leaves, found.pose))
         return Ranking(rows[found.order], *parts)
 
-    search_room.find_alike = lambda index, asked: None
-    search_room.rank_clips = rank_shuffled  # type: ignore[assignment]
+    def search_all(index: LeafIndex, asked, k, by, category, read_poses, among=None):  # type: ignore[no-untyped-def]
+        hits, _ = dense_index.rank_places(dense_index.make_dense(index), asked[0], k, by, None, read_poses)
+        return search_room.Found(tuple(search_room.number_hits(hits)), None)
+
+    dense_index.find_alike = lambda index, asked: None
+    dense_index.rank_clips = rank_shuffled  # type: ignore[assignment]
+    search_room.search_index = search_all
     try:
         return library.search(query, k)  # type: ignore[arg-type]
     finally:
-        search_room.find_alike, search_room.rank_clips = learned, plain
+        dense_index.find_alike, dense_index.rank_clips, search_room.search_index = learned, plain, usual
 
 
 def main() -> None:

@@ -1,11 +1,19 @@
 """What a library costs as it grows: making it, training, searching, and adding 64 clips to it when it is trained.
 
-    python benchmarks/scale.py [N ...] [--categories N] [--folder FOLDER]
+    python benchmarks/scale.py [N ...] [--categories N] [--folder FOLDER] [--replicate M] [--hours H]
 
 The clips are made as by ``benchmarks/search.py``, 60 frames each. Prints for each size the clips written per second in
-every tenth of it; then, each in a process of its own, the seconds on the clock and of processors, and the largest
-memory, of training, of the first search and a warm one, and of adding 64 files of people and motions that the library
-does not know. A clip takes 14 kB before the training and 31 kB after it.
+every tenth of it, or every 100,000; then, each in a process of its own, the seconds on the clock and of processors, and
+the largest memory, of training, of the first search and warm ones, and of adding 64 files of people and motions that
+the library does not know. A clip takes 14 kB before the training and 31 kB after it.
+
+With ``--replicate`` rows are added to each library, when all that is done, until it has so many clips, and searches are
+timed in that: they cost what the rows cost, so a million clips need not be trained. ``first search of all`` reads every
+row and makes the file of the index; ``first search`` is that of the next program; then 64 clips get another category.
+
+With ``--hours`` a take of ten minutes is added to the first library, and its rows again until there are so many hours,
+9 MB each; a motion and its mirror image are looked for in them, twice. Memory then is that of the program, the rest of
+which takes 0.2 GB.
 """
 
 from __future__ import annotations
@@ -16,8 +24,11 @@ import resource
 import tempfile
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
+from _replicas import replicate, replicate_take
 from search import make_library, train
 
 from dousa.formats.registry import write_motion
@@ -30,7 +41,7 @@ N_WARM = 20
 
 def make(path: Path, n_clips: int, n_categories: int) -> None:
     """Make a library, and print how fast its tenths are written."""
-    last, rates, step = [0, time.perf_counter()], [], max(n_clips // 10, 1)
+    last, rates, step = [0, time.perf_counter()], [], max(min(n_clips // 10, 100_000), 1)
 
     def tell(done: int) -> None:
         if done - last[0] >= step or done == n_clips:
@@ -61,8 +72,8 @@ def measure(what: str, work: Callable[[], object]) -> None:
     print(f"{what}: {wall:.3f} s ({processors:.3f} of processors), at most {peak:.2f} GB", flush=True)
 
 
-def search(path: Path) -> None:
-    """Time the first search and a warm one, with all modules and kernels loaded."""
+def search(path: Path, what: str = "first search") -> None:
+    """Time the first search and some warm ones, with all modules and kernels loaded."""
     with tempfile.TemporaryDirectory() as folder:
         small = Path(folder, "small.dousa")
         make_library(small, 60, 3)
@@ -70,15 +81,46 @@ def search(path: Path) -> None:
             library.train(n_trees=5)
             library.search(1)
     with Library.open(path) as library:
-        measure("first search", lambda: library.search(1))
+        measure(what, lambda: library.search(1))
         library.search(2)
         measure(f"{N_WARM} warm searches", lambda: [library.search(3 + number) for number in range(N_WARM)])
+        people = [draw_performer(500 + number) for number in range(N_WARM)]
+        strangers = [make_motion(CATEGORIES[k % len(CATEGORIES)], person, seed=k) for k, person in enumerate(people)]
+        measure(f"{N_WARM} warm searches of people unknown", lambda: [library.search(one) for one in strangers])
+
+
+def change(path: Path) -> None:
+    """Time the search that follows a change of some clips, in a program that searched before."""
+    with Library.open(path) as library:
+        library.search(1)
+        library.relabel(range(1, N_ADDED + 1), category="another")
+        measure(f"search after {N_ADDED} clips were relabelled", lambda: library.search(100))
 
 
 def add(path: Path, files: Path) -> None:
     """Time adding some files to a trained library."""
     with Library.open(path) as library:
         measure(f"add {N_ADDED} clips", lambda: library.add(files, n_jobs=1))
+
+
+def find(path: Path, query: Path, n_takes: int) -> None:
+    """Time looking for a motion in takes: when a program begins, and again."""
+    with Library.open(path) as library:
+        for what in ("first", "second"):
+            measure(f"{what} find in {n_takes} takes of ten minutes", lambda: library.find(query, mirror=True))
+
+
+def add_take(path: Path, file: Path) -> None:
+    """Add a take of ten minutes."""
+    people = [draw_performer(700 + number) for number in range(200)]
+    motions = [make_motion(CATEGORIES[k % len(CATEGORIES)], person, seed=k) for k, person in enumerate(people)]
+    rotations = np.concatenate([motion.rotations for motion in motions])
+    translations = np.concatenate([motion.translations for motion in motions])
+    count = round(600 * motions[0].frame_rate)
+    some = np.arange(count) % len(rotations)
+    write_motion(replace(motions[0], rotations=rotations[some], translations=translations[some]), file)
+    with Library.open(path) as library:
+        library.add(file, kind="take")
 
 
 def run_alone(function: Callable[..., None], *arguments: object) -> None:
@@ -95,6 +137,8 @@ def main() -> None:
     parser.add_argument("sizes", type=int, nargs="*", default=[10_000], metavar="N")
     parser.add_argument("--categories", type=int, default=70)
     parser.add_argument("--folder", type=Path, help="where the libraries are made; by default a temporary one")
+    parser.add_argument("--replicate", type=int, metavar="M", help="then search in so many clips, made of its rows")
+    parser.add_argument("--hours", type=float, metavar="H", help="look for a motion in so many hours of takes")
     options = parser.parse_args()
     with tempfile.TemporaryDirectory(dir=options.folder) as folder:
         files = Path(folder, "new")
@@ -105,6 +149,15 @@ def main() -> None:
             run_alone(train, path)
             run_alone(search, path)
             run_alone(add, path, files)
+            if options.hours and size == options.sizes[0]:
+                add_take(path, Path(folder, "take.bvh"))
+                run_alone(find, path, next(files.rglob("*.bvh")), replicate_take(path, options.hours))
+            if options.replicate:
+                replicate(path, options.replicate)
+                print(f"{options.replicate} clips, made of these rows", flush=True)
+                for what in ("first search of all", "first search"):
+                    run_alone(search, path, what)
+                run_alone(change, path)
             path.unlink()
 
 

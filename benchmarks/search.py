@@ -35,8 +35,10 @@ from dousa.formats.registry import write_motion
 from dousa.library import Library, schema
 from dousa.library.engine import next_revision, take_clip_ids
 from dousa.library.forests import load_forest
+from dousa.library.index.refresh import read_index
+from dousa.library.partial.dense_index import make_dense
 from dousa.library.schema import pack
-from dousa.library.search import load_index
+from dousa.library.seals.checksums import seal_rows
 from dousa.messages import Message
 from dousa.motion import canonicalise, compute_trajectories
 from dousa.motion.synthetic.performers import CATEGORIES, draw_performer, make_motion
@@ -76,10 +78,10 @@ def insert_clips(
             {"id": clip_id, "path": f"/synthetic/{category:02}/{number:07}.bvh", "content_hash": f"{number:064}"}
             | {"fingerprint": "", "size": 0, "read_options": "", "category": f"kind {category:02}"}
             | {"performer": None, "format": "bvh", "n_frames": N_FRAMES, "frame_rate": 30.0, "duration": 2.0}
-            | {"height": 1.7, "joint_table": "synthetic", "warnings": [], "added_at": now}
+            | {"height": 1.7, "joint_table": "synthetic", "warnings": [], "added_at": now, "kind": "clip", "absent": ""}
         )
         positions.append({"clip_id": clip_id, "positions": pack(prototypes[category] + moved, "<f4")})
-    connection.execute(sa.insert(schema.clips), rows)
+    connection.execute(sa.insert(schema.clips), seal_rows(schema.clips, rows))
     connection.execute(sa.insert(schema.clip_trajectories), positions)
 
 
@@ -136,7 +138,7 @@ def time_warm(path: Path, query: Path) -> tuple[float, np.ndarray]:
         with library.database.engine.begin() as connection:
             stored = load_forest(connection, str(path))
             assert stored is not None
-            votes = load_index(connection, 0, stored).answers.shares()
+            votes = make_dense(read_index(connection, 0, stored)).answers.shares()
     return warm, votes
 
 

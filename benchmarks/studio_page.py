@@ -4,8 +4,8 @@
 
 Without ``--library`` one of 10,000 made clips is made first, as in ``benchmarks/search.py``. Prints for the Library
 page at 1280 x 720: from the click to the last small figure of the first screen, warm; frames while it stands and while
-it scrolls; how many figures run and how many cells exist then; memory of the page before and after; and from the
-address of a search to its hits.
+it scrolls; how many figures run and how many cells exist then; memory of the page before and after; from the
+address of a search to its hits; and how long the map of all clips takes, and its frames while it is moved.
 Goal: first page within 1 s warm, 16.7 ms a frame, no more than a screenful of figures alive. There is no peer: what is
 measured is a page. ``MEASUREMENTS`` takes further ones.
 """
@@ -54,7 +54,8 @@ return hits.length ? performance.now() : null;
 """
 SCROLL = """
 const [speed, seconds, done] = arguments;
-const [frames, start, from] = [[], performance.now(), scrollY];
+const pane = document.querySelector('#grid-scroll');
+const [frames, start, from] = [[], performance.now(), pane.scrollTop];
 let [last, alive, cells] = [null, 0, 0];
 const tick = (now) => {
   if (last !== null) frames.push(now - last);
@@ -64,7 +65,26 @@ const tick = (now) => {
   const passed = (now - start) / 1000;
   if (passed > seconds) done({ frames, alive, cells });
   else {
-    scrollTo({ top: from + passed * speed, behavior: 'instant' });
+    pane.scrollTo({ top: from + passed * speed, behavior: 'instant' });
+    requestAnimationFrame(tick);
+  }
+};
+requestAnimationFrame(tick);
+"""
+# Frames while the map is dragged round and round, and zoomed.
+DRAG = """
+const [seconds, done] = arguments;
+const { view } = document.querySelector('.mp-over').map;
+const [frames, start] = [[], performance.now()];
+let last = null;
+const tick = (now) => {
+  if (last !== null) frames.push(now - last);
+  last = now;
+  const passed = (now - start) / 1000;
+  if (passed > seconds) done(frames);
+  else {
+    view.shift(9 * Math.cos(passed), 9 * Math.sin(passed));
+    view.scale(1 + 0.01 * Math.cos(2 * passed));
     requestAnimationFrame(tick);
   }
 };
@@ -142,7 +162,7 @@ def measure_scrolling(studio: Studio, loads: int) -> None:
     studio.page.wait(DRAWN)
     before = studio.script_bytes()
     for speed in (0, *SPEEDS):
-        studio.page.run("scrollTo(0, 0)")
+        studio.page.run("document.querySelector('#grid-scroll').scrollTo(0, 0)")
         studio.page.wait(DRAWN)
         start = studio.metrics()
         seen = studio.page.driver.execute_async_script(SCROLL, speed, SECONDS)
@@ -154,6 +174,26 @@ def measure_scrolling(studio: Studio, loads: int) -> None:
         )
     after = studio.script_bytes()
     print(f"library, memory of scripts: {before / 1e6:.1f} MB before, {after / 1e6:.1f} MB after scrolling")
+
+
+def measure_map(studio: Studio, loads: int) -> None:
+    """The job that makes the map, its page, and frames while it is moved."""
+    start = time.perf_counter()
+    studio.show("/library?view=map")
+    shown = "return document.querySelector('.mp-over')?.map.ids.length > 0 ? performance.now() : null"
+    studio.page.wait(shown, seconds=600)
+    print(f"map, made and shown: {time.perf_counter() - start:.0f} s")
+    times = []
+    for _ in range(loads):
+        studio.show("/library?view=map")
+        times.append(studio.page.wait(shown))
+    print(
+        f"map, from the address to the dots, warm: median {statistics.median(times):.0f} ms, worst {max(times):.0f} ms"
+    )
+    before = studio.metrics()
+    frames = studio.page.driver.execute_async_script(DRAG, SECONDS)
+    work = 1e3 * (studio.metrics()["ThreadTime"] - before["ThreadTime"]) / len(frames)
+    print(f"map, moved and zoomed: {describe(frames)}; main thread {work:.1f} ms of CPU a frame")
 
 
 def measure_search(studio: Studio, loads: int) -> None:
@@ -184,6 +224,7 @@ def describe(frames: Sequence[float]) -> str:
 MEASUREMENTS: tuple[Callable[[Studio, int], None], ...] = (
     measure_first_page,
     measure_scrolling,
+    measure_map,
     measure_search,
 )
 """What is measured, one after the other, on the same studio."""

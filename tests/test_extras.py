@@ -18,7 +18,7 @@ PROJECT = tomllib.loads((Path(__file__).parents[1] / "pyproject.toml").read_text
 HIDDEN = """
 import sys
 for name in ("cv2", "matplotlib", "fontTools", "fastapi", "uvicorn", "jinja2", "scipy", "PIL", "librosa", "av",
-             "ai_edge_litert", "distributed"):
+             "ai_edge_litert", "distributed", "sklearn"):
     sys.modules[name] = None
 """
 CASES = [
@@ -28,6 +28,7 @@ CASES = [
     ("pictures", "from dousa.app.pictures.canvas import new_figure; new_figure(2.0, 1.0)"),
     ("pictures", "from dousa.app.pictures.canvas import drawable; drawable('x')"),
     ("music", "from dousa.evaluation import find_beats; find_beats('x.wav')"),
+    ("map", "from dousa.library.review.clip_map import map_clips; map_clips(None, None)"),
     ("studio", "from dousa.app.studio import create_app"),
     ("cluster", "from dousa.workers import use_cluster; use_cluster('tcp://127.0.0.1:9').__enter__()"),
 ]

@@ -7,9 +7,12 @@ film        estimation from silhouettes, films, overlays; keypoints of films    
 pictures    contact sheets, timelines; Japanese text in pictures and reports     matplotlib, fontTools, a Japanese font
 music       the beats of a piece of music                                        librosa
 usd         skeletons of USD files                                               usd-core
-studio      the page in the browser, with all of the above                       FastAPI, uvicorn, Jinja
+map         a map of all clips of a library                                      scikit-learn
+studio      the page in the browser, with film, pictures and map                 FastAPI, uvicorn, Jinja
+share       a link to the studio for others on the local network                 segno, cryptography
 words       English words of a search that no table has, by their meaning        WordLlama
 postgres    libraries in a PostgreSQL database                                   psycopg
+s3          fragments of a library in object storage                             s3fs
 cluster     adding, training and experiments on the workers of a cluster         Dask distributed
 ==========  ===================================================================  =====================================
 

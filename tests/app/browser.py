@@ -29,6 +29,9 @@ _FLAGS = (
     "--no-proxy-server",
     "--force-color-profile=srgb",
     "--hide-scrollbars",
+    # A made-up camera, which pages may use without anybody being asked.
+    "--use-fake-device-for-media-stream",
+    "--use-fake-ui-for-media-stream",
 )
 
 

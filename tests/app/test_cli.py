@@ -246,6 +246,9 @@ def test_compact(dousa, library):
     assert (code, "MB now" in out) == (0, True)
     code, out, _ = dousa("compact", library, "--json")
     assert json.loads(out)["after"] == library.stat().st_size
+    code, out, _ = dousa("compact", library, "--fragments")
+    assert (code, "features moved to fragments (1)" in out) == (0, True)
+    assert dousa("compact", library, "--fragments-at", library.parent)[0] == 2
 
 
 def test_list_relabel_remove(dousa, library, motions):

@@ -53,7 +53,7 @@ def test_the_cursor_follows_the_player(opened: Any) -> None:
     assert opened.messages() == []
 
 
-@pytest.mark.parametrize("place", ["#advice", "#events", "#lanes"])
+@pytest.mark.parametrize("place", ["#advice", "#events", ".lanes"])
 def test_a_press_on_an_error_goes_there_and_loops(place: str, opened: Any) -> None:
     button = opened.find(f"{place} [data-event]:not([data-event='0'])")
     number = button.get_attribute("data-event")
@@ -75,7 +75,7 @@ def test_errors_are_reached_by_keyboard(opened: Any) -> None:
 def test_a_press_on_the_timeline_goes_there(opened: Any) -> None:
     from selenium.webdriver import ActionChains
 
-    curve = opened.find("#lanes .row.plot")
+    curve = opened.find(".lanes .row.plot")
     opened.run("arguments[0].scrollIntoView({block: 'center', behavior: 'instant'})", curve)
     ActionChains(opened.driver).move_to_element(curve).click().perform()
     opened.settle()

@@ -6,37 +6,31 @@ every time, so that a failure is found again; its file is kept and named in the 
 
 from __future__ import annotations
 
-import faulthandler
-import io
 import itertools
 import json
-import os
 import pickle
 import random
-import re
-import struct
 import sys
 import time
-import tracemalloc
-import zipfile
 from pathlib import Path
 
 import numpy as np
 import pytest
 from oracles.c3d_file import DEC, MIPS, make_c3d, random_points
 
-from dousa.errors import DousaError
+import fuzzing
 from dousa.formats.registry import SUFFIXES, read_motion, write_motion
 from dousa.motion import Motion, Skeleton, Trajectories, compute_trajectories
 from dousa.motion.rotations import normalise
 from formats import fake_programs, made_mmd, made_usd
 from formats import made_files as made
 from formats import made_points as points
+from fuzzing import damage, outcome_of, traced_outcome_of
 
 pytestmark = pytest.mark.fuzz
 
-SECONDS = float(os.environ.get("DOUSA_FUZZ_SECONDS", "3")) / len(SUFFIXES)
-CASE_SECONDS = 5  # one damaged file of a few kB; a reader that needs longer hangs
+SECONDS = fuzzing.SECONDS / len(SUFFIXES)
+CASE_SECONDS = fuzzing.CASE_SECONDS
 CASE_BYTES = 64 << 20
 
 ASF = """# AST/ASF file
@@ -176,124 +170,12 @@ def make_seeds(folder: Path) -> dict[str, list[dict[str, bytes]]]:
     }
 
 
-NUMBER = re.compile(rb"-?\d+(\.\d*)?([eE][+-]?\d+)?")
-NASTY_TEXTS = [
-    b"1000000000",
-    b"-1",
-    b"0",
-    b"1e999",
-    b"-1e308",
-    b"nan",
-    b"inf",
-    b"9" * 400,
-    b"1e",
-    b"0x10",
-    b"",
-    b"{",
-]
-NASTY_BYTES = [
-    bytes(4),
-    b"\xff" * 4,
-    b"\x00\x80",
-    b"\xff\x7f",
-    struct.pack("<f", np.inf),
-    struct.pack("<f", np.nan),
-    struct.pack("<f", 3e38),
-    struct.pack("<f", 1e-40),
-    struct.pack("<d", 1e300),
-    struct.pack("<I", 10**9),
-    b"\n",
-    b"\t",
-    b"\0",
-    b"{" * 3000,
-]
-
-
-def flip(rng, data):
-    for _ in range(rng.choice((1, 1, 2, 5, 20))):
-        data[rng.randrange(len(data))] = rng.randrange(256)
-
-
-def cut(rng, data):
-    del data[rng.randrange(len(data)) :]
-
-
-def remove(rng, data):
-    start = rng.randrange(len(data))
-    del data[start : start + rng.choice((1, 2, 10, 100))]
-
-
-def repeat(rng, data):
-    start, target = rng.randrange(len(data)), rng.randrange(len(data))
-    chunk = data[start : start + rng.choice((1, 4, 50, 500))]
-    data[target:target] = chunk * rng.choice((1, 1, 2, 30))
-
-
-def overwrite(rng, data):
-    start, new = rng.randrange(len(data)), rng.choice(NASTY_BYTES)
-    data[start : start + len(new)] = new
-
-
-def insert(rng, data):
-    start = rng.randrange(len(data))
-    data[start:start] = rng.choice(NASTY_BYTES + NASTY_TEXTS)
-
-
-def swap_number(rng, data):
-    numbers = list(NUMBER.finditer(bytes(data[:20_000])))
-    if numbers:
-        # The first numbers of a file are its header.
-        chosen = rng.choice(numbers[: rng.choice((10, len(numbers)))])
-        data[chosen.start() : chosen.end()] = rng.choice(NASTY_TEXTS)
-
-
-def swap_lines(rng, data):
-    lines = bytes(data).split(b"\n")
-    a, b = rng.randrange(len(lines)), rng.randrange(len(lines))
-    lines[a], lines[b] = lines[b], lines[a]
-    data[:] = b"\n".join(lines)
-
-
-DAMAGES = (
-    flip,
-    flip,
-    cut,
-    remove,
-    repeat,
-    overwrite,
-    overwrite,
-    insert,
-    swap_number,
-    swap_number,
-    swap_lines,
-)
-
-
-def damage_array(rng, data):
-    """One array of an npz, under a right checksum; else zipfile would stop nearly every case."""
-    with zipfile.ZipFile(io.BytesIO(data)) as source:
-        members = {name: bytearray(source.read(name)) for name in source.namelist()}
-    rng.choice(DAMAGES)(rng, members[rng.choice(sorted(members))])
-    packed = io.BytesIO()
-    with zipfile.ZipFile(packed, "w") as target:
-        for name, member in members.items():
-            target.writestr(name, bytes(member))
-    data[:] = packed.getvalue()
-
-
 def make_case(seeds: list[dict[str, bytes]], suffix: str, number: int) -> dict[str, bytes]:
     """The files of one case, one of them damaged."""
     rng = random.Random(f"{suffix} {number}")
     files = dict(rng.choice(seeds))
     chosen = rng.choice(sorted(files))
-    data = bytearray(files[chosen])
-    if suffix.endswith(".npz") and rng.random() < 0.7:
-        damage_array(rng, data)
-    else:
-        for _ in range(rng.choice((1, 1, 1, 2, 3))):
-            if data:
-                rng.choice(DAMAGES)(rng, data)
-    return files | {chosen: bytes(data)}
+    return files | {chosen: damage(rng, files[chosen], zipped=suffix.endswith(".npz"))}
 
 
 def save(folder: Path, files: dict[str, bytes]) -> None:
@@ -301,34 +183,14 @@ def save(folder: Path, files: dict[str, bytes]) -> None:
         (folder / name).write_bytes(data)
 
 
-def run_case(folder: Path, files: dict[str, bytes]) -> str:
+def run_case(folder: Path, files: dict[str, bytes], *, traced: bool = False) -> str:
     """Reads the last of the files: "read" or "refused"; an AssertionError for a hang or a wordless error."""
     save(folder, files)
-    # Inside a kernel no signal is served: then the whole run ends with a traceback that shows the case.
-    faulthandler.dump_traceback_later(4 * CASE_SECONDS, exit=True)
-    start = time.monotonic()
-    try:
-        moving = read_motion(folder / list(files)[-1])
-        assert isinstance(moving, Motion | Trajectories)
-        outcome = "read"
-    except DousaError as error:
-        assert str(error), "an error without words"
-        outcome = "refused"
-    finally:
-        faulthandler.cancel_dump_traceback_later()
-    assert time.monotonic() - start < CASE_SECONDS, "took too long"
-    return outcome
 
+    def read() -> None:
+        assert isinstance(read_motion(folder / list(files)[-1]), Motion | Trajectories)
 
-def run_traced_case(folder: Path, files: dict[str, bytes]) -> str:
-    """As ``run_case``, counting memory too, which is slow."""
-    tracemalloc.start()
-    try:
-        outcome = run_case(folder, files)
-        assert tracemalloc.get_traced_memory()[1] < CASE_BYTES, "took too much memory"
-        return outcome
-    finally:
-        tracemalloc.stop()
+    return traced_outcome_of(read, CASE_SECONDS, CASE_BYTES) if traced else outcome_of(read, CASE_SECONDS)
 
 
 @pytest.mark.parametrize("suffix", SUFFIXES)
@@ -349,7 +211,7 @@ def test_damaged_files_are_read_or_refused(tmp_path, monkeypatch, suffix):
     for number in itertools.count():
         files = make_case(seeds, suffix, number)
         try:
-            outcomes[(run_traced_case if number % 5 == 0 else run_case)(tmp_path, files)] += 1
+            outcomes[run_case(tmp_path, files, traced=number % 5 == 0)] += 1
         except Exception as error:
             kept = ", ".join(str(tmp_path / name) for name in files)
             problem = f"{suffix} case {number}, {kept}: {type(error).__name__}: {error}"

@@ -26,7 +26,7 @@ from pathlib import Path
 import pytest
 import sqlalchemy as sa
 
-from dousa.library import engine
+from dousa.library import opening
 
 WANTED = os.environ.get("DOUSA_TEST_DATABASE", "")
 _START = "postgresql+psycopg://"
@@ -136,11 +136,11 @@ class Server:
         return path
 
     def open_database(self, path_or_url, *, create: bool, read_only: bool, timeout: float):
-        """As in ``dousa.library.engine``, of the library of a path."""
+        """As in ``dousa.library.opening``, of the library of a path."""
         known = path_or_url
         if "://" not in os.fspath(path_or_url):
             known = self.address(path_or_url, create and not read_only)
-        database = engine.open_database(known, create=create, read_only=read_only, timeout=timeout)
+        database = opening.open_database(known, create=create, read_only=read_only, timeout=timeout)
         return replace(database, where=os.fspath(path_or_url))
 
     def drop_below(self, folder: Path) -> None:

@@ -71,3 +71,14 @@ def test_a_killed_program_leaves_a_whole_library(tmp_path, moves, write_move):
     with Library.open(path, create=True) as library:
         library.add(moves)
         assert library.stats().n_clips == 15
+
+
+@pytest.mark.slow
+@pytest.mark.sqlite  # these are files
+@pytest.mark.skipif(not hasattr(signal, "SIGKILL"), reason="this system cannot kill programs outright")
+def test_every_writing_command_can_be_killed_and_done_again():
+    program = Path(__file__).resolve().parents[2] / "benchmarks" / "library_kill.py"
+    words = [sys.executable, str(program), "--kills", "12", "--seed", "5"]
+    outcome = subprocess.run(words, capture_output=True, text=True, check=False)
+    assert outcome.stdout.splitlines()[-1].endswith(": 0 faults"), outcome.stdout + outcome.stderr
+    assert outcome.returncode == 0

@@ -12,6 +12,8 @@ from dousa.errors import LibraryDamagedError
 from dousa.library import Library
 from dousa.library import add as add_module
 from dousa.library.growth import insert as _insert
+from dousa.library.index import side_file
+from dousa.library.index.parts import read_part
 from library.database_server import run_sql
 
 
@@ -132,6 +134,35 @@ def test_the_same_clips_give_the_same_forest(two_categories, write_move, tmp_pat
             seen.append(tell_all(library))
             assert library.check().is_sound
     assert seen[0] == seen[1]
+
+
+@pytest.mark.parametrize("searched", [True, False])
+def test_a_library_whose_index_lies_in_a_file_learns_the_same(
+    two_categories, nods, write_move, tmp_path, monkeypatch, searched
+):
+    """Also where clips were removed, relabelled and added since the file was made; only these are read again."""
+    two_categories.close()
+    seen, read = [], []
+    for name in ("plain", "file"):
+        with Library.open(shutil.copy(tmp_path / "two.dousa", tmp_path / f"{name}.dousa")) as library:
+            if name == "file":
+                monkeypatch.setattr(side_file, "FEWEST_CLIPS", 1)
+                monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+                if searched:
+                    library.search(1)
+            library.remove(2)
+            library.relabel(3, category="curtsey")
+            library.relabel(4, category="bow")
+            library.add(write_move(tmp_path / "more" / "a.bvh", "wave", 400), category_from="none")
+            if name == "file" and searched:
+                monkeypatch.setattr(side_file, "read_part", lambda *given: read.append(given) or read_part(*given))
+            assert library.add(nods).n_learned == 5
+            write_move(tmp_path / "late" / "bow" / "b.bvh", "bow", 401)
+            assert library.add(tmp_path / "late").n_learned == 1
+            seen.append((tell_all(library), forest_row(tmp_path / f"{name}.dousa")[2:]))
+            assert library.check().is_sound
+    assert seen[0] == seen[1]
+    assert len(read) == (2 if searched else 0)
 
 
 def test_clips_without_a_category_teach_nothing(library, library_file, write_move, tmp_path):

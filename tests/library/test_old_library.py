@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 
 from dousa.errors import LibraryError, LibraryVersionError
-from dousa.library import Library, engine
+from dousa.library import Library, opening
 from dousa.retrieval import FEATURE_SETS
 
 pytestmark = pytest.mark.sqlite  # these are files
@@ -69,15 +69,15 @@ def test_it_cannot_be_brought_up_to_date_where_nothing_may_change(old_file):
 
 
 def test_a_step_that_is_interrupted_leaves_the_old_library(old_file, monkeypatch):
-    steps = engine.MIGRATIONS
+    steps = opening.MIGRATIONS
 
     def stop(connection):
         steps[1].apply(connection)
         raise KeyboardInterrupt
 
     with monkeypatch.context() as patch:
-        broken = (steps[0], engine.Migration(2, steps[1].name, stop))
-        patch.setattr(engine, "MIGRATIONS", broken)
+        broken = (steps[0], opening.Migration(2, steps[1].name, stop))
+        patch.setattr(opening, "MIGRATIONS", broken)
         with pytest.raises(KeyboardInterrupt):
             Library.open(old_file)
     assert {"clip_histograms"} == tables(old_file) & {"clip_histograms", "clip_leaves", "take_windows"}

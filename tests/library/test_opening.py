@@ -25,6 +25,7 @@ from dousa.errors import (
 )
 from dousa.library import Library, schema
 from dousa.library import engine as _engine
+from dousa.library import opening as _opening
 from library.database_server import address, connect_plainly, run_sql
 
 
@@ -186,8 +187,8 @@ def test_a_forest_of_other_features_is_not_asked(library_file, moves, monkeypatc
     classify_fails(r"'extended', this dousa knows paper.*--upgrade dousa")
 
 
-NEXT = len(_engine.MIGRATIONS) + 1
-STEPS = [(step.number, step.name) for step in _engine.MIGRATIONS]
+NEXT = len(_opening.MIGRATIONS) + 1
+STEPS = [(step.number, step.name) for step in _opening.MIGRATIONS]
 
 
 @pytest.fixture
@@ -195,8 +196,8 @@ def next_migration(monkeypatch) -> None:
     def add_table(connection: sa.Connection) -> None:
         connection.execute(sa.text("CREATE TABLE notes (id INTEGER)"))
 
-    steps = (*_engine.MIGRATIONS, _engine.Migration(NEXT, "notes", add_table))
-    monkeypatch.setattr(_engine, "MIGRATIONS", steps)
+    steps = (*_opening.MIGRATIONS, _opening.Migration(NEXT, "notes", add_table))
+    monkeypatch.setattr(_opening, "MIGRATIONS", steps)
 
 
 def applied(path: Path) -> list[tuple[int, str]]:
@@ -233,8 +234,8 @@ def test_a_step_that_fails_leaves_the_library_as_it_was(library_file, monkeypatc
         connection.execute(sa.text("CREATE TABLE notes (id INTEGER)"))
         connection.execute(sa.text("CREATE TABLE notes (id INTEGER)"))
 
-    steps = (*_engine.MIGRATIONS, _engine.Migration(NEXT, "fails", fail))
-    monkeypatch.setattr(_engine, "MIGRATIONS", steps)
+    steps = (*_opening.MIGRATIONS, _opening.Migration(NEXT, "fails", fail))
+    monkeypatch.setattr(_opening, "MIGRATIONS", steps)
     with pytest.raises(LibraryError):
         Library.open(library_file)
     assert applied(library_file) == STEPS
@@ -242,7 +243,7 @@ def test_a_step_that_fails_leaves_the_library_as_it_was(library_file, monkeypatc
 
 
 def test_the_numbers_of_the_migrations_have_no_gaps():
-    assert [step.number for step in _engine.MIGRATIONS] == list(range(1, len(_engine.MIGRATIONS) + 1))
+    assert [step.number for step in _opening.MIGRATIONS] == list(range(1, len(_opening.MIGRATIONS) + 1))
 
 
 @contextmanager
@@ -446,3 +447,11 @@ def test_features_that_an_older_dousa_wrote_in_double_are_the_same(library, libr
     assert library.search(3, 100).to_json() == expected != before[0]
     library.train(n_trees=5)
     assert library.search(3, 100).to_json() == expected
+
+
+@pytest.mark.sqlite
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="there are no named pipes here")
+def test_a_pipe_is_no_library(tmp_path):
+    os.mkfifo(tmp_path / "pipe.dousa")
+    with pytest.raises(LibraryDamagedError, match=r"pipe\.dousa"):
+        Library.open(tmp_path / "pipe.dousa")

@@ -18,8 +18,9 @@ from dousa.errors import (
     OptionError,
 )
 from dousa.formats.registry import read_motion, write_motion
-from dousa.library import Library
+from dousa.library import Library, takes
 from dousa.motion import CANONICAL_JOINTS, Trajectories, compute_trajectories
+from dousa.retrieval.takes.windows import TakeWindows
 from library.database_server import run_sql
 
 RATE = 30.0
@@ -172,6 +173,26 @@ def test_kept_and_given_takes_give_the_same_answer(library, take_file):
     assert [place.to_json() | {"clip_id": number} for place in fresh.results] == [
         place.to_json() for place in kept.results
     ]
+
+
+def test_takes_that_memory_does_not_hold_give_the_same_answers(
+    library, path_with_take, write_move, monkeypatch, tmp_path
+):
+    """They are read once for a motion and its mirror image, and again where a place is; warm ones not at all."""
+    library.add(write_move(tmp_path / "other" / "b.bvh", "bow", 70), kind="take")
+    query = write_move(tmp_path / "q.bvh", "wave", 80)
+    expected = library.find(query, mirror=True)
+    assert expected.n_takes == 2
+    read = []
+    unpack = TakeWindows.from_bytes
+    monkeypatch.setattr(TakeWindows, "from_bytes", lambda data: read.append(data) or unpack(data))
+    assert library.find(query, mirror=True) == expected and not read
+    for most, n_read in ((0, {4, 5, 6}), (1 << 29, {2})):
+        monkeypatch.setattr(takes, "_MOST_KEPT", most)
+        with Library.open(path_with_take) as other:
+            read.clear()
+            assert other.find(query, mirror=True) == expected
+            assert len(read) in n_read
 
 
 def test_a_take_whose_file_is_gone_is_still_looked_into(library, write_move, tmp_path):

@@ -8,95 +8,82 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from oracles.dense_clips import DenseClips, make_clips
 
 from dousa.errors import OptionError
 from dousa.formats.registry import read_motion, write_motion
 from dousa.library import Library
 from dousa.library.forests import TreeAnswers
-from dousa.library.search import Asked, SearchIndex, search_index
+from dousa.library.search import Asked, search_index
 from dousa.motion import canonicalise, compute_trajectories
 from dousa.motion.canonical.canonicalise import mirror_canonical
 from dousa.motion.synthetic.performers import draw_performer, make_motion
-from dousa.retrieval.ranking.ranking import RANKINGS, RankedClips, RankingQuery, rank_clips
-
-
-def make_index(seed: int, n_clips: int = 60, n_trees: int = 6) -> tuple[SearchIndex, np.ndarray]:
-    """Few trees and leaves, so that there are equals of every kind; and poses."""
-    rng = np.random.default_rng(seed)
-    votes = 64 * rng.multinomial(n_trees, [0.8, 0.15, 0.05], n_clips).astype(np.int32)
-    leaves = rng.integers(0, 2, (n_clips, n_trees)).astype(np.int32)
-    index = SearchIndex(
-        revision=1,
-        ids=tuple(range(100, 100 + n_clips)),
-        paths=tuple(f"{row:03}" for row in range(n_clips)),
-        labels=("a", "b") * (n_clips // 2),
-        answers=TreeAnswers(votes, leaves, ("a", "b", "c")),
-        rows={100 + row: row for row in range(n_clips)},
-    )
-    return index, rng.normal(0, 0.05, (n_clips, 4, 3)).astype(np.float32)
-
+from dousa.retrieval.ranking.ranking import RANKINGS
 
 NO_FEATURES = np.zeros((1, 0, 0))
 
 
-def ask(index: SearchIndex, poses: np.ndarray, row: int, mirrored: bool = False) -> Asked:
-    return Asked(index.answers_of(100 + row), NO_FEATURES, poses[row], mirrored)
+def ask(clips: DenseClips, row: int, mirrored: bool = False) -> Asked:
+    own = slice(row, row + 1)
+    answers = TreeAnswers(clips.votes[own], clips.leaves[own], clips.categories, clips.directions[own])
+    return Asked(answers, NO_FEATURES, clips.poses[row], mirrored)
 
 
 @pytest.mark.parametrize("by", RANKINGS)
 def test_clips_come_in_the_order_of_the_ranking(by):
-    index, poses = make_index(3)
-    asked = ask(index, poses, 7)
-    query = RankingQuery(asked.answers.votes[0], asked.answers.leaves[0], asked.poses)
-    expected = rank_clips(by, query, RankedClips(index.answers.votes, index.answers.leaves, poses.__getitem__)).order
-    read = []
+    clips = make_clips(3, 60)
+    index, asked, read = clips.make_index(), ask(clips, 7), []
 
     def read_poses(ids):
         read.append(list(ids))
-        return poses[[clip_id - 100 for clip_id in ids]]
+        return clips.read_poses(ids)
 
     for k in (1, 7, 60, 100):
-        hits = search_index(index, [asked], k, by, None, read_poses)
-        assert [hit.clip_id - 100 for hit in hits] == expected[:k].tolist()
-        assert [hit.rank for hit in hits] == list(range(1, min(k, 60) + 1))
-    shares = index.answers.shares()
-    for hit in hits:
-        row = hit.clip_id - 100
+        expected, count = clips.rank(7, k, by)
+        found = search_index(index, [asked], k, by, None, read_poses)
+        assert [hit.clip_id for hit in found.hits] == [one[0] for one in expected]
+        assert [hit.rank for hit in found.hits] == list(range(1, min(k, 60) + 1))
+        assert found.n_alike == count
+    shares = clips.votes / clips.votes.sum(axis=1, keepdims=True)
+    for hit in found.hits:
+        row = (hit.clip_id - 100) // 3
+        assert hit.path == clips.paths[row] and hit.category == clips.labels[row]
         assert hit.distance == pytest.approx(np.linalg.norm(shares[row] - shares[7]), abs=1e-9)
-        assert hit.leaf_share == pytest.approx((index.answers.leaves[row] == index.answers.leaves[7]).mean())
+        assert hit.leaf_share == pytest.approx((clips.leaves[row] == clips.leaves[7]).mean())
     assert bool(read) == (by in ("pose", "fused"))
 
 
 @pytest.mark.parametrize("by", RANKINGS)
 def test_of_one_category_come_the_first_of_that_category(by):
-    index, poses = make_index(4)
-    asked = ask(index, poses, 4)
-    hits = search_index(index, [asked], 60, by, "b", lambda ids: poses[[i - 100 for i in ids]])
-    assert len(hits) == 30 and {hit.category for hit in hits} == {"b"}
-    if by != "pose":  # which poses are compared depends on what there is to compare
-        everything = search_index(index, [asked], 60, by, None, lambda ids: poses[[i - 100 for i in ids]])
+    clips = make_clips(4, 60)
+    index, asked = clips.make_index(), [ask(clips, 4)]
+    hits = search_index(index, asked, 60, by, "b", clips.read_poses).hits
+    assert len(hits) == clips.labels.count("b") and {hit.category for hit in hits} == {"b"}
+    if by in ("histogram", "leaves"):  # which poses are compared depends on what there is to compare
+        everything = search_index(index, asked, 60, by, None, clips.read_poses).hits
         assert [hit.path for hit in hits] == [hit.path for hit in everything if hit.category == "b"]
 
 
 @pytest.mark.parametrize("by", RANKINGS)
 def test_a_motion_and_its_mirror_image_are_merged(by):
-    index, poses = make_index(5)
-    both = [ask(index, poses, 10), ask(index, poses, 20, mirrored=True)]
-    hits = search_index(index, both, 60, by, None, lambda ids: poses[[i - 100 for i in ids]])
-    assert sorted(hit.clip_id for hit in hits) == list(index.ids)
+    clips = make_clips(5, 60)
+    index, both = clips.make_index(), [ask(clips, 10), ask(clips, 20, mirrored=True)]
+    found = search_index(index, both, 60, by, None, clips.read_poses)
+    assert sorted(hit.clip_id for hit in found.hits) == clips.ids.tolist()
+    alike: set[int] = set()
     for one in both:
-        alone = search_index(index, [one], 60, by, None, lambda ids: poses[[i - 100 for i in ids]])
+        alone = search_index(index, [one], 60, by, None, clips.read_poses).hits
+        alike |= {hit.clip_id for hit in alone if hit.alike}
         own = {hit.clip_id: hit.rank_distance for hit in alone}
-        assert all(hit.rank_distance == own[hit.clip_id] for hit in hits if hit.mirrored == one.mirrored)
-    zero = {hit.clip_id: hit.mirrored for hit in hits if hit.clip_id in (110, 120)}
-    assert zero == {110: False, 120: True} or by in ("histogram", "leaves")  # where others are as near
+        assert all(hit.rank_distance == own[hit.clip_id] for hit in found.hits if hit.mirrored == one.mirrored)
+    assert found.n_alike == len(alike)
 
 
 def test_nothing_is_found_among_nothing():
-    index, poses = make_index(6, 0)
-    answers = TreeAnswers(np.array([[6 * 64, 0, 0]], np.int32), np.zeros((1, 6), np.int32), ("a", "b", "c"))
-    asked = Asked(answers, NO_FEATURES, poses[:0])
-    assert search_index(index, [asked], 3, "leaves", None, lambda ids: poses) == ()
+    clips = make_clips(6, 0)
+    answers = TreeAnswers(np.array([[6 * 64, 0, 0, 0]], np.int32), np.zeros((1, 6), np.int32), clips.categories)
+    asked = Asked(answers, NO_FEATURES, np.zeros((4, 3), np.float32))
+    assert search_index(clips.make_index(), [asked], 3, "leaves", None, clips.read_poses).hits == ()
 
 
 @pytest.mark.parametrize("ranking", RANKINGS)

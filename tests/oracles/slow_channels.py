@@ -10,7 +10,6 @@ import numpy as np
 from scipy.ndimage import gaussian_filter1d
 
 from dousa.motion.canonical.joints import JOINT_INDEX
-from dousa.retrieval.features.pose_features import find_lateral_axis
 
 RATE = 30.0
 _POSE_SMOOTHING, _HEADING_SMOOTHING, _SLOW = 1.0, 8.0, 0.3
@@ -89,6 +88,26 @@ def compute_channels(positions: np.ndarray, height: float) -> np.ndarray:
         ],
         axis=1,
     )
+
+
+def find_lateral_axis(points: np.ndarray) -> np.ndarray:
+    """(T, 2) unit x and z of the direction to the left of points (T, 20, 3) from the pelvis."""
+    left, certain = _find_horizontal(points, "left_hip", "right_hip")
+    shoulders, shoulders_certain = _find_horizontal(points, "left_shoulder", "right_shoulder")
+    left = np.where(certain[:, None], left, shoulders)
+    certain |= shoulders_certain
+    if not certain.any():
+        return np.broadcast_to([1.0, 0.0], left.shape)
+    known = np.maximum.accumulate(np.where(certain, np.arange(len(points)), -1))
+    return left[np.where(known < 0, certain.argmax(), known)]
+
+
+def _find_horizontal(points: np.ndarray, tip: str, base: str) -> tuple[np.ndarray, np.ndarray]:
+    line = points[:, JOINT_INDEX[tip]] - points[:, JOINT_INDEX[base]]
+    length = np.hypot(line[:, 0], line[:, 2])
+    whole = np.hypot(length, line[:, 1])
+    certain = (whole > 1e-6) & (length >= 0.1 * whole)
+    return line[:, ::2] / np.where(certain, length, 1.0)[:, None], certain
 
 
 def _smooth(values: np.ndarray, deviation: float) -> np.ndarray:

@@ -9,12 +9,12 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
+from oracles.slow_channels import find_lateral_axis
 
 from dousa.arrays import BoolArray, FloatArray
 from dousa.motion.canonical.joints import JOINT_INDEX
 from dousa.retrieval.features.channels import CHANNEL_RATE, sample_positions
 from dousa.retrieval.features.partial_bodies import place_pelvis
-from dousa.retrieval.features.pose_features import find_lateral_axis
 from dousa.retrieval.features.posed_motion import PosedMotion
 from dousa.retrieval.words.relations import Relation
 

@@ -20,6 +20,13 @@ from .multiview.triangulation import Triangulated, triangulate
 from .raster.rendering import poses_from_motion, render, spoil
 from .silhouettes.cleaning import clean_mask, describe_mask
 from .silhouettes.mask_npz import read_silhouettes, write_silhouettes
+from .silhouettes.repairs import (
+    ExcludedPart,
+    MaskStroke,
+    RepairedSilhouettes,
+    find_part,
+    follow_part,
+)
 from .silhouettes.silhouette_files import open_silhouettes
 from .silhouettes.silhouettes import PackedSilhouettes, Silhouettes
 from .sync.sound import Sound, read_sound
@@ -41,12 +48,15 @@ __all__ = [
     "Calibration",
     "Camera",
     "Estimate",
+    "ExcludedPart",
     "KeypointFit",
+    "MaskStroke",
     "MatchedPerson",
     "PackedSilhouettes",
     "PartialTrack",
     "PersonMasks",
     "PersonTrack",
+    "RepairedSilhouettes",
     "Silhouettes",
     "Sound",
     "Synchronisation",
@@ -64,6 +74,7 @@ __all__ = [
     "estimate",
     "find_board",
     "find_keypoints",
+    "find_part",
     "find_start",
     "fit_body",
     "fit_cameras",
@@ -71,6 +82,7 @@ __all__ = [
     "fit_keypoints",
     "fit_pose",
     "fit_poses",
+    "follow_part",
     "make_human",
     "make_ring",
     "make_view",

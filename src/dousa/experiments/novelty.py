@@ -254,11 +254,11 @@ def run_novelty_experiment(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _HeldBack:
-    """One trial with half of the categories: confidences, which are known, and what else is reported."""
+    """One trial with half of the categories: confidences, which are known and called unknown, and what else is said."""
 
     probability: NDArray[np.float64]
     known: NDArray[np.bool_]
-    threshold: float
+    called: NDArray[np.bool_]
     expected: tuple[float, float]
     accuracy: float
     seconds: tuple[float, float]
@@ -327,7 +327,7 @@ class _Trials:
                 _HeldBack(
                     verdicts.confidence[judged],
                     known[judged],
-                    calibration.threshold,
+                    verdicts.unknown[judged],
                     (calibration.false_alarms, calibration.misses),
                     float(right[known].mean()),
                     (trained - started, ended - trained),
@@ -411,14 +411,14 @@ def _summarise_unknown(trials: list[_HeldBack]) -> UnknownMotions:
     def mean(values: Sequence[float]) -> float:
         return float(np.mean(values))
 
-    def errors(limits: Sequence[float]) -> tuple[float, float]:
-        """False alarms and misses, averaged over the trials."""
-        pairs = list(zip(trials, limits, strict=True))
-        alarms = [float((one.probability[one.known] < limit).mean()) for one, limit in pairs]
-        return mean(alarms), mean([float((one.probability[~one.known] >= limit).mean()) for one, limit in pairs])
+    def errors(called: Sequence[NDArray[np.bool_]]) -> tuple[float, float]:
+        """False alarms and misses of what is called unknown, averaged over the trials."""
+        pairs = list(zip(trials, called, strict=True))
+        alarms = [float(unknown[one.known].mean()) for one, unknown in pairs]
+        return mean(alarms), mean([float(1.0 - unknown[~one.known].mean()) for one, unknown in pairs])
 
     areas = [compute_auroc(one.probability, one.known) for one in trials]
-    alarms, misses = errors([one.threshold for one in trials])
+    alarms, misses = errors([one.called for one in trials])
     return UnknownMotions(
         auroc=mean(areas),
         auroc_std=float(np.std(areas)),
@@ -427,7 +427,7 @@ def _summarise_unknown(trials: list[_HeldBack]) -> UnknownMotions:
         expected_false_alarms=mean([one.expected[0] for one in trials]),
         expected_misses=mean([one.expected[1] for one in trials]),
         accuracy=mean([one.accuracy for one in trials]),
-        curve=tuple((limit, *errors([limit] * len(trials))) for limit in _LIMITS),
+        curve=tuple((limit, *errors([one.probability < limit for one in trials])) for limit in _LIMITS),
         train_seconds=mean([one.seconds[0] for one in trials]),
         calibrate_seconds=mean([one.seconds[1] for one in trials]),
         n_trials=len(trials),

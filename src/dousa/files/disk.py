@@ -17,6 +17,9 @@ from dousa.errors import MotionFileError, MotionWriteError
 
 _MOST_BYTES = 1_000_000  # of a small text
 
+NO_ROOM = frozenset({"disk.full", "disk.quota"})
+"""Codes of errors after which nothing else can be written either."""
+
 _WRITE_REMEDIES = {
     errno.ENOSPC: "disk.full",
     errno.EDQUOT: "disk.quota",
@@ -93,7 +96,8 @@ def read_small_text(path: str | os.PathLike[str]) -> str:
     return text
 
 
-def _write_error(path: str | os.PathLike[str], error: OSError) -> MotionWriteError:
+def write_error(path: str | os.PathLike[str], error: OSError) -> MotionWriteError:
+    """What is said where the system refuses to write a file."""
     code = _WRITE_REMEDIES.get(error.errno or 0)
     return MotionWriteError(path, code) if code else MotionWriteError(path, "disk.unwritable", reason=error)
 
@@ -133,7 +137,7 @@ def atomic_write(path: str | os.PathLike[str]) -> Iterator[IO[bytes]]:
             raise MotionWriteError(path, "disk.target_folder")
         file = create_beside(target)
     except OSError as error:
-        raise _write_error(path, error) from error
+        raise write_error(path, error) from error
     except ValueError as error:  # a zero byte in the name
         raise MotionWriteError(path, "disk.no_name", reason=error) from error
     try:
@@ -148,5 +152,5 @@ def atomic_write(path: str | os.PathLike[str]) -> Iterator[IO[bytes]]:
         with suppress(OSError):
             os.unlink(file.name)
         if isinstance(error, OSError):
-            raise _write_error(path, error) from error
+            raise write_error(path, error) from error
         raise

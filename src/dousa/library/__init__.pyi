@@ -4,7 +4,7 @@ from .front.library import Library
 from .journal.entries import JournalEntry
 from .labels import parse_label_rule
 from .marks.searches import SavedSearch
-from .marks.tags import FAVOURITE
+from .marks.tags import CHECKED, FAVOURITE
 from .results import (
     AddReport,
     Classification,
@@ -22,25 +22,33 @@ from .results import (
     TrainReport,
     Verdict,
 )
+from .review.clip_map import ClipMap
+from .review.duplicates import DuplicateGroup
+from .review.label_doubts import LabelDoubt, LabelReview
 from .selection import UNCHANGED
-from .text.answers import TextHit, TextResult
+from .text.answers import TextHit, TextMatches, TextResult
 from .upkeep.compact import CompactReport
 from .upkeep.report import CheckReport, Damage
 
 __all__ = [
+    "CHECKED",
     "FAVOURITE",
     "UNCHANGED",
     "AddReport",
     "CheckReport",
     "Classification",
     "ClipInfo",
+    "ClipMap",
     "CompactReport",
     "Damage",
     "Duplicate",
+    "DuplicateGroup",
     "ExportReport",
     "FindResult",
     "Hit",
     "JournalEntry",
+    "LabelDoubt",
+    "LabelReview",
     "LabelledTake",
     "Library",
     "LibraryStats",
@@ -51,6 +59,7 @@ __all__ = [
     "TakeAnnotation",
     "TakeSegment",
     "TextHit",
+    "TextMatches",
     "TextResult",
     "TrainReport",
     "Verdict",

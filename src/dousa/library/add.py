@@ -19,16 +19,17 @@ import sqlalchemy as sa
 from dousa.errors import DousaError
 from dousa.formats.annotations.label_file import to_annotation
 from dousa.formats.frame_votes import FrameVotes
-from dousa.formats.motion_files import FoundFile, ReadOptions, Skipped, find_motion_files
+from dousa.formats.motion_files import FoundFile, ReadOptions, Skipped, find_motion_files, is_unicode
 from dousa.library import schema
 from dousa.library.annotations.places import FoundLabels, find_labels
 from dousa.library.annotations.store import annotate_takes, rename_segments
 from dousa.library.engine import Database, next_revision
 from dousa.library.forests import StoredForest, load_forest
+from dousa.library.fragments.moving import BEGIN_AT, begin_where_large
 from dousa.library.growth.arrival import Arrival, describe_arrival
 from dousa.library.growth.insert import insert_clips
 from dousa.library.growth.lesson import learn_new
-from dousa.library.ingest import ClipRecord, FileRecord, ReadTask, look_at, read_clip, read_clips
+from dousa.library.ingest import ClipRecord, FileRecord, ReadTask, SourceState, look_at, read_clip, read_clips
 from dousa.library.journal.recording import recording
 from dousa.library.labels import LabelRule, check_text, no_label
 from dousa.library.results import AddReport, Duplicate
@@ -46,6 +47,7 @@ _NO_LABEL = {
 }
 
 _MOST_DOUBTFUL = 500  # files that wait for the others
+_FEW_SIZES = 500
 _PORTION_CLIPS = 256
 _PORTION_SECONDS = 1.0  # so that a program that is stopped loses little
 _PORTION_FRAMES = (1 << 26) // (4 * 3 * 20)  # 64 MiB as they are stored
@@ -221,6 +223,8 @@ class Adding:
         self._tally["new_categories"] += learned.new_categories
         if self.forest is not None:
             refresh_windows(self._database, self.forest, n_jobs)
+        if begin_where_large(self._database):
+            self._tally["warnings"].append((self._database.where, Message("library_fragments.begun", most=BEGIN_AT)))
         return _make_report(self._tally, time.perf_counter() - start)
 
     def _plan(self) -> list[ReadTask]:
@@ -228,27 +232,31 @@ class Adding:
         table = schema.clips.c
         columns = (table.path, table.content_hash, table.fingerprint, table.size, table.read_options)
         query = sa.select(*columns, table.category, table.performer, table.kind)
+        states = {path: self._look_at(path) for path in self._found}
+        names = [path for path in states if is_unicode(path)]
         with self._database.reading() as connection:
-            stored: dict[str, Any] = {row.path: row for row in connection.execute(query)}
+            stored: dict[str, Any] = {row.path: row for row in fetch_in(connection, query, table.path, names)}
             self.forest = load_forest(connection, self._database.where, self.forest)
-        hashes: dict[int, list[str]] = {}
-        for row in stored.values():
-            hashes.setdefault(row.size, []).append(row.content_hash)
-        tasks = []
-        for path in self._found:
-            try:
-                state = look_at(path, self._options)
-            except (DousaError, OSError):
-                tasks.append(self._task(path))  # reading it says what is wrong
-                continue
-            row = stored.get(path)
-            if row and (row.fingerprint, row.read_options) == (state.fingerprint, self._options.describe()):
-                self._tally["unchanged"].append(path)
-                self._note_labels(self._tally, path, row)
-            else:
-                known = tuple(hashes.get(state.size, ()))
-                tasks.append(self._task(path, row.kind if row else self._kind, known))
-        return tasks
+            unread, options = [], self._options.describe()
+            for path, state in states.items():
+                row = stored.get(path)
+                if row and state and (row.fingerprint, row.read_options) == (state.fingerprint, options):
+                    self._tally["unchanged"].append(path)
+                    self._note_labels(self._tally, path, row)
+                else:
+                    unread.append((path, row, -1 if state is None else state.size))
+            hashes = _find_hashes(connection, {size for _, _, size in unread})
+        return [
+            self._task(path, row.kind if row and size >= 0 else self._kind, tuple(hashes.get(size, ())))
+            for path, row, size in unread
+        ]
+
+    def _look_at(self, path: str) -> SourceState | None:
+        """The state of a file; None where only reading it says what is wrong."""
+        try:
+            return look_at(path, self._options)
+        except (DousaError, OSError):
+            return None
 
     def _task(self, path: str, kind: str | None = None, known: tuple[str, ...] = ()) -> ReadTask:
         """A file to read; if there is a forest, the features of a clip are computed while it is read."""
@@ -396,6 +404,20 @@ def _is_full(portion: Sequence[Answer]) -> bool:
     """Whether a portion is large enough to be written."""
     n_frames = sum(answer.motion.n_frames for answer in portion if isinstance(answer, ClipRecord))
     return len(portion) >= _PORTION_CLIPS or n_frames >= _PORTION_FRAMES
+
+
+def _find_hashes(connection: sa.Connection, sizes: set[int]) -> dict[int, list[str]]:
+    """The contents of stored clips whose files are as large as some, by size."""
+    table = schema.clips.c
+    query = sa.select(table.size, table.content_hash)
+    # No index tells sizes: of many files one look at all clips is shorter than a look for each few of them.
+    few = len(sizes) <= _FEW_SIZES
+    rows = connection.execute(query.where(table.size.in_(sizes)) if few else query)
+    hashes: dict[int, list[str]] = {}
+    for row in rows:
+        if row.size in sizes:
+            hashes.setdefault(row.size, []).append(row.content_hash)
+    return hashes
 
 
 def _load_rows(connection: sa.Connection, read: Sequence[FileRecord]) -> list[Any]:

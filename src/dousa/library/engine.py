@@ -1,14 +1,8 @@
-"""The database of a library: connections, everything that only SQLite needs, errors in plain words, versions.
+"""The database of a library: connections, everything that only SQLite needs, errors in plain words.
 
 A path becomes one SQLite file in WAL mode; a URL such as ``postgresql+psycopg://...`` is left to SQLAlchemy.
 Transactions that write begin with ``BEGIN IMMEDIATE``, on a server with a lock of its own: they wait for each other
 instead of failing half way.
-
-The versions of the tables are numbered and named steps, each in a transaction of its own. A new library is made from
-``schema`` at once and every step is recorded as done; an older library takes the steps that it lacks. To change a
-table: change ``schema`` and add a step that does the same to an old library. To change a set of features: give it
-another name, or add a step that empties ``clip_features.feature_set``; features of another set than the one asked for
-are computed anew from the stored positions.
 """
 
 from __future__ import annotations
@@ -22,7 +16,6 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
-from datetime import UTC, datetime
 from json import JSONDecodeError
 from pathlib import Path
 from typing import Any, TypeVar
@@ -31,19 +24,19 @@ from urllib.parse import quote
 import sqlalchemy as sa
 from sqlalchemy import event, exc
 
-import dousa
 from dousa.errors import (
     LibraryDamagedError,
     LibraryError,
     LibraryLockedError,
-    LibraryVersionError,
     OptionError,
 )
-from dousa.library import schema
 from dousa.library.schema import APPLICATION_ID, library_state
-from dousa.library.seals.checksums import LIBRARY_NAME, STATE, seal_rows, update_rows
+from dousa.library.seals.checksums import LIBRARY_NAME, STATE, update_rows
 
-_STATE_ID = 1
+BESIDE = "dousa_beside"
+"""Execution option of a connection to a library file: the folder beside it that has its fragments, if any."""
+
+STATE_ID = 1
 _WRITES = "dousa_writes"
 _READ_ONLY = "dousa_read_only"
 _ATTEMPTS = 3  # of working something out beside other writers
@@ -56,14 +49,14 @@ Plan = TypeVar("Plan")
 Result = TypeVar("Result")
 
 
-def _is_url(path_or_url: str | os.PathLike[str]) -> bool:
+def is_url(path_or_url: str | os.PathLike[str]) -> bool:
     """Whether this names a database server rather than a file."""
     return isinstance(path_or_url, str) and "://" in path_or_url
 
 
 def name_of(path_or_url: str | os.PathLike[str]) -> str:
     """What messages call a library: its path, or its URL without the password."""
-    if not _is_url(path_or_url):
+    if not is_url(path_or_url):
         return os.fspath(path_or_url)
     try:
         return sa.make_url(str(path_or_url)).render_as_string(hide_password=True)
@@ -71,9 +64,9 @@ def name_of(path_or_url: str | os.PathLike[str]) -> str:
         return re.sub(r"(?<=:)[^:@/]+(?=@)", "***", str(path_or_url))
 
 
-def _make_engine(path_or_url: str | os.PathLike[str], *, create: bool, read_only: bool, timeout: float) -> sa.Engine:
+def make_engine(path_or_url: str | os.PathLike[str], *, create: bool, read_only: bool, timeout: float) -> sa.Engine:
     """An engine for a file or a URL; nothing is connected yet."""
-    if _is_url(path_or_url):
+    if is_url(path_or_url):
         return _server_engine(str(path_or_url), read_only, timeout)
     path = Path(path_or_url).absolute()
     _check_place(path, create)
@@ -82,7 +75,11 @@ def _make_engine(path_or_url: str | os.PathLike[str], *, create: bool, read_only
         creator=lambda: _connect(path, create, read_only, min(timeout, _BUSY)),
         poolclass=sa.pool.QueuePool,
         pool_size=1,
-        execution_options={_READ_ONLY: read_only, LIBRARY_NAME: name_of(path_or_url)},
+        execution_options={
+            _READ_ONLY: read_only,
+            LIBRARY_NAME: name_of(path_or_url),
+            BESIDE: path.with_name(f"{path.name}.fragments"),
+        },
     )
     event.listen(engine, "begin", _begin)
     return engine
@@ -127,6 +124,8 @@ def _check_place(path: Path, create: bool) -> None:
 
 
 def _is_something_else(path: Path) -> bool:
+    if not os.path.isfile(path):
+        return True  # a pipe would be waited for
     try:
         with open(path, "rb") as file:
             start = file.read(len(_SQLITE_START))
@@ -184,7 +183,7 @@ def _begin(connection: sa.Connection) -> None:
     connection.exec_driver_sql("BEGIN IMMEDIATE" if writes else "BEGIN")
 
 
-def _check_mark(connection: sa.Connection, where: str) -> bool:
+def check_mark(connection: sa.Connection, where: str) -> bool:
     """Whether an SQLite file is ours (true) or has no tables at all (false); servers are asked later."""
     if connection.dialect.name != "sqlite":
         return sa.inspect(connection).has_table("dousa_migrations")
@@ -197,7 +196,13 @@ def _check_mark(connection: sa.Connection, where: str) -> bool:
     return False
 
 
-def _use_write_ahead_log(database: Database) -> None:
+def set_mark(connection: sa.Connection) -> None:
+    """Mark an SQLite file as ours."""
+    if connection.dialect.name == "sqlite":
+        connection.exec_driver_sql(f"PRAGMA application_id = {APPLICATION_ID}")
+
+
+def use_write_ahead_log(database: Database) -> None:
     """Switch an SQLite file to WAL: readers and one writer at the same time, and safe against kill -9.
 
     Where that cannot be (no permission, or another program is just doing it) the library works all the same.
@@ -280,7 +285,7 @@ class Database:
         """LibraryError where nothing could be written: said before long work, not after it."""
         with self.writing() as connection:
             state = library_state.c
-            connection.execute(sa.update(library_state).where(state.id == _STATE_ID).values(id=_STATE_ID))
+            connection.execute(sa.update(library_state).where(state.id == STATE_ID).values(id=STATE_ID))
 
     def write_planned(
         self, plan: Callable[[sa.Connection, Plan | None], Plan], write: Callable[[sa.Connection, Plan], Result]
@@ -383,13 +388,13 @@ def next_revision(connection: sa.Connection) -> int:
     """Count this write, and return its number."""
     lock_for_writing(connection)
     revision = read_revision(connection) + 1
-    update_rows(connection, STATE, {_STATE_ID: {"revision": revision}})
+    update_rows(connection, STATE, {STATE_ID: {"revision": revision}})
     return revision
 
 
 def note_changed_clips(connection: sa.Connection) -> None:
     """Clips or their categories change in this write: the forest has not learned from them as they are now."""
-    update_rows(connection, STATE, {_STATE_ID: {"clips_revision": read_revision(connection)}})
+    update_rows(connection, STATE, {STATE_ID: {"clips_revision": read_revision(connection)}})
 
 
 def next_clip_id(connection: sa.Connection) -> int:
@@ -400,7 +405,7 @@ def next_clip_id(connection: sa.Connection) -> int:
 def take_clip_ids(connection: sa.Connection, count: int) -> range:
     """Numbers for new clips, never used before; after ``next_revision`` in the same transaction."""
     first = next_clip_id(connection)
-    update_rows(connection, STATE, {_STATE_ID: {"next_clip_id": first + count}})
+    update_rows(connection, STATE, {STATE_ID: {"next_clip_id": first + count}})
     return range(first, first + count)
 
 
@@ -418,233 +423,3 @@ def choose_jobs(n_jobs: int | None) -> int | None:
     if n_jobs is None and joblib.effective_n_jobs() == 1:
         return int(joblib.cpu_count())
     return n_jobs
-
-
-@dataclass(frozen=True, slots=True)
-class Migration:
-    """One step from a version of the tables to the next.
-
-    Parameters
-    ----------
-    number : position, from 1 without gaps.
-    name : what it does, in words.
-    apply : does it, on a connection that is in a transaction.
-    """
-
-    number: int
-    name: str
-    apply: Callable[[sa.Connection], None]
-
-
-def _first_tables(connection: sa.Connection) -> None:
-    """Nothing to do: every library has them."""
-
-
-def _takes_and_feature_sets(connection: sa.Connection) -> None:
-    """Takes, sets of features by name, leaves that learn; histograms, which follow from the leaves, go."""
-    for table, column in (
-        (schema.clips, "kind"),
-        (schema.clip_features, "feature_set"),
-        (schema.forests, "learned"),
-        (schema.forests, "window_lengths"),
-        (schema.forests, "n_learned"),
-        (schema.forests, "calibration"),
-        (schema.forests, "labeller"),
-        (schema.library_state, "clips_revision"),
-    ):
-        _add_column(connection, table, column)
-    state = schema.library_state
-    connection.execute(sa.update(state).values(clips_revision=state.c.revision))
-    forests = schema.forests
-    for row in connection.execute(sa.select(forests.c.id, forests.c.revision, forests.c.parameters)).all():
-        known = {**row.parameters, "feature_set": "paper"}  # there was no other set
-        values = {"learned": row.revision, "parameters": known}
-        connection.execute(sa.update(forests).where(forests.c.id == row.id).values(**values))
-    schema.clip_poses.create(connection)
-    schema.clip_leaves.create(connection)
-    schema.take_windows.create(connection)
-    names = ["clip_id", "predicted_category", "leaves"]
-    copied: Any = sa.select(*map(sa.column, names)).select_from(sa.table("clip_histograms"))
-    connection.execute(sa.insert(schema.clip_leaves).from_select(names, copied))
-    connection.execute(sa.DDL("DROP TABLE clip_histograms"))  # type: ignore[no-untyped-call]
-
-
-def _annotated_takes(connection: sa.Connection) -> None:
-    """Segments of takes that are clips, and tables of labels that they came from."""
-    schema.segments.create(connection)
-    schema.take_annotations.create(connection)
-
-
-def _words(connection: sa.Connection) -> None:
-    """What motions do, in words; it is computed when the library is trained, or asked in words."""
-    schema.clip_relations.create(connection)
-
-
-def _parts_of_bodies(connection: sa.Connection) -> None:
-    """Clips that lack joints, and forests that ask about the others."""
-    _add_column(connection, schema.clips, "absent")
-    schema.part_forests.create(connection)
-
-
-def _likeness(connection: sa.Connection) -> None:
-    """Which clips are alike, learned with the next training."""
-    for table, column in ((schema.forests, "likeness"), (schema.clip_leaves, "direction")):
-        _add_missing_column(connection, table, column)
-
-
-def _labellers_of_moments(connection: sa.Connection) -> None:
-    """A labeller of an earlier version is of no use; another is learned when a take is labelled."""
-    connection.execute(sa.update(schema.forests).values(labeller=None))
-
-
-def _checksums(connection: sa.Connection) -> None:
-    """A checksum for each row; those that are there get theirs from ``Library.check``."""
-    for table in schema.metadata.sorted_tables:
-        if not sa.inspect(connection).has_table(table.name):
-            continue  # made by a later step
-        for column in table.c:
-            if "checksum" in column.name:
-                _add_missing_column(connection, table, column.name)
-
-
-def _sensor_noise(connection: sa.Connection) -> None:
-    """Extended features were of positions as the sensor saw them: they are computed anew when they are needed."""
-    table = schema.clip_features
-    old = table.c.feature_set.startswith("extended", autoescape=True)
-    connection.execute(sa.update(table).where(old).values(feature_set="", checksum=None))
-
-
-def _journal(connection: sa.Connection) -> None:
-    """What people change can be undone, clips have tags, and searches are kept."""
-    for table in (schema.clip_tags, schema.saved_searches, *schema.JOURNAL_TABLES):
-        table.create(connection, checkfirst=True)
-
-
-def _clips_to_learn(connection: sa.Connection) -> None:
-    """Clips that a forest has not learned from yet; all that are there it has learned from, or does not know."""
-    schema.unlearned.create(connection, checkfirst=True)
-    _add_missing_column(connection, schema.forests, "first_later")
-    following = connection.execute(sa.select(library_state.c.next_clip_id)).scalar()
-    connection.execute(sa.update(schema.forests).values(first_later=following))
-
-
-def _add_missing_column(connection: sa.Connection, table: sa.Table, name: str) -> None:
-    """A column that is there already where a step above made the table as it is now."""
-    if name not in {known["name"] for known in sa.inspect(connection).get_columns(table.name)}:
-        _add_column(connection, table, name)
-
-
-def _add_column(connection: sa.Connection, table: sa.Table, name: str) -> None:
-    column = sa.schema.CreateColumn(table.c[name]).compile(dialect=connection.dialect)
-    connection.execute(sa.DDL(f"ALTER TABLE {table.name} ADD COLUMN {column}"))  # type: ignore[no-untyped-call]
-
-
-MIGRATIONS: tuple[Migration, ...] = (
-    Migration(1, "first tables", _first_tables),
-    Migration(2, "takes and feature sets", _takes_and_feature_sets),
-    Migration(3, "annotated takes", _annotated_takes),
-    Migration(4, "words", _words),
-    Migration(5, "parts of bodies", _parts_of_bodies),
-    Migration(6, "likeness", _likeness),
-    Migration(7, "labellers of moments", _labellers_of_moments),
-    Migration(8, "checksums", _checksums),
-    Migration(9, "sensor noise", _sensor_noise),
-    Migration(10, "labellers of discriminants", _labellers_of_moments),
-    Migration(11, "journal, tags and saved searches", _journal),
-    Migration(12, "clips to be learned", _clips_to_learn),
-)
-
-
-def _record(connection: sa.Connection, step: Migration) -> None:
-    connection.execute(
-        sa.insert(schema.migrations).values(
-            number=step.number,
-            name=step.name,
-            applied_at=datetime.now(UTC).isoformat(timespec="seconds"),
-            dousa_version=dousa.__version__,
-        )
-    )
-
-
-def _create_tables(database: Database) -> None:
-    """Make the tables of a new library, all or none; does nothing if another program just did."""
-    with database.writing() as connection:
-        if sa.inspect(connection).has_table(schema.migrations.name):
-            return
-        schema.metadata.create_all(connection)
-        if connection.dialect.name == "sqlite":
-            connection.exec_driver_sql(f"PRAGMA application_id = {APPLICATION_ID}")
-        state = {"id": _STATE_ID, "revision": 0, "next_clip_id": 1, "clips_revision": 0}
-        connection.execute(sa.insert(library_state), seal_rows(library_state, [state]))
-        for step in MIGRATIONS:
-            _record(connection, step)
-
-
-def _applied_number(connection: sa.Connection, where: str) -> int:
-    """Number of the last step that this library took."""
-    query = sa.select(schema.migrations.c.number, schema.migrations.c.dousa_version)
-    rows = connection.execute(query.order_by(schema.migrations.c.number)).all()
-    if not rows:
-        raise LibraryDamagedError("library_file.no_version", library=where)
-    last = rows[-1]
-    if last.number > MIGRATIONS[-1].number:
-        raise LibraryVersionError(
-            "library_file.newer",
-            library=where,
-            version=last.dousa_version,
-            tables=last.number,
-            own_version=dousa.__version__,
-            own_tables=MIGRATIONS[-1].number,
-        )
-    return int(last.number)
-
-
-def _migrate(database: Database) -> None:
-    """Take the steps that a library lacks, each in a transaction of its own."""
-    for step in MIGRATIONS:
-        with database.writing() as connection:
-            if _applied_number(connection, database.where) < step.number:
-                step.apply(connection)
-                _record(connection, step)
-
-
-def open_database(path_or_url: str | os.PathLike[str], *, create: bool, read_only: bool, timeout: float) -> Database:
-    """A database whose tables are there and of this version.
-
-    Raises
-    ------
-    LibraryError : there is no library, or no permission; LibraryDamagedError, LibraryVersionError,
-        LibraryLockedError as their names say.
-    OptionError : create and read_only together.
-    """
-    if create and read_only:
-        raise OptionError("library_file.create_read_only")
-    where = name_of(path_or_url)
-    engine = _make_engine(path_or_url, create=create, read_only=read_only, timeout=timeout)
-    database = Database(engine, where, timeout)
-    try:
-        _prepare(database, create, read_only)
-    except BaseException:
-        engine.dispose()
-        raise
-    return database
-
-
-def _prepare(database: Database, create: bool, read_only: bool) -> None:
-    where = database.where
-    with database.reading() as connection:
-        ours = _check_mark(connection, where)
-        number = _applied_number(connection, where) if ours else 0
-    if not ours and not create:
-        name = where if _is_url(where) else os.path.basename(where)
-        raise LibraryError("library_file.empty", library=where, name=name)
-    if not ours:
-        _create_tables(database)
-    elif number < MIGRATIONS[-1].number:
-        if read_only:
-            raise LibraryVersionError(
-                "library_file.older", library=where, tables=number, own_tables=MIGRATIONS[-1].number
-            )
-        _migrate(database)
-    if not read_only:
-        _use_write_ahead_log(database)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import TYPE_CHECKING, Any
@@ -15,6 +15,8 @@ from dousa.arrays import FloatArray
 from dousa.errors import LibraryDamagedError, LibraryVersionError, OptionError
 from dousa.library import schema
 from dousa.library.engine import Database, choose_jobs
+from dousa.library.fragments.arrays import in_portions, place_of, put_aside, read_feature_rows, read_places
+from dousa.library.fragments.store import Place
 from dousa.library.schema import pack, stack, unpack
 from dousa.library.seals import checksums
 from dousa.library.seals.checksums import BLOCK_FRAMES, seal_positions, seal_rows
@@ -24,6 +26,7 @@ from dousa.motion.canonical.joints import JOINT_INDEX, CanonicalPoses, find_abse
 from dousa.retrieval.features.partial_bodies import hide_joints, order_joints
 from dousa.retrieval.features.posed_motion import SLOWEST_RATE
 from dousa.workers.current import current_cluster
+from dousa.workers.threads import map_pieces
 
 if TYPE_CHECKING:
     from dousa.arrays import FloatArray
@@ -129,6 +132,7 @@ def _select_motion() -> sa.Select[Any]:
 
     own = (*checksums.LABELS.columns, *checksums.NUMBERS.columns, *checksums.SEGMENTS.columns)
     arrays = cut(stored.positions, BLOCK_FRAMES * schema.FRAME_BYTES), cut(stored.block_checksums, 4)
+    own += tuple(stored[name] for name in schema.PLACE)
     query = sa.select(*dict.fromkeys(own), *arrays).join(schema.segments, segments.clip_id == clips.id, isouter=True)
     return query.join(schema.clip_trajectories, stored.clip_id == sa.func.coalesce(segments.take_id, clips.id))
 
@@ -147,8 +151,27 @@ def load_motions(connection: sa.Connection, ids: Sequence[int]) -> Iterator[Stor
         rows = {row.id: row for row in connection.execute(_SELECT_MOTION.where(schema.clips.c.id.in_(some)))}
         if len(rows) != len(set(some)):
             raise LibraryDamagedError("library_clips.positions_missing", expected=len(set(some)), found=len(rows))
-        for clip_id in some:
-            yield _unpack(connection, rows[clip_id])
+        for row, data in _read_positions(connection, [rows[clip_id] for clip_id in some]):
+            yield _unpack(connection, row, data)
+
+
+def _read_positions(connection: sa.Connection, rows: Iterable[Any]) -> Iterator[tuple[Any, bytes]]:
+    """Rows with their positions; of a segment with the blocks that it lies in."""
+    for some in in_portions(rows):
+        _check_rows(connection, some)
+        blocks = read_places(connection, [(row.positions, _find_blocks(row)) for row in some])
+        yield from zip(some, blocks, strict=True)
+
+
+def _find_blocks(row: Any) -> Place | None:
+    """Where positions lie in a fragment; of a segment its blocks, as the query cuts them out of a row."""
+    place = place_of(row)
+    if place is None or row.take_id is None:
+        return place
+    size = BLOCK_FRAMES * schema.FRAME_BYTES
+    first = row.first_frame // BLOCK_FRAMES * size
+    end = ((row.first_frame + row.n_frames - 1) // BLOCK_FRAMES + 1) * size
+    return Place(place.fragment, place.first_byte + first, max(min(end, place.n_bytes) - first, 0))
 
 
 def load_trajectories(connection: sa.Connection, ids: Sequence[int]) -> Iterator[tuple[int, Trajectories]]:
@@ -156,21 +179,31 @@ def load_trajectories(connection: sa.Connection, ids: Sequence[int]) -> Iterator
 
     Raises
     ------
-    LibraryDamagedError : numbers that are too few or not finite.
+    LibraryDamagedError : numbers that are missing, too few or not finite.
     """
     from dousa.motion import CANONICAL_PARENTS, Trajectories
 
     parents = np.array(CANONICAL_PARENTS)
-    for row in fetch_in(connection, _SELECT_MOTION, schema.clips.c.id, ids):
-        yield row.id, Trajectories(CANONICAL_JOINTS, _unpack_positions(connection, row), row.frame_rate, parents)
+    rows = fetch_in(connection, _SELECT_MOTION, schema.clips.c.id, ids)
+    lacking = set(ids)
+    for row, data in _read_positions(connection, rows):
+        positions = _unpack_positions(connection, row, data)
+        lacking.discard(row.id)
+        yield row.id, Trajectories(CANONICAL_JOINTS, positions, row.frame_rate, parents)
+    for number in fetch_in(connection, sa.select(schema.clips.c.id), schema.clips.c.id, sorted(lacking)):
+        raise checksums.damaged(connection, checksums.POSITIONS, number[0])
 
 
-def _unpack_positions(connection: sa.Connection, row: Any) -> FloatArray:
-    checksums.LABELS.check(connection, row)
-    checksums.NUMBERS.check(connection, row)
-    owner, data, start = row.id, row.positions, 0
+def _check_rows(connection: sa.Connection, rows: Sequence[Any]) -> None:
+    """Compare what is written of motions with its checksums."""
+    checksums.LABELS.check_rows(connection, rows)
+    checksums.NUMBERS.check_rows(connection, rows)
+    checksums.SEGMENTS.check_rows(connection, [row for row in rows if row.take_id is not None])
+
+
+def _unpack_positions(connection: sa.Connection, row: Any, data: bytes) -> FloatArray:
+    owner, start = row.id, 0
     if row.take_id is not None:
-        checksums.SEGMENTS.check(connection, row)
         owner, start = row.take_id, row.first_frame
     block, skipped = divmod(start, BLOCK_FRAMES)
     if row.block_checksums is not None and seal_positions(owner, data, block) != row.block_checksums:
@@ -196,8 +229,8 @@ def pack_positions(motion: StoredMotion) -> bytes:
     return pack(np.nan_to_num(motion.positions) if motion.absent else motion.positions, "<f4")
 
 
-def _unpack(connection: sa.Connection, row: Any) -> StoredMotion:
-    positions = _unpack_positions(connection, row)
+def _unpack(connection: sa.Connection, row: Any, data: bytes) -> StoredMotion:
+    positions = _unpack_positions(connection, row, data)
     numbers = row.height, 1 / row.height if row.height else np.inf, row.frame_rate, np.nanmax(np.abs(positions))
     if not (max(numbers) < BEYOND_MEASURE and min(numbers) >= 0 and row.frame_rate >= SLOWEST_RATE):
         raise LibraryDamagedError(
@@ -210,8 +243,6 @@ _FEATURES, _POSES = "<f4", "<f4"
 _EARLIER_FEATURES = "<f8"  # of an older dousa; the values are of float32 precision as well
 _LARGEST = 1e37  # of float32
 _IN_MEMORY = 2**32  # bytes of features; more are kept in a temporary file, of which memory holds what is in use
-
-_PORTION = 500  # clips whose features are read at a time
 
 Progress = Callable[[int, int], None]
 
@@ -227,6 +258,7 @@ class ClipFeatures:
     categories, performers : labels, None where there are none.
     heights : m, of the performers.
     computed : by number, those that were not stored, or of another set.
+    room : (N + M, frames, columns), the features and behind them room for more; None where there is none.
     """
 
     ids: list[int]
@@ -235,6 +267,7 @@ class ClipFeatures:
     performers: list[str | None]
     heights: list[float]
     computed: dict[int, Description]
+    room: FloatArray | None = None
 
 
 def load_features(
@@ -243,6 +276,7 @@ def load_features(
     ids: Sequence[int] | None = None,
     n_jobs: int | None = 1,
     progress: Progress | None = None,
+    spare: int = 0,
 ) -> ClipFeatures:
     """Features of clips, takes left out; those that are not stored are computed from the stored positions.
 
@@ -252,6 +286,7 @@ def load_features(
         nothing depends on when they were added.
     n_jobs : clips described at a time.
     progress : called with (clips described, clips to describe).
+    spare : clips for whose features there shall be room behind them.
 
     Raises
     ------
@@ -259,12 +294,13 @@ def load_features(
     """
     kind = find_feature_set(feature_set)
     rows = _read_rows(connection, ids, feature_set)
-    features = _allocate((len(rows), kind.n_frames, kind.n_columns))
-    query = sa.select(*checksums.FEATURES.columns)
-    for start in range(0, len(rows), _PORTION):
-        places = {row.id: start + place for place, row in enumerate(rows[start : start + _PORTION])}
-        stored = [row.id for row in rows[start : start + _PORTION] if row.feature_set == feature_set]
-        read = list(fetch_in(connection, query, schema.clip_features.c.clip_id, stored))
+    room = _allocate((len(rows) + spare, kind.n_frames, kind.n_columns))
+    features = room[: len(rows)]
+    # By number, as they were written: neighbours on the disk are read one after the other.
+    places = {row.id: place for place, row in enumerate(rows)}
+    stored = sorted(row.id for row in rows if row.feature_set == feature_set)
+    for some in portions(stored):
+        read = read_feature_rows(connection, some)
         if read:
             checksums.FEATURES.check_all(connection, list(zip(*read, strict=True)))
         for own in _stack_features(read, features.shape[1:]):
@@ -284,6 +320,7 @@ def load_features(
         performers=[row.performer for row in rows],
         heights=[row.height for row in rows],
         computed=computed,
+        room=room if spare else None,
     )
 
 
@@ -315,12 +352,10 @@ def _read_rows(connection: sa.Connection, ids: Sequence[int] | None, feature_set
     query = query.where(clips.kind == schema.CLIP)
     if ids is None:
         rows = connection.execute(query.order_by(clips.content_hash)).all()
-        for row in rows:
-            checksums.LABELS.check(connection, row)
+        checksums.LABELS.check_rows(connection, rows)
         return [row for row in rows if not lacks(feature_set, row.absent)]
     found = {row.id: row for row in fetch_in(connection, query, clips.id, ids)}
-    for row in found.values():
-        checksums.LABELS.check(connection, row)
+    checksums.LABELS.check_rows(connection, list(found.values()))
     if len(found) != len(set(ids)):
         raise LibraryDamagedError("library_clips.clips_missing", expected=len(set(ids)), found=len(found))
     return [found[clip_id] for clip_id in ids]
@@ -334,30 +369,31 @@ def describe_stored(
     progress: Progress | None = None,
 ) -> dict[int, Description]:
     """Describe stored motions, by number."""
-    if not ids:
-        return {}
-    import joblib
-
-    parallel = joblib.Parallel(n_jobs=choose_jobs(n_jobs), prefer="threads")
-    cluster = current_cluster()
     described: dict[int, Description] = {}
     for some in portions(ids):
         # Read here, and not where they are described: a connection is for one thread at a time.
         motions = list(load_motions(connection, some))
-        if cluster is not None:
-            sizes = [motion.positions.nbytes for motion in motions]
-            describe = partial(describe_clip, feature_set=feature_set)
-            answers = list(cluster.map(describe, motions, sizes=sizes))
-        else:
-            answers = parallel(joblib.delayed(describe_clip)(motion, feature_set) for motion in motions)
-        described.update(zip(some, answers, strict=True))
+        described.update(zip(some, describe_motions(motions, feature_set, n_jobs), strict=True))
         if progress is not None:
             progress(len(described), len(ids))
     return described
 
 
+def describe_motions(motions: Sequence[StoredMotion], feature_set: str, n_jobs: int | None = 1) -> list[Description]:
+    """Describe motions whose positions are rounded, some at a time."""
+    cluster = current_cluster()
+    describe = partial(describe_clip, feature_set=feature_set)
+    if cluster is not None:
+        return list(cluster.map(describe, motions, sizes=[motion.positions.nbytes for motion in motions]))
+    return map_pieces(describe, motions, choose_jobs(n_jobs))
+
+
 def keep_features(
-    database: Database, feature_set: str, n_jobs: int | None = 1, progress: Progress | None = None
+    database: Database,
+    feature_set: str,
+    n_jobs: int | None = 1,
+    progress: Progress | None = None,
+    look: Callable[[Mapping[int, StoredMotion]], None] | None = None,
 ) -> None:
     """Compute and write the features and poses of all clips that have none of a set, in portions of one transaction.
 
@@ -369,6 +405,7 @@ def keep_features(
     feature_set : name of the features.
     n_jobs : clips described at a time.
     progress : called with (clips described, clips to describe).
+    look : called with the motions of each portion, by number, when it is written.
     """
     table = schema.forests.c
     with database.reading() as connection:
@@ -381,12 +418,15 @@ def keep_features(
     done = 0
     for some in portions(lacking):
         with database.reading() as connection:
-            there = list(fetch_in(connection, sa.select(schema.clips.c.id), schema.clips.c.id, some))
-            described = describe_stored(connection, [row.id for row in there], feature_set, n_jobs)
+            ids = [row.id for row in fetch_in(connection, sa.select(schema.clips.c.id), schema.clips.c.id, some)]
+            motions = dict(zip(ids, load_motions(connection, ids), strict=True))
+        described = dict(zip(ids, describe_motions(list(motions.values()), feature_set, n_jobs), strict=True))
         with database.writing() as connection:
             left = {row.id for row in fetch_in(connection, sa.select(schema.clips.c.id), schema.clips.c.id, some)}
             still = {number: own for number, own in described.items() if number in left}
             save_descriptions(connection, list(still), list(still.values()))
+        if look is not None:
+            look(motions)
         done += len(some)
         if progress is not None:
             progress(done, len(lacking))
@@ -440,6 +480,8 @@ def save_descriptions(connection: sa.Connection, ids: Sequence[int], description
         ]
         for table in (schema.clip_features, schema.clip_poses):
             connection.execute(sa.delete(table).where(table.c.clip_id.in_([row["clip_id"] for row in rows])))
-            names = [column.name for column in table.c if column.name != "checksum"]
-            own = [{name: row[name] for name in names} for row in rows]
-            connection.execute(sa.insert(table), seal_rows(table, own))
+            names = [column.name for column in table.c if column.name not in ("checksum", *schema.PLACE)]
+            own = seal_rows(table, [{name: row[name] for name in names} for row in rows])
+            if table is schema.clip_features:
+                own = put_aside(connection, own, "pose_features")
+            connection.execute(sa.insert(table), own)

@@ -33,11 +33,13 @@ _FOREST_ID = 1
 
 _AT_ONCE = 4096  # clips that trees are asked about
 
-_MOST_HELD_BACK = 3000  # clips that the rounds of a calibration use: enough for two curves
+# Clips that the rounds of a calibration use, enough for two curves: so many of each category, within these bounds.
+_HELD_OF_EACH, _MOST_HELD_BACK = 20, (1500, 3000)
 
-_MOST_COPIES = 1000  # disturbed copies of them: with a tenth of the clips the forest knows most of what noise does
+MOST_COPIES = 1000
+"""Disturbed copies of them: with a tenth of the clips the forest knows most of what noise does."""
 
-_PARTS = 64  # of a vote: a power of two, so that nothing is rounded where trees give whole votes
+PARTS_OF_A_VOTE = 64  # of a vote: a power of two, so that nothing is rounded where trees give whole votes
 
 _TEMPOS = (0.5, 2.0)  # windows from half to twice the length of the clips
 
@@ -104,7 +106,7 @@ class TreeAnswers:
 
     def shares(self) -> FloatArray:
         """(N, n_categories) share of the trees that name each category: the histograms."""
-        shares: FloatArray = self.votes / (_PARTS * self.leaves.shape[1])
+        shares: FloatArray = self.votes / (PARTS_OF_A_VOTE * self.leaves.shape[1])
         return shares
 
     def predicted(self) -> list[str]:
@@ -145,7 +147,7 @@ def count_votes(stored: StoredForest, leaves: NDArray[np.int32]) -> TreeAnswers:
     """
     check_leaves(stored, leaves)
     shares = stored.forest.histograms_of(leaves.astype(np.int64))
-    votes = np.rint(shares * (_PARTS * leaves.shape[1])).astype(np.int32)
+    votes = np.rint(shares * (PARTS_OF_A_VOTE * leaves.shape[1])).astype(np.int32)
     return TreeAnswers(votes, leaves, stored.categories)
 
 
@@ -265,14 +267,37 @@ def fit_grid(connection: sa.Connection) -> WindowGrid:
     return choose_grid(list(connection.execute(query).scalars()) or [1.0], *_TEMPOS)
 
 
-def choose_held_back(clips: ClipFeatures, labelled: Sequence[int]) -> tuple[list[int], list[str]]:
-    """Places of the clips that rounds hold back or train on, every n-th of every category, and who performed them."""
+def choose_held_back(clips: ClipFeatures, labelled: Sequence[int]) -> list[int]:
+    """Places of the clips that rounds hold back or train on: every n-th of every category."""
+    n_categories = len({clips.categories[row] for row in labelled})
+    step = -(-len(labelled) // int(np.clip(_HELD_OF_EACH * n_categories, *_MOST_HELD_BACK)))
+    return sorted(labelled, key=lambda row: str(clips.categories[row]))[::step]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class HeldBack:
+    """The clips of ``choose_held_back``: features (M, frames, columns), categories (M,), and who performed each."""
+
+    features: FloatArray
+    categories: NDArray[np.str_]
+    performers: list[str]
+
+
+def hold_back(clips: ClipFeatures, labelled: Sequence[int]) -> HeldBack:
+    """The clips that rounds hold back or train on.
+
+    Parameters
+    ----------
+    clips : those of the library that are trained on, and perhaps others.
+    labelled : places of those that have a category.
+    """
     from dousa.retrieval.forest.calibration import guess_performers
 
-    step = -(-len(labelled) // _MOST_HELD_BACK)
-    rows = sorted(labelled, key=lambda row: str(clips.categories[row]))[::step]
+    rows = choose_held_back(clips, labelled)
     guesses = guess_performers([clips.heights[row] for row in rows])
-    return rows, [clips.performers[row] or guess for row, guess in zip(rows, guesses, strict=True)]
+    people = [clips.performers[row] or guess for row, guess in zip(rows, guesses, strict=True)]
+    categories = np.array([clips.categories[row] for row in rows], dtype=np.str_)
+    return HeldBack(clips.features[rows], categories, people)
 
 
 def describe_copies(
@@ -288,9 +313,9 @@ def describe_copies(
     from dousa.retrieval.forest.calibration import Copies
     from dousa.retrieval.takes.made_takes import disturb_motion
 
-    rows, _ = choose_held_back(clips, labelled)
+    rows = choose_held_back(clips, labelled)
     some = bool(rows) and kind.has_banks
-    places = np.arange(0, len(rows), -(-len(rows) // _MOST_COPIES)) if some else np.zeros(0, np.intp)
+    places = np.arange(0, len(rows), -(-len(rows) // MOST_COPIES)) if some else np.zeros(0, np.intp)
 
     def describe(task: tuple[int, StoredMotion]) -> FloatArray:
         place, motion = task
@@ -313,19 +338,21 @@ def fit_forest(
     forest: MotionForest, clips: ClipFeatures, labelled: Sequence[int], kind: FeatureSet, copies: Copies
 ) -> None:
     """Grow the trees of clips that have a category, and of copies that ``describe_copies`` made of them."""
-    held, _ = choose_held_back(clips, labelled)
+    held = choose_held_back(clips, labelled)
     rows = np.full(len(clips.ids), -1, np.intp)
     rows[held] = np.arange(len(held))
     chosen = np.asarray(labelled, np.intp)
     categories = np.array([clips.categories[row] for row in labelled], dtype=np.str_)
-    features, copied = copies.join(clips.features, chosen, rows[chosen])
+    if clips.room is not None and len(chosen) == len(clips.ids):
+        features, copied = copies.append(clips.room, rows)  # where there is room they need not all be copied
+    else:
+        features, copied = copies.join(clips.features, chosen, rows[chosen])
     forest.fit(features, categories, feature_set=kind, copied=copied)
 
 
 def learn_unknown(
     forest: MotionForest,
-    clips: ClipFeatures,
-    labelled: Sequence[int],
+    held: HeldBack,
     kind: FeatureSet,
     copies: Copies | None = None,
     watch: Watch | None = None,
@@ -335,24 +362,16 @@ def learn_unknown(
     Parameters
     ----------
     forest : trained on them.
-    clips : those of the library that are trained on, and perhaps others.
-    labelled : places of those that have a category.
+    held : of ``hold_back``.
     kind : features that it asks for.
     copies : of ``describe_copies``.
     watch : looks on, as in ``learn_calibration``; its rows are those of ``choose_held_back``.
     """
     from dousa.retrieval.forest.calibration import Assessor, learn_calibration
 
-    rows, people = choose_held_back(clips, labelled)
     try:
         calibration = learn_calibration(
-            forest,
-            clips.features[rows],
-            np.array([clips.categories[row] for row in rows], dtype=np.str_),
-            people,
-            feature_set=kind,
-            copies=copies,
-            watch=watch,
+            forest, held.features, held.categories, held.performers, feature_set=kind, copies=copies, watch=watch
         )
     except TrainingError:
         return None

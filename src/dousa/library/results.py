@@ -72,7 +72,8 @@ class Verdict(_Answer):
 
     Parameters
     ----------
-    category : the category; None where the guess is more likely wrong than right, so the motion is called unknown.
+    category : the category; None where the guess is more likely wrong than right, or the motion hardly known, and so
+        called unknown.
     guess : the category that most trees vote for, whether the motion is known or not.
     known : probability that the motion is of a category that the forest knows; None where the forest had too few
         categories to learn that, or was trained by an older dousa.

@@ -2,7 +2,8 @@
 
 ``clips`` is small and holds what people ask for; the arrays of a clip stand in tables of their own, so that
 listing reads no array, training reads features only, and searching reads leaves only. Histograms are not stored:
-they follow from the leaves and the forest, whose leaves learn from clips that are added.
+they follow from the leaves and the forest, whose leaves learn from clips that are added. Positions and features of a
+large library lie beside its tables, in fragments (`dousa.library.fragments`): the row then says where.
 """
 
 from __future__ import annotations
@@ -85,6 +86,8 @@ clips = sa.Table(
     # Of what a search reads, and of the rest.
     _checksum("label_checksum"),
     _checksum(),
+    # What has changed is found by the sums of checksums, without a look at the rows.
+    sa.Index("ix_clips_label_checksum", "id", "label_checksum"),
 )
 
 
@@ -93,14 +96,24 @@ def _clip_id() -> sa.Column[int]:
     return sa.Column("clip_id", sa.Integer, owner, primary_key=True, autoincrement=False)
 
 
+def _place() -> tuple[sa.Column[Any], ...]:
+    """Where the bytes of a row lie, if not in the row: name of the fragment, first byte in it, number of bytes."""
+    return (
+        sa.Column("fragment", sa.String(64)),
+        sa.Column("first_byte", sa.BigInteger),
+        sa.Column("n_bytes", sa.BigInteger),
+    )
+
+
 clip_trajectories = sa.Table(
     "clip_trajectories",
     metadata,
     _clip_id(),
-    # float32, little endian, (n_frames, 20, 3) m; 0 for joints that are absent
+    # float32, little endian, (n_frames, 20, 3) m; 0 for joints that are absent; empty where a fragment has them
     sa.Column("positions", sa.LargeBinary, nullable=False),
     # uint32, little endian, one for every ``BLOCK_FRAMES`` frames: a segment is checked without its whole take
     sa.Column("block_checksums", sa.LargeBinary),
+    *_place(),
 )
 
 clip_features = sa.Table(
@@ -109,9 +122,12 @@ clip_features = sa.Table(
     _clip_id(),
     # Name in ``FEATURE_SETS``; empty where an older dousa computed them: they are computed anew when needed.
     sa.Column("feature_set", sa.Text, nullable=False, server_default=""),
-    # float32, little endian, (frames, columns) of the set; float64 of the same values where an older dousa wrote them
+    # float32, little endian, (frames, columns) of the set; float64 of the same values where an older dousa wrote them;
+    # empty where a fragment has them
     sa.Column("pose_features", sa.LargeBinary, nullable=False),
+    # Of the number, the set and the features, wherever these lie.
     _checksum(),
+    *_place(),
 )
 
 clip_poses = sa.Table(
@@ -133,6 +149,7 @@ clip_leaves = sa.Table(
     # float32, little endian: ``Likeness.place``; None where no likeness was learned
     sa.Column("direction", sa.LargeBinary),
     _checksum(),
+    sa.Index("ix_clip_leaves_checksum", "clip_id", "checksum"),
 )
 
 clip_relations = sa.Table(
@@ -296,10 +313,25 @@ removed_positions = sa.Table(
     ),
     sa.Column("positions", sa.LargeBinary, nullable=False),
     sa.Column("block_checksums", sa.LargeBinary),
+    *_place(),
 )  # fmt: skip
+
+array_store = sa.Table(
+    "array_store",
+    metadata,
+    # One row, where new positions and features go to fragments; none while they stand in their rows.
+    sa.Column("id", sa.Integer, primary_key=True, autoincrement=False),
+    # Folder or URL of the fragments; empty for those beside a library file.
+    sa.Column("place", sa.Text, nullable=False),
+    _checksum(),
+)
 
 JOURNAL_TABLES = (journal, removed_clips, removed_positions)
 """What an undo needs; a library is whole without it."""
+
+
+PLACE = ("fragment", "first_byte", "n_bytes")
+"""Columns that say where the bytes of a row lie."""
 
 
 def is_id(number: int) -> bool:

@@ -5,9 +5,8 @@ from __future__ import annotations
 import os
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Collection, Iterable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import lru_cache, partial
-from operator import itemgetter
 
 import numpy as np
 import sqlalchemy as sa
@@ -17,7 +16,7 @@ from dousa.arrays import FloatArray
 from dousa.errors import LibraryError, OptionError
 from dousa.formats.motion_files import ReadOptions, Skipped, find_motion_files, is_unicode
 from dousa.library import schema
-from dousa.library.engine import Database, read_revision
+from dousa.library.engine import Database
 from dousa.library.features import (
     StoredMotion,
     describe_clip,
@@ -27,19 +26,14 @@ from dousa.library.features import (
     load_poses,
     round_positions,
 )
-from dousa.library.forests import ForestCache, StoredForest, TreeAnswers, ask_trees, count_votes
+from dousa.library.forests import ForestCache, StoredForest, TreeAnswers, ask_trees
+from dousa.library.index.leaf_index import IndexQuery, LeafIndex
+from dousa.library.index.ranking import PoseReader, Ranked, rank_index
+from dousa.library.index.side_file import load_index
 from dousa.library.ingest import ClipRecord, Query, ReadTask, is_as_stored, name_query, read_clips, read_query
 from dousa.library.results import MIRROR_DISTANCE, Classification, Hit, SearchResult, Verdict
-from dousa.library.schema import stack
-from dousa.library.seals.checksums import LABELS, LEAVES
 from dousa.library.selection import find_row
-from dousa.library.text.meanings import find_meanings
 from dousa.messages import Message
-from dousa.retrieval.forest.likeness import Likeness, merge_votes
-from dousa.retrieval.ranking.ranking import DEFAULT_RANKING, RankedClips, RankingQuery, rank_clips
-
-PoseReader = Callable[[Sequence[int]], NDArray[np.float32]]
-"""Gives (n, cells, columns), the pose sequences of clips of n numbers."""
 
 PartProgress = Callable[[int, int, Message], None]
 """Called with (steps done, steps, message about the next step)."""
@@ -56,135 +50,31 @@ class Asked:
     answers, features : what the trees say of it, and what they say it of; one row each.
     poses : its pose sequence.
     mirrored : whether it is the mirror image of the query.
-    chances : (N,) of ``find_alike``, of the clips of an index, where they are known.
     """
 
     answers: TreeAnswers
     features: FloatArray
     poses: NDArray[np.float32]
     mirrored: bool = False
-    chances: FloatArray | None = None
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class SearchIndex:
-    """What a search needs of all clips, in the order of their paths.
+@dataclass(frozen=True, slots=True)
+class Found:
+    """The first clips, and how many are alike to the query in all; None where that was not learned."""
 
-    Parameters
-    ----------
-    revision : of the library when it was read.
-    ids, paths : of the clips.
-    labels : category of each clip; the forest's, where nobody gave it one.
-    answers : what the trees say of the clips.
-    rows : place of each clip number in the above.
-    partial : by number, the joints that clips lack which the forest asks about: they are not among the above.
-    likeness : tells which clips are alike; None where that was not learned, as the next two.
-    meanings : (C,) number of what each category means; categories of one meaning have the same.
-    told : (N, M) share of the trees that vote for each meaning.
-    lengths : (N,) Euclidean lengths of these.
-    """
-
-    revision: int
-    ids: tuple[int, ...]
-    paths: tuple[str, ...]
-    labels: tuple[str, ...]
-    answers: TreeAnswers
-    rows: dict[int, int]
-    partial: dict[int, str] = field(default_factory=dict)
-    likeness: Likeness | None = None
-    meanings: NDArray[np.intp] | None = None
-    told: FloatArray | None = None
-    lengths: FloatArray | None = None
-
-    def answers_of(self, clip_id: int) -> TreeAnswers:
-        """What the trees say of one clip."""
-        row = self.rows[clip_id]
-        return self.answers[row : row + 1]
-
-
-def load_index(connection: sa.Connection, revision: int, stored: StoredForest) -> SearchIndex:
-    """Read what the trees say of all clips, at a revision of the library.
-
-    Raises
-    ------
-    LibraryDamagedError : leaves that are not as many as the trees, or that the forest does not have.
-    """
-    clips, table = schema.clips.c, schema.clip_leaves.c
-    own = len(LABELS.columns)
-    query = sa.select(*LABELS.columns, *LEAVES.columns)
-    query = query.join(schema.clip_leaves, table.clip_id == clips.id)
-    parts = sa.select(clips.id, clips.absent).where(clips.kind == schema.CLIP, clips.absent != "")
-    # Sorted here: databases differ in how they order text.
-    rows = sorted(connection.execute(query).all(), key=itemgetter(1))
-    columns = list(zip(*rows, strict=True)) if rows else [()] * (own + len(LEAVES.columns))
-    LABELS.check_all(connection, columns[:own])
-    LEAVES.check_all(connection, columns[own:])
-    ids, paths, given, _, _, _, _, _, predicted, leaves, directions, _ = columns
-    answers = count_votes(stored, stack(leaves, "<i4", (len(stored.forest.trees_.roots),), "leaves"))
-    if stored.likeness is not None and None not in directions:
-        width = stored.likeness.space.axes.shape[1]
-        answers = replace(answers, directions=stack(directions, "<f4", (width,), "directions"))
-    named = find_meanings(stored.categories)
-    meanings = np.unique([named[name] for name in stored.categories], return_inverse=True)[1]
-    told = merge_votes(answers.shares(), meanings)
-    return SearchIndex(
-        revision=revision,
-        ids=ids,
-        paths=paths,
-        labels=tuple(b if a is None else a for a, b in zip(given, predicted, strict=True)),
-        answers=answers,
-        rows={clip_id: row for row, clip_id in enumerate(ids)},
-        partial={row.id: row.absent for row in connection.execute(parts) if lacks(stored.feature_set, row.absent)},
-        likeness=stored.likeness,
-        meanings=meanings,
-        told=told,
-        lengths=np.linalg.norm(told, axis=1),
-    )
-
-
-def find_alike(index: SearchIndex, asked: Asked) -> FloatArray | None:
-    """Probabilities (N,) that the clips mean the same as a motion; None where that was not learned."""
-    directions, own = index.answers.directions, asked.answers.directions
-    if index.likeness is None or index.meanings is None or index.told is None or directions is None or own is None:
-        return None
-    told = merge_votes(asked.answers.shares(), index.meanings)[0]
-    return index.likeness.judge(told, own[0], index.told, directions, index.lengths)
-
-
-def _with_chances(index: SearchIndex, asked: Asked) -> Asked:
-    return replace(asked, chances=find_alike(index, asked))
-
-
-def count_alike(
-    index: SearchIndex, asked: Sequence[Asked], category: str | None, among: Iterable[int] | None
-) -> int | None:
-    """How many clips are alike to a motion or its mirror image; None where that was not learned."""
-    chances = [find_alike(index, one) if one.chances is None else one.chances for one in asked]
-    if index.likeness is None or any(chance is None for chance in chances):
-        return None
-    alike = np.any([chance >= index.likeness.threshold for chance in chances if chance is not None], axis=0)
-    places = _find_places(index, category, among)
-    return int((alike if places is None else alike[places]).sum())
-
-
-def _find_places(index: SearchIndex, category: str | None, among: Iterable[int] | None) -> NDArray[np.intp] | None:
-    """Places of the clips that are looked at; None for all."""
-    if category is None and among is None:
-        return None
-    wanted = set(index.ids if among is None else among)
-    chosen = [category in (None, label) and own in wanted for label, own in zip(index.labels, index.ids, strict=True)]
-    return np.flatnonzero(np.array(chosen, dtype=np.bool_))
+    hits: tuple[Hit, ...]
+    n_alike: int | None
 
 
 def search_index(
-    index: SearchIndex,
+    index: LeafIndex,
     asked: Sequence[Asked],
     k: int,
     by: str,
     category: str | None,
     read_poses: PoseReader,
     among: Collection[int] | None = None,
-) -> tuple[Hit, ...]:
+) -> Found:
     """The k clips that are most like a motion, or like its mirror image.
 
     Parameters
@@ -201,11 +91,44 @@ def search_index(
     ------
     OptionError : an unknown ranking.
     """
-    places = _find_places(index, category, among)
-    first = [rank_places(index, one, k, by, places, read_poses)[0] for one in asked]
-    if len(first) == 1:
-        return tuple(_number(first[0]))
-    return choose_best((hit for hits in first for hit in hits), k)
+    chosen = index.choose(category, among)
+    ranked = [rank_index(index, _as_query(one), k, by, chosen, read_poses) for one in asked]
+    hits = [_make_hits(index, found, one.mirrored) for one, found in zip(asked, ranked, strict=True)]
+    alike = [found.all_alike for found in ranked if found.all_alike is not None]
+    return Found(
+        tuple(number_hits(hits[0])) if len(hits) == 1 else choose_best((hit for some in hits for hit in some), k),
+        len(np.unique(np.concatenate(alike))) if alike and len(alike) == len(ranked) else None,
+    )
+
+
+def _as_query(asked: Asked) -> IndexQuery:
+    answers = asked.answers
+    direction = None if answers.directions is None else answers.directions[0]
+    return IndexQuery(answers.votes[0], answers.leaves[0], asked.poses, direction)
+
+
+def _make_hits(index: LeafIndex, found: Ranked, mirrored: bool) -> list[Hit]:
+    return [
+        Hit(
+            path=index.path(row).decode(),
+            category=index.label(row),
+            distance=float(found.histograms[place]),
+            rank=0,
+            clip_id=index.clip_id(row),
+            leaf_share=1.0 - float(found.leaves[place]),
+            pose_distance=number_or_none(found.poses[place]),
+            rank_distance=number_or_none(found.distances[place]),
+            mirrored=mirrored,
+            alike=None if found.alike is None else bool(found.alike[place]),
+            probability=None if found.chances is None else round(float(found.chances[place]), 4),
+        )
+        for place, row in enumerate(found.rows.tolist())
+    ]
+
+
+def number_or_none(value: np.float64) -> float | None:
+    """A distance; None where it was not measured."""
+    return None if np.isnan(value) else float(value)
 
 
 def choose_best(hits: Iterable[Hit], k: int) -> tuple[Hit, ...]:
@@ -213,56 +136,7 @@ def choose_best(hits: Iterable[Hit], k: int) -> tuple[Hit, ...]:
     best: dict[int, Hit] = {}
     for hit in sorted(hits, key=_mirrored_last):
         best.setdefault(hit.clip_id, hit)
-    return tuple(_number(list(best.values())[:k]))
-
-
-def rank_places(
-    index: SearchIndex,
-    asked: Asked,
-    k: int,
-    by: str,
-    places: NDArray[np.intp] | None,
-    read_poses: PoseReader,
-) -> tuple[list[Hit], FloatArray]:
-    """The first k clips for one motion, among those at some places of the index, and how far each of these is."""
-    votes, leaves = index.answers.votes, index.answers.leaves
-    directions, own = index.answers.directions, asked.answers.directions
-    rows = np.arange(len(index.ids)) if places is None else places
-    clips = RankedClips(
-        votes if places is None else votes[places],
-        leaves if places is None else leaves[places],
-        lambda chosen: read_poses([index.ids[row] for row in rows[chosen]]),
-        # Rounded, so that a clip is no distance from itself.
-        None if directions is None or own is None else np.round(directions[rows] @ own[0], 6),
-    )
-    ranking = rank_clips(by, RankingQuery(asked.answers.votes[0], asked.answers.leaves[0], asked.poses), clips)
-    order, chances = ranking.order, find_alike(index, asked) if asked.chances is None else asked.chances
-    alike = None if chances is None or index.likeness is None else chances[rows] >= index.likeness.threshold
-    if alike is not None and by == DEFAULT_RANKING:
-        order = order[np.argsort(~alike[order], kind="stable")]
-    hits = []
-    for place in order[:k]:
-        row = int(rows[place])
-        hits.append(
-            Hit(
-                path=index.paths[row],
-                category=index.labels[row],
-                distance=float(ranking.histogram[place]),
-                rank=0,
-                clip_id=index.ids[row],
-                leaf_share=1.0 - float(ranking.leaves[place]),
-                pose_distance=_number_or_none(ranking.pose[place]),
-                rank_distance=_number_or_none(ranking.distances[place]),
-                mirrored=asked.mirrored,
-                alike=None if alike is None else bool(alike[place]),
-                probability=None if chances is None else round(float(chances[row]), 4),
-            )
-        )
-    return hits, ranking.distances
-
-
-def _number_or_none(value: np.float64) -> float | None:
-    return None if np.isnan(value) else float(value)
+    return tuple(number_hits(list(best.values())[:k]))
 
 
 def _mirrored_last(hit: Hit) -> tuple[tuple[bool, bool], float]:
@@ -272,7 +146,7 @@ def _mirrored_last(hit: Hit) -> tuple[tuple[bool, bool], float]:
     return far, distance / MIRROR_DISTANCE if hit.mirrored else distance
 
 
-def _number(hits: Sequence[Hit]) -> list[Hit]:
+def number_hits(hits: Sequence[Hit]) -> list[Hit]:
     return [replace(hit, rank=rank) for rank, hit in enumerate(hits, start=1)]
 
 
@@ -290,7 +164,7 @@ def judge(stored: StoredForest, answers: TreeAnswers, features: FloatArray, thre
     stored : the forest.
     answers, features : what its trees say of N motions, and (N, frames, columns) what they said it of.
     threshold : probability of being right below which a guess is withheld, and the motion called unknown; None for
-        that of the forest's calibration, 0 for never.
+        what the forest's calibration has learned, 0 for never.
     """
     guesses = answers.predicted()
     histograms = [_order_histogram(stored.categories, own) for own in answers.shares()]
@@ -298,10 +172,12 @@ def judge(stored: StoredForest, answers: TreeAnswers, features: FloatArray, thre
     if stored.assessor is None or not guesses:
         return [Verdict(guess, guess, None, None, histogram) for guess, histogram in pairs]
     seen = stored.assessor.assess(answers.leaves, features)
-    limit = stored.assessor.calibration.threshold if threshold is None else threshold
+    unknown = seen.unknown if threshold is None else seen.confidence < threshold
     return [
-        Verdict(guess if confidence >= limit else None, guess, float(known), float(confidence), histogram)
-        for (guess, histogram), known, confidence in zip(pairs, seen.known, seen.confidence, strict=True)
+        Verdict(None if strange else guess, guess, float(known), float(confidence), histogram)
+        for (guess, histogram), known, confidence, strange in zip(
+            pairs, seen.known, seen.confidence, unknown, strict=True
+        )
     ]
 
 
@@ -365,7 +241,7 @@ class Searcher(ABC):
     def __init__(self, database: Database, forests: ForestCache) -> None:
         self._database = database
         self._forests = forests
-        self._index: SearchIndex | None = None
+        self._index: LeafIndex | None = None
         self._poses: dict[int, NDArray[np.float32]] = {}
 
     def search(
@@ -394,7 +270,7 @@ class Searcher(ABC):
     @abstractmethod
     def _search_parts(
         self,
-        library: tuple[StoredForest, SearchIndex],
+        library: tuple[StoredForest, LeafIndex],
         query: tuple[str, StoredMotion],
         wanted: Wanted,
         progress: PartProgress | None,
@@ -410,7 +286,7 @@ class Searcher(ABC):
     def _search_whole(
         self,
         connection: sa.Connection,
-        index: SearchIndex,
+        index: LeafIndex,
         stored: StoredForest,
         query: tuple[str, int | None, StoredMotion | None],
         wanted: Wanted,
@@ -427,25 +303,25 @@ class Searcher(ABC):
         if wanted.mirror:
             assert motion is not None
             asked.append(ask_forest(stored, motion.mirror(), mirrored=True))
-        asked = [_with_chances(index, one) for one in asked]
         verdicts = [judge(stored, one.answers, one.features, wanted.threshold)[0] for one in asked]
         category = verdicts[0].guess if wanted.same_category else None
         read_poses = partial(self._read_poses, connection, stored.feature_set)
-        hits = search_index(index, asked, wanted.k, wanted.ranking, category, read_poses, wanted.among)
+        found = search_index(index, asked, wanted.k, wanted.ranking, category, read_poses, wanted.among)
+        hits = found.hits
         if wanted.explain:
             assert motion is not None
             explaining = Explaining(stored)
             verdicts = explaining.verdicts(verdicts, motion)
             hits = explaining.hits(hits, motion, load_motions(connection, [hit.clip_id for hit in hits]))
-        n_alike = count_alike(index, asked, category, wanted.among)
         mirrored = verdicts[1] if wanted.mirror else None
-        return SearchResult(name, verdicts[0], hits, wanted.ranking, mirrored, alike_count=n_alike)
+        return SearchResult(name, verdicts[0], hits, wanted.ranking, mirrored, alike_count=found.n_alike)
 
-    def _name(self, connection: sa.Connection, index: SearchIndex, query: Query) -> str:
+    def _name(self, connection: sa.Connection, index: LeafIndex, query: Query) -> str:
         if not isinstance(query, int):
             return name_query(query)
-        if query in index.rows:
-            return index.paths[index.rows[query]]
+        row = index.find(query)
+        if row is not None:
+            return index.path(row).decode()
         return str(find_row(connection, self._database.where, query).path)
 
     def classify(
@@ -489,12 +365,12 @@ class Searcher(ABC):
                 answers.append(Classification(item.path, None, problem=item.reason))
         return answers
 
-    def _load_index(self, connection: sa.Connection, stored: StoredForest) -> SearchIndex:
-        revision = read_revision(connection)
-        if self._index is None or self._index.revision != revision:
-            self._index = load_index(connection, revision, stored)
-            self._poses = {}
-        return self._index
+    def _load_index(self, connection: sa.Connection, stored: StoredForest) -> LeafIndex:
+        known, database = self._index, self._database
+        index = load_index(connection, database.where, stored, known, may_write=not database.is_read_only)
+        if index is not known:
+            self._index, self._poses = index, {}
+        return index
 
     def _read_poses(self, connection: sa.Connection, feature_set: str, ids: Sequence[int]) -> NDArray[np.float32]:
         """(N, cells, columns) pose sequences of clips; those that were read stay, as others ask for them too."""
@@ -507,12 +383,10 @@ class Searcher(ABC):
             kept.update(zip(missing, load_poses(connection, missing, feature_set), strict=True))
         return np.stack([kept[clip_id] for clip_id in ids]) if len(ids) else load_poses(connection, ids, feature_set)
 
-    def _find_clip(
-        self, connection: sa.Connection, index: SearchIndex, query: Query, options: ReadOptions
-    ) -> int | None:
+    def _find_clip(self, connection: sa.Connection, index: LeafIndex, query: Query, options: ReadOptions) -> int | None:
         """The clip that the query is, if it has not changed since it was stored."""
         if isinstance(query, int):
-            if query not in index.rows and query not in index.partial:
+            if index.find(query) is None and query not in index.partial:
                 path = find_row(connection, self._database.where, query).path
                 raise LibraryError("library_search.is_take", library=self._database.where, number=query, path=path)
             return query
@@ -524,7 +398,8 @@ class Searcher(ABC):
         table = schema.clips.c
         columns = sa.select(table.id, table.path, table.fingerprint, table.read_options)
         row = connection.execute(columns.where(table.path == path)).one_or_none()
-        if row is None or not (row.id in index.rows or row.id in index.partial) or not is_as_stored(row, options):
+        known = row is not None and (row.id in index.partial or index.find(row.id) is not None)
+        if row is None or not known or not is_as_stored(row, options):
             return None
         return int(row.id)
 

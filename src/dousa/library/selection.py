@@ -4,18 +4,20 @@ from __future__ import annotations
 
 import enum
 import os
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from typing import Any, TypeVar
 
 import sqlalchemy as sa
 
 from dousa.errors import LibraryError, OptionError
+from dousa.formats.motion_files import is_unicode
 from dousa.library import schema
 from dousa.library.engine import note_changed_clips, read_revision
 from dousa.library.results import ClipInfo, LibraryStats
 from dousa.library.seals.checksums import LABELS, NUMBERS, TAGS, seal_rows, update_rows
 
 _VALUES_AT_ONCE = 500  # databases limit the number of values in one query
+_PAGE = 1000  # clips that are listed at a time
 
 Item = TypeVar("Item")
 
@@ -57,24 +59,28 @@ def select_ids(
     if not items and category is None and performer is None and tag is None:
         raise OptionError("library_clips.nothing_chosen")
     table = schema.clips.c
-    query = sa.select(table.id, table.path)
+    query = sa.select(table.id)
     if category is not None:
         query = query.where(table.category == category)
     if performer is not None:
         query = query.where(table.performer == performer)
-    rows: Sequence[Any] = connection.execute(query).all()
-    if tag is not None:
-        tagged = {number for number, tags in read_tags(connection).items() if tag in tags}
-        rows = [row for row in rows if row.id in tagged]
-    if not rows and not items:
-        raise _none_of(where, category, performer, tag)
+    tagged = None if tag is None else {number for number, tags in read_tags(connection).items() if tag in tags}
+
+    def find(*narrower: sa.ColumnElement[bool]) -> set[int]:
+        found = set(connection.execute(query.where(*narrower)).scalars())
+        return found if tagged is None else found & tagged
+
     if not items:
-        return sorted(row.id for row in rows)
-    known = {row.id for row in rows}
+        found = find()
+        if not found:
+            raise _none_of(where, category, performer, tag)
+        return sorted(found)
+    numbers = [item for item in items if isinstance(item, int) and schema.is_id(item)]
+    known = {number for some in portions(numbers) for number in find(table.id.in_(some))}
     chosen: set[int] = set()
     for item in items:
         if not isinstance(item, int):
-            chosen |= _below(rows, item, where)
+            chosen |= _below(find, item, where)
         elif item in known:
             chosen.add(item)
         else:
@@ -92,11 +98,13 @@ def _none_of(where: str, category: str | None, performer: str | None, tag: str |
     return LibraryError("library_clips.none_of_both", library=where, category=category, performer=performer)
 
 
-def _below(rows: Sequence[Any], item: str | os.PathLike[str], where: str) -> set[int]:
-    path = os.path.abspath(item)
+def _below(find: Callable[..., set[int]], item: str | os.PathLike[str], where: str) -> set[int]:
+    path, column = os.path.abspath(item), schema.clips.c.path
     below = path.rstrip(os.sep) + os.sep
-    names = (path, os.fspath(item))  # motions that were added from memory have a name that is no path
-    found = {row.id for row in rows if row.path in names or row.path.startswith(below)}
+    names = [path, os.fspath(item)]  # motions that were added from memory have a name that is no path
+    found: set[int] = set()
+    if all(map(is_unicode, names)):  # else no database can hold it
+        found = find(column.in_(names) | (sa.func.substr(column, 1, len(below)) == below))
     if not found:
         raise LibraryError("library_clips.no_path", library=where, path=item)
     return found
@@ -127,14 +135,41 @@ def fetch_in(
 
 def list_clips(connection: sa.Connection, ids: Sequence[int] | None = None) -> list[ClipInfo]:
     """Clips and takes without their arrays, in the order of their paths; all of them, or those of these numbers."""
+    if ids is None:
+        infos, last = [], 0
+        while page := read_page(connection, last):
+            infos += page
+            last = page[-1].id
+    else:
+        infos = [info for some in portions(ids) for info in _read_infos(connection, schema.clips.c.id.in_(some))]
+    # Sorted here: databases differ in how they order text.
+    return sorted(infos, key=lambda info: info.path)
+
+
+def read_page(
+    connection: sa.Connection, after: int, category: str | None = None, performer: str | None = None
+) -> list[ClipInfo]:
+    """The next clips and takes in the order of their numbers, as many as are read at a time; of labels where given."""
+    table = schema.clips.c
+    wanted = [table.id > after]
+    wanted += [
+        column == value
+        for column, value in ((table.category, category), (table.performer, performer))
+        if value is not None
+    ]
+    return _read_infos(connection, *wanted, limit=_PAGE)
+
+
+def _read_infos(connection: sa.Connection, *wanted: sa.ColumnElement[bool], limit: int | None = None) -> list[ClipInfo]:
+    """Clips and takes without their arrays, in the order of their numbers."""
     clips, leaves, parts = schema.clips, schema.clip_leaves, schema.segments
     names = [name for name in ClipInfo.__dataclass_fields__ if name in clips.c]
     more = (leaves.c.predicted_category, parts.c.take_id, parts.c.start_s, parts.c.end_s)
     query = sa.select(*dict.fromkeys((*LABELS.columns, *NUMBERS.columns)), *more)
-    tagged = read_tags(connection, ids)
     query = query.join(leaves, leaves.c.clip_id == clips.c.id, isouter=True)
     query = query.join(parts, parts.c.clip_id == clips.c.id, isouter=True)
-    rows: Iterable[Any] = connection.execute(query) if ids is None else fetch_in(connection, query, clips.c.id, ids)
+    rows = connection.execute(query.where(*wanted).order_by(clips.c.id).limit(limit)).all()
+    tagged = read_tags(connection, [row.id for row in rows])
     infos = []
     for row in rows:
         LABELS.check(connection, row)
@@ -142,8 +177,7 @@ def list_clips(connection: sa.Connection, ids: Sequence[int] | None = None) -> l
         values = {name: getattr(row, name) for name in (*names, *(column.name for column in more))}
         values["warnings"] = tuple(map(schema.as_message, row.warnings))
         infos.append(ClipInfo(**(values | {"absent": tuple(row.absent.split()), "tags": tagged.get(row.id, ())})))
-    # Sorted here: databases differ in how they order text.
-    return sorted(infos, key=lambda info: info.path)
+    return infos
 
 
 def read_tags(connection: sa.Connection, ids: Sequence[int] | None = None) -> dict[int, tuple[str, ...]]:

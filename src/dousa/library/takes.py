@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -34,6 +35,7 @@ if TYPE_CHECKING:
 
 _ALIKE = 0.5
 _SAME_PLACE = 0.3  # intersection over union of two answers that are the same place
+_MOST_KEPT = 1 << 29  # bytes of windows that stay in memory: some 10 hours of takes
 
 
 def describe_windows(
@@ -109,20 +111,20 @@ def _replace_windows(database: Database, stored: StoredForest, clip_id: int, win
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ReadTake:
-    """A take with its windows.
+    """A take whose windows can be looked at.
 
     Parameters
     ----------
     path : its file.
     clip_id : its number in the library, None for a file that is not there.
-    windows : of a forest.
+    read : gives its windows; of many takes not all are in memory at a time.
     stored : that forest: the present one, or one for the joints that take and query have in common.
     motion : of a take that is not in the library.
     """
 
     path: str
     clip_id: int | None
-    windows: TakeWindows
+    read: Callable[[], TakeWindows]
     stored: StoredForest
     motion: StoredMotion | None = None
 
@@ -152,11 +154,15 @@ class Describing:
             return Skipped(path, why)
         stored, grid = chosen
         kept = motion if clip_id is None else None
-        return ReadTake(path, clip_id, describe_windows(stored, motion, self.n_jobs, grid), stored, kept)
+        windows = describe_windows(stored, motion, self.n_jobs, grid)
+        return ReadTake(path, clip_id, lambda: windows, stored, kept)
 
 
 class Takes:
-    """Looks into takes, and keeps the windows of the library's in memory until the forest or the takes change."""
+    """Looks into takes, and keeps windows of the library's in memory until the forest or the takes change.
+
+    Of many takes those that come first, and the others are read each time.
+    """
 
     def __init__(self, database: Database, forests: ForestCache, parts: PartForests) -> None:
         self._database = database
@@ -165,6 +171,7 @@ class Takes:
         self._part_windows: dict[int, tuple[StoredForest, TakeWindows]] = {}
         self._learned: int | None = None
         self._windows: dict[int, TakeWindows] = {}
+        self._kept_bytes = 0
         self._keeps = True
 
     def find(
@@ -198,9 +205,7 @@ class Takes:
                 chosen, skipped = self.all_takes(connection, describing)
             else:
                 chosen, skipped = self.chosen(connection, describing, takes)
-            found = [(place, False) for place in _find(motion, chosen, k)]
-            if mirror:
-                found += [(place, True) for place in _find(motion.mirror(), chosen, k)]
+            found, seconds = _find([motion, motion.mirror()] if mirror else [motion], chosen, k)
             places = _judge_places(connection, stored, motion, chosen, _rank(found, chosen, k))
         notes = [] if note is None else [note]
         fewer = sum(take.stored.hidden != part.hidden for take in chosen)
@@ -210,7 +215,7 @@ class Takes:
             query=name,
             duration=motion.duration,
             n_takes=len(chosen),
-            seconds=sum(take.windows.duration for take in chosen),
+            seconds=seconds,
             results=tuple(places),
             skipped=tuple(skipped),
             notes=tuple(notes),
@@ -252,11 +257,11 @@ class Takes:
             elif chosen[0] is describing.stored:
                 kept.append(row)
             else:
-                answers[row.id] = ReadTake(
-                    row.path, row.id, self._describe_part(connection, row.id, *chosen), chosen[0]
-                )
-        windows = self._read(connection, describing.stored, [row.id for row in kept])
-        answers.update((row.id, ReadTake(row.path, row.id, windows[row.id], describing.stored)) for row in kept)
+                part = self._describe_part(connection, row.id, *chosen)
+                answers[row.id] = ReadTake(row.path, row.id, partial(_give, part), chosen[0])
+        for row in kept:
+            read = partial(self._read, connection, describing.stored, row.id)
+            answers[row.id] = ReadTake(row.path, row.id, read, describing.stored)
         return [answers[row.id] for row in rows]
 
     def _describe_part(
@@ -365,40 +370,43 @@ class Takes:
         names = [path for path in paths if is_unicode(path)]
         return {row.path: row for row in fetch_in(connection, query, table.path, names)}
 
-    def _read(self, connection: sa.Connection, stored: StoredForest, ids: Sequence[int]) -> dict[int, TakeWindows]:
-        """Windows by number; those that are not stored are described."""
+    def _read(self, connection: sa.Connection, stored: StoredForest, clip_id: int) -> TakeWindows:
+        """Windows of a take; those that are not stored are described."""
         from dousa.retrieval.takes.windows import TakeWindows
 
         if self._learned != stored.learned:
-            self._learned, self._windows = stored.learned, {}
-        table = schema.take_windows.c
-        where = self._database.where
-        query = sa.select(table.clip_id, table.data).where(table.learned == stored.learned)
-        missing = [clip_id for clip_id in ids if clip_id not in self._windows]
-        for row in fetch_in(connection, query, table.clip_id, missing):
-            number = row.clip_id
+            self._learned, self._windows, self._kept_bytes = stored.learned, {}, 0
+        known = self._windows.get(clip_id)
+        if known is not None:
+            return known
+        table, where = schema.take_windows.c, self._database.where
+        query = sa.select(table.data).where(table.learned == stored.learned, table.clip_id == clip_id)
+        data = connection.execute(query).scalar_one_or_none()
+        if data is None:
+            (motion,) = load_motions(connection, [clip_id])
+            windows = describe_windows(stored, motion, None)
+            self._keep(stored, clip_id, windows)
+        else:
             try:
-                self._windows[number] = TakeWindows.from_bytes(row.data)
+                windows = TakeWindows.from_bytes(data)
             except DousaError as error:
                 raise LibraryDamagedError(
-                    "library_takes.damaged", library=where, number=number, problem=error
+                    "library_takes.damaged", library=where, number=clip_id, problem=error
                 ) from error
             # Leaves are looked up by number, so there must be such leaves.
-            trees, leaves = stored.forest.trees_, self._windows[number].leaves
+            trees, leaves = stored.forest.trees_, windows.leaves
             if leaves.shape[1] != len(trees.roots) or (leaves.size and leaves.max() >= trees.n_leaves):
-                raise LibraryDamagedError("library_takes.other_forest", library=where, number=number)
-        for clip_id in ids:
-            if clip_id not in self._windows:
-                (motion,) = load_motions(connection, [clip_id])
-                self._windows[clip_id] = describe_windows(stored, motion, None)
-                self._keep(stored, clip_id)
-        return {clip_id: self._windows[clip_id] for clip_id in ids}
+                raise LibraryDamagedError("library_takes.other_forest", library=where, number=clip_id)
+        if self._kept_bytes + windows.n_bytes <= _MOST_KEPT:
+            self._windows[clip_id] = windows
+            self._kept_bytes += windows.n_bytes
+        return windows
 
-    def _keep(self, stored: StoredForest, clip_id: int) -> None:
+    def _keep(self, stored: StoredForest, clip_id: int, windows: TakeWindows) -> None:
         """Write windows that had to be described, such as after a program was stopped; unless that cannot be."""
         if self._keeps and not self._database.is_read_only:
             try:
-                _replace_windows(self._database, stored, clip_id, self._windows[clip_id].to_bytes())
+                _replace_windows(self._database, stored, clip_id, windows.to_bytes())
             except LibraryError:
                 self._keeps = False  # once is enough to wait for others
 
@@ -422,24 +430,38 @@ def check_single(take: Any) -> None:
             raise MotionFileError(take, "library_takes.not_one_file", n_files=len(files))
 
 
-def _find(motion: StoredMotion, takes: Sequence[ReadTake], k: int) -> list[Found]:
-    """The best places, of takes that are compared by the same joints together."""
-    from dousa.retrieval.takes.find import describe_query, find_in_takes
+def _give(windows: TakeWindows) -> TakeWindows:
+    return windows
 
-    # Named by their place in the list: two files may have one name, and numbers are compared fast.
-    groups: dict[int, tuple[StoredForest, list[tuple[str, TakeWindows]]]] = {}
+
+def _find(motions: Sequence[StoredMotion], takes: Sequence[ReadTake], k: int) -> tuple[list[tuple[Found, bool]], float]:
+    """The best places of the query, and of its mirror image if there is one, and the seconds of all takes.
+
+    Takes that are compared by the same joints are ordered together. Each is read once, and again where a place is.
+    """
+    from dousa.retrieval.takes.find import TakeSearch, describe_query
+
+    groups: dict[int, tuple[StoredForest, list[int]]] = {}
     for row, take in enumerate(takes):
-        groups.setdefault(id(take.stored), (take.stored, []))[1].append((str(row), take.windows))
+        groups.setdefault(id(take.stored), (take.stored, []))[1].append(row)
     most = max((count_placed(stored.hidden) for stored, _ in groups.values()), default=1)
-    found: list[Found] = []
-    for stored, some in groups.values():
+    found: list[tuple[Found, bool]] = []
+    seconds = {}
+    for stored, rows in groups.values():
         kind = find_feature_set(stored.feature_set)
-        query = describe_query(stored.forest, kind, hide_joints(motion, kind.hidden))
+        queries = [describe_query(stored.forest, kind, hide_joints(motion, kind.hidden)) for motion in motions]
+        searches = [TakeSearch(query, k) for query in queries]
+        for row in rows:
+            windows = takes[row].read()
+            seconds[row] = windows.duration
+            for search in searches:
+                search.look(str(row), windows)  # two files may have one name, and numbers are compared fast
         # Of a body of which less can be compared, less is known to be alike.
         share = count_placed(kind.hidden) / most
-        places = find_in_takes(query, some, limit=k)
-        found += places if share == 1.0 else [replace(one, score=one.score * share) for one in places]
-    return found
+        for mirrored, search in enumerate(searches):
+            places = search.finish(lambda number, rows=rows: takes[rows[number]].read())  # type: ignore[misc]
+            found += [(one if share == 1.0 else replace(one, score=one.score * share), mirrored > 0) for one in places]
+    return found, sum(seconds[row] for row in range(len(takes)))
 
 
 def _rank(found: list[tuple[Found, bool]], takes: Sequence[ReadTake], k: int) -> list[Place]:

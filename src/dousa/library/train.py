@@ -8,7 +8,8 @@ from __future__ import annotations
 import time
 from collections import Counter
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -25,13 +26,15 @@ from dousa.library.features import (
     save_descriptions,
 )
 from dousa.library.forests import (
+    MOST_COPIES,
+    HeldBack,
     StoredForest,
     TreeAnswers,
     ask_trees,
-    choose_held_back,
     describe_copies,
     fit_forest,
     fit_grid,
+    hold_back,
     keep_unlearned,
     learn_unknown,
     replace_forest,
@@ -40,7 +43,7 @@ from dousa.library.forests import (
 from dousa.library.results import TrainReport
 from dousa.library.takes import describe_takes, save_windows
 from dousa.library.text.meanings import find_meanings
-from dousa.library.text.store import keep_all_relations
+from dousa.library.text.store import keep_all_relations, keep_relations_of
 from dousa.messages import Message
 from dousa.retrieval import MotionForest
 from dousa.retrieval.features.feature_sets import FeatureSet
@@ -95,21 +98,8 @@ def train_forest(
     database.check_writable()  # before the work
     with database.reading() as connection:
         kind, n_partial = _choose_joints(database.where, connection, kind)  # before the work
-    keep_features(database, kind.name, n_jobs, tell_clips)
-    with database.reading() as connection:
-        seen, following = read_revision(connection), next_clip_id(connection)
-        clips = load_features(connection, kind.name, n_jobs=n_jobs, progress=tell_clips)
-        grid = fit_grid(connection)
-        labelled, counts = _check_categories(database.where, clips.categories)
-        copies = describe_copies(connection, clips, labelled, kind, n_jobs)
-    report(1, _STEPS, Message("library_training.growing_trees"))
-    fit_forest(forest, clips, labelled, kind, copies)
-    report(2, _STEPS, Message("library_training.calibrating"))
-    learner = make_likeness_learner(clips, labelled, kind)
-    assessor = learn_unknown(forest, clips, labelled, kind, copies, learner.watch)
-    likeness = None if assessor is None else learner.finish()
-    names = tuple(str(name) for name in forest.classes_)
-    stored = StoredForest(forest, names, kind.name, grid, assessor, 0, 0, likeness, following)
+    keep_features(database, kind.name, n_jobs, tell_clips, partial(keep_relations_of, database))
+    stored, answers, counts = _learn(database, forest, kind, n_jobs, report)
     report(3, _STEPS, Message("library_training.labeller"))
     with database.reading() as connection:
         labeller = learn_labeller(connection, stored, n_jobs)
@@ -118,15 +108,16 @@ def train_forest(
         windows = describe_takes(connection, stored, n_jobs=n_jobs, progress=tell_takes)
     report(5, _STEPS, Message("library_training.writing"))
     keep_all_relations(database)
-    stored = _store(database, stored, seen, clips, windows, labeller)
+    stored = _store(database, stored, replace(answers, windows=windows), labeller)
     report(_STEPS, _STEPS, Message("library_training.done"))
+    n_clips, n_labelled = len(answers.clips.ids), sum(counts.values())
     done = TrainReport(
         feature_set=kind.name,
         n_trees=int(forest.get_params()["n_trees"]),
-        n_clips=len(labelled),
-        n_unlabelled=len(clips.categories) - len(labelled),
+        n_clips=n_labelled,
+        n_unlabelled=n_clips - n_labelled,
         categories=counts,
-        calibration=None if assessor is None else assessor.calibration,
+        calibration=None if stored.assessor is None else stored.assessor.calibration,
         single=tuple(name for name, count in counts.items() if count == 1),
         n_partial=n_partial,
         hidden=kind.hidden,
@@ -135,18 +126,12 @@ def train_forest(
     return stored, done
 
 
-def make_likeness_learner(clips: ClipFeatures, labelled: Sequence[int], kind: FeatureSet) -> LikenessLearner:
-    """What learns, while the calibration holds its rounds, which clips are alike; categories of one meaning are."""
-    rows, people = choose_held_back(clips, labelled)
-    labels = np.array([clips.categories[row] for row in rows], dtype=np.str_)
-    means = find_meanings(set(labels.tolist()))
-    meanings = np.array([means[label] for label in labels.tolist()], dtype=np.str_)
-    return LikenessLearner(clips.features[rows], labels, meanings, np.array(people, dtype=np.str_), kind)
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class _Answers:
-    """What a forest says of the library at a revision: of all clips, and the windows of all takes."""
+    """What a forest says of the library at a revision: of all clips, and the windows of all takes.
+
+    The features of the clips are left out: they are most of what a training has in memory.
+    """
 
     revision: int
     clips: ClipFeatures
@@ -154,26 +139,60 @@ class _Answers:
     windows: dict[int, bytes]
 
 
+def _learn(
+    database: Database, forest: MotionForest, kind: FeatureSet, n_jobs: int | None, report: TrainProgress
+) -> tuple[StoredForest, _Answers, dict[str, int]]:
+    """Grow the trees and calibrate them; what they say of the clips, and how many clips each category has."""
+
+    def tell_clips(done: int, total: int) -> None:
+        report(0, _STEPS, Message("library_training.describing_clips_done", done=done, total=total))
+
+    with database.reading() as connection:
+        seen, following = read_revision(connection), next_clip_id(connection)
+        clips = load_features(connection, kind.name, n_jobs=n_jobs, progress=tell_clips, spare=MOST_COPIES)
+        grid = fit_grid(connection)
+        labelled, counts = _check_categories(database.where, clips.categories)
+        copies = describe_copies(connection, clips, labelled, kind, n_jobs)
+    report(1, _STEPS, Message("library_training.growing_trees"))
+    fit_forest(forest, clips, labelled, kind, copies)
+    report(2, _STEPS, Message("library_training.calibrating"))
+    held = hold_back(clips, labelled)
+    learner = make_likeness_learner(held, kind)
+    assessor = learn_unknown(forest, held, kind, copies, learner.watch)
+    likeness = None if assessor is None else learner.finish()
+    names = tuple(str(name) for name in forest.classes_)
+    stored = StoredForest(forest, names, kind.name, grid, assessor, 0, 0, likeness, following)
+    known = replace(clips, features=np.empty((0, *clips.features.shape[1:]), np.float32), room=None)
+    return stored, _Answers(seen, known, ask_trees(stored, clips.features), {}), counts
+
+
+def make_likeness_learner(held: HeldBack, kind: FeatureSet) -> LikenessLearner:
+    """What learns, while the calibration holds its rounds, which clips are alike; categories of one meaning are."""
+    means = find_meanings(set(held.categories.tolist()))
+    meanings = np.array([means[label] for label in held.categories.tolist()], dtype=np.str_)
+    performers = np.array(held.performers, dtype=np.str_)
+    return LikenessLearner(held.features, held.categories, meanings, performers, kind)
+
+
 def _store(
     database: Database,
     stored: StoredForest,
-    seen: int,
-    clips: ClipFeatures,
-    windows: dict[int, bytes],
+    answers: _Answers,
     labeller: TakeLabeller | None,
 ) -> StoredForest:
     """Write the forest, what it says of clips and takes, and what takes are labelled with."""
-    n_clips = sum(category is not None for category in clips.categories)
+    seen = answers.revision
+    n_clips = sum(category is not None for category in answers.clips.categories)
 
     def ask(connection: sa.Connection, known: _Answers | None) -> _Answers:
         now = read_revision(connection)
         if known is None and now == seen:
-            return _Answers(now, clips, ask_trees(stored, clips.features), windows)
+            return answers
         if known is not None and known.revision == now:
             return known
         # Another program added or removed clips while the trees grew.
         there = load_features(connection, stored.feature_set)
-        described = describe_takes(connection, stored, known=windows if known is None else known.windows)
+        described = describe_takes(connection, stored, known=(known or answers).windows)
         return _Answers(now, there, ask_trees(stored, there.features), described)
 
     def write(connection: sa.Connection, known: _Answers) -> StoredForest:

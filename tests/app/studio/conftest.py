@@ -16,6 +16,8 @@ import pytest
 pytest.importorskip("fastapi", reason="the studio is not installed: pip install 'dousa[studio]'")
 
 from app.browser import Page
+from app.studio.evaluation_cases import write_dances
+from app.studio.studio_client import Client
 from dousa.app.studio import Settings, create_app
 
 TOKEN = "the-token-of-the-tests"
@@ -121,6 +123,18 @@ def running(library_copy: Path) -> Iterator[Running]:
     """A studio for the browser."""
     with listening(Settings(library_copy, token=TOKEN)) as found:
         yield found
+
+
+@pytest.fixture
+def client(running: Running) -> Client:
+    """A program that asks the studio which the browser shows."""
+    return Client(running)
+
+
+@pytest.fixture(scope="session")
+def dances(tmp_path_factory: pytest.TempPathFactory) -> tuple[list[Path], Path]:
+    """Takes of a reference, and a pupil's; never changed by a test."""
+    return write_dances(tmp_path_factory.mktemp("dances"))
 
 
 @pytest.fixture

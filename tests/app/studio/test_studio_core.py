@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import html
 import json
 import os
 import re
@@ -153,6 +154,24 @@ def test_the_field_takes_the_token(studio):
     assert studio.get("/library").status_code == 200
 
 
+def test_the_field_leads_to_the_page_that_was_asked_for(studio):
+    del studio.headers["authorization"]
+    page = studio.get("/takes?motion=take%3A3&token=")
+    action = html.unescape(re.search(r'action="([^"]+)"', page.text)[1])
+    again = studio.post(action, data={"token": "guess"})
+    assert again.status_code == 401 and html.unescape(re.search(r'action="([^"]+)"', again.text)[1]) == action
+    answer = studio.post(action, data={"token": TOKEN}, follow_redirects=False)
+    assert answer.headers["location"] == "/takes?motion=take%3A3"
+
+
+@pytest.mark.parametrize(
+    "place", ["//evil.example/x", "/\\evil.example/x", "https://evil.example/x", "\t//evil.example/x"]
+)
+def test_the_field_leads_to_no_other_machine(studio, place):
+    answer = studio.post("/enter", params={"to": place}, data={"token": TOKEN}, follow_redirects=False)
+    assert answer.status_code == 303 and re.match(r"/[^/\\]", answer.headers["location"])
+
+
 def test_browsers_are_sent_to_the_name_of_this_studio_alone(library_copy):
     from starlette.testclient import TestClient
 
@@ -176,7 +195,7 @@ def test_what_the_studio_makes_is_for_its_user_alone(tmp_path):
     from dousa.app.studio.content.studio import Studio
 
     studio = Studio(Settings(tmp_path / "new.dousa", token="x"), lambda _: {})
-    studio.held.announce("http://127.0.0.1:1", "x")
+    studio.held.announce("http://127.0.0.1:1", "x", tmp_path / "new.dousa")
     home = tmp_path / "new.studio"
     assert home.stat().st_mode & 0o777 == 0o700
     for path in (tmp_path / "new.dousa", home / "studio.json", home / "studio.lock"):
@@ -254,3 +273,14 @@ def test_what_an_interrupted_upload_left_goes_with_the_next_start(library_copy):
     home.hold()
     assert not part.exists()
     home.release()
+
+
+@pytest.mark.parametrize(("language", "words"), [("en", "No such page"), ("ja", "このページはありません")])
+def test_an_unknown_address_is_a_page_with_a_way_home_and_json_for_programs(studio, language, words):
+    page = studio.get("/no/such<b>", params={"lang": language})
+    assert page.status_code == 404 and page.headers["content-type"].startswith("text/html")
+    assert words in page.text and 'href="/library"' in page.text and "<b>" not in page.text.split("<main", 1)[1]
+    told = studio.get("/api/no-such-thing")
+    assert told.status_code == 404 and told.json()["code"] == "studio.no_address"
+    assert studio.get("/static/x/no.js").json()["code"] == "studio.no_static"
+    assert studio.post("/no-such-page").json()["code"] == "studio.no_address"

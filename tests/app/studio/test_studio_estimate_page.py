@@ -121,3 +121,38 @@ def test_a_job_that_is_not_there(show):
     assert "removed from the list" in text(page, "#watch-problem")
     page.find("#watch-actions button").click()
     page.wait("return !document.querySelector('#setup').hidden")
+
+
+CHART = """
+const done = arguments[0];
+const base = document.querySelector('script[src*="core/frame"]').src.replace('core/frame.js', '');
+import(`${base}estimate/chart.js`).then(({ Chart }) => {
+  const place = document.querySelector('main').appendChild(document.createElement('div'));
+  place.className = 'chart';
+  place.id = 'tried';
+  const chart = new Chart(place, (frame) => { window.went = frame; });
+  const states = ['', '', 'unsure', 'unsure', '', 'lost', 'lost', 'lost', '', ''];
+  const is = (state) => ({ overlap: 0.8, lost: state === 'lost', unsure: state === 'unsure', stage: 2 });
+  const rows = states.map((state, frame) => [frame, is(state)]);
+  chart.draw(new Map(rows), states.length);
+  const bands = [...place.querySelectorAll('.trust-band')];
+  done(bands.map((band) => [band.classList[1], getComputedStyle(band).fill]));
+});
+"""
+
+
+def test_the_timeline_marks_how_far_each_frame_is_to_be_trusted_and_a_press_goes_there(show):
+    page = show("/estimate")
+    bands = page.driver.execute_async_script(CHART)
+    assert [trust for trust, _ in bands] == ["good", "unsure", "good", "lost", "good"]
+    assert len({colour for _, colour in bands}) == 3
+    press = """
+    const drawing = document.querySelector('#tried svg');
+    const box = drawing.getBoundingClientRect();
+    drawing.setPointerCapture = () => {};
+    const at = { clientX: box.x + (box.width * 6) / 9, clientY: box.y + box.height - 2, bubbles: true };
+    drawing.dispatchEvent(new PointerEvent('pointerdown', at));
+    return window.went;
+    """
+    assert page.run(press) == 6  # in the middle of the lost ones
+    assert page.messages() == []

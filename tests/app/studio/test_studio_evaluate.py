@@ -7,14 +7,9 @@ import json
 
 import pytest
 
-from app.studio.evaluation_cases import upload, write_dances
+from app.studio.evaluation_cases import upload
 
 KINDS = {"global", "partial", "incomplete", "shift"}
-
-
-@pytest.fixture(scope="module")
-def dances(tmp_path_factory):
-    return write_dances(tmp_path_factory.mktemp("dances"))
 
 
 @pytest.fixture

@@ -2,42 +2,10 @@
 
 from __future__ import annotations
 
-import json
 import urllib.request
-from pathlib import Path
 from typing import Any
 
 import pytest
-
-from app.studio.evaluation_cases import write_dances
-
-
-@pytest.fixture(scope="module")
-def dances(tmp_path_factory):
-    return write_dances(tmp_path_factory.mktemp("dances"))
-
-
-class _Client:
-    """Asks the running studio as a program would."""
-
-    def __init__(self, running: Any) -> None:
-        self.running = running
-
-    def ask(self, method: str, path: str, body: Any = None) -> Any:
-        data = body if isinstance(body, bytes) else None if body is None else json.dumps(body).encode()
-        kind = "application/octet-stream" if isinstance(body, bytes) else "application/json"
-        headers = {"authorization": f"Bearer {self.running.token}", "content-type": kind}
-        request = urllib.request.Request(self.running.url + path, data, headers, method=method)
-        with urllib.request.urlopen(request) as answer:
-            return json.loads(answer.read())
-
-    def upload(self, path: Path) -> str:
-        return self.ask("POST", f"/api/uploads?name={path.name}", path.read_bytes())["files"][0]["motion"]
-
-
-@pytest.fixture
-def client(running):
-    return _Client(running)
 
 
 @pytest.fixture
@@ -149,7 +117,7 @@ def test_the_report_follows_cuts_and_weights(show, address):
         f"return document.querySelectorAll('.furi-table tbody tr:not(.counts-row)').length === {count - 1}", seconds=60
     )
     _settled(page)
-    assert page.run("return document.querySelectorAll('#lanes .band').length") == count - 1
+    assert page.run("return document.querySelectorAll('.lanes .band').length") == count - 1
     page.find("#reset-cuts").click()
     page.wait(
         f"return document.querySelectorAll('.furi-table tbody tr:not(.counts-row)').length === {count}", seconds=60
@@ -202,7 +170,7 @@ def test_what_is_open_and_playing_stays(show, address):
     assert not page.run("return document.querySelectorAll('.shape-card')[1].open")
     assert page.run("return document.querySelector('#lanes').getAttribute('aria-valuenow')") == at
     assert page.run("return document.querySelector('#zoom-now').textContent") == "2×"
-    assert page.run("return document.querySelector('#lanes').style.getPropertyValue('--zoom')") == "2"
+    assert page.run("return document.querySelector('.lanes').style.getPropertyValue('--zoom')") == "2"
     assert page.run("return window.scrollY") == pytest.approx(900, abs=60)
     assert page.run("return document.activeElement.id") == "lanes"
     assert page.messages() == []
@@ -237,6 +205,41 @@ def test_reload_keeps_everything_and_two_tabs_do_no_harm(show, address, running)
     assert page.messages() == []
     page.driver.close()
     page.driver.switch_to.window(mine)
+    assert page.messages() == []
+
+
+def test_changes_of_figures_and_weights_are_undone_by_keys_and_buttons(show, address):
+    page = show(address)
+    _grade(page)
+    disabled = "return ['undo', 'redo'].map((one) => document.querySelector(`#adjust-${one}`).disabled)"
+    arms = "return document.querySelector('[data-weight=limb-arms]').value"
+    count = "return document.querySelectorAll('.cuts-table tbody tr').length"
+    assert page.run(disabled) == [True, True]
+    figures = page.run(count)
+    _slide(page, "limb-arms", 0.5)
+    _settled(page)
+    page.run("document.querySelectorAll('.cuts-table tbody tr')[1].querySelector('td:last-child button').click()")
+    _settled(page)
+    assert (page.run(count), page.run(arms)) == (figures - 1, "0.5")
+    score = _score(page)
+
+    page.run("document.activeElement.blur()")
+    page.press("z", held="\ue009")
+    assert (page.run(count), page.run(arms)) == (figures, "0.5")
+    page.press("z", held="\ue009")
+    assert (page.run(count), page.run(arms)) == (figures, "1")
+    assert page.run(disabled) == [True, False]
+    page.press("y", held="\ue009")
+    assert (page.run(count), page.run(arms)) == (figures, "0.5")
+    page.find("#adjust-redo").click()
+    assert page.run(count) == figures - 1
+    assert page.run(disabled) == [False, True]
+    _settled(page)
+    assert _score(page) == score
+    # A field has an undo of its own.
+    page.run("document.querySelector('.figure-name').focus()")
+    page.press("z", held="\ue009")
+    assert page.run(count) == figures - 1
     assert page.messages() == []
 
 

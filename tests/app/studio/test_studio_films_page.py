@@ -87,6 +87,29 @@ def enlarge_and_return(page) -> None:
     assert page.run(shown) == 3
 
 
+COVERED = """
+const canvas = document.querySelector('#film-space');
+const { data } = canvas.getContext('2d').getImageData(0, 0, canvas.width, canvas.height);
+let covered = 0;
+for (let at = 3; at < data.length; at += 4) covered += data[at] === 255;
+return covered / (canvas.width * canvas.height);
+"""
+
+
+def look_at_the_cameras(page) -> None:
+    """The pictures of all films stand where they were taken, and go with the clock."""
+    space = "const c = document.querySelector('#film-space'); "
+    assert page.run(space + "return c.dataset.pictures") == "3"
+    assert page.run(COVERED) > 0.05  # lines alone cover less
+    before = page.run(space + "return c.toDataURL()")
+    go_to(page, 10)
+    page.wait(space + "return c.toDataURL() !== arguments[0]", before)
+    turned = page.run(space + "return c.toDataURL()")
+    page.find("#film-space").send_keys(KEYS.ARROW_LEFT)
+    assert page.run(space + "return c.toDataURL()") != turned
+    go_to(page, 33)
+
+
 def choose_the_other(page, running, job: str) -> None:
     """The other person by a click in the first film, where they are the first track; in the third a track is left out,
     and somebody else is said to be them, until that is taken back."""
@@ -130,6 +153,7 @@ def test_from_films_to_the_motion_of_another_person(show, running, scene, tmp_pa
     go_to(page, 33)
     assert text(page, "#film-now").startswith(f"frame 34 of {N_SHARED}")
 
+    look_at_the_cameras(page)
     enlarge_and_return(page)
 
     choose_the_other(page, running, first)
@@ -152,6 +176,7 @@ def test_from_films_to_the_motion_of_another_person(show, running, scene, tmp_pa
         page = show(f"/estimate?job={second}", width, height, scheme, "ja")
         page.wait(FITTED, seconds=30)
         assert "0.40 秒後" in text(page, "#film-starts") and is_within(page)
+        page.wait("return document.querySelector('#film-space').dataset.pictures === '3'")
         page.wait(DRAWN, "0")
         assert page.messages() == []
     page.find("#search-it").click()

@@ -109,7 +109,10 @@ def test_removed_clips_are_forgotten_and_their_uploads_freed(studio, bvh, wait_j
     studio.post("/api/journal/undo", json={})
     assert studio.get("/api/space").json()["removed_bytes"] == 0
     studio.post("/api/clips/remove", json={"clips": [clip.id]})
-    forgotten = studio.post("/api/space/compact").json()
+    job = studio.post("/api/jobs/compact", json={}).json()["id"]
+    assert wait_job(studio, job)["result"]["forgotten"] > 0
+    assert studio.delete(f"/api/jobs/{job}").status_code == 200
+    forgotten = studio.get("/api/space").json()
     assert forgotten["removed_bytes"] == 0 and forgotten["can_be_freed_bytes"] >= len(content)
     assert studio.post("/api/journal/undo", json={}).status_code == 409
     studio.post("/api/space/free")

@@ -71,6 +71,41 @@ def test_only_what_is_seen_is_there(library_page):
     assert page.messages() == []
 
 
+def test_a_large_window_is_filled_without_a_page_that_scrolls(library_page):
+    page = library_page(width=1440, height=620)
+    assert page.run("return document.documentElement.scrollHeight <= innerHeight")
+    for pane in ("#facets", "#grid-scroll"):
+        assert page.run("const e = document.querySelector(arguments[0]); return e.scrollWidth <= e.clientWidth", pane)
+    assert page.run("return document.querySelector('#grid-scroll').scrollHeight > innerHeight")
+    page.find(".cell").click()
+    page.press(KEYS.END, held=KEYS.CONTROL)
+    page.wait(f"{CELLS}.some((cell) => cell.cell.index === {N - 1} && cell.contains(document.activeElement))")
+    box = page.run("const b = document.activeElement.getBoundingClientRect(); return [b.top, b.bottom, innerHeight]")
+    assert box[0] > 0 and box[1] < box[2]
+    assert page.messages() == []
+
+
+def test_the_place_of_the_pointer_over_a_figure_is_a_moment(library_page):
+    from selenium.webdriver import ActionChains
+
+    page = library_page()
+    stage = page.find(".cell .stage")
+    shown = "const { miniature, scrubber } = document.querySelector('.cell').cell; return [miniature.share, miniature.playing, scrubber.hidden]"  # noqa: E501
+    place = -round(0.25 * stage.rect["width"])
+    ActionChains(page.driver, duration=0).move_to_element_with_offset(stage, place, 0).perform()
+    page.wait(f"{{ {shown.replace('return [', 'return !scrubber.hidden && [')} }}")
+    share, playing, hidden = page.run(shown)
+    assert share == pytest.approx(0.25, abs=0.02) and not playing and not hidden
+    ActionChains(page.driver, duration=0).move_to_element(page.find("h1")).perform()
+    page.wait("return document.querySelector('.cell').cell.miniature.playing")
+    features = [{"name": "prefers-reduced-motion", "value": "reduce"}]
+    page.driver.execute_cdp_cmd("Emulation.setEmulatedMedia", {"features": features})
+    ActionChains(page.driver, duration=0).move_to_element_with_offset(stage, place, 0).perform()
+    page.settle()
+    assert page.run(shown)[2]
+    assert page.messages() == []
+
+
 def test_filters_and_words_narrow_the_list_and_stand_in_the_address(library_page):
     page = library_page()
     click(page, "[data-key='category squat']")

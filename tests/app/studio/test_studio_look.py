@@ -10,7 +10,7 @@ import pytest
 
 KEYS = pytest.importorskip("selenium.webdriver", reason="selenium is not installed: pip install selenium").Keys
 
-PAGES = ("/library", "/search?motion=clip:1", "/takes", "/evaluate?references=clip:1", "/estimate", "/api")
+PAGES = ("/library", "/search?motion=clip:1", "/takes", "/evaluate?references=clip:1", "/estimate", "/live", "/api")
 WORDS = Path(__file__).resolve().parents[3] / "src" / "dousa" / "app" / "studio" / "words"
 
 # What a screen reader would call each thing that can be used; those without a name are returned.

@@ -79,6 +79,14 @@ def test_a_second_start_shows_the_studio_that_runs(library_copy):
         assert ask(url, token, f"/api/jobs/{job['id']}")["state"] == "stopped"
 
 
+def test_a_studio_of_another_library_in_the_folder_is_named(library_copy, dousa, tmp_path):
+    home = tmp_path / "home"
+    with started("studio", library_copy, "--no-browser", "--port", 0, "--home", home):
+        code, _, err = dousa("studio", tmp_path / "other.dousa", "--no-browser", "--port", 0, "--home", home)
+    assert code == 2
+    assert f"the studio of {library_copy} uses this folder" in err and "--home" in err
+
+
 def test_a_browser_comes_in_by_a_name_of_its_own_or_by_the_field(library_copy, browser):
     with started("studio", library_copy, "--no-browser", "--port", 0) as (process, url, token):
         browser.driver.get(process.opening)

@@ -74,6 +74,18 @@ def test_answers_of_assessments_can_be_read() -> None:
     assert attempt.counts == {"global": 1, "partial": 1, "incomplete": 1, "shift": 1}
     assert attempt.sizes["incomplete"] == 24.0 and attempt.sizes["shift"] == 200.0
     assert ("partial", 0, "right_arm") in attempt.faults
+    assert set(attempt.segments) == set(SEGMENTS) and attempt.segments["right_forearm"] >= 1
+    assert len(attempt.figures) == len(make_assessment().to_json()["furi"])
+
+
+def test_errors_are_counted_by_segment_but_for_those_of_the_whole_body() -> None:
+    events = [event("partial", 0, ("trunk", "left_thigh")), event("shift", 1, ("trunk",)), event("shift", 1, SEGMENTS)]
+    given = {**answer(70.0, *events), "furi": [{"label": "a", "score": 71.0}, {"label": "b", "score": None}]}
+    attempt = read_attempt(given, "x")
+    assert {name: count for name, count in attempt.segments.items() if count} == {"trunk": 2, "left_thigh": 1}
+    assert attempt.figures == (("a", 71.0), ("b", None))
+    plain = compare_attempts([attempt, attempt]).to_json()["attempts"][0]
+    assert plain["segments"]["trunk"] == 2 and plain["figures"][1] == {"label": "b", "score": None}
 
 
 @pytest.mark.parametrize(

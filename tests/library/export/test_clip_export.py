@@ -8,10 +8,13 @@ import zipfile
 import numpy as np
 import pytest
 
-from dousa.errors import LibraryError, OptionError
+from dousa import formats
+from dousa.errors import LibraryError, MotionWriteError, OptionError
+from dousa.files.disk import atomic_write
 from dousa.formats.motion_files import ReadOptions
 from dousa.formats.registry import WRITERS, read_motion, write_motion
 from dousa.library import Library
+from dousa.library.export import destination
 from dousa.library.export.clip_export import ExportFormat, list_formats
 from dousa.library.export.destination import MANIFEST
 from dousa.motion import Trajectories, canonicalise
@@ -97,6 +100,31 @@ def test_an_interrupted_export_goes_on(tmp_path, library):
     assert (len(report.kept), len(report.written)) == (2, 2)
     assert seen == [(n, 4) for n in range(5)]
     assert not [path for path in (tmp_path / "out").rglob("*") if path.name.endswith(".part")]
+
+
+def test_a_full_disk_ends_the_export_and_the_same_goes_on(tmp_path, library, monkeypatch):
+    whole, lists = formats.write_motion, []
+
+    def write(motion, path):
+        if len(list((tmp_path / "out").rglob("*.bvh"))) == 3:
+            raise MotionWriteError(path, "disk.full")
+        whole(motion, path)
+
+    def write_list(path):
+        lists.append(path)
+        if len(lists) == 1:  # only a file less makes room for it
+            raise MotionWriteError(path, "disk.full")
+        return atomic_write(path)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(formats, "write_motion", write)
+        patch.setattr(destination, "atomic_write", write_list)
+        with pytest.raises(MotionWriteError, match=r"the disk is full.*2 of 4 clips are written") as caught:
+            library.export(tmp_path / "out", to="bvh")
+    assert (caught.value.code, caught.value.path) == ("export.no_room", str(tmp_path / "out"))
+    assert len(rows(tmp_path / "out")) == len(list((tmp_path / "out").rglob("*.bvh"))) == 2
+    report = library.export(tmp_path / "out", to="bvh")
+    assert (len(report.kept), len(report.written), report.skipped) == (2, 2, ())
 
 
 def test_a_source_that_is_gone(tmp_path, library, recordings):

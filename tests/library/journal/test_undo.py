@@ -129,6 +129,29 @@ def test_labels_of_takes_come_back(library, write_move, tmp_path):
     assert library.check().is_sound
 
 
+def test_the_number_of_a_change_is_told_whatever_it_was(library, write_move, tmp_path):
+    """Names of stretches, labels of takes and motions of the memory too; None where nothing changed."""
+    library.add(write_move(tmp_path / "take.bvh", "squat", n_frames=300), kind="take")
+    (take,) = (clip.id for clip in library.clips() if clip.kind == "take")
+    changes = [
+        lambda: library.annotations.name(take, 0.5, 1.5, "nod"),
+        lambda: library.annotations.write(take, Annotation((Stretch(1.0, 2.0, "greet"),))),
+        lambda: library.add_motion(library.trajectories(1), "mine", "bow", performer="me"),
+    ]
+    for change in changes:
+        library.relabel([1], category="other")
+        before = library.last_change
+        change()
+        (last, *_) = library.journal()
+        if last.number == before:  # the same content is not added a second time
+            assert library.last_change is None
+        else:
+            assert library.last_change == last.number
+        library.relabel([1], category="bow")
+    library.annotations.write(take, Annotation((Stretch(1.0, 2.0, "greet"),)))
+    assert library.last_change is None
+
+
 def test_tags_are_given_and_taken(library):
     library.tag([1, 2, 3], add=["fight", "draft"])
     library.tag([2], remove=["draft"], add=["favourite"])
@@ -239,7 +262,19 @@ def test_an_undo_that_fails_changes_nothing(library, monkeypatch):
     assert not library.journal()[0].is_undone
 
 
-@pytest.mark.sqlite  # on a server the repair of such damage is not tried yet
+@pytest.mark.sqlite  # a server tells it in another way
+def test_a_full_disk_leaves_the_way_without_an_undo(library):
+    with library.database.alone() as connection:
+        connection.execute(f"PRAGMA max_page_count = {connection.execute('PRAGMA page_count').fetchone()[0]}")
+    before = content(library)
+    with pytest.raises(LibraryError, match="--for-good") as caught:
+        library.remove(category="bow")
+    assert caught.value.code == "library_clips.no_room_for_undo"
+    assert content(library) == before
+    assert len(library.remove(category="bow", for_good=True)) == 5
+    assert library.check().is_sound
+
+
 def test_damage_of_the_journal_is_told_and_mended(library):
     library.relabel([1], category="x")
     library.tag([1], add=["fight"])

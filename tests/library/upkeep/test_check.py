@@ -134,9 +134,44 @@ def test_without_the_file_one_bit_is_put_right_and_more_is_not(tmp_path, moves):
         np.testing.assert_array_equal(library.trajectories(1).positions, before)
         with pytest.raises(LibraryDamagedError):
             library.trajectories(2)
-        gone = library.remove(2)
+        gone = library.remove(2, for_good=True)  # as the remedy says: an undo could not bring it back
         assert gone == [report.damage[1].path]
         assert library.check().is_sound
+
+
+def test_positions_that_an_undo_brings_back_are_looked_at_too(library_file):
+    with Library.open(library_file) as library:
+        before = library.trajectories(2).positions
+        library.remove([2])
+        library.remove([3])
+    flip_column(library_file, "removed_positions", "positions", 2, 8 * 1000 + 3, key="number")
+    change(library_file, "UPDATE removed_positions SET positions = zeroblob(length(positions)) WHERE number = 3")
+    with Library.open(library_file) as library:
+        assert {one.what.code for one in library.check().damage} == {"library_damage.removed_positions"}
+        report = library.check(repair=True)
+        assert report.is_sound
+        assert [one.remedy.code for one in report.damage] == ["library_check.one_bit", "library_check.forgotten"]
+        later, first = library.journal()[:2]
+        with pytest.raises(LibraryError, match="not kept any more"):
+            library.undo(later.number)
+        library.undo(first.number)
+        np.testing.assert_array_equal(library.trajectories(2).positions, before)
+        assert library.check().damage == ()
+
+
+@pytest.mark.sqlite
+def test_positions_whose_number_changed_are_missed_by_whoever_asks(library_file):
+    with Library.open(library_file) as library:
+        library.remove([2])
+    with closing(sqlite3.connect(library_file)) as connection, connection:  # foreign keys are not looked at
+        connection.execute("UPDATE removed_positions SET number = 34")
+        connection.execute("UPDATE clip_trajectories SET clip_id = 39 WHERE clip_id = 7")
+    with Library.open(library_file) as library:
+        with pytest.raises(LibraryDamagedError, match="number 2"):
+            library.undo()
+        with pytest.raises(LibraryDamagedError, match="number 7"):
+            list(library.iterate_trajectories([1, 7, 500]))
+        assert [number for number, _ in library.iterate_trajectories([1, 500])] == [1]
 
 
 def test_a_file_that_changed_is_not_taken_for_the_clip(tmp_path, moves, write_move):

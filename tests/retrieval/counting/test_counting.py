@@ -7,6 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from oracles.short_actions import ACTIONS, make_clip
+from oracles.slow_tallies import correlate as correlate_slowly
 from oracles.slow_tallies import measure_tallies as measure_slowly
 from oracles.standing import standing
 
@@ -20,7 +21,8 @@ from dousa.retrieval.counting.counter import (
     name_evidence,
     use_weights,
 )
-from dousa.retrieval.counting.tallies import COUNTED, TALLIES, correlate, count_swings, measure_tallies, read_quantile
+from dousa.retrieval.counting.tallies import COUNTED, TALLIES, correlate, count_swings, measure_tallies
+from dousa.retrieval.counting.tally_kernels import read_quantile
 
 HEIGHT = 1.7
 
@@ -122,6 +124,12 @@ def test_the_correlation_is_that_of_its_definition():
         before, after = velocities[: 40 - lag], velocities[lag:]
         plain = (before * after).sum() / np.sqrt((before**2).sum() * (after**2).sum())
         assert ours[lag] == pytest.approx(plain)
+
+
+@pytest.mark.parametrize("n_frames", [2, 9, 100, 256, 257, 700])
+def test_short_and_long_parts_are_correlated_alike(n_frames):
+    velocities = np.random.default_rng(n_frames).normal(size=(n_frames, 27))
+    np.testing.assert_allclose(correlate(velocities), correlate_slowly(velocities), rtol=0, atol=1e-12)
 
 
 @given(st.lists(st.integers(0, 12), min_size=1, max_size=40), st.integers(1, 6))

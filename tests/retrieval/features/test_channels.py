@@ -12,6 +12,7 @@ from oracles.standing import standing
 from dousa.errors import InvalidMotionError
 from dousa.motion.canonical.joints import CANONICAL_JOINTS
 from dousa.retrieval.features.channels import CHANNELS, compute_channels, integrate_channels, sample_positions
+from dousa.retrieval.features.pose_features import find_lateral_axis
 
 HEIGHT = 1.7
 
@@ -30,6 +31,19 @@ def test_channels_are_those_of_whole_arrays(n_frames):
     found = compute_channels(positions, HEIGHT)
     assert found.shape == (n_frames, len(CHANNELS))
     np.testing.assert_allclose(found, expected, atol=1e-9)
+
+
+@pytest.mark.parametrize("lying", [(), (0, 1), (20, 21, 39), range(5, 40), range(40)])
+@pytest.mark.parametrize("missing", [(), ("left_hip",), ("left_shoulder", "right_hip")])
+def test_left_is_told_by_hips_or_shoulders_or_as_before(lying, missing):
+    points = wander(40)
+    # On one side: the lines of hips and shoulders stand upright.
+    points[list(lying)] = points[list(lying)][..., [1, 0, 2]] + np.array([0.0, 0.0, 0.01])
+    points[3] = points[3, :1]  # no line at all
+    points[:, [CANONICAL_JOINTS.index(joint) for joint in missing]] = np.nan
+    seen = points - points[:, :1]
+    with np.errstate(invalid="ignore"):
+        np.testing.assert_array_equal(find_lateral_axis(seen), slow_channels.find_lateral_axis(seen))
 
 
 @settings(max_examples=25, deadline=None)

@@ -8,8 +8,10 @@ from oracles.slow_noise import smooth_places as smooth_slowly
 from oracles.standing import standing
 
 from dousa.errors import InvalidMotionError
+from dousa.motion.canonical.geometry import CHAIN_BONES, CHAIN_SHARES, chain_height
 from dousa.motion.canonical.joints import JOINT_INDEX
 from dousa.retrieval import FEATURE_SETS, reduce_noise
+from dousa.retrieval.features.noise_kernels import measure_chain
 from dousa.retrieval.features.sensor_noise import smooth_places
 
 HAND = JOINT_INDEX["right_hand"]
@@ -55,6 +57,13 @@ def test_bones_that_errors_made_longer_are_measured_again():
     noisy = disturb(wave(), 0.04)
     quiet = reduce_noise(noisy)
     assert 0.9 < quiet.height / noisy.height < 0.99
+
+
+@pytest.mark.parametrize("n_frames", [1, 2, 9, 60])
+def test_the_chain_of_bones_is_as_long_as_the_slow_one(n_frames):
+    points = disturb(wave(n_frames), 0.04).positions
+    found = measure_chain(points, CHAIN_BONES, CHAIN_SHARES, np.empty(n_frames))
+    assert found == pytest.approx(chain_height(points), rel=1e-14)
 
 
 def test_a_fast_recording_is_brought_to_thirty_frames():

@@ -31,7 +31,13 @@ from dousa.retrieval.forest.evidence import (
     spread_curve,
 )
 from dousa.retrieval.forest.forest_file import pack_arrays
-from dousa.retrieval.forest.pose_space import Curve, compute_auroc, fit_curve, fit_pose_space, fit_weighted_curve
+from dousa.retrieval.forest.pose_space import (
+    Curve,
+    compute_auroc,
+    fit_curve,
+    fit_pose_space,
+    fit_weighted_curve,
+)
 
 
 def make_clips(n_categories=8, n_performers=3, each=3, spread=0.4, seed=0):
@@ -228,20 +234,32 @@ class TestLearning:
         assert said[1] < said[0]
         assert said[1] < 0.1
 
-    def test_what_is_less_sure_than_most_of_those_held_back_is_unknown(self):
+    def test_what_is_less_likely_known_than_most_of_those_held_back_is_unknown(self):
         """Categories far apart: the curves alone would call motions known that lie far from all of them."""
         features, categories, performers = make_clips(8, 4, 4, spread=0.3)
         again = features + 0.3 * np.random.default_rng(5).normal(size=features.shape)
         forest = MotionForest(30, random_state=0).fit(features, categories)
         copies = Copies(np.arange(len(again)), again)
         calibration = learn_calibration(forest, features, categories, performers, copies=copies)
-        assert 0.5 < calibration.threshold <= 0.9
+        assert calibration.threshold == 0.5 < calibration.least_known <= 0.97
         assert calibration.false_alarms < 0.05
         between = 0.5 * (features[:-16] + features[16:])  # of two categories
         own, strange = (Assessor(forest, calibration).assess(forest.apply(some), some) for some in (features, between))
         assert own.unknown.mean() < 0.05
-        assert np.array_equal(strange.unknown, strange.confidence < calibration.threshold)
+        limits = (strange.confidence < calibration.threshold) | (strange.known < calibration.least_known)
+        assert np.array_equal(strange.unknown, limits)
         assert strange.unknown.mean() > 0.95 > (strange.confidence < 0.5).mean()
+
+    def test_what_is_known_but_hard_to_name_is_no_stranger(self):
+        """Two categories of one pattern: guesses are as often wrong as right, and no sign of a stranger."""
+        clear = replace(CALIBRATION, least_known=0.8)
+        known, confidence = np.array([0.95, 0.95, 0.7, 0.95]), np.array([0.9, 0.51, 0.6, 0.4])
+        assert clear.is_unknown(known, confidence).tolist() == [False, False, True, True]
+        assert Calibration.from_bytes(clear.to_bytes()).least_known == 0.8
+        # An earlier dousa knew one limit, of confidence.
+        text = np.array(json.dumps({key: value for key, value in clear.to_json().items() if key != "least_known"}))
+        earlier = Calibration.from_bytes(pack_arrays({"numbers": text, **ARRAYS}))
+        assert earlier.is_unknown(known, confidence).tolist() == [False, False, False, True]
 
     def test_copies_are_those_of_their_rows(self):
         copies = Copies(np.array([1, 4, 6]), FEATURES[:3])
@@ -377,6 +395,7 @@ class TestStorage:
             {"sure": 3},
             {"threshold": 1.5},
             {"threshold": "much"},
+            {"least_known": -0.1},
             {"auroc": None},
         ],
     )

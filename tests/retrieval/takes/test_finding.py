@@ -13,9 +13,11 @@ from oracles.short_actions import ACTIONS, make_clip, make_library
 
 from dousa.errors import InvalidMotionError, OptionError
 from dousa.retrieval import FEATURE_SETS, MotionForest
+from dousa.retrieval.takes import find
 from dousa.retrieval.takes.find import describe_query, find_in_takes, judge_place, overlap
 from dousa.retrieval.takes.made_takes import JoinedTake, join_clips
-from dousa.retrieval.takes.windows import WindowGrid, describe_take
+from dousa.retrieval.takes.window_kernels import compare_poses
+from dousa.retrieval.takes.windows import TakeWindows, WindowGrid, describe_take
 
 SET = FEATURE_SETS["extended"]
 CLIPS = make_library((0, 1), 3)
@@ -153,3 +155,46 @@ def test_a_place_is_the_likelier_right_the_more_speaks_for_it(one, other):
     assert 0.0 < low <= high < 1.0
     assert judge_place(1.0, 1.0, 1.0) > 0.95
     assert judge_place(0.5, 0.0, 0.0) < 0.05
+
+
+def find_slowly(query, takes, limit, most):
+    """All windows of all takes compared, put in order, and looked through."""
+    every = []
+    for number, (_, windows) in enumerate(takes):
+        lengths = windows.stops - windows.starts
+        fits = (lengths >= len(query.poses) / 2 / 1.1) & (lengths <= len(query.poses) * 2 * 1.1)
+        for row in np.flatnonzero(fits):
+            distance = np.empty(1)
+            one = slice(row, row + 1)
+            compare_poses(
+                windows.sums, windows.starts[one], windows.stops[one], find._cut(query.poses), np.inf, distance
+            )
+            share = (windows.leaves[row] == query.leaves).mean()
+            every.append((float(find._cost(distance[0], share)), number, row, share))
+    every.sort(key=lambda one: one[:3])
+    kept, spans = [], []
+    for _, number, row, share in every[:most]:
+        span = takes[number][1].starts[row], takes[number][1].stops[row]
+        if all(other != number or overlap(span, there) < 0.3 for other, there in spans):
+            spans.append((number, span))
+            kept.append(find._refine(query, takes[number], int(row), float(share), (0.5, 2.0)))
+    found = sorted(kept[: 2 * limit + 20], key=lambda one: (-one.score, one.take, one.start))
+    return find._drop_same(found)[:limit]
+
+
+@pytest.mark.parametrize("most", [25, 200, 4000])
+@pytest.mark.parametrize("limit", [2, 9])
+def test_takes_that_are_shown_one_after_the_other_give_the_answers_of_all_together(monkeypatch, most, limit):
+    monkeypatch.setattr(find, "_MOST_WINDOWS", most)
+    clips = [[make_clip(ACTIONS[(k + n) % len(ACTIONS)], 3 + k, n) for n in range(3)] for k in range(6)]
+    takes = [(str(k), describe(take_of(some, k))) for k, some in enumerate(clips)]
+    takes.append(("again", takes[2][1]))  # equal costs
+    for category in ("bow", "wave"):
+        query = describe_query(FOREST, SET, make_clip(category, 0))
+        expected = find_slowly(query, takes, limit, most)
+        assert find_in_takes(query, takes, limit=limit) == expected
+        assert 2 <= len(expected) <= limit
+        search = find.TakeSearch(query, limit)
+        for name, windows in takes:
+            search.look(name, TakeWindows.from_bytes(windows.to_bytes()))
+        assert search.finish(lambda number: TakeWindows.from_bytes(takes[number][1].to_bytes())) == expected

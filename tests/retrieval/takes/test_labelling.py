@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import io
 import json
 from dataclasses import replace
 
@@ -16,6 +17,7 @@ from dousa.errors import DousaError, InvalidMotionError, MotionWriteError, Optio
 from dousa.experiments.metrics import TrueSegment, add_counts, compare_timeline
 from dousa.motion.annotation import Stretch
 from dousa.retrieval.features.posed_motion import AnnotatedTake
+from dousa.retrieval.forest.forest_file import pack_arrays
 from dousa.retrieval.takes.label import (
     Segment,
     TakeLabeller,
@@ -25,7 +27,7 @@ from dousa.retrieval.takes.label import (
     write_timeline_csv,
 )
 from dousa.retrieval.takes.labeller_training import train_labeller
-from dousa.retrieval.takes.labeller_tuning import fit_logistic
+from dousa.retrieval.takes.labeller_tuning import Answer, calibrate_places, fit_logistic
 from dousa.retrieval.takes.made_takes import JoinedTake, disturb, disturb_motion, join_clips, join_with_rests
 
 CLIPS = make_library((0, 1, 2), 3)
@@ -165,6 +167,32 @@ def test_a_labeller_comes_back_from_bytes():
     assert again.to_bytes() == LABELLER.to_bytes()
 
 
+def test_a_labeller_of_an_earlier_dousa_takes_its_own_word_for_places():
+    arrays = {name: array for name, array in np.load(io.BytesIO(LABELLER.to_bytes())).items() if name != "placing"}
+    earlier = TakeLabeller.from_bytes(pack_arrays({**arrays, "version": np.array(4, np.int64)}))
+    evidence = np.random.default_rng(0).normal(size=(5, len(LABELLER.placing) - 1))
+    assert np.array_equal(earlier.place(evidence), LABELLER.confidence(evidence))
+    assert not np.allclose(LABELLER.place(evidence), LABELLER.confidence(evidence))
+
+
+def test_how_often_nothing_is_taken_for_an_action_is_learned_from_people_left_out():
+    draw = np.random.default_rng(2)
+
+    def answers(share, count=400):
+        placed = draw.random(count) < share
+        return [Answer(draw.normal(size=6) + there, 5, float(there), 0.0, bool(there), bool(there)) for there in placed]
+
+    for share in (0.5, 0.95):
+        some = answers(share)
+        labeller = replace(LABELLER, placing=calibrate_places(some))
+        said = labeller.place(np.stack([one.evidence for one in answers(share)]))
+        assert said.mean() == pytest.approx(share, abs=0.06)
+    # Of what was always there nobody is certain, and a few answers teach nothing.
+    always = replace(LABELLER, placing=calibrate_places(answers(1.0, 40)))
+    assert 0.9 < always.place(np.ones((1, 6)))[0] < 0.999
+    assert calibrate_places(answers(0.5, 3)) == calibrate_places([])
+
+
 @settings(max_examples=60, deadline=None)
 @given(st.data())
 def test_damaged_bytes_are_refused_or_harmless(data):
@@ -206,7 +234,7 @@ def test_timelines_are_plain_json_and_csv(tmp_path):
     said = json.loads(json.dumps(timeline.to_json()))
     assert said["segments"][1] == {
         "start_s": 1.5, "end_s": 2.0, "category": None, "unknown": True, "confidence": 0.6,
-        "repetitions": 1,
+        "repetitions": 1, "mirrored": False,
     }  # fmt: skip
     write_timeline_csv(timeline, tmp_path / "take.csv")
     rows = list(csv.reader((tmp_path / "take.csv").read_text(encoding="utf-8").splitlines()))

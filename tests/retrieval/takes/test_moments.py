@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+import itertools
+
 import numpy as np
 import pytest
+from oracles.short_actions import ACTIONS, make_clip
 from oracles.slow_sequence import best_value, value_of
 
+from dousa.retrieval.takes.made_takes import join_clips, mirror_positions
 from dousa.retrieval.takes.moment_kernels import find_best_sequence
 from dousa.retrieval.takes.moment_model import MomentModel, MomentSums, choose_scale, sharpen, sum_moments
-from dousa.retrieval.takes.sequence import SequenceModel, SequenceWeights, fit_lengths, join_phases
+from dousa.retrieval.takes.moments import describe_moments, mirror_moments
+from dousa.retrieval.takes.sequence import Run, SequenceModel, SequenceWeights, fit_lengths, join_phases
 
 
 @pytest.mark.parametrize("seed", range(8))
@@ -44,6 +49,25 @@ def test_what_begins_and_ends_parts_two_of_one_category():
         shares[edge, 0] = shares[edge + 9, 2] = 1.0
     model = SequenceModel(np.log([60.0, 60.0, 60.0]), np.full(3, 0.4), SequenceWeights(1.0, 0.0, 1.0))
     assert [(run.start, run.stop, run.state) for run in model.find_runs(shares)] == [(0, 10, 0), (10, 20, 0)]
+
+
+def test_a_long_run_is_cut_where_its_category_ends_and_begins():
+    """Also where it was likelier to be one."""
+    shares = np.full((50, 7), 0.01, np.float32)
+    edges = [4, 13, 25, 33, 45]
+    shares[:, 1] = 0.9
+    for start, stop in itertools.pairwise(edges):
+        shares[[start, stop - 1], 1] = 0.05
+        shares[start, 0] = shares[stop - 1, 2] = 0.85
+    model = SequenceModel(np.log([60.0, 60.0, 60.0]), np.full(3, 0.4), SequenceWeights(1.0, 0.0, 1.0))
+    parts = model.cut_repetitions(shares, Run(4, 45, 0))
+    assert [(one.start, one.stop, one.state) for one in parts] == [(a, b, 0) for a, b in itertools.pairwise(edges)]
+    assert model.cut_repetitions(shares, Run(4, 25, 0)) == [Run(4, 25, 0)]
+    # Nothing says where: all that matters is how long each is.
+    even = np.tile(np.float32([0.3, 0.3, 0.3, 0.02, 0.02, 0.02, 0.04]), (45, 1))
+    lengths = [one.stop - one.start for one in model.cut_repetitions(even, Run(0, 45, 0))]
+    assert sum(lengths) == 45
+    assert max(lengths) <= 24
     np.testing.assert_allclose(join_phases(shares).sum(axis=1), shares.sum(axis=1), rtol=1e-6)
 
 
@@ -103,3 +127,14 @@ def test_moments_never_seen_are_known_by_their_discriminants():
     assert (shares.argmax(axis=1) == fresh).mean() > 0.85
     # What is judged are the values; bytes are nearly as good.
     np.testing.assert_allclose(scores, scale.standardise(scale.encode(unseen)) @ weights, atol=0.02)
+
+
+def test_the_moments_of_a_mirror_image_are_told_from_those_of_the_recording():
+    clip = join_clips([make_clip(action, 3) for action in ACTIONS], np.random.default_rng(0))
+    own, image = (
+        np.concatenate([values for _, values in describe_moments(points, clip.height)])
+        for points in (clip.positions, mirror_positions(clip.positions))
+    )
+    np.testing.assert_allclose(mirror_moments(own), image, atol=1e-5)
+    np.testing.assert_array_equal(mirror_moments(mirror_moments(own)), own)
+    assert np.abs(own - image).max() > 0.1

@@ -54,6 +54,20 @@ def test_a_long_rest_parts_what_is_repeated():
     assert [one.repetitions for one in count_all(parts, np.concatenate(pieces), HEIGHT)] == [1, 1, 1]
 
 
+def test_what_is_unlikely_parts_no_series_unless_it_lasts():
+    joined = join_clips(BOWS, np.random.default_rng(0))
+    first, second, third = list_parts(joined, apart=24)
+    slip = Chosen(first.stop + 2, second.start, 1, EVIDENCE, likely=False)
+    (one,) = count_all([first, slip, second, third], joined.positions, HEIGHT)
+    assert (one.start, one.stop, one.category, one.repetitions) == (0, third.stop, 0, 3)
+    for between in (replace(slip, likely=True), replace(slip, start=first.stop - 30)):
+        shorter = replace(first, stop=min(first.stop, between.start))
+        assert len(count_all([shorter, between, second, third], joined.positions, HEIGHT)) == 4
+    # Two are no series, and what lies between them stays.
+    found = count_all([first, slip, second], joined.positions, HEIGHT)
+    assert [one.category for one in found] == [0, 1, 0]
+
+
 @pytest.fixture(scope="module")
 def labeller():
     actions = ("bow", "kick", "spread", "wave")

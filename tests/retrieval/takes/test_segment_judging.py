@@ -1,4 +1,4 @@
-"""Segments of takes judged as clips: as sure as those, unknown where those would be, overruled where they are surer."""
+"""Segments of takes judged as clips: named by votes and labeller together, known where those would be."""
 
 from __future__ import annotations
 
@@ -11,6 +11,8 @@ from oracles.short_actions import ACTIONS, make_clip, make_library
 from dousa.experiments.annotated.trial import cut_segments, learn_clip_judge
 from dousa.motion.annotation import Stretch
 from dousa.retrieval.features.posed_motion import AnnotatedTake
+from dousa.retrieval.features.sensor_noise import measure_unsteadiness
+from dousa.retrieval.forest.evidence import EVIDENCE
 from dousa.retrieval.forest.stretches import StretchOpinions, cut_stretch
 from dousa.retrieval.takes.label import combine_chances, label_take, weigh_chosen
 from dousa.retrieval.takes.labeller_training import train_labeller
@@ -53,57 +55,152 @@ def test_a_threshold_is_one_of_what_is_told():
     assert 0 < sum(one.category is not None for one in said) <= sum(one >= 0.9 for one in sure)
 
 
-def test_a_stretch_is_as_sure_as_the_clip_that_is_cut_out_of_it():
-    """What `dousa classify` asks of a clip, and the judge of the same frames in a take, give one number."""
+def judge(names, spans, shares=None, judge=JUDGE):
+    """What is thought of stretches of the take that were found as some categories, and show these unless told."""
+    given = np.array([[float(name == one) for one in LABELLER.classes] for name in names])
+    return judge.judge(TAKE, spans, names, given if shares is None else np.array(shares), LABELLER.classes)
+
+
+def span_of(action):
+    piece = TAKE.pieces[SHOWN.index(action)]
+    return piece.start / 30, piece.stop / 30
+
+
+def test_a_stretch_is_known_where_the_clip_that_is_cut_out_of_it_is():
+    """What `dousa classify` asks of a clip, and the judge of the same frames in a take, is one evidence."""
+    spans = [span_of(action) for action in SHOWN]
+    seen = judge(["wave"] * len(spans), spans, np.full((len(spans), len(LABELLER.classes)), 0.2))
+    features = np.stack([JUDGE.feature_set.compute(cut_stretch(TAKE, *span)) for span in spans])
+    features = features.astype(np.float32).astype(np.float64)
+    as_clips = JUDGE.assessor.assess(JUDGE.assessor.forest.apply(features), features)
+    assert seen.names == tuple(JUDGE.assessor.forest.classes_[as_clips.guess])
+    assert seen.sure.tolist() == (~as_clips.unknown).tolist() == [True, False, True, False, True]
+    np.testing.assert_allclose(seen.typical, as_clips.evidence[:, EVIDENCE.index("typical")])
+
+
+def test_the_name_is_what_the_votes_and_the_labeller_make_likeliest_together():
+    clear, doubtful = span_of("wave"), span_of("bow")
+    assert judge(["wave", "spread"], [clear, clear]).names == ("wave", "wave")
+    for_spread = []
+    for share in (0.0, 0.1, 0.5, 1.0):
+        shares = [[share if name == "spread" else (1 - share) / 2 for name in LABELLER.classes]]
+        seen = judge(["wave"], [doubtful], shares)
+        for_spread.append(seen.leads[0] * (1 if seen.names == ("spread",) else -1))
+    assert for_spread == sorted(for_spread)
+    assert for_spread[0] < for_spread[-1]
+
+
+def test_a_noisy_sensor_makes_bones_unsteady():
     clip = make_clip("wave", 7)
-    take = replace(TAKE, positions=np.concatenate([make_clip("spread", 7).positions, clip.positions]))
-    start = len(take.positions) - len(clip.positions)
-    features = JUDGE.feature_set.compute(clip)[None].astype(np.float32).astype(np.float64)
-    as_clip = JUDGE.assessor.assess(JUDGE.assessor.forest.apply(features), features)
-    seen = JUDGE.judge(replace(take, height=clip.height), [(start / 30, len(take.positions) / 30)], ["wave"])
-    assert seen.guesses == (str(JUDGE.assessor.forest.classes_[as_clip.guess[0]]),) == ("wave",)
-    assert seen.chances[0] == seen.guess_chances[0] == pytest.approx(float(as_clip.confidence[0]), abs=1e-12)
+    steady = measure_unsteadiness(clip)
+    rough = clip.positions + np.random.default_rng(2).normal(0, 0.03, clip.positions.shape)
+    assert measure_unsteadiness(replace(clip, positions=rough)) > 2 * steady
+    half = replace(clip, positions=np.where(np.arange(20)[:, None] < 9, clip.positions, np.nan))
+    assert 0 <= measure_unsteadiness(half) < 2 * steady + 0.01
+    assert measure_unsteadiness(replace(clip, positions=np.full_like(clip.positions, np.nan))) == 0.0
+    long = measure_unsteadiness(replace(clip, positions=clip.positions * 3))
+    assert long == pytest.approx(steady)
 
 
-def test_what_the_clips_say_moves_the_confidence_that_is_told():
-    assert combine_chances(0.9, 0.9) > 0.5 > combine_chances(0.9, 0.05)
-    assert combine_chances(0.3, 0.99) > combine_chances(0.3, 0.5)
-    assert 0 < combine_chances(0, 0) < combine_chances(1, 1) < 1
+def opinion(*, judged=True, name="wave", lead=2.0, typical=0.0, unsteady=0.02, sure=False):
+    """Of one stretch."""
+    return StretchOpinions(
+        np.array([judged]), (name,), np.array([lead]), np.array([typical]), np.array([unsteady]), np.array([sure])
+    )
+
+
+def test_all_that_is_seen_moves_the_confidence_that_is_told():
+    def chance(placed=1.0, **seen):
+        return float(combine_chances(np.array([placed]), opinion(**seen))[0])
+
+    # No name is right where there is nothing, however sure the clips are of it.
+    assert chance(0.01, lead=7.0, typical=1.0) < 0.01
+    assert chance(0.5) == pytest.approx(0.5 * chance())
+    assert chance(lead=6.0) > chance() > chance(lead=-3.0)
+    assert chance(typical=0.2) > chance() > chance(typical=-0.3)
+    # What is less typical than usual is no stranger where the sensor is noisy.
+    assert chance(typical=-0.3) < 0.5 < chance(typical=-0.3, unsteady=0.2)
+    assert 0 < chance(lead=-7.0, typical=-2.0) < chance(lead=7.0, typical=1.0) < 1
 
 
 class _Says:
     """A judge of one opinion."""
 
-    def __init__(self, *opinion):
-        self.opinion = opinion
+    def __init__(self, one):
+        self.opinion = one
+        self.spans = []
 
-    def judge(self, motion, spans, categories):
-        known, chance, guess, surer = self.opinion
-        return StretchOpinions(np.array([known]), np.array([chance]), (guess,), np.array([surer]))
+    def judge(self, motion, spans, found, shares, categories, n_jobs=None):
+        self.spans = list(spans)
+        return self.opinion
 
 
-def weigh(sure, *opinion):
+def weigh(sure, one):
     """What becomes of a segment of "wave" of which the labeller is so sure."""
     offset, *weights = LABELLER.calibration
     evidence = np.array(weights) * (np.log(sure / (1 - sure)) - offset) / np.dot(weights, weights)
     chosen = Chosen(0, 60, LABELLER.classes.index("wave"), evidence)
-    return weigh_chosen(LABELLER, [chosen], TAKE, _Says(*opinion))[0]
+    return weigh_chosen(LABELLER, [chosen], TAKE, _Says(one))[0]
 
 
-def test_a_category_is_overruled_only_by_a_judge_that_is_surer():
-    assert LABELLER.classes[weigh(0.2, True, 0.02, "spread", 0.9).category] == "spread"
-    for sure, other in ((0.8, 0.95), (0.2, 0.3)):
-        kept = weigh(sure, True, 0.02, "spread", other)
-        assert (LABELLER.classes[kept.category], kept.likely) == ("wave", False)
-    assert weigh(0.2, True, 0.02, "never heard of", 0.9).category == LABELLER.classes.index("wave")
+def test_a_segment_is_named_where_it_is_likely_or_would_be_as_a_clip():
+    told = weigh(0.8, opinion(name="spread", lead=5.0))
+    assert (LABELLER.classes[told.category], told.likely) == ("spread", True)
+    assert told.confidence > 0.5
+    doubtful = opinion(lead=0.0, typical=-0.3)
+    assert not weigh(0.3, doubtful).likely
+    assert weigh(0.3, replace(doubtful, sure=np.array([True]))).likely
 
 
 def test_of_categories_that_a_judge_does_not_know_the_labeller_speaks_alone():
-    alone = weigh(0.97, False, 0.0, "spread", 0.99)
+    alone = weigh(0.97, opinion(judged=False, name="spread", lead=6.0, sure=True))
     assert alone.confidence == pytest.approx(0.97)
     assert (LABELLER.classes[alone.category], alone.likely) == ("wave", True)
-    spared = JUDGE.sparing(frozenset(["wave"])).judge(TAKE, [(0.0, 2.0)], ["wave"])
-    assert not spared.judged[0]
+    sparing = JUDGE.sparing(frozenset(["wave"]))
+    spared = judge(["wave", "spread"], [span_of("wave"), span_of("spread")], judge=sparing)
+    assert spared.judged.tolist() == [False, True]
+    assert "wave" not in judge(["spread"], [span_of("wave")], judge=sparing).names
+    nothing = JUDGE.sparing(frozenset(LABELLER.classes))
+    assert not judge(["wave"], [span_of("wave")], judge=nothing).judged.any()
+
+
+def test_what_is_repeated_without_a_rest_is_judged_by_its_parts():
+    """As a whole, a series is like no clip."""
+    parts = ((0, 30), (30, 60), (60, 90))
+    whole = Chosen(0, 90, LABELLER.classes.index("wave"), np.zeros(6), shares=np.eye(len(LABELLER.classes))[0])
+    three = StretchOpinions(
+        np.ones(3, bool),
+        ("wave", "spread", "wave"),
+        np.array([3.0, 1.0, 2.0]),
+        np.array([0.1, -0.2, 0.4]),
+        np.array([0.01, 0.02, 0.03]),
+        np.array([True, True, False]),
+    )
+    told = _Says(three)
+    (weighed,) = weigh_chosen(LABELLER, [replace(whole, parts=parts)], TAKE, told)
+    assert LABELLER.classes[weighed.category] == "wave"
+    assert told.spans == [(0.0, 1.0), (1.0, 2.0), (2.0, 3.0)]
+    both = opinion(lead=(3.0 - 1.0 + 2.0) / 3, typical=0.1, unsteady=0.02)
+    own = LABELLER.place(np.zeros((1, 6)))
+    assert weighed.confidence == pytest.approx(float(combine_chances(own, both)[0]))
+
+
+def test_of_a_long_series_a_few_parts_are_looked_at():
+    parts = tuple((30 * k, 30 * k + 30) for k in range(13))
+    chosen = Chosen(0, 390, 0, np.zeros(6), shares=np.eye(len(LABELLER.classes))[0], parts=parts)
+    told = _Says(
+        StretchOpinions(
+            np.ones(5, bool), (LABELLER.classes[0],) * 5, *(np.zeros(5) for _ in range(3)), np.ones(5, bool)
+        )
+    )
+    (weighed,) = weigh_chosen(LABELLER, [chosen], TAKE, told)
+    assert weighed.likely
+    assert told.spans == [(3.0 * k, 3.0 * k + 1.0) for k in range(5)]
+
+
+def test_a_series_of_what_clips_show_once_is_known():
+    take = join_clips([make_clip("wave", 7, k % 3) for k in range(7)], np.random.default_rng(3))
+    assert {one.category for one in label_take(LABELLER, take, judge=JUDGE).segments} == {"wave"}
 
 
 def test_stretches_are_cut_at_the_rate_of_their_recording():
@@ -113,3 +210,10 @@ def test_stretches_are_cut_at_the_rate_of_their_recording():
     made = AnnotatedTake("a", "b", TAKE.positions, 30.0, TAKE.height, (Stretch(0, 1, None), Stretch(1, 2, "wave")))
     assert [(len(clip.positions), clip.category) for clip in cut_segments([made])] == [(30, "wave")]
     assert set(ACTIONS) > set(STRANGE)
+
+
+def test_threads_change_no_segment():
+    long = replace(TAKE, positions=np.tile(TAKE.positions, (14, 1, 1)))
+    timeline = label_take(LABELLER, long, judge=JUDGE)
+    assert len(timeline.segments) > 32
+    assert label_take(LABELLER, long, judge=JUDGE, n_jobs=2) == timeline

@@ -131,7 +131,7 @@ def test_pose_distances_equal_the_slow_ones():
     query = RANDOM.normal(size=(21, 27))
     starts, stops = np.array([0, 3, 50, 2]), np.array([16, 90, 61, 10])
     found = np.empty(4)
-    kernels.compare_poses(sums, starts, stops, parts_of(query), found)
+    kernels.compare_poses(sums, starts, stops, parts_of(query), np.inf, found)
     expected = [pose_distance(poses[a:b], query) for a, b in zip(starts, stops, strict=True)]
     np.testing.assert_allclose(found, expected, rtol=1e-12)
 

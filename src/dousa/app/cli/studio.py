@@ -38,6 +38,16 @@ def studio(
         Path | None,
         typer.Option("--watch", metavar="DIR", help="Add what appears in this folder, while the studio runs."),
     ] = None,
+    share: Annotated[
+        bool,
+        typer.Option("--share", help="Let others on the local network look at reports and library, by a link."),
+    ] = False,
+    share_on: Annotated[
+        str | None,
+        typer.Option(
+            "--share-on", metavar="ADDRESS", help="Share at this address of this machine, if it has several networks."
+        ),
+    ] = None,
     no_browser: Annotated[
         bool, typer.Option("--no-browser", help="Only print the address; do not open a browser.")
     ] = False,
@@ -47,14 +57,20 @@ def studio(
     The page and its interface for programs listen on 127.0.0.1 only, behind the printed address and token. If a studio
     of this library runs already, that one is opened. Needs: pip install 'dousa\\[studio]'
 
+    With --share others on the same network open a link, on a phone by its QR code: they see all reports and the clips
+    of the library, over https, and can change nothing. Needs: pip install 'dousa\\[share]'
+
     Example: dousa studio moves.dousa
 
     Example: dousa studio moves.dousa --watch recordings
-    """
-    from dousa.app.studio import Settings, serve
 
+    Example: dousa studio moves.dousa --share
+    """
+    from dousa.app.studio import Settings, find_share_address, serve
+
+    shared = find_share_address(share_on) if share or share_on is not None else None
     settings = Settings(library, port=port, home=home, most_bytes=max_upload * 1_000_000)
-    serve(settings, opens_browser=not no_browser, watched=watch)
+    serve(settings, opens_browser=not no_browser, watched=watch, shared=shared)
 
 
 LIBRARY = "demo.dousa"

@@ -74,6 +74,9 @@ function createMiniature(canvas, bytes, options = {}) {
       if (inner.clock) inner.clock.seek(share);
       else inner.set(share);
     },
+    scrub(share) {
+      if (share === null || Number.isFinite(share)) inner.scrub(share);
+    },
     replace(bytes) {
       inner.load(bytes);
       inner.settle();
@@ -81,6 +84,9 @@ function createMiniature(canvas, bytes, options = {}) {
     },
     destroy: () => inner.destroy(),
     element: canvas,
+    get calm() {
+      return lessMotion.matches;
+    },
     get share() {
       return inner.share;
     },

@@ -112,17 +112,20 @@ class LoopPainter {
   constructor(context) {
     this.context = context;
     this.joints = new Float64Array(VALUES);
+    this.first = new Float64Array(VALUES);
     this.flat = new Float64Array(VALUES); // x, y of the picture and depth, m
   }
 
-  // colours: tones of depth, and shadow, a gradient over a circle of radius 1 about 0; fade: 0 to 1.
-  draw(loop, share, colours, fade) {
+  // colours: tones of depth, and shadow, a gradient over a circle of radius 1 about 0; fade: 0 to 1;
+  // mend: 0 to 1, how far on the way from there to the first pose.
+  draw(loop, share, colours, fade, mend = 0) {
     const { context } = this;
     const { width, height } = context.canvas;
     this.scale = loop.scale;
     this.has = (...names) => loop.has(...names);
     context.clearRect(0, 0, width, height);
     loop.sample(share, this.joints);
+    if (mend > 0) this.goBack(loop, mend);
     this.place(loop.room, width, height);
     context.lineCap = "round";
     context.lineJoin = "round";
@@ -131,6 +134,13 @@ class LoopPainter {
     this.paintShadow(colours.shadow);
     if (fade < 1) this.weaken(fade, width, height);
     context.globalCompositeOperation = "source-over";
+  }
+
+  goBack(loop, mend) {
+    const { joints, first } = this;
+    const part = mend * mend * (3 - 2 * mend);
+    loop.sample(0, first);
+    for (let k = 0; k < VALUES; k += 1) joints[k] += part * (first[k] - joints[k]);
   }
 
   weaken(fade, width, height) {

@@ -5,12 +5,13 @@
 //     tone ("performance" or "reference": which colour), longest (s; a longer loop runs faster, default 10),
 //     host (element whose hover and focus wake it where motion is reduced; default the link or button around it)
 //   miniature.play() .pause() .seek(share 0..1) .replace(bytes) .destroy(); to read: .share .playing .visible .duration
-// It runs by itself while it is visible. Where less motion is wished for, it shows its most telling pose until its
+//   .scrub(share) shows a moment as long as somebody points at it, .scrub(null) lets it run on; .calm: less motion is wished for
+// It runs by itself while it is visible, and comes from its last pose to its first without a jump. Where less motion is wished for, it shows its most telling pose until its
 // host is hovered or focused. Its size is that of the element. `dousa.miniatures.alive` says how many run now.
 
 const FRAME_MS = 1000 / 31; // thirty pictures a second are enough for small ones
-const REST = 0.4; // s a loop rests at its end before it begins anew
-const DIM = 0.18; // s of fading at either end of a loop
+const [HOLD, MEND] = [0.15, 0.4]; // s a loop rests at its end, and takes to come back to its beginning
+const DIM = 0.5; // of the figure's strength that is lost on the way back: it is no part of the motion
 const MINIATURE_COLOURS = ["--dp-mini", "--dp-mini-far", "--dp-mini-shadow"];
 
 const lessMotion = window.matchMedia("(prefers-reduced-motion: reduce)");
@@ -89,7 +90,7 @@ class Miniature {
     this.context = canvas.getContext("2d");
     this.painter = new LoopPainter(this.context);
     this.longest = options.longest > 0 ? options.longest : 10;
-    Object.assign(this, { visible: false, stale: true, colours: null, wanted: null, awake: false, time: 0, share: 0 });
+    Object.assign(this, { visible: false, stale: true, colours: null, wanted: null, awake: false, held: false, time: 0, share: 0, mend: 0, fade: 1 });
     this.load(bytes);
     canvas.classList.add("dousa-miniature");
     if (options.tone === "reference") canvas.classList.add("dp-mini-reference");
@@ -127,6 +128,7 @@ class Miniature {
 
   // Whether it runs: as was asked for, else unless less motion is wished for and nobody looks.
   get playing() {
+    if (this.held) return false;
     if (this.clock) return this.clock.playing;
     return this.wanted ?? (!lessMotion.matches || this.awake);
   }
@@ -137,7 +139,8 @@ class Miniature {
 
   // After anything that may start or stop it.
   settle() {
-    if (this.clock) this.set(this.clock.share);
+    if (this.held) this.touch();
+    else if (this.clock) this.set(this.clock.share);
     else if (this.wanted === null && !this.playing) this.set(this.loop.still);
     else if (this.loop.duration === 0) this.set(0);
     if (this.moves || this.stale) gallery.request();
@@ -146,8 +149,15 @@ class Miniature {
   set(share) {
     this.share = Math.min(Math.max(share, 0), 1);
     this.time = this.share * this.duration;
-    this.fade = 1;
+    Object.assign(this, { fade: 1, mend: 0 });
     this.touch();
+  }
+
+  // A moment by hand, or null to run on from it.
+  scrub(share) {
+    this.held = share !== null;
+    if (this.held) this.set(share);
+    this.settle();
   }
 
   touch() {
@@ -157,11 +167,10 @@ class Miniature {
 
   advance(seconds) {
     if (this.clock) return;
-    const round = this.duration + REST;
-    this.time = (this.time + seconds) % round;
+    this.time = (this.time + seconds) % (this.duration + HOLD + MEND);
     this.share = Math.min(this.time / this.duration, 1);
-    const near = Math.min(this.time, round - this.time) / DIM;
-    this.fade = Math.min(0.3 + 0.7 * near, 1);
+    this.mend = lessMotion.matches ? 0 : Math.max(this.time - this.duration - HOLD, 0) / MEND;
+    this.fade = 1 - DIM * Math.sin(Math.PI * this.mend);
     this.stale = true;
   }
 
@@ -200,7 +209,7 @@ class Miniature {
     if (!this.canvas.isConnected) return; // taken off the page: no size and no colours
     if (!this.colours) this.readColours();
     this.stale = false;
-    this.painter.draw(this.loop, this.share, this.colours, this.fade);
+    this.painter.draw(this.loop, this.share, this.colours, this.fade, this.mend);
   }
 
   destroy() {

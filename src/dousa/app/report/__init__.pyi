@@ -1,3 +1,4 @@
+from .beats import build_beats
 from .curves import to_curves_csv, to_events_csv
 from .exercise_page import build_exercise, build_exercise_page, write_exercise_report
 from .exercise_tables import to_repetitions_csv
@@ -14,6 +15,7 @@ from .page import (
 
 __all__ = [
     "QUICK_PARTS",
+    "build_beats",
     "build_exercise",
     "build_exercise_page",
     "build_frame",

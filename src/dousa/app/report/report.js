@@ -8,7 +8,7 @@
 
   const LEAD = 0.5; // s before and after an error that its loop shows as well
   const ZOOMS = [1, 2, 4, 8, 16];
-  const PLOTS = "#lanes, .matrix-plot";
+  const PLOTS = ".lanes, .matrix-plot";
 
   const clamp = (value, low, high) => Math.min(Math.max(value, low), high);
 
@@ -57,7 +57,7 @@
       this.lanes = this.find("lanes");
       this.scroll = this.find("scroll");
       this.held = null;
-      this.lanes.style.setProperty("--zoom", ZOOMS[this.zoom]);
+      this.lanes.parentElement.style.setProperty("--zoom", ZOOMS[this.zoom]);
       this.show(this.player.time || 0);
     }
 
@@ -132,6 +132,7 @@
       if (event.target.closest("#zoom-in")) this.setZoom(this.zoom + 1);
       if (event.target.closest("#zoom-out")) this.setZoom(this.zoom - 1);
       const element = event.target.closest("[data-event], [data-lapse]");
+      if (!element && event.target.closest(".lanes") && !event.target.closest("a, button")) this.lanes.focus({ preventScroll: true });
       if (!element) return;
       const { event: error, lapse } = element.dataset;
       this.goTo(error === undefined ? this.data.lapses[Number(lapse)] : this.data.events[Number(error)]);
@@ -162,7 +163,7 @@
     setZoom(index) {
       this.zoom = clamp(index, 0, ZOOMS.length - 1);
       const share = this.data.duration > 0 ? this.now / this.data.duration : 0;
-      this.lanes.style.setProperty("--zoom", ZOOMS[this.zoom]);
+      this.lanes.parentElement.style.setProperty("--zoom", ZOOMS[this.zoom]);
       this.find("zoom-now").textContent = `${ZOOMS[this.zoom]}×`;
       this.scroll.scrollLeft = share * this.lanes.clientWidth - this.scroll.clientWidth / 2;
     }

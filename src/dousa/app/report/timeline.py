@@ -265,11 +265,13 @@ def draw_timeline(assessment: Assessment, words: Mapping[str, str], language: st
         + element("div", {"class": "cursor", "id": "cursor"}, inner="<b></b>")
     )
     slider = {
-        "class": "lanes", "id": "lanes", "tabindex": "0", "role": "slider", "aria-label": words["timeline_slider"],
+        "class": "lanes-hand", "id": "lanes", "tabindex": "0", "role": "slider", "aria-label": words["timeline_slider"],
         "aria-valuemin": "0", "aria-valuemax": format_number(duration), "aria-valuenow": "0",
         "aria-valuetext": format_time(0.0), "data-duration": format_number(duration, 4),
     }  # fmt: skip
-    scroll = element("div", {"class": "scroll", "id": "scroll"}, inner=element("div", slider, inner=inner))
+    # Links stand beside the slider, not in it: what is inside one is not reached by those who hear the page.
+    lanes = element("div", {"class": "lanes"}, inner=inner + element("div", slider, inner=""))
+    scroll = element("div", {"class": "scroll", "id": "scroll"}, inner=lanes)
     return element("div", {"class": "timeline"}, inner=element("div", {"class": "names"}, inner="".join(side)) + scroll)
 
 

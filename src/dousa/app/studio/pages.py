@@ -26,10 +26,12 @@ from dousa.messages import LANGUAGES, get_language
 if TYPE_CHECKING:
     from importlib.resources.abc import Traversable
 
-PAGES = ("library", "search", "takes", "evaluate", "estimate")
+PAGES = ("library", "search", "takes", "evaluate", "estimate", "live")
 """Pages with a place in the head of every page; each has a template, words and a script of its name."""
 
 _OTHER_PAGES = ("api",)
+_MISSING = "missing"
+_NO_PAGES = ("/api/", "/static/")  # below these programs ask, which are answered in JSON
 _HERE = "dousa.app.studio"
 _FOREVER = {"cache-control": "private, max-age=31536000, immutable"}
 _FONT = "japanese.ttf"
@@ -48,17 +50,36 @@ def register(app: FastAPI) -> None:
         """What opens the pages once; asked for by a second start, which shows this studio instead."""
         return Answer({"code": request.app.state.codes.issue()})
 
-    @router.get("/static/{version}/{name:path}")
-    def static(version: str, name: str) -> Response:
-        known = _load_static()
-        if name not in known:
-            raise RefusedError(404, "studio.no_static", name=name[:100])
-        content, kind = known[name]
-        return Response(content, media_type=kind, headers=_FOREVER)
-
+    router.add_api_route("/static/{version}/{name:path}", _give_static, methods=["GET"])
     for page in (*PAGES, *_OTHER_PAGES):
         router.add_api_route(f"/{page}", _make_page(page), methods=["GET"])
     app.include_router(router)
+
+
+def register_shared(app: FastAPI) -> None:
+    """Hang the two pages on the application that others on the network see."""
+    router = APIRouter(include_in_schema=False)
+    router.add_api_route("/static/{version}/{name:path}", _give_static, methods=["GET"])
+    for address in ("/", "/report"):
+        router.add_api_route(address, _make_page("shared"), methods=["GET"])
+    app.include_router(router)
+
+
+def show_missing(request: Request) -> Response | None:
+    """The page that stands at addresses where there is none, with a way back; None where a program asks."""
+    if request.method not in ("GET", "HEAD") or request.url.path.startswith(_NO_PAGES):
+        return None
+    answer: Response = _make_page(_MISSING)(request)
+    answer.status_code = 404
+    return answer
+
+
+def _give_static(version: str, name: str) -> Response:
+    known = _load_static()
+    if name not in known:
+        raise RefusedError(404, "studio.no_static", name=name[:100])
+    content, kind = known[name]
+    return Response(content, media_type=kind, headers=_FOREVER)
 
 
 def _make_page(page: str) -> Any:
@@ -78,6 +99,8 @@ def _make_page(page: str) -> Any:
                 version=_version(),
                 dousa_version=dousa.__version__,
                 library=request.app.state.studio.settings.library.name,
+                shares=request.app.state.studio.sharing is not None,
+                shares_now=_is_shared(request),
                 words_json=Markup(format_player_data(words)),
                 **_more(page, request),
             )
@@ -87,8 +110,16 @@ def _make_page(page: str) -> Any:
     return show
 
 
+def _is_shared(request: Request) -> bool:
+    """Whether others on the network see something now; sharing that was ended can begin again."""
+    sharing = request.app.state.studio.sharing
+    return sharing is not None and sharing.door is not None
+
+
 def _more(page: str, request: Request) -> dict[str, Any]:
     """What only some pages show."""
+    if page == _MISSING:
+        return {"asked": request.url.path[:200]}
     if page != "api":
         return {}
 

@@ -8,9 +8,10 @@ import socket
 import sys
 import threading
 import webbrowser
-from collections.abc import AsyncIterator, Mapping
+from collections.abc import AsyncIterator, Callable, Mapping
 from contextlib import asynccontextmanager, suppress
 from dataclasses import replace
+from ipaddress import IPv4Address
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +20,7 @@ from fastapi import FastAPI, Request
 from fastapi.exceptions import RequestValidationError
 from starlette.exceptions import HTTPException
 from starlette.requests import ClientDisconnect
+from starlette.responses import Response
 from uvicorn.protocols.http.h11_impl import H11Protocol
 
 import dousa
@@ -26,15 +28,17 @@ from dousa.app.studio.api.clips import ONE_LINE
 from dousa.app.studio.api.estimation import FRAMES_FORM
 from dousa.app.studio.api.exports import CHARACTER_FORM
 from dousa.app.studio.content.motions import MOTION_FORM
+from dousa.app.studio.content.sharing import print_code
 from dousa.app.studio.content.studio import Studio
 from dousa.app.studio.core.answers import Answer, describe_disk, status_of, to_answer
 from dousa.app.studio.core.codes import Codes
 from dousa.app.studio.core.guard import Guard
-from dousa.app.studio.core.home_lock import HomeTakenError, ask_running
+from dousa.app.studio.core.home_lock import HomeTakenError, ask_running, other_library
 from dousa.app.studio.core.words import name_error
 from dousa.app.studio.core.workspace import Settings
 from dousa.app.studio.jobs.board import ACTIVE
 from dousa.app.studio.jobs.folder_watch import FolderWatch
+from dousa.app.studio.shared import make_sharing
 from dousa.app.studio.work.worker import make_lanes
 from dousa.errors import DousaError, OptionError
 from dousa.extras import require
@@ -44,7 +48,9 @@ _ARENA_MAX, _MMAP_THRESHOLD = -8, -3  # names of malloc.h
 _TRIES = 20  # ports after the one asked for
 
 
-def serve(settings: Settings, *, opens_browser: bool = True, watched: Path | None = None) -> None:
+def serve(
+    settings: Settings, *, opens_browser: bool = True, watched: Path | None = None, shared: IPv4Address | None = None
+) -> None:
     """Listen on this machine and show the address, until Ctrl-C.
 
     Parameters
@@ -53,11 +59,13 @@ def serve(settings: Settings, *, opens_browser: bool = True, watched: Path | Non
         this library runs already, that one is shown.
     opens_browser : show the page in the browser of this machine.
     watched : folder; what appears in it goes into the library while the studio runs.
+    shared : address of this machine at which others on its network see reports and library, and change nothing.
 
     Raises
     ------
     OptionError : no port is free; or the folder is another studio's, which does not answer; or what is to be watched is
-        no folder, or the studio that runs already would have to watch it.
+        no folder, or the studio that runs already would have to watch it, or to share.
+    MissingExtraError : the extra ``studio`` is not installed, or to share the extra ``share``.
     """
     if watched is not None and not watched.is_dir():
         raise OptionError("studio.no_watched_folder", folder=watched)
@@ -73,11 +81,15 @@ def serve(settings: Settings, *, opens_browser: bool = True, watched: Path | Non
             # Safari asks the system for names below localhost, which older ones do not know.
             app = create_app(settings, uses_alias=sys.platform != "darwin")
         except HomeTakenError:
+            other = other_library(settings.folder, settings.library)
+            if other is not None:
+                raise OptionError("studio.home_of_another", folder=settings.folder, library=other) from None
             running = ask_running(settings.folder)
             if running is None:
                 raise
-            if watched is not None:
-                raise OptionError("studio.cannot_watch", library=settings.library) from None
+            if watched is not None or shared is not None:
+                option = "--watch" if shared is None else "--share"
+                raise OptionError("studio.cannot_watch", library=settings.library, option=option) from None
             _show_running(settings, running, opens_browser)
             return
         config = uvicorn.Config(
@@ -86,7 +98,9 @@ def serve(settings: Settings, *, opens_browser: bool = True, watched: Path | Non
             timeout_keep_alive=30, timeout_graceful_shutdown=3, limit_concurrency=200,
         )  # fmt: skip
         server = uvicorn.Server(config)
-        app.state.studio.held.announce(settings.address, settings.token)
+        if shared is not None:
+            _begin_sharing(app.state.studio, shared)
+        app.state.studio.held.announce(settings.address, settings.token, settings.library)
         _say_serving(settings, app.state.codes.issue())
         threading.Thread(target=warm_up, args=(app.state.studio,), daemon=True).start()
         if watched is not None:
@@ -97,6 +111,20 @@ def serve(settings: Settings, *, opens_browser: bool = True, watched: Path | Non
         with suppress(KeyboardInterrupt):  # the usual end
             server.run(sockets=[listener])
         sys.stderr.write(f"{Message('studio.stopped')}\n")
+
+
+def _begin_sharing(studio: Studio, address: IPv4Address) -> None:
+    """Show reports and library on the network, and say to whom, with the code for a phone."""
+    studio.sharing = make_sharing(studio, address, answer_problems, PatientProtocol)
+    try:
+        door = studio.sharing.begin()
+    except BaseException:
+        studio.close()
+        raise
+    link = studio.sharing.address_of(studio.sharing.links.add(None))
+    if sys.stderr.isatty():
+        sys.stderr.write(f"\n{print_code(link)}\n")
+    sys.stderr.write(f"{Message('studio_share.serving', address=link, fingerprint=door.fingerprint)}\n")
 
 
 def _watch(folder: Path, studio: Studio) -> FolderWatch:
@@ -198,7 +226,7 @@ def create_app(settings: Settings, *, uses_alias: bool = False) -> FastAPI:
     for router in ROUTERS:
         app.include_router(router, prefix="/api")
     pages.register(app)
-    _answer_problems(app)
+    answer_problems(app, pages.show_missing)
     app.add_middleware(Guard, settings=settings, codes=codes)
     return app
 
@@ -210,7 +238,15 @@ _PROBLEM_CONTENT: dict[str, Any] = {
 }
 
 
-def _answer_problems(app: FastAPI) -> None:
+def answer_problems(app: FastAPI, show_missing: Callable[[Request], Response | None] = lambda request: None) -> None:
+    """Let an application answer errors with a status and a sentence.
+
+    Parameters
+    ----------
+    app : the application.
+    show_missing : gives the page for an address where there is none; None where the sentence is the answer.
+    """
+
     @app.exception_handler(DousaError)
     async def answer_error(request: Request, error: DousaError) -> Answer:
         home = request.app.state.studio.workspace.root
@@ -233,7 +269,10 @@ def _answer_problems(app: FastAPI) -> None:
         return Answer(to_answer(Message("studio.invalid", fields=fields)), 422)
 
     @app.exception_handler(HTTPException)
-    async def answer_other(request: Request, error: HTTPException) -> Answer:
+    async def answer_other(request: Request, error: HTTPException) -> Response:
+        page = show_missing(request) if error.status_code == 404 else None
+        if page is not None:
+            return page
         known = {404: "studio.no_address", 405: "studio.other_method"}
         code = known.get(error.status_code)
         problem = Message("text.verbatim", text=error.detail) if code is None else Message(code)

@@ -16,6 +16,7 @@ from .answers import (
 )
 from .progress import print_progress
 from .repetitions import print_repetitions
+from .review import print_duplicates, print_label_review
 from .upkeep import print_check, print_journal, print_tags
 
 __all__ = [
@@ -25,9 +26,11 @@ __all__ = [
     "print_check",
     "print_classes",
     "print_clips",
+    "print_duplicates",
     "print_estimation",
     "print_info",
     "print_journal",
+    "print_label_review",
     "print_places",
     "print_progress",
     "print_repetitions",

@@ -363,11 +363,12 @@ def print_places(out: Console, answer: FindResult, *, mirrored: bool) -> None:
 
 
 def _name_segment(segment: Segment) -> str:
-    """The category, and how often it is done where that is more than once."""
+    """The category, how often it is done where that is more than once, and whether left and right are swapped."""
     if segment.category is None:
         return str(Message("columns.unknown"))
     often = f" × {segment.repetitions}" if segment.repetitions > 1 else ""
-    return escape(one_line(segment.category)) + often
+    side = f" ({_name_side(segment.mirrored)})" if segment.mirrored else ""
+    return escape(one_line(segment.category)) + often + side
 
 
 def print_timeline(out: Console, answer: LabelledTake) -> None:

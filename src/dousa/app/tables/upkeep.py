@@ -17,26 +17,8 @@ if TYPE_CHECKING:
 
 def print_check(out: Console, report: CheckReport) -> None:
     """What is damaged and what can be done, or that nothing is."""
-
-    def say(message: Message) -> None:
+    for message in report.to_messages():
         out.print(one_line(str(message)), markup=False, soft_wrap=True)
-
-    for one in report.damage:
-        where = {"what": one.what, "remedy": one.remedy}
-        if one.clip_id is None:
-            say(Message("library_check.part", **where))
-        else:
-            say(Message("library_check.of_clip", path=one.path, number=one.clip_id, **where))
-    if report.n_sealed:
-        say(Message("library_check.sealed", n=report.n_sealed))
-    if report.n_unsealed:
-        say(Message("library_check.unsealed", n=report.n_unsealed))
-    counts = {"clips": report.n_clips, "rows": report.n_rows, "seconds": report.seconds}
-    left = sum(not one.repaired for one in report.damage)
-    if left:
-        say(Message("library_check.damaged", left=left, **counts))
-    else:
-        say(Message("library_check.sound", **counts))
 
 
 def print_journal(out: Console, entries: Sequence[JournalEntry]) -> None:

@@ -261,7 +261,8 @@ class _Table:
     def unit(self, key: str, shape: tuple[int | None, ...], default: Sequence[float] | None = None) -> FloatArray:
         """Rows of unit length; those that are so to a few digits are made so."""
         array = self.numbers(key, shape, default)
-        lengths = np.linalg.norm(array, axis=-1, keepdims=True)
+        with np.errstate(over="ignore"):  # then they are not of unit length
+            lengths = np.linalg.norm(array, axis=-1, keepdims=True)
         wrong = lengths[np.abs(lengths - 1.0) > _UNIT_SLACK]
         if len(wrong):
             raise self.error(Message("body_file.unit", table=self.title, key=key, found=wrong[0]), key)

@@ -36,6 +36,7 @@ from dousa.messages import Message
 from dousa.motion.rotations import from_axis_angle, from_matrix, to_axis_angle, to_matrix
 
 _FAR = 100.0  # m: no studio is wider, so that such a distance is in millimetres or centimetres
+_MOST = 1e100  # of any number of a file: squares and cubes of it stay finite
 _CLEARLY_UP = 0.8  # cosine of the angle between the cameras' mean up direction and an axis
 
 # Columns: where the axes of the file go once the axis of the key points to +Y. Z up becomes (y, z, x), as Pose2Sim and
@@ -107,7 +108,7 @@ def parse_number(text: object, what: str | Message) -> float:
             value = float(text)
         except (ValueError, OverflowError):
             value = np.nan
-    if not np.isfinite(value):
+    if not abs(value) < _MOST:  # nan neither
         raise CalibrationError("camera_files.number", what=what, found=str(text)[:40])
     return float(value)
 

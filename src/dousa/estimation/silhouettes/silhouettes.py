@@ -50,6 +50,10 @@ class Silhouettes(ABC):
         SilhouetteError : no such frame, or its image is damaged.
         """
 
+    def read_view(self, view: int, frame: int) -> Mask | None:
+        """The mask of one view, where the others are not wanted."""
+        return self.read(frame)[view]
+
     def look(self, frame: int) -> tuple[Image | None, ...]:
         """The pictures (height, width, 3) blue, green, red behind the masks; None where there is none.
 

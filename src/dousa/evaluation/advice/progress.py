@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import reduce
 from typing import Any
 
@@ -50,6 +50,8 @@ class Attempt:
         incomplete and partial errors in degrees, of global ones in s.
     lapses : stops, skips and so on.
     faults : what failed where.
+    segments : errors of each segment; those of the whole body are nobody's.
+    figures : label and score of each figure, in order; None where the performance does not reach it.
     """
 
     name: str
@@ -58,6 +60,8 @@ class Attempt:
     sizes: Mapping[str, float | None]
     lapses: int
     faults: frozenset[Fault]
+    segments: Mapping[str, int] = field(default_factory=dict)
+    figures: tuple[tuple[str, float | None], ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,6 +96,8 @@ class Progress:
                     "errors": dict(one.counts),
                     "sizes": {kind: None if size is None else round(size, 1) for kind, size in one.sizes.items()},
                     "lapses": one.lapses,
+                    "segments": dict(one.segments),
+                    "figures": [{"label": label, "score": score} for label, score in one.figures],
                 }
                 for one in self.attempts
             ],
@@ -115,10 +121,21 @@ def read_attempt(answer: Mapping[str, Any], name: str) -> Attempt:
         counts = {kind: sum(event["kind"] == kind for event in events) for kind in KINDS}
         sizes = {kind: _measure(events, kind) for kind in KINDS}
         faults = frozenset(fault for event in events for fault in _list_faults(event))
-        score = None if answer["score"] is None else float(answer["score"])
-        return Attempt(name, score, counts, sizes, len(answer["lapses"]), faults)
+        score = _to_score(answer["score"])
+        segments = {name: sum(name in event["segments"] for event in _list_local(events)) for name in SEGMENTS}
+        figures = tuple((str(furi["label"]), _to_score(furi["score"])) for furi in answer.get("furi", ()))
+        return Attempt(name, score, counts, sizes, len(answer["lapses"]), faults, segments, figures)
     except (KeyError, TypeError, ValueError, AttributeError) as error:
         raise OptionError("progress.not_an_answer", name=name, keys=_KEYS) from error
+
+
+def _list_local(events: Sequence[Mapping[str, Any]]) -> list[Mapping[str, Any]]:
+    """Errors of some segments; not those of the whole body."""
+    return [event for event in events if event["kind"] != "global" and len(set(event["segments"])) < len(SEGMENTS)]
+
+
+def _to_score(found: Any) -> float | None:
+    return None if found is None else float(found)
 
 
 def _measure(events: Sequence[Mapping[str, Any]], kind: str) -> float | None:
@@ -212,12 +229,17 @@ def describe_errors(kind: str, attempt: Attempt) -> Message:
     return Message("progress.cell", n=count, size=_say_size(kind, attempt))
 
 
-def _say_still(faults: Sequence[Fault]) -> Message:
-    """What fails every time: the limbs of one kind in one figure together."""
+def describe_faults(faults: Sequence[Fault]) -> tuple[Message, ...]:
+    """Faults in words, the limbs of one kind in one figure together."""
     groups: dict[tuple[str, int], list[str]] = {}
     for kind, furi, limb in faults:
         groups.setdefault((kind, furi), []).append(limb)
-    said = tuple(_say_fault(kind, furi, limbs) for (kind, furi), limbs in groups.items())
+    return tuple(_say_fault(kind, furi, limbs) for (kind, furi), limbs in groups.items())
+
+
+def _say_still(faults: Sequence[Fault]) -> Message:
+    """What fails every time."""
+    said = describe_faults(faults)
     if len(said) > _MOST_SAID:
         return Message("progress.still_more", faults=said[:_MOST_SAID], n=len(said) - _MOST_SAID)
     return Message("progress.still", faults=said)

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
@@ -72,7 +72,11 @@ _COLUMNS = ("id", "path", "performer", "content_hash", "read_options", "format",
 
 
 def annotate_takes(
-    database: Database, wanted: Mapping[int, Annotation], forest: StoredForest | None, change: int | None = None
+    database: Database,
+    wanted: Mapping[int, Annotation],
+    forest: StoredForest | None,
+    change: int | None = None,
+    note: Callable[[int | None], None] = lambda number: None,
 ) -> tuple[StoredForest | None, AnnotationChanges]:
     """Give takes the labels of tables, in the place of those that they have.
 
@@ -81,6 +85,7 @@ def annotate_takes(
     wanted : by number of the take; those that are not there are left out.
     forest : of the library, if it is loaded.
     change : number in the journal, of what this belongs to.
+    note : told that number, or the one that this has there; None where nothing changed.
 
     Returns
     -------
@@ -96,6 +101,7 @@ def annotate_takes(
         plan = partial(_plan_tables, database.where, some, forest)
         done, _, forest, change = database.write_planned(plan, partial(_exchange, change=change))
         changes += done
+    note(change)
     return _learn(database, forest, changes)
 
 
@@ -120,9 +126,15 @@ def _find_missing(row: Any, labels: Annotation, there: Iterable[TakeSegment]) ->
 
 
 def name_segment(
-    database: Database, take_id: int, segment: Stretch, forest: StoredForest | None
+    database: Database,
+    take_id: int,
+    segment: Stretch,
+    forest: StoredForest | None,
+    note: Callable[[int | None], None] = lambda number: None,
 ) -> tuple[StoredForest | None, int | None, AnnotationChanges]:
     """Name a part of a take by hand; one of about the same place (half, intersection over union) gives way.
+
+    ``note`` is told the number of the change in the journal, as by `annotate_takes`.
 
     Returns
     -------
@@ -139,7 +151,8 @@ def name_segment(
         places = [(rows[0], kept, gone)] if kept else []
         return _plan(connection, database.where, places, _Exchange(forest, changes=changes, by_hand=True), known)
 
-    done, ids, asked, _ = database.write_planned(plan, _exchange)
+    done, ids, asked, change = database.write_planned(plan, _exchange)
+    note(change)
     grown, changes = _learn(database, asked, done)
     return grown, ids[0] if ids else None, changes
 
@@ -419,9 +432,12 @@ def load_annotated_takes(connection: sa.Connection, take_ids: Sequence[int] | No
 class Annotations:
     """Labels of the takes of a library, ``Library.annotations``."""
 
-    def __init__(self, database: Database, forests: ForestCache) -> None:
+    def __init__(
+        self, database: Database, forests: ForestCache, note: Callable[[int | None], None] = lambda number: None
+    ) -> None:
         self._database = database
         self._forests = forests
+        self._note = note
 
     def read(self, takes: Iterable[int] | None = None) -> list[TakeAnnotation]:
         """What is written down of takes: their segments, which are clips, and what the rest is.
@@ -468,7 +484,7 @@ class Annotations:
         """The same of several takes, by number; takes with the same labels as before are not touched."""
         for take in labels:
             self._check_take(take)
-        self._forests.last, changes = annotate_takes(self._database, labels, self._forests.last)
+        self._forests.last, changes = annotate_takes(self._database, labels, self._forests.last, note=self._note)
         self._refresh(changes, n_jobs)
         return changes
 
@@ -496,7 +512,7 @@ class Annotations:
         check_text(category)
         self._check_take(take)
         part = Stretch(start, end, category)
-        self._forests.last, number, changes = name_segment(self._database, take, part, self._forests.last)
+        self._forests.last, number, changes = name_segment(self._database, take, part, self._forests.last, self._note)
         self._refresh(changes, n_jobs)
         return number
 

@@ -15,8 +15,8 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Protocol
 
-from dousa.errors import DousaError, OptionError
-from dousa.files.disk import atomic_write, read_bytes
+from dousa.errors import DousaError, MotionWriteError, OptionError
+from dousa.files.disk import NO_ROOM, atomic_write, read_bytes
 from dousa.formats.motion_files import ReadOptions, Skipped, describe_problem
 from dousa.formats.registry import WRITERS
 from dousa.library.export.destination import MANIFEST, Destination, choose_destination
@@ -129,8 +129,14 @@ def export_clips(
             job.run(clip)
         if progress is not None:
             progress(len(clips), len(clips), "")
-    finally:  # also when it is interrupted: what is there is listed
+    except MotionWriteError as error:
+        job.list_what_fits()
+        done = len(job.written) + len(job.kept)
+        raise MotionWriteError(path, "export.no_room", reason=error.message, done=done, total=len(clips)) from error
+    except BaseException:  # interrupted: what is there is listed
         destination.write_manifest(job.rows)
+        raise
+    destination.write_manifest(job.rows)
     destination.close(tuple(job.skeletons))
     return ExportReport(tuple(job.written), tuple(job.kept), tuple(job.skipped))
 
@@ -172,10 +178,26 @@ class _Export:
             row["from"] = self._write(clip, name, content)
         except DousaError as error:
             self.rows.pop(name, None)
+            if isinstance(error, MotionWriteError) and error.code in NO_ROOM:
+                raise
             self.skipped.append(Skipped(clip.path, describe_problem(clip.path, error)))
             return
         self.rows[name] = row
         self.written.append(name)
+
+    def list_what_fits(self) -> None:
+        """The list of what is there, on a disk without room: the last files written make place for it."""
+        while True:
+            try:
+                self.destination.write_manifest(self.rows)
+            except MotionWriteError:
+                if not self.written:
+                    return
+                name = self.written.pop()
+                del self.rows[name]
+                self.destination.remove(name)
+            else:
+                return
 
     def _choose_name(self, clip: ClipInfo, suffix: str) -> str:
         """Category, name of the source; with the clip's number where another clip has the name, or may have it."""

@@ -12,8 +12,8 @@ import shutil
 import zipfile
 from pathlib import Path
 
-from dousa.errors import MotionWriteError, OptionError
-from dousa.files.disk import atomic_write
+from dousa.errors import OptionError
+from dousa.files.disk import atomic_write, write_error
 
 MANIFEST = "manifest.csv"
 COLUMNS = (
@@ -49,8 +49,12 @@ class Destination:
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
         except OSError as error:
-            raise MotionWriteError(path, "disk.unwritable", reason=error) from error
+            raise write_error(path, error) from error
         return path
+
+    def remove(self, name: str) -> None:
+        """Take away a file that was written."""
+        (self.folder / name).unlink(missing_ok=True)
 
     def write_manifest(self, rows: Rows) -> None:
         """The list of what is there, in the order of the names; none of nothing."""

@@ -6,7 +6,7 @@ from collections.abc import Iterable
 from contextlib import nullcontext
 from typing import TYPE_CHECKING
 
-from dousa.errors import OptionError
+from dousa.errors import LibraryError, OptionError
 from dousa.library import selection as _selection
 from dousa.library.engine import next_revision
 from dousa.library.front.contents import LibraryContents
@@ -16,6 +16,9 @@ from dousa.library.selection import UNCHANGED, Selection, Unchanged, select_ids
 
 if TYPE_CHECKING:
     from dousa.library.journal.entries import JournalEntry
+
+
+_FULL = ("library_file.disk_full", "library_file.server_disk_full", "library_file.disk_failed")
 
 
 class LibraryChanges(LibraryContents):
@@ -50,14 +53,19 @@ class LibraryChanges(LibraryContents):
         OptionError : nothing is chosen.
         LibraryError : something chosen is not there, or the library cannot be written.
         """
-        with self.database.writing() as connection:
-            ids = select_ids(connection, self.name, selection, category, performer, tag)
-            paths = _selection.list_paths(connection, ids)
-            if ids:
-                revision = next_revision(connection)
-                with nullcontext() if for_good else recording(connection, revision, "remove", gone=ids) as recorded:
-                    _selection.delete_clips(connection, ids)
-                self._note_change(recorded)
+        try:
+            with self.database.writing() as connection:
+                ids = select_ids(connection, self.name, selection, category, performer, tag)
+                paths = _selection.list_paths(connection, ids)
+                if ids:
+                    revision = next_revision(connection)
+                    with nullcontext() if for_good else recording(connection, revision, "remove", gone=ids) as recorded:
+                        _selection.delete_clips(connection, ids)
+                    self._note_change(recorded)
+        except LibraryError as error:
+            if for_good or error.code not in _FULL:
+                raise
+            raise LibraryError("library_clips.no_room_for_undo", library=self.name) from error
         return paths
 
     def relabel(
@@ -166,9 +174,12 @@ class LibraryChanges(LibraryContents):
 
     @property
     def last_change(self) -> int | None:
-        """Number of the change that this thread made last with ``add``, ``relabel``, ``tag`` or ``remove``; None where
-        that changed nothing."""
+        """Number of the change that this thread made last with ``add``, ``add_motion``, ``relabel``, ``tag``,
+        ``remove`` or ``annotations``; None where that changed nothing."""
         return getattr(self._last, "change", None)
+
+    def _note_number(self, number: int | None) -> None:
+        self._last.change = number
 
     def _note_change(self, recorded: Recorded | None) -> None:
         self._last.change = None if recorded is None else recorded.number

@@ -14,9 +14,10 @@ from dousa.errors import LibraryError
 from dousa.formats.motion_files import ReadOptions
 from dousa.library import schema
 from dousa.library import selection as _selection
-from dousa.library.engine import open_database, read_revision
+from dousa.library.engine import read_revision
 from dousa.library.features import load_trajectories
 from dousa.library.forests import ForestCache
+from dousa.library.opening import open_database
 from dousa.library.results import ClipInfo, LibraryStats
 from dousa.library.selection import Selection, fetch_in, select_ids
 
@@ -108,6 +109,24 @@ class LibraryContents:
             chosen = () if selection is None else selection
             ids = select_ids(connection, self.name, chosen, category, performer, tag)
             return _selection.list_clips(connection, ids)
+
+    def iterate_clips(self, *, category: str | None = None, performer: str | None = None) -> Iterator[ClipInfo]:
+        """Clips and takes in the order of their numbers, of which a thousand are in memory at a time.
+
+        What others add meanwhile comes too; a library of a million clips can be gone through like this.
+
+        Parameters
+        ----------
+        category, performer : only clips of this label.
+        """
+        last = 0
+        while True:
+            with self.database.reading() as connection:
+                page = _selection.read_page(connection, last, category, performer)
+            yield from page
+            if not page:
+                return
+            last = page[-1].id
 
     @property
     def revision(self) -> int:

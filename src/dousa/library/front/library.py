@@ -23,12 +23,15 @@ if TYPE_CHECKING:
     from dousa.library.marks.searches import SavedSearches
     from dousa.library.partial.forests import PartForests
     from dousa.library.results import Classification, FindResult, LabelledTake, SearchResult
+    from dousa.library.review.clip_map import ClipMap, MapProgress
+    from dousa.library.review.duplicates import DuplicateGroup
+    from dousa.library.review.label_doubts import LabelReview, ReviewProgress
     from dousa.library.search import PartProgress, Searcher
     from dousa.library.takes import Takes
-    from dousa.library.text.answers import TextResult
+    from dousa.library.text.answers import TextMatches, TextResult
     from dousa.library.text.index import TextSearcher
     from dousa.library.train import TrainProgress
-    from dousa.library.upkeep.compact import CompactReport
+    from dousa.library.upkeep.compact import CompactProgress, CompactReport
     from dousa.library.upkeep.repair import CheckProgress
     from dousa.library.upkeep.report import CheckReport
     from dousa.motion import CanonicalMotion, Motion, Trajectories
@@ -164,7 +167,11 @@ class Library(LibraryChanges):
             "category": no_label if category is None else lambda root, file: category,
             "performer": no_label if performer is None else lambda root, file: performer,
         }
-        return Adding(self.database, kind, rules, options, self._forests.last).run_one(record, n_jobs)
+        adding = Adding(self.database, kind, rules, options, self._forests.last)
+        try:
+            return adding.run_one(record, n_jobs)
+        finally:
+            self._last.change = adding.change
 
     def train(
         self,
@@ -294,6 +301,78 @@ class Library(LibraryChanges):
         if k is not None:
             _check_k(k)
         return self._text.search(text, k, category=category, performer=performer, kind=kind)
+
+    def match_text(self, text: str) -> TextMatches:
+        """Numbers of all clips and takes that words describe, as ``search_text`` without what they are: for lists of
+        very many.
+
+        Parameters
+        ----------
+        text : as in ``search_text``.
+
+        Raises
+        ------
+        OptionError : no text, or one of more than 500 characters.
+        LibraryError : the library cannot be read.
+        """
+        return self._text.match(text)
+
+    def review_labels(self, *, n_jobs: int | None = None, progress: ReviewProgress | None = None) -> LabelReview:
+        """Clips whose label is likely wrong, as those that they resemble have another one; the likeliest first.
+
+        Each is judged by trees that have not seen it. Clips with the tag ``checked`` are taken to be right, and are not
+        listed. No forest is needed; nothing is changed.
+
+        Parameters
+        ----------
+        n_jobs : trees grown at a time, as in ``add``.
+        progress : called with (steps done, steps, message about the next step).
+
+        Raises
+        ------
+        TrainingError : fewer than two categories of three clips.
+        LibraryError : the library cannot be read.
+        """
+        from dousa.library.review.label_doubts import review_labels
+
+        check_jobs(n_jobs)
+        return review_labels(self.database, n_jobs, progress)
+
+    def find_near_duplicates(self, *, near: float = 0.01) -> list[DuplicateGroup]:
+        """Groups of clips that are nearly the same: one recording twice, cleaned, or cut a little differently.
+
+        Parameters
+        ----------
+        near : body heights that their joints are apart at most.
+
+        Raises
+        ------
+        OptionError : ``near`` is not above 0 and at most 1.
+        LibraryError : the library cannot be read.
+        """
+        from dousa.library.review.duplicates import find_near_duplicates
+
+        if not 0 < near <= 1:
+            raise OptionError("library_review.near", near=near)
+        return find_near_duplicates(self.database, near)
+
+    def map(self, *, progress: MapProgress | None = None) -> ClipMap:
+        """Where the clips lie on a map: a plane where those are near to each other whose poses are alike.
+
+        No forest is needed, and labels play no part. The same clips give the same map. Takes are not on it.
+
+        Parameters
+        ----------
+        progress : called with (steps done, steps, message about the next step).
+
+        Raises
+        ------
+        MissingExtraError : scikit-learn is not installed (``pip install 'dousa[map]'``).
+        LibraryError : the library cannot be read.
+        """
+        from dousa.library.review.clip_map import map_clips
+
+        return map_clips(self.database, progress)
 
     def classify(
         self,
@@ -471,7 +550,7 @@ class Library(LibraryChanges):
         """Labels of takes: what is known of them, and writing more."""
         from dousa.library.annotations.store import Annotations
 
-        return Annotations(self.database, self._forests)
+        return Annotations(self.database, self._forests, self._note_number)
 
     @cached_property
     def searches(self) -> SavedSearches:
@@ -501,7 +580,7 @@ class Library(LibraryChanges):
             raise LibraryError("library_file.opened_read_only", library=self.name)
         return check_library(self.database, repair, progress)
 
-    def compact(self) -> CompactReport:
+    def compact(self, *, fragments: str | None = None, progress: CompactProgress | None = None) -> CompactReport:
         """Make the file as small as what is in it; removed clips leave room that only new ones would use.
 
         Removed clips that ``undo`` would bring back are forgotten, and changes that need them.
@@ -509,13 +588,21 @@ class Library(LibraryChanges):
         Needs free space of the size of what is left. Others may read meanwhile, and write when it is done; stopped at
         any moment, the file is as it was.
 
+        Parameters
+        ----------
+        fragments : where positions and features are moved to, and new ones are written from then on: ``""`` for a
+            folder beside the library file; of a library on a server, a folder that all see, or a URL such as
+            ``s3://bucket/moves``. Stopped, it goes on where it was. None leaves them where they are.
+        progress : called with (kB done, kB, message about the step).
+
         Raises
         ------
-        LibraryError : cannot be written, too little free space, or a database server, which sees to that itself.
+        LibraryError : cannot be written, too little free space, a database server without fragments, which sees to its
+            room itself, or a place for fragments that does not fit the library.
         """
         from dousa.library.upkeep.compact import compact_library
 
-        return compact_library(self.database)
+        return compact_library(self.database, fragments, progress)
 
 
 def _as_list(paths: Paths) -> list[str | os.PathLike[str]]:

@@ -12,6 +12,7 @@ from dousa.library import schema
 from dousa.library.engine import note_changed_clips, take_clip_ids
 from dousa.library.features import pack_positions, save_descriptions
 from dousa.library.forests import note_unlearned, save_answers
+from dousa.library.fragments.arrays import put_aside
 from dousa.library.growth.arrival import Arrival
 from dousa.library.ingest import ClipRecord
 from dousa.library.seals.checksums import seal_positions, seal_rows
@@ -58,6 +59,6 @@ def _insert_rows(connection: sa.Connection, numbers: Sequence[int], fresh: Seque
         else:
             places.append({"clip_id": number, **record.place})
     if positions:
-        connection.execute(sa.insert(schema.clip_trajectories), positions)
+        connection.execute(sa.insert(schema.clip_trajectories), put_aside(connection, positions, "positions"))
     if places:
         connection.execute(sa.insert(schema.segments), seal_rows(schema.segments, places))

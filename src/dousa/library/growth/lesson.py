@@ -17,18 +17,19 @@ import numpy as np
 import sqlalchemy as sa
 from numpy.typing import NDArray
 
-from dousa.arrays import BoolArray, FloatArray, IndexArray
+from dousa.arrays import BoolArray, FloatArray, IntArray
 from dousa.library import schema
 from dousa.library.engine import Database, next_revision
 from dousa.library.features import find_feature_set, load_features
-from dousa.library.forests import StoredForest, check_leaves, find_leaves, load_forest, name_votes, update_forest
-from dousa.library.schema import pack, stack
-from dousa.library.seals.checksums import LABELS, LEAVES, update_rows
-from dousa.library.selection import portions
+from dousa.library.forests import StoredForest, find_leaves, load_forest, name_votes, update_forest
+from dousa.library.schema import pack
+from dousa.library.seals.checksums import LEAVES, update_rows
+from dousa.library.selection import fetch_in, portions
 from dousa.retrieval.forest.calibration import Assessor
 
 if TYPE_CHECKING:
     from dousa.retrieval.forest.growth import Growth
+    from dousa.retrieval.forest.standing_leaves import StandingLeaves
 
 Stamp = tuple[int, int, int, tuple[int, ...]]
 """Of what a forest learns from: its ``revision`` and ``learned``, the ``clips_revision`` of the library, and the clips
@@ -89,7 +90,7 @@ def learn_new(database: Database, known: StoredForest | None) -> tuple[StoredFor
         if before is not None and before.stamp == stamp:
             return before
         stored = load_forest(connection, database.where, forest)
-        return _Lesson(stamp, None) if stored is None else _work_out(connection, stored, stamp)
+        return _Lesson(stamp, None) if stored is None else _work_out(connection, database.where, stored, stamp)
 
     return database.write_planned(plan, _write)
 
@@ -117,109 +118,174 @@ def _read_stamp(connection: sa.Connection) -> Stamp:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Clips:
-    """Clips that have leaves: numbers (N,), categories, keys of their contents, predicted ones, leaves (N, n_trees)."""
+    """Clips that have leaves, in the order of their numbers.
 
-    ids: NDArray[np.int64]
-    categories: list[str | None]
-    keys: NDArray[np.uint64]
-    predicted: list[str]
-    leaves: NDArray[np.int32]
+    Parameters
+    ----------
+    ids : (N,).
+    given, predicted : (N,) places in ``names`` of their categories, -1 for none, and of the forest's.
+    names : categories.
+    leaves : (N, n_trees), which may lie in a file.
+    """
+
+    ids: IntArray
+    given: IntArray
+    predicted: IntArray
+    names: list[str]
+    leaves: StandingLeaves
 
 
-def _work_out(connection: sa.Connection, stored: StoredForest, stamp: Stamp) -> _Lesson:
-    clips = _read_clips(connection, stored)
+def _work_out(connection: sa.Connection, where: str, stored: StoredForest, stamp: Stamp) -> _Lesson:
+    clips = _read_clips(connection, where, stored)
     waiting = np.isin(clips.ids, stamp[3])
-    named = np.array([name is not None for name in clips.categories], bool)
-    new = np.flatnonzero(waiting & named)
+    new = np.flatnonzero(waiting & (clips.given >= 0))
     if not len(new):
         return _Lesson(stamp, stored)
     known = set(stored.categories)
     # Clips that were given a category later that the forest does not know stand in no leaf of theirs.
-    stands = np.array([name in known for name in clips.categories], bool) & ~waiting
-    labels = np.array([clips.categories[row] for row in new], dtype=np.str_)
+    stands = np.array([*(name in known for name in clips.names), False])[clips.given] & ~waiting
+    labels = np.array([clips.names[number] for number in clips.given[new]], dtype=np.str_)
     features = load_features(connection, stored.feature_set, clips.ids[new].tolist()).features
-    growth = _grow(connection, stored, clips, np.flatnonzero(stands), (features, labels, clips.keys[new]))
+    growth = _grow(connection, stored, clips, stands, (features, labels, clips.ids[new]))
     assessor = stored.assessor
     if assessor is not None:
         assessor = Assessor(growth.forest, assessor.calibration.with_clips(features, labels))
     categories = tuple(str(name) for name in growth.forest.classes_)
     grown = replace(stored, forest=growth.forest, categories=categories, assessor=assessor)
-    leaves = _find_all_leaves(connection, grown, clips, (stands, new), growth)
+    moved = _find_moved(connection, grown, clips, (stands, new), growth)
     learned = Learned(len(new), tuple(sorted(set(labels.tolist()) - known)))
-    return _Lesson(stamp, grown, learned, _compare_answers(grown, clips, leaves))
+    return _Lesson(stamp, grown, learned, _compare_answers(stored, grown, clips, moved))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Keys:
+    """Numbers that stand for the contents of clips, read when they are asked for."""
+
+    connection: sa.Connection
+    ids: IntArray
+
+    def __getitem__(self, places: IntArray) -> NDArray[np.uint64]:
+        clips = schema.clips.c
+        wanted = self.ids[places].tolist()
+        query = sa.select(clips.id, clips.content_hash)
+        found = {row.id: row.content_hash for row in fetch_in(self.connection, query, clips.id, wanted)}
+        digests = (blake2b(found[number].encode(), digest_size=8).digest() for number in wanted)
+        return np.array([int.from_bytes(digest) for digest in digests], np.uint64)
 
 
 def _grow(
     connection: sa.Connection,
     stored: StoredForest,
     clips: _Clips,
-    standing: IndexArray,
-    new: tuple[FloatArray, NDArray[np.str_], NDArray[np.uint64]],
+    stands: BoolArray,
+    new: tuple[FloatArray, NDArray[np.str_], IntArray],
 ) -> Growth:
-    """The forest with new clips (features, categories, keys), beside those that it knows."""
+    """The forest with new clips (features, categories, numbers), beside those that it knows."""
     from dousa.retrieval.forest.growth import StandingClips, grow_forest
 
-    def read_features(places: NDArray[np.int64]) -> FloatArray:
-        return load_features(connection, stored.feature_set, clips.ids[standing[places]].tolist()).features
+    ids = clips.ids[stands]
 
-    categories = np.array([clips.categories[row] for row in standing], dtype=np.str_)
-    later = clips.ids[standing] >= stored.first_later
-    there = StandingClips(categories, clips.leaves[standing], read_features, clips.keys[standing], later)
-    features, labels, keys = new
+    def read_features(places: NDArray[np.int64]) -> FloatArray:
+        return load_features(connection, stored.feature_set, ids[places].tolist()).features
+
+    there = StandingClips(
+        clips.given[stands],
+        clips.leaves.only(stands),
+        read_features,
+        _Keys(connection, ids),
+        ids >= stored.first_later,
+        np.array([*clips.names], np.str_),
+    )
+    features, labels, numbers = new
+    keys = _Keys(connection, numbers)[np.arange(len(numbers))]
     kind = find_feature_set(stored.feature_set)
     return grow_forest(stored.forest, there, features, labels, keys=keys, feature_set=kind)
 
 
-def _read_clips(connection: sa.Connection, stored: StoredForest) -> _Clips:
-    clips, table = schema.clips.c, schema.clip_leaves.c
-    query = sa.select(*LABELS.columns, *LEAVES.columns, clips.content_hash)
-    query = query.join(schema.clip_leaves, table.clip_id == clips.id).order_by(clips.id)
-    own = len(LABELS.columns)
-    rows = connection.execute(query).all()
-    columns = list(zip(*rows, strict=True)) if rows else [()] * (own + len(LEAVES.columns) + 1)
-    names = [column.name for column in (*LABELS.columns, *LEAVES.columns)]
-    LABELS.check_all(connection, columns[:own])
-    LEAVES.check_all(connection, columns[own:-1])
-    leaves = stack(columns[own + names[own:].index("leaves")], "<i4", (len(stored.forest.trees_.roots),), "leaves")
-    check_leaves(stored, leaves)
-    return _Clips(
-        np.array(columns[0], np.int64),
-        list(columns[names.index("category")]),
-        np.array([int.from_bytes(blake2b(text.encode(), digest_size=8).digest()) for text in columns[-1]], np.uint64),
-        list(columns[names.index("predicted_category")]),
-        leaves,
-    )
+def _read_clips(connection: sa.Connection, where: str, stored: StoredForest) -> _Clips:
+    from dousa.library.index.side_file import read_standing
+    from dousa.retrieval.forest.standing_leaves import LeafCodes, StandingLeaves
+
+    parts = read_standing(connection, where, stored, may_write=True)
+    ids = np.concatenate([part.ids[alive] for part, alive in parts])
+    order = np.argsort(ids, kind="stable")
+    places = np.empty(len(ids), np.int64)
+    places[order] = np.arange(len(ids))
+    names = sorted({name for part, _ in parts for name in part.names})
+    numbers = {name: number for number, name in enumerate(names)}
+    labels, codes, start = [], [], 0
+    for part, alive in parts:
+        own = np.full(len(part), -1)
+        own[alive] = places[start : start + int(alive.sum())]
+        start += int(alive.sum())
+        codes.append(LeafCodes(part.codes, part.table, part.offsets, own))
+        renumbered = np.array([*(numbers[name] for name in part.names), -1])
+        labels.append(np.stack([renumbered[part.given[alive]], renumbered[part.predicted[alive]]]))
+    given, predicted = np.concatenate(labels, axis=1)[:, order]
+    return _Clips(ids[order], given, predicted, names, StandingLeaves(codes, len(ids)))
 
 
-def _find_all_leaves(
+def _find_moved(
     connection: sa.Connection,
     grown: StoredForest,
     clips: _Clips,
-    taught: tuple[BoolArray, IndexArray],
+    taught: tuple[BoolArray, IntArray],
     growth: Growth,
-) -> NDArray[np.int32]:
-    """The leaves (N, n_trees) of all clips: ``taught`` are those that stand in leaves, and the new ones."""
+) -> tuple[IntArray, NDArray[np.int32]]:
+    """Clips whose leaves were looked up again, and their leaves: ``taught`` stand in leaves, or are new."""
     stands, new = taught
-    leaves = clips.leaves.copy()
-    leaves[np.flatnonzero(stands)[growth.moved]] = growth.moved_leaves
-    leaves[new] = growth.leaves
+    rows = [np.flatnonzero(stands)[growth.moved], new]
+    leaves = [growth.moved_leaves, growth.leaves]
     others = ~stands
     others[new] = False
-    rows = np.flatnonzero(others)
-    rows = rows[growth.changed[clips.leaves[rows]].any(axis=1)]
-    if len(rows):
-        leaves[rows] = find_leaves(
-            grown, load_features(connection, grown.feature_set, clips.ids[rows].tolist()).features
-        )
-    return leaves
+    if others.any():
+        where = np.flatnonzero(others)
+        again = where[clips.leaves.only(others).find(growth.changed)]
+        if len(again):
+            rows.append(again)
+            features = load_features(connection, grown.feature_set, clips.ids[again].tolist()).features
+            leaves.append(find_leaves(grown, features).astype(np.int64))
+    return np.concatenate(rows), np.concatenate(leaves).astype(np.int32)
 
 
-def _compare_answers(stored: StoredForest, clips: _Clips, leaves: NDArray[np.int32]) -> dict[int, dict[str, Any]]:
+def _compare_answers(
+    stored: StoredForest, grown: StoredForest, clips: _Clips, moved: tuple[IntArray, NDArray[np.int32]]
+) -> dict[int, dict[str, Any]]:
     """The leaves and the guesses that have changed, by number."""
-    predicted = name_votes(stored, leaves)
-    moved = (leaves != clips.leaves).any(axis=1)
-    return {
-        int(number): {"predicted_category": now, "leaves": pack(leaves[row], "<i4")}
-        for row, (number, now, before) in enumerate(zip(clips.ids, predicted, clips.predicted, strict=True))
-        if moved[row] or now != before
-    }
+    rows = np.union1d(moved[0], clips.leaves.find(_find_other_votes(stored, grown)))
+    changes: dict[int, dict[str, Any]] = {}
+    order = np.argsort(moved[0])
+    for first in range(0, len(rows), _AT_ONCE):
+        some = rows[first : first + _AT_ONCE]
+        before = clips.leaves.take(some)
+        now = before.copy()
+        places = np.searchsorted(moved[0], some, sorter=order)
+        own = order[np.minimum(places, len(order) - 1)]
+        is_moved = moved[0][own] == some
+        now[is_moved] = moved[1][own[is_moved]]
+        others = (now != before).any(axis=1)
+        for row, name, leaves, differs in zip(some, name_votes(grown, now), now, others, strict=True):
+            number = clips.predicted[row]
+            if differs or number < 0 or clips.names[number] != name:
+                changes[int(clips.ids[row])] = {"predicted_category": name, "leaves": pack(leaves, "<i4")}
+    return changes
+
+
+_AT_ONCE = 16_384
+
+
+def _find_other_votes(stored: StoredForest, grown: StoredForest) -> BoolArray:
+    """(L,) the leaves of a forest that vote otherwise since it has grown."""
+    starts, classes, weights = stored.forest.vote_entries
+    new_starts, new_classes, new_weights = grown.forest.vote_entries
+    count = len(starts) - 1
+    sizes = np.diff(starts)
+    other: BoolArray = sizes != np.diff(new_starts)[:count]
+    same = np.flatnonzero(~other)
+    owners = np.repeat(same, sizes[same])
+    inside = np.arange(len(owners)) - np.repeat(np.cumsum(sizes[same]) - sizes[same], sizes[same])
+    old, new = starts[owners] + inside, new_starts[owners] + inside
+    numbers = np.searchsorted(np.array(grown.categories), np.array(stored.categories))
+    differs = (numbers[classes[old]] != new_classes[new]) | (weights[old] != new_weights[new])
+    other[owners[differs]] = True
+    return other

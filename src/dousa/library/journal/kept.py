@@ -17,7 +17,7 @@ from sqlalchemy import exc
 from dousa.library import schema
 from dousa.library.features import lacks, load_features
 from dousa.library.forests import ask_trees, load_forest, save_answers
-from dousa.library.seals.checksums import REMOVED, seal_rows
+from dousa.library.seals.checksums import POSITIONS, REMOVED, damaged, seal_rows
 from dousa.library.selection import fetch_in, portions
 
 # In this order they are brought back: a segment after the clip that it is.
@@ -25,6 +25,7 @@ _TABLES = (
     schema.clips, schema.segments, schema.take_annotations, schema.clip_tags, schema.clip_relations, schema.clip_poses,
     schema.clip_leaves,
 )  # fmt: skip
+_COPIED = ("positions", "block_checksums", *schema.PLACE)  # blocks in fragments stay where they are
 _BYTES = "base64"
 _STAMP = "forest"
 
@@ -67,16 +68,17 @@ def _write(connection: sa.Connection, kept: dict[int, dict[str, Any]], change: i
     if not kept:
         return
     positions, table = schema.clip_trajectories, schema.removed_positions
-    query = sa.select(positions.c.clip_id, sa.func.length(positions.c.positions))
+    size = sa.func.coalesce(positions.c.n_bytes, sa.func.length(positions.c.positions))
+    query = sa.select(positions.c.clip_id, size)
     sizes = {row[0]: row[1] for row in connection.execute(query.where(positions.c.clip_id.in_(list(kept))))}
     rows = [
         {"number": number, "change": change, "size": int(sizes.get(number, 0)), "kept": own}
         for number, own in kept.items()
     ]
     connection.execute(sa.insert(schema.removed_clips), seal_rows(schema.removed_clips, rows))
-    copied = sa.select(positions.c.clip_id, positions.c.positions, positions.c.block_checksums)
-    names = ["number", "positions", "block_checksums"]
-    connection.execute(sa.insert(table).from_select(names, copied.where(positions.c.clip_id.in_(list(kept)))))
+    copied = sa.select(positions.c.clip_id, *(positions.c[name] for name in _COPIED))
+    copied = copied.where(positions.c.clip_id.in_(list(kept)))
+    connection.execute(sa.insert(table).from_select(["number", *_COPIED], copied))
 
 
 def list_kept(connection: sa.Connection, ids: Sequence[int], change: int) -> dict[int, dict[str, Any]]:
@@ -102,6 +104,10 @@ def bring_back(connection: sa.Connection, where: str, kept: dict[int, dict[str, 
     ----------
     where : name of the library, for messages.
     kept : as ``list_kept`` has it.
+
+    Raises
+    ------
+    LibraryDamagedError : the positions of one are gone.
     """
     stamp = _read_stamp(connection)
     fresh = [number for number, own in kept.items() if own[_STAMP] == stamp]
@@ -111,10 +117,13 @@ def bring_back(connection: sa.Connection, where: str, kept: dict[int, dict[str, 
         for few in portions(rows):
             connection.execute(sa.insert(table), list(few))
     positions, old = schema.clip_trajectories, schema.removed_positions.c
+    own = {number for number, rows in kept.items() if schema.segments.name not in rows}
+    lacking = own - {row.number for row in fetch_in(connection, sa.select(old.number), old.number, sorted(own))}
+    if lacking:
+        raise damaged(connection, POSITIONS, min(lacking))
     for ids in portions(list(kept)):
-        query = sa.select(old.number, old.positions, old.block_checksums).where(old.number.in_(ids))
-        names = ["clip_id", "positions", "block_checksums"]
-        connection.execute(sa.insert(positions).from_select(names, query))
+        query = sa.select(old.number, *(old[name] for name in _COPIED)).where(old.number.in_(ids))
+        connection.execute(sa.insert(positions).from_select(["clip_id", *_COPIED], query))
         connection.execute(sa.delete(schema.removed_clips).where(schema.removed_clips.c.number.in_(ids)))
     _ask_forest(connection, where, [number for number in kept if kept[number][_STAMP] != stamp])
 

@@ -27,8 +27,8 @@ class SavedSearch:
     Parameters
     ----------
     name : of it.
-    asked : values by filter: ``text``, ``category``, ``performer``, ``tag`` (lists: any of them), ``kind``, ``min_s``,
-        ``max_s``; or ``clips``, numbers of a selection.
+    asked : values by filter: ``text``, ``category``, ``performer``, ``tag`` (lists: any of them; ``kick/`` stands for
+        all categories below it), ``kind``, ``min_s``, ``max_s``; or ``clips``, numbers of a selection.
     """
 
     name: str
@@ -126,7 +126,8 @@ def _fits(clip: Any, asked: Mapping[str, Any]) -> bool:
     """Whether a clip is what a search asks for, as the Library page of the studio understands it."""
     for name in ("category", "performer"):
         wanted = _as_list(asked.get(name))
-        if wanted and (getattr(clip, name) or "") not in wanted:
+        label, below = getattr(clip, name) or "", tuple(one for one in wanted if one.endswith("/"))
+        if wanted and label not in wanted and not (below and f"{label}/".startswith(below)):
             return False
     tags = _as_list(asked.get("tag"))
     if tags and not (set(tags) & set(clip.tags) or ("" in tags and not clip.tags)):

@@ -14,6 +14,9 @@ from dousa.library.selection import read_tags, save_tags
 FAVOURITE = "favourite"
 """The tag that the studio shows as a star."""
 
+CHECKED = "checked"
+"""The tag of clips whose label somebody has looked at and found right."""
+
 MOST_TAGS = 100
 """Of a clip."""
 

@@ -28,6 +28,7 @@ from dousa.library.forests import (
     describe_copies,
     find_leaves,
     fit_forest,
+    hold_back,
     learn_unknown,
 )
 from dousa.library.schema import pack, stack
@@ -271,7 +272,7 @@ def _train(
     report(1, _STEPS, Message("library_training.growing_trees"))
     fit_forest(forest, clips, labelled, kind, copies)
     report(2, _STEPS, Message("library_training.calibrating"))
-    assessor = learn_unknown(forest, clips, labelled, kind, copies)
+    assessor = learn_unknown(forest, hold_back(clips, labelled), kind, copies)
     report(3, _STEPS, Message("library_training.writing"))
     categories = tuple(str(name) for name in forest.classes_)
     return replace(main, forest=forest, categories=categories, feature_set=kind.name, assessor=assessor)

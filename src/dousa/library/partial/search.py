@@ -19,25 +19,25 @@ from dousa.errors import InvalidMotionError
 from dousa.library.engine import Database
 from dousa.library.features import StoredMotion, find_feature_set, load_motions, load_poses
 from dousa.library.forests import ForestCache, StoredForest
+from dousa.library.index.leaf_index import LeafIndex
+from dousa.library.partial.dense_index import SearchIndex, make_dense, rank_places
 from dousa.library.partial.forests import PartForests, PartIndex
 from dousa.library.results import Hit, SearchResult
 from dousa.library.search import (
     Explaining,
     PartProgress,
     Searcher,
-    SearchIndex,
     Wanted,
     ask_forest,
     choose_best,
     judge,
-    rank_places,
 )
 from dousa.messages import Message
 from dousa.retrieval.features.partial_bodies import count_placed, is_comparable
 
 if TYPE_CHECKING:
     from dousa.arrays import FloatArray
-    from dousa.library.search import PoseReader
+    from dousa.library.index.ranking import PoseReader
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -64,15 +64,20 @@ class PartSearcher(Searcher):
     def __init__(self, database: Database, forests: ForestCache, parts: PartForests) -> None:
         super().__init__(database, forests)
         self._parts = parts
+        self._dense: tuple[LeafIndex, SearchIndex] | None = None
 
     def _search_parts(
         self,
-        library: tuple[StoredForest, SearchIndex],
+        library: tuple[StoredForest, LeafIndex],
         query: tuple[str, StoredMotion],
         wanted: Wanted,
         progress: PartProgress | None,
     ) -> SearchResult:
-        return search_parts(self._database, self._parts, library, query, wanted, progress)
+        stored, index = library
+        kept = self._dense
+        if kept is None or kept[0] is not index:
+            kept = self._dense = index, make_dense(index)
+        return search_parts(self._database, self._parts, (stored, *kept), query, wanted, progress)
 
     def _choose_forest(
         self, stored: StoredForest, absent: Sequence[str], progress: PartProgress | None
@@ -83,7 +88,7 @@ class PartSearcher(Searcher):
 def search_parts(
     database: Database,
     parts: PartForests,
-    library: tuple[StoredForest, SearchIndex],
+    library: tuple[StoredForest, LeafIndex, SearchIndex],
     query: tuple[str, StoredMotion],
     wanted: Wanted,
     progress: PartProgress | None = None,
@@ -92,7 +97,7 @@ def search_parts(
 
     Parameters
     ----------
-    library : its forest, and what that says of the clips that lack none of its joints.
+    library : its forest, and what that says of the clips that lack none of its joints; with all votes too.
     query : its name, and the motion.
     wanted : what to give.
     progress : called while forests for parts are learned.
@@ -101,7 +106,7 @@ def search_parts(
     ------
     InvalidMotionError : a body of which too little is there, or that no clip can teach anything about.
     """
-    (main, index), (name, motion) = library, query
+    main, (name, motion) = library[0], query
     stored, note = parts.choose(main, motion.absent, progress)
     if stored is None:
         assert note is not None
@@ -110,7 +115,7 @@ def search_parts(
     motions = (motion, motion.mirror()) if wanted.mirror else (motion,)
     asked = [ask_forest(stored, one) for one in motions]
     verdicts = [judge(stored, one.answers, one.features, wanted.threshold)[0] for one in asked]
-    groups, n_left_out = _group_clips(database, parts, (main, index), motion.absent, progress)
+    groups, n_left_out = _group_clips(database, parts, library, motion.absent, progress)
     category = verdicts[0].guess if wanted.same_category else None
     hits = choose_best(_rank_groups(groups, motions, wanted, category), wanted.k)
     if wanted.explain:
@@ -126,16 +131,16 @@ def search_parts(
 def _group_clips(
     database: Database,
     parts: PartForests,
-    library: tuple[StoredForest, SearchIndex],
+    library: tuple[StoredForest, LeafIndex, SearchIndex],
     absent: Sequence[str],
     progress: PartProgress | None,
 ) -> tuple[list[Group], int]:
     """The clips by the joints that they share with a body, and how many share too few."""
-    main, index = library
+    main, leaf_index, index = library
     whole = find_feature_set(find_feature_set(main.feature_set).base)
     members: dict[tuple[str, ...], list[int]] = defaultdict(list)
     members[find_feature_set(main.feature_set).without(absent).hidden] += index.ids
-    for clip_id, lacking in index.partial.items():
+    for clip_id, lacking in leaf_index.partial.items():
         members[whole.without([*absent, *lacking.split()]).hidden].append(clip_id)
     groups, n_left_out = [], 0
     for hidden, ids in members.items():
@@ -164,7 +169,7 @@ def _reader_of(database: Database, main: StoredForest) -> PoseReader:
 def _make_group(part: PartIndex, ids: Sequence[int]) -> Group:
     rows = {clip_id: row for row, clip_id in enumerate(part.ids)}
     places = np.array(sorted(rows[clip_id] for clip_id in ids if clip_id in rows), np.intp)
-    index = SearchIndex(0, part.ids, part.paths, part.labels, part.answers, rows, {})
+    index = SearchIndex(part.ids, part.paths, part.labels, part.answers, rows)
     return Group(part.stored, index, places, lambda some: part.poses[[rows[clip_id] for clip_id in some]])
 
 

@@ -119,13 +119,19 @@ class Seal:
         if not self.is_whole(values):
             raise damaged(connection, self.what, values[0] if self.is_of_clip else None)
 
+    def check_rows(self, connection: sa.Connection, rows: Sequence[Any]) -> None:
+        """The same as ``check`` of many rows of one query."""
+        values = [row._mapping for row in rows]
+        if values:
+            self.check_all(connection, [[value[column] for value in values] for column in self.columns])
+
     @property
     def is_of_clip(self) -> bool:
         """Whether the key is the number of a clip."""
         return self.covered[0].name in ("id", "clip_id", "take_id") and self.covered[0].table.name not in _OWN_KEYS
 
 
-_OWN_KEYS = ("library_state", "forests", "part_forests")
+_OWN_KEYS = ("library_state", "forests", "part_forests", "array_store")
 
 
 def _seal(table: sa.Table, what: Message, names: Sequence[str] | None = None, checksum: str = "checksum") -> Seal:
@@ -144,7 +150,8 @@ LABELS = _seal(schema.clips, Message("library_damage.labels"), _LABELS, "label_c
 """Of what a search says of a clip."""
 NUMBERS = _seal(schema.clips, Message("library_damage.numbers"), _NUMBERS)
 """Of the rest of its row: its file, its length, its height."""
-FEATURES = _seal(schema.clip_features, Message("library_damage.features"))
+FEATURES = _seal(schema.clip_features, Message("library_damage.features"), ("clip_id", "feature_set", "pose_features"))
+"""Of the features themselves, wherever they lie: see ``dousa.library.fragments.arrays``."""
 POSES = _seal(schema.clip_poses, Message("library_damage.poses"))
 LEAVES = _seal(schema.clip_leaves, Message("library_damage.leaves"))
 RELATIONS = _seal(schema.clip_relations, Message("library_damage.relations"))
@@ -161,10 +168,11 @@ TAGS = _seal(schema.clip_tags, Message("library_damage.tags"))
 SEARCHES = _seal(schema.saved_searches, Message("library_damage.search"))
 JOURNAL = _seal(schema.journal, Message("library_damage.journal"))
 REMOVED = _seal(schema.removed_clips, Message("library_damage.removed"))
+STORE = _seal(schema.array_store, Message("library_damage.store"))
 
 SEALS = (
     LABELS, NUMBERS, FEATURES, POSES, LEAVES, RELATIONS, SEGMENTS, ANNOTATIONS, FOREST, PART_FORESTS, STATE, TAGS,
-    SEARCHES, JOURNAL, REMOVED,
+    SEARCHES, JOURNAL, REMOVED, STORE,
 )  # fmt: skip
 POSITIONS = Message("library_damage.positions")
 

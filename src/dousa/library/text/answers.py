@@ -5,6 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
+from dousa.arrays import FloatArray
 from dousa.retrieval.words.relations import Relation
 
 
@@ -41,6 +45,22 @@ class TextHit:
             for one in self.relations
         ]
         return {name: getattr(self, name) for name in names} | {"relations": relations}
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TextMatches:
+    """The numbers of all clips and takes that fit words.
+
+    Parameters
+    ----------
+    ids : (n,) the best first.
+    scores : (n,) share of what the words ask for that each has, 0 to 1.
+    corrections : words that were misspelt or that nobody knows, and what they were taken for.
+    """
+
+    ids: NDArray[np.int64]
+    scores: FloatArray
+    corrections: dict[str, str]
 
 
 @dataclass(frozen=True, slots=True)

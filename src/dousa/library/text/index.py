@@ -4,36 +4,41 @@ from __future__ import annotations
 
 import os
 from collections import Counter
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import PurePath
 from typing import Any
 
+import numpy as np
 import sqlalchemy as sa
 
+from dousa.arrays import FloatArray, IndexArray
 from dousa.errors import OptionError
 from dousa.library.engine import Database, read_revision
 from dousa.library.seals.checksums import LABELS
-from dousa.library.text.answers import TextHit, TextResult
+from dousa.library.text.answers import TextHit, TextMatches, TextResult
 from dousa.library.text.store import load_relations
 from dousa.messages.tables import LANGUAGES
+from dousa.retrieval.words.columns import MotionWords, WordColumns
 from dousa.retrieval.words.matching import (
     LEAST_OF_BEST,
     LEAST_SCORE,
     Fit,
+    KnownWords,
     Matcher,
     ReadQuery,
     Unit,
     make_unit,
     read_query,
 )
-from dousa.retrieval.words.reading import Word, read_words
+from dousa.retrieval.words.reading import read_words
 from dousa.retrieval.words.relations import Relation
 from dousa.retrieval.words.vectors import load_replacement
 from dousa.retrieval.words.vocabulary import Vocabulary, load_vocabulary, normalise
 
 _LONGEST = 500  # characters of a query
 _LITERAL = 0.6  # score of a name that has the query in it letter by letter
+_SAME = 1e-6  # scores that differ by rounding
 _MOST_NEAR = 5  # words that are offered where nothing fits
 _NEAR_MEANING, _NEAR_SPELLING = 0.4, 60  # weight of what such a word finds; per cent of its letters
 
@@ -52,11 +57,12 @@ class _Entry:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _TextIndex:
-    """The motions in the order of their paths, as of a revision of the library."""
+    """The motions in the order of their paths, as of a revision of the library; their words by key."""
 
     revision: int
     entries: tuple[_Entry, ...]
-    words: frozenset[Word]
+    columns: WordColumns
+    words: KnownWords
 
 
 class TextSearcher:
@@ -65,6 +71,15 @@ class TextSearcher:
     def __init__(self, database: Database) -> None:
         self._database = database
         self._index: _TextIndex | None = None
+
+    def match(self, text: str) -> TextMatches:
+        """Numbers of all motions that fit a text, the best first, without what they are; as ``Library.match_text``."""
+        _check_text(text)
+        index = self._load()
+        matcher = _read(index, text)
+        rows, scores = _find(matcher, text, index, np.arange(len(index.entries)))
+        ids = np.array([index.entries[row].row.id for row in rows.tolist()], np.int64)
+        return TextMatches(ids, scores, matcher.query.corrections | matcher.query.replaced)
 
     def search(
         self,
@@ -77,18 +92,29 @@ class TextSearcher:
     ) -> TextResult:
         """The motions that fit a text; as ``Library.search_text``."""
         _check_text(text)
+        index = self._load()
+        chosen = _choose(index.entries, category, performer, kind)
+        matcher = _read(index, text)
+        rows, scores = _find(matcher, text, index, chosen)
+        hits = tuple(
+            _make_hit(index.entries[row], _fit(matcher, index, row, score), rank)
+            for rank, (row, score) in enumerate(zip(rows[:k].tolist(), scores.tolist(), strict=False), start=1)
+        )
+        query = matcher.query
+        near = () if len(rows) else _find_near(load_vocabulary(), query, [index.entries[row] for row in chosen])
+        return TextResult(text, hits, len(rows), len(chosen), query.corrections, query.replaced, query.unknown, near)
+
+    def _load(self) -> _TextIndex:
         with self._database.reading() as connection:
             revision = read_revision(connection)
             if self._index is None or self._index.revision != revision:
                 self._index = _load_index(connection, revision)
-            index = self._index
-        chosen = [entry for entry in index.entries if _is_chosen(entry.row, category, performer, kind)]
-        vocabulary = load_vocabulary()
-        query = read_query(vocabulary, text, index.words, load_replacement())
-        fits = _find(vocabulary, query, text, chosen)
-        hits = tuple(_make_hit(entry, fit, rank) for rank, (entry, fit) in enumerate(fits[:k], start=1))
-        near = () if fits else _find_near(vocabulary, query, chosen)
-        return TextResult(text, hits, len(fits), len(chosen), query.corrections, query.replaced, query.unknown, near)
+            return self._index
+
+
+def _read(index: _TextIndex, text: str) -> Matcher:
+    vocabulary = load_vocabulary()
+    return Matcher(vocabulary, read_query(vocabulary, text, index.words, load_replacement()))
 
 
 def _check_text(text: str) -> None:
@@ -98,9 +124,14 @@ def _check_text(text: str) -> None:
         raise OptionError("library_text.too_long", most=_LONGEST, found=len(text))
 
 
-def _is_chosen(row: Any, category: str | None, performer: str | None, kind: str | None) -> bool:
-    wanted = (("category", category), ("performer", performer), ("kind", kind))
-    return all(value is None or getattr(row, name) == value for name, value in wanted)
+def _choose(entries: Sequence[_Entry], category: str | None, performer: str | None, kind: str | None) -> IndexArray:
+    """Places of the motions of these labels."""
+    asked = {"category": category, "performer": performer, "kind": kind}
+    wanted = [(name, value) for name, value in asked.items() if value is not None]
+    if not wanted:
+        return np.arange(len(entries))
+    fits = [all(getattr(entry.row, name) == value for name, value in wanted) for entry in entries]
+    return np.flatnonzero(np.array(fits, bool))
 
 
 def _load_index(connection: sa.Connection, revision: int) -> _TextIndex:
@@ -132,8 +163,9 @@ def _load_index(connection: sa.Connection, revision: int) -> _TextIndex:
                 tuple((units[one.name, one.part], one.share) for one in own),
             )
         )
-    words = frozenset(word for entry in entries for unit in (entry.category, entry.name) for word in unit.words)
-    return _TextIndex(revision, tuple(entries), words)
+    columns = WordColumns([MotionWords(entry.category, entry.name, entry.units) for entry in entries])
+    words = KnownWords(word for entry in entries for unit in (entry.category, entry.name) for word in unit.words)
+    return _TextIndex(revision, tuple(entries), columns, words)
 
 
 def _name_of(path: str) -> str:
@@ -155,20 +187,23 @@ def _literal(text: str) -> str:
     return "".join(letter for letter in normalise(text).casefold() if letter.isalnum())
 
 
-def _find(vocabulary: Vocabulary, query: ReadQuery, text: str, entries: Iterable[_Entry]) -> list[tuple[_Entry, Fit]]:
-    """The motions that fit, the best first; equals in the order of their paths."""
-    matcher = Matcher(vocabulary, query)
-    letters = _literal(text)
-    found = []
-    for entry in entries:
-        fit = matcher.fit(entry.category, entry.name, entry.units)
-        if fit.score < _LITERAL and len(letters) >= 3 and letters in entry.literal:
-            fit = Fit(_LITERAL, (), in_category=False, in_name=True)
-        if fit.score >= LEAST_SCORE:
-            found.append((entry, fit))
-    found.sort(key=lambda item: -round(item[1].score, 3))
-    best = found[0][1].score if found else 0.0
-    return [item for item in found if item[1].score >= LEAST_OF_BEST * best]
+def _find(matcher: Matcher, text: str, index: _TextIndex, chosen: IndexArray) -> tuple[IndexArray, FloatArray]:
+    """Places and scores of the motions that fit, the best first; equals in the order of their paths."""
+    scores, letters = index.columns.score(matcher), _literal(text)
+    if len(letters) >= 3:
+        weak = chosen[scores[chosen] < _LITERAL]
+        scores[[row for row in weak.tolist() if letters in index.entries[row].literal]] = _LITERAL
+    found = chosen[scores[chosen] >= LEAST_SCORE]
+    found = found[np.argsort(-np.round(scores[found], 3), kind="stable")]
+    best = scores[found[0]] if len(found) else 0.0
+    found = found[scores[found] >= LEAST_OF_BEST * best]
+    return found, scores[found]
+
+
+def _fit(matcher: Matcher, index: _TextIndex, row: int, score: float) -> Fit:
+    """All that is to be said of a motion that fits; what has the query letter by letter fits better than its words."""
+    fit = index.columns.fit(matcher, row)
+    return fit if fit.score >= score - _SAME else Fit(_LITERAL, (), in_category=False, in_name=True)
 
 
 def _make_hit(entry: _Entry, fit: Fit, rank: int) -> TextHit:
@@ -193,11 +228,18 @@ def _find_near(vocabulary: Vocabulary, query: ReadQuery, entries: Iterable[_Entr
 
     units: dict[str, Unit] = {}
     counts: Counter[str] = Counter()
+    does: Counter[tuple[str, str]] = Counter()
+    examples: dict[tuple[str, str], tuple[Relation, Unit]] = {}
     for entry in entries:
-        told = [(str(one.message), unit) for one, (unit, _) in zip(entry.relations, entry.units, strict=True)]
-        for text, unit in [(entry.row.category or "", entry.category), *told]:
-            units[text] = unit
-            counts[text] += 1
+        label = entry.row.category or ""
+        counts[label] += 1
+        units.setdefault(label, entry.category)
+        for one, (unit, _) in zip(entry.relations, entry.units, strict=True):
+            does[one.name, one.part] += 1
+            examples.setdefault((one.name, one.part), (one, unit))
+    for key, (relation, unit) in examples.items():
+        units[str(relation.message)] = unit
+        counts[str(relation.message)] += does[key]
     units.pop("", None)
     matcher = Matcher(vocabulary, query)
     weights = [slot.weight for slot in query.slots]

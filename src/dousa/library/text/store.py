@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 import sqlalchemy as sa
@@ -12,7 +12,7 @@ from dousa.library import schema
 from dousa.library.engine import Database
 from dousa.library.features import StoredMotion, load_motions
 from dousa.library.seals.checksums import RELATIONS, seal_rows
-from dousa.library.selection import portions
+from dousa.library.selection import fetch_in, portions
 from dousa.retrieval.words.relations import RELATIONS_VERSION, Relation, find_relations
 
 
@@ -59,15 +59,27 @@ def keep_all_relations(database: Database) -> None:
         missing = _list_missing(connection)
     for some in portions(missing):
         with database.writing() as connection:
-            still = set(_list_missing(connection))
-            _write(connection, [number for number in some if number in still])
+            _write(connection, _list_missing(connection, some))
 
 
-def _list_missing(connection: sa.Connection) -> list[int]:
+def keep_relations_of(database: Database, motions: Mapping[int, StoredMotion]) -> None:
+    """Compute and write the relations of those of these clips and takes of which none are kept yet."""
+    with database.reading() as connection:
+        missing = _list_missing(connection, list(motions))
+    described = {number: describe_relations(motions[number]) for number in missing}
+    if described:
+        with database.writing() as connection:
+            still = _list_missing(connection, missing)
+            _replace(connection, {number: described[number] for number in still})
+
+
+def _list_missing(connection: sa.Connection, ids: Sequence[int] | None = None) -> list[int]:
+    """Numbers, ascending, of those of which nothing is kept; of some, or of all, that are there."""
     clips, table = schema.clips.c, schema.clip_relations.c
     kept = sa.and_(table.clip_id == clips.id, table.version == RELATIONS_VERSION)
     query = sa.select(clips.id).join(schema.clip_relations, kept, isouter=True).where(table.clip_id.is_(None))
-    return list(connection.execute(query.order_by(clips.id)).scalars())
+    rows = connection.execute(query).all() if ids is None else fetch_in(connection, query, clips.id, ids)
+    return sorted(row.id for row in rows)
 
 
 def _compute(connection: sa.Connection, ids: Iterable[int]) -> dict[int, tuple[Relation, ...]]:
@@ -76,11 +88,16 @@ def _compute(connection: sa.Connection, ids: Iterable[int]) -> dict[int, tuple[R
 
 
 def _write(connection: sa.Connection, ids: list[int]) -> None:
-    table = schema.clip_relations
     for some in portions(ids):
-        described = {number: _to_json(relations) for number, relations in _compute(connection, some).items()}
+        found = _compute(connection, some)
+        _replace(connection, {number: _to_json(relations) for number, relations in found.items()})
+
+
+def _replace(connection: sa.Connection, described: Mapping[int, list[list[Any]]]) -> None:
+    table = schema.clip_relations
+    for some in portions(list(described)):
         connection.execute(sa.delete(table).where(table.c.clip_id.in_(list(some))))
-        save_relations(connection, described)
+    save_relations(connection, described)
 
 
 def _to_json(relations: Iterable[Relation]) -> list[list[Any]]:

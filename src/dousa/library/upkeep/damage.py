@@ -17,6 +17,8 @@ from dousa.library import schema
 from dousa.library.engine import Database
 from dousa.library.features import load_motions
 from dousa.library.forests import load_forest
+from dousa.library.fragments.arrays import find_store, look_at_blocks, look_at_feature_rows
+from dousa.library.fragments.moving import measure_used
 from dousa.library.seals import checksums
 from dousa.library.seals.checksums import SEALS, STATE, Seal, seal_positions
 from dousa.library.selection import fetch_in
@@ -25,8 +27,12 @@ from dousa.messages import Message
 Tell = Callable[[int, int], None]
 """Called with (rows done, rows)."""
 
+_POSITIONS = (schema.clip_trajectories, schema.removed_positions)
 _ARRAYS_AT_ONCE = 64
 _MOST_SAID = 20  # by SQLite about the structure
+REMOVED_POSITIONS = Message("library_damage.removed_positions")
+"""Names positions of a removed clip."""
+
 _WINDOWS = Message("library_damage.windows")
 _LABELLER = Message("library_damage.labeller")
 
@@ -59,15 +65,14 @@ class Findings:
     n_clips : clips and takes.
     """
 
-    faults: list[Fault] = field(default_factory=list)
+    faults: dict[Fault, None] = field(default_factory=dict)
     unsealed: dict[str, list[Any]] = field(default_factory=dict)
     n_rows: int = 0
     n_clips: int = 0
 
     def add(self, fault: Fault) -> None:
         """Note a fault, if it is a new one."""
-        if fault not in self.faults:
-            self.faults.append(fault)
+        self.faults[fault] = None
 
 
 def find_damage(database: Database, tell: Tell | None = None) -> Findings:
@@ -77,7 +82,7 @@ def find_damage(database: Database, tell: Tell | None = None) -> Findings:
     with _noting(findings), database.reading() as connection:
         for reason in _check_structure(connection):
             findings.add(Fault(Message("library_damage.structure", reason=reason)))
-    tables = [*dict.fromkeys(seal.checksum.table for seal in SEALS), schema.clip_trajectories]
+    tables = [*dict.fromkeys(seal.checksum.table for seal in SEALS), *_POSITIONS]
     keys: dict[str, list[Any]] = {}
     for table in tables:
         with _noting(findings), database.reading() as connection:
@@ -92,6 +97,8 @@ def find_damage(database: Database, tell: Tell | None = None) -> Findings:
                 _check_rows(connection, table, some, findings)
             done += len(some)
     findings.n_rows, findings.n_clips = total, len(keys.get(schema.clips.name, []))
+    with _noting(findings), database.reading() as connection:
+        _check_fragments(connection, findings)
     with _noting(findings), database.reading() as connection:
         _check_state(connection, findings)
         _check_forest(connection, database.where, findings)
@@ -130,14 +137,19 @@ def _check_structure(connection: sa.Connection) -> Iterator[str]:
 
 
 def _check_rows(connection: sa.Connection, table: sa.Table, keys: Sequence[Any], findings: Findings) -> None:
-    if table is schema.clip_trajectories:
+    if table in _POSITIONS:
+        check = _check_positions if table is schema.clip_trajectories else _check_removed_positions
         for number in keys:
-            _check_positions(connection, number, findings)
+            check(connection, number, findings)
         return
     for seal in SEALS:
         if seal.checksum.table is not table:
             continue
-        rows = list(fetch_in(connection, sa.select(*seal.columns), seal.covered[0], keys))
+        rows: list[Any] = (
+            look_at_feature_rows(connection, keys)
+            if seal is checksums.FEATURES
+            else list(fetch_in(connection, sa.select(*seal.columns), seal.covered[0], keys))
+        )
         for row in rows:
             if row[-1] is None:
                 findings.unsealed.setdefault(table.name, []).append(row[0])
@@ -149,12 +161,13 @@ def _check_rows(connection: sa.Connection, table: sa.Table, keys: Sequence[Any],
 
 def _check_positions(connection: sa.Connection, number: int, findings: Findings) -> None:
     """Positions against their checksums; those that have none, against what can be."""
-    table = schema.clip_trajectories.c
-    row = connection.execute(sa.select(table.positions, table.block_checksums).where(table.clip_id == number)).first()
+    table = schema.clip_trajectories
+    row = connection.execute(sa.select(table).where(table.c.clip_id == number)).first()
     if row is not None and row.block_checksums is None:
         findings.unsealed.setdefault(schema.clip_trajectories.name, []).append(number)
     n_frames = connection.execute(sa.select(schema.clips.c.n_frames).where(schema.clips.c.id == number)).scalar()
-    if row is None or n_frames is None or not are_positions(number, row.positions, row.block_checksums, n_frames):
+    data = b"" if row is None else look_at_blocks(connection, [row], "positions")[0]
+    if row is None or n_frames is None or not are_positions(number, data, row.block_checksums, n_frames):
         findings.add(Fault(checksums.POSITIONS, number))
         return
     known = {(fault.seal, fault.key) for fault in findings.faults}
@@ -163,6 +176,28 @@ def _check_positions(connection: sa.Connection, number: int, findings: Findings)
             next(load_motions(connection, [number]))
         except LibraryDamagedError:
             findings.add(Fault(checksums.POSITIONS, number))
+
+
+def _check_removed_positions(connection: sa.Connection, number: int, findings: Findings) -> None:
+    """Positions that an undo would bring back."""
+    table = schema.removed_positions
+    row = connection.execute(sa.select(table).where(table.c.number == number)).first()
+    data = b"" if row is None else look_at_blocks(connection, [row], "positions")[0]
+    n_frames = len(data) // schema.FRAME_BYTES
+    if row is None or not n_frames or not are_positions(number, data, row.block_checksums, n_frames):
+        findings.add(Fault(REMOVED_POSITIONS, number))
+
+
+def _check_fragments(connection: sa.Connection, findings: Findings) -> None:
+    """Whether the fragments that rows name are there; the clips that lack them are found too."""
+    used = measure_used(connection)
+    store = find_store(connection) if used else None
+    if used and store is None:
+        findings.add(Fault(checksums.STORE.what, 1, checksums.STORE))
+    elif store is not None:
+        there = store.sizes()
+        for name in sorted(used.keys() - there.keys()):
+            findings.add(Fault(Message("library_damage.fragment", fragment=name, where=store.where)))
 
 
 def are_positions(number: int, data: bytes, sums: bytes | None, n_frames: int) -> bool:

@@ -20,6 +20,7 @@ from dousa.library import schema
 from dousa.library.engine import Database
 from dousa.library.features import lacks, load_features, pack_positions, save_descriptions
 from dousa.library.forests import ask_trees, load_forest, save_answers
+from dousa.library.fragments.arrays import begin_store, look_at_blocks, put_aside
 from dousa.library.ingest import ClipRecord, ReadTask, read_clip
 from dousa.library.seals import checksums
 from dousa.library.seals.bits import is_one_bit, mend_bytes, mend_values
@@ -27,7 +28,7 @@ from dousa.library.seals.checksums import BLOCK_FRAMES, SEALS, Seal, seal_positi
 from dousa.library.selection import portions
 from dousa.library.takes import refresh_windows
 from dousa.library.text.store import keep_all_relations
-from dousa.library.upkeep.damage import Fault, Findings, are_positions, find_damage
+from dousa.library.upkeep.damage import REMOVED_POSITIONS, Fault, Findings, are_positions, find_damage
 from dousa.library.upkeep.report import CheckReport, Damage
 from dousa.library.upkeep.salvage import salvage_library
 from dousa.messages import Message
@@ -46,8 +47,15 @@ _COMPUTED = {
 """What follows from positions and forest: it is thrown away and computed anew."""
 
 _MENDED = ("library_damage.labels", "library_damage.numbers", "library_damage.segment", "library_damage.annotation",
-           "library_damage.forest", "library_damage.state")  # fmt: skip
-_FORGOTTEN = ("library_damage.tags", "library_damage.search", "library_damage.journal", "library_damage.removed")
+           "library_damage.forest", "library_damage.state", "library_damage.store")  # fmt: skip
+_FORGOTTEN = ("library_damage.tags", "library_damage.search", "library_damage.journal", "library_damage.removed",
+              REMOVED_POSITIONS.code)  # fmt: skip
+_FORESEEN = {
+    "library_damage.structure": Message("library_check.would_salvage"),
+    "library_damage.forest": Message("library_check.retrain"),
+    "library_damage.fragment": Message("library_check.would_replace"),
+    **dict.fromkeys(_FORGOTTEN, Message("library_check.would_forget")),
+}
 _POSITIONS_AT_ONCE = 16
 
 
@@ -111,26 +119,29 @@ _OF_CLIPS = ("library_damage.positions", "library_damage.windows")
 
 def _name(connection: sa.Connection, number: int) -> str:
     try:
-        raw = sa.cast(schema.clips.c.path, sa.LargeBinary)
+        raw = _as_bytes(connection, schema.clips.c.path)
         path = connection.execute(sa.select(raw).where(schema.clips.c.id == number)).scalar()
     except (sa.exc.SQLAlchemyError, ValueError):
         return "?"
     return path.decode(errors="backslashreplace") if isinstance(path, bytes) else "?"
 
 
+def _as_bytes(connection: sa.Connection, column: sa.Column[Any]) -> sa.ColumnElement[Any]:
+    """A text as it is stored: it may not be one any more."""
+    if connection.dialect.name == "sqlite":
+        return sa.cast(column, sa.LargeBinary)
+    return sa.func.convert_to(sa.cast(column, sa.Text), "UTF8", type_=sa.LargeBinary)
+
+
 def _foresee(database: Database, fault: Fault) -> Message:
     """What a repair would do."""
     code = fault.what.code
-    if code == "library_damage.structure":
-        return Message("library_check.would_salvage")
-    if code == "library_damage.forest":
-        return Message("library_check.retrain")
+    if code in _FORESEEN:
+        return _FORESEEN[code]
     if code in _COMPUTED or code in ("library_damage.labeller", "library_damage.state"):
         return Message("library_check.would_compute")
     if code == "library_damage.positions":
         return _look_at_file(database, fault.key)[0]
-    if code in _FORGOTTEN:
-        return Message("library_check.would_forget")
     return Message("library_check.lost_labels" if code == "library_damage.annotation" else "library_check.lost")
 
 
@@ -141,16 +152,24 @@ def _repair(database: Database, fault: Fault) -> Message | None:
         if code in _COMPUTED:
             _throw_away(database, _COMPUTED[code], fault.key)
             done = Message("library_check.computed")
+        elif code == "library_damage.fragment":
+            done = Message("library_check.replaced")  # whether it is so is seen when all is looked at again
         elif code == "library_damage.labeller":
             with database.writing() as connection:
                 connection.execute(sa.update(schema.forests).values(labeller=None))
             done = Message("library_check.deleted")
         elif code == "library_damage.positions":
             done = _restore_positions(database, fault.key)
+        elif code == REMOVED_POSITIONS.code:
+            done = _mend_removed(database, fault.key) or _forget_row(database, checksums.REMOVED, fault.key)
         elif code in _MENDED and fault.seal is not None:
             done = _mend_row(database, fault.seal, fault.key)
             if done is None and code == "library_damage.state":
                 done = _count_again(database)
+            elif done is None and code == "library_damage.store" and database.engine.dialect.name == "sqlite":
+                with database.writing() as connection:
+                    begin_store(connection, "")  # they lie nowhere else
+                done = Message("library_check.computed")
             elif done is None and code == "library_damage.numbers":
                 done = _read_numbers(database, fault.key)
         elif code in _FORGOTTEN and fault.seal is not None:
@@ -174,7 +193,7 @@ def _mend_row(database: Database, seal: Seal, key: Any) -> Message | None:
     table, own = seal.checksum.table, seal.covered[0]
     with database.writing() as connection:
         raw = [
-            sa.cast(column, sa.LargeBinary) if isinstance(column.type, sa.Text | sa.String | sa.JSON) else column
+            _as_bytes(connection, column) if isinstance(column.type, sa.Text | sa.String | sa.JSON) else column
             for column in seal.columns
         ]
         row = connection.execute(sa.select(*raw).where(own == key)).first()
@@ -251,15 +270,33 @@ def _restore_positions(database: Database, number: int) -> Message | None:
         if record is not None:
             data, how = pack_positions(record.motion), Message("library_check.read_again")
         elif row is not None and row.block_checksums is not None:
-            data, how = _mend_positions(number, row.positions, row.block_checksums), Message("library_check.one_bit")
+            found = look_at_blocks(connection, [row], "positions")[0]
+            data, how = _mend_positions(number, found, row.block_checksums), Message("library_check.one_bit")
         else:
             return None
         if not are_positions(number, data, seal_positions(number, data), n_frames):
             return None
         values = {"clip_id": number, "positions": data, "block_checksums": seal_positions(number, data)}
         connection.execute(sa.delete(table).where(table.c.clip_id == number))
-        connection.execute(sa.insert(table).values(**values))
+        connection.execute(sa.insert(table), put_aside(connection, [values], "positions"))
     return how
+
+
+def _mend_removed(database: Database, number: int) -> Message | None:
+    """One flipped bit of positions that an undo would bring back."""
+    table = schema.removed_positions
+    with database.writing() as connection:
+        row = connection.execute(sa.select(table).where(table.c.number == number)).first()
+        if row is None or row.block_checksums is None:
+            return None
+        data = _mend_positions(number, look_at_blocks(connection, [row], "positions")[0], row.block_checksums)
+        sums = seal_positions(number, data)
+        if not data:
+            return None
+        values = {"number": number, "positions": data, "block_checksums": sums}
+        connection.execute(sa.delete(table).where(table.c.number == number))
+        connection.execute(sa.insert(table), put_aside(connection, [values], "positions"))
+    return Message("library_check.one_bit")
 
 
 def _mend_positions(number: int, data: bytes, sums: bytes) -> bytes:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -64,6 +65,24 @@ class CheckReport:
     def is_sound(self) -> bool:
         """Whether nothing is damaged, any more."""
         return all(one.repaired for one in self.damage)
+
+    def to_messages(self) -> Iterator[Message]:
+        """A line for each thing that is or was damaged, then one of the whole."""
+        for one in self.damage:
+            where = {"what": one.what, "remedy": one.remedy}
+            if one.clip_id is None:
+                yield Message("library_check.part", **where)
+            else:
+                yield Message("library_check.of_clip", path=one.path, number=one.clip_id, **where)
+        if self.n_sealed:
+            yield Message("library_check.sealed", n=self.n_sealed)
+        if self.n_unsealed:
+            yield Message("library_check.unsealed", n=self.n_unsealed)
+        counts = {"clips": self.n_clips, "rows": self.n_rows, "seconds": self.seconds}
+        left = sum(not one.repaired for one in self.damage)
+        yield (
+            Message("library_check.damaged", left=left, **counts) if left else Message("library_check.sound", **counts)
+        )
 
     def to_json(self) -> dict[str, Any]:
         """Plain values, messages in the language in use."""

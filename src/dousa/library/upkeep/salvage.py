@@ -13,7 +13,8 @@ from urllib.parse import quote
 import sqlalchemy as sa
 
 from dousa.library import schema
-from dousa.library.engine import Database, open_database
+from dousa.library.engine import Database
+from dousa.library.opening import open_database
 from dousa.library.seals.checksums import seal_rows
 
 # Forests for parts of bodies are learned again; the state is counted again. What was changed cannot be undone any more.

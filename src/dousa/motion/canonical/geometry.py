@@ -40,7 +40,12 @@ _POSTURE = 0.967
 
 # A standing foot slopes: the ankle is higher than the toe joint by this share of their distance.
 _FOOT_SLOPE = 0.4
-_SHARE = _POSTURE * np.array([1.0, 1.0, 1.0, 0.5, 0.5, 0.5, 0.5, 0.5 * _FOOT_SLOPE, 0.5 * _FOOT_SLOPE, 1.0])
+CHAIN_SHARES = _POSTURE * np.array([1.0, 1.0, 1.0, 0.5, 0.5, 0.5, 0.5, 0.5 * _FOOT_SLOPE, 0.5 * _FOOT_SLOPE, 1.0])
+"""Of the bones of the chain, what each adds to the height."""
+
+CHAIN_BONES = np.array([[J[a], J[b], J[b]] for a, b in _CHAIN] + [[J["pelvis"], J["left_hip"], J["right_hip"]]])
+"""The bones of the chain: one end, and two joints in the middle of which the other end lies."""
+
 STATURE_PER_HEIGHT = 1.1
 """The crown of the head and the sole of the foot lie beyond the joints."""
 
@@ -61,7 +66,7 @@ def chain_height(points: FloatArray) -> float:
     frames.
     """
     bones = _BONES @ points
-    return _median(np.sqrt(np.einsum("tjk,tjk->tj", bones, bones)) @ _SHARE)
+    return _median(np.sqrt(np.einsum("tjk,tjk->tj", bones, bones)) @ CHAIN_SHARES)
 
 
 def _median(values: FloatArray) -> float:

@@ -6,11 +6,19 @@ What each number means is told in ``channels``, in whose order the columns stand
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from numba import njit
 
+# None of these allocates: without reference counts they compile in half the time.
+_njit: Any = njit  # whose types leave out some of its options
+compiled = _njit(cache=True, nogil=True, error_model="numpy", no_cfunc_wrapper=True, _nrt=False)
 
-@njit(cache=True, nogil=True)
+_HORIZONTAL_ENOUGH = 0.1  # share of the hip line that must be horizontal for it to say where left is
+
+
+@compiled
 def smooth(values, weights, out):
     """Weighted means over time of ``values`` (n, K), into ``out``; the ends are held.
 
@@ -29,7 +37,41 @@ def smooth(values, weights, out):
                 row[k] += weight * (sooner[k] + later[k])
 
 
-@njit(cache=True, nogil=True)
+@compiled
+def _find_horizontal(points, t, tip, base, left):
+    """Unit x and z of base -> tip in frame t, into ``left`` (n, 2); whether that is horizontal enough to tell."""
+    x = (points[t, tip, 0] - points[t, 0, 0]) - (points[t, base, 0] - points[t, 0, 0])
+    y = (points[t, tip, 1] - points[t, 0, 1]) - (points[t, base, 1] - points[t, 0, 1])
+    z = (points[t, tip, 2] - points[t, 0, 2]) - (points[t, base, 2] - points[t, 0, 2])
+    length = np.hypot(x, z)
+    whole = np.hypot(length, y)
+    certain = whole > 1e-6 and length >= _HORIZONTAL_ENOUGH * whole
+    share = length if certain else 1.0
+    left[t, 0], left[t, 1] = x / share, z / share
+    return certain
+
+
+@compiled
+def find_lateral(points, hips, shoulders, left):
+    """Unit x and z of the direction to the left, into ``left`` (n, 2): of the hips, else the shoulders, else as before.
+
+    ``points`` (n, J, 3) with Y up; ``hips`` and ``shoulders`` (2,) are the left and the right one.
+    """
+    first = last = -1
+    for t in range(len(points)):
+        certain = _find_horizontal(points, t, hips[0], hips[1], left)
+        if not certain:
+            certain = _find_horizontal(points, t, shoulders[0], shoulders[1], left)
+        if certain:
+            first, last = t if first < 0 else first, t
+        elif last >= 0:
+            left[t, 0], left[t, 1] = left[last, 0], left[last, 1]
+    # A performer who lies on one side at the start: the first direction that will be known.
+    for t in range(first if first >= 0 else len(points)):
+        left[t, 0], left[t, 1] = (left[first, 0], left[first, 1]) if first >= 0 else (1.0, 0.0)
+
+
+@compiled
 def turn_to_body(points, left, body):
     """``points`` (n, J, 3) with Y up, seen from the first joint, in body axes: left, up, forward."""
     for t in range(points.shape[0]):
@@ -42,7 +84,7 @@ def turn_to_body(points, left, body):
             body[t, j, 2] = z * across - x * along
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _wrap(angle):
     """An angle within -pi ... pi."""
     if angle > np.pi:
@@ -52,13 +94,13 @@ def _wrap(angle):
     return angle
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _turned(angles, before, after, t):
     """How far an angle has turned from frame ``before`` over t to ``after``, by the shorter way each."""
     return _wrap(angles[after] - angles[t]) + _wrap(angles[t] - angles[before])
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def find_angles(even, left, fast, headings, angles):
     """Which way the body faces, into ``headings`` (n,), and which way each joint moves in the three planes of the body,
     into ``angles`` (n, joints, 3): radians."""
@@ -75,7 +117,7 @@ def find_angles(even, left, fast, headings, angles):
                 )
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _measure(one, other):
     """The distance of two points."""
     square = 0.0
@@ -84,7 +126,7 @@ def _measure(one, other):
     return np.sqrt(square)
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _fill_pose(body, placed, apart, feet, row):
     """Positions, distances and the height of the pelvis; returns the next column."""
     column = 0
@@ -99,7 +141,7 @@ def _fill_pose(body, placed, apart, feet, row):
     return column + 1
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _fill_travel(sooner, later, left, per_second, row, column):
     """How fast the pelvis moves to the left, upwards, forwards; returns the next column."""
     length = max(np.hypot(left[0], left[1]), 1e-9)
@@ -111,7 +153,7 @@ def _fill_travel(sooner, later, left, per_second, row, column):
     return column + 3
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def compute_rows(points, left, body, even, fast, placed, apart, feet, pointing, rate, slow, headings, angles, rows):
     """All channels of every frame, into ``rows`` (n, C).
 
@@ -146,7 +188,33 @@ def compute_rows(points, left, body, even, fast, placed, apart, feet, pointing, 
                 column += 1
 
 
-@njit(cache=True, nogil=True)
+@compiled
+def describe_frames(
+    positions, height, pose_weights, heading_weights, hips, shoulders, fast, placed, apart, feet, pointing, rate, slow,
+    room, lefts, headings, angles, rows,
+):  # fmt: skip
+    """All channels of the frames of ``positions`` (n, J, 3), into ``rows`` (n, C), by the steps above.
+
+    ``room`` (3, n, J, 3), ``lefts`` (2, n, 2), ``headings`` and ``angles`` are working memory; the rest is as there.
+    """
+    n, width = len(positions), 3 * positions.shape[1]
+    points, body, even = room[0], room[1], room[2]
+    for t in range(n):
+        for j in range(positions.shape[1]):
+            for axis in range(3):
+                body[t, j, axis] = positions[t, j, axis] / height
+    smooth(body.reshape(n, width), pose_weights, points.reshape(n, width))
+    find_lateral(points, hips, shoulders, lefts[0])
+    smooth(lefts[0], heading_weights, lefts[1])
+    turn_to_body(points, lefts[1], body)
+    smooth(body.reshape(n, width), pose_weights, even.reshape(n, width))
+    find_angles(even, lefts[1], fast, headings, angles)
+    compute_rows(
+        points, lefts[1], body, even, fast, placed, apart, feet, pointing, rate, slow, headings, angles, rows
+    )  # fmt: skip
+
+
+@compiled
 def integrate_rows(rows, first_speed, n_speeds, at_rest, step, times, integrals):
     """Motion time into ``times`` (n + 1,), and the integrals over it of the channels, of their squares, and of the
     channels times the time, into ``integrals`` (n + 1, 3 C); both begin as they are in their first row."""
@@ -166,7 +234,7 @@ def integrate_rows(rows, first_speed, n_speeds, at_rest, step, times, integrals)
             integrals[t + 1, 2 * count + k] = integrals[t, 2 * count + k] + part * middle
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def read_edge(integrals, times, edge, n_channels, row):
     """The integrals up to one instant, into ``row`` (banks * n_channels,); returns the instant in motion time."""
     width = integrals.shape[1]
@@ -185,7 +253,7 @@ def read_edge(integrals, times, edge, n_channels, row):
     return time
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def read_cells(integrals, times, edges, n_channels, work, out):
     """Cell means of windows, into ``out`` (W, T, F).
 
@@ -213,3 +281,64 @@ def read_cells(integrals, times, edges, n_channels, work, out):
                         row[moments + 1 + c] = (t - 1) * row[c] + moment / (cell * cell)
             before, now = now, before
             earlier = time
+
+
+@compiled
+def _read_time(times, frame):
+    """The instant at a fractional frame, of ``times`` (n + 1,) at whole ones."""
+    below = int(frame)
+    if below >= len(times) - 1:
+        return times[len(times) - 1]
+    return (times[below + 1] - times[below]) * (frame - below) + times[below]
+
+
+@compiled
+def _find_frame(times, wanted, low, high):
+    """Where ascending ``times`` (n + 1,) reach a value that lies between those of two frames, as a fraction."""
+    while high - low > 1:
+        middle = (low + high) // 2
+        if times[middle] <= wanted:
+            low = middle
+        else:
+            high = middle
+    if wanted >= times[high]:
+        return float(high)
+    return 1.0 / (times[high] - times[low]) * (wanted - times[low]) + low
+
+
+@compiled
+def find_edges(times, starts, stops, parts, edges):
+    """Where the cells of windows begin and end, in frames, into ``edges`` (W, E).
+
+    ``times`` (n + 1,) are those of whole frames; ``starts`` and ``stops`` (W,) of the windows, in frames; ``parts``
+    (E,) from 0 to 1, of the time of a window.
+    """
+    last = len(times) - 1
+    for w in range(len(starts)):
+        begin, end = _read_time(times, starts[w]), _read_time(times, stops[w])
+        low, high = int(starts[w]), min(int(stops[w]) + 1, last)
+        edges[w, 0], edges[w, len(parts) - 1] = starts[w], stops[w]
+        for e in range(1, len(parts) - 1):
+            edges[w, e] = _find_frame(times, begin + (end - begin) * parts[e], low, high)
+            low = int(edges[w, e])
+
+
+@compiled
+def read_means(integrals, times, edges, columns, scale, out):
+    """Means of some channels over the cells of windows, into ``out`` (W, E - 1, K).
+
+    ``integrals`` (n + 1, banks * C) over ``times`` (n + 1,); ``edges`` (W, E) as in ``find_edges``, of cells that last
+    equally long in those times; ``columns`` (K,), whose means are multiplied by ``scale`` (K,).
+    """
+    last, n_cells = len(times) - 2, edges.shape[1] - 1
+    for w in range(len(edges)):
+        per_cell = n_cells / (_read_time(times, edges[w, n_cells]) - _read_time(times, edges[w, 0]))
+        for k in range(len(columns)):
+            column, before = columns[k], 0.0
+            for e in range(n_cells + 1):
+                below = min(int(edges[w, e]), last)
+                share = edges[w, e] - below
+                now = integrals[below, column] * (1.0 - share) + integrals[below + 1, column] * share
+                if e > 0:
+                    out[w, e - 1, k] = (now - before) * per_cell * scale[k]
+                before = now

@@ -16,10 +16,10 @@ from itertools import product
 
 import numpy as np
 
-from dousa.arrays import FloatArray
-from dousa.motion.canonical.joints import JOINT_INDEX
+from dousa.arrays import FloatArray, IntArray
+from dousa.motion.canonical.joints import CANONICAL_JOINTS, JOINT_INDEX, MIRRORED_JOINTS
 from dousa.retrieval.features import channel_kernels as kernels
-from dousa.retrieval.features.pose_features import find_lateral_axis, say_joint
+from dousa.retrieval.features.pose_features import HIPS, SHOULDERS, say_joint
 from dousa.retrieval.features.posed_motion import check_frame_rate
 
 CHANNEL_RATE = 30.0
@@ -113,6 +113,27 @@ def _list_channels() -> tuple[Channel, ...]:
 CHANNELS: tuple[Channel, ...] = _list_channels()
 """The channels in their order."""
 
+
+def _list_mirrored() -> tuple[IntArray, FloatArray]:
+    other = {CANONICAL_JOINTS[k]: CANONICAL_JOINTS[mirrored] for k, mirrored in enumerate(MIRRORED_JOINTS)}
+    kinds: list[tuple[str, frozenset[str], int, bool]] = [
+        *(("placed", frozenset((joint,)), k, k == 0) for joint, k in product(_PLACED, range(3))),
+        *(("apart", frozenset(pair), 0, False) for pair in _APART),
+        ("above", frozenset(), 0, False),
+        *(("moving", frozenset(), k, k == 0) for k in range(3)),
+        ("turning", frozenset(), 0, True),
+        *(("fast", frozenset((joint,)), 0, False) for joint in _FAST),
+        *(("curving", frozenset((joint,)), k, k != 1) for joint, k in product(_FAST, range(3))),
+        *(("heading", frozenset((joint,)), k, k == 0) for joint, k in product(_POINTING, range(3))),
+    ]
+    places = {kind[:3]: number for number, kind in enumerate(kinds)}
+    order = [places[kind, frozenset(other[joint] for joint in joints), k] for kind, joints, k, _ in kinds]
+    return np.array(order, np.intp), np.array([-1.0 if turned else 1.0 for *_, turned in kinds])
+
+
+MIRRORED_CHANNELS: tuple[IntArray, FloatArray] = _list_mirrored()
+"""(C,) each: which channel of a motion is which one of its mirror image, and its sign there."""
+
 _PLACED_INDEX = np.array([JOINT_INDEX[joint] for joint in _PLACED])
 _APART_INDEX = np.array([[JOINT_INDEX[joint] for joint in pair] for pair in _APART])
 _FAST_INDEX = np.array([JOINT_INDEX[joint] for joint in _FAST])
@@ -138,7 +159,7 @@ def sample_positions(positions: FloatArray, frame_rate: float) -> FloatArray:
     InvalidMotionError : a frame rate below 1 Hz.
     """
     check_frame_rate(frame_rate)
-    count = max(1, round(len(positions) * CHANNEL_RATE / frame_rate))
+    count = count_samples(len(positions), frame_rate)
     if count == len(positions):
         return np.asarray(positions, np.float64)
     flat = np.asarray(positions, np.float64).reshape(len(positions), -1)
@@ -150,6 +171,11 @@ def sample_positions(positions: FloatArray, frame_rate: float) -> FloatArray:
     else:
         sampled = _read_between(flat, np.clip((np.arange(count) + 0.5) * len(flat) / count - 0.5, 0, len(flat) - 1))
     return sampled.reshape(count, *positions.shape[1:])
+
+
+def count_samples(n_frames: int, frame_rate: float) -> int:
+    """Frames that ``sample_positions`` makes of so many."""
+    return max(1, round(n_frames * CHANNEL_RATE / frame_rate))
 
 
 def _read_between(rows: FloatArray, places: FloatArray) -> FloatArray:
@@ -172,17 +198,13 @@ def compute_channels(positions: FloatArray, height: float) -> FloatArray:
     -------
     (n, C) in the order of ``CHANNELS``.
     """
-    points = _smooth(positions / height, _POSE_WEIGHTS)
-    left = _smooth(find_lateral_axis(points - points[:, :1]), _HEADING_WEIGHTS)
-    body = np.empty_like(points)
-    kernels.turn_to_body(points, left, body)
-    even = _smooth(body, _POSE_WEIGHTS)
-    rows = np.empty((len(points), len(CHANNELS)))
-    headings, angles = np.empty(len(points)), np.empty((len(points), len(_FAST), 3))
-    kernels.find_angles(even, left, _FAST_INDEX, headings, angles)
-    kernels.compute_rows(
-        points, left, body, even, _FAST_INDEX, _PLACED_INDEX, _APART_INDEX, _FEET, _POINTING_INDEX,
-        CHANNEL_RATE, _SLOW, headings, angles, rows,
+    n = len(positions)
+    room, lefts = np.empty((3, *positions.shape)), np.empty((2, n, 2))
+    headings, angles, rows = np.empty(n), np.empty((n, len(_FAST), 3)), np.empty((n, len(CHANNELS)))
+    kernels.describe_frames(
+        np.ascontiguousarray(positions, np.float64), float(height), _POSE_WEIGHTS, _HEADING_WEIGHTS, HIPS, SHOULDERS,
+        _FAST_INDEX, _PLACED_INDEX, _APART_INDEX, _FEET, _POINTING_INDEX, CHANNEL_RATE, _SLOW,
+        room, lefts, headings, angles, rows,
     )  # fmt: skip
     return rows
 

@@ -24,7 +24,7 @@ from numpy.typing import ArrayLike
 
 from dousa.arrays import BoolArray, FloatArray, IntArray
 from dousa.errors import InvalidMotionError, OptionError
-from dousa.retrieval.features.channel_kernels import read_cells
+from dousa.retrieval.features.channel_kernels import find_edges, read_cells
 from dousa.retrieval.features.channels import (
     CHANNEL_RATE,
     CHANNELS,
@@ -155,7 +155,13 @@ class FeatureSet:
         """
         if not self.has_banks:
             return self.blank(compute_clip_features(self.complete(motion), self.n_frames, samples_per_frame))
-        track = compute_track(reduce_noise(motion), self)
+        return self.compute_quiet(reduce_noise(motion))
+
+    def compute_quiet(self, motion: PosedMotion) -> FloatArray:
+        """The features (T, F) of a clip whose noise has been taken off, for a set with banks; else as ``compute``."""
+        if not self.has_banks:
+            return self.compute(motion)
+        track = compute_track(motion, self)
         cells: FloatArray = track.describe([0.0], [track.n_frames])[0]
         return cells
 
@@ -264,11 +270,9 @@ class FeatureTrack:
         inside = (first >= 0) & (first < last) & (last <= self.n_frames)
         if first.shape != last.shape or first.ndim != 1 or not inside.all():
             raise InvalidMotionError("features.windows", frames=self.n_frames)
-        frames = np.arange(self.n_frames + 1.0)
-        begin, end = np.interp(first, frames, self.times), np.interp(last, frames, self.times)
-        parts = np.linspace(0.0, 1.0, (n_cells or self.feature_set.n_frames) + 1)
-        edges: FloatArray = np.interp(begin[:, None] + (end - begin)[:, None] * parts, self.times, frames)
-        edges[:, 0], edges[:, -1] = first, last
+        parts = _divide(n_cells or self.feature_set.n_frames)
+        edges = np.empty((len(first), len(parts)))
+        find_edges(self.times, first, last, parts, edges)
         return edges
 
     def describe(self, starts: ArrayLike, stops: ArrayLike) -> FloatArray:
@@ -293,6 +297,11 @@ class FeatureTrack:
         work = np.empty((2, self.integrals.shape[1]))
         read_cells(self.integrals, self.times, edges, len(spec.channels), work, cells)
         return cells
+
+
+@lru_cache(maxsize=16)
+def _divide(n_cells: int) -> FloatArray:
+    return np.linspace(0.0, 1.0, n_cells + 1)
 
 
 def compute_track(motion: PosedMotion, feature_set: FeatureSet) -> FeatureTrack:

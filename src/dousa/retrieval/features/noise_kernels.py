@@ -154,3 +154,21 @@ def believe(courses, smooth, limit, room, changed, believed):
                 for t in range(n):
                     believed[j, axis, t] = smooth[j, axis, t] if squared[t] > beyond else courses[j, axis, t]
     return count
+
+
+@compiled
+def measure_chain(points, bones, shares, lengths):
+    """The median over time of the length of a chain of bones.
+
+    ``points`` (n, J, 3) finite; ``bones`` (B, 3) are joints: one end, and two that the other end is in the middle of;
+    ``shares`` (B,) of them; ``lengths`` (n,) is room.
+    """
+    for t in range(len(points)):
+        lengths[t] = 0.0
+        for b in range(len(bones)):
+            square = 0.0
+            for axis in range(3):
+                end = 0.5 * points[t, bones[b, 1], axis] + 0.5 * points[t, bones[b, 2], axis]
+                square += (points[t, bones[b, 0], axis] - end) ** 2
+            lengths[t] += np.sqrt(square) * shares[b]
+    return find_middle(lengths)

@@ -18,9 +18,10 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
-from dousa.arrays import BoolArray, FloatArray
+from dousa.arrays import FloatArray
 from dousa.errors import InvalidMotionError, OptionError
 from dousa.motion.canonical.joints import JOINT_INDEX
+from dousa.retrieval.features.channel_kernels import find_lateral
 from dousa.retrieval.features.posed_motion import PosedMotion, check_shape
 
 _LEFT, _UP, _FORWARD = 0, 1, 2
@@ -33,7 +34,10 @@ _DIRECTIONS = {
     "in front": ("in front of", _FORWARD, 1.0),
 }
 
-_HORIZONTAL_ENOUGH = 0.1  # share of the hip line that must be horizontal for it to say where left is
+HIPS, SHOULDERS = (
+    np.array([JOINT_INDEX[f"{side}_{joint}"] for side in ("left", "right")]) for joint in ("hip", "shoulder")
+)
+"""Numbers of the left one and the right one."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -192,27 +196,9 @@ def turn_to_body(points: FloatArray) -> FloatArray:
 
 def find_lateral_axis(points: FloatArray) -> FloatArray:
     """(T, 2) unit x and z of the direction to the left: of the hips, else the shoulders, else as before."""
-    left, certain = _horizontal_direction(points, "left_hip", "right_hip")
-    if certain.all():
-        return left
-    shoulders, shoulders_certain = _horizontal_direction(points, "left_shoulder", "right_shoulder")
-    left = np.where(certain[:, None], left, shoulders)
-    certain |= shoulders_certain
-    if not certain.any():
-        return np.broadcast_to([1.0, 0.0], left.shape)
-    # A performer who lies on one side: the direction last known, at the start the first that will be known.
-    known = np.maximum.accumulate(np.where(certain, np.arange(len(points)), -1))
-    return left[np.where(known < 0, certain.argmax(), known)]
-
-
-def _horizontal_direction(points: FloatArray, tip: str, base: str) -> tuple[FloatArray, BoolArray]:
-    """(T, 2) unit x and z of base -> tip and (T,) whether the line is horizontal enough to tell."""
-    line = points[:, JOINT_INDEX[tip]] - points[:, JOINT_INDEX[base]]
-    flat = line[:, ::2]
-    length = np.hypot(flat[:, 0], flat[:, 1])
-    whole = np.hypot(length, line[:, 1])
-    certain = (whole > 1e-6) & (length >= _HORIZONTAL_ENOUGH * whole)
-    return flat / np.where(certain, length, 1.0)[:, None], certain
+    left = np.empty((len(points), 2))
+    find_lateral(np.ascontiguousarray(points, np.float64), HIPS, SHOULDERS, left)
+    return left
 
 
 def _trunk_inclination(body: FloatArray) -> FloatArray:

@@ -18,6 +18,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from dousa.arrays import FloatArray, IndexArray
 from dousa.errors import OptionError
+from dousa.retrieval.features.channel_kernels import read_means
+from dousa.retrieval.features.channels import CHANNELS
 
 if TYPE_CHECKING:
     from dousa.retrieval.features.feature_sets import FeatureTrack
@@ -76,12 +78,9 @@ def compute_window_poses(track: FeatureTrack, starts: ArrayLike, stops: ArrayLik
     """
     columns = _find_columns(track)
     edges = track.find_edges(starts, stops, POSE_CELLS)
-    begin, end = np.interp(edges[:, [0, -1]], np.arange(track.n_frames + 1.0), track.times).T
-    below = np.minimum(edges.astype(np.intp), track.n_frames - 1)[:, :, None]
-    share = edges[:, :, None] - below
-    summed = track.integrals[below, columns] * (1.0 - share) + track.integrals[below + 1, columns] * share
-    means = np.diff(summed, axis=1) * (POSE_CELLS / (end - begin))[:, None, None]
-    found: NDArray[np.float32] = (means * _find_scale(track)).astype(np.float32)
+    means = np.empty((len(edges), POSE_CELLS, POSE_COLUMNS))
+    read_means(track.integrals, track.times, edges, columns, _find_scale(track), means)
+    found: NDArray[np.float32] = means.astype(np.float32)
     return found
 
 
@@ -105,5 +104,7 @@ def _find_scale(track: FeatureTrack) -> FloatArray:
 def _find_columns(track: FeatureTrack) -> IndexArray:
     if not track.feature_set.has_banks:
         raise OptionError("features.not_extended", name=track.feature_set.name)
-    chosen = [k for k, channel in enumerate(track.feature_set.channels) if channel.relation in _RELATIONS]
-    return np.array(chosen, np.intp)
+    return _COLUMNS
+
+
+_COLUMNS = np.array([k for k, channel in enumerate(CHANNELS) if channel.relation in _RELATIONS], np.intp)

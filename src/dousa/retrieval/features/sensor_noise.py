@@ -21,7 +21,8 @@ import numpy as np
 
 from dousa.arrays import BoolArray, FloatArray, IndexArray
 from dousa.motion.canonical.anthropometry import stature_of_parts
-from dousa.motion.canonical.geometry import chain_height
+from dousa.motion.canonical.geometry import CHAIN_BONES, CHAIN_SHARES, chain_height
+from dousa.motion.canonical.joints import JOINT_INDEX
 from dousa.retrieval.features import noise_kernels as kernels
 from dousa.retrieval.features.channels import CHANNEL_RATE, sample_positions
 from dousa.retrieval.features.posed_motion import PosedMotion, check_frame_rate, check_shape
@@ -36,6 +37,12 @@ _ROUNDS = 3
 _AT_ONCE = 1 << 18  # frames of joints: an hour does not fill the memory
 _SHORT = 300  # frames: the splines of clips are kept in memory, at most 34 MB of them
 _END = 3  # frames whose mean is where a joint begins, or ends
+_BONES = [
+    (f"{side}_{near}", f"{side}_{far}")
+    for side in ("left", "right")
+    for near, far in (("shoulder", "elbow"), ("elbow", "hand"), ("hip", "knee"), ("knee", "ankle"))
+]
+_NEAR_ENDS, _FAR_ENDS = ([JOINT_INDEX[bone[end]] for bone in _BONES] for end in (0, 1))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -86,6 +93,24 @@ def reduce_noise(motion: PosedMotion) -> PosedMotion:
     return QuietMotion(quiet, rate, motion.height * share, noise)
 
 
+def measure_unsteadiness(motion: PosedMotion) -> float:
+    """How unsteady the bones of arms and legs are: what is wrong with the places, also where it lasts and stays.
+
+    Parameters
+    ----------
+    motion : of any frame rate; joints may be absent.
+
+    Returns
+    -------
+    The standard deviation of the length of a bone as a share of its median, the median over the bones; 0 without any.
+    """
+    lengths = np.linalg.norm(motion.positions[:, _NEAR_ENDS] - motion.positions[:, _FAR_ENDS], axis=2)
+    there = np.isfinite(lengths).all(axis=0)
+    middles = np.median(lengths[:, there], axis=0)
+    spreads = lengths[:, there].std(axis=0)[middles > 0] / middles[middles > 0]
+    return float(np.median(spreads)) if len(spreads) else 0.0
+
+
 def smooth_places(points: FloatArray) -> tuple[FloatArray, float]:
     """Smoothed places, and the standard deviation of the errors.
 
@@ -102,18 +127,18 @@ def smooth_places(points: FloatArray) -> tuple[FloatArray, float]:
     believed, limit = courses, _GLITCH**2 / _MEDIAN_OF_SQUARES
     changed, room = np.zeros(len(courses), np.bool_), np.empty((2, len(points)))
     splines = _Splines(courses)
-    fit, noise = splines.fit()
+    noise = splines.choose()
     for _ in range(_ROUNDS):
         if noise < _NO_NOISE:
             break
         believed = courses.copy() if believed is courses else believed
-        if not kernels.believe(courses, fit, limit, room, changed, believed):
+        if not kernels.believe(courses, splines.draw(), limit, room, changed, believed):
             break
         splines.read(believed, np.flatnonzero(changed))
-        fit, noise = splines.fit()
+        noise = splines.choose()
     if noise < _NO_NOISE and not changed.any():
         return points, noise
-    smooth = believed if noise < _NO_NOISE else fit
+    smooth = believed if noise < _NO_NOISE else splines.draw()
     return np.ascontiguousarray(smooth.transpose(2, 0, 1)), noise
 
 
@@ -134,7 +159,7 @@ class _Splines:
         self._lines, self._smooth = np.empty_like(courses), np.empty_like(courses)
         self._waves = np.empty((n_joints, 3, self._count + 1), np.complex128)
         self._left, self._room = np.empty((n_joints, len(_WEIGHTS))), np.empty((2, n_joints))
-        self._fitted = np.full(n_joints, -1)
+        self._fitted, self._chosen = np.full((2, n_joints), -1)
         self.read(courses, np.arange(n_joints))
 
     def _portions(self, rows: IndexArray) -> Iterator[IndexArray]:
@@ -151,16 +176,18 @@ class _Splines:
             self._waves[some] = waves
         self._fitted[rows] = -1
 
-    def fit(self) -> tuple[FloatArray, float]:
-        """The spline of each joint (J, 3, n), and the standard deviation of the errors of all."""
-        chosen = np.empty_like(self._fitted)
-        variance = kernels.choose(self._left, self._list.freedom, self._count, self._room, chosen)
-        for some in self._portions(np.flatnonzero(chosen != self._fitted)):
+    def choose(self) -> float:
+        """Choose the spline of each joint; returns the standard deviation of the errors of all."""
+        return float(np.sqrt(kernels.choose(self._left, self._list.freedom, self._count, self._room, self._chosen)))
+
+    def draw(self) -> FloatArray:
+        """The splines that are chosen (J, 3, n)."""
+        for some in self._portions(np.flatnonzero(self._chosen != self._fitted)):
             waves = self._waves[some]
-            kernels.weigh(waves, some, self._list.kept, chosen)
+            kernels.weigh(waves, some, self._list.kept, self._chosen)
             kernels.raise_again(np.fft.irfft(waves, 2 * self._count), some, self._lines, self._smooth)
-        self._fitted = chosen
-        return self._smooth, float(np.sqrt(variance))
+        self._fitted[:] = self._chosen
+        return self._smooth
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -196,5 +223,8 @@ _keep_list = lru_cache(maxsize=256)(_make_list)
 
 
 def _measure_bones(points: FloatArray) -> float:
-    height = chain_height(points)
+    if np.isnan(points[0]).any():  # a joint that is missing is so in all frames
+        height = chain_height(points)
+    else:
+        height = kernels.measure_chain(points, CHAIN_BONES, CHAIN_SHARES, np.empty(len(points)))
     return height if height > 0 else stature_of_parts(points)

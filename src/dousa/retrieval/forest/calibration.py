@@ -10,9 +10,10 @@ may be further from each other than a new one is from them.
 Logistic curves over the evidence then give two probabilities, for somebody who does not know beforehand whether the
 library knows the action, one motion in ten or so being of no category that it knows: that the motion is known, and
 that the guess is right. The curves stay near those learned over several sets where a library has little to learn from.
-Where the guess is more likely wrong than right, the motion is called unknown; and also where it is less sure than 95 %
-of the right guesses on disturbed motions of people held back, though not above 0.9. A library whose categories are far
-apart is sure of all of them, and nothing that it holds back lies between: what does is a stranger of another kind.
+Where the guess is more likely wrong than right, the motion is called unknown; and also where it is less likely known
+than 85 % of the disturbed motions of people held back. A library whose categories are far apart is sure of all
+of them, and nothing that it holds back lies between: what does is a stranger of another kind. A motion of which it is
+clear that it is known, but not which of two categories it belongs to, is no stranger.
 """
 
 from __future__ import annotations
@@ -57,8 +58,9 @@ _MOST_JUDGED = 500  # clips that are known, and as many that are not, in a round
 _MOST_BETWEEN = 250
 _COPY_WEIGHT = 2 / 3
 _SAME_HEIGHT = 0.04  # m
-_THRESHOLDS = (0.5, 0.9)  # the lowest and the highest
-_LOST = 0.05  # of the right guesses on disturbed motions of people held back that are called unknown, if it is more
+_THRESHOLD = 0.5
+_LEAST_KNOWN = (0.5, 0.97)  # the lowest and the highest
+_LOST = 0.15  # of the disturbed motions of people held back that are not known enough; a library of all knows more
 STRANGERS = 0.1
 """Motions of no category that the library knows, for each one of a known category."""
 
@@ -80,6 +82,7 @@ SURE_PRIOR = Judgement(
 )
 _JUDGEMENTS = ("known", "sure")
 _NUMBERS = ("threshold", "auroc", "false_alarms", "misses")
+_LATER_NUMBER = "least_known"  # an earlier dousa had none
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -117,6 +120,18 @@ class Copies:
         joined[len(chosen) :] = self.features[places]
         return joined, self.of(rows).rows
 
+    def append(self, room: FloatArray, rows: IndexArray) -> tuple[FloatArray, IndexArray]:
+        """The same as ``join`` of all the clips that ``room`` begins with, without a second place for them.
+
+        Parameters
+        ----------
+        room : (N + M, T, F) features of the clips, and behind them room for the copies, which is written to.
+        rows : (N,) theirs among the rows of the copies.
+        """
+        places, end = self.find(rows), len(rows)
+        room[end : end + len(places)] = self.features[places]
+        return room[: end + len(places)], self.of(rows).rows
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Calibration:
@@ -132,6 +147,7 @@ class Calibration:
     threshold : a clip whose guess has a smaller probability to be right is called unknown.
     auroc : over the rounds, how well ``known`` told held back categories from the others; 0.5 to 1.
     false_alarms, misses : over the rounds, the share of known clips called unknown, and of unknown ones called known.
+    least_known : so is a clip that is known with a smaller probability.
     """
 
     known: Judgement
@@ -142,6 +158,12 @@ class Calibration:
     auroc: float
     false_alarms: float
     misses: float
+    least_known: float = 0.0
+
+    def is_unknown(self, known: FloatArray, confidence: FloatArray) -> BoolArray:
+        """Which clips (N,) are called unknown, from the probabilities to be known, and of the guess to be right."""
+        unknown: BoolArray = (confidence < self.threshold) | (known < self.least_known)
+        return unknown
 
     def with_clips(self, features: FloatArray, categories: ArrayLike) -> Calibration:
         """The calibration of a forest that has taken up clips (M, T, F) of categories (M,), old or new."""
@@ -153,7 +175,7 @@ class Calibration:
     def to_json(self) -> dict[str, Any]:
         """The curves and numbers, ready for ``json.dumps``; without the poses."""
         judgements = {name: getattr(self, name).to_json() for name in _JUDGEMENTS}
-        return {**judgements, **{name: getattr(self, name) for name in _NUMBERS}}
+        return {**judgements, **{name: getattr(self, name) for name in (*_NUMBERS, _LATER_NUMBER)}}
 
     def to_bytes(self) -> bytes:
         """An .npz file (no pickle); the same calibration gives the same bytes."""
@@ -177,6 +199,7 @@ class Calibration:
             else:
                 known = sure = _read_earlier(written)
             numbers = [float(written[name]) for name in _NUMBERS]
+            numbers.append(float(written.get(_LATER_NUMBER, 0.0)))
         except (KeyError, TypeError, ValueError, OverflowError, RecursionError) as error:
             raise damaged(_WHAT, error) from error
         check(all(0.0 <= number <= 1.0 for number in numbers), _WHAT, "shares beyond 0 ... 1")
@@ -201,13 +224,15 @@ class Verdicts:
     guess : (N,) number of the category that was judged: the most voted one, unless another was asked about.
     known : (N,) probability that the clip belongs to any category of the forest.
     confidence : (N,) probability that the guess is right; at most ``known``.
-    unknown : (N,) whether the clip is called unknown: the guess is more likely wrong than right.
+    unknown : (N,) whether the clip is called unknown.
+    evidence : (N, 10) what was weighed, see ``evidence``.
     """
 
     guess: IndexArray
     known: FloatArray
     confidence: FloatArray
     unknown: BoolArray
+    evidence: FloatArray
 
 
 class Assessor:
@@ -243,7 +268,7 @@ class Assessor:
         evidence = relate_to_usual(seen, calibration.usual[places])
         known = calibration.known.evaluate(evidence, has_poses)
         confidence = np.minimum(calibration.sure.evaluate(evidence, has_poses), known)
-        return Verdicts(guess, known, confidence, confidence < calibration.threshold)
+        return Verdicts(guess, known, confidence, calibration.is_unknown(known, confidence), evidence)
 
 
 def learn_calibration(
@@ -414,20 +439,24 @@ def _summarise(rounds: list[_Round], poses: PoseSpace) -> Calibration:
     evidence, weights = relate_to_usual(seen, own), _weigh(kinds, copied)
     known = fit_judgement(evidence, kinds == _KNOWN, weights, KNOWN_PRIOR)
     sure = fit_judgement(evidence, right, weights, SURE_PRIOR)
-    confidence = np.minimum(sure.by_poses.evaluate(evidence), known.by_poses.evaluate(evidence))
-    harder = right & copied if (right & copied).any() else right
-    threshold = float(np.clip(np.quantile(confidence[harder], _LOST), *_THRESHOLDS)) if right.any() else _THRESHOLDS[0]
+    belongs = known.by_poses.evaluate(evidence)
+    confidence = np.minimum(sure.by_poses.evaluate(evidence), belongs)
+    own = kinds == _KNOWN
+    harder = own & copied if (own & copied).any() else own
+    least = float(np.clip(np.quantile(belongs[harder], _LOST), *_LEAST_KNOWN))
     plain = ~copied & (kinds != _BETWEEN)
-    belongs, called = kinds[plain] == _KNOWN, confidence[plain] >= threshold
+    called = ((confidence >= _THRESHOLD) & (belongs >= least))[plain]
+    own = own[plain]
     return Calibration(
         known=known,
         sure=sure,
         poses=poses,
         usual=usual,
-        threshold=threshold,
-        auroc=compute_auroc(known.by_poses.evaluate(evidence[plain]), belongs),
-        false_alarms=float(1.0 - called[belongs].mean()),
-        misses=float(called[~belongs].mean()) if not belongs.all() else 0.0,
+        threshold=_THRESHOLD,
+        auroc=compute_auroc(belongs[plain], own),
+        false_alarms=float(1.0 - called[own].mean()),
+        misses=float(called[~own].mean()) if not own.all() else 0.0,
+        least_known=least,
     )
 
 

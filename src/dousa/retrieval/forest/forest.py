@@ -396,6 +396,11 @@ class MotionForest:
         """The grown trees in flat arrays."""
         return self._fitted
 
+    @property
+    def vote_entries(self) -> tuple[NDArray[Any], NDArray[Any], NDArray[Any]]:
+        """What the leaves vote: where the entries of each begin (L + 1,), their categories and weights (E,)."""
+        return self._entries("votes")
+
     def to_bytes(self) -> bytes:
         """The trained forest as the bytes of an .npz file (no pickle); NotTrainedError before ``fit``."""
         from dousa.retrieval.forest.forest_file import ForestFile, pack_forest

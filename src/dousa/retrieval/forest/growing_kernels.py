@@ -20,7 +20,8 @@ from numpy.typing import NDArray
 from dousa.arrays import FloatArray, IntArray
 from dousa.retrieval.features.integral import MEAN, SPREAD
 
-# None of these allocates. Counting references to rows took a fifth of the time, and half of that of compiling.
+# None of these allocates. Counting references to rows took a fifth of the time, and half of that of compiling. Numbers
+# that are known beforehand are handed over as np.int64: else numba compiles what takes them once for each number.
 _njit: Any = njit  # whose types leave out some of its options
 _OPTIONS: dict[str, Any] = {
     "cache": True,
@@ -226,7 +227,7 @@ def _evaluate_many(cells, size, width, tests, chosen, samples, work, values):
             for cell in range(size):
                 rows[copy + cell] = cells[own + cell]
         for q in range(len(chosen)):
-            _evaluate(rows, size, width, tests[chosen[q]], work.places, 0, count, values[q, start:])
+            _evaluate(rows, size, width, tests[chosen[q]], work.places, np.int64(0), count, values[q, start:])
 
 
 @_njit(fastmath={"nnan", "nsz"}, **_OPTIONS)
@@ -312,7 +313,7 @@ def _draw_tests(drawn, count, is_all, random_thresholds, work):
         work.chosen[q] = order[place]
         work.states[q] = work.state[0]
         if random_thresholds:
-            work.thresholds[q] = (_draw_below(work.state, _HALVES) + 0.5) / _HALVES
+            work.thresholds[q] = (_draw_below(work.state, np.int64(_HALVES)) + 0.5) / _HALVES
 
 
 @_compiled
@@ -365,7 +366,7 @@ def _find_splits(
     """
     n, n_tests = len(samples), len(tests)
     is_all = n_trials >= n_tests
-    best, n_kept, drawn, begun = _NO_SCORE, 0, 0, 0
+    best, n_kept, drawn, begun = np.int64(_NO_SCORE), np.int64(0), np.int64(0), np.int64(0)
     # No split gains more than all the entropy there is, nor more than the one bit a clip of an even split.
     # Once that is reached, drawing on cannot change the answer: the first of equals is kept.
     perfect = min(np.int64(0), total - log_table[n // 2] - log_table[n - n // 2])
@@ -386,7 +387,7 @@ def _find_splits(
             test = work.chosen[q]
             score, threshold = _score_test(
                 values[q], n, work.thresholds[q], labels, counts, total, log_table, tolerances[tests[test, 1]],
-                best if most == 1 else _NO_SCORE, random_thresholds, work,
+                best if most == 1 else np.int64(_NO_SCORE), random_thresholds, work,
             )  # fmt: skip
             drawn += 1
             if score == _NO_SCORE and random_thresholds:
@@ -401,7 +402,7 @@ def _find_splits(
         if not is_all:
             _put_back(work.order, work.swaps, drawn, end)
     if not is_all:
-        _put_back(work.order, work.swaps, 0, drawn)
+        _put_back(work.order, work.swaps, np.int64(0), drawn)
     return n_kept
 
 
@@ -412,7 +413,7 @@ def _look_at_some(samples, labels, n_present, count, log_table, work):
     counts[:] = 0
     step = len(samples) / count
     for k in range(count):
-        place = min(np.int64((k + _draw_below(work.state, _HALVES) / _HALVES) * step), len(samples) - 1)
+        place = min(np.int64((k + _draw_below(work.state, np.int64(_HALVES)) / _HALVES) * step), len(samples) - 1)
         work.looked[k], work.looked_labels[k] = samples[place], labels[place]
         counts[labels[place]] += 1
     total = np.int64(0)
@@ -426,7 +427,7 @@ def _weigh_again(
     cells, size, width, tolerances, tests, samples, labels, counts, total, log_table, n_kept, random_thresholds, work
 ):  # fmt: skip
     """The best of the tests in ``kept`` by more clips, and its threshold."""
-    best, best_test, best_threshold = _NO_SCORE, work.kept[0], work.kept_thresholds[0]
+    best, best_test, best_threshold = np.int64(_NO_SCORE), work.kept[0], work.kept_thresholds[0]
     _evaluate_all(cells, size, width, tests, work.kept[:n_kept], samples, work.values)
     for q in range(n_kept):
         values, test, threshold = work.values[q], work.kept[q], work.kept_thresholds[q]
@@ -494,16 +495,16 @@ def _choose_split(
     """
     labels, counts, n = work.labels, work.counts[:n_present], len(samples)
     if n > _MOST_LOOKED:
-        some = _look_at_some(samples, labels, n_present, _MOST_LOOKED, log_table, work)
+        some = _look_at_some(samples, labels, n_present, np.int64(_MOST_LOOKED), log_table, work)
         n_kept = 0
         if log_table[_MOST_LOOKED] - some > _SAME_SCORE:  # they are of several categories
             n_kept = _find_splits(
                 cells, size, width, tolerances, tests, work.looked[:_MOST_LOOKED], work.looked_labels,
-                work.looked_counts[:n_present], some, log_table, n_trials, random_thresholds, _KEPT, work,
+                work.looked_counts[:n_present], some, log_table, n_trials, random_thresholds, np.int64(_KEPT), work,
             )  # fmt: skip
         if n_kept > 0:
             if n > _MOST_WEIGHED:
-                total = _look_at_some(samples, labels, n_present, _MOST_WEIGHED, log_table, work)
+                total = _look_at_some(samples, labels, n_present, np.int64(_MOST_WEIGHED), log_table, work)
                 samples, labels, counts = work.looked, work.looked_labels, work.looked_counts[:n_present]
             return _weigh_again(
                 cells, size, width, tolerances, tests, samples, labels, counts, total, log_table, n_kept,
@@ -511,7 +512,7 @@ def _choose_split(
             )  # fmt: skip
     n_kept = _find_splits(
         cells, size, width, tolerances, tests, samples, labels, counts, total, log_table, n_trials,
-        random_thresholds, 1, work,
+        random_thresholds, np.int64(1), work,
     )  # fmt: skip
     return (work.kept[0], work.kept_thresholds[0]) if n_kept > 0 else (np.int64(-1), 0.0)
 
@@ -541,7 +542,7 @@ def grow_tree(
     cells, width = features.reshape(-1), np.uint64(features.shape[2])
     size, values, stack = np.uint64(n_frames) * width, work.values[0], work.stack
     stack[0, 0], stack[0, 1], stack[0, 2] = 0, 0, len(samples)
-    depth, n_nodes, n_leaves, n_entries = 1, 1, 0, 0
+    depth, n_nodes, n_leaves, n_entries = 1, np.int64(1), 0, 0
     leaf_starts[0] = 0
     while depth > 0:
         depth -= 1
@@ -568,7 +569,7 @@ def grow_tree(
             n_leaves += 1
             leaf_starts[n_leaves] = n_entries
             continue
-        _evaluate(cells, size, width, tests[test], inside, 0, n, values)
+        _evaluate(cells, size, width, tests[test], inside, np.int64(0), n, values)
         n_left = _partition(values, threshold, inside, work.keys)
         _write_node(nodes, cuts, node, tests[test], threshold, n_frames, n_nodes)
         stack[depth, 0], stack[depth, 1], stack[depth, 2] = n_nodes + 1, start + n_left, stop

@@ -18,7 +18,7 @@ and to part it from them, all of them would have to be looked at.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -30,11 +30,12 @@ from dousa.errors import InvalidMotionError, TrainingError
 from dousa.retrieval.features.feature_sets import FeatureSet
 from dousa.retrieval.features.integral import list_tests
 from dousa.retrieval.forest.forest import MotionForest, check_features
-from dousa.retrieval.forest.points import Pairs, choose_pairs, mix
+from dousa.retrieval.forest.points import Keys, Pairs, choose_pairs, mix
+from dousa.retrieval.forest.standing_leaves import StandingLeaves
 from dousa.retrieval.forest.trees import Trees, TreesSpec, grow_some, prepare_leaves
 
+_AT_ONCE = 8192  # clips whose features are read
 _MOST_OTHERS = 64  # a leaf grows where this many times the clips of other categories are all of its clips, or more
-_AT_ONCE = 1 << 16  # clips whose leaves are looked at
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -219,15 +220,17 @@ class StandingClips:
     read_features : gives the features (n, T, F) of some clips by their places (n,); it is asked only for those whose
         leaves grow.
     keys : (N,) uint64, that stand for the contents of the clips; their places by default, and then the forest depends
-        on the order in which clips are added.
+        on the order in which clips are added. Read for some clips only.
     later : (N,) whether each was taken up after the training; by default none was.
+    names : where there are some, the categories are places in it.
     """
 
     categories: ArrayLike
-    leaves: NDArray[np.integer[Any]]
+    leaves: NDArray[np.integer[Any]] | StandingLeaves
     read_features: FeatureReader
-    keys: NDArray[np.uint64] | None = None
+    keys: Keys | None = None
     later: BoolArray | None = None
+    names: ArrayLike | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -286,20 +289,23 @@ def grow_forest(
     InvalidMotionError : features of another shape, or not finite.
     """
     leaves = forest.apply(features)
-    known, labels = _read_labels(standing.categories), _read_labels(categories)
-    if len(known) != len(standing.leaves) or standing.leaves.shape[1:] != leaves.shape[1:]:
-        raise InvalidMotionError("growth.leaves", clips=len(known), trees=leaves.shape[1], shape=standing.leaves.shape)
+    labels, (known, numbers) = _read_labels(categories), _number_labels(standing)
+    there = StandingLeaves.of(standing.leaves, forest.trees_.n_leaves)
+    if len(numbers) != len(there) or there.n_trees != leaves.shape[1]:
+        shape = (len(there), there.n_trees)
+        raise InvalidMotionError("growth.leaves", clips=len(numbers), trees=leaves.shape[1], shape=shape)
     if not len(leaves):
         nothing = np.zeros(forest.trees_.n_leaves, bool)
         return Growth(forest, leaves, np.zeros(0, np.int64), leaves[:0], nothing)
     if labels.shape != (len(leaves),) or labels.dtype.kind != forest.classes_.dtype.kind:
         kind = forest.classes_.dtype
         raise TrainingError("growth.labels", kind=kind, clips=len(leaves), found=labels.dtype, shape=labels.shape)
-    if not np.isin(known, forest.classes_).all():
+    if not np.isin(known[np.unique(numbers)], forest.classes_).all():
         raise TrainingError("growth.categories")
     classes = np.unique(np.concatenate([forest.classes_, labels]))
-    own = np.searchsorted(classes, np.concatenate([known, labels]).astype(classes.dtype)).astype(np.int32)
-    material = _gather(forest, standing, (check_features(features), leaves, keys), own)
+    stand = np.searchsorted(classes, known.astype(classes.dtype))[numbers]
+    own = np.concatenate([stand, np.searchsorted(classes, labels.astype(classes.dtype))]).astype(np.int32)
+    material = _gather(forest, standing, there, (check_features(features), leaves, keys), own)
     grown, growing, read = _grow(forest, material, classes, feature_set, random_state)
     moved, moved_leaves = _move(forest, grown, material, *read)
     home = forest.trees_.home_leaves
@@ -313,18 +319,20 @@ class _Material:
 
     Parameters
     ----------
+    leaves : (N, n_trees) in which the standing ones are.
     features : (M + P, T, F) of what does not stand.
     homes : (M + P, n_trees) leaves of the training that it reaches.
     own : (N + M + P,) number of each one's category.
-    keys : (N + M + P,) of their contents.
+    keys : of the contents of all N + M + P.
     touched : (L,) whether a leaf of the training must be looked at: something has come, or a point has gone.
     """
 
     standing: StandingClips
+    leaves: StandingLeaves
     features: FloatArray
     homes: NDArray[np.int32]
     own: NDArray[np.int32]
-    keys: NDArray[np.uint64]
+    keys: Keys
     touched: BoolArray
 
     @property
@@ -336,8 +344,10 @@ class _Material:
         """Features of any of them."""
         known = rows < self.n_standing
         read = np.empty((len(rows), *self.features.shape[1:]), self.features.dtype)
-        if known.any():
-            read[known] = self.standing.read_features(rows[known])
+        there = np.flatnonzero(known)
+        for first in range(0, len(there), _AT_ONCE):  # so that they are in memory once
+            some = there[first : first + _AT_ONCE]
+            read[some] = self.standing.read_features(rows[some])
         read[~known] = self.features[rows[~known] - self.n_standing]
         return read
 
@@ -347,18 +357,47 @@ def _read_labels(categories: ArrayLike) -> NDArray[Any]:
     return labels.astype(np.str_) if labels.dtype == object else labels
 
 
+def _number_labels(standing: StandingClips) -> tuple[NDArray[Any], IntArray]:
+    """Categories, and (N,) which of them each clip has."""
+    if standing.names is not None:
+        return _read_labels(standing.names), np.asarray(standing.categories, np.int64)
+    known, numbers = np.unique(_read_labels(standing.categories), return_inverse=True)
+    return known, numbers
+
+
+class _JoinedKeys:
+    """Keys of the standing clips, and behind them those of others."""
+
+    def __init__(self, standing: Keys, count: int, others: NDArray[np.uint64]) -> None:
+        self._standing, self._count, self._others = standing, count, others
+
+    def __getitem__(self, places: IntArray) -> NDArray[np.uint64]:
+        keys = np.empty(len(places), np.uint64)
+        stand = places < self._count
+        if stand.any():
+            keys[stand] = self._standing[places[stand]]
+        keys[~stand] = self._others[places[~stand] - self._count]
+        return keys
+
+    def join(self, more: NDArray[np.uint64]) -> _JoinedKeys:
+        """With some more behind them."""
+        return _JoinedKeys(self._standing, self._count, np.concatenate([self._others, more]))
+
+
 def _gather(
     forest: MotionForest,
     standing: StandingClips,
+    there: StandingLeaves,
     new: tuple[FloatArray, IntArray, NDArray[np.uint64] | None],
     own: NDArray[np.int32],
 ) -> _Material:
     """What there is to grow from; ``new`` are features (M, T, F), leaves and keys."""
     features, leaves, new_keys = new
     count, total = len(own) - len(features), len(own)
-    keys = np.arange(total, dtype=np.uint64)
+    plain = np.arange(total, dtype=np.uint64)
+    keys = _JoinedKeys(plain, count, plain[count:])
     if standing.keys is not None and new_keys is not None:
-        keys = np.concatenate([standing.keys, new_keys])
+        keys = _JoinedKeys(standing.keys, count, new_keys)
     later = np.arange(total) >= count
     if standing.later is not None:
         later[:count] = standing.later
@@ -367,19 +406,20 @@ def _gather(
     touched = np.zeros(forest.trees_.n_leaves, bool)
     touched[here] = True
     usual = _count_usual(own, later)
-    before = choose_pairs(own[:count], keys[:count], later[:count], usual)
+    before = choose_pairs(own[:count], keys, later[:count], usual)
     after = choose_pairs(own, keys, later, usual)
-    material = _Material(standing, features, here, own, keys, touched)
+    material = _Material(standing, there, features, here, own, keys, touched)
     coming, going = after.without(before), before.without(after)
     points, point_homes = _make_points(forest, material, after)
     touched[point_homes[coming]] = True
     touched[_make_points(forest, material, before.take(going))[1]] = True
     return _Material(
         standing,
+        there,
         np.concatenate([features, points]),
         np.concatenate([here, point_homes]),
         np.concatenate([own, own[after.first]]),
-        np.concatenate([keys, after.keys]),
+        keys.join(after.keys),
         touched,
     )
 
@@ -419,7 +459,7 @@ def _grow(
     clips, leaves = _list_members(material, trees, growing)
     rows, places = np.unique(clips, return_inverse=True)
     features = material.read(rows)
-    order = np.lexsort((material.keys[clips], leaves))
+    order = np.lexsort((material.keys[rows][places], leaves))  # keys may be read: of each clip once
     parts = np.split(places[order], np.cumsum(counts[grows].sum(axis=1))[:-1]) if grows.any() else []
     tests = list_tests(trees.n_features, trees.n_frames) if feature_set is None else feature_set.tests
     subtrees = grow_subtrees(
@@ -451,35 +491,24 @@ def _renumber(forest: MotionForest, classes: NDArray[Any]) -> Trees:
     return replace(forest.trees_, leaf_classes=own, n_classes=len(classes))
 
 
-def _iterate_homes(material: _Material, trees: Trees) -> Iterator[tuple[int, NDArray[np.int32]]]:
-    """The leaves of the training (n, n_trees) that everything stands in, in portions, and where each begins."""
-    homes, standing = trees.home_leaves, material.standing.leaves
-    for start in range(0, len(standing), _AT_ONCE):
-        yield start, homes[standing[start : start + _AT_ONCE]]
-    yield len(standing), material.homes
-
-
 def _count_members(material: _Material, trees: Trees, numbers: IntArray, n_classes: int) -> IntArray:
     """(K, C), what stands in K leaves of the training."""
     ranks = np.full(trees.n_leaves, -1)
     ranks[numbers] = np.arange(len(numbers))
-    counts = np.zeros(len(numbers) * n_classes, np.int64)
-    for start, homes in _iterate_homes(material, trees):
-        own = ranks[homes]
-        clips, columns = np.nonzero(own >= 0)
-        places = own[clips, columns] * n_classes + material.own[start + clips]
-        counts += np.bincount(places, minlength=len(counts))
-    return counts.reshape(-1, n_classes)
+    counts = material.leaves.count(ranks[trees.home_leaves], material.own, n_classes)
+    own = ranks[material.homes]
+    clips, columns = np.nonzero(own >= 0)
+    np.add.at(counts, (own[clips, columns], material.own[material.n_standing + clips]), 1)
+    return counts
 
 
 def _list_members(material: _Material, trees: Trees, growing: BoolArray) -> tuple[IntArray, IntArray]:
     """Everything that stands in some leaves of the training, and in which."""
-    found = []
-    for start, homes in _iterate_homes(material, trees):
-        clips, columns = np.nonzero(growing[homes])
-        found.append((start + clips, homes[clips, columns].astype(np.int64)))
-    clips, leaves = (np.concatenate(parts) for parts in zip(*found, strict=True))
-    return clips, leaves
+    homes = trees.home_leaves
+    clips, leaves = material.leaves.list(growing[homes])
+    new, columns = np.nonzero(growing[material.homes])
+    others = material.homes[new, columns].astype(np.int64)
+    return np.concatenate([clips, material.n_standing + new]), np.concatenate([homes[leaves], others])
 
 
 def _move(
@@ -493,23 +522,21 @@ def _move(
 
     Parameters
     ----------
-    rows, features : clips whose features were read: all that stand in a leaf that became a tree.
+    rows, features : clips, ascending, whose features were read: all that stand in a leaf that became a tree.
     """
-    standing, trees = material.standing.leaves, before.trees_
-    stands = rows < material.n_standing
-    rows = rows[stands]
-    now = grown.apply(features[stands]) if len(rows) else np.zeros((0, standing.shape[1]), np.int64)
+    standing, trees = material.leaves, before.trees_
+    rows = rows[: np.searchsorted(rows, material.n_standing)]
+    now = np.zeros((len(rows), standing.n_trees), np.int64)
+    for first in range(0, len(rows), _AT_ONCE):
+        now[first : first + _AT_ONCE] = grown.apply(features[first : min(first + _AT_ONCE, len(rows))])
     # In a leaf that had grown, and is one again, are clips whose features were not read: they need none.
     home = trees.home_leaves
     back = material.touched[home] & (home != np.arange(trees.n_leaves))
-    found = [np.zeros(0, np.int64)]
-    if back.any():
-        for start in range(0, len(standing), _AT_ONCE):
-            found.append(start + np.flatnonzero(back[standing[start : start + _AT_ONCE]].any(axis=1)))
-    others = np.setdiff1d(np.concatenate(found), rows)
-    plain = standing[others].astype(np.int64)
+    found = standing.find(back) if back.any() else np.zeros(0, np.int64)
+    others = np.setdiff1d(found, rows)
+    plain = standing.take(others).astype(np.int64)
     plain = np.where(back[plain], home[plain], plain)
     everyone, leaves = np.concatenate([rows, others]), np.concatenate([now, plain])
-    changed = (leaves != standing[everyone]).any(axis=1)
+    changed = (leaves != standing.take(everyone)).any(axis=1)
     order = np.argsort(everyone[changed], kind="stable")
     return everyone[changed][order], leaves[changed][order]

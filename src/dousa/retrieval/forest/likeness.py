@@ -117,7 +117,9 @@ def _score(
     Not eq. 8: the votes on a stranger are spread, those on a clip that trained are not, and that alone puts them apart.
     """
     both = lengths * np.linalg.norm(votes)
-    return np.column_stack([all_votes @ votes / np.maximum(both, 1e-9), directions @ direction])
+    # Not in float32: its sums depend on how many directions there are.
+    cosines = directions @ direction.astype(np.float64)
+    return np.column_stack([all_votes @ votes / np.maximum(both, 1e-9), cosines])
 
 
 def merge_votes(votes: FloatArray, meanings: IndexArray) -> FloatArray:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +17,12 @@ _MOST_LISTED = 100_000  # pairs of a category; of more, neighbours in the order 
 _GOLDEN = np.uint64(0x9E3779B97F4A7C15)
 _MIX_1 = np.uint64(0xBF58476D1CE4E5B9)
 _MIX_2 = np.uint64(0x94D049BB133111EB)
+
+
+class Keys(Protocol):
+    """Numbers that stand for the contents of clips: an array, or what reads them when they are asked for."""
+
+    def __getitem__(self, places: IntArray, /) -> NDArray[np.uint64]: ...
 
 
 def mix(one: NDArray[np.uint64], other: NDArray[np.uint64]) -> NDArray[np.uint64]:
@@ -47,7 +54,7 @@ class Pairs:
         return np.flatnonzero(~np.isin(self.first * last + self.second, others.first * last + others.second))
 
 
-def choose_pairs(own: NDArray[np.int32], keys: NDArray[np.uint64], later: BoolArray, usual: int) -> Pairs:
+def choose_pairs(own: NDArray[np.int32], keys: Keys, later: BoolArray, usual: int) -> Pairs:
     """Pairs that fill small categories up to the usual number of clips.
 
     Parameters
@@ -64,14 +71,15 @@ def choose_pairs(own: NDArray[np.int32], keys: NDArray[np.uint64], later: BoolAr
         missing = min(usual - int(sizes[category]), MOST_POINTS)
         if missing > 0:
             inside = np.flatnonzero(own == category)
-            inside = inside[np.argsort(keys[inside], kind="stable")]
-            pairs = _list_pairs(inside, later[inside], keys, missing)
+            theirs = keys[inside]  # only of these: of a large library they are read
+            order = np.argsort(theirs, kind="stable")
+            pairs = _list_pairs(inside[order], later[inside[order]], theirs[order], missing)
             chosen.append(pairs.take(np.argsort(pairs.keys, kind="stable")[:missing]))
     return Pairs(*(np.concatenate([getattr(one, name) for one in chosen]) for name in Pairs.__slots__))
 
 
 def _list_pairs(inside: IntArray, later: BoolArray, keys: NDArray[np.uint64], missing: int) -> Pairs:
-    """Pairs of the clips of one category, which are in the order of their keys; at least as many as are missing."""
+    """Pairs of the clips of one category, in the order of their keys (n,); at least as many as are missing."""
     n = len(inside)
     if n * (n - 1) // 2 <= _MOST_LISTED:
         first, second = np.triu_indices(n, 1)
@@ -82,5 +90,5 @@ def _list_pairs(inside: IntArray, later: BoolArray, keys: NDArray[np.uint64], mi
         second = np.concatenate([(places + step) % n for step in range(1, steps + 1)])
         first, second = np.minimum(first, second), np.maximum(first, second)
     some = later[first] | later[second]
-    one, other = inside[first[some]], inside[second[some]]
-    return Pairs(one, other, mix(keys[one], keys[other]))
+    one, other = first[some], second[some]
+    return Pairs(inside[one], inside[other], mix(keys[one], keys[other]))

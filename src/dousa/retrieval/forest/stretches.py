@@ -1,7 +1,7 @@
-"""Stretches of a recording, judged as clips: what the trees make of each, and how likely a category is right.
+"""Stretches of a recording, judged as clips: what each shows, by its trees and by who found it, and how likely that is.
 
-A stretch is cut out at the frame rate of its recording and described as a clip that somebody stored would be. So its
-confidence is that of a clip, from the same evidence and the same curves (``calibration``).
+A stretch is cut out at the frame rate of its recording and described as a clip that somebody stored would be. Who found
+it has an opinion on what it shows, too; the trees often know better where a sensor is noisy, so both name it together.
 """
 
 from __future__ import annotations
@@ -14,25 +14,38 @@ import numpy as np
 from dousa.arrays import BoolArray, FloatArray
 from dousa.retrieval.features.feature_sets import FeatureSet
 from dousa.retrieval.features.posed_motion import PosedMotion, check_shape
+from dousa.retrieval.features.sensor_noise import measure_unsteadiness, reduce_noise
 from dousa.retrieval.forest.calibration import Assessor
+from dousa.retrieval.forest.evidence import EVIDENCE
+from dousa.workers.threads import map_pieces
+
+# What a category's share by who found a stretch, and by the trees, weigh in the log odds of the categories. Fitted as
+# those of `label` are (benchmarks/segment_confidence.py).
+_BY_FINDER, _BY_VOTES = 0.96, 2.84
+_LEAST_SHARE = 0.02
+_MOST_ODDS = 7.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class StretchOpinions:
-    """What a forest thinks of N stretches.
+    """What is thought of N stretches.
 
     Parameters
     ----------
-    judged : (N,) whether the forest knows the category that was asked about.
-    chances : (N,) probability that this category is right; 0 where it does not know it.
-    guesses : N categories that most trees vote for.
-    guess_chances : (N,) probability that those are right.
+    judged : (N,) whether the forest knows the category as which it was found; what follows says nothing where not.
+    names : N categories that the stretches show most likely.
+    leads : (N,) log odds of those against all others.
+    typical : (N,) how near the poses are to those of the category, less what is usual (``evidence``).
+    unsteady : (N,) unsteadiness of the bones (``measure_unsteadiness``).
+    sure : (N,) whether a clip of these frames would be called by this name.
     """
 
     judged: BoolArray
-    chances: FloatArray
-    guesses: tuple[str, ...]
-    guess_chances: FloatArray
+    names: tuple[str, ...]
+    leads: FloatArray
+    typical: FloatArray
+    unsteady: FloatArray
+    sure: BoolArray
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -51,29 +64,55 @@ class StretchJudge:
     spared: frozenset[str] = frozenset()
 
     def judge(
-        self, motion: PosedMotion, spans: Sequence[tuple[float, float]], categories: Sequence[str]
+        self,
+        motion: PosedMotion,
+        spans: Sequence[tuple[float, float]],
+        found: Sequence[str],
+        shares: FloatArray,
+        categories: Sequence[str],
+        n_jobs: int | None = None,
     ) -> StretchOpinions:
         """What is thought of stretches.
 
         Parameters
         ----------
         motion : the recording, of any frame rate.
-        spans : from when to when, s.
-        categories : of each stretch, the one that is asked about.
+        spans : from when to when, s; one at least.
+        found : the category as which each was found.
+        shares : (N, C) how likely each shows each category, by who found it.
+        categories : C of them.
+        n_jobs : threads; None for one. The result does not depend on it.
         """
-        if not spans:
-            return StretchOpinions(np.zeros(0, bool), np.zeros(0), (), np.zeros(0))
-        features = np.stack([self.feature_set.compute(cut_stretch(motion, *span)) for span in spans])
+        forest = self.assessor.forest
+
+        def look(span: tuple[float, float]) -> tuple[FloatArray, float]:
+            part = reduce_noise(cut_stretch(motion, *span))
+            return self.feature_set.compute_quiet(part), measure_unsteadiness(part)
+
+        described, unsteady = zip(*map_pieces(look, spans, n_jobs), strict=True)
         # As stored clips are: what is kept of features is single precision.
-        features = features.astype(np.float32).astype(np.float64)
-        leaves = self.assessor.forest.apply(features)
-        names = {str(name): number for number, name in enumerate(self.assessor.forest.classes_)}
-        judged = np.array([name in names and name not in self.spared for name in categories], bool)
-        asked = np.array([names.get(name, 0) for name in categories], np.intp)
-        own = self.assessor.assess(leaves, features, asked)
-        best = self.assessor.assess(leaves, features)
-        guesses = tuple(str(name) for name in self.assessor.forest.classes_[best.guess])
-        return StretchOpinions(judged, np.where(judged, own.confidence, 0.0), guesses, best.confidence)
+        features = np.stack(described).astype(np.float32).astype(np.float64)
+        leaves = forest.apply(features)
+        votes = forest.histograms_of(leaves.astype(np.int64))
+        numbers = {name: number for number, name in enumerate(categories) if name not in self.spared}
+        places = np.array([numbers.get(str(name), -1) for name in forest.classes_])
+        judged = np.isin(np.array(found), forest.classes_[places >= 0])
+        scores = _BY_FINDER * np.log(shares[:, places] + _LEAST_SHARE) + _BY_VOTES * np.log(votes + _LEAST_SHARE)
+        scores[:, places < 0] = -np.inf
+        scores[~judged] = 0.0
+        rows, named = np.arange(len(scores)), scores.argmax(axis=1)
+        odds = scores - scores[rows, named][:, None]
+        odds[rows, named] = -np.inf
+        leads = -np.log(np.maximum(np.exp(odds).sum(axis=1), np.exp(-_MOST_ODDS)))
+        seen = self.assessor.assess(leaves, features, named)
+        return StretchOpinions(
+            judged,
+            tuple(str(name) for name in forest.classes_[named]),
+            np.maximum(leads, -_MOST_ODDS),
+            seen.evidence[:, EVIDENCE.index("typical")],
+            np.array(unsteady),
+            judged & ~seen.unknown,
+        )
 
     def sparing(self, categories: frozenset[str]) -> StretchJudge:
         """The same judge, which is not asked about some categories."""

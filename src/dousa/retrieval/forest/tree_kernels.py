@@ -151,3 +151,49 @@ def find_window_leaves(integrals, times, edges, rate, n_channels, nodes, cuts, r
             run_down_means(integral, nodes, cuts, roots, places, trees, leaves[w])
         else:
             run_down(integral, last + 1, nodes, cuts, roots, places, trees, leaves[w])
+
+
+@njit(cache=True, nogil=True)
+def find_marked(codes, offsets, places, marked, found):
+    """Whether each row of codes (n, n_trees) has a leaf that is marked, into ``found`` (n,); not where no clip is.
+
+    ``marked`` says it of the places of the table; ``places`` (n,) is -1 for rows that do not count.
+    """
+    for row in range(codes.shape[0]):
+        hit = False
+        if places[row] >= 0:
+            for tree in range(codes.shape[1]):
+                if marked[offsets[tree] + codes[row, tree]]:
+                    hit = True
+                    break
+        found[row] = hit
+
+
+@njit(cache=True, nogil=True)
+def count_standing(codes, offsets, places, ranks, categories, counts):
+    """Adds every clip in a leaf that has a rank to ``counts`` (ranks, categories); the rest is as above."""
+    for row in range(codes.shape[0]):
+        if places[row] >= 0:
+            category = categories[places[row]]
+            for tree in range(codes.shape[1]):
+                rank = ranks[offsets[tree] + codes[row, tree]]
+                if rank >= 0:
+                    counts[rank, category] += 1
+
+
+@njit(cache=True, nogil=True)
+def list_marked(codes, offsets, places, marked, out):
+    """Clips and places of the table of all leaves that are marked and have a clip, into ``out`` (2, M).
+
+    Returns how many there are; no more are written than there is room for.
+    """
+    count = 0
+    for row in range(codes.shape[0]):
+        if places[row] >= 0:
+            for tree in range(codes.shape[1]):
+                place = offsets[tree] + codes[row, tree]
+                if marked[place]:
+                    if count < out.shape[1]:
+                        out[0, count], out[1, count] = places[row], place
+                    count += 1
+    return count

@@ -253,12 +253,15 @@ def prepare_material(features: FloatArray, categories: NDArray[np.int32], tests:
 
 
 def prepare_leaves(features: FloatArray, categories: NDArray[np.int32], tests: IntArray, largest: int) -> Material:
-    """The same, where what counts as one value follows from the clips of each tree, and not from all."""
+    """The same, where what counts as one value follows from the clips of each tree, and not from all.
+
+    In the stead of the tolerances are the largest sizes of the columns of each clip.
+    """
     _, _, categories, tests, logarithms = prepare_material(features[:0], categories, tests, largest)
-    sizes = np.empty((len(features), features.shape[2]))
+    sizes = np.empty((len(features), features.shape[2]), features.dtype)
     for start in range(0, len(features), _AT_A_TIME):
         sizes[start : start + _AT_A_TIME] = np.abs(features[start : start + _AT_A_TIME]).max(axis=1)
-    return features, _SAME_VALUE * sizes, categories, tests, logarithms
+    return features, sizes, categories, tests, logarithms
 
 
 def grow_some(
@@ -273,7 +276,9 @@ def grow_some(
     trees = []
     features, tolerances, *others = material
     for samples, seed in drawn:
-        own = tolerances if tolerances.ndim == 1 else tolerances[samples].max(axis=0)
+        own = tolerances
+        if tolerances.ndim == 2:
+            own = _SAME_VALUE * tolerances[samples].max(axis=0).astype(np.float64)
         n_nodes, n_leaves = kernels.grow_tree(
             features, own, *others, samples, spec.n_trials, spec.random_thresholds, limit, seed, work,
             nodes, nodes.view(np.float64), starts, classes, counts,

@@ -33,8 +33,8 @@ DEFAULT_RANKING = "fused"
 N_REFINED = 64
 """Clips whose poses are compared: those that the histograms and leaves put first."""
 
-_HISTOGRAM_SCALE = 2.0**-0.5  # histograms without a common vote are sqrt(2) apart
-_LEAVES_WEIGHT = 0.5
+HISTOGRAM_SCALE = 2.0**-0.5  # histograms without a common vote are sqrt(2) apart
+LEAVES_WEIGHT = 0.5
 _COSINE_WEIGHT = 0.5
 _POSE_SCALE = 8.0  # 1 / body heights
 _REACH = 2.0  # cells by which an aligned pair may lie off the diagonal, of 16
@@ -232,19 +232,25 @@ def rank_clips(by: str, query: RankingQuery, clips: RankedClips, n_refined: int 
     if by in ("histogram", "leaves"):
         first, second = (histogram, leaves) if by == "histogram" else (leaves, histogram)
         return Ranking(np.lexsort((second, first)), first, histogram, leaves, pose)
-    cheap = histogram * _HISTOGRAM_SCALE + _LEAVES_WEIGHT * leaves
-    if clips.cosines is not None:
-        cheap += _COSINE_WEIGHT * (1.0 - clips.cosines)
+    cheap = add_up(histogram, leaves, clips.cosines)
     order = np.argsort(cheap, kind="stable")
     refined = order[:n_refined]
     if len(refined):
         pose[refined] = rank_by_pose(query.poses, clips.read_poses(refined))[1]
-    distances = pose if by == "pose" else _fuse(cheap, pose, refined)
+    distances = pose if by == "pose" else fuse(cheap, pose, refined)
     order[:n_refined] = refined[np.argsort(distances[refined], kind="stable")]
     return Ranking(order, distances, histogram, leaves, pose)
 
 
-def _fuse(cheap: FloatArray, pose: FloatArray, refined: IndexArray) -> FloatArray:
+def add_up(histogram: FloatArray, leaves: FloatArray, cosines: NDArray[np.floating] | None) -> FloatArray:
+    """The distances of eq. 8, of the leaves, and of the angle where that is known, each on its scale: (N,)."""
+    cheap: FloatArray = histogram * HISTOGRAM_SCALE + LEAVES_WEIGHT * leaves
+    if cosines is not None:
+        cheap += _COSINE_WEIGHT * (1.0 - cosines)
+    return cheap
+
+
+def fuse(cheap: FloatArray, pose: FloatArray, refined: IndexArray) -> FloatArray:
     """The sums; where poses were not compared they are taken for as far apart as the farthest that were."""
     worst = float(pose[refined].max(initial=0.0))
     return cheap + _POSE_SCALE * np.where(np.isnan(pose), worst, pose)

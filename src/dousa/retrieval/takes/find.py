@@ -8,14 +8,14 @@ Poses alone carry a query of a category that no tree knows; the leaves add what 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from dousa.arrays import FloatArray, IndexArray, IntArray
+from dousa.arrays import FloatArray, IntArray
 from dousa.errors import InvalidMotionError, OptionError
 from dousa.retrieval.takes.windows import N_PARTS, TAKE_RATE, TakeWindows, compute_small_poses
 
@@ -138,33 +138,67 @@ def find_in_takes(
     OptionError : a limit below 1, or tempos that are not ascending and above 0.
     InvalidMotionError : a take with leaves of another forest.
     """
-    if limit < 1 or not 0 < slowest <= fastest < np.inf:
-        raise OptionError("find.options", limit=limit, slowest=slowest, fastest=fastest)
-    candidates = [_compare(query, take, (slowest, fastest)) for _, take in takes]
-    costs = np.concatenate([np.zeros(0), *(some.costs for some in candidates)])
-    owners = np.repeat(np.arange(len(takes)), [len(some.costs) for some in candidates])
-    rows = np.concatenate(
-        [np.zeros(0, np.int64), *(np.arange(some.first, some.first + len(some.costs)) for some in candidates)]
-    )
-    shares = np.concatenate([np.zeros(0), *(some.shares for some in candidates)])
-    wanted = 2 * limit + 20
-    places = _different_places(costs, owners, rows, takes, wanted)
-    tempos = (slowest, fastest)
-    found = [_refine(query, takes[owners[k]], int(rows[k]), float(shares[k]), tempos) for k in places]
-    found.sort(key=lambda one: (-one.score, one.take, one.start))
-    return _drop_same(found)[:limit]
+    search = TakeSearch(query, limit, slowest, fastest)
+    for name, windows in takes:
+        search.look(name, windows)
+    by_place = [windows for _, windows in takes]
+    return search.finish(by_place.__getitem__)
 
 
-@dataclass(frozen=True, slots=True)
-class _Compared:
-    """Windows of one take: the first row, and cost and leaf share of it and those after it."""
-
-    first: int
-    costs: FloatArray
-    shares: FloatArray
+_NUMBERS = np.dtype([("take", "i8"), ("row", "i8"), ("start", "i8"), ("stop", "i8"), ("cost", "f8"), ("share", "f8")])
 
 
-def _compare(query: TakeQuery, take: TakeWindows, tempos: tuple[float, float]) -> _Compared:
+class TakeSearch:
+    """A search through takes that are shown one after the other, and need not be in memory together.
+
+    Parameters
+    ----------
+    query, limit, slowest, fastest : as in ``find_in_takes``, which raises the same errors.
+    """
+
+    def __init__(self, query: TakeQuery, limit: int = 20, slowest: float = 0.5, fastest: float = 2.0) -> None:
+        if limit < 1 or not 0 < slowest <= fastest < np.inf:
+            raise OptionError("find.options", limit=limit, slowest=slowest, fastest=fastest)
+        self._query, self._limit, self._tempos = query, limit, (slowest, fastest)
+        self._names: list[str] = []
+        self._best = np.zeros(0, _NUMBERS)
+        self._waiting: list[NDArray[Any]] = []
+        self._farthest = np.inf
+
+    def look(self, name: str, windows: TakeWindows) -> None:
+        """Look at the next take."""
+        found = _compare(self._query, windows, self._tempos, self._farthest)
+        found["take"] = len(self._names)
+        self._names.append(name)
+        self._waiting.append(found)
+        if sum(map(len, self._waiting)) >= _MOST_WINDOWS:
+            self._keep_best()
+
+    def _keep_best(self) -> None:
+        """Of all windows so far those that may be looked through; a later one must not cost more than the last."""
+        found = np.concatenate([self._best, *self._waiting])
+        self._waiting = []
+        self._best = found[np.argsort(found["cost"], kind="stable")[:_MOST_WINDOWS]]
+        if len(self._best) == _MOST_WINDOWS:
+            self._farthest = float(self._best["cost"][-1])
+
+    def finish(self, get_windows: Callable[[int], TakeWindows]) -> list[Found]:
+        """The places, best first; ``get_windows`` gives the windows of the n-th take again."""
+        self._keep_best()
+        chosen = _different_places(self._best, 2 * self._limit + 20)
+        found: list[Found] = []
+        for take in np.unique(chosen["take"]):
+            windows = get_windows(int(take))
+            found += [
+                _refine(self._query, (self._names[take], windows), int(one["row"]), float(one["share"]), self._tempos)
+                for one in chosen[chosen["take"] == take]
+            ]
+        found.sort(key=lambda one: (-one.score, one.take, one.start))
+        return _drop_same(found)[: self._limit]
+
+
+def _compare(query: TakeQuery, take: TakeWindows, tempos: tuple[float, float], farthest: float) -> NDArray[Any]:
+    """The windows of a take that cost no more than ``farthest``, in their order, as ``_NUMBERS``."""
     from dousa.retrieval.takes.window_kernels import compare_leaves, compare_poses
 
     if take.leaves.shape[1] != len(query.leaves):
@@ -173,12 +207,21 @@ def _compare(query: TakeQuery, take: TakeWindows, tempos: tuple[float, float]) -
     slowest, fastest = tempos
     # A grid has gaps: the lengths next to the range may hold an edge of it.
     first = int(np.searchsorted(lengths, len(query.poses) / fastest / 1.1))
-    last = int(np.searchsorted(lengths, len(query.poses) / slowest * 1.1, side="right"))
-    shares, distances = np.empty((2, max(last - first, 0)))
-    compare_leaves(take.leaves[first:last], query.leaves.astype(take.leaves.dtype), shares)
-    parts = _cut(query.poses)
-    compare_poses(take.sums, take.starts[first:last], take.stops[first:last], parts, distances)
-    return _Compared(first, _cost(distances, shares), shares)
+    last = max(int(np.searchsorted(lengths, len(query.poses) / slowest * 1.1, side="right")), first)
+    distances = np.empty(last - first)
+    starts, stops = take.starts[first:last], take.stops[first:last]
+    # Leaves that are shared make nothing cheaper than the poses are.
+    compare_poses(take.sums, starts, stops, _cut(query.poses), farthest / _POSE_WEIGHT, distances)
+    near = np.flatnonzero(np.isfinite(distances))
+    shares = np.empty(len(near))
+    compare_leaves(take.leaves[first + near], query.leaves.astype(take.leaves.dtype), shares)
+    costs = _cost(distances[near], shares)
+    kept = costs <= farthest
+    near = near[kept]
+    found = np.empty(len(near), _NUMBERS)
+    found["row"], found["start"], found["stop"] = first + near, starts[near], stops[near]
+    found["cost"], found["share"] = costs[kept], shares[kept]
+    return found
 
 
 def _cost(distances: Any, shares: Any) -> Any:
@@ -196,29 +239,18 @@ def _cut(poses: NDArray[Any]) -> FloatArray:
     return means
 
 
-def _different_places(
-    costs: FloatArray,
-    owners: IndexArray,
-    rows: IntArray,
-    takes: Sequence[tuple[str, TakeWindows]],
-    wanted: int,
-) -> list[int]:
-    """The cheapest windows of which no two share much of their time (non-maximum suppression)."""
-    most = min(_MOST_WINDOWS, len(costs))
-    cheapest = np.argpartition(costs, most - 1)[:most] if most < len(costs) else np.arange(len(costs))
-    order = cheapest[np.lexsort((cheapest, costs[cheapest]))]
+def _different_places(ordered: NDArray[Any], wanted: int) -> NDArray[Any]:
+    """The first windows (``_NUMBERS``) of which no two share much of their time (non-maximum suppression)."""
     kept: list[int] = []
     spans: dict[int, list[tuple[int, int]]] = {}
-    for k in order:
-        windows = takes[owners[k]][1]
-        span = int(windows.starts[rows[k]]), int(windows.stops[rows[k]])
-        others = spans.setdefault(int(owners[k]), [])
-        if all(overlap(span, other) < _SAME_PLACE for other in others):
-            others.append(span)
-            kept.append(int(k))
+    for k, (take, start, stop) in enumerate(ordered[["take", "start", "stop"]].tolist()):
+        others = spans.setdefault(take, [])
+        if all(overlap((start, stop), other) < _SAME_PLACE for other in others):
+            others.append((start, stop))
+            kept.append(k)
             if len(kept) == wanted:
                 break
-    return kept
+    return ordered[kept]
 
 
 def overlap(one: tuple[float, float], other: tuple[float, float]) -> float:
@@ -248,7 +280,7 @@ def _refine(
     off = np.maximum(tempo / tempos[1], tempos[0] / tempo).clip(1.0)
     starts, stops = starts[off == off.min()], stops[off == off.min()]
     distances = np.empty(len(starts))
-    compare_poses(take.sums, starts, stops, _cut(query.poses), distances)
+    compare_poses(take.sums, starts, stops, _cut(query.poses), np.inf, distances)
     best = int(np.argmin(distances))
     start, stop = int(starts[best]), int(stops[best])
     aligned = _align(query.poses, take.poses[start:stop])

@@ -2,16 +2,17 @@
 
 Discriminants say how likely every category, and nothing, is at every moment (`moment_model`), and the likeliest
 sequence of segments is found (`sequence`), which finds the places and the lengths of the actions at once. Each segment
-is then cut out and judged as a clip, by the forest and the curves that clips are judged by (`stretches`); how likely
-its category is right follows from both. What is nothing, and what is not likely enough to be right, is unknown.
+is then cut out and judged as a clip, by the forest that clips are judged by (`stretches`); what it is called, and how
+likely that is right, follows from both. What is nothing, and what is not likely enough to be right, is unknown.
 """
 
 from __future__ import annotations
 
 import csv
 import os
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -23,17 +24,27 @@ from dousa.messages import Message
 from dousa.retrieval.counting.tallies import TALLIES
 from dousa.retrieval.features.posed_motion import PosedMotion, check_motion
 from dousa.retrieval.forest.forest_file import check, check_version, pack_arrays, unpack_arrays
-from dousa.retrieval.forest.stretches import StretchJudge
-from dousa.retrieval.takes.moment_model import MODEL_ARRAYS, Codes, MomentModel, read_moment_model, sharpen
-from dousa.retrieval.takes.moments import HOP, N_VALUES, chunk_starts, count_moments, describe_chunk
-from dousa.retrieval.takes.repetitions import Chosen, count_all
+from dousa.retrieval.forest.stretches import CutStretch, StretchJudge, StretchOpinions
+from dousa.retrieval.takes.made_takes import mirror_positions
+from dousa.retrieval.takes.moment_model import (
+    MODEL_ARRAYS,
+    Codes,
+    MomentModel,
+    are_mirrored,
+    read_moment_model,
+    sharpen,
+)
+from dousa.retrieval.takes.moments import HOP, N_VALUES, chunk_starts, count_moments, describe_chunk, mirror_moments
+from dousa.retrieval.takes.repetitions import Chosen, count_all, is_clearer, lay_mirrored
 from dousa.retrieval.takes.sequence import FLOOR, N_PHASES, Run, SequenceModel, SequenceWeights, join_phases
 from dousa.retrieval.takes.windows import TAKE_RATE
 
 SHORT_GAP = 15
 """Frames between two actions, or at an end, that are shared out among them."""
 
-_VERSION = 4
+_View = Callable[[NDArray[np.float32]], NDArray[np.float32]]  # discriminants of moments
+
+_VERSION, _EARLIER = 5, 4
 _WHAT = Message("stored.labeller")
 _NAMES = (
     *("version", "classes", *MODEL_ARRAYS, "log_lengths", "spreads", "weights"),
@@ -51,6 +62,7 @@ class Segment:
     category : None where it is unknown.
     confidence : 0 to 1, the probability that the category is right; of an unknown one, that none would be.
     repetitions : how often the action is done.
+    mirrored : whether it is so with left and right the other way round; never where the library tells sides apart.
     """
 
     start: float
@@ -58,6 +70,7 @@ class Segment:
     category: str | None
     confidence: float
     repetitions: int = 1
+    mirrored: bool = False
 
     def to_json(self) -> dict[str, Any]:
         """Plain words and numbers; times in seconds."""
@@ -68,6 +81,7 @@ class Segment:
             "unknown": self.category is None,
             "confidence": round(self.confidence, 4),
             "repetitions": self.repetitions,
+            "mirrored": self.mirrored,
         }
 
 
@@ -137,6 +151,7 @@ class TakeLabeller:
     held_states : (H,) what they are, as the model counts: 3 c + phase, 3 C for nothing.
     usual : (C', 18) what one repetition of a category comes to in each tally (`find_usual`); NaN where that is not
         known. C' is C without the categories only taught, or 0.
+    placing : (1 + K,) the same as ``calibration`` of being where any action is; of an earlier dousa none.
     """
 
     classes: tuple[str, ...]
@@ -147,6 +162,7 @@ class TakeLabeller:
     held: Codes
     held_states: NDArray[np.int32]
     usual: FloatArray = field(default_factory=lambda: np.empty((0, len(TALLIES))))
+    placing: tuple[float, ...] = ()
 
     def judge(self, sampled: FloatArray, height: float, n_jobs: int | None = None) -> NDArray[np.float32]:
         """How much each phase of each category, and nothing, is shown at the moments of a recording.
@@ -161,20 +177,40 @@ class TakeLabeller:
         -------
         (M, 3 C + 1) discriminants, about 1 for what is shown and about 0 for all else.
         """
+        return self._judge(sampled, height, n_jobs, (self.model.judge,))[0]
+
+    def judge_both(
+        self, sampled: FloatArray, height: float, n_jobs: int | None = None
+    ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        """Twice as ``judge``: of a recording, and of its mirror image."""
+        views = self.model.judge, lambda values: self.model.judge(mirror_moments(values))
+        own, mirrored = self._judge(sampled, height, n_jobs, views)
+        return own, mirrored
+
+    def _judge(
+        self, sampled: FloatArray, height: float, n_jobs: int | None, views: Sequence[_View]
+    ) -> list[NDArray[np.float32]]:
         import joblib
 
         firsts = chunk_starts(len(sampled))
-        scores = np.empty((count_moments(len(sampled)), N_PHASES * len(self.classes) + 1), np.float32)
+        shape = count_moments(len(sampled)), N_PHASES * len(self.classes) + 1
+        scores = [np.empty(shape, np.float32) for _ in views]
 
         def fill(first: int) -> None:
             rows, values = describe_chunk(sampled, height, first)
-            scores[rows] = self.model.judge(values)
+            for some, view in zip(scores, views, strict=True):
+                some[rows] = view(values)
 
         # One chunk alone is not worth the threads.
         joblib.Parallel(n_jobs=n_jobs if len(firsts) > 1 else 1, prefer="threads")(
             joblib.delayed(fill)(first) for first in firsts
         )
         return scores
+
+    @property
+    def tells_sides(self) -> bool:
+        """Whether the mirror image of some category is another one: a wave with the left hand, one with the right."""
+        return _tells_sides(self)
 
     def choose(self, scores: NDArray[np.float32], n_frames: int, *, never_unknown: bool = False) -> list[Chosen]:
         """The actions of a recording, in the order of time, from the discriminants (M, 3 C + 1) at its moments."""
@@ -185,6 +221,11 @@ class TakeLabeller:
                 min(run.stop * HOP, n_frames),
                 run.state,
                 describe_run(shares, run, self.sequence),
+                shares=average_shares(shares, run)[:-1],
+                parts=tuple(
+                    (one.start * HOP, min(one.stop * HOP, n_frames))
+                    for one in self.sequence.cut_repetitions(shares, run)
+                ),
             )
             for run in self.sequence.find_runs(shares, never_nothing=never_unknown)
             if run.state < len(self.classes)
@@ -192,9 +233,15 @@ class TakeLabeller:
 
     def confidence(self, evidence: FloatArray) -> FloatArray:
         """(W,) probability that segments are right, from their evidence (W, K)."""
-        offset, *weights = self.calibration
-        sure: FloatArray = 1.0 / (1.0 + np.exp(-np.clip(evidence @ np.array(weights) + offset, -50, 50)))
-        return sure
+        return _weigh_evidence(evidence, self.calibration)
+
+    def place(self, evidence: FloatArray) -> FloatArray:
+        """(W,) probability that segments are where some action is, from their evidence (W, K)."""
+        return _weigh_evidence(evidence, self.placing or self.calibration)
+
+    def find_most(self, evidence: FloatArray) -> float:
+        """The greatest probability that a segment with some evidence (K,) is right, whoever judges it."""
+        return float(max(self.place(evidence[None])[0], self.confidence(evidence[None])[0]))
 
     def to_bytes(self) -> bytes:
         """The bytes of an .npz file (no pickle); the same labeller gives the same bytes."""
@@ -212,23 +259,25 @@ class TakeLabeller:
                 "held": self.held,
                 "held_states": self.held_states,
                 "usual": self.usual,
+                "placing": np.array(self.placing or self.calibration, np.float64),
             }
         )
 
     @classmethod
     def from_bytes(cls, data: bytes) -> TakeLabeller:
         """The labeller that ``to_bytes`` wrote; DousaError for damaged, other or newer bytes."""
-        arrays = unpack_arrays(data, _NAMES, _WHAT)
-        check_version(arrays, _WHAT, (_VERSION,))
+        arrays = unpack_arrays(data, _NAMES, _WHAT, ("placing",))
+        check_version(arrays, _WHAT, (_EARLIER, _VERSION))
+        arrays.setdefault("placing", arrays["calibration"])
         classes = arrays["classes"]
         check(classes.ndim == 1 and len(classes) > 0 and classes.dtype.kind == "U", _WHAT, "bad categories")
         check(len(np.unique(classes)) == len(classes), _WHAT, "a category occurs twice")
         states = len(classes) + 1
         model = read_moment_model(arrays, N_PHASES * len(classes) + 1, N_VALUES, _WHAT)
-        names = ("log_lengths", "spreads", "weights", "calibration", "threshold")
+        names = ("log_lengths", "spreads", "weights", "calibration", "threshold", "placing")
         numbers = {name: arrays[name] for name in names}
         shapes = {"log_lengths": (states,), "spreads": (states,), "weights": (3,), "threshold": ()}
-        shapes["calibration"] = (1 + N_EVIDENCE,)
+        shapes["calibration"] = shapes["placing"] = (1 + N_EVIDENCE,)
         for name, array in numbers.items():
             right = array.dtype == np.float64 and array.shape == shapes[name]
             check(right and bool(np.isfinite(array).all()), _WHAT, f"bad {name}")
@@ -250,11 +299,31 @@ class TakeLabeller:
             held,
             of,
             usual,
+            tuple(map(float, numbers["placing"])),
         )
+
+
+@lru_cache(maxsize=4)
+def _tells_sides(labeller: TakeLabeller) -> bool:
+    rows = np.flatnonzero(labeller.held_states < N_PHASES * len(labeller.classes))
+    scale = labeller.model.scale
+    values = (labeller.held[rows] / scale.scales + scale.lows).astype(np.float32)
+    return are_mirrored(scale, values, mirror_moments(values), labeller.held_states[rows] // N_PHASES)
 
 
 N_EVIDENCE = 6
 """Numbers that say how sure a segment is."""
+
+
+def _weigh_evidence(evidence: FloatArray, curve: Sequence[float]) -> FloatArray:
+    offset, *weights = curve
+    chances: FloatArray = 1.0 / (1.0 + np.exp(-np.clip(evidence @ np.array(weights) + offset, -50, 50)))
+    return chances
+
+
+def average_shares(shares: NDArray[np.float32], run: Run) -> FloatArray:
+    """(C + 1,) how much of each category, and of nothing, a run shows, from the shares (M, 3 C + 1) of all moments."""
+    return np.asarray(join_phases(shares[run.start : run.stop]).mean(axis=0), np.float64)
 
 
 def describe_run(shares: NDArray[np.float32], run: Run, sequence: SequenceModel) -> FloatArray:
@@ -263,7 +332,7 @@ def describe_run(shares: NDArray[np.float32], run: Run, sequence: SequenceModel)
     The log of the mean probability of its category, the lead over the second as a share of it, how usual its length is,
     the log of that length, and the log odds that its category begins where it does, and ends.
     """
-    means = join_phases(shares[run.start : run.stop]).mean(axis=0)
+    means = average_shares(shares, run)
     own = max(float(means[run.state]), 1e-3)
     second = float(np.delete(means[:-1], run.state).max(initial=0.0))
     length = np.log((run.stop - run.start) * HOP)
@@ -276,53 +345,101 @@ def describe_run(shares: NDArray[np.float32], run: Run, sequence: SequenceModel)
     return np.array(evidence, np.float64)
 
 
-# Weights of the log odds that a segment is right: of those that the labeller gives it, and of those that it has as a
-# clip. Fitted to segments in takes of people who did not train: HDM05's and UTD-MHAD's joined clips, as recorded, slow
-# and noisy, with and without unknown actions, and UTKinect's own takes, each set counting the same (docs/takes.md).
-_OFFSET, _BY_LABELLER, _BY_CLIP = -1.48, 0.76, 0.39
-_LEAST_CHANCE = 1e-3
+# Weights of the log odds that the name of a segment is right if there is an action: of those of the name against all
+# others, of how typical its poses are for that, and of how unsteady the bones are, as a noisy sensor makes all less
+# typical. Fitted to segments in takes of people who did not train, as recorded and disturbed, with and without unknown
+# actions: HDM05's, UTD-MHAD's and Bandai's joined clips, each set counting the same, and UTKinect's own takes, which
+# count less (benchmarks/segment_confidence.py, docs/takes.md).
+_OFFSET, _BY_LEAD, _BY_TYPICAL, _BY_UNSTEADINESS = -0.94, 0.78, 4.16, 8.32
 _EVEN = 0.5
 
 
 def weigh_chosen(
-    labeller: TakeLabeller, chosen: Sequence[Chosen], motion: PosedMotion, judge: StretchJudge | None
+    labeller: TakeLabeller,
+    chosen: Sequence[Chosen],
+    motion: PosedMotion,
+    judge: StretchJudge | None,
+    n_jobs: int | None = None,
 ) -> list[Chosen]:
-    """Actions with how likely they are right, and of another category where the clips are surer of that.
+    """Actions with how likely they are right, and by the name that the clips and the labeller give together.
 
     Parameters
     ----------
     motion : what the frames of the actions count in.
     judge : of clips; None, or one that does not know a category: the labeller's word alone counts.
+    n_jobs : threads; None for one.
     """
     if not chosen:
         return []
-    sure = labeller.confidence(np.stack([one.evidence for one in chosen]))
+    evidence = np.stack([one.evidence for one in chosen])
+    sure = labeller.confidence(evidence)
     said = [
         replace(one, confidence=float(own), likely=bool(own >= labeller.threshold))
         for one, own in zip(chosen, sure, strict=True)
     ]
     if judge is None:
         return said
-    numbers = {name: number for number, name in enumerate(labeller.classes)}
-    spans = [(one.start / TAKE_RATE, one.stop / TAKE_RATE) for one in chosen]
-    seen = judge.judge(motion, spans, [labeller.classes[one.category] for one in chosen])
-    weighed = []
-    for k, (one, guess) in enumerate(zip(said, seen.guesses, strict=True)):
-        own, chance, other = one.confidence, float(seen.chances[k]), float(seen.guess_chances[k])
-        if not seen.judged[k]:
-            weighed.append(one)
-        elif guess in numbers and min(other, 1.0 - own) > max(_EVEN, min(chance, own)):
-            weighed.append(replace(one, category=numbers[guess], confidence=min(other, 1.0 - own), likely=True))
-        else:
-            both = combine_chances(own, chance)
-            weighed.append(replace(one, confidence=both, likely=max(both, chance) >= _EVEN))
-    return weighed
+    names = labeller.classes
+    whole, spans = _divide(chosen)
+    shares = np.stack([chosen[k].shares for k in whole])
+    found = [names[chosen[k].category] for k in whole]
+    seen = _gather(judge.judge(motion, spans, found, shares, names, n_jobs), whole)
+    placed = labeller.place(evidence)
+    chances = combine_chances(placed, seen)
+    for k in np.flatnonzero(seen.judged).tolist():
+        # That it is an action the sequence has decided; here is asked whether it is one that has a name.
+        likely = bool(seen.sure[k] or chances[k] >= _EVEN * placed[k])
+        said[k] = replace(said[k], category=names.index(seen.names[k]), confidence=float(chances[k]), likely=likely)
+    return said
 
 
-def combine_chances(by_labeller: float, by_clip: float) -> float:
-    """The probability that a segment is right, from what the labeller and the clips say of it, each by itself."""
-    odds = [np.log(one / (1.0 - one)) for one in np.clip((by_labeller, by_clip), _LEAST_CHANCE, 1.0 - _LEAST_CHANCE)]
-    return float(1.0 / (1.0 + np.exp(-(_OFFSET + _BY_LABELLER * odds[0] + _BY_CLIP * odds[1]))))
+_MOST_PARTS = 6  # of an action that are judged
+
+
+def _divide(chosen: Sequence[Chosen]) -> tuple[NDArray[np.intp], list[tuple[float, float]]]:
+    """Parts (P,) of actions, s, and of which action each is.
+
+    What is repeated without a rest is one action, and much longer than any clip of it; its parts are what clips show.
+    """
+    whole: list[int] = []
+    spans: list[tuple[float, float]] = []
+    for k, one in enumerate(chosen):
+        parts = one.parts or ((one.start, one.stop),)
+        parts = parts[:: -(-len(parts) // _MOST_PARTS)]
+        whole += [k] * len(parts)
+        spans += [(start / TAKE_RATE, stop / TAKE_RATE) for start, stop in parts]
+    return np.array(whole, np.intp), spans
+
+
+def _gather(seen: StretchOpinions, whole: NDArray[np.intp]) -> StretchOpinions:
+    """Opinions on N actions from those on their parts: the name that most speaks for, and the means."""
+    if len(whole) == whole.max() + 1:
+        return seen
+    names, leads, sure = [], [], []
+    for k in range(int(whole.max()) + 1):
+        parts = np.flatnonzero(whole == k)
+        votes: dict[str, float] = {}
+        for part in parts.tolist():
+            votes[seen.names[part]] = votes.get(seen.names[part], 0.0) + max(float(seen.leads[part]), 0.0) + 1e-9
+        names.append(max(votes, key=lambda name: votes[name]))
+        same = np.array([seen.names[part] == names[-1] for part in parts])
+        leads.append(float(np.where(same, seen.leads[parts], -np.abs(seen.leads[parts])).mean()))
+        sure.append(bool((seen.sure[parts] & same).mean() >= _EVEN))
+    count = np.bincount(whole)
+    typical, unsteady = (np.bincount(whole, values) / count for values in (seen.typical, seen.unsteady))
+    firsts = np.flatnonzero(np.diff(whole, prepend=-1))
+    return StretchOpinions(seen.judged[firsts], tuple(names), np.array(leads), typical, unsteady, np.array(sure))
+
+
+def combine_chances(placed: FloatArray, seen: StretchOpinions) -> FloatArray:
+    """The probabilities (N,) that segments are right.
+
+    Each is right if some action is where it is, and if that action has the name that the clips give it. How likely the
+    first is (``placed``), the labeller knows of such takes.
+    """
+    odds = _OFFSET + _BY_LEAD * seen.leads + _BY_TYPICAL * seen.typical + _BY_UNSTEADINESS * seen.unsteady
+    chances: FloatArray = placed / (1.0 + np.exp(-odds))
+    return chances
 
 
 def label_take(
@@ -354,10 +471,24 @@ def label_take(
     check_threshold(threshold)
     points = check_motion(motion)
     sampled = sample_positions(points, motion.frame_rate)
-    scores = labeller.judge(sampled, motion.height, n_jobs)
-    chosen = labeller.choose(scores, len(sampled), never_unknown=threshold == 0)
-    chosen = weigh_chosen(labeller, chosen, motion, judge)
-    chosen = count_all(chosen, sampled, motion.height, labeller.usual)
+
+    def choose(scores: NDArray[np.float32]) -> list[Chosen]:
+        return labeller.choose(scores, len(sampled), never_unknown=threshold == 0)
+
+    if labeller.tells_sides:
+        chosen = weigh_chosen(labeller, choose(labeller.judge(sampled, motion.height, n_jobs)), motion, judge, n_jobs)
+    else:
+        own, mirrored = labeller.judge_both(sampled, motion.height, n_jobs)
+        chosen = weigh_chosen(labeller, choose(own), motion, judge, n_jobs)
+        # The clips make nothing likelier than that some action is there.
+        possible = [
+            one
+            for one in choose(mirrored)
+            if is_clearer(replace(one, confidence=labeller.find_most(one.evidence)), chosen)
+        ]
+        image = CutStretch(mirror_positions(points), motion.frame_rate, motion.height)
+        chosen = lay_mirrored(chosen, weigh_chosen(labeller, possible, image, judge, n_jobs), SHORT_GAP)
+    chosen = count_all(chosen, sampled, motion.height, labeller.usual, n_jobs)
     limit = usual_threshold(labeller, judge) if threshold is None else threshold
     said = [one.likely if threshold is None else one.confidence >= threshold for one in chosen]
     return make_timeline(chosen, said, labeller.classes, len(points) / motion.frame_rate, limit)
@@ -387,7 +518,8 @@ def make_timeline(
             parts.append(Segment(reached / TAKE_RATE, start / TAKE_RATE, None, 1.0))
         category = classes[one.category] if known else None
         sure = one.confidence if known else 1.0 - one.confidence
-        parts.append(Segment(start / TAKE_RATE, stop / TAKE_RATE, category, sure, one.repetitions if known else 1))
+        often, mirrored = (one.repetitions, one.mirrored) if known else (1, False)
+        parts.append(Segment(start / TAKE_RATE, stop / TAKE_RATE, category, sure, often, mirrored))
         reached = stop
     if reached < n_frames:
         parts.append(Segment(reached / TAKE_RATE, duration, None, 1.0))

@@ -22,7 +22,7 @@ from dousa.retrieval.counting.counter import find_usual
 from dousa.retrieval.counting.tallies import measure_tallies
 from dousa.retrieval.features.posed_motion import AnnotatedTake, LabelledClip, check_motion
 from dousa.retrieval.takes.label import SHORT_GAP, TakeLabeller
-from dousa.retrieval.takes.labeller_tuning import STRANGE, UNCOUNTED, Trial, calibrate, choose_weights
+from dousa.retrieval.takes.labeller_tuning import STRANGE, UNCOUNTED, Trial, calibrate, calibrate_places, choose_weights
 from dousa.retrieval.takes.made_takes import (
     JoinedTake,
     Piece,
@@ -40,7 +40,7 @@ from dousa.retrieval.takes.moment_model import (
     sharpen,
     sum_moments,
 )
-from dousa.retrieval.takes.moments import HOP, describe_moments
+from dousa.retrieval.takes.moments import HOP, N_VALUES, count_moments, describe_moments
 from dousa.retrieval.takes.sequence import (
     FLOOR,
     N_PHASES,
@@ -51,6 +51,7 @@ from dousa.retrieval.takes.sequence import (
     join_phases,
 )
 from dousa.retrieval.takes.windows import TAKE_RATE
+from dousa.workers.threads import map_pieces
 
 Progress = Callable[[int, int], None]
 
@@ -100,17 +101,20 @@ def train_labeller(
     report(0, _STEPS)
     material = _make_material(clips, takes, np.random.default_rng(seeds[0]))
     report(1, _STEPS)
-    scale, shown = _describe(material, classes, n_jobs)
+    scale, codes, shown = _describe(material, classes, n_jobs)
     report(2, _STEPS)
     generator = np.random.default_rng(seeds[1])
     sequence = fit_lengths(_measure(material, classes), SequenceWeights())
-    model, trials = _learn_model(scale, shown, len(classes), generator)
+    del material  # some hundred kilobytes for every take
+    model, trials = _learn_model(scale, codes, shown, len(classes), generator)
     report(3, _STEPS)
     sequence = replace(sequence, weights=choose_weights(sequence, trials))
-    calibration, threshold = calibrate([answer for trial in trials for answer in trial.answer(sequence)])
-    codes, states = _gather(shown, len(classes), generator)
+    answers = [answer for trial in trials for answer in trial.answer(sequence)]
+    calibration, threshold = calibrate(answers)
+    placing = calibrate_places(answers)
+    held, states = _gather(shown, len(classes), generator)
     usual = _find_usual(clips, takes, classes)
-    return TakeLabeller(classes, model, sequence, calibration, threshold, codes, states, usual)
+    return TakeLabeller(classes, model, sequence, calibration, threshold, held, states, usual, placing)
 
 
 _STEPS = 4
@@ -211,10 +215,12 @@ class _Shown:
     pieces: list[Run]
 
 
-def _describe(material: Sequence[_Material], classes: Sequence[str], n_jobs: int | None) -> tuple[Scale, list[_Shown]]:
-    import joblib
+def _describe(
+    material: Sequence[_Material], classes: Sequence[str], n_jobs: int | None
+) -> tuple[Scale, Codes, list[_Shown]]:
+    """The scale, the moments of all takes, one after the other, and those of each take, which are parts of them."""
 
-    from dousa.retrieval.features.channels import sample_positions
+    from dousa.retrieval.features.channels import count_samples, sample_positions
 
     def values_of(one: _Material) -> NDArray[np.float32]:
         sampled = sample_positions(one.take.positions, one.take.frame_rate)
@@ -224,15 +230,17 @@ def _describe(material: Sequence[_Material], classes: Sequence[str], n_jobs: int
     scale = choose_scale(np.concatenate([values_of(one) for one in material[::every]])[::_SCALED_MOMENTS])
     numbers = {name: number for number, name in enumerate(classes)}
 
-    def show(one: _Material) -> _Shown:
-        codes = scale.encode(values_of(one))
-        states = _states_of(one.take, len(codes), numbers)
-        return _Shown(codes, states, one.performer, _runs_of(one.take, len(codes), numbers))
+    sizes = [count_moments(count_samples(len(one.take.positions), one.take.frame_rate)) for one in material]
+    starts = np.cumsum([0, *sizes])
+    codes = np.empty((starts[-1], N_VALUES), np.uint8)
 
-    shown: list[_Shown] = joblib.Parallel(n_jobs=n_jobs, prefer="threads")(
-        joblib.delayed(show)(one) for one in material
-    )
-    return scale, shown
+    def show(place: int) -> _Shown:
+        one, own = material[place], codes[starts[place] : starts[place + 1]]
+        own[:] = scale.encode(values_of(one))
+        states = _states_of(one.take, len(own), numbers)
+        return _Shown(own, states, one.performer, _runs_of(one.take, len(own), numbers))
+
+    return scale, codes, map_pieces(show, range(len(material)), n_jobs, at_a_time=1)
 
 
 _SCALED_TAKES, _SCALED_MOMENTS = 12, 3  # takes that the scale is measured on, and every which moment of them
@@ -291,7 +299,7 @@ class _Fold:
 
 
 def _learn_model(
-    scale: Scale, shown: Sequence[_Shown], n_categories: int, generator: np.random.Generator
+    scale: Scale, codes: Codes, shown: Sequence[_Shown], n_categories: int, generator: np.random.Generator
 ) -> tuple[MomentModel, list[Trial]]:
     """The discriminants of all, and what those without some people say of these people's takes."""
     n_states = N_PHASES * n_categories + 1
@@ -299,7 +307,6 @@ def _learn_model(
     mixed, count = generator.permutation(n_categories), round(_SET_ASIDE * n_categories)
     asides = [mixed[k * count : (k + 1) * count] for k in range(len(people))]
     states = np.concatenate([one.states for one in shown])
-    codes = np.concatenate([one.codes for one in shown])
     weigh = _weigh(states[states >= 0], n_states)
     # Which folds a moment is no part of, as bits: one sum for all that are in the same ones.
     out = np.zeros(len(states), np.int64)
@@ -387,8 +394,9 @@ def _try_fold(fold: _Fold, scores: NDArray[np.float32], sharpness: float, n_cate
         first += len(own)
         states = np.where(one.states < 0, one.states, one.states // N_PHASES)
         strange = _forgive(np.where(np.isin(states, fold.aside), STRANGE, states), n_categories)
-        pieces = [piece for piece in one.pieces if piece.state not in fold.aside]
-        trials.append(Trial(sharpen(own, sharpness), strange, pieces))
+        known = [piece for piece in one.pieces if piece.state not in fold.aside]
+        others = [piece for piece in one.pieces if piece.state in fold.aside]
+        trials.append(Trial(sharpen(own, sharpness), strange, known, others))
     return trials
 
 

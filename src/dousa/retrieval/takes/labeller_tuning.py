@@ -7,7 +7,7 @@ them best, how often an answer with this evidence is right, and what is gained b
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,11 +28,18 @@ _DEFAULT_THRESHOLD = 0.5
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Trial:
-    """A take of somebody left out: probabilities of the phases (M, 3 C + 1), and the truth (M,), C being nothing."""
+    """A take of somebody left out: probabilities of the phases (M, 3 C + 1), and the truth (M,), C being nothing.
+
+    Parameters
+    ----------
+    pieces : actions of categories that the fold knows.
+    strange : actions of the others.
+    """
 
     shares: NDArray[np.float32]
     states: IntArray
     pieces: list[Run]
+    strange: list[Run] = field(default_factory=list)
 
     def answer(self, sequence: SequenceModel) -> list[Answer]:
         """What the model says, and what of it is right."""
@@ -45,14 +52,15 @@ class Trial:
                     evidence = describe_run(self.shares, run, sequence)
                     right, strange = (float((true == state).mean()) for state in (run.state, STRANGE))
                     found = any(_is_same(run, piece) for piece in self.pieces)
-                    answers.append(Answer(evidence, len(true), right, strange, found))
+                    placed = any(_is_there(run, piece) for piece in (*self.pieces, *self.strange))
+                    answers.append(Answer(evidence, len(true), right, strange, found, placed))
         return answers
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Answer:
     """A segment that was said: evidence (K,), moments, shares of them that are right, and of categories not known, and
-    whether it overlaps a true one of its category by half.
+    whether it overlaps a true one by half: of its category, or of any.
     """
 
     evidence: FloatArray
@@ -60,6 +68,7 @@ class Answer:
     right: float
     strange: float
     found: bool
+    placed: bool
 
 
 _EVIDENCE = (0.2, 0.4, 0.8, 1.6)
@@ -115,8 +124,12 @@ def _rate(sequence: SequenceModel, trials: Sequence[Trial], events: float) -> fl
 
 
 def _is_same(one: Run, other: Run) -> bool:
+    return one.state == other.state and _is_there(one, other)
+
+
+def _is_there(one: Run, other: Run) -> bool:
     shared = min(one.stop, other.stop) - max(one.start, other.start)
-    return one.state == other.state and 2 * shared >= max(one.stop, other.stop) - min(one.start, other.start)
+    return 2 * shared >= max(one.stop, other.stop) - min(one.start, other.start)
 
 
 def calibrate(answers: Sequence[Answer]) -> tuple[tuple[float, ...], float]:
@@ -145,6 +158,22 @@ def calibrate(answers: Sequence[Answer]) -> tuple[tuple[float, ...], float]:
     # Half way to the next answer, which does not pay any more.
     following = sure[order[best + 1]] if best + 1 < len(order) else 0.0
     return (offset, *weights), float(0.5 * (sure[order[best]] + following))
+
+
+def calibrate_places(answers: Sequence[Answer]) -> tuple[float, ...]:
+    """Weights of the log odds that an answer is where any action is, of whatever category.
+
+    How often nothing is taken for an action differs between libraries more than anything else: hardly ever where clips
+    are joined, every other time where people walk about between what was annotated.
+    """
+    placed = np.array([one.placed for one in answers], bool)
+    if len(placed) < _ENOUGH:
+        return _DEFAULT_CALIBRATION
+    often = np.array([_STRANGERS if one.strange > 0.5 else 1.0 for one in answers])
+    # Platt's targets: where all of them are, one that is not will come.
+    there, away = int(placed.sum()), int((~placed).sum())
+    truth = np.where(placed, (there + 1.0) / (there + 2.0), 1.0 / (away + 2.0))
+    return fit_logistic(np.stack([one.evidence for one in answers]), truth, often)
 
 
 def fit_logistic(columns: FloatArray, truth: FloatArray, often: FloatArray | None = None) -> tuple[float, ...]:

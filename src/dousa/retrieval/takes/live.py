@@ -26,6 +26,7 @@ from dousa.retrieval.takes.label import (
     SHORT_GAP,
     Segment,
     TakeLabeller,
+    average_shares,
     check_threshold,
     describe_run,
     weigh_chosen,
@@ -199,7 +200,8 @@ class LiveLabeller:
         evidence = describe_run(self._share(), run, self._labeller.sequence)
         begin = self._sampler.oldest
         start, stop = ((self._settled + edge) * HOP for edge in (run.start, run.stop))
-        kept = Chosen(max(start - begin, 0), min(stop, self._sampler.count) - begin, run.state, evidence)
+        first, last = max(start - begin, 0), min(stop, self._sampler.count) - begin
+        kept = Chosen(first, last, run.state, evidence, shares=average_shares(self._share(), run)[:-1])
         motion = CutStretch(self._sampler.last(self._sampler.count - begin), TAKE_RATE, float(self.height or 1.0))
         # Of what is gone the labeller's word counts alone.
         return weigh_chosen(self._labeller, [kept], motion, self._judge if kept.stop > HOP else None)[0]

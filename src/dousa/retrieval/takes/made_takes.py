@@ -202,7 +202,7 @@ _SLOWEST = 10.0  # Hz
 _NOISE = 0.035  # m, of the noisiest joints
 _MISSING = 0.1  # of the frames of a joint, at most
 _LONGEST_GAP = 6  # frames
-_DRIFT, _LASTING = 0.04, (0.7, 4.0)  # m, of errors that last; frames of their standard deviation
+_DRIFT, _LASTING = 0.05, (0.7, 4.0)  # m, of the largest errors that last; frames of their standard deviation
 _JUMP, _JUMPS, _JUMP_SHARE = 0.1, 0.01, 0.3  # m; share of the frames of a joint; share of the takes that have such
 
 
@@ -243,8 +243,15 @@ def disturb_motion(motion: PosedMotion, generator: np.random.Generator) -> Joine
     if generator.random() < 0.5:
         errors = smooth_positions(generator.normal(size=points.shape), generator.uniform(*_LASTING))
         errors /= errors.std() + 1e-9
-        points = points + errors * (_DRIFT * generator.random() / np.sqrt(3.0))
+        points = points + errors * (_DRIFT * np.sqrt(generator.random() / 3.0))
     return disturb(JoinedTake(points, motion.height, ()), generator)
+
+
+def mirror_positions(points: FloatArray) -> FloatArray:
+    """(n, 20, 3) canonical joints with left and right the other way round."""
+    image = np.take(points, MIRRORED_JOINTS, axis=1)
+    np.negative(image[..., 0], out=image[..., 0])
+    return image
 
 
 def _stretch_bones(points: FloatArray, generator: np.random.Generator) -> FloatArray:

@@ -125,6 +125,34 @@ def read_moment_model(arrays: dict[str, NDArray[Any]], n_states: int, n_values: 
     return MomentModel(Scale(lows, scales, means, spreads), weights, float(sharpness))
 
 
+_MIRROR_IMAGE = 0.55  # least cosine of the mean of a category and the mirror image of another
+
+
+def are_mirrored(scale: Scale, values: Floats, images: Floats, categories: NDArray[np.integer[Any]]) -> bool:
+    """Whether there are two categories each of which is most like the mirror image of the other, and much like it.
+
+    Parameters
+    ----------
+    values, images : (N, F) of some moments, and of the same in the mirror.
+    categories : (N,) what they show.
+    """
+    there = np.unique(categories)
+    if len(there) < 2:
+        return False
+    means = []
+    for some in (values, images):
+        scores = scale.standardise(scale.encode(some))[:, :-1]
+        means.append(np.stack([scores[categories == one].mean(axis=0, dtype=np.float64) for one in there]))
+    own, mirrored = means
+    products = mirrored @ own.T
+    sizes = (mirrored**2).sum(axis=1)[:, None], (own**2).sum(axis=1)
+    cosines = products / np.maximum(np.sqrt(sizes[0] * sizes[1]), 1e-12)
+    nearest = (sizes[0] + sizes[1] - 2.0 * products).argmin(axis=1)
+    places = np.arange(len(there))
+    mutual = (nearest != places) & (nearest[nearest] == places)
+    return bool((cosines[places, nearest][mutual] > _MIRROR_IMAGE).any())
+
+
 def sharpen(scores: Floats, sharpness: float) -> Floats:
     """(M, S) probabilities from discriminants (M, S)."""
     shares: Floats = scores - scores.max(axis=1, keepdims=True)

@@ -14,7 +14,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dousa.arrays import FloatArray
-from dousa.retrieval.features.channels import CHANNEL_RATE, CHANNELS, compute_channels, smooth_positions
+from dousa.retrieval.features.channels import (
+    CHANNEL_RATE,
+    CHANNELS,
+    MIRRORED_CHANNELS,
+    compute_channels,
+    smooth_positions,
+)
 
 HOP = 6
 """Frames at 30 Hz from one moment to the next."""
@@ -78,3 +84,20 @@ def describe_chunk(positions: FloatArray, height: float, first: int) -> tuple[sl
     seconds, efforts = _SECONDS * CHANNEL_RATE, _SECONDS * _PER_SECOND * CHANNEL_RATE
     describe(sums, times, moments, seconds, efforts, float(REACH), values)
     return slice(first // HOP, first // HOP + len(moments)), values
+
+
+def mirror_moments(values: NDArray[np.float32]) -> NDArray[np.float32]:
+    """(M, F) values of the moments of the mirror image of a recording, from its own."""
+    return values[:, _MIRRORED[0]] * _MIRRORED[1]
+
+
+def _list_mirrored() -> tuple[NDArray[np.intp], NDArray[np.float32]]:
+    """Means and spreads of the channels in each cell of seconds, then spreads in each cell of movement."""
+    order, signs = MIRRORED_CHANNELS
+    alike, cells = np.ones(len(signs)), len(_SECONDS) - 1
+    all_signs = np.concatenate([*([signs, alike] * cells), *([alike] * cells)])
+    places = np.concatenate([order + len(order) * k for k in range(3 * cells)])
+    return places, all_signs.astype(np.float32)
+
+
+_MIRRORED = _list_mirrored()

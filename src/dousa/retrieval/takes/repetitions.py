@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import bisect
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -12,8 +13,10 @@ from dousa.retrieval.counting.counter import choose_count, count_repetitions, fi
 from dousa.retrieval.counting.tallies import measure_tallies
 from dousa.retrieval.features.posed_motion import PosedMotion, check_motion
 from dousa.retrieval.takes.made_takes import SERIES
+from dousa.workers.threads import map_pieces
 
 _LONGEST_REST = 90  # frames between neighbours of a series
+_LONGEST_SLIP = 45  # frames, where something lies there that is not likely right
 
 
 def count_clip(motion: PosedMotion, alike: Sequence[PosedMotion] = ()) -> int:
@@ -51,6 +54,9 @@ class Chosen:
     repetitions : how often it is done.
     confidence : probability that the category is right.
     likely : whether it is named where nobody asks for a confidence.
+    shares : (C,) how much of each category it shows, on average, by the labeller.
+    parts : its repetitions, where it is much longer than usual, from which frame to which; none for the whole.
+    mirrored : whether it was seen in the mirror image of the recording.
     """
 
     start: int
@@ -60,10 +66,73 @@ class Chosen:
     repetitions: int = 1
     confidence: float = 0.0
     likely: bool = True
+    shares: FloatArray = field(default_factory=lambda: np.empty(0))
+    parts: tuple[tuple[int, int], ...] = ()
+    mirrored: bool = False
+
+
+_LEAD, _LEAST = 1.5, 1.0  # log odds above those of what is there, of which nothing and doubt count as so many
+_LEAST_CHANCE = 1e-3
+
+
+def lay_mirrored(chosen: Sequence[Chosen], mirrored: Sequence[Chosen], shortest: int) -> list[Chosen]:
+    """The actions of a recording, and those of its mirror image where they are clearly likelier.
+
+    Parameters
+    ----------
+    chosen, mirrored : in the order of time, with how likely they are right.
+    shortest : frames; of what others are laid over so much stays, or nothing.
+
+    Returns
+    -------
+    In the order of time.
+    """
+    laid = list(chosen)
+    for one in sorted((one for one in mirrored if one.likely), key=lambda one: -one.confidence):
+        if not is_clearer(one, laid):
+            continue
+        first, last = _find_shared(one, laid)
+        parts = [replace(one, mirrored=True)]
+        for other in laid[first:last]:
+            if one.start - other.start >= shortest:
+                parts.append(replace(other, stop=one.start, parts=()))
+            if other.stop - one.stop >= shortest:
+                parts.append(replace(other, start=one.stop, parts=()))
+        laid[first:last] = sorted(parts, key=lambda part: part.start)
+    return laid
+
+
+def is_clearer(one: Chosen, laid: Sequence[Chosen]) -> bool:
+    """Whether an action of the mirror image is clearly likelier than those in its place, and no other is the same."""
+    length, odds, same = one.stop - one.start, 0.0, 0
+    first, last = _find_shared(one, laid)
+    for other in laid[first:last]:
+        if other.likely:
+            shared = min(one.stop, other.stop) - max(one.start, other.start)
+            odds += shared * (_find_odds(other) - _LEAST)
+            same += shared * (other.category == one.category)
+    return 2 * same <= length and _find_odds(one) > odds / length + _LEAST + _LEAD
+
+
+def _find_shared(one: Chosen, laid: Sequence[Chosen]) -> tuple[int, int]:
+    """Of actions in the order of time, which do not overlap: the first that shares a frame, and the one after them."""
+    return (
+        bisect.bisect_right(laid, one.start, key=lambda other: other.stop),
+        bisect.bisect_left(laid, one.stop, key=lambda other: other.start),
+    )
+
+
+def _find_odds(one: Chosen) -> float:
+    chance = min(max(one.confidence, _LEAST_CHANCE), 1.0 - _LEAST_CHANCE)
+    return float(np.log(chance / (1.0 - chance)))
 
 
 def count_all(
-    chosen: Sequence[Chosen], sampled: FloatArray, height: float, usual: FloatArray | None = None
+    chosen: Sequence[Chosen],
+    sampled: FloatArray,
+    height: float,
+    usual: FloatArray | None = None,
+    n_jobs: int | None = None,
 ) -> list[Chosen]:
     """How often each action is done; one that is done three times or more, with rests or without, is one action.
 
@@ -73,16 +142,11 @@ def count_all(
     sampled : (n, 20, 3) m at ``TAKE_RATE``, of the take.
     height : m.
     usual : as for `TakeLabeller`.
+    n_jobs : threads; None for one.
     """
-    series: list[list[Chosen]] = []
-    for one in chosen:
-        last = series[-1][-1] if series else None
-        if last is not None and last.category == one.category and one.start - last.stop <= _LONGEST_REST:
-            series[-1].append(one)
-        else:
-            series.append([one])
-    joined = [one for some in series for one in _join(some, sampled, height)]
-    return [replace(one, repetitions=_count(one, sampled, height, usual)) for one in joined]
+    joined = [one for some in _find_series(chosen) for one in _join(some)]
+    counts = map_pieces(lambda one: _count(one, sampled, height, usual), joined, n_jobs)
+    return [replace(one, repetitions=count) for one, count in zip(joined, counts, strict=True)]
 
 
 def _count(one: Chosen, sampled: FloatArray, height: float, usual: FloatArray | None) -> int:
@@ -90,14 +154,40 @@ def _count(one: Chosen, sampled: FloatArray, height: float, usual: FloatArray | 
     return count_repetitions(sampled[one.start : one.stop], height, known)
 
 
-def _join(series: Sequence[Chosen], sampled: FloatArray, height: float) -> list[Chosen]:
-    """Neighbours of one category as one where they are a series, else as they are."""
-    if len(series) < SERIES:
+def _find_series(chosen: Sequence[Chosen]) -> list[list[Chosen]]:
+    """Neighbours of one category, each beginning soon after the one before it ends, and what lies between them.
+
+    What is not likely right is no other action: it parts none, where there are enough that are alike.
+    """
+    series: list[list[Chosen]] = []
+    first = 0
+    while first < len(chosen):
+        last = first
+        for k in range(first + 1, len(chosen)):
+            rest = chosen[k].start - chosen[last].stop
+            if rest > (_LONGEST_REST if k == last + 1 else _LONGEST_SLIP):
+                break
+            if chosen[k].category == chosen[first].category:
+                last = k
+            elif chosen[k].likely:
+                break
+        some = list(chosen[first : last + 1])
+        if sum(one.category == some[0].category for one in some) < SERIES:
+            some = some[:1]
+        series.append(some)
+        first += len(some)
+    return series
+
+
+def _join(series: Sequence[Chosen]) -> list[Chosen]:
+    """A series as one action."""
+    if len(series) == 1:
         return list(series)
-    sizes = np.array([one.stop - one.start for one in series], np.float32)
-    evidence = np.average(np.stack([one.evidence for one in series]), axis=0, weights=sizes)
+    same = [one for one in series if one.category == series[0].category]
+    sizes = np.array([one.stop - one.start for one in same], np.float32)
+    evidence = np.average(np.stack([one.evidence for one in same]), axis=0, weights=sizes)
     confidence, likely = (
-        float(np.average([getattr(one, name) for one in series], weights=sizes)) for name in ("confidence", "likely")
+        float(np.average([getattr(one, name) for one in same], weights=sizes)) for name in ("confidence", "likely")
     )
     whole = replace(series[0], stop=series[-1].stop, evidence=evidence)
     return [replace(whole, confidence=confidence, likely=likely >= 0.5)]

@@ -38,6 +38,9 @@ class SequenceWeights:
     edges: float = 0.5
 
 
+_REPEATED = 2.4  # times as long as usual: what lasts longer is repeated
+_NEVER = 1e9
+
 FLOOR = 0.01
 """Of a probability: no moment forbids a category."""
 
@@ -93,36 +96,47 @@ class SequenceModel:
         -------
         One after another without gaps; none for no moment.
         """
-        from dousa.retrieval.takes.moment_kernels import find_best_sequence
-
         if not len(shares):
             return []
+        tables = self._weigh(shares)
+        lengths, tails = self._tabulate(len(shares))
+        again = np.zeros(len(tails))
+        again[-1] = np.inf
+        last = -1 if never_nothing else len(tails)
+        evidence, opening, closing, lengths = (np.ascontiguousarray(table[:, :last]) for table in (*tables, lengths))
+        return _search(evidence, opening, closing, lengths, tails[:last], again[:last])
+
+    def cut_repetitions(self, shares: NDArray[np.float32], run: Run) -> list[Run]:
+        """The parts of a run that are each as long as its category usually is, cut where it likeliest ends and begins.
+
+        Parameters
+        ----------
+        shares : as for `find_runs`, of all moments.
+        run : of a category. One that is not much longer than usual is its own only part.
+        """
+        usual = float(np.exp(self.log_lengths[run.state])) / HOP
+        if run.stop - run.start <= _REPEATED * usual:
+            return [run]
+        most = max(int(_REPEATED * usual), 1)
+        tables = *self._weigh(shares[run.start : run.stop]), self._tabulate(most)[0][:most]
+        evidence, opening, closing, lengths = (
+            np.ascontiguousarray(table[:, run.state : run.state + 1]) for table in tables
+        )
+        parts = _search(evidence, opening, closing, lengths, np.full(1, -_NEVER), np.zeros(1))
+        return [Run(run.start + one.start, run.start + one.stop, run.state) for one in parts]
+
+    def _weigh(self, shares: NDArray[np.float32]) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """(M, S) what speaks for each state at each moment, for its beginning there, and for its end."""
         weights = self.weights
         joined = np.maximum(join_phases(shares), 0.0).astype(np.float64)
         evidence = np.log(joined + FLOOR)
         evidence[:, -1] += weights.nothing
         evidence *= weights.evidence
-        edges = [np.zeros(evidence.shape), np.zeros(evidence.shape)]
-        for phase, edge in zip((0, N_PHASES - 1), edges, strict=True):
+        opening, closing = np.zeros(evidence.shape), np.zeros(evidence.shape)
+        for phase, edge in ((0, opening), (N_PHASES - 1, closing)):
             own = np.maximum(shares[:, phase:-1:N_PHASES], 0.0)
             edge[:, :-1] = weights.edges * np.log((own + FLOOR) / (np.maximum(joined[:, :-1] - own, 0.0) + FLOOR))
-        lengths, tails = self._tabulate(len(shares))
-        again = np.zeros(len(tails))
-        again[-1] = np.inf
-        last = -1 if never_nothing else len(tails)
-        evidence, opening, closing, lengths = (
-            np.ascontiguousarray(table[:, :last]) for table in (evidence, *edges, lengths)
-        )
-        tails, again = tails[:last], again[:last]
-        n, count = evidence.shape
-        begins, before = np.empty((n + 1, count), np.int32), np.empty((n + 1, count), np.int32)
-        state = find_best_sequence(evidence, opening, closing, lengths, tails, again, begins, before)
-        runs, stop = [], n
-        while stop > 0:
-            start = int(begins[stop, state])
-            runs.append(Run(start, stop, int(state)))
-            stop, state = start, before[stop, state]
-        return runs[::-1]
+        return evidence, opening, closing
 
     def _tabulate(self, n_moments: int) -> tuple[FloatArray, FloatArray]:
         """(L, S) log probabilities of lengths of 1, 2 ... moments, and (S,) what each further moment costs."""
@@ -140,6 +154,27 @@ class SequenceModel:
         means = np.concatenate([self.log_lengths[:-1], new.log_lengths[:-1], self.log_lengths[-1:]])
         spreads = np.concatenate([self.spreads[:-1], new.spreads[:-1], self.spreads[-1:]])
         return SequenceModel(means, spreads, self.weights)
+
+
+def _search(
+    evidence: FloatArray,
+    opening: FloatArray,
+    closing: FloatArray,
+    lengths: FloatArray,
+    tails: FloatArray,
+    again: FloatArray,
+) -> list[Run]:
+    from dousa.retrieval.takes.moment_kernels import find_best_sequence
+
+    n, count = evidence.shape
+    begins, before = np.empty((n + 1, count), np.int32), np.empty((n + 1, count), np.int32)
+    state = find_best_sequence(evidence, opening, closing, lengths, tails, again, begins, before)
+    runs, stop = [], n
+    while stop > 0:
+        start = int(begins[stop, state])
+        runs.append(Run(start, stop, int(state)))
+        stop, state = start, before[stop, state]
+    return runs[::-1]
 
 
 def fit_lengths(

@@ -18,14 +18,18 @@ def compare_leaves(leaves, query, out):  # pragma: no cover - compiled
 
 
 @njit(cache=True, nogil=True)
-def compare_poses(sums, starts, stops, query, out):  # pragma: no cover - compiled
+def compare_poses(sums, starts, stops, query, most, out):  # pragma: no cover - compiled
     """Root mean square distance between windows and a query, both cut into equal parts, into ``out``.
+
+    Of windows that are farther than ``most`` it is not computed to the end: infinite.
 
     Compared are the mean poses of the parts and the changes from one part to the next. ``sums`` (n + 1, P) are running
     sums of the poses, ``query`` (parts, P) the query's means. Parts start at whole frames.
     """
     n_parts, n_values = query.shape
     before, apart = np.empty(n_values), np.empty(n_values)
+    divisor = (2 * n_parts - 1) * n_values
+    limit = most * most * divisor * (1.0 + 1e-9)  # rounding must not lose one that is as far
     for w in range(len(starts)):
         length = stops[w] - starts[w]
         total, first = 0.0, starts[w]
@@ -40,6 +44,9 @@ def compare_poses(sums, starts, stops, query, out):  # pragma: no cover - compil
                 for k in range(n_values):
                     changed += (apart[k] - before[k]) ** 2
             total += placed + changed
+            if total > limit:
+                total = np.inf
+                break
             before, apart = apart, before
             first = last
-        out[w] = np.sqrt(total / ((2 * n_parts - 1) * n_values))
+        out[w] = np.sqrt(total / divisor)

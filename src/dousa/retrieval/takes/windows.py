@@ -176,6 +176,12 @@ class TakeWindows:
         """n, at ``TAKE_RATE``."""
         return len(self.poses)
 
+    @property
+    def n_bytes(self) -> int:
+        """Memory that all of it takes."""
+        arrays = self.leaves, self.poses, self.starts, self.stops, self.sums
+        return sum(array.nbytes for array in arrays)
+
     def rows_within(self, grid: WindowGrid) -> slice:
         """The windows from the shortest to the longest length of another grid, which follow one another."""
         lengths = self.stops - self.starts

@@ -17,10 +17,10 @@ from dousa.retrieval.words.vocabulary import Vocabulary, stem
 LEAST_SCORE, LEAST_OF_BEST = 0.5, 0.78
 """What a motion must score to be an answer: of the whole query, and of the best answer."""
 
-_NAME = 0.95  # words of a name, beside those of a category
-_DOES, _ALSO_DOES = 0.95, 0.7  # what a motion does: where its category says nothing, and where that says something else
+NAME = 0.95  # words of a name, beside those of a category
+DOES, ALSO_DOES = 0.95, 0.7  # what a motion does: where its category says nothing, and where that says something else
 _SPELLING, _MEANING = 0.9, 0.85  # a word that was corrected, or put in the place of one that nobody knows
-_OPPOSITE = 0.3  # what is left of words that say the opposite
+OPPOSITE = 0.3  # what is left of words that say the opposite
 _LITTLE = 0.3  # of the weight of a part that is implied: the hands of clapping
 _NAMED = 0.5  # a query must name more than this share of a relation's words for it to count
 _ENOUGH = 0.6  # and this share for all of it to count
@@ -107,13 +107,24 @@ def make_unit(vocabulary: Vocabulary, words: Sequence[Word]) -> Unit:
     return Unit(distinct, sum(weigh_word(vocabulary, word) for word in distinct))
 
 
+class KnownWords:
+    """The words of motions that the vocabulary lacks, by key; kept with the motions, as there may be very many.
+
+    Parameters
+    ----------
+    words : of the motions.
+    """
+
+    def __init__(self, words: Iterable[Word]) -> None:
+        self.own = {word.key: word for word in words if not word.meanings}
+        self.spelled = {key: word for key, word in self.own.items() if not any(map(str.isdigit, key))}
+
+
 Replace = Callable[[str], "tuple[str, float] | None"]
 """Gives for an English word that nobody knows a known one of similar meaning and its cosine, or None."""
 
 
-def read_query(
-    vocabulary: Vocabulary, text: str, known: Iterable[Word], replacement: Replace | None = None
-) -> ReadQuery:
+def read_query(vocabulary: Vocabulary, text: str, known: KnownWords, replacement: Replace | None = None) -> ReadQuery:
     """Understand a query.
 
     Parameters
@@ -122,15 +133,14 @@ def read_query(
     known : words of the motions that are searched.
     replacement : for words that are neither there nor in the vocabulary.
     """
-    own = {word.key: word for word in known if not word.meanings}
     slots: list[Slot] = []
     corrections: dict[str, str] = {}
     replaced: dict[str, str] = {}
     unknown: list[str] = []
     for word in dict.fromkeys(read_words(vocabulary, text)):
         slot = Slot(word, weigh_word(vocabulary, word))
-        if not word.meanings and word.key not in own:
-            other = _correct(vocabulary, word, own)
+        if not word.meanings and word.key not in known.own:
+            other = _correct(vocabulary, word, known)
             similar = (
                 replacement(word.text)
                 if other is None and replacement and word.text.isascii() and len(word.text) >= _LONG
@@ -167,7 +177,7 @@ def _weigh_implied(vocabulary: Vocabulary, slots: tuple[Slot, ...]) -> tuple[Slo
     )
 
 
-def _correct(vocabulary: Vocabulary, word: Word, own: dict[str, Word]) -> Word | None:
+def _correct(vocabulary: Vocabulary, word: Word, known: KnownWords) -> Word | None:
     """The known word that this one misspells, if one is near enough."""
     edits = max((most for letters, most in _MOST_EDITS.items() if len(word.text) >= letters), default=0)
     if not edits or any(letter.isdigit() for letter in word.text):
@@ -186,7 +196,7 @@ def _correct(vocabulary: Vocabulary, word: Word, own: dict[str, Word]) -> Word |
         for form, meanings in vocabulary.japanese.items():
             if len(form) >= 4 and len(meanings[0]) == 1 and meanings[0][0] in vocabulary.concepts:
                 choices[form] = Word(form, form, tuple(names[0] for names in meanings))
-    choices |= {key: other for key, other in own.items() if not any(letter.isdigit() for letter in key)}
+    choices |= known.spelled
     for asked in (word.text.casefold(), stem(word.text)):
         best = process.extractOne(asked, choices.keys(), scorer=OSA.distance, score_cutoff=edits)
         # The first letter is seldom wrong, and short words are near too many others.
@@ -244,14 +254,14 @@ class Matcher:
         found = self._relations.get(unit)
         if found is None:
             values, against = self.find(unit)
-            scale = self._scale_relation(unit) * (_OPPOSITE if against else 1.0)
+            scale = self._scale_relation(unit) * (OPPOSITE if against else 1.0)
             found = self._relations[unit] = tuple(scale * value for value in values)
         return found
 
     def _scale_relation(self, unit: Unit) -> float:
         """How much of a relation a query speaks of: of all that is done in it, or of most of its words."""
         named = [word for word in unit.words if any(self._is_named(word, slot) for slot in self.query.slots)]
-        actions = [word for word in unit.words if self._is_action(word)]
+        actions = [word for word in unit.words if self.is_action(word)]
         share = sum(weigh_word(self._vocabulary, word) for word in named) / unit.weight
         whole = min(1.0, share / _ENOUGH) if share > _NAMED else 0.0
         return max(whole, _DONE) if actions and any(word in named for word in actions) else whole
@@ -275,9 +285,9 @@ class Matcher:
         slots = self.query.slots
         by_category, against = self.find(category)
         by_name, name_against = self.find(name)
-        scale = _OPPOSITE if against or name_against else 1.0
-        base = [scale * max(a, _NAME * b) for a, b in zip(by_category, by_name, strict=True)]
-        trust = _ALSO_DOES if any(map(self._is_action, category.words)) else _DOES
+        scale = OPPOSITE if against or name_against else 1.0
+        base = [scale * max(a, NAME * b) for a, b in zip(by_category, by_name, strict=True)]
+        trust = ALSO_DOES if any(map(self.is_action, category.words)) else DOES
         told = [
             tuple(trust * (0.8 + 0.2 * min(1.0, 2.0 * share)) * value for value in self.find_relation(unit))
             for unit, share in relations
@@ -298,17 +308,17 @@ class Matcher:
             base = [max(pair) for pair in zip(base, told[place], strict=True)]
             used.append(place)
             # A second one helps only if the query speaks of all of it: walking, with both hands up.
-            told = [values if _is_whole(values, slots) else (0.0,) * len(values) for values in told]
+            told = [values if is_whole(values, slots) else (0.0,) * len(values) for values in told]
         helped = any(value > 0.4 for value in by_category), any(value > 0.4 for value in by_name)
         return Fit(self._sum(base), tuple(used), *helped)
 
-    def _is_action(self, word: Word) -> bool:
+    def is_action(self, word: Word) -> bool:
         return any(self._vocabulary.concepts[name].kind == "action" for name in word.meanings)
 
     def _sum(self, values: Sequence[float]) -> float:
         return sum(slot.weight * value for slot, value in zip(self.query.slots, values, strict=True)) / self._total
 
 
-def _is_whole(values: Sequence[float], slots: Sequence[Slot]) -> bool:
+def is_whole(values: Sequence[float], slots: Sequence[Slot]) -> bool:
     """Whether a relation finds an action of the query, and not its side or limb alone."""
     return any(value > 0.5 and slot.weight >= 1.0 for value, slot in zip(values, slots, strict=True))

@@ -2,9 +2,25 @@
 
 from __future__ import annotations
 
-from dousa.app.studio.api import clips, estimation, evaluation, exports, jobs, journal, motions, search, takes, uploads
+from dousa.app.studio.api import (
+    clips,
+    companions,
+    estimation,
+    evaluation,
+    exports,
+    jobs,
+    journal,
+    live,
+    masks,
+    motions,
+    search,
+    share,
+    takes,
+    uploads,
+)
 
 __all__ = ["ROUTERS"]
 
-_MODULES = (uploads, clips, journal, search, motions, takes, evaluation, estimation, exports, jobs)
+_EVALUATING = (evaluation, companions, estimation, masks, live)
+_MODULES = (uploads, clips, journal, search, motions, takes, *_EVALUATING, exports, share, jobs)
 ROUTERS = (uploads.general, *(module.router for module in _MODULES))

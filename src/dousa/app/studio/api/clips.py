@@ -68,8 +68,12 @@ class Tagging(Clips):
 
 
 def _read_asked(
-    text: Annotated[str, Query(max_length=300, description="words; all must occur in names or labels")] = "",
-    category: Annotated[_Names | None, Query(description="any of these; an empty one: without a label")] = None,
+    text: Annotated[
+        str, Query(max_length=300, description="of names and labels, also misspelt, or words for what is done")
+    ] = "",
+    category: Annotated[
+        _Names | None, Query(description="any of these; an empty one: without a label; kick/: all below it")
+    ] = None,
     performer: Annotated[_Names | None, Query(description="likewise")] = None,
     kind: Literal["clip", "take"] | None = None,
     min_s: _Seconds = None,
@@ -79,12 +83,31 @@ def _read_asked(
     *,
     studio: StudioNow,
     tag: Annotated[_Names | None, Query(description="likewise")] = None,
-    saved: Annotated[str | None, Query(max_length=200, description="name of a selection that is kept")] = None,
+    saved: Annotated[
+        str | None, Query(max_length=200, description="name of a search or selection that is kept")
+    ] = None,
+    wide: Annotated[bool, Query(description="also what does what the text says where others are called so")] = False,
 ) -> Asked:
     labels: dict[str, Sequence[str]] = {"category": category or (), "performer": performer or (), "tag": tag or ()}
     labels["kind"] = () if kind is None else (kind,)
-    among = None if saved is None else frozenset(studio.library.searches.find(saved))
-    return Asked(text, labels, min_s, max_s, batch, sort, among)
+    among = None if saved is None else _find_saved(studio, saved)
+    return Asked(text, labels, min_s, max_s, batch, sort, among, wide)
+
+
+def _find_saved(studio: Studio, name: str) -> frozenset[int]:
+    """The clips of a selection that is kept, or those that a search finds now, its words read as in the list."""
+    searches = studio.library.searches
+    kept = searches.get(name)
+    if kept.is_selection:
+        return frozenset(searches.find(name))
+    own = dict(kept.asked)
+    labels: dict[str, Sequence[str]] = {}
+    for label in ("category", "performer", "tag", "kind"):
+        value = own.get(label) or ()
+        labels[label] = (value,) if isinstance(value, str) else tuple(value)
+    snapshot = studio.listing.now()
+    asked = Asked(str(own.get("text") or ""), labels, own.get("min_s"), own.get("max_s"))
+    return frozenset(snapshot.ids[snapshot.find(asked, studio.meanings.match).rows].tolist())
 
 
 _AskedNow = Annotated[Asked, Depends(_read_asked)]
@@ -95,15 +118,21 @@ _Offset = Annotated[int, Query(ge=0, le=10**9)]
 def list_clips(
     studio: StudioNow, asked: _AskedNow, offset: _Offset = 0, limit: Annotated[int, Query(ge=0, le=500)] = 60
 ) -> Answer:
-    """Facets count what would fit if that facet were left open; ``""`` in them stands for no label."""
+    """Facets count what would fit if that facet were left open; ``""`` in them stands for no label.
+
+    ``reading`` says how ``text`` was understood: what misspelt words were ``taken_for``, how many ``more`` clips do
+    what it says, and whether that is still ``pending``.
+    """
     snapshot = studio.listing.now()
-    found = snapshot.find(asked)
+    found = snapshot.find(asked, studio.meanings.match)
+    reading = found.reading
     return Answer(
         {
             "total": len(found.rows),
             "offset": offset,
             "items": [snapshot.describe(row) for row in found.rows[offset : offset + limit]],
             "facets": found.facets,
+            "reading": {"taken_for": reading.taken_for, "more": reading.more, "pending": reading.pending},
             "revision": snapshot.revision,
             "library": snapshot.summarise(),
         }
@@ -119,7 +148,7 @@ def list_ids(
 ) -> Answer:
     """As GET /clips, numbers only: to choose many at once."""
     snapshot = studio.listing.now()
-    rows = snapshot.find(asked).rows
+    rows = snapshot.find(asked, studio.meanings.match).rows
     chosen = rows[offset : offset + limit]
     return Answer(
         {
@@ -129,6 +158,15 @@ def list_ids(
             "revision": snapshot.revision,
         }
     )
+
+
+@router.get("/map", summary="Where the clips lie on the map")
+def get_map(studio: StudioNow) -> Answer:
+    """Clips that lie near to each other have poses in common; ``category`` counts in ``categories``, ``""``: no label.
+
+    POST /jobs/map makes it. ``n_new`` clips came since or have changed, ``n_left_out`` lack joints.
+    """
+    return Answer(studio.map.describe())
 
 
 @router.post("/clips/thumbnails", summary="Small moving figures of clips", response_class=Response, responses=BYTES)

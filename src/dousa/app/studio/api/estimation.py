@@ -24,6 +24,7 @@ FILES = {
     "angles.csv": "text/csv",
     "overlay.mp4": "video/mp4",
     "cameras.toml": "text/plain",
+    "masks.npz": "application/octet-stream",
 }
 """What can be fetched of an estimation."""
 
@@ -94,6 +95,9 @@ class EstimateRequest(BaseModel):
     person: list[_Track] | None = Field(
         None, max_length=200, description="who is estimated from films: [view, track] of theirs; who is seen most"
     )
+    masks: Annotated[str, Field(pattern="^[0-9a-f]{16}$")] | None = Field(
+        None, description="job of `POST /jobs/masks`, whose repaired silhouettes are fitted instead of the sources"
+    )
     left_out: list[_Track] | None = Field(None, max_length=500, description="[view, track] of nobody, not to be used")
 
     @field_validator("sources", "backgrounds")
@@ -143,6 +147,8 @@ def estimate(studio: StudioNow, wanted: EstimateRequest) -> Answer:
     files = studio.workspace.files(wanted.batch)
     if not files:
         raise RefusedError(422, "studio_estimation.empty_batch")
+    if wanted.masks is not None:
+        studio.masks.get(wanted.masks)
     studio.workspace.keep(wanted.batch)
     names = wanted.sources or [path.name for path in files]
     title = names[0].rsplit("/", 1)[-1] + (f" + {len(names) - 1}" if len(names) > 1 else "")
@@ -256,7 +262,7 @@ def get_picture(
     responses=BYTES,
 )
 def get_file(studio: StudioNow, job_id: _JobId, name: str) -> Response:
-    """``motion.bvh``, ``joints.trc``, ``angles.csv``, ``overlay.mp4`` or ``cameras.toml``."""
+    """``motion.bvh``, ``joints.trc``, ``angles.csv``, ``overlay.mp4``, ``cameras.toml``, ``masks.npz``."""
     job = studio.jobs.get(job_id)
     if name not in FILES or job.kind != "estimate":
         raise RefusedError(404, "studio_estimation.other_file", names=tuple(FILES))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from typing import Annotated, Any, Literal
 from urllib.parse import quote
 
@@ -18,9 +19,12 @@ from dousa.app.studio.content.evaluations import (
 )
 from dousa.app.studio.content.studio import Studio, StudioNow
 from dousa.app.studio.core.answers import Answer, RefusedError
+from dousa.errors import DousaError
 from dousa.messages import use_language
 
 router = APIRouter(tags=["evaluation"])
+
+_SVG: dict[int | str, dict[str, Any]] = {200: {"content": {"image/svg+xml": {"schema": {"type": "string"}}}}}
 
 
 class AdjustRequest(Adjustment):
@@ -51,20 +55,24 @@ def evaluate(studio: StudioNow, wanted: EvaluationRequest) -> Answer:
 @router.get("/evaluations/{job_id}/report", summary="The parts of the report")
 def get_report(studio: StudioNow, job_id: str, language: _Language = "en") -> Answer:
     """Assessment, the parts of the report as markup, the frame around them, and what its scripts need."""
-    from dousa.app.report import build_frame
-
     ready = studio.evaluations.get(job_id)
     adjustment = studio.evaluations.read_adjustment(job_id)
-    assessment = ready.assess(adjustment)
-    return Answer(
-        {
-            "exact": True,
-            "assessment": describe(ready, assessment, adjustment, language),
-            "frame": build_frame(language),
-            "notes": studio.evaluations.read_notes(job_id),
-            **_show(assessment, language),
-        }
-    )
+    said = describe(ready, ready.assess(adjustment), adjustment, language)
+    return Answer({"exact": True, "assessment": said, **collect_report(studio, job_id, language)})
+
+
+def collect_report(studio: Studio, job_id: str, language: Language) -> dict[str, Any]:
+    """What shows the report of an evaluation: its frame, its parts, notes, and what scripts and player need.
+
+    Raises
+    ------
+    RefusedError : no such evaluation, or one of an exercise.
+    """
+    from dousa.app.report import build_frame
+
+    assessment = studio.evaluations.get(job_id).assess(studio.evaluations.read_adjustment(job_id))
+    notes = studio.evaluations.read_notes(job_id)
+    return {"frame": build_frame(language), "notes": notes, **_show(assessment, language)}
 
 
 class NotesRequest(BaseModel):
@@ -121,7 +129,7 @@ def get_progress(studio: StudioNow, job_id: str, language: _Language = "en") -> 
 @router.get(
     "/evaluations/{job_id}/progress.svg",
     response_class=Response,
-    responses={200: {"content": {"image/svg+xml": {"schema": {"type": "string"}}}}},
+    responses=_SVG,
     summary="The same as a picture",
 )
 def draw_progress(studio: StudioNow, job_id: str, language: _Language = "en") -> Response:
@@ -131,6 +139,60 @@ def draw_progress(studio: StudioNow, job_id: str, language: _Language = "en") ->
     if drawn is None:
         raise RefusedError(404, "studio_evaluation.first")
     return Response(drawn, media_type="image/svg+xml")
+
+
+@router.get("/comparisons/choices", summary="Evaluations that can be compared")
+def list_choices(studio: StudioNow) -> Answer:
+    """``evaluations``, the last first; those with the same ``model`` are against the same reference."""
+    return Answer({"evaluations": studio.evaluations.list_comparable()})
+
+
+_Jobs = Annotated[
+    list[Annotated[str, Query(pattern="^[0-9a-f]{16}$")]],
+    Query(min_length=1, max_length=50, description="evaluations against one reference, the oldest first"),
+]
+
+
+@router.get("/comparisons", summary="Evaluations beside each other: dates of one pupil, or pupils")
+def compare(studio: StudioNow, job: _Jobs, language: _Language = "en") -> Answer:
+    """As `dousa progress --json`, with ``still_says`` of what failed in all of them, and the names of kinds of errors
+    and segments."""
+    from dousa.evaluation.advice.progress import describe_faults
+    from dousa.evaluation.words import KINDS, SEGMENT_NAMES, name_all
+
+    found = studio.evaluations.compare(job)
+    return Answer(
+        {
+            **found.to_json(language),
+            "still_says": [message.render(language) for message in describe_faults(found.still)],
+            "kinds": name_all(KINDS, language),
+            "segments": name_all(SEGMENT_NAMES, language),
+        }
+    )
+
+
+@router.get(
+    "/comparisons/progress.svg",
+    response_class=Response,
+    responses=_SVG,
+    summary="The same as a picture",
+)
+def draw_comparison(studio: StudioNow, job: _Jobs, language: _Language = "en") -> Response:
+    """An SVG."""
+    use_language(language)
+    return Response(studio.evaluations.draw_comparison(job), media_type="image/svg+xml")
+
+
+@router.get("/comparisons/player", summary="Two performances in step for the 3D player")
+def show_two(studio: StudioNow, job: _Jobs, language: _Language = "en") -> Answer:
+    """The first and the last of the evaluations; times are those of the last."""
+    from dousa.app.player.data import encode_pair
+
+    studio.evaluations.compare(job)
+    ends = [EvaluationRequest.model_validate(studio.jobs.get(one).request) for one in (job[0], job[-1])]
+    first, last = (studio.motions.get(one.performance) for one in ends)
+    names = first.name, last.name
+    return Answer(encode_pair(first.motion, last.motion, names=names, labels=("1", "2"), language=language))
 
 
 def _show(assessment: Any, language: str) -> dict[str, Any]:
@@ -143,6 +205,9 @@ def _show(assessment: Any, language: str) -> dict[str, Any]:
         "player": encode_player_data(assessment, language),
     }
 
+
+Page = Literal["report", "exercise"]
+"""Reports that are one file."""
 
 _FILES: dict[str, tuple[str, str]] = {
     "report.html": ("text/html", "the whole report as one page that opens anywhere"),
@@ -157,16 +222,32 @@ _FILES: dict[str, tuple[str, str]] = {
 
 def _make_download(name: str) -> Any:
     def download(studio: StudioNow, job_id: str, language: _Language = "en") -> Response:
-        content = _write(name, studio, job_id, language)
-        stem = studio.evaluations.name_performance(job_id).rpartition(".")[0] or "performance"
-        plain, full = f"{job_id}-{name}", quote(f"{stem} {name}", safe="", errors="replace")
-        return Response(
-            content,
-            media_type=f"{_FILES[name][0]}; charset=utf-8",
-            headers={"content-disposition": f"attachment; filename=\"{plain}\"; filename*=UTF-8''{full}"},
-        )
+        return download_file(studio, job_id, name, language)
 
     return download
+
+
+def download_file(studio: Studio, job_id: str, name: str, language: Language) -> Response:
+    """A file of an evaluation, to be kept.
+
+    Parameters
+    ----------
+    studio, job_id : of the evaluation.
+    name : one of `_FILES`.
+    language : of the words in it.
+
+    Raises
+    ------
+    RefusedError : no such evaluation, or none of this kind.
+    """
+    content = _write(name, studio, job_id, language)
+    stem = studio.evaluations.name_performance(job_id).rpartition(".")[0] or "performance"
+    plain, full = f"{job_id}-{name}", quote(f"{stem} {name}", safe="", errors="replace")
+    return Response(
+        content,
+        media_type=f"{_FILES[name][0]}; charset=utf-8",
+        headers={"content-disposition": f"attachment; filename=\"{plain}\"; filename*=UTF-8''{full}"},
+    )
 
 
 def _write(name: str, studio: Studio, job_id: str, language: Language) -> str | bytes:
@@ -185,8 +266,10 @@ def _write(name: str, studio: Studio, job_id: str, language: Language) -> str | 
         return format_weights(adjustment.weights, adjustment.importance)
     assessment = ready.assess(adjustment)
     if name == "report.html":
-        notes = studio.evaluations.read_notes(job_id)
-        return build_page(assessment, language, notes=notes).encode("utf-8", "replace")
+        notes, timing = studio.evaluations.read_notes(job_id), None
+        with suppress(DousaError):  # no beats, or nothing that finds them: the report is whole without
+            timing = studio.companions.time_accents(studio.evaluations.find_job(job_id), ready.request.performance)
+        return build_page(assessment, language, timing=timing, notes=notes).encode("utf-8", "replace")
     return to_curves_csv(assessment) if name == "curves.csv" else to_events_csv(assessment, language)
 
 

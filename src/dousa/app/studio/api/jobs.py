@@ -9,7 +9,7 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from dousa.app.studio.content.disk_space import describe_space, free_space
 from dousa.app.studio.content.studio import StudioNow
-from dousa.app.studio.core.answers import Answer
+from dousa.app.studio.core.answers import Answer, RefusedError
 from dousa.app.studio.jobs.board import ACTIVE
 from dousa.messages import Message
 
@@ -30,6 +30,24 @@ class AddRequest(BaseModel):
     unit: str | None = Field(None, max_length=20)
     up: str | None = Field(None, max_length=2)
     joint_map: dict[str, str | list[str]] | None = None
+
+
+class CheckRequest(BaseModel):
+    """How the library is checked."""
+
+    model_config = ConfigDict(extra="forbid")
+
+    repair: bool = Field(False, description="put right what can be, as dousa check --repair")
+
+
+class CompactRequest(BaseModel):
+    """How room is given back."""
+
+    model_config = ConfigDict(extra="forbid")
+
+    fragments: bool = Field(
+        False, description="move positions and features out of the file, as dousa compact --fragments"
+    )
 
 
 class TrainRequest(BaseModel):
@@ -57,17 +75,48 @@ def train(studio: StudioNow, wanted: TrainRequest) -> Answer:
     return Answer(studio.jobs.submit("train", wanted.model_dump(), studio.settings.library.name).to_json(), 202)
 
 
+@router.post("/jobs/review", status_code=202, summary="Look for labels that are likely wrong")
+def review(studio: StudioNow) -> Answer:
+    """A job; its result lists clips that resemble those of another category, and groups of clips nearly the same."""
+    return Answer(studio.jobs.submit("review", {}, studio.settings.library.name).to_json(), 202)
+
+
+@router.post("/jobs/check", status_code=202, summary="Compare everything in the library with its checksums")
+def check(studio: StudioNow, wanted: CheckRequest) -> Answer:
+    """A job; its notes and its result list what is damaged, and what was or can be done."""
+    return Answer(studio.jobs.submit("check", wanted.model_dump(), studio.settings.library.name).to_json(), 202)
+
+
+@router.post("/jobs/compact", status_code=202, summary="Forget removed clips, and make the library file smaller")
+def compact(studio: StudioNow, wanted: CompactRequest) -> Answer:
+    """A job. What it forgets POST /journal/undo cannot bring back. Needs as much free space as what is left."""
+    return Answer(studio.jobs.submit("compact", wanted.model_dump(), studio.settings.library.name).to_json(), 202)
+
+
+@router.post("/jobs/map", status_code=202, summary="Lay out all clips on a map")
+def map_clips(studio: StudioNow) -> Answer:
+    """A job; what it made is given by GET /map. One that is under way is the answer, not begun twice."""
+    for job in studio.jobs.all():
+        if job.kind == "map" and job.state in ACTIVE:
+            return Answer(job.to_json(), 202)
+    return Answer(studio.jobs.submit("map", {}, studio.settings.library.name).to_json(), 202)
+
+
+@router.post("/jobs/demo", status_code=202, summary="Fill an empty library with made-up motions")
+def demo(studio: StudioNow) -> Answer:
+    """A job that adds motions of a few made-up people and trains; refused where the library has clips already."""
+    stats = studio.library.stats()
+    if stats.n_clips or stats.n_takes:
+        raise RefusedError(409, "studio_jobs.not_empty")
+    batch = studio.workspace.new_batch()
+    studio.workspace.keep(batch, by_library=True)
+    return Answer(studio.jobs.submit("demo", {"batch": batch}, studio.settings.library.name).to_json(), 202)
+
+
 @router.get("/space", summary="What the studio keeps on the disk")
 def get_space(studio: StudioNow) -> Answer:
     """Bytes of the library, of uploads and of jobs; ``can_be_freed_bytes`` is what POST /space/free gives back."""
     return Answer(describe_space(studio))
-
-
-@router.post("/space/compact", summary="Forget removed clips, and make the library file smaller")
-def compact(studio: StudioNow) -> Answer:
-    """They cannot be brought back by POST /journal/undo any more. Needs as much free space as what is left."""
-    report = studio.library.compact()
-    return Answer({"freed_bytes": max(report.before - report.after, 0), **describe_space(studio)})
 
 
 @router.post("/space/free", summary="Give back disk space that nothing needs")

@@ -21,11 +21,13 @@ _MATCH, _QUERY = Message("studio_motions.match"), Message("studio_motions.query"
 _Language = Literal["en", "ja"]
 
 
-class _Shown(MotionPart):
+class ShownMotion(MotionPart):
+    """A motion for the player."""
+
     language: _Language = Field(default="en", description="of the words in the data")
 
 
-class _Pair(_Shown):
+class _Pair(ShownMotion):
     other: MotionName = Field(description="what is shown beside it")
     other_start_s: Seconds | None = None
     other_end_s: Seconds | None = None
@@ -63,7 +65,7 @@ def _describe_clip(studio: Studio, clip: int | None) -> dict[str, Any]:
 
 
 @router.get("/motions/player", summary="A figure for the 3D player")
-def get_player(studio: StudioNow, asked: Annotated[_Shown, Query()]) -> Answer:
+def get_player(studio: StudioNow, asked: Annotated[ShownMotion, Query()]) -> Answer:
     """What ``dousa.createPlayer`` of the pages is given."""
     from dousa.app.player.data import encode_motion
 

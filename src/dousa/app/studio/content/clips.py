@@ -4,16 +4,18 @@ figures.
 What `Library.clips` says is kept in memory with columns of numbers beside it, and read again when the library has
 another revision: another program may have written. A figure is kept in one file of the studio, by the number of its
 clip together with what stands for the content of the clip (`Library.contents`), so that it is never shown for another
-one. That file can be thrown away at any time; several programs may use it at once.
+one; so is the place of a clip on the map, in another file. Both can be thrown away at any time, and several programs
+may use the figures at once.
 """
 
 from __future__ import annotations
 
+import hashlib
+import io
 import os
 import re
 import sqlite3
 import threading
-import unicodedata
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import closing, contextmanager, suppress
@@ -25,12 +27,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dousa.app.player.figures import MINIATURE_BYTES, encode_miniature
+from dousa.app.studio.content.clip_words import ClipWords, Reading, plain, read_text
 from dousa.app.studio.content.motions import Address
 from dousa.app.studio.core.words import say
 from dousa.arrays import Mask
+from dousa.errors import DousaError, LibraryError
+from dousa.files.disk import atomic_write
+from dousa.files.npz_arrays import open_npz
 
 if TYPE_CHECKING:
-    from dousa.library import ClipInfo, Library
+    from dousa.library import ClipInfo, ClipMap, Library, TextMatches
+
+Match = Callable[[str], "TextMatches | None"]
+"""Gives the clips that do what a text says, None if that is not known yet."""
 
 NO_LABEL = ""
 """Stands for clips without a label; no label is empty."""
@@ -48,7 +57,7 @@ Sort = Literal["path", "-path", "duration", "-duration", "category", "-id"]
 """What a list may be ordered by; a minus turns it round."""
 
 _LABELS = ("category", "performer", "kind")
-_MOST_NAMES = 500  # of one facet in one answer
+_MOST_NAMES, _MOST_CATEGORIES = 500, 5_000  # of one facet in one answer; categories are shown as a tree
 _BATCH = re.compile(r"([0-9a-f]{16})/(.+)", re.DOTALL)
 
 
@@ -58,12 +67,14 @@ class Asked:
 
     Parameters
     ----------
-    text : words that name, folder, category or performer must contain, all of them.
+    text : what was typed, as `read_text` understands it.
     labels : ``category``, ``performer``, ``kind`` or ``tag`` to the names that fit, `NO_LABEL` for none; all if empty.
+        A category with a slash at its end stands for all below it.
     min_s, max_s : at least so long, and shorter than that; None for any.
     batch : only what came with this batch of uploads.
     sort : the order.
     among : only clips of these numbers; None for all.
+    wide : also clips that do what the text says where others are called so.
     """
 
     text: str = ""
@@ -73,6 +84,7 @@ class Asked:
     batch: str | None = None
     sort: Sort = "path"
     among: frozenset[int] | None = None
+    wide: bool = False
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -83,10 +95,12 @@ class Found:
     ----------
     rows : (n,) of the snapshot, in the order asked for.
     facets : facet to name to number of clips that would fit if this facet were left open.
+    reading : how the text was understood.
     """
 
     rows: NDArray[np.intp]
     facets: dict[str, dict[str, int]]
+    reading: Reading
 
 
 class Snapshot:
@@ -105,7 +119,7 @@ class Snapshot:
         self.durations = np.array([clip.duration for clip in clips], np.float64)
         self._rows = {clip.id: row for row, clip in enumerate(clips)}
         self._batches, self._shorts = _shorten([clip.path for clip in clips], f"{uploads}{os.sep}")
-        self._texts = [_searchable(clip, short) for clip, short in zip(clips, self._shorts, strict=True)]
+        self._words = ClipWords([_searchable(clip, short) for clip, short in zip(clips, self._shorts, strict=True)])
         self._names: dict[str, list[str]] = {}
         self._codes: dict[str, NDArray[np.intp]] = {}
         for label in _LABELS:
@@ -124,12 +138,13 @@ class Snapshot:
         """The row of a clip that is there."""
         return self._rows[clip_id]
 
-    def find(self, asked: Asked) -> Found:
-        """Which rows fit, and what the facets say."""
+    def find(self, asked: Asked, match: Match = lambda text: None) -> Found:
+        """Which rows fit, and what the facets say; ``match`` finds clips by what they do, as `Meanings.match`."""
         masks = {label: self._labelled(label, asked.labels.get(label, ())) for label in _LABELS}
         masks["tag"] = self._tagged(asked.labels.get("tag", ()))
         masks["length"] = self._long(asked.min_s, asked.max_s)
-        rest = self._matching(asked.text)
+        reading = read_text(self._words, self.ids, asked.text, match, wide=asked.wide)
+        rest = reading.fits
         if asked.among is not None:
             rest = _both(rest, np.isin(self.ids, np.array(sorted(asked.among), np.int64)))
         if asked.batch is not None:
@@ -139,7 +154,9 @@ class Snapshot:
             fits = _both(fits, mask)
         order = self._order(asked.sort)
         rows = order if fits is None else order[fits[order]]
-        return Found(rows, {name: self._count(name, rest, masks) for name in masks})
+        if reading.scores is not None and asked.sort == "path":
+            rows = rows[np.argsort(-reading.scores[rows], kind="stable")]
+        return Found(rows, {name: self._count(name, rest, masks) for name in masks}, reading)
 
     def describe(self, row: int) -> dict[str, Any]:
         """One clip as the pages know it."""
@@ -169,8 +186,9 @@ class Snapshot:
     def _labelled(self, label: str, wanted: Sequence[str]) -> Mask | None:
         if not wanted:
             return None
-        names = frozenset(wanted)
-        known = np.array([name in names for name in self._names[label]], bool)
+        names, below = frozenset(wanted), tuple(name for name in wanted if name.endswith("/"))
+        fits = [name in names or (bool(below) and f"{name}/".startswith(below)) for name in self._names[label]]
+        known = np.array(fits, bool)
         return known[self._codes[label]] if len(known) else np.zeros(0, bool)
 
     def _tagged(self, wanted: Sequence[str]) -> Mask | None:
@@ -182,12 +200,6 @@ class Snapshot:
             return None
         low, high = min_s or 0.0, np.inf if max_s is None else max_s
         return np.asarray((self.durations >= low) & (self.durations < high))
-
-    def _matching(self, text: str) -> Mask | None:
-        words = _plain(text).split()
-        if not words:
-            return None
-        return np.array([all(word in known for word in words) for known in self._texts], bool)
 
     def _count(self, name: str, rest: Mask | None, masks: dict[str, Mask | None]) -> dict[str, int]:
         mask = rest
@@ -201,8 +213,9 @@ class Snapshot:
         codes = self._lengths if name == "length" else self._codes[name]
         counts = np.bincount(codes if mask is None else codes[mask], minlength=len(names))
         chosen = np.flatnonzero(counts)
-        if len(chosen) > _MOST_NAMES:
-            chosen = np.sort(chosen[np.argsort(-counts[chosen], kind="stable")[:_MOST_NAMES]])
+        most = _MOST_CATEGORIES if name == "category" else _MOST_NAMES
+        if len(chosen) > most:
+            chosen = np.sort(chosen[np.argsort(-counts[chosen], kind="stable")[:most]])
         return {names[code]: int(counts[code]) for code in chosen}
 
     def _order(self, sort: str) -> NDArray[np.intp]:
@@ -250,14 +263,9 @@ def _both(first: Mask | None, second: Mask | None) -> Mask | None:
     return first & second
 
 
-def _plain(text: str) -> str:
-    """Text as it is compared: wide and narrow, large and small letters are the same."""
-    return unicodedata.normalize("NFKC", text).casefold()
-
-
 def _searchable(clip: ClipInfo, short: str) -> str:
     words = (short, clip.category or clip.predicted_category, clip.performer, *clip.tags)
-    return _plain("\n".join(word for word in words if word))
+    return plain("\n".join(word for word in words if word))
 
 
 def _shorten(paths: Sequence[str], uploads: str) -> tuple[list[str | None], list[str]]:
@@ -402,3 +410,109 @@ def _make(library: Library, clip_ids: Sequence[int]) -> dict[int, bytes]:
         # One of them is damaged; the others are shown.
         return {clip_id: record for one in clip_ids for clip_id, record in _make(library, [one]).items()}
     return made
+
+
+_MAP_NAME = "map.npz"
+_MAP_DIGITS = 4  # of places on the map, from -1 to 1
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _KeptPoints:
+    """What the file holds: (N,) numbers, marks of contents and (N, 2) points; numbers that are left out."""
+
+    ids: NDArray[np.int64]
+    marks: NDArray[np.int64]
+    points: NDArray[np.float32]
+    left_out: NDArray[np.int64]
+
+
+def keep_map(home: Path, found: ClipMap, contents: Mapping[int, str]) -> None:
+    """Write a map into the folder of a studio.
+
+    Parameters
+    ----------
+    home : that folder.
+    found : the map.
+    contents : as `Library.contents` gives them for its clips.
+    """
+    there = np.array([number in contents for number in found.clip_ids.tolist()], bool)
+    ids = found.clip_ids[there]
+    marks = np.array([_mark(contents[number]) for number in ids.tolist()], np.int64)
+    left_out = np.array(found.left_out, np.int64)
+    buffer = io.BytesIO()
+    np.savez(buffer, ids=ids, marks=marks, points=found.points[there], left_out=left_out)
+    with atomic_write(home / _MAP_NAME) as file:
+        file.write(buffer.getvalue())
+
+
+def _mark(content: str) -> int:
+    return int.from_bytes(hashlib.blake2b(content.encode(), digest_size=8).digest(), "little", signed=True)
+
+
+class KeptMap:
+    """The map of one studio.
+
+    Parameters
+    ----------
+    home : folder of the studio.
+    library : gives the library that is open.
+    listing : of its clips.
+    """
+
+    def __init__(self, home: Path, library: Callable[[], Library], listing: Listing) -> None:
+        self._path = home / _MAP_NAME
+        self._library, self._listing = library, listing
+        self._lock = threading.Lock()
+        self._told: tuple[Any, dict[str, Any]] | None = None
+
+    def describe(self) -> dict[str, Any]:
+        """Numbers, points and categories of the clips that are what they were when the map was made, as plain values.
+
+        ``n_new`` clips came later or have changed, ``n_left_out`` lack joints; without a map ``is_made`` is false.
+        """
+        snapshot = self._listing.now()
+        with self._lock:
+            key = snapshot.revision, id(snapshot), self._stamp()
+            if self._told is None or self._told[0] != key:
+                self._told = key, self._compare(snapshot)
+            return self._told[1]
+
+    def _stamp(self) -> int:
+        try:
+            return self._path.stat().st_mtime_ns
+        except OSError:
+            return 0
+
+    def _read(self) -> _KeptPoints | None:
+        """What is kept; None where there is nothing, or what is no map."""
+        with suppress(OSError, DousaError), open_npz(self._path, LibraryError) as arrays:
+            ids, marks, left_out = (arrays.read(name, "i", 1).astype(np.int64) for name in ("ids", "marks", "left_out"))
+            points = arrays.read("points", "f", 2).astype(np.float32)
+            if ids.shape == marks.shape and points.shape == (len(ids), 2) and np.isfinite(points).all():
+                return _KeptPoints(ids, marks, points, left_out)
+        return None
+
+    def _compare(self, snapshot: Snapshot) -> dict[str, Any]:
+        kept = self._read()
+        clips = {clip.id: clip for clip in snapshot.clips if clip.kind == "clip"}
+        if kept is None:
+            lists: dict[str, Any] = {name: [] for name in ("ids", "x", "y", "categories", "category")}
+            return {"is_made": False, **lists, "n_new": len(clips), "n_left_out": 0}
+        contents = self._library().contents([number for number in kept.ids.tolist() if number in clips])
+        marks = {number: _mark(content) for number, content in contents.items()}
+        pairs = zip(kept.ids.tolist(), kept.marks.tolist(), strict=True)
+        still = np.array([marks.get(number) == mark for number, mark in pairs], bool)
+        ids = kept.ids[still].tolist()
+        names = sorted({clips[number].category or "" for number in ids})
+        code = {name: place for place, name in enumerate(names)}
+        lacking = [number for number in kept.left_out.tolist() if number in clips]
+        return {
+            "is_made": True,
+            "ids": ids,
+            "x": [round(value, _MAP_DIGITS) for value in kept.points[still, 0].tolist()],
+            "y": [round(value, _MAP_DIGITS) for value in kept.points[still, 1].tolist()],
+            "categories": names,
+            "category": [code[clips[number].category or ""] for number in ids],
+            "n_new": len(clips) - len(ids) - len(lacking),
+            "n_left_out": len(lacking),
+        }

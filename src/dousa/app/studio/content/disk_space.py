@@ -26,7 +26,12 @@ def describe_space(studio: Studio) -> dict[str, Any]:
     root = studio.workspace.root
     library = studio.settings.library
     return {
-        "library_bytes": sum(measure(path) for path in library.parent.glob(f"{library.name}*") if path.is_file()),
+        "library_bytes": sum(
+            measure(path)
+            for path in library.parent.glob(f"{library.name}*")
+            if path.is_file() or path.name == f"{library.name}.fragments"
+        ),
+        "has_fragments": library.with_name(f"{library.name}.fragments").is_dir(),
         "uploads_bytes": measure(root / "files"),
         "jobs_bytes": measure(root / "jobs"),
         "removed_bytes": sum(entry.kept_bytes for entry in studio.library.journal()),

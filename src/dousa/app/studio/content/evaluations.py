@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import threading
 from collections import Counter, OrderedDict
@@ -34,7 +35,7 @@ _LONGEST_S = 600.0  # s of a motion
 _MOST_WORK = 1.5e6  # s^2 of all pairs, since every take is compared with every other one: half a minute
 _WAIT = 120.0  # s for others whose evaluation is made again
 _SLACK_S = 0.1  # s that the last figure may end after the dance: people round
-_ADJUSTED, _NOTES, _PROGRESS = "adjusted.json", "notes.txt", "progress"
+_ADJUSTED, _NOTES, _PROGRESS, _COMPARISON = "adjusted.json", "notes.txt", "progress", "comparison"
 _MOST_ATTEMPTS = 30  # that are drawn
 _OTHER = 0.6  # of the performance
 
@@ -265,20 +266,67 @@ class Evaluations:
         results = [one.result or {} for one in reversed(until)]
         return compare_attempts([read_attempt(one, one["names"]["performance"]) for one in results])
 
+    def compare(self, job_ids: Sequence[str]) -> Progress:
+        """Evaluations against one reference, in the order in which they are named, as they were asked for.
+
+        Raises
+        ------
+        RefusedError : fewer than two, one of an exercise, or against several references.
+        """
+        from dousa.evaluation import compare_attempts, read_attempt
+
+        jobs = [self._done(job_id) for job_id in job_ids]
+        if len(jobs) < 2 or len(set(job_ids)) < len(jobs):
+            raise RefusedError(422, "studio_evaluation.too_few")
+        if any(_describe_model(job) != _describe_model(jobs[0]) for job in jobs):
+            raise RefusedError(422, "studio_evaluation.other_references")
+        results = [job.result or {} for job in jobs]
+        return compare_attempts([read_attempt(one, one["names"]["performance"]) for one in results])
+
     def draw_progress(self, job_id: str) -> bytes | None:
         """The same as a picture, SVG, in the language in use."""
+        found = self.compare_with_earlier(job_id)
+        return None if found is None else self._draw(found, job_id, _PROGRESS)
+
+    def draw_comparison(self, job_ids: Sequence[str]) -> bytes:
+        """What `compare` finds as a picture, SVG, in the language in use."""
+        return self._draw(self.compare(job_ids), job_ids[-1], _COMPARISON)
+
+    def _draw(self, found: Progress, job_id: str, name: str) -> bytes:
         from dousa.app.pictures.progress import draw_progress
 
-        found = self.compare_with_earlier(job_id)
-        if found is None:
-            return None
-        path = self._board.folder(self._done(job_id)) / f"{_PROGRESS}-{get_language()}.svg"
+        path = self._board.folder(self._done(job_id)) / f"{name}-{get_language()}.svg"
         draw_progress(found, path)
         return path.read_bytes()
 
+    def list_done(self) -> list[dict[str, Any]]:
+        """Evaluations that can be looked at, the last first: number, name, Unix time, and whether of an exercise."""
+        return [
+            {
+                "id": job.id,
+                "name": str(job.result["names"]["performance"]),
+                "created_s": job.created_s,
+                "repetitions": bool(job.request.get("repetitions")),
+            }
+            for job in self._board.all()
+            if job.kind == "evaluate" and job.state == "done" and job.result
+        ]
+
+    def list_comparable(self) -> list[dict[str, Any]]:
+        """The same without exercises, with names of the references, grade, and what two must share to be compared."""
+        found = []
+        for one in self.list_done():
+            job = self._board.get(one["id"])
+            if one["repetitions"] or not job.result:
+                continue
+            model = hashlib.sha256(json.dumps(_describe_model(job)).encode()).hexdigest()[:12]
+            names = [str(name) for name in job.result["names"]["references"]]
+            found.append({**one, "references": names, "score": job.result.get("score"), "model": model})
+        return found
+
     def name_performance(self, job_id: str) -> str:
         """The name of what was judged."""
-        result = self._find(job_id).result or {}
+        result = self.find_job(job_id).result or {}
         return str(result["names"]["performance"])
 
     def read_exercise(self, job_id: str, name: str) -> bytes:
@@ -288,18 +336,24 @@ class Evaluations:
         ------
         RefusedError : no such evaluation, or it is not of an exercise.
         """
-        job = self._find(job_id)
+        job = self.find_job(job_id)
         if not job.request.get("repetitions"):
             raise RefusedError(404, "studio_evaluation.no_exercise")
         return (self._board.folder(job) / name).read_bytes()
 
     def _done(self, job_id: str) -> Job:
-        job = self._find(job_id)
+        job = self.find_job(job_id)
         if job.request.get("repetitions"):
             raise RefusedError(404, "studio_evaluation.exercise")
         return job
 
-    def _find(self, job_id: str) -> Job:
+    def find_job(self, job_id: str) -> Job:
+        """The job of an evaluation that is done, of an exercise too.
+
+        Raises
+        ------
+        RefusedError : there is none.
+        """
         job = self._board.get(job_id)
         if job.kind != "evaluate":
             raise RefusedError(404, "studio_evaluation.not_one", job=job_id)

@@ -29,6 +29,7 @@ from dousa.app.pipelines.estimation_views import Scene
 from dousa.app.studio.content.film_pictures import LONGEST as LONGEST_FILM
 from dousa.app.studio.content.film_record import FilmRecord
 from dousa.app.studio.core.answers import RefusedError
+from dousa.app.studio.jobs.opened import OpenedJobs
 
 if TYPE_CHECKING:
     from dousa.app.pictures.overlay_view import ViewPainter
@@ -223,8 +224,7 @@ class Footages:
 
     def __init__(self, board: JobBoard) -> None:
         self._board = board
-        self._lock = threading.Lock()
-        self._open: OrderedDict[str, Footage] = OrderedDict()
+        self._opened = OpenedJobs(board, _open_footage, _MOST_OPEN)
 
     def get(self, job_id: str) -> Footage:
         """An estimation; there may be nothing of it yet.
@@ -236,16 +236,13 @@ class Footages:
         job = self._board.get(job_id)
         if job.kind != "estimate":
             raise RefusedError(404, "studio_estimation.not_one", job=job_id)
-        with self._lock:
-            if job_id not in self._open:
-                folder = self._board.folder(job)
-                self._open[job_id] = Footage(folder, FilmRecord(folder, folder.parent.parent / "files"))
-            self._open.move_to_end(job_id)
-            while len(self._open) > _MOST_OPEN:
-                self._open.popitem(last=False)
-            found = self._open[job_id]
+        found = self._opened.get(job)
         found.refresh()
         return found
+
+
+def _open_footage(folder: Path) -> Footage:
+    return Footage(folder, FilmRecord(folder, folder.parent.parent / "files"))
 
 
 class Footage:

@@ -11,9 +11,13 @@ from typing import TYPE_CHECKING, Annotated
 
 from fastapi import Depends, Request
 
-from dousa.app.studio.content.clips import Listing, Thumbnails
+from dousa.app.studio.content.clip_words import Meanings
+from dousa.app.studio.content.clips import KeptMap, Listing, Thumbnails
+from dousa.app.studio.content.companions import Companions
 from dousa.app.studio.content.evaluations import Evaluations
 from dousa.app.studio.content.footage import Footages
+from dousa.app.studio.content.live import Live
+from dousa.app.studio.content.masks import MaskDesks
 from dousa.app.studio.content.motions import Motions
 from dousa.app.studio.core.answers import Gate
 from dousa.app.studio.core.workspace import Workspace
@@ -22,6 +26,7 @@ from dousa.errors import LibraryError
 from dousa.messages import Message
 
 if TYPE_CHECKING:
+    from dousa.app.studio.content.sharing import Sharing
     from dousa.app.studio.core.workspace import Settings
     from dousa.library import Library
 
@@ -52,10 +57,16 @@ class Studio:
         self.jobs = JobBoard(self.workspace, make_lanes(self))
         self.motions = Motions(self.get_library, self.workspace, self.jobs)
         self.evaluations = Evaluations(self.motions, self.jobs)
+        self.companions = Companions(self.workspace, self.jobs, self.motions)
         self.listing = Listing(self.get_library, self.workspace.root / "files")
+        self.map = KeptMap(self.workspace.root, self.get_library, self.listing)
+        self.meanings = Meanings(self.get_library)
         self.footage = Footages(self.jobs)
+        self.masks = MaskDesks(self.jobs)
+        self.live = Live()
         self.searching = Gate(4, 12, Message("studio_motions.busy_searching"))
         self.thumbnails = Thumbnails.of(self.workspace.root)
+        self.sharing: Sharing | None = None  # who starts the studio says whether the network may see it
 
     def get_library(self) -> Library:
         """The library, opened once; it is made if it is not there when the studio starts.
@@ -87,8 +98,11 @@ class Studio:
         return self.get_library()
 
     def close(self) -> None:
-        """Stop all work and let go of the library."""
+        """Stop all work, show nothing to others any more, and let go of the library."""
+        if self.sharing is not None:
+            self.sharing.end()
         self.jobs.close()
+        self.meanings.close()
         with self._opening:
             if self._library is not None:
                 self._library.close()

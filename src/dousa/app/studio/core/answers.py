@@ -27,7 +27,14 @@ from dousa.messages import Message
 _NO_ROOM = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 
 _NO_ROOM_CODES = frozenset(
-    {"disk.full", "disk.quota", "disk.large_file", "library_file.disk_full", "library_file.server_disk_full"}
+    {
+        "disk.full",
+        "disk.quota",
+        "disk.large_file",
+        "export.no_room",
+        "library_file.disk_full",
+        "library_file.server_disk_full",
+    }
 )
 
 _CONFLICTS = frozenset(

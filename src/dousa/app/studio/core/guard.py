@@ -10,10 +10,10 @@ from __future__ import annotations
 
 import hmac
 import html
-from collections.abc import Iterable
+from collections.abc import Collection, Iterable
 from http.cookies import CookieError, SimpleCookie
 from typing import TYPE_CHECKING
-from urllib.parse import parse_qsl, quote, urlencode
+from urllib.parse import parse_qsl, quote, unquote, urlencode
 
 from starlette.datastructures import Headers, MutableHeaders
 
@@ -48,25 +48,22 @@ _HEADERS = {
     "referrer-policy": "no-referrer",
     "cross-origin-opener-policy": "same-origin",
     "cross-origin-resource-policy": "same-origin",
-    "permissions-policy": "camera=(), microphone=(), geolocation=()",
+    "permissions-policy": "camera=(self), microphone=(), geolocation=()",
 }
 
 
-class Guard:
-    """The ASGI application in front of the studio's.
+class Door:
+    """The ASGI application in front of another: requests are judged, answered or refused in the language of who asks.
 
     Parameters
     ----------
     app : what answers requests that may come in.
-    settings : token, names and limits.
-    codes : what lets a browser in once.
+    form_at : address that takes a token from the field of a page; no field if None.
     """
 
-    def __init__(self, app: ASGIApp, settings: Settings, codes: Codes) -> None:
+    def __init__(self, app: ASGIApp, form_at: str | None = None) -> None:
         self._app = app
-        self._settings = settings
-        self._codes = codes
-        self._cookie = f"dousa_{settings.port}"  # cookies do not tell ports apart: each studio has its own
+        self._form_at = form_at
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Answer a request, or let it through."""
@@ -77,44 +74,53 @@ class Guard:
             await send({"type": "websocket.close"})
             return
         headers = Headers(scope=scope)
-        use_language(_choose_language(scope, headers))
-        guarded = _with_headers(send)
+        use_language(choose_language(scope, headers))
+        guarded = with_headers(send)
         try:
-            self._check_names(scope["method"], headers)
-            asked = parse_qsl(scope["query_string"].decode("latin-1"), keep_blank_values=True)
-            if scope["method"] == "GET" and not scope["path"].startswith("/api/"):
-                given = dict(asked)
-                if "token" in given or "code" in given:
-                    answer = self._welcome(scope["path"], asked, headers)
-                    await answer(scope, receive, guarded)
-                    return
-            if (scope["method"], scope["path"]) == ("POST", _ENTER):
-                await (await self._enter(receive))(scope, receive, guarded)
-                return
-            self._check_token(headers)
-            most = self._limit(scope["path"])
-            _check_length(headers, most)
+            judged = await self.judge(scope, headers, receive)
         except RefusedError as error:
-            await _refuse(error, scope, receive, guarded)
+            await refuse(error, scope, receive, guarded, form_at=self._form_at)
             return
-        counting = _Counting(receive, most)
-        await self._app(scope, counting, guarded)
+        if isinstance(judged, Answer):
+            await judged(scope, receive, guarded)
+        else:
+            await self._app(scope, judged, guarded)
 
-    def _check_names(self, method: str, headers: Headers) -> None:
-        hosts = self._settings.hosts
-        for name in ("host", "origin", "sec-fetch-site"):
-            if len(headers.getlist(name)) > 1:  # which one counts, others may see differently
-                raise RefusedError(400, "studio.several_headers", name=name.title())
-        if headers.get("host", "") not in hosts:
-            raise RefusedError(421, "studio.other_host", host=min(hosts), found=headers.get("host", ""))
-        origin = headers.get("origin")
-        if origin is not None and origin.removeprefix("http://") not in hosts:
-            raise RefusedError(403, "studio.other_origin", origin=origin)
-        site = headers.get("sec-fetch-site", "none")
-        if site not in ("none", "same-origin") and not (
-            method == "GET" and headers.get("sec-fetch-mode") == "navigate"
-        ):
-            raise RefusedError(403, "studio.other_site", site=site)
+    async def judge(self, scope: Scope, headers: Headers, receive: Receive) -> Answer | Receive:
+        """The answer to a request, or what the application behind receives its body by; RefusedError: not let in."""
+        raise NotImplementedError
+
+
+class Guard(Door):
+    """Who may come in to the studio.
+
+    Parameters
+    ----------
+    app : what answers requests that may come in.
+    settings : token, names and limits.
+    codes : what lets a browser in once.
+    """
+
+    def __init__(self, app: ASGIApp, settings: Settings, codes: Codes) -> None:
+        super().__init__(app, form_at=_ENTER)
+        self._settings = settings
+        self._codes = codes
+        self._cookie = f"dousa_{settings.port}"  # cookies do not tell ports apart: each studio has its own
+
+    async def judge(self, scope: Scope, headers: Headers, receive: Receive) -> Answer | Receive:
+        """As `Door.judge`: by the name that is asked, token, cookie or code, and the length of the body."""
+        check_names(scope["method"], headers, "http", self._settings.hosts)
+        asked = parse_qsl(scope["query_string"].decode("latin-1"), keep_blank_values=True)
+        if scope["method"] == "GET" and not scope["path"].startswith("/api/"):
+            given = dict(asked)
+            if "token" in given or "code" in given:
+                return self._welcome(scope["path"], asked, headers)
+        if (scope["method"], scope["path"]) == ("POST", _ENTER):
+            return await self._enter(receive, _wanted_place(scope))
+        self._check_token(headers)
+        most = self._limit(scope["path"])
+        _check_length(headers, most)
+        return _Counting(receive, most)
 
     def _check_token(self, headers: Headers) -> None:
         if not self._knows_token(headers):
@@ -123,7 +129,7 @@ class Guard:
     def _knows_token(self, headers: Headers) -> bool:
         kind, _, bearer = headers.get("authorization", "").partition(" ")
         candidates = [bearer.strip()] if kind.lower() == "bearer" else []
-        candidates += _cookies(headers.getlist("cookie"), self._cookie)
+        candidates += read_cookies(headers.getlist("cookie"), self._cookie)
         return any(self._is_token(candidate) for candidate in candidates)
 
     def _is_token(self, text: str) -> bool:
@@ -141,8 +147,7 @@ class Guard:
         given, alias = dict(asked), self._settings.alias
         rest = [(name, value) for name, value in asked if name not in ("token", "code")]
         answer = Answer(None, 303)
-        # "//evil.example" would be another machine, and browsers leave out tabs and line ends between the slashes.
-        place = "/" + quote(path.lstrip("/\\"), errors="replace")
+        place = _own_place(path)
         if "token" in given:
             if not self._is_token(given["token"]):
                 raise RefusedError(401, "studio.other_token")
@@ -159,8 +164,8 @@ class Guard:
         answer.headers["location"] = place + (f"?{urlencode(rest)}" if rest else "")
         return answer
 
-    async def _enter(self, receive: Receive) -> Answer:
-        """The token from the field of the page that is shown without one."""
+    async def _enter(self, receive: Receive, place: str) -> Answer:
+        """The token from the field of the page that is shown without one; it leads to the page that was asked for."""
         content = b""
         counting, more = _Counting(receive, _LONGEST_FORM), True
         while more:
@@ -170,12 +175,56 @@ class Guard:
         if not self._is_token(dict(parse_qsl(content.decode("latin-1"))).get("token", "").strip()):
             raise RefusedError(401, "studio.other_token")
         answer = Answer(None, 303)
-        answer.headers["location"] = "/"
+        answer.headers["location"] = place
         self._let_in(answer)
         return answer
 
     def _let_in(self, answer: Answer) -> None:
         answer.set_cookie(self._cookie, self._settings.token, httponly=True, samesite="lax", path="/")
+
+
+def _own_place(path: str) -> str:
+    """A path of this studio: "//evil.example" would be another machine, and so would "/\\evil.example" to browsers."""
+    # Browsers leave out tabs and line ends between the slashes, so they are quoted.
+    return "/" + quote(path.lstrip("/\\"), errors="replace")
+
+
+def _wanted_place(scope: Scope) -> str:
+    """The page that the field for the token leads to: the one asked for, without secrets in its address."""
+    asked = parse_qsl(scope["query_string"].decode("latin-1"), keep_blank_values=True)
+    if scope["path"] == _ENTER:
+        path, _, query = dict(asked).get("to", "").partition("?")
+        path, asked = unquote(path), parse_qsl(query, keep_blank_values=True)
+    else:
+        path = scope["path"]
+    rest = urlencode([(name, value) for name, value in asked if name not in ("token", "code")])
+    return _own_place(path) + (f"?{rest}" if rest else "")
+
+
+def check_names(method: str, headers: Headers, scheme: str, hosts: Collection[str]) -> None:
+    """See that a request was meant for here, and comes from no page of somebody else.
+
+    Parameters
+    ----------
+    method, headers : of the request.
+    scheme : ``http`` or ``https``, of our pages.
+    hosts : what a browser calls us, each with its port.
+
+    Raises
+    ------
+    RefusedError : another host or origin, or a header that decides stands twice.
+    """
+    for name in ("host", "origin", "sec-fetch-site"):
+        if len(headers.getlist(name)) > 1:  # which one counts, others may see differently
+            raise RefusedError(400, "studio.several_headers", name=name.title())
+    if headers.get("host", "") not in hosts:
+        raise RefusedError(421, "studio.other_host", host=min(hosts), found=headers.get("host", ""))
+    origin = headers.get("origin")
+    if origin is not None and origin not in {f"{scheme}://{host}" for host in hosts}:
+        raise RefusedError(403, "studio.other_origin", origin=origin)
+    site = headers.get("sec-fetch-site", "none")
+    if site not in ("none", "same-origin") and not (method == "GET" and headers.get("sec-fetch-mode") == "navigate"):
+        raise RefusedError(403, "studio.other_site", site=site)
 
 
 class _Counting:
@@ -193,7 +242,9 @@ class _Counting:
         return message
 
 
-def _with_headers(send: Send) -> Send:
+def with_headers(send: Send) -> Send:
+    """Answers with the headers that every answer has."""
+
     async def sending(message: Message) -> None:
         if message["type"] == "http.response.start":
             headers = MutableHeaders(scope=message)
@@ -217,17 +268,18 @@ def _check_length(headers: Headers, most: int) -> None:
         raise _too_large(most)
 
 
-def _choose_language(scope: Scope, headers: Headers) -> str:
+def choose_language(scope: Scope, headers: Headers) -> str:
     """A page by its address, else as it was chosen last, else as the browser asks; the interface as it is asked."""
     if not scope["path"].startswith("/api/"):
         asked = dict(parse_qsl(scope["query_string"].decode("latin-1")))
-        for chosen in (asked.get("lang"), *_cookies(headers.getlist("cookie"), "dousa_lang")):
+        for chosen in (asked.get("lang"), *read_cookies(headers.getlist("cookie"), "dousa_lang")):
             if chosen in LANGUAGES:
                 return chosen
     return headers.get("accept-language", "").lower()[:2]
 
 
-def _cookies(lines: Iterable[str], name: str) -> list[str]:
+def read_cookies(lines: Iterable[str], name: str) -> list[str]:
+    """The values of a cookie, from the lines of the header."""
     values = []
     for line in lines:
         try:
@@ -239,28 +291,37 @@ def _cookies(lines: Iterable[str], name: str) -> list[str]:
     return values
 
 
-async def _refuse(error: RefusedError, scope: Scope, receive: Receive, send: Send) -> None:
+async def refuse(
+    error: RefusedError, scope: Scope, receive: Receive, send: Send, *, form_at: str | None = None
+) -> None:
+    """Answer that a request is not let through: a page to a browser, JSON to others.
+
+    Parameters
+    ----------
+    error : why.
+    scope, receive, send : of the request.
+    form_at : address that takes the token from a field of that page; no field if None.
+    """
     # What a stranger goes on to send is not waited for.
     headers = {"connection": "close"} if error.status in (401, 403, 421) else None
     is_page = scope["method"] == "GET" and not scope["path"].startswith(("/api/", "/static/"))
-    if is_page or scope["path"] == _ENTER:
-        from starlette.responses import HTMLResponse
-
-        # The form says where it comes from; with no referrer its origin would be "null".
-        headers = {**(headers or {}), "referrer-policy": "same-origin"}
-        form = _FORM.format(
-            action=_ENTER,
-            field=html.escape(say(_Words("studio.token_field"))),
-            go=html.escape(say(_Words("studio.token_go"))),
-        )
-        text = _CLOSED.format(
-            language=get_language(), status=error.status, problem=html.escape(say(error.message)),
-            form=form if error.status == 401 else "",
-        )  # fmt: skip
-        page = HTMLResponse(text, error.status, headers)
-        await page(scope, receive, send)
+    if not is_page and scope["path"] != form_at:
+        await Answer(to_answer(error.message), error.status, headers)(scope, receive, send)
         return
-    await Answer(to_answer(error.message), error.status, headers)(scope, receive, send)
+    from starlette.responses import HTMLResponse
+
+    # The form says where it comes from; with no referrer its origin would be "null".
+    headers = {**(headers or {}), "referrer-policy": "same-origin"}
+    form = _FORM.format(
+        action=html.escape(f"{form_at}?{urlencode({'to': _wanted_place(scope)})}"),
+        field=html.escape(say(_Words("studio.token_field"))),
+        go=html.escape(say(_Words("studio.token_go"))),
+    )
+    text = _CLOSED.format(
+        language=get_language(), status=error.status, problem=html.escape(say(error.message)),
+        form=form if error.status == 401 and form_at else "",
+    )  # fmt: skip
+    await HTMLResponse(text, error.status, headers)(scope, receive, send)
 
 
 _FORM = """<form method="post" action="{action}"><label style="display:block">{field}<br>

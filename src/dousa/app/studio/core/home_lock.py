@@ -18,7 +18,8 @@ from urllib import request
 from dousa.errors import OptionError
 
 LOCK, RUNNING = "studio.lock", "studio.json"
-_TAKEN = (errno.EAGAIN, errno.EACCES, errno.EDEADLK)
+TAKEN = (errno.EAGAIN, errno.EACCES, errno.EDEADLK)
+"""What the system answers where another process has the lock."""
 _PATIENCE = 5.0  # s for the running studio to answer
 
 
@@ -43,18 +44,19 @@ class HomeLock:
         self._home = home
         self._file: IO[bytes] | None = open_private(home / LOCK)
         try:
-            _lock(self._file)
+            lock_file(self._file)
         except OSError as error:
-            if error.errno not in _TAKEN:
+            if error.errno not in TAKEN:
                 return  # a disk without locks
             self._file.close()
             self._file = None
             raise HomeTakenError("studio.taken", folder=home, process=_read(home).get("process", "?")) from None
-        self.announce(None, None)
+        self.announce(None, None, None)
 
-    def announce(self, address: str | None, token: str | None) -> None:
-        """Leave a note, for this user alone, where the studio answers."""
-        note = {"process": os.getpid(), "address": address, "token": token}
+    def announce(self, address: str | None, token: str | None, library: Path | None) -> None:
+        """Leave a note, for this user alone, where the studio answers, and of which library it is."""
+        known = None if library is None else str(library.absolute())
+        note = {"process": os.getpid(), "address": address, "token": token, "library": known}
         temporary = self._home / f".{RUNNING}"
         with open_private(temporary) as file:
             file.truncate(0)
@@ -75,7 +77,8 @@ def open_private(path: Path) -> IO[bytes]:
     return os.fdopen(os.open(path, os.O_RDWR | os.O_CREAT, 0o600), "r+b")
 
 
-def _lock(file: IO[bytes]) -> None:
+def lock_file(file: IO[bytes]) -> None:
+    """Lock a file until it is closed or the process ends; OSError at once where another process has locked it."""
     if sys.platform == "win32":
         import msvcrt
 
@@ -92,6 +95,12 @@ def _read(home: Path) -> dict[str, Any]:
         if isinstance(note, dict):
             return note
     return {}
+
+
+def other_library(home: Path, library: Path) -> str | None:
+    """The library of the studio that has a folder, if it is another one than this."""
+    known = _read(home).get("library")
+    return known if known is not None and known != str(library.absolute()) else None
 
 
 def ask_running(home: Path) -> str | None:

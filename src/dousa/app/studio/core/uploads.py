@@ -24,6 +24,7 @@ MOTIONS = frozenset(Path(f"a{suffix}").suffix for suffix in SUFFIXES)
 SKELETONS = frozenset({".asf"})
 VIDEOS = frozenset({".mp4", ".avi", ".mov", ".mkv", ".webm", ".m4v"})
 PICTURES = frozenset({".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff"})
+SOUNDS = frozenset({".wav", ".mp3", ".flac", ".ogg", ".opus", ".m4a", ".aac"})
 TABLES = frozenset({".toml", ".xml", ".yaml", ".yml", ".json", ".csv", ".txt"})
 LABELS = frozenset({".eaf", ".textgrid"})
 _ARCHIVE = ".zip"
@@ -125,7 +126,7 @@ class _Room:
 
 def _check_suffix(name: str) -> str:
     suffix = Path(name).suffix.lower()
-    if suffix not in MOTIONS | SKELETONS | VIDEOS | PICTURES | TABLES | LABELS | {_ARCHIVE}:
+    if suffix not in MOTIONS | SKELETONS | VIDEOS | SOUNDS | PICTURES | TABLES | LABELS | {_ARCHIVE}:
         if suffix:
             raise RefusedError(415, "studio_files.other_kind", suffix=suffix)
         raise RefusedError(415, "studio_files.no_suffix")
@@ -174,6 +175,11 @@ def _check_content(path: Path, name: str) -> None:
         ".mov": head[4:8] in _BOXES,
         ".avi": head[:4] == b"RIFF" and head[8:12] == b"AVI ",
         ".mkv": head[:4] == _MATROSKA,
+        ".wav": head[:4] in (b"RIFF", b"RF64") and head[8:12] == b"WAVE",
+        ".flac": head[:4] == b"fLaC",
+        **dict.fromkeys((".ogg", ".opus"), head[:4] == b"OggS"),
+        ".m4a": head[4:8] in _BOXES,
+        **dict.fromkeys((".mp3", ".aac"), head[:3] == b"ID3" or (head[0] == 0xFF and head[1:2] >= b"\xe0")),
         ".webm": head[:4] == _MATROSKA,
     }
     if not fits.get(suffix, is_text or suffix not in TABLES):

@@ -302,7 +302,7 @@ class Workspace:
         return found
 
     def _clear_stale(self) -> None:
-        for part in (self.root / "files").glob(".*.part"):  # of uploads that ended with their studio
+        for part in self.root.rglob(".*.part"):  # of what ended with its studio
             with suppress(OSError):
                 part.unlink()
         for folder in (self.root / "files").iterdir():

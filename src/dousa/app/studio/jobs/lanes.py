@@ -67,7 +67,13 @@ class WorkError(DousaError):
 
 
 def start_worker(
-    settings: Settings, kind: str, request: Mapping[str, Any], folder: Path, errors: IO[bytes] | int
+    settings: Settings,
+    kind: str,
+    request: Mapping[str, Any],
+    folder: Path,
+    errors: IO[bytes] | int,
+    *,
+    is_job: bool = False,
 ) -> tuple[subprocess.Popen[bytes], bytes]:
     """A process that does work, and the line that it waits for on its standard input.
 
@@ -77,12 +83,14 @@ def start_worker(
     kind, request : of the work, see `dousa.app.studio.work.worker`.
     folder : where it may write.
     errors : where its standard error goes.
+    is_job : the folder is its alone; it waits for one of a killed studio that is still ending there.
 
     What it answers is in the language in use here.
     """
     task = {
         "language": get_language(),
         "kind": kind,
+        "is_job": is_job,
         "request": dict(request),
         "folder": str(folder),
         "library": str(settings.library),
@@ -104,7 +112,7 @@ def run_in_process(settings: Settings) -> Callable[[Job, JobBoard, threading.Eve
     def run(job: Job, board: JobBoard, stop: threading.Event) -> dict[str, Any]:
         folder = board.folder(job)
         with open(folder / "log.txt", "ab") as log:
-            process, task = start_worker(settings, job.kind, job.request, folder, log)
+            process, task = start_worker(settings, job.kind, job.request, folder, log, is_job=True)
         watcher = threading.Thread(target=_end_when, args=(stop, process), daemon=True)
         watcher.start()
         try:

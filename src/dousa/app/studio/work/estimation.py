@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Sequence
 from contextlib import closing
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -21,6 +22,8 @@ if TYPE_CHECKING:
     from dousa.app.pipelines.estimate import Estimation
     from dousa.app.pipelines.estimation_request import EstimationRequest, Outputs
     from dousa.app.studio.content.footage import FootageWriter
+    from dousa.app.studio.content.masks import StoredMasks
+    from dousa.arrays import Image, Mask
 
 
 def estimate(request: dict[str, Any], context: Context) -> dict[str, Any]:
@@ -31,6 +34,7 @@ def estimate(request: dict[str, Any], context: Context) -> dict[str, Any]:
     """
     from dousa.app.pipelines.estimation_request import Outputs
     from dousa.app.studio.content.footage import FootageWriter
+    from dousa.app.studio.content.masks import EXPORTED
     from dousa.app.studio.work.films import CAMERAS
 
     folder = context.folder
@@ -54,7 +58,7 @@ def estimate(request: dict[str, Any], context: Context) -> dict[str, Any]:
         "warnings": warnings,
         "warning_weights": weights,
         "motion": "motion.bvh",
-        "files": [path.name for path in done.outputs] + ([CAMERAS] if (folder / CAMERAS).exists() else []),
+        "files": [path.name for path in done.outputs] + [one for one in (CAMERAS, EXPORTED) if (folder / one).exists()],
     }
 
 
@@ -67,11 +71,41 @@ def _estimate(
     def tell(note: Message) -> None:
         context.tell(shorten(to_message(note), context.home))
 
+    if request.get("masks"):
+        asked, stored = _take_masks(request["masks"], asked, context)
+        return estimate_files(asked, context.progress, tell, _PictureBringer(footage, stored))
     if takes_films(request, asked):
         if request.get("cues") is not None or not can_do_without(asked):
             return estimate_from_films(request, asked, context, footage)
         tell(Message("film_estimate.models"))
     return estimate_files(asked, context.progress, tell, footage)
+
+
+def _take_masks(job: str, asked: EstimationRequest, context: Context) -> tuple[EstimationRequest, StoredMasks]:
+    """The request with the repaired silhouettes of a job, and these as they were found.
+
+    They are written into the folder of this job: what is repaired later does not change its result.
+    """
+    from dousa.app.studio.content.masks import EXPORTED, StoredMasks, export_masks
+
+    folder, path = context.home / "jobs" / job, context.folder / EXPORTED
+    if not path.is_file():
+        export_masks(folder, path, context.progress)
+    stored = StoredMasks(folder)
+    cameras = None if stored.has_cameras else asked.cameras
+    asked = dataclasses.replace(asked, sources=(path,), backgrounds=(), cameras=cameras, mirrored=False)
+    return dataclasses.replace(asked, background_method=None, kind=None, rate=None, frames=None), stored
+
+
+class _PictureBringer:
+    """Shows a watcher the pictures that lie behind repaired silhouettes."""
+
+    def __init__(self, watcher: FootageWriter, stored: StoredMasks) -> None:
+        self._watcher, self._stored = watcher, stored
+        self.begin, self.follow, self.end = watcher.begin, watcher.follow, watcher.end
+
+    def see(self, frame: int, masks: Sequence[Mask | None], pictures: Sequence[Image | None]) -> None:
+        self._watcher.see(frame, masks, self._stored.look(frame))
 
 
 def write_example(request: dict[str, Any], context: Context) -> dict[str, Any]:

@@ -10,12 +10,15 @@ from typing import TYPE_CHECKING, Any
 from dousa.app.studio.content.motions import EXPORTED, Address, MotionRef
 from dousa.app.studio.core.words import shorten
 from dousa.app.studio.jobs.lanes import Context
+from dousa.messages import Message
 
 if TYPE_CHECKING:
     from dousa.app.studio.content.studio import Studio
     from dousa.library import Library
 
 _MOST_DRAWN = 2_000  # clips whose figures are made ahead; a longer list gets its own when it is looked at
+
+_DEMO_PEOPLE = 6
 
 
 def add(request: dict[str, Any], context: Context) -> dict[str, Any]:
@@ -101,6 +104,46 @@ def train(request: dict[str, Any], context: Context) -> dict[str, Any]:
             progress=context.progress,
         )
         return report.to_json()
+
+
+def review(request: dict[str, Any], context: Context) -> dict[str, Any]:
+    """Labels that are likely wrong, and clips that are nearly the same."""
+    from dousa.errors import TrainingError
+
+    with context.open_library() as library:
+        groups = [group.to_json() for group in library.find_near_duplicates()]
+        try:
+            labels = library.review_labels(progress=context.progress).to_json()
+        except TrainingError as error:
+            if not groups:
+                raise
+            context.tell(error.message)
+            labels = {"doubts": [], "n_judged": 0, "n_few": 0, "n_checked": 0}
+    return {**labels, "duplicates": groups}
+
+
+def map_clips(request: dict[str, Any], context: Context) -> dict[str, Any]:
+    """Lay out all clips on a map, which the studio keeps."""
+    from dousa.app.studio.content.clips import keep_map
+
+    with context.open_library() as library:
+        found = library.map(progress=context.progress)
+        keep_map(context.home, found, library.contents(found.clip_ids.tolist()))
+    return {"n_clips": len(found.clip_ids), "n_laid_out": found.n_laid_out, "n_left_out": len(found.left_out)}
+
+
+def demo(request: dict[str, Any], context: Context) -> dict[str, Any]:
+    """Fill the library with made-up motions of a few people, and train it."""
+    from dousa.app.demo.demo import write_library
+
+    folder = context.home / "files" / str(request["batch"])
+    context.progress(0, 1, Message("studio_jobs.making_motions"))
+    write_library(folder, n_performers=_DEMO_PEOPLE)
+    report = _take_in([folder], {"category_from": "folder", "performer_from": r"name:^(performer\d+)_"}, context)
+    with context.open_library() as library:
+        library.train(progress=context.progress)
+    answer: dict[str, Any] = _without_folder(report, f"{folder}/")
+    return answer
 
 
 def export(request: dict[str, Any], context: Context) -> dict[str, Any]:

@@ -10,12 +10,13 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Mapping
-from contextlib import suppress
+from contextlib import nullcontext, suppress
 from functools import partial
 from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import IO, TYPE_CHECKING, Any
 
+from dousa.app.studio.core.home_lock import TAKEN, lock_file, open_private
 from dousa.app.studio.jobs.board import Lane
 from dousa.app.studio.jobs.lanes import READY, Context, run_in_process, run_in_thread
 
@@ -28,8 +29,14 @@ IN_PROCESS = {
     "add": ("library", "add"),
     "watch": ("library", "watch"),
     "train": ("library", "train"),
+    "demo": ("library", "demo"),
+    "review": ("library", "review"),
+    "map": ("library", "map_clips"),
     "export": ("library", "export"),
+    "check": ("upkeep", "check"),
+    "compact": ("upkeep", "compact"),
     "estimate": ("estimation", "estimate"),
+    "masks": ("masks", "prepare_masks"),
     "preview": ("preview", "preview"),
     "example": ("estimation", "write_example"),
 }
@@ -52,14 +59,21 @@ def make_lanes(studio: Studio) -> Mapping[str, Lane]:
         "add": Lane("library", process, resumable=True),
         "watch": Lane("library", process, resumable=True),
         "train": Lane("library", process, resumable=True),
+        "demo": Lane("library", process),
+        "review": Lane("review", process),
+        "map": Lane("review", process),
         "export": Lane("export", process, resumable=True),
+        "check": Lane("library", process),
+        "compact": Lane("library", process, resumable=True),
         "estimate": Lane("estimation", process, resumable=True),
+        "masks": Lane("masks", process),
         "label": Lane("questions", run_in_thread(studio.settings, partial(label, studio))),
         "evaluate": Lane("questions", run_in_thread(studio.settings, partial(evaluate, studio))),
     }
 
 
 _TELL_EVERY = 0.1  # s
+_LOCK = "work.lock"  # in the folder of a job
 _PATIENCE = 15.0  # s to end after the studio has ended
 _MOST_PIXELS = 200_000_000  # of a picture; small files can say that they are larger
 
@@ -79,8 +93,24 @@ def main() -> None:
         return
     task = json.loads(line)
     threading.Thread(target=_end_with_studio, daemon=True).start()
-    answer = _do(task, out)
+    with _wait_for_predecessor(Path(task["folder"]) / _LOCK) if task["is_job"] else nullcontext():
+        answer = _do(task, out)
     _say(out, answer)
+
+
+def _wait_for_predecessor(path: Path) -> IO[bytes]:
+    """The right to the folder of a job; a process of a studio that was killed may still be ending in it."""
+    file = open_private(path)
+    end = time.monotonic() + 2 * _PATIENCE
+    while time.monotonic() < end:
+        try:
+            lock_file(file)
+            break
+        except OSError as error:
+            if error.errno not in TAKEN:  # a disk without locks
+                break
+        time.sleep(0.05)
+    return file
 
 
 def _stand_back() -> None:

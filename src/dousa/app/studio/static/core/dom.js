@@ -46,11 +46,12 @@ const SHAPES = {
   tag: "M3 3h9l9 9-9 9-9-9zm4.5 3A1.6 1.6 0 1 0 7.51 6z",
   label: "M4 17.2V20h2.8L17.4 9.4l-2.8-2.8zM19.6 7.2a1 1 0 0 0 0-1.4l-1.4-1.4a1 1 0 0 0-1.4 0l-1.2 1.2 2.8 2.8z",
   star: "M12 3l2.7 5.9 6.4.7-4.8 4.3 1.4 6.3L12 17l-5.7 3.2 1.4-6.3-4.8-4.3 6.4-.7z",
+  next: "M8.6 5 10 3.6l8.4 8.4-8.4 8.4L8.6 19l7-7z",
   undo: "M9 5 3 11l6 6v-4h5a4 4 0 0 1 0 8h-3v2h3a6 6 0 0 0 0-12H9z",
   mark: "M4 12.5 9.5 18 20 6.5 18.4 5 9.4 14.9 5.5 11z",
 };
 
-/** Small drawing: play pause close sun moon half search download upload folder trash tag label star undo mark. */
+/** Small drawing: play pause close sun moon half search download upload folder trash tag label star undo mark next. */
 export function icon(name) {
   const svg = document.createElementNS(SVG, "svg");
   svg.setAttribute("viewBox", "0 0 24 24");

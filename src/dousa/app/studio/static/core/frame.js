@@ -1,43 +1,13 @@
 // What every page has: language, light and dark, the tray of jobs.
 
 import { get, post } from "./api.js";
-import { $, h, icon, language, t } from "./dom.js";
+import { $, h, t } from "./dom.js";
 import { keepTimes, sayTimes, tellEnds, tellSwitch } from "./job_news.js";
 import { forgetJob, isActive, resumeJob, stopJob, watchJobs } from "./jobs.js";
+import "./look.js";
 import { attempt, notify } from "./notices.js";
-
-const YEAR = 31536000;
-const keep = (name, value) => {
-  document.cookie = `${name}=${value}; path=/; max-age=${value ? YEAR : 0}; samesite=lax`;
-};
-
-$("#language-button").addEventListener("click", () => {
-  keep("dousa_lang", language === "en" ? "ja" : "en");
-  const address = new URL(location.href);
-  address.searchParams.delete("lang");
-  location.assign(address);
-});
-
-const THEMES = ["system", "light", "dark"];
-const THEME_ICONS = { system: "half", light: "sun", dark: "moon" };
-
-function showTheme() {
-  const theme = document.documentElement.dataset.theme ?? "system";
-  const button = $("#theme-button");
-  button.replaceChildren(icon(THEME_ICONS[theme]));
-  button.setAttribute("aria-label", `${t("theme")}: ${t(`theme_${theme}`)}`);
-  button.title = `${t("theme")}: ${t(`theme_${theme}`)}`;
-  return theme;
-}
-
-$("#theme-button").addEventListener("click", () => {
-  const next = THEMES[(THEMES.indexOf(showTheme()) + 1) % THEMES.length];
-  if (next === "system") delete document.documentElement.dataset.theme;
-  else document.documentElement.dataset.theme = next;
-  keep("dousa_theme", next === "system" ? "" : next);
-  showTheme();
-});
-showTheme();
+import { listenForPalette } from "./palette.js";
+import "./sharing.js";
 
 // On a phone the tabs are wider than the window: the one that is open is brought into it.
 const tab = $(".bar nav [aria-current]");
@@ -51,7 +21,9 @@ if (tab) {
 const tray = $("#jobs-tray");
 const trayButton = $("#jobs-button");
 const space = h("div", { class: "space" });
-const PLACES = { evaluate: "evaluate", estimate: "estimate", label: "takes", add: "library", watch: "library", train: "library" };
+const PLACES = { evaluate: "evaluate", estimate: "estimate", masks: "estimate", label: "takes", add: "library", watch: "library", train: "library", demo: "library", review: "library", map: "library" };
+
+const placeOf = ({ kind, id }) => (kind === "masks" ? `/estimate?masks=${id}` : `/${PLACES[kind]}?job=${id}`);
 
 function toggleTray(open) {
   tray.hidden = !open;
@@ -79,6 +51,9 @@ document.addEventListener("pointerdown", (event) => {
   for (const menu of document.querySelectorAll("details.menu[open]")) if (!menu.contains(event.target)) menu.open = false;
 });
 
+const UPKEEP = ["check", "compact"]; // what they found is said in the tray, and nowhere else
+const canBeRepaired = ({ kind, state, codes }) => kind === "check" && state === "done" && codes.notes.at(-1)?.code === "library_check.damaged" && !codes.notes.some(({ code }) => code === "studio_jobs.repair_closed");
+
 function describeJob(job) {
   const act = (name, action, kind = "") => h("button", { type: "button", class: `small ${kind}`, onclick: () => attempt(action) }, t(name));
   const actions = [];
@@ -87,7 +62,8 @@ function describeJob(job) {
   if (job.resumable && (job.state === "stopped" || job.state === "failed")) actions.unshift(act("resume", () => resumeJob(job.id)));
   const shows = Object.hasOwn(PLACES, job.kind) && job.state !== "failed";
   if (job.kind === "export" && job.state === "done") actions.unshift(h("a", { class: "button small", href: `/api/exports/${job.id}`, download: "" }, t("download_file")));
-  if (shows) actions.unshift(h("a", { class: "button small", href: `/${PLACES[job.kind]}?job=${job.id}` }, t("show")));
+  if (canBeRepaired(job)) actions.unshift(act("repair_library", () => post("/jobs/check", { repair: true })));
+  if (shows) actions.unshift(h("a", { class: "button small", href: placeOf(job) }, t("show")));
   return h(
     "article",
     { class: "job", dataset: { job: job.id, state: job.state } },
@@ -95,13 +71,14 @@ function describeJob(job) {
     isActive(job) ? h("progress", { max: String(Math.max(job.total, 1)), value: job.total && job.done ? String(job.done) : null, "aria-label": t(`kind_${job.kind}`) }) : null,
     isActive(job) && job.what ? h("p", { class: "what" }, job.total ? `${job.what} (${job.done}/${job.total})` : job.what) : null,
     h("p", { class: "what job-times", dataset: { job: job.id } }, sayTimes(job)),
+    ...(UPKEEP.includes(job.kind) ? job.notes.map((note) => h("p", { class: "what" }, note)) : []),
     job.problem ? h("p", { class: "problem-box" }, job.problem) : null,
     h("div", { class: "actions" }, ...actions),
   );
 }
 
 // Labels, evaluations and estimates are results to come back to; of the others nothing but a line is left.
-const canBeCleared = (job) => !isActive(job) && (job.state !== "done" || ["add", "watch", "train", "export"].includes(job.kind));
+const canBeCleared = (job) => !isActive(job) && (job.state !== "done" || ["add", "watch", "train", "export", "demo", "review", "map", ...UPKEEP].includes(job.kind));
 
 async function clearEnded(ended) {
   for (const job of ended) await forgetJob(job.id);
@@ -128,9 +105,13 @@ watchJobs((jobs) => {
   if (place) focusAgain(place);
 });
 
+listenForPalette((job) => (Object.hasOwn(PLACES, job.kind) && job.state !== "failed" ? placeOf(job) : null));
+
 // --- the disk
 
 const size = (bytes) => (bytes < 999.5e6 ? t("megabytes", { value: Math.round(bytes / 1e6) }) : t("gigabytes", { value: (bytes / 1e9).toFixed(1) }));
+
+const LARGE = 1e9; // bytes of a library from which fragments are worth it
 
 async function showSpace(answer = null) {
   const now = answer ?? (await get("/space").catch(() => null)); // the studio is away, which is said elsewhere
@@ -141,17 +122,15 @@ async function showSpace(answer = null) {
     notify(t("space_freed", { size: size(done.freed_bytes) }));
     showSpace(done);
   };
-  const forget = async () => {
-    const done = await attempt(() => post("/space/compact"));
-    if (!done) return;
-    notify(t("space_freed", { size: size(done.freed_bytes) }));
-    showSpace(done);
-  };
-  const sure = () => (compact.dataset.sure ? forget() : ((compact.dataset.sure = "1"), (compact.textContent = t("space_forget_sure"))));
-  const compact = h("button", { type: "button", class: "small", id: "space-compact", title: t("space_forget_title"), onclick: sure }, t("space_forget", { size: size(now.removed_bytes) }));
-  const act = h("button", { type: "button", class: "small", id: "space-free", title: t("space_free_title"), onclick: free }, t("space_free", { size: size(now.can_be_freed_bytes) }));
+  const start = (name, request) => attempt(() => post(`/jobs/${name}`, request));
+  const button = (id, title, text, onclick) => h("button", { type: "button", class: "small", id: `space-${id}`, title, onclick }, text);
+  const sure = () => (compact.dataset.sure ? start("compact", {}) : ((compact.dataset.sure = "1"), (compact.textContent = t("space_forget_sure"))));
+  const compact = button("compact", t("space_forget_title"), t("space_forget", { size: size(now.removed_bytes) }), sure);
+  const check = button("check", t("space_check_title"), t("space_check"), () => start("check", {}));
+  const move = button("fragments", t("space_fragments_title"), t("space_fragments"), () => start("compact", { fragments: true }));
+  const act = button("free", t("space_free_title"), t("space_free", { size: size(now.can_be_freed_bytes) }), free);
   const kept = size(now.uploads_bytes + now.jobs_bytes);
-  space.replaceChildren(h("p", {}, t("space", { library: size(now.library_bytes), kept, free: size(now.disk_free_bytes) })), ...(now.can_be_freed_bytes > 0 ? [act] : []), ...(now.removed_bytes > 0 ? [compact] : []));
+  space.replaceChildren(h("p", {}, t("space", { library: size(now.library_bytes), kept, free: size(now.disk_free_bytes) })), ...(now.can_be_freed_bytes > 0 ? [act] : []), ...(now.removed_bytes > 0 ? [compact] : []), ...(now.library_bytes > LARGE && !now.has_fragments ? [move] : []), check);
 }
 
 /** Which job of the tray has the focus, and which of its buttons; the tray itself has none. */

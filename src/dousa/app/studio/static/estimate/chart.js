@@ -7,6 +7,7 @@ const SVG = "http://www.w3.org/2000/svg";
 const [WIDE, HIGH] = [1000, 100];
 const MOST_POINTS = 800; // of the curve; of more frames the worst of each column is drawn
 let nCharts = 0;
+const BAND = { good: 6, unsure: 10, lost: 14 }; // units high
 const LEAST_LOST = 3; // units: one lost frame of a long recording still shows
 
 function svg(tag, properties = {}, ...children) {
@@ -22,9 +23,10 @@ export class Chart {
     Object.assign(this, { total: 1, worst, hatch: `lost-hatch-${(nCharts += 1)}` });
     this.spans = svg("g");
     this.lines = svg("g");
+    this.trust = svg("g");
     this.cursor = svg("line", { class: "cursor", y1: 0, y2: HIGH, x1: 0, x2: 0 });
     const grid = [0.25, 0.5, 0.75].map((value) => svg("line", { class: "grid", x1: 0, x2: WIDE, y1: HIGH * value, y2: HIGH * value }));
-    this.drawing = svg("svg", { viewBox: `0 0 ${WIDE} ${HIGH}`, preserveAspectRatio: "none", "aria-hidden": "true" }, hatching(this.hatch), ...grid, this.spans, this.lines, this.cursor);
+    this.drawing = svg("svg", { viewBox: `0 0 ${WIDE} ${HIGH}`, preserveAspectRatio: "none", "aria-hidden": "true" }, hatching(this.hatch), ...grid, this.spans, this.lines, this.trust, this.cursor);
     place.replaceChildren(...labels.map((text, index) => h("span", { class: "scale", style: { top: `${6 + 44 * index}%` }, "aria-hidden": "true" }, text)), this.drawing);
     const seek = (event) => {
       const box = this.drawing.getBoundingClientRect();
@@ -46,6 +48,7 @@ export class Chart {
     this.total = Math.max(total, 1);
     const known = [...frames.keys()].sort((a, b) => a - b);
     this.lines.replaceChildren(...this.curves(known, frames));
+    this.trust.replaceChildren(...this.bands(known, frames));
     this.spans.replaceChildren(...this.marked(known, frames, "unsure"), ...this.marked(known, frames, "lost"));
   }
 
@@ -70,6 +73,24 @@ export class Chart {
       last = frame;
     }
     return pieces.map(({ open, points }) => svg("polyline", { class: open ? "curve open" : "curve", points: (points.length > 1 ? points : [points[0], points[0]]).join(" ") }));
+  }
+
+  /** How far each frame is to be trusted, along the bottom: green, amber (thicker), red (thickest). */
+  bands(known, frames) {
+    const bands = [];
+    for (const frame of known) {
+      const { lost, unsure, stage } = frames.get(frame);
+      if (stage === 0) continue;
+      const trust = lost ? "lost" : unsure ? "unsure" : "good";
+      const newest = bands.at(-1);
+      if (newest && newest.trust === trust && newest.last === frame - 1) newest.last = frame;
+      else bands.push({ trust, first: frame, last: frame });
+    }
+    return bands.map(({ trust, first, last }) => {
+      const left = this.column(first - 0.5);
+      const height = BAND[trust];
+      return svg("rect", { class: `trust-band ${trust}`, x: left, y: HIGH - height, width: Math.max(this.column(last + 0.5) - left, trust === "good" ? 0 : LEAST_LOST), height });
+    });
   }
 
   /** Rectangles over frames that are "lost" or "unsure". */

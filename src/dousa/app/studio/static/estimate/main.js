@@ -3,6 +3,7 @@
 import { $ } from "../core/dom.js";
 import { addressOf } from "./address.js";
 import { showSetup } from "./setup.js";
+import { showMasks } from "../masks/editor.js";
 import { watchEstimation } from "./watch.js";
 
 let leave = () => {};
@@ -12,10 +13,15 @@ function route() {
   leave = () => {};
   const asked = new URLSearchParams(location.search);
   const job = asked.get("job");
-  $("#setup").hidden = Boolean(job);
+  const masks = job ? null : asked.get("masks");
+  const onJob = (id) => go({ job: id });
+  const onMasks = (id, of) => go(of ? { masks: id, of } : { masks: id });
+  $("#setup").hidden = Boolean(job || masks);
   $("#watch").hidden = !job;
-  if (job) leave = watchEstimation(job, { startOver: () => go({}), onJob: (id) => go({ job: id }) });
-  else showSetup({ batch: asked.get("batch"), onJob: (id) => go({ job: id }) });
+  $("#masks").hidden = !masks;
+  if (masks) leave = showMasks(masks, { of: asked.get("of"), onJob, startOver: () => go({}) });
+  else if (job) leave = watchEstimation(job, { startOver: () => go({}), onJob, onMasks });
+  else showSetup({ batch: asked.get("batch"), onJob, onMasks });
 }
 
 function go(params) {

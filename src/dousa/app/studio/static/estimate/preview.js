@@ -4,6 +4,7 @@ import { $, formatSeconds, h, t } from "../core/dom.js";
 
 export function showEmpty() {
   $("#start").disabled = true;
+  $("#repair").hidden = true;
   $("#preview").replaceChildren(h("p", { class: "note" }, t("preview_empty")));
 }
 
@@ -17,6 +18,7 @@ export function showLooking(what = t("preview_looking")) {
 export function showPreview(found) {
   const ready = !found.missing && found.views.length > 0;
   $("#start").disabled = !ready;
+  $("#repair").hidden = found.films || !found.views.length; // of films people are found, not silhouettes
   $("#preview").replaceChildren(
     ...[
       found.missing ? h("p", { class: "problem-box", id: "missing" }, found.missing) : null,

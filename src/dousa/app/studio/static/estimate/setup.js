@@ -11,11 +11,12 @@ import { showEmpty, showLooking, showPreview } from "./preview.js";
 
 const ACCEPT = ".npz,.zip,.mp4,.avi,.mov,.mkv,.webm,.m4v,.png,.jpg,.jpeg,.bmp,.tif,.tiff,.toml,.xml,.yaml,.yml,.json,.txt,.bvh,.amc,.asf,.c3d,.trc";
 
-const state = { batch: null, files: [], roles: new Map(), look: null, onJob: () => {}, films: false };
+const state = { batch: null, files: [], roles: new Map(), look: null, onJob: () => {}, onMasks: () => {}, films: false };
 
-/** options: batch of an earlier upload or null; onJob(id) when an estimation was started. */
-export function showSetup({ batch, onJob }) {
-  Object.assign(state, { batch: null, files: [], onJob, films: false });
+/** options: batch of an earlier upload or null; onJob(id) when an estimation was started, onMasks(id) when its silhouettes are
+ *  to be repaired first. */
+export function showSetup({ batch, onJob, onMasks }) {
+  Object.assign(state, { batch: null, files: [], onJob, onMasks, films: false });
   state.roles.clear();
   state.look?.abort();
   $("#material-drop").replaceChildren(
@@ -25,6 +26,7 @@ export function showSetup({ batch, onJob }) {
   $("#material-refused").replaceChildren();
   buildOptions($("#options"), lookSoon, () => state.films);
   $("#start").onclick = start;
+  $("#repair").onclick = () => attempt(async () => state.onMasks((await post("/jobs/masks", request())).id));
   drawFiles();
   showEmpty();
   if (batch) resumeBatch(batch);
@@ -87,7 +89,7 @@ function drawFiles() {
   };
   const again = () => {
     history.replaceState(null, "", addressOf({}));
-    showSetup({ batch: null, onJob: state.onJob });
+    showSetup({ batch: null, onJob: state.onJob, onMasks: state.onMasks });
     $("#material-drop button").focus();
   };
   showFiles($("#material-files"), state.files, { change, again });

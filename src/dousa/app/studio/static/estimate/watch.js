@@ -11,6 +11,7 @@ import { showOutcome } from "./outcome.js";
 import { Views } from "./views.js";
 
 const LOOK_EVERY = 350; // ms
+const UNSURE = 0.7; // mean overlap of silhouette and model, below which a frame is marked
 
 /** What a job is doing. */
 function describeStep(job) {
@@ -19,14 +20,14 @@ function describeStep(job) {
 }
 
 /** Show a job; -> function that ends the watching. */
-export function watchEstimation(id, { startOver, onJob }) {
-  const watching = new Watching(id, startOver, onJob);
+export function watchEstimation(id, { startOver, onJob, onMasks }) {
+  const watching = new Watching(id, startOver, onJob, onMasks);
   return () => watching.end();
 }
 
 class Watching {
-  constructor(id, startOver, onJob) {
-    Object.assign(this, { id, startOver, onJob, job: null, run: null, next: 0, frames: new Map(), total: 0, rate: 30, frame: -1, following: true, ended: false });
+  constructor(id, startOver, onJob, onMasks) {
+    Object.assign(this, { id, startOver, onJob, onMasks, job: null, run: null, next: 0, frames: new Map(), total: 0, rate: 30, frame: -1, following: true, ended: false });
     this.views = null;
     this.desk = null; // of an estimation from films
     $(".watch-columns").hidden = true; // until it is known which it is
@@ -110,9 +111,17 @@ class Watching {
     if (isActive(job)) buttons.push(act("stop", () => stopJob(id), "danger"));
     if (job.state === "stopped" || job.state === "failed") buttons.push(act("resume", () => resumeJob(id), "primary"));
     if (!isActive(job)) buttons.push(h("button", { type: "button", id: "watch-new", onclick: this.startOver }, icon("upload"), t("new_estimation")));
+    if (!isActive(job) && this.views) buttons.splice(-1, 0, act("repair", () => this.repairMasks(), ""));
     const had = $("#watch-actions").contains(document.activeElement);
     $("#watch-actions").replaceChildren(...buttons);
     if (had) buttons[0]?.focus();
+  }
+
+  /** The silhouettes that were fitted, to be repaired and fitted again. */
+  async repairMasks() {
+    const { request } = await get(`/jobs/${this.id}`);
+    const id = request.masks ?? (await post("/jobs/masks", request)).id;
+    this.onMasks(id, this.id);
   }
 
   async finish(before) {
@@ -148,6 +157,7 @@ class Watching {
       Object.assign(this, { total: came.total, rate: came.frame_rate });
       $("#frame").max = String(came.total - 1);
       $(".watch-columns").hidden = false;
+      this.showActions();
     }
     this.next = came.next;
     for (const [index, frame] of came.frames.entries()) this.frames.set(frame, describe(came, index));
@@ -226,7 +236,7 @@ class Watching {
     if (Number(slider.value) !== frame) slider.value = String(frame);
     const overlap = known.overlap === null ? "-" : known.overlap.toFixed(2);
     const words = { frame: frame + 1, total: this.total, seconds: formatSeconds(frame / this.rate), overlap };
-    const text = t("time_now", words) + (known.lost ? `, ${t("lost")}` : "");
+    const text = t("time_now", words) + (known.lost ? `, ${t("lost")}` : known.unsure ? `, ${t("unsure")}` : "");
     $("#time-now").textContent = text;
     slider.setAttribute("aria-valuetext", text);
   }
@@ -236,5 +246,5 @@ function describe(came, index) {
   const overlaps = came.overlap[index];
   const seen = overlaps.filter((value) => value !== null);
   const overlap = seen.length ? seen.reduce((sum, value) => sum + value, 0) / seen.length : null;
-  return { overlaps, overlap, lost: came.lost[index], stage: came.stage[index] };
+  return { overlaps, overlap, lost: came.lost[index], unsure: overlap !== null && overlap < UNSURE, stage: came.stage[index] };
 }

@@ -11,7 +11,7 @@ export class Cuts {
     const place = h("div", { id: "cuts-timeline" });
     this.rows = h("tbody");
     const head = ["figure", "name", "from", "to", "figure_grade"].map((name) => h("th", { scope: "col" }, t(name)));
-    const table = h("table", { class: "cuts-table" }, h("thead", {}, h("tr", {}, ...head, h("th", {}))), this.rows);
+    const table = h("table", { class: "cuts-table" }, h("thead", {}, h("tr", {}, ...head, h("td", {}))), this.rows);
     this.reset = h("button", { type: "button", class: "small", id: "reset-cuts", onclick: onReset }, t("reset_cuts"));
     element.append(h("header", { class: "row" }, h("h3", {}, t("cuts")), h("span", { class: "push" }), this.reset), place, h("p", { class: "note" }, t("cuts_hint")), h("div", { class: "scroll cuts-scroll", tabindex: "0" }, table));
     this.timeline = createTimeline(place, { duration, editable: true, label: t("cuts_timeline") });

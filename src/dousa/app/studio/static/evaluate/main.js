@@ -4,21 +4,40 @@ import { get, post } from "../core/api.js";
 import { $, h, language, t } from "../core/dom.js";
 import { followJob, isActive, stopJob } from "../core/jobs.js";
 import { attempt } from "../core/notices.js";
+import { openSharing } from "../core/sharing.js";
+import { Comparison } from "../compare/comparison.js";
 import { Result, downloadLinks } from "./result.js";
 import { Setup } from "./setup.js";
 import { keepChoice, readAddress, showJob } from "./state.js";
 
-const places = { setup: $("#setup"), progress: $("#progress"), report: $("#report") };
+const places = { setup: $("#setup"), progress: $("#progress"), report: $("#report"), compare: $("#compare") };
 const result = new Result(places.report);
 const setup = new Setup(grade);
+const comparison = new Comparison(places.compare);
 let following = () => {};
 
 function show(name, problem = "") {
   for (const [other, element] of Object.entries(places)) element.hidden = other !== name;
-  $("#lead").hidden = name === "report";
+  $("#lead").hidden = name === "report" || name === "compare";
+  if (name !== "compare") comparison.clear();
   $("#problem").textContent = problem;
   $("#problem").hidden = !problem;
   if (name !== "report") $("#tools").hidden = true;
+  if (name === "setup") offerComparison();
+  if (name === "compare") putTools(h("a", { class: "button", href: "/evaluate" }, t("new_evaluation")));
+}
+
+function putTools(...tools) {
+  $("#tools").replaceChildren(...tools);
+  $("#tools").hidden = false;
+}
+
+const comparing = (ids = []) => h("a", { class: "button", id: "compare-open", href: `/evaluate?compare=${ids.join(",")}` }, t("compare_open"));
+
+/** Where there are two evaluations at least. */
+async function offerComparison() {
+  const answer = await get("/comparisons/choices").catch(() => null); // the page is whole without
+  if (answer?.evaluations.length > 1 && !places.setup.hidden) putTools(comparing());
 }
 
 async function grade(request) {
@@ -83,8 +102,9 @@ function drawTools(job) {
   };
   const files = h("details", { class: "menu" }, h("summary", { class: "button" }, t("download")), h("div", { class: "menu-list" }, ...downloadLinks(job)));
   const print = h("button", { type: "button", id: "print", onclick: () => window.print(), title: t("print_title") }, t("print"));
-  $("#tools").replaceChildren(h("button", { type: "button", id: "again", onclick: again }, t("change_motions")), h("a", { class: "button", href: "/evaluate" }, t("new_evaluation")), print, files);
-  $("#tools").hidden = false;
+  const share = h("button", { type: "button", id: "share-report", onclick: () => attempt(() => openSharing(job.id)) }, t("share"));
+  const compare = job.request.repetitions ? [] : [comparing([job.id])];
+  putTools(h("button", { type: "button", id: "again", onclick: again }, t("change_motions")), h("a", { class: "button", href: "/evaluate" }, t("new_evaluation")), ...compare, share, print, files);
 }
 
 document.addEventListener("click", (event) => {
@@ -95,6 +115,12 @@ document.addEventListener("click", (event) => {
 async function open() {
   const asked = readAddress();
   following();
+  if (asked.compare !== null) {
+    result.clear();
+    show("compare");
+    await attempt(() => comparison.show(asked.compare));
+    return;
+  }
   if (!asked.job) {
     result.clear();
     setup.show(asked);

@@ -4,12 +4,12 @@ import { get } from "../core/api.js";
 import { $, h, icon, language, t } from "../core/dom.js";
 import { Adjust } from "./adjust.js";
 import { Asking } from "./asking.js";
+import { Beside } from "./beside.js";
+import { foldAnalysis, foldForPhones } from "./fold.js";
 import { putNotes } from "./notes.js";
 import { putParts } from "./parts.js";
 
 const FILES = { "report.html": "report", "curves.csv": "curves", "events.csv": "events", "furi.txt": "furi", "weights.toml": "weights" };
-
-const FOLD = "dousa_analysis"; // whether somebody opened it last time
 
 const EXERCISE_FILES = { "exercise.html": "report", "repetitions.csv": "repetitions" };
 
@@ -36,8 +36,8 @@ export class Result {
     this.root.innerHTML = answer.frame;
     putParts(this.root, answer.parts);
     this.keepNotes = putNotes($("[data-part='notes']", this.root), job, answer.notes);
-    this.foldAnalysis();
-    this.foldForPhones();
+    foldAnalysis(this.root);
+    foldForPhones(this.root);
     $("[data-part='files']", this.root).replaceChildren(h("span", { class: "row" }, ...downloadLinks(wanted)));
     this.data = answer.data;
     this.player = window.dousa.createPlayer($("#player", this.root), answer.player);
@@ -52,6 +52,7 @@ export class Result {
       onBusy: (busy) => this.root.setAttribute("aria-busy", String(busy)),
     });
     $("[data-part='facts']", this.root).after(this.adjust.element);
+    this.beside = new Beside(this.root, job, this.player);
     this.showProgress(job, mine);
     this.endTime = this.player.onTime((seconds) => this.followPlayer(seconds));
     this.followPlayer(this.player.time);
@@ -87,23 +88,6 @@ export class Result {
     this.adjust.take(answer);
   }
 
-  /** Advice, player and worst moments are for everybody; what they rest on is there for who opens it. */
-  foldAnalysis() {
-    const head = $("#analysis", this.root);
-    const rest = [];
-    for (let next = head.nextElementSibling; next; next = next.nextElementSibling) rest.push(next);
-    const title = $("h2", head);
-    const fold = h("details", { class: "analysis", id: "analysis", open: localStorage.getItem(FOLD) === "open" }, h("summary", {}, title), ...[...head.children].filter((one) => one !== title), ...rest);
-    fold.addEventListener("toggle", () => localStorage.setItem(FOLD, fold.open ? "open" : "closed"));
-    head.replaceWith(fold);
-  }
-
-  // On a phone the pictures of all figures would be a long way to scroll: the first one stays open.
-  foldForPhones() {
-    if (window.innerWidth >= 700) return;
-    for (const card of [...this.root.querySelectorAll(".shape-card[open]")].slice(1)) card.open = false;
-  }
-
   followPlayer(seconds) {
     const { matched, step } = this.data;
     const there = matched[Math.min(Math.round(seconds / step), matched.length - 1)];
@@ -127,8 +111,9 @@ export class Result {
     this.endTime?.();
     this.report?.unbind();
     this.adjust?.destroy();
+    this.beside?.destroy();
     this.player?.destroy();
-    Object.assign(this, { asking: null, keepNotes: null, endTime: null, report: null, adjust: null, player: null });
+    Object.assign(this, { asking: null, keepNotes: null, endTime: null, report: null, adjust: null, beside: null, player: null });
     this.root.replaceChildren();
   }
 }

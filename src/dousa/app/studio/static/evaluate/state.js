@@ -23,6 +23,7 @@ export function readAddress() {
   const motion = asked.get("performance");
   return {
     job: asked.get("job"),
+    compare: asked.has("compare") ? asked.get("compare").split(",").filter(Boolean) : null,
     performance: motion ? { motion, start_s: toNumber(asked.get("start_s")), end_s: toNumber(asked.get("end_s")) } : null,
     references: splitNames(asked.get("references")).map(whole),
     side: asked.get("mirror") === "1" ? "mirrored" : "same",

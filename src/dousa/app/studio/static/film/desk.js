@@ -19,7 +19,7 @@ export class FilmDesk {
     this.choice = new Choice();
     this.chart = new Chart($("#film-chart"), (frame) => this.goTo(frame), { labels: ["20 cm", "10", "0"], worst: Math.max });
     this.figure = new Figure($("#film-figure"), (seconds) => this.onPlayer(seconds), () => this.onFigure());
-    this.space = new Space($("#film-space"), $("#film-cameras"));
+    this.space = new Space($("#film-space"), $("#film-cameras"), (index) => this.views[index]?.loaded ?? null);
     $("#film-frame").oninput = (event) => this.goTo(Number(event.target.value));
     $("#film-play").onclick = () => this.setPlaying(!this.playing);
     $("#film-model").onclick = () => this.toggle("model");
@@ -147,6 +147,11 @@ export class FilmDesk {
       toggle: this.then((choice, view, track) => choice.toggle(view, track)),
       same: this.then((choice, view, track) => choice.add(view, track)),
     };
+  }
+
+  /** A film shows another picture: so does its place in space. */
+  onPicture() {
+    if (!this.ended) this.space.draw();
   }
 
   redraw() {

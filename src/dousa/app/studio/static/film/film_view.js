@@ -70,10 +70,12 @@ export class FilmView {
     try {
       await image.decode();
       this.image.src = image.src;
+      this.loaded = image;
       this.image.hidden = false;
       this.image.alt = t("film_picture", { name: this.name.textContent, frame: frame + 1 });
       this.shown = key;
       this.place(frame);
+      this.desk.onPicture();
     } catch {
       this.place(frame); // the picture is still being read: the people show without it
     }

@@ -1,14 +1,18 @@
-// Where the cameras stand: their pyramids of sight, the way that the person goes, and the person at the moment.
+// Where the cameras stand: their pyramids of sight with the pictures that they took, the way that the person goes, and
+// the person at the moment.
 
 import { h, t } from "../core/dom.js";
+import { drawOnPlane } from "./plane.js";
 
 const [NEAREST, FARTHEST] = [0.4, 2.5]; // zoom
 const STEP = 0.12; // rad, of an arrow key
 const ROOM = 0.84; // of the canvas, that cameras and person fill
+const GROWN = 1.7; // times as large as cameras are told, so that their pictures can be seen
 
 export class Space {
-  constructor(canvas, list) {
-    Object.assign(this, { canvas, list, cameras: [], joints: null, parents: [], frame: 0, colour: "#e8590c" });
+  /** pictureOf(camera's number) -> its decoded image at the moment, or null */
+  constructor(canvas, list, pictureOf = () => null) {
+    Object.assign(this, { canvas, list, pictureOf, cameras: [], joints: null, parents: [], frame: 0, colour: "#e8590c" });
     this.reset();
     this.stops = [];
     this.probe = h("span", { class: "space-colours", "aria-hidden": "true", hidden: true }, ...["ink", "soft", "line", "accent"].map((name) => h("i", { class: name })));
@@ -70,6 +74,7 @@ export class Space {
 
   /** cameras: [{name, position, corners}]; joints: Float32Array of (frames, 20, 3) or null; parents of the joints. */
   set(cameras, joints, parents, colour) {
+    cameras = cameras.map((camera) => ({ ...camera, corners: camera.corners.map((corner) => corner.map((value, k) => camera.position[k] + GROWN * (value - camera.position[k]))) }));
     Object.assign(this, { cameras, joints, parents, colour });
     const places = cameras.map((camera) => camera.position);
     const path = this.path();
@@ -103,12 +108,21 @@ export class Space {
     this.draw();
   }
 
-  project([x, y, z]) {
+  /** Right, up and near, as it is looked at. */
+  turned([x, y, z]) {
     const [dx, dy, dz] = [x - this.centre[0], y - 0.8, z - this.centre[2]];
     const [c, s] = [Math.cos(this.turn), Math.sin(this.turn)];
     const [right, forward] = [c * dx + s * dz, -s * dx + c * dz];
     const [ct, st] = [Math.cos(this.tilt), Math.sin(this.tilt)];
-    const [up, near] = [ct * dy - st * forward, st * dy + ct * forward];
+    return [right, ct * dy - st * forward, st * dy + ct * forward];
+  }
+
+  depth(place) {
+    return this.turned(place)[2];
+  }
+
+  project(place) {
+    const [right, up, near] = this.turned(place);
     const far = 3.2 * this.reach;
     const scale = (this.size * this.zoom) / Math.max(far - near, 0.1);
     return [this.middle[0] + scale * right, this.middle[1] - scale * up];
@@ -129,6 +143,7 @@ export class Space {
     const [ink, soft, line, accent] = [...this.probe.children].map((element) => getComputedStyle(element).color);
     this.probe.hidden = true;
     this.floor(context, line);
+    this.pictures(context);
     for (const camera of this.cameras) this.camera(context, camera, accent, ink);
     this.person(context, soft);
   }
@@ -159,6 +174,15 @@ export class Space {
       this.line(context, [[x + k, 0, z - far], [x + k, 0, z + far]], style, 1);
       this.line(context, [[x - far, 0, z + k], [x + far, 0, z + k]], style, 1);
     }
+  }
+
+  /** The pictures of the films where they were taken from, the farthest first. */
+  pictures(context) {
+    const away = ({ corners }) => Math.min(...corners.map((corner) => this.depth(corner)));
+    const shown = this.cameras.map((camera, index) => ({ camera, image: this.pictureOf(index) })).filter(({ image }) => image);
+    shown.sort((one, other) => away(one.camera) - away(other.camera));
+    for (const { camera, image } of shown) drawOnPlane(context, image, camera.corners, (place) => this.project(place));
+    this.canvas.dataset.pictures = String(shown.length);
   }
 
   camera(context, { name, position, corners }, style, ink) {

@@ -18,12 +18,16 @@ export class Cell {
     this.tick = h("span", { class: "tick", "aria-hidden": "true" }, icon("mark"));
     this.star = h("span", { class: "star", role: "img", "aria-label": t("favourite") }, icon("star"));
     this.lack = h("span", { class: "lack" }, t("no_picture"));
+    this.scrubber = h("i", { class: "scrub-mark", hidden: true });
     this.element = h(
       "div",
       { class: "cell", role: "gridcell", tabindex: "-1" },
-      h("span", { class: "stage" }, this.canvas, this.lack, this.kind, this.star, this.length, this.tick),
+      h("span", { class: "stage" }, this.canvas, this.lack, this.kind, this.star, this.length, this.tick, this.scrubber),
       h("span", { class: "text" }, this.name, h("span", { class: "below" }, this.badge, this.meta)),
     );
+    this.stage = this.element.firstChild;
+    this.stage.addEventListener("pointermove", (event) => this.scrub(event));
+    this.stage.addEventListener("pointerleave", () => this.runOn());
     this.shown = "";
     this.bytes = undefined;
   }
@@ -52,18 +56,32 @@ export class Cell {
     this.badge.hidden = !clip || (clip.kind === "take" && !clip.category);
     this.meta.textContent = [clip?.performer, ...(clip?.tags ?? []).filter((tag) => tag !== FAVOURITE).map((tag) => `#${tag}`)].filter(Boolean).join(" ");
     this.length.textContent = clip ? formatSeconds(clip.duration) : "";
-    const said = [clip?.name, this.badge.hidden ? t("take") : this.badge.textContent, this.length.textContent, this.meta.textContent, this.star.hidden ? "" : t("favourite")];
-    if (clip) element.setAttribute("aria-label", said.filter(Boolean).join(", "));
-    else element.removeAttribute("aria-label");
   }
 
   draw(bytes) {
     this.bytes = bytes;
+    this.runOn();
     this.canvas.hidden = !bytes;
     this.lack.hidden = bytes !== null;
     if (!bytes) return;
     if (this.miniature) this.miniature.replace(bytes);
     else this.miniature = window.dousa.createMiniature(this.canvas, bytes, { host: this.element });
+  }
+
+  /** The pointer's place over the figure is a moment of the motion; not where less motion is wished for. */
+  scrub({ clientX, pointerType, buttons }) {
+    if (pointerType !== "mouse" || buttons || !this.miniature || this.miniature.calm || this.canvas.hidden) return;
+    const { left, width } = this.stage.getBoundingClientRect();
+    const share = Math.min(Math.max((clientX - left) / width, 0), 1);
+    this.miniature.scrub(share);
+    this.scrubber.hidden = false;
+    this.scrubber.style.left = `${100 * share}%`;
+  }
+
+  runOn() {
+    if (this.scrubber.hidden) return;
+    this.scrubber.hidden = true;
+    this.miniature?.scrub(null);
   }
 
   mark(selected, active) {

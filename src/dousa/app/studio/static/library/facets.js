@@ -3,6 +3,7 @@
 import { cutMiddle } from "../core/cut.js";
 import { h, language, t } from "../core/dom.js";
 import { nameTag } from "./tags.js";
+import { categoryTree } from "./tree.js";
 
 const LENGTHS = { "0-2": [null, 2], "2-5": [2, 5], "5-15": [5, 15], "15-60": [15, 60], "60-": [60, null] };
 const count = new Intl.NumberFormat(language);
@@ -13,7 +14,7 @@ export function showFacets(form, facets, filter) {
   form.replaceChildren(
     chips("kind", kinds(facets.kind, filter)),
     chips("length", lengths(facets.length, filter)),
-    names("category", facets.category, filter),
+    categories(facets.category, filter, () => showFacets(form, facets, filter)),
     names("performer", facets.performer, filter),
     names("tag", facets.tag, filter),
   );
@@ -52,6 +53,12 @@ function chips(name, options) {
 }
 
 // --- any of many
+
+function categories(counts, filter, redraw) {
+  const chosen = filter.query.getAll("category");
+  if (new Set([...Object.keys(counts), ...chosen]).size < 2 && !chosen.length) return group("category"); // nothing to choose
+  return group("category", categoryTree(counts, filter, redraw));
+}
 
 const show = (name, value) => (value ? (name === "tag" ? nameTag(value) : value) : t(name === "tag" ? "no_tag" : "no_label"));
 

@@ -1,6 +1,6 @@
 // What the list is filtered by; it stands in the address, so that a reload or a link shows the same.
 
-const SINGLE = ["text", "kind", "min_s", "max_s", "batch", "saved", "sort"];
+const SINGLE = ["text", "wide", "kind", "min_s", "max_s", "batch", "saved", "sort"];
 const SEVERAL = ["category", "performer", "tag"];
 
 export class Filter {
@@ -21,7 +21,7 @@ export class Filter {
   }
 
   get narrows() {
-    return [...this.query.keys()].some((name) => name !== "sort");
+    return [...this.query.keys()].some((name) => name !== "sort" && name !== "wide");
   }
 
   set(values) {
@@ -37,6 +37,13 @@ export class Filter {
     this.query.delete(name);
     const wanted = others.includes(value) ? others.filter((other) => other !== value) : [...others, value];
     for (const one of wanted) this.query.append(name, one);
+    this.tell();
+  }
+
+  /** Values of something that several may be chosen of. */
+  setAll(name, values) {
+    this.query.delete(name);
+    for (const value of values) this.query.append(name, value);
     this.tell();
   }
 

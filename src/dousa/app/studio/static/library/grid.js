@@ -1,4 +1,4 @@
-// A grid of which only the rows near the window exist. The page scrolls, not the grid: it has the height of all rows.
+// A grid of which only the rows near what is seen exist. It has the height of all rows, and what it lies in scrolls.
 // Arrow keys move between the cells, one of which can be reached by Tab.
 
 import { h } from "../core/dom.js";
@@ -12,11 +12,11 @@ const AHEAD = 3; // rows whose figures are asked for ahead
 
 export class Grid {
   /** hooks: chosen(id) -> bool, acts on click(index, event), open(index), key(event, index) -> true if it was used */
-  constructor(element, source, hooks) {
-    Object.assign(this, { element, source, hooks, total: 0, columns: 0, active: 0, rows: new Map(), spare: [] });
+  constructor(element, scroll, source, hooks) {
+    Object.assign(this, { element, scroll, source, hooks, total: 0, columns: 0, active: 0, rows: new Map(), spare: [] });
     Object.assign(this, { size: 158, list: false, row: 226 });
     const wake = () => this.request();
-    window.addEventListener("scroll", wake, { passive: true }); // rows that stay are not looked at
+    scroll.onScroll(wake); // rows that stay are not looked at
     new ResizeObserver(() => this.layout()).observe(element);
     window.addEventListener("resize", wake);
     element.addEventListener("click", (event) => this.withCell(event, (cell) => this.click(cell, event)));
@@ -43,11 +43,11 @@ export class Grid {
   }
 
   reveal(index) {
-    const top = this.element.getBoundingClientRect().top + window.scrollY + Math.floor(index / this.columns) * this.row;
-    window.scrollTo({ top: top - 116, behavior: "instant" });
+    this.scroll.toElement(this.element, Math.floor(index / this.columns) * this.row);
   }
 
   layout() {
+    if (!this.element.clientWidth && this.columns) return; // the map is shown
     const columns = this.list ? 1 : Math.max(Math.floor((this.element.clientWidth + GAP) / (this.size + GAP)), 1);
     if (columns !== this.columns) {
       const focused = this.element.contains(document.activeElement);
@@ -90,9 +90,11 @@ export class Grid {
 
   /** Rows that can be seen, first and behind the last. */
   seen() {
-    const top = -this.element.getBoundingClientRect().top;
+    const [from, to] = this.scroll.view();
+    const own = this.element.getBoundingClientRect().top;
+    const top = from - own;
     const first = Math.max(Math.floor(top / this.row), 0);
-    return [Math.min(first, this.rowCount), Math.max(Math.min(Math.ceil((top + window.innerHeight) / this.row), this.rowCount), 0)];
+    return [Math.min(first, this.rowCount), Math.max(Math.min(Math.ceil((to - own) / this.row), this.rowCount), 0)];
   }
 
   render() {
@@ -179,7 +181,8 @@ export class Grid {
   }
 
   keydown(event) {
-    const page = Math.max(Math.floor((window.innerHeight - 140) / this.row), 1);
+    const [from, to] = this.scroll.view(true);
+    const page = Math.max(Math.floor((to - from) / this.row), 1);
     const rowStart = this.active - (this.active % this.columns);
     const steps = {
       ArrowLeft: this.active - 1,
@@ -207,9 +210,9 @@ export class Grid {
     if (!this.total) return;
     this.activate(index);
     const top = this.element.getBoundingClientRect().top + Math.floor(index / this.columns) * this.row;
-    const [above, below] = [132, window.innerHeight - 84]; // the head of the page and the bar at its foot
-    if (top < above) window.scrollBy({ top: top - above, behavior: "instant" });
-    else if (top + this.row > below) window.scrollBy({ top: top + this.row - below, behavior: "instant" });
+    const [above, below] = this.scroll.view(true);
+    if (top < above) this.scroll.by(top - above);
+    else if (top + this.row > below) this.scroll.by(top + this.row - below);
     const row = Math.floor(index / this.columns);
     if (!this.rows.has(row)) this.fill(this.place(row), row);
     this.cellAt(index).element.focus({ preventScroll: true });

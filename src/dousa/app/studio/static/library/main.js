@@ -1,10 +1,10 @@
 // The library: its clips in a grid, what they are filtered by, what is done with them.
 
-import { get } from "../core/api.js";
+import { get, post } from "../core/api.js";
 import { $, h, icon, language, later, t } from "../core/dom.js";
 import { acceptDrops } from "../core/drop.js";
 import { isActive, watchJobs } from "../core/jobs.js";
-import { attempt } from "../core/notices.js";
+import { attempt, notify } from "../core/notices.js";
 import { listenForUndo } from "../core/undo.js";
 import { Actions } from "./actions.js";
 import { showFacets } from "./facets.js";
@@ -12,6 +12,7 @@ import { Filter } from "./filter.js";
 import { Grid } from "./grid.js";
 import { Panes, nothingChosen } from "./panes.js";
 import { findAgain, findPlace, fromAddress, keepPlace } from "./places.js";
+import { Scroll } from "./scroll.js";
 import { Selection } from "./selection.js";
 import { Source } from "./source.js";
 import { openKeep, readAsked, showKept } from "./tags.js";
@@ -24,20 +25,22 @@ const problem = (error) => attempt(() => Promise.reject(error));
 
 const source = new Source({ reset: show, arrived: () => grid.renew(), failed: problem });
 const filter = new Filter(() => {
-  window.scrollTo({ top: Math.min(window.scrollY, listTop()), behavior: "instant" });
+  scroll.to(scroll.isPane ? 0 : Math.min(scroll.top, listTop()));
   attempt(() => source.ask(filter.query));
 });
 const selection = new Selection({
   changed: () => {
     actions.show();
     grid.renew();
+    map?.request();
     showLook();
   },
   known: (index) => source.item(index),
   findAgain,
   idsBetween: (first, last) => idsOf({ offset: first, limit: last - first + 1 }),
 });
-const grid = new Grid($("#grid"), source, {
+const scroll = new Scroll($("#grid-scroll"));
+const grid = new Grid($("#grid"), scroll, source, {
   chosen: (id) => selection.has(id),
   click: (index, event) => choose(index, event),
   open: (index) => look(source.item(index)),
@@ -69,10 +72,11 @@ async function idsOf(part = {}) {
 
 // --- what is shown
 
-function show({ total, facets, library }) {
+function show({ total, facets, library, reading, revision }) {
   const empty = library.n_clips + library.n_takes === 0;
   $("#browse").hidden = empty;
   $("#start").hidden = !empty;
+  $("#review-button").hidden = library.n_categories < 2;
   if (empty) showStart();
   const minutes = library.seconds / 60;
   const parts = [many("clip", library.n_clips)];
@@ -85,8 +89,11 @@ function show({ total, facets, library }) {
   $("#all-button").textContent = t("choose_all", { count: count.format(total) });
   attempt(countHidden);
   showChips();
+  showReading(reading);
   showFacets($("#facet-form"), facets, filter);
   grid.setTotal(total);
+  if (map?.isOpen) attempt(() => (mapOf === revision ? map.narrow() : map.load()));
+  mapOf = revision;
   showLook();
 }
 
@@ -109,14 +116,35 @@ function showChips() {
   $("#chips").replaceChildren(...chips);
 }
 
+/** How the text was understood: what was misspelt, and what else does what it says. */
+function showReading({ taken_for: takenFor, more, pending }) {
+  const words = Object.entries(takenFor).map(([word, other]) => t("taken_for_word", { word, other }));
+  const wide = filter.get("wide") !== "";
+  const parts = words.length ? [h("span", { class: "note" }, words.join(t("tally_comma")))] : [];
+  if (more || wide) parts.push(h("button", { type: "button", class: "small chip", id: "wide-button", "aria-pressed": String(wide), onclick: () => filter.set({ wide: wide ? null : "true" }) }, wide ? t("wide_on") : t("wide_off", { count: count.format(more) })));
+  $("#reading").replaceChildren(...parts);
+  clearTimeout(askAgain);
+  // The words of a large library are read aside; what they find comes a little later.
+  if (pending) askAgain = setTimeout(() => source.ask(filter.query).catch(() => {}), 700);
+}
+let askAgain = 0;
+
 async function showStart() {
   if ($("#start").children.length) return;
   const { zone } = await import("./adding.js");
   $("#start").replaceChildren(
     h("div", { class: "start-words" }, h("h2", {}, t("start_title")), h("p", { class: "lead" }, t("start_text"))),
     zone((entries) => add({ entries }), "start-files"),
-    h("p", { class: "note" }, t("start_demo"), " ", h("code", {}, "dousa demo --studio")),
+    h("p", { class: "row start-demo" }, h("span", { class: "note" }, t("start_demo")), h("button", { type: "button", id: "demo-button", onclick: fillWithDemo }, t("start_demo_button"))),
   );
+}
+
+function fillWithDemo({ currentTarget }) {
+  currentTarget.disabled = true;
+  attempt(async () => {
+    await post("/jobs/demo");
+    notify(t("demo_running"));
+  }).finally(() => (currentTarget.disabled = false));
 }
 
 function keepSearch() {
@@ -199,7 +227,31 @@ const showLook = later(async () => {
   shown.show(clip);
 }, 120);
 
+// --- the map of all clips
+
+let map = null; // made when it is looked at first
+let mapOf = null; // revision of the library that it shows
+
+async function showMap(open) {
+  $("#grid-scroll").hidden = open;
+  if (!open) {
+    map?.hide();
+    grid.layout();
+    return;
+  }
+  const { ClipMap } = await import("./map.js");
+  map ??= new ClipMap($("#map"), {
+    selection,
+    narrows: () => filter.narrows,
+    fitting: () => idsOf(),
+    open: (clip) => look(clip),
+    key: (event) => ![" ", "Enter"].includes(event.key) && press(event, -1),
+  });
+  if (panes.map) map.show();
+}
+
 const panes = new Panes({
+  map: (open) => attempt(() => showMap(open)),
   grid: (shape) => grid.setLook(shape),
   look: (open) => {
     if (open) showLook();
@@ -225,23 +277,28 @@ const addHooks = {
 const add = async (what) => (await import("./adding.js")).openAdding({ ...what, hooks: addHooks });
 const train = async (jobId) => (await import("./training.js")).openTraining(jobId, reload);
 
+const review = async (jobId) => (await import("./review.js")).openReview(jobId, { changed: reload, choose: (ids) => selection.all(ids) });
+
 async function openJob(id) {
   const job = await attempt(() => get(`/jobs/${id}`));
   if (["add", "watch"].includes(job?.kind)) add({ jobId: id });
   if (job?.kind === "train") train(id);
+  if (job?.kind === "review") review(id);
+  if (job?.kind === "map") panes.showMap(true);
 }
 
 // --- wiring
 
 $("#text").value = filter.get("text");
 $("#sort").value = filter.get("sort") || "path";
-$("#text").addEventListener("input", later(() => filter.set({ text: $("#text").value.trim() }), 160));
+$("#text").addEventListener("input", later(() => filter.set({ text: $("#text").value.trim(), wide: null }), 160));
 $("#sort").addEventListener("change", () => filter.set({ sort: $("#sort").value === "path" ? null : $("#sort").value }));
 $("#facet-form").addEventListener("submit", (event) => event.preventDefault());
 $("#facets").open = !window.matchMedia("(max-width: 860px)").matches;
 $("#clear-filter").addEventListener("click", clearFilter);
 $("#all-button").addEventListener("click", chooseAll);
 $("#add-button").addEventListener("click", () => add({}));
+$("#review-button").addEventListener("click", () => review(null));
 $("#train-button").addEventListener("click", () => train(null));
 document.documentElement.dataset.dropText = t("drop_page");
 acceptDrops(document.documentElement, (entries) => add({ entries }));
@@ -249,11 +306,11 @@ acceptDrops(document.documentElement, (entries) => add({ entries }));
 // Another tab or program may have written, and jobs of ours end.
 const ended = new Map();
 watchJobs((jobs) => {
-  const over = jobs.filter((job) => ["add", "watch", "train"].includes(job.kind) && !isActive(job) && ended.get(job.id) === true);
+  const over = jobs.filter((job) => ["add", "watch", "train", "demo"].includes(job.kind) && !isActive(job) && ended.get(job.id) === true);
   for (const job of jobs) ended.set(job.id, isActive(job));
   if (over.length) reload();
 });
-keepPlace({ selection, grid });
+keepPlace({ selection, grid, scroll });
 listenForUndo(reload);
 const refresh = () => document.hidden || source.refresh().catch(() => {}); // the next look may find it
 document.addEventListener("visibilitychange", refresh);
@@ -261,7 +318,7 @@ setInterval(refresh, LOOK_AGAIN);
 
 attempt(async () => {
   await source.ask(filter.query);
-  findPlace({ selection, grid });
+  findPlace({ selection, grid, scroll });
   attempt(() => showKept($("#kept"), keptHooks));
   showForest(await readForest());
 });

@@ -1,6 +1,7 @@
-// The panes of the page: how wide they are, how large the figures, grid or list. Remembered in this browser.
+// The panes of the page: how wide they are, how large the figures, grid or list, remembered in this browser; or the map.
 
 import { $, h, t } from "../core/dom.js";
+import { fromAddress, inAddress } from "./places.js";
 
 const KEY = "dousa-library-panes";
 const STEP = 24; // px of an arrow key
@@ -16,16 +17,17 @@ function read() {
   }
 }
 
-/** hooks: look(open) when the pane of one clip opens or closes, grid({size, list}) */
+/** hooks: look(open) when the pane of one clip opens or closes, grid({size, list}), map(open) */
 export class Panes {
   constructor(hooks) {
-    Object.assign(this, { hooks, now: read(), browse: $("#browse") });
+    Object.assign(this, { hooks, now: read(), browse: $("#browse"), map: fromAddress("view") === "map" });
     for (const side of ["left", "right"]) this.makeSplitter(side, $(`#split-${side}`));
     this.size = $("#cell-size");
     this.size.value = String(this.now.size);
     this.size.addEventListener("input", () => this.set({ size: Number(this.size.value) }));
-    $("#view-grid").addEventListener("click", () => this.set({ list: false }));
-    $("#view-list").addEventListener("click", () => this.set({ list: true }));
+    $("#view-grid").addEventListener("click", () => this.showMap(false, { list: false }));
+    $("#view-list").addEventListener("click", () => this.showMap(false, { list: true }));
+    $("#view-map").addEventListener("click", () => this.showMap(true));
     $("#look-button").addEventListener("click", () => this.set({ look: !this.isOpen }));
     WIDE.addEventListener("change", () => this.draw());
     window.addEventListener("resize", () => this.draw());
@@ -54,8 +56,15 @@ export class Panes {
     this.draw();
   }
 
+  /** The map instead of the list, or the list. */
+  showMap(open, values = {}) {
+    this.map = open;
+    inAddress({ view: open ? "map" : null });
+    this.set(values);
+  }
+
   draw() {
-    const { now, browse } = this;
+    const { now, browse, map } = this;
     browse.style.setProperty("--left", `${this.widthOf("left")}px`);
     browse.style.setProperty("--right", `${this.widthOf("right")}px`);
     browse.classList.toggle("looking", this.isOpen);
@@ -63,13 +72,16 @@ export class Panes {
       const [low, high] = LIMITS[side];
       for (const [name, value] of [["valuenow", this.widthOf(side)], ["valuemin", low], ["valuemax", high]]) $(`#split-${side}`).setAttribute(`aria-${name}`, String(value));
     }
-    $("#view-grid").setAttribute("aria-pressed", String(!now.list));
-    $("#view-list").setAttribute("aria-pressed", String(now.list));
+    $("#view-grid").setAttribute("aria-pressed", String(!map && !now.list));
+    $("#view-list").setAttribute("aria-pressed", String(!map && now.list));
+    $("#view-map").setAttribute("aria-pressed", String(map));
     $("#look-button").setAttribute("aria-pressed", String(this.isOpen));
-    this.size.disabled = now.list;
+    this.size.disabled = now.list || map;
     const shape = `${now.size} ${now.list}`;
     if (shape !== this.shape) this.hooks.grid({ size: now.size, list: now.list });
     this.shape = shape;
+    if (map !== this.mapTold) this.hooks.map(map);
+    this.mapTold = map;
     if (this.isOpen !== this.told) this.hooks.look(this.isOpen);
     this.told = this.isOpen;
   }

@@ -21,9 +21,9 @@ const MOST_KEPT = 20_000;
 const FEW = 20; // clips of which the bar of actions wants to know more
 
 /** Keep what is chosen and how far the page is scrolled, for who goes elsewhere and comes back in this tab. */
-export function keepPlace({ selection, grid }) {
+export function keepPlace({ selection, grid, scroll }) {
   window.addEventListener("pagehide", () => {
-    const place = { address: location.search, top: window.scrollY, active: grid.active, ids: selection.ids.slice(0, MOST_KEPT) };
+    const place = { address: location.search, top: scroll.top, active: grid.active, ids: selection.ids.slice(0, MOST_KEPT) };
     try {
       sessionStorage.setItem(KEY, JSON.stringify(place));
     } catch {
@@ -33,14 +33,14 @@ export function keepPlace({ selection, grid }) {
 }
 
 /** Go back there, if the page was left with this address and is come back to or loaded again. */
-export async function findPlace({ selection, grid }) {
+export async function findPlace({ selection, grid, scroll }) {
   const [entry] = performance.getEntriesByType("navigation");
   if (!["back_forward", "reload"].includes(entry?.type)) return;
   try {
     const place = JSON.parse(sessionStorage.getItem(KEY));
     if (place?.address !== location.search) return;
     grid.activate(Math.min(place.active, Math.max(grid.total - 1, 0)));
-    window.scrollTo({ top: place.top, behavior: "instant" });
+    scroll.to(place.top);
     if (place.ids.length) selection.restore(await findAgain(place.ids));
   } catch {
     // nothing that can be read

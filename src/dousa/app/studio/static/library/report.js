@@ -6,6 +6,7 @@ import { resumeJob } from "../core/jobs.js";
 import { attempt } from "../core/notices.js";
 import { undo } from "../core/undo.js";
 
+const FEW = 8; // categories that are named in a line
 const count = new Intl.NumberFormat(language);
 
 /** -> elements for the dialog; refused: [{name, reason}] of the upload */
@@ -34,9 +35,16 @@ export function report(job, refused, { close, hooks }) {
     pairs("warnings_title", result.warnings, (item) => [item.path, item.warning]),
     pairs("other_labels_title", result.other_labels, (path) => [path, t("labels_stay")]),
     pairs("other_kind_title", result.other_kind, (path) => [path, t("kind_stays")]),
-    result.new_categories.length ? h("p", { class: "note" }, t("new_categories", { names: result.new_categories.join(", ") })) : null,
+    newCategories(result.new_categories),
     foot(...acts, done),
   ].filter(Boolean);
+}
+
+/** A few in a line, many in a list that is opened. */
+function newCategories(names) {
+  if (!names.length) return null;
+  if (names.length <= FEW) return h("p", { class: "note" }, t("new_categories", { names: names.join(t("tally_comma")) }));
+  return h("details", { id: "add-categories" }, h("summary", {}, t("new_categories_title", { count: count.format(names.length) })), h("ul", { class: "plain-list scroll" }, ...names.map((name) => h("li", {}, name))));
 }
 
 function tally(result) {

@@ -46,7 +46,7 @@ export class Hits {
     const canvas = h("canvas", { class: "hit-figure", "aria-hidden": "true" });
     const open = h(
       "button",
-      { type: "button", class: "hit-open", "aria-pressed": "false", "aria-label": `${t("hit_rank", { rank: hit.rank, name: nameOf(hit) })}, ${hit.category}, ${t("distance")} ${two(distanceOf(hit))}`, onclick: () => this.tools.onChoose(hit) },
+      { type: "button", class: "hit-open", "aria-pressed": "false", onclick: () => this.tools.onChoose(hit) },
       h("span", { class: "hit-rank" }, String(hit.rank)),
       canvas,
       h("span", { class: "hit-category" }, hit.category),

@@ -7,8 +7,8 @@ const RANKINGS = ["fused", "pose", "leaves", "histogram"];
 export function drawOptions(form, state, onChange) {
   const select = h("select", { name: "ranking", onchange: () => onChange({ ranking: select.value === "fused" ? null : select.value }) }, ...RANKINGS.map((name) => h("option", { value: name }, t(`ranking_${name}`))));
   select.value = state.ranking ?? "fused";
-  const count = h("select", { name: "k", onchange: () => onChange({ k: Number(count.value) === 12 ? null : Number(count.value) }) }, ...[6, 12, 24, 48, 100].map((n) => h("option", { value: String(n) }, String(n))));
-  if (state.k && ![6, 12, 24, 48, 100].includes(state.k)) count.append(h("option", { value: String(state.k) }, String(state.k)));
+  const count = h("select", { name: "k", onchange: () => onChange({ k: Number(count.value) === 12 ? null : Number(count.value) }) }, ...[6, 12, 24, 40, 100].map((n) => h("option", { value: String(n) }, String(n))));
+  if (state.k && ![6, 12, 24, 40, 100].includes(state.k)) count.append(h("option", { value: String(state.k) }, String(state.k)));
   count.value = String(state.k ?? 12);
   const check = (name) => {
     const box = h("input", { type: "checkbox", name, onchange: () => onChange({ [name]: box.checked }) });

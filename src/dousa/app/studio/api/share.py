@@ -1,0 +1,108 @@
+"""What others on the local network may look at: the owner's side of it."""
+
+from __future__ import annotations
+
+from contextlib import suppress
+from typing import Annotated, Any
+
+from fastapi import APIRouter
+from pydantic import BaseModel, ConfigDict, Field
+
+from dousa.app.studio.content.sharing import Sharing, draw_code
+from dousa.app.studio.content.studio import Studio, StudioNow
+from dousa.app.studio.core.answers import Answer, RefusedError
+from dousa.app.studio.core.share_links import ShareLink
+
+router = APIRouter(prefix="/share", tags=["share"])
+
+
+class LinkRequest(BaseModel):
+    """What a link shows."""
+
+    model_config = ConfigDict(extra="forbid")
+
+    report: Annotated[str, Field(pattern="^[0-9a-f]{16}$")] | None = Field(
+        None, description="the job of one evaluation; null for all evaluations and the library"
+    )
+
+
+class RevokeRequest(BaseModel):
+    """Which link."""
+
+    model_config = ConfigDict(extra="forbid")
+
+    number: Annotated[str, Field(max_length=40)]
+
+
+@router.get("", summary="What is shown on the local network")
+def get_share(studio: StudioNow) -> Answer:
+    """``possible``: the studio was started with `--share`. ``address`` is null while nothing is shown."""
+    return _describe(studio)
+
+
+@router.post("/begin", summary="Show reports and library on the local network")
+def begin(studio: StudioNow) -> Answer:
+    """Only where the studio was started with `--share`; others can look and change nothing. New links every time."""
+    _sharing(studio).begin()
+    return _describe(studio)
+
+
+@router.post("/end", summary="Show nothing on the local network any more")
+def end(studio: StudioNow) -> Answer:
+    """All links are taken back."""
+    _sharing(studio).end()
+    return _describe(studio)
+
+
+@router.post("/links", summary="Make a link for others")
+def make_link(studio: StudioNow, wanted: LinkRequest) -> Answer:
+    """To one evaluation, or to everything that is shown; the same link as long as it holds."""
+    sharing = _sharing(studio)
+    if wanted.report is not None:
+        studio.evaluations.name_performance(wanted.report)  # is it there?
+    if sharing.door is None:
+        raise RefusedError(409, "studio_share.ended")
+    return Answer(_describe_link(studio, sharing, sharing.links.add(wanted.report)))
+
+
+@router.post("/revoke", summary="Take a link back")
+def revoke(studio: StudioNow, wanted: RevokeRequest) -> Answer:
+    """Who came by it gets nothing any more."""
+    _sharing(studio).links.revoke(wanted.number)
+    return _describe(studio)
+
+
+def _sharing(studio: Studio) -> Sharing:
+    if studio.sharing is None:
+        raise RefusedError(409, "studio_share.not_asked_for")
+    return studio.sharing
+
+
+def _describe(studio: Studio) -> Answer:
+    sharing = studio.sharing
+    door = None if sharing is None else sharing.door
+    links = [] if sharing is None or door is None else sharing.links.all()
+    return Answer(
+        {
+            "possible": sharing is not None,
+            "address": None if door is None else door.address,
+            "fingerprint": None if door is None else door.fingerprint,
+            "links": [_describe_link(studio, sharing, link) for link in links if sharing is not None],
+        }
+    )
+
+
+def _describe_link(studio: Studio, sharing: Sharing | None, link: ShareLink) -> dict[str, Any]:
+    url = "" if sharing is None else sharing.address_of(link)
+    title = None
+    if link.report is not None:
+        with suppress(RefusedError):  # the evaluation was forgotten: so its link shows nothing
+            title = studio.evaluations.name_performance(link.report)
+    return {
+        "number": link.number,
+        "report": link.report,
+        "title": title,
+        "url": url,
+        "code": draw_code(url),
+        "created_s": link.created_s,
+    }

@@ -1,0 +1,170 @@
+"""What is typed into the one box of the Library page: names and labels letter by letter, misspelt, or by meaning."""
+
+from __future__ import annotations
+
+import re
+import threading
+import unicodedata
+from collections.abc import Callable, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor, TimeoutError
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dousa.arrays import Mask
+from dousa.errors import DousaError
+from dousa.library import TextMatches
+
+if TYPE_CHECKING:
+    from dousa.library import Library
+
+_WORD = re.compile(r"[^\W_]+")
+_MOST_EDITS = {4: 1, 8: 2}  # letters from which a word may be misspelt, and how often
+_MOST_TAKEN_FOR = 3  # words that a misspelt one may have been
+_PATIENCE = 0.15  # s that a list waits for the words of the library to be read
+
+
+def plain(text: str) -> str:
+    """Text as it is compared: wide and narrow, large and small letters are the same."""
+    return unicodedata.normalize("NFKC", text).casefold()
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Reading:
+    """How a text was understood.
+
+    Parameters
+    ----------
+    fits : (n,) whether each clip fits; None for all.
+    scores : (n,) how well, where that is more than yes or no; None where it is not.
+    taken_for : words that are nowhere, and what they were taken for.
+    more : clips that are left out, but do what the words say.
+    pending : whether the words of the library are still being read: more may fit.
+    """
+
+    fits: Mask | None
+    scores: NDArray[np.float64] | None = None
+    taken_for: dict[str, str] = field(default_factory=dict)
+    more: int = 0
+    pending: bool = False
+
+
+class ClipWords:
+    """The names and labels of some clips.
+
+    Parameters
+    ----------
+    texts : of each clip, as `plain` gives them.
+    """
+
+    def __init__(self, texts: Sequence[str]) -> None:
+        self._texts = texts
+        self._known: list[str] | None = None
+
+    def find(self, text: str) -> Mask | None:
+        """Clips that have all words of a text letter by letter; None where it has no word."""
+        words = plain(text).split()
+        if not words:
+            return None
+        return np.array([all(word in known for word in words) for known in self._texts], bool)
+
+    def find_misspelt(self, text: str) -> tuple[Mask, dict[str, str]]:
+        """Clips that have all words, where those that are nowhere stand for the nearest ones; and which these are."""
+        fits, taken_for = np.ones(len(self._texts), bool), {}
+        for word in plain(text).split():
+            own = self._having([word])
+            if not own.any():
+                others = self._correct(word)
+                own = self._having(others)
+                if others:
+                    taken_for[word] = ", ".join(others)
+            fits &= own
+        return fits, taken_for
+
+    def _having(self, words: Sequence[str]) -> Mask:
+        return np.array([any(word in known for word in words) for known in self._texts], bool)
+
+    def _correct(self, word: str) -> list[str]:
+        """Known words from which one differs by few letters, the nearest first."""
+        from rapidfuzz import process
+        from rapidfuzz.distance import OSA
+
+        edits = max((most for letters, most in _MOST_EDITS.items() if len(word) >= letters), default=0)
+        if not edits or any(letter.isdigit() for letter in word):
+            return []
+        if self._known is None:
+            found = {known for text in self._texts for known in _WORD.findall(text)}
+            self._known = sorted(known for known in found if not known.isdigit())
+        near = process.extract(word, self._known, scorer=OSA.distance, score_cutoff=edits, limit=_MOST_TAKEN_FOR)
+        best = min((distance for _, distance, _ in near), default=0)
+        return [known for known, distance, _ in near if distance == best]
+
+
+class Meanings:
+    """What motions do, by the words of the library; read aside, as that takes a while where there are very many.
+
+    Parameters
+    ----------
+    library : gives the library that is open.
+    """
+
+    def __init__(self, library: Callable[[], Library]) -> None:
+        self._library = library
+        self._lock = threading.Lock()
+        self._reader: ThreadPoolExecutor | None = None
+        self._busy: Future[TextMatches] | None = None
+
+    def match(self, text: str) -> TextMatches | None:
+        """The clips that fit a text; None as long as the words are being read."""
+        with self._lock:
+            if self._busy is not None and not self._busy.done():
+                return None
+            if self._reader is None:
+                self._reader = ThreadPoolExecutor(1, "words")
+            self._busy = self._reader.submit(lambda: self._library().match_text(text))
+            busy = self._busy
+        try:
+            return busy.result(_PATIENCE)
+        except TimeoutError:
+            return None
+        except DousaError:  # what the library lacks for this, lists do not need
+            return TextMatches(np.zeros(0, np.int64), np.zeros(0), {})
+
+    def close(self) -> None:
+        """Wait for what is being read; who asks again begins anew."""
+        with self._lock:
+            reader, self._reader, self._busy = self._reader, None, None
+        if reader is not None:
+            reader.shutdown(cancel_futures=True)
+
+
+def read_text(
+    words: ClipWords, ids: NDArray[np.int64], text: str, match: Callable[[str], TextMatches | None], *, wide: bool
+) -> Reading:
+    """Understand what was typed: letter by letter where anything is called so, else misspelt or by its meaning.
+
+    Parameters
+    ----------
+    words, ids : of the clips.
+    text : what was typed.
+    match : finds clips by what they do, as `Meanings.match`.
+    wide : those that do what the words say are wanted too where others are called so.
+    """
+    literal = words.find(text)
+    if literal is None:
+        return Reading(None)
+    matches = match(text)
+    scores = np.zeros(len(ids))
+    if matches is not None and len(matches.ids):
+        rows = np.searchsorted(ids, matches.ids, sorter=(order := np.argsort(ids)))
+        rows = order[np.minimum(rows, len(ids) - 1)]
+        there = ids[rows] == matches.ids
+        scores[rows[there]] = matches.scores[there]
+    if literal.any() and not wide:
+        return Reading(literal, more=int(((scores > 0) & ~literal).sum()), pending=matches is None)
+    near, taken_for = (literal, {}) if literal.any() else words.find_misspelt(text)
+    scores[near] = np.maximum(scores[near], 1.0)
+    told = {} if matches is None else {word: other for word, other in matches.corrections.items() if word != other}
+    return Reading(scores > 0, scores, {**told, **taken_for}, pending=matches is None)

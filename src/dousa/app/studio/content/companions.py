@@ -1,0 +1,161 @@
+"""What is shown in step with the figures of an evaluation: the film of the performance, and the music of the dance.
+
+Both are files that somebody adds. The film of a performance that was estimated from films is found by itself.
+``start_s`` says where a companion begins, in seconds of the performance: negative where it began before.
+"""
+
+from __future__ import annotations
+
+import json
+from contextlib import suppress
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+
+from dousa.app.studio.core.answers import Gate, RefusedError
+from dousa.app.studio.core.uploads import SOUNDS, VIDEOS
+from dousa.messages import Message
+
+if TYPE_CHECKING:
+    from dousa.app.studio.content.motions import MotionRef, Motions
+    from dousa.app.studio.core.workspace import Workspace
+    from dousa.app.studio.jobs.board import Job, JobBoard
+    from dousa.evaluation import Beats, BeatTiming
+
+Kind = Literal["film", "music"]
+_SUFFIXES = {"film": VIDEOS, "music": SOUNDS}
+_OTHER_KIND = {"film": "studio_evaluation.no_film", "music": "studio_evaluation.no_music"}
+_FILE, _BEATS = "companions.json", "beats.json"
+_WAIT = 60.0  # s for others whose beats are looked for
+
+
+@dataclass(frozen=True, slots=True)
+class Companion:
+    """A film or a piece of music.
+
+    Parameters
+    ----------
+    batch, name : of the upload, and the file in it.
+    start_s : when it begins, s of the performance.
+    """
+
+    batch: str
+    name: str
+    start_s: float = 0.0
+
+
+class Companions:
+    """The companions of all evaluations, kept beside each.
+
+    Parameters
+    ----------
+    workspace, board, motions : of the studio.
+    """
+
+    def __init__(self, workspace: Workspace, board: JobBoard, motions: Motions) -> None:
+        self._workspace, self._board, self._motions = workspace, board, motions
+        self._gate = Gate(1, 6, Message("studio_evaluation.busy"))
+
+    def get(self, job: Job) -> dict[str, Companion]:
+        """Those of an evaluation, by kind."""
+        found: dict[str, Companion] = {}
+        film = self._find_film(job.request["performance"])
+        if film is not None:
+            found["film"] = film
+        with suppress(OSError, ValueError, TypeError):
+            stored = json.loads((self._board.folder(job) / _FILE).read_bytes())
+            for kind, one in stored.items():
+                if one is None:
+                    found.pop(kind, None)
+                else:
+                    found[kind] = Companion(**one)
+        return found
+
+    def put(self, job: Job, kind: Kind, companion: Companion | None) -> None:
+        """Keep one, or take it away.
+
+        Raises
+        ------
+        RefusedError : the file is not there, or of another kind.
+        """
+        from dousa.files.disk import atomic_write
+
+        if companion is not None:
+            path = self._workspace.find(companion.batch, companion.name)
+            if path.suffix.lower() not in _SUFFIXES[kind]:
+                raise RefusedError(415, _OTHER_KIND[kind], suffix=path.suffix.lower())
+            self._workspace.keep(companion.batch)
+        folder = self._board.folder(job)
+        stored: dict[str, Any] = {}
+        with suppress(OSError, ValueError):
+            stored = json.loads((folder / _FILE).read_bytes())
+        stored[kind] = None if companion is None else asdict(companion)
+        with atomic_write(folder / _FILE) as file:
+            file.write(json.dumps(stored).encode())
+
+    def path(self, job: Job, kind: Kind) -> Path:
+        """The file of one.
+
+        Raises
+        ------
+        RefusedError : there is none.
+        """
+        one = self.get(job).get(kind)
+        if one is None:
+            raise RefusedError(404, "studio_evaluation.no_companion")
+        return self._workspace.find(one.batch, one.name)
+
+    def find_beats(self, job: Job) -> Beats | None:
+        """The beats of the music of an evaluation, found once; None without music.
+
+        Raises
+        ------
+        MissingExtraError : the extra ``music`` is not installed.
+        MotionFileError : it has no beats.
+        """
+        from dousa.evaluation import Beats, find_beats
+        from dousa.files.disk import atomic_write
+
+        music = self.get(job).get("music")
+        if music is None:
+            return None
+        kept = self._board.folder(job) / _BEATS
+        with suppress(OSError, ValueError, KeyError):
+            stored = json.loads(kept.read_bytes())
+            if stored["of"] == [music.batch, music.name]:
+                return Beats(stored["times_s"])
+        with self._gate.enter(_WAIT):
+            beats = find_beats(self.path(job, "music"))
+        with atomic_write(kept) as file:
+            file.write(json.dumps({"of": [music.batch, music.name], "times_s": beats.times.tolist()}).encode())
+        return beats
+
+    def time_accents(self, job: Job, performance: MotionRef) -> BeatTiming | None:
+        """The accents of the performance against the beats of its music; None without music.
+
+        Raises
+        ------
+        DousaError : as of `find_beats`; too few accents or beats.
+        """
+        from dousa.evaluation import assess_timing
+
+        beats = self.find_beats(job)
+        if beats is None:
+            return None
+        start_s = self.get(job)["music"].start_s
+        return assess_timing(self._motions.get(performance).motion, beats, music_start_s=start_s)
+
+    def _find_film(self, performance: dict[str, Any]) -> Companion | None:
+        """The first film of a performance that was estimated from films."""
+        motion = str(performance.get("motion", ""))
+        if not motion.startswith("job:"):
+            return None
+        with suppress(RefusedError, KeyError, OSError):
+            estimated = self._board.get(motion.removeprefix("job:"))
+            batch = str(estimated.request["batch"])
+            folder = self._workspace.batch_folder(batch)
+            films = [path for path in self._workspace.files(batch) if path.suffix.lower() in VIDEOS]
+            if films:
+                start_s = -float(performance.get("start_s") or 0.0)
+                return Companion(batch, str(films[0].relative_to(folder)), start_s)
+        return None

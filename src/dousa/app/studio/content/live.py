@@ -1,0 +1,353 @@
+"""Somebody before the camera, now: pictures come in one by one, keypoints, a label and a grade go out.
+
+Everything is worked out on this machine; no picture is kept. One person is followed, whom the network places in space
+by itself (a guess of depth); feet are put on the floor.
+"""
+
+from __future__ import annotations
+
+import secrets
+import threading
+import time
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from dousa.app.studio.core.answers import RefusedError
+from dousa.app.studio.core.words import name_error
+from dousa.arrays import FloatArray, Image
+from dousa.errors import DousaError
+from dousa.messages import Message, get_language
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from dousa.estimation.keypoints.keypoint_search import LandmarkModel
+    from dousa.evaluation import FrameState, IncrementalAssessor
+    from dousa.library import Library
+    from dousa.motion import CanonicalMotion
+    from dousa.retrieval import LiveLabeller
+
+RATE = 15.0
+"""Hz, at which a performance is compared with its reference, whatever the rate of the pictures."""
+
+_IDLE = 60.0  # s after which a session that is asked nothing is over
+_GRADE_EVERY = 3.0  # s
+_MOST_GRADED = 600.0  # s; older frames are not graded any more
+_LONGEST_GAP = 1.5  # s without somebody, after which label and grade begin anew
+_LEAST_SURE = 0.3
+_MODELS: tuple[LandmarkModel, ...] = ("full", "lite", "heavy")  # those that keep up first
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Seen:
+    """Somebody in a picture.
+
+    Parameters
+    ----------
+    points : (33, 2) px.
+    visibility : (33,) 0 to 1.
+    world : (33, 3) m about the hips, camera axes: x right, y down, z forward.
+    """
+
+    points: FloatArray
+    visibility: FloatArray
+    world: FloatArray
+
+
+Finder = Callable[[Image], Seen | None]
+"""Finds one person in pictures that come in turn."""
+
+
+def choose_model() -> LandmarkModel:
+    """The model that keeps up best of those installed, if all that is needed is there.
+
+    Raises
+    ------
+    KeypointError : no model is installed.
+    MissingExtraError : LiteRT or OpenCV is not installed.
+    """
+    from dousa.errors import KeypointError
+    from dousa.estimation.keypoints.pose_models import DETECTOR, find_pose_model
+    from dousa.extras import require
+
+    require("cv2", "film")
+    require("ai_edge_litert", "film")
+    find_pose_model(DETECTOR)
+    for name in _MODELS:
+        with suppress(KeypointError):
+            find_pose_model(name)
+            return name
+    find_pose_model(_MODELS[0])  # says what to do
+    raise AssertionError
+
+
+def open_finder() -> Finder:
+    """Follows whoever the detector is surest of.
+
+    Raises
+    ------
+    KeypointError, MissingExtraError : as `choose_model`.
+    """
+    from dousa.estimation.keypoints.people import PeopleFollower
+    from dousa.estimation.keypoints.pose_networks import LandmarkNetwork, PersonDetector
+
+    model = choose_model()
+    follower = PeopleFollower(PersonDetector(None), LandmarkNetwork(model, None), 1)
+    n_seen = 0
+
+    def find(picture: Image) -> Seen | None:
+        nonlocal n_seen
+        rows = follower.see(n_seen, picture)
+        n_seen += 1
+        if not len(rows):
+            return None
+        row = rows[0]
+        sure = np.clip(np.asarray(row["visibility"], np.float64), 0.0, 1.0)
+        return Seen(np.asarray(row["points"], np.float64), sure, np.asarray(row["world"], np.float64))
+
+    return find
+
+
+def to_canonical(world: FloatArray) -> FloatArray:
+    """(20, 3) m, canonical joints on the floor, of the landmarks (33, 3) of one picture.
+
+    Raises
+    ------
+    InvalidMotionError : landmarks that are no person.
+    """
+    from dousa.estimation import MEDIAPIPE_NAMES
+    from dousa.motion import Trajectories, canonicalise
+
+    upright = world[None] * (1.0, -1.0, -1.0)
+    found = canonicalise(Trajectories(MEDIAPIPE_NAMES, upright, RATE))
+    points = np.array(found.positions[0])
+    if any(one.code == "canonical.mirrored" for one in found.warnings):  # one frame cannot tell
+        points[:, 2] *= -1.0
+    points[:, 1] -= points[:, 1].min()
+    return points
+
+
+@dataclass(slots=True)
+class _Graded:
+    """The performance so far, at `RATE`, and what is said of it."""
+
+    assessor: IncrementalAssessor
+    references: Sequence[CanonicalMotion]
+    rows: list[FloatArray] = field(default_factory=list)
+    state: FrameState | None = None
+    score: float | None = None
+    asked: float = 0.0
+    working: threading.Thread | None = None
+
+
+class LiveSession:
+    """One camera.
+
+    Parameters
+    ----------
+    finder : see `open_finder`.
+    library : whose labeller is asked; nothing is labelled where it is not trained.
+    references : takes that the performance is held against; none: nothing is graded.
+    """
+
+    def __init__(self, finder: Finder, library: Library, references: Sequence[CanonicalMotion]) -> None:
+        self.id = secrets.token_hex(8)
+        self.used = time.monotonic()
+        self._finder, self._library, self._references = finder, library, tuple(references)
+        self._lock = threading.Lock()
+        self._labeller: LiveLabeller | None = None
+        self._label: dict[str, Any] | None = None
+        self._label_problem: Message | None = None
+        self._last: tuple[float, FloatArray] | None = None
+        self._graded = self._begin_grade()
+        self._learning = threading.Thread(target=self._learn, daemon=True)
+        self._learning.start()
+
+    def _learn(self) -> None:
+        """The labeller takes a while where it has to be learned."""
+        try:
+            self._labeller = self._library.live()
+        except DousaError as error:
+            self._label_problem = error.message
+
+    def _begin_grade(self) -> _Graded | None:
+        from dousa.evaluation import IncrementalAssessor
+
+        if not self._references:
+            return None
+        return _Graded(IncrementalAssessor(list(self._references), RATE), self._references)
+
+    def see(self, picture: Image, seconds: float) -> dict[str, Any]:
+        """Take the next picture.
+
+        Parameters
+        ----------
+        picture : (H, W, 3) red, green, blue.
+        seconds : s, by the clock of the camera; later than that of the picture before.
+
+        Returns
+        -------
+        ``person``: ``points`` [[x, y], ...] in shares of width and height and ``visibility``, null where nobody is
+        seen; ``label``, ``grade``; ``ms``: what each step took.
+        """
+        with self._lock:
+            self.used = begun = time.monotonic()
+            seen = self._finder(picture)
+            found = time.monotonic()
+            if seen is not None:
+                self._take(seen, seconds)
+            size = picture.shape[1], picture.shape[0]
+            return {
+                "person": None if seen is None else _describe(seen, size),
+                "label": self._describe_label(),
+                "grade": self._describe_grade(),
+                "ms": {
+                    "keypoints": round(1000 * (found - begun), 1),
+                    "judging": round(1000 * (time.monotonic() - found), 1),
+                },
+            }
+
+    def _take(self, seen: Seen, seconds: float) -> None:
+        if not np.isfinite(seen.world).all() or float(np.median(seen.visibility)) < _LEAST_SURE:
+            return
+        try:
+            points = to_canonical(seen.world)
+        except DousaError:  # such as somebody of whom half is outside the picture
+            return
+        if self._last is not None and not 0 < seconds - self._last[0] <= _LONGEST_GAP:
+            self._begin_anew()
+        self._push_label(points, seconds)
+        self._push_grade(points, seconds)
+        self._last = seconds, points
+
+    def _begin_anew(self) -> None:
+        self._last = None
+        self._graded = self._begin_grade()
+        if self._labeller is not None:
+            self._labeller = self._library.live()
+
+    # --- the label
+
+    def _push_label(self, points: FloatArray, seconds: float) -> None:
+        if self._labeller is None:
+            return
+        try:
+            answer = self._labeller.push(points, seconds)
+        except DousaError:
+            self._labeller = self._library.live()
+            return
+        if answer is not None:
+            self._label = answer.to_json()
+
+    def _describe_label(self) -> dict[str, Any]:
+        if self._label_problem is not None:
+            return {"state": "none", "problem": self._label_problem}
+        if self._labeller is None:
+            return {"state": "learning"}
+        return {"state": "ready", **(self._label or {"category": None, "confidence": None, "settled": []})}
+
+    # --- the grade
+
+    def _push_grade(self, points: FloatArray, seconds: float) -> None:
+        """Frames at one rate, in a straight line between those that came."""
+        graded = self._graded
+        if graded is None:
+            return
+        if self._last is None:
+            graded.state = graded.assessor.push(points)
+            graded.rows.append(points)
+            self._begun = seconds
+            return
+        before, last = self._last
+        while (at := self._begun + len(graded.rows) / RATE) <= seconds:
+            row = last + (points - last) * ((at - before) / (seconds - before))
+            graded.state = graded.assessor.push(row)
+            graded.rows.append(row)
+        now = time.monotonic()
+        idle = graded.working is None or not graded.working.is_alive()
+        if idle and now - graded.asked > _GRADE_EVERY and len(graded.rows) >= 2 * RATE:
+            graded.asked = now
+            graded.working = threading.Thread(target=_grade, args=(graded, list(graded.rows)), daemon=True)
+            graded.working.start()
+
+    def _describe_grade(self) -> dict[str, Any] | None:
+        graded = self._graded
+        if graded is None:
+            return None
+        from dousa.evaluation.words import describe_segments
+
+        state = graded.state
+        return {
+            "score": None if graded.score is None else round(graded.score, 1),
+            "seconds": round(len(graded.rows) / RATE, 2),
+            "wrong": [] if state is None else list(state.wrong),
+            "wrong_names": "" if state is None or not state.wrong else describe_segments(state.wrong, get_language()),
+            "lag_ms": None if state is None or not np.isfinite(state.lag_ms) else round(state.lag_ms),
+            "matched_s": None
+            if state is None or not np.isfinite(state.matched_time_s)
+            else round(state.matched_time_s, 2),
+        }
+
+
+def _grade(graded: _Graded, rows: list[FloatArray]) -> None:
+    """What the whole assessment says of the performance so far; beside the pictures, which do not wait for it."""
+    from dousa.evaluation import assess
+    from dousa.motion import CANONICAL_JOINTS, Trajectories, canonicalise
+
+    latest = np.stack(rows[-round(_MOST_GRADED * RATE) :])
+    try:
+        performance = canonicalise(Trajectories(CANONICAL_JOINTS, latest, RATE))
+        graded.score = float(assess(list(graded.references), performance).score)
+    except DousaError:
+        graded.score = None
+
+
+def _describe(seen: Seen, size: tuple[int, int]) -> dict[str, Any]:
+    points = np.where(np.isfinite(seen.points), (seen.points + 0.5) / size, -1.0)
+    return {"points": points.round(4).tolist(), "visibility": seen.visibility.round(2).tolist()}
+
+
+class Live:
+    """The camera that is watched: one at a time, a new one ends the one before."""
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._now: LiveSession | None = None
+
+    def begin(self, session: LiveSession) -> None:
+        """Watch another one."""
+        with self._lock:
+            self._now = session
+
+    def get(self, session_id: str) -> LiveSession:
+        """The session of this number.
+
+        Raises
+        ------
+        RefusedError : it is over.
+        """
+        with self._lock:
+            if self._now is not None and time.monotonic() - self._now.used > _IDLE:
+                self._now = None
+            if self._now is None or self._now.id != session_id:
+                raise RefusedError(404, "studio_live.over")
+            return self._now
+
+    def end(self, session_id: str) -> None:
+        """Forget a session, if it is still there."""
+        with self._lock:
+            if self._now is not None and self._now.id == session_id:
+                self._now = None
+
+
+def find_problem(home: Path) -> Message | None:
+    """Why nobody could be found in pictures here; None if somebody could."""
+    try:
+        choose_model()
+    except DousaError as error:
+        return name_error(error, home)
+    return None

@@ -1,0 +1,301 @@
+"""The silhouettes of a job while somebody looks through them and repairs them.
+
+    masks.json      names, sizes, rate, frames, stature, whether there are cameras; the last file to be written
+    cameras.toml    the cameras, where they are known
+    seen.idx        records of `dousa.app.studio.content.footage.SEEN`
+    seen.bin        masks (PNG, of full size) and small pictures (JPEG), one after the other
+    measures.npy    (2, V, T) areas and second parts, see `dousa.estimation.silhouettes.mask_doubts`
+    repairs.json    what was repaired, and what of it was undone
+
+What was found is never changed: a repair is applied as the silhouettes are read.
+"""
+
+from __future__ import annotations
+
+import json
+import threading
+from contextlib import suppress
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from dousa.app.studio.content.footage import MASK, PICTURE, SEEN
+from dousa.app.studio.core.answers import RefusedError
+from dousa.app.studio.jobs.opened import OpenedJobs
+from dousa.estimation.silhouettes.mask_doubts import doubt_masks, measure_mask
+from dousa.estimation.silhouettes.mask_npz import write_silhouettes
+from dousa.estimation.silhouettes.repairs import MaskRepair, RepairedSilhouettes, repair_from_json
+from dousa.estimation.silhouettes.silhouettes import Silhouettes, checked_frame
+
+if TYPE_CHECKING:
+    from dousa.app.studio.jobs.board import JobBoard
+    from dousa.arrays import Image, Mask
+
+SCENE, CAMERAS, MEASURES, EXPORTED = "masks.json", "cameras.toml", "measures.npy", "masks.npz"
+_REPAIRS = "repairs.json"
+_MOST_REPAIRS = 20_000
+_MOST_OPEN = 3  # jobs
+
+
+class StoredMasks(Silhouettes):
+    """The silhouettes in the folder of a job, as they were found.
+
+    Parameters
+    ----------
+    folder : of the job.
+
+    Raises
+    ------
+    RefusedError : there are none.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self._folder = folder
+        try:
+            scene = json.loads((folder / SCENE).read_bytes())
+            records = np.frombuffer((folder / "seen.idx").read_bytes(), SEEN)
+        except (OSError, ValueError):
+            raise RefusedError(404, "studio_masks.not_one", job=folder.name) from None
+        self.names = tuple(scene["names"])
+        self.sizes = tuple((int(width), int(height)) for width, height in scene["sizes"])
+        self.n_frames, self.frame_rate = int(scene["n_frames"]), float(scene["frame_rate"])
+        self.stature: float | None = scene["stature"]
+        self.has_cameras: bool = scene["cameras"]
+        self._places = {(f, v, kind): (offset, size) for f, v, kind, offset, size in records.tolist()}
+
+    def read(self, frame: int) -> tuple[Mask | None, ...]:
+        """The masks (height, width) of all views in one frame; None where a view has no image then."""
+        return tuple(self.read_view(view, frame) for view in range(self.n_views))
+
+    def read_view(self, view: int, frame: int) -> Mask | None:
+        """The mask of one view."""
+        from dousa.extras import cv2
+
+        content = self._find(checked_frame(frame, self.n_frames), view, MASK)
+        if content is None:
+            return None
+        image = cv2.imdecode(np.frombuffer(content, np.uint8), cv2.IMREAD_GRAYSCALE)
+        return None if image is None else np.asarray(image) > 127
+
+    def look(self, frame: int) -> tuple[Image | None, ...]:
+        """Small pictures behind the masks; None where there is none."""
+        from dousa.extras import cv2
+
+        found = [self.picture(view, frame) for view in range(self.n_views)]
+        return tuple(
+            None if one is None else np.asarray(cv2.imdecode(np.frombuffer(one, np.uint8), cv2.IMREAD_COLOR))
+            for one in found
+        )
+
+    def picture(self, view: int, frame: int) -> bytes | None:
+        """The small picture of a view as JPEG."""
+        return self._find(frame, view, PICTURE)
+
+    def _find(self, frame: int, view: int, kind: int) -> bytes | None:
+        if (frame, view, kind) not in self._places:
+            return None
+        offset, size = self._places[frame, view, kind]
+        with open(self._folder / "seen.bin", "rb") as file:
+            file.seek(offset)
+            return file.read(size)
+
+
+def load_repaired(folder: Path) -> tuple[StoredMasks, RepairedSilhouettes]:
+    """The silhouettes in a job's folder as they were found, and as they are repaired.
+
+    Raises
+    ------
+    RefusedError : there are none.
+    """
+    found = StoredMasks(folder)
+    return found, RepairedSilhouettes(found, _load_repairs(folder)[0])
+
+
+def export_masks(folder: Path, path: Path, progress: Any = None) -> None:
+    """Write the repaired silhouettes of a job's folder, with cameras and stature, as an npz for `dousa estimate`.
+
+    Parameters
+    ----------
+    folder : of the job with the silhouettes.
+    path : the file to write.
+    progress : called with (done, total, what).
+    """
+    from dousa.estimation.cameras.camera_files import read_cameras
+
+    found, repaired = load_repaired(folder)
+    cameras = read_cameras(folder / CAMERAS) if found.has_cameras else None
+    write_silhouettes(path, repaired, cameras, stature=found.stature, progress=progress)
+
+
+def _load_repairs(folder: Path) -> tuple[list[MaskRepair], list[MaskRepair]]:
+    """Those in force, and those undone, the last one first."""
+    try:
+        stored = json.loads((folder / _REPAIRS).read_bytes())
+    except FileNotFoundError:
+        return [], []
+    done, undone = ([repair_from_json(one) for one in stored[name]] for name in ("done", "undone"))
+    return done, undone
+
+
+class MaskDesks:
+    """The silhouettes that were looked at last.
+
+    Parameters
+    ----------
+    board : their jobs.
+    """
+
+    def __init__(self, board: JobBoard) -> None:
+        self._board = board
+        self._opened = OpenedJobs(board, MaskDesk, _MOST_OPEN)
+
+    def get(self, job_id: str) -> MaskDesk:
+        """The silhouettes of a job that is done.
+
+        Raises
+        ------
+        RefusedError : no such job, of another kind, or not done.
+        """
+        job = self._board.get(job_id)
+        if job.kind != "masks":
+            raise RefusedError(404, "studio_masks.not_one", job=job_id)
+        if job.state != "done":
+            raise RefusedError(409, "studio_masks.not_done")
+        return self._opened.get(job)
+
+
+class MaskDesk:
+    """Silhouettes and what was repaired of them.
+
+    Parameters
+    ----------
+    folder : of the job.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        self.found = StoredMasks(folder)
+        self._lock = threading.RLock()
+        self._done, self._undone = _load_repairs(folder)
+        self.repaired = RepairedSilhouettes(self.found, self._done)
+        self._measures = np.load(folder / MEASURES)
+        self._measure({(repair.view, frame) for repair in self._done for frame in repair.frames})
+
+    def describe(self) -> dict[str, Any]:
+        """``views`` (name, width, height, whether there are pictures), ``n_frames``, ``frame_rate``, ``cameras``,
+        ``done`` and ``undone`` (numbers of repairs), ``repaired`` frames by view, ``doubts``: (frame, reason) by view.
+        """
+        with self._lock:
+            views = [
+                {"name": name, "width": width, "height": height, "pictures": self._has_pictures(view)}
+                for view, (name, (width, height)) in enumerate(zip(self.found.names, self.found.sizes, strict=True))
+            ]
+            touched: list[set[int]] = [set() for _ in views]
+            for repair in self._done:
+                touched[repair.view].update(repair.frames)
+            return {
+                "views": views,
+                "n_frames": self.found.n_frames,
+                "frame_rate": self.found.frame_rate,
+                "cameras": self.found.has_cameras,
+                "done": len(self._done),
+                "undone": len(self._undone),
+                "repaired": [sorted(frames) for frames in touched],
+                "doubts": [doubt_masks(*self._measures[:, view]) for view in range(len(views))],
+            }
+
+    def _has_pictures(self, view: int) -> bool:
+        return any(self.found.picture(view, frame) is not None for frame in (0, self.found.n_frames // 2))
+
+    def repair(self, repair: MaskRepair) -> dict[str, Any]:
+        """Do one more; what was undone before is forgotten.
+
+        Raises
+        ------
+        RefusedError : too many.
+        SilhouetteError : no such view or frame.
+        """
+        with self._lock:
+            if len(self._done) >= _MOST_REPAIRS:
+                raise RefusedError(409, "studio_masks.many", most=_MOST_REPAIRS)
+            RepairedSilhouettes(self.found, [repair])  # refuses a view or frame that there is not
+            return self._set([*self._done, repair], [], repair)
+
+    def undo(self) -> dict[str, Any]:
+        """Take the last one back.
+
+        Raises
+        ------
+        RefusedError : there is none.
+        """
+        with self._lock:
+            if not self._done:
+                raise RefusedError(409, "studio_masks.nothing_to_undo")
+            return self._set(self._done[:-1], [self._done[-1], *self._undone], self._done[-1])
+
+    def redo(self) -> dict[str, Any]:
+        """Do again what was taken back last.
+
+        Raises
+        ------
+        RefusedError : there is none.
+        """
+        with self._lock:
+            if not self._undone:
+                raise RefusedError(409, "studio_masks.nothing_to_redo")
+            return self._set([*self._done, self._undone[0]], self._undone[1:], self._undone[0])
+
+    def _set(self, done: list[MaskRepair], undone: list[MaskRepair], changed: MaskRepair) -> dict[str, Any]:
+        from dousa.files.disk import atomic_write
+
+        stored = {"done": [one.to_json() for one in done], "undone": [one.to_json() for one in undone]}
+        with atomic_write(self.folder / _REPAIRS) as file:
+            file.write(json.dumps(stored).encode())
+        with suppress(FileNotFoundError):
+            (self.folder / EXPORTED).unlink()
+        self._done, self._undone = done, undone
+        self.repaired = RepairedSilhouettes(self.found, done)
+        self._measure({(changed.view, frame) for frame in changed.frames})
+        where = {"view": changed.view, "frame": changed.frames[0], "count": len(changed.frames)}
+        return {**self.describe(), "changed": where}
+
+    def _measure(self, places: set[tuple[int, int]]) -> None:
+        for view, frame in places:
+            measured = measure_mask(self.repaired.read_view(view, frame))
+            self._measures[:, view, frame] = measured.area, measured.second
+
+    def mask(self, view: int, frame: int) -> bytes:
+        """The repaired mask of a view as PNG of full size, black and white.
+
+        Raises
+        ------
+        SilhouetteError, RefusedError : no such view or frame; no image of this view then.
+        """
+        from dousa.extras import cv2
+
+        mask = self.repaired.read_view(view, frame)
+        if mask is None:
+            raise RefusedError(404, "studio_masks.no_image", frame=frame)
+        _, content = cv2.imencode(".png", mask.view(np.uint8) * np.uint8(255), [cv2.IMWRITE_PNG_BILEVEL, 1])
+        return content.tobytes()
+
+    def picture(self, view: int, frame: int) -> bytes:
+        """The small picture of a view as JPEG.
+
+        Raises
+        ------
+        RefusedError : there is none.
+        """
+        content = self.found.picture(view, frame)
+        if content is None:
+            raise RefusedError(404, "studio_masks.no_image", frame=frame)
+        return content
+
+    def export(self) -> Path:
+        """The repaired silhouettes as an npz, in the folder of the job."""
+        with self._lock:
+            path = self.folder / EXPORTED
+            if not path.is_file():
+                export_masks(self.folder, path)
+            return path

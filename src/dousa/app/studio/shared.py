@@ -1,0 +1,296 @@
+"""What others on the local network see: reports and the clips of the library, on pages of their own, and nothing that
+writes.
+
+This is an application of its own, not the studio's with doors locked: what it cannot do is not there. It listens at one
+address of this machine, over TLS, and holds only so many connections, so that the studio itself is never kept waiting.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import socket
+import ssl
+import threading
+import weakref
+from collections.abc import Callable
+from functools import partial
+from ipaddress import IPv4Address
+from typing import TYPE_CHECKING, Annotated, Any
+
+from fastapi import APIRouter, Depends, FastAPI, Query, Request
+from starlette.responses import Response
+
+from dousa.app.studio import pages
+from dousa.app.studio.api import evaluation, motions
+from dousa.app.studio.content.clips import Asked
+from dousa.app.studio.content.evaluations import Language
+from dousa.app.studio.content.sharing import Door, Sharing, check_address
+from dousa.app.studio.content.studio import Studio, StudioNow
+from dousa.app.studio.core.answers import BYTES, Answer, RefusedError
+from dousa.app.studio.core.certificate import provide_certificate
+from dousa.app.studio.core.share_links import ShareLink, ShareLinks
+from dousa.app.studio.core.shared_guard import LINK, SharedGuard
+from dousa.errors import OptionError
+from dousa.extras import require
+
+if TYPE_CHECKING:
+    from collections.abc import Coroutine
+
+FIRST_PORT, _TRIES = 8865, 20
+_MOST_CONNECTIONS, _MOST_OF_ONE = 100, 24  # of all, and of one address; a browser opens about six
+_HANDSHAKE_S, _FAREWELL_S = 10.0, 1.0
+
+# --- what there is to see
+
+
+def _link_of(request: Request) -> ShareLink:
+    link: ShareLink = getattr(request.state, LINK)
+    return link
+
+
+_LinkNow = Annotated[ShareLink, Depends(_link_of)]
+
+
+def _check_report(link: _LinkNow, job_id: str) -> str:
+    if link.report not in (None, job_id):
+        raise RefusedError(403, "studio_share.other_report")
+    return job_id
+
+
+def _check_all(link: _LinkNow) -> None:
+    if link.report is not None:
+        raise RefusedError(403, "studio_share.other_report")
+
+
+def _check_clip(asked: Annotated[motions.ShownMotion, Query()]) -> motions.ShownMotion:
+    if asked.address.clip is None:  # uploads, and what was estimated, are nobody else's
+        raise RefusedError(403, "studio_share.only_clips")
+    return asked
+
+
+_Report = Annotated[str, Depends(_check_report)]
+_Clip = Annotated[motions.ShownMotion, Depends(_check_clip)]
+_Language = Annotated[Language, Query()]
+_EVERYTHING = [Depends(_check_all)]
+
+router = APIRouter(prefix="/api")
+
+
+@router.get("/reports")
+def list_reports(studio: StudioNow, link: _LinkNow) -> Answer:
+    """The evaluations that the link shows, the last first."""
+    rows = [one for one in studio.evaluations.list_done() if link.report in (None, one["id"])]
+    return Answer({"reports": rows, "everything": link.report is None})
+
+
+@router.get("/reports/{job_id}")
+def get_report(studio: StudioNow, job_id: _Report, language: _Language = "en") -> Answer:
+    """The parts of a report and what its scripts need."""
+    return Answer(evaluation.collect_report(studio, job_id, language))
+
+
+@router.get("/reports/{job_id}/exercise")
+def get_exercise(studio: StudioNow, job_id: _Report, language: _Language = "en") -> Response:
+    """The report of an exercise."""
+    return evaluation.get_exercise(studio, job_id, language)
+
+
+@router.get("/reports/{job_id}/{name}.html")
+def download_report(studio: StudioNow, job_id: _Report, name: evaluation.Page, language: _Language = "en") -> Response:
+    """The report as one file."""
+    return evaluation.download_file(studio, job_id, f"{name}.html", language)
+
+
+@router.get("/clips", dependencies=_EVERYTHING)
+def list_clips(
+    studio: StudioNow,
+    text: Annotated[str, Query(max_length=300)] = "",
+    offset: Annotated[int, Query(ge=0, le=10**9)] = 0,
+    limit: Annotated[int, Query(ge=0, le=100)] = 30,
+) -> Answer:
+    """Clips of the library: number, name, category and length; no names of performers, no folders."""
+    snapshot = studio.listing.now()
+    rows = snapshot.find(Asked(text)).rows
+    told = [snapshot.describe(row) for row in rows[offset : offset + limit]]
+    names = ("id", "name", "category", "duration")
+    return Answer({"total": len(rows), "items": [{name: one[name] for name in names} for one in told]})
+
+
+@router.get("/motions/miniature", dependencies=_EVERYTHING, responses=BYTES)
+def get_miniature(studio: StudioNow, asked: _Clip) -> Response:
+    """A small moving figure."""
+    return motions.get_miniature(studio, asked)
+
+
+@router.get("/motions/player", dependencies=_EVERYTHING)
+def get_player(studio: StudioNow, asked: _Clip) -> Answer:
+    """A figure for the player."""
+    return motions.get_player(studio, asked)
+
+
+def create_shared_app(studio: Studio, host: str, links: ShareLinks, answer_problems: Callable[[FastAPI], None]) -> Any:
+    """The application that others see.
+
+    Parameters
+    ----------
+    studio : whose reports and clips.
+    host : address and port at which it is seen.
+    links : by which somebody comes in.
+    answer_problems : hangs the answers to errors on it.
+    """
+    app = FastAPI(docs_url=None, redoc_url=None, openapi_url=None, default_response_class=Answer)
+    app.state.studio = studio
+    app.include_router(router)
+    pages.register_shared(app)
+    answer_problems(app)
+    return SharedGuard(app, host, links)
+
+
+# --- the server
+
+
+def make_sharing(
+    studio: Studio, address: IPv4Address, answer_problems: Callable[[FastAPI], None], http: Any
+) -> Sharing:
+    """Sharing at an address of this machine.
+
+    Parameters
+    ----------
+    studio : what is shown.
+    address : at which.
+    answer_problems : hangs the answers to errors on an application.
+    http : the protocol of uvicorn.
+    """
+
+    def open_door(links: ShareLinks) -> Door:
+        require("segno", "share")
+        certificate = provide_certificate(studio.workspace.root, address)
+        listener = listen(str(address))
+        host = f"{address}:{listener.getsockname()[1]}"
+        app = create_shared_app(studio, host, links, answer_problems)
+        shut = _serve(app, listener, str(certificate.path), http)
+        return Door(f"https://{host}", certificate.fingerprint, shut)
+
+    return Sharing(open_door)
+
+
+def find_share_address(asked: str | None = None) -> IPv4Address:
+    """The address at which others on the network of this machine see it.
+
+    Parameters
+    ----------
+    asked : what somebody chose; None for the one of the usual network.
+
+    Raises
+    ------
+    OptionError : there is no network, or it is no address in one that is closed to the internet.
+    """
+    return check_address(asked if asked is not None else _find_address())
+
+
+def _find_address() -> str:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        try:
+            probe.connect(("10.255.255.255", 9))  # sends nothing: the system only says which way it would go
+            found: str = probe.getsockname()[0]
+        except OSError:
+            raise OptionError("studio_share.no_network") from None
+    if found.startswith("127."):
+        raise OptionError("studio_share.no_network")
+    return found
+
+
+class LimitedListener(socket.socket):
+    """A listening socket that takes no more than so many connections: files are few, and the studio needs some."""
+
+    def hold_back(self) -> None:
+        """From now on."""
+        self._open: weakref.WeakSet[socket.socket] = weakref.WeakSet()
+
+    def accept(self) -> tuple[socket.socket, Any]:
+        """As of any socket; one too many is closed at once.
+
+        Raises
+        ------
+        ConnectionAbortedError : it was one too many.
+        """
+        connection, peer = super().accept()
+        there = [one for one in self._open if one.fileno() >= 0]
+        same = sum(1 for one in there if _peer_of(one) == peer[0])
+        if len(there) >= _MOST_CONNECTIONS or same >= _MOST_OF_ONE:
+            connection.close()
+            raise ConnectionAbortedError("too many connections")
+        self._open.add(connection)
+        return connection, peer
+
+    def close_all(self) -> None:
+        """Take no more, and leave those that are there."""
+        self.close()
+        for one in list(self._open):
+            one.close()
+
+
+def _peer_of(connection: socket.socket) -> str | None:
+    try:
+        return str(connection.getpeername()[0])
+    except OSError:  # it is gone
+        return None
+
+
+def listen(address: str) -> LimitedListener:
+    """A socket that waits for calls at an address, at the first port that is free.
+
+    Raises
+    ------
+    OptionError : it is no address of this machine, or no port is free.
+    """
+    problem: OSError | None = None
+    for port in range(FIRST_PORT, FIRST_PORT + _TRIES):
+        listener = LimitedListener(socket.AF_INET, socket.SOCK_STREAM, socket.IPPROTO_TCP)
+        listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        try:
+            listener.bind((address, port))
+        except OSError as error:
+            listener.close()
+            problem = error
+            continue
+        listener.hold_back()
+        listener.listen(64)
+        return listener
+    raise OptionError("studio_share.cannot_listen", address=address, reason=problem)
+
+
+def _serve(app: Any, listener: LimitedListener, certificate: str, http: Any) -> Callable[[], None]:
+    """Answer calls in a thread; -> function that ends it."""
+    uvicorn = require("uvicorn", "studio")
+    config = uvicorn.Config(
+        app, http=http, ws="none", lifespan="off", loop="asyncio", proxy_headers=False, server_header=False,
+        access_log=False, log_level="error", timeout_keep_alive=30, timeout_graceful_shutdown=3, limit_concurrency=60,
+        ssl_certfile=certificate, ssl_version=ssl.PROTOCOL_TLS_SERVER,
+    )  # fmt: skip
+    config.load()
+    config.ssl.minimum_version = ssl.TLSVersion.TLSv1_2
+    server = uvicorn.Server(config)
+
+    def make_loop() -> asyncio.AbstractEventLoop:
+        loop = asyncio.new_event_loop()
+        # uvicorn has no option for it, and waits a minute for who connects and says nothing.
+        hasty = partial(loop.create_server, ssl_handshake_timeout=_HANDSHAKE_S, ssl_shutdown_timeout=_FAREWELL_S)
+        loop.create_server = hasty  # type: ignore[method-assign]
+        loop.set_exception_handler(lambda *_: None)  # strangers who are no browsers are nothing for the terminal
+        return loop
+
+    def run() -> None:
+        with asyncio.Runner(loop_factory=make_loop) as runner:
+            serving: Coroutine[Any, Any, None] = server.serve(sockets=[listener])
+            runner.run(serving)
+
+    thread = threading.Thread(target=run, name="share", daemon=True)
+    thread.start()
+
+    def shut() -> None:
+        server.should_exit = True
+        thread.join(timeout=10)
+        listener.close_all()
+
+    return shut

@@ -1,0 +1,65 @@
+// What others on the local network may look at: the link with its code for a phone, who sees what, and the end of it.
+
+import { get, post } from "./api.js";
+import { openDialog } from "./dialog.js";
+import { $, h, t } from "./dom.js";
+import { attempt, notify } from "./notices.js";
+
+const act = (word, action, kind = "") => h("button", { type: "button", class: `small ${kind}`, dataset: { act: word }, onclick: () => attempt(action) }, t(word));
+
+/** Show the link to one report (its job), or to everything. */
+export async function openSharing(report = null) {
+  const place = h("div", { class: "stack sharing", id: "sharing" });
+  await fill(place, report);
+  openDialog(t("share_title"), place);
+}
+
+async function fill(place, report, found = null) {
+  const state = found ?? (await get("/share"));
+  showState(Boolean(state.address));
+  if (!state.possible) {
+    place.replaceChildren(h("p", {}, t("share_how")), h("p", {}, h("code", {}, "dousa studio LIB --share")), h("p", { class: "note" }, t("share_how_more")));
+    return;
+  }
+  if (!state.address) {
+    const begin = async () => fill(place, report, await post("/share/begin"));
+    place.replaceChildren(h("p", {}, t("share_off")), h("p", { class: "problem-box" }, t("share_warning_all")), h("div", { class: "foot" }, act("share_begin", begin, "primary")));
+    return;
+  }
+  const link = await post("/share/links", { report });
+  const { links } = await get("/share");
+  const end = async () => fill(place, report, await post("/share/end"));
+  place.replaceChildren(
+    h("div", { class: "sharing-link" }, h("img", { src: link.code, alt: t("share_code"), width: 220, height: 220 }), h("div", { class: "stack" }, h("p", {}, t(report ? "share_this" : "share_all")), address(link.url), h("p", { class: "problem-box" }, t(report ? "share_warning_one" : "share_warning_all")), h("p", { class: "note" }, t("share_certificate")), h("code", { class: "fingerprint" }, state.fingerprint))),
+    linkTable(place, report, links),
+    h("div", { class: "foot" }, act("share_end", end, "danger")),
+  );
+}
+
+function address(url) {
+  const field = h("input", { type: "text", readonly: true, value: url, "aria-label": t("share_address"), onfocus: () => field.select() });
+  const copy = async () => {
+    await navigator.clipboard.writeText(url);
+    notify(t("share_copied"));
+  };
+  return h("div", { class: "row sharing-address" }, field, act("share_copy", copy));
+}
+
+function linkTable(place, report, links) {
+  const revoke = (number) => async () => {
+    await post("/share/revoke", { number });
+    notify(t("share_revoked"));
+    fill(place, report); // the one that is shown is made anew: its old code opens nothing
+  };
+  const rows = links.map(({ number, report: one, title }) => h("tr", {}, h("td", {}, one ? t("share_one", { name: title ?? "–" }) : t("share_everything")), h("td", { class: "number" }, act("share_revoke", revoke(number)))));
+  return h("details", { class: "sharing-links" }, h("summary", {}, t("share_links", { count: links.length })), h("table", {}, h("tbody", {}, ...rows)));
+}
+
+function showState(on) {
+  const button = $("#share-button");
+  if (!button) return;
+  button.classList.toggle("on", on);
+  button.title = t(on ? "share_is_on" : "share_is_off");
+}
+
+$("#share-button")?.addEventListener("click", () => attempt(() => openSharing()));

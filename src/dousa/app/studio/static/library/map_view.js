@@ -1,0 +1,153 @@
+// What part of the map is seen, and how it is moved: wheel, two fingers, dragging, keys; and lines drawn around clips.
+
+const [LEAST, MOST] = [0.8, 60]; // times the whole map
+const NEAR = 9; // px from a dot that count as on it
+const STILL = 4; // px that a press may move and is no drag
+const KEY_STEP = 60; // px
+const KEY_ZOOM = 1.35;
+
+/** hooks: draw(), hover(x, y) or hover(null), click(x, y, event), open(x, y), around(polygon, event), key(event) -> true if used */
+export class MapView {
+  constructor(element, hooks) {
+    Object.assign(this, { element, hooks, mode: "lasso", zoom: 1, x: 0, y: 0, width: 1, height: 1, lasso: null, fingers: new Map() });
+    element.addEventListener("wheel", (event) => this.wheel(event), { passive: false });
+    element.addEventListener("pointerdown", (event) => this.down(event));
+    element.addEventListener("pointermove", (event) => this.move(event));
+    for (const name of ["pointerup", "pointercancel"]) element.addEventListener(name, (event) => this.up(event));
+    element.addEventListener("pointerleave", () => hooks.hover(null));
+    element.addEventListener("dblclick", (event) => hooks.open(...this.at(event)));
+    element.addEventListener("contextmenu", (event) => this.moved && event.preventDefault());
+    element.addEventListener("keydown", (event) => this.keydown(event));
+  }
+
+  resize(width, height) {
+    Object.assign(this, { width, height });
+    this.hooks.draw();
+  }
+
+  /** px of one unit of the map. */
+  get unit() {
+    return 0.47 * Math.min(this.width, this.height) * this.zoom;
+  }
+
+  /** Where a point of the map is seen, px from the corner. */
+  screen(x, y) {
+    return [this.width / 2 + (x - this.x) * this.unit, this.height / 2 - (y - this.y) * this.unit];
+  }
+
+  at(event) {
+    const box = this.element.getBoundingClientRect();
+    return [event.clientX - box.left, event.clientY - box.top];
+  }
+
+  whole() {
+    Object.assign(this, { zoom: 1, x: 0, y: 0 });
+    this.hooks.draw();
+  }
+
+  /** Larger by a factor; what is at a place stays there. */
+  scale(factor, [x, y] = [this.width / 2, this.height / 2]) {
+    const before = this.unit;
+    this.zoom = Math.min(Math.max(this.zoom * factor, LEAST), MOST);
+    const change = 1 / before - 1 / this.unit;
+    this.x += (x - this.width / 2) * change;
+    this.y -= (y - this.height / 2) * change;
+    this.hooks.draw();
+  }
+
+  shift(x, y) {
+    this.x = Math.min(Math.max(this.x - x / this.unit, -1.2), 1.2);
+    this.y = Math.min(Math.max(this.y + y / this.unit, -1.2), 1.2);
+    this.hooks.draw();
+  }
+
+  wheel(event) {
+    event.preventDefault();
+    this.hooks.hover(null);
+    const px = event.deltaY * (event.deltaMode === 1 ? 32 : 1);
+    this.scale(Math.exp(-0.0016 * px), this.at(event));
+  }
+
+  down(event) {
+    if (event.pointerType !== "mouse" || event.button === 0) this.element.focus({ preventScroll: true });
+    this.element.setPointerCapture(event.pointerId);
+    this.fingers.set(event.pointerId, this.at(event));
+    this.hooks.hover(null);
+    if (this.fingers.size > 1) {
+      this.lasso = null;
+      this.moved = true;
+      this.hooks.draw();
+      return;
+    }
+    this.moved = false;
+    this.pans = this.mode === "move" || event.button > 0;
+    this.from = this.at(event);
+    this.lasso = this.pans ? null : [this.from];
+  }
+
+  move(event) {
+    const place = this.at(event);
+    const last = this.fingers.get(event.pointerId);
+    if (!last) {
+      if (event.pointerType === "mouse") this.hooks.hover(...place);
+      return;
+    }
+    if (this.fingers.size > 1) this.pinch(event.pointerId, last, place);
+    this.fingers.set(event.pointerId, place);
+    if (this.fingers.size > 1) return;
+    if (Math.hypot(place[0] - this.from[0], place[1] - this.from[1]) > STILL) this.moved = true;
+    if (!this.moved) return;
+    if (this.pans) this.shift(place[0] - last[0], place[1] - last[1]);
+    else if (this.lasso) {
+      this.lasso.push(place);
+      this.hooks.draw();
+    }
+  }
+
+  pinch(id, last, place) {
+    const [, other] = [...this.fingers].find(([one]) => one !== id);
+    const away = (one) => Math.max(Math.hypot(one[0] - other[0], one[1] - other[1]), 1);
+    this.shift((place[0] - last[0]) / 2, (place[1] - last[1]) / 2);
+    this.scale(away(place) / away(last), [(place[0] + other[0]) / 2, (place[1] + other[1]) / 2]);
+  }
+
+  up(event) {
+    if (!this.fingers.delete(event.pointerId) || this.fingers.size) return;
+    const line = this.lasso;
+    this.lasso = null;
+    if (event.type === "pointercancel") this.hooks.draw();
+    else if (!this.moved && event.button <= 0) this.hooks.click(...this.at(event), event);
+    else if (line && line.length > 2) this.hooks.around(line, event);
+    this.hooks.draw();
+  }
+
+  keydown(event) {
+    const moves = { ArrowLeft: [KEY_STEP, 0], ArrowRight: [-KEY_STEP, 0], ArrowUp: [0, KEY_STEP], ArrowDown: [0, -KEY_STEP] };
+    const acts = { "+": () => this.scale(KEY_ZOOM), "=": () => this.scale(KEY_ZOOM), "-": () => this.scale(1 / KEY_ZOOM), 0: () => this.whole() };
+    const free = !event.ctrlKey && !event.metaKey && !event.altKey;
+    if (free && event.key in moves) this.shift(...moves[event.key]);
+    else if (free && event.key in acts) acts[event.key]();
+    else if (!this.hooks.key(event)) return;
+    event.preventDefault();
+  }
+
+  /** The nearest of some places (x, y in turns) to a place; -1 if none is near. */
+  static nearest(places, count, x, y) {
+    let [best, found] = [NEAR * NEAR, -1];
+    for (let k = 0; k < count; k += 1) {
+      const away = (places[2 * k] - x) ** 2 + (places[2 * k + 1] - y) ** 2;
+      if (away < best) [best, found] = [away, k];
+    }
+    return found;
+  }
+
+  /** Whether a place lies within a line that is closed from its end to its beginning. */
+  static inside(line, x, y) {
+    let within = false;
+    for (let k = 0, last = line.length - 1; k < line.length; last = k, k += 1) {
+      const [[ax, ay], [bx, by]] = [line[k], line[last]];
+      if (ay > y !== by > y && x < ((bx - ax) * (y - ay)) / (by - ay) + ax) within = !within;
+    }
+    return within;
+  }
+}

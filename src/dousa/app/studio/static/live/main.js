@@ -1,0 +1,173 @@
+// The live page: the camera, the skeleton over it, what it is and how good it is.
+
+import { get, post, remove } from "../core/api.js";
+import { $, baseName, formatSeconds, h, t } from "../core/dom.js";
+import { pickClips } from "../core/pick.js";
+import { Camera, sendPicture } from "./camera.js";
+import { drawPerson } from "./drawing.js";
+
+const KEPT = 40; // settled labels that are shown
+const SMOOTH = 0.15; // share of the newest picture in what is said of the speed
+
+const camera = new Camera($("#live-video"));
+const state = { session: null, bones: [], reference: null, running: false, trained: false, latency: null, gap: null, last: 0 };
+
+const problem = (text) => $("#live-problem").replaceChildren(...(text ? [h("p", { class: "problem-box" }, text)] : []));
+
+async function begin() {
+  const known = await get("/live").catch((error) => ({ problem: error.message, bones: [] }));
+  Object.assign(state, { bones: known.bones, trained: known.trained });
+  problem(known.problem);
+  $("#live-start").disabled = Boolean(known.problem);
+  const asked = new URLSearchParams(location.search).get("reference");
+  if (asked) state.reference = { motion: asked, name: asked };
+  if (asked) get("/motions/info", { motion: asked }).then((info) => setReference({ motion: asked, name: info.name }), () => setReference(null));
+  showReference();
+  showLabel(null);
+}
+
+// --- the reference
+
+function setReference(reference) {
+  state.reference = reference;
+  const query = new URLSearchParams(location.search);
+  if (reference) query.set("reference", reference.motion);
+  else query.delete("reference");
+  history.replaceState(null, "", `/live${query.size ? `?${query}` : ""}`);
+  showReference();
+  if (state.running) restart();
+}
+
+function showReference() {
+  $("#live-reference").textContent = state.reference ? t("other_reference") : t("pick_reference");
+  $("#live-no-reference").hidden = !state.reference;
+  showGrade(null);
+}
+
+async function pick() {
+  const [clip] = await pickClips({ title: t("pick_reference") });
+  if (clip) setReference({ motion: `clip:${clip.id}`, name: baseName(clip.path) });
+}
+
+// --- what is said
+
+function showLabel(label) {
+  const [large, note] = [$("#live-label"), $("#live-label-note")];
+  large.textContent = "";
+  if (!state.trained || label?.state === "none") note.textContent = label?.problem ?? t("label_untrained");
+  else if (label?.state === "learning") note.textContent = t("label_learning");
+  else if (!label || label.confidence === null) note.textContent = t("label_none");
+  else {
+    large.textContent = label.category ?? "";
+    note.textContent = label.category ? t("label_sure", { percent: Math.round(100 * label.confidence) }) : t("label_unknown");
+  }
+  for (const one of label?.settled ?? []) addPast(one);
+}
+
+const told = new Set();
+
+function addPast({ category, start_s: start, end_s: end }) {
+  const key = `${start} ${end}`;
+  if (!category || told.has(key)) return;
+  told.add(key);
+  const list = $("#live-past");
+  list.prepend(h("li", {}, h("span", {}, category), h("span", {}, formatSeconds(end - start))));
+  while (list.children.length > KEPT) list.lastChild.remove();
+}
+
+function showGrade(grade) {
+  const [large, note] = [$("#live-grade"), $("#live-grade-note")];
+  large.textContent = grade?.score == null ? "" : grade.score.toFixed(0);
+  if (!state.reference) note.textContent = t("grade_none");
+  else if (!grade || grade.score === null) note.textContent = `${state.reference.name}. ${t("grade_soon")}`;
+  else note.textContent = [t("grade_of", { seconds: grade.seconds.toFixed(0) }), describeNow(grade)].filter(Boolean).join(". ");
+}
+
+function describeNow({ wrong_names: wrong, lag_ms: lag, matched_s: matched }) {
+  if (matched === null) return ""; // nothing like it in the reference
+  const now = wrong ? t("grade_wrong", { names: wrong }) : t("grade_good");
+  if (lag === null || Math.abs(lag) < 100) return now;
+  return `${now}. ${t(lag > 0 ? "grade_lag_late" : "grade_lag_early", { ms: Math.abs(lag) })}`;
+}
+
+function showSpeed(taken, ms) {
+  const now = performance.now();
+  const blend = (old, fresh) => (old === null ? fresh : old + SMOOTH * (fresh - old));
+  state.latency = blend(state.latency, now - taken);
+  if (state.last) state.gap = blend(state.gap, now - state.last);
+  state.last = now;
+  $("#live-latency").textContent = t("latency_value", { ms: Math.round(state.latency) });
+  $("#live-parts").textContent = t("latency_parts", { keypoints: Math.round(ms.keypoints), judging: Math.round(ms.judging) });
+  if (state.gap) $("#live-rate").textContent = t("rate_value", { rate: (1000 / state.gap).toFixed(1) });
+}
+
+// --- the camera
+
+async function start() {
+  problem(null);
+  $("#live-hint").textContent = t("waiting_camera");
+  try {
+    const size = await camera.open();
+    $("#live-stage").style.setProperty("--shape", `${size[0]} / ${size[1]}`);
+    Object.assign($("#live-drawing"), { width: size[0], height: size[1] });
+  } catch (error) {
+    $("#live-hint").textContent = "";
+    problem(t("no_camera", { reason: error.message || error.name }));
+    return;
+  }
+  $("#live-start").hidden = true;
+  $("#live-stop").hidden = false;
+  $("#live-stop").focus();
+  await restart();
+}
+
+async function restart() {
+  state.abort?.abort();
+  const mine = (state.abort = new AbortController());
+  Object.assign(state, { running: true, latency: null, gap: null, last: 0 });
+  try {
+    const references = state.reference ? [{ motion: state.reference.motion }] : [];
+    const { id } = await post("/live", { references });
+    state.session = id;
+    await watch(id, mine.signal);
+  } catch (error) {
+    if (mine.signal.aborted) return;
+    stop();
+    problem(error.message);
+  }
+}
+
+// One picture at a time: whoever is slower sees fewer of them, not old ones.
+async function watch(session, signal) {
+  while (!signal.aborted) {
+    const taken = performance.now();
+    const picture = await camera.take();
+    const found = await sendPicture(session, picture, taken / 1000, signal);
+    if (signal.aborted) return;
+    drawPerson($("#live-drawing"), found.person, state.bones);
+    const hint = found.person ? "" : t("nobody");
+    if ($("#live-hint").textContent !== hint) $("#live-hint").textContent = hint;
+    showLabel(found.label);
+    showGrade(found.grade);
+    showSpeed(taken, found.ms);
+  }
+}
+
+function stop() {
+  state.abort?.abort();
+  if (state.session) remove(`/live/${state.session}`).catch(() => {});
+  Object.assign(state, { session: null, running: false });
+  camera.close();
+  $("#live-hint").textContent = "";
+  drawPerson($("#live-drawing"), null, []);
+  $("#live-stop").hidden = true;
+  $("#live-start").hidden = false;
+  $("#live-start").focus();
+}
+
+$("#live-start").addEventListener("click", start);
+$("#live-stop").addEventListener("click", stop);
+$("#live-reference").addEventListener("click", pick);
+$("#live-no-reference").addEventListener("click", () => setReference(null));
+window.addEventListener("pagehide", () => camera.close());
+begin();

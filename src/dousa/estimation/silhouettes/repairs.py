@@ -1,0 +1,303 @@
+"""Repairs of silhouettes by hand: strokes of a brush, and connected parts that are not the person.
+
+A repair never changes what it repairs: `RepairedSilhouettes` reads the silhouettes and applies a list of repairs, in
+their order, to each frame. Undoing one is leaving it out.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import defaultdict
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from dousa.arrays import Image, Mask
+from dousa.errors import SilhouetteError
+from dousa.estimation.silhouettes.silhouettes import Silhouettes, checked_frame
+from dousa.messages import Message
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+_SHIFT = 4  # bits of a pixel that strokes are drawn to
+_NEAR = 4  # px beside a part that is still a click on it
+_LEAST_SHARED = 0.3  # of the smaller of two parts, for them to be one part in two frames
+_LIKE = 2.5  # ratio of areas, beyond which a part has grown together with another, or has lost most of itself
+_PATIENCE = 15  # frames without a part, after which it is not looked for any more
+
+Progress = Callable[[int, int, Message], None]
+
+
+@dataclass(frozen=True, slots=True)
+class MaskStroke:
+    """A stroke of a round brush in one frame of one view.
+
+    Parameters
+    ----------
+    view, frame : counted from 0.
+    points : (N, 2) x and y in px, at least one; pixel centres are whole numbers.
+    radius : of the brush, px.
+    adds : it becomes foreground; otherwise background.
+    """
+
+    view: int
+    frame: int
+    points: tuple[tuple[float, float], ...]
+    radius: float
+    adds: bool
+
+    def __post_init__(self) -> None:
+        values = [self.radius, *(value for point in self.points for value in point)]
+        if not self.points or not all(map(math.isfinite, values)) or not self.radius > 0:
+            raise SilhouetteError("mask_repairs.stroke")
+
+    @property
+    def frames(self) -> tuple[int, ...]:
+        """The frames that it changes."""
+        return (self.frame,)
+
+    def apply(self, mask: Mask, frame: int) -> None:
+        """Change the mask (H, W) of a frame in place."""
+        from dousa.extras import cv2
+
+        canvas = np.zeros(mask.shape, np.uint8)
+        dots = np.round(np.asarray(self.points) * (1 << _SHIFT)).astype(np.int64)
+        dots = np.clip(dots, -(1 << 20), 1 << 20).astype(np.int32)
+        radius = max(1, round(self.radius * (1 << _SHIFT)))
+        for one, other in pairwise(dots):
+            cv2.line(canvas, one.tolist(), other.tolist(), 1, max(1, round(2 * self.radius)), shift=_SHIFT)
+        for dot in dots:
+            cv2.circle(canvas, dot.tolist(), radius, 1, -1, shift=_SHIFT)
+        mask[canvas.view(bool)] = self.adds
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain values, for `repair_from_json`."""
+        points = [[round(value, 2) for value in point] for point in self.points]
+        return {
+            "kind": "stroke",
+            "view": self.view,
+            "frame": self.frame,
+            "points": points,
+            "radius": self.radius,
+            "adds": self.adds,
+        }
+
+
+@dataclass(frozen=True, slots=True)
+class ExcludedPart:
+    """A connected part of one view that is not the person, in one frame or many.
+
+    Parameters
+    ----------
+    view : counted from 0.
+    seeds : frame -> x and y, px, of a pixel of the part; see `find_part` and `follow_part`.
+    """
+
+    view: int
+    seeds: Mapping[int, tuple[int, int]]
+
+    @property
+    def frames(self) -> tuple[int, ...]:
+        """The frames that it changes."""
+        return tuple(self.seeds)
+
+    def apply(self, mask: Mask, frame: int) -> None:
+        """Change the mask (H, W) of a frame in place."""
+        if frame not in self.seeds:
+            return
+        x, y = self.seeds[frame]
+        if 0 <= y < mask.shape[0] and 0 <= x < mask.shape[1] and mask[y, x]:
+            mask[_part_at(mask, (x, y))] = False
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain values, for `repair_from_json`."""
+        return {"kind": "exclude", "view": self.view, "seeds": [[frame, *self.seeds[frame]] for frame in self.seeds]}
+
+
+MaskRepair = MaskStroke | ExcludedPart
+"""What can be done to silhouettes."""
+
+
+def repair_from_json(given: Mapping[str, Any]) -> MaskRepair:
+    """A repair from the plain values of its ``to_json``.
+
+    Raises
+    ------
+    SilhouetteError : they are none of a repair.
+    """
+    try:
+        if given["kind"] == "stroke":
+            points = tuple((float(x), float(y)) for x, y in given["points"])
+            where = int(given["view"]), int(given["frame"])
+            return MaskStroke(*where, points, float(given["radius"]), bool(given["adds"]))
+        if given["kind"] == "exclude":
+            seeds = {int(frame): (int(x), int(y)) for frame, x, y in given["seeds"]}
+            return ExcludedPart(int(given["view"]), seeds)
+    except (KeyError, TypeError, ValueError):
+        pass
+    raise SilhouetteError("mask_repairs.unreadable", found=str(dict(given))[:80])
+
+
+class RepairedSilhouettes(Silhouettes):
+    """Silhouettes with repairs, applied as they are read.
+
+    Parameters
+    ----------
+    source : what is repaired.
+    repairs : in the order in which they were made.
+
+    Raises
+    ------
+    SilhouetteError : a repair of a view or frame that there is not.
+    """
+
+    def __init__(self, source: Silhouettes, repairs: Sequence[MaskRepair]) -> None:
+        self._source = source
+        self._repairs: dict[tuple[int, int], list[MaskRepair]] = defaultdict(list)
+        self.names, self.sizes = source.names, source.sizes
+        self.n_frames, self.frame_rate = source.n_frames, source.frame_rate
+        for repair in repairs:
+            _check_view(source, repair.view)
+            for frame in repair.frames:
+                self._repairs[repair.view, checked_frame(frame, self.n_frames)].append(repair)
+
+    @property
+    def warnings(self) -> tuple[Message, ...]:  # type: ignore[override]
+        """Of the source."""
+        return self._source.warnings
+
+    def read(self, frame: int) -> tuple[Mask | None, ...]:
+        """The masks (height, width) of all views in one frame, repaired; None where a view has no image then."""
+        return tuple(self._repair(view, frame, mask) for view, mask in enumerate(self._source.read(frame)))
+
+    def read_view(self, view: int, frame: int) -> Mask | None:
+        """The mask of one view."""
+        _check_view(self._source, view)
+        return self._repair(view, frame, self._source.read_view(view, frame))
+
+    def _repair(self, view: int, frame: int, mask: Mask | None) -> Mask | None:
+        repairs = self._repairs.get((view, frame), ())
+        if mask is None or not repairs:
+            return mask
+        mask = np.array(mask, bool, copy=True)
+        for repair in repairs:
+            repair.apply(mask, frame)
+        return mask
+
+    def look(self, frame: int) -> tuple[Image | None, ...]:
+        """The pictures behind the masks."""
+        return self._source.look(frame)
+
+    def close(self) -> None:
+        """Let go of open files."""
+        self._source.close()
+
+
+def _check_view(silhouettes: Silhouettes, view: int) -> None:
+    if not 0 <= view < silhouettes.n_views:
+        raise SilhouetteError("mask_repairs.view", found=view, views=silhouettes.n_views)
+
+
+def find_part(silhouettes: Silhouettes, view: int, frame: int, point: tuple[float, float]) -> ExcludedPart:
+    """The connected part (8 neighbours) at a point of a frame, or within 4 px of it.
+
+    Parameters
+    ----------
+    silhouettes : with the repairs that were made before.
+    view, frame : counted from 0.
+    point : x and y, px.
+
+    Raises
+    ------
+    SilhouetteError : there is nothing at this point.
+    """
+    return ExcludedPart(view, {frame: _find_seed(silhouettes, view, frame, point)})
+
+
+def follow_part(
+    silhouettes: Silhouettes,
+    view: int,
+    frame: int,
+    point: tuple[float, float],
+    progress: Progress | None = None,
+) -> ExcludedPart:
+    """The same part in all frames: from frame to frame, what covers most of it and is about as large.
+
+    Where the part has grown together with another one, such as the person, these frames are left as they are; after 15
+    frames in a row without it, it is not looked for any more.
+
+    Parameters
+    ----------
+    silhouettes : with the repairs that were made before.
+    view, frame, point : as of `find_part`.
+    progress : called with (frames done, frames in all, what).
+
+    Raises
+    ------
+    SilhouetteError : there is nothing at this point.
+    """
+    seeds = {frame: _find_seed(silhouettes, view, frame, point)}
+    mask = silhouettes.read_view(view, frame)
+    assert mask is not None
+    first = _part_at(mask, seeds[frame])
+    n_done = 0
+    for way in (range(frame + 1, silhouettes.n_frames), range(frame - 1, -1, -1)):
+        part, missed = first, 0
+        for place in way:
+            found = _find_again(silhouettes.read_view(view, place), part)
+            if found is not None:
+                seeds[place], part, missed = *found, 0
+            else:
+                missed += 1
+            n_done += 1
+            if progress is not None:
+                progress(n_done, silhouettes.n_frames - 1, Message("mask_repairs.following"))
+            if missed > _PATIENCE:
+                break
+    return ExcludedPart(view, dict(sorted(seeds.items())))
+
+
+def _find_seed(silhouettes: Silhouettes, view: int, frame: int, point: tuple[float, float]) -> tuple[int, int]:
+    _check_view(silhouettes, view)
+    mask = silhouettes.read_view(view, checked_frame(frame, silhouettes.n_frames))
+    x, y = point
+    if mask is not None and mask.any() and math.isfinite(x) and math.isfinite(y):
+        rows, columns = np.nonzero(mask)
+        away = np.hypot(columns - x, rows - y)
+        nearest = int(away.argmin())
+        if away[nearest] <= _NEAR:
+            return int(columns[nearest]), int(rows[nearest])
+    raise SilhouetteError("mask_repairs.nothing_there")
+
+
+def _part_at(mask: Mask, seed: tuple[int, int]) -> Mask:
+    """The connected part (H, W) of a mask that a foreground pixel belongs to."""
+    labels = _label(mask)
+    return np.asarray(labels == labels[seed[1], seed[0]])
+
+
+def _label(mask: Mask) -> NDArray[np.int32]:
+    from dousa.extras import cv2
+
+    image = np.ascontiguousarray(mask, bool).view(np.uint8)
+    return np.asarray(cv2.connectedComponents(image, connectivity=8)[1], np.int32)
+
+
+def _find_again(mask: Mask | None, part: Mask) -> tuple[tuple[int, int], Mask] | None:
+    """A pixel of the part in another mask, and the part there."""
+    if mask is None or not (mask & part).any():
+        return None
+    labels = _label(mask)
+    shared = np.bincount(labels[part], minlength=2)
+    shared[0] = 0
+    best = int(shared.argmax())
+    found = labels == best
+    areas = int(found.sum()), int(part.sum())
+    if shared[best] < _LEAST_SHARED * min(areas) or max(areas) > _LIKE * min(areas):
+        return None
+    row, column = np.argwhere(found & part)[0]
+    return (int(column), int(row)), found

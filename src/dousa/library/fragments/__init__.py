@@ -1,0 +1,1 @@
+"""Arrays of clips beside the tables of a large library: fragments, files that only grow."""

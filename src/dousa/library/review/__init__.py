@@ -1,0 +1,1 @@
+"""Looking through a library: labels that are likely wrong, and clips that are nearly the same."""

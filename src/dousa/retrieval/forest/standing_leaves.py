@@ -1,0 +1,130 @@
+"""The leaves in which very many clips stand, in as few bytes as they are kept in: counted and looked through in place.
+
+Leaves are kept as codes: numbers among the leaves of their tree that clips stand in. A million clips in 100 trees are
+200 MB so, which may lie in a file.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dousa.arrays import BoolArray, IndexArray, IntArray
+from dousa.retrieval.forest import tree_kernels as kernels
+
+_AT_ONCE = 1 << 14  # clips whose leaves are put together
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LeafCodes:
+    """The leaves of some clips.
+
+    Parameters
+    ----------
+    codes : (n, n_trees) whole numbers.
+    table, offsets : (K,) leaves, and (n_trees,) where those of each tree begin; the leaf is table[offset + code].
+    places : (n,) int64, which clip of all each row is; -1 for one that does not count.
+    """
+
+    codes: NDArray[Any]
+    table: NDArray[np.int32]
+    offsets: IntArray
+    places: IntArray
+
+
+class StandingLeaves:
+    """The leaves of N clips, each of which is in one part.
+
+    Parameters
+    ----------
+    parts : rows of clips.
+    count : N.
+    """
+
+    def __init__(self, parts: Sequence[LeafCodes], count: int) -> None:
+        self.parts = tuple(parts)
+        self._count = count
+        starts = np.cumsum([0, *(len(part.places) for part in self.parts)])
+        self._rows = np.full(count, -1)
+        for part, start in zip(self.parts, starts, strict=False):
+            there = part.places >= 0
+            self._rows[part.places[there]] = start + np.flatnonzero(there)
+        self._starts = starts
+
+    @classmethod
+    def of(cls, leaves: NDArray[np.integer[Any]] | StandingLeaves, n_leaves: int) -> StandingLeaves:
+        """Plain leaves (N, n_trees) below ``n_leaves`` as such."""
+        if isinstance(leaves, StandingLeaves):
+            return leaves
+        table, offsets = np.arange(n_leaves, dtype=np.int32), np.zeros(leaves.shape[1], np.int64)
+        part = LeafCodes(np.ascontiguousarray(leaves), table, offsets, np.arange(len(leaves)))
+        return cls((part,), len(leaves))
+
+    def __len__(self) -> int:
+        return self._count
+
+    @property
+    def n_trees(self) -> int:
+        """Trees."""
+        return int(self.parts[0].codes.shape[1])
+
+    def only(self, chosen: BoolArray) -> StandingLeaves:
+        """Those of some clips, chosen (N,), which are numbered anew."""
+        numbers = np.where(chosen, np.cumsum(chosen) - 1, -1)
+        parts = [
+            LeafCodes(part.codes, part.table, part.offsets, np.where(part.places < 0, -1, numbers[part.places]))
+            for part in self.parts
+        ]
+        return StandingLeaves(parts, int(chosen.sum()))
+
+    def take(self, clips: IndexArray) -> NDArray[np.int32]:
+        """(n, n_trees) leaves of some clips."""
+        taken = np.empty((len(clips), self.n_trees), np.int32)
+        rows = self._rows[clips]
+        for part, start in zip(self.parts, self._starts, strict=False):
+            own = np.flatnonzero((rows >= start) & (rows < start + len(part.places)))
+            for first in range(0, len(own), _AT_ONCE):
+                some = own[first : first + _AT_ONCE]
+                taken[some] = part.table[part.offsets + part.codes[rows[some] - start]]
+        return taken
+
+    def find(self, marked: BoolArray) -> IndexArray:
+        """Clips that stand in any of the leaves that are marked (L,), ascending."""
+        found = [np.zeros(0, np.int64)]
+        for part in self.parts:
+            hits = np.empty(len(part.places), np.bool_)
+            kernels.find_marked(part.codes, part.offsets, part.places, marked[part.table], hits)
+            found.append(part.places[hits])
+        return np.sort(np.concatenate(found))
+
+    def count(self, ranks: IntArray, categories: NDArray[np.int32], n_classes: int) -> IntArray:
+        """(K, C) how many clips of each category (N,) stand in K leaves.
+
+        Parameters
+        ----------
+        ranks : (L,) numbers of these leaves from 0 on, several may have one; -1 for all others.
+        """
+        counts = np.zeros((int(ranks.max(initial=-1)) + 1, n_classes), np.int64)
+        for part in self.parts:
+            kernels.count_standing(part.codes, part.offsets, part.places, ranks[part.table], categories, counts)
+        return counts
+
+    def list(self, marked: BoolArray) -> tuple[IndexArray, IndexArray]:
+        """Clips, ascending, and leaves (M,): one of each pair for every leaf that is marked (L,) and a clip in it."""
+        clips, leaves = [np.zeros(0, np.int64)], [np.zeros(0, np.int64)]
+        for part in self.parts:
+            wanted = marked[part.table]
+            room = np.empty((2, kernels.list_marked(part.codes, part.offsets, part.places, wanted, _NO_ROOM)), np.int64)
+            kernels.list_marked(part.codes, part.offsets, part.places, wanted, room)
+            clips.append(room[0])
+            leaves.append(part.table[room[1]].astype(np.int64))
+        all_clips = np.concatenate(clips)
+        order = np.argsort(all_clips, kind="stable")
+        return all_clips[order], np.concatenate(leaves)[order]
+
+
+_NO_ROOM = np.empty((2, 0), np.int64)

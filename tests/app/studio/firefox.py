@@ -1,0 +1,133 @@
+"""A headless Firefox for tests of the studio, driven over its own WebDriver BiDi: no driver program is needed."""
+
+from __future__ import annotations
+
+import json
+import re
+import shutil
+import subprocess
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+__all__ = ["Firefox", "open_firefox"]
+
+_PATIENCE = 60.0  # s for an answer
+
+
+class Firefox:
+    """One page of a Firefox.
+
+    Parameters
+    ----------
+    socket : to the browser.
+    """
+
+    def __init__(self, socket: Any) -> None:
+        self._socket, self._number = socket, 0
+        self.said: list[str] = []  # errors and warnings of the console
+        self._ask("session.new", {"capabilities": {}})
+        self._ask("session.subscribe", {"events": ["log.entryAdded"]})
+        self._page = self._ask("browsingContext.getTree", {})["contexts"][0]["context"]
+
+    def _ask(self, method: str, parameters: dict[str, Any]) -> Any:
+        self._number += 1
+        self._socket.send(json.dumps({"id": self._number, "method": method, "params": parameters}))
+        while True:
+            came = json.loads(self._socket.recv())
+            if came.get("method") == "log.entryAdded" and came["params"]["level"] in ("error", "warn"):
+                self.said.append(str(came["params"]["text"]))
+            if came.get("id") == self._number:
+                assert came["type"] == "success", came
+                return came["result"]
+
+    def resize(self, width: int, height: int) -> None:
+        """Change the size of the view, CSS pixels."""
+        size = {"width": width, "height": height}
+        self._ask("browsingContext.setViewport", {"context": self._page, "viewport": size})
+
+    def open(self, address: str) -> None:
+        """Show a page, until it is loaded."""
+        self._ask("browsingContext.navigate", {"context": self._page, "url": address, "wait": "complete"})
+
+    def run(self, expression: str) -> Any:
+        """The value of an expression of the page, through JSON."""
+        asked = {
+            "expression": f"JSON.stringify({expression} ?? null)",
+            "target": {"context": self._page},
+            "awaitPromise": True,
+        }
+        came = self._ask("script.evaluate", asked)
+        assert came["type"] == "success", came["exceptionDetails"]["text"]
+        return json.loads(came["result"]["value"])
+
+    def put_files(self, selector: str, *paths: Path) -> None:
+        """Files into a field of the page that takes them."""
+        asked = {
+            "expression": f"document.querySelector({json.dumps(selector)})",
+            "target": {"context": self._page},
+            "awaitPromise": False,
+        }
+        element = self._ask("script.evaluate", asked)["result"]
+        files = {"context": self._page, "element": {"sharedId": element["sharedId"]}, "files": [str(p) for p in paths]}
+        self._ask("input.setFiles", files)
+
+    def drag(self, *places: tuple[float, float]) -> None:
+        """Press at the first place of the view, go through the others, let go."""
+        moves = [{"type": "pointerMove", "x": round(x), "y": round(y)} for x, y in places]
+        down, up = {"type": "pointerDown", "button": 0}, {"type": "pointerUp", "button": 0}
+        pointer = {"type": "pointer", "id": "mouse", "actions": [moves[0], down, *moves[1:], up]}
+        self._ask("input.performActions", {"context": self._page, "actions": [pointer]})
+
+    def press(self, *keys: str) -> None:
+        """Press keys together: those before the last are held."""
+        actions = [{"type": "keyDown", "value": key} for key in keys]
+        actions += [{"type": "keyUp", "value": key} for key in reversed(keys)]
+        self._ask(
+            "input.performActions",
+            {"context": self._page, "actions": [{"type": "key", "id": "keys", "actions": actions}]},
+        )
+
+    def wait(self, expression: str, seconds: float = 60.0) -> Any:
+        """Wait until an expression is something true; that."""
+        end = time.monotonic() + seconds
+        while not (value := self.run(expression)):
+            assert time.monotonic() < end, expression
+            time.sleep(0.05)
+        return value
+
+
+@contextmanager
+def open_firefox(profile: Path) -> Iterator[Firefox]:
+    """A Firefox with a fresh profile folder; skips the test where there is none."""
+    websocket = pytest.importorskip("websocket", reason="selenium is not installed: pip install selenium")
+    firefox = shutil.which("firefox-esr") or shutil.which("firefox")
+    if not firefox:
+        pytest.skip("no Firefox here: apt-get install firefox-esr")
+    profile.mkdir()
+    command = [firefox, "--headless", "--no-remote", "--profile", str(profile), "--remote-debugging-port", "0"]
+    process = subprocess.Popen(command, stderr=subprocess.PIPE, stdout=subprocess.DEVNULL, text=True)
+    assert process.stderr is not None
+    reader = threading.Thread(target=process.stderr.read, daemon=True)
+    try:
+        address = next(
+            (found[0] for line in process.stderr if (found := re.search(r"ws://127\.0\.0\.1:\d+", line))), None
+        )
+        assert address is not None, "Firefox ended"
+        reader.start()  # else its pipe fills up
+        socket = websocket.create_connection(f"{address}/session", timeout=_PATIENCE, suppress_origin=True)
+        try:
+            yield Firefox(socket)
+        finally:
+            socket.close()
+    finally:
+        process.terminate()
+        process.wait(timeout=30)
+        if reader.is_alive():
+            reader.join(timeout=30)
+        process.stderr.close()

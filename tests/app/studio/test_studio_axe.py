@@ -1,0 +1,96 @@
+"""What axe-core finds on the pages of the studio: nothing, in light and dark, in both languages, wide and narrow."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import pytest
+
+KEYS = pytest.importorskip("selenium.webdriver", reason="selenium is not installed: pip install selenium").Keys
+
+ROOT = Path(__file__).resolve().parents[3]
+AXE = Path(os.environ.get("DOUSA_AXE", ROOT / "build" / "node_modules" / "axe-core" / "axe.min.js"))
+
+PAGES = ("/library", "/search?motion=clip:1", "/takes", "/evaluate?references=clip:1", "/estimate", "/live", "/api")
+
+RUN = """
+const done = arguments[arguments.length - 1];
+const say = (rule, node) => `${rule.id}: ${node.html.slice(0, 160)} ${node.failureSummary.split('\\n')[1]}`;
+axe.run(document, { resultTypes: ['violations'] }).then(
+  (found) => done({
+    passed: found.passes.length,
+    wrong: found.violations.flatMap((rule) => rule.nodes.map((node) => say(rule, node))),
+  }),
+  (error) => done({ passed: 0, wrong: [String(error)] }),
+);
+"""
+
+
+@pytest.fixture(scope="session")
+def axe() -> str:
+    """The script of axe-core."""
+    if not AXE.is_file():
+        pytest.skip(
+            "no axe-core here: npm install --prefix build axe-core@4.14.1, or its axe.min.js named by DOUSA_AXE"
+        )
+    return AXE.read_text(encoding="utf-8")
+
+
+@pytest.fixture
+def check(axe):
+    """``check(page)``: what is wrong with what a page shows; it must have found something right too."""
+
+    def look(page):
+        page.settle()
+        page.run(axe)
+        found = page.driver.execute_async_script(RUN)
+        assert found["wrong"] or found["passed"] > 10
+        return found["wrong"]
+
+    return look
+
+
+def wait_until_filled(page, path):
+    page.wait("return performance.getEntriesByType('resource').every((one) => one.responseEnd > 0)")
+    if path.startswith("/search"):
+        page.wait("return document.querySelectorAll('.hit').length > 3")
+    if path == "/library":
+        page.wait("return document.querySelectorAll('.cell').length > 3")
+
+
+@pytest.mark.parametrize("language", ["en", "ja"])
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+@pytest.mark.parametrize("path", PAGES)
+def test_every_page_is_without_a_fault(show, check, path, scheme, language):
+    page = show(path, scheme=scheme, language=language)
+    wait_until_filled(page, path)
+    assert check(page) == []
+    page.resize(390, 844)
+    assert check(page) == []
+
+
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+def test_what_is_opened_on_the_library_is_without_a_fault(show, check, scheme):
+    page = show("/library", scheme=scheme, width=1600, height=900)
+    wait_until_filled(page, "/library")
+    page.find(".cell").click()
+    page.run("for (const one of document.querySelectorAll('details')) one.open = true;")
+    assert check(page) == []
+    page.find("#jobs-button").click()
+    assert check(page) == []
+    page.press(KEYS.ESCAPE)
+    page.find("#add-button").click()
+    page.wait("return document.querySelector('dialog[open]')")
+    assert check(page) == []
+    page.press(KEYS.ESCAPE)
+
+
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+def test_an_evaluation_is_without_a_fault(show, check, running, scheme):
+    wanted = {"references": [{"motion": "clip:1"}], "performance": {"motion": "clip:2"}}
+    job = running.app.state.studio.jobs.submit("evaluate", wanted, "one")
+    page = show(f"/evaluate?job={job.id}", scheme=scheme)
+    page.wait("return document.querySelector('#adjust-score')?.textContent", seconds=90)
+    page.run("for (const one of document.querySelectorAll('details')) one.open = true;")
+    assert check(page) == []

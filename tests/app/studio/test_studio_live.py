@@ -1,0 +1,120 @@
+"""The live interface: pictures in, keypoints, labels and grades out; with recorded keypoints in the network's place."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from app.studio.live_people import record_landmarks, replay
+from dousa.app.studio.content import live
+from dousa.errors import KeypointError
+
+cv2 = pytest.importorskip("cv2", reason="OpenCV is not installed: pip install 'dousa[film]'")
+RATE = 15.0
+
+
+@pytest.fixture(scope="module")
+def kick():
+    return record_landmarks("kick_left", 3, RATE)
+
+
+@pytest.fixture
+def watched(studio, monkeypatch, kick):
+    monkeypatch.setattr(live, "choose_model", lambda: "full")
+    monkeypatch.setattr(live, "open_finder", replay(kick))
+    return studio
+
+
+@pytest.fixture(scope="module")
+def picture():
+    return cv2.imencode(".jpg", np.full((120, 160, 3), 90, np.uint8))[1].tobytes()
+
+
+def show(studio, session, picture, seconds):
+    return studio.post(f"/api/live/{session}/picture?seconds={seconds}", content=picture)
+
+
+def begin(studio, **wanted):
+    answer = studio.post("/api/live", json=wanted)
+    assert answer.status_code == 201, answer.text
+    return answer.json()["id"]
+
+
+def test_landmarks_of_a_camera_become_the_joints_of_the_motion(kick):
+    hips = kick[:, [23, 24]].mean(axis=1, keepdims=True)
+    joints = np.stack([live.to_canonical(row) for row in (kick - hips) * (1.0, -1.0, -1.0)])
+    assert joints[..., 1].min(axis=1) == pytest.approx(0.0, abs=1e-9)
+    knees = joints[:, [13, 17]] - joints[:, :1]
+    assert knees == pytest.approx(kick[:, [25, 26]] - hips, abs=0.12)
+
+
+def test_what_is_missing_is_said_with_what_to_run(studio, monkeypatch, tmp_path):
+    monkeypatch.setenv("DOUSA_MODELS", str(tmp_path))
+    said = studio.get("/api/live").json()
+    assert "dousa models install" in said["problem"] or "pip install" in said["problem"]
+    answer = studio.post("/api/live", json={})
+    assert answer.status_code == 409
+    assert answer.json()["problem"] == said["problem"]
+
+
+def test_a_picture_gives_a_person_and_what_each_step_took(watched, picture):
+    session = begin(watched)
+    answer = show(watched, session, picture, 0.0).json()
+    assert np.shape(answer["person"]["points"]) == (33, 2)
+    assert np.array(answer["person"]["points"])[:, 1].max() <= 1.0
+    assert answer["grade"] is None
+    assert set(answer["ms"]) == {"keypoints", "judging"}
+
+
+def test_who_does_what_the_library_knows_gets_its_label(watched, picture, kick):
+    session = begin(watched)
+    watched.app.state.studio.live.get(session)._learning.join(timeout=120)
+    labels = []
+    for frame in range(4 * len(kick)):
+        label = show(watched, session, picture, frame / RATE).json()["label"]
+        assert label["state"] == "ready"
+        labels += [label["category"], *(one["category"] for one in label["settled"])]
+    assert "kick_left" in labels
+
+
+def test_who_repeats_the_reference_is_graded_better_than_who_does_something_else(
+    watched, picture, kick, monkeypatch, tmp_path
+):
+    scores = {}
+    for name, landmarks in (("kick_left", kick), ("squat", record_landmarks("squat", 3, RATE))):
+        monkeypatch.setattr(live, "open_finder", replay(landmarks))
+        monkeypatch.setattr(live, "_GRADE_EVERY", 0.0)
+        clip = watched.get("/api/clips?category=kick_left").json()["items"][0]["id"]
+        session = begin(watched, references=[{"motion": f"clip:{clip}"}])
+        for frame in range(60):
+            grade = show(watched, session, picture, frame / RATE).json()["grade"]
+        watched.app.state.studio.live.get(session)._graded.working.join(timeout=60)
+        grade = show(watched, session, picture, 60 / RATE).json()["grade"]
+        assert grade["seconds"] == pytest.approx(61 / RATE, abs=0.1)
+        scores[name] = grade["score"]
+    assert scores["kick_left"] is not None
+    assert scores["kick_left"] > (scores["squat"] or 0.0)
+
+
+@pytest.mark.parametrize(
+    "content", [b"", b"no picture", b"\xff\xd8\xff\xc0\x00\x11\x08\xff\xff\xff\xff\x03", b"\xff\xd8"]
+)
+def test_what_is_no_picture_is_refused(watched, content):
+    answer = show(watched, begin(watched), content, 0.0)
+    assert answer.status_code == 422
+    assert "JPEG" in answer.json()["problem"]
+
+
+def test_a_new_session_ends_the_one_before_and_a_stopped_one_is_over(watched, picture):
+    first, second = begin(watched), begin(watched)
+    assert show(watched, first, picture, 0.0).status_code == 404
+    assert show(watched, second, picture, 0.0).status_code == 200
+    assert watched.delete(f"/api/live/{second}").status_code == 200
+    assert show(watched, second, picture, 1.0).status_code == 404
+
+
+def test_without_a_model_that_is_installed_none_is_chosen(monkeypatch, tmp_path):
+    pytest.importorskip("ai_edge_litert", reason="LiteRT is not installed: pip install 'dousa[film]'")
+    monkeypatch.setenv("DOUSA_MODELS", str(tmp_path))
+    with pytest.raises(KeypointError):
+        live.choose_model()

@@ -1,0 +1,81 @@
+"""Labels that are likely wrong, the demo of an empty library: asked as a program would and in a real browser."""
+
+from __future__ import annotations
+
+import pytest
+
+from app.studio.conftest import TOKEN, listening, wait_for
+from app.studio.library_page import CELLS, click, wait_count
+from dousa.app.studio import Settings
+
+KEYS = pytest.importorskip("selenium.webdriver", reason="selenium is not installed: pip install selenium").Keys
+STAGE = "return document.querySelector('.rv-stage')?.textContent ?? ''"
+
+
+@pytest.fixture
+def planted(running):
+    """The library with two wrong labels; their numbers."""
+    library = running.app.state.studio.library
+    kick, squat = (library.clips(category=name)[0].id for name in ("kick_left", "squat"))
+    library.relabel([kick], category="walk")
+    library.relabel([squat], category="wave_right")
+    return library, kick, squat
+
+
+def test_a_review_is_a_job_with_doubts_and_duplicates(studio):
+    library = studio.app.state.studio.library
+    first = library.clips(category="squat")[0].id
+    library.relabel([first], category="walk")
+    job = wait_for(studio, studio.post("/api/jobs/review").json()["id"])
+    assert job["state"] == "done"
+    assert [one["clip_id"] for one in job["result"]["doubts"]] == [first]
+    assert job["result"]["doubts"][0]["suggested"] == "squat"
+    assert job["result"]["duplicates"] == []
+    refused = studio.post("/api/jobs/demo")
+    assert refused.status_code == 409 and "empty" in refused.json()["problem"]
+
+
+def test_wrong_labels_are_decided_by_keys_and_taken_back(show, planted):
+    library, kick, squat = planted
+    category = lambda number: library.clips([number])[0].category  # noqa: E731
+    page = show("/library")
+    page.wait(f"{CELLS}.length > 3")
+    click(page, "#review-button")
+    at = "return document.querySelector('#review-count')?.textContent.startsWith(arguments[0])"
+    page.wait(at, "1 of ", seconds=90)
+    first = page.run("return Number(document.querySelector('.rv-large').dataset.clip)")
+    second = kick + squat - first
+    assert page.wait("return document.querySelectorAll('.rv-small[data-drawn]').length") >= 4
+    wrong, right = category(first), {kick: "kick_left", squat: "squat"}
+    page.press("y")
+    page.wait(at, "2 of ")
+    assert category(first) == right[first]
+    page.press("u")
+    page.wait(at, "1 of ")
+    assert category(first) == wrong
+    page.press("n")
+    page.wait(at, "2 of ")
+    assert library.clips([first])[0].tags == ("checked",)
+    assert page.run("return Number(document.querySelector('.rv-large').dataset.clip)") == second
+    page.press("y")
+    page.wait("return document.querySelector('#review-end, #review-count')?.textContent.startsWith('2 of ') === false")
+    assert category(second) == right[second]
+    page.driver.refresh()  # what was decided is not asked again
+    page.wait("return document.querySelector('#review-end, #review-count')")
+    assert page.run("return document.querySelector('.rv-large')?.dataset.clip") not in (str(first), str(second))
+    page.press(KEYS.ESCAPE)
+    wait_count(page, 24)
+    assert page.messages() == []
+
+
+def test_an_empty_library_is_filled_with_the_demo_by_a_button(browser, tmp_path):
+    with listening(Settings(tmp_path / "new.dousa", token=TOKEN)) as running:
+        browser.resize(1280, 720)
+        browser.driver.get(f"{running.url}/library?token={TOKEN}&lang=en")
+        browser.wait("return document.querySelector('#demo-button')")
+        click(browser, "#demo-button")
+        browser.wait(f"{CELLS}.length > 3", seconds=240)
+        browser.wait("return document.querySelector('#forest-state').textContent.includes('up to date')", seconds=240)
+        assert running.app.state.studio.library.stats().n_clips > 30
+        assert browser.messages() == []
+        browser.driver.get("about:blank")

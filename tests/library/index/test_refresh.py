@@ -1,0 +1,171 @@
+"""After a change only clips that changed are read, and what an index says is what one says that is read anew."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from dousa.library import Library
+from dousa.library.engine import read_revision
+from dousa.library.forests import load_forest
+from dousa.library.index import refresh, side_file
+from dousa.library.index.leaf_index import LeafIndex
+from library.index.test_index_of_library import check_searches
+
+
+@pytest.fixture
+def read(monkeypatch):
+    """Numbers of the clips that are read, a list for each time."""
+    numbers = []
+    plain = refresh.read_part
+
+    def read_part(connection, stored, portions):
+        part = plain(connection, stored, portions)
+        numbers.append(part.ids.tolist())
+        return part
+
+    monkeypatch.setattr(refresh, "read_part", read_part)
+    return numbers
+
+
+@pytest.fixture
+def blocks_of_four(monkeypatch):
+    monkeypatch.setattr(refresh, "BLOCK", 4)
+
+
+def load(library: Library, known: LeafIndex | None = None) -> LeafIndex:
+    with library.database.reading() as connection:
+        stored = load_forest(connection, library.name)
+        revision = read_revision(connection)
+        if known is None:
+            return refresh.read_index(connection, revision, stored)
+        return refresh.refresh_index(connection, revision, stored, known)
+
+
+def check_same(one: LeafIndex, other: LeafIndex) -> None:
+    """Both say the same of the same clips."""
+    numbers = [{i.clip_id(row) for row in np.flatnonzero(i.living).tolist()} for i in (one, other)]
+    assert numbers[0] == numbers[1]
+    assert (one.revision, one.learned, one.partial) == (other.revision, other.learned, other.partial)
+    for number in numbers[0]:
+        told = [index.answers_of(number) for index in (one, other)]
+        assert np.array_equal(told[0].votes, told[1].votes) and np.array_equal(told[0].leaves, told[1].leaves)
+        rows = one.find(number), other.find(number)
+        assert one.path(rows[0]) == other.path(rows[1]) and one.label(rows[0]) == other.label(rows[1])
+
+
+def test_only_what_changed_is_read(library, read, blocks_of_four):
+    index = load(library)
+    assert read == [list(range(1, 16))]
+    library.relabel([3, 9], category="nod")
+    later = load(library, index)
+    assert read[1:] == [[3, 9]]
+    check_same(later, load(library))
+    del read[:]
+    library.remove([1, 2, 14])
+    after = load(library, later)
+    assert read == []
+    check_same(after, load(library))
+
+
+def test_any_changes_one_after_the_other(library, read, blocks_of_four, write_move, tmp_path):
+    index = load(library)
+    for turn in range(10):
+        if turn % 3 == 0:
+            write_move(tmp_path / "more" / "squat" / f"{turn}.bvh", "squat", 70 + turn)
+            library.add(tmp_path / "more", n_jobs=1)
+        elif turn % 3 == 1:
+            library.relabel([4, 5 + turn], category=None if turn == 4 else f"new {turn}")
+        else:
+            library.remove([1 + turn])
+        index = load(library, index)
+        check_same(index, load(library))
+    assert len(index.parts) <= 8
+    library.undo()
+    check_same(load(library, index), load(library))
+
+
+def test_other_trees_are_read_anew(library):
+    index = load(library)
+    library.train(n_trees=5)
+    assert load(library, index) is None
+
+
+@pytest.mark.sqlite
+def test_a_library_that_was_put_back_from_a_copy(library, library_file, tmp_path):
+    """The numbers of its writes are the same, the clips are not."""
+    check_searches(library, (1,))
+    library.close()
+    kept = library_file.read_bytes()
+    library.relabel([1], category="nod")
+    index = load(library)
+    library.close()
+    for log in tmp_path.glob("moves.dousa-*"):
+        log.unlink()
+    library_file.write_bytes(kept)
+    library.relabel([2], category="nod")
+    again = load(library, index)
+    assert again.revision == index.revision
+    check_same(again, load(library))
+
+
+@pytest.fixture
+def large(monkeypatch, tmp_path):
+    """Every library is large enough for a file of its own, that of a server beside no other."""
+    monkeypatch.setattr(side_file, "FEWEST_CLIPS", 1)
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+
+
+def find_side_files(folder):
+    return [*folder.rglob("*-search")]
+
+
+def test_another_program_reads_the_file(library, library_file, tmp_path, read, large):
+    check_searches(library)
+    assert len(find_side_files(tmp_path)) == 1 and len(read) == 1
+    with Library.open(library_file) as other:
+        check_searches(other)
+        assert len(read) == 1
+        other.relabel([3], category="nod")
+        other.remove([4])
+    with Library.open(library_file) as third:
+        check_searches(third, (1, 3))
+    assert read[1:] == [[3]]
+
+
+def test_a_file_of_other_trees_is_made_again(library, library_file, tmp_path, read, large):
+    check_searches(library)
+    library.train(n_trees=5)
+    with Library.open(library_file) as other:
+        check_searches(other)
+    with Library.open(library_file) as third:
+        check_searches(third)
+    assert len(read) == 2
+
+
+def test_a_damaged_file_is_not_believed(library, library_file, tmp_path, read, large):
+    library.search(1)
+    (place,) = find_side_files(tmp_path)
+    whole = place.read_bytes()
+    for at in [*range(0, 40, 3), *np.linspace(40, len(whole) - 1, 40).astype(int).tolist()]:
+        del read[:]
+        place.write_bytes(whole[:at] + bytes([whole[at] ^ 4]) + whole[at + 1 :])
+        with Library.open(library_file) as other:
+            answer = other.search(1, 5)
+        assert [hit.clip_id for hit in answer.results] == [hit.clip_id for hit in library.search(1, 5).results]
+        assert len(read) in (0, 1)  # a flipped bit may lie where nothing is
+    for size in (0, 5, 40, len(whole) // 2, len(whole) - 1):
+        place.write_bytes(whole[:size])
+        with Library.open(library_file) as other:
+            assert other.search(1, 5).results == library.search(1, 5).results
+
+
+def test_who_may_only_read_makes_no_file(library_file, tmp_path, large):
+    with Library.open(library_file, read_only=True) as library:
+        library.search(1)
+    assert find_side_files(tmp_path) == []
+
+
+def test_a_small_library_has_none(library, tmp_path):
+    library.search(1)
+    assert find_side_files(tmp_path) == []

@@ -1,0 +1,53 @@
+"""Words in columns against what is said of one motion at a time."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from dousa.retrieval.words.columns import MotionWords, WordColumns
+from dousa.retrieval.words.matching import KnownWords, Matcher, make_unit, read_query
+from dousa.retrieval.words.reading import read_words
+from dousa.retrieval.words.vocabulary import load_vocabulary
+
+CATEGORIES = ("kick_left", "wave_right", "walk", "", "sit down", "クロール", "throw/overhead", "a07")
+NAMES = ("performer01_3", "kickHighL", "hdm_bd_clap5Reps", "take_000123", "left hand wave", "蹴り_右", "x")
+RELATIONS = (
+    "both hands raised above the head",
+    "the left foot kicks forward",
+    "walking",
+    "the right hand waves",
+    "歩く",
+)
+QUERIES = ("kick with the left foot", "performer", "performer 3", "both hands up", "蹴る", "kikc", "walk, hands raised",
+    "no such thing", "right", "take 000123 wave", "left hand kick", "the")  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def motions():
+    vocabulary, chance = load_vocabulary(), np.random.default_rng(4)
+
+    def unit(texts, *, name=True):
+        return make_unit(vocabulary, read_words(vocabulary, str(chance.choice(texts)), name=name))
+
+    def relations():
+        return tuple((unit(RELATIONS, name=False), float(chance.uniform())) for _ in range(chance.integers(0, 4)))
+
+    return [MotionWords(unit(CATEGORIES), unit(NAMES), relations()) for _ in range(300)]
+
+
+@pytest.mark.parametrize("text", QUERIES)
+def test_all_at_once_says_what_is_said_of_each(motions, text):
+    vocabulary = load_vocabulary()
+    known = KnownWords(word for one in motions for unit in (one.category, one.name) for word in unit.words)
+    matcher = Matcher(vocabulary, read_query(vocabulary, text, known))
+    columns = WordColumns(motions)
+    expected = [matcher.fit(one.category, one.name, one.relations).score for one in motions]
+    np.testing.assert_allclose(columns.score(matcher), expected, rtol=0, atol=1e-9)
+    assert [columns.fit(matcher, row).score for row in range(3)] == expected[:3]
+
+
+def test_nothing_is_no_motion():
+    vocabulary = load_vocabulary()
+    matcher = Matcher(vocabulary, read_query(vocabulary, "kick", KnownWords(())))
+    assert WordColumns([]).score(matcher).shape == (0,)
