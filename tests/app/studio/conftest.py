@@ -56,7 +56,7 @@ def studio(library_copy: Path) -> Iterator[Any]:
     from starlette.testclient import TestClient
 
     app = create_app(Settings(library_copy, token=TOKEN))
-    with TestClient(app, "http://127.0.0.1:8765", raise_server_exceptions=False) as client:
+    with TestClient(app, "http://127.0.0.1:8765") as client:
         client.headers["authorization"] = f"Bearer {TOKEN}"
         yield client
 

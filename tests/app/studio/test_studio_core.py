@@ -7,9 +7,13 @@ import html
 import json
 import os
 import re
+import warnings
 from importlib import resources
 
 import pytest
+from starlette.testclient import TestClient
+
+from dousa.app.studio import Settings, create_app
 
 TOKEN = "the-token-of-the-tests"
 
@@ -284,3 +288,21 @@ def test_an_unknown_address_is_a_page_with_a_way_home_and_json_for_programs(stud
     assert told.status_code == 404 and told.json()["code"] == "studio.no_address"
     assert studio.get("/static/x/no.js").json()["code"] == "studio.no_static"
     assert studio.post("/no-such-page").json()["code"] == "studio.no_address"
+
+
+def test_the_first_request_makes_no_address(studio, monkeypatch):
+    """Filters of warnings belong to the whole process: what threads of jobs do to them must not reach a request."""
+    monkeypatch.setattr(warnings, "simplefilter", lambda *_, **__: None)
+    assert studio.get("/api/jobs/0123456789abcdef").status_code == 404
+
+
+def test_a_fault_of_ours_is_answered_in_words_and_shown_in_the_terminal(library_copy, monkeypatch):
+    app = create_app(Settings(library_copy, token=TOKEN))
+    monkeypatch.setattr(app.state.studio.jobs, "all", lambda: 1 / 0)
+    request = {"url": "/api/jobs", "headers": {"authorization": f"Bearer {TOKEN}"}}
+    with TestClient(app, "http://127.0.0.1:8765", raise_server_exceptions=False) as client:
+        answer = client.get(**request)
+    assert answer.status_code == 500 and answer.json()["code"] == "studio.fault"
+    assert "ZeroDivisionError" in answer.json()["problem"]
+    with TestClient(app, "http://127.0.0.1:8765") as client, pytest.raises(ZeroDivisionError):  # the server prints it
+        client.get(**request)

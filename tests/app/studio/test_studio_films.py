@@ -43,7 +43,7 @@ def client(tmp_path_factory):
     """A studio for all tests of this module, on an empty library."""
     folder = tmp_path_factory.mktemp("studio-of-films")
     app = create_app(Settings(folder / "moves.dousa", token=TOKEN))
-    with TestClient(app, "http://127.0.0.1:8765", raise_server_exceptions=False) as made:
+    with TestClient(app, "http://127.0.0.1:8765") as made:
         made.headers["authorization"] = f"Bearer {TOKEN}"
         yield made
 

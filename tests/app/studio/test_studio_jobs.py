@@ -13,7 +13,7 @@ import pytest
 
 from dousa.app.studio.core.answers import RefusedError
 from dousa.app.studio.core.workspace import Workspace
-from dousa.app.studio.jobs.board import JobBoard, JobStopped, Lane
+from dousa.app.studio.jobs.board import Job, JobBoard, JobStopped, Lane
 from dousa.app.studio.jobs.lanes import start_worker
 from dousa.errors import OptionError
 from dousa.messages import Message
@@ -230,3 +230,18 @@ def test_training_fails_with_a_sentence(studio, wait_job):
     job = wait_job(studio, studio.post("/api/jobs/train", json={}).json()["id"])
     assert job["state"] == "failed"
     assert "categor" in job["problem"]
+
+
+def test_who_reads_a_job_that_ends_sees_its_result_before_it_is_done(board, work):
+    seen = []
+
+    class Watched(Job):
+        def __setattr__(self, name, value):
+            super().__setattr__(name, value)
+            seen.append(name)
+
+    job = Watched("0" * 16, "short", "a", {})
+    board.folder(job).mkdir(parents=True)
+    seen.clear()
+    board.change(job, state="done", result={}, finished_s=1.0)
+    assert seen.index("state") == 2

@@ -22,7 +22,7 @@ ERASE = {"view": 0, "frame": AT, "action": "remove", "points": [[70, 104], [125,
 def client(tmp_path_factory):
     """A studio for all tests of this module, on an empty library."""
     app = create_app(Settings(tmp_path_factory.mktemp("masks") / "moves.dousa", token=TOKEN))
-    with TestClient(app, "http://127.0.0.1:8765", raise_server_exceptions=False) as made:
+    with TestClient(app, "http://127.0.0.1:8765") as made:
         made.headers["authorization"] = f"Bearer {TOKEN}"
         yield made
 

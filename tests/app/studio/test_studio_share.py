@@ -65,7 +65,7 @@ def visitor(studio):
 
     links = ShareLinks()
     app = create_shared_app(studio.app.state.studio, HOST, links, answer_problems)
-    with TestClient(app, f"https://{HOST}", raise_server_exceptions=False) as client:
+    with TestClient(app, f"https://{HOST}") as client:
         yield Visitor(client, links)
 
 

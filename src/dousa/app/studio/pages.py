@@ -7,6 +7,7 @@ import json
 import mimetypes
 import shlex
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import cache
 from importlib.resources import files
@@ -16,6 +17,7 @@ from fastapi import APIRouter, FastAPI, Request
 from jinja2 import Environment, FunctionLoader, StrictUndefined, select_autoescape
 from markupsafe import Markup
 from starlette.responses import HTMLResponse, RedirectResponse, Response
+from starlette.routing import NoMatchFound
 
 import dousa
 from dousa.app.player.data import format_player_data, read_player_script, read_player_style
@@ -63,6 +65,13 @@ def register_shared(app: FastAPI) -> None:
     for address in ("/", "/report"):
         router.add_api_route(address, _make_page("shared"), methods=["GET"])
     app.include_router(router)
+
+
+def make_addresses(app: FastAPI) -> None:
+    """Make all addresses of an application now. Else the first request does, amid threads that switch warnings on and
+    off for the whole process, and somebody waits for it."""
+    with suppress(NoMatchFound):
+        app.url_path_for("")  # looks through all of them
 
 
 def show_missing(request: Request) -> Response | None:

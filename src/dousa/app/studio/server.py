@@ -227,6 +227,7 @@ def create_app(settings: Settings, *, uses_alias: bool = False) -> FastAPI:
         app.include_router(router, prefix="/api")
     pages.register(app)
     answer_problems(app, pages.show_missing)
+    pages.make_addresses(app)
     app.add_middleware(Guard, settings=settings, codes=codes)
     return app
 
@@ -258,6 +259,10 @@ def answer_problems(app: FastAPI, show_missing: Callable[[Request], Response | N
         if problem is None:
             raise error
         return Answer(to_answer(problem), 507)
+
+    @app.exception_handler(Exception)
+    async def answer_fault(request: Request, error: Exception) -> Answer:
+        return Answer(to_answer(Message("studio.fault", kind=type(error).__name__)), 500)
 
     @app.exception_handler(ClientDisconnect)
     async def answer_nobody(request: Request, error: ClientDisconnect) -> Answer:

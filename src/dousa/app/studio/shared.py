@@ -143,6 +143,7 @@ def create_shared_app(studio: Studio, host: str, links: ShareLinks, answer_probl
     app.include_router(router)
     pages.register_shared(app)
     answer_problems(app)
+    pages.make_addresses(app)
     return SharedGuard(app, host, links)
 
 

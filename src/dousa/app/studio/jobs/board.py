@@ -242,12 +242,12 @@ class JobBoard:
         return self._workspace.job_folder(job.id)
 
     def change(self, job: Job, **values: Any) -> None:
-        """Say what is new of a job; used by the lanes."""
+        """Say what is new of a job; used by the lanes. Who reads it meanwhile sees its result before it is done."""
         with self._lock:
-            for name, value in values.items():
-                setattr(job, name, value)
-            job.version += 1
             settled = "state" in values
+            for name in sorted(values, key="state".__eq__):
+                setattr(job, name, values[name])
+            job.version += 1
             if settled or time.monotonic() - self._saved.get(job.id, 0) > _SAVE_EVERY:
                 self._save(job)
 
