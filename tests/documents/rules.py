@@ -142,6 +142,7 @@ BENCHMARKS = {
     "weigh_install.py": "--help",  # it needs the package index
     # These take minutes to an hour; two of them write what the package ships.
     **dict.fromkeys(("calibrate_grade.py", "exam_evaluation.py", "exam_film.py", "train_judge.py"), "--help"),
+    "exam_retrieval.py": "--help",
 }
 
 
