@@ -1,11 +1,14 @@
 """What a library costs as it grows: making it, training, searching, and adding 64 clips to it when it is trained.
 
-    python benchmarks/scale.py [N ...] [--categories N] [--folder FOLDER] [--replicate M] [--hours H]
+    python benchmarks/scale.py [N ...] [--categories N] [--folder FOLDER] [--drawn K] [--replicate M] [--hours H]
 
 The clips are made as by ``benchmarks/search.py``, 60 frames each. Prints for each size the clips written per second in
 every tenth of it, or every 100,000; then, each in a process of its own, the seconds on the clock and of processors, and
 the largest memory, of training, of the first search and warm ones, and of adding 64 files of people and motions that
-the library does not know. A clip takes 14 kB before the training and 31 kB after it.
+the library does not know, and then 64 more. A clip takes 14 kB before the training and 31 kB after it.
+
+With ``--drawn`` every tree grows from so many clips, as those of more than 100,000 do: a tenth of them shows in small
+what becomes of a million.
 
 With ``--replicate`` rows are added to each library, when all that is done, until it has so many clips, and searches are
 timed in that: they cost what the rows cost, so a million clips need not be trained. ``first search of all`` reads every
@@ -34,6 +37,7 @@ from search import make_library, train
 from dousa.formats.registry import write_motion
 from dousa.library import Library
 from dousa.motion.synthetic.performers import CATEGORIES, draw_performer, make_motion
+from dousa.retrieval.forest import trees
 
 N_ADDED = 64
 N_WARM = 20
@@ -54,13 +58,13 @@ def make(path: Path, n_clips: int, n_categories: int) -> None:
     print(f"{n_clips} clips made, {size:.0f} MB: {told} a second", flush=True)
 
 
-def write_files(folder: Path, n_categories: int) -> None:
+def write_files(folder: Path, n_categories: int, first: int) -> None:
     """Motions of people that the library does not know, in a folder for each category."""
     for number in range(N_ADDED):
         category = number % n_categories
-        path = folder / f"kind {category:02}" / f"{number}.bvh"
+        path = folder / f"kind {category:02}" / f"{first + number}.bvh"
         path.parent.mkdir(parents=True, exist_ok=True)
-        write_motion(make_motion(CATEGORIES[category % len(CATEGORIES)], draw_performer(1000 + number)), path)
+        write_motion(make_motion(CATEGORIES[category % len(CATEGORIES)], draw_performer(first + number)), path)
 
 
 def measure(what: str, work: Callable[[], object]) -> None:
@@ -95,6 +99,13 @@ def change(path: Path) -> None:
         library.search(1)
         library.relabel(range(1, N_ADDED + 1), category="another")
         measure(f"search after {N_ADDED} clips were relabelled", lambda: library.search(100))
+
+
+def train_from(path: Path, n_drawn: int | None) -> None:
+    """Train a library; each tree from so many clips, where that is said."""
+    if n_drawn is not None:
+        trees.MOST_GROWN = n_drawn
+    train(path)
 
 
 def add(path: Path, files: Path) -> None:
@@ -137,21 +148,24 @@ def main() -> None:
     parser.add_argument("sizes", type=int, nargs="*", default=[10_000], metavar="N")
     parser.add_argument("--categories", type=int, default=70)
     parser.add_argument("--folder", type=Path, help="where the libraries are made; by default a temporary one")
+    parser.add_argument("--drawn", type=int, metavar="K", help="clips that each tree grows from")
     parser.add_argument("--replicate", type=int, metavar="M", help="then search in so many clips, made of its rows")
     parser.add_argument("--hours", type=float, metavar="H", help="look for a motion in so many hours of takes")
     options = parser.parse_args()
     with tempfile.TemporaryDirectory(dir=options.folder) as folder:
-        files = Path(folder, "new")
-        write_files(files, options.categories)
+        files = [Path(folder, name) for name in ("new", "more")]
+        for number, one in enumerate(files, 1):
+            write_files(one, options.categories, 1000 * number)
         for size in options.sizes:
             path = Path(folder, f"{size}.dousa")
             make(path, size, options.categories)
-            run_alone(train, path)
+            run_alone(train_from, path, options.drawn)
             run_alone(search, path)
-            run_alone(add, path, files)
+            for some in files:
+                run_alone(add, path, some)
             if options.hours and size == options.sizes[0]:
                 add_take(path, Path(folder, "take.bvh"))
-                run_alone(find, path, next(files.rglob("*.bvh")), replicate_take(path, options.hours))
+                run_alone(find, path, next(files[0].rglob("*.bvh")), replicate_take(path, options.hours))
             if options.replicate:
                 replicate(path, options.replicate)
                 print(f"{options.replicate} clips, made of these rows", flush=True)

@@ -135,6 +135,7 @@ BENCHMARKS = {
     "many_writers.py": "--clips 60 --files 1 --trees 3",
     "scale.py": "60 --categories 3",
     "search.py": "--clips 60 --categories 3",
+    "subsamples.py": "--clips 200 --drawn 50 --folds 1",
     "segment_confidence.py": "../shared/data --only hdm05",
     # These start a server and ask it, as tests/app/studio does: only their options are read.
     **{path.name: "--help" for path in sorted((ROOT / "benchmarks").glob("studio_*.py"))},

@@ -16,7 +16,7 @@ from dousa.errors import InvalidMotionError, NotTrainedError, TrainingError
 from dousa.retrieval import FEATURE_SETS, MotionForest, integrate
 from dousa.retrieval.forest import growth, points
 from dousa.retrieval.forest.growth import StandingClips, grow_forest
-from dousa.retrieval.forest.trees import evaluate_test, read_test
+from dousa.retrieval.forest.trees import evaluate_test, prepare_leaves, read_test
 
 
 def make_clips(seed=0, n_categories=6, each=6, spread=0.6, frames=3, columns=4):
@@ -81,7 +81,9 @@ def test_only_moved_clips_stand_in_other_leaves(forest_and_clips):
     assert np.isin(untouched, after).mean() > 0.9
 
 
-def test_leaves_count_the_clips_that_stand_in_them():
+@pytest.mark.parametrize("most_drawn", [3, 256])
+def test_leaves_count_the_clips_that_stand_in_them(monkeypatch, most_drawn):
+    monkeypatch.setattr(growth, "_MOST_DRAWN", most_drawn)
     features, categories = make_clips(each=4)
     old, new = split_off(features, categories, ["c2"], 4)  # as large as the others: no points between
     forest = MotionForest(10, random_state=0).fit(features[old], categories[old])
@@ -245,24 +247,22 @@ def list_pairs_slowly(own, keys, later, usual):
     own=st.lists(st.integers(0, 4), min_size=1, max_size=60),
     n_later=st.integers(1, 8),
     usual=st.integers(0, 40),
-    listed=st.sampled_from([3, 10**6]),
+    filled=st.sampled_from([10, 10**6]),
 )
-def test_pairs_are_drawn_among_all_that_have_a_later_clip(own, n_later, usual, listed):
+def test_pairs_are_drawn_among_all_that_have_a_later_clip(own, n_later, usual, filled):
     own = np.array(own, np.int32)
     keys = np.random.default_rng(0).integers(0, 2**63, len(own)).astype(np.uint64)
     later = np.arange(len(own)) >= len(own) - n_later
-    slow = list_pairs_slowly(own, keys, later, usual)
+    slow = list_pairs_slowly(own, keys, later, min(usual, filled))
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(points, "_MOST_LISTED", listed)
+        patch.setattr(points, "MOST_FILLED", filled)
         pairs = points.choose_pairs(own, keys, later, usual)
     found = [frozenset(pair) for pair in zip(pairs.first.tolist(), pairs.second.tolist(), strict=True)]
-    assert len(set(found)) == len(found) <= len(slow)
-    assert all(len(pair) == 2 and later[list(pair)].any() and len(set(own[list(pair)])) == 1 for pair in found)
-    if listed > 3:
-        assert set(found) == slow
+    assert len(set(found)) == len(found)
+    assert set(found) == slow
 
 
-@pytest.mark.parametrize("sizes", [(20_000, 20_000), (20_000, 20_000, 5_000)])
+@pytest.mark.parametrize("sizes", [(20_000, 20_000), (20_000, 20_000, 5_000), (20_000, 20_000, 100)])
 def test_one_clip_more_of_a_large_category_lists_no_pairs(sizes):
     own = np.append(np.repeat(np.arange(len(sizes)), sizes), len(sizes) - 1).astype(np.int32)
     keys = points.mix(np.arange(len(own), dtype=np.uint64), np.zeros(1, np.uint64))
@@ -271,7 +271,8 @@ def test_one_clip_more_of_a_large_category_lists_no_pairs(sizes):
     pairs = points.choose_pairs(own, keys, later, 20_000)
     peak = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
-    assert len(pairs.first) == (0 if len(sizes) == 2 else points.MOST_POINTS)
+    missing = points.MOST_FILLED - sizes[-1] - 1
+    assert len(pairs.first) == (min(missing, sizes[-1]) if missing > 0 else 0)
     assert peak < 60_000_000
 
 
@@ -292,8 +293,8 @@ def take_up(forest, features, categories, keys, old, portions):
 
 
 @settings(max_examples=40, deadline=None)
-@given(st.integers(0, 1000), st.data(), st.sampled_from(["best", "random"]), st.sampled_from([2, 64]))
-def test_the_same_clips_give_the_same_forest_in_whatever_portions(seed, data, thresholds, most_others):
+@given(st.integers(0, 1000), st.data(), st.sampled_from(["best", "random"]), st.sampled_from([(2, 256), (64, 3)]))
+def test_the_same_clips_give_the_same_forest_in_whatever_portions(seed, data, thresholds, most):
     features, categories = make_clips(seed, n_categories=5, each=8, spread=0.9)
     old, new = split_off(features, categories, ["c1"], 8)
     more = np.random.default_rng(seed).choice(old, 6, replace=False)
@@ -303,7 +304,9 @@ def test_the_same_clips_give_the_same_forest_in_whatever_portions(seed, data, th
     order = np.array(data.draw(st.permutations(new.tolist())))
     cuts = sorted(data.draw(st.sets(st.integers(1, len(new) - 1), max_size=4)))
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(growth, "_MOST_OTHERS", most_others)  # 2: leaves become trees, and leaves again
+        patch.setattr(growth, "_MOST_OTHERS", most[0])  # 2: leaves become trees, and leaves again
+        patch.setattr(growth, "_MOST_DRAWN", most[1])
+        patch.setattr(growth, "_AT_ONCE", 5)
         at_once = take_up(forest, features, categories, keys, old, [new])
         in_turns = take_up(forest, features, categories, keys, old, np.split(order, cuts))
     assert decisions_of(at_once, features) == decisions_of(in_turns, features)
@@ -329,3 +332,34 @@ def test_a_leaf_of_very_many_clips_grows_for_more_than_one_stranger():
         assert sum(map(len, read)) == (201 if grows else 0)
         assert grown.forest.trees_.leaf_counts.sum() == 5 * (402 + count)
         assert grown.changed.any() == grows
+
+
+def test_a_leaf_that_was_mixed_from_the_beginning_grows_only_for_strangers():
+    """Trees of very many clips grow from samples: their leaves hold several categories from the beginning."""
+    rng = np.random.default_rng(0)
+    features = rng.normal(size=(60, 3, 2)) + np.repeat([0.0, 0.1, 9.0], 20)[:, None, None]
+    categories = np.repeat(["near", "beside", "far"], 20)
+    forest = MotionForest(5, max_entropy=1.0, random_state=0).fit(features, categories)
+    assert (np.diff(forest.trees_.leaf_starts) > 1).any()
+    for name, grows in (("far", False), ("beside", True)):
+        both = grow_forest(forest, stand(forest, features, categories), rng.normal(size=(1, 3, 2)) + 9.0, [name])
+        assert both.changed.any() == grows
+
+
+def test_a_leaf_of_many_clips_grows_from_some_of_each_category(monkeypatch):
+    monkeypatch.setattr(growth, "_MOST_DRAWN", 16)
+    rng = np.random.default_rng(0)
+    features = rng.normal(size=(600, 3, 2)) + np.repeat([0.0, 9.0], 300)[:, None, None]
+    categories = np.repeat(["near", "far"], 300)
+    forest = MotionForest(5, random_state=0).fit(features, categories)
+    drawn = []
+    monkeypatch.setattr(
+        growth, "prepare_leaves", lambda some, *more: drawn.append(len(some)) or prepare_leaves(some, *more)
+    )
+    new = rng.normal(size=(10, 3, 2)) - 20.0
+    grown = grow_forest(forest, stand(forest, features, categories), new, ["new"] * 10).forest
+    assert drawn
+    assert max(drawn) <= 5 * 16
+    assert (grown.predict(new) == "new").all()
+    assert (grown.predict(features) == categories).mean() > 0.99
+    assert grown.trees_.leaf_counts.sum() == 5 * 610 + 5 * 45  # the points between the new ones

@@ -11,9 +11,12 @@ the mean of two of them. These points live in the counts of the leaves only.
 
 What becomes of a leaf of the training follows from the clips that stand in it and from nothing else: not from their
 order, nor from what stood in it before (``Trees.homes`` says which leaf of the training each leaf grew from, and a leaf
-that is met again is grown anew). So the same clips give the same forest, in whatever portions they were added. A leaf
-of very many clips grows only when the others are a 64th of it: one stranger among hundreds is the mistake of a tree,
-and to part it from them, all of them would have to be looked at.
+that is met again is grown anew). So the same clips give the same forest, in whatever portions they were added.
+
+In a large library a leaf has hundreds of clips, and where each tree grew from a sample, of several categories. So what
+growing costs is bounded: a leaf grows only when the strangers that came after the training are a 64th of it (one among
+hundreds is the mistake of a tree, and to part it from them, all of them would have to be looked at), it grows from a
+sample of its clips where these are many, and the others are read in portions, to see where they stand then.
 """
 
 from __future__ import annotations
@@ -32,10 +35,11 @@ from dousa.retrieval.features.integral import list_tests
 from dousa.retrieval.forest.forest import MotionForest, check_features
 from dousa.retrieval.forest.points import Keys, Pairs, choose_pairs, mix
 from dousa.retrieval.forest.standing_leaves import StandingLeaves
-from dousa.retrieval.forest.trees import Trees, TreesSpec, grow_some, prepare_leaves
+from dousa.retrieval.forest.trees import Trees, TreesSpec, grow_some, prepare_leaves, put_counts
 
-_AT_ONCE = 8192  # clips whose features are read
-_MOST_OTHERS = 64  # a leaf grows where this many times the clips of other categories are all of its clips, or more
+_AT_ONCE = 4096  # clips whose features are read
+_MOST_OTHERS = 64  # a leaf grows where this many times the strangers in it are all of its clips, or more
+_MOST_DRAWN = 256  # clips that a leaf grows from
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -306,8 +310,8 @@ def grow_forest(
     stand = np.searchsorted(classes, known.astype(classes.dtype))[numbers]
     own = np.concatenate([stand, np.searchsorted(classes, labels.astype(classes.dtype))]).astype(np.int32)
     material = _gather(forest, standing, there, (check_features(features), leaves, keys), own)
-    grown, growing, read = _grow(forest, material, classes, feature_set, random_state)
-    moved, moved_leaves = _move(forest, grown, material, *read)
+    grown, growing, reached = _grow(forest, material, classes, feature_set, random_state)
+    moved, moved_leaves = _move(forest, material, *reached)
     home = forest.trees_.home_leaves
     changed = growing[home] | (material.touched[home] & (home != np.arange(len(home))))
     return Growth(grown, grown.apply(features), moved, moved_leaves, changed)
@@ -323,6 +327,7 @@ class _Material:
     features : (M + P, T, F) of what does not stand.
     homes : (M + P, n_trees) leaves of the training that it reaches.
     own : (N + M + P,) number of each one's category.
+    later : (N + M + P,) whether it came after the training.
     keys : of the contents of all N + M + P.
     touched : (L,) whether a leaf of the training must be looked at: something has come, or a point has gone.
     """
@@ -332,6 +337,7 @@ class _Material:
     features: FloatArray
     homes: NDArray[np.int32]
     own: NDArray[np.int32]
+    later: BoolArray
     keys: Keys
     touched: BoolArray
 
@@ -408,7 +414,7 @@ def _gather(
     usual = _count_usual(own, later)
     before = choose_pairs(own[:count], keys, later[:count], usual)
     after = choose_pairs(own, keys, later, usual)
-    material = _Material(standing, there, features, here, own, keys, touched)
+    material = _Material(standing, there, features, here, own, later, keys, touched)
     coming, going = after.without(before), before.without(after)
     points, point_homes = _make_points(forest, material, after)
     touched[point_homes[coming]] = True
@@ -419,6 +425,7 @@ def _gather(
         np.concatenate([features, points]),
         np.concatenate([here, point_homes]),
         np.concatenate([own, own[after.first]]),
+        np.append(later, np.ones(len(points), np.bool_)),
         keys.join(after.keys),
         touched,
     )
@@ -446,35 +453,80 @@ def _grow(
     classes: NDArray[Any],
     feature_set: FeatureSet | None,
     random_state: int,
-) -> tuple[MotionForest, BoolArray, tuple[IntArray, FloatArray]]:
-    """The grown forest, which leaves of the training became trees now, and the clips of these with their features."""
+) -> tuple[MotionForest, BoolArray, tuple[IntArray, NDArray[np.int32]]]:
+    """The grown forest, which leaves of the training became trees now, and the clips of these with their leaves."""
     trees = _renumber(forest, classes)
     numbers = np.flatnonzero(material.touched)
-    counts = _count_members(material, trees, numbers, len(classes))
-    others = counts.sum(axis=1) - counts.max(axis=1)
-    grows = (others > 0) & (others * _MOST_OTHERS >= counts.sum(axis=1))
+    counts, strangers = _count_members(material, trees, numbers, len(classes))
+    sizes = counts.sum(axis=1)
+    grows = (strangers > 0) & (strangers * _MOST_OTHERS >= sizes)
     stumps = [_make_stump(int(leaf), row) for leaf, row in zip(numbers[~grows], counts[~grows], strict=True)]
     growing = np.zeros(trees.n_leaves, bool)
     growing[numbers[grows]] = True
     clips, leaves = _list_members(material, trees, growing)
     rows, places = np.unique(clips, return_inverse=True)
-    features = material.read(rows)
     order = np.lexsort((material.keys[rows][places], leaves))  # keys may be read: of each clip once
-    parts = np.split(places[order], np.cumsum(counts[grows].sum(axis=1))[:-1]) if grows.any() else []
+    parts = np.split(clips[order], np.cumsum(sizes[grows])[:-1]) if grows.any() else []
+    drawn = [_draw(part, material.own[part]) for part in parts]
+    known = np.unique(np.concatenate([np.zeros(0, np.int64), *drawn]))
+    features = material.read(known)
     tests = list_tests(trees.n_features, trees.n_frames) if feature_set is None else feature_set.tests
     subtrees = grow_subtrees(
         features,
-        material.own[rows],
+        material.own[known],
         len(classes),
         tests,
         forest.make_spec(len(tests)),
-        list(zip(numbers[grows].tolist(), parts, strict=True)),
+        [(int(leaf), np.searchsorted(known, some)) for leaf, some in zip(numbers[grows], drawn, strict=True)],
         mix(numbers[grows].astype(np.uint64), np.full(1, random_state, np.uint64)),
     )
     subtrees = sorted(stumps + subtrees, key=lambda one: one.leaf)
     plain = collapse_leaves(trees, numbers)
     grown = forest.with_trees(replace_leaves(plain, subtrees, len(classes)), classes)
-    return grown, growing, (rows, features)
+    now = _look_up(grown, material, rows, (known, features))
+    large = np.isin(leaves, numbers[grows][sizes[grows] > _MOST_DRAWN])
+    if large.any():
+        there = now[places[large], _tree_of_leaves(trees)[leaves[large]]].astype(np.int64)
+        keys, found = np.unique(there * len(classes) + material.own[clips[large]], return_counts=True)
+        grown = forest.with_trees(put_counts(grown.trees_, keys, found), classes)
+    return grown, growing, (rows, now)
+
+
+def _draw(members: IntArray, categories: NDArray[np.int32]) -> IntArray:
+    """The members of a leaf that it grows from, in the order in which they were given: of each category as many."""
+    if len(members) <= _MOST_DRAWN:
+        return members
+    order = np.argsort(categories, kind="stable")
+    counts = np.bincount(categories)
+    rank = np.empty(len(members), np.int64)
+    rank[order] = np.arange(len(members)) - np.repeat(np.cumsum(counts) - counts, counts)
+    return members[np.sort(np.argsort(rank, kind="stable")[:_MOST_DRAWN])]
+
+
+def _look_up(
+    grown: MotionForest, material: _Material, rows: IntArray, known: tuple[IntArray, FloatArray]
+) -> NDArray[np.int32]:
+    """(n, n_trees) the leaves of some rows, ascending, of which some were read already, with their features."""
+    numbers, features = known
+    leaves = np.empty((len(rows), material.leaves.n_trees), np.int32)
+    is_known = np.isin(rows, numbers)
+    there = np.flatnonzero(is_known)
+    for first in range(0, len(there), _AT_ONCE):
+        leaves[there[first : first + _AT_ONCE]] = grown.apply(features[first : min(first + _AT_ONCE, len(there))])
+    others = np.flatnonzero(~is_known)
+    for first in range(0, len(others), _AT_ONCE):
+        some = others[first : first + _AT_ONCE]
+        leaves[some] = grown.apply(material.read(rows[some]))
+    return leaves
+
+
+def _tree_of_leaves(trees: Trees) -> IntArray:
+    """(L,) the tree of each leaf that something leads to."""
+    children = trees.nodes[:, 2]
+    outer = np.flatnonzero(children < 0)
+    owners = np.zeros(trees.n_leaves, np.int64)
+    owners[-1 - children[outer]] = np.searchsorted(trees.roots, outer, side="right") - 1
+    return owners
 
 
 def _make_stump(leaf: int, counts: IntArray) -> Subtree:
@@ -491,15 +543,22 @@ def _renumber(forest: MotionForest, classes: NDArray[Any]) -> Trees:
     return replace(forest.trees_, leaf_classes=own, n_classes=len(classes))
 
 
-def _count_members(material: _Material, trees: Trees, numbers: IntArray, n_classes: int) -> IntArray:
-    """(K, C), what stands in K leaves of the training."""
+def _count_members(material: _Material, trees: Trees, numbers: IntArray, n_classes: int) -> tuple[IntArray, IntArray]:
+    """(K, C), what stands in K leaves of the training; and (K,) the strangers among it.
+
+    These came after the training, and are not of the most frequent category of those that were there.
+    """
     ranks = np.full(trees.n_leaves, -1)
     ranks[numbers] = np.arange(len(numbers))
-    counts = material.leaves.count(ranks[trees.home_leaves], material.own, n_classes)
-    own = ranks[material.homes]
-    clips, columns = np.nonzero(own >= 0)
-    np.add.at(counts, (own[clips, columns], material.own[material.n_standing + clips]), 1)
-    return counts
+    own = (material.own + n_classes * material.later).astype(np.int32)
+    both = material.leaves.count(ranks[trees.home_leaves], own, 2 * n_classes)
+    there = ranks[material.homes]
+    clips, columns = np.nonzero(there >= 0)
+    np.add.at(both, (there[clips, columns], own[material.n_standing + clips]), 1)
+    trained, later = both[:, :n_classes], both[:, n_classes:]
+    counts = trained + later
+    usual = np.where(trained.any(axis=1), trained.argmax(axis=1), counts.argmax(axis=1))
+    return counts, later.sum(axis=1) - later[np.arange(len(numbers)), usual]
 
 
 def _list_members(material: _Material, trees: Trees, growing: BoolArray) -> tuple[IntArray, IntArray]:
@@ -512,31 +571,25 @@ def _list_members(material: _Material, trees: Trees, growing: BoolArray) -> tupl
 
 
 def _move(
-    before: MotionForest,
-    grown: MotionForest,
-    material: _Material,
-    rows: IntArray,
-    features: FloatArray,
+    before: MotionForest, material: _Material, rows: IntArray, now: NDArray[np.int32]
 ) -> tuple[IntArray, IntArray]:
     """Places of the standing clips that are in other leaves now, and their leaves.
 
     Parameters
     ----------
-    rows, features : clips, ascending, whose features were read: all that stand in a leaf that became a tree.
+    rows, now : all that stand in a leaf that became a tree, ascending, and their leaves (n, n_trees).
     """
     standing, trees = material.leaves, before.trees_
-    rows = rows[: np.searchsorted(rows, material.n_standing)]
-    now = np.zeros((len(rows), standing.n_trees), np.int64)
-    for first in range(0, len(rows), _AT_ONCE):
-        now[first : first + _AT_ONCE] = grown.apply(features[first : min(first + _AT_ONCE, len(rows))])
+    count = np.searchsorted(rows, material.n_standing)
+    rows, now = rows[:count], now[:count]
     # In a leaf that had grown, and is one again, are clips whose features were not read: they need none.
     home = trees.home_leaves
     back = material.touched[home] & (home != np.arange(trees.n_leaves))
     found = standing.find(back) if back.any() else np.zeros(0, np.int64)
     others = np.setdiff1d(found, rows)
-    plain = standing.take(others).astype(np.int64)
+    plain = standing.take(others)
     plain = np.where(back[plain], home[plain], plain)
     everyone, leaves = np.concatenate([rows, others]), np.concatenate([now, plain])
     changed = (leaves != standing.take(everyone)).any(axis=1)
     order = np.argsort(everyone[changed], kind="stable")
-    return everyone[changed][order], leaves[changed][order]
+    return everyone[changed][order], leaves[changed][order].astype(np.int64)

@@ -10,10 +10,9 @@ from numpy.typing import NDArray
 
 from dousa.arrays import BoolArray, IntArray
 
-MOST_POINTS = 256
-"""Points of one category."""
+MOST_FILLED = 256
+"""Clips from which on a category has no points: it meets leaves enough of its own."""
 
-_MOST_LISTED = 100_000  # pairs of a category; of more, neighbours in the order of their keys are taken
 _GOLDEN = np.uint64(0x9E3779B97F4A7C15)
 _MIX_1 = np.uint64(0xBF58476D1CE4E5B9)
 _MIX_2 = np.uint64(0x94D049BB133111EB)
@@ -55,40 +54,32 @@ class Pairs:
 
 
 def choose_pairs(own: NDArray[np.int32], keys: Keys, later: BoolArray, usual: int) -> Pairs:
-    """Pairs that fill small categories up to the usual number of clips.
+    """Pairs that fill small categories up to the usual number of clips, or to ``MOST_FILLED`` if that is less.
 
     Parameters
     ----------
     own : (N,) categories of all clips.
     keys : (N,) that stand for their contents.
     later : (N,) which came after the training: of each pair at least one did.
-    usual : number of clips from which on a category has no points.
+    usual : number of clips of a category.
     """
     nothing = np.zeros(0, np.int64)
     chosen = [Pairs(nothing, nothing, np.zeros(0, np.uint64))]
     sizes = np.bincount(own) if len(own) else nothing
     for category in np.unique(own[later]):
-        missing = min(usual - int(sizes[category]), MOST_POINTS)
+        missing = min(usual, MOST_FILLED) - int(sizes[category])
         if missing > 0:
             inside = np.flatnonzero(own == category)
             theirs = keys[inside]  # only of these: of a large library they are read
             order = np.argsort(theirs, kind="stable")
-            pairs = _list_pairs(inside[order], later[inside[order]], theirs[order], missing)
+            pairs = _list_pairs(inside[order], later[inside[order]], theirs[order])
             chosen.append(pairs.take(np.argsort(pairs.keys, kind="stable")[:missing]))
     return Pairs(*(np.concatenate([getattr(one, name) for one in chosen]) for name in Pairs.__slots__))
 
 
-def _list_pairs(inside: IntArray, later: BoolArray, keys: NDArray[np.uint64], missing: int) -> Pairs:
-    """Pairs of the clips of one category, in the order of their keys (n,); at least as many as are missing."""
-    n = len(inside)
-    if n * (n - 1) // 2 <= _MOST_LISTED:
-        first, second = np.triu_indices(n, 1)
-    else:
-        steps = min(missing // int(later.sum()) + 1, (n - 1) // 2)
-        places = np.arange(n)
-        first = np.tile(places, steps)
-        second = np.concatenate([(places + step) % n for step in range(1, steps + 1)])
-        first, second = np.minimum(first, second), np.maximum(first, second)
+def _list_pairs(inside: IntArray, later: BoolArray, keys: NDArray[np.uint64]) -> Pairs:
+    """Pairs of the clips of one small category, in the order of their keys (n,), of which one came later."""
+    first, second = np.triu_indices(len(inside), 1)
     some = later[first] | later[second]
     one, other = first[some], second[some]
     return Pairs(inside[one], inside[other], mix(keys[one], keys[other]))

@@ -196,16 +196,25 @@ def _count_again(trees: Trees, features: FloatArray, categories: NDArray[np.int3
         own, found = np.unique(column.astype(np.int64) * trees.n_classes + categories, return_counts=True)
         keys.append(own)
         counts.append(found)
-    # Rounding may take a clip past the leaf that it made: such a leaf keeps its count.
+    return replace(put_counts(trees, np.concatenate(keys), np.concatenate(counts)), pooled=True)
+
+
+def put_counts(trees: Trees, keys: IntArray, counts: IntArray) -> Trees:
+    """Trees with other clips in some of their leaves.
+
+    Parameters
+    ----------
+    keys, counts : (K,) different leaves times ``n_classes`` and a category, and how many clips of it are there. Leaves
+        that are not named keep theirs: rounding may take a clip past the leaf that it made.
+    """
     leaf = np.repeat(np.arange(trees.n_leaves), np.diff(trees.leaf_starts))
-    left = ~np.isin(leaf, np.concatenate(keys) // trees.n_classes)
-    all_keys = np.concatenate([*keys, leaf[left] * trees.n_classes + trees.leaf_classes[left]])
+    left = ~np.isin(leaf, keys // trees.n_classes)
+    all_keys = np.concatenate([keys, leaf[left] * trees.n_classes + trees.leaf_classes[left]])
     order = np.argsort(all_keys, kind="stable")
-    all_counts = np.concatenate([*counts, trees.leaf_counts[left]])[order].astype(np.int32)
+    all_counts = np.concatenate([counts, trees.leaf_counts[left]])[order].astype(np.int32)
     number, classes = np.divmod(all_keys[order], trees.n_classes)
     starts = np.searchsorted(number, np.arange(trees.n_leaves + 1))
-    named = classes.astype(np.int32)
-    return replace(trees, leaf_starts=starts, leaf_classes=named, leaf_counts=all_counts, pooled=True)
+    return replace(trees, leaf_starts=starts, leaf_classes=classes.astype(np.int32), leaf_counts=all_counts)
 
 
 MOST_GROWN = 100_000
