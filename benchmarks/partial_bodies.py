@@ -7,12 +7,19 @@ have their mean of the training clips; the clip nearest by dynamic time warping 
 by the distance of the mean poses. Joints are seen from the pelvis in body axes, over the body height by the bones that
 are left, for all alike. Columns: share of clips whose category is right; share of the five best clips that have it
 (forest: the fused ranking). Run: python benchmarks/partial_bodies.py
+
+    python benchmarks/partial_bodies.py --library LIB
+
+tells instead how long somebody waits who searches a trained library, of which a copy is made, with each of these bodies
+for the first time, and for the second: seconds on the clock, and of processors.
 """
 
 from __future__ import annotations
 
 import argparse
+import shutil
 import sys
+import tempfile
 import time
 from pathlib import Path
 
@@ -20,6 +27,7 @@ import numpy as np
 
 from dousa.app.pipelines.experiment_clips import read_labelled_clips
 from dousa.formats import ReadOptions
+from dousa.library import Library
 from dousa.motion import CANONICAL_JOINTS, JOINT_INDEX
 from dousa.retrieval import FEATURE_SETS, MotionForest, RankedClips, RankingQuery, compute_pose_sequence, rank_clips
 from dousa.retrieval.features.channels import sample_positions
@@ -125,12 +133,40 @@ def measure(clips: list, hidden: tuple[str, ...], n_seeds: int) -> dict[str, np.
     return {method: 100.0 * np.array(values).mean(axis=0) for method, values in found.items()}
 
 
+def time_first(path: Path, only: str) -> None:
+    """Search a copy of a library with its first clip, of which joints are hidden, twice."""
+    print("| joints of the query | first search, s | CPU s | second, s |")
+    print("| --- | --- | --- | --- |")
+    with tempfile.TemporaryDirectory() as folder:
+        copy = Path(folder) / path.name
+        shutil.copy(path, copy)
+        with Library.open(copy) as library:
+            first = library.clips()[0].id
+            library.search(first)
+            motion = library.trajectories(first)
+            for case, hidden in HIDDEN.items():
+                if only not in case:
+                    continue
+                positions = np.array(motion.positions)
+                positions[:, [JOINT_INDEX[joint] for joint in hidden]] = np.nan
+                query, took = motion.replace(positions=positions, rest_positions=None), []
+                for _ in range(2):
+                    clock, processors = time.perf_counter(), time.process_time()
+                    library.search(query)
+                    took.append((time.perf_counter() - clock, time.process_time() - processors))
+                print(f"| {case} | {took[0][0]:.1f} | {took[0][1]:.1f} | {took[1][0]:.3f} |", flush=True)
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description="Bodies of which a part is missing, people held out.")
     parser.add_argument("--set", choices=SETS, help="only this data set")
     parser.add_argument("--only", default="", metavar="WORD", help="only bodies with this word in their name")
     parser.add_argument("--seeds", type=int, default=3, help="forests of each kind")
+    parser.add_argument("--library", type=Path, metavar="LIB", help="time the first searches of this library instead")
     asked = parser.parse_args()
+    if asked.library is not None:
+        time_first(asked.library, asked.only)
+        return
     for title, (folder, category, performer) in SETS.items():
         if asked.set not in (None, title):
             continue

@@ -122,6 +122,26 @@ def test_the_forest_of_a_part_is_kept_until_clips_change(library_file, library, 
     assert again[1] != kept[1]
 
 
+def test_the_forest_that_incomplete_clips_need_is_learned_with_the_training(library_file, library, moves, squat):
+    library.add_motion(cut(squat, UPPER), "legs 1", "squat")
+    library.add_motion(cut(moves / "squat" / "squat_p2.bvh", UPPER), "legs 2", "squat")
+    library.add_motion(cut(squat, LEGS), "no legs", "squat")
+    library.train(n_trees=10, random_state=0)
+
+    def read():
+        return run_sql(library_file, "SELECT feature_set, learned_from FROM part_forests")
+
+    (kept,) = read()
+    query = cut(moves / "wave" / "wave_p2.bvh", UPPER)
+    answer = library.search(query)
+    assert [hit.hidden for hit in answer.results][:1] == [tuple(kept[0].partition(" without ")[2].split())]
+    assert kept in read()
+    # Without it the answer is the same: only somebody waits for it.
+    run_sql(library_file, "DELETE FROM part_forests")
+    with Library.open(library_file) as other:
+        assert other.search(query).to_json() == answer.to_json()
+
+
 def test_the_forest_of_a_part_learns_from_disturbed_copies_too(library_file, library, squat):
     library.search(cut(squat, UPPER))
     ((calibration,),) = run_sql(library_file, "SELECT calibration FROM part_forests")

@@ -218,7 +218,9 @@ class Library(LibraryChanges):
             random_state=random_state,
             n_jobs=choose_jobs(n_jobs),
         )
-        self._forests.last, report = train_forest(self.database, forest, kind, learn_labeller, n_jobs, progress)
+        stored, report = train_forest(self.database, forest, kind, learn_labeller, n_jobs, progress)
+        self._forests.last = stored
+        self._parts.prepare(stored, n_jobs, progress)
         return report
 
     def search(
@@ -238,7 +240,8 @@ class Library(LibraryChanges):
         """The clips most like a motion, the most similar first; takes are left out.
 
         A body of which a part is missing, and clips of such bodies, are compared by the joints that both have. The
-        first time that joints are missing which no query lacked before, a forest for the others is learned, and kept.
+        first time that joints are missing which no query lacked before, a forest for the others is learned, and kept;
+        that of the joints which most of the incomplete clips lack is learned with the training.
 
         Parameters
         ----------

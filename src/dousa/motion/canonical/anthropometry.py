@@ -138,9 +138,10 @@ def _measure_bones(points: FloatArray) -> FloatArray:
     bones = points[:, _ENDS] - points[:, _STARTS]
     lengths = np.sqrt(np.einsum("tjk,tjk->tj", bones, bones))
     middle: FloatArray = np.median(lengths, axis=0)
-    if np.isnan(middle).any():
-        seen = ~np.isnan(lengths).all(axis=0)
-        middle[seen] = np.nanmedian(lengths[:, seen], axis=0)
+    for bone in np.flatnonzero(np.isnan(middle)):  # one by one: most have no length in any frame
+        seen = lengths[~np.isnan(lengths[:, bone]), bone]
+        if len(seen):
+            middle[bone] = np.median(seen)
     return middle
 
 
@@ -179,4 +180,5 @@ def stature_of_parts(points: FloatArray) -> float:
     found = middle[:8] / np.array(shares)
     if np.isnan(found).all():
         found = middle[9:11] / np.array([_SHARES["shoulders"], _SHARES["trunk"]])
-    return float(np.nanmedian(found)) if not np.isnan(found).all() else float("nan")
+    seen = found[~np.isnan(found)]
+    return float(np.median(seen)) if len(seen) else float("nan")

@@ -82,7 +82,7 @@ class FeatureSet:
     @property
     def answered(self) -> BoolArray:
         """(C,) which channels need no joint that is hidden."""
-        return np.array([not set(channel.joints) & set(self.hidden) for channel in self.channels], bool)
+        return _list_answered(self)
 
     @property
     def needed(self) -> frozenset[str]:
@@ -208,6 +208,13 @@ def get_feature_set(name: str) -> FeatureSet:
 
 
 _OF_POSES = frozenset(joint for channel in CHANNELS for joint in channel.joints)
+
+
+@lru_cache(maxsize=256)
+def _list_answered(feature_set: FeatureSet) -> BoolArray:
+    answered = np.array([not set(channel.joints) & set(feature_set.hidden) for channel in feature_set.channels], bool)
+    answered.flags.writeable = False
+    return answered
 
 
 @lru_cache(maxsize=256)
