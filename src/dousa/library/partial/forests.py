@@ -142,7 +142,8 @@ class PartForests:
             if kind is not whole and is_comparable(kind.hidden):
                 counts[kind.hidden] += row.n
         if counts:
-            self.load(main, min(counts, key=lambda hidden: (-counts[hidden], hidden)), n_jobs, progress)
+            most = min(counts, key=lambda hidden: (-counts[hidden], hidden))
+            self.load(main, most, n_jobs, progress)
 
     def load(
         self,
