@@ -12,6 +12,8 @@ from urllib.request import Request, urlopen
 import numpy as np
 import pytest
 
+webdriver = pytest.importorskip("selenium.webdriver", reason="selenium is not installed: pip install selenium")
+KEYS, ActionChains = webdriver.Keys, webdriver.ActionChains
 STRANGE = "lunge"
 ORDER = ("walk", STRANGE, "squat", STRANGE, "kick_left")
 
@@ -106,6 +108,51 @@ def test_a_correction_is_taken_back(studio, recording, strange, wait_job):
     assert STRANGE not in studio.get("/api/info").json()["library"]["categories"]
     assert STRANGE not in [category for category, _ in said_at(label(studio, motion, wait_job), strange)]
     assert studio.get("/api/takes/labels", params={"motion": motion}).json()["corrections"] == []
+
+
+def test_a_dropped_take_is_split_and_joined_in_one_change_each(studio, recording, strange):
+    """Also of a take that is not in the library what was replaced comes back, and a refusal changes nothing."""
+    motion = upload(studio, recording)
+    start, end = strange[0]
+    middle = round(0.5 * (start + end), 3)
+
+    def correct(**more):
+        asked = {"motion": motion, "start_s": start, "end_s": end, "category": STRANGE, **more}
+        return studio.post("/api/takes/correct", json=asked)
+
+    def spans():
+        known = studio.get("/api/takes/labels", params={"motion": motion}).json()["corrections"]
+        return [(round(one["start_s"], 2), round(one["end_s"], 2)) for one in known]
+
+    whole, halves = (
+        [(round(start, 2), round(end, 2))],
+        [(round(start, 2), round(middle, 2)), (round(middle, 2), round(end, 2))],
+    )
+    correct()
+    split = correct(
+        split_s=middle,
+        replaces=[studio.get("/api/takes/labels", params={"motion": motion}).json()["corrections"][0]["id"]],
+    )
+    assert split.status_code == 201, split.text
+    assert spans() == halves
+    ids = [one["id"] for one in split.json()["corrections"]]
+    for wrong, status in (
+        ({"replaces": ["nothing"]}, 404),
+        ({"split_s": start + 0.05}, 422),
+        ({"split_s": end + 1}, 422),
+    ):
+        assert correct(**wrong).status_code == status
+    assert spans() == halves
+    assert correct(replaces=ids).status_code == 201
+    assert spans() == whole
+    for step, expected in (("undo", halves), ("undo", whole), ("redo", halves), ("redo", whole)):
+        assert studio.post(f"/api/journal/{step}", json={"number": None}).status_code == 200
+        assert spans() == expected
+    number = studio.get("/api/takes/labels", params={"motion": motion}).json()["corrections"][0]["id"]
+    change = studio.delete(f"/api/takes/corrections/{number}").json()["change"]
+    assert spans() == []
+    assert studio.post("/api/journal/undo", json={"number": change}).status_code == 200
+    assert spans() == whole
 
 
 def test_the_last_word_on_a_part_counts(studio, recording, strange):
@@ -272,6 +319,63 @@ def ask(running, path, **asked):
         return json.load(answer)
 
 
+# What can be used and lies under a message.
+COVERED = """
+const notices = document.querySelector('#notices');
+const own = notices.getBoundingClientRect();
+return [...document.querySelectorAll('button, a[href], input, select')].filter((one) => {
+  const box = one.getBoundingClientRect();
+  return one.checkVisibility() && !notices.contains(one)
+    && box.left < own.right && box.right > own.left && box.top < own.bottom && box.bottom > own.top;
+}).map((one) => one.outerHTML.slice(0, 80));
+"""
+
+
+CORRECTED = "return document.querySelectorAll('.tl-segment.tl-corrected').length"
+SEEK = """
+const inner = document.querySelector('.tl-inner').getBoundingClientRect();
+const place = {clientX: inner.left + inner.width * arguments[0], clientY: inner.top + 50};
+const event = {...place, bubbles: true, pointerId: 1, pointerType: 'mouse', button: 0};
+document.querySelector('.tl-track').dispatchEvent(new PointerEvent('pointerdown', event));
+window.dispatchEvent(new PointerEvent('pointerup', event));
+"""
+
+
+def check_steps_back(page, running, motion, known, place):
+    """Each correction was one change: keys take it back and do it again; so does the button of the message."""
+    kept = "return document.querySelectorAll('.corrections li').length"
+    ready = "return !document.querySelector('#review-join').disabled && !document.querySelector('#progress progress')"
+    for key, held, count in (("z", KEYS.CONTROL, 2), ("z", KEYS.CONTROL, 1), ("y", KEYS.CONTROL, 2)):
+        page.wait(ready, seconds=60)
+        page.press(key, held=held)
+        page.wait(f"{kept} === {count}", seconds=60)
+        page.wait(f"{CORRECTED} === {count}", seconds=60)
+    spans = [(one["start_s"], one["end_s"]) for one in ask(running, "/takes/labels", motion=motion)["corrections"]]
+    assert spans[0][0] == pytest.approx(known["start_s"], abs=0.05)
+    assert spans[0][1] == pytest.approx(spans[1][0]) and spans[1][1] == pytest.approx(known["end_s"], abs=0.05)
+
+    # So was a stretch whose end was dragged; and the button of the message does the same.
+    page.wait(ready, seconds=60)
+    page.run("document.querySelector('.tl-inner').scrollIntoView({block: 'center'})")
+    page.run(SEEK, place)
+    page.run("document.querySelector('#choose-stretch').click()")
+    end = page.find(".tl-end-end")
+    ActionChains(page.driver, duration=0).click_and_hold(end).move_by_offset(-12, 0).release().perform()
+    chosen = float(end.get_attribute("aria-valuenow"))
+    assert spans[0][0] < chosen < spans[0][1] - 0.05
+    page.run("document.querySelector('#notices').replaceChildren()")
+    page.find("#correct").click()
+    page.wait("return document.querySelector('.notice:last-child [data-act=undo]')", seconds=60)
+    assert page.run(COVERED) == []
+    (short, _) = ask(running, "/takes/labels", motion=motion)["corrections"]
+    assert short["end_s"] == pytest.approx(chosen, abs=0.02)
+    page.wait(ready, seconds=60)
+    page.find(".notice:last-child [data-act=undo]").click()
+    page.wait("return document.querySelector('.notice:last-child [data-act=redo]')", seconds=60)
+    now = ask(running, "/takes/labels", motion=motion)["corrections"]
+    assert [(one["start_s"], one["end_s"]) for one in now] == spans
+
+
 def test_stretches_are_gone_through_split_and_joined(show, running, recording):
     library = running.app.state.studio.library
     library.add(recording[0], kind="take")
@@ -281,7 +385,6 @@ def test_stretches_are_gone_through_split_and_joined(show, running, recording):
     shown = ask(running, "/takes/labels", motion=f"clip:{take.id}")["labels"]["segments"]
     press = "document.dispatchEvent(new KeyboardEvent('keydown', {key: arguments[0], bubbles: true}))"
     cursor = "return Number(document.querySelector('.tl-cursor').getAttribute('aria-valuenow'))"
-    corrected = "return document.querySelectorAll('.tl-segment.tl-corrected').length"
 
     # The least sure first; then the next.
     order = sorted(shown, key=lambda one: one["confidence"])
@@ -296,32 +399,27 @@ def test_stretches_are_gone_through_split_and_joined(show, running, recording):
     go = "document.querySelector(`#segments tr[data-start='${arguments[0]}'] .go`).click()"
     page.run(go, known["start_s"])
     page.run(press, "y")
-    page.wait(f"{corrected} === 1", seconds=60)
+    page.wait(f"{CORRECTED} === 1", seconds=60)
     page.wait("return !document.querySelector('#review-split').disabled", seconds=60)
 
     # It is split in its middle, and made whole again.
     page.run("document.querySelector(`#segments tr[aria-current]`)?.removeAttribute('aria-current')")
     start = page.run("return document.querySelector('.tl-corrected').style.left")
     share = float(start.removesuffix("%")) / 100
-    seek = """
-        const inner = document.querySelector('.tl-inner').getBoundingClientRect();
-        const place = {clientX: inner.left + inner.width * arguments[0], clientY: inner.top + 50};
-        const event = {...place, bubbles: true, pointerId: 1, pointerType: 'mouse', button: 0};
-        document.querySelector('.tl-track').dispatchEvent(new PointerEvent('pointerdown', event));
-        window.dispatchEvent(new PointerEvent('pointerup', event));
-    """
     width = float(page.run("return document.querySelector('.tl-corrected').style.width").removesuffix("%")) / 100
-    page.run(seek, share + 0.5 * width)
+    page.run(SEEK, share + 0.5 * width)
     page.run(press, "x")
-    page.wait(f"{corrected} === 2", seconds=60)
+    page.wait(f"{CORRECTED} === 2", seconds=60)
     page.wait("return !document.querySelector('#review-join').disabled", seconds=60)
-    page.run(seek, share + 0.25 * width)
+    page.run(SEEK, share + 0.25 * width)
     page.run(press, "j")
-    page.wait(f"{corrected} === 1", seconds=60)
+    page.wait(f"{CORRECTED} === 1", seconds=60)
     page.wait("return !document.querySelector('#review-join').disabled", seconds=60)
     (whole,) = ask(running, "/takes/labels", motion=f"clip:{take.id}")["corrections"]
     assert (whole["start_s"], whole["end_s"]) == pytest.approx((known["start_s"], known["end_s"]), abs=0.05)
     assert whole["category"] == known["category"]
+
+    check_steps_back(page, running, f"clip:{take.id}", known, share + 0.25 * width)
     assert page.messages() == []
 
 

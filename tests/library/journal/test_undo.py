@@ -129,6 +129,40 @@ def test_labels_of_takes_come_back(library, write_move, tmp_path):
     assert library.check().is_sound
 
 
+def test_several_steps_are_one_change(library, write_move, tmp_path):
+    def said():
+        return {
+            name: rows for name, rows in content(library).items() if name in ("clips", "segments", "take_annotations")
+        }
+
+    library.add(write_move(tmp_path / "take.bvh", "squat", n_frames=300), kind="take")
+    (take,) = [clip.id for clip in library.clips() if clip.kind == "take"]
+    parts = [library.annotations.name(take, start, start + 1.0, "nod") for start in (0.5, 1.5)]
+    two, n_changes = said(), len(library.journal())
+    with library.one_change("name", category="long nod"):
+        library.remove(parts)
+        library.annotations.name(take, 0.5, 2.5, "long nod")
+        library.relabel([1], category="greeting")
+    one = said()
+    assert len(library.journal()) == n_changes + 1
+    assert library.last_change == library.journal()[0].number
+    undone = library.undo()
+    assert (undone.kind, undone.what.code) == ("name", "journal.named") and "long nod" in str(undone.what)
+    assert said() == two
+    library.redo()
+    assert said() == one
+    with pytest.raises(LibraryError), library.one_change():
+        library.relabel([1], category="nod")
+        library.remove([take + 99])
+    assert library.undo(library.last_change).kind == "relabel"
+    assert said() == one
+    with library.one_change():
+        pass
+    assert library.last_change is None
+    library.relabel([2], category="nod")
+    assert library.journal()[0].kind == "relabel"
+
+
 def test_the_number_of_a_change_is_told_whatever_it_was(library, write_move, tmp_path):
     """Names of stretches, labels of takes and motions of the memory too; None where nothing changed."""
     library.add(write_move(tmp_path / "take.bvh", "squat", n_frames=300), kind="take")

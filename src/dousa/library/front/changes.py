@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-from contextlib import nullcontext
-from typing import TYPE_CHECKING
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager, nullcontext
+from typing import TYPE_CHECKING, Any
 
 from dousa.errors import LibraryError, OptionError
 from dousa.library import selection as _selection
 from dousa.library.engine import next_revision
 from dousa.library.front.contents import LibraryContents
-from dousa.library.journal.recording import Recorded, recording
+from dousa.library.journal.recording import Recorded, recording, recording_together
 from dousa.library.labels import check_labels
 from dousa.library.selection import UNCHANGED, Selection, Unchanged, select_ids
 
@@ -177,6 +177,22 @@ class LibraryChanges(LibraryContents):
         """Number of the change that this thread made last with ``add``, ``add_motion``, ``relabel``, ``tag``,
         ``remove`` or ``annotations``; None where that changed nothing."""
         return getattr(self._last, "change", None)
+
+    @contextmanager
+    def one_change(self, kind: str | None = None, **told: Any) -> Iterator[None]:
+        """What this thread changes inside the block is undone, and done again, in one step.
+
+        What was done before an error stays, as the change of ``last_change``. In one block a clip is changed once.
+
+        Parameters
+        ----------
+        kind, told : what the change is called, as in ``JournalEntry``; by default after its first part.
+        """
+        with recording_together(self.database.engine, kind, told) as whole:
+            try:
+                yield
+            finally:
+                self._note_change(whole)
 
     def _note_number(self, number: int | None) -> None:
         self._last.change = number

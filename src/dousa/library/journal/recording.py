@@ -14,6 +14,7 @@ from __future__ import annotations
 import json
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
+from contextvars import ContextVar
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from typing import Any
@@ -40,6 +41,41 @@ class Recorded:
     """
 
     number: int | None = None
+
+
+@dataclass(slots=True)
+class _Together(Recorded):
+    """Several steps that are one change.
+
+    Parameters
+    ----------
+    engine : of the library.
+    kind, told : of the change; those of the first step where there are none.
+    """
+
+    engine: sa.Engine | None = None
+    kind: str | None = None
+    told: dict[str, Any] = field(default_factory=dict)
+
+
+_TOGETHER: ContextVar[_Together | None] = ContextVar("together", default=None)
+
+
+@contextmanager
+def recording_together(engine: sa.Engine, kind: str | None, told: dict[str, Any]) -> Iterator[Recorded]:
+    """What this thread records of a library inside the block is one change, even in several transactions.
+
+    Parameters
+    ----------
+    engine : of the library.
+    kind, told : as in `recording`, of the whole.
+    """
+    together = _Together(engine=engine, kind=kind, told=told)
+    token = _TOGETHER.set(together)
+    try:
+        yield together
+    finally:
+        _TOGETHER.reset(token)
 
 
 @dataclass(slots=True)
@@ -108,6 +144,12 @@ def recording(
     told : values of the message that tells it.
     into : number of a change that goes on; another one is begun where it is not there any more.
     """
+    together = _TOGETHER.get()
+    if together is not None and together.engine is not connection.engine:
+        together = None
+    if together is not None:
+        into = together.number if into is None else into
+        kind, told = (kind, told) if together.kind is None else (together.kind, together.told)
     known = None if into is None else read_row(connection, into)
     if known is not None and known.undone is not None:
         known = None
@@ -132,6 +174,8 @@ def recording(
         connection.execute(sa.delete(schema.journal).where(schema.journal.c.number == number))
     else:
         recorded.number = number
+    if together is not None and recorded.number is not None:
+        together.number = recorded.number
 
 
 def _begin(connection: sa.Connection, number: int, kind: str, told: dict[str, Any]) -> None:

@@ -22,6 +22,7 @@ from dousa.app.studio.jobs.board import Job
 router = APIRouter(tags=["takes"])
 
 _Share = Annotated[float, Field(ge=0, le=1, allow_inf_nan=False)]
+_Number = Annotated[str, Field(max_length=100)]
 _Motion = Annotated[MotionName, Query()]
 
 
@@ -45,6 +46,8 @@ class CorrectRequest(BaseModel):
     start_s: Seconds
     end_s: Seconds
     category: str = Field(min_length=1, max_length=200)
+    split_s: Seconds | None = Field(default=None, description="makes two parts of it, which are called the same")
+    replaces: list[_Number] = Field(default=[], max_length=100, description="corrections that go with this")
 
 
 @router.post("/jobs/label", status_code=202, summary="Label a take from beginning to end")
@@ -215,12 +218,13 @@ def _format_csv(segments: Sequence[dict[str, Any]]) -> str:
 def correct(studio: StudioNow, wanted: CorrectRequest) -> Answer:
     """The part becomes a clip of the library, the forest grows at once, and takes are labelled with it from now on.
 
-    A correction of mostly the same part of this take is replaced. Label the take again to see what has changed.
+    A correction of mostly the same part of this take is replaced. All of it is one ``change`` of the journal, by whose
+    number POST /journal/undo takes it back. Label the take again to see what has changed.
     """
     from dousa.app.studio.content.corrections import learn_correction
 
     ref = MotionRef(motion=wanted.motion, start_s=wanted.start_s, end_s=wanted.end_s)
-    return Answer(learn_correction(studio, ref, wanted.category), 201)
+    return Answer(learn_correction(studio, ref, wanted.category, wanted.split_s, wanted.replaces), 201)
 
 
 @router.delete("/takes/corrections/{number}", summary="Take a correction back")
@@ -228,4 +232,5 @@ def undo(studio: StudioNow, number: str) -> Answer:
     """Its clip leaves the library; what the forest learned from it stays until the next training."""
     from dousa.app.studio.content.corrections import forget_correction
 
-    return Answer({"removed": forget_correction(studio, number).to_json()})
+    removed, change = forget_correction(studio, number)
+    return Answer({"removed": removed.to_json(), "change": change})

@@ -15,6 +15,7 @@ import threading
 import time
 import unicodedata
 from collections.abc import Iterable, Sequence
+from collections.abc import Set as AbstractSet
 from contextlib import suppress
 from dataclasses import asdict, dataclass, field
 from pathlib import Path, PurePath
@@ -92,14 +93,13 @@ class Corrections:
         with _LOCK:
             self._write([*self.all(), correction])
 
-    def remove(self, number: str) -> Correction | None:
-        """Forget one; None if there is none of this number."""
+    def forget_missing(self, there: AbstractSet[int]) -> None:
+        """Forget those whose clip is not among these, and whose file is gone: no undo brings them back."""
         with _LOCK:
             known = self.all()
-            found = next((one for one in known if one.id == number), None)
-            if found is not None:
-                self._write([one for one in known if one.id != number])
-        return found
+            kept = [one for one in known if one.clip_id in there or (self._path.parent / "files" / one.batch).is_dir()]
+            if len(kept) < len(known):
+                self._write(kept)
 
     def _write(self, corrections: Sequence[Correction]) -> None:
         from dousa.files.disk import atomic_write
@@ -153,8 +153,7 @@ _LABELS = "labels.csv"
 
 def list_corrections(studio: Studio, ref: MotionRef) -> list[Correction]:
     """What was corrected in a take, under any of its names, in the order of time."""
-    there = studio.listing.now()  # the clip of one may have gone by an undo, and may come back
-    found = [one for one in Corrections(studio.workspace.root).of(_names(studio, ref)) if one.clip_id in there]
+    found = [one for one in Corrections(studio.workspace.root).of(_names(studio, ref)) if _is_there(studio, one)]
     take = find_take(studio, ref)
     if take is not None:
         known = {one.clip_id for one in found}
@@ -162,9 +161,17 @@ def list_corrections(studio: Studio, ref: MotionRef) -> list[Correction]:
     return sorted(found, key=lambda one: one.start_s)
 
 
+def _is_there(studio: Studio, correction: Correction) -> bool:
+    """Whether the clip is in the library: it may have gone by an undo, and may come back."""
+    now = studio.listing.now()
+    if correction.clip_id not in now:
+        return False
+    return studio.workspace.root in PurePath(now.clips[now.row_of(correction.clip_id)].path).parents
+
+
 def list_examples(studio: Studio) -> list[int]:
     """Numbers of all clips that were named by hand in takes."""
-    dropped = [one.clip_id for one in Corrections(studio.workspace.root).all()]
+    dropped = [one.clip_id for one in Corrections(studio.workspace.root).all() if _is_there(studio, one)]
     return list(dict.fromkeys([*dropped, *(one.clip_id for one in _list_segments(studio))]))
 
 
@@ -213,33 +220,65 @@ def _names(studio: Studio, ref: MotionRef) -> set[str]:
     return names
 
 
-def learn_correction(studio: Studio, ref: MotionRef, category: str) -> dict[str, Any]:
-    """Make a part a clip of the library.
+def learn_correction(
+    studio: Studio, ref: MotionRef, category: str, split_s: float | None = None, replaces: Sequence[str] = ()
+) -> dict[str, Any]:
+    """Make a part a clip of the library, in the place of what was said of it; undone and done again in one step.
 
     Parameters
     ----------
     ref : the part.
     category : what it shows.
+    split_s : a moment of the take at which the part is made two, which are called the same; None for one.
+    replaces : numbers of corrections that go, besides those of mostly the same part.
 
     Returns
     -------
-    The correction, and what was learned.
+    The corrections, and what was learned.
 
     Raises
     ------
-    RefusedError : the part is empty, or too short to be learned from; a name that is none.
+    RefusedError : a part is empty, or too short to be learned from; a name that is none; no such correction.
     DousaError : the library cannot be written.
     """
     name = _check_category(category)
-    named = studio.motions.get(ref)
-    if named.motion.duration < _SHORTEST:
-        raise RefusedError(422, "studio_takes.too_short", least=_SHORTEST, seconds=named.motion.duration)
-    _forget_same(studio, ref)
+    parts = _part_at(ref, split_s)
+    named = [studio.motions.get(part) for part in parts]
+    shortest = min(one.motion.duration for one in named)
+    if shortest < _SHORTEST:
+        raise RefusedError(422, "studio_takes.too_short", least=_SHORTEST, seconds=shortest)
+    known = list_corrections(studio, ref)
+    if missing := set(replaces) - {one.id for one in known}:
+        raise RefusedError(404, "studio_takes.no_correction", number=min(missing)[:40])
+    gone = [one for one in known if one.id in replaces or any(_is_same(part, one) for part in parts)]
     take = find_take(studio, ref)
-    if take is not None:
-        return _name_segment(studio, take, named, ref, name)
+    try:
+        with studio.library.one_change("name", category=name):
+            if ids := [one.clip_id for one in gone]:
+                studio.library.remove(ids)
+            if take is not None:
+                made = [_name_segment(studio, take, *one, name) for one in zip(named, parts, strict=True)]
+            else:
+                made = [_add_clip(studio, *one, name) for one in zip(named, parts, strict=True)]
+    except Exception:
+        if (begun := studio.library.last_change) is not None:
+            studio.library.undo(begun, n_jobs=1)
+        raise
+    answer = {**made[0], "is_new_category": any(one["is_new_category"] for one in made)}
+    return {**answer, "corrections": [one["correction"] for one in made], "change": studio.library.last_change}
+
+
+def _part_at(ref: MotionRef, split_s: float | None) -> list[MotionRef]:
+    if split_s is None:
+        return [ref]
+    halves = (ref.start_s, split_s), (split_s, ref.end_s)
+    return [MotionRef(motion=ref.motion, start_s=start, end_s=end) for start, end in halves]
+
+
+def _add_clip(studio: Studio, named: Named, ref: MotionRef, name: str) -> dict[str, Any]:
+    """The part of a take that was only dropped, as a clip of its own."""
     batch = studio.workspace.new_batch()
-    studio.workspace.keep(batch)
+    studio.workspace.keep(batch, by_library=True)
     path = _write_clip(studio, named, ref, batch, name)
     try:
         report = studio.library.add([path], category_from=f"csv:{path.with_name(_LABELS)}", n_jobs=1)
@@ -306,45 +345,28 @@ def _stem(named: Named) -> str:
     return PurePath(named.name).stem or "take"
 
 
-def _forget_same(studio: Studio, ref: MotionRef) -> None:
-    """Who corrects a part once more means the last one."""
-    start, end = ref.start_s or 0.0, ref.end_s if ref.end_s is not None else float("inf")
-    for one in list_corrections(studio, ref):
-        shared = min(end, one.end_s) - max(start, one.start_s)
-        if shared > 0 and shared >= _SAME * (max(end, one.end_s) - min(start, one.start_s)):
-            forget_correction(studio, one.id)
+def _is_same(part: MotionRef, one: Correction) -> bool:
+    """Whether a correction is of mostly this part: who corrects it once more means the last one."""
+    start, end = part.start_s or 0.0, part.end_s if part.end_s is not None else float("inf")
+    shared = min(end, one.end_s) - max(start, one.start_s)
+    return shared > 0 and shared >= _SAME * (max(end, one.end_s) - min(start, one.start_s))
 
 
-def forget_correction(studio: Studio, number: str) -> Correction:
-    """Take a correction back: its clip leaves the library.
+def forget_correction(studio: Studio, number: str) -> tuple[Correction, int | None]:
+    """Take a correction back: its clip leaves the library, and comes back when that is undone.
+
+    Returns
+    -------
+    The correction, and the number of the change in the journal of the library.
 
     Raises
     ------
     RefusedError : there is no such correction.
     DousaError : the library cannot be written.
     """
-    known = {one.id: one for one in Corrections(studio.workspace.root).all()}
-    segment = next((one for one in _list_segments(studio) if one.id == number), None)
-    if segment is not None and number not in known:
-        studio.library.remove([segment.clip_id])
-        return segment
-    if number not in known:
+    known = [one for one in Corrections(studio.workspace.root).all() if _is_there(studio, one)]
+    found = next((one for one in (*known, *_list_segments(studio)) if one.id == number), None)
+    if found is None:
         raise RefusedError(404, "studio_takes.no_correction", number=number[:40])
-    correction = known[number]
-    if _is_ours(studio, correction):
-        studio.library.remove([correction.clip_id])
-    Corrections(studio.workspace.root).remove(number)
-    with suppress(RefusedError):
-        shutil.rmtree(studio.workspace.batch_folder(correction.batch), ignore_errors=True)
-    return correction
-
-
-def _is_ours(studio: Studio, correction: Correction) -> bool:
-    """Whether the clip is still there; somebody may have removed it on the page of the library."""
-    try:
-        path = studio.library.clips([correction.clip_id])[0].path
-    except LibraryLockedError:
-        raise
-    except LibraryError:
-        return False
-    return studio.workspace.root in PurePath(path).parents
+    studio.library.remove([found.clip_id])
+    return found, studio.library.last_change

@@ -45,6 +45,7 @@ def free_space(studio: Studio) -> dict[str, Any]:
     before = describe_space(studio)["can_be_freed_bytes"]
     for folder in _list_unused(studio):
         shutil.rmtree(folder, ignore_errors=True)
+    Corrections(studio.workspace.root).forget_missing({clip.id for clip in studio.listing.now().clips})
     for job in _list_exports(studio):
         with suppress(RefusedError):  # somebody else forgot it
             studio.jobs.remove(job)
@@ -59,9 +60,8 @@ def _list_exports(studio: Studio) -> dict[str, Path]:
 
 
 def _list_unused(studio: Studio) -> list[Path]:
-    """Batches that no job or correction names and from which no clip comes, also none that an undo brings back."""
+    """Batches that no job names and from which no clip comes, also none that an undo brings back."""
     asked = [json.dumps([job.request for job in studio.jobs.all()])]
-    asked += [one.batch for one in Corrections(studio.workspace.root).all()]
     files = f"{studio.workspace.root / 'files'}{os.sep}"
     paths = [clip.path for clip in studio.listing.now().clips] + studio.library.removed_paths()
     asked += {path.removeprefix(files).partition(os.sep)[0] for path in paths if path.startswith(files)}

@@ -12,14 +12,13 @@ export const undo = (changed, number = null) => step("undo", "redo", number, cha
 export const redo = (changed, number = null) => step("redo", "undo", number, changed);
 
 async function step(name, back, number, changed) {
-  if (acting) return; // the key is held down
+  if (acting) return;
   acting = true;
-  await attempt(async () => {
-    const change = await post(`/journal/${name}`, { number });
-    notify(t(`${name}_done`, { what: change.what }), "note", button(back, change.number, changed));
-    await changed(change);
-  });
-  acting = false;
+  const change = await attempt(() => post(`/journal/${name}`, { number }));
+  acting = false; // the next step does not wait until the page shows this one
+  if (!change) return;
+  notify(t(`${name}_done`, { what: change.what }), "note", button(back, change.number, changed));
+  await attempt(() => changed(change));
 }
 
 function button(name, number, changed) {
@@ -42,6 +41,7 @@ export function listenForUndo(changed) {
     const action = key === "z" ? (event.shiftKey ? redo : undo) : key === "y" ? redo : null;
     if (!action) return;
     event.preventDefault();
+    if (event.repeat) return; // held down: one change at a time
     action(changed);
   });
 }

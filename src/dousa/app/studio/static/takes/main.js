@@ -9,7 +9,7 @@ import { attempt, notify } from "../core/notices.js";
 import { pickClips } from "../core/pick.js";
 import { createTimeline } from "../core/timeline.js";
 import { makeLegend } from "../core/timeline_parts.js";
-import { listenForUndo } from "../core/undo.js";
+import { listenForUndo, undoButton } from "../core/undo.js";
 import { Desk } from "./desk.js";
 import { Review } from "./review.js";
 import { drawSegments, markSegment } from "./segments.js";
@@ -29,6 +29,7 @@ let timeline = null;
 let labels = []; // stretches with corrections, or those that were given
 let wantsGiven = true; // shows the given labels where there are some
 let jobShown = null;
+let loads = 0; // how often the labels were asked for
 
 const review = new Review({
   segments: () => labels,
@@ -39,13 +40,13 @@ const review = new Review({
     choose(segment);
   },
   onChoose: (segment) => choose(segment),
-  onLearn: (parts, replaced) => learn(parts, replaced),
+  onLearn: (part) => learn(part),
   isShown: () => !$("#take").hidden,
 });
 
 const desk = new Desk($("#now"), {
-  onCorrect: (part, category) => learn([{ ...part, category }]),
-  onUndo: (id) => undo(id),
+  onCorrect: (part, category) => learn({ ...part, category }),
+  onUndo: (id) => takeBack(id),
   onStretch: (segment) => choose(segment),
   onExport: (part) => exportPart(part.start, part.end),
 }, review.element);
@@ -132,9 +133,9 @@ const named = (segments) => segments.filter((one) => one.category).map((one) => 
 const kindOf = (one) => (one.corrected ? "corrected" : one.unknown ? "unknown" : "known");
 
 async function load() {
-  const name = motion;
+  const [name, turn] = [motion, ++loads];
   const answer = await get("/takes/labels", { motion: name });
-  if (name !== motion) return answer;
+  if (name !== motion || turn !== loads) return answer; // a later one knows more
   const given = wantsGiven ? answer.given : null;
   drawTools(answer.given);
   labels = given ? named(given.segments) : (answer.labels?.segments ?? []);
@@ -181,28 +182,26 @@ function drawProgress(job) {
 
 const placesOf = (category) => labels.filter((one) => one.category === category && !one.corrected).length;
 
-/** parts: [{start, end, category}] of one category; replaced: numbers of the corrections whose places they take. */
-async function learn(parts, replaced = []) {
-  const [{ category }] = parts;
+/** split: makes two parts; replaces: numbers of the corrections that go. All of it is undone in one step. */
+async function learn({ start, end, category, split = null, replaces = [] }) {
   const before = placesOf(category);
-  for (const { start, end } of parts)
-    if (!(await attempt(() => post("/takes/correct", { motion, start_s: start, end_s: end, category })))) return false;
-  const { corrections } = replaced.length ? await get("/takes/labels", { motion }) : { corrections: [] };
-  for (const { id } of corrections) if (replaced.includes(id)) await attempt(() => remove(`/takes/corrections/${id}`));
-  library.categories[category] = (library.categories[category] ?? 0) + parts.length;
+  const learned = await attempt(() => post("/takes/correct", { motion, start_s: start, end_s: end, category, split_s: split, replaces }));
+  if (!learned) return false;
+  library.categories[category] = (library.categories[category] ?? 0) + learned.corrections.length;
   desk.setCategories(Object.keys(library.categories));
   timeline.setSelection(null);
   desk.setPart(null);
   await attempt(load);
   await label();
   const more = placesOf(category) - before;
-  notify(t(more > 1 ? "learned_more" : more === 1 ? "learned_one" : "learned_here", { category, count: more }));
+  notify(t(more > 1 ? "learned_more" : more === 1 ? "learned_one" : "learned_here", { category, count: more }), "note", undoButton(learned.change, afterUndo));
   return true;
 }
 
-async function undo(id) {
-  if (!(await attempt(() => remove(`/takes/corrections/${id}`)))) return;
-  notify(t("undone"));
+async function takeBack(id) {
+  const answer = await attempt(() => remove(`/takes/corrections/${id}`));
+  if (!answer) return;
+  notify(t("undone"), "note", undoButton(answer.change, afterUndo));
   await attempt(load);
   await label();
 }

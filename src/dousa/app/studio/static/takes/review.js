@@ -10,8 +10,8 @@ const middle = (one) => 0.5 * (one.start_s + one.end_s);
 const isOpen = (one) => !one.corrected && one.confidence != null;
 
 export class Review {
-  /** tools: {segments() -> stretches, time() -> s, onGo(segment), onLearn([{start, end, category}], [ids of corrections
-   *  that these replace]) -> whether it was learned, onChoose({start_s, end_s, category}), isShown()} */
+  /** tools: {segments() -> stretches, time() -> s, onGo(segment), onLearn({start, end, category, split, replaces})
+   *  -> whether it was learned, onChoose({start_s, end_s, category}), isShown()} */
   constructor(tools) {
     Object.assign(this, { tools, seen: [], busy: false });
     const button = (name, act) => h("button", { type: "button", class: "small", id: `review-${name}`, title: t(`${name}_title`), "aria-keyshortcuts": Object.keys(KEYS).find((key) => KEYS[key] === name), onclick: act }, t(name));
@@ -55,7 +55,7 @@ export class Review {
 
   async confirm() {
     const { one } = this.now();
-    if (await this.learn([{ start: one.start_s, end: one.end_s, category: one.category }])) this.goNext();
+    if (await this.learn({ start: one.start_s, end: one.end_s, category: one.category })) this.goNext();
   }
 
   /** Two stretches of one; of something unknown what begins here is chosen, to be named. */
@@ -65,22 +65,20 @@ export class Review {
       this.tools.onChoose({ ...one, start_s: at });
       return;
     }
-    const { category } = one;
-    const parts = [{ start: one.start_s, end: at, category }, { start: at, end: one.end_s, category }];
-    if (at - one.start_s > one.end_s - at) parts.reverse(); // a part that is too short is refused before the other is learned
-    if (await this.learn(parts, one.corrected ? [one.corrected] : [])) this.tools.onChoose({ ...one, start_s: at });
+    const replaces = one.corrected ? [one.corrected] : [];
+    if (await this.learn({ start: one.start_s, end: one.end_s, split: at, category: one.category, replaces })) this.tools.onChoose({ ...one, start_s: at });
   }
 
   async join() {
     const { one, next } = this.now();
-    const replaced = [one, next].filter((part) => part.corrected).map((part) => part.corrected);
-    await this.learn([{ start: one.start_s, end: next.end_s, category: one.category ?? next.category }], [...new Set(replaced)]);
+    const replaces = [...new Set([one, next].filter((part) => part.corrected).map((part) => part.corrected))];
+    await this.learn({ start: one.start_s, end: next.end_s, category: one.category ?? next.category, replaces });
   }
 
-  async learn(parts, replaced = []) {
+  async learn(part) {
     this.busy = true;
     this.settle();
-    const learned = await this.tools.onLearn(parts, replaced);
+    const learned = await this.tools.onLearn(part);
     this.busy = false;
     this.settle();
     return learned;
