@@ -44,8 +44,7 @@ class Page:
     def open(self, path: Path, width: int = 1000, height: int = 900, scheme: str = "light") -> None:
         """Show a file in a window of that size; `scheme` is ``"light"`` or ``"dark"``."""
         self.resize(width, height)
-        features = [{"name": "prefers-color-scheme", "value": scheme}]
-        self.driver.execute_cdp_cmd("Emulation.setEmulatedMedia", {"features": features})
+        self.paint(scheme)
         self.driver.get_log("browser")
         self.driver.get(path.resolve().as_uri())
 
@@ -53,6 +52,11 @@ class Page:
         """Change the size of the view, CSS pixels; `ratio` is the device's pixels per CSS pixel."""
         metrics = {"width": width, "height": height, "deviceScaleFactor": ratio, "mobile": False}
         self.driver.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", metrics)
+
+    def paint(self, scheme: str) -> None:
+        """Let the page be ``"light"`` or ``"dark"``."""
+        features = [{"name": "prefers-color-scheme", "value": scheme}]
+        self.driver.execute_cdp_cmd("Emulation.setEmulatedMedia", {"features": features})
 
     def run(self, script: str, *values: Any) -> Any:
         """What a piece of script returns; it sees the values as ``arguments``."""

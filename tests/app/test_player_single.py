@@ -69,6 +69,42 @@ def load(page, name, data):
 # --- one figure
 
 
+def test_a_loop_comes_back_to_its_beginning_without_a_jump(one):
+    """At its end the figure moves to where it began; time stands still until then, and a seek ends it."""
+    one.run("player.setSpeed(0.25); player.loop(0.4, 1); player.seek(0.9)")
+    one.run(
+        """window.seen = [];
+        const look = () => {
+          if (player.time === 1) seen.push(document.querySelector(".dousa-player canvas").toDataURL());
+          if (!seen.length || player.time === 1) requestAnimationFrame(look);
+        };
+        look();
+        player.play();"""
+    )
+    one.wait("return seen.length && player.time < 0.9")
+    pictures = one.run("player.pause(); return seen")
+    assert len(set(pictures)) >= 3
+    # The last of them is nearly the first of the loop: further from the end than from the beginning.
+    change = """const done = arguments[2];
+        const load = (url) => new Promise((take) => { const i = new Image(); i.onload = () => take(i); i.src = url; });
+        const read = (image) => {
+          const c = document.createElement("canvas");
+          [c.width, c.height] = [image.width, image.height];
+          const context = c.getContext("2d");
+          context.drawImage(image, 0, 0);
+          return context.getImageData(0, 0, c.width, c.height).data;
+        };
+        Promise.all([arguments[0], arguments[1]].map(load)).then((both) => {
+          const [a, b] = both.map(read);
+          done(a.reduce((sum, value, k) => sum + Math.abs(value - b[k]), 0));
+        });"""
+    one.run("player.seek(0.4)")
+    one.settle()
+    first = one.run("return document.querySelector('.dousa-player canvas').toDataURL()")
+    apart = [one.driver.execute_async_script(change, picture, first) for picture in (pictures[0], pictures[-1])]
+    assert apart[1] < 0.5 * apart[0]
+
+
 def test_one_figure_has_only_the_buttons_that_it_needs(one):
     buttons = visible_buttons(one)
     assert {"Play", "One frame back", "Loop", "Mirror", "In place", "Front"} <= set(buttons)

@@ -16,6 +16,7 @@ import pytest
 pytest.importorskip("fastapi", reason="the studio is not installed: pip install 'dousa[studio]'")
 
 from app.browser import Page
+from app.studio.axe_core import AXE, find_faults
 from app.studio.evaluation_cases import write_dances
 from app.studio.studio_client import Client
 from dousa.app.studio import Settings, create_app
@@ -157,6 +158,12 @@ def show(browser: Page, running: Running) -> Iterator[Callable[..., Page]]:
     yield open_page
     # A page that is left open would ask a studio that is gone, and complain in the next test.
     browser.driver.get("about:blank")
+
+
+@pytest.fixture
+def faults() -> Callable[[Page], list[str]]:
+    """``faults(page)``: what axe-core finds wrong with what a page shows; nothing where there is no axe-core."""
+    return find_faults if AXE.is_file() else lambda page: []
 
 
 @pytest.fixture

@@ -2,53 +2,23 @@
 
 from __future__ import annotations
 
-import os
-from pathlib import Path
-
 import pytest
+
+from app.studio.axe_core import AXE
 
 KEYS = pytest.importorskip("selenium.webdriver", reason="selenium is not installed: pip install selenium").Keys
 
-ROOT = Path(__file__).resolve().parents[3]
-AXE = Path(os.environ.get("DOUSA_AXE", ROOT / "build" / "node_modules" / "axe-core" / "axe.min.js"))
-
 PAGES = ("/library", "/search?motion=clip:1", "/takes", "/evaluate?references=clip:1", "/estimate", "/live", "/api")
 
-RUN = """
-const done = arguments[arguments.length - 1];
-const say = (rule, node) => `${rule.id}: ${node.html.slice(0, 160)} ${node.failureSummary.split('\\n')[1]}`;
-axe.run(document, { resultTypes: ['violations'] }).then(
-  (found) => done({
-    passed: found.passes.length,
-    wrong: found.violations.flatMap((rule) => rule.nodes.map((node) => say(rule, node))),
-  }),
-  (error) => done({ passed: 0, wrong: [String(error)] }),
-);
-"""
 
-
-@pytest.fixture(scope="session")
-def axe() -> str:
-    """The script of axe-core."""
+@pytest.fixture
+def check(faults):
+    """As ``faults``; skips without axe-core."""
     if not AXE.is_file():
         pytest.skip(
             "no axe-core here: npm install --prefix build axe-core@4.14.1, or its axe.min.js named by DOUSA_AXE"
         )
-    return AXE.read_text(encoding="utf-8")
-
-
-@pytest.fixture
-def check(axe):
-    """``check(page)``: what is wrong with what a page shows; it must have found something right too."""
-
-    def look(page):
-        page.settle()
-        page.run(axe)
-        found = page.driver.execute_async_script(RUN)
-        assert found["wrong"] or found["passed"] > 10
-        return found["wrong"]
-
-    return look
+    return faults
 
 
 def wait_until_filled(page, path):

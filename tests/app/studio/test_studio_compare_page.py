@@ -27,7 +27,7 @@ def graded(client, dances):
     return found[:2], found[2]
 
 
-def test_evaluations_of_one_reference_stand_beside_each_other(show, client, graded):
+def test_evaluations_of_one_reference_stand_beside_each_other(show, client, graded, faults):
     (first, second), other = graded
     scores = [client.ask("GET", f"/api/jobs/{job}")["result"]["score"] for job in (first, second)]
     assert scores[1] > scores[0] + 2
@@ -50,6 +50,12 @@ def test_evaluations_of_one_reference_stand_beside_each_other(show, client, grad
     assert said.startswith("the grade rose from")
     page.wait("return document.querySelector('.compare-picture').naturalWidth > 100")
 
+    # The grade stands beside the name.
+    box = "return document.querySelector(arguments[0]).getBoundingClientRect().toJSON()"
+    boxes = [page.run(box, one) for one in (".compare-name", ".compare-grade")]
+    assert boxes[1]["left"] >= boxes[0]["right"] and abs(boxes[1]["top"] - boxes[0]["top"]) < 4
+    assert faults(page) == []
+
     page.run("document.querySelector('[name=compare-mode][value=pupils]').click()")
     rows = {name: cells for name, *cells in page.run(CELLS)}
     assert "best" in rows["Grade"][1] and "best" not in rows["Grade"][0]
@@ -63,12 +69,13 @@ def test_evaluations_of_one_reference_stand_beside_each_other(show, client, grad
     assert page.messages() == []
 
 
-def test_what_is_chosen_stays_in_the_address_and_is_of_one_reference(show, graded):
+def test_what_is_chosen_stays_in_the_address_and_is_of_one_reference(show, graded, faults):
     (first, second), other = graded
     page = show(f"/evaluate?compare={first},{second}", 390, 844, "dark", "ja")
     page.wait(FILLED)
     assert page.run("return document.documentElement.scrollWidth <= document.documentElement.clientWidth")
     page.wait("return document.querySelector('.compare-player canvas')")
+    assert faults(page) == []
     high = "return [...document.querySelectorAll('.dp-name')].map((e) => e.getBoundingClientRect().height)"
     assert len(page.run(high)) == 2 and max(page.run(high)) < 32  # one line each, however narrow
     page.run("document.querySelector(`.compare-row [data-job='${arguments[0]}']`).click()", other)

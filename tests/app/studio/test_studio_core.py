@@ -7,6 +7,7 @@ import html
 import json
 import os
 import re
+import time
 import warnings
 from importlib import resources
 
@@ -266,6 +267,37 @@ def test_space_is_shown_and_given_back(studio, bvh, wait_job):
     assert {used, fresh} <= {path.name for path in (home / "files").iterdir()}
     assert not (home / "files" / old).exists()
     assert studio.get(f"/api/jobs/{export['id']}").status_code == 404
+
+
+def test_uploads_of_forgotten_jobs_have_an_end_after_thirty_days(studio, bvh, wait_job):
+    """Only those that no job, no clip and no undo lives from; how old they are is told."""
+    home = studio.app.state.studio.workspace.root / "files"
+    motions, batches = [], {}
+    for name in ("forgotten", "asked", "young", "clip"):
+        answer = studio.post(
+            f"/api/uploads?name=hop/{name}.bvh", content=bvh.read_bytes() + b"\n" * len(motions)
+        ).json()
+        motions.append(answer["files"][0]["motion"])
+        batches[name] = answer["batch"]
+    for motion in motions[:3]:
+        wanted = {"references": [{"motion": "clip:1"}], "performance": {"motion": motion}}
+        job = wait_job(studio, studio.post("/api/jobs/evaluate", json=wanted).json()["id"])
+        if motion != motions[1]:
+            assert studio.delete(f"/api/jobs/{job['id']}").status_code == 200
+    wait_job(studio, studio.post("/api/jobs/add", json={"batch": batches["clip"]}).json()["id"])
+    (home / batches["clip"] / ".kept").write_text("")
+    old = time.time() - 40 * 86_400
+    for name in ("forgotten", "asked", "clip"):
+        for path in (home / batches[name] / ".kept", home / batches[name]):
+            os.utime(path, (old, old))
+    space = studio.get("/api/space").json()
+    assert space["old_bytes"] >= len(bvh.read_bytes()) and space["oldest_days"] == 40
+    assert studio.post("/api/space/free").json()["old_bytes"] == space["old_bytes"]
+    assert studio.post("/api/space/free?older_days=41").json()["freed_bytes"] == 0
+    assert studio.post("/api/space/free?older_days=30").json()["freed_bytes"] == space["old_bytes"]
+    assert {path.name for path in home.iterdir() if path.is_dir()} == set(batches.values()) - {batches["forgotten"]}
+    assert studio.get("/api/space").json()["oldest_days"] == 0
+    assert studio.post("/api/space/free?older_days=0").status_code == 422
 
 
 def test_what_an_interrupted_upload_left_goes_with_the_next_start(library_copy):

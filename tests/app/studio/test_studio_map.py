@@ -206,13 +206,17 @@ def cut(text):
     return "\n".join([f"Frames: {len(kept)}", lines[1], *kept]) + "\n"
 
 
-LOOKS = [{"width": 390, "height": 844}, {"width": 1440, "height": 900, "scheme": "dark"}, {"language": "ja"}]
-
-
-@pytest.mark.parametrize("look", LOOKS, ids=["phone", "dark", "japanese"])
-def test_it_fits_every_window(map_page, look):
-    page = map_page(**look)
-    assert page.run("return document.documentElement.scrollWidth <= innerWidth")
-    width, height = page.run(f"const m = {MAP}; return [m.view.width, m.view.height]")
-    assert min(width, height) >= 150
-    assert page.messages() == []
+def test_it_fits_every_window_and_axe_finds_nothing(map_page, faults):
+    for language, scheme, sizes in (
+        ("en", "dark", [(390, 844), (1440, 900)]),
+        ("ja", "light", [(2560, 1300), (1280, 720)]),
+    ):
+        page = map_page(width=sizes[0][0], height=sizes[0][1], scheme=scheme, language=language)
+        for size in sizes:
+            page.resize(*size)
+            page.settle()
+            assert page.run("return document.documentElement.scrollWidth <= innerWidth")
+            width, height = page.run(f"const m = {MAP}; return [m.view.width, m.view.height]")
+            assert min(width, height) >= 150
+            assert faults(page) == []
+        assert page.messages() == []

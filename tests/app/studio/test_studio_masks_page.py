@@ -130,7 +130,7 @@ def test_a_wrong_part_is_taken_away_and_the_model_fits_better(show, running, cle
     assert page.messages() == []
 
 
-def test_painting_keys_and_phones(show, running, spoiled, tmp_path):
+def test_painting_keys_and_phones(show, running, spoiled, tmp_path, faults):
     page = show("/estimate", 1440, 900)
     page.find("#material").send_keys(str(spoiled))
     page.wait(CAN_START, seconds=90)
@@ -173,6 +173,7 @@ def test_painting_keys_and_phones(show, running, spoiled, tmp_path):
         page.wait(SHOWN, "0/")
         assert page.run("return document.documentElement.scrollWidth <= document.documentElement.clientWidth")
         assert "フレーム" in text(page, "#masks-now")
+        assert faults(page) == []
 
 
 def test_silhouettes_without_cameras_are_repaired_and_saved_only(show, running, clean, tmp_path):

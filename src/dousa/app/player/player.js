@@ -12,9 +12,12 @@
 
 const SPEEDS = [0.25, 0.5, 1, 2];
 const LONGEST_STEP = 0.25; // s: after the page slept, play goes on from where it stood
+const [REST, RETURN] = [0.15, 0.4]; // s a loop of one motion rests at its end, and takes to come back to its beginning
 const QUIET = 400; // ms without change before a screen reader is told the time
 
 const ALONE = { time: 0, seen: true }; // the match where there is nobody to match
+
+const mixPlaces = (a, b, share) => a.map((value, k) => value + share * (b[k] - value));
 
 const players = []; // the one used last comes first: it gets the keys that nobody else wants
 
@@ -30,7 +33,8 @@ function describeFurniture(data) {
 class Player {
   constructor(element, data, options) {
     this.joints = { reference: new Float64Array(VALUES), performance: new Float64Array(VALUES) };
-    Object.assign(this, { time: 0, playing: false, speed: 1, looped: null, listeners: new Set(), waiting: 0 });
+    this.first = new Float64Array(VALUES);
+    Object.assign(this, { time: 0, turned: 0, playing: false, speed: 1, looped: null, listeners: new Set(), waiting: 0 });
     this.view = { mode: "side", sync: "step", mirror: false, inPlace: true };
     this.pageKeys = options.pageKeys !== false;
     this.load(data);
@@ -139,6 +143,7 @@ class Player {
   seek(seconds) {
     if (!Number.isFinite(seconds)) return;
     this.time = Math.min(Math.max(seconds, 0), this.duration);
+    this.turned = 0;
     this.tell();
   }
 
@@ -146,6 +151,7 @@ class Player {
     if (this.playing) return;
     const [start, end] = this.looped ?? [0, this.duration];
     if (this.time >= end - 1e-6) this.time = start;
+    this.turned = 0;
     this.playing = true;
     this.clock = null;
     this.tell();
@@ -165,6 +171,7 @@ class Player {
 
   loop(start, end) {
     const valid = Number.isFinite(start) && Number.isFinite(end) && Math.min(end, this.duration) > Math.max(start, 0);
+    this.turned = 0;
     this.looped = valid ? [Math.max(start, 0), Math.min(end, this.duration)] : null;
     if (this.looped && (this.time < this.looped[0] || this.time >= this.looped[1])) this.time = this.looped[0];
     this.tell();
@@ -315,29 +322,50 @@ class Player {
     if (this.playing) this.request();
   }
 
+  // What is judged jumps back to its beginning: film and music beside it do so too.
   advance(seconds) {
-    this.time += seconds;
     const [start, end] = this.looped ?? [0, this.duration];
-    if (this.time >= end) {
-      if (this.looped) {
-        this.time = start + Math.min(this.time - end, end - start) * 0.999;
-      } else {
-        this.time = this.duration;
-        this.playing = false;
-      }
+    const over = this.time + this.turned + seconds - end;
+    const pause = this.looped && !isAssessed(this.data) ? REST + RETURN : 0;
+    if (over < 0) {
+      this.time += seconds;
+    } else if (!this.looped) {
+      this.time = this.duration;
+      this.playing = false;
+    } else if (over < pause) {
+      Object.assign(this, { time: end, turned: over });
+    } else {
+      Object.assign(this, { time: start + Math.min(over - pause, end - start) * 0.999, turned: 0 });
     }
     for (const callback of [...this.listeners]) callback(this.time);
   }
 
+  // How far a loop has come back to its beginning, 0 to 1, slow at both ends.
+  get back() {
+    const share = Math.max(this.turned - REST, 0) / RETURN;
+    return share * share * (3 - 2 * share);
+  }
+
+  matchAt(time) {
+    return this.clips.reference ? this.matches[this.view.sync].at(time) : ALONE;
+  }
+
   render() {
-    const match = this.clips.reference ? this.matches[this.view.sync].at(this.time) : ALONE;
+    const match = this.matchAt(this.time);
+    const { back } = this;
+    const begin = back ? { performance: this.looped[0], reference: this.matchAt(this.looped[0]).time } : null;
     const current = this.currentEvents();
     const wrong = new Set(current.flatMap((index) => this.data.events[index].segments));
     const figure = (name, time) => {
       const clip = this.clips[name];
-      const gone = clip.sample(time, this.joints[name]);
+      const at = (wanted, joints) => ({ gone: clip.sample(wanted, joints), home: this.follow ? clip.smoothPlace(wanted) : this.middle });
+      let { gone, home } = at(time, this.joints[name]);
+      if (begin) {
+        const other = at(begin[name], this.first);
+        for (let k = 0; k < VALUES; k += 1) this.joints[name][k] += back * (this.first[k] - this.joints[name][k]);
+        [gone, home] = [mixPlaces(gone, other.gone, back), mixPlaces(home, other.home, back)];
+      }
       const place = this.view.inPlace ? [0, 0] : gone;
-      const home = this.follow ? clip.smoothPlace(time) : this.middle;
       return { clip, place, home, body: buildBody(this.joints[name], clip.scale, clip.absent) };
     };
     const reference = this.clips.reference ? figure("reference", match.time) : null;

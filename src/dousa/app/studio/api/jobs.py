@@ -120,9 +120,14 @@ def get_space(studio: StudioNow) -> Answer:
 
 
 @router.post("/space/free", summary="Give back disk space that nothing needs")
-def free(studio: StudioNow) -> Answer:
+def free(
+    studio: StudioNow,
+    older_days: Annotated[
+        int | None, Query(ge=1, le=36_500, description="also uploads of forgotten jobs, unused for so many days")
+    ] = None,
+) -> Answer:
     """Uploads that nothing uses and nobody has touched for an hour; exports that are over, with their files."""
-    return Answer(free_space(studio))
+    return Answer(free_space(studio, older_days))
 
 
 @router.get("/jobs", summary="All jobs, the newest first")

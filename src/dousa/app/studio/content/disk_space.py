@@ -18,13 +18,23 @@ if TYPE_CHECKING:
     from dousa.app.studio.content.studio import Studio
 
 
+OLD_DAYS = 30
+"""After which uploads that nothing names any more are offered to be taken away."""
+
+_DAY = 86_400.0  # s
+
+
 def describe_space(studio: Studio) -> dict[str, Any]:
     """Bytes of library, uploads and jobs, what `free_space` would give back, and what is left of the disk.
 
     ``removed_bytes`` are those of removed clips that the library keeps for an undo; `Library.compact` forgets them.
+    ``old_bytes`` are those of uploads that jobs lived from, which are forgotten, unused for `OLD_DAYS` and more.
     """
     root = studio.workspace.root
     library = studio.settings.library
+    mentioned = _list_mentioned(studio)
+    unused = studio.workspace.list_unused(mentioned)
+    outlived = _list_old(studio, mentioned, OLD_DAYS)
     return {
         "library_bytes": sum(
             measure(path)
@@ -35,22 +45,33 @@ def describe_space(studio: Studio) -> dict[str, Any]:
         "uploads_bytes": measure(root / "files"),
         "jobs_bytes": measure(root / "jobs"),
         "removed_bytes": sum(entry.kept_bytes for entry in studio.library.journal()),
-        "can_be_freed_bytes": sum(measure(path) for path in (*_list_exports(studio).values(), *_list_unused(studio))),
+        "can_be_freed_bytes": sum(measure(path) for path in (*_list_exports(studio).values(), *unused)),
+        "old_bytes": sum(measure(path) for path in outlived),
+        "oldest_days": int(max(outlived.values(), default=0.0) / _DAY),
         "disk_free_bytes": shutil.disk_usage(root).free,
     }
 
 
-def free_space(studio: Studio) -> dict[str, Any]:
-    """Take away uploads that nothing uses, and forget finished exports: they can be made again."""
-    before = describe_space(studio)["can_be_freed_bytes"]
-    for folder in _list_unused(studio):
+def free_space(studio: Studio, older_days: int | None = None) -> dict[str, Any]:
+    """Take away uploads that nothing uses, and forget finished exports: they can be made again.
+
+    Parameters
+    ----------
+    older_days : also uploads that a job lived from which is forgotten, and that were not used for so many days.
+    """
+    before = describe_space(studio)
+    mentioned = _list_mentioned(studio)
+    old = [] if older_days is None else list(_list_old(studio, mentioned, older_days))
+    size = before["can_be_freed_bytes"] + sum(measure(folder) for folder in old)
+    for folder in (*studio.workspace.list_unused(mentioned), *old):
         shutil.rmtree(folder, ignore_errors=True)
     Corrections(studio.workspace.root).forget_missing({clip.id for clip in studio.listing.now().clips})
     for job in _list_exports(studio):
         with suppress(RefusedError):  # somebody else forgot it
             studio.jobs.remove(job)
     after = describe_space(studio)
-    return {"freed_bytes": max(before - after["can_be_freed_bytes"], 0), **after}
+    left = after["can_be_freed_bytes"] + sum(measure(folder) for folder in old)
+    return {"freed_bytes": max(size - left, 0), **after}
 
 
 def _list_exports(studio: Studio) -> dict[str, Path]:
@@ -59,10 +80,18 @@ def _list_exports(studio: Studio) -> dict[str, Path]:
     return {job.id: studio.jobs.folder(job) for job in over}
 
 
-def _list_unused(studio: Studio) -> list[Path]:
-    """Batches that no job names and from which no clip comes, also none that an undo brings back."""
+def _list_old(studio: Studio, mentioned: str, days: int) -> dict[Path, float]:
+    found = studio.workspace.list_outlived(mentioned)
+    return {folder: age for folder, age in found.items() if age > days * _DAY}
+
+
+def _list_mentioned(studio: Studio) -> str:
+    """Text with every batch that a job names or from which a clip comes, also one that an undo brings back."""
     asked = [json.dumps([job.request for job in studio.jobs.all()])]
+    for path in (studio.workspace.root / "jobs").glob("*/*.json"):
+        with suppress(OSError):
+            asked.append(path.read_text(encoding="utf-8", errors="replace"))
     files = f"{studio.workspace.root / 'files'}{os.sep}"
     paths = [clip.path for clip in studio.listing.now().clips] + studio.library.removed_paths()
     asked += {path.removeprefix(files).partition(os.sep)[0] for path in paths if path.startswith(files)}
-    return studio.workspace.list_unused(" ".join(asked))
+    return " ".join(asked)

@@ -291,14 +291,32 @@ class Workspace:
         ----------
         mentioned : text in which every batch stands that is asked for by something that is kept.
         """
+        return [
+            folder
+            for folder, age, used in self._list_batches(mentioned)
+            if age > _REST and (used is None or used == _OF_LIBRARY)
+        ]
+
+    def list_outlived(self, mentioned: str) -> dict[Path, float]:
+        """Batches that a job once lived from and that nothing mentions any more, with the s since somebody used them.
+
+        Parameters
+        ----------
+        mentioned : as in `list_unused`.
+        """
+        return {folder: age for folder, age, used in self._list_batches(mentioned) if used == ""}
+
+    def _list_batches(self, mentioned: str) -> list[tuple[Path, float, str | None]]:
+        """Batches that are not mentioned, the s since their last use, and what says that they were kept."""
         found = []
         for folder in (self.root / "files").iterdir():
             with suppress(OSError):
-                rests = time.time() - folder.stat().st_mtime > _REST
+                if not _BATCH.fullmatch(folder.name) or folder.name in mentioned:
+                    continue
                 kept = folder / _KEPT
-                free = _BATCH.fullmatch(folder.name) and (not kept.exists() or kept.read_text() == _OF_LIBRARY)
-                if rests and free and folder.name not in mentioned:
-                    found.append(folder)
+                there = kept.exists()
+                last = max(folder.stat().st_mtime, kept.stat().st_mtime if there else 0.0)
+                found.append((folder, time.time() - last, kept.read_text() if there else None))
         return found
 
     def _clear_stale(self) -> None:

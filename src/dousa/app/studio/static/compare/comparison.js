@@ -65,7 +65,7 @@ export class Comparison {
   row(one) {
     const box = h("input", { type: "checkbox", checked: this.chosen.includes(one.id), dataset: { job: one.id }, onchange: () => this.choose(one, box.checked) });
     const grade = one.score === null ? t("compare_no_grade") : t("compare_grade_of", { score: Math.floor(one.score + 0.5) });
-    return h("label", { class: "check compare-row" }, box, h("span", { class: "compare-name" }, one.name), h("span", { class: "note" }, dateOf(one)), h("span", { class: "note" }, grade));
+    return h("label", { class: "check compare-row" }, box, h("span", { class: "compare-name" }, one.name), h("span", { class: "compare-grade" }, grade), h("span", { class: "note compare-date" }, dateOf(one)));
   }
 
   /** Those against another reference cannot stay: what is chosen is always of one. */
@@ -98,7 +98,7 @@ export class Comparison {
       return h("label", { class: "check" }, input, t(`compare_${value}`));
     };
     this.says = h("p", { class: "compare-says", role: "status" });
-    this.table = h("div", { class: "compare-scroll", tabindex: "0", role: "region", "aria-label": t("compare_title") });
+    this.table = h("div", { class: "compare-scroll", tabindex: "0", role: "region", "aria-label": t("compare_table") });
     this.picture = h("img", { class: "compare-picture", alt: t("compare_picture") });
     const figure = h("div", { class: "compare-player" });
     const choice = (word, at) => h("label", { class: "field" }, t(word), h("select", { onchange: () => this.showTwo(figure, selects, mine) }, ...jobs.map((one, place) => h("option", { value: one.id, selected: place === at }, `${one.name}, ${dateOf(one)}`))));

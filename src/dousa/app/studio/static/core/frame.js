@@ -116,8 +116,8 @@ const LARGE = 1e9; // bytes of a library from which fragments are worth it
 async function showSpace(answer = null) {
   const now = answer ?? (await get("/space").catch(() => null)); // the studio is away, which is said elsewhere
   if (!now) return;
-  const free = async () => {
-    const done = await attempt(() => post("/space/free"));
+  const free = async (asked = "") => {
+    const done = await attempt(() => post(`/space/free${asked}`));
     if (!done) return;
     notify(t("space_freed", { size: size(done.freed_bytes) }));
     showSpace(done);
@@ -128,9 +128,10 @@ async function showSpace(answer = null) {
   const compact = button("compact", t("space_forget_title"), t("space_forget", { size: size(now.removed_bytes) }), sure);
   const check = button("check", t("space_check_title"), t("space_check"), () => start("check", {}));
   const move = button("fragments", t("space_fragments_title"), t("space_fragments"), () => start("compact", { fragments: true }));
-  const act = button("free", t("space_free_title"), t("space_free", { size: size(now.can_be_freed_bytes) }), free);
+  const act = button("free", t("space_free_title"), t("space_free", { size: size(now.can_be_freed_bytes) }), () => free());
+  const old = button("old", t("space_old_title", { days: now.oldest_days }), t("space_old", { size: size(now.old_bytes) }), () => free("?older_days=30"));
   const kept = size(now.uploads_bytes + now.jobs_bytes);
-  space.replaceChildren(h("p", {}, t("space", { library: size(now.library_bytes), kept, free: size(now.disk_free_bytes) })), ...(now.can_be_freed_bytes > 0 ? [act] : []), ...(now.removed_bytes > 0 ? [compact] : []), ...(now.library_bytes > LARGE && !now.has_fragments ? [move] : []), check);
+  space.replaceChildren(h("p", {}, t("space", { library: size(now.library_bytes), kept, free: size(now.disk_free_bytes) })), ...(now.can_be_freed_bytes > 0 ? [act] : []), ...(now.old_bytes > 0 ? [old] : []), ...(now.removed_bytes > 0 ? [compact] : []), ...(now.library_bytes > LARGE && !now.has_fragments ? [move] : []), check);
 }
 
 /** Which job of the tray has the focus, and which of its buttons; the tray itself has none. */
