@@ -51,7 +51,8 @@ def test_tags_stars_and_what_is_kept(library_page, running):
     page.find(".cell").click()
     page.press("f")
     page.wait("return !document.querySelector('.cell .star').hidden")
-    page.press(KEYS.ARROW_RIGHT, held=KEYS.SHIFT)
+    page.press(KEYS.ARROW_RIGHT, held=KEYS.SHIFT)  # what is chosen while the page still reads the star stays chosen
+    page.wait("return document.querySelector('.chosen-count').textContent.startsWith('2')")
     click(page, "[data-word=tags]")
     assert page.run("return document.querySelector('[data-tag=favourite] .note').textContent") == "some have it"
     page.find("#tag-new").send_keys("fight", KEYS.ENTER)

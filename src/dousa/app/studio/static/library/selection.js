@@ -75,7 +75,10 @@ export class Selection {
   /** What is known of the chosen clips is what they are now; those that are gone are chosen no more. */
   async refresh() {
     if (!this.size) return;
-    this.clips = new Map(await this.hooks.findAgain(this.ids));
+    const asked = new Set(this.ids);
+    const found = new Map(await this.hooks.findAgain([...asked]));
+    const now = [...this.clips].filter(([id]) => found.has(id) || !asked.has(id)); // others may have been chosen meanwhile
+    this.clips = new Map(now.map(([id, clip]) => [id, found.get(id) ?? clip]));
     this.hooks.changed();
   }
 
