@@ -373,6 +373,25 @@ def is_stale(path):
     return bool(run_sql(path, query)[0][0])
 
 
+def test_a_training_that_memory_has_no_room_for_writes_windows_one_by_one(
+    library, path_with_take, write_move, tmp_path, monkeypatch
+):
+    for k in range(2):
+        library.add(write_move(tmp_path / "other" / f"b{k}.bvh", "bow", 70 + k), kind="take")
+    query = "SELECT clip_id, data FROM take_windows ORDER BY clip_id"
+    steps, seen = [], []
+    for most in (1 << 29, 0):
+        monkeypatch.setattr(takes, "_MOST_KEPT", most)
+        library.train(n_trees=30, progress=lambda done, total, what: steps.append((done, what.code)))
+        seen.append(run_sql(path_with_take, query))
+        assert library.check().is_sound
+    assert len(seen[0]) == 3
+    assert seen[0] == seen[1]
+    assert steps[-1][0] == 6
+    stale = "SELECT count(*) FROM take_windows, forests WHERE take_windows.learned != forests.learned"
+    assert run_sql(path_with_take, stale) == [(0,)]
+
+
 def test_windows_that_a_killed_program_left_behind_are_described_by_the_next(
     library, path_with_take, write_move, tmp_path, monkeypatch
 ):

@@ -35,7 +35,7 @@ if TYPE_CHECKING:
 
 _ALIKE = 0.5
 _SAME_PLACE = 0.3  # intersection over union of two answers that are the same place
-_MOST_KEPT = 1 << 29  # bytes of windows that stay in memory: some 10 hours of takes
+_MOST_KEPT = 1 << 29  # bytes of windows that stay in memory: some 10 hours of takes, 20 in a training
 
 
 def describe_windows(
@@ -56,8 +56,9 @@ def describe_takes(
     n_jobs: int | None = 1,
     progress: Callable[[int, int], None] | None = None,
 ) -> dict[int, bytes]:
-    """Windows of all takes, by number, but those that this forest described already are ``known``.
+    """Windows of takes, by number, but those that this forest described already are ``known``.
 
+    Of all, unless these are many: then of some, and ``refresh_windows`` describes the others when they are written.
     ``progress`` is called with (takes described, takes to describe).
     """
     table = schema.clips.c
@@ -65,9 +66,13 @@ def describe_takes(
     ids = [row.id for row in rows if not lacks(stored.feature_set, row.absent)]
     windows = {clip_id: known[clip_id] for clip_id in ids if known and clip_id in known}
     new = [clip_id for clip_id in ids if clip_id not in windows]
+    size = sum(map(len, windows.values()))
     for done, clip_id in enumerate(new, 1):
+        if size > _MOST_KEPT:
+            break
         (motion,) = load_motions(connection, [clip_id])  # one at a time: they are long
         windows[clip_id] = describe_windows(stored, motion, n_jobs).to_bytes()
+        size += len(windows[clip_id])
         if progress is not None:
             progress(done, len(new))
     return windows
@@ -80,20 +85,30 @@ def save_windows(connection: sa.Connection, stored: StoredForest, windows: Mappi
         connection.execute(sa.insert(schema.take_windows), rows)
 
 
-def refresh_windows(database: Database, stored: StoredForest, n_jobs: int | None) -> None:
-    """Describe the takes anew that an earlier state of the forest described; each is written when it is done."""
+def refresh_windows(
+    database: Database,
+    stored: StoredForest,
+    n_jobs: int | None,
+    progress: Callable[[int, int], None] | None = None,
+) -> None:
+    """Describe the takes anew that an earlier state of the forest described; each is written when it is done.
+
+    ``progress`` is called with (takes described, takes to describe).
+    """
     clips, table = schema.clips.c, schema.take_windows.c
     query = sa.select(clips.id, clips.absent).where(clips.kind == schema.TAKE)
     query = query.join(schema.take_windows, table.clip_id == clips.id, isouter=True)
     with database.reading() as connection:
         rows = connection.execute(query.where(table.learned.is_distinct_from(stored.learned)))
         stale = [row.id for row in rows if not lacks(stored.feature_set, row.absent)]
-    for clip_id in stale:
+    for done, clip_id in enumerate(stale, 1):
         with database.reading() as connection:
             (motion,) = load_motions(connection, [clip_id])
         windows = describe_windows(stored, motion, n_jobs).to_bytes()
         if not _replace_windows(database, stored, clip_id, windows):
             return  # another program has changed the library, and sees to it
+        if progress is not None:
+            progress(done, len(stale))
 
 
 def _replace_windows(database: Database, stored: StoredForest, clip_id: int, windows: bytes) -> bool:

@@ -41,7 +41,7 @@ from dousa.library.forests import (
     save_answers,
 )
 from dousa.library.results import TrainReport
-from dousa.library.takes import describe_takes, save_windows
+from dousa.library.takes import describe_takes, refresh_windows, save_windows
 from dousa.library.text.meanings import find_meanings
 from dousa.library.text.store import keep_all_relations, keep_relations_of
 from dousa.messages import Message
@@ -72,6 +72,8 @@ def train_forest(
     progress: TrainProgress | None = None,
 ) -> tuple[StoredForest, TrainReport]:
     """Fit a forest to the clips of a library and store it with all that it says, in one transaction.
+
+    Windows of very many takes are written afterwards, one take after the other.
 
     Parameters
     ----------
@@ -109,6 +111,8 @@ def train_forest(
     report(5, _STEPS, Message("library_training.writing"))
     keep_all_relations(database)
     stored = _store(database, stored, replace(answers, windows=windows), labeller)
+    del windows
+    refresh_windows(database, stored, n_jobs, tell_takes)
     report(_STEPS, _STEPS, Message("library_training.done"))
     n_clips, n_labelled = len(answers.clips.ids), sum(counts.values())
     done = TrainReport(
@@ -128,7 +132,7 @@ def train_forest(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Answers:
-    """What a forest says of the library at a revision: of all clips, and the windows of all takes.
+    """What a forest says of the library at a revision: of all clips, and the windows of takes, if not of too many.
 
     The features of the clips are left out: they are most of what a training has in memory.
     """
