@@ -7,6 +7,10 @@ BLENDER ?= 4.5
 
 # Left to `make test-slow`: pages in a browser, commands of the documents, long properties.
 SLOW := browser or documents or slow
+# A worker begins with its own half and takes from the other's when it is done: files stay together, and what their tests
+# share is made and compiled once. Tests start many processes: each would compile the whole package anew where Python is
+# told to keep nothing of it.
+PYTEST := PYTHONDONTWRITEBYTECODE= $(BIN)/pytest -n $(JOBS) --dist worksteal
 # `make test COVERAGE=1` adds what it ran to the data that `make coverage` prints.
 COVERED := $(if $(COVERAGE),--cov --cov-append --cov-report=)
 
@@ -20,16 +24,18 @@ studio: $(VENV)/.demo
 	$(BIN)/dousa demo --studio
 
 test: $(VENV)/.dev lint
-	$(BIN)/pytest -n $(JOBS) -m "not ($(SLOW))" $(COVERED)
+	$(PYTEST) -m "not ($(SLOW))" $(COVERED)
 
 test-slow: $(VENV)/.dev
-	$(BIN)/pytest -n $(JOBS) -m "$(SLOW)" $(COVERED)
+	$(PYTEST) -m "$(SLOW)" $(COVERED)
 
 # The tests of libraries once more, each library a database of a PostgreSQL server that they start.
 test-postgres: $(VENV)/.dev
-	DOUSA_TEST_DATABASE=postgresql $(BIN)/pytest -n $(JOBS) -m "not ($(SLOW))" tests/library $(COVERED)
+	DOUSA_TEST_DATABASE=postgresql $(PYTEST) -m "not ($(SLOW))" tests/library $(COVERED)
 
-test-all: test test-slow
+# Both in one go, which reads the tests once.
+test-all: $(VENV)/.dev lint
+	$(PYTEST) $(COVERED)
 
 lint: $(VENV)/.dev
 	$(BIN)/ruff check src tests benchmarks docs blender .ci

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import functools
 import itertools
 import re
 import subprocess
@@ -76,17 +77,20 @@ def list_imports(path: Path) -> Iterator[str]:
             yield from (name.name for name in node.names)
 
 
-IMPORTS = {
-    name: sorted({there for there in list_imports(path) if there in MODULES and there != name})
-    for name, path in MODULES.items()
-}
+@functools.cache
+def all_imports() -> dict[str, list[str]]:
+    """Modules of dousa that each imports. Read when a test asks: whoever collects the tests need not wait for it."""
+    return {
+        name: sorted({there for there in list_imports(path) if there in MODULES and there != name})
+        for name, path in MODULES.items()
+    }
 
 
 def find_ways(folder: str) -> dict[Way, str]:
     """Imports between the parts of a folder, files and sub-folders, each with a file that does it."""
     home = SOURCE / folder
     ways: dict[Way, str] = {}
-    for name, there in ((name, there) for name, all_there in IMPORTS.items() for there in all_there):
+    for name, there in ((name, there) for name, all_there in all_imports().items() for there in all_there):
         here_path, there_path = MODULES[name], MODULES[there]
         if home not in here_path.parents or home not in there_path.parents:
             continue
@@ -127,7 +131,7 @@ def test_every_folder_with_rooms_inside_has_a_diagram():
 
 def test_no_circle_between_files():
     """Files are taken away whose imports are all gone; those of a circle are left."""
-    left = {name: set(there) for name, there in IMPORTS.items()}
+    left = {name: set(there) for name, there in all_imports().items()}
     while free := [name for name, there in left.items() if not there & left.keys()]:
         for name in free:
             del left[name]
@@ -142,7 +146,7 @@ def test_folders_are_small_and_private_files_are_few():
 
 
 def test_private_files_are_used_by_their_own_folder_alone():
-    for name, all_there in IMPORTS.items():
+    for name, all_there in all_imports().items():
         for there in all_there:
             if there.rpartition(".")[2].startswith("_"):
                 assert MODULES[there].parent in MODULES[name].parents, f"{name} imports {there}"

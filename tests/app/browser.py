@@ -13,6 +13,8 @@ from typing import Any
 
 import pytest
 
+from patience import PATIENCE
+
 __all__ = ["Page", "open_browser"]
 
 _FLAGS = (
@@ -62,11 +64,11 @@ class Page:
         """What a piece of script returns; it sees the values as ``arguments``."""
         return self.driver.execute_script(script, *values)
 
-    def wait(self, script: str, *values: Any, seconds: float = 20.0) -> Any:
-        """Wait until the script returns something true, and return that."""
+    def wait(self, script: str, *values: Any, seconds: float = PATIENCE) -> Any:
+        """Wait until the script returns something true, and return that; fewer seconds than `PATIENCE` are not kept."""
         from selenium.webdriver.support.ui import WebDriverWait
 
-        waiting = WebDriverWait(self.driver, seconds, poll_frequency=0.02)
+        waiting = WebDriverWait(self.driver, max(seconds, PATIENCE), poll_frequency=0.02)
         return waiting.until(lambda driver: driver.execute_script(script, *values), script)
 
     def settle(self) -> None:
@@ -120,7 +122,7 @@ def open_browser(profile: Path) -> Iterator[Page]:
     service = webdriver.ChromeService(chromedriver, env=environment, log_output=subprocess.DEVNULL)
     driver = webdriver.Chrome(options=options, service=service)
     try:
-        driver.set_script_timeout(20)
+        driver.set_script_timeout(PATIENCE)
         yield Page(driver)
     finally:
         driver.quit()

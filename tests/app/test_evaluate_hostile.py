@@ -16,6 +16,7 @@ from dousa.evaluation import read_furi, read_weights, write_furi
 from dousa.evaluation.figures.furi import Furi
 from dousa.formats.registry import write_motion
 from dousa.motion.synthetic.performers import draw_performer, make_motion
+from patience import PATIENCE
 
 cli = importlib.import_module("dousa.app.cli.main")  # the package gives the function of this name
 _COMMAND = "from dousa.app.cli.main import main; main()"
@@ -110,7 +111,7 @@ def _start(motion: Path, *words: str, closed: int) -> subprocess.CompletedProces
     """Evaluate a motion against itself in a process whose stream 1 or 2 is closed from the beginning."""
     words = ("evaluate", str(motion), "-p", str(motion), *words)
     command = ["sh", "-c", f'exec "$@" {closed}>&-', "sh", sys.executable, "-c", _COMMAND, *words]
-    return subprocess.run(command, capture_output=True, text=True, check=False, timeout=120)
+    return subprocess.run(command, capture_output=True, text=True, check=False, timeout=PATIENCE)
 
 
 @pytest.mark.parametrize("words", [("--noise", "inf"), ("--noise", "1e9"), ("--timing", "inf"), ("--noise", "nan")])

@@ -12,6 +12,7 @@ from dousa.app.films import film_views
 from dousa.app.films.film_scene import shows_masks
 from dousa.errors import KeypointError
 from dousa.estimation.keypoints.keypoints import MEDIAPIPE_NAMES, ViewKeypoints
+from patience import PATIENCE
 
 
 def make_view(film):
@@ -43,7 +44,7 @@ def test_what_is_no_film_is_no_film_of_masks(tmp_path, content):
 
 
 def test_two_films_are_looked_at_at_the_same_time_and_come_in_their_order(finders):
-    both = threading.Barrier(2, timeout=60)
+    both = threading.Barrier(2, timeout=PATIENCE)
     finders["a"] = finders["b"] = lambda note: both.wait()
     assert [view.source for view in open_all("abc")] == ["a", "b", "c"]
 

@@ -6,11 +6,12 @@ import subprocess
 import sys
 
 import dousa
+from patience import PATIENCE
 
 
 def run(*arguments):
     command = [sys.executable, "-m", "dousa", *arguments]
-    return subprocess.run(command, check=False, capture_output=True, text=True, timeout=120)
+    return subprocess.run(command, check=False, capture_output=True, text=True, timeout=PATIENCE)
 
 
 def test_the_package_is_the_command_line():

@@ -44,6 +44,7 @@ _RULES = (
     ),
     _Rule(r"pip install .*", How.INSTALLED),
     _Rule(r"(?:python )?benchmarks/(?:\w+\.py|studio_\w+\.py .*)", How.BENCHMARK),  # those of the studio take an hour
+    _Rule(r"benchmarks/partial_bodies\.py --library LIB", How.BENCHMARK),  # LIB is a reader's own
     _Rule(r"(?:python )?benchmarks/\w+\.py .*", How.SMALL),
     _Rule(r"python docs/measure_\w+\.py .*", How.SMALL),
     _Rule(r"dousa experiment(?:-\w+)? .*\.\./shared/data/.*", How.SMALL),
@@ -70,7 +71,7 @@ _PLACEHOLDERS = {
 _LESS = {
     "dousa experiment-estimation ../shared/data/silhouette_bench --views 1,2,4": "--variant noisy",
     "dousa experiment-estimation ../shared/data/silhouette_bench/cmu86": "--frames 40:42 --views 2",
-    r"dousa experiment .* --takes": "--trees 10",
+    r"dousa experiment .*": "--trees 10",
     "dousa experiment-estimation FOLDER": "--variant noisy --views 2",
     "python docs/measure_estimation.py kinect": "--quick --cache kept",
     "python docs/measure_estimation.py retrieval": "--quick --subjects 1,3 --cache kept",
@@ -81,6 +82,10 @@ _LESS = {
     "python docs/measure_chain.py": "--wrong 1",
     "python benchmarks/ranking_weights.py": "--repeats 1",
     "benchmarks/label.py": "--minutes 1",
+    "python benchmarks/count_repetitions.py": "--only synthetic --repeats 1",
+    "python benchmarks/search.py --train": "--train 60 --categories 3",
+    "python benchmarks/label_corrections.py": "--quick",
+    "python benchmarks/likeness.py": "--trees 10 --queries 1 --report hdm05",
     "python benchmarks/count_labelled.py": "--folds 0 --only Intelli",
     "python benchmarks/label_disturbed.py": "--only HDM05",
     "python benchmarks/confidence.py": "--only hdm05 --folds 1 --find 2",
@@ -97,8 +102,8 @@ _ONE_CATEGORY = {
     "/utd_mhad/skeleton": "/utd_mhad/skeleton/squat",
 }
 
-# The least that each benchmark can do. Those with --memory, --length or --first do a part of themselves in a process
-# of its own, which is what is run here; the whole compiles everything anew for half a minute.
+# The least that each benchmark can do, of those that no page runs. Those with --memory, --length or --first do a part
+# of themselves in a process of its own, which is run here; the whole compiles everything anew for half a minute.
 BENCHMARKS = {
     "assess.py": "--memory --minutes 0.2 --rate 30",
     "compare_versions.py": f"--before '{ROOT}' --only features",
@@ -106,12 +111,8 @@ BENCHMARKS = {
     "film_cameras.py": "--help",  # it needs the pose models
     "keypoints.py": "--help",  # it needs the pose models
     "made_people.py": "--help",  # likewise, and a mesh
-    "confidence.py": "../shared/data --only hdm05 --folds 1 --find 2",
-    "count_labelled.py": "../shared/data --folds 0 --only Intelli",
-    "count_repetitions.py": "../shared/data --only synthetic --repeats 1",
     "correlation_matrix.py": "--frames 200 --repeats 1",
     "body_offsets.py": "--pairs 1",
-    "correspondence.py": "--memory --frames 400",
     "estimate.py": "--length 4 --threads 1",
     "partial_bodies.py": "--set HDM05 --only legs --seeds 1",
     "noisy_clips.py": "--set HDM05 --repeats 1 --calibrated 1",
@@ -123,22 +124,18 @@ BENCHMARKS = {
     "in_turns.py": f"--before '{ROOT}' --rounds 1 --command 'forest_query.py --clips 60 --classes 3'",
     "library_flips.py": "--flips 4",
     "library_kill.py": "--kills 2 --only tag",
-    "label.py": "../shared/data/utd_mhad/skeleton --minutes 1",
-    "label_disturbed.py": "../shared/data --only HDM05",
-    "label_corrections.py": "../shared/data/utd_mhad/skeleton --performer-from name:_s(.)_ --trials 1",
     "library_add.py": "../shared/data/bandai/run --jobs 1 --repeats 1 --peer-files 1",
     "ranking.py": "../shared/data/utd_mhad/skeleton --performer-from name:_s(.)_ --queries 1",
     "read_amc.py": "../shared/data",
     "read_bvh.py": "../shared/data",
     "recognition.py": "",
-    "retargeting.py": "--pairs 2",
+    "retargeting.py": "--pairs 2",  # a page only draws
     "many_writers.py": "--clips 60 --files 1 --trees 3",
-    "scale.py": "60 --categories 3",
-    "search.py": "--clips 60 --categories 3",
     "subsamples.py": "--clips 200 --drawn 50 --folds 1",
-    "segment_confidence.py": "../shared/data --only hdm05",
+    "scale.py": "60 --categories 3",
     # These start a server and ask it, as tests/app/studio does: only their options are read.
     **{path.name: "--help" for path in sorted((ROOT / "benchmarks").glob("studio_*.py"))},
+    "search.py": "--clips 60 --categories 3",  # a page only trains
     "silhouette_candidates.py": "--candidates 100 --limbs left_forearm",
     "weigh_install.py": "--help",  # it needs the package index
     # These take minutes to an hour; two of them write what the package ships.

@@ -37,7 +37,7 @@ _CHOSEN = {
     "cmu86": (("*", 3),),
     "utkinect": (("s0[12]_e0[12].*", 8),),
     "pose2sim": (("Standing*.trc", 1), ("background/*", 4), ("calibration/*", 1)),
-    "utd_mhad": tuple((f"skeleton/{what}/*_s{who}_*", 2) for what in _UTD_MHAD for who in (1, 3, 5, 7)),
+    "utd_mhad": tuple((f"skeleton/{what}/*_s{who}_*", 2) for what in _UTD_MHAD for who in (1, 3, 7)),
     "silhouette_bench": (("cmu86_walk_clean.npz", 1),),
     "foreign": (("addbiomechanics/DJ1.trc", 1), ("pybvh/bvh_test2.bvh", 1), ("opensim/arm26*.trc", 1)),
 }

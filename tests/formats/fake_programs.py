@@ -18,7 +18,7 @@ else:
 data = open(source, "rb").read()
 mark = {mark!r}
 if behaviour == "hang":
-    time.sleep(60)
+    time.sleep(3600)
 elif behaviour == "crash":
     print("Error: no such\\nbone\\a")
     sys.exit(1)

@@ -27,6 +27,7 @@ import pytest
 import sqlalchemy as sa
 
 from dousa.library import opening
+from patience import PATIENCE
 
 WANTED = os.environ.get("DOUSA_TEST_DATABASE", "")
 _START = "postgresql+psycopg://"
@@ -66,15 +67,19 @@ def run_server() -> Iterator[str]:
         shutil.chown(folder, owner)
         as_owner = {"user": owner}
     data, log = folder / "data", folder / "log"
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        port = probe.getsockname()[1]
-    options = f"{_OPTIONS} -c port={port} -c unix_socket_directories={folder}"
-    control = [find_program("pg_ctl"), "-D", data, "-w"]
+    control = [find_program("pg_ctl"), "-D", data, "-w", "-t", str(round(PATIENCE))]
     quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL, "cwd": folder, **as_owner}
     make = [find_program("initdb"), "-D", data, "-A", "trust", "-U", owner, "-E", "UTF8", "--no-sync"]
     subprocess.run(make, check=True, **quiet)
-    subprocess.run([*control, "-l", log, "-o", options, "start"], check=True, **quiet)
+    for _ in range(10):  # somebody may take the port before the server does
+        with socket.socket() as probe:
+            probe.bind(("127.0.0.1", 0))
+            port = probe.getsockname()[1]
+        options = f"{_OPTIONS} -c port={port} -c unix_socket_directories={folder}"
+        if not subprocess.run([*control, "-l", log, "-o", options, "start"], check=False, **quiet).returncode:
+            break
+    else:
+        raise RuntimeError(f"PostgreSQL does not start: {log.read_text(errors='replace')}")
     try:
         yield f"{_START}{owner}@127.0.0.1:{port}"
     finally:

@@ -12,6 +12,7 @@ from pathlib import Path
 import pytest
 
 from dousa.library import Library
+from fuzzing import count_tries
 from library.database_server import address
 
 _PROGRAM = """
@@ -49,12 +50,13 @@ def check(path: Path) -> None:
             assert connection.exec_driver_sql("PRAGMA foreign_key_check").all() == []
 
 
+@pytest.mark.fuzz
 @pytest.mark.slow
 @pytest.mark.skipif(not hasattr(signal, "SIGKILL"), reason="this system cannot kill programs outright")
 def test_a_killed_program_leaves_a_whole_library(tmp_path, moves, write_move):
     path, take = tmp_path / "m.dousa", write_move(tmp_path / "take.bvh", "bow", 90, n_frames=120)
     chance = random.Random(0)
-    for _ in range(6):
+    for _ in range(count_tries(12)):
         program = subprocess.Popen(
             [sys.executable, "-c", _PROGRAM, address(path, create=True), moves, take], stdout=subprocess.PIPE, text=True
         )
@@ -73,12 +75,13 @@ def test_a_killed_program_leaves_a_whole_library(tmp_path, moves, write_move):
         assert library.stats().n_clips == 15
 
 
+@pytest.mark.fuzz
 @pytest.mark.slow
 @pytest.mark.sqlite  # these are files
 @pytest.mark.skipif(not hasattr(signal, "SIGKILL"), reason="this system cannot kill programs outright")
 def test_every_writing_command_can_be_killed_and_done_again():
     program = Path(__file__).resolve().parents[2] / "benchmarks" / "library_kill.py"
-    words = [sys.executable, str(program), "--kills", "12", "--seed", "5"]
+    words = [sys.executable, str(program), "--kills", str(count_tries(24)), "--seed", "5"]
     outcome = subprocess.run(words, capture_output=True, text=True, check=False)
     assert outcome.stdout.splitlines()[-1].endswith(": 0 faults"), outcome.stdout + outcome.stderr
     assert outcome.returncode == 0

@@ -26,6 +26,7 @@ from dousa.errors import (
 from dousa.library import Library, schema
 from dousa.library import engine as _engine
 from dousa.library import opening as _opening
+from fuzzing import count_tries
 from library.database_server import address, connect_plainly, run_sql
 
 
@@ -117,10 +118,11 @@ def test_a_file_that_was_cut_short(library_file, moves, share):
 
 
 @pytest.mark.sqlite
+@pytest.mark.fuzz
 @pytest.mark.slow
 def test_flipped_bytes_give_library_errors_or_nothing(library_file, moves):
     data = library_file.read_bytes()
-    step = len(data) // 40
+    step = len(data) // count_tries(40)
     for start in range(100, len(data), step):
         library_file.write_bytes(
             data[:start] + bytes(255 - byte for byte in data[start : start + 64]) + data[start + 64 :]

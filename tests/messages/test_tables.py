@@ -6,6 +6,7 @@ import ast
 import string
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -129,20 +130,29 @@ def list_calls(path: Path) -> Iterator[Call]:
             yield Call(place, codes, values)
 
 
-CALLS = [call for path in sorted(SOURCE.rglob("*.py")) for call in list_calls(path)]
-SENTENCES = [call for call in CALLS if call.is_sentence]
-CODED = [call for call in CALLS if not call.is_sentence]
-TEXTS = "\n".join(path.read_text(encoding="utf-8") for path in sorted(SOURCE.rglob("*.py")))
+@cache
+def all_calls() -> list[Call]:
+    """Every message in the program. Read when a test asks: whoever collects the tests need not wait for it."""
+    return [call for path in sorted(SOURCE.rglob("*.py")) for call in list_calls(path)]
+
+
+def coded_calls() -> list[Call]:
+    return [call for call in all_calls() if not call.is_sentence]
+
+
+@cache
+def all_texts() -> str:
+    return "\n".join(path.read_text(encoding="utf-8") for path in sorted(SOURCE.rglob("*.py")))
 
 
 def test_no_sentence_stands_in_the_program():
-    assert [call.place for call in SENTENCES] == []
+    assert [call.place for call in all_calls() if call.is_sentence] == []
 
 
 @pytest.mark.parametrize("language", LANGUAGES)
 def test_every_code_has_its_words(language):
     table = {*load_table(language), *WITHOUT_ENTRY}
-    assert [f"{call.place}: {code}" for call in CODED for code in call.codes if code not in table] == []
+    assert [f"{call.place}: {code}" for call in coded_calls() for code in call.codes if code not in table] == []
 
 
 def test_both_tables_have_the_same_entries():
@@ -160,7 +170,7 @@ def test_every_value_of_the_words_is_given():
     table = load_table(LANGUAGES[0])
     missing = [
         f"{call.place}: {code} lacks {sorted(list_fields(table[code]) - call.values)}"
-        for call in CODED
+        for call in coded_calls()
         for code in call.codes
         if code in table and call.values is not None and not list_fields(table[code]) <= call.values
     ]
@@ -171,7 +181,7 @@ def test_every_value_given_is_used():
     """By one at least of the codes that a call chooses from."""
     table = load_table(LANGUAGES[0])
     unused = []
-    for call in CODED:
+    for call in coded_calls():
         used = OWN_VALUES.union(*(list_fields(table.get(code, "")) for code in call.codes))
         if call.values is not None and not call.values <= used and not set(call.codes) & WITHOUT_ENTRY:
             unused.append(f"{call.place}: {call.codes} does not use {sorted(call.values - used)}")
@@ -180,11 +190,11 @@ def test_every_value_given_is_used():
 
 def is_used(code: str, used: set[str]) -> bool:
     """Whether a call has this code; one in a table of literals for a call elsewhere stands in quotes somewhere."""
-    return code in used or code.startswith(FOUND_BY_NAME) or f'"{code}"' in TEXTS
+    return code in used or code.startswith(FOUND_BY_NAME) or f'"{code}"' in all_texts()
 
 
 def test_every_entry_is_used():
-    used = {code for call in CODED for code in call.codes} | BUILT_IN
+    used = {code for call in coded_calls() for code in call.codes} | BUILT_IN
     unused = [code for code in load_table(LANGUAGES[0]) if not is_used(code.removeprefix("studio_instead."), used)]
     assert [code for code in unused if not is_used(code, used)] == []
 

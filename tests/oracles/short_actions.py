@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import functools
+
 import numpy as np
 from oracles.standing import standing
 
 from dousa.motion.canonical.joints import JOINT_INDEX as J
 from dousa.retrieval.features.posed_motion import LabelledClip
+from dousa.retrieval.takes.labeller_training import train_labeller
+from dousa.retrieval.takes.made_takes import join_clips
 
 ACTIONS = ("bow", "kick", "raise left", "raise right", "spread", "wave")
 RATE = 30.0
@@ -59,3 +63,15 @@ def _arm(side, way):
 def make_library(performers=(0, 1, 2), trials=3):
     """All actions, by some performers, a few times each."""
     return [make_clip(a, p, t) for p in performers for a in ACTIONS for t in range(trials)]
+
+
+@functools.cache
+def shown_take():
+    """Every action once, by somebody who is not in the library."""
+    return join_clips([make_clip(action, 7) for action in ACTIONS], np.random.default_rng(3))
+
+
+@functools.cache
+def learned_labeller():
+    """What learned from the library; made when a test asks, once in a process."""
+    return train_labeller(make_library())

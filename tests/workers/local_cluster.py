@@ -8,6 +8,8 @@ import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 
+from patience import PATIENCE
+
 _PROGRAM = """
 import json, sys
 from distributed import LocalCluster
@@ -37,7 +39,7 @@ def run_cluster(n_workers: int = 2) -> Iterator[tuple[str, list[int]]]:
             yield address, pids
             program.stdin.write("\n")
             program.stdin.flush()
-            program.wait(timeout=30)
+            program.wait(timeout=PATIENCE)
         finally:
             program.kill()
             program.wait()

@@ -20,6 +20,7 @@ from app.studio.axe_core import AXE, find_faults
 from app.studio.evaluation_cases import write_dances
 from app.studio.studio_client import Client
 from dousa.app.studio import Settings, create_app
+from patience import PATIENCE
 
 TOKEN = "the-token-of-the-tests"
 CATEGORIES = ("kick_left", "squat", "wave_right", "walk")
@@ -62,7 +63,7 @@ def studio(library_copy: Path) -> Iterator[Any]:
         yield client
 
 
-def wait_for(client: Any, job_id: str, seconds: float = 120.0) -> dict[str, Any]:
+def wait_for(client: Any, job_id: str, seconds: float = PATIENCE) -> dict[str, Any]:
     """A job of a client when it is over."""
     end = time.monotonic() + seconds
     while time.monotonic() < end:
@@ -116,7 +117,7 @@ def listening(settings: Settings) -> Iterator[Running]:
             yield Running(f"http://127.0.0.1:{settings.port}", settings.token, app)
         finally:
             server.should_exit = True
-            thread.join(timeout=20)
+            thread.join(timeout=PATIENCE)
 
 
 @pytest.fixture
@@ -175,7 +176,7 @@ def downloads(browser, tmp_path):
         "Browser.setDownloadBehavior", {"behavior": "allow", "downloadPath": str(folder), "eventsEnabled": False}
     )
 
-    def wait(suffix, seconds=60.0):
+    def wait(suffix, seconds=PATIENCE):
         end = time.monotonic() + seconds
         while time.monotonic() < end:
             found = [path for path in folder.glob(f"*{suffix}") if path.stat().st_size]

@@ -15,9 +15,9 @@ from typing import Any
 
 import pytest
 
-__all__ = ["Firefox", "open_firefox"]
+from patience import PATIENCE
 
-_PATIENCE = 60.0  # s for an answer
+__all__ = ["Firefox", "open_firefox"]
 
 
 class Firefox:
@@ -93,7 +93,7 @@ class Firefox:
             {"context": self._page, "actions": [{"type": "key", "id": "keys", "actions": actions}]},
         )
 
-    def wait(self, expression: str, seconds: float = 60.0) -> Any:
+    def wait(self, expression: str, seconds: float = PATIENCE) -> Any:
         """Wait until an expression is something true; that."""
         end = time.monotonic() + seconds
         while not (value := self.run(expression)):
@@ -120,14 +120,14 @@ def open_firefox(profile: Path) -> Iterator[Firefox]:
         )
         assert address is not None, "Firefox ended"
         reader.start()  # else its pipe fills up
-        socket = websocket.create_connection(f"{address}/session", timeout=_PATIENCE, suppress_origin=True)
+        socket = websocket.create_connection(f"{address}/session", timeout=PATIENCE, suppress_origin=True)
         try:
             yield Firefox(socket)
         finally:
             socket.close()
     finally:
         process.terminate()
-        process.wait(timeout=30)
+        process.wait(timeout=PATIENCE)
         if reader.is_alive():
-            reader.join(timeout=30)
+            reader.join(timeout=PATIENCE)
         process.stderr.close()

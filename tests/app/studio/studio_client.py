@@ -8,6 +8,8 @@ import urllib.request
 from pathlib import Path
 from typing import Any
 
+from patience import PATIENCE
+
 __all__ = ["Client"]
 
 
@@ -36,7 +38,7 @@ class Client:
         found: str = self.ask("POST", f"/api/uploads?name={path.name}", path.read_bytes())["files"][0]["motion"]
         return found
 
-    def wait(self, job: str, seconds: float = 120.0) -> dict[str, Any]:
+    def wait(self, job: str, seconds: float = PATIENCE) -> dict[str, Any]:
         """A job when it is over."""
         end = time.monotonic() + seconds
         while time.monotonic() < end:

@@ -61,6 +61,6 @@ def test_an_evaluation_is_without_a_fault(show, check, running, scheme):
     wanted = {"references": [{"motion": "clip:1"}], "performance": {"motion": "clip:2"}}
     job = running.app.state.studio.jobs.submit("evaluate", wanted, "one")
     page = show(f"/evaluate?job={job.id}", scheme=scheme)
-    page.wait("return document.querySelector('#adjust-score')?.textContent", seconds=90)
+    page.wait("return document.querySelector('#adjust-score')?.textContent")
     page.run("for (const one of document.querySelectorAll('details')) one.open = true;")
     assert check(page) == []

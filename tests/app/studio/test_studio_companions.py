@@ -158,7 +158,7 @@ def test_film_and_music_go_in_step(show, running, dances, film, beats, tmp_path,
     music = tmp_path / "dance.wav"
     music.write_bytes(make_music())
     page = show(f"/evaluate?job={job}", width, height, "light", language)
-    page.wait("return document.querySelector('#add-film')", seconds=90)
+    page.wait("return document.querySelector('#add-film')")
     page.find("#film-file").send_keys(str(film))
     page.wait("return document.querySelector('.beside-film')?.readyState >= 2")
     assert page.run("return document.querySelector('.player-card').classList.contains('upright')")
@@ -214,7 +214,7 @@ def test_film_and_music_go_in_step(show, running, dances, film, beats, tmp_path,
     page.screenshot(tmp_path / "page.png")
     # They are there again after a reload, and gone when they are taken away.
     page.driver.refresh()
-    page.wait("return document.querySelector('.beside-film') && document.querySelector('.waveform')", seconds=90)
+    page.wait("return document.querySelector('.beside-film') && document.querySelector('.waveform')")
     page.run("document.querySelector('[data-kind=film] button.icon').click()")
     page.wait("return !document.querySelector('.beside-film')")
     assert client.ask("GET", f"/api/evaluations/{job}/companions")["film"] is None

@@ -41,11 +41,11 @@ def test_from_silhouettes_to_a_search(show, seen):
     assert is_within(page)
     page.find("#start").click()
 
-    page.wait(SHOWN, seconds=90)
-    page.wait("return document.querySelector('.curve.open')", seconds=60)
-    page.wait("return Number(document.querySelector('.view').dataset.frame) >= 33", seconds=60)
+    page.wait(SHOWN)
+    page.wait("return document.querySelector('.curve.open')")
+    page.wait("return Number(document.querySelector('.view').dataset.frame) >= 33")
     page.find("#watch-stop").click()
-    page.wait("return document.querySelector('#watch-resume')", seconds=30)
+    page.wait("return document.querySelector('#watch-resume')")
     assert text(page, "#watch-state") == "stopped" and "nothing is lost" in text(page, "#watch-what")
 
     address = page.driver.current_url
@@ -61,7 +61,7 @@ def test_from_silhouettes_to_a_search(show, seen):
     assert text(page, "#time-now").startswith("frame 11 of 120")
 
     page.find("#watch-resume").click()
-    page.wait("return !document.querySelector('#outcome').hidden", seconds=90)
+    page.wait("return !document.querySelector('#outcome').hidden")
     page.wait("return !document.querySelector('.curve.open')")
     assert text(page, "#watch-state") == "done" and "Mean overlap" in text(page, "#outcome")
     links = page.run("return [...document.querySelectorAll('#outcome a')].map((a) => a.getAttribute('href'))")
@@ -73,7 +73,7 @@ def test_from_silhouettes_to_a_search(show, seen):
     page.find("#add-it").click()
     page.run("document.querySelector('dialog [name=name]').value = 'mine'")
     page.find("dialog button.primary").click()
-    page.wait("return document.querySelector('.notice:not(.problem)')", seconds=60)
+    page.wait("return document.querySelector('.notice:not(.problem)')")
     assert "mine" in text(page, ".notice")
 
     for width, height, scheme in ((390, 844, "dark"), (1280, 720, "light")):

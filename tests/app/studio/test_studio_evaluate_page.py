@@ -23,7 +23,7 @@ def _grade(page: Any) -> str:
 
 
 def _wait_report(page: Any) -> str:
-    page.wait("return document.querySelector('#adjust-score')?.textContent", seconds=90)
+    page.wait("return document.querySelector('#adjust-score')?.textContent")
     page.run("document.querySelector('#analysis').open = true")
     return page.run("return new URLSearchParams(location.search).get('job')")
 
@@ -125,7 +125,7 @@ def test_the_report_follows_cuts_and_weights(show, address):
     # What does not count does not count.
     before = _score(page)
     _slide(page, "limb-arms", 0)
-    page.wait(f"return Number(document.querySelector('#adjust-score').textContent) !== {before}", seconds=60)
+    page.wait(f"return Number(document.querySelector('#adjust-score').textContent) !== {before}")
     _settled(page)
     assert "Arms 0" in page.run("return document.querySelector('#adjust-changed').textContent")
     shown = float(page.run("return document.querySelector('.grade .number').textContent"))
@@ -142,12 +142,12 @@ def test_the_report_follows_cuts_and_weights(show, address):
     # Nothing that counts is refused in words, and the report stays.
     for limb in ("trunk", "legs"):
         _slide(page, f"limb-{limb}", 0)
-    page.wait("return !document.querySelector('.adjust .problem-box').hidden", seconds=60)
+    page.wait("return !document.querySelector('.adjust .problem-box').hidden")
     assert "at least one weight above 0" in page.run(
         "return document.querySelector('.adjust .problem-box').textContent"
     )
     page.find("#reset-weights").click()
-    page.wait(f"return Number(document.querySelector('#adjust-score').textContent) === {before}", seconds=60)
+    page.wait(f"return Number(document.querySelector('#adjust-score').textContent) === {before}")
     _settled(page)
     # Chromium notes the answer that refused; it was asked for.
     assert [text for text in page.messages() if "422" not in text] == []
@@ -269,7 +269,7 @@ def test_problems_are_told_and_the_choice_stays(show, client, dances):
     page = show(f"/evaluate?performance={motion}&references={client.upload(takes[0])}&start_s=3&end_s=3.2")
     page.wait("return document.querySelector('#grade') && !document.querySelector('#grade').disabled")
     page.find("#grade").click()
-    page.wait("return !document.querySelector('#problem').hidden", seconds=60)
+    page.wait("return !document.querySelector('#problem').hidden")
     said = page.run("return document.querySelector('#problem').textContent")
     assert "dance_pupil.bvh: performance: expected a motion of at least 0.5 s" in said
     page.wait("return document.querySelector('#performance .part input')?.value === '3'")
@@ -321,12 +321,12 @@ def test_a_teacher_adds_notes_and_prints_what_a_pupil_needs(show, address, clien
     page.run("localStorage.removeItem('dousa_analysis')")
     page.wait("return document.querySelector('#grade') && !document.querySelector('#grade').disabled")
     page.find("#grade").click()
-    page.wait("return document.querySelector('#adjust-score')?.textContent", seconds=90)
+    page.wait("return document.querySelector('#adjust-score')?.textContent")
     job = page.run("return new URLSearchParams(location.search).get('job')")
     assert not page.run("return document.querySelector('#analysis').open")
     field = page.find("#notes")
     field.send_keys("Softer knees. <b>See</b> you Monday.")
-    page.wait("return document.querySelector('[data-part=notes] .note').textContent !== ''", seconds=20)
+    page.wait("return document.querySelector('[data-part=notes] .note').textContent !== ''")
     assert client.ask("GET", f"/api/evaluations/{job}/report")["notes"] == "Softer knees. <b>See</b> you Monday."
 
     page.driver.execute_cdp_cmd("Emulation.setEmulatedMedia", {"media": "print"})
@@ -346,7 +346,7 @@ def test_a_teacher_adds_notes_and_prints_what_a_pupil_needs(show, address, clien
 
     # They are still there after a reload, and in the report that is downloaded, as text.
     page.driver.refresh()
-    page.wait("return document.querySelector('#notes')?.value", seconds=90)
+    page.wait("return document.querySelector('#notes')?.value")
     assert page.run("return document.querySelector('#notes').value") == "Softer knees. <b>See</b> you Monday."
     headers = {"authorization": f"Bearer {running.token}"}
     request = urllib.request.Request(f"{running.url}/api/evaluations/{job}/report.html", headers=headers)
@@ -356,7 +356,7 @@ def test_a_teacher_adds_notes_and_prints_what_a_pupil_needs(show, address, clien
     # What lies open is remembered; nothing of the report lies over the rest.
     page.run("document.querySelector('#analysis').open = true")
     page.driver.refresh()
-    page.wait("return document.querySelector('#analysis')?.open", seconds=90)
+    page.wait("return document.querySelector('#analysis')?.open")
     over = """
         return [...document.querySelectorAll('#report :is(td, th)')]
           .filter((one) => ['absolute', 'fixed'].includes(getComputedStyle(one).position)).length

@@ -111,7 +111,7 @@ def test_from_files_to_repetitions(show, running, exercise):
     assert page.run("return document.querySelector('#tempo-free').checked")
     assert "repetitions=1" in page.run("return location.search")
     page.find("#grade").click()
-    page.wait("return document.querySelectorAll('.event[data-repetition]').length === 4", seconds=90)
+    page.wait("return document.querySelectorAll('.event[data-repetition]').length === 4")
     page.run("document.querySelectorAll('.event[data-repetition]')[2].click()")
     page.wait("return document.querySelectorAll('.event[data-repetition]')[2].getAttribute('aria-current') === 'true'")
     files = page.run("return [...document.querySelectorAll('[data-part=files] a')].map((one) => one.dataset.file)")

@@ -53,7 +53,7 @@ def test_hits_go_onto_the_character(show, running, hero, downloads, tmp_path):
     page.run("[...document.querySelectorAll('.ticks input')].at(-1).click()")
     assert page.run("return document.querySelector('.ticks [role=status]').textContent").startswith(str(n_hits - 1))
     page.find("#export-go").click()
-    page.wait("return document.querySelector('#export-file')", seconds=90)
+    page.wait("return document.querySelector('#export-file')")
     path = downloads(".zip")
     rows = rows_of(path)
     assert len(rows) == n_hits - 1
@@ -107,7 +107,7 @@ def test_chosen_clips_by_keyboard_as_they_are(show, running, downloads, tmp_path
     assert ("書き出す" in words) == (language == "ja")
     page.run("document.querySelector('#export-go').focus()")
     page.press(KEYS.ENTER)
-    page.wait("return document.activeElement.id === 'export-file'", seconds=90)
+    page.wait("return document.activeElement.id === 'export-file'")
     rows = rows_of(downloads(".zip"))
     assert [int(row["id"]) for row in rows] == [1, 2]
     page.press(KEYS.ESCAPE)

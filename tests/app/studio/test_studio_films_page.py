@@ -135,13 +135,13 @@ def test_from_films_to_the_motion_of_another_person(show, running, scene, tmp_pa
     page = show("/estimate")
     names = [f"view{k}{suffix}" for k in (1, 2, 3) for suffix in (".mp4", ".npz")] + ["cameras.toml"]
     drop(page, *(scene / name for name in names))
-    page.wait(CAN_START, seconds=60)
+    page.wait(CAN_START)
     assert page.run("return document.querySelectorAll('.pictures img').length") == 3
     assert "3 films, up to 80 frames at 30 Hz" in text(page, "#preview")
     assert not page.run("return document.querySelector('[name=overlay_video]').checked")
     page.find("#start").click()
 
-    page.wait(FITTED, seconds=240)
+    page.wait(FITTED)
     page.wait("return !document.querySelector('#outcome').hidden")
     first = job_of(page)
     assert "view3 0.40 s later" in text(page, "#film-starts")
@@ -160,7 +160,7 @@ def test_from_films_to_the_motion_of_another_person(show, running, scene, tmp_pa
     assert page.messages() == []
     page.find("#fit-again").click()
     page.wait("return !location.search.includes(arguments[0])", first)
-    page.wait(FITTED, seconds=240)
+    page.wait(FITTED)
     page.wait("return !document.querySelector('#outcome').hidden")
     second = job_of(page)
     assert page.run("return document.querySelectorAll('.tracks li.out').length") == 1
@@ -174,7 +174,7 @@ def test_from_films_to_the_motion_of_another_person(show, running, scene, tmp_pa
 
     for width, height, scheme in ((390, 844, "dark"), (1280, 720, "light")):
         page = show(f"/estimate?job={second}", width, height, scheme, "ja")
-        page.wait(FITTED, seconds=30)
+        page.wait(FITTED)
         assert "0.40 秒後" in text(page, "#film-starts") and is_within(page)
         page.wait("return document.querySelector('#film-space').dataset.pictures === '3'")
         page.wait(DRAWN, "0")
@@ -187,31 +187,31 @@ def test_stopped_reloaded_and_resumed(show, running, scene):
     """Also with keypoints alone: there is nothing to see but the people."""
     page = show("/estimate", 390, 844)
     drop(page, scene / "view1.npz", scene / "view2.npz", scene / "cameras.toml")
-    page.wait(CAN_START, seconds=60)
+    page.wait(CAN_START)
     page.find("#start").click()
-    page.wait("return document.querySelectorAll('.tracks li').length === 4", seconds=120)
+    page.wait("return document.querySelectorAll('.tracks li').length === 4")
     if page.run("return document.querySelector('#watch-stop') !== null"):  # else it was quicker
         page.find("#watch-stop").click()
     page.wait(
         "return document.querySelector('#watch-resume') || document.querySelector('#film-figure canvas')", seconds=60
     )
     page.driver.refresh()
-    page.wait("return document.querySelectorAll('.film-view[data-frame]').length === 2", seconds=30)
+    page.wait("return document.querySelectorAll('.film-view[data-frame]').length === 2")
     assert is_within(page)
     page.wait("return document.querySelector('#watch-new')")
     if page.run("return document.querySelector('#watch-resume') !== null"):
         page.find("#watch-resume").click()
-    page.wait(FITTED, seconds=240)
+    page.wait(FITTED)
     assert page.messages() == []
 
 
 def test_what_is_missing_is_one_sentence(show, scene, tmp_path):
     page = show("/estimate")
     drop(page, scene / "view1.npz", scene / "view2.npz")
-    page.wait("return document.querySelector('#missing')", seconds=30)
+    page.wait("return document.querySelector('#missing')")
     assert text(page, "#missing").startswith("type the stature")
     page.find("[name=stature]").send_keys("175")
-    page.wait(CAN_START, seconds=30)
+    page.wait(CAN_START)
     assert page.messages() == []
 
 
@@ -221,6 +221,6 @@ def test_models_that_are_not_installed_are_said(show, scene, tmp_path, monkeypat
     page = show("/estimate", language="ja")
     drop(page, scene / "view1.mp4", scene / "view2.mp4")
     page.find("[name=stature]").send_keys("175")
-    page.wait("return document.querySelector('#missing')?.textContent.includes('dousa models install')", seconds=30)
+    page.wait("return document.querySelector('#missing')?.textContent.includes('dousa models install')")
     assert page.run("return document.querySelectorAll('.pictures img').length") == 2
     assert page.run("return document.querySelector('#start').disabled") and page.messages() == []

@@ -16,6 +16,7 @@ from app.studio.conftest import TOKEN
 from dousa.app.studio import Settings
 from dousa.app.studio.core.answers import Gate, RefusedError, status_of
 from dousa.app.studio.jobs import lanes
+from patience import PATIENCE
 
 GOOD = b"HIERARCHY\nROOT Hips\n"
 
@@ -107,9 +108,9 @@ def caller(library_copy):
         thread.start()
         while not server.started:
             time.sleep(0.01)
-        yield lambda: socket.create_connection(("127.0.0.1", port), timeout=20), port
+        yield lambda: socket.create_connection(("127.0.0.1", port), timeout=PATIENCE), port
         server.should_exit = True
-        thread.join(timeout=20)
+        thread.join(timeout=PATIENCE)
 
 
 def read_all(connection) -> bytes:
@@ -122,7 +123,7 @@ def read_all(connection) -> bytes:
 def test_a_request_that_is_not_ended_is_given_up(caller, monkeypatch):
     from dousa.app.studio import server as connections
 
-    monkeypatch.setattr(connections, "_PATIENCE", 0.3)
+    monkeypatch.setattr(connections, "_PATIENCE", 2.0)
     call, port = caller
     with call() as silent, call() as slow, call() as good:
         slow.sendall(b"GET /api/info HTTP/1.1\r\nX: ")
@@ -136,7 +137,7 @@ def test_a_request_that_is_not_ended_is_given_up(caller, monkeypatch):
 def test_an_upload_that_stands_still_is_given_up(caller, tmp_path, monkeypatch):
     from dousa.app.studio import server as connections
 
-    monkeypatch.setattr(connections, "_PATIENCE", 0.3)
+    monkeypatch.setattr(connections, "_PATIENCE", 3.0)
     call, port = caller
     head = f"POST /api/uploads?name=a.bvh HTTP/1.1\r\nHost: 127.0.0.1:{port}\r\nAuthorization: Bearer {TOKEN}"
     with call() as stalled, call() as going_on:
@@ -145,7 +146,7 @@ def test_an_upload_that_stands_still_is_given_up(caller, tmp_path, monkeypatch):
         going_on.sendall(f"{head}\r\nConnection: close\r\nContent-Length: {len(body)}\r\n\r\n".encode())
         for start in range(0, len(body), 2000):  # slow, but it goes on
             going_on.sendall(body[start : start + 2000])
-            time.sleep(0.2)
+            time.sleep(0.8)
         assert read_all(stalled) == b""
         assert read_all(going_on).startswith(b"HTTP/1.1 201")
     assert not [name for name in below(tmp_path) if name.endswith(".part")]
@@ -180,7 +181,7 @@ def test_an_upload_that_breaks_off_leaves_nothing(caller, tmp_path):
         head = f"POST /api/uploads?name=a.bvh HTTP/1.1\r\nHost: 127.0.0.1:{port}\r\nAuthorization: Bearer {TOKEN}"
         broken.sendall(f"{head}\r\nContent-Length: 100000\r\n\r\n".encode() + GOOD)
         time.sleep(0.3)
-    for _ in range(100):
+    for _ in range(1000):
         left = {name for name in below(tmp_path) - before if not name.endswith(("-wal", "-shm"))}
         if not left:
             break
@@ -196,22 +197,22 @@ def test_a_gate_sends_away_whom_it_cannot_hold():
     go, waited = threading.Event(), []
 
     def hold():
-        with gate.enter(10):
+        with gate.enter(PATIENCE):
             inside.set()
-            go.wait(10)
+            go.wait(PATIENCE)
 
     def wait():
-        with gate.enter(10):
+        with gate.enter(PATIENCE):
             waited.append(1)
 
     first = threading.Thread(target=hold)
     first.start()
-    inside.wait(10)
+    inside.wait(PATIENCE)
     second = threading.Thread(target=wait)
     second.start()
     while gate._known._value:
         time.sleep(0.01)
-    with pytest.raises(RefusedError, match="too many") as caught, gate.enter(10):
+    with pytest.raises(RefusedError, match="too many") as caught, gate.enter(PATIENCE):
         pass
     assert status_of(caught.value) == 429
     go.set()
@@ -224,7 +225,7 @@ def test_a_gate_sends_away_whom_it_cannot_hold():
 
 def test_many_previews_do_not_take_all_threads(studio, monkeypatch):
     go = threading.Event()
-    monkeypatch.setattr(lanes, "_run", lambda *_: (go.wait(20), [json.dumps({"result": {}}).encode()])[1])
+    monkeypatch.setattr(lanes, "_run", lambda *_: (go.wait(PATIENCE), [json.dumps({"result": {}}).encode()])[1])
     batch = send(studio, "a.bvh", GOOD)["batch"]
     codes = []
 

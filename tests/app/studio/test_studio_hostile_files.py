@@ -22,6 +22,7 @@ from dousa.app.studio.jobs import lanes
 from dousa.app.studio.work.worker import IN_PROCESS, load_work
 from dousa.errors import DousaError, LibraryError, MotionWriteError
 from dousa.motion import CANONICAL_JOINTS
+from patience import PATIENCE
 
 GOOD = b"HIERARCHY\nROOT Hips\n"
 
@@ -127,7 +128,7 @@ def test_tables_of_this_machine_are_not_read(studio, wait_job, tmp_path):
         assert wait_job(studio, job["id"])["state"] == "failed"
 
 
-def wait_until_begun(studio, job, seconds=60.0):
+def wait_until_begun(studio, job, seconds=PATIENCE):
     late = time.monotonic() + seconds
     while studio.get(f"/api/jobs/{job}").json()["total"] == 0:
         assert time.monotonic() < late, "the job does not say that it has begun"

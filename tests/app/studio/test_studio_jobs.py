@@ -17,6 +17,7 @@ from dousa.app.studio.jobs.board import Job, JobBoard, JobStopped, Lane
 from dousa.app.studio.jobs.lanes import start_worker
 from dousa.errors import OptionError
 from dousa.messages import Message
+from patience import PATIENCE
 
 
 class Work:
@@ -60,7 +61,7 @@ def board(tmp_path, work):
     made.close()
 
 
-def until(condition, seconds=10.0):
+def until(condition, seconds=PATIENCE):
     end = time.monotonic() + seconds
     while not condition():
         assert time.monotonic() < end

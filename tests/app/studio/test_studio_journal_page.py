@@ -128,7 +128,7 @@ def test_from_the_list_to_a_zip_onto_a_character(library_page, running, bvh, dow
     page.find("dialog .character input[type=file]").send_keys(str(bvh))
     page.wait("return document.querySelector('dialog .character-name')")
     page.run("[...document.querySelectorAll('dialog .foot button')].at(-1).click()")
-    page.wait("return document.querySelector('dialog a[href^=\"/api/exports/\"]')", seconds=120)
+    page.wait("return document.querySelector('dialog a[href^=\"/api/exports/\"]')")
     click(page, "dialog a[href^='/api/exports/']")
     path = downloads(".zip")
     with zipfile.ZipFile(path) as packed:

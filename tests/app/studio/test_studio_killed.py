@@ -13,17 +13,21 @@ import pytest
 from dousa.app.studio.core.home_lock import lock_file, open_private
 from dousa.app.studio.core.workspace import Workspace
 from dousa.app.studio.work import worker
+from fuzzing import count_tries
+from patience import PATIENCE
 
 ROOT = Path(__file__).resolve().parents[3]
 
 
+@pytest.mark.fuzz
 @pytest.mark.slow
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="looks for processes in /proc")
 def test_killed_at_some_moments_nothing_is_lost_and_nothing_stays_behind():
     """A share of what `benchmarks/studio_kill.py` does a hundred times."""
     environment = {**os.environ, "PYTHONPATH": str(ROOT / "src")}
-    command = [sys.executable, str(ROOT / "benchmarks" / "studio_kill.py"), "3", "--port", "8990", "--seed", "4"]
-    done = subprocess.run(command, capture_output=True, text=True, env=environment, timeout=600, check=False)
+    words = [str(count_tries(12)), "--port", "0", "--seed", "4"]
+    command = [sys.executable, str(ROOT / "benchmarks" / "studio_kill.py"), *words]
+    done = subprocess.run(command, capture_output=True, text=True, env=environment, timeout=3 * PATIENCE, check=False)
     assert done.returncode == 0, done.stdout + done.stderr
     assert "0  faults" in done.stdout
 
@@ -37,7 +41,7 @@ def test_work_waits_until_the_process_before_it_has_left_the_folder_of_the_job(t
         waiting.start()
         waiting.join(timeout=0.3)
         assert waiting.is_alive() and not taken
-    waiting.join(timeout=20)
+    waiting.join(timeout=PATIENCE)
     assert taken
     taken[0].close()
 

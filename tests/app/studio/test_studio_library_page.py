@@ -7,6 +7,7 @@ from pathlib import Path
 import pytest
 
 from app.studio.library_page import CELLS, click, wait_count
+from patience import PATIENCE
 
 KEYS = pytest.importorskip("selenium.webdriver", reason="selenium is not installed: pip install selenium").Keys
 DATA = Path(__file__).resolve().parents[4] / "shared" / "data" / "bandai"
@@ -310,7 +311,7 @@ def test_files_are_added_and_what_was_refused_is_listed_also_after_a_reload(libr
     assert page.run("return document.querySelector('#add-category').value") == "none"
     click(page, "#add-go")
     for _ in range(2):
-        page.wait("return document.querySelector('#add-report')?.textContent.startsWith('2 added')", seconds=90)
+        page.wait("return document.querySelector('#add-report')?.textContent.startsWith('2 added')")
         refused = page.run(f"{DIALOG}.querySelector('.refused').textContent")
         assert all(path.name in refused for path in bad)
         page.driver.refresh()
@@ -339,7 +340,7 @@ def test_labels_from_folders_are_shown_before_they_are_given(library_page, bvh, 
     )
     assert page.run(cells) == ["hop/anna_1.bvh", "hop", "anna"]
     click(page, "#add-go")
-    page.wait("return document.querySelector('#add-report')", seconds=90)
+    page.wait("return document.querySelector('#add-report')")
     page.press(KEYS.ESCAPE)
     page.wait("return document.querySelector('[data-key=\"performer anna\"]')")
     assert page.run("return document.querySelector('[data-key=\"category hop\"]') !== null")
@@ -365,7 +366,7 @@ def test_training_shows_how_far_it_is_and_what_came_of_it(library_page):
     page.wait("return document.querySelector('#train-trees')")
     page.run("document.querySelector('#train-trees').value = '20'")
     click(page, "#train-go")
-    page.wait("return document.querySelector('#train-result')", seconds=120)
+    page.wait("return document.querySelector('#train-result')")
     assert "20 trees on 24 clips of 4 categories" in page.run(f"{DIALOG}.textContent")
     page.driver.refresh()
     page.wait("return document.querySelector('#train-result')")
@@ -385,7 +386,7 @@ def test_an_upload_that_is_not_added_leaves_nothing(library_page, running, tmp_p
     page.wait("return document.querySelector('#add-go')")
     assert [path for path in batches.iterdir() if path.is_dir()]
     page.press(KEYS.ESCAPE)
-    page.driver.set_script_timeout(20)
+    page.driver.set_script_timeout(PATIENCE)
     for _ in range(200):
         if not [path for path in batches.iterdir() if path.is_dir()]:
             break
@@ -421,7 +422,7 @@ def test_folders_become_categories_by_level_with_a_look_at_what_comes_out(librar
     )
     assert page.run(said) == "Categories: 2 - bow (2), nod (1)"
     page.find("#add-go").click()
-    page.wait("return document.querySelector('.report-head')", seconds=90)
+    page.wait("return document.querySelector('.report-head')")
     known = running.app.state.studio.library.stats().categories
     assert known["bow"] == 2 and known["nod"] == 1
     page.press(KEYS.ESCAPE)

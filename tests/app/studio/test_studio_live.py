@@ -8,6 +8,7 @@ import pytest
 from app.studio.live_people import record_landmarks, replay
 from dousa.app.studio.content import live
 from dousa.errors import KeypointError
+from patience import PATIENCE
 
 cv2 = pytest.importorskip("cv2", reason="OpenCV is not installed: pip install 'dousa[film]'")
 RATE = 15.0
@@ -68,7 +69,7 @@ def test_a_picture_gives_a_person_and_what_each_step_took(watched, picture):
 
 def test_who_does_what_the_library_knows_gets_its_label(watched, picture, kick):
     session = begin(watched)
-    watched.app.state.studio.live.get(session)._learning.join(timeout=120)
+    watched.app.state.studio.live.get(session)._learning.join(timeout=PATIENCE)
     labels = []
     for frame in range(4 * len(kick)):
         label = show(watched, session, picture, frame / RATE).json()["label"]
@@ -88,7 +89,7 @@ def test_who_repeats_the_reference_is_graded_better_than_who_does_something_else
         session = begin(watched, references=[{"motion": f"clip:{clip}"}])
         for frame in range(60):
             grade = show(watched, session, picture, frame / RATE).json()["grade"]
-        watched.app.state.studio.live.get(session)._graded.working.join(timeout=60)
+        watched.app.state.studio.live.get(session)._graded.working.join(timeout=PATIENCE)
         grade = show(watched, session, picture, 60 / RATE).json()["grade"]
         assert grade["seconds"] == pytest.approx(61 / RATE, abs=0.1)
         scores[name] = grade["score"]

@@ -27,10 +27,10 @@ def test_the_camera_shows_the_skeleton_the_label_the_grade_and_how_quick_it_is(c
     page = show("/live?reference=clip:1", language=language)
     page.wait("return !document.querySelector('#live-start').disabled")
     page.find("#live-start").click()
-    page.wait(f"return (() => {{ {DRAWN} }})()", seconds=60)
+    page.wait(f"return (() => {{ {DRAWN} }})()")
     page.wait("return /[0-9]/.test(document.querySelector('#live-latency').textContent)")
-    page.wait("return Number(document.querySelector('#live-grade').textContent) > 0", seconds=90)
-    page.wait("return document.querySelector('#live-label').textContent === 'kick_left'", seconds=90)
+    page.wait("return Number(document.querySelector('#live-grade').textContent) > 0")
+    page.wait("return document.querySelector('#live-label').textContent === 'kick_left'")
     assert page.run("return document.querySelector('#live-hint').textContent") == ""
     page.find("#live-stop").click()
     page.wait("return document.querySelector('#live-stop').hidden")
@@ -56,7 +56,7 @@ def test_nobody_in_the_picture_is_told(camera, show, monkeypatch):
     page = show("/live", width=390, height=844)
     page.wait("return !document.querySelector('#live-start').disabled")
     page.find("#live-start").click()
-    page.wait("return document.querySelector('#live-hint').textContent.startsWith('Nobody is seen')", seconds=60)
+    page.wait("return document.querySelector('#live-hint').textContent.startsWith('Nobody is seen')")
     assert page.run("return document.documentElement.scrollWidth") <= 390
     page.find("#live-stop").click()
 
@@ -80,7 +80,7 @@ def test_pictures_reach_the_studio_as_the_camera_gives_them(camera, show, monkey
     page = show("/live")
     page.wait("return !document.querySelector('#live-start').disabled")
     page.find("#live-start").click()
-    page.wait("return document.querySelector('#live-rate').textContent !== '-'", seconds=60)
+    page.wait("return document.querySelector('#live-rate').textContent !== '-'")
     page.find("#live-stop").click()
     assert max(seen[0].shape[:2]) == 640
     assert np.ptp(seen[0]) > 100  # Chromium's made-up camera is a clock on green

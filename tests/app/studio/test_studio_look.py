@@ -151,7 +151,7 @@ def test_the_jobs_are_reached_and_left_by_keyboard(settled, running):
     studio = running.app.state.studio
     studio.jobs.submit("train", {"feature_set": "extended", "n_trees": 1}, "moves.dousa")
     page.find("#jobs-button").send_keys(KEYS.ENTER)
-    page.wait("return document.querySelector('#jobs-tray .job[data-state=done]')", seconds=90)
+    page.wait("return document.querySelector('#jobs-tray .job[data-state=done]')")
     assert "took" in page.run("return document.querySelector('.job-times').textContent")
     page.press(KEYS.TAB)
     assert page.run("return document.activeElement.closest('#jobs-tray') !== null")
@@ -170,10 +170,10 @@ def test_finished_jobs_are_cleared_and_results_stay(settled, running):
         job = Job(f"{number:016x}", kind, kind, {}, state=state, started_s=1.0, finished_s=63.0, result={})
         board._jobs[job.id] = job
     page.find("#jobs-button").click()
-    page.wait("return document.querySelectorAll('#jobs-tray .job').length === 3", seconds=20)
+    page.wait("return document.querySelectorAll('#jobs-tray .job').length === 3")
     assert page.run("return document.querySelector('.job-times').textContent") == "took 1:02"
     page.find("#jobs-clear").click()
-    page.wait("return document.querySelectorAll('#jobs-tray .job').length === 1", seconds=20)
+    page.wait("return document.querySelectorAll('#jobs-tray .job').length === 1")
     assert [job.kind for job in board.all()] == ["evaluate"]
     assert page.messages() == []
 

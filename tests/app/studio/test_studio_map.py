@@ -78,7 +78,7 @@ def map_page(show):
 
     def open_page(path="/library?view=map", **look):
         page = show(path, **look)
-        page.wait(f"return {MAP}?.ids.length === {N}", seconds=180)
+        page.wait(f"return {MAP}?.ids.length === {N}")
         page.settle()
         return page
 
@@ -194,7 +194,7 @@ def test_new_clips_are_counted_until_the_map_is_made_anew(map_page, running, bvh
     page.wait("return document.querySelector('#map-renew')")
     assert "1 not on it yet" in page.run("return document.querySelector('.mp-state').textContent")
     click(page, "#map-renew")
-    page.wait(f"return {MAP}.ids.length === {N + 1}", seconds=180)
+    page.wait(f"return {MAP}.ids.length === {N + 1}")
     page.wait("return !document.querySelector('#map-renew')")
     assert page.messages() == []
 

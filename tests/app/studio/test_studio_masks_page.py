@@ -85,7 +85,7 @@ def text(page, selector: str) -> str:
 
 def wait_overlap(page) -> float:
     """The mean overlap that a finished estimation shows."""
-    page.wait("return !document.querySelector('#outcome').hidden", seconds=120)
+    page.wait("return !document.querySelector('#outcome').hidden")
     said = page.run("return [...document.querySelectorAll('.outcome-facts dd')].map((e) => e.textContent)")
     return float(said[0])
 
@@ -93,13 +93,13 @@ def wait_overlap(page) -> float:
 def test_a_wrong_part_is_taken_away_and_the_model_fits_better(show, running, clean, spoiled, tmp_path):
     page = show("/estimate", 1440, 900)
     page.find("#material").send_keys(str(spoiled))
-    page.wait(CAN_START, seconds=90)
+    page.wait(CAN_START)
     page.run("document.querySelector('[name=overlay_video]').checked = false")
     page.find("#start").click()
     before = wait_overlap(page)
 
     page.find("#watch-repair").click()
-    page.wait(SHOWN, "0/", seconds=60)
+    page.wait(SHOWN, "0/")
     job = page.run("return new URLSearchParams(location.search).get('masks')")
     assert "a second part" in text(page, "#masks-now")
     assert int(text(page, "#masks-left").split()[2].rstrip(";")) >= N_FRAMES
@@ -133,9 +133,9 @@ def test_a_wrong_part_is_taken_away_and_the_model_fits_better(show, running, cle
 def test_painting_keys_and_phones(show, running, spoiled, tmp_path, faults):
     page = show("/estimate", 1440, 900)
     page.find("#material").send_keys(str(spoiled))
-    page.wait(CAN_START, seconds=90)
+    page.wait(CAN_START)
     page.find("#repair").click()
-    page.wait(SHOWN, "0/0", seconds=60)
+    page.wait(SHOWN, "0/0")
     job = page.run("return new URLSearchParams(location.search).get('masks')")
     spoilt = read_silhouettes(spoiled)
 
@@ -158,7 +158,7 @@ def test_painting_keys_and_phones(show, running, spoiled, tmp_path, faults):
     assert read_export(running, job, tmp_path).read(2)[1][10, 10:31].sum() == 0
 
     page.driver.refresh()  # what was repaired is kept, and can still be undone
-    page.wait(SHOWN, "0/", seconds=60)
+    page.wait(SHOWN, "0/")
     page.press("z", held=KEYS.CONTROL)
     page.wait(DONE, "1")
     page.wait(SHOWN, "1/2")  # what was undone is seen
@@ -181,9 +181,9 @@ def test_silhouettes_without_cameras_are_repaired_and_saved_only(show, running, 
         np.savez(tmp_path / "bare.npz", **{key: file[key] for key in ("mask_packed", "width", "height")})
     page = show("/estimate", 1280, 800)
     page.find("#material").send_keys(str(tmp_path / "bare.npz"))
-    page.wait("return !document.querySelector('#repair').hidden", seconds=90)
+    page.wait("return !document.querySelector('#repair').hidden")
     page.find("#repair").click()
-    page.wait(SHOWN, "0/", seconds=60)
+    page.wait(SHOWN, "0/")
     assert page.run("return document.querySelector('#masks-estimate').disabled")
     assert "no calibration" in text(page, "#masks-problem")
     with np.load(

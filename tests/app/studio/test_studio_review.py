@@ -42,7 +42,7 @@ def test_wrong_labels_are_decided_by_keys_and_taken_back(show, planted):
     page.wait(f"{CELLS}.length > 3")
     click(page, "#review-button")
     at = "return document.querySelector('#review-count')?.textContent.startsWith(arguments[0])"
-    page.wait(at, "1 of ", seconds=90)
+    page.wait(at, "1 of ")
     first = page.run("return Number(document.querySelector('.rv-large').dataset.clip)")
     second = kick + squat - first
     assert page.wait("return document.querySelectorAll('.rv-small[data-drawn]').length") >= 4
@@ -74,8 +74,8 @@ def test_an_empty_library_is_filled_with_the_demo_by_a_button(browser, tmp_path)
         browser.driver.get(f"{running.url}/library?token={TOKEN}&lang=en")
         browser.wait("return document.querySelector('#demo-button')")
         click(browser, "#demo-button")
-        browser.wait(f"{CELLS}.length > 3", seconds=240)
-        browser.wait("return document.querySelector('#forest-state').textContent.includes('up to date')", seconds=240)
+        browser.wait(f"{CELLS}.length > 3")
+        browser.wait("return document.querySelector('#forest-state').textContent.includes('up to date')")
         assert running.app.state.studio.library.stats().n_clips > 30
         assert browser.messages() == []
         browser.driver.get("about:blank")

@@ -24,6 +24,7 @@ pytest.importorskip("segno", reason="pip install 'dousa[share]'")
 from dousa.app.studio import shared as sharing_server
 from dousa.app.studio.core.certificate import provide_certificate
 from dousa.app.studio.shared import create_shared_app, make_sharing, router
+from patience import PATIENCE
 
 HERE = IPv4Address("127.0.0.1")
 HOST = "192.168.1.20:8865"
@@ -285,7 +286,7 @@ class Phone:
     def get(self, path):
         trust = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)
         trust.check_hostname, trust.verify_mode = False, ssl.CERT_NONE
-        connection = http.client.HTTPSConnection(self.host, context=trust, timeout=20)
+        connection = http.client.HTTPSConnection(self.host, context=trust, timeout=PATIENCE)
         connection.request("GET", path, headers={"cookie": self.cookie, "connection": "close"})
         answer = connection.getresponse()
         answer.read()
@@ -337,7 +338,7 @@ def test_the_link_ends_with_the_studio(library_copy):
 
 def test_who_speaks_without_encryption_hears_nothing(open_studio):
     host, port = open_studio.get("/api/share").json()["address"].removeprefix("https://").split(":")
-    with socket.create_connection((host, int(port)), timeout=20) as plain:
+    with socket.create_connection((host, int(port)), timeout=PATIENCE) as plain:
         plain.sendall(b"GET / HTTP/1.1\r\nHost: x\r\n\r\n")
         assert not plain.recv(1000).startswith(b"HTTP")
 
@@ -345,10 +346,10 @@ def test_who_speaks_without_encryption_hears_nothing(open_studio):
 def test_who_says_nothing_is_not_waited_for_and_takes_no_room(open_studio, monkeypatch):
     """More connections than one address may have: the others are closed at once, and the studio goes on."""
     monkeypatch.setattr(sharing_server, "_MOST_OF_ONE", 5)
-    monkeypatch.setattr(sharing_server, "_HANDSHAKE_S", 1.0)
+    monkeypatch.setattr(sharing_server, "_HANDSHAKE_S", 5.0)
     open_studio.post("/api/share/end")
     host, port = open_studio.post("/api/share/begin").json()["address"].removeprefix("https://").split(":")
-    silent = [socket.create_connection((host, int(port)), timeout=20) for _ in range(12)]
+    silent = [socket.create_connection((host, int(port)), timeout=PATIENCE) for _ in range(12)]
     try:
         for one in silent[5:]:
             assert one.recv(1) == b""

@@ -63,7 +63,7 @@ def _visit(browser, address, width=390, height=844, scheme="light", language="en
 def test_a_pupil_sees_the_report_on_a_phone(browser, sharing, job, tmp_path, width, height, scheme, language):
     link = sharing.links.add(job)
     _visit(browser, sharing.address_of(link), width, height, scheme, language)
-    browser.wait("return document.querySelector('#player .dousa-player')", seconds=60)
+    browser.wait("return document.querySelector('#player .dousa-player')")
     assert browser.run("return location.pathname") == "/report"
     assert "key" not in browser.run("return location.search")
     browser.settle()
@@ -105,13 +105,13 @@ def test_the_list_and_the_library(browser, sharing, job):
     browser.press("\ue00c")
     browser.wait("return !document.querySelector('dialog')")
     browser.find(".shared-report").click()
-    browser.wait("return document.querySelector('#player .dousa-player')", seconds=60)
+    browser.wait("return document.querySelector('#player .dousa-player')")
     assert browser.messages() == []
 
 
 def test_a_teacher_gets_the_code_takes_it_back_and_ends_it(show, sharing, job):
     page = show(f"/evaluate?job={job}", 1440, 900)
-    page.wait("return document.querySelector('#share-report')?.offsetParent", seconds=60)
+    page.wait("return document.querySelector('#share-report')?.offsetParent")
     page.find("#share-report").click()
     page.wait("return document.querySelector('#sharing img')?.naturalWidth > 50")
     url = page.run("return document.querySelector('#sharing input').value")
@@ -137,7 +137,7 @@ def test_a_teacher_gets_the_code_takes_it_back_and_ends_it(show, sharing, job):
 
 def test_without_the_option_the_page_says_how(show, running, job):
     page = show(f"/evaluate?job={job}")
-    page.wait("return document.querySelector('#share-report')?.offsetParent", seconds=60)
+    page.wait("return document.querySelector('#share-report')?.offsetParent")
     page.find("#share-report").click()
     page.wait("return document.querySelector('#sharing code')")
     assert "--share" in page.run("return document.querySelector('#sharing code').textContent")

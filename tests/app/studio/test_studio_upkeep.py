@@ -62,11 +62,11 @@ def test_the_tray_says_what_was_found_and_repairs(show, running, library_copy, l
     assert not page.run("return document.querySelector('#space-fragments')")  # it is small
     page.run("document.querySelector('#space-check').click()")
     job = "document.querySelector('.job[data-state=done]')"
-    page.wait(f"return {job}", seconds=60)
+    page.wait(f"return {job}")
     said = {"en": ("poses: ", "1 thing is damaged"), "ja": ("姿勢", "1か所が壊れています")}[language]
     assert all(part in page.run(f"return {job}.textContent") for part in said)
     page.run(f"{job}.querySelector('.actions button').click()")
-    page.wait("return document.querySelectorAll('.job[data-state=done]').length === 2", seconds=60)
+    page.wait("return document.querySelectorAll('.job[data-state=done]').length === 2")
     sound = {"en": "the library is sound", "ja": "異常はありません"}[language]
     assert sound in page.run(f"return {job}.textContent")
     assert page.messages() == []

@@ -15,6 +15,7 @@ from dousa.estimation.silhouettes.cleaning import describe_mask
 from dousa.estimation.silhouettes.images import fit_frame, quiet_opencv
 from dousa.estimation.silhouettes.silhouette_files import open_silhouettes
 from dousa.estimation.silhouettes.video import VideoFile, guess_video_kind, reduce_size
+from patience import PATIENCE
 
 H, W = 120, 160
 
@@ -197,7 +198,7 @@ def test_nothing_but_the_error_is_printed(tmp_path):
         "try:\n    open_silhouettes([sys.argv[1]])\nexcept SilhouetteError as error:\n    print(error)\n"
     )
     done = subprocess.run(
-        [sys.executable, "-c", code, str(path)], capture_output=True, text=True, timeout=120, check=True
+        [sys.executable, "-c", code, str(path)], capture_output=True, text=True, timeout=PATIENCE, check=True
     )
     assert done.stderr == "" and done.stdout.count("\n") == 1 and "bad.mp4" in done.stdout
 

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from oracles.short_actions import ACTIONS, make_clip, make_library
+from oracles.short_actions import ACTIONS, learned_labeller, make_clip, make_library, shown_take
 
 from dousa.errors import DousaError, InvalidMotionError, MotionWriteError, OptionError, TrainingError
 from dousa.experiments.metrics import TrueSegment, add_counts, compare_timeline
@@ -30,57 +30,55 @@ from dousa.retrieval.takes.labeller_training import train_labeller
 from dousa.retrieval.takes.labeller_tuning import Answer, calibrate_places, fit_logistic
 from dousa.retrieval.takes.made_takes import JoinedTake, disturb, disturb_motion, join_clips, join_with_rests
 
-CLIPS = make_library((0, 1, 2), 3)
-LABELLER = train_labeller(CLIPS)
-TAKE = join_clips([make_clip(action, 7) for action in ACTIONS], np.random.default_rng(3))
-DURATION = len(TAKE.positions) / 30
-TRUTH = [TrueSegment(p.start / 30, p.stop / 30, p.category) for p in TAKE.pieces]
+
+def true_segments():
+    return [TrueSegment(p.start / 30, p.stop / 30, p.category) for p in shown_take().pieces]
 
 
 def test_actions_of_somebody_new_are_labelled_in_order():
-    timeline = label_take(LABELLER, TAKE)
-    scores = compare_timeline(timeline.segments, TRUTH, timeline.duration).scores()
+    timeline = label_take(learned_labeller(), shown_take())
+    scores = compare_timeline(timeline.segments, true_segments(), timeline.duration).scores()
     assert scores.frame_accuracy > 0.85
     assert scores.f_measure > 0.9
     assert scores.boundary_error_s < 0.35
-    assert timeline.category_at(TRUTH[2].start + 1.0) == TRUTH[2].category
+    assert timeline.category_at(true_segments()[2].start + 1.0) == true_segments()[2].category
     assert timeline.category_at(-1.0) is None
 
 
 def test_a_timeline_covers_the_take_without_gaps():
     for threshold in (0.0, 0.9, 1.0):
-        timeline = label_take(LABELLER, TAKE, threshold=threshold)
+        timeline = label_take(learned_labeller(), shown_take(), threshold=threshold)
         edges = [one.start for one in timeline.segments] + [timeline.segments[-1].stop]
         assert edges[0] == 0.0
-        assert edges[-1] == pytest.approx(DURATION)
+        assert edges[-1] == pytest.approx(len(shown_take().positions) / 30)
         assert [one.stop for one in timeline.segments] == edges[1:]
         assert all(0.0 <= one.confidence <= 1.0 for one in timeline.segments)
 
 
 def test_nothing_is_said_where_nothing_is_sure_enough():
-    timeline = label_take(LABELLER, TAKE, threshold=1.0)
+    timeline = label_take(learned_labeller(), shown_take(), threshold=1.0)
     assert [one.category for one in timeline.segments] == [None]
 
 
 def test_with_a_threshold_of_nothing_nothing_is_unknown():
-    for take in (TAKE, replace(TAKE, positions=np.repeat(TAKE.positions[:1], 300, axis=0))):
-        timeline = label_take(LABELLER, take, threshold=0.0)
+    for take in (shown_take(), replace(shown_take(), positions=np.repeat(shown_take().positions[:1], 300, axis=0))):
+        timeline = label_take(learned_labeller(), take, threshold=0.0)
         assert None not in [one.category for one in timeline.segments]
 
 
 def test_a_rest_between_actions_is_nothing():
-    rest = np.repeat(TAKE.positions[:1], 240, axis=0)
+    rest = np.repeat(shown_take().positions[:1], 240, axis=0)
     pieces = [make_clip(action, 7).positions for action in ("wave", "bow")]
-    take = JoinedTake(np.concatenate([pieces[0], rest, pieces[1]]), TAKE.height, ())
-    timeline = label_take(LABELLER, take)
+    take = JoinedTake(np.concatenate([pieces[0], rest, pieces[1]]), shown_take().height, ())
+    timeline = label_take(learned_labeller(), take)
     assert [timeline.category_at(when) for when in (1.0, len(pieces[0]) / 30 + 4.0)] == ["wave", None]
 
 
 def test_the_same_is_said_of_a_noisy_slow_sensor():
-    noisy = disturb(TAKE, np.random.default_rng(5))
-    assert noisy.frame_rate < 30 or np.abs(noisy.positions - TAKE.positions).max() > 0
-    timeline = label_take(LABELLER, noisy)
-    assert compare_timeline(timeline.segments, TRUTH, timeline.duration).scores().frame_accuracy > 0.75
+    noisy = disturb(shown_take(), np.random.default_rng(5))
+    assert noisy.frame_rate < 30 or np.abs(noisy.positions - shown_take().positions).max() > 0
+    timeline = label_take(learned_labeller(), noisy)
+    assert compare_timeline(timeline.segments, true_segments(), timeline.duration).scores().frame_accuracy > 0.75
 
 
 def test_a_clip_is_disturbed_by_its_seed_alone_and_some_errors_last():
@@ -110,17 +108,17 @@ def test_an_action_never_trained_is_unknown():
 
 @pytest.mark.parametrize("n_frames", [1, 10])
 def test_a_very_short_take_is_one_segment(n_frames):
-    timeline = label_take(LABELLER, JoinedTake(TAKE.positions[:n_frames], TAKE.height, ()))
+    timeline = label_take(learned_labeller(), JoinedTake(shown_take().positions[:n_frames], shown_take().height, ()))
     assert [(one.start, one.stop) for one in timeline.segments] == [(0.0, n_frames / 30)]
 
 
 def test_long_takes_are_judged_in_parts_that_agree_whatever_the_threads():
-    long = replace(TAKE, positions=np.tile(TAKE.positions, (14, 1, 1)))
+    long = replace(shown_take(), positions=np.tile(shown_take().positions, (14, 1, 1)))
     assert len(long.positions) > 4092
-    alone = LABELLER.judge(long.positions, TAKE.height)
-    np.testing.assert_array_equal(alone, LABELLER.judge(long.positions, TAKE.height, n_jobs=2))
+    alone = learned_labeller().judge(long.positions, shown_take().height)
+    np.testing.assert_array_equal(alone, learned_labeller().judge(long.positions, shown_take().height, n_jobs=2))
     # About the seam of two parts as if there were none.
-    part = LABELLER.judge(long.positions[3600:4500], TAKE.height)
+    part = learned_labeller().judge(long.positions[3600:4500], shown_take().height)
     np.testing.assert_allclose(part[40:-40], alone[640 : 600 + len(part) - 40], atol=1e-6)
 
 
@@ -134,45 +132,47 @@ def test_annotated_takes_teach_categories_and_nothing():
         takes.append(AnnotatedTake(str(performer), str(performer), made.positions, 30.0, made.height, stretches))
     labeller = train_labeller([], takes)
     assert labeller.classes == ACTIONS
-    said = label_take(labeller, TAKE)
-    assert compare_timeline(said.segments, TRUTH, said.duration).scores().frame_accuracy > 0.75
+    said = label_take(labeller, shown_take())
+    assert compare_timeline(said.segments, true_segments(), said.duration).scores().frame_accuracy > 0.75
 
 
 def test_a_seed_gives_one_labeller_however_many_threads():
-    again = train_labeller(CLIPS, n_jobs=2)
-    assert again.to_bytes() == LABELLER.to_bytes()
+    again = train_labeller(make_library(), n_jobs=2)
+    assert again.to_bytes() == learned_labeller().to_bytes()
 
 
 def test_clips_without_performers_and_of_few_categories_will_do():
-    few = [replace(clip, performer=None) for clip in CLIPS if clip.category in ("bow", "kick")]
+    few = [replace(clip, performer=None) for clip in make_library() if clip.category in ("bow", "kick")]
     for clips in (few, few[:1]):
         labeller = train_labeller(clips)
         assert labeller.classes == tuple(sorted({clip.category for clip in clips}))
         assert 0 <= labeller.threshold <= 1
-        assert label_take(labeller, TAKE).segments
+        assert label_take(labeller, shown_take()).segments
 
 
 def test_what_cannot_be_learned_from_or_labelled_is_refused():
     with pytest.raises(TrainingError, match="clips with categories, or annotated takes"):
         train_labeller([])
     with pytest.raises(InvalidMotionError, match="shape"):
-        label_take(LABELLER, replace(TAKE, positions=TAKE.positions[:, :3]))
+        label_take(learned_labeller(), replace(shown_take(), positions=shown_take().positions[:, :3]))
     with pytest.raises(OptionError, match="threshold"):
-        label_take(LABELLER, TAKE, threshold=1.5)
+        label_take(learned_labeller(), shown_take(), threshold=1.5)
 
 
 def test_a_labeller_comes_back_from_bytes():
-    again = TakeLabeller.from_bytes(LABELLER.to_bytes())
-    assert label_take(again, TAKE) == label_take(LABELLER, TAKE)
-    assert again.to_bytes() == LABELLER.to_bytes()
+    again = TakeLabeller.from_bytes(learned_labeller().to_bytes())
+    assert label_take(again, shown_take()) == label_take(learned_labeller(), shown_take())
+    assert again.to_bytes() == learned_labeller().to_bytes()
 
 
 def test_a_labeller_of_an_earlier_dousa_takes_its_own_word_for_places():
-    arrays = {name: array for name, array in np.load(io.BytesIO(LABELLER.to_bytes())).items() if name != "placing"}
+    arrays = {
+        name: array for name, array in np.load(io.BytesIO(learned_labeller().to_bytes())).items() if name != "placing"
+    }
     earlier = TakeLabeller.from_bytes(pack_arrays({**arrays, "version": np.array(4, np.int64)}))
-    evidence = np.random.default_rng(0).normal(size=(5, len(LABELLER.placing) - 1))
-    assert np.array_equal(earlier.place(evidence), LABELLER.confidence(evidence))
-    assert not np.allclose(LABELLER.place(evidence), LABELLER.confidence(evidence))
+    evidence = np.random.default_rng(0).normal(size=(5, len(learned_labeller().placing) - 1))
+    assert np.array_equal(earlier.place(evidence), learned_labeller().confidence(evidence))
+    assert not np.allclose(learned_labeller().place(evidence), learned_labeller().confidence(evidence))
 
 
 def test_how_often_nothing_is_taken_for_an_action_is_learned_from_people_left_out():
@@ -184,11 +184,11 @@ def test_how_often_nothing_is_taken_for_an_action_is_learned_from_people_left_ou
 
     for share in (0.5, 0.95):
         some = answers(share)
-        labeller = replace(LABELLER, placing=calibrate_places(some))
+        labeller = replace(learned_labeller(), placing=calibrate_places(some))
         said = labeller.place(np.stack([one.evidence for one in answers(share)]))
         assert said.mean() == pytest.approx(share, abs=0.06)
     # Of what was always there nobody is certain, and a few answers teach nothing.
-    always = replace(LABELLER, placing=calibrate_places(answers(1.0, 40)))
+    always = replace(learned_labeller(), placing=calibrate_places(answers(1.0, 40)))
     assert 0.9 < always.place(np.ones((1, 6)))[0] < 0.999
     assert calibrate_places(answers(0.5, 3)) == calibrate_places([])
 
@@ -196,7 +196,7 @@ def test_how_often_nothing_is_taken_for_an_action_is_learned_from_people_left_ou
 @settings(max_examples=60, deadline=None)
 @given(st.data())
 def test_damaged_bytes_are_refused_or_harmless(data):
-    damaged = bytearray(LABELLER.to_bytes())
+    damaged = bytearray(learned_labeller().to_bytes())
     for _ in range(data.draw(st.integers(1, 3))):
         damaged[data.draw(st.integers(0, len(damaged) - 1))] = data.draw(st.integers(0, 255))
     cut = data.draw(st.integers(0, len(damaged)))
@@ -207,7 +207,7 @@ def test_damaged_bytes_are_refused_or_harmless(data):
             continue
         with np.errstate(all="ignore"):
             try:
-                label_take(labeller, TAKE)
+                label_take(labeller, shown_take())
             except DousaError:
                 continue
 
@@ -217,10 +217,10 @@ def test_damaged_bytes_are_refused_or_harmless(data):
 def test_any_probabilities_make_a_timeline_in_order(seed):
     draw = np.random.default_rng(seed)
     n_frames = int(draw.integers(1, 900))
-    shares = draw.dirichlet(np.full(3 * len(LABELLER.classes) + 1, 0.2), -(-n_frames // 6)).astype(np.float32)
-    chosen = LABELLER.choose(shares, n_frames)
+    shares = draw.dirichlet(np.full(3 * len(learned_labeller().classes) + 1, 0.2), -(-n_frames // 6)).astype(np.float32)
+    chosen = learned_labeller().choose(shares, n_frames)
     segments = make_timeline(
-        chosen, draw.uniform(size=len(chosen)) < 0.5, LABELLER.classes, n_frames / 30, 0.5
+        chosen, draw.uniform(size=len(chosen)) < 0.5, learned_labeller().classes, n_frames / 30, 0.5
     ).segments
     edges = [segments[0].start, *(one.stop for one in segments)]
     assert edges[0] == 0.0
@@ -248,11 +248,11 @@ def test_timelines_are_plain_json_and_csv(tmp_path):
 
 
 def test_perfect_labels_score_one_and_no_labels_nothing():
-    segments = [Segment(one.start, one.stop, one.category, 1.0) for one in TRUTH]
-    scores = compare_timeline(segments, TRUTH, DURATION).scores()
+    segments = [Segment(one.start, one.stop, one.category, 1.0) for one in true_segments()]
+    scores = compare_timeline(segments, true_segments(), (len(shown_take().positions) / 30)).scores()
     assert (scores.frame_accuracy, scores.precision, scores.recall, scores.f_measure) == (1, 1, 1, 1)
     assert scores.boundary_error_s == 0.0
-    nothing = compare_timeline([], TRUTH, DURATION).scores()
+    nothing = compare_timeline([], true_segments(), (len(shown_take().positions) / 30)).scores()
     assert (nothing.frame_accuracy, nothing.recall) == (0.0, 0.0)
     assert np.isnan(nothing.precision)
     assert nothing.to_json()["precision"] is None

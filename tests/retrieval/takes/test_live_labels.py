@@ -6,21 +6,20 @@ import json
 
 import numpy as np
 import pytest
-from oracles.short_actions import ACTIONS, make_clip, make_library
+from oracles.short_actions import learned_labeller, shown_take
 from oracles.standing import standing
 
 from dousa.errors import InvalidMotionError, OptionError
 from dousa.experiments.metrics import TrueSegment, compare_timeline
 from dousa.motion.canonical.joints import CANONICAL_JOINTS
 from dousa.retrieval.takes.label import label_take
-from dousa.retrieval.takes.labeller_training import train_labeller
 from dousa.retrieval.takes.live import LiveFrameParser, LiveLabeller, read_live_frames
-from dousa.retrieval.takes.made_takes import join_clips
 
-CLIPS = make_library((0, 1, 2), 3)
-LABELLER = train_labeller(CLIPS)
-TAKE = join_clips([make_clip(action, 7) for action in ACTIONS], np.random.default_rng(3))
-TRUTH = [TrueSegment(p.start / 30, p.stop / 30, p.category) for p in TAKE.pieces]
+
+def true_segments():
+    return [TrueSegment(p.start / 30, p.stop / 30, p.category) for p in shown_take().pieces]
+
+
 POSE = standing()[0]
 
 
@@ -30,44 +29,44 @@ def play(live, positions, rate=30.0, start=0.0):
 
 
 def test_live_labels_are_right_and_settle_within_a_window():
-    live = LiveLabeller(LABELLER, height=TAKE.height)
-    answers = play(live, TAKE.positions)
+    live = LiveLabeller(learned_labeller(), height=shown_take().height)
+    answers = play(live, shown_take().positions)
     last = live.finish()
     assert last is not None
     settled = [segment for answer in [*answers, last] for segment in answer.settled]
     assert settled[0].start == 0.0
-    assert settled[-1].stop == pytest.approx(len(TAKE.positions) / 30)
+    assert settled[-1].stop == pytest.approx(len(shown_take().positions) / 30)
     assert [one.stop for one in settled[:-1]] == [one.start for one in settled[1:]]
-    live_scores = compare_timeline(settled, TRUTH, len(TAKE.positions) / 30).scores()
-    offline = label_take(LABELLER, TAKE)
-    offline_scores = compare_timeline(offline.segments, TRUTH, offline.duration).scores()
+    live_scores = compare_timeline(settled, true_segments(), len(shown_take().positions) / 30).scores()
+    offline = label_take(learned_labeller(), shown_take())
+    offline_scores = compare_timeline(offline.segments, true_segments(), offline.duration).scores()
     assert live_scores.frame_accuracy > offline_scores.frame_accuracy - 0.12
     assert all(answer.time - one.stop <= 10.0 for answer in answers for one in answer.settled)
 
 
 def test_the_action_that_just_ended_is_named():
-    live = LiveLabeller(LABELLER, height=TAKE.height)
-    answers = play(live, TAKE.positions)
-    for piece in TRUTH[:-1]:
+    live = LiveLabeller(learned_labeller(), height=shown_take().height)
+    answers = play(live, shown_take().positions)
+    for piece in true_segments()[:-1]:
         about = [a for a in answers if piece.stop - 0.4 <= a.time <= piece.stop + 0.6]
         assert piece.category in [answer.category for answer in about]
 
 
 def test_other_frame_rates_and_clocks_give_the_same():
-    often = np.repeat(TAKE.positions, 4, axis=0)
+    often = np.repeat(shown_take().positions, 4, axis=0)
     settled = []
-    for positions, rate, start in ((TAKE.positions, 30.0, 0.0), (often, 120.0, 1000.0)):
-        live = LiveLabeller(LABELLER, height=TAKE.height)
+    for positions, rate, start in ((shown_take().positions, 30.0, 0.0), (often, 120.0, 1000.0)):
+        live = LiveLabeller(learned_labeller(), height=shown_take().height)
         answers = [*play(live, positions, rate, start), live.finish()]
         settled.append([one.category for answer in answers for one in answer.settled])
     assert settled[0] == settled[1]
 
 
 def test_memory_and_room_do_not_grow():
-    live = LiveLabeller(LABELLER, height=TAKE.height)
+    live = LiveLabeller(learned_labeller(), height=shown_take().height)
     sizes = []
     for k in range(3000):
-        answer = live.push(TAKE.positions[k % len(TAKE.positions)], k / 30)
+        answer = live.push(shown_take().positions[k % len(shown_take().positions)], k / 30)
         if answer is not None:
             sizes.append((len(live._scores), live._sampler._filled))
     assert max(size for size, _ in sizes[len(sizes) // 2 :]) <= 2 * max(size for size, _ in sizes[: len(sizes) // 2])
@@ -75,15 +74,15 @@ def test_memory_and_room_do_not_grow():
 
 
 def test_a_missing_height_is_measured_in_the_first_second():
-    live = LiveLabeller(LABELLER)
-    assert play(live, TAKE.positions[:30]) == []
-    play(live, TAKE.positions[30:60], start=1.0)
-    assert live.height == pytest.approx(TAKE.height, rel=0.08)
+    live = LiveLabeller(learned_labeller())
+    assert play(live, shown_take().positions[:30]) == []
+    play(live, shown_take().positions[30:60], start=1.0)
+    assert live.height == pytest.approx(shown_take().height, rel=0.08)
 
 
 def test_streams_of_nothing_and_of_little_end_quietly():
-    assert LiveLabeller(LABELLER).finish() is None
-    live = LiveLabeller(LABELLER)
+    assert LiveLabeller(learned_labeller()).finish() is None
+    live = LiveLabeller(learned_labeller())
     live.push(POSE, 0.0)
     last = live.finish()
     assert last is not None
@@ -92,10 +91,10 @@ def test_streams_of_nothing_and_of_little_end_quietly():
 
 
 def test_slow_frames_are_bridged():
-    live = LiveLabeller(LABELLER, height=TAKE.height)
-    play(live, TAKE.positions[::3], rate=10.0)
+    live = LiveLabeller(learned_labeller(), height=shown_take().height)
+    play(live, shown_take().positions[::3], rate=10.0)
     live.finish()
-    assert live._sampler.count == pytest.approx(len(TAKE.positions), abs=3)
+    assert live._sampler.count == pytest.approx(len(shown_take().positions), abs=3)
 
 
 @pytest.mark.parametrize(
@@ -109,7 +108,7 @@ def test_slow_frames_are_bridged():
     ],
 )
 def test_frames_that_cannot_be_are_refused(positions, time, message):
-    live = LiveLabeller(LABELLER)
+    live = LiveLabeller(learned_labeller())
     live.push(POSE, 0.0)
     with pytest.raises(InvalidMotionError, match=message):
         live.push(positions, time)
@@ -118,7 +117,7 @@ def test_frames_that_cannot_be_are_refused(positions, time, message):
 @pytest.mark.parametrize("options", [{"height": 0.0}, {"height": np.nan}, {"threshold": 2.0}])
 def test_options_out_of_range_are_refused(options):
     with pytest.raises(OptionError):
-        LiveLabeller(LABELLER, **options)
+        LiveLabeller(learned_labeller(), **options)
 
 
 def joints(**changes):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
@@ -21,59 +22,89 @@ from dousa.retrieval.takes.made_takes import join_clips
 from dousa.retrieval.takes.repetitions import Chosen
 
 STRANGE = ("bow", "kick")
-CLIPS = [clip for clip in make_library(range(5), 3) if clip.category not in STRANGE]
-LABELLER, JUDGE = train_labeller(CLIPS), learn_clip_judge(CLIPS, 0, None)
 SHOWN = ("spread", "bow", "wave", "kick", "raise left")
-TAKE = join_clips([make_clip(action, 7) for action in SHOWN], np.random.default_rng(3))
-MIDDLES = [0.5 * (piece.start + piece.stop) / 30 for piece in TAKE.pieces]
+
+
+# Made when a test asks, once: whoever collects the tests need not wait for them.
+
+
+@cache
+def known_clips():
+    return [clip for clip in make_library(range(5), 3) if clip.category not in STRANGE]
+
+
+@cache
+def learned_labeller():
+    return train_labeller(known_clips())
+
+
+@cache
+def learned_judge():
+    return learn_clip_judge(known_clips(), 0, None)
+
+
+@cache
+def shown_take():
+    return join_clips([make_clip(action, 7) for action in SHOWN], np.random.default_rng(3))
+
+
+def middles():
+    return [0.5 * (piece.start + piece.stop) / 30 for piece in shown_take().pieces]
 
 
 def test_actions_that_nobody_taught_are_unknown():
-    timeline = label_take(LABELLER, TAKE, judge=JUDGE)
-    assert [timeline.category_at(when) for when in MIDDLES] == ["spread", None, "wave", None, "raise left"]
+    timeline = label_take(learned_labeller(), shown_take(), judge=learned_judge())
+    assert [timeline.category_at(when) for when in middles()] == ["spread", None, "wave", None, "raise left"]
     assert timeline.threshold == 0.5
 
 
 def test_live_segments_are_judged_too():
-    live = LiveLabeller(LABELLER, height=TAKE.height, judge=JUDGE)
-    answers = [live.push(pose, k / 30) for k, pose in enumerate(TAKE.positions)]
+    live = LiveLabeller(learned_labeller(), height=shown_take().height, judge=learned_judge())
+    answers = [live.push(pose, k / 30) for k, pose in enumerate(shown_take().positions)]
     settled = [one for answer in (*answers, live.finish()) if answer is not None for one in answer.settled]
-    said = [next(one.category for one in settled if one.start <= when < one.stop) for when in MIDDLES]
+    said = [next(one.category for one in settled if one.start <= when < one.stop) for when in middles()]
     assert said == ["spread", None, "wave", None, "raise left"]
 
 
 def test_with_a_threshold_of_nothing_nothing_is_unknown():
-    still = replace(TAKE, positions=np.repeat(TAKE.positions[:1], 300, axis=0))
-    for take in (TAKE, still):
-        assert None not in [one.category for one in label_take(LABELLER, take, judge=JUDGE, threshold=0).segments]
+    still = replace(shown_take(), positions=np.repeat(shown_take().positions[:1], 300, axis=0))
+    for take in (shown_take(), still):
+        assert None not in [
+            one.category for one in label_take(learned_labeller(), take, judge=learned_judge(), threshold=0).segments
+        ]
 
 
 def test_a_threshold_is_one_of_what_is_told():
-    sure = [one.confidence for one in label_take(LABELLER, TAKE, judge=JUDGE, threshold=0).segments]
-    said = label_take(LABELLER, TAKE, judge=JUDGE, threshold=0.9).segments
+    sure = [
+        one.confidence
+        for one in label_take(learned_labeller(), shown_take(), judge=learned_judge(), threshold=0).segments
+    ]
+    said = label_take(learned_labeller(), shown_take(), judge=learned_judge(), threshold=0.9).segments
     assert all(one.confidence >= 0.9 for one in said if one.category)
     assert 0 < sum(one.category is not None for one in said) <= sum(one >= 0.9 for one in sure)
 
 
-def judge(names, spans, shares=None, judge=JUDGE):
+def judge(names, spans, shares=None, judge=None):
     """What is thought of stretches of the take that were found as some categories, and show these unless told."""
-    given = np.array([[float(name == one) for one in LABELLER.classes] for name in names])
-    return judge.judge(TAKE, spans, names, given if shares is None else np.array(shares), LABELLER.classes)
+    given = np.array([[float(name == one) for one in learned_labeller().classes] for name in names])
+    return (judge or learned_judge()).judge(
+        shown_take(), spans, names, given if shares is None else np.array(shares), learned_labeller().classes
+    )
 
 
 def span_of(action):
-    piece = TAKE.pieces[SHOWN.index(action)]
+    piece = shown_take().pieces[SHOWN.index(action)]
     return piece.start / 30, piece.stop / 30
 
 
 def test_a_stretch_is_known_where_the_clip_that_is_cut_out_of_it_is():
     """What `dousa classify` asks of a clip, and the judge of the same frames in a take, is one evidence."""
     spans = [span_of(action) for action in SHOWN]
-    seen = judge(["wave"] * len(spans), spans, np.full((len(spans), len(LABELLER.classes)), 0.2))
-    features = np.stack([JUDGE.feature_set.compute(cut_stretch(TAKE, *span)) for span in spans])
+    seen = judge(["wave"] * len(spans), spans, np.full((len(spans), len(learned_labeller().classes)), 0.2))
+    features = np.stack([learned_judge().feature_set.compute(cut_stretch(shown_take(), *span)) for span in spans])
     features = features.astype(np.float32).astype(np.float64)
-    as_clips = JUDGE.assessor.assess(JUDGE.assessor.forest.apply(features), features)
-    assert seen.names == tuple(JUDGE.assessor.forest.classes_[as_clips.guess])
+    as_clips = learned_judge().assessor.assess(learned_judge().assessor.forest.apply(features), features)
+    assert seen.names == tuple(learned_judge().assessor.forest.classes_[as_clips.guess])
     assert seen.sure.tolist() == (~as_clips.unknown).tolist() == [True, False, True, False, True]
     np.testing.assert_allclose(seen.typical, as_clips.evidence[:, EVIDENCE.index("typical")])
 
@@ -83,7 +114,7 @@ def test_the_name_is_what_the_votes_and_the_labeller_make_likeliest_together():
     assert judge(["wave", "spread"], [clear, clear]).names == ("wave", "wave")
     for_spread = []
     for share in (0.0, 0.1, 0.5, 1.0):
-        shares = [[share if name == "spread" else (1 - share) / 2 for name in LABELLER.classes]]
+        shares = [[share if name == "spread" else (1 - share) / 2 for name in learned_labeller().classes]]
         seen = judge(["wave"], [doubtful], shares)
         for_spread.append(seen.leads[0] * (1 if seen.names == ("spread",) else -1))
     assert for_spread == sorted(for_spread)
@@ -137,15 +168,15 @@ class _Says:
 
 def weigh(sure, one):
     """What becomes of a segment of "wave" of which the labeller is so sure."""
-    offset, *weights = LABELLER.calibration
+    offset, *weights = learned_labeller().calibration
     evidence = np.array(weights) * (np.log(sure / (1 - sure)) - offset) / np.dot(weights, weights)
-    chosen = Chosen(0, 60, LABELLER.classes.index("wave"), evidence)
-    return weigh_chosen(LABELLER, [chosen], TAKE, _Says(one))[0]
+    chosen = Chosen(0, 60, learned_labeller().classes.index("wave"), evidence)
+    return weigh_chosen(learned_labeller(), [chosen], shown_take(), _Says(one))[0]
 
 
 def test_a_segment_is_named_where_it_is_likely_or_would_be_as_a_clip():
     told = weigh(0.8, opinion(name="spread", lead=5.0))
-    assert (LABELLER.classes[told.category], told.likely) == ("spread", True)
+    assert (learned_labeller().classes[told.category], told.likely) == ("spread", True)
     assert told.confidence > 0.5
     doubtful = opinion(lead=0.0, typical=-0.3)
     assert not weigh(0.3, doubtful).likely
@@ -155,19 +186,21 @@ def test_a_segment_is_named_where_it_is_likely_or_would_be_as_a_clip():
 def test_of_categories_that_a_judge_does_not_know_the_labeller_speaks_alone():
     alone = weigh(0.97, opinion(judged=False, name="spread", lead=6.0, sure=True))
     assert alone.confidence == pytest.approx(0.97)
-    assert (LABELLER.classes[alone.category], alone.likely) == ("wave", True)
-    sparing = JUDGE.sparing(frozenset(["wave"]))
+    assert (learned_labeller().classes[alone.category], alone.likely) == ("wave", True)
+    sparing = learned_judge().sparing(frozenset(["wave"]))
     spared = judge(["wave", "spread"], [span_of("wave"), span_of("spread")], judge=sparing)
     assert spared.judged.tolist() == [False, True]
     assert "wave" not in judge(["spread"], [span_of("wave")], judge=sparing).names
-    nothing = JUDGE.sparing(frozenset(LABELLER.classes))
+    nothing = learned_judge().sparing(frozenset(learned_labeller().classes))
     assert not judge(["wave"], [span_of("wave")], judge=nothing).judged.any()
 
 
 def test_what_is_repeated_without_a_rest_is_judged_by_its_parts():
     """As a whole, a series is like no clip."""
     parts = ((0, 30), (30, 60), (60, 90))
-    whole = Chosen(0, 90, LABELLER.classes.index("wave"), np.zeros(6), shares=np.eye(len(LABELLER.classes))[0])
+    whole = Chosen(
+        0, 90, learned_labeller().classes.index("wave"), np.zeros(6), shares=np.eye(len(learned_labeller().classes))[0]
+    )
     three = StretchOpinions(
         np.ones(3, bool),
         ("wave", "spread", "wave"),
@@ -177,43 +210,45 @@ def test_what_is_repeated_without_a_rest_is_judged_by_its_parts():
         np.array([True, True, False]),
     )
     told = _Says(three)
-    (weighed,) = weigh_chosen(LABELLER, [replace(whole, parts=parts)], TAKE, told)
-    assert LABELLER.classes[weighed.category] == "wave"
+    (weighed,) = weigh_chosen(learned_labeller(), [replace(whole, parts=parts)], shown_take(), told)
+    assert learned_labeller().classes[weighed.category] == "wave"
     assert told.spans == [(0.0, 1.0), (1.0, 2.0), (2.0, 3.0)]
     both = opinion(lead=(3.0 - 1.0 + 2.0) / 3, typical=0.1, unsteady=0.02)
-    own = LABELLER.place(np.zeros((1, 6)))
+    own = learned_labeller().place(np.zeros((1, 6)))
     assert weighed.confidence == pytest.approx(float(combine_chances(own, both)[0]))
 
 
 def test_of_a_long_series_a_few_parts_are_looked_at():
     parts = tuple((30 * k, 30 * k + 30) for k in range(13))
-    chosen = Chosen(0, 390, 0, np.zeros(6), shares=np.eye(len(LABELLER.classes))[0], parts=parts)
+    chosen = Chosen(0, 390, 0, np.zeros(6), shares=np.eye(len(learned_labeller().classes))[0], parts=parts)
     told = _Says(
         StretchOpinions(
-            np.ones(5, bool), (LABELLER.classes[0],) * 5, *(np.zeros(5) for _ in range(3)), np.ones(5, bool)
+            np.ones(5, bool), (learned_labeller().classes[0],) * 5, *(np.zeros(5) for _ in range(3)), np.ones(5, bool)
         )
     )
-    (weighed,) = weigh_chosen(LABELLER, [chosen], TAKE, told)
+    (weighed,) = weigh_chosen(learned_labeller(), [chosen], shown_take(), told)
     assert weighed.likely
     assert told.spans == [(3.0 * k, 3.0 * k + 1.0) for k in range(5)]
 
 
 def test_a_series_of_what_clips_show_once_is_known():
     take = join_clips([make_clip("wave", 7, k % 3) for k in range(7)], np.random.default_rng(3))
-    assert {one.category for one in label_take(LABELLER, take, judge=JUDGE).segments} == {"wave"}
+    assert {one.category for one in label_take(learned_labeller(), take, judge=learned_judge()).segments} == {"wave"}
 
 
 def test_stretches_are_cut_at_the_rate_of_their_recording():
-    take = replace(TAKE, frame_rate=15.0)
+    take = replace(shown_take(), frame_rate=15.0)
     assert len(cut_stretch(take, 1.0, 3.0).positions) == 30
     assert len(cut_stretch(take, 1e6, 1e6).positions) == 1
-    made = AnnotatedTake("a", "b", TAKE.positions, 30.0, TAKE.height, (Stretch(0, 1, None), Stretch(1, 2, "wave")))
+    made = AnnotatedTake(
+        "a", "b", shown_take().positions, 30.0, shown_take().height, (Stretch(0, 1, None), Stretch(1, 2, "wave"))
+    )
     assert [(len(clip.positions), clip.category) for clip in cut_segments([made])] == [(30, "wave")]
     assert set(ACTIONS) > set(STRANGE)
 
 
 def test_threads_change_no_segment():
-    long = replace(TAKE, positions=np.tile(TAKE.positions, (14, 1, 1)))
-    timeline = label_take(LABELLER, long, judge=JUDGE)
+    long = replace(shown_take(), positions=np.tile(shown_take().positions, (14, 1, 1)))
+    timeline = label_take(learned_labeller(), long, judge=learned_judge())
     assert len(timeline.segments) > 32
-    assert label_take(LABELLER, long, judge=JUDGE, n_jobs=2) == timeline
+    assert label_take(learned_labeller(), long, judge=learned_judge(), n_jobs=2) == timeline

@@ -80,7 +80,7 @@ class Queue {
         this.button("yes", "review_yes", "Y", { suggested: doubt.suggested }), this.button("no", "review_no", "N", { category: doubt.category }), this.button("skip", "review_skip", "S"),
         ...(this.done.length ? [this.button("undo", "undo", "U")] : [])),
     );
-    await this.draw();
+    this.draw(); // keys do not wait for pictures
   }
 
   async isOpen(doubt) {
