@@ -105,6 +105,10 @@ def test_the_report_follows_cuts_and_weights(show, address):
     page = show(address)
     _grade(page)
     count = page.run("return document.querySelectorAll('.furi-table tbody tr:not(.counts-row)').length")
+    # One figure has one grade, here and in the report, which is rounded once.
+    texts = "return [...document.querySelectorAll(arguments[0])].map((one) => Number(one.textContent))"
+    shown, said = page.run(texts, ".cuts-table .figure-score"), page.run(texts, ".furi-table tbody td.strong")
+    assert len(shown) == len(said) and all(abs(a - b) < 0.56 for a, b in zip(shown, said, strict=True))
     # A cut is moved by keyboard, and one is taken away by mouse.
     page.run("document.querySelectorAll('.tl-cut')[1].focus()")
     page.press("\ue014", "\ue014", "\ue014")

@@ -79,11 +79,11 @@ export class Cuts {
     this.rows.children[Math.min(place, this.rows.children.length) - 1]?.querySelector("input").focus();
   }
 
-  /** The grade of each figure, as the assessment says. */
+  /** The grade of each figure, with the decimal that it comes with: rounded once more it may not be what the report says. */
   showScores(furi) {
     [...this.rows.children].forEach((row, place) => {
       const score = furi[place]?.score;
-      row.querySelector(".figure-score").textContent = score == null ? "–" : score.toFixed(0);
+      row.querySelector(".figure-score").textContent = score == null ? "–" : score.toFixed(1);
     });
   }
 
