@@ -245,16 +245,19 @@ def alike_lines(name, ours, plain):
     return [Line(f"{name}: {what}", share(ours, of, k), share(plain, of, k), note=note) for what, of, k, note in table]
 
 
+LEGS = ("knee", "ankle", "toe")
+
+
 def first_answer(context):
-    """9. s of processor (note: by the clock) of the first and second answer of a library of UTD, HDM05 and Bandai, 502
-    clips, to a whole body and to one without hands and feet; each in a process of its own."""
+    """9. s of processor (note: by the clock) of the first and second answer of a library of UTD, HDM05 and Bandai, 508
+    clips, to a whole body, to one without hands and toes, and to one without legs; each in a process of its own."""
     learned = thin(context.sets["utd"], 7) + context.sets["hdm05"] + thin(context.sets["bandai"], 13)
     library = context.folder / "mixed.dousa"
     wall, spent = build(library, learned)
     lines = [Line("training", spent, note=f"{wall:.1f} by the clock, {len(learned)} clips")]
     asked = [c for c in context.sets["utd"] if c not in learned]
     take, _ = draw_take(asked, context.rng("first"))
-    for body, less in (("whole body", ()), ("no hands, no feet", ("hand", "wrist", "toe", "ankle"))):
+    for body, less in (("whole body", ()), ("no hands, no feet", ("hand", "toe")), ("no legs", LEGS)):
         for command, points in (("search", [load(asked[0].path), load(asked[-1].path)]), ("label", [take, take])):
             for i, p in enumerate(points):
                 names, positions = p.without(*less) if less else (dousa.CANONICAL_JOINTS, p.positions)
