@@ -7,11 +7,13 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-from hypothesis import settings
+from hypothesis import HealthCheck, settings
 
 os.environ["DOUSA_LANG"] = "en"  # whatever the locale of the machine is; commands in processes of their own inherit it
 # A loaded machine is slow, not wrong; CI tries the same examples each time, whoever works at it tries new ones.
-settings.register_profile("dousa", deadline=None, derandomize="CI" in os.environ)
+settings.register_profile(
+    "dousa", deadline=None, derandomize="CI" in os.environ, suppress_health_check=[HealthCheck.too_slow]
+)
 settings.load_profile("dousa")
 
 TESTS = Path(__file__).resolve().parent

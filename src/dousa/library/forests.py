@@ -301,14 +301,9 @@ def hold_back(clips: ClipFeatures, labelled: Sequence[int]) -> HeldBack:
 
 
 def describe_copies(
-    connection: sa.Connection,
-    clips: ClipFeatures,
-    labelled: Sequence[int],
-    kind: FeatureSet,
-    n_jobs: int | None = 1,
-    most: int = MOST_COPIES,
+    connection: sa.Connection, clips: ClipFeatures, labelled: Sequence[int], kind: FeatureSet, n_jobs: int | None = 1
 ) -> Copies:
-    """Disturbed copies of at most so many of the clips of ``choose_held_back``, which show what noise does to them.
+    """Disturbed copies of some of the clips of ``choose_held_back``, which show what noise does to them.
 
     None for features without banks: the paper knows no copies.
     """
@@ -320,7 +315,7 @@ def describe_copies(
 
     rows = choose_held_back(clips, labelled)
     some = bool(rows) and kind.has_banks
-    places = np.arange(0, len(rows), -(-len(rows) // most)) if some else np.zeros(0, np.intp)
+    places = np.arange(0, len(rows), -(-len(rows) // MOST_COPIES)) if some else np.zeros(0, np.intp)
 
     def describe(task: tuple[int, StoredMotion]) -> FloatArray:
         place, motion = task
@@ -361,7 +356,6 @@ def learn_unknown(
     kind: FeatureSet,
     copies: Copies | None = None,
     watch: Watch | None = None,
-    effort: tuple[int, int] | None = None,
 ) -> Assessor | None:
     """Tell known motions from unknown ones; None where there are too few clips or categories to learn that.
 
@@ -372,17 +366,13 @@ def learn_unknown(
     kind : features that it asks for.
     copies : of ``describe_copies``.
     watch : looks on, as in ``learn_calibration``; its rows are those of ``choose_held_back``.
-    effort : rounds, and trees of each; None for those of ``learn_calibration``.
     """
-    from dousa.retrieval.forest.calibration import ROUNDS, TREES, Assessor, learn_calibration
-
-    n_rounds, n_trees = effort or (ROUNDS, TREES)
+    from dousa.retrieval.forest.calibration import Assessor, learn_calibration
 
     try:
         calibration = learn_calibration(
-            forest, held.features, held.categories, held.performers,
-            feature_set=kind, copies=copies, watch=watch, n_rounds=n_rounds, n_trees=n_trees,
-        )  # fmt: skip
+            forest, held.features, held.categories, held.performers, feature_set=kind, copies=copies, watch=watch
+        )
     except TrainingError:
         return None
     return Assessor(forest, calibration)

@@ -50,11 +50,10 @@ from dousa.retrieval.forest.pose_space import (
     read_curve,
 )
 
-ROUNDS = 8
-"""That a calibration holds, with small forests of so many ``TREES``."""
+_ROUNDS = 8
 _CATEGORY_PARTS = 4  # a round holds back a quarter, so that its forest has almost as many categories as the real one
 _PERFORMER_PARTS = 3
-TREES = 50
+_TREES = 50
 _MOST_JUDGED = 500  # clips that are known, and as many that are not, in a round
 _MOST_BETWEEN = 250
 _COPY_WEIGHT = 2 / 3
@@ -282,8 +281,6 @@ def learn_calibration(
     copies: Copies | None = None,
     random_state: int = 0,
     watch: Watch | None = None,
-    n_rounds: int = ROUNDS,
-    n_trees: int = TREES,
 ) -> Calibration:
     """Learn from people and categories that are held back how far guesses can be trusted.
 
@@ -299,7 +296,6 @@ def learn_calibration(
     copies : disturbed copies of some of the clips, of any rows. Without them, noise is taken for strangeness.
     random_state : seed; the same seed gives the same calibration, however many workers.
     watch : called in each round with its number, its forest, and the rows that train it, that are known and unknown.
-    n_rounds, n_trees : rounds that are held, and trees of the forest of each at most.
 
     Returns
     -------
@@ -317,9 +313,8 @@ def learn_calibration(
     if len(names) < 3:
         raise TrainingError("calibration.categories", count=len(names))
     people = [None] * len(labels) if performers is None else performers
-    parameters = {**forest.get_params(), "n_trees": min(n_trees, forest.get_params()["n_trees"])}
-    judge = _Judge(parameters, features, labels, feature_set, copies, watch)
-    rounds = list(_draw_rounds(labels, people, random_state, n_rounds))
+    judge = _Judge(forest.get_params(), features, labels, feature_set, copies, watch)
+    rounds = list(_draw_rounds(labels, people, random_state))
     # The forests side by side, each by one worker, as small ones are not worth dividing; the poses one after the other,
     # as the linear algebra has workers of its own.
     asked = Parallel(n_jobs=forest.n_jobs, prefer="threads")(
@@ -376,7 +371,8 @@ class _Judge:
         self, number: int, train: IndexArray, known: IndexArray, unknown: IndexArray
     ) -> tuple[NDArray[Any], FloatArray]:
         """Train on some clips, and guess the categories of others, with the scores."""
-        small = MotionForest(**{**self.parameters, "random_state": number, "n_jobs": 1})
+        trees = min(_TREES, self.parameters["n_trees"])
+        small = MotionForest(**{**self.parameters, "n_trees": trees, "random_state": number, "n_jobs": 1})
         copies = Copies(np.zeros(0, np.intp), self.features[:0]) if self.copies is None else self.copies
         features, copied = copies.join(self.features, train, train)
         small.fit(features, self.labels[train], feature_set=self.feature_set, copied=copied)
@@ -478,14 +474,14 @@ def _weigh(kinds: IndexArray, copied: BoolArray) -> FloatArray:
 
 
 def _draw_rounds(
-    labels: NDArray[Any], performers: Sequence[str | None], random_state: int, n_rounds: int = ROUNDS
+    labels: NDArray[Any], performers: Sequence[str | None], random_state: int
 ) -> Iterator[tuple[IndexArray, IndexArray, IndexArray]]:
     """Clips that train, that are known, and that are unknown, for each round that can be held."""
     generator = np.random.default_rng(random_state)
     names, own = np.unique(labels, return_inverse=True)
     parts = _part_performers(own, performers, generator)
     n_groups = min(_CATEGORY_PARTS, len(names))
-    for number in range(n_rounds):
+    for number in range(_ROUNDS):
         if number % n_groups == 0:
             group = generator.permutation(np.arange(len(names)) % n_groups)
         held = group[own] == number % n_groups
