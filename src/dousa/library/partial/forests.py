@@ -1,9 +1,8 @@
 """Forests for parts of bodies: learned from the clips of the library, described as if all lacked the same joints.
 
 Such a forest is learned when a body without these joints is first asked about, or with the training where clips of the
-library lack them. Somebody waits, so less is spent than on the forest of the library on what hardly shows: half of the
-disturbed copies, and a quarter of the trees that calibrate it. It is kept in the library with what it says of the
-clips, and learned anew when they, their categories or the parameters change.
+library lack them. It is kept in the library with what it says of the clips, and learned anew when they, their
+categories or the parameters change.
 """
 
 from __future__ import annotations
@@ -45,8 +44,7 @@ if TYPE_CHECKING:
 
 _STEPS = 4
 
-_LEARNED_BY = "500 copies"  # what is learned otherwise than by an earlier dousa is learned anew
-_MOST_COPIES, _EFFORT = 500, (4, 25)  # with 1,000 copies, eight rounds and 50 trees it was as right, and as sure
+_LEARNED_BY = "copies"  # what is learned otherwise than by an earlier dousa is learned anew
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -181,7 +179,7 @@ class PartForests:
             described = _describe(connection, missing, kind, n_jobs, progress)
             if stored is None:
                 clips = _gather_taught(material, described)
-                copies = describe_copies(connection, clips, range(len(clips.ids)), kind, n_jobs, _MOST_COPIES)
+                copies = describe_copies(connection, clips, range(len(clips.ids)), kind, n_jobs)
                 stored = _train(main, kind, clips, copies, n_jobs, progress)
         if missing:
             features = np.stack([described[clip_id].features for clip_id in missing])
@@ -303,7 +301,7 @@ def _train(
     report(1, _STEPS, Message("library_training.growing_trees"))
     fit_forest(forest, clips, labelled, kind, copies)
     report(2, _STEPS, Message("library_training.calibrating"))
-    assessor = learn_unknown(forest, hold_back(clips, labelled), kind, copies, effort=_EFFORT)
+    assessor = learn_unknown(forest, hold_back(clips, labelled), kind, copies)
     report(3, _STEPS, Message("library_training.writing"))
     categories = tuple(str(name) for name in forest.classes_)
     return replace(main, forest=forest, categories=categories, feature_set=kind.name, assessor=assessor)
