@@ -150,6 +150,13 @@ def test_without_the_extra_the_pip_command_is_told(dousa, library_copy, monkeypa
     assert "pip install 'dousa[studio]'" in err
 
 
+def test_the_help_names_the_extras(dousa):
+    """Square brackets are markup to what prints the help, and vanish if nobody says otherwise."""
+    _, out, _ = dousa("studio", "--help")
+    said = " ".join(out.split())
+    assert "'dousa[studio]'" in said and "'dousa[share]'" in said
+
+
 def test_the_demo_library_gets_the_takes(library_copy, bvh, dousa, tmp_path):
     from dousa.library import Library
 
