@@ -29,6 +29,7 @@ import time
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from unittest import mock
 
 import numpy as np
 from _replicas import replicate, replicate_take
@@ -103,9 +104,8 @@ def change(path: Path) -> None:
 
 def train_from(path: Path, n_drawn: int | None) -> None:
     """Train a library; each tree from so many clips, where that is said."""
-    if n_drawn is not None:
-        trees.MOST_GROWN = n_drawn
-    train(path)
+    with mock.patch.object(trees, "MOST_GROWN", trees.MOST_GROWN if n_drawn is None else n_drawn):
+        train(path)
 
 
 def add(path: Path, files: Path) -> None:

@@ -18,6 +18,7 @@ from __future__ import annotations
 import argparse
 import time
 from pathlib import Path
+from unittest import mock
 
 import numpy as np
 from _take_material import FEATURE_SET, read_or_make_clips
@@ -50,9 +51,9 @@ def mix_clips(
 
 def train(features: NDArray[np.float32], categories: NDArray[np.str_], drawn: int, seed: int) -> MotionForest:
     """A forest whose trees draw so many clips each, if there are more."""
-    trees.MOST_GROWN = drawn
     forest = MotionForest(thresholds=FEATURE_SET.thresholds, n_trials=FEATURE_SET.n_trials, random_state=seed, n_jobs=1)
-    return forest.fit(features, categories, feature_set=FEATURE_SET)
+    with mock.patch.object(trees, "MOST_GROWN", drawn):
+        return forest.fit(features, categories, feature_set=FEATURE_SET)
 
 
 def compare_samples(
@@ -102,7 +103,6 @@ def compare_growth(
     ]
     keys = np.arange(n_clips + len(features), dtype=np.uint64)
     for others in most:
-        growth._MOST_OTHERS = others
         forest, rows = trained, np.zeros(0, np.int64)
         leaves = trained.apply(made)
         for count, sooner in zip(LEARNED, (0, *LEARNED), strict=False):
@@ -118,14 +118,15 @@ def compare_growth(
                 all_names, leaves, give, keys[: len(all_names)], np.arange(len(all_names)) >= n_clips
             )
             start = time.process_time()
-            grown = grow_forest(
-                forest,
-                standing,
-                features[some],
-                categories[some],
-                keys=keys[n_clips + len(features) - len(some) :],
-                feature_set=FEATURE_SET,
-            )
+            with mock.patch.object(growth, "_MOST_OTHERS", others):
+                grown = grow_forest(
+                    forest,
+                    standing,
+                    features[some],
+                    categories[some],
+                    keys=keys[n_clips + len(features) - len(some) :],
+                    feature_set=FEATURE_SET,
+                )
             seconds = time.process_time() - start
             leaves[grown.moved] = grown.moved_leaves
             leaves, rows, forest = np.concatenate([leaves, grown.leaves]), np.append(rows, some), grown.forest
