@@ -210,6 +210,45 @@ def test_choosing_with_the_keyboard(library_page):
     assert page.messages() == []
 
 
+# Answers with clips of the list wait until `letGo`; how many do is counted.
+HOLD_LISTS = """
+    const real = window.fetch;
+    window.held = 0;
+    const gate = new Promise((done) => { window.letGo = () => { window.fetch = real; done(); }; });
+    window.fetch = async (path, ...rest) => {
+        if (/\\/api\\/clips\\?.*offset=/.test(path)) { window.held += 1; await gate; }
+        return real(path, ...rest);
+    };
+"""
+
+
+def test_while_the_list_is_read_again_what_is_shown_can_be_chosen(library_page, running):
+    page = library_page()
+    page.run(HOLD_LISTS)
+    running.app.state.studio.library.remove([1])
+    page.run("document.dispatchEvent(new Event('visibilitychange'))")
+    page.wait("return window.held > 0")
+    assert page.run(f"{DRAWN} > 3")
+    page.run("document.querySelectorAll('.cell')[1].click()")
+    assert page.run("return document.querySelector('#actions a').getAttribute('href')") == "/search?motion=clip:2"
+    page.run("window.letGo()")
+    wait_count(page, N - 1)
+    page.settle()
+    assert page.run(CHOSEN) == [2]
+    # The same while another filter is asked for.
+    page.run(HOLD_LISTS)
+    page.run("document.querySelector(\"[data-key='category squat']\").click()")
+    page.wait("return window.held > 0")
+    page.run("document.querySelectorAll('.cell')[2].click()")
+    page.settle()
+    chosen = page.run(CHOSEN)
+    assert len(chosen) == 1 and chosen != [2]
+    page.run("window.letGo()")
+    wait_count(page, 6)
+    page.wait("return document.querySelector('.chosen-count')?.textContent === '1 chosen (1 not in this list)'")
+    assert page.messages() == []
+
+
 def test_chosen_clips_lead_to_the_other_pages(library_page):
     page = library_page()
     links = "return [...document.querySelectorAll('#actions a')].map((a) => a.getAttribute('href'))"

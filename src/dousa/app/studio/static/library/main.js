@@ -65,7 +65,7 @@ const keptHooks = {
 const listTop = () => $("#browse").getBoundingClientRect().top + window.scrollY - 70;
 
 async function idsOf(part = {}) {
-  const query = new URLSearchParams(filter.query);
+  const query = new URLSearchParams(source.query); // of the list that is shown
   for (const [name, value] of Object.entries(part)) query.set(name, String(value));
   return (await get(`/clips/ids?${query}`)).ids;
 }

@@ -10,32 +10,36 @@ const MOST_FIGURES = 600;
 const AT_ONCE = 120; // figures in one answer
 const PAUSE = 60; // ms between two requests while the page scrolls
 
+function read(query, page) {
+  const asked = new URLSearchParams(query);
+  asked.set("offset", String(page * PAGE));
+  asked.set("limit", String(PAGE));
+  return get(`/clips?${asked}`);
+}
+
 export class Source {
   /** hooks: reset(answer) when the list is another one, arrived() when something of it came, failed(error) */
   constructor(hooks) {
-    this.hooks = hooks;
-    this.figures = new Map();
-    this.range = [0, 0];
-    this.clear(new URLSearchParams());
+    Object.assign(this, { hooks, query: new URLSearchParams(), wanted: new URLSearchParams(), asking: null });
+    Object.assign(this, { pages: new Map(), asked: new Set(), figures: new Map(), range: [0, 0], total: 0, round: 0 });
   }
 
-  clear(query) {
-    this.query = query;
-    this.pages = new Map();
-    this.asked = new Set();
-    this.round = (this.round ?? 0) + 1;
-    this.total = this.total ?? 0;
-  }
-
-  /** Another filter, or the same once more. */
-  async ask(query = this.query) {
-    this.clear(query);
-    const round = this.round;
-    const answer = await this.load(0);
-    if (answer && round === this.round) {
-      this.total = answer.total;
-      this.revision = answer.revision;
+  /** Another filter, or the same once more. The list stays what it is, to look at and to choose from, until the answer. */
+  async ask(query = this.wanted) {
+    const asking = (this.asking = Symbol("ask"));
+    const wanted = (this.wanted = new URLSearchParams(query));
+    // Of the same list what is seen is read too, so that nothing of it is away for a moment.
+    const seen = String(wanted) === String(this.query) ? this.pagesOf(this.range).filter((page) => page > 0) : [];
+    try {
+      const [answer, ...others] = await Promise.all([0, ...seen].map((page) => read(wanted, page)));
+      if (asking !== this.asking) return;
+      const { total, revision } = answer;
+      const pages = new Map([[0, answer.items]]);
+      others.forEach((other, number) => other.revision === revision && pages.set(seen[number], other.items));
+      Object.assign(this, { query: wanted, pages, asked: new Set(), total, revision, round: this.round + 1 });
       this.hooks.reset(answer);
+    } finally {
+      if (asking === this.asking) this.asking = null;
     }
   }
 
@@ -43,7 +47,7 @@ export class Source {
   async refresh() {
     const round = this.round;
     const { revision } = await get("/clips", { limit: 0 });
-    if (round === this.round && revision !== this.revision) await this.ask();
+    if (!this.asking && round === this.round && revision !== this.revision) await this.ask();
   }
 
   item(index) {
@@ -78,9 +82,15 @@ export class Source {
     if (range !== this.range) this.need(...this.range);
   }
 
-  async fetchPages([first, last]) {
+  /** Numbers of the pages that hold the clips from first to last, not including it. */
+  pagesOf([first, last]) {
     const numbers = [];
     for (let page = Math.floor(first / PAGE); page * PAGE < Math.min(last, this.total); page += 1) numbers.push(page);
+    return numbers;
+  }
+
+  async fetchPages(range) {
+    const numbers = this.pagesOf(range);
     this.forget(numbers[0] ?? 0);
     await Promise.all(numbers.filter((page) => !this.pages.has(page) && !this.asked.has(page)).map((page) => this.load(page)));
   }
@@ -88,19 +98,13 @@ export class Source {
   async load(page) {
     const round = this.round;
     this.asked.add(page);
-    const query = new URLSearchParams(this.query);
-    query.set("offset", String(page * PAGE));
-    query.set("limit", String(PAGE));
     try {
-      const answer = await get(`/clips?${query}`);
-      if (round !== this.round) return null;
-      if (page > 0 && answer.revision !== this.revision) {
-        await this.ask();
-        return null;
-      }
-      this.pages.set(page, answer.items);
-      if (page > 0) this.hooks.arrived();
-      return answer;
+      const answer = await read(this.query, page);
+      if (round !== this.round) return;
+      if (answer.revision === this.revision) {
+        this.pages.set(page, answer.items);
+        this.hooks.arrived();
+      } else if (!this.asking) await this.ask();
     } finally {
       if (round === this.round) this.asked.delete(page);
     }
