@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import io
 import re
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import pytest
+from rich.console import Console
 
 from app.fake_assessment import make_assessment
 from dousa.app.report import (
@@ -18,6 +21,10 @@ from dousa.app.report import (
     read_report_style,
     write_report,
 )
+from dousa.app.tables.answers import print_assessment
+from dousa.app.tables.progress import print_progress
+from dousa.evaluation import compare_attempts, read_attempt
+from dousa.evaluation.grade.score import round_grade
 
 
 @pytest.mark.parametrize("language", ["en", "ja"])
@@ -37,6 +44,21 @@ def test_quick_parts_are_some_of_all() -> None:
     quick, whole = build_parts(assessment, "en", QUICK_PARTS), build_parts(assessment, "en")
     assert set(quick) == set(QUICK_PARTS) < set(whole)
     assert all(whole[name] == markup for name, markup in quick.items())
+
+
+@pytest.mark.parametrize("score", [76.44, 76.45, 76.5, 77.5, 99.96])
+def test_one_grade_is_told_alike_everywhere(score: float) -> None:
+    whole = f"{round_grade(score):.0f}"
+    assessment = replace(make_assessment(seconds=6.0), score=score)
+    header = build_parts(assessment, "en", ("header",))["header"]
+    assert re.findall('class="number">([^<]*)', header)[0] == whole
+    out = Console(file=io.StringIO(), width=200)
+    print_assessment(out, assessment)
+    attempt = read_attempt(assessment.to_json(), "pupil")
+    print_progress(out, compare_attempts([attempt, attempt]))
+    said = out.file.getvalue()
+    assert f"grade {whole} of 100" in said and f"the grade stayed at {whole}" in said
+    assert re.findall(r"^ *pupil +(\d+)", said, re.MULTILINE) == [whole, whole]
 
 
 def test_the_style_ends_at_the_report() -> None:

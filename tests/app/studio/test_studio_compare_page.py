@@ -6,6 +6,8 @@ import urllib.error
 
 import pytest
 
+from dousa.evaluation.grade.score import round_grade
+
 CELLS = """
 return [...document.querySelectorAll('.compare-table tbody tr:not(.compare-title)')].map((row) =>
   [...row.children].map((cell) => cell.textContent.trim()));
@@ -41,7 +43,7 @@ def test_evaluations_of_one_reference_stand_beside_each_other(show, client, grad
     assert dict(boxes) == {first: True, second: True, other: False}
 
     rows = {name: cells for name, *cells in page.run(CELLS)}
-    assert [int(cell.split()[0]) for cell in rows["Grade"]] == [int(score + 0.5) for score in scores]
+    assert [int(cell.split()[0]) for cell in rows["Grade"]] == [round_grade(score) for score in scores]
     assert set(rows) >= {"time shift", "left forearm", "trunk"}
     page.run("document.querySelector('[name=compare-mode][value=dates]').click()")
     rows = {name: cells for name, *cells in page.run(CELLS)}
@@ -66,6 +68,21 @@ def test_evaluations_of_one_reference_stand_beside_each_other(show, client, grad
     page.wait("return document.querySelector('.compare-player canvas')")
     names = page.run("return [...document.querySelectorAll('.compare-player .dp-name')].map((e) => e.textContent)")
     assert any("dance_pupil" in name for name in names) and any("dance_reference" in name for name in names)
+    assert page.messages() == []
+
+
+def test_grades_are_told_as_reports_and_tables_tell_them(show):
+    page = show("/evaluate")
+    grades = [tenth / 10 for tenth in range(1001)]
+    said = page.driver.execute_async_script(
+        """
+        const [grades, done] = arguments;
+        const base = document.querySelector('script[src*="core/frame"]').src.replace('frame.js', '');
+        import(`${base}dom.js`).then(({ wholeGrade }) => done(grades.map(wholeGrade)));
+        """,
+        grades,
+    )
+    assert said == [f"{round_grade(grade):.0f}" for grade in grades]
     assert page.messages() == []
 
 

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from dousa.errors import InvalidMotionError
 from dousa.evaluation.grade.parts import PARTS, compute_deviation
-from dousa.evaluation.grade.score import compute_grade, load_model
+from dousa.evaluation.grade.score import compute_grade, load_model, round_grade
 
 
 def test_deviation_is_the_mean_of_the_root_mean_square_in_degrees() -> None:
@@ -125,8 +125,16 @@ def test_no_grade_says_why(unlike: bool, code: str) -> None:
     assert np.isnan(found.score) and np.isnan(found.interval).all() and found.formula.code == code
 
 
+@given(st.floats(0.0, 100.0))
+def test_a_grade_without_decimals_is_that_of_the_answer(score: float) -> None:
+    whole = round_grade(score)
+    assert whole == round_grade(round(score, 1)) and whole == int(whole) and abs(whole - score) <= 0.55
+    assert (round_grade(76.45), round_grade(76.5), round_grade(76.44), round_grade(77.5)) == (77.0, 77.0, 76.0, 78.0)
+    assert np.isnan(round_grade(float("nan")))
+
+
 def test_the_formula_holds_its_numbers() -> None:
     found = compute_grade(MODEL.usual[0], 0.5, NO_TAKES, 1)
     for language in ("en", "ja"):
         said = found.formula.render(language)
-        assert f"{found.score:.0f}" in said and "52 %" in said and f"{MODEL.usual[0][0]:.1f}" in said
+        assert f"= {round_grade(found.score):.0f}" in said and "52 %" in said and f"{MODEL.usual[0][0]:.1f}" in said

@@ -192,6 +192,7 @@ def _evaluate(console: Console, files: _Files, output: Path, seed: int) -> None:
     """Against a teacher's takes: the estimate, and beside it the motion as it really was."""
     from dousa.app.pipelines.evaluate import evaluate_files
     from dousa.app.report import write_report
+    from dousa.evaluation.grade.score import round_grade
     from dousa.formats.motion_files import ReadOptions
     from dousa.formats.registry import write_motion
     from dousa.motion.synthetic.performers import Performer, make_motion
@@ -210,8 +211,8 @@ def _evaluate(console: Console, files: _Files, output: Path, seed: int) -> None:
         ", ".join(dict.fromkeys(event.kind for event in done.assessment.events)) or "no error" for done in (seen, true)
     ]
     console.print(
-        f"Held against {len(takes)} takes of a teacher: grade {seen.assessment.score:.0f} ({kinds[0]}); "
-        f"the motion as it really was: {true.assessment.score:.0f} ({kinds[1]})",
+        f"Held against {len(takes)} takes of a teacher: grade {round_grade(seen.assessment.score):.0f} ({kinds[0]}); "
+        f"the motion as it really was: {round_grade(true.assessment.score):.0f} ({kinds[1]})",
         markup=False,
         soft_wrap=True,
     )

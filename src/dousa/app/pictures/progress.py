@@ -58,13 +58,13 @@ def draw_progress(progress: Progress, path: str | os.PathLike[str]) -> None:
 
 
 def _draw_grades(axes: Axes, attempts: tuple[Attempt, ...]) -> None:
-    from dousa.evaluation.advice.progress import round_score
+    from dousa.evaluation.grade.score import round_grade
 
     scores = [math.nan if one.score is None else one.score for one in attempts]
     axes.plot(range(len(attempts)), scores, color=INK, marker="o", linewidth=2.0)
     for place, score in enumerate(scores):
         if math.isfinite(score):
-            write(axes, place, score + 6.0, str(round_score(score)), 10.0, ha="center")
+            write(axes, place, score + 6.0, f"{round_grade(score):.0f}", 10.0, ha="center")
     _dress(axes, len(attempts), 115.0, str(Message("progress.grade")), INK)
 
 

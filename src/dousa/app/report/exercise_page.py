@@ -11,7 +11,7 @@ from typing import Any
 from dousa.app.report.exercise_plots import draw_angles, draw_measures, draw_poses
 from dousa.app.report.exercise_tables import build_joints_table, build_repetitions_table, to_repetitions_csv
 from dousa.app.report.fonts import embed_font, font_rule
-from dousa.app.report.markup import element, escape, format_number
+from dousa.app.report.markup import element, escape, format_grade, format_number
 from dousa.app.report.page import collect_text, fill_slots, read_file
 from dousa.errors import MotionWriteError, OptionError
 from dousa.evaluation.exercises.range_of_motion import ANGLE_NAMES
@@ -186,7 +186,7 @@ def _build_figures(done: RepetitionsAssessment, words: Mapping[str, str]) -> str
     figures = [
         (str(done.count), words["figure_count"], words["figure_incomplete"].format(n=incomplete) if incomplete else ""),
         (
-            format_number(score, 0),
+            format_grade(score),
             words["figure_grade"],
             words["calibrated" if calibrated else "uncalibrated"].format(n=done.n_references),
         ),
@@ -235,7 +235,7 @@ def _say_grade(one: AssessedRepetition, words: Mapping[str, str]) -> str:
         return words["incomplete"].format(percent=format_number(100.0 * one.repetition.extent, 0))
     if not math.isfinite(one.score):
         return words["not_graded"]
-    return words["graded"].format(score=format_number(one.score, 0))
+    return words["graded"].format(score=format_grade(one.score))
 
 
 def _say_range(one: AssessedRepetition, angle: str, words: Mapping[str, str], language: str) -> str:

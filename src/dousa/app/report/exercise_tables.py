@@ -8,7 +8,7 @@ import math
 from collections.abc import Mapping
 
 from dousa.app.report.curves import build_details, build_table
-from dousa.app.report.markup import element, format_number
+from dousa.app.report.markup import element, format_grade, format_number
 from dousa.evaluation.exercises.range_of_motion import ANGLE_NAMES, ANGLES, MOVING_DEG
 from dousa.evaluation.exercises.repetitions import AssessedRepetition, RepetitionsAssessment
 from dousa.evaluation.exercises.summary import PAIR_NAMES, SHORT, choose_angles
@@ -44,7 +44,7 @@ def build_repetitions_table(done: RepetitionsAssessment, words: Mapping[str, str
 
 def _row(number: int, one: AssessedRepetition, angles: tuple[str, ...], words: Mapping[str, str]) -> str:
     found = one.repetition
-    grade = format_number(one.score, 0)
+    grade = format_grade(one.score)
     if not found.complete:
         grade = words["incomplete"].format(percent=format_number(100.0 * found.extent, 0))
     texts = [

@@ -7,6 +7,7 @@ import math
 from collections.abc import Iterable, Mapping
 
 from dousa.arrays import FloatArray
+from dousa.evaluation.grade.score import round_grade
 
 
 def escape(text: object) -> str:
@@ -22,6 +23,11 @@ def format_number(value: float, decimals: int = 2) -> str:
     if decimals:
         text = text.rstrip("0").rstrip(".")
     return "0" if text in ("-0", "") else text
+
+
+def format_grade(score: float) -> str:
+    """A grade as it is told everywhere; a dash if there is none."""
+    return format_number(round_grade(score), 0)
 
 
 def _format_attribute(value: object) -> str:

@@ -19,7 +19,7 @@ from dousa.app.report.figures import (
     pick_worst,
     view_moment,
 )
-from dousa.app.report.markup import draw_mark, element, format_number
+from dousa.app.report.markup import draw_mark, element, format_grade, format_number
 from dousa.app.report.segments import build_counts_row
 from dousa.evaluation.grade.result import Assessment, ErrorEvent, FuriAssessment
 from dousa.evaluation.posture.posture import SEGMENTS
@@ -59,7 +59,7 @@ def _grade(assessment: Assessment, words: Mapping[str, str], language: str) -> s
     if not math.isfinite(assessment.score):
         return _no_grade(assessment, words, language)
     score = min(max(assessment.score, 0.0), 100.0)
-    number = format_number(assessment.score, 0)
+    number = format_grade(assessment.score)
     figure = element("span", {"class": "number"}, number) + element("span", {"class": "of"}, words["out_of"])
     meter = element(
         "div", {"class": "meter", "aria-hidden": "true"}, inner=element("i", {"style": f"width:{score:.1f}%"})
@@ -88,7 +88,7 @@ def _grade(assessment: Assessment, words: Mapping[str, str], language: str) -> s
 
 
 def _say_interval(assessment: Assessment, words: Mapping[str, str]) -> str:
-    low, high = (format_number(value, 0) for value in assessment.score_interval)
+    low, high = (format_grade(value) for value in assessment.score_interval)
     return words["interval"].format(low=low, high=high)
 
 
@@ -254,7 +254,7 @@ def _furi_row(number: int, furi: FuriAssessment, words: Mapping[str, str]) -> st
         element("th", {"scope": "row"}, str(number + 1)),
         element("td", {"class": "label"}, furi.label),
         element("td", {"class": "span"}, span),
-        element("td", {"class": "strong"}, format_number(furi.score, 0)),
+        element("td", {"class": "strong"}, format_grade(furi.score)),
         element("td", None, format_number(1000.0 * furi.lag_s, 0)),
         element("td", None, str(furi.n_dims)),
         element("td", None, f"{format_number(100.0 * furi.contribution, 1)} %"),

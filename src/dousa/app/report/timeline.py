@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dousa.app.report.curves import thin_curve
-from dousa.app.report.markup import Svg, draw_mark, element, escape, format_number, trace
+from dousa.app.report.markup import Svg, draw_mark, element, escape, format_grade, format_number, trace
 from dousa.arrays import FloatArray
 from dousa.evaluation.alignment.correlation import compute_correlation_matrix
 from dousa.evaluation.grade.result import Assessment
@@ -296,7 +296,7 @@ def _furi_row(assessment: Assessment, duration: float, words: Mapping[str, str])
             continue
         tip = words["furi_tip"].format(
             number=number + 1, label=furi.label, start=format_time(furi.start_s), end=format_time(furi.end_s),
-            score=format_number(furi.score, 0),
+            score=format_grade(furi.score),
         )  # fmt: skip
         inner = element("b", None, str(number + 1)) + element("span", None, furi.label)
         style = _span(furi.start_s, furi.end_s, duration)

@@ -542,8 +542,10 @@ def _print_errors(out: Console, assessment: Assessment) -> None:
 
 def _describe_grade(assessment: Assessment) -> Message:
     """The grade with its interval."""
-    low, high = (f"{value:.0f}" for value in assessment.score_interval)
-    values = {"score": f"{assessment.score:.0f}", "low": low, "high": high, "n": assessment.n_references}
+    from dousa.evaluation.grade.score import round_grade
+
+    low, high = (f"{round_grade(value):.0f}" for value in assessment.score_interval)
+    values = {"score": f"{round_grade(assessment.score):.0f}", "low": low, "high": high, "n": assessment.n_references}
     if assessment.calibrated:
         return Message("graded.calibrated", **values)
     return Message("graded.uncalibrated", **values)

@@ -24,7 +24,8 @@ def print_progress(out: Console, progress: Progress) -> None:
     out : where to print.
     progress : the answer.
     """
-    from dousa.evaluation.advice.progress import describe_errors, round_score
+    from dousa.evaluation.advice.progress import describe_errors
+    from dousa.evaluation.grade.score import round_grade
     from dousa.evaluation.words import KINDS
 
     out.print(one_line(str(progress.summary)), markup=False, soft_wrap=True)
@@ -33,7 +34,7 @@ def print_progress(out: Console, progress: Progress) -> None:
     for heading in (Message("progress.grade"), *KINDS.values(), Message("progress.lapses")):
         table.add_column(str(heading), justify="right")
     for one in progress.attempts:
-        score = "-" if one.score is None else str(round_score(one.score))
+        score = "-" if one.score is None else f"{round_grade(one.score):.0f}"
         cells = [str(describe_errors(kind, one)) for kind in KINDS]
         table.add_row(escape(one_line(one.name)), score, *cells, str(one.lapses))
     out.print(table)

@@ -11,6 +11,7 @@ from rich.table import Table
 from dousa.app.output import one_line
 from dousa.evaluation.exercises.range_of_motion import ANGLE_NAMES
 from dousa.evaluation.exercises.summary import choose_angles, choose_pair, describe_exercise, describe_trends
+from dousa.evaluation.grade.score import round_grade
 from dousa.evaluation.words import format_time
 from dousa.messages import Message
 
@@ -68,7 +69,7 @@ def _row(number: int, one: AssessedRepetition, angles: tuple[str, ...], sides: s
     found = one.repetition
     cells = [str(number), f"{format_time(found.start_s)}-{format_time(found.end_s)}", f"{found.duration_s:.2f}"]
     if found.complete:
-        cells += [_number(one.tempo, 2), _number(one.score, 0)]
+        cells += [_number(one.tempo, 2), _number(round_grade(one.score), 0)]
     else:
         cells += ["", str(Message("exercise_table.incomplete", percent=100 * found.extent))]
     for name in angles:

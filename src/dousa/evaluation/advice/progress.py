@@ -12,6 +12,7 @@ import numpy as np
 
 from dousa.errors import OptionError
 from dousa.evaluation.advice.phrases import name_parts
+from dousa.evaluation.grade.score import round_grade
 from dousa.evaluation.posture.posture import LIMBS, SEGMENTS
 from dousa.evaluation.words import KINDS
 from dousa.messages import Message
@@ -198,15 +199,10 @@ def _say_grade(first: Attempt, last: Attempt) -> Message:
     if first.score is None or last.score is None:
         return Message("progress.no_grade")
     change = last.score - first.score
-    before, now = round_score(first.score), round_score(last.score)
+    before, now = round_grade(first.score), round_grade(last.score)
     if abs(change) < _LEAST_POINTS:
         return Message("progress.grade_same", last=now)
     return Message("progress.grade_up" if change > 0 else "progress.grade_down", first=before, last=now)
-
-
-def round_score(score: float) -> int:
-    """As a grade is shown: 76.5, which was a little more before it was written, is 77."""
-    return math.floor(score + 0.5)
 
 
 def _say_change(kind: str, first: Attempt, last: Attempt) -> Message:

@@ -10,6 +10,7 @@ import numpy as np
 from dousa.evaluation.exercises.range_of_motion import ANGLE_NAMES, ANGLES, PAIRED_ANGLES, compute_symmetry_index
 from dousa.evaluation.exercises.repetitions import RepetitionsAssessment
 from dousa.evaluation.exercises.trend import Trend
+from dousa.evaluation.grade.score import round_grade
 from dousa.messages import Message
 
 PAIR_NAMES: Mapping[str, Message] = {
@@ -105,10 +106,11 @@ def _say_grade(assessment: RepetitionsAssessment) -> list[Message]:
     if not graded:
         return [Message("exercise_summary.no_grade")]
     scores = [score for score, _ in graded]
-    median, low, high = compute_median(scores), min(scores), max(scores)
-    if round(low) == round(high):
+    below = compute_median(scores) - min(scores)
+    median, low, high = (round_grade(score) for score in (compute_median(scores), min(scores), max(scores)))
+    if low == high:
         return [Message("exercise_summary.grade_even", score=median)]
-    if median - low < _WEAK:
+    if below < _WEAK:
         return [Message("exercise_summary.grade", median=median, low=low, high=high)]
     return [Message("exercise_summary.grade_weakest", median=median, low=low, high=high, number=min(graded)[1])]
 

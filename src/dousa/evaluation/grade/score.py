@@ -7,6 +7,7 @@ share off. The few numbers are fitted by benchmarks/calibrate_grade.py and lie i
 
 from __future__ import annotations
 
+import math
 import tomllib
 from dataclasses import dataclass
 from functools import cache
@@ -109,6 +110,15 @@ class Grade:
     calibrated: bool
 
 
+def round_grade(score: float) -> float:
+    """A grade without decimals, as every page, report and table says it: of 76.5 that is 77; nan stays nan.
+
+    Answers hold grades with one decimal. Rounded from there, a grade that is read from an answer is told like the one
+    that the answer was made of.
+    """
+    return math.floor(round(score, 1) + 0.5) if math.isfinite(score) else math.nan
+
+
 def compute_grade(
     parts: FloatArray, coverage: float, takes: FloatArray, n_references: int, *, unlike: bool = False
 ) -> Grade:
@@ -144,8 +154,8 @@ def compute_grade(
     code = "grade.calibrated" if calibrated else "grade.uncalibrated"
     formula = Message(
         code,
-        score=score,
-        quality=quality,
+        score=round_grade(score),
+        quality=round_grade(quality),
         percent=100.0 * danced,
         parts=Message("grade.parts", **values),
         takes=len(takes),

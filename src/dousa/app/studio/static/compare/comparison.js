@@ -1,7 +1,7 @@
 // Evaluations beside each other (?compare=JOB,JOB): one pupil on several dates, or several pupils of one figure.
 
 import { get } from "../core/api.js";
-import { h, language, t } from "../core/dom.js";
+import { h, language, t, wholeGrade } from "../core/dom.js";
 import { attempt } from "../core/notices.js";
 import { listRows, makeTable } from "./table.js";
 
@@ -64,7 +64,7 @@ export class Comparison {
 
   row(one) {
     const box = h("input", { type: "checkbox", checked: this.chosen.includes(one.id), dataset: { job: one.id }, onchange: () => this.choose(one, box.checked) });
-    const grade = one.score === null ? t("compare_no_grade") : t("compare_grade_of", { score: Math.floor(one.score + 0.5) });
+    const grade = one.score === null ? t("compare_no_grade") : t("compare_grade_of", { score: wholeGrade(one.score) });
     return h("label", { class: "check compare-row" }, box, h("span", { class: "compare-name" }, one.name), h("span", { class: "compare-grade" }, grade), h("span", { class: "note compare-date" }, dateOf(one)));
   }
 

@@ -1,12 +1,12 @@
 // What a comparison says, as a table: a row for the grade, each figure, each kind of error, each part of the body.
 
-import { h, t } from "../core/dom.js";
+import { h, t, wholeGrade } from "../core/dom.js";
 
 const LEAST_POINTS = 1; // of a grade, that count
 
 /** Rows {title} or {name, values: [number or null], texts, up: whether more is better} of the answer of /comparisons. */
 export function listRows({ attempts, kinds, segments }) {
-  const grade = (score) => (score === null ? "-" : String(Math.floor(score + 0.5)));
+  const grade = (score) => (score === null ? "-" : wholeGrade(score));
   const row = (name, pick, say, up) => ({ name, values: attempts.map(pick), texts: attempts.map((one) => say(pick(one), one)), up });
   const rows = [row(t("compare_grade"), (one) => one.score, grade, true)];
   const figures = attempts[0].figures.length > 1 && attempts.every((one) => one.figures.length === attempts[0].figures.length);

@@ -73,6 +73,9 @@ export function formatSeconds(seconds) {
   return hours ? `${hours}:${two(minutes)}:${two(rest)}` : `${minutes}:${two(rest)}`;
 }
 
+/** A grade of an answer, as reports and tables say it: half a point up. */
+export const wholeGrade = (score) => String(Math.floor(score + 0.5));
+
 /** The last part of a path. */
 export const baseName = (path) => path.split(/[\\/]/).pop();
 

@@ -1,7 +1,7 @@
 // The live page: the camera, the skeleton over it, what it is and how good it is.
 
 import { get, post, remove } from "../core/api.js";
-import { $, baseName, formatSeconds, h, t } from "../core/dom.js";
+import { $, baseName, formatSeconds, h, t, wholeGrade } from "../core/dom.js";
 import { pickClips } from "../core/pick.js";
 import { Camera, sendPicture } from "./camera.js";
 import { drawPerson } from "./drawing.js";
@@ -77,7 +77,7 @@ function addPast({ category, start_s: start, end_s: end }) {
 
 function showGrade(grade) {
   const [large, note] = [$("#live-grade"), $("#live-grade-note")];
-  large.textContent = grade?.score == null ? "" : grade.score.toFixed(0);
+  large.textContent = grade?.score == null ? "" : wholeGrade(grade.score);
   if (!state.reference) note.textContent = t("grade_none");
   else if (!grade || grade.score === null) note.textContent = `${state.reference.name}. ${t("grade_soon")}`;
   else note.textContent = [t("grade_of", { seconds: grade.seconds.toFixed(0) }), describeNow(grade)].filter(Boolean).join(". ");
