@@ -12,7 +12,7 @@ from dousa.errors import LibraryDamagedError
 from dousa.library import Library
 from dousa.library import add as add_module
 from dousa.library.growth import insert as _insert
-from dousa.library.index import side_file
+from dousa.library.index import renewal
 from dousa.library.index.parts import read_part
 from library.database_server import run_sql
 
@@ -146,7 +146,7 @@ def test_a_library_whose_index_lies_in_a_file_learns_the_same(
     for name in ("plain", "file"):
         with Library.open(shutil.copy(tmp_path / "two.dousa", tmp_path / f"{name}.dousa")) as library:
             if name == "file":
-                monkeypatch.setattr(side_file, "FEWEST_CLIPS", 1)
+                monkeypatch.setattr(renewal, "FEWEST_CLIPS", 1)
                 monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
                 if searched:
                     library.search(1)
@@ -155,7 +155,7 @@ def test_a_library_whose_index_lies_in_a_file_learns_the_same(
             library.relabel(4, category="bow")
             library.add(write_move(tmp_path / "more" / "a.bvh", "wave", 400), category_from="none")
             if name == "file" and searched:
-                monkeypatch.setattr(side_file, "read_part", lambda *given: read.append(given) or read_part(*given))
+                monkeypatch.setattr(renewal, "read_part", lambda *given: read.append(given) or read_part(*given))
             assert library.add(nods).n_learned == 5
             write_move(tmp_path / "late" / "bow" / "b.bvh", "bow", 401)
             assert library.add(tmp_path / "late").n_learned == 1

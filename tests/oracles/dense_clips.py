@@ -8,7 +8,7 @@ from itertools import pairwise
 import numpy as np
 
 from dousa.library.index.leaf_index import LeafIndex
-from dousa.library.index.parts import ClipPart, SparseVotes, _encode
+from dousa.library.index.parts import ClipPart, SparseVotes, encode_rows
 from dousa.retrieval.forest.likeness import Likeness, merge_votes
 from dousa.retrieval.forest.pose_space import Curve
 from dousa.retrieval.ranking.ranking import RankedClips, RankingQuery, rank_clips
@@ -89,7 +89,7 @@ class DenseClips:
 
     def _make_part(self, own):
         names = sorted({*self.predicted, *(name for name in self.given if name)}, reverse=True)
-        codes, table, offsets = _encode(self.leaves[own], int(self.leaves.max(initial=0)) + 1)
+        codes, table, offsets = encode_rows(self.leaves[own], int(self.leaves.max(initial=0)) + 1)
         paths = [path.encode() for path in self.paths[own]]
         return ClipPart(
             self.ids[own],

@@ -29,7 +29,7 @@ from dousa.library.features import (
 from dousa.library.forests import ForestCache, StoredForest, TreeAnswers, ask_trees
 from dousa.library.index.leaf_index import IndexQuery, LeafIndex
 from dousa.library.index.ranking import PoseReader, Ranked, rank_index
-from dousa.library.index.side_file import load_index
+from dousa.library.index.renewal import load_index
 from dousa.library.ingest import ClipRecord, Query, ReadTask, is_as_stored, name_query, read_clips, read_query
 from dousa.library.results import MIRROR_DISTANCE, Classification, Hit, SearchResult, Verdict
 from dousa.library.selection import find_row

@@ -40,6 +40,7 @@ from dousa.library.forests import (
     replace_forest,
     save_answers,
 )
+from dousa.library.index.renewal import make_side_file
 from dousa.library.results import TrainReport
 from dousa.library.takes import describe_takes, refresh_windows, save_windows
 from dousa.library.text.meanings import find_meanings
@@ -113,6 +114,7 @@ def train_forest(
     stored = _store(database, stored, replace(answers, windows=windows), labeller)
     del windows
     refresh_windows(database, stored, n_jobs, tell_takes)
+    make_side_file(database, stored)
     report(_STEPS, _STEPS, Message("library_training.done"))
     n_clips, n_labelled = len(answers.clips.ids), sum(counts.values())
     done = TrainReport(

@@ -8,7 +8,7 @@ import pytest
 from dousa.library import Library
 from dousa.library.engine import read_revision
 from dousa.library.forests import load_forest
-from dousa.library.index import refresh, side_file
+from dousa.library.index import refresh, renewal, side_file
 from dousa.library.index.leaf_index import LeafIndex
 from library.index.test_index_of_library import check_searches
 
@@ -112,7 +112,7 @@ def test_a_library_that_was_put_back_from_a_copy(library, library_file, tmp_path
 @pytest.fixture
 def large(monkeypatch, tmp_path):
     """Every library is large enough for a file of its own, that of a server beside no other."""
-    monkeypatch.setattr(side_file, "FEWEST_CLIPS", 1)
+    monkeypatch.setattr(renewal, "FEWEST_CLIPS", 1)
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
 
 
@@ -120,7 +120,8 @@ def find_side_files(folder):
     return [*folder.rglob("*-search")]
 
 
-def test_another_program_reads_the_file(library, library_file, tmp_path, read, large):
+def test_another_program_reads_the_file(library, library_file, tmp_path, read, large, monkeypatch):
+    monkeypatch.setattr(refresh, "BLOCK", 4)
     check_searches(library)
     assert len(find_side_files(tmp_path)) == 1 and len(read) == 1
     with Library.open(library_file) as other:
@@ -128,19 +129,99 @@ def test_another_program_reads_the_file(library, library_file, tmp_path, read, l
         assert len(read) == 1
         other.relabel([3], category="nod")
         other.remove([4])
-    with Library.open(library_file) as third:
-        check_searches(third, (1, 3))
-    assert read[1:] == [[3]]
+    for _ in range(2):  # too little for another file
+        with Library.open(library_file) as third:
+            check_searches(third, (1, 3))
+    assert read[1:] == [[3], [3]]
+    library.relabel([2, 6, 10, 15], category="nod")
+    for _ in range(2):
+        with Library.open(library_file) as fourth:
+            check_searches(fourth, (1, 3, 6, 15))
+    assert read[3:] == [[2, 3, 6, 10, 15]]  # who read much wrote it
 
 
-def test_a_file_of_other_trees_is_made_again(library, library_file, tmp_path, read, large):
+def test_a_training_makes_the_file(library, library_file, tmp_path, read, large):
     check_searches(library)
     library.train(n_trees=5)
+    assert len(read) == 2
     with Library.open(library_file) as other:
         check_searches(other)
-    with Library.open(library_file) as third:
-        check_searches(third)
     assert len(read) == 2
+
+
+def read_kept(library: Library, folder) -> tuple[LeafIndex, bool]:
+    """What is in the file of a library, brought up to date, and whether its votes were there."""
+    with library.database.reading() as connection:
+        stored = load_forest(connection, library.name)
+        index, has_votes = side_file.read_side_file(find_side_files(folder)[0], stored)
+        return refresh.refresh_index(connection, read_revision(connection), stored, index), has_votes
+
+
+@pytest.mark.parametrize("block", [4, refresh.BLOCK])
+def test_what_a_forest_has_learned_is_in_the_file(
+    library, library_file, tmp_path, read, large, monkeypatch, write_move, block
+):
+    """Whoever adds clips writes it, also where others were changed since; the next program reads no rows."""
+    monkeypatch.setattr(refresh, "BLOCK", block)
+    library.train(n_trees=20)
+    for turn, category in enumerate(("nod", "wave", "nod", "bow")):
+        library.relabel([2 + turn], category="bow" if turn % 2 else None)
+        library.remove([9 + turn])
+        for number in range(2):
+            write_move(tmp_path / "more" / category / f"{turn}{number}.bvh", "bow", 70 + 2 * turn + number)
+        with Library.open(library_file) as other:
+            assert other.add(tmp_path / "more", n_jobs=1).n_learned == 2
+        del read[:]
+        kept, has_votes = read_kept(library, tmp_path)
+        assert read == [] and has_votes and kept.alive == (None,)
+        check_same(kept, load(library))
+        del read[:]
+        with Library.open(library_file) as third:
+            check_searches(third, (1, 16 + 2 * turn))
+        assert read == []
+    assert library.check().is_sound
+
+
+def test_clips_that_are_not_learned_are_read_from_their_rows(
+    library, library_file, tmp_path, read, large, blocks_of_four, write_move
+):
+    library.search(1)
+    library.add(write_move(tmp_path / "more" / "a.bvh", "bow", 70), category_from="none", n_jobs=1)
+    kept, _ = read_kept(library, tmp_path)
+    assert read[1:] == [[16]]
+    check_same(kept, load(library))
+
+
+def test_one_program_writes_the_file_at_a_time(library, tmp_path, large):
+    library.search(1)
+    (place,) = find_side_files(tmp_path)
+    whole, part = place.read_bytes(), place.with_name(f"{place.name}.part")
+    with side_file.create_alone(place) as file:
+        assert file is not None
+        with side_file.create_alone(place) as other:
+            assert other is None
+        library.train(n_trees=5)
+        assert place.read_bytes() == whole and part.exists()
+        file.write(b"nothing of it")
+    assert place.read_bytes() == b"nothing of it" and not part.exists()
+    part.write_bytes(b"what a killed program left, and it was longer than what comes now" * 1000)
+    library.train(n_trees=6)
+    assert not part.exists()
+    assert read_kept(library, tmp_path)[1]
+
+
+def test_where_writing_fails_the_file_stays(library, tmp_path, large, monkeypatch):
+    library.search(1)
+    (place,) = find_side_files(tmp_path)
+    whole = place.read_bytes()
+
+    def fail(*given):
+        raise OSError("no space is left")
+
+    monkeypatch.setattr(side_file.os, "replace", fail)
+    library.train(n_trees=5)
+    assert place.read_bytes() == whole and not place.with_name(f"{place.name}.part").exists()
+    check_searches(library, (1,))
 
 
 def test_a_damaged_file_is_not_believed(library, library_file, tmp_path, read, large):

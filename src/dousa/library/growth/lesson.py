@@ -8,10 +8,9 @@ how many were learned at a time.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from hashlib import blake2b
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 import sqlalchemy as sa
@@ -21,8 +20,8 @@ from dousa.arrays import BoolArray, FloatArray, IntArray
 from dousa.library import schema
 from dousa.library.engine import Database, next_revision
 from dousa.library.features import find_feature_set, load_features
-from dousa.library.forests import StoredForest, find_leaves, load_forest, name_votes, update_forest
-from dousa.library.schema import pack
+from dousa.library.forests import StoredForest, find_leaves, load_forest, update_forest
+from dousa.library.index.renewal import LearnedRows, StandingRows, keep_learned, read_standing, teach_rows
 from dousa.library.seals.checksums import LEAVES, update_rows
 from dousa.library.selection import fetch_in, portions
 from dousa.retrieval.forest.calibration import Assessor
@@ -59,13 +58,13 @@ class _Lesson:
     stamp : of the library for which it was worked out.
     stored : the forest as it has learned; None in a library that is not trained.
     learned : what it learned.
-    changes : by number, the values in ``clip_leaves`` that change.
+    rows : what it says of all clips then.
     """
 
     stamp: Stamp
     stored: StoredForest | None
     learned: Learned = Learned()
-    changes: Mapping[int, dict[str, Any]] = field(default_factory=dict)
+    rows: LearnedRows | None = None
 
 
 def learn_new(database: Database, known: StoredForest | None) -> tuple[StoredForest | None, Learned]:
@@ -92,20 +91,25 @@ def learn_new(database: Database, known: StoredForest | None) -> tuple[StoredFor
         stored = load_forest(connection, database.where, forest)
         return _Lesson(stamp, None) if stored is None else _work_out(connection, database.where, stored, stamp)
 
-    return database.write_planned(plan, _write)
+    stored, learned, rows = database.write_planned(plan, _write)
+    if stored is not None and rows is not None:
+        keep_learned(database, stored, rows)
+    return stored, learned
 
 
-def _write(connection: sa.Connection, lesson: _Lesson) -> tuple[StoredForest | None, Learned]:
+def _write(connection: sa.Connection, lesson: _Lesson) -> tuple[StoredForest | None, Learned, LearnedRows | None]:
     stored, waiting = lesson.stored, lesson.stamp[3]
     table = schema.unlearned
     for some in portions(waiting):
         connection.execute(sa.delete(table).where(table.c.clip_id.in_(some)))
     if stored is None or not waiting:
-        return stored, lesson.learned
+        return stored, lesson.learned, None
     stored = replace(stored, learned=next_revision(connection))
     update_forest(connection, stored, lesson.learned.n_clips)
-    update_rows(connection, LEAVES, lesson.changes)
-    return stored, lesson.learned
+    rows = lesson.rows
+    if rows is not None:
+        rows = rows.sealed(update_rows(connection, LEAVES, rows.changes))
+    return stored, lesson.learned, rows
 
 
 def _read_stamp(connection: sa.Connection) -> Stamp:
@@ -123,20 +127,20 @@ class _Clips:
     Parameters
     ----------
     ids : (N,).
-    given, predicted : (N,) places in ``names`` of their categories, -1 for none, and of the forest's.
+    given : (N,) places in ``names`` of their categories, -1 for none.
     names : categories.
     leaves : (N, n_trees), which may lie in a file.
     """
 
     ids: IntArray
     given: IntArray
-    predicted: IntArray
     names: list[str]
     leaves: StandingLeaves
 
 
 def _work_out(connection: sa.Connection, where: str, stored: StoredForest, stamp: Stamp) -> _Lesson:
-    clips = _read_clips(connection, where, stored)
+    rows = read_standing(connection, where, stored)
+    clips = _gather_clips(rows)
     waiting = np.isin(clips.ids, stamp[3])
     new = np.flatnonzero(waiting & (clips.given >= 0))
     if not len(new):
@@ -152,9 +156,9 @@ def _work_out(connection: sa.Connection, where: str, stored: StoredForest, stamp
         assessor = Assessor(growth.forest, assessor.calibration.with_clips(features, labels))
     categories = tuple(str(name) for name in growth.forest.classes_)
     grown = replace(stored, forest=growth.forest, categories=categories, assessor=assessor)
-    moved = _find_moved(connection, grown, clips, (stands, new), growth)
+    ids, leaves = _find_moved(connection, grown, clips, (stands, new), growth)
     learned = Learned(len(new), tuple(sorted(set(labels.tolist()) - known)))
-    return _Lesson(stamp, grown, learned, _compare_answers(stored, grown, clips, moved))
+    return _Lesson(stamp, grown, learned, teach_rows(grown, rows, ids, leaves))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -202,11 +206,10 @@ def _grow(
     return grow_forest(stored.forest, there, features, labels, keys=keys, feature_set=kind)
 
 
-def _read_clips(connection: sa.Connection, where: str, stored: StoredForest) -> _Clips:
-    from dousa.library.index.side_file import read_standing
+def _gather_clips(rows: StandingRows) -> _Clips:
     from dousa.retrieval.forest.standing_leaves import LeafCodes, StandingLeaves
 
-    parts = read_standing(connection, where, stored, may_write=True)
+    parts = list(zip(rows.parts, rows.alive, strict=True))
     ids = np.concatenate([part.ids[alive] for part, alive in parts])
     order = np.argsort(ids, kind="stable")
     places = np.empty(len(ids), np.int64)
@@ -220,9 +223,8 @@ def _read_clips(connection: sa.Connection, where: str, stored: StoredForest) -> 
         start += int(alive.sum())
         codes.append(LeafCodes(part.codes, part.table, part.offsets, own))
         renumbered = np.array([*(numbers[name] for name in part.names), -1])
-        labels.append(np.stack([renumbered[part.given[alive]], renumbered[part.predicted[alive]]]))
-    given, predicted = np.concatenate(labels, axis=1)[:, order]
-    return _Clips(ids[order], given, predicted, names, StandingLeaves(codes, len(ids)))
+        labels.append(renumbered[part.given[alive]])
+    return _Clips(ids[order], np.concatenate(labels)[order], names, StandingLeaves(codes, len(ids)))
 
 
 def _find_moved(
@@ -232,7 +234,12 @@ def _find_moved(
     taught: tuple[BoolArray, IntArray],
     growth: Growth,
 ) -> tuple[IntArray, NDArray[np.int32]]:
-    """Clips whose leaves were looked up again, and their leaves: ``taught`` stand in leaves, or are new."""
+    """Numbers of the clips that have come into other leaves, ascending, and their leaves.
+
+    Parameters
+    ----------
+    taught : which clips stand in leaves, and which are new.
+    """
     stands, new = taught
     rows = [np.flatnonzero(stands)[growth.moved], new]
     leaves = [growth.moved_leaves, growth.leaves]
@@ -245,47 +252,13 @@ def _find_moved(
             rows.append(again)
             features = load_features(connection, grown.feature_set, clips.ids[again].tolist()).features
             leaves.append(find_leaves(grown, features).astype(np.int64))
-    return np.concatenate(rows), np.concatenate(leaves).astype(np.int32)
-
-
-def _compare_answers(
-    stored: StoredForest, grown: StoredForest, clips: _Clips, moved: tuple[IntArray, NDArray[np.int32]]
-) -> dict[int, dict[str, Any]]:
-    """The leaves and the guesses that have changed, by number."""
-    rows = np.union1d(moved[0], clips.leaves.find(_find_other_votes(stored, grown)))
-    changes: dict[int, dict[str, Any]] = {}
-    order = np.argsort(moved[0])
-    for first in range(0, len(rows), _AT_ONCE):
-        some = rows[first : first + _AT_ONCE]
-        before = clips.leaves.take(some)
-        now = before.copy()
-        places = np.searchsorted(moved[0], some, sorter=order)
-        own = order[np.minimum(places, len(order) - 1)]
-        is_moved = moved[0][own] == some
-        now[is_moved] = moved[1][own[is_moved]]
-        others = (now != before).any(axis=1)
-        for row, name, leaves, differs in zip(some, name_votes(grown, now), now, others, strict=True):
-            number = clips.predicted[row]
-            if differs or number < 0 or clips.names[number] != name:
-                changes[int(clips.ids[row])] = {"predicted_category": name, "leaves": pack(leaves, "<i4")}
-    return changes
+    places, now = np.concatenate(rows), np.concatenate(leaves).astype(np.int32)
+    differs = np.empty(len(places), np.bool_)
+    for first in range(0, len(places), _AT_ONCE):
+        some = slice(first, first + _AT_ONCE)
+        differs[some] = (now[some] != clips.leaves.take(places[some])).any(axis=1)
+    order = np.flatnonzero(differs)[np.argsort(places[differs], kind="stable")]
+    return clips.ids[places[order]], now[order]
 
 
 _AT_ONCE = 16_384
-
-
-def _find_other_votes(stored: StoredForest, grown: StoredForest) -> BoolArray:
-    """(L,) the leaves of a forest that vote otherwise since it has grown."""
-    starts, classes, weights = stored.forest.vote_entries
-    new_starts, new_classes, new_weights = grown.forest.vote_entries
-    count = len(starts) - 1
-    sizes = np.diff(starts)
-    other: BoolArray = sizes != np.diff(new_starts)[:count]
-    same = np.flatnonzero(~other)
-    owners = np.repeat(same, sizes[same])
-    inside = np.arange(len(owners)) - np.repeat(np.cumsum(sizes[same]) - sizes[same], sizes[same])
-    old, new = starts[owners] + inside, new_starts[owners] + inside
-    numbers = np.searchsorted(np.array(grown.categories), np.array(stored.categories))
-    differs = (numbers[classes[old]] != new_classes[new]) | (weights[old] != new_weights[new])
-    other[owners[differs]] = True
-    return other

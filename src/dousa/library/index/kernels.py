@@ -35,6 +35,34 @@ def encode_leaves(leaves, ranks, codes):
 
 
 @njit(cache=True, nogil=True)
+def recode(codes, rows, offsets, ranks, places, out):
+    """``ranks`` of the leaves of some clips, from the rows of ``codes`` into the places of ``out``."""
+    for number in range(len(rows)):
+        for tree in range(codes.shape[1]):
+            out[places[number], tree] = ranks[offsets[tree] + codes[rows[number], tree]]
+
+
+@njit(cache=True, nogil=True)
+def copy_runs(values, starts, rows, ends, out):
+    """The values of some clips, which begin at ``starts`` (N + 1,), so that they end at ``ends`` (M,) in ``out``."""
+    for number in range(len(rows)):
+        first, last = starts[rows[number]], starts[rows[number] + 1]
+        for step in range(last - first):
+            out[ends[number] - (last - first) + step] = values[first + step]
+
+
+@njit(cache=True, nogil=True)
+def find_most(starts, found, votes, out):
+    """The category with most votes of each clip, between equals the first in order, into ``out`` (N,)."""
+    for clip in range(len(out)):
+        best, most = 0, 0
+        for entry in range(starts[clip], starts[clip + 1]):
+            if votes[entry] > most:
+                best, most = found[entry], votes[entry]
+        out[clip] = best
+
+
+@njit(cache=True, nogil=True)
 def count_sparsely(
     codes, table, offsets, starts, classes, weights, parts, meanings, n_meanings, first, ends, found, votes, squares,
     lengths,

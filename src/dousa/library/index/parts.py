@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from dousa.arrays import BoolArray, FloatArray, IndexArray, IntArray
 from dousa.library import schema
 from dousa.library.forests import PARTS_OF_A_VOTE, StoredForest, check_leaves
-from dousa.library.index.kernels import count_sparsely, encode_leaves, find_owners
+from dousa.library.index.kernels import copy_runs, count_sparsely, encode_leaves, find_owners
 from dousa.library.schema import stack
 from dousa.library.seals.checksums import LABELS, LEAVES
 
@@ -51,6 +51,11 @@ class ClipPart:
 
     def __len__(self) -> int:
         return len(self.ids)
+
+    @property
+    def is_by_trees(self) -> bool:
+        """Whether leaves are numbered by their trees; those of damaged rows cannot be."""
+        return bool(self.offsets.any()) or len(self.offsets) == 1
 
     def path(self, row: int) -> bytes:
         """The path of a clip, in UTF-8: their order is that of the texts."""
@@ -169,7 +174,7 @@ class _Gathered:
         ids, given, predicted, sums = (np.concatenate(parts) for parts in zip(empty, *self._arrays, strict=True))
         leaves = np.concatenate([np.zeros((0, self._n_trees), np.int32), *self._leaves])
         self._leaves.clear()
-        codes, table, offsets = _encode(leaves, self._n_leaves)
+        codes, table, offsets = encode_rows(leaves, self._n_leaves)
         directions = None
         if self._width is not None:
             directions = np.concatenate([np.zeros((0, self._width), np.float32), *self._directions])
@@ -188,21 +193,58 @@ class _Gathered:
         )
 
 
-def _encode(leaves: NDArray[np.int32], n_leaves: int) -> tuple[NDArray[Any], NDArray[np.int32], IntArray]:
+def encode_rows(leaves: NDArray[np.int32], n_leaves: int) -> tuple[NDArray[Any], NDArray[np.int32], IntArray]:
     """Leaves (N, n_trees) as codes, with their table and offsets."""
     n_trees = leaves.shape[1]
     owners = np.full(n_leaves, -1, np.int32)
     if not find_owners(leaves, owners):  # rows without checksums that are damaged
         return leaves, np.arange(n_leaves, dtype=np.int32), np.zeros(n_trees, np.int64)
+    table, offsets, ranks = order_table(owners, n_trees)
+    codes = np.empty(leaves.shape, choose_code(ranks))
+    encode_leaves(leaves, ranks, codes)
+    return codes, table, offsets
+
+
+def pick_clips(part: ClipPart, rows: IndexArray, leaves: NDArray[np.int32], n_leaves: int) -> ClipPart:
+    """Some clips of a part (M,), in other leaves (M, n_trees) of ``n_leaves`` in all."""
+    starts = np.concatenate([np.zeros(1, np.int64), part.path_ends])
+    ends = np.cumsum(starts[rows + 1] - starts[rows])
+    paths = np.empty(int(ends[-1]) if len(ends) else 0, np.uint8)
+    copy_runs(part.path_bytes, starts, rows, ends, paths)
+    codes, table, offsets = encode_rows(leaves, n_leaves)
+    return ClipPart(
+        ids=part.ids[rows],
+        sums=part.sums[rows],
+        given=part.given[rows],
+        predicted=part.predicted[rows],
+        names=part.names,
+        path_ends=ends,
+        path_bytes=paths,
+        codes=codes,
+        table=table,
+        offsets=offsets,
+        directions=None if part.directions is None else part.directions[rows],
+    )
+
+
+def order_table(owners: NDArray[np.int32], n_trees: int) -> tuple[NDArray[np.int32], IntArray, IntArray]:
+    """Leaves by their trees, where those of each tree begin, and the rank of each leaf in its tree.
+
+    Parameters
+    ----------
+    owners : (L,) the tree of each leaf, -1 for one that is left out.
+    """
     table = np.flatnonzero(owners >= 0)
     table = table[np.argsort(owners[table], kind="stable")]
     offsets = np.searchsorted(owners[table], np.arange(n_trees))
-    ranks = np.zeros(n_leaves, np.int64)
+    ranks = np.zeros(len(owners), np.int64)
     ranks[table] = np.arange(len(table)) - offsets[owners[table]]
-    most = int(ranks.max(initial=0))
-    codes = np.empty(leaves.shape, np.uint16 if most < _MOST_CODES else np.int32)
-    encode_leaves(leaves, ranks, codes)
-    return codes, table.astype(np.int32), offsets
+    return table.astype(np.int32), offsets, ranks
+
+
+def choose_code(ranks: IntArray) -> type[np.uint16 | np.int32]:
+    """The type of codes up to the largest rank."""
+    return np.uint16 if int(ranks.max(initial=0)) < _MOST_CODES else np.int32
 
 
 def count_part(stored: StoredForest, part: ClipPart, meanings: IndexArray) -> SparseVotes:

@@ -75,6 +75,21 @@ def read_lacking(connection: sa.Connection, blocks: Iterable[int] | None = None)
     return found
 
 
+def renew_lacking(connection: sa.Connection, known: KnownRows, changed: Sequence[int]) -> dict[int, str]:
+    """The ``partial`` of ``IndexedRows`` as it is now, where something has changed in some blocks."""
+    before = {} if known.source is None else known.source.partial
+    blocks = set(changed)
+    kept = {number: absent for number, absent in before.items() if number // BLOCK not in blocks}
+    return kept | read_lacking(connection, changed)
+
+
+def change_sums(sums: IntArray, ids: IntArray, differences: IntArray) -> IntArray:
+    """The ``sums`` of ``IndexedRows`` where the checksums of the leaves of clips are others, by differences (M,)."""
+    changed = sums.copy()
+    np.add.at(changed[:, 5], ids // BLOCK, differences)
+    return changed
+
+
 def read_index(connection: sa.Connection, revision: int, stored: StoredForest) -> LeafIndex:
     """Read what the trees say of all clips, at a revision of the library.
 
@@ -128,8 +143,7 @@ def refresh_index(connection: sa.Connection, revision: int, stored: StoredForest
     n_changed = len(fresh) + sum(int(a.sum()) for a in alive[1:])
     if n_changed > max(_MOST_CHANGED * len(known.parts[0]), 1000):
         return None
-    lacking = {number: absent for number, absent in rows.partial.items() if number // BLOCK not in set(changed)}
-    lacking |= read_lacking(connection, changed)
+    lacking = renew_lacking(connection, known, changed)
     parts, votes = list(known.parts), list(known.votes)
     if (stored.revision, stored.learned) != known.learned:
         votes = [count_part(stored, part, number_meanings(stored.categories)) for part in parts]

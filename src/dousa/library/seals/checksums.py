@@ -188,8 +188,12 @@ def seal_rows(table: sa.Table, rows: Iterable[Mapping[str, Any]]) -> list[dict[s
     return sealed
 
 
-def update_rows(connection: sa.Connection, seal: Seal, changes: Mapping[Any, Mapping[str, Any]]) -> None:
+def update_rows(connection: sa.Connection, seal: Seal, changes: Mapping[Any, Mapping[str, Any]]) -> dict[Any, int]:
     """Change covered values of rows, by their key, and the checksums with them.
+
+    Returns
+    -------
+    The checksums that rows have now, by key.
 
     Raises
     ------
@@ -197,6 +201,7 @@ def update_rows(connection: sa.Connection, seal: Seal, changes: Mapping[Any, Map
     """
     key, table = seal.covered[0], seal.checksum.table
     by_columns: dict[tuple[str, ...], list[dict[str, Any]]] = {}
+    sums: dict[Any, int] = {}
     keys = list(changes)
     for start in range(0, len(keys), 500):
         query = sa.select(*seal.columns).where(key.in_(keys[start : start + 500]))
@@ -204,10 +209,12 @@ def update_rows(connection: sa.Connection, seal: Seal, changes: Mapping[Any, Map
             seal.check(connection, row)
             change = changes[row[0]]
             values = [change.get(column.name, value) for column, value in zip(seal.covered, row, strict=False)]
-            new = {"of_row": row[0], **change, seal.checksum.name: seal.compute(values)}
+            sums[row[0]] = seal.compute(values)
+            new = {"of_row": row[0], **change, seal.checksum.name: sums[row[0]]}
             by_columns.setdefault(tuple(new), []).append(new)
     for some in by_columns.values():
         connection.execute(sa.update(table).where(key == sa.bindparam("of_row")), some)
+    return sums
 
 
 def seal_positions(number: int, data: bytes, first_block: int = 0) -> bytes:
