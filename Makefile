@@ -9,8 +9,8 @@ BLENDER ?= 4.5
 SLOW := browser or documents or slow
 # A worker begins with its own half and takes from the other's when it is done: files stay together, and what their tests
 # share is made and compiled once. Tests start many processes: each would compile the whole package anew where Python is
-# told to keep nothing of it.
-PYTEST := PYTHONDONTWRITEBYTECODE= $(BIN)/pytest -n $(JOBS) --dist worksteal
+# told to keep nothing of it. The workers fill the cores: threads that share one matrix would wait for each other there.
+PYTEST := PYTHONDONTWRITEBYTECODE= OPENBLAS_NUM_THREADS=1 $(BIN)/pytest -n $(JOBS) --dist worksteal
 # `make test COVERAGE=1` adds what it ran to the data that `make coverage` prints.
 COVERED := $(if $(COVERAGE),--cov --cov-append --cov-report=)
 

@@ -11,7 +11,14 @@ from oracles.slow_sequence import best_value, value_of
 
 from dousa.retrieval.takes.made_takes import join_clips, mirror_positions
 from dousa.retrieval.takes.moment_kernels import find_best_sequence
-from dousa.retrieval.takes.moment_model import MomentModel, MomentSums, choose_scale, sharpen, sum_moments
+from dousa.retrieval.takes.moment_model import (
+    MomentModel,
+    MomentSums,
+    choose_scale,
+    sharpen,
+    solve_positive,
+    sum_moments,
+)
 from dousa.retrieval.takes.moments import describe_moments, mirror_moments
 from dousa.retrieval.takes.sequence import Run, SequenceModel, SequenceWeights, fit_lengths, join_phases
 
@@ -101,6 +108,20 @@ def test_discriminants_are_those_of_the_weighted_least_squares():
     rows = np.concatenate([seen * roots, penalty])
     wanted = np.concatenate([np.eye(4)[states] * roots, np.zeros((12, 4))])
     np.testing.assert_allclose(found, np.linalg.lstsq(rows, wanted, rcond=None)[0], atol=2e-4)
+
+
+@pytest.mark.parametrize("size", [1, 100, 129, 1100])  # less than a piece of the factor, and more than some
+def test_systems_are_solved_as_in_general(size: int):
+    draw = np.random.default_rng(size)
+    values, shown = draw.normal(size=(2 * size, size)), draw.normal(size=(size, 5)).astype(np.float32)
+    squares = (values.T @ values + np.eye(size)).astype(np.float32)
+    wanted = np.linalg.solve(squares.astype(np.float64), shown)
+    np.testing.assert_allclose(solve_positive(squares, shown), wanted, atol=1e-4 * abs(wanted).max())
+
+
+def test_what_rounding_left_without_a_factor_is_solved_too():
+    squares = np.array([[1.0, 2.0], [2.0, 1.0]], np.float32)  # its values are 3 and -1
+    np.testing.assert_allclose(solve_positive(squares, np.eye(2, dtype=np.float32)) @ squares, np.eye(2), atol=1e-6)
 
 
 def test_sums_of_some_are_those_of_all_less_the_others():

@@ -24,6 +24,7 @@ Floats = NDArray[np.float32]
 
 _BLOCK = 2048  # moments that are standardised at a time
 _STEPS = 255.0
+_PIECE, _STRIP = 128, 512  # columns of a factor, and rows that these are taken from, at a time
 
 
 @dataclass(frozen=True, slots=True)
@@ -193,8 +194,43 @@ class MomentSums:
         places = np.arange(len(penalised) - 1)
         penalised[places, places] += np.float32(max(ridge * weight, 1e-3))
         penalised[-1, -1] += np.float32(1e-3)
-        found: Floats = np.linalg.solve(penalised, self.shown)
-        return found
+        return solve_positive(penalised, self.shown)
+
+
+def solve_positive(squares: Floats, shown: Floats) -> Floats:
+    """(F, S) what ``squares`` (F, F), symmetric and positive definite, makes ``shown`` (F, S) of.
+
+    By Cholesky's factor in pieces of products, in a third of the time of a general solution (for few states) and half
+    of that of NumPy's factor; where rounding leaves no factor, by the general one.
+    """
+    try:
+        factor, inverses = _factorise(squares)
+    except np.linalg.LinAlgError:
+        general: Floats = np.linalg.solve(squares, shown)
+        return general
+    found = shown.copy()
+    for inverse, one in inverses:
+        found[one] -= factor[one, : one.start] @ found[: one.start]
+        found[one] = inverse @ found[one]
+    for inverse, one in reversed(inverses):
+        found[one] -= factor[one.stop :, one].T @ found[one.stop :]
+        found[one] = inverse.T @ found[one]
+    return found
+
+
+def _factorise(squares: Floats) -> tuple[Floats, list[tuple[Floats, slice]]]:
+    """The lower factor, below its diagonal pieces, and the inverse of each of these with its rows."""
+    factor, inverses, size = squares.copy(), [], len(squares)
+    for first in range(0, size, _PIECE):
+        stop = min(first + _PIECE, size)
+        inverse: Floats = np.linalg.inv(np.linalg.cholesky(factor[first:stop, first:stop]))
+        inverses.append((inverse, slice(first, stop)))
+        column = factor[stop:, first:stop]
+        column[:] = column @ inverse.T
+        for low in range(0, len(column), _STRIP):
+            high = low + _STRIP
+            factor[stop + low : stop + high, stop : stop + high] -= column[low:high] @ column[:high].T
+    return factor, inverses
 
 
 def sum_moments(scale: Scale, codes: Codes, rows: IntArray, states: IntArray, weights: FloatArray) -> MomentSums:
