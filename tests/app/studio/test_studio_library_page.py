@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from pathlib import Path
 
 import pytest
@@ -425,8 +426,8 @@ def test_an_upload_that_is_not_added_leaves_nothing(library_page, running, tmp_p
     page.wait("return document.querySelector('#add-go')")
     assert [path for path in batches.iterdir() if path.is_dir()]
     page.press(KEYS.ESCAPE)
-    page.driver.set_script_timeout(PATIENCE)
-    for _ in range(200):
+    end = time.monotonic() + PATIENCE
+    while time.monotonic() < end:
         if not [path for path in batches.iterdir() if path.is_dir()]:
             break
         page.settle()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sqlite3
 from contextlib import closing
+from pathlib import Path
 
 import pytest
 
@@ -39,6 +40,38 @@ def test_a_structure_is_not_repaired_under_an_open_studio(studio, wait_job, libr
     done = run(studio, wait_job, "check", repair=True)
     assert done["codes"]["notes"][0]["code"] == "studio_jobs.repair_closed"
     assert not done["result"]["sound"] and library_copy.stat().st_ino == before
+
+
+def test_a_repair_looks_once_where_nothing_is_damaged(studio, wait_job, library_copy, monkeypatch):
+    from types import SimpleNamespace
+
+    from dousa.app.studio.work.upkeep import check
+    from dousa.library.upkeep import repair
+
+    looks, find = [], repair.find_damage
+    monkeypatch.setattr(repair, "find_damage", lambda *words: looks.append(1) or find(*words))
+    context = SimpleNamespace(
+        open_library=lambda: Library.open(library_copy), progress=lambda *words: None, tell=lambda message: None
+    )
+    assert check({"repair": True}, context)["sound"] and len(looks) == 1
+
+
+def test_files_of_jobs_are_read_once(tmp_path, monkeypatch):
+    from dousa.app.studio.jobs.mentioned import MentionedBatches
+
+    batches = [f"{k:016x}" for k in range(3)]
+    for name in batches:
+        (tmp_path / "files" / name).mkdir(parents=True)
+    job = tmp_path / "jobs" / "one" / "job.json"
+    job.parent.mkdir(parents=True)
+    job.write_text(f'{{"motion": "file:{batches[1]}/a.bvh", "value": 0.1234567890123456789}}')
+    mentioned, reads, read = MentionedBatches(tmp_path), [], Path.read_bytes
+    monkeypatch.setattr(Path, "read_bytes", lambda path: reads.append(path) or read(path))
+    assert mentioned.list() == mentioned.list() == {batches[1]} and len(reads) == 1
+    job.write_text(f'{{"motion": "file:{batches[2]}/a.bvh", "other": "{batches[0]}"}}')
+    assert mentioned.list() == {batches[0], batches[2]} and len(reads) == 2
+    job.unlink()
+    assert mentioned.list() == set()
 
 
 def test_arrays_are_moved_to_fragments(studio, wait_job, library_copy):

@@ -562,7 +562,9 @@ class Library(LibraryChanges):
 
         return SavedSearches(self.database)
 
-    def check(self, *, repair: bool = False, progress: CheckProgress | None = None) -> CheckReport:
+    def check(
+        self, *, repair: bool = False, salvage: bool = True, progress: CheckProgress | None = None
+    ) -> CheckReport:
         """Whether everything in the library is as it was written: the structure of the file, and every checksum.
 
         Rows that an older dousa wrote without checksums get them, where the library can be written.
@@ -571,6 +573,8 @@ class Library(LibraryChanges):
         ----------
         repair : put right what can be: features, leaves and windows are computed again, positions are read again
             from the original files, and single flipped bits are put right by their checksums.
+        salvage : whether a file whose structure is damaged is written anew, which nobody else may have open. If not,
+            nothing of such a file is repaired.
         progress : called with (rows done, rows, message about what is being done).
 
         Raises
@@ -581,7 +585,7 @@ class Library(LibraryChanges):
 
         if repair and self.database.is_read_only:
             raise LibraryError("library_file.opened_read_only", library=self.name)
-        return check_library(self.database, repair, progress)
+        return check_library(self.database, repair, progress, salvage)
 
     def compact(self, *, fragments: str | None = None, progress: CompactProgress | None = None) -> CompactReport:
         """Make the file as small as what is in it; removed clips leave room that only new ones would use.

@@ -59,7 +59,9 @@ _FORESEEN = {
 _POSITIONS_AT_ONCE = 16
 
 
-def check_library(database: Database, repair: bool, progress: CheckProgress | None) -> CheckReport:
+def check_library(
+    database: Database, repair: bool, progress: CheckProgress | None, salvage: bool = True
+) -> CheckReport:
     """Look at everything, and put right what can be; as ``Library.check``."""
     start = time.perf_counter()
     report = progress or (lambda done, total, what: None)
@@ -68,6 +70,7 @@ def check_library(database: Database, repair: bool, progress: CheckProgress | No
         return find_damage(database, lambda done, total: report(done, total, Message("library_check.checking")))
 
     findings = look()
+    repair = repair and (salvage or not _find_broken(findings))
     damage = _salvage(database, findings) if repair else []
     if damage:
         findings = look()
@@ -96,9 +99,13 @@ def check_library(database: Database, repair: bool, progress: CheckProgress | No
     )
 
 
+def _find_broken(findings: Findings) -> list[Fault]:
+    return [fault for fault in findings.faults if fault.what.code == "library_damage.structure"]
+
+
 def _salvage(database: Database, findings: Findings) -> list[Damage]:
     """Where the structure of the file is damaged, save what can be read; empty where it is not."""
-    broken = [fault for fault in findings.faults if fault.what.code == "library_damage.structure"]
+    broken = _find_broken(findings)
     if not broken or database.engine.dialect.name != "sqlite":
         return []
     database.check_writable()

@@ -87,10 +87,7 @@ def _list_old(studio: Studio, mentioned: str, days: int) -> dict[Path, float]:
 
 def _list_mentioned(studio: Studio) -> str:
     """Text with every batch that a job names or from which a clip comes, also one that an undo brings back."""
-    asked = [json.dumps([job.request for job in studio.jobs.all()])]
-    for path in (studio.workspace.root / "jobs").glob("*/*.json"):
-        with suppress(OSError):
-            asked.append(path.read_text(encoding="utf-8", errors="replace"))
+    asked = [json.dumps([job.request for job in studio.jobs.all()]), *studio.mentioned.list()]
     files = f"{studio.workspace.root / 'files'}{os.sep}"
     paths = [clip.path for clip in studio.listing.now().clips] + studio.library.removed_paths()
     asked += {path.removeprefix(files).partition(os.sep)[0] for path in paths if path.startswith(files)}

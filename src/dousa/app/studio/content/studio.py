@@ -22,6 +22,7 @@ from dousa.app.studio.content.motions import Motions
 from dousa.app.studio.core.answers import Gate
 from dousa.app.studio.core.workspace import Workspace
 from dousa.app.studio.jobs.board import JobBoard, Lane
+from dousa.app.studio.jobs.mentioned import MentionedBatches
 from dousa.errors import LibraryError
 from dousa.messages import Message
 
@@ -65,6 +66,7 @@ class Studio:
         self.masks = MaskDesks(self.jobs)
         self.live = Live()
         self.searching = Gate(4, 12, Message("studio_motions.busy_searching"))
+        self.mentioned = MentionedBatches(self.workspace.root)
         self.thumbnails = Thumbnails.of(self.workspace.root)
         self.sharing: Sharing | None = None  # who starts the studio says whether the network may see it
 

@@ -19,12 +19,10 @@ def check(request: dict[str, Any], context: Context) -> dict[str, Any]:
     A file whose structure is damaged is not repaired while a studio has it open, which is said.
     """
     with context.open_library() as library:
-        report = library.check(progress=context.progress)
-        broken = any(one.what.code == "library_damage.structure" for one in report.damage)
-        if request.get("repair") and broken:
+        repair = bool(request.get("repair"))
+        report = library.check(repair=repair, salvage=False, progress=context.progress)
+        if repair and any(one.what.code == "library_damage.structure" for one in report.damage):
             context.tell(Message("studio_jobs.repair_closed", library=library.name))
-        elif request.get("repair"):
-            report = library.check(repair=True, progress=context.progress)
     lines = list(report.to_messages())
     for line in (*islice(lines[:-1], _MOST_TOLD), lines[-1]):
         context.tell(line)

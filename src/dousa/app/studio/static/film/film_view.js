@@ -145,7 +145,7 @@ export class FilmView {
       context.strokeRect(low[0] - 8 * ratio, low[1] - 10 * ratio, high[0] - low[0] + 16 * ratio, high[1] - low[1] + 18 * ratio);
     }
     if (!text) return;
-    context.font = `700 ${13 * ratio}px system-ui, sans-serif`;
+    context.font = `700 ${13 * ratio}px ${getComputedStyle(context.canvas).fontFamily}`; // as the page
     const wide = context.measureText(text).width + 10 * ratio;
     const [x, y] = [Math.min(Math.max(low[0] - 8 * ratio, 0), context.canvas.width - wide), Math.max(low[1] - 28 * ratio, 0)];
     context.fillStyle = colour;

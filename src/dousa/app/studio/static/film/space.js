@@ -195,7 +195,7 @@ export class Space {
     context.arc(x, y, 4 * this.ratio, 0, 2 * Math.PI);
     context.fill();
     context.fillStyle = ink;
-    context.font = `600 ${12 * this.ratio}px system-ui, sans-serif`;
+    context.font = `600 ${12 * this.ratio}px ${getComputedStyle(context.canvas).fontFamily}`; // as the page
     const text = name.slice(0, 20);
     const wide = context.measureText(text).width + 7 * this.ratio;
     context.fillText(text, x + wide > this.canvas.width ? x - wide : x + 7 * this.ratio, y - 6 * this.ratio);

@@ -1,0 +1,126 @@
+"""Signs of what is going on, in Chromium: steps of a bar, a folder that is read, what cannot be read, categories."""
+
+from __future__ import annotations
+
+import sqlite3
+import threading
+
+import pytest
+
+from app.studio.library_page import click
+from app.studio.test_studio_takes import recording  # noqa: F401 - a fixture
+from dousa.library import Library
+from patience import PATIENCE
+
+pytest.importorskip("selenium.webdriver", reason="selenium is not installed: pip install selenium")
+FBX = b"Kaydara FBX Binary  \0\x1a\0" + b"\0" * 64
+
+
+def test_the_bar_of_the_first_labelling_shows_its_steps(show, library_copy, recording, monkeypatch):  # noqa: F811
+    with sqlite3.connect(library_copy) as connection:  # as after a change that the kept one does not know
+        connection.execute("UPDATE forests SET labeller = NULL")
+    connection.close()
+    real, go_on, told = Library.label, threading.Event(), []
+
+    def label(library, take, *, progress, **options):
+        progress(2, 5, "the third of five")
+        assert go_on.wait(PATIENCE)
+        return real(library, take, progress=lambda *step: (told.append(step), progress(*step)), **options)
+
+    monkeypatch.setattr(Library, "label", label)
+    page = show("/takes")
+    page.wait("return document.querySelector('#take-file')")
+    page.find("#take-file").send_keys(str(recording[0]))
+    try:
+        page.wait("return document.querySelector('#progress progress')?.value === 2")
+        assert page.run("return document.querySelector('#progress progress').max") == 5
+        assert "step 3 of 5" in page.run("return document.querySelector('#progress').textContent")
+    finally:
+        go_on.set()
+    page.wait("return document.querySelectorAll('#segments tbody tr').length > 2")
+    assert any(done > 0 and total > 1 for done, total, _ in told), "the library knows its steps"
+    assert page.messages() == []
+
+
+def test_dropping_is_written_in_the_letters_of_the_page(show):
+    page = show("/library", language="ja")
+    page.wait("return document.documentElement.dataset.dropText")
+    page.run("document.documentElement.classList.add('over')")
+    font = "return getComputedStyle(arguments[0] ? document.body : document.documentElement, arguments[1])"
+    overlay = page.run(f"{font}.fontFamily", False, "::after")
+    assert overlay == page.run(f"{font}.fontFamily", True, None) and "dousa-ja" in overlay
+    assert page.run(f"{font}.content", False, "::after").strip('"') == page.run(
+        "return document.documentElement.dataset.dropText"
+    )
+    page.run("document.documentElement.classList.remove('over')")
+    assert page.messages() == []
+
+
+# A folder of so many files, whose last part is read when `letGo` is called.
+DROP_FOLDER = """
+const [text, number] = arguments;
+const file = (k) => ({isFile: true, name: `one${k}.bvh`, file: (done) => done(new File([text + '\\n'.repeat(k)], `one${k}.bvh`))});
+const parts = [Array.from({length: number}, (_, k) => file(k)), [file(number)], []];
+const gate = new Promise((done) => { window.letGo = done; });
+const reader = {async readEntries(done) { const part = parts.shift(); if (parts.length === 1) await gate; done(part); }};
+const folder = {isFile: false, name: 'archive', createReader: () => reader};
+const event = new Event('drop', {bubbles: true, cancelable: true});
+event.dataTransfer = {types: ['Files'], items: [{webkitGetAsEntry: () => folder}], files: []};
+document.querySelector('#grid').dispatchEvent(event);
+"""  # noqa: E501
+
+
+def test_a_folder_that_takes_long_to_read_says_how_far_it_is(show, bvh):
+    page = show("/library")
+    page.wait("return document.querySelector('.cell')")
+    page.run(DROP_FOLDER, bvh.read_text(), 3)
+    said = "document.querySelector('.reading-folder')?.textContent"
+    page.wait(f"return {said} === 'Reading the folder: 3 files'")
+    assert not page.run("return document.querySelector('dialog[open]')")
+    page.run("window.letGo()")
+    page.wait("return document.querySelector('#came')?.textContent.includes('4')")
+    assert page.run(f"return {said}") is None
+    assert page.messages() == []
+
+
+def test_many_new_categories_of_a_report_are_a_list_and_few_a_line(show, bvh, tmp_path):
+    page = show("/library")
+    for round_, number in enumerate((2, 12)):
+        for k in range(number):
+            folder = tmp_path / f"up{round_}" / f"kind{round_}_{k:02d}"
+            folder.mkdir(parents=True)
+            (folder / f"one{k}.bvh").write_bytes(bvh.read_bytes() + b"\n" * (1 + 100 * round_ + k))
+        click(page, "#add-button")
+        page.wait("return document.querySelector('#add-files-folder')")
+        page.find("#add-files-folder").send_keys(str(tmp_path / f"up{round_}"))
+        click(page, "#add-go")
+        page.wait("return document.querySelector('#add-report')")
+        folded = "return document.querySelector('#add-categories')"
+        if number == 2:
+            assert not page.run(folded)
+            assert "kind0_00, kind0_01" in page.run("return document.querySelector('dialog').textContent")
+        else:
+            assert not page.run(f"{folded}.open") and page.run(f"{folded}.querySelectorAll('li').length") == number
+            assert page.run("const d = document.querySelector('dialog'); return d.scrollWidth <= d.clientWidth")
+        click(page, "dialog .foot .primary")
+        page.wait("return !document.querySelector('dialog')")
+    assert page.messages() == []
+
+
+def test_an_fbx_file_is_a_motion_and_what_reads_it_is_named(show, tmp_path, monkeypatch):
+    from dousa.formats.exchange import reading
+
+    monkeypatch.setattr(reading, "find_program", lambda name: None)
+    (tmp_path / "hero.fbx").write_bytes(FBX)
+    page = show("/library")
+    click(page, "#add-button")
+    page.wait("return document.querySelector('#add-files')")
+    page.find("#add-files").send_keys(str(tmp_path / "hero.fbx"))
+    page.wait("return document.querySelector('#came')")
+    assert not page.run("return document.querySelector('dialog .refused')")
+    page = show("/takes")
+    page.wait("return document.querySelector('#take-file')")
+    page.find("#take-file").send_keys(str(tmp_path / "hero.fbx"))
+    page.wait("return document.querySelector('#problem').checkVisibility()")
+    said = page.run("return document.querySelector('#problem').textContent")
+    assert "hero.fbx" in said and "neither Blender nor assimp" in said
