@@ -10,7 +10,7 @@ import pytest
 
 from dousa.errors import InvalidMotionError, JointMappingError, LibraryDamagedError
 from dousa.formats.motion_files import read_canonical
-from dousa.library import Library
+from dousa.library import Library, labelling
 from dousa.motion import CANONICAL_JOINTS, canonicalise
 from dousa.retrieval.forest.calibration import Calibration
 from library.database_server import run_sql
@@ -211,6 +211,47 @@ def test_takes_of_parts_are_searched_and_labelled(library, moves, squat):
     nothing = library.find(cut(squat, LEGS), k=3)
     assert [item.path for item in nothing.skipped] == ["legs take"]
     assert nothing.results == ()
+
+
+@pytest.fixture
+def learned(library, squat, monkeypatch):
+    """The labellers of parts that were learned: all are the one of legs, as that takes seconds."""
+    known, given = [], []
+    learn = labelling.learn_labeller
+
+    def learn_once(*arguments):
+        if not known:
+            known.append(learn(*arguments))
+        given.append(known[0])
+        return known[0]
+
+    monkeypatch.setattr(labelling, "learn_labeller", learn_once)
+    return given
+
+
+def test_what_takes_of_parts_are_labelled_with_is_kept(library_file, library, squat, learned):
+    take = cut(squat, UPPER)
+    answer = library.label(take).to_json()
+    assert library.label(take).to_json() == answer and len(learned) == 1
+    with Library.open(library_file, read_only=True) as other:
+        assert other.label(take).to_json() == answer and len(learned) == 1
+    library.add_motion(cut(squat, UPPER), "legs")  # without a category nothing is learned anew
+    with Library.open(library_file) as other:
+        assert other.label(take).to_json() == answer and len(learned) == 1
+    ((labeller,),) = run_sql(library_file, "SELECT labeller FROM part_forests")
+    run_sql(library_file, "UPDATE part_forests SET labeller = NULL")
+    with Library.open(library_file, read_only=True) as other:
+        assert other.label(take).to_json() == answer and len(learned) == 2
+    assert run_sql(library_file, "SELECT labeller FROM part_forests") == [(None,)]
+    torn = bytes(labeller[:200]) + bytes([labeller[200] ^ 1]) + bytes(labeller[201:])
+    run_sql(library_file, "UPDATE part_forests SET labeller = ?", torn)
+    assert not library.check().is_sound
+    with Library.open(library_file) as other, pytest.raises(LibraryDamagedError):
+        other.label(take)
+    assert library.check(repair=True).is_sound
+    library.relabel(["legs"], category="squat")
+    library.label(take)
+    assert len(learned) == 3
 
 
 def test_damaged_joints_are_told(library_file, library, squat):

@@ -101,11 +101,14 @@ class Labellers:
             return judge.sparing(frozenset(name for _, name in _read_labels(connection, examples)))
 
     def _get_part(self, part: StoredForest, n_jobs: int | None, progress: LearnProgress | None) -> TakeLabeller:
-        """What takes of bodies that lack joints are labelled with; it stays in memory, and examples do not teach it."""
+        """What takes of bodies that lack joints are labelled with; examples do not teach it."""
         known = self._of_parts.get(part.feature_set)
         if known is None or known[0] is not part:
-            known = part, self._learn(part, n_jobs, progress)
-            self._of_parts[part.feature_set] = known
+            data = self._parts.read_labeller(part)
+            labeller = self._learn(part, n_jobs, progress) if data is None else self._unpack(data)
+            if data is None:
+                self._parts.keep_labeller(part, labeller.to_bytes())
+            known = self._of_parts[part.feature_set] = part, labeller
         return known[1]
 
     def live(
@@ -189,14 +192,15 @@ class Labellers:
         return teach_labeller(base, [Example(_complete(self._examples[number], kind), name) for number, name in labels])
 
     def _read(self, stored: StoredForest) -> TakeLabeller | None:
-        from dousa.retrieval.takes.label import TakeLabeller
-
         table = schema.forests.c
         query = sa.select(table.labeller).where(table.learned == stored.learned)
         with self._database.reading() as connection:
             data = connection.execute(query).scalar_one_or_none()
-        if data is None:
-            return None
+        return None if data is None else self._unpack(data)
+
+    def _unpack(self, data: bytes) -> TakeLabeller:
+        from dousa.retrieval.takes.label import TakeLabeller
+
         try:
             return TakeLabeller.from_bytes(data)
         except DousaError as error:

@@ -158,6 +158,11 @@ def _fragments(connection: sa.Connection) -> None:
             _add_missing_column(connection, table, name)
 
 
+def _labellers_of_parts(connection: sa.Connection) -> None:
+    """What takes of bodies that lack joints are labelled with; it is learned when one is labelled."""
+    _add_missing_column(connection, schema.part_forests, "labeller")
+
+
 def _add_missing_column(connection: sa.Connection, table: sa.Table, name: str) -> None:
     """A column that is there already where a step above made the table as it is now."""
     if name not in {known["name"] for known in sa.inspect(connection).get_columns(table.name)}:
@@ -184,6 +189,7 @@ MIGRATIONS: tuple[Migration, ...] = (
     Migration(12, "clips to be learned", _clips_to_learn),
     Migration(13, "indices of checksums", _indices_of_checksums),
     Migration(14, "fragments", _fragments),
+    Migration(15, "labellers of parts", _labellers_of_parts),
 )
 
 

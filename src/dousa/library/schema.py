@@ -252,6 +252,8 @@ part_forests = sa.Table(
     sa.Column("clip_ids", sa.LargeBinary, nullable=False),
     sa.Column("leaves", sa.LargeBinary, nullable=False),
     sa.Column("poses", sa.LargeBinary, nullable=False),
+    # What takes of such bodies are labelled with, when one has been labelled.
+    sa.Column("labeller", sa.LargeBinary),
     _checksum(),
 )
 

@@ -220,10 +220,33 @@ class PartForests:
         poses = stack([row.poses], "<f4", (n_clips, POSE_CELLS, POSE_COLUMNS), "poses")[0]
         return stored, _Answers(dict(zip(ids, leaves, strict=True)), dict(zip(ids, poses, strict=True)))
 
+    def read_labeller(self, part: StoredForest) -> bytes | None:
+        """What takes are labelled with by a forest that was loaded last, where the library has it."""
+        table, known = schema.part_forests.c, self._kept[part.feature_set]
+        query = sa.select(table.labeller).where(table.feature_set == part.feature_set)
+        with self._database.reading() as connection:
+            data = connection.execute(query.where(table.learned_from == known.learned_from)).scalar_one_or_none()
+        return None if known.stored is not part or data is None else bytes(data)
+
+    def keep_labeller(self, part: StoredForest, labeller: bytes) -> None:
+        """Write what takes are labelled with, unless the library has another forest by now or cannot be written."""
+        table, known = schema.part_forests, self._kept[part.feature_set]
+        if known.stored is not part:
+            return
+        try:
+            with self._database.writing() as connection:
+                here = sa.update(table).where(table.c.feature_set == part.feature_set)
+                here = here.where(table.c.learned_from == known.learned_from)
+                connection.execute(here.values(labeller=labeller))
+        except LibraryDamagedError:
+            raise
+        except LibraryError:
+            return
+
     def _keep(self, stored: StoredForest, material: _Material, answers: _Answers) -> None:
         """Write a forest and its answers, unless the library cannot be written."""
         table, ids = schema.part_forests, material.ids
-        row = {
+        row: dict[str, Any] = {
             "feature_set": stored.feature_set,
             "learned_from": material.learned_from,
             "forest": stored.forest.to_bytes(),
@@ -234,6 +257,8 @@ class PartForests:
         }
         try:
             with self._database.writing() as connection:
+                same = table.c.feature_set == stored.feature_set, table.c.learned_from == material.learned_from
+                row["labeller"] = connection.execute(sa.select(table.c.labeller).where(*same)).scalar_one_or_none()
                 connection.execute(sa.delete(table).where(table.c.feature_set == stored.feature_set))
                 connection.execute(sa.insert(table), seal_rows(table, [row]))
         except LibraryDamagedError:

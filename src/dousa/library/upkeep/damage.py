@@ -247,8 +247,9 @@ def _check_forest(connection: sa.Connection, where: str, findings: Findings) -> 
         if data is None or not _is_readable(TakeWindows.from_bytes, data):
             findings.add(Fault(_WINDOWS, number))
     for row in connection.execute(sa.select(schema.part_forests)).all():
-        whole = _is_readable(MotionForest.from_bytes, row.forest)
-        if not whole or (row.calibration is not None and not _is_readable(Calibration.from_bytes, row.calibration)):
+        readers = (MotionForest.from_bytes, row.forest), (Calibration.from_bytes, row.calibration)
+        both = (*readers, (TakeLabeller.from_bytes, row.labeller))
+        if not all(data is None or _is_readable(read, data) for read, data in both):
             findings.add(Fault(checksums.PART_FORESTS.what, row.feature_set, checksums.PART_FORESTS))
     if stored is not None:
         _check_leaves(connection, len(stored.forest.trees_.roots), stored.forest.trees_.n_leaves, findings)
