@@ -43,7 +43,8 @@ class Series:
     count : how often.
     sampled : (n, 20, 3) m at 30 Hz.
     height : m.
-    before, after : s of ``sampled`` that lie before and after the action.
+    before, after : s of a real take from which to which it lasts.
+    take : name of that take.
     """
 
     source: str
@@ -55,6 +56,7 @@ class Series:
     height: float
     before: float = 0.0
     after: float = 0.0
+    take: str = ""
 
 
 def read_sets(data: Path) -> dict[str, list[LabelledClip]]:
@@ -200,7 +202,9 @@ def read_counted_takes(data: Path) -> list[Series]:
                 part = sampled[round(start * TAKE_RATE) : round(stop * TAKE_RATE)]
                 source = "UTKinect, once" if row["category"] in _ONCE else "UTKinect"
                 person = file_name.stem[:3]
-                series.append(
-                    Series(source, person, row["category"], "real", int(found), part, motion.height, start, stop)
+                one = Series(
+                    *(source, person, row["category"], "real", int(found)),
+                    *(part, motion.height, start, stop, file_name.stem),
                 )
+                series.append(one)
     return series

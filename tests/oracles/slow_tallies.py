@@ -18,6 +18,7 @@ RATE = 30.0
 _JOINTS = "head left_elbow left_hand right_elbow right_hand left_knee left_ankle right_knee right_ankle".split()
 _INDEX = [JOINT_INDEX[joint] for joint in _JOINTS]
 _SMOOTHING = 3.0  # frames, standard deviation: a sensor's noise is quicker than people
+_LIGHT = 1.5  # frames: of what is as quick as noise
 _LARGE, _SMALL = 0.5, 0.3  # shares of the range (5 to 95 %) that a movement out and back has at least
 _TURN, _SMALL_TURN, _BURST = 0.6, 0.3, 0.35  # likewise of the speed along one direction, of the body's speed (95 %)
 _MOVING = 0.15  # share of the speed (90 %) below which the body rests
@@ -37,34 +38,92 @@ def measure_tallies(sampled: FloatArray, height: float) -> FloatArray:
 
     Returns
     -------
-    (18,) in the order of ``TALLIES``; 0 where nothing moves.
+    (28,) in the order of ``TALLIES``; 0 where nothing moves.
     """
     points = complete_positions(sampled, height, (), {*_JOINTS, *FRAME_JOINTS})
     if len(points) < 2:
         return np.zeros(len(TALLIES))
-    points = smooth_gaussian(points, _SMOOTHING)
-    poses = turn_to_body((points - points[:, :1]) / height)[:, _INDEX].reshape(len(points), -1)
-    velocities: FloatArray = np.asarray(np.gradient(poses, axis=0))
-    speeds = np.sqrt((velocities**2).sum(axis=1))
+    poses = _describe(points, height, _SMOOTHING)
+    speeds, velocities = _measure_speeds(poses)
     if speeds.max() <= 1e-9:
         return np.zeros(len(TALLIES))
-    moving = speeds > _MOVING * np.percentile(speeds, 90)
+    moving, axes = _find_moving(speeds), _find_axes(poses, velocities)
     counts = (
-        *_count_along_axes(poses),
-        *_count_quick(poses, velocities),
-        count_swings(smooth_gaussian(speeds, _SMOOTHING), _BURST * float(np.percentile(speeds, 95)))[0],
+        *_count_along_axes(poses, axes),
+        *_count_quick(poses, velocities, axes),
+        _count_bursts(speeds, _SMOOTHING),
         _count_bouts(moving),
         *_count_away(poses, speeds),
         _count_periods(velocities, moving),
+        *_count_light(_describe(points, height, _LIGHT), axes),
+        *_count_even(poses, float(speeds.max())),
     )
     return np.array([*counts, len(points) / RATE, speeds.sum(), moving.sum() / RATE], np.float64)
 
 
-def _count_along_axes(poses: FloatArray) -> tuple[float, ...]:
+def _describe(points: FloatArray, height: float, deviation: float) -> FloatArray:
+    smoothed = smooth_gaussian(points, deviation)
+    poses: FloatArray = turn_to_body((smoothed - smoothed[:, :1]) / height)[:, _INDEX].reshape(len(points), -1)
+    return poses
+
+
+def _measure_speeds(poses: FloatArray) -> tuple[FloatArray, FloatArray]:
+    velocities: FloatArray = np.asarray(np.gradient(poses, axis=0))
+    return np.sqrt((velocities**2).sum(axis=1)), velocities
+
+
+def _find_moving(speeds: FloatArray) -> BoolArray:
+    moving: BoolArray = speeds > _MOVING * np.percentile(speeds, 90)
+    return moving
+
+
+def _find_axes(poses: FloatArray, velocities: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """The directions of movement, and of quick movement, the least first."""
+    spread = poses - poses.mean(axis=0)
+    return np.linalg.eigh(spread.T @ spread)[1], np.linalg.eigh(velocities.T @ velocities)[1]
+
+
+def _count_light(poses: FloatArray, axes: tuple[FloatArray, FloatArray]) -> tuple[float, ...]:
+    """Some of it, of what is smoothed less."""
+    speeds, velocities = _measure_speeds(poses)
+    turns, _, _, crossings = _count_quick(poses, velocities, axes)
+    return (
+        _count_along_axes(poses, axes)[-1],
+        turns,
+        crossings,
+        _count_bursts(speeds, _LIGHT),
+        _count_periods(velocities, _find_moving(speeds)),
+    )
+
+
+def _count_even(poses: FloatArray, fastest: float) -> tuple[float, ...]:
+    """Some of it, of the mean of the poses and their mirror images."""
+    joints = poses.reshape(len(poses), -1, 3)
+    others = [_JOINTS.index(_mirror(joint)) for joint in _JOINTS]
+    even = 0.5 * (joints + joints[:, others] * (-1.0, 1.0, 1.0)).reshape(len(poses), -1)
+    speeds, velocities = _measure_speeds(even)
+    if speeds.max() <= max(1e-3 * fastest, 1e-9):
+        return (0.0,) * 5
+    axes = _find_axes(even, velocities)
+    turns, _, _, crossings = _count_quick(even, velocities, axes)
+    along = _count_along_axes(even, axes)
+    return along[2], along[-1], turns, crossings, _count_periods(velocities, _find_moving(speeds))
+
+
+def _mirror(joint: str) -> str:
+    side, _, rest = joint.partition("_")
+    return {"left": "right", "right": "left"}[side] + "_" + rest if rest else joint
+
+
+def _count_bursts(speeds: FloatArray, deviation: float) -> int:
+    """How often the body speeds up."""
+    return count_swings(smooth_gaussian(speeds, deviation), _BURST * float(np.percentile(speeds, 95)))[0]
+
+
+def _count_along_axes(poses: FloatArray, axes: tuple[FloatArray, FloatArray]) -> tuple[float, ...]:
     """Movements out and back along the two directions of most movement, and half of the crossings of the middle."""
     spread = poses - poses.mean(axis=0)
-    axes = np.linalg.eigh(spread.T @ spread)[1][:, :-3:-1]
-    first, second = (_turn_out(curve) for curve in (spread @ axes).T)
+    first, second = (_turn_out(curve) for curve in (spread @ axes[0][:, :-3:-1]).T)
     reach, other = _reach(first), _reach(second)
     return (
         *count_swings(first, _LARGE * reach),
@@ -90,12 +149,14 @@ def _turn_out(curve: FloatArray) -> FloatArray:
     return -curve if np.median(curve) > 0.5 * (curve.min() + curve.max()) else curve
 
 
-def _count_quick(poses: FloatArray, velocities: FloatArray) -> tuple[float, ...]:
+def _count_quick(
+    poses: FloatArray, velocities: FloatArray, axes: tuple[FloatArray, FloatArray]
+) -> tuple[float, float, float, float]:
     """Along the direction of quickest movement: how often it is taken, there and back, half each; and out and back.
 
     What drifts slowly, or fades, is quick all the same.
     """
-    axis = np.linalg.eigh(velocities.T @ velocities)[1][:, -1]
+    axis = axes[1][:, -1]
     along = velocities @ axis
     speed = float(np.quantile(np.abs(along), 0.95))
     curve = poses @ axis

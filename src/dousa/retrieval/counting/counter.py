@@ -34,13 +34,13 @@ def count_repetitions(sampled: FloatArray, height: float, usual: FloatArray | No
     ----------
     sampled : (n, 20, 3) m, canonical joints at 30 Hz.
     height : m.
-    usual : (18,) what one repetition comes to in each tally, of `find_usual`; None where that is not known.
+    usual : (28,) what one repetition comes to in each tally, of `find_usual`; None where that is not known.
     """
     return choose_count(measure_tallies(sampled, height), usual)
 
 
 def choose_count(tallies: FloatArray, usual: FloatArray | None = None) -> int:
-    """The count that tallies (18,) speak for; ``usual`` as for `count_repetitions`."""
+    """The count that tallies (28,) speak for; ``usual`` as for `count_repetitions`."""
     known = usual is not None and bool(np.isfinite(usual).all())
     counts = list_counts(tallies, usual if known else None)
     weights = (_IN_USE.get() or _read_weights())["known" if known else "alone"]
@@ -61,9 +61,9 @@ def describe_counts(tallies: FloatArray, counts: IntArray, usual: FloatArray | N
 
     Parameters
     ----------
-    tallies : (18,).
+    tallies : (28,).
     counts : (K,).
-    usual : (18,), or None.
+    usual : (28,), or None.
 
     Returns
     -------
@@ -102,7 +102,7 @@ def name_evidence(known: bool) -> list[tuple[str, str]]:
 
 @contextlib.contextmanager
 def use_weights(weights: Mapping[str, FloatArray]) -> Iterator[None]:
-    """Count with other weights than the package's meanwhile: ``alone`` (32,) and ``known`` (86,)."""
+    """Count with other weights than the package's meanwhile: ``alone`` (52,) and ``known`` (136,)."""
     token = _IN_USE.set(weights)
     try:
         yield
@@ -131,11 +131,11 @@ def find_usual(tallies: Sequence[FloatArray]) -> FloatArray:
 
     Parameters
     ----------
-    tallies : (18,) of each of some clips of the category, or segments of takes.
+    tallies : (28,) of each of some clips of the category, or segments of takes.
 
     Returns
     -------
-    (18,); NaN without clips.
+    (28,); NaN without clips.
     """
     if not len(tallies):
         return np.full(len(TALLIES), np.nan)

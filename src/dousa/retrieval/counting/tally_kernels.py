@@ -50,6 +50,23 @@ def describe(sampled, height, weights, hips, shoulders, joints, room, left, pose
 
 
 @compiled
+def fold(poses, velocities, others, even_poses, even_velocities, speeds):
+    """What both sides do, half each: of poses and velocities (n, 3 K) the mean with their mirror images, and how fast.
+
+    ``others`` (K,) is the joint on the other side. Into arrays of the same shapes, and ``speeds`` (n,).
+    """
+    for t in range(len(poses)):
+        square = 0.0
+        for k in range(len(others)):
+            for axis in range(3):
+                own, other, sign = 3 * k + axis, 3 * others[k] + axis, -1.0 if axis == 0 else 1.0
+                even_poses[t, own] = 0.5 * (poses[t, own] + sign * poses[t, other])
+                even_velocities[t, own] = 0.5 * (velocities[t, own] + sign * velocities[t, other])
+                square += even_velocities[t, own] ** 2
+        speeds[t] = np.sqrt(square)
+
+
+@compiled
 def level(curve):
     """Take the mean and the line of least squares off a curve (n,), in place."""
     n, mean, moment, square = len(curve), 0.0, 0.0, 0.0

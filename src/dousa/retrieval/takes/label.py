@@ -44,7 +44,7 @@ SHORT_GAP = 15
 
 _View = Callable[[NDArray[np.float32]], NDArray[np.float32]]  # discriminants of moments
 
-_VERSION, _EARLIER = 5, 4
+_VERSION, _EARLIER = 6, (4, 5)
 _WHAT = Message("stored.labeller")
 _NAMES = (
     *("version", "classes", *MODEL_ARRAYS, "log_lengths", "spreads", "weights"),
@@ -149,8 +149,9 @@ class TakeLabeller:
     threshold : confidence from which a category is said.
     held : (H, F) bytes of some moments that trained, of which the same is said when an example is taught.
     held_states : (H,) what they are, as the model counts: 3 c + phase, 3 C for nothing.
-    usual : (C', 18) what one repetition of a category comes to in each tally (`find_usual`); NaN where that is not
-        known. C' is C without the categories only taught, or 0.
+    usual : (C', 28) what one repetition of a category comes to in each tally (`find_usual`); NaN where that is not
+        known. C' is C without the categories only taught, or 0, as in
+        the files of an earlier dousa, which tallied something else.
     placing : (1 + K,) the same as ``calibration`` of being where any action is; of an earlier dousa none.
     """
 
@@ -267,7 +268,7 @@ class TakeLabeller:
     def from_bytes(cls, data: bytes) -> TakeLabeller:
         """The labeller that ``to_bytes`` wrote; DousaError for damaged, other or newer bytes."""
         arrays = unpack_arrays(data, _NAMES, _WHAT, ("placing",))
-        check_version(arrays, _WHAT, (_EARLIER, _VERSION))
+        check_version(arrays, _WHAT, (*_EARLIER, _VERSION))
         arrays.setdefault("placing", arrays["calibration"])
         classes = arrays["classes"]
         check(classes.ndim == 1 and len(classes) > 0 and classes.dtype.kind == "U", _WHAT, "bad categories")
@@ -288,6 +289,8 @@ class TakeLabeller:
         right = held.dtype == np.uint8 and held.ndim == 2 and held.shape[1] == N_VALUES
         check(right and of.dtype == np.int32 and of.shape == (len(held),), _WHAT, "bad held moments")
         usual = arrays["usual"]
+        if int(arrays["version"]) in _EARLIER:  # which had other tallies
+            usual = np.empty((0, len(TALLIES)))
         right = usual.dtype == np.float64 and usual.shape in ((len(classes), len(TALLIES)), (0, len(TALLIES)))
         check(right and bool((np.isnan(usual) | ((usual > 1e-3) & (usual < 1e6))).all()), _WHAT, "bad repetitions")
         return cls(

@@ -121,7 +121,7 @@ _STEPS = 4
 
 
 def _find_usual(clips: Sequence[LabelledClip], takes: Sequence[AnnotatedTake], classes: Sequence[str]) -> FloatArray:
-    """(C, 18) what one repetition of each category comes to in each tally, by some of its clips and segments."""
+    """(C, 28) what one repetition of each category comes to in each tally, by some of its clips and segments."""
     from dousa.retrieval.features.channels import sample_positions
 
     shown: dict[str, list[tuple[FloatArray, float, float]]] = {name: [] for name in classes}
