@@ -1,11 +1,14 @@
 """What a library costs as it grows: making it, training, searching, and adding 64 clips to it when it is trained.
 
     python benchmarks/scale.py [N ...] [--categories N] [--folder FOLDER] [--drawn K] [--replicate M] [--hours H]
+    python benchmarks/scale.py --library PATH
 
 The clips are made as by ``benchmarks/search.py``, 60 frames each. Prints for each size the clips written per second in
 every tenth of it, or every 100,000; then, each in a process of its own, the seconds on the clock and of processors, and
-the largest memory, of training, of the first search and warm ones, and of adding 64 files of people and motions that
-the library does not know, and then 64 more. A clip takes 14 kB before the training and 31 kB after it.
+the largest memory, of training, of the first search and warm ones, of adding 64 files of people and motions that
+the library does not know, and of the search after that, and then of 64 more. A clip takes 14 kB before the training and
+31 kB after it. With ``--library`` all but the making and training is done with a library that is there, and stays
+changed.
 
 With ``--drawn`` every tree grows from so many clips, as those of more than 100,000 do: a tenth of them shows in small
 what becomes of a million.
@@ -134,6 +137,14 @@ def add_take(path: Path, file: Path) -> None:
         library.add(file, kind="take")
 
 
+def use(path: Path, files: list[Path]) -> None:
+    """Measure searches in a trained library, and adding to it."""
+    run_alone(search, path)
+    for some in files:
+        run_alone(add, path, some)
+        run_alone(search, path, "first search after that")
+
+
 def run_alone(function: Callable[..., None], *arguments: object) -> None:
     """Call a function in a process of its own, so that its memory can be told."""
     process = multiprocessing.get_context("spawn").Process(target=function, args=arguments)
@@ -151,18 +162,20 @@ def main() -> None:
     parser.add_argument("--drawn", type=int, metavar="K", help="clips that each tree grows from")
     parser.add_argument("--replicate", type=int, metavar="M", help="then search in so many clips, made of its rows")
     parser.add_argument("--hours", type=float, metavar="H", help="look for a motion in so many hours of takes")
+    parser.add_argument("--library", type=Path, metavar="PATH", help="a trained library that is measured, and changed")
     options = parser.parse_args()
     with tempfile.TemporaryDirectory(dir=options.folder) as folder:
         files = [Path(folder, name) for name in ("new", "more")]
         for number, one in enumerate(files, 1):
             write_files(one, options.categories, 1000 * number)
+        if options.library:
+            use(options.library, files)
+            return
         for size in options.sizes:
             path = Path(folder, f"{size}.dousa")
             make(path, size, options.categories)
             run_alone(train_from, path, options.drawn)
-            run_alone(search, path)
-            for some in files:
-                run_alone(add, path, some)
+            use(path, files)
             if options.hours and size == options.sizes[0]:
                 add_take(path, Path(folder, "take.bvh"))
                 run_alone(find, path, next(files[0].rglob("*.bvh")), replicate_take(path, options.hours))
