@@ -64,41 +64,46 @@ def find_most(starts, found, votes, out):
 
 @njit(cache=True, nogil=True)
 def count_sparsely(
-    codes, table, offsets, starts, classes, weights, parts, meanings, n_meanings, first, ends, found, votes, squares,
-    lengths,
+    codes, offsets, begins, stops, classes, weights, parts, meanings, n_meanings, first, shares, ends, found, votes,
+    squares, lengths,
 ):  # fmt: skip
     """Votes of clips from ``first`` on, as many as ``ends`` has room for; returns how many entries were written.
 
-    The sums are those of ``tree_kernels.count_leaves``, in the same order, so that they are equal to the last bit.
-    ``squares`` are the sums of the squared votes, ``lengths`` the Euclidean lengths of the votes for meanings.
+    The sums are those of ``tree_kernels.count_leaves``, in the same order, so that they are equal to the last bit; but
+    one tree after the other is looked at for as many clips as ``shares`` (B, C) has room for, since the leaves of one
+    are near enough to each other to stay in the processor. ``begins`` and ``stops`` (K,) are where the entries of the
+    leaves of the table are. ``squares`` are the sums of the squared votes, ``lengths`` the Euclidean lengths of the
+    votes for meanings.
     """
     n_classes, n_trees = len(meanings), codes.shape[1]
-    shares, merged = np.zeros(n_classes), np.zeros(n_meanings, np.int64)
+    merged = np.zeros(n_meanings, np.int64)
     written = 0
-    for place in range(len(ends)):
-        clip = first + place
+    for block in range(0, len(ends), len(shares)):
+        count = min(len(shares), len(ends) - block)
+        shares[:count] = 0.0
         for tree in range(n_trees):
-            leaf = table[offsets[tree] + codes[clip, tree]]
-            for entry in range(starts[leaf], starts[leaf + 1]):
-                shares[classes[entry]] += weights[entry]
-        square = np.int64(0)
-        for category in range(n_classes):
-            if shares[category] != 0.0:
-                count = np.int64(np.rint(shares[category] / n_trees * (parts * n_trees)))
-                shares[category] = 0.0
-                if count != 0:
-                    found[written], votes[written] = category, count
-                    written += 1
-                    square += count * count
-                    merged[meanings[category]] += count
-        squares[clip] = square
-        total = 0.0
-        for entry in range(ends[place - 1] if place else 0, written):
-            meaning = meanings[found[entry]]
-            total += float(merged[meaning]) * float(merged[meaning])
-            merged[meaning] = 0
-        lengths[clip] = np.sqrt(total)
-        ends[place] = written
+            for place in range(count):
+                leaf = offsets[tree] + codes[first + block + place, tree]
+                for entry in range(begins[leaf], stops[leaf]):
+                    shares[place, classes[entry]] += weights[entry]
+        for place in range(count):
+            clip, began, square = first + block + place, written, np.int64(0)
+            for category in range(n_classes):
+                if shares[place, category] != 0.0:
+                    own = np.int64(np.rint(shares[place, category] / n_trees * (parts * n_trees)))
+                    if own != 0:
+                        found[written], votes[written] = category, own
+                        written += 1
+                        square += own * own
+                        merged[meanings[category]] += own
+            squares[clip] = square
+            total = 0.0
+            for entry in range(began, written):
+                meaning = meanings[found[entry]]
+                total += float(merged[meaning]) * float(merged[meaning])
+                merged[meaning] = 0
+            lengths[clip] = np.sqrt(total)
+            ends[block + place] = written
     return written
 
 

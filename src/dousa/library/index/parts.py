@@ -19,6 +19,7 @@ from dousa.library.seals.checksums import LABELS, LEAVES
 
 _MOST_CODES = 2**16 - 1  # the last one stands for a leaf that no clip is in
 _ROOM = 2**22  # entries of votes that are counted at a time
+_CLIPS_AT_ONCE = 1024  # in the leaves of one tree
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -249,7 +250,9 @@ def choose_code(ranks: IntArray) -> type[np.uint16 | np.int32]:
 
 def count_part(stored: StoredForest, part: ClipPart, meanings: IndexArray) -> SparseVotes:
     """What the trees say of clips; ``meanings`` (C,) is the number of what each category means."""
-    entries = stored.forest.vote_entries
+    starts, classes, weights = stored.forest.vote_entries
+    begins, stops = starts[part.table], starts[part.table + 1]
+    shares = np.empty((_CLIPS_AT_ONCE, len(meanings)))
     n_meanings = int(meanings.max(initial=-1)) + 1
     portion = max(_ROOM // max(len(meanings), 1), 1)
     ends = np.zeros(len(part) + 1, np.int64)
@@ -259,8 +262,8 @@ def count_part(stored: StoredForest, part: ClipPart, meanings: IndexArray) -> Sp
         own = np.zeros(min(portion, len(part) - first), np.int64)
         room = np.empty(len(own) * len(meanings), np.uint16), np.empty(len(own) * len(meanings), np.int32)
         written = count_sparsely(
-            part.codes, part.table, part.offsets, *entries, PARTS_OF_A_VOTE, meanings, n_meanings, first, own, *room,
-            squares, lengths,
+            part.codes, part.offsets, begins, stops, classes, weights, PARTS_OF_A_VOTE, meanings, n_meanings, first,
+            shares, own, *room, squares, lengths,
         )  # fmt: skip
         found.append((room[0][:written].copy(), room[1][:written].copy()))
         ends[first + 1 : first + 1 + len(own)] = ends[first] + own
