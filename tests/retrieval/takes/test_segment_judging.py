@@ -11,6 +11,7 @@ from oracles.short_actions import ACTIONS, make_clip, make_library
 
 from dousa.experiments.annotated.trial import cut_segments, learn_clip_judge
 from dousa.motion.annotation import Stretch
+from dousa.motion.canonical.joints import JOINT_INDEX
 from dousa.retrieval.features.posed_motion import AnnotatedTake
 from dousa.retrieval.features.sensor_noise import measure_unsteadiness
 from dousa.retrieval.forest.evidence import EVIDENCE
@@ -131,6 +132,21 @@ def test_a_noisy_sensor_makes_bones_unsteady():
     assert measure_unsteadiness(replace(clip, positions=np.full_like(clip.positions, np.nan))) == 0.0
     long = measure_unsteadiness(replace(clip, positions=clip.positions * 3))
     assert long == pytest.approx(steady)
+
+
+@pytest.mark.parametrize("count", [1, 2, 31])
+def test_unsteadiness_is_the_median_spread_of_a_bone(count):
+    """By its definition, in plain NumPy; bones of no length, or with an end that is missing, are left out."""
+    points = np.random.default_rng(count).normal(size=(count, 20, 3))
+    points[:, JOINT_INDEX["left_knee"]] = points[:, JOINT_INDEX["left_hip"]]
+    points[-1, JOINT_INDEX["right_elbow"]] = np.nan
+    bones = [("shoulder", "elbow"), ("elbow", "hand"), ("hip", "knee"), ("knee", "ankle")]
+    ends = [(JOINT_INDEX[f"{side}_{a}"], JOINT_INDEX[f"{side}_{b}"]) for side in ("left", "right") for a, b in bones]
+    lengths = [np.linalg.norm(points[:, a] - points[:, b], axis=1) for a, b in ends]
+    spreads = [own.std() / np.median(own) for own in lengths if np.isfinite(own).all() and np.median(own) > 0]
+    assert len(spreads) == 5
+    clip = make_clip("wave", 7)
+    assert measure_unsteadiness(replace(clip, positions=points)) == pytest.approx(np.median(spreads), rel=1e-12)
 
 
 def opinion(*, judged=True, name="wave", lead=2.0, typical=0.0, unsteady=0.02, sure=False):

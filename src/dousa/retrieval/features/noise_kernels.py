@@ -172,3 +172,33 @@ def measure_chain(points, bones, shares, lengths):
                 square += (points[t, bones[b, 0], axis] - end) ** 2
             lengths[t] += np.sqrt(square) * shares[b]
     return find_middle(lengths)
+
+
+@compiled
+def measure_unsteadiness(points, bones, room):
+    """The standard deviation of the length of a bone as a share of its median, the median over the bones; or 0.
+
+    ``points`` (n, J, 3); ``bones`` (B, 2) are joints, of which those that are missing in any frame are left out;
+    ``room`` (2, R) for n or B numbers.
+    """
+    lengths, shares = room
+    n, found = len(points), 0
+    for b in range(len(bones)):
+        total, there = 0.0, True
+        for t in range(n):
+            square = 0.0
+            for axis in range(3):
+                square += (points[t, bones[b, 0], axis] - points[t, bones[b, 1], axis]) ** 2
+            lengths[t] = np.sqrt(square)
+            there = there and np.isfinite(lengths[t])
+            total += lengths[t]
+        if not there:
+            continue
+        mean, spread = total / n, 0.0
+        for t in range(n):
+            spread += (lengths[t] - mean) ** 2
+        middle = find_middle(lengths[:n])
+        if middle > 0.0:
+            shares[found] = np.sqrt(spread / n) / middle
+            found += 1
+    return find_middle(shares[:found]) if found else 0.0

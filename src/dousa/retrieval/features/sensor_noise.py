@@ -42,7 +42,7 @@ _BONES = [
     for side in ("left", "right")
     for near, far in (("shoulder", "elbow"), ("elbow", "hand"), ("hip", "knee"), ("knee", "ankle"))
 ]
-_NEAR_ENDS, _FAR_ENDS = ([JOINT_INDEX[bone[end]] for bone in _BONES] for end in (0, 1))
+_BONE_ENDS = np.array([[JOINT_INDEX[joint] for joint in bone] for bone in _BONES])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -104,11 +104,8 @@ def measure_unsteadiness(motion: PosedMotion) -> float:
     -------
     The standard deviation of the length of a bone as a share of its median, the median over the bones; 0 without any.
     """
-    lengths = np.linalg.norm(motion.positions[:, _NEAR_ENDS] - motion.positions[:, _FAR_ENDS], axis=2)
-    there = np.isfinite(lengths).all(axis=0)
-    middles = np.median(lengths[:, there], axis=0)
-    spreads = lengths[:, there].std(axis=0)[middles > 0] / middles[middles > 0]
-    return float(np.median(spreads)) if len(spreads) else 0.0
+    points = np.ascontiguousarray(motion.positions, np.float64)
+    return float(kernels.measure_unsteadiness(points, _BONE_ENDS, np.empty((2, max(len(points), len(_BONE_ENDS))))))
 
 
 def smooth_places(points: FloatArray) -> tuple[FloatArray, float]:
