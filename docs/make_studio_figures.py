@@ -1,7 +1,8 @@
 """Pictures of the pages of the studio, from a real Chromium on the demo's library: `docs/make_studio_figures.py`.
 
-The demonstration is made first (``--demo DIR`` takes one that is there). Needs chromium with chromedriver; without them
-the pictures stay as they are.
+The demonstration is made first (``--demo DIR`` takes one that is there). ``--looks DIR`` takes, instead of the pictures
+of the documents, every page at three widths, light and dark, in both languages: a sheet for each of the twelve, to look
+at. Needs chromium with chromedriver; without them the pictures stay as they are.
 """
 
 from __future__ import annotations
@@ -17,6 +18,7 @@ import urllib.request
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -26,6 +28,8 @@ sys.path.insert(0, str(DOCS.parent / "tests"))
 
 DATA, PHONES = DOCS.parent.parent / "shared" / "data" / "pose2sim" / "videos", ("01", "04")
 SETTLE = 2.5  # s: figures move, so that a picture has somebody in the middle of something
+SIZES = ((390, 844), (1440, 900), (2560, 1440))  # CSS px of the looks
+SHEET, SHEET_WIDTH = 620, 2300  # px: height of a page on a sheet, most of a sheet's width
 COLOURS = 256  # of a picture: few bytes, and shades without steps
 SCROLLED = {"evaluate": 330, "films": 335}
 SCRIPTS = {
@@ -148,6 +152,30 @@ def take_pictures(studio: Studio, demo: Path, page: Any) -> None:
     save(phone, FIGURES / "studio_phone.png")
 
 
+def take_looks(studio: Studio, demo: Path, page: Any, folder: Path) -> None:
+    """A sheet with all pages for each look: width, colours, language."""
+    from PIL import Image
+
+    shown = {name: where[:2] for name, where in addresses(studio, demo).items()}
+    shown |= {
+        f"{name}_start": (f"/{name}", "main") for name in ("search", "takes", "evaluate", "estimate", "live", "api")
+    }
+    folder.mkdir(parents=True, exist_ok=True)
+    for size, scheme, language in product(SIZES, ("light", "dark"), ("en", "ja")):
+        pictures = []
+        for address, there in shown.values():
+            joint = "&" if "?" in address else "?"
+            data = shoot(studio, page, f"{address}{joint}lang={language}", there, size=size, scheme=scheme)
+            with Image.open(io.BytesIO(data)) as image:
+                pictures.append(image.convert("RGB").resize((size[0] * SHEET // size[1], SHEET)))
+        columns = max(SHEET_WIDTH // pictures[0].width, 1)
+        sheet = Image.new("RGB", (columns * pictures[0].width, -(-len(pictures) // columns) * SHEET), "#888888")
+        for place, picture in enumerate(pictures):
+            sheet.paste(picture, (place % columns * picture.width, place // columns * SHEET))
+        sheet.save(folder / f"{size[0]}_{scheme}_{language}.png")
+        print(f"{size[0]} {scheme} {language}: {len(pictures)} pages", flush=True)
+
+
 def shoot(
     studio: Studio,
     page: Any,
@@ -185,8 +213,8 @@ def make_demo(folder: Path) -> None:
     run_estimation_demo(Console(), folder)
 
 
-def make_all(demo: Path | None = None) -> None:
-    """Take all pictures, of a demonstration that was run into a folder or of a new one."""
+def make_all(demo: Path | None = None, looks: Path | None = None) -> None:
+    """Take all pictures, of a demonstration that was run into a folder or of a new one; looks: see the module."""
     import pytest
 
     from app.browser import open_browser
@@ -198,7 +226,10 @@ def make_all(demo: Path | None = None) -> None:
             make_demo(demo)
         try:
             with listening(prepare_studio(demo)) as studio, open_browser(Path(name) / "profile") as page:
-                take_pictures(studio, demo, page)
+                if looks is None:
+                    take_pictures(studio, demo, page)
+                else:
+                    take_looks(studio, demo, page, looks)
         except pytest.skip.Exception as reason:
             print(f"no pictures of the studio: {reason}")
 
@@ -206,4 +237,8 @@ def make_all(demo: Path | None = None) -> None:
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--demo", type=Path, help="folder of a demonstration that was run already")
-    make_all(parser.parse_args().demo)
+    parser.add_argument(
+        "--looks", type=Path, help="folder for a sheet of each look, instead of the documents' pictures"
+    )
+    asked = parser.parse_args()
+    make_all(asked.demo, asked.looks)

@@ -10,6 +10,7 @@ import pytest
 from app.studio.library_page import click
 from app.studio.test_studio_takes import recording  # noqa: F401 - a fixture
 from dousa.library import Library
+from dousa.messages import Message
 from patience import PATIENCE
 
 pytest.importorskip("selenium.webdriver", reason="selenium is not installed: pip install selenium")
@@ -42,6 +43,30 @@ def test_the_bar_of_the_first_labelling_shows_its_steps(show, library_copy, reco
     assert page.messages() == []
 
 
+def test_a_search_that_learns_first_shows_its_steps(show, client, monkeypatch):
+    real, go_on = Library.search, threading.Event()
+
+    def search(library, query, *words, progress=None, **options):
+        if progress is not None:
+            progress(1, 3, Message("text.verbatim", text="learning bodies without hands"))
+            assert go_on.wait(PATIENCE)
+        return real(library, query, *words, **options)
+
+    monkeypatch.setattr(Library, "search", search)
+    try:
+        page = show("/search?motion=clip:1")
+        page.wait("return document.querySelector('#results-note progress')?.value === 1")
+        assert "learning bodies without hands" in page.run("return document.querySelector('#results-note').textContent")
+        said = client.ask("GET", "/api/search/learning")["learning"]
+        assert said == {"done": 1, "total": 3, "what": "learning bodies without hands"}
+    finally:
+        go_on.set()
+    page.wait("return document.querySelectorAll('.hit').length > 3")
+    assert not page.run("return document.querySelector('#results-note progress')")
+    assert client.ask("GET", "/api/search/learning") == {"learning": None}
+    assert page.messages() == []
+
+
 def test_dropping_is_written_in_the_letters_of_the_page(show):
     page = show("/library", language="ja")
     page.wait("return document.documentElement.dataset.dropText")
@@ -53,6 +78,23 @@ def test_dropping_is_written_in_the_letters_of_the_page(show):
         "return document.documentElement.dataset.dropText"
     )
     page.run("document.documentElement.classList.remove('over')")
+    assert page.messages() == []
+
+
+def test_figures_behind_a_dialog_rest(show):
+    page = show("/library")
+    page.wait("return window.dousa.miniatures.alive > 3")
+    click(page, "#add-button")
+    page.wait("return document.querySelector('#add-files')")
+    assert page.run("return window.dousa.miniatures.alive") == 0
+    share = "return document.querySelector('.cell').cell.miniature.share"
+    page.settle()
+    before = page.run(share)
+    page.settle()
+    assert page.run(share) == before
+    page.run("document.querySelector('dialog').close()")
+    page.wait("return window.dousa.miniatures.alive > 3")
+    page.wait(f"{share} !== arguments[0]", before)
     assert page.messages() == []
 
 

@@ -6,7 +6,7 @@
 //     host (element whose hover and focus wake it where motion is reduced; default the link or button around it)
 //   miniature.play() .pause() .seek(share 0..1) .replace(bytes) .destroy(); to read: .share .playing .visible .duration
 //   .scrub(share) shows a moment as long as somebody points at it, .scrub(null) lets it run on; .calm: less motion is wished for
-// It runs by itself while it is visible, and comes from its last pose to its first without a jump. Where less motion is wished for, it shows its most telling pose until its
+// It runs by itself while it is visible and not behind a dialog, and comes from its last pose to its first without a jump. Where less motion is wished for, it shows its most telling pose until its
 // host is hovered or focused. Its size is that of the element. `dousa.miniatures.alive` says how many run now.
 
 const FRAME_MS = 1000 / 31; // thirty pictures a second are enough for small ones
@@ -15,6 +15,11 @@ const DIM = 0.5; // of the figure's strength that is lost on the way back: it is
 const MINIATURE_COLOURS = ["--dp-mini", "--dp-mini-far", "--dp-mini-shadow"];
 
 const lessMotion = window.matchMedia("(prefers-reduced-motion: reduce)");
+
+// Nobody looks at what lies behind a dialog, and the work that the dialog waits for has the processor.
+const LOOK_AGAIN_MS = 250; // between looks whether it is still there
+const findDialog = () => document.querySelector("dialog:modal");
+const isBehind = (miniature, over) => Boolean(over) && !over.contains(miniature.canvas);
 
 // One loop of frames, one observer of each kind, for all miniatures of the page.
 const gallery = {
@@ -55,8 +60,9 @@ const gallery = {
   },
 
   get alive() {
+    const over = findDialog();
     let count = 0;
-    for (const miniature of this.all) count += miniature.moves;
+    for (const miniature of this.all) count += miniature.moves && !isBehind(miniature, over);
     return count;
   },
 
@@ -69,9 +75,11 @@ const gallery = {
     const due = now - this.last >= FRAME_MS;
     const passed = Math.min(now - this.last, 1000 * LONGEST_STEP) / 1000;
     if (due) this.last = now;
-    let moving = false;
+    const over = findDialog();
+    let [moving, resting] = [false, false];
     for (const miniature of this.all) {
-      if (miniature.moves) {
+      if (miniature.moves && isBehind(miniature, over)) resting = true;
+      else if (miniature.moves) {
         moving = true;
         if (due) miniature.advance(passed);
       }
@@ -81,6 +89,12 @@ const gallery = {
       }
     }
     if (moving) this.request();
+    else if (resting && !this.pause) this.pause = setTimeout(() => this.lookAgain(), LOOK_AGAIN_MS);
+  },
+
+  lookAgain() {
+    this.pause = 0;
+    this.request();
   },
 };
 

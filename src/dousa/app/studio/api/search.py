@@ -74,7 +74,7 @@ def search(studio: StudioNow, wanted: SearchRequest) -> Answer:
 
     ``category`` is null where the motion is of no category that the library knows; ``guess`` is the nearest one.
     """
-    with studio.searching.enter(_PATIENCE):
+    with studio.searching.enter(_PATIENCE), studio.learning.follow() as progress:
         found = studio.library.search(
             studio.motions.query(wanted.query),
             wanted.k,
@@ -83,11 +83,21 @@ def search(studio: StudioNow, wanted: SearchRequest) -> Answer:
             mirror=wanted.mirror,
             explain=wanted.explain,
             threshold=wanted.threshold,
+            progress=progress,
         )
         answer = _name_hits(found)
         if wanted.inside_takes:
             answer["places"] = _find_places(studio, wanted)
     return Answer(answer)
+
+
+@router.get("/search/learning", summary="What a search learns before it answers")
+def learning(studio: StudioNow) -> Answer:
+    """``learning`` with ``done``, ``total`` and ``what``: the first search with a body that lacks a part learns
+    a forest for it; null if none does.
+    """
+    step = studio.learning.now()
+    return Answer({"learning": None if step is None else dict(zip(("done", "total", "what"), step, strict=True))})
 
 
 @router.post("/search/text", summary="The clips and takes that words describe")

@@ -20,6 +20,7 @@ from dousa.app.studio.content.live import Live
 from dousa.app.studio.content.masks import MaskDesks
 from dousa.app.studio.content.motions import Motions
 from dousa.app.studio.core.answers import Gate
+from dousa.app.studio.core.learning import Learning
 from dousa.app.studio.core.workspace import Workspace
 from dousa.app.studio.jobs.board import JobBoard, Lane
 from dousa.app.studio.jobs.mentioned import MentionedBatches
@@ -65,6 +66,7 @@ class Studio:
         self.footage = Footages(self.jobs)
         self.masks = MaskDesks(self.jobs)
         self.live = Live()
+        self.learning = Learning()
         self.searching = Gate(4, 12, Message("studio_motions.busy_searching"))
         self.mentioned = MentionedBatches(self.workspace.root)
         self.thumbnails = Thumbnails.of(self.workspace.root)

@@ -15,6 +15,7 @@ import { drawAskPart, drawNoVerdict, drawVerdict } from "./verdict.js";
 import { Words } from "./words.js";
 
 const TITLE = document.title;
+const LOOK_AGAIN = 1000; // ms between looks what a search waits for
 const NO_HIT = { hit: null, other_start_s: null, other_end_s: null };
 const NO_PART = { start_s: null, end_s: null };
 
@@ -163,9 +164,10 @@ async function search() {
   explained = null;
   $("#places").hidden = true;
   $("#results-note").textContent = t("searching");
+  const quiet = tellLearning(mine);
   let answer;
   try {
-    answer = await post("/search", askOf(state), mine.signal);
+    answer = await post("/search", askOf(state), mine.signal).finally(quiet);
   } catch (error) {
     if (mine !== asking || error.name === "AbortError") return;
     clearAnswer();
@@ -184,6 +186,21 @@ async function search() {
   drawMatch();
   if (state.hit) showStage();
   if (library.n_takes) searchTakes(mine);
+}
+
+/** The first search with a body that lacks joints learns them first: for a minute there is more to say than "searching". */
+function tellLearning(mine) {
+  const timer = setInterval(async () => {
+    const { learning } = await get("/search/learning").catch(() => ({}));
+    if (mine !== asking || ended || !learning) return;
+    const bar = h("progress", { max: String(Math.max(learning.total, 1)), value: learning.done > 0 ? String(learning.done) : null, "aria-label": t("searching") });
+    $("#results-note").replaceChildren(`${learning.what} `, bar);
+  }, LOOK_AGAIN);
+  let ended = false;
+  return () => {
+    ended = true;
+    clearInterval(timer);
+  };
 }
 
 async function exportHits() {
