@@ -200,20 +200,24 @@ def update_rows(connection: sa.Connection, seal: Seal, changes: Mapping[Any, Map
     LibraryDamagedError : one is damaged as it stands; it would be believed from now on.
     """
     key, table = seal.covered[0], seal.checksum.table
-    by_columns: dict[tuple[str, ...], list[dict[str, Any]]] = {}
+    names = [column.name for column in seal.covered]
     sums: dict[Any, int] = {}
-    keys = list(changes)
+    keys = sorted(changes)  # as they lie on the disk; each portion is written while the database has its pages at hand
     for start in range(0, len(keys), 500):
         query = sa.select(*seal.columns).where(key.in_(keys[start : start + 500]))
-        for row in connection.execute(query).all():
-            seal.check(connection, row)
-            change = changes[row[0]]
-            values = [change.get(column.name, value) for column, value in zip(seal.covered, row, strict=False)]
-            sums[row[0]] = seal.compute(values)
-            new = {"of_row": row[0], **change, seal.checksum.name: sums[row[0]]}
+        rows = connection.execute(query).all()
+        if not rows:
+            continue
+        seal.check_all(connection, list(zip(*rows, strict=True)))
+        news = [[changes[row[0]].get(name, value) for name, value in zip(names, row, strict=False)] for row in rows]
+        by_columns: dict[tuple[str, ...], list[dict[str, Any]]] = {}
+        own = seal.compute_all(list(zip(*news, strict=True)))
+        for row, checksum in zip(rows, own, strict=True):
+            sums[row[0]] = checksum
+            new = {"of_row": row[0], **changes[row[0]], seal.checksum.name: checksum}
             by_columns.setdefault(tuple(new), []).append(new)
-    for some in by_columns.values():
-        connection.execute(sa.update(table).where(key == sa.bindparam("of_row")), some)
+        for some in by_columns.values():
+            connection.execute(sa.update(table).where(key == sa.bindparam("of_row")), some)
     return sums
 
 
