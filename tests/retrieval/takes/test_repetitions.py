@@ -46,6 +46,17 @@ def test_two_neighbours_and_others_in_between_stay_apart():
     ]
 
 
+def test_one_that_is_twice_as_long_as_usual_and_one_more_are_a_series():
+    joined = join_clips(BOWS, np.random.default_rng(0))
+    first, second, third = list_parts(joined)
+    longer = replace(first, stop=second.stop, parts=((first.start, first.stop), (second.start, second.stop)))
+    (one,) = count_all([longer, third], joined.positions, HEIGHT)
+    assert (one.start, one.stop, one.repetitions) == (0, third.stop, 3)
+    # By itself it is what it was, and two that are no longer than usual are two.
+    assert count_all([longer], joined.positions, HEIGHT)[0].parts == longer.parts
+    assert len(count_all([replace(longer, parts=()), third], joined.positions, HEIGHT)) == 2
+
+
 def test_a_long_rest_parts_what_is_repeated():
     still = np.repeat(BOWS[0].positions[-1:], 120, axis=0)
     pieces = [BOWS[0].positions, still, BOWS[1].positions, still, BOWS[2].positions]

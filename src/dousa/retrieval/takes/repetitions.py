@@ -172,7 +172,9 @@ def _find_series(chosen: Sequence[Chosen]) -> list[list[Chosen]]:
             elif chosen[k].likely:
                 break
         some = list(chosen[first : last + 1])
-        if sum(one.category == some[0].category for one in some) < SERIES:
+        same = [one for one in some if one.category == some[0].category]
+        # What is much longer than usual is a series already, or a part of one.
+        if len(same) < 2 or sum(max(len(one.parts), 1) for one in same) < SERIES:
             some = some[:1]
         series.append(some)
         first += len(some)
