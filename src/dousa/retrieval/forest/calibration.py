@@ -10,6 +10,9 @@ may be further from each other than a new one is from them.
 Logistic curves over the evidence then give two probabilities, for somebody who does not know beforehand whether the
 library knows the action, one motion in ten or so being of no category that it knows: that the motion is known, and
 that the guess is right. The curves stay near those learned over several sets where a library has little to learn from.
+No library is asked about motions of another kind in its own rounds, so it is told of gestures that nobody named
+(``strangers``), and where hardly any known motion is, no curve is trusted (``Calibration.limit``).
+
 Where the guess is more likely wrong than right, the motion is called unknown; and also where it is less likely known
 than 85 % of the disturbed motions of people held back. A library whose categories are far apart is sure of all
 of them, and nothing that it holds back lies between: what does is a stranger of another kind. A motion of which it is
@@ -43,12 +46,14 @@ from dousa.retrieval.forest.forest import MotionForest
 from dousa.retrieval.forest.forest_file import check, damaged, pack_arrays, unpack_arrays
 from dousa.retrieval.forest.pose_space import (
     ARRAYS,
+    LATER_ARRAYS,
     Curve,
     PoseSpace,
     compute_auroc,
     fit_pose_space,
     read_curve,
 )
+from dousa.retrieval.forest.strangers import Strangers, describe_strangers
 
 _ROUNDS = 8
 _CATEGORY_PARTS = 4  # a round holds back a quarter, so that its forest has almost as many categories as the real one
@@ -61,6 +66,8 @@ _SAME_HEIGHT = 0.04  # m
 _THRESHOLD = 0.5
 _LEAST_KNOWN = (0.5, 0.97)  # the lowest and the highest
 _LOST = 0.15  # of the disturbed motions of people held back that are not known enough; a library of all knows more
+_LOWEST_SHARES = np.linspace(0.0, _LOST, 16)  # of them, of which it is kept how likely they are known
+_LEAST_SHARE = 0.04
 STRANGERS = 0.1
 """Motions of no category that the library knows, for each one of a known category."""
 
@@ -68,21 +75,25 @@ _WHAT = Message("stored.calibration")
 Watch = Callable[[int, MotionForest, IndexArray, IndexArray, IndexArray], None]
 """Looks at a round: its number, its forest, and the clips that train it, that are known, and that are unknown."""
 
-_COLUMNS = ("around", "log_share", "log_lead", "typical", "pose_lead", "near")
+_COLUMNS = ("around", "log_share", "log_lead", "typical", "pose_lead", "near", "apart")
 # Fitted to libraries of HDM05, UTD-MHAD, Bandai and UTKinect, each with one person left out, asked by their rounds, and
-# by the clips of the other three sets that mean something else, at half the weight of the strangers of the rounds. With
-# any one of the four left out of the fit, the curves were nearly as good on it (docs/confidence.md).
+# by all clips of the other three sets, which count half as much as the strangers of the rounds. With any one of the
+# four left out of the fit, the curves were nearly as good on it (docs/confidence.md).
 KNOWN_PRIOR = Judgement(
     spread_curve(Curve(2.21, (3.08, 2.2, 0.0)), _COLUMNS[:3]),
-    spread_curve(Curve(2.93, (1.56, 1.2, 0.0, 5.27, 0.0, 0.3)), _COLUMNS),
+    spread_curve(Curve(2.29, (0.51, 0.13, 0.23, 2.82, 0.0, 1.37, 2.5)), _COLUMNS),
 )
 SURE_PRIOR = Judgement(
     spread_curve(Curve(0.67, (3.49, 1.94, 0.74)), _COLUMNS[:3]),
-    spread_curve(Curve(2.06, (1.16, 0.7, 0.4, 5.03, 1.49, 2.27)), _COLUMNS),
+    spread_curve(Curve(0.95, (0.7, 0.0, 0.75, 3.19, 2.69, 2.19, 1.68)), _COLUMNS),
 )
+# The same without made-up gestures, and by clips of the other sets that mean something else.
+_KNOWN_ALONE = replace(KNOWN_PRIOR, by_poses=spread_curve(Curve(2.93, (1.56, 1.2, 0.0, 5.27, 0.0, 0.3)), _COLUMNS[:-1]))
+_SURE_ALONE = replace(SURE_PRIOR, by_poses=spread_curve(Curve(2.06, (1.16, 0.7, 0.4, 5.03, 1.49, 2.27)), _COLUMNS[:-1]))
 _JUDGEMENTS = ("known", "sure")
 _NUMBERS = ("threshold", "auroc", "false_alarms", "misses")
 _LATER_NUMBER = "least_known"  # an earlier dousa had none
+_LOWEST = "lowest"  # nor these
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -148,6 +159,8 @@ class Calibration:
     auroc : over the rounds, how well ``known`` told held back categories from the others; 0.5 to 1.
     false_alarms, misses : over the rounds, the share of known clips called unknown, and of unknown ones called known.
     least_known : so is a clip that is known with a smaller probability.
+    lowest : (16,) or none, ascending: probabilities to be known below which 0 to 15 % of the disturbed motions of
+        people held back are.
     """
 
     known: Judgement
@@ -159,6 +172,20 @@ class Calibration:
     false_alarms: float
     misses: float
     least_known: float = 0.0
+    lowest: tuple[float, ...] = ()
+
+    def limit(self, known: FloatArray) -> FloatArray:
+        """At most how likely motions (N,) are known that are ``known`` with some probability.
+
+        Where a motion is not known enough, hardly any that teaches the curves is, and they say what they like; a
+        stranger of another kind may be there and nowhere else. So its odds are no better than those of all that is
+        known and no likelier so, against as many strangers as are met; but a body or a sensor of another kind may have
+        brought it there, too, so that they are never taken for less than ``_LEAST_SHARE`` of the known.
+        """
+        if not self.lowest:
+            return np.ones(len(known))
+        shares = np.maximum(np.interp(known, self.lowest, _LOWEST_SHARES), _LEAST_SHARE)
+        return np.where(known < self.least_known, shares / (shares + STRANGERS), 1.0)
 
     def is_unknown(self, known: FloatArray, confidence: FloatArray) -> BoolArray:
         """Which clips (N,) are called unknown, from the probabilities to be known, and of the guess to be right."""
@@ -175,7 +202,7 @@ class Calibration:
     def to_json(self) -> dict[str, Any]:
         """The curves and numbers, ready for ``json.dumps``; without the poses."""
         judgements = {name: getattr(self, name).to_json() for name in _JUDGEMENTS}
-        return {**judgements, **{name: getattr(self, name) for name in (*_NUMBERS, _LATER_NUMBER)}}
+        return {**judgements, **{name: getattr(self, name) for name in (*_NUMBERS, _LATER_NUMBER, _LOWEST)}}
 
     def to_bytes(self) -> bytes:
         """An .npz file (no pickle); the same calibration gives the same bytes."""
@@ -185,7 +212,7 @@ class Calibration:
     @classmethod
     def from_bytes(cls, data: bytes) -> Calibration:
         """The calibration that ``to_bytes`` wrote, or an earlier dousa; DousaError where it is anything else."""
-        arrays = unpack_arrays(data, {"numbers", *ARRAYS}, _WHAT, ("usual",))
+        arrays = unpack_arrays(data, {"numbers", *ARRAYS}, _WHAT, ("usual", *LATER_ARRAYS))
         poses = PoseSpace.from_arrays(arrays, _WHAT)
         usual = arrays.get("usual", np.zeros(len(poses.categories)))
         if usual.ndim == 1:  # an earlier dousa knew no distance
@@ -200,10 +227,13 @@ class Calibration:
                 known = sure = _read_earlier(written)
             numbers = [float(written[name]) for name in _NUMBERS]
             numbers.append(float(written.get(_LATER_NUMBER, 0.0)))
+            lowest = tuple(float(number) for number in written.get(_LOWEST, ()))
         except (KeyError, TypeError, ValueError, OverflowError, RecursionError) as error:
             raise damaged(_WHAT, error) from error
-        check(all(0.0 <= number <= 1.0 for number in numbers), _WHAT, "shares beyond 0 ... 1")
-        return cls(known, sure, poses, usual, *numbers)
+        check(all(0.0 <= number <= 1.0 for number in (*numbers, *lowest)), _WHAT, "shares beyond 0 ... 1")
+        right = len(lowest) in (0, len(_LOWEST_SHARES)) and lowest == tuple(sorted(lowest))
+        check(right, _WHAT, "bad shares of what is known")
+        return cls(known, sure, poses, usual, *numbers, lowest)
 
 
 def _read_earlier(written: Mapping[str, Any]) -> Judgement:
@@ -225,7 +255,7 @@ class Verdicts:
     known : (N,) probability that the clip belongs to any category of the forest.
     confidence : (N,) probability that the guess is right; at most ``known``.
     unknown : (N,) whether the clip is called unknown.
-    evidence : (N, 10) what was weighed, see ``evidence``.
+    evidence : (N, 11) what was weighed, see ``evidence``.
     """
 
     guess: IndexArray
@@ -267,6 +297,7 @@ class Assessor:
         seen, has_poses, places = gather_evidence(scores, calibration.poses, features, names)
         evidence = relate_to_usual(seen, calibration.usual[places])
         known = calibration.known.evaluate(evidence, has_poses)
+        known = np.minimum(known, calibration.limit(known))
         confidence = np.minimum(calibration.sure.evaluate(evidence, has_poses), known)
         return Verdicts(guess, known, confidence, calibration.is_unknown(known, confidence), evidence)
 
@@ -313,7 +344,7 @@ def learn_calibration(
     if len(names) < 3:
         raise TrainingError("calibration.categories", count=len(names))
     people = [None] * len(labels) if performers is None else performers
-    judge = _Judge(forest.get_params(), features, labels, feature_set, copies, watch)
+    judge = _Judge(forest.get_params(), features, labels, feature_set, copies, watch, describe_strangers(feature_set))
     rounds = list(_draw_rounds(labels, people, random_state))
     # The forests side by side, each by one worker, as small ones are not worth dividing; the poses one after the other,
     # as the linear algebra has workers of its own.
@@ -342,12 +373,12 @@ def guess_performers(heights: ArrayLike) -> tuple[str, ...]:
     return tuple(f"{_SAME_HEIGHT * round(float(height) / _SAME_HEIGHT):.2f} m" for height in np.asarray(heights))
 
 
-_UNKNOWN, _KNOWN, _BETWEEN = range(3)
+_UNKNOWN, _KNOWN, _BETWEEN, _MADE = range(4)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Round:
-    """Motions that were asked about: evidence (M, 10), and guesses, kinds, which are copies or guessed right (M,)."""
+    """Motions that were asked about: evidence (M, 11), and guesses, kinds, which are copies or guessed right (M,)."""
 
     evidence: FloatArray
     guess: NDArray[Any]
@@ -366,6 +397,7 @@ class _Judge:
     feature_set: FeatureSet | None
     copies: Copies | None = None
     watch: Watch | None = None
+    strangers: Strangers | None = None
 
     def ask_forest(
         self, number: int, train: IndexArray, known: IndexArray, unknown: IndexArray
@@ -391,19 +423,24 @@ class _Judge:
         apart = np.flatnonzero(self.labels[known] != self.labels[other])[:_MOST_BETWEEN]
         between = 0.5 * (self.features[known[apart]] + self.features[other[apart]])
         parts = [(self.features[known], known), (self.features[unknown], unknown), (between, known[apart])]
-        kinds = [_KNOWN, _UNKNOWN, _BETWEEN]
+        kinds, copied = [_KNOWN, _UNKNOWN, _BETWEEN], [False] * 3
         if self.copies is not None:
             for kind, rows in ((_KNOWN, known), (_UNKNOWN, unknown)):
                 places = self.copies.find(rows)
                 parts.append((self.copies.features[places], self.copies.rows[places]))
                 kinds.append(kind)
+                copied.append(True)
+        if self.strangers is not None:
+            parts.append((self.strangers.asked, np.zeros(len(self.strangers.asked), np.intp)))
+            kinds.append(_MADE)
+            copied.append(False)
         sizes = [len(rows) for _, rows in parts]
         labels = self.labels[np.concatenate([rows for _, rows in parts])]
         return (
             np.concatenate([features for features, _ in parts]),
             labels,
             np.repeat(kinds, sizes),
-            np.repeat(np.arange(len(parts)) >= _BETWEEN + 1, sizes),
+            np.repeat(copied, sizes),
         )
 
     def fit_space(self, rows: IndexArray) -> PoseSpace:
@@ -413,7 +450,8 @@ class _Judge:
             places = self.copies.find(rows)
             features = np.concatenate([features, self.copies.features[places]])
             labels = np.concatenate([labels, self.labels[self.copies.rows[places]]])
-        return fit_pose_space(features, labels, self.feature_set)
+        others = None if self.strangers is None else self.strangers.beside
+        return fit_pose_space(features, labels, self.feature_set, others)
 
     def compare_poses(
         self,
@@ -437,14 +475,16 @@ def _summarise(rounds: list[_Round], poses: PoseSpace) -> Calibration:
     )
     usual, own = learn_usual(seen, guess, right & ~copied, poses.categories)
     evidence, weights = relate_to_usual(seen, own), _weigh(kinds, copied)
-    known = fit_judgement(evidence, kinds == _KNOWN, weights, KNOWN_PRIOR)
-    sure = fit_judgement(evidence, right, weights, SURE_PRIOR)
+    priors = (KNOWN_PRIOR, SURE_PRIOR) if len(poses.others) else (_KNOWN_ALONE, _SURE_ALONE)
+    known = fit_judgement(evidence, kinds == _KNOWN, weights, priors[0])
+    sure = fit_judgement(evidence, right, weights, priors[1])
     belongs = known.by_poses.evaluate(evidence)
     confidence = np.minimum(sure.by_poses.evaluate(evidence), belongs)
     own = kinds == _KNOWN
     harder = own & copied if (own & copied).any() else own
-    least = float(np.clip(np.quantile(belongs[harder], _LOST), *_LEAST_KNOWN))
-    plain = ~copied & (kinds != _BETWEEN)
+    lowest = np.quantile(belongs[harder], _LOWEST_SHARES)
+    least = float(np.clip(lowest[-1], *_LEAST_KNOWN))
+    plain = ~copied & (kinds <= _KNOWN)
     called = ((confidence >= _THRESHOLD) & (belongs >= least))[plain]
     own = own[plain]
     return Calibration(
@@ -457,19 +497,19 @@ def _summarise(rounds: list[_Round], poses: PoseSpace) -> Calibration:
         false_alarms=float(1.0 - called[own].mean()),
         misses=float(called[~own].mean()) if not own.all() else 0.0,
         least_known=least,
+        lowest=tuple(lowest.tolist()),
     )
 
 
 def _weigh(kinds: IndexArray, copied: BoolArray) -> FloatArray:
-    """As many strangers as are met, half of them between known ones; copies weigh twice as much as the clips."""
+    """As many strangers as are met, of each kind that there is the same; copies weigh twice as much as the clips."""
     weights = np.zeros(len(kinds))
-    has_both = len(np.unique(kinds)) == 3
-    for kind, weight in ((_KNOWN, 1.0), (_UNKNOWN, STRANGERS), (_BETWEEN, STRANGERS)):
-        share = 0.5 if has_both and kind != _KNOWN else 1.0
+    strange = [kind for kind in np.unique(kinds).tolist() if kind != _KNOWN]
+    for kind, weight in ((_KNOWN, 1.0), *((kind, STRANGERS / len(strange)) for kind in strange)):
         own, again = kinds == kind, (kinds == kind) & copied
         of_copies = _COPY_WEIGHT if again.any() else 0.0
-        weights[own & ~copied] = weight * share * (1.0 - of_copies) / max(int((own & ~copied).sum()), 1)
-        weights[again] = weight * share * of_copies / max(int(again.sum()), 1)
+        weights[own & ~copied] = weight * (1.0 - of_copies) / max(int((own & ~copied).sum()), 1)
+        weights[again] = weight * of_copies / max(int(again.sum()), 1)
     return weights
 
 

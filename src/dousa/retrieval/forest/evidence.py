@@ -6,7 +6,8 @@
 - *cosine*: how well its poses go with those of the category (``pose_space``); *typical*: the same, less what is usual
   for a clip of that category by somebody else; *pose_lead*: less what it is for the best other category;
 - *distance*: the logarithm of how far its poses are from the centre of the category; *near*: how much less that is than
-  usual for a clip of that category by somebody else.
+  usual for a clip of that category by somebody else;
+- *apart*: the cosine, less that to the nearest of the motions that are of no category (``strangers``).
 
 How much each of them says is learned (``calibration``). Here are also the judgements that weigh them.
 """
@@ -29,11 +30,11 @@ from dousa.retrieval.forest.pose_space import Curve, PoseSpace, fit_weighted_cur
 OF_VOTES = ("share", "around", "lead", "log_share", "log_lead")
 """Columns of evidence that need no poses."""
 
-EVIDENCE: tuple[str, ...] = (*OF_VOTES, "cosine", "typical", "pose_lead", "distance", "near")
-"""All columns; those of earlier libraries end before the distance."""
+EVIDENCE: tuple[str, ...] = (*OF_VOTES, "cosine", "typical", "pose_lead", "distance", "near", "apart")
+"""All columns; those of earlier libraries end before the distance, or before the last."""
 
 _OF_POSES = ("cosine", "distance")  # what has a usual value in each category
-_EARLIER = 8  # columns, before there was a distance
+_EARLIER = (8, 10)  # columns, before there was a distance, and before there were strangers
 
 _LEAST_SHARE = 0.02
 _LEAST_USUAL = 1e-3
@@ -97,7 +98,7 @@ def learn_usual(
 
     Parameters
     ----------
-    evidence, guess : (N, 10) and (N,) categories, of clips held back.
+    evidence, guess : (N, 11) and (N,) categories, of clips held back.
     right : (N,) those from which it is learned: clips of people held back whose guess is right.
     categories : (C,) sorted.
 
@@ -118,7 +119,7 @@ def learn_usual(
 
 
 def relate_to_usual(evidence: FloatArray, usual: FloatArray) -> FloatArray:
-    """The evidence (N, 10) with what it is relative to usual values (N, 2) of ``learn_usual``."""
+    """The evidence (N, 11) with what it is relative to usual values (N, 2) of ``learn_usual``."""
     related = evidence.copy()
     cosine, distance = (evidence[:, EVIDENCE.index(name)] for name in _OF_POSES)
     related[:, EVIDENCE.index("typical")] = cosine - usual[:, 0]
@@ -129,7 +130,7 @@ def relate_to_usual(evidence: FloatArray, usual: FloatArray) -> FloatArray:
 def gather_evidence(
     scores: FloatArray, space: PoseSpace, features: FloatArray | None, guess: NDArray[Any]
 ) -> tuple[FloatArray, BoolArray, IndexArray]:
-    """Evidence (N, 10) on guesses, not yet related to what is usual, and which of them (N,) have all of it.
+    """Evidence (N, 11) on guesses, not yet related to what is usual, and which of them (N,) have all of it.
 
     The poses of a category may be missing. The third is the place (N,) of each category in the space.
 
@@ -155,6 +156,7 @@ def gather_evidence(
         cosines[rows, places] = -1.0
         evidence[:, EVIDENCE.index("cosine")] = own
         evidence[:, EVIDENCE.index("pose_lead")] = own - cosines.max(axis=1)
+        evidence[:, EVIDENCE.index("apart")] = own - space.compare_others(placed) if len(space.others) else 0.0
         evidence[:, EVIDENCE.index("distance")] = space.measure_distances(placed, places)
     return evidence, has_poses, places
 
@@ -173,7 +175,7 @@ class Judgement:
     by_poses: Curve
 
     def evaluate(self, evidence: FloatArray, has_poses: BoolArray) -> FloatArray:
-        """Probabilities (N,) of evidence (N, 10)."""
+        """Probabilities (N,) of evidence (N, 11)."""
         return np.where(has_poses, self.by_poses.evaluate(evidence), self.by_votes.evaluate(evidence))
 
     def to_json(self) -> dict[str, Any]:
@@ -185,7 +187,8 @@ class Judgement:
         """What ``to_json`` gave; KeyError, TypeError or ValueError where it is anything else."""
         curves = []
         for name in ("by_votes", "by_poses"):
-            count = _EARLIER if len(data[name]["slopes"]) == _EARLIER else len(EVIDENCE)
+            found = len(data[name]["slopes"])
+            count = found if found in _EARLIER else len(EVIDENCE)
             curve = read_curve(data[name], count)
             curves.append(spread_curve(curve, EVIDENCE[:count]))
         return cls(*curves)
@@ -198,7 +201,7 @@ def spread_curve(curve: Curve, columns: Sequence[str]) -> Curve:
 
 
 _VOTE_COLUMNS = ("around", "log_share", "log_lead")
-_POSE_COLUMNS = (*_VOTE_COLUMNS, "typical", "pose_lead", "near")
+_POSE_COLUMNS = (*_VOTE_COLUMNS, "typical", "pose_lead", "near", "apart")
 
 
 def fit_judgement(evidence: FloatArray, positive: BoolArray, weights: FloatArray, prior: Judgement) -> Judgement:
@@ -206,7 +209,7 @@ def fit_judgement(evidence: FloatArray, positive: BoolArray, weights: FloatArray
 
     Parameters
     ----------
-    evidence : (N, 10), of guesses with poses.
+    evidence : (N, 11), of guesses with poses.
     positive, weights : (N,).
     prior : what was learned over several sets.
     """

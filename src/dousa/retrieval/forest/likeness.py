@@ -29,6 +29,7 @@ from dousa.retrieval.forest.forest import MotionForest
 from dousa.retrieval.forest.forest_file import check, damaged, pack_arrays, unpack_arrays
 from dousa.retrieval.forest.pose_space import (
     ARRAYS,
+    LATER_ARRAYS,
     Curve,
     PoseSpace,
     fit_curve,
@@ -93,7 +94,7 @@ class Likeness:
     @classmethod
     def from_bytes(cls, data: bytes) -> Likeness:
         """What ``to_bytes`` wrote; DousaError where it is anything else."""
-        arrays = unpack_arrays(data, {"numbers", *ARRAYS}, _WHAT)
+        arrays = unpack_arrays(data, {"numbers", *ARRAYS}, _WHAT, LATER_ARRAYS)
         try:
             written = json.loads(str(arrays["numbers"]))
             curve = read_curve(written["curve"], 2)

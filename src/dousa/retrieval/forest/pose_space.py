@@ -41,6 +41,7 @@ class PoseSpace:
     axes : (D, K) from there into the space.
     sums, counts : (C, K) and (C,) of the training clips of each category in the space.
     categories : (C,) names or whole numbers, sorted.
+    others : (M, K) directions of motions of none of them in the space, of length 1; M is 0 where there are none.
     """
 
     layout: IntArray
@@ -50,6 +51,7 @@ class PoseSpace:
     sums: FloatArray
     counts: IntArray
     categories: NDArray[Any]
+    others: FloatArray
 
     def place(self, features: FloatArray) -> FloatArray:
         """Clips (N, T, F) in the space: (N, K)."""
@@ -75,6 +77,13 @@ class PoseSpace:
         lengths = np.outer(np.linalg.norm(placed, axis=1), np.linalg.norm(self.sums, axis=1))
         return np.clip(placed @ self.sums.T / np.maximum(lengths, _TINY), -1.0, 1.0)
 
+    def compare_others(self, placed: FloatArray) -> FloatArray:
+        """The best cosines (N,) of the angles between clips, placed (N, K), and motions of no category; 0 without."""
+        if not len(self.others):
+            return np.zeros(len(placed))
+        lengths = np.maximum(np.linalg.norm(placed, axis=1), _TINY)
+        return np.clip((placed @ self.others.T).max(axis=1) / lengths, -1.0, 1.0)
+
     def measure_distances(self, placed: FloatArray, rows: IntArray) -> FloatArray:
         """Logarithms (N,) of the distances of clips, placed (N, K), from the centres of categories ``rows`` (N,)."""
         centres = self.sums / np.maximum(self.counts, 1)[:, None]
@@ -94,19 +103,21 @@ class PoseSpace:
         # On a grid, so that the sums do not depend on the order in which clips come.
         np.add.at(sums, own, np.rint(placed * _GRID) / _GRID)
         np.add.at(counts, own, 1)
-        return PoseSpace(self.layout, self.middle, self.scale, self.axes, sums, counts, names)
+        return PoseSpace(self.layout, self.middle, self.scale, self.axes, sums, counts, names, self.others)
 
     def to_arrays(self) -> dict[str, NDArray[Any]]:
         """What ``from_arrays`` takes."""
-        return {name: getattr(self, name) for name in ARRAYS}
+        return {name: getattr(self, name) for name in (*ARRAYS, *LATER_ARRAYS)}
 
     @classmethod
     def from_arrays(cls, arrays: dict[str, NDArray[Any]], what: Message) -> PoseSpace:
         """The space of some arrays; DousaError where they make none."""
-        space = cls(*(arrays[name] for name in ARRAYS))
+        own = [arrays[name] for name in ARRAYS]
+        check(own[3].ndim == 2, what, "bad axes")
+        space = cls(*own, arrays.get("others", np.zeros((0, own[3].shape[1]))))
         check(space.layout.shape == (2,) and space.layout.dtype == np.int64, what, "bad layout")
         check(0 < space.layout[0] < 2**31 and 0 <= space.layout[1] <= 1, what, "bad layout")
-        numbers = (space.middle, space.scale, space.axes, space.sums)
+        numbers = (space.middle, space.scale, space.axes, space.sums, space.others)
         right = all(one.dtype == np.float64 and np.isfinite(one).all() for one in numbers)
         size, width = space.middle.shape, space.axes.shape[1:]
         check(right and len(size) == 1 and len(width) == 1, what, "bad numbers")
@@ -116,6 +127,7 @@ class PoseSpace:
         check(len(np.unique(space.categories)) == count[0], what, "a category occurs twice")
         check(bool((np.sort(space.categories) == space.categories).all()), what, "bad order")
         check(space.sums.shape == (*count, *width), what, "bad centres")
+        check(space.others.ndim == 2 and space.others.shape[1:] == width, what, "bad motions of no category")
         check(space.counts.shape == count and space.counts.dtype == np.int64, what, "bad counts")
         return space
 
@@ -123,8 +135,16 @@ class PoseSpace:
 ARRAYS: Sequence[str] = ("layout", "middle", "scale", "axes", "sums", "counts", "categories")
 """Names of the arrays of a space."""
 
+LATER_ARRAYS: Sequence[str] = ("others",)
+"""Those that an earlier dousa had not."""
 
-def fit_pose_space(features: FloatArray, categories: NDArray[Any], feature_set: FeatureSet | None = None) -> PoseSpace:
+
+def fit_pose_space(
+    features: FloatArray,
+    categories: NDArray[Any],
+    feature_set: FeatureSet | None = None,
+    others: FloatArray | None = None,
+) -> PoseSpace:
     """Learn the space from clips.
 
     Parameters
@@ -132,11 +152,15 @@ def fit_pose_space(features: FloatArray, categories: NDArray[Any], feature_set: 
     features : (N, T, F).
     categories : (N,) words or whole numbers.
     feature_set : what the columns are; without one, all are means.
+    others : (M, T, F) motions of no category, which have a say in where the axes go, too.
     """
     layout = np.array([features.shape[2], 0], np.int64)
     if feature_set is not None:
         layout[:] = len(feature_set.channels), feature_set.has_banks
     described = _describe(features, layout)
+    count = len(described)
+    if others is not None:
+        described = np.concatenate([described, _describe(others, layout)])
     names, own = np.unique(categories, return_inverse=True)
     middle, spread = described.mean(axis=0), described.var(axis=0)
     # A column that hardly varies must not speak as loudly as the others: half of its scale is that of all.
@@ -145,14 +169,16 @@ def fit_pose_space(features: FloatArray, categories: NDArray[Any], feature_set: 
     centred -= middle
     centred *= scale
     axes = _find_axes(centred)
-    placed = centred @ axes
+    placed = centred[:count] @ axes
     centres = np.stack([placed[own == number].mean(axis=0) for number in range(len(names))])
     apart = placed - centres[own]
     scatter = apart.T @ apart / max(len(placed) - len(names), 1)
     floor = _SHRINKING * np.trace(scatter) / max(len(scatter), 1) + 1e-6 * placed.var() + _TINY
     axes = axes @ np.linalg.cholesky(np.linalg.inv(scatter + floor * np.eye(len(scatter))))
     nobody = np.zeros((0, axes.shape[1])), np.zeros(0, np.int64), names[:0]
-    return PoseSpace(layout, middle, scale, axes, *nobody).with_placed(centred @ axes, np.asarray(categories))
+    placed = centred @ axes
+    beside = placed[count:] / np.maximum(np.linalg.norm(placed[count:], axis=1, keepdims=True), _TINY)
+    return PoseSpace(layout, middle, scale, axes, *nobody, beside).with_placed(placed[:count], np.asarray(categories))
 
 
 def _describe(features: FloatArray, layout: IntArray) -> FloatArray:
