@@ -82,7 +82,8 @@ class PoseSpace:
         if not len(self.others):
             return np.zeros(len(placed))
         lengths = np.maximum(np.linalg.norm(placed, axis=1), _TINY)
-        return np.clip((placed @ self.others.T).max(axis=1) / lengths, -1.0, 1.0)
+        cosines: FloatArray = np.clip((placed @ self.others.T).max(axis=1) / lengths, -1.0, 1.0)
+        return cosines
 
     def measure_distances(self, placed: FloatArray, rows: IntArray) -> FloatArray:
         """Logarithms (N,) of the distances of clips, placed (N, K), from the centres of categories ``rows`` (N,)."""
@@ -112,9 +113,9 @@ class PoseSpace:
     @classmethod
     def from_arrays(cls, arrays: dict[str, NDArray[Any]], what: Message) -> PoseSpace:
         """The space of some arrays; DousaError where they make none."""
-        own = [arrays[name] for name in ARRAYS]
-        check(own[3].ndim == 2, what, "bad axes")
-        space = cls(*own, arrays.get("others", np.zeros((0, own[3].shape[1]))))
+        check(arrays["axes"].ndim == 2, what, "bad axes")
+        without = {"others": np.zeros((0, arrays["axes"].shape[1]))}
+        space = cls(*({**without, **arrays}[name] for name in (*ARRAYS, *LATER_ARRAYS)))
         check(space.layout.shape == (2,) and space.layout.dtype == np.int64, what, "bad layout")
         check(0 < space.layout[0] < 2**31 and 0 <= space.layout[1] <= 1, what, "bad layout")
         numbers = (space.middle, space.scale, space.axes, space.sums, space.others)
