@@ -233,7 +233,8 @@ class Calibration:
         check(all(0.0 <= number <= 1.0 for number in (*numbers, *lowest)), _WHAT, "shares beyond 0 ... 1")
         right = len(lowest) in (0, len(_LOWEST_SHARES)) and lowest == tuple(sorted(lowest))
         check(right, _WHAT, "bad shares of what is known")
-        return cls(known, sure, poses, usual, *numbers, lowest=lowest)
+        threshold, auroc, false_alarms, misses, least = numbers
+        return cls(known, sure, poses, usual, threshold, auroc, false_alarms, misses, least, lowest)
 
 
 def _read_earlier(written: Mapping[str, Any]) -> Judgement:
