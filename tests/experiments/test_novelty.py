@@ -63,7 +63,8 @@ def test_plain_motions_are_told(answer):
     assert unknown["accuracy"] > 0.9
     thresholds, alarms, misses = zip(*unknown["curve"], strict=True)
     assert thresholds[4] == 0.5
-    assert (alarms[4], misses[4]) == (unknown["false_alarms"], unknown["misses"])
+    # What is less sure than that is called unknown, and what is as sure but unlike all that is known.
+    assert alarms[4] <= unknown["false_alarms"] and misses[4] >= unknown["misses"]
     assert sorted(alarms) == list(alarms)
     assert sorted(misses, reverse=True) == list(misses)
 
