@@ -2,10 +2,10 @@
 
     python benchmarks/studio_page.py [--library FILE] [--clips N] [--loads N]
 
-Without ``--library`` one of 10,000 made clips is made first, as in ``benchmarks/search.py``, and trained. Prints for the
-Library page at 1280 x 720: from the click to the last small figure of the first screen, warm; frames while it stands and while
-it scrolls; how many figures run and how many cells exist then; memory of the page before and after; from the
-address of a search to its hits; and how long the map of all clips takes, and its frames while it is moved.
+Without ``--library`` one of 10,000 made clips is made first, as in ``benchmarks/search.py``, and trained. Prints for
+the Library page at 1280 x 720: from the click to the last small figure of the first screen, warm; frames while it
+stands and while it scrolls; how many figures run and how many cells exist then; memory of the page before and after;
+from the address of a search to its hits; and how long the map of all clips takes, and its frames while it is moved.
 Goal: first page within 1 s warm, 16.7 ms a frame, no more than a screenful of figures alive. There is no peer: what is
 measured is a page. ``MEASUREMENTS`` takes further ones.
 """
