@@ -79,6 +79,21 @@ def test_what_is_unlikely_parts_no_series_unless_it_lasts():
     assert [one.category for one in found] == [0, 1, 0]
 
 
+def test_a_series_is_as_sure_as_its_surest_part():
+    joined = join_clips(BOWS, np.random.default_rng(0))
+    first, second, third = list_parts(joined)
+    parts = [
+        replace(first, confidence=0.3, likely=False),
+        replace(second, confidence=0.9, mirrored=True),
+        replace(third, confidence=0.95, likely=False),
+    ]
+    (one,) = count_all(parts, joined.positions, HEIGHT)
+    assert (one.start, one.stop, one.repetitions) == (0, third.stop, 3)
+    assert (one.likely, one.confidence, one.mirrored) == (True, 0.9, True)
+    (one,) = count_all([replace(part, likely=False) for part in parts], joined.positions, HEIGHT)
+    assert (one.likely, one.confidence) == (False, 0.95)
+
+
 @pytest.fixture(scope="module")
 def labeller():
     actions = ("bow", "kick", "spread", "wave")

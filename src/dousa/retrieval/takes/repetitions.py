@@ -182,14 +182,11 @@ def _find_series(chosen: Sequence[Chosen]) -> list[list[Chosen]]:
 
 
 def _join(series: Sequence[Chosen]) -> list[Chosen]:
-    """A series as one action."""
+    """A series as one action, which is as sure as its surest part: what is hard to tell belongs to what is sure."""
     if len(series) == 1:
         return list(series)
     same = [one for one in series if one.category == series[0].category]
     sizes = np.array([one.stop - one.start for one in same], np.float32)
     evidence = np.average(np.stack([one.evidence for one in same]), axis=0, weights=sizes)
-    confidence, likely = (
-        float(np.average([getattr(one, name) for one in same], weights=sizes)) for name in ("confidence", "likely")
-    )
-    whole = replace(series[0], stop=series[-1].stop, evidence=evidence)
-    return [replace(whole, confidence=confidence, likely=likely >= 0.5)]
+    surest = max(same, key=lambda one: (one.likely, one.confidence))
+    return [replace(surest, start=series[0].start, stop=series[-1].stop, evidence=evidence, parts=())]
