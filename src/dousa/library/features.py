@@ -286,7 +286,7 @@ def load_features(
         nothing depends on when they were added.
     n_jobs : clips described at a time.
     progress : called with (clips described, clips to describe).
-    spare : clips for whose features there shall be room behind them.
+    spare : clips for whose features there shall be room behind them; they are then in the order of ``order_for_trees``.
 
     Raises
     ------
@@ -294,7 +294,10 @@ def load_features(
     """
     kind = find_feature_set(feature_set)
     rows = _read_rows(connection, ids, feature_set)
-    room = _allocate((len(rows) + spare, kind.n_frames, kind.n_columns))
+    if spare:  # for a training: trees read the cells of a column one after the other
+        room = _allocate((len(rows) + spare, kind.n_columns, kind.n_frames)).transpose(0, 2, 1)
+    else:
+        room = _allocate((len(rows), kind.n_frames, kind.n_columns))
     features = room[: len(rows)]
     # By number, as they were written: neighbours on the disk are read one after the other.
     places = {row.id: place for place, row in enumerate(rows)}

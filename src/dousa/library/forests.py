@@ -120,8 +120,8 @@ def ask_trees(stored: StoredForest, features: FloatArray) -> TreeAnswers:
     if stored.likeness is None or not len(features):
         return answers
     # In portions, as a clip takes some kilobytes more on its way.
-    placed = [stored.likeness.place(features[start : start + _AT_ONCE]) for start in range(0, len(features), _AT_ONCE)]
-    return replace(answers, directions=np.concatenate(placed))
+    parts = (np.ascontiguousarray(features[start : start + _AT_ONCE]) for start in range(0, len(features), _AT_ONCE))
+    return replace(answers, directions=np.concatenate([stored.likeness.place(part) for part in parts]))
 
 
 def find_leaves(stored: StoredForest, features: FloatArray) -> NDArray[np.int32]:
@@ -297,7 +297,7 @@ def hold_back(clips: ClipFeatures, labelled: Sequence[int]) -> HeldBack:
     guesses = guess_performers([clips.heights[row] for row in rows])
     people = [clips.performers[row] or guess for row, guess in zip(rows, guesses, strict=True)]
     categories = np.array([clips.categories[row] for row in rows], dtype=np.str_)
-    return HeldBack(clips.features[rows], categories, people)
+    return HeldBack(np.ascontiguousarray(clips.features[rows]), categories, people)
 
 
 def describe_copies(

@@ -39,6 +39,7 @@ from dousa.messages import Message
 from dousa.retrieval.features.partial_bodies import is_comparable, name_parts
 
 if TYPE_CHECKING:
+    from dousa.arrays import FloatArray
     from dousa.retrieval.features.feature_sets import FeatureSet
     from dousa.retrieval.forest.calibration import Copies
 
@@ -182,7 +183,7 @@ class PartForests:
                 copies = describe_copies(connection, clips, range(len(clips.ids)), kind, n_jobs)
                 stored = _train(main, kind, clips, copies, n_jobs, progress)
         if missing:
-            features = np.stack([described[clip_id].features for clip_id in missing])
+            features = _stack([described[clip_id] for clip_id in missing])
             answers.leaves.update(zip(missing, find_leaves(stored, features), strict=True))
             answers.poses.update((clip_id, described[clip_id].poses) for clip_id in missing)
             self._keep(stored, material, answers)
@@ -296,12 +297,17 @@ def _describe(
     return describe_stored(connection, ids, kind.name, n_jobs, tell)
 
 
+def _stack(described: Sequence[Description]) -> FloatArray:
+    """Features as those of a training: float32, of which precision they are, so that the same loops are compiled."""
+    return np.stack([own.features.astype(np.float32) for own in described])
+
+
 def _gather_taught(material: _Material, described: dict[int, Description]) -> ClipFeatures:
     """The clips that have a category."""
     rows = [row for row in material.rows if row.category is not None]
     return ClipFeatures(
         ids=[row.id for row in rows],
-        features=np.stack([described[row.id].features for row in rows]),
+        features=_stack([described[row.id] for row in rows]),
         categories=[row.category for row in rows],
         performers=[row.performer for row in rows],
         heights=[row.height for row in rows],

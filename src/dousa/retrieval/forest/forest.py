@@ -29,6 +29,7 @@ from dousa.retrieval.forest.trees import (
     evaluate_test,
     grow_trees,
     measure_columns,
+    order_for_trees,
     read_test,
 )
 
@@ -51,17 +52,23 @@ def count_trials(n_trials: int | str | None, n_tests: int) -> int:
     return min(int(np.log2(n_tests)) + 1 if n_trials is None else int(n_trials), n_tests)
 
 
-def check_features(features: ArrayLike, shape: tuple[int, int] | None = None, *, finite: bool = False) -> FloatArray:
-    """C-ordered (N, T, F), float32 if they are and else float64; finite if asked for: the query looks for itself."""
+def check_features(
+    features: ArrayLike, shape: tuple[int, int] | None = None, *, finite: bool = False, for_trees: bool = False
+) -> FloatArray:
+    """(N, T, F), float32 if they are and else float64, C-ordered or as ``order_for_trees``.
+
+    They are finite if asked for: the query looks for itself.
+    """
     try:
         given = np.asarray(features)
         kind: Any = np.float32 if given.dtype == np.float32 else np.float64
-        pose: FloatArray = np.ascontiguousarray(given, dtype=kind)
+        pose: FloatArray = given.astype(kind, copy=False) if for_trees else np.ascontiguousarray(given, dtype=kind)
     except (TypeError, ValueError) as error:
         raise InvalidMotionError("forest.numbers", reason=error) from error
     if pose.ndim != 3 or 0 in pose.shape[1:] or (shape is not None and pose.shape[1:] != shape):
         wanted = "(clips, frames, features)" if shape is None else f"(clips, {shape[0]}, {shape[1]})"
         raise InvalidMotionError("forest.shape", wanted=wanted, shape=pose.shape)
+    pose = order_for_trees(pose) if for_trees else pose
     if finite and not np.isfinite(measure_columns(pose)).all():
         bad = next(number for number, clip in enumerate(pose) if not np.isfinite(clip).all())
         raise InvalidMotionError("forest.not_finite", clip=bad)
@@ -226,7 +233,7 @@ class MotionForest:
         """
         self._check_options()
         shape = None if feature_set is None else (feature_set.n_frames, feature_set.n_columns)
-        pose = check_features(features, shape, finite=True)
+        pose = check_features(features, shape, finite=True, for_trees=True)
         twins = _check_copied(copied, len(pose))
         if len(pose) == len(twins):
             raise TrainingError("forest.no_clips")

@@ -1,8 +1,8 @@
 """Compiled loops that grow a tree of the motion forest (steps 1-8 of the paper).
 
-What tests and nodes are is told in ``tree_kernels``. Clips are rows of the features (N, T, F), float32 or float64; a
-test adds a few cells of a row, and a node asks a block of clips several tests at a time, so that their rows are read
-from memory once and not once for every test.
+What tests and nodes are is told in ``tree_kernels``. Clips are rows of the features, here (N, F, T), float32 or
+float64: a test adds a few neighbours, and a node asks a block of clips several tests at a time, so that their rows are
+read from memory once and not once for every test.
 
 Entropies are compared as integers: ``n log2 n`` is tabulated in fixed point, so sums do not depend on their
 order and two splits of equal gain are equal to the last bit, however clips are ordered and categories are
@@ -87,7 +87,7 @@ class Workspace(NamedTuple):
 
     @classmethod
     def create(cls, features: FloatArray, n_clips: int, n_classes: int, n_tests: int) -> Workspace:
-        """For trees of some of the features (N, T, F): of so many clips, categories and tests."""
+        """For trees of some of the features (N, F, T): of so many clips, categories and tests."""
         keys, spare = np.empty((2, n_clips), np.int64)
         counts, looked_counts, left, present, number = np.empty((5, n_classes), np.int64)
         return cls(
@@ -172,10 +172,9 @@ def _measure_trend(difference, moment_difference, length, middle):
 def _add_cells(cells, row, width, first, last, column):
     """The sum of a column over the cells first ... last - 1 of a clip, whose values begin at ``row``: eq. 5."""
     total = 0.0
-    place = row + first * width + column
-    for _ in range(first, last):
+    start = row + column * width
+    for place in range(start + first, start + last):
         total += cells[place]
-        place += width
     return total
 
 
@@ -183,7 +182,7 @@ def _add_cells(cells, row, width, first, last, column):
 def _evaluate(cells, size, width, test, samples, start, stop, values):
     """The value of one test for the clips ``start ... stop - 1`` of a node, into ``values``.
 
-    ``cells`` holds the features one clip after the other, ``size`` values each, in rows of ``width`` columns.
+    ``cells`` holds the features one clip after the other, ``size`` values each, in columns of ``width`` cells.
     """
     # Unsigned, so that no place is looked at for being counted from the end.
     first, last = np.uint64(test[3]), np.uint64(test[4])
@@ -538,9 +537,9 @@ def grow_tree(
     is in fixed point. Nodes are worked off depth first, left before right; each draws its tests with its own
     random numbers, from the seed and the node's number. All tests at once are taken in order.
     """
-    n_frames = features.shape[1]
-    cells, width = features.reshape(-1), np.uint64(features.shape[2])
-    size, values, stack = np.uint64(n_frames) * width, work.values[0], work.stack
+    n_frames = features.shape[2]
+    cells, width = features.reshape(-1), np.uint64(n_frames)
+    size, values, stack = np.uint64(features.shape[1]) * width, work.values[0], work.stack
     stack[0, 0], stack[0, 1], stack[0, 2] = 0, 0, len(samples)
     depth, n_nodes, n_leaves, n_entries = 1, np.int64(1), 0, 0
     leaf_starts[0] = 0

@@ -349,7 +349,8 @@ class _Material:
     def read(self, rows: IntArray) -> FloatArray:
         """Features of any of them."""
         known = rows < self.n_standing
-        read = np.empty((len(rows), *self.features.shape[1:]), self.features.dtype)
+        n_cells, n_columns = self.features.shape[1:]  # in the order in which trees read them
+        read = np.empty((len(rows), n_columns, n_cells), self.features.dtype).transpose(0, 2, 1)
         there = np.flatnonzero(known)
         for first in range(0, len(there), _AT_ONCE):  # so that they are in memory once
             some = there[first : first + _AT_ONCE]

@@ -152,7 +152,7 @@ def grow_trees(
 
     Parameters
     ----------
-    features : (N + K, T, F) checked pose features, float64 or float32; they are not copied.
+    features : (N + K, T, F) checked pose features, float64 or float32; not copied where they are ``order_for_trees``.
     categories : (N + K,) 0 ... n_classes - 1.
     tests : (R, 5) what may be asked at a node, see ``tree_kernels``.
     spec : how to grow.
@@ -184,11 +184,9 @@ def _count_again(trees: Trees, features: FloatArray, categories: NDArray[np.int3
     """Trees that were grown from some of the clips, with all clips in their leaves."""
     from joblib import Parallel, delayed
 
-    from dousa.retrieval.forest.tree_kernels import find_leaves
-
     leaves = np.empty((len(features), len(trees.roots)), np.int32)
     Parallel(n_jobs=n_jobs, prefer="threads")(
-        delayed(find_leaves)(features[part], trees.nodes, trees.cuts, trees.roots, trees.only_means, leaves[part])
+        delayed(_find_leaves)(trees, features[part], leaves[part])
         for part in (slice(start, start + _AT_ONCE) for start in range(0, len(features), _AT_ONCE))
     )
     keys, counts = [], []
@@ -197,6 +195,14 @@ def _count_again(trees: Trees, features: FloatArray, categories: NDArray[np.int3
         keys.append(own)
         counts.append(found)
     return replace(put_counts(trees, np.concatenate(keys), np.concatenate(counts)), pooled=True)
+
+
+def _find_leaves(trees: Trees, features: FloatArray, leaves: NDArray[np.int32]) -> None:
+    from dousa.retrieval.forest.tree_kernels import find_leaves
+
+    find_leaves(
+        np.ascontiguousarray(features), trees.nodes, trees.cuts, trees.roots, trees.only_means, leaves
+    )  # fmt: skip
 
 
 def put_counts(trees: Trees, keys: IntArray, counts: IntArray) -> Trees:
@@ -248,6 +254,11 @@ def measure_columns(features: FloatArray) -> FloatArray:
     return largest
 
 
+def order_for_trees(features: FloatArray) -> FloatArray:
+    """Features (N, T, F) in memory as (N, F, T), copied if need be: a test asks for some cells of one column or two."""
+    return np.ascontiguousarray(features.transpose(0, 2, 1)).transpose(0, 2, 1)
+
+
 Material = tuple[NDArray[Any], ...]
 
 GrownTree = tuple[NDArray[np.int32], IntArray, NDArray[np.int32], NDArray[np.int32]]
@@ -258,7 +269,7 @@ def prepare_material(features: FloatArray, categories: NDArray[np.int32], tests:
     tolerances = _SAME_VALUE * measure_columns(features)
     number = np.arange(largest + 1)
     logarithms = np.rint(number * np.log2(np.maximum(number, 1)) * kernels.FIXED_POINT).astype(np.int64)
-    return features, tolerances, categories, tests, logarithms
+    return order_for_trees(features).transpose(0, 2, 1), tolerances, categories, tests, logarithms
 
 
 def prepare_leaves(features: FloatArray, categories: NDArray[np.int32], tests: IntArray, largest: int) -> Material:
@@ -270,7 +281,7 @@ def prepare_leaves(features: FloatArray, categories: NDArray[np.int32], tests: I
     sizes = np.empty((len(features), features.shape[2]), features.dtype)
     for start in range(0, len(features), _AT_A_TIME):
         sizes[start : start + _AT_A_TIME] = np.abs(features[start : start + _AT_A_TIME]).max(axis=1)
-    return features, sizes, categories, tests, logarithms
+    return order_for_trees(features).transpose(0, 2, 1), sizes, categories, tests, logarithms
 
 
 def grow_some(
