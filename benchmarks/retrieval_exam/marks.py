@@ -97,7 +97,8 @@ def counted(truth, told):
 
 def retrieved(found, relevant, tolerated=()):
     """(precision, recall, F) of a set of things found; nothing found where nothing is relevant is right."""
-    found, relevant = set(found) - set(tolerated), set(relevant)
+    relevant = set(relevant)
+    found = set(found) - (set(tolerated) - relevant)
     if not relevant:
         return (float(not found),) * 3
     hits = len(found & relevant)
