@@ -1,13 +1,15 @@
 """The pages of the studio on a large library, in a real Chromium: how long until they show, how smoothly they move.
 
-    python benchmarks/studio_page.py [--library FILE] [--clips N] [--loads N]
+    python benchmarks/studio_page.py [--library FILE] [--clips N] [--loads N] [--only NAME ...]
 
-Without ``--library`` one of 10,000 made clips is made first, as in ``benchmarks/search.py``, and trained. Prints for
-the Library page at 1280 x 720: from the click to the last small figure of the first screen, warm; frames while it
-stands and while it scrolls; how many figures run and how many cells exist then; memory of the page before and after;
-from the address of a search to its hits; and how long the map of all clips takes, and its frames while it is moved.
-Goal: first page within 1 s warm, 16.7 ms a frame, no more than a screenful of figures alive. There is no peer: what is
-measured is a page. ``MEASUREMENTS`` takes further ones.
+Without ``--library`` one of 10,000 made clips is made first, as in ``benchmarks/search.py``, in a tree of categories
+of three levels (a category for every 25 clips), and trained. Prints for the Library page at 1280 x 720: from the click
+to the last small figure of the first screen, warm; from the last key of a text, and from a click in the tree of
+categories, to the list; frames while it stands and while it scrolls; how many figures run and how many cells exist
+then; memory of the page before and after; from the address of a search to its hits; and how long the map of all clips
+takes, its frames while it is moved, and from the end of a line drawn around clips to these being chosen.
+Goal: first page within 1 s warm, texts and tree 0.2 s, 16.7 ms a frame, no more than a screenful of figures alive.
+There is no peer: what is measured is a page. ``MEASUREMENTS`` takes further ones.
 """
 
 from __future__ import annotations
@@ -32,6 +34,8 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
 from app.browser import Page, open_browser
 from dousa.app.studio import Settings, create_app
 from dousa.library import Library
+from dousa.library.engine import next_revision, take_clip_ids
+from dousa.library.seals.checksums import LABELS, update_rows
 
 TOKEN = "benchmark"
 WIDTH, HEIGHT = 1280, 720
@@ -90,6 +94,53 @@ const tick = (now) => {
   }
 };
 requestAnimationFrame(tick);
+"""
+
+# From an action to the list that follows from it, ms; the field of texts waits 80 ms for another key.
+ACT = """
+const [action, value, done] = arguments;
+const count = document.querySelector('#count');
+const [before, start] = [count.textContent, performance.now()];
+const field = (selector, text) => {
+  const one = document.querySelector(selector);
+  one.value = text;
+  one.dispatchEvent(new Event('input'));
+};
+const look = () => {
+  if (action === 'search the tree') {
+    if (document.querySelector('.tree-rows').dataset.asked !== 'before') return done(performance.now() - start);
+  } else if (count.textContent !== before) return done(performance.now() - start);
+  requestAnimationFrame(look);
+};
+if (action === 'text') field('#text', value);
+else if (action === 'tree') document.querySelectorAll('.tree-rows input')[value].click();
+else {
+  document.querySelector('.tree-rows').dataset.asked = 'before';
+  field('#tree-field', value);
+}
+requestAnimationFrame(look);
+"""
+# From the end of a line drawn around the clips of the map to these being chosen and drawn, ms; and how many they are.
+LASSO = """
+const [part, done] = arguments;
+const over = document.querySelector('.mp-over');
+const box = over.getBoundingClientRect();
+const send = (type, turn) => {
+  const reach = (part * Math.min(box.width, box.height)) / 2;
+  const [x, y] = [box.width / 2 + reach * Math.cos(turn), box.height / 2 + reach * Math.sin(turn)];
+  const place = { clientX: box.left + x, clientY: box.top + y, pointerId: 1, pointerType: 'mouse', button: 0 };
+  over.dispatchEvent(new PointerEvent(type, { ...place, bubbles: true }));
+};
+over.setPointerCapture = () => {};
+send('pointerdown', 0);
+const steps = 120;
+for (let k = 1; k < steps; k += 1) send('pointermove', (2 * Math.PI * k) / steps);
+requestAnimationFrame(() => requestAnimationFrame(() => {
+  const start = performance.now();
+  send('pointerup', 2 * Math.PI);
+  requestAnimationFrame(() => requestAnimationFrame(() =>
+    done([performance.now() - start, document.querySelector('.chosen-count')?.textContent ?? 'none'])));
+}));
 """
 
 
@@ -157,6 +208,25 @@ def measure_first_page(studio: Studio, loads: int) -> None:
     print(f"library, first page, warm: median {statistics.median(times):.0f} ms, worst {max(times):.0f} ms")
 
 
+def measure_choosing(studio: Studio, loads: int) -> None:
+    """Texts that are typed and categories that are chosen, until the list is there."""
+    studio.show("/library")
+    studio.page.wait(DRAWN)
+    texts = ["kind 07", "0012", "kinnd 03", "kick", "set 2 kind 11", "nothing of the kind"]
+    values: dict[str, list[Any]] = {"text": texts, "tree": [1, 2, 3, 1, 2, 3], "search the tree": ["kind 1", "07", "s"]}
+    for action, own in values.items():
+        if action == "search the tree" and not studio.page.run("return document.querySelector('#tree-field') !== null"):
+            print("search in the tree: too few categories")
+            continue
+        times = []
+        for value in own:
+            times.append(studio.page.driver.execute_async_script(ACT, action, value))
+            if action == "text":
+                studio.page.driver.execute_async_script(ACT, action, "")
+        told = ", ".join(f"{value} {time:.0f}" for value, time in zip(own, times, strict=True))
+        print(f"{action}: median {statistics.median(times):.0f} ms, worst {max(times):.0f} ms ({told})")
+
+
 def measure_scrolling(studio: Studio, loads: int) -> None:
     """Frames at several speeds, from the top each time."""
     studio.show("/library")
@@ -195,6 +265,12 @@ def measure_map(studio: Studio, loads: int) -> None:
     frames = studio.page.driver.execute_async_script(DRAG, SECONDS)
     work = 1e3 * (studio.metrics()["ThreadTime"] - before["ThreadTime"]) / len(frames)
     print(f"map, moved and zoomed: {describe(frames)}; main thread {work:.1f} ms of CPU a frame")
+    studio.show("/library?view=map")
+    studio.page.wait(shown)
+    for part in (0.3, 1.4):
+        found = [studio.page.driver.execute_async_script(LASSO, part) for _ in range(loads)]
+        median = statistics.median(time for time, _ in found)
+        print(f"map, lasso: {found[0][1]}: median {median:.0f} ms, worst {max(time for time, _ in found):.0f} ms")
 
 
 def measure_search(studio: Studio, loads: int) -> None:
@@ -224,6 +300,7 @@ def describe(frames: Sequence[float]) -> str:
 
 MEASUREMENTS: tuple[Callable[[Studio, int], None], ...] = (
     measure_first_page,
+    measure_choosing,
     measure_scrolling,
     measure_map,
     measure_search,
@@ -231,10 +308,21 @@ MEASUREMENTS: tuple[Callable[[Studio, int], None], ...] = (
 """What is measured, one after the other, on the same studio."""
 
 
+def name_category(number: int) -> str:
+    """A category of three levels, of which there is one for every 25 clips."""
+    kind = (number - 1) % 40
+    return f"set {kind // 8}/kind {kind:02}/way {(number - 1) // 1000:03}"
+
+
 def make_library(path: Path, n_clips: int) -> None:
     from search import make_library as make
 
     make(path, n_clips, 40)
+    with Library.open(path) as library, library.database.writing() as connection:
+        next_revision(connection)
+        ids = take_clip_ids(connection, 1)[0]
+        places = {number: {"category": name_category(number)} for number in range(1, ids)}
+        update_rows(connection, LABELS, places)
     with Library.open(path) as library:
         library.train()  # for the search
 
@@ -244,6 +332,8 @@ def main(arguments: Sequence[str] | None = None) -> Any:
     parser.add_argument("--library", type=Path, help="a trained library; nothing is changed in it")
     parser.add_argument("--clips", type=int, default=10_000, help="of the library that is made")
     parser.add_argument("--loads", type=int, default=9, help="of the first page")
+    names = [measure.__name__.removeprefix("measure_") for measure in MEASUREMENTS]
+    parser.add_argument("--only", nargs="+", choices=names, default=names, help="what is measured")
     options = parser.parse_args(arguments)
     with tempfile.TemporaryDirectory() as folder:
         library = options.library
@@ -251,7 +341,7 @@ def main(arguments: Sequence[str] | None = None) -> Any:
             library = Path(folder, "large.dousa")
             make_library(library, options.clips)
         with running(library, Path(folder)) as studio:
-            for measure in MEASUREMENTS:
+            for measure in (one for name, one in zip(names, MEASUREMENTS, strict=True) if name in options.only):
                 measure(studio, options.loads)
 
 

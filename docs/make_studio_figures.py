@@ -125,13 +125,40 @@ def estimate_films(studio: Studio) -> str | None:
     if not has_models() or not all(film.is_file() for film in films):
         print("no picture of films: models or ../shared/data/pose2sim are not here")
         return None
-    batch = ""
-    for film in films:
-        batch = studio.ask(f"/uploads?name={film.name}&batch={batch}".removesuffix("&batch="), film.read_bytes())[
-            "batch"
-        ]
+    wanted = {"batch": upload(studio, films)[0]["batch"], "body": {"stature_m": 1.75}, "overlay_video": False}
+    return studio.finish(studio.ask("/jobs/estimate", wanted))
+
+
+def estimate_made_films(studio: Studio, folder: Path) -> str:
+    """Three made films, whose keypoints lie beside them: where no models are."""
+    from app.studio.film_scenes import write_film_scene
+
+    with tempfile.TemporaryDirectory(dir=folder) as made:
+        write_film_scene(Path(made))
+        batch = upload(studio, sorted(Path(made).iterdir()))[0]["batch"]
     wanted = {"batch": batch, "body": {"stature_m": 1.75}, "overlay_video": False}
     return studio.finish(studio.ask("/jobs/estimate", wanted))
+
+
+def judge_twice(studio: Studio, folder: Path) -> list[str]:
+    """Two evaluations against the same reference."""
+    from app.studio.evaluation_cases import write_dances
+
+    with tempfile.TemporaryDirectory(dir=folder) as made:
+        takes, pupil = write_dances(Path(made))
+        first, second, third, own = [{"motion": one["motion"]} for one in upload(studio, [*takes, pupil])]
+    asked = [{"references": [first, second], "performance": performance} for performance in (own, third)]
+    return [studio.finish(studio.ask("/jobs/evaluate", wanted)) for wanted in asked]
+
+
+def upload(studio: Studio, paths: list[Path]) -> list[dict[str, Any]]:
+    """Files in one batch; what the studio says of each."""
+    batch, came = "", []
+    for path in paths:
+        answer = studio.ask(f"/uploads?name={path.name}{batch and '&batch='}{batch}", path.read_bytes())
+        batch = answer["batch"]
+        came.append({"batch": batch, **answer["files"][-1]})
+    return came
 
 
 def save(picture: bytes, path: Path) -> None:
@@ -156,11 +183,15 @@ def take_looks(studio: Studio, demo: Path, page: Any, folder: Path) -> None:
     """A sheet with all pages for each look: width, colours, language."""
     from PIL import Image
 
-    shown = {name: where[:2] for name, where in addresses(studio, demo).items()}
+    folder.mkdir(parents=True, exist_ok=True)
+    shown = addresses(studio, demo)
+    if "films" not in shown:
+        shown["films"] = (f"/estimate?job={estimate_made_films(studio, folder)}", "#film-figure canvas")
+    shown["map"] = ("/library?view=map", ".mp-legend button")
+    shown["compare"] = (f"/evaluate?compare={','.join(judge_twice(studio, folder))}", ".compare-table tbody tr")
     shown |= {
         f"{name}_start": (f"/{name}", "main") for name in ("search", "takes", "evaluate", "estimate", "live", "api")
     }
-    folder.mkdir(parents=True, exist_ok=True)
     for size, scheme, language in product(SIZES, ("light", "dark"), ("en", "ja")):
         pictures = []
         for address, there in shown.values():

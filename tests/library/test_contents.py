@@ -7,7 +7,7 @@ from dataclasses import replace
 import pytest
 import sqlalchemy as sa
 
-from dousa.errors import LibraryError, OptionError
+from dousa.errors import LibraryDamagedError, LibraryError, OptionError
 from dousa.formats import read_canonical
 from dousa.library import Library, schema
 from dousa.messages import Message
@@ -162,3 +162,55 @@ def test_every_error_of_a_selection_is_said_in_japanese(library):
             library.clips(**wanted)
         assert caught.value.code.startswith("library_clips.")
         assert "ありません" in caught.value.render("ja")
+
+
+def assert_is_listed(library, known):
+    """What is known is what a new list says."""
+    assert sorted(known.clips.values(), key=lambda clip: clip.path) == library.clips()
+
+
+def test_what_has_changed_is_read_again_and_nothing_else(library, moves):
+    known = library.renew_clips()
+    assert_is_listed(library, known)
+    first, second, *_ = sorted(known.clips)
+    changes = (
+        (lambda: library.tag([first], add=["good"]), {first}),
+        (lambda: library.relabel(second, performer="somebody"), {second}),
+        (lambda: library.remove(first), set()),
+        (library.undo, {first}),
+        (lambda: library.remove(category="wave"), set()),
+        (lambda: library.add(moves), None),
+        (library.train, None),
+    )
+    for change, expected in changes:
+        change()
+        news = library.renew_clips(known)
+        assert_is_listed(library, news)
+        read = {number for number, clip in news.clips.items() if clip is not known.clips.get(number)}
+        assert expected is None or read == expected
+        known = news
+    assert library.renew_clips(known).clips == known.clips
+
+
+def test_rows_without_checksums_are_read_each_time(library):
+    known = library.renew_clips()
+    with library.database.writing() as connection:
+        connection.execute(sa.update(schema.clips).values(label_checksum=None))
+    first = min(known.clips)
+    library.relabel(first, category="other")
+    with library.database.writing() as connection:
+        connection.execute(sa.update(schema.clips).values(label_checksum=None))
+    news = library.renew_clips(known)
+    assert news.clips[first].category == "other"
+    assert_is_listed(library, news)
+
+
+def test_a_damaged_row_is_not_taken_for_another_one(library):
+    known = library.renew_clips()
+    first = min(known.clips)
+    with library.database.writing() as connection:
+        connection.execute(sa.update(schema.clips).where(schema.clips.c.id == first).values(height=9.0))
+    with pytest.raises(LibraryDamagedError):
+        library.renew_clips()
+    with pytest.raises(LibraryDamagedError):
+        library.clips()

@@ -10,6 +10,7 @@ import pytest
 from dousa.errors import LibraryDamagedError, OptionError
 from dousa.formats.registry import write_motion
 from dousa.library import Library, TextResult
+from dousa.library.text import index as text_index
 from dousa.motion.synthetic.performers import draw_performer, make_motion
 from dousa.retrieval.words import vectors
 from library.database_server import run_sql
@@ -143,6 +144,26 @@ def test_new_clips_and_labels_are_found(tmp_path):
         assert found(library, "テニス") == {"tennis_serve"}
         library.remove([2])
         assert found(library, "bend forward") == set()
+
+
+def test_tags_leave_the_words_as_they_are(tmp_path, monkeypatch):
+    reads = []
+
+    def load(connection, revision, sums):
+        reads.append(revision)
+        return load_index(connection, revision, sums)
+
+    load_index = text_index._load_index
+    monkeypatch.setattr(text_index, "_load_index", load)
+    with Library.open(tmp_path / "new.dousa", create=True) as library:
+        library.add_motion(make_motion("walk", draw_performer(1), seed=1), "one", "walk")
+        assert found(library, "walk") == {"walk"}
+        library.tag([1], add=["good"])
+        assert found(library, "walk") == {"walk"}
+        assert len(reads) == 1
+        library.relabel([1], category="tennis_serve")
+        assert "tennis_serve" in found(library, "tennis")
+        assert len(reads) == 2
 
 
 @pytest.mark.sqlite

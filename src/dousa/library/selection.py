@@ -5,6 +5,7 @@ from __future__ import annotations
 import enum
 import os
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import Any, TypeVar
 
 import sqlalchemy as sa
@@ -163,21 +164,58 @@ def read_page(
 def _read_infos(connection: sa.Connection, *wanted: sa.ColumnElement[bool], limit: int | None = None) -> list[ClipInfo]:
     """Clips and takes without their arrays, in the order of their numbers."""
     clips, leaves, parts = schema.clips, schema.clip_leaves, schema.segments
-    names = [name for name in ClipInfo.__dataclass_fields__ if name in clips.c]
+    own = tuple(dict.fromkeys((*LABELS.columns, *NUMBERS.columns)))
     more = (leaves.c.predicted_category, parts.c.take_id, parts.c.start_s, parts.c.end_s)
-    query = sa.select(*dict.fromkeys((*LABELS.columns, *NUMBERS.columns)), *more)
+    query = sa.select(*own, *more)
     query = query.join(leaves, leaves.c.clip_id == clips.c.id, isouter=True)
     query = query.join(parts, parts.c.clip_id == clips.c.id, isouter=True)
     rows = connection.execute(query.where(*wanted).order_by(clips.c.id).limit(limit)).all()
-    tagged = read_tags(connection, [row.id for row in rows])
-    infos = []
-    for row in rows:
-        LABELS.check(connection, row)
-        NUMBERS.check(connection, row)
-        values = {name: getattr(row, name) for name in (*names, *(column.name for column in more))}
-        values["warnings"] = tuple(map(schema.as_message, row.warnings))
-        infos.append(ClipInfo(**(values | {"absent": tuple(row.absent.split()), "tags": tagged.get(row.id, ())})))
-    return infos
+    if not rows:
+        return []
+    columns = dict(zip((*own, *more), zip(*rows, strict=True), strict=True))
+    for seal in (LABELS, NUMBERS):
+        seal.check_all(connection, [columns[column] for column in seal.columns])
+    tagged = read_tags(connection, columns[clips.c.id])
+    values: dict[str, Iterable[Any]] = {column.name: found for column, found in columns.items()}
+    values["warnings"] = [tuple(map(schema.as_message, own)) for own in columns[clips.c.warnings]]
+    values["absent"] = [tuple(own.split()) for own in columns[clips.c.absent]]
+    values["tags"] = [tagged.get(number, ()) for number in columns[clips.c.id]]
+    return list(map(ClipInfo, *(values[name] for name in ClipInfo.__dataclass_fields__)))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class KnownClips:
+    """Clips and takes as they were read, and what tells whether they still are so.
+
+    Parameters
+    ----------
+    clips : by number.
+    sums : the checksums of their rows, by number; None of one that has none, which is read each time.
+    """
+
+    clips: Mapping[int, ClipInfo] = field(default_factory=dict)
+    sums: Mapping[int, Sequence[int | None] | None] = field(default_factory=dict)
+
+
+def renew_clips(connection: sa.Connection, known: KnownClips) -> KnownClips:
+    """Clips and takes as they are now; only those whose checksums are others are read."""
+    sums = _read_sums(connection)
+    changed = [number for number, own in sums.items() if own is None or known.sums.get(number) != own]
+    fresh = list_clips(connection, None if len(changed) > len(sums) // 2 else changed)
+    clips = {**known.clips, **{clip.id: clip for clip in fresh}}
+    return KnownClips({number: clips[number] for number in sums if number in clips}, sums)
+
+
+def _read_sums(connection: sa.Connection) -> dict[int, Sequence[int | None] | None]:
+    """The checksums of what a ``ClipInfo`` is made of, by number; None where a row has none."""
+    clips = schema.clips.c
+    query = sa.select(clips.id, clips.label_checksum, clips.checksum)
+    sums: dict[int, Any] = {row[0]: None if None in row else tuple(row) for row in connection.execute(query)}
+    for table in (schema.clip_leaves.c, schema.segments.c, schema.clip_tags.c):
+        for number, own in connection.execute(sa.select(table.clip_id, table.checksum)):
+            if (before := sums.get(number)) is not None:
+                sums[number] = None if own is None else (*before, table.checksum.table.name, own)
+    return sums
 
 
 def read_tags(connection: sa.Connection, ids: Sequence[int] | None = None) -> dict[int, tuple[str, ...]]:

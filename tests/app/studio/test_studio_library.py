@@ -130,6 +130,24 @@ def test_what_another_program_writes_is_seen(studio, library_copy):
     assert after["library"]["n_categories"] == 3
 
 
+def test_a_change_of_few_clips_leaves_the_others_as_they_were_read(studio):
+    listing = studio.app.state.studio.listing
+    before = listing.now()
+    chosen = before.clips[3].id
+    studio.post("/api/clips/tag", json={"clips": [chosen], "add": ["calm"]})
+    studio.post("/api/clips/relabel", json={"clips": [chosen], "category": "stroll"})
+    after = listing.now()
+    others = [(one, other) for one, other in zip(before.clips, after.clips, strict=True) if one.id != chosen]
+    assert len(others) == N - 1 and all(one is other for one, other in others)
+    for text, count in (("calm", 1), ("stroll", 1), ("squat", 6)):
+        assert studio.get("/api/clips", params={"text": text}).json()["total"] == count
+
+
+@pytest.mark.parametrize(("text", "count"), [("KICK", 6), ("kick left", 6), ("kick performer", 6)])
+def test_words_of_a_text_must_all_be_there(studio, text, count):
+    assert studio.get("/api/clips", params={"text": text}).json()["total"] == count
+
+
 def test_the_empty_library(studio):
     studio.post("/api/clips/remove", json={"clips": studio.get("/api/clips/ids").json()["ids"]})
     answer = studio.get("/api/clips").json()

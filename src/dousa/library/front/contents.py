@@ -19,7 +19,7 @@ from dousa.library.features import load_trajectories
 from dousa.library.forests import ForestCache
 from dousa.library.opening import open_database
 from dousa.library.results import ClipInfo, LibraryStats
-from dousa.library.selection import Selection, fetch_in, select_ids
+from dousa.library.selection import KnownClips, Selection, fetch_in, select_ids
 
 if TYPE_CHECKING:
     from dousa.library.engine import Database
@@ -109,6 +109,16 @@ class LibraryContents:
             chosen = () if selection is None else selection
             ids = select_ids(connection, self.name, chosen, category, performer, tag)
             return _selection.list_clips(connection, ids)
+
+    def renew_clips(self, known: KnownClips | None = None) -> KnownClips:
+        """All clips and takes by number, as ``clips`` reads them; of those that were read before only what has changed.
+
+        Parameters
+        ----------
+        known : what this gave before; None for all.
+        """
+        with self.database.reading() as connection:
+            return _selection.renew_clips(connection, known or KnownClips())
 
     def iterate_clips(self, *, category: str | None = None, performer: str | None = None) -> Iterator[ClipInfo]:
         """Clips and takes in the order of their numbers, of which a thousand are in memory at a time.

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from collections import Counter
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import PurePath
 from typing import Any
 
@@ -15,7 +15,7 @@ import sqlalchemy as sa
 from dousa.arrays import FloatArray, IndexArray
 from dousa.errors import OptionError
 from dousa.library.engine import Database, read_revision
-from dousa.library.seals.checksums import LABELS
+from dousa.library.seals.checksums import LABELS, RELATIONS
 from dousa.library.text.answers import TextHit, TextMatches, TextResult
 from dousa.library.text.store import load_relations
 from dousa.messages.tables import LANGUAGES
@@ -57,9 +57,13 @@ class _Entry:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _TextIndex:
-    """The motions in the order of their paths, as of a revision of the library; their words by key."""
+    """The motions in the order of their paths, as of a revision of the library; their words by key.
+
+    ``sums`` tell whether what it was made of is still the same: tags, stars and kept searches leave it as it is.
+    """
 
     revision: int
+    sums: tuple[int, ...]
     entries: tuple[_Entry, ...]
     columns: WordColumns
     words: KnownWords
@@ -108,8 +112,25 @@ class TextSearcher:
         with self._database.reading() as connection:
             revision = read_revision(connection)
             if self._index is None or self._index.revision != revision:
-                self._index = _load_index(connection, revision)
+                sums = _read_sums(connection)
+                if self._index is not None and sums is not None and self._index.sums == sums:
+                    self._index = replace(self._index, revision=revision)
+                else:
+                    self._index = _load_index(connection, revision, sums or ())
             return self._index
+
+
+def _read_sums(connection: sa.Connection) -> tuple[int, ...] | None:
+    """Numbers and sums of the checksums of what the index is made of; None where rows have none."""
+    sums: list[int] = []
+    for seal in (LABELS, RELATIONS):
+        own = seal.checksum
+        query = sa.select(sa.func.count(seal.covered[0]), sa.func.count(own), sa.func.coalesce(sa.func.sum(own), 0))
+        n_rows, n_sealed, total = map(int, connection.execute(query).one())
+        if n_rows != n_sealed:
+            return None
+        sums += (n_rows, total)
+    return tuple(sums)
 
 
 def _read(index: _TextIndex, text: str) -> Matcher:
@@ -134,7 +155,7 @@ def _choose(entries: Sequence[_Entry], category: str | None, performer: str | No
     return np.flatnonzero(np.array(fits, bool))
 
 
-def _load_index(connection: sa.Connection, revision: int) -> _TextIndex:
+def _load_index(connection: sa.Connection, revision: int, sums: tuple[int, ...]) -> _TextIndex:
     query = sa.select(*LABELS.columns)
     relations = load_relations(connection)
     vocabulary = load_vocabulary()
@@ -142,8 +163,8 @@ def _load_index(connection: sa.Connection, revision: int) -> _TextIndex:
     categories: dict[str, Unit] = {}
     entries = []
     rows = connection.execute(query).all()
-    for row in rows:
-        LABELS.check(connection, row)
+    if rows:
+        LABELS.check_all(connection, list(zip(*rows, strict=True)))
     for row in sorted(rows, key=lambda row: str(row.path)):
         label = row.category or ""
         if label not in categories:
@@ -165,7 +186,7 @@ def _load_index(connection: sa.Connection, revision: int) -> _TextIndex:
         )
     columns = WordColumns([MotionWords(entry.category, entry.name, entry.units) for entry in entries])
     words = KnownWords(word for entry in entries for unit in (entry.category, entry.name) for word in unit.words)
-    return _TextIndex(revision, tuple(entries), columns, words)
+    return _TextIndex(revision, sums, tuple(entries), columns, words)
 
 
 def _name_of(path: str) -> str:

@@ -37,6 +37,7 @@ from dousa.files.npz_arrays import open_npz
 
 if TYPE_CHECKING:
     from dousa.library import ClipInfo, ClipMap, Library, TextMatches
+    from dousa.library.selection import KnownClips
 
 Match = Callable[[str], "TextMatches | None"]
 """Gives the clips that do what a text says, None if that is not known yet."""
@@ -111,15 +112,16 @@ class Snapshot:
     clips : in the order of their paths.
     revision : of the library.
     uploads : folder of the studio's batches; what lies there is named by its path in the batch.
+    before : an earlier one, whose texts of clips that are the same are taken over.
     """
 
-    def __init__(self, clips: Sequence[ClipInfo], revision: int, uploads: Path) -> None:
+    def __init__(self, clips: Sequence[ClipInfo], revision: int, uploads: Path, before: Snapshot | None = None) -> None:
         self.clips, self.revision = tuple(clips), revision
         self.ids = np.array([clip.id for clip in clips], np.int64)
         self.durations = np.array([clip.duration for clip in clips], np.float64)
         self._rows = {clip.id: row for row, clip in enumerate(clips)}
         self._batches, self._shorts = _shorten([clip.path for clip in clips], f"{uploads}{os.sep}")
-        self._words = ClipWords([_searchable(clip, short) for clip, short in zip(clips, self._shorts, strict=True)])
+        self._words = ClipWords(self._read_texts(before))
         self._names: dict[str, list[str]] = {}
         self._codes: dict[str, NDArray[np.intp]] = {}
         for label in _LABELS:
@@ -133,6 +135,17 @@ class Snapshot:
 
     def __contains__(self, clip_id: int) -> bool:
         return clip_id in self._rows
+
+    def _read_texts(self, before: Snapshot | None) -> list[str]:
+        """What is searched of each clip."""
+        known = {} if before is None else before._read
+        self._read: dict[int, tuple[ClipInfo, str, str]] = {}
+        for clip, short in zip(self.clips, self._shorts, strict=True):
+            own = known.get(clip.id)
+            if own is None or own[0] is not clip or own[1] != short:
+                own = clip, short, _searchable(clip, short)
+            self._read[clip.id] = own
+        return [text for _, _, text in self._read.values()]
 
     def row_of(self, clip_id: int) -> int:
         """The row of a clip that is there."""
@@ -173,14 +186,17 @@ class Snapshot:
 
     def summarise(self) -> dict[str, Any]:
         """The library in numbers, whatever is asked for."""
-        takes = np.array([clip.kind == "take" for clip in self.clips], bool)
-        labelled = {clip.category for clip in self.clips if clip.kind != "take"}
+        names, codes = self._names["category"], self._codes["category"]
+        kinds = np.array([name == "take" for name in self._names["kind"]], bool)
+        takes = kinds[self._codes["kind"]] if len(kinds) else np.zeros(0, bool)
+        sizes = dict(zip(names, np.bincount(codes[~takes], minlength=len(names)).tolist(), strict=True))
+        n_unlabelled = sizes.pop(NO_LABEL, 0)
         return {
             "n_clips": int((~takes).sum()),
             "n_takes": int(takes.sum()),
             "seconds": float(self.durations.sum()),
-            "n_categories": len(labelled - {None}),
-            "n_unlabelled": sum(clip.category is None and clip.kind != "take" for clip in self.clips),
+            "n_categories": sum(size > 0 for size in sizes.values()),
+            "n_unlabelled": n_unlabelled,
         }
 
     def _labelled(self, label: str, wanted: Sequence[str]) -> Mask | None:
@@ -244,6 +260,7 @@ class Listing:
         self._library, self._uploads = library, uploads
         self._lock = threading.Lock()
         self._snapshot: Snapshot | None = None
+        self._known: KnownClips | None = None
         self._of: Library | None = None  # another file may have taken the library's place
 
     def now(self) -> Snapshot:
@@ -251,10 +268,15 @@ class Listing:
         library = self._library()
         with self._lock:  # when many ask at once, one reads
             revision = library.revision
-            if self._snapshot is None or self._of is not library or self._snapshot.revision != revision:
+            before = self._snapshot if self._of is library else None
+            if before is None or before.revision != revision:
                 # The number was read before the clips: at worst they are newer, and are read once more.
-                self._snapshot, self._of = Snapshot(library.clips(), revision, self._uploads), library
-            return self._snapshot
+                known = library.renew_clips(None if before is None else self._known)
+                clips = sorted(known.clips.values(), key=lambda clip: clip.path)
+                self._snapshot = Snapshot(clips, revision, self._uploads, before)
+                self._known, self._of = known, library
+                return self._snapshot
+            return before
 
 
 def _both(first: Mask | None, second: Mask | None) -> Mask | None:
@@ -271,7 +293,7 @@ def _searchable(clip: ClipInfo, short: str) -> str:
 def _shorten(paths: Sequence[str], uploads: str) -> tuple[list[str | None], list[str]]:
     """Batch of each file, and its path without what says nothing: the batch's folder, or what all others share."""
     matches = [_BATCH.fullmatch(path.removeprefix(uploads)) if path.startswith(uploads) else None for path in paths]
-    others = [os.path.dirname(path) for path, match in zip(paths, matches, strict=True) if match is None]
+    others = list({os.path.dirname(path) for path, match in zip(paths, matches, strict=True) if match is None})
     # The last folder that they share stays: it may be the only one that says something.
     shared = os.path.dirname(_shared_folder(others)).rstrip(os.sep)
     shorts = [

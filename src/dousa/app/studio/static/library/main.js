@@ -291,7 +291,7 @@ async function openJob(id) {
 
 $("#text").value = filter.get("text");
 $("#sort").value = filter.get("sort") || "path";
-$("#text").addEventListener("input", later(() => filter.set({ text: $("#text").value.trim(), wide: null }), 160));
+$("#text").addEventListener("input", later(() => filter.set({ text: $("#text").value.trim(), wide: null }), 80));
 $("#sort").addEventListener("change", () => filter.set({ sort: $("#sort").value === "path" ? null : $("#sort").value }));
 $("#facet-form").addEventListener("submit", (event) => event.preventDefault());
 $("#facets").open = !window.matchMedia("(max-width: 860px)").matches;

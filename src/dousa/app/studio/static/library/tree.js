@@ -7,6 +7,7 @@ import { h, icon, language, t } from "../core/dom.js";
 const MOST_ROWS = 400;
 const WITH_FIELD = 10; // categories from which there is a field to search in them
 const count = new Intl.NumberFormat(language);
+const { compare } = new Intl.Collator(language, { numeric: true });
 const open = new Map(); // value of a level -> whether it is open, where somebody said so
 let wanted = ""; // what is searched for
 let field = null;
@@ -18,7 +19,7 @@ export function categoryTree(counts, filter, redraw) {
   const tell = (node) => toggle(filter, chosen, node);
   const rows = wanted ? search(root, chosen, tell) : walk(root, chosen, tell, redraw);
   const more = rows.length - MOST_ROWS;
-  const list = h("div", { class: "names tree-rows", dataset: { name: "category" } }, ...rows.slice(0, MOST_ROWS));
+  const list = h("div", { class: "names tree-rows", dataset: { name: "category" } }, ...rows.slice(0, MOST_ROWS).map((make) => make()));
   if (more > 0) list.append(h("p", { class: "note" }, t("tree_more", { count: count.format(more) })));
   if (wanted && !rows.length) list.append(h("p", { class: "note" }, t("tree_none")));
   return [...(Object.keys(counts).length > WITH_FIELD || wanted ? [searchField(redraw)] : []), list];
@@ -53,19 +54,21 @@ function grow(names, counts) {
 }
 
 const valueOf = (node) => (node.below.size ? `${node.path}/` : node.path);
-const inOrder = (nodes) => [...nodes].sort((a, b) => (b.path === "") - (a.path === "") || a.name.localeCompare(b.name, language, { numeric: true }));
+const inOrder = (nodes) => [...nodes].sort((a, b) => (b.path === "") - (a.path === "") || compare(a.name, b.name));
 const isBelow = (value, level) => level.endsWith("/") && value !== level && `${value}/`.startsWith(level);
 
+/** What makes each row: of thousands only those that are shown are made. */
 function walk(node, chosen, tell, redraw, depth = 0) {
   const rows = [];
+  const levels = depth > 0 || [...node.below.values()].some((other) => other.below.size);
   for (const one of inOrder(node.below.values())) {
     const value = valueOf(one);
     const isOpen = one.below.size > 0 && (open.get(value) ?? (node.below.size === 1 || chosen.some((other) => isBelow(other, value))));
     const flip = one.below.size ? () => (open.set(value, !isOpen), redraw()) : null;
-    rows.push(row(one, chosen, tell, { depth, isOpen, flip, text: one.name, levels: depth > 0 || [...node.below.values()].some((other) => other.below.size) }));
+    rows.push(() => row(one, chosen, tell, { depth, isOpen, flip, text: one.name, levels }));
     if (!isOpen) continue;
     // Clips of the level itself, of none of those below it.
-    if (one.own !== null && !chosen.includes(value)) rows.push(row({ ...one, below: new Map(), total: one.own }, chosen, tell, { depth: depth + 1, text: t("tree_itself", { name: one.name }), levels: true }));
+    if (one.own !== null && !chosen.includes(value)) rows.push(() => row({ ...one, below: new Map(), total: one.own }, chosen, tell, { depth: depth + 1, text: t("tree_itself", { name: one.name }), levels: true }));
     rows.push(...walk(one, chosen, tell, redraw, depth + 1));
   }
   return rows;
@@ -78,7 +81,7 @@ function search(root, chosen, tell) {
   const found = [];
   const look = (node) => {
     for (const one of inOrder(node.below.values())) {
-      if (one.path && words.every((word) => folded(one.path).includes(word))) found.push(row(one, chosen, tell, { depth: 0, text: valueOf(one) }));
+      if (one.path && words.every((word) => folded(one.path).includes(word))) found.push(() => row(one, chosen, tell, { depth: 0, text: valueOf(one) }));
       look(one);
     }
   };
