@@ -27,7 +27,7 @@ test: $(VENV)/.dev lint
 	$(PYTEST) -m "not ($(SLOW))" $(COVERED)
 
 test-slow: $(VENV)/.dev
-	$(PYTEST) -m "$(SLOW)" $(COVERED)
+	$(PYTEST) -rR -m "$(SLOW)" $(COVERED)
 
 # The tests of libraries once more, each library a database of a PostgreSQL server that they start.
 test-postgres: $(VENV)/.dev
@@ -35,7 +35,7 @@ test-postgres: $(VENV)/.dev
 
 # Both in one go, which reads the tests once.
 test-all: $(VENV)/.dev lint
-	$(PYTEST) $(COVERED)
+	$(PYTEST) -rR $(COVERED)
 
 lint: $(VENV)/.dev
 	$(BIN)/ruff check src tests benchmarks docs blender .ci

@@ -25,6 +25,7 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     for item in items:
         if "browser" in getattr(item, "fixturenames", ()):
             item.add_marker(pytest.mark.browser)
+            item.add_marker(pytest.mark.flaky(reruns=1))  # what passes only then is printed by its name
         if item.path.is_relative_to(TESTS / "documents"):
             item.add_marker(pytest.mark.documents)
 

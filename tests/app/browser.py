@@ -78,8 +78,14 @@ class Page:
         )
 
     def find(self, selector: str) -> Any:
-        """The first element of a CSS selector."""
-        return self.driver.find_element("css selector", selector)
+        """The first element of a CSS selector, as soon as there is one."""
+        return self.wait("return document.querySelector(arguments[0])", selector)
+
+    def point(self, element: Any, right: float = 0, down: float = 0) -> None:
+        """Move the pointer over an element, so many CSS pixels from its middle."""
+        from selenium.webdriver import ActionChains
+
+        ActionChains(self.driver, duration=0).move_to_element_with_offset(element, right, down).perform()
 
     def press(self, *keys: str, held: str = "") -> None:
         """Press keys one after the other where the focus is, all the time holding another."""

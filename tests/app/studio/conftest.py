@@ -41,9 +41,11 @@ def trained_library(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture
-def library_copy(trained_library: Path, tmp_path: Path) -> Path:
-    """That library, to be changed at will."""
-    return Path(shutil.copy(trained_library, tmp_path / "moves.dousa"))
+def library_copy(trained_library: Path, tmp_path: Path) -> Iterator[Path]:
+    """That library, to be changed at will; the files beside the first one are for all tests, and stay what they are."""
+    files = sorted(trained_library.parent.rglob("*"))
+    yield Path(shutil.copy(trained_library, tmp_path / "moves.dousa"))
+    assert sorted(trained_library.parent.rglob("*")) == files, "a test has changed the files that all tests share"
 
 
 @pytest.fixture

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 import time
 from pathlib import Path
 
@@ -88,23 +89,39 @@ def test_a_large_window_is_filled_without_a_page_that_scrolls(library_page):
 
 
 def test_the_place_of_the_pointer_over_a_figure_is_a_moment(library_page):
-    from selenium.webdriver import ActionChains
-
     page = library_page()
     stage = page.find(".cell .stage")
     shown = "const { miniature, scrubber } = document.querySelector('.cell').cell; return [miniature.share, miniature.playing, scrubber.hidden]"  # noqa: E501
     place = -round(0.25 * stage.rect["width"])
-    ActionChains(page.driver, duration=0).move_to_element_with_offset(stage, place, 0).perform()
-    page.wait(f"{{ {shown.replace('return [', 'return !scrubber.hidden && [')} }}")
+    page.point(stage, place)
+    page.wait("return !document.querySelector('.cell').cell.scrubber.hidden")
     share, playing, hidden = page.run(shown)
     assert share == pytest.approx(0.25, abs=0.02) and not playing and not hidden
-    ActionChains(page.driver, duration=0).move_to_element(page.find("h1")).perform()
+    page.point(page.find("h1"))
     page.wait("return document.querySelector('.cell').cell.miniature.playing")
     features = [{"name": "prefers-reduced-motion", "value": "reduce"}]
     page.driver.execute_cdp_cmd("Emulation.setEmulatedMedia", {"features": features})
-    ActionChains(page.driver, duration=0).move_to_element_with_offset(stage, place, 0).perform()
+    page.point(stage, place)
     page.settle()
     assert page.run(shown)[2]
+    assert page.messages() == []
+
+
+def test_a_figure_that_comes_under_the_pointer_shows_its_moment(show, running, monkeypatch):
+    thumbnails, go_on = running.app.state.studio.thumbnails, threading.Event()
+    real = type(thumbnails).get
+    monkeypatch.setattr(type(thumbnails), "get", lambda *asked: go_on.wait(PATIENCE) and real(*asked))
+    try:
+        page = show("/library")
+        page.wait(f"{CELLS}.length > 3")
+        assert not page.run(f"{DRAWN}")
+        page.point(page.find(".cell .stage"))
+        page.settle()
+        assert page.run("return document.querySelector('.cell').cell.scrubber.hidden")
+    finally:
+        go_on.set()
+    page.wait("return !document.querySelector('.cell').cell.scrubber.hidden")
+    assert page.run("return document.querySelector('.cell').cell.miniature.share") == pytest.approx(0.5, abs=0.02)
     assert page.messages() == []
 
 

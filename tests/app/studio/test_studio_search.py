@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import pytest
 
 
@@ -12,8 +10,8 @@ def clip_of(studio, category, n=0):
     return f"clip:{studio.app.state.studio.library.clips(category=category)[n].id}"
 
 
-def add_take(library):
-    """A take of two clips of the library, one after the other; its number."""
+def add_take(library, folder):
+    """A take of three clips of the library, one after the other, in a file of that folder; its number."""
     import numpy as np
 
     from dousa.app.demo.takes import write_take
@@ -32,7 +30,7 @@ def add_take(library):
                 info.height,
             )
         )
-    take = write_take(parts, (), Path(info.path).parent.parent / "take.bvh")
+    take = write_take(parts, (), folder / "take.bvh")
     report = library.add(take.path, kind="take")
     return library.clips([take.path])[0].id if not report.added else library.clips(list(report.added))[0].id
 
@@ -83,8 +81,8 @@ def test_reasons_come_when_asked_for(studio):
     assert "fits_better" in answer["mirrored"]
 
 
-def test_places_inside_takes_are_found(studio):
-    take = add_take(studio.app.state.studio.library)
+def test_places_inside_takes_are_found(studio, tmp_path):
+    take = add_take(studio.app.state.studio.library, tmp_path)
     asked = {"query": {"motion": clip_of(studio, "kick_left", 1)}, "inside_takes": True}
     place = studio.post("/api/search", json=asked).json()["places"][0]
     assert place["motion"] == f"clip:{take}"
@@ -96,8 +94,8 @@ def test_without_takes_there_are_no_places(studio):
     assert studio.post("/api/search", json=asked).json()["places"] == []
 
 
-def test_a_take_as_a_whole_is_no_query(studio):
-    take = add_take(studio.app.state.studio.library)
+def test_a_take_as_a_whole_is_no_query(studio, tmp_path):
+    take = add_take(studio.app.state.studio.library, tmp_path)
     answer = studio.post("/api/search", json={"query": {"motion": f"clip:{take}"}})
     assert answer.status_code == 404
     assert "is a whole take" in answer.json()["problem"]

@@ -106,8 +106,8 @@ def test_a_part_is_chosen_by_keyboard_and_by_mouse(show, running):
     assert page.messages() == []
 
 
-def test_places_inside_takes_open_at_their_moment(show, running):
-    take = add_take(running.app.state.studio.library)
+def test_places_inside_takes_open_at_their_moment(show, running, tmp_path):
+    take = add_take(running.app.state.studio.library, tmp_path)
     page = show(f"/search?motion={first_clip(running)}")
     page.wait("return document.querySelector('.place-open') !== null")
     link = page.run("return document.querySelector('.place a').getAttribute('href')")
@@ -229,8 +229,8 @@ def test_files_that_are_no_motions_are_told(show, running, bvh, tmp_path):
     page.messages()  # the browser tells of the refused requests itself
 
 
-def test_a_whole_take_asks_for_a_part(show, running):
-    take = add_take(running.app.state.studio.library)
+def test_a_whole_take_asks_for_a_part(show, running, tmp_path):
+    take = add_take(running.app.state.studio.library, tmp_path)
     page = show(f"/search?motion=clip:{take}")
     page.wait("return document.querySelector('#ask-part') !== null")
     page.wait("return document.querySelector('.dousa-player canvas') !== null")

@@ -6,7 +6,7 @@ import { FAVOURITE } from "./tags.js";
 
 export class Cell {
   constructor() {
-    this.canvas = h("canvas", {});
+    this.canvas = h("canvas", { hidden: true });
     this.badgeInner = h("span", {});
     this.badgeText = new CutText(this.badgeInner);
     this.badge = h("span", { class: "badge" }, this.badgeInner);
@@ -17,7 +17,7 @@ export class Cell {
     this.length = h("span", { class: "length" });
     this.tick = h("span", { class: "tick", "aria-hidden": "true" }, icon("mark"));
     this.star = h("span", { class: "star", role: "img", "aria-label": t("favourite") }, icon("star"));
-    this.lack = h("span", { class: "lack" }, t("no_picture"));
+    this.lack = h("span", { class: "lack", hidden: true }, t("no_picture"));
     this.scrubber = h("i", { class: "scrub-mark", hidden: true });
     this.element = h(
       "div",
@@ -27,8 +27,12 @@ export class Cell {
     );
     this.stage = this.element.firstChild;
     this.stage.addEventListener("pointermove", (event) => this.scrub(event));
-    this.stage.addEventListener("pointerleave", () => this.runOn());
+    this.stage.addEventListener("pointerleave", () => {
+      this.pointer = null;
+      this.runOn();
+    });
     this.shown = "";
+    this.pointer = null;
     this.bytes = undefined;
   }
 
@@ -66,10 +70,13 @@ export class Cell {
     if (!bytes) return;
     if (this.miniature) this.miniature.replace(bytes);
     else this.miniature = window.dousa.createMiniature(this.canvas, bytes, { host: this.element });
+    if (this.pointer && this.stage.matches(":hover")) this.scrub(this.pointer); // was there before the figure
   }
 
   /** The pointer's place over the figure is a moment of the motion; not where less motion is wished for. */
-  scrub({ clientX, pointerType, buttons }) {
+  scrub(event) {
+    this.pointer = event;
+    const { clientX, pointerType, buttons } = event;
     if (pointerType !== "mouse" || buttons || !this.miniature || this.miniature.calm || this.canvas.hidden) return;
     const { left, width } = this.stage.getBoundingClientRect();
     const share = Math.min(Math.max((clientX - left) / width, 0), 1);
