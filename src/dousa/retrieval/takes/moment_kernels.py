@@ -104,7 +104,8 @@ def find_best_sequence(evidence, opening, closing, lengths, tails, again, begins
     most = lengths.shape[0]
     sums = np.zeros((n + 1, count))
     entry = np.zeros((n + 1, count))  # best value of a segment that begins at a step, less the evidence until then
-    entry[0] = opening[0]
+    for c in range(count):  # row to row would have the compiler write the message of an error, for seconds
+        entry[0, c] = opening[0, c]
     came = np.full((n + 1, count), -1, np.int32)
     tail, tail_begin = np.full(count, -np.inf), np.zeros(count, np.int32)
     value, begin = np.empty(count), np.empty(count, np.int32)
