@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from dataclasses import replace
 
 import numpy as np
@@ -18,14 +19,22 @@ from dousa.retrieval.takes.made_takes import join_clips
 from dousa.retrieval.takes.windows import TakeWindows, WindowGrid, choose_grid, describe_take, place_windows
 
 SET = FEATURE_SETS["extended"]
-CLIPS = make_library((0, 1), 2)
-FOREST = MotionForest(n_trees=12, thresholds="random", random_state=0).fit(
-    np.stack([SET.compute(clip) for clip in CLIPS]), [clip.category for clip in CLIPS], feature_set=SET
-)
 GRID = WindowGrid((32, 48, 64))
 TAKE = join_clips([make_clip("bow", 4), make_clip("kick", 4)], np.random.default_rng(0))
-WINDOWS = describe_take(FOREST, SET, TAKE, GRID)
 RANDOM = np.random.default_rng(1)
+
+
+@functools.cache
+def a_forest():
+    clips = make_library((0, 1), 2)
+    poses = np.stack([SET.compute(clip) for clip in clips])
+    forest = MotionForest(n_trees=12, thresholds="random", random_state=0)
+    return forest.fit(poses, [clip.category for clip in clips], feature_set=SET)
+
+
+@functools.cache
+def seen_windows():
+    return describe_take(a_forest(), SET, TAKE, GRID)
 
 
 def test_every_frame_lies_in_windows_of_every_length():
@@ -65,25 +74,25 @@ def test_a_grid_needs_durations(durations):
 
 def test_leaves_are_those_of_the_whole_recording():
     track = compute_track(reduce_noise(TAKE), SET)
-    cells = track.describe(WINDOWS.starts, WINDOWS.stops)
-    np.testing.assert_array_equal(WINDOWS.leaves, FOREST.apply(cells))
-    assert WINDOWS.leaves.dtype == np.uint16
-    assert WINDOWS.n_frames == len(TAKE.positions)
+    cells = track.describe(seen_windows().starts, seen_windows().stops)
+    np.testing.assert_array_equal(seen_windows().leaves, a_forest().apply(cells))
+    assert seen_windows().leaves.dtype == np.uint16
+    assert seen_windows().n_frames == len(TAKE.positions)
 
 
 def test_chunks_and_threads_change_nothing(monkeypatch):
     monkeypatch.setattr("dousa.retrieval.takes.windows.CHUNK", 30)
     seen = []
-    again = describe_take(FOREST, SET, TAKE, GRID, n_jobs=2, progress=lambda *step: seen.append(step))
+    again = describe_take(a_forest(), SET, TAKE, GRID, n_jobs=2, progress=lambda *step: seen.append(step))
     # The heading is smoothed over time: what lies far outside a chunk touches its last digits only.
-    assert (again.leaves == WINDOWS.leaves).mean() > 0.999
+    assert (again.leaves == seen_windows().leaves).mean() > 0.999
     assert seen[-1] == (len(TAKE.positions), len(TAKE.positions))
 
 
 @pytest.mark.parametrize("n_frames", [1, 5, 20])
 def test_a_take_too_short_for_windows_is_described(n_frames):
     short = replace(TAKE, positions=TAKE.positions[:n_frames])
-    windows = describe_take(FOREST, SET, short, GRID)
+    windows = describe_take(a_forest(), SET, short, GRID)
     assert windows.leaves.shape == (0, 12)
     assert windows.n_frames == n_frames
 
@@ -99,22 +108,22 @@ def test_a_take_too_short_for_windows_is_described(n_frames):
 )
 def test_impossible_takes_are_refused(change, message):
     with pytest.raises(InvalidMotionError, match=message):
-        describe_take(FOREST, SET, replace(TAKE, **change), GRID)
+        describe_take(a_forest(), SET, replace(TAKE, **change), GRID)
 
 
 def test_windows_come_back_from_bytes():
-    again = TakeWindows.from_bytes(WINDOWS.to_bytes())
-    assert again.grid == WINDOWS.grid
-    assert again.duration == WINDOWS.duration
-    np.testing.assert_array_equal(again.leaves, WINDOWS.leaves)
-    np.testing.assert_array_equal(again.sums, WINDOWS.sums)
-    assert again.to_bytes() == WINDOWS.to_bytes()
+    again = TakeWindows.from_bytes(seen_windows().to_bytes())
+    assert again.grid == seen_windows().grid
+    assert again.duration == seen_windows().duration
+    np.testing.assert_array_equal(again.leaves, seen_windows().leaves)
+    np.testing.assert_array_equal(again.sums, seen_windows().sums)
+    assert again.to_bytes() == seen_windows().to_bytes()
 
 
 @settings(max_examples=60, deadline=None)
 @given(st.data())
 def test_damaged_bytes_are_refused_or_harmless(data):
-    damaged = bytearray(WINDOWS.to_bytes())
+    damaged = bytearray(seen_windows().to_bytes())
     for _ in range(data.draw(st.integers(1, 3))):
         damaged[data.draw(st.integers(0, len(damaged) - 1))] = data.draw(st.integers(0, 255))
     cut = data.draw(st.integers(0, len(damaged)))
@@ -149,7 +158,7 @@ def test_a_real_take_is_described_at_thirty_frames_a_second(shared_data):
     from dousa.motion import canonicalise
 
     motion = canonicalise(read_motion(shared_data("cmu86/86_01.amc")))
-    windows = describe_take(FOREST, SET, motion, GRID)
+    windows = describe_take(a_forest(), SET, motion, GRID)
     assert windows.n_frames == round(4579 / 4)
     assert windows.duration == pytest.approx(4579 / 120)
     assert np.isfinite(windows.sums).all()
