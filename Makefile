@@ -10,11 +10,13 @@ SLOW := browser or documents or slow
 # A worker begins with its own half and takes from the other's when it is done: files stay together, and what their tests
 # share is made and compiled once. Tests start many processes: each would compile the whole package anew where Python is
 # told to keep nothing of it. The workers fill the cores: threads that share one matrix would wait for each other there.
-PYTEST := PYTHONDONTWRITEBYTECODE= OPENBLAS_NUM_THREADS=1 $(BIN)/pytest -n $(JOBS) --dist worksteal
+PYTEST := PYTHONDONTWRITEBYTECODE= OPENBLAS_NUM_THREADS=1 $(BIN)/pytest --dist worksteal -n
+# A test of a page waits for its browser now and then: with one worker more no core is idle meanwhile.
+MORE := $(shell expr $(JOBS) + 1 2>/dev/null || echo $(JOBS))
 # `make test COVERAGE=1` adds what it ran to the data that `make coverage` prints.
 COVERED := $(if $(COVERAGE),--cov --cov-append --cov-report=)
 
-.PHONY: demo studio test test-slow test-postgres test-all lint types coverage wheel fuzz bench peers blender figures docs lock clean
+.PHONY: demo studio test test-slow test-postgres test-all quick quick-and-slow lint types coverage wheel fuzz bench peers blender figures docs lock clean
 
 demo: $(VENV)/.demo
 	$(BIN)/dousa demo
@@ -23,19 +25,26 @@ demo: $(VENV)/.demo
 studio: $(VENV)/.demo
 	$(BIN)/dousa demo --studio
 
-test: $(VENV)/.dev lint
-	$(PYTEST) -m "not ($(SLOW))" $(COVERED)
+test: $(VENV)/.dev
+	$(MAKE) --no-print-directory -j 2 lint quick
+
+# Types are checked by one program, which takes as long as a core is idle otherwise: it runs beside the tests.
+quick: $(VENV)/.dev
+	$(PYTEST) $(JOBS) -m "not ($(SLOW))" $(COVERED)
 
 test-slow: $(VENV)/.dev
-	$(PYTEST) -rR -m "$(SLOW)" $(COVERED)
+	$(PYTEST) $(MORE) -rR -m "$(SLOW)" $(COVERED)
 
 # The tests of libraries once more, each library a database of a PostgreSQL server that they start.
 test-postgres: $(VENV)/.dev
-	DOUSA_TEST_DATABASE=postgresql $(PYTEST) -m "not ($(SLOW))" tests/library $(COVERED)
+	DOUSA_TEST_DATABASE=postgresql $(PYTEST) $(JOBS) -m "not ($(SLOW))" tests/library $(COVERED)
 
-# Both in one go, which reads the tests once.
-test-all: $(VENV)/.dev lint
-	$(PYTEST) -rR $(COVERED)
+# Both in one go, which reads the tests once, and makes once what quick and slow ones share.
+test-all: $(VENV)/.dev
+	$(MAKE) --no-print-directory -j 2 lint quick-and-slow
+
+quick-and-slow: $(VENV)/.dev
+	$(PYTEST) $(MORE) -rR $(COVERED)
 
 lint: $(VENV)/.dev
 	$(BIN)/ruff check src tests benchmarks docs blender .ci

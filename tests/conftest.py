@@ -9,6 +9,8 @@ from pathlib import Path
 import pytest
 from hypothesis import HealthCheck, settings
 
+from one_compiler import compile_in_turns
+
 os.environ["DOUSA_LANG"] = "en"  # whatever the locale of the machine is; commands in processes of their own inherit it
 # A loaded machine is slow, not wrong; CI tries the same examples each time, whoever works at it tries new ones.
 settings.register_profile(
@@ -18,6 +20,12 @@ settings.load_profile("dousa")
 
 TESTS = Path(__file__).resolve().parent
 SHARED_DATA = TESTS.parents[1] / "shared" / "data"
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """Workers compile in turns, by files in the folder where their temporary ones are."""
+    if hasattr(config, "workerinput"):
+        compile_in_turns(Path(config.option.basetemp).parent / "kernels")
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
