@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dousa.arrays import BoolArray, FloatArray, IntArray
+from dousa.retrieval.counting.counting_kernels import choose
 from dousa.retrieval.counting.tallies import COUNTED, TALLIES, measure_tallies
 
 _LEAST = 0.5  # of a tally: what moves has moved
@@ -42,10 +43,9 @@ def count_repetitions(sampled: FloatArray, height: float, usual: FloatArray | No
 def choose_count(tallies: FloatArray, usual: FloatArray | None = None) -> int:
     """The count that tallies (28,) speak for; ``usual`` as for `count_repetitions`."""
     known = usual is not None and bool(np.isfinite(usual).all())
-    counts = list_counts(tallies, usual if known else None)
     weights = (_IN_USE.get() or _read_weights())["known" if known else "alone"]
-    scores = describe_counts(tallies, counts, usual if known else None) @ weights
-    return int(counts[scores.argmax()])
+    unit = usual if known and usual is not None else tallies
+    return int(choose(tallies, unit, known, len(COUNTED), weights, _LEAST, _FARTHEST, _MOST))
 
 
 def list_counts(tallies: FloatArray, usual: FloatArray | None = None) -> IntArray:

@@ -1,7 +1,7 @@
 """Compiled loops of the tallies: the poses of a part of a recording, its curves over time, and what swings on them.
 
-What each number is for is told in ``tallies``. Nothing here allocates: without reference counts it compiles in half the
-time.
+What each number is for is told in ``tallies``. Curves stand in rows, time after time. Nothing here allocates: without
+reference counts it compiles in half the time.
 """
 
 from __future__ import annotations
@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from numba import njit
 
+from dousa.retrieval.counting.axis_kernels import square_curves
 from dousa.retrieval.features.channel_kernels import find_lateral, smooth
 from dousa.retrieval.features.noise_kernels import find_middle
 
@@ -19,101 +20,160 @@ compiled = _njit(cache=True, nogil=True, error_model="numpy", no_cfunc_wrapper=T
 
 
 @compiled
-def describe(sampled, height, weights, hips, shoulders, joints, room, left, poses, velocities, speeds):
-    """Smoothed places of some joints in the body-fixed system, how they change a frame, and how fast all of it does.
+def describe(sampled, height, weights, hips, shoulders, joints, room, left, poses):
+    """Smoothed places of some joints in the body-fixed system.
 
     ``sampled`` (n, J, 3) m; ``weights`` as of ``smooth``; ``joints`` (K,); ``room`` (n, J, 3) and ``left`` (n, 2) are
-    working memory. Into ``poses`` and ``velocities`` (n, 3 K), body heights, and ``speeds`` (n,).
+    working memory. Into ``poses`` (3 K, n), body heights.
     """
     n, width = len(sampled), 3 * sampled.shape[1]
     smooth(sampled.reshape(n, width), weights, room.reshape(n, width))
-    for t in range(n):
-        for axis in range(3):
-            pelvis = room[t, 0, axis]
-            for j in range(sampled.shape[1]):
-                room[t, j, axis] = (room[t, j, axis] - pelvis) / height
     find_lateral(room, hips, shoulders, left)
-    for t in range(n):
-        across, along = left[t, 0], left[t, 1]
-        for k in range(len(joints)):
-            x, y, z = room[t, joints[k], 0], room[t, joints[k], 1], room[t, joints[k], 2]
-            poses[t, 3 * k] = x * across + z * along
-            poses[t, 3 * k + 1] = y
-            poses[t, 3 * k + 2] = z * across - x * along
-    for t in range(n):
-        before, after = max(t - 1, 0), min(t + 1, n - 1)
-        square = 0.0
-        for k in range(poses.shape[1]):
-            velocities[t, k] = (poses[after, k] - poses[before, k]) / (after - before)
-            square += velocities[t, k] ** 2
-        speeds[t] = np.sqrt(square)
+    for k in range(len(joints)):
+        joint = joints[k]
+        for t in range(n):
+            across, along = left[t, 0], left[t, 1]
+            x = (room[t, joint, 0] - room[t, 0, 0]) / height
+            z = (room[t, joint, 2] - room[t, 0, 2]) / height
+            poses[3 * k, t] = x * across + z * along
+            poses[3 * k + 1, t] = (room[t, joint, 1] - room[t, 0, 1]) / height
+            poses[3 * k + 2, t] = z * across - x * along
 
 
 @compiled
-def fold(poses, velocities, others, even_poses, even_velocities, speeds):
-    """What both sides do, half each: of poses and velocities (n, 3 K) the mean with their mirror images, and how fast.
+def differentiate(poses, velocities, speeds):
+    """How poses (K, n) change a frame, into ``velocities`` (K, n), and how fast all do, into ``speeds`` (n,)."""
+    count, n = poses.shape
+    speeds[:] = 0.0
+    for k in range(count):
+        curve, slopes = poses[k], velocities[k]
+        slopes[0], slopes[n - 1] = curve[1] - curve[0], curve[n - 1] - curve[n - 2]
+        for t in range(1, n - 1):
+            slopes[t] = (curve[t + 1] - curve[t - 1]) / 2.0
+        for t in range(n):
+            speeds[t] += slopes[t] * slopes[t]
+    for t in range(n):
+        speeds[t] = np.sqrt(speeds[t])
 
-    ``others`` (K,) is the joint on the other side. Into arrays of the same shapes, and ``speeds`` (n,).
+
+@compiled
+def fold(poses, others, even):
+    """What both sides do, half each: of poses (3 K, n) the mean with their mirror images, into ``even`` (E, n).
+
+    ``others`` (K,) is the joint on the other side, or the same one in the middle, of whose three curves one is always
+    0 and left out; of two sides, which do the same, there is one, larger by the root of two.
     """
-    for t in range(len(poses)):
-        square = 0.0
-        for k in range(len(others)):
-            for axis in range(3):
-                own, other, sign = 3 * k + axis, 3 * others[k] + axis, -1.0 if axis == 0 else 1.0
-                even_poses[t, own] = 0.5 * (poses[t, own] + sign * poses[t, other])
-                even_velocities[t, own] = 0.5 * (velocities[t, own] + sign * velocities[t, other])
-                square += even_velocities[t, own] ** 2
-        speeds[t] = np.sqrt(square)
+    row, root = 0, np.sqrt(0.5)
+    for k in range(len(others)):
+        other = others[k]
+        for axis in range(3):
+            if other < k or (other == k and axis == 0):
+                continue
+            one, two, sign = poses[3 * k + axis], poses[3 * other + axis], -1.0 if axis == 0 else 1.0
+            for t in range(poses.shape[1]):
+                even[row, t] = one[t] if other == k else root * (one[t] + sign * two[t])
+            row += 1
+
+
+@compiled
+def square(curves, centred, squares):
+    """The products of curves (K, n) less their means, into ``squares`` (K, K), those curves into ``centred`` (K, n)."""
+    for k in range(len(curves)):
+        total = 0.0
+        for t in range(curves.shape[1]):
+            total += curves[k, t]
+        middle = total / curves.shape[1]
+        for t in range(curves.shape[1]):
+            centred[k, t] = curves[k, t] - middle
+    square_curves(centred, squares)
+
+
+@compiled
+def project(curves, axis, along):
+    """Curves (K, n) along a direction (K,), into ``along`` (n,)."""
+    along[:] = 0.0
+    for k in range(len(curves)):
+        share = axis[k]
+        for t in range(len(along)):
+            along[t] += share * curves[k, t]
 
 
 @compiled
 def level(curve):
     """Take the mean and the line of least squares off a curve (n,), in place."""
-    n, mean, moment, square = len(curve), 0.0, 0.0, 0.0
+    n, mean, moment, squared = len(curve), 0.0, 0.0, 0.0
     for t in range(n):
         time = t - 0.5 * (n - 1)
         mean += curve[t] / n
         moment += time * curve[t]
-        square += time * time
+        squared += time * time
     for t in range(n):
-        curve[t] -= mean + moment / square * (t - 0.5 * (n - 1))
+        curve[t] -= mean + moment / squared * (t - 0.5 * (n - 1))
 
 
 @compiled
-def find_distances(poses, speeds, calm, room, near, distances):
-    """How far poses (n, K) are from the pose at rest, into ``distances`` (n,).
+def find_distances(poses, speeds, calm, near, some_poses, distances):
+    """How far poses (K, n) are from the pose at rest, into ``distances`` (n,).
 
     That is, of the calm poses, those of at most this speed, the one that most others are like; of very many, some of
-    them: as many as fit into ``room`` (M,) half filled. ``near`` (M,) is working memory.
+    them: as many as fit into ``some_poses`` (M, K) half filled. That and ``near`` (M,) are working memory.
     """
-    n, count, step = len(poses), 0, 1
+    count, n = poses.shape
+    calm_ones, some, seen = 0, 0, 0
     for t in range(n):
-        count += speeds[t] <= calm
-    step, some, seen = max(count // (len(room) // 2), 1), 0, 0
+        calm_ones += speeds[t] <= calm
+    step = max(calm_ones // (len(near) // 2), 1)
     for t in range(n):
         if speeds[t] <= calm:
             if seen % step == 0:
-                room[some] = t
+                for k in range(count):
+                    some_poses[some, k] = poses[k, t]
                 some += 1
             seen += 1
     best, least = 0, np.inf
     for a in range(some):
         for b in range(some):
-            near[b] = _measure_square(poses[room[a]], poses[room[b]])
+            near[b] = 0.0
+            for k in range(count):
+                near[b] += (some_poses[a, k] - some_poses[b, k]) ** 2
         middle = find_middle(near[:some])
         if middle < least:
             best, least = a, middle
+    distances[:] = 0.0
+    for k in range(count):
+        at_rest = some_poses[best, k]
+        for t in range(n):
+            distances[t] += (poses[k, t] - at_rest) ** 2
     for t in range(n):
-        distances[t] = np.sqrt(_measure_square(poses[t], poses[room[best]]))
+        distances[t] = np.sqrt(distances[t])
 
 
 @compiled
-def _measure_square(one, other):
-    """The squared distance of two poses (K,)."""
-    square = 0.0
-    for k in range(len(one)):
-        square += (one[k] - other[k]) ** 2
-    return square
+def sort_into(values, ordered, room):
+    """Values (n,) in ascending order, into ``ordered`` (n,), by merging runs; ``room`` (n,) is working memory."""
+    n, size, swapped = len(values), 8, False
+    for first in range(0, n, size):
+        for k in range(first, min(first + size, n)):
+            value, place = values[k], k
+            while place > first and ordered[place - 1] > value:
+                ordered[place] = ordered[place - 1]
+                place -= 1
+            ordered[place] = value
+    source, target = ordered, room
+    while size < n:
+        for first in range(0, n, 2 * size):
+            middle, last = min(first + size, n), min(first + 2 * size, n)
+            one, two = first, middle
+            for k in range(first, last):
+                if one < middle and (two >= last or source[one] <= source[two]):
+                    target[k] = source[one]
+                    one += 1
+                else:
+                    target[k] = source[two]
+                    two += 1
+        source, target, size, swapped = target, source, 2 * size, not swapped
+    for k in range(n if swapped else 0):
+        ordered[k] = room[k]
 
 
 @compiled
@@ -174,11 +234,50 @@ def count_bouts(speeds, moving, gap):
 
 
 @compiled
-def correlate(curves, products):
-    """Add up the products of curves (K, n) with themselves 0, 1, 2 ... frames later, into ``products`` (L,)."""
-    n, most = curves.shape[1], len(products)
+def correlate(curves, first, last, products):
+    """The products of curves (K, n), from frame ``first`` to before ``last``, with themselves 0, 1, 2 ... frames later.
+
+    Into ``products`` (L,).
+    """
+    most = len(products)
+    products[:] = 0.0
+    for k in range(len(curves)):
+        curve = curves[k]
+        for t in range(first, last):
+            value = curve[t]
+            for lag in range(min(most, last - t)):
+                products[lag] += value * curve[t + lag]
+
+
+@compiled
+def normalise(curves, first, last, energy, products):
+    """Make products (L,) of ``correlate`` a correlation, -1 to 1; ``energy`` (n + 1,) is working memory."""
+    n = last - first
+    energy[:] = 0.0
     for k in range(len(curves)):
         for t in range(n):
-            value = curves[k, t]
-            for lag in range(min(most, n - t)):
-                products[lag] += value * curves[k, t + lag]
+            energy[t + 1] += curves[k, first + t] * curves[k, first + t]
+    for t in range(n):
+        energy[t + 1] += energy[t]
+    for lag in range(len(products)):
+        before, after = energy[n - lag], energy[n] - energy[lag]
+        products[lag] /= max(np.sqrt(before * after), 1e-12)
+
+
+@compiled
+def find_period(likeness, shortest, alike, nearly):
+    """The first lag at which what moves resembles itself nearly as well as at any, of ``likeness`` (L,); 0 for none.
+
+    A lag counts from ``shortest`` on where the likeness is higher than around it, and at least ``alike``.
+    """
+    highest = -1.0
+    for lag in range(shortest, len(likeness) - 1):
+        if likeness[lag - 1] <= likeness[lag] and likeness[lag] > likeness[lag + 1]:
+            highest = max(highest, likeness[lag])
+    if highest < alike:
+        return 0
+    for lag in range(shortest, len(likeness) - 1):
+        top = likeness[lag - 1] <= likeness[lag] and likeness[lag] > likeness[lag + 1]
+        if top and likeness[lag] >= nearly * highest:
+            return lag
+    return 0
