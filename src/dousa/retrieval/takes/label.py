@@ -34,7 +34,15 @@ from dousa.retrieval.takes.moment_model import (
     read_moment_model,
     sharpen,
 )
-from dousa.retrieval.takes.moments import HOP, N_VALUES, chunk_starts, count_moments, describe_chunk, mirror_moments
+from dousa.retrieval.takes.moments import (
+    HOP,
+    MIRRORED_VALUES,
+    N_VALUES,
+    chunk_starts,
+    count_moments,
+    describe_chunk,
+    mirror_moments,
+)
 from dousa.retrieval.takes.repetitions import Chosen, count_all, is_clearer, lay_mirrored
 from dousa.retrieval.takes.sequence import FLOOR, N_PHASES, Run, SequenceModel, SequenceWeights, join_phases
 from dousa.retrieval.takes.windows import TAKE_RATE
@@ -184,7 +192,7 @@ class TakeLabeller:
         self, sampled: FloatArray, height: float, n_jobs: int | None = None
     ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
         """Twice as ``judge``: of a recording, and of its mirror image."""
-        views = self.model.judge, lambda values: self.model.judge(mirror_moments(values))
+        views = self.model.judge, lambda values: self.model.judge_mirrored(values, *MIRRORED_VALUES)
         own, mirrored = self._judge(sampled, height, n_jobs, views)
         return own, mirrored
 
@@ -216,21 +224,19 @@ class TakeLabeller:
     def choose(self, scores: NDArray[np.float32], n_frames: int, *, never_unknown: bool = False) -> list[Chosen]:
         """The actions of a recording, in the order of time, from the discriminants (M, 3 C + 1) at its moments."""
         shares = sharpen(scores, self.model.sharpness)
-        return [
-            Chosen(
-                run.start * HOP,
-                min(run.stop * HOP, n_frames),
-                run.state,
-                describe_run(shares, run, self.sequence),
-                shares=average_shares(shares, run)[:-1],
-                parts=tuple(
-                    (one.start * HOP, min(one.stop * HOP, n_frames))
-                    for one in self.sequence.cut_repetitions(shares, run)
-                ),
+        joined = join_phases(shares)
+        chosen: list[Chosen] = []
+        for run in self.sequence.find_runs(shares, never_nothing=never_unknown):
+            if run.state == len(self.classes):
+                continue
+            means = _average(joined, run)
+            evidence = describe_run(shares, run, self.sequence, means)
+            parts = tuple(
+                (one.start * HOP, min(one.stop * HOP, n_frames)) for one in self.sequence.cut_repetitions(shares, run)
             )
-            for run in self.sequence.find_runs(shares, never_nothing=never_unknown)
-            if run.state < len(self.classes)
-        ]
+            start, stop = run.start * HOP, min(run.stop * HOP, n_frames)
+            chosen.append(Chosen(start, stop, run.state, evidence, shares=means[:-1], parts=parts))
+        return chosen
 
     def confidence(self, evidence: FloatArray) -> FloatArray:
         """(W,) probability that segments are right, from their evidence (W, K)."""
@@ -326,18 +332,28 @@ def _weigh_evidence(evidence: FloatArray, curve: Sequence[float]) -> FloatArray:
 
 def average_shares(shares: NDArray[np.float32], run: Run) -> FloatArray:
     """(C + 1,) how much of each category, and of nothing, a run shows, from the shares (M, 3 C + 1) of all moments."""
-    return np.asarray(join_phases(shares[run.start : run.stop]).mean(axis=0), np.float64)
+    return _average(join_phases(shares[run.start : run.stop]), Run(0, run.stop - run.start, run.state))
 
 
-def describe_run(shares: NDArray[np.float32], run: Run, sequence: SequenceModel) -> FloatArray:
+def _average(joined: NDArray[np.float32], run: Run) -> FloatArray:
+    """The same from the shares (M, C + 1) of the phases together."""
+    return np.asarray(joined[run.start : run.stop].mean(axis=0), np.float64)
+
+
+def describe_run(
+    shares: NDArray[np.float32], run: Run, sequence: SequenceModel, means: FloatArray | None = None
+) -> FloatArray:
     """(K,) what speaks for a run of a category, from the probabilities (M, 3 C + 1) at all moments.
 
     The log of the mean probability of its category, the lead over the second as a share of it, how usual its length is,
-    the log of that length, and the log odds that its category begins where it does, and ends.
+    the log of that length, and the log odds that its category begins where it does, and ends. ``means`` (C + 1,) are
+    those of `average_shares`, where they are at hand.
     """
-    means = average_shares(shares, run)
+    means = average_shares(shares, run) if means is None else means
     own = max(float(means[run.state]), 1e-3)
-    second = float(np.delete(means[:-1], run.state).max(initial=0.0))
+    others = means[:-1].copy()
+    others[run.state] = 0.0
+    second = float(others.max())
     length = np.log((run.stop - run.start) * HOP)
     usual = -0.5 * ((length - sequence.log_lengths[run.state]) / sequence.spreads[run.state]) ** 2
     edges = []

@@ -91,6 +91,25 @@ def describe(sums, times, moments, seconds, efforts, reach, out):  # pragma: no 
 
 
 @njit(cache=True, nogil=True)
+def place(values, lows, scales, highest, out):  # pragma: no cover - compiled
+    """Values of moments (M, F) as steps from 0 to ``highest``, and what lies between, into ``out``; all float32."""
+    nothing = np.float32(0.0)
+    for m in range(values.shape[0]):
+        for f in range(values.shape[1]):
+            out[m, f] = min(max((values[m, f] - lows[f]) * scales[f], nothing), highest)
+
+
+@njit(cache=True, nogil=True)
+def place_mirrored(values, order, signs, lows, scales, highest, out):  # pragma: no cover - compiled
+    """The same of the mirror image: value ``order`` (F,) of a motion, times ``signs`` (F,), is that of its image."""
+    nothing = np.float32(0.0)
+    for m in range(values.shape[0]):
+        for f in range(values.shape[1]):
+            value = values[m, order[f]] * signs[f]
+            out[m, f] = min(max((value - lows[f]) * scales[f], nothing), highest)
+
+
+@njit(cache=True, nogil=True)
 def find_best_sequence(evidence, opening, closing, lengths, tails, again, begins, before):  # noqa: PLR0912  # pragma: no cover - compiled
     """The segments whose evidence and lengths are the likeliest together (an explicit-duration Viterbi search).
 

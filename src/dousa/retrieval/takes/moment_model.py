@@ -56,9 +56,19 @@ class Scale:
 
     def place(self, values: Floats) -> Floats:
         """(M, F) steps from 0 to 255, and what lies between them."""
-        placed = values - self.lows
-        placed *= self.scales
-        return np.clip(placed, 0.0, _STEPS, out=placed)
+        from dousa.retrieval.takes.moment_kernels import place
+
+        placed = np.empty(values.shape, np.float32)
+        place(values, self.lows, self.scales, np.float32(_STEPS), placed)
+        return placed
+
+    def place_mirrored(self, values: Floats, order: IntArray, signs: Floats) -> Floats:
+        """The same of mirror images: value ``order`` (F,), times ``signs`` (F,), of a motion is that of its image."""
+        from dousa.retrieval.takes.moment_kernels import place_mirrored
+
+        placed = np.empty(values.shape, np.float32)
+        place_mirrored(values, order, signs, self.lows, self.scales, np.float32(_STEPS), placed)
+        return placed
 
 
 def choose_scale(values: Floats) -> Scale:
@@ -93,7 +103,15 @@ class MomentModel:
 
     def judge(self, values: Floats) -> Floats:
         """(M, S) discriminants of the states at moments, from their values (M, F)."""
-        scores: Floats = self.scale.place(values) @ self._folded + self._added
+        return self._weigh(self.scale.place(values))
+
+    def judge_mirrored(self, values: Floats, order: IntArray, signs: Floats) -> Floats:
+        """The same of the mirror images of moments; ``order`` and ``signs`` as for `Scale.place_mirrored`."""
+        return self._weigh(self.scale.place_mirrored(values, order, signs))
+
+    def _weigh(self, placed: Floats) -> Floats:
+        scores: Floats = placed @ self._folded
+        scores += self._added
         return scores
 
     def to_arrays(self) -> dict[str, NDArray[Any]]:

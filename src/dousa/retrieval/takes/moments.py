@@ -88,7 +88,7 @@ def describe_chunk(positions: FloatArray, height: float, first: int) -> tuple[sl
 
 def mirror_moments(values: NDArray[np.float32]) -> NDArray[np.float32]:
     """(M, F) values of the moments of the mirror image of a recording, from its own."""
-    return values[:, _MIRRORED[0]] * _MIRRORED[1]
+    return values[:, MIRRORED_VALUES[0]] * MIRRORED_VALUES[1]
 
 
 def _list_mirrored() -> tuple[NDArray[np.intp], NDArray[np.float32]]:
@@ -100,4 +100,5 @@ def _list_mirrored() -> tuple[NDArray[np.intp], NDArray[np.float32]]:
     return places, all_signs.astype(np.float32)
 
 
-_MIRRORED = _list_mirrored()
+MIRRORED_VALUES: tuple[NDArray[np.intp], NDArray[np.float32]] = _list_mirrored()
+"""(F,) each: which value of a moment is which one of its mirror image, and its sign there."""
