@@ -15,7 +15,25 @@ from numba import njit
 _njit: Any = njit  # whose types leave out some of its options
 compiled = _njit(cache=True, nogil=True, error_model="numpy", no_cfunc_wrapper=True, _nrt=False)
 
+_NARROW = 4  # numbers in a row
 _HORIZONTAL_ENOUGH = 0.1  # share of the hip line that must be horizontal for it to say where left is
+
+
+@compiled
+def _smooth_narrow(values, count, weights, out):
+    """``smooth`` of rows of ``count`` numbers, one after another (n * count,): many rows at a time, step by step."""
+    size = len(values)
+    for k in range(size):
+        out[k] = weights[0] * values[k]
+    for step in range(1, len(weights)):
+        weight, apart = weights[step], step * count
+        for k in range(apart, size - apart):
+            out[k] += weight * (values[k - apart] + values[k + apart])
+        for k in range(min(apart, size)):
+            later = values[k + apart] if k < size - apart else values[size - count + k % count]
+            out[k] += weight * (values[k % count] + later)
+        for k in range(max(size - apart, apart), size):
+            out[k] += weight * (values[k - apart] + values[size - count + k % count])
 
 
 @compiled
@@ -26,6 +44,9 @@ def smooth(values, weights, out):
     """
     n, count = values.shape
     last = n - 1
+    if count <= _NARROW:
+        _smooth_narrow(values.reshape(n * count), count, weights, out.reshape(n * count))
+        return
     for t in range(n):
         row = out[t]
         for k in range(count):
@@ -95,6 +116,32 @@ def _wrap(angle):
 
 
 @compiled
+def find_angle(y, x):
+    """``np.arctan2`` to the last digit but one, in a form of which several are computed at a time.
+
+    Source: Moshier, Cephes mathematical library, ``atan.c``, 2001: by a ratio of polynomials up to an eighth of a turn.
+    """
+    along, across = abs(x), abs(y)
+    long, short = max(along, across), min(along, across)
+    steep = short > 0.41421356237309503 * long
+    top = short - long if steep else short
+    bottom = short + long if steep else long
+    part = top / (bottom if bottom > 0.0 else 1.0)
+    square = part * part
+    upper = -8.750608600031904122785e-1 * square - 1.615753718733365076637e1
+    upper = (upper * square - 7.500855792314704667340e1) * square - 1.228866684490136173410e2
+    upper = upper * square - 6.485021904942025371773e1
+    lower = (square + 2.485846490142306297962e1) * square + 1.650270098316988542046e2
+    lower = (lower * square + 4.328810604912902668951e2) * square + 4.853903996359136964868e2
+    lower = lower * square + 1.945506571482613964425e2
+    angle = part + part * square * upper / lower
+    angle = angle + 0.25 * np.pi if steep else angle
+    angle = 0.5 * np.pi - angle if across > along else angle
+    angle = np.pi - angle if x < 0.0 else angle
+    return -angle if y < 0.0 else angle
+
+
+@compiled
 def _turned(angles, before, after, t):
     """How far an angle has turned from frame ``before`` over t to ``after``, by the shorter way each."""
     return _wrap(angles[after] - angles[t]) + _wrap(angles[t] - angles[before])
@@ -103,18 +150,20 @@ def _turned(angles, before, after, t):
 @compiled
 def find_angles(even, left, fast, headings, angles):
     """Which way the body faces, into ``headings`` (n,), and which way each joint moves in the three planes of the body,
-    into ``angles`` (n, joints, 3): radians."""
+    and how far it does so, into ``angles`` (2, n, 3 joints): radians, and what ``even`` is in."""
     last = even.shape[0] - 1
     for t in range(even.shape[0]):
-        headings[t] = np.arctan2(-left[t, 1], left[t, 0])
+        headings[t] = find_angle(-left[t, 1], left[t, 0])
         before, after = max(t - 1, 0), min(t + 1, last)
+        turned, far = angles[0, t], angles[1, t]
         for f in range(len(fast)):
-            j = fast[f]
+            sooner, later = even[before, fast[f]], even[after, fast[f]]
             for plane in range(3):
-                a, b = plane, (plane + 1) % 3
-                angles[t, f, plane] = np.arctan2(
-                    even[after, j, b] - even[before, j, b], even[after, j, a] - even[before, j, a]
-                )
+                turned[3 * f + plane] = later[(plane + 1) % 3] - sooner[(plane + 1) % 3]
+                far[3 * f + plane] = later[plane] - sooner[plane]
+        for k in range(len(turned)):
+            y, x = turned[k], far[k]
+            turned[k], far[k] = find_angle(y, x), np.sqrt(x * x + y * y)
 
 
 @compiled
@@ -173,14 +222,11 @@ def compute_rows(points, left, body, even, fast, placed, apart, feet, pointing, 
         for j in fast:
             row[column] = _measure(body[after, j], body[before, j]) * per_second
             column += 1
-        for f in range(len(fast)):
-            sooner, later = even[before, fast[f]], even[after, fast[f]]
-            for plane in range(3):
-                a, b = plane, (plane + 1) % 3
-                flat = np.hypot(later[a] - sooner[a], later[b] - sooner[b]) * per_second
-                turn = _turned(angles[:, f, plane], before, after, t) * per_second
-                row[column] = min(max(turn, -rate), rate) * min(flat / slow, 1.0)
-                column += 1
+        sooner, now, later, far = angles[0, before], angles[0, t], angles[0, after], angles[1, t]
+        for k in range(len(now)):
+            turn = (_wrap(later[k] - now[k]) + _wrap(now[k] - sooner[k])) * per_second
+            row[column + k] = min(max(turn, -rate), rate) * min(far[k] * per_second / slow, 1.0)
+        column += len(now)
         for j in pointing:
             speed = max(_measure(even[after, j], even[before, j]) * per_second, slow)
             for axis in range(3):

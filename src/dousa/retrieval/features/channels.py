@@ -200,7 +200,7 @@ def compute_channels(positions: FloatArray, height: float) -> FloatArray:
     """
     n = len(positions)
     room, lefts = np.empty((3, *positions.shape)), np.empty((2, n, 2))
-    headings, angles, rows = np.empty(n), np.empty((n, len(_FAST), 3)), np.empty((n, len(CHANNELS)))
+    headings, angles, rows = np.empty(n), np.empty((2, n, 3 * len(_FAST))), np.empty((n, len(CHANNELS)))
     kernels.describe_frames(
         np.ascontiguousarray(positions, np.float64), float(height), _POSE_WEIGHTS, _HEADING_WEIGHTS, HIPS, SHOULDERS,
         _FAST_INDEX, _PLACED_INDEX, _APART_INDEX, _FEET, _POINTING_INDEX, CHANNEL_RATE, _SLOW,
