@@ -16,16 +16,16 @@ compiled = _njit(cache=True, nogil=True, error_model="numpy", no_cfunc_wrapper=T
 
 
 @compiled
-def level(courses, rows, ends, ramp, lines, reflected):
-    """Take the line from the beginning to the end off some courses, and put their mirror image behind them.
+def level(courses, rows, ends, ramp, lines, folded):
+    """Take the line from the beginning to the end off some courses, and fold them: every second frame there and back.
 
     ``rows`` (R,) of ``courses``; ``ends`` frames at either end tell the line; ``ramp`` (n,) from -0.5 to 0.5; into the
-    same rows of ``lines`` (J, 3, n), and into ``reflected`` (R, 3, 2 n).
+    same rows of ``lines`` (J, 3, n), and into ``folded`` (R, 3, n): frames 0, 2, 4 ... and the others backwards.
     """
     n = courses.shape[2]
     for r in range(len(rows)):
         for axis in range(3):
-            course, line, double = courses[rows[r], axis], lines[rows[r], axis], reflected[r, axis]
+            course, line, both = courses[rows[r], axis], lines[rows[r], axis], folded[r, axis]
             first = last = 0.0
             for t in range(ends):
                 first += course[t]
@@ -33,23 +33,39 @@ def level(courses, rows, ends, ramp, lines, reflected):
             rise = (last - first) / ends * (n / (n - ends))
             for t in range(n):
                 line[t] = rise * ramp[t]
-                double[t] = double[2 * n - 1 - t] = course[t] - line[t]
+            for t in range((n + 1) // 2):
+                both[t] = course[2 * t] - line[2 * t]
+            for t in range(n // 2):
+                both[n - 1 - t] = course[2 * t + 1] - line[2 * t + 1]
+
+
+@compiled
+def turn_waves(spectrum, rows, turns, waves):
+    """The waves (J, 3, n) of some courses reflected at their ends, from the ``spectrum`` (R, 3, n // 2 + 1) of the
+    folded ones; ``turns`` (2, n // 2 + 1) are cosines and sines of 0 to an eighth of a turn."""
+    n = waves.shape[2]
+    for r in range(len(rows)):
+        for axis in range(3):
+            wave, found = waves[rows[r], axis], spectrum[r, axis]
+            for k in range(n // 2 + 1):
+                real, imaginary = found[k].real, found[k].imag
+                if k:
+                    wave[n - k] = 2.0 * (turns[1, k] * real - turns[0, k] * imaginary)
+                wave[k] = 2.0 * (turns[0, k] * real + turns[1, k] * imaginary)
 
 
 @compiled
 def measure(waves, rows, lost, left):
     """What the splines of every weight leave of some courses: squared residuals, into the rows of ``left`` (J, L).
 
-    ``waves`` (R, 3, n + 1) of the reflected courses, the last of which is 0; ``lost`` (n, L) share of their power.
+    ``waves`` (J, 3, n) of the reflected courses; ``lost`` (n, L) share of their power.
     """
     n = len(lost)
     for r in range(len(rows)):
-        sums = left[rows[r]]
+        sums, own = left[rows[r]], waves[rows[r]]
         sums[:] = 0.0
         for k in range(n):
-            power = 0.0
-            for axis in range(3):
-                power += waves[r, axis, k].real ** 2 + waves[r, axis, k].imag ** 2
+            power = own[0, k] * own[0, k] + own[1, k] * own[1, k] + own[2, k] * own[2, k]
             power /= 2.0 * n if k else 4.0 * n
             for weight in range(len(sums)):
                 sums[weight] += power * lost[k, weight]
@@ -111,22 +127,34 @@ def choose(left, freedom, n, room, chosen):
 
 
 @compiled
-def weigh(waves, rows, kept, chosen):
-    """What the chosen splines keep of the waves (J, 3, n + 1) of some courses, in place; ``kept`` (L, n)."""
+def weigh(waves, rows, kept, chosen, turns, spectrum):
+    """What the chosen splines keep of the waves (J, 3, n) of some courses, as a ``spectrum`` of folded ones.
+
+    ``kept`` (L, n); ``turns`` and ``spectrum`` are as of ``turn_waves``.
+    """
+    n = waves.shape[2]
     for r in range(len(rows)):
         own = kept[chosen[rows[r]]]
         for axis in range(3):
-            for k in range(len(own)):
-                waves[r, axis, k] *= own[k]
+            wave, found = waves[rows[r], axis], spectrum[r, axis]
+            for k in range(n // 2 + 1):
+                one = 0.5 * own[k] * wave[k]
+                other = 0.5 * own[n - k] * wave[n - k] if k else 0.0
+                real, imaginary = turns[0, k] * one + turns[1, k] * other, turns[1, k] * one - turns[0, k] * other
+                found[k] = complex(real, imaginary)
 
 
 @compiled
-def raise_again(reflected, rows, lines, smooth):
-    """Put the lines (J, 3, n) back under some courses, which are the first half of (R, 3, 2 n); into ``smooth``."""
+def raise_again(folded, rows, lines, smooth):
+    """Unfold some courses (R, 3, n), and put the lines (J, 3, n) back under them; into ``smooth`` (J, 3, n)."""
+    n = lines.shape[2]
     for r in range(len(rows)):
         for axis in range(3):
-            for t in range(lines.shape[2]):
-                smooth[rows[r], axis, t] = reflected[r, axis, t] + lines[rows[r], axis, t]
+            both, line, even = folded[r, axis], lines[rows[r], axis], smooth[rows[r], axis]
+            for t in range((n + 1) // 2):
+                even[2 * t] = both[t] + line[2 * t]
+            for t in range(n // 2):
+                even[2 * t + 1] = both[n - 1 - t] + line[2 * t + 1]
 
 
 @compiled

@@ -143,7 +143,9 @@ class _Splines:
     """The splines of all weights through the courses of joints, one of which is chosen for each.
 
     In the frequencies of a recording that is reflected at its ends, the penalty of a spline is diagonal (Garcia,
-    "Robust smoothing of gridded data", Computational Statistics and Data Analysis 54, 2010).
+    "Robust smoothing of gridded data", Computational Statistics and Data Analysis 54, 2010). They come from a transform
+    as long as the recording, not twice as long (Makhoul, "A fast cosine transform in one and two dimensions", IEEE
+    Transactions on Acoustics, Speech and Signal Processing 28, 1980).
 
     Parameters
     ----------
@@ -153,8 +155,7 @@ class _Splines:
     def __init__(self, courses: FloatArray) -> None:
         n_joints, _, self._count = courses.shape
         self._list = _list_splines(self._count)
-        self._lines, self._smooth = np.empty_like(courses), np.empty_like(courses)
-        self._waves = np.empty((n_joints, 3, self._count + 1), np.complex128)
+        self._lines, self._smooth, self._waves = (np.empty_like(courses) for _ in range(3))
         self._left, self._room = np.empty((n_joints, len(_WEIGHTS))), np.empty((2, n_joints))
         self._fitted, self._chosen = np.full((2, n_joints), -1)
         self.read(courses, np.arange(n_joints))
@@ -166,11 +167,10 @@ class _Splines:
     def read(self, courses: FloatArray, rows: IndexArray) -> None:
         """Look again at the courses of some joints."""
         for some in self._portions(rows):
-            reflected = np.empty((len(some), 3, 2 * self._count))
-            kernels.level(courses, some, min(_END, self._count // 2), self._list.ramp, self._lines, reflected)
-            waves = np.fft.rfft(reflected)
-            kernels.measure(waves, some, self._list.lost, self._left)
-            self._waves[some] = waves
+            folded = np.empty((len(some), 3, self._count))
+            kernels.level(courses, some, min(_END, self._count // 2), self._list.ramp, self._lines, folded)
+            kernels.turn_waves(np.fft.rfft(folded), some, self._list.turns, self._waves)
+            kernels.measure(self._waves, some, self._list.lost, self._left)
         self._fitted[rows] = -1
 
     def choose(self) -> float:
@@ -180,9 +180,9 @@ class _Splines:
     def draw(self) -> FloatArray:
         """The splines that are chosen (J, 3, n)."""
         for some in self._portions(np.flatnonzero(self._chosen != self._fitted)):
-            waves = self._waves[some]
-            kernels.weigh(waves, some, self._list.kept, self._chosen)
-            kernels.raise_again(np.fft.irfft(waves, 2 * self._count), some, self._lines, self._smooth)
+            spectrum = np.empty((len(some), 3, self._count // 2 + 1), np.complex128)
+            kernels.weigh(self._waves, some, self._list.kept, self._chosen, self._list.turns, spectrum)
+            kernels.raise_again(np.fft.irfft(spectrum, self._count), some, self._lines, self._smooth)
         self._fitted[:] = self._chosen
         return self._smooth
 
@@ -197,12 +197,14 @@ class _SplineList:
     lost : (n, L) share of the power that it takes off.
     freedom : (L,) degrees of freedom.
     ramp : (n,) from -0.5 to 0.5.
+    turns : (2, n // 2 + 1) cosines and sines of 0 to an eighth of a turn, by which waves are turned.
     """
 
     kept: FloatArray
     lost: FloatArray
     freedom: FloatArray
     ramp: FloatArray
+    turns: FloatArray
 
 
 def _list_splines(count: int) -> _SplineList:
@@ -213,7 +215,9 @@ def _make_list(count: int) -> _SplineList:
     stiffness = (2.0 - 2.0 * np.cos(np.pi * np.arange(count) / count)) ** _ORDER
     kept: FloatArray = 1.0 / (1.0 + _WEIGHTS[:, None] * stiffness)
     lost: FloatArray = np.ascontiguousarray(((1.0 - kept) ** 2).T)
-    return _SplineList(kept, lost, kept.sum(axis=1), np.linspace(-0.5, 0.5, count))
+    angles = 0.5 * np.pi * np.arange(count // 2 + 1) / count
+    turns: FloatArray = np.stack([np.cos(angles), np.sin(angles)])
+    return _SplineList(kept, lost, kept.sum(axis=1), np.linspace(-0.5, 0.5, count), turns)
 
 
 _keep_list = lru_cache(maxsize=256)(_make_list)
