@@ -1,6 +1,7 @@
 """Three users' stories played in a real Chromium: how much somebody has to do, and how long they wait.
 
-    python benchmarks/studio_stories.py [DATA] [--only animator|teacher|researcher] [--most N] [--keep FOLDER]
+    python benchmarks/studio_stories.py [DATA] [--only animator|teacher|researcher] [--language en|ja] [--most N]
+        [--keep FOLDER]
 
 The animator has a folder of mixed files (DATA, ``../shared/data`` by default) and wants a ZIP file of the 40 best kicks
 on an own character. The teacher has three takes and a pupil, and wants a PDF. The researcher has four films of
@@ -231,6 +232,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("data", type=Path, nargs="?", default=DATA, help="folder of recordings")
     parser.add_argument("--only", choices=("animator", "teacher", "researcher"), help="one story")
+    parser.add_argument("--language", choices=("en", "ja"), default="en", help="of the pages")
     parser.add_argument("--most", type=int, default=2500, help="files of the animator's folder")
     parser.add_argument("--keep", type=Path, help="folder for what comes out")
     asked = parser.parse_args()
@@ -247,10 +249,10 @@ def main() -> None:
             if name == "animator" and not asked.data.is_dir():
                 print(f"{name}: left out, there are no recordings for it")
                 continue
-            tell_story(name, play, work / name, asked.keep)
+            tell_story(name, play, work / name, asked.keep, asked.language)
 
 
-def tell_story(name: str, play: Callable[[Person, Path], str], work: Path, keep: Path | None) -> None:
+def tell_story(name: str, play: Callable[[Person, Path], str], work: Path, keep: Path | None, language: str) -> None:
     """One story on a new library in a new browser."""
     downloads = work / "downloads"
     downloads.mkdir(parents=True)
@@ -261,8 +263,9 @@ def tell_story(name: str, play: Callable[[Person, Path], str], work: Path, keep:
             behaviour = {"behavior": "allow", "downloadPath": str(downloads), "eventsEnabled": False}
             page.driver.execute_cdp_cmd("Browser.setDownloadBehavior", behaviour)
             page.driver.get(f"http://127.0.0.1:{port}/library?token={token}")
+            page.driver.add_cookie({"name": "dousa_lang", "value": language, "path": "/"})
             person = Person(page, f"http://127.0.0.1:{port}", process.pid)
-            print(name, flush=True)
+            print(f"{name} ({language})", flush=True)
             came = play(person, downloads)
             print(f"{name}: {person.summary}: {came}", flush=True)
     finally:

@@ -12,6 +12,18 @@ CELLS = """
 return [...document.querySelectorAll('.compare-table tbody tr:not(.compare-title)')].map((row) =>
   [...row.children].map((cell) => cell.textContent.trim()));
 """
+# Pieces of names that do not stand in one line: they were broken within a word.
+BROKEN = """
+const found = [];
+for (const name of document.querySelectorAll('.compare-table thead a, .compare-name, .compare-group legend')) {
+  for (const piece of name.childNodes) {
+    const range = document.createRange();
+    range.selectNodeContents(piece);
+    if (new Set([...range.getClientRects()].map((one) => Math.round(one.top))).size > 1) found.push(piece.textContent);
+  }
+}
+return found;
+"""
 FILLED = "return document.querySelectorAll('.compare-table tbody tr').length > 10"
 
 
@@ -93,6 +105,7 @@ def test_what_is_chosen_stays_in_the_address_and_is_of_one_reference(show, grade
     assert page.run("return document.documentElement.scrollWidth <= document.documentElement.clientWidth")
     page.wait("return document.querySelector('.compare-player canvas')")
     assert faults(page) == []
+    assert page.run(BROKEN) == []
     high = "return [...document.querySelectorAll('.dp-name')].map((e) => e.getBoundingClientRect().height)"
     assert len(page.run(high)) == 2 and max(page.run(high)) < 32  # one line each, however narrow
     page.run("document.querySelector(`.compare-row [data-job='${arguments[0]}']`).click()", other)

@@ -74,6 +74,18 @@ while (walker.nextNode()) {
 return found;
 """
 
+# Words in empty fields that have no room.
+CUT_HINTS = """
+const canvas = document.createElement('canvas').getContext('2d');
+return [...document.querySelectorAll('input[placeholder], textarea[placeholder]')].filter((one) => {
+  if (!one.checkVisibility() || one.tagName === 'TEXTAREA') return false;
+  const style = getComputedStyle(one);
+  canvas.font = style.font;
+  const room = one.clientWidth - parseFloat(style.paddingLeft) - parseFloat(style.paddingRight);
+  return canvas.measureText(one.placeholder).width > room + 1;
+}).map((one) => one.placeholder);
+"""
+
 # Where Japanese stands, the font for it comes first: behind others Chromium may draw boxes instead of letters.
 WITHOUT_THE_FONT = """
 const walker = document.createTreeWalker(document.body, NodeFilter.SHOW_TEXT);
@@ -135,6 +147,28 @@ def test_the_japanese_page_is_japanese(settled, trained_library, path):
     names = {"walk", "squat"}  # categories of the library
     assert [text for text in page.run(LEFT_IN_ENGLISH) if text not in names and "performer" not in text] == []
     assert page.run("return document.body.innerText").count("{") == 0 or path == "/api"
+    assert page.messages() == []
+
+
+@pytest.mark.parametrize("path", (*PAGES, "/takes?motion=clip:1"))
+@pytest.mark.parametrize("language", ["en", "ja"])
+def test_what_stands_in_empty_fields_is_not_cut(settled, path, language):
+    page = settled(path, language=language)
+    for width in (390, 1280, 1440):
+        page.resize(width, 844)
+        page.settle()
+        assert page.run(CUT_HINTS) == [], width
+
+
+@pytest.mark.parametrize("path", ["/search?motion=clip:1", "/takes?motion=clip:1", "/evaluate", "/estimate"])
+def test_a_large_screen_is_used(settled, path):
+    page = settled(path, width=2560, height=1440)
+    width = "return document.querySelector(arguments[0]).getBoundingClientRect().width"
+    assert page.run(width, "main") > 2000 and page.run(width, ".foot-line") == page.run(width, "main")
+    assert page.run("return document.documentElement.scrollWidth") <= 2560
+    # What is looked at has most of the height.
+    high = page.run("return document.querySelector('#player .dp-stage')?.getBoundingClientRect().height ?? 2000")
+    assert high > 700
     assert page.messages() == []
 
 

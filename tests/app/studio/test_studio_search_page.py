@@ -303,3 +303,14 @@ def test_the_open_tab_is_seen_on_a_narrow_phone(show):
         "return [a.left, a.right, innerWidth]"
     )
     assert seen[0] >= 0 and seen[1] <= seen[2]
+
+
+@pytest.mark.parametrize("language", ["en", "ja"])
+@pytest.mark.parametrize("width", [390, 360])
+def test_all_pages_stand_in_the_head_of_a_phone(show, width, language):
+    page = show("/live", width=width, height=844, language=language)
+    cut = page.run(
+        "return [...document.querySelectorAll('.bar nav a')].filter((a) => a.getBoundingClientRect().right > innerWidth"
+        " || a.getBoundingClientRect().left < 0 || a.scrollWidth > a.clientWidth).map((a) => a.textContent)"
+    )
+    assert cut == [] and page.run("return document.querySelectorAll('.bar nav a').length") == 6

@@ -1,6 +1,7 @@
 // Evaluations beside each other (?compare=JOB,JOB): one pupil on several dates, or several pupils of one figure.
 
 import { get } from "../core/api.js";
+import { breakable } from "../core/cut.js";
 import { h, language, t, wholeGrade } from "../core/dom.js";
 import { attempt } from "../core/notices.js";
 import { listRows, makeTable } from "./table.js";
@@ -57,7 +58,7 @@ export class Comparison {
     const name = ({ references: [first, ...more] }) => (more.length ? t("compare_more", { name: first, count: more.length }) : first);
     const group = (model) => {
       const own = this.all.filter((one) => one.model === model);
-      return h("fieldset", { class: "compare-group" }, h("legend", {}, t("compare_group", { names: name(own[0]) })), ...own.map((one) => this.row(one)));
+      return h("fieldset", { class: "compare-group" }, h("legend", {}, breakable(t("compare_group", { names: name(own[0]) }))), ...own.map((one) => this.row(one)));
     };
     this.list.replaceChildren(...models.map(group));
   }
@@ -65,7 +66,7 @@ export class Comparison {
   row(one) {
     const box = h("input", { type: "checkbox", checked: this.chosen.includes(one.id), dataset: { job: one.id }, onchange: () => this.choose(one, box.checked) });
     const grade = one.score === null ? t("compare_no_grade") : t("compare_grade_of", { score: wholeGrade(one.score) });
-    return h("label", { class: "check compare-row" }, box, h("span", { class: "compare-name" }, one.name), h("span", { class: "compare-grade" }, grade), h("span", { class: "note compare-date" }, dateOf(one)));
+    return h("label", { class: "check compare-row" }, box, h("span", { class: "compare-name" }, breakable(one.name)), h("span", { class: "compare-grade" }, grade), h("span", { class: "note compare-date" }, dateOf(one)));
   }
 
   /** Those against another reference cannot stay: what is chosen is always of one. */
@@ -117,7 +118,7 @@ export class Comparison {
     const { found, mode } = this;
     const common = found.still_says.length ? t("compare_still_pupils", { list: found.still_says.join(t("compare_list")) }) : t("compare_no_common");
     this.says.textContent = mode === "dates" ? found.says : common;
-    const heads = jobs.map((one) => h("a", { href: `/evaluate?job=${one.id}` }, one.name, h("span", { class: "note" }, dateOf(one))));
+    const heads = jobs.map((one) => [h("a", { href: `/evaluate?job=${one.id}` }, breakable(one.name)), h("span", { class: "note" }, dateOf(one))]);
     this.table.replaceChildren(makeTable(heads, listRows(found), mode));
     this.picture.hidden = mode !== "dates";
     if (mode === "dates") this.picture.src = `/api/comparisons/progress.svg?${repeated(jobs.map((one) => one.id))}&language=${language}`;

@@ -19,7 +19,7 @@ export function listRows({ attempts, kinds, segments }) {
   return rows;
 }
 
-/** heads: an element for each column; mode: "dates" (against the first column) or "pupils" (the best is marked) */
+/** heads: what stands in the head of each column; mode: "dates" (against the first column) or "pupils" (the best is marked) */
 export function makeTable(heads, rows, mode) {
   const head = h("tr", {}, h("th", { scope: "col" }, t("compare_what")), ...heads.map((one) => h("th", { scope: "col" }, one)));
   return h("table", { class: "compare-table" }, h("thead", {}, head), h("tbody", {}, ...rows.map((row) => (row.title ? titleRow(row.title, heads.length) : valueRow(row, mode)))));

@@ -5,8 +5,9 @@ import { h } from "./dom.js";
 const TAIL = 10; // characters that always stay
 
 export class CutText {
-  /** element: gets the text, which stays whole for who reads or copies it */
-  constructor(element) {
+  /** element: gets the text, which stays whole for who reads or copies it; tail: characters that always stay */
+  constructor(element, tail = TAIL) {
+    this.length = tail;
     this.head = h("span", { class: "cut-head" });
     this.tail = h("span", { class: "cut-tail" });
     element.classList.add("cut");
@@ -14,7 +15,7 @@ export class CutText {
   }
 
   set(text) {
-    const at = text.length > 1.5 * TAIL ? text.length - TAIL : text.length;
+    const at = text.length > 1.5 * this.length ? text.length - this.length : text.length;
     this.head.textContent = text.slice(0, at);
     this.tail.textContent = text.slice(at);
   }
@@ -25,3 +26,6 @@ export function cutMiddle(element, text) {
   new CutText(element).set(text);
   return element;
 }
+
+/** A name in pieces, so that a line of it ends behind a separator or before a capital letter, and not anywhere. */
+export const breakable = (name) => name.split(/(?<=[_\-.\/\\ ])|(?<=[a-z])(?=[A-Z])/).flatMap((piece) => [piece, h("wbr", {})]);

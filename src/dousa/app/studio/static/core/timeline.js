@@ -75,7 +75,7 @@ class Timeline {
       : [];
     const cuts = this.editable ? [button("timeline_cut", () => this.addCut(this.cursor))] : [];
     this.says = h("output", { class: "tl-says" });
-    return h("div", { class: "tl-bar" }, ...part, ...cuts, this.says, h("span", { class: "push" }), ...zoom);
+    return h("div", { class: "tl-bar" }, ...part, ...cuts, this.says, h("span", { class: "tl-zoom" }, ...zoom));
   }
 
   makeEnd(name) {

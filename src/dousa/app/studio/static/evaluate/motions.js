@@ -5,7 +5,6 @@ import { formatSeconds, h, icon, t } from "../core/dom.js";
 import { notify } from "../core/notices.js";
 import { plain } from "./state.js";
 
-const clock = window.dousa.createClock();
 const known = new Map(); // motion -> promise of what it is
 
 /** Name, length and more of a motion. */
@@ -18,7 +17,7 @@ export function describeMotion(ref) {
 
 async function drawFigure(canvas, ref) {
   try {
-    window.dousa.createMiniature(canvas, await getBytes("/motions/miniature", plain(ref)), { clock });
+    window.dousa.createMiniature(canvas, await getBytes("/motions/miniature", plain(ref)), { host: canvas.parentElement });
   } catch {
     // the row says what is wrong
   }

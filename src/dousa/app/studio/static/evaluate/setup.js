@@ -101,7 +101,7 @@ export class Setup {
     this.button = h("button", { type: "submit", class: "primary large", id: "grade" }, t("grade"));
     this.needs = h("p", { class: "note" }, t("needs"));
     $("#options").append(
-      h("div", { class: "options" }, h("label", { class: "check" }, this.mirrored, t("mirrored")), h("label", { class: "check" }, this.repetitions, t("repetitions")), h("fieldset", { class: "row" }, h("legend", {}, t("tempo")), tempo("same"), tempo("free"))),
+      h("div", { class: "options" }, h("label", { class: "check" }, this.mirrored, t("mirrored")), h("label", { class: "check" }, this.repetitions, t("repetitions")), h("fieldset", { class: "row tempo" }, h("legend", {}, t("tempo")), h("div", { class: "row" }, tempo("same"), tempo("free")))),
       h("div", { class: "row go" }, this.button, this.needs),
     );
   }

@@ -4,6 +4,8 @@ import { CutText } from "../core/cut.js";
 import { formatSeconds, h, icon, t } from "../core/dom.js";
 import { FAVOURITE } from "./tags.js";
 
+const META_TAIL = 3; // characters of a performer that stay: the number
+
 export class Cell {
   constructor() {
     this.canvas = h("canvas", { hidden: true });
@@ -14,6 +16,7 @@ export class Cell {
     this.name = h("span", { class: "name" });
     this.nameText = new CutText(this.name);
     this.meta = h("span", { class: "meta" });
+    this.metaText = new CutText(this.meta, META_TAIL);
     this.length = h("span", { class: "length" });
     this.tick = h("span", { class: "tick", "aria-hidden": "true" }, icon("mark"));
     this.star = h("span", { class: "star", role: "img", "aria-label": t("favourite") }, icon("star"));
@@ -58,7 +61,7 @@ export class Cell {
     this.badge.className = `badge${guessed ? " unsure" : ""}${clip && !clip.category && !guessed ? " none" : ""}`;
     this.badgeText.set(clip ? label(clip, guessed) : "");
     this.badge.hidden = !clip || (clip.kind === "take" && !clip.category);
-    this.meta.textContent = [clip?.performer, ...(clip?.tags ?? []).filter((tag) => tag !== FAVOURITE).map((tag) => `#${tag}`)].filter(Boolean).join(" ");
+    this.metaText.set([clip?.performer, ...(clip?.tags ?? []).filter((tag) => tag !== FAVOURITE).map((tag) => `#${tag}`)].filter(Boolean).join(" "));
     this.length.textContent = clip ? formatSeconds(clip.duration) : "";
   }
 

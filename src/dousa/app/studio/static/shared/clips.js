@@ -6,14 +6,14 @@ import { openDialog } from "../core/dialog.js";
 import { attempt } from "../core/notices.js";
 
 const AT_ONCE = 24;
-const clock = window.dousa.createClock();
+const calm = window.matchMedia("(prefers-reduced-motion: reduce)");
 let [text, shown, turn] = ["", 0, 0];
 let figures = [];
 
 async function drawFigure(canvas, motion) {
   try {
     const bytes = await getBytes("/motions/miniature", { motion });
-    if (canvas.isConnected) figures.push(window.dousa.createMiniature(canvas, bytes, { clock }));
+    if (canvas.isConnected) figures.push(window.dousa.createMiniature(canvas, bytes));
   } catch {
     // its name is there all the same
   }
@@ -35,7 +35,7 @@ async function play(motion, name) {
   openDialog(name, place, { wide: true, onClose: () => player?.destroy() });
   player = window.dousa.createPlayer(place, data);
   player.loop(0, player.duration);
-  player.play();
+  if (!calm.matches) player.play();
 }
 
 async function addMore(fresh) {
@@ -62,5 +62,4 @@ export function showLibrary() {
     attempt(() => addMore(true));
   }, 200));
   attempt(() => addMore(true));
-  clock.play();
 }
