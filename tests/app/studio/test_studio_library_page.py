@@ -125,6 +125,23 @@ def test_a_figure_that_comes_under_the_pointer_shows_its_moment(show, running, m
     assert page.messages() == []
 
 
+def test_what_can_be_done_with_a_choice_stays_while_clips_are_read_again(library_page, client):
+    page = library_page("/library?text=performer03")
+    page.find(".cell").click()
+    page.wait("return document.querySelector('#actions a[href^=\"/search\"]')")
+    page.run("window.before = [...document.querySelectorAll('#actions > *')]")
+    other = client.ask("GET", "/api/clips?text=performer03")["items"][1]["id"]
+    client.ask("POST", "/api/clips/tag", {"clips": [other], "add": ["seen"]})
+    page.run("document.dispatchEvent(new Event('visibilitychange'))")
+    page.wait("return document.querySelector('#grid').textContent.includes('#seen')")
+    page.settle()
+    same = "const now = document.querySelector('#actions').children;"
+    assert page.run(f"{same} return window.before.length === now.length && window.before.every((one, k) => one === now[k])")
+    page.find(".cell:nth-child(2)").click()  # another one: the bar is about that
+    page.wait("return document.querySelector('#actions a[href^=\"/search\"]').href.endsWith(arguments[0])", str(other))
+    assert page.messages() == []
+
+
 def test_filters_and_words_narrow_the_list_and_stand_in_the_address(library_page):
     page = library_page()
     click(page, "[data-key='category squat']")

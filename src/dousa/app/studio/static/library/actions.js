@@ -24,11 +24,17 @@ export const link = ([word, href, shape]) => h("a", { class: "button", href }, i
 /** hooks: facets(), open(clip), changed(), kept() */
 export class Actions {
   constructor(selection, hooks) {
-    Object.assign(this, { selection, hooks, element: $("#actions") });
+    Object.assign(this, { selection, hooks, element: $("#actions"), shown: "" });
   }
 
+  /** What is shown stays as long as it is right: a button that is replaced while somebody presses it is not pressed. */
   show() {
     const { selection, element } = this;
+    const { single } = selection;
+    const places = placesFor([...selection.clips.values()]);
+    const shown = JSON.stringify([selection.size, selection.hidden, Boolean(single), places]);
+    if (shown === this.shown) return;
+    this.shown = shown;
     const focused = element.contains(document.activeElement) ? document.activeElement.dataset.word : null;
     element.hidden = selection.size === 0;
     document.body.classList.toggle("choosing", selection.size > 0);
@@ -37,11 +43,10 @@ export class Actions {
       return;
     }
     const act = (word, shape, action, kind = "") => h("button", { type: "button", class: kind, dataset: { word }, onclick: action }, icon(shape), t(word));
-    const { single } = selection;
     element.replaceChildren(
       h("b", { class: "chosen-count" }, t("chosen", { count: count.format(selection.size) }), selection.hidden ? h("span", { class: "note" }, ` ${t("chosen_hidden", { count: count.format(selection.hidden) })}`) : null),
-      ...(single ? [act("look", "play", () => this.hooks.open(single))] : []),
-      ...placesFor([...selection.clips.values()]).map(link),
+      ...(single ? [act("look", "play", () => this.hooks.open(selection.single))] : []),
+      ...places.map(link),
       act("export", "download", () => this.export()),
       act("relabel", "label", () => this.relabel()),
       act("tags", "tag", () => this.tag()),
