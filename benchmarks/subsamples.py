@@ -2,6 +2,7 @@
 
     python benchmarks/subsamples.py [FOLDER] [--performer-from RULE] [--clips N] [--drawn M ...] [--folds K]
     python benchmarks/subsamples.py [FOLDER] [--performer-from RULE] [--clips N] [--drawn M ...] --new C [--most O ...]
+        [--examples E ...] [--fold K] [--seed S]
 
 So many clips with names cannot be had, so each is made of two recorded ones of a category: the weighted mean of their
 features, and noise of a tenth of their spread. The people of each fold do not train; on their clips, as they were
@@ -10,13 +11,16 @@ grow from all clips, and of those whose trees draw so many each, with the same s
 
 With ``--new`` forests are trained without so many categories, and learn them from 5 recorded clips each, and then from
 30: prints how often clips of the new categories and of the others are told right, for each share of a leaf that
-strangers must be before it grows (one of so many), and of how many clips the features were read.
+strangers must be before it grows (one of so many), and of how many clips of the training the features were read: where
+leaves keep a few of their clips as examples, as those of large libraries do, and where all that is in them is read.
 """
 
 from __future__ import annotations
 
 import argparse
+import itertools
 import time
+from collections.abc import Callable
 from pathlib import Path
 from unittest import mock
 
@@ -27,7 +31,8 @@ from numpy.typing import NDArray
 from dousa.experiments.metrics import compute_scores
 from dousa.retrieval import MotionForest
 from dousa.retrieval.forest import growth, trees
-from dousa.retrieval.forest.growth import StandingClips, grow_forest
+from dousa.retrieval.forest.growth import Growth, StandingClips, grow_forest
+from dousa.retrieval.forest.leaves.examples import MOST_EXAMPLES, choose_examples
 
 NOISE = 0.1  # of the spread of each number between the clips
 LEARNED = 5, 30  # recorded clips of a new category
@@ -89,51 +94,64 @@ def compare_growth(
     n_clips: int,
     drawn: int,
     n_new: int,
-    most: list[int],
+    options: argparse.Namespace,
 ) -> None:
     """Print how well new categories are learned by a forest that was trained without them."""
     features, categories = known
-    test, draw = fold_of == 0, np.random.default_rng(0)
+    test, draw = fold_of == options.fold, np.random.default_rng(options.seed)
     is_new = np.isin(categories, draw.permutation(np.unique(categories))[:n_new])
     made, names = mix_clips(features[~test & ~is_new], categories[~test & ~is_new], n_clips, draw)
-    trained = train(made, names, drawn, 0)
+    trained = train(made, names, drawn, options.seed)
     later = [
         draw.permutation(np.flatnonzero(~test & (categories == name)))[: LEARNED[-1]]
         for name in np.unique(categories[is_new])
     ]
-    keys = np.arange(n_clips + len(features), dtype=np.uint64)
-    for others in most:
-        forest, rows = trained, np.zeros(0, np.int64)
-        leaves = trained.apply(made)
+    numbers = np.unique(names, return_inverse=True)[1].astype(np.int32)
+    for n_examples, others in itertools.product((*options.examples, None), options.most):
+        examples, how = None, "all clips"
+        if n_examples is not None:
+            shown = [(np.arange(n_clips), numbers, trained.apply(made))]
+            examples = choose_examples(shown, trained.trees_.n_leaves, n_examples).__getitem__
+            how = f"{n_examples} examples"
+        rows, leaves, forest = np.zeros(0, np.int64), trained.apply(made), trained
         for count, sooner in zip(LEARNED, (0, *LEARNED), strict=False):
             some = np.concatenate([own[sooner:count] for own in later])
-            all_features, all_names = np.concatenate([made, features[rows]]), np.append(names, categories[rows])
-            read = []
-
-            def give(places: NDArray[np.int64], own=all_features, read=read) -> NDArray[np.float32]:
-                read.append(places)
-                return own[places]
-
-            standing = StandingClips(
-                all_names, leaves, give, keys[: len(all_names)], np.arange(len(all_names)) >= n_clips
-            )
             start = time.process_time()
             with mock.patch.object(growth, "_MOST_OTHERS", others):
-                grown = grow_forest(
-                    forest,
-                    standing,
-                    features[some],
-                    categories[some],
-                    keys=keys[n_clips + len(features) - len(some) :],
-                    feature_set=FEATURE_SET,
-                )
+                grown, n_read = teach(forest, (made, names), (features, categories), (rows, some), (leaves, examples))
             seconds = time.process_time() - start
             leaves[grown.moved] = grown.moved_leaves
             leaves, rows, forest = np.concatenate([leaves, grown.leaves]), np.append(rows, some), grown.forest
             right = forest.predict(features[test]) == categories[test]
             told = f"new {right[is_new[test]].mean():.3f}, others {right[~is_new[test]].mean():.3f}"
-            n_read = len(np.unique(np.concatenate(read)))
-            print(f"1 of {others}, {count} clips each: {told}; {n_read} read, {seconds:.1f} s", flush=True)
+            told += f", all {right.mean():.3f}"
+            print(f"{how}, 1 of {others}, {count} clips each: {told}; {n_read} read, {seconds:.1f} s", flush=True)
+
+
+def teach(
+    forest: MotionForest,
+    made: tuple[NDArray[np.float32], NDArray[np.str_]],
+    recorded: tuple[NDArray[np.float32], NDArray[np.str_]],
+    rows: tuple[NDArray[np.int64], NDArray[np.int64]],
+    standing: tuple[NDArray[np.int32], Callable[[NDArray[np.int64]], NDArray[np.int32]] | None],
+) -> tuple[Growth, int]:
+    """Let a forest learn recorded clips, after others of them; also how many clips of the training were read."""
+    sooner, some = rows
+    features = np.concatenate([made[0], recorded[0][sooner]])
+    names = np.append(made[1], recorded[1][sooner])
+    n_clips, read = len(made[0]), set[int]()
+
+    def give(places: NDArray[np.int64]) -> NDArray[np.float32]:
+        read.update(places[places < n_clips].tolist())
+        return features[places]
+
+    # Keys stand for contents: those of recorded clips follow from which they are.
+    keys = np.concatenate([np.arange(n_clips), n_clips + sooner]).astype(np.uint64)
+    later = np.arange(len(names)) >= n_clips
+    known = StandingClips(names, standing[0], give, keys, later, examples=standing[1])
+    new = (n_clips + some).astype(np.uint64)
+    grown = grow_forest(forest, known, recorded[0][some], recorded[1][some], keys=new, feature_set=FEATURE_SET)
+    return grown, len(read)
 
 
 def main() -> None:
@@ -145,7 +163,10 @@ def main() -> None:
     parser.add_argument("--drawn", type=int, nargs="+", default=[6_000, 30_000], metavar="M")
     parser.add_argument("--folds", type=int, default=2)
     parser.add_argument("--new", type=int, metavar="C")
-    parser.add_argument("--most", type=int, nargs="+", default=[16, 64], metavar="O")
+    parser.add_argument("--examples", type=int, nargs="+", default=[MOST_EXAMPLES], metavar="E")
+    parser.add_argument("--fold", type=int, default=0, help="of the people who are tested, with --new")
+    parser.add_argument("--seed", type=int, default=0, help="of the new categories that are drawn")
+    parser.add_argument("--most", type=int, nargs="+", default=[64], metavar="O")
     options = parser.parse_args()
     clips = read_or_make_clips(options.folder, options.performer_from)
     features = np.stack([FEATURE_SET.compute(clip) for clip in clips]).astype(np.float32)
@@ -155,7 +176,7 @@ def main() -> None:
     fold_of = np.unique(people, return_inverse=True)[1] % max(2, n_people // 2)
     print(f"{len(clips)} clips of {len(np.unique(categories))} categories and {n_people} people")
     if options.new:
-        compare_growth((features, categories), fold_of, options.clips, options.drawn[0], options.new, options.most)
+        compare_growth((features, categories), fold_of, options.clips, options.drawn[0], options.new, options)
     else:
         compare_samples((features, categories), fold_of, options.folds, options.clips, options.drawn)
 

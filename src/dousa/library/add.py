@@ -47,7 +47,6 @@ _NO_LABEL = {
 }
 
 _MOST_DOUBTFUL = 500  # files that wait for the others
-_FEW_SIZES = 500
 _PORTION_CLIPS = 256
 _PORTION_SECONDS = 1.0  # so that a program that is stopped loses little
 _PORTION_FRAMES = (1 << 26) // (4 * 3 * 20)  # 64 MiB as they are stored
@@ -410,13 +409,9 @@ def _find_hashes(connection: sa.Connection, sizes: set[int]) -> dict[int, list[s
     """The contents of stored clips whose files are as large as some, by size."""
     table = schema.clips.c
     query = sa.select(table.size, table.content_hash)
-    # No index tells sizes: of many files one look at all clips is shorter than a look for each few of them.
-    few = len(sizes) <= _FEW_SIZES
-    rows = connection.execute(query.where(table.size.in_(sizes)) if few else query)
     hashes: dict[int, list[str]] = {}
-    for row in rows:
-        if row.size in sizes:
-            hashes.setdefault(row.size, []).append(row.content_hash)
+    for row in fetch_in(connection, query, table.size, sorted(sizes)):
+        hashes.setdefault(row.size, []).append(row.content_hash)
     return hashes
 
 

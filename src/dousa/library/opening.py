@@ -163,6 +163,15 @@ def _labellers_of_parts(connection: sa.Connection) -> None:
     _add_missing_column(connection, schema.part_forests, "labeller")
 
 
+def _examples_of_leaves(connection: sa.Connection) -> None:
+    """Leaves of a large forest grow from examples, chosen when clips are next added; two indices that an add asks."""
+    schema.leaf_examples.create(connection, checkfirst=True)
+    for table, name in ((schema.clips, "ix_clips_size"), (schema.clip_relations, "ix_clip_relations_version")):
+        for index in table.indexes:
+            if index.name == name:
+                index.create(connection, checkfirst=True)
+
+
 def _add_missing_column(connection: sa.Connection, table: sa.Table, name: str) -> None:
     """A column that is there already where a step above made the table as it is now."""
     if name not in {known["name"] for known in sa.inspect(connection).get_columns(table.name)}:
@@ -190,6 +199,7 @@ MIGRATIONS: tuple[Migration, ...] = (
     Migration(13, "indices of checksums", _indices_of_checksums),
     Migration(14, "fragments", _fragments),
     Migration(15, "labellers of parts", _labellers_of_parts),
+    Migration(16, "examples of leaves", _examples_of_leaves),
 )
 
 

@@ -86,6 +86,8 @@ clips = sa.Table(
     # Of what a search reads, and of the rest.
     _checksum("label_checksum"),
     _checksum(),
+    # Files of the size of a new one may hold the same.
+    sa.Index("ix_clips_size", "size"),
     # What has changed is found by the sums of checksums, without a look at the rows.
     sa.Index("ix_clips_label_checksum", "id", "label_checksum"),
 )
@@ -161,6 +163,8 @@ clip_relations = sa.Table(
     # [[name, part, share, start, end], ...] of what the motion does, to be found by words
     sa.Column("relations", sa.JSON, nullable=False),
     _checksum(),
+    # Whether all clips have some is counted without a look at them.
+    sa.Index("ix_clip_relations_version", "version"),
 )
 
 take_windows = sa.Table(
@@ -229,6 +233,18 @@ forests = sa.Table(
     sa.Column("likeness", sa.LargeBinary),
     # ``TakeLabeller.to_bytes``: learned when a take is first labelled
     sa.Column("labeller", sa.LargeBinary),
+    _checksum(),
+)
+
+leaf_examples = sa.Table(
+    "leaf_examples",
+    metadata,
+    # One row, where the trees of the forest grew from samples; made anew where there is none.
+    sa.Column("id", sa.Integer, primary_key=True, autoincrement=False),
+    # ``forests.revision`` of the training.
+    sa.Column("revision", sa.BigInteger, nullable=False),
+    # int32, little endian, (leaves, 8): numbers of a few clips of each leaf, -1 where there are fewer
+    sa.Column("clips", sa.LargeBinary, nullable=False),
     _checksum(),
 )
 

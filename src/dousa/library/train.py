@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import sqlalchemy as sa
+from numpy.typing import NDArray
 
 from dousa.errors import TrainingError
 from dousa.library import schema
@@ -40,6 +41,7 @@ from dousa.library.forests import (
     replace_forest,
     save_answers,
 )
+from dousa.library.growth.examples import choose_trained, save_examples
 from dousa.library.index.renewal import make_side_file
 from dousa.library.results import TrainReport
 from dousa.library.takes import describe_takes, refresh_windows, save_windows
@@ -210,6 +212,7 @@ def _store(
         save_descriptions(connection, list(known.clips.computed), list(known.clips.computed.values()))
         connection.execute(sa.delete(schema.clip_leaves))
         save_answers(connection, known.clips.ids, known.answers)
+        save_examples(connection, own.revision, _choose_examples(own, known))
         later = zip(known.clips.ids, known.clips.categories, strict=True)
         keep_unlearned(connection, [n for n, category in later if n >= own.first_later and category is not None])
         connection.execute(sa.delete(schema.take_windows))
@@ -217,6 +220,13 @@ def _store(
         return own
 
     return database.write_planned(ask, write)
+
+
+def _choose_examples(stored: StoredForest, known: _Answers) -> NDArray[np.int32] | None:
+    """Of each leaf of a large forest, some clips that it may grow from later."""
+    numbers = {name: number for number, name in enumerate(stored.categories)}
+    own = np.array([-1 if name is None else numbers.get(name, -1) for name in known.clips.categories], np.int32)
+    return choose_trained(stored, np.array(known.clips.ids, np.int64), own, known.answers)
 
 
 def _choose_joints(where: str, connection: sa.Connection, kind: FeatureSet) -> tuple[FeatureSet, int]:

@@ -21,6 +21,7 @@ from dousa.library import schema
 from dousa.library.engine import Database, next_revision
 from dousa.library.features import find_feature_set, load_features
 from dousa.library.forests import StoredForest, find_leaves, load_forest, update_forest
+from dousa.library.growth.examples import find_places, load_examples, make_examples, save_examples
 from dousa.library.index.renewal import LearnedRows, StandingRows, keep_learned, read_standing, teach_rows
 from dousa.library.seals.checksums import LEAVES, update_rows
 from dousa.library.selection import fetch_in, portions
@@ -28,7 +29,7 @@ from dousa.retrieval.forest.calibration import Assessor
 
 if TYPE_CHECKING:
     from dousa.retrieval.forest.growth import Growth
-    from dousa.retrieval.forest.standing_leaves import StandingLeaves
+    from dousa.retrieval.forest.leaves.standing_leaves import StandingLeaves
 
 Stamp = tuple[int, int, int, tuple[int, ...]]
 """Of what a forest learns from: its ``revision`` and ``learned``, the ``clips_revision`` of the library, and the clips
@@ -59,12 +60,14 @@ class _Lesson:
     stored : the forest as it has learned; None in a library that is not trained.
     learned : what it learned.
     rows : what it says of all clips then.
+    examples : of its leaves, where they had to be made.
     """
 
     stamp: Stamp
     stored: StoredForest | None
     learned: Learned = Learned()
     rows: LearnedRows | None = None
+    examples: NDArray[np.int32] | None = None
 
 
 def learn_new(database: Database, known: StoredForest | None) -> tuple[StoredForest | None, Learned]:
@@ -106,6 +109,8 @@ def _write(connection: sa.Connection, lesson: _Lesson) -> tuple[StoredForest | N
         return stored, lesson.learned, None
     stored = replace(stored, learned=next_revision(connection))
     update_forest(connection, stored, lesson.learned.n_clips)
+    if lesson.examples is not None:
+        save_examples(connection, stored.revision, lesson.examples)
     rows = lesson.rows
     if rows is not None:
         rows = rows.sealed(update_rows(connection, LEAVES, rows.changes))
@@ -150,7 +155,13 @@ def _work_out(connection: sa.Connection, where: str, stored: StoredForest, stamp
     stands = np.array([*(name in known for name in clips.names), False])[clips.given] & ~waiting
     labels = np.array([clips.names[number] for number in clips.given[new]], dtype=np.str_)
     features = load_features(connection, stored.feature_set, clips.ids[new].tolist()).features
-    growth = _grow(connection, stored, clips, stands, (features, labels, clips.ids[new]))
+    examples, made = None, None
+    if stored.forest.trees_.pooled:
+        examples = load_examples(connection, stored)
+        if examples is None:
+            own = np.where(stands, clips.given, -1)
+            examples = made = make_examples(connection, stored, clips.ids, own, clips.leaves)
+    growth = _grow(connection, stored, clips, (stands, examples), (features, labels, clips.ids[new]))
     assessor = stored.assessor
     if assessor is not None:
         assessor = Assessor(growth.forest, assessor.calibration.with_clips(features, labels))
@@ -158,7 +169,7 @@ def _work_out(connection: sa.Connection, where: str, stored: StoredForest, stamp
     grown = replace(stored, forest=growth.forest, categories=categories, assessor=assessor)
     ids, leaves = _find_moved(connection, grown, clips, (stands, new), growth)
     learned = Learned(len(new), tuple(sorted(set(labels.tolist()) - known)))
-    return _Lesson(stamp, grown, learned, teach_rows(grown, rows, ids, leaves))
+    return _Lesson(stamp, grown, learned, teach_rows(grown, rows, ids, leaves), made)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -181,33 +192,40 @@ def _grow(
     connection: sa.Connection,
     stored: StoredForest,
     clips: _Clips,
-    stands: BoolArray,
+    there: tuple[BoolArray, NDArray[np.int32] | None],
     new: tuple[FloatArray, NDArray[np.str_], IntArray],
 ) -> Growth:
-    """The forest with new clips (features, categories, numbers), beside those that it knows."""
+    """The forest with new clips (features, categories, numbers), beside those that it knows.
+
+    Parameters
+    ----------
+    there : which clips these are, and the examples of its leaves, if they have some.
+    """
     from dousa.retrieval.forest.growth import StandingClips, grow_forest
 
+    stands, kept = there
     ids = clips.ids[stands]
 
     def read_features(places: NDArray[np.int64]) -> FloatArray:
         return load_features(connection, stored.feature_set, ids[places].tolist()).features
 
-    there = StandingClips(
+    standing = StandingClips(
         clips.given[stands],
         clips.leaves.only(stands),
         read_features,
         _Keys(connection, ids),
         ids >= stored.first_later,
         np.array([*clips.names], np.str_),
+        None if kept is None else lambda leaves: find_places(kept, leaves, ids),
     )
     features, labels, numbers = new
     keys = _Keys(connection, numbers)[np.arange(len(numbers))]
     kind = find_feature_set(stored.feature_set)
-    return grow_forest(stored.forest, there, features, labels, keys=keys, feature_set=kind)
+    return grow_forest(stored.forest, standing, features, labels, keys=keys, feature_set=kind)
 
 
 def _gather_clips(rows: StandingRows) -> _Clips:
-    from dousa.retrieval.forest.standing_leaves import LeafCodes, StandingLeaves
+    from dousa.retrieval.forest.leaves.standing_leaves import LeafCodes, StandingLeaves
 
     parts = list(zip(rows.parts, rows.alive, strict=True))
     ids = np.concatenate([part.ids[alive] for part, alive in parts])
@@ -245,6 +263,13 @@ def _find_moved(
     leaves = [growth.moved_leaves, growth.leaves]
     others = ~stands
     others[new] = False
+    if growth.stay is not None:  # clips of the training go nowhere, but where an older dousa moved them
+        trained = others & (clips.ids < grown.first_later)
+        others &= ~trained
+        where = np.flatnonzero(trained)
+        back = where[clips.leaves.only(trained).find(growth.stay != np.arange(len(growth.stay)))]
+        rows.append(back)
+        leaves.append(growth.stay[clips.leaves.take(back)].astype(np.int64))
     if others.any():
         where = np.flatnonzero(others)
         again = where[clips.leaves.only(others).find(growth.changed)]

@@ -131,7 +131,7 @@ class Seal:
         return self.covered[0].name in ("id", "clip_id", "take_id") and self.covered[0].table.name not in _OWN_KEYS
 
 
-_OWN_KEYS = ("library_state", "forests", "part_forests", "array_store")
+_OWN_KEYS = ("library_state", "forests", "part_forests", "array_store", "leaf_examples")
 
 
 def _seal(table: sa.Table, what: Message, names: Sequence[str] | None = None, checksum: str = "checksum") -> Seal:
@@ -163,6 +163,7 @@ PART_FORESTS = _seal(
     Message("library_damage.part_forest"),
     ("feature_set", "learned_from", "clip_ids", "leaves", "poses"),
 )
+EXAMPLES = _seal(schema.leaf_examples, Message("library_damage.examples"))
 STATE = _seal(schema.library_state, Message("library_damage.state"))
 TAGS = _seal(schema.clip_tags, Message("library_damage.tags"))
 SEARCHES = _seal(schema.saved_searches, Message("library_damage.search"))
@@ -171,8 +172,8 @@ REMOVED = _seal(schema.removed_clips, Message("library_damage.removed"))
 STORE = _seal(schema.array_store, Message("library_damage.store"))
 
 SEALS = (
-    LABELS, NUMBERS, FEATURES, POSES, LEAVES, RELATIONS, SEGMENTS, ANNOTATIONS, FOREST, PART_FORESTS, STATE, TAGS,
-    SEARCHES, JOURNAL, REMOVED, STORE,
+    LABELS, NUMBERS, FEATURES, POSES, LEAVES, RELATIONS, SEGMENTS, ANNOTATIONS, FOREST, PART_FORESTS, EXAMPLES,
+    STATE, TAGS, SEARCHES, JOURNAL, REMOVED, STORE,
 )  # fmt: skip
 POSITIONS = Message("library_damage.positions")
 

@@ -15,6 +15,8 @@ from dousa.library.seals.checksums import RELATIONS, seal_rows
 from dousa.library.selection import fetch_in, portions
 from dousa.retrieval.words.relations import RELATIONS_VERSION, Relation, find_relations
 
+_COUNT_CLIPS = sa.select(sa.func.count()).select_from(schema.clips)
+
 
 def load_relations(connection: sa.Connection) -> dict[int, tuple[Relation, ...]]:
     """The relations of all clips and takes, by number; those that are not kept are computed.
@@ -34,7 +36,11 @@ def load_relations(connection: sa.Connection) -> dict[int, tuple[Relation, ...]]
 
 def keep_relations(connection: sa.Connection) -> None:
     """Compute and write the relations of the clips and takes of which none are kept yet."""
-    _write(connection, _list_missing(connection))
+    table = schema.clip_relations
+    kept = sa.select(sa.func.count()).select_from(table).where(table.c.version == RELATIONS_VERSION)
+    # Counted first: to look for each clip reads all that is kept.
+    if connection.execute(kept).scalar_one() < connection.execute(_COUNT_CLIPS).scalar_one():
+        _write(connection, _list_missing(connection))
 
 
 def describe_relations(motion: StoredMotion) -> list[list[Any]]:

@@ -43,6 +43,7 @@ _COMPUTED = {
     "library_damage.relations": schema.clip_relations,
     "library_damage.windows": schema.take_windows,
     "library_damage.part_forest": schema.part_forests,
+    "library_damage.examples": schema.leaf_examples,
 }
 """What follows from positions and forest: it is thrown away and computed anew."""
 

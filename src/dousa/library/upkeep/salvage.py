@@ -17,8 +17,11 @@ from dousa.library.engine import Database
 from dousa.library.opening import open_database
 from dousa.library.seals.checksums import seal_rows
 
-# Forests for parts of bodies are learned again; the state is counted again. What was changed cannot be undone any more.
-_LEFT_OUT = (schema.migrations, schema.library_state, schema.part_forests, *schema.JOURNAL_TABLES)
+# Forests for parts of bodies are learned again, examples of leaves chosen again, the state is counted again. What was
+# changed cannot be undone any more.
+_LEFT_OUT = (
+    schema.migrations, schema.library_state, schema.part_forests, schema.leaf_examples, *schema.JOURNAL_TABLES,
+)  # fmt: skip
 
 
 def salvage_library(database: Database) -> dict[int, str]:

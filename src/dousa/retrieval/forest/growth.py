@@ -17,11 +17,17 @@ In a large library a leaf has hundreds of clips, and where each tree grew from a
 growing costs is bounded: a leaf grows only when the strangers that came after the training are a 64th of it (one among
 hundreds is the mistake of a tree, and to part it from them, all of them would have to be looked at), it grows from a
 sample of its clips where these are many, and the others are read in portions, to see where they stand then.
+
+Of a library so large that its trees grow from samples not even that is read. Each leaf of the training has a few of its
+clips as examples (``leaves.examples``). It grows where strangers, which are then clips of categories that are less than
+a 64th of what the training left in it, are a 64th of it; and what grows parts these from the examples. The clips of the
+training stay in the leaf, which keeps its number and its counts, whatever nodes lead to it: none of them is read, and
+none moves.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -33,184 +39,26 @@ from dousa.errors import InvalidMotionError, TrainingError
 from dousa.retrieval.features.feature_sets import FeatureSet
 from dousa.retrieval.features.integral import list_tests
 from dousa.retrieval.forest.forest import MotionForest, check_features
-from dousa.retrieval.forest.points import Keys, Pairs, choose_pairs, mix
-from dousa.retrieval.forest.standing_leaves import StandingLeaves
-from dousa.retrieval.forest.trees import Trees, TreesSpec, grow_some, prepare_leaves, put_counts
+from dousa.retrieval.forest.leaves.points import Keys, Pairs, choose_pairs, mix
+from dousa.retrieval.forest.leaves.standing_leaves import StandingLeaves
+from dousa.retrieval.forest.leaves.subtrees import (
+    collapse_leaves,
+    grow_subtrees,
+    make_stump,
+    part_strangers,
+    replace_leaves,
+)
+from dousa.retrieval.forest.trees import Trees, put_counts
 
 _AT_ONCE = 4096  # clips whose features are read
 _MOST_OTHERS = 64  # a leaf grows where this many times the strangers in it are all of its clips, or more
 _MOST_DRAWN = 256  # clips that a leaf grows from
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Subtree:
-    """What takes the place of one leaf.
-
-    Parameters
-    ----------
-    leaf : the leaf, numbered through the forest.
-    nodes : (m, 6) int32 as in ``Trees``, children and leaves counted from 0.
-    leaf_starts, leaf_classes, leaf_counts : as in ``Trees``, of the subtree's own leaves.
-    """
-
-    leaf: int
-    nodes: NDArray[np.int32]
-    leaf_starts: IntArray
-    leaf_classes: NDArray[np.int32]
-    leaf_counts: NDArray[np.int32]
-
-    @property
-    def n_leaves(self) -> int:
-        """Leaves of the subtree."""
-        return len(self.leaf_starts) - 1
-
-
-def grow_subtrees(
-    features: FloatArray,
-    categories: NDArray[np.int32],
-    n_classes: int,
-    tests: IntArray,
-    spec: TreesSpec,
-    members: Sequence[tuple[int, IntArray]],
-    seeds: NDArray[np.uint64],
-) -> list[Subtree]:
-    """One subtree for each leaf, by the forest's own rule; a leaf of one category stays one.
-
-    Parameters
-    ----------
-    features, categories, n_classes, tests, spec : as in ``grow_trees``; bootstrap and workers are not used.
-    members : for each leaf its number and the clips that stand in it.
-    seeds : 64-bit, one per leaf.
-    """
-    if not members:
-        return []
-    material = prepare_leaves(features, categories, tests, max(len(inside) for _, inside in members))
-    drawn = ((inside.copy(), seed) for (_, inside), seed in zip(members, seeds, strict=True))
-    grown = grow_some(material, n_classes, spec, drawn)
-    return [Subtree(leaf, *tree) for (leaf, _), tree in zip(members, grown, strict=True)]
-
-
-def collapse_leaves(trees: Trees, leaves: IntArray) -> Trees:
-    """The trees with what has grown from some leaves of the training put back into one leaf each.
-
-    The other leaves that grew from one keep their numbers, but nothing leads to them: ``replace_leaves`` uses them, or
-    leaves them without clips.
-    """
-    homes = trees.home_leaves
-    again = np.zeros(trees.n_leaves, bool)
-    again[leaves] = True
-    again &= np.bincount(homes, minlength=trees.n_leaves) > 1
-    children = trees.nodes[:, 2].astype(np.int64)
-    inner = np.flatnonzero(children >= 0)
-    parents = np.full(len(children), -1)
-    parents[children[inner]] = parents[children[inner] + 1] = inner
-    owners = np.full(len(children), -1)
-    outer = np.flatnonzero(children < 0)
-    own = homes[-1 - children[outer]]
-    owners[outer] = np.where(again[own], own, -1)
-    while True:  # upwards, while both sides are of one home
-        left = owners[children[inner]]
-        found = (left >= 0) & (left == owners[children[inner] + 1]) & (owners[inner] < 0)
-        if not found.any():
-            break
-        owners[inner[found]] = left[found]
-    above = np.where(parents >= 0, owners[parents], -1)
-    gone = (owners >= 0) & (above == owners)
-    nodes = trees.nodes.copy()
-    tops = np.flatnonzero((owners >= 0) & ~gone)
-    nodes[tops] = 0
-    nodes[tops, 2] = -1 - owners[tops]
-    shifted = np.cumsum(~gone) - 1
-    inner = np.flatnonzero(nodes[:, 2] >= 0)
-    nodes[inner, 2] = shifted[nodes[inner, 2]]
-    return replace(trees, nodes=np.ascontiguousarray(nodes[~gone]), roots=shifted[trees.roots])
-
-
-def replace_leaves(trees: Trees, subtrees: Sequence[Subtree], n_classes: int) -> Trees:
-    """The trees with subtrees in the place of some of their leaves.
-
-    Old nodes keep their tests and their order. The first leaf of a subtree takes the number of the leaf that it
-    replaces, the others numbers that ``collapse_leaves`` left of the same home, or else numbers behind all leaves; so a
-    clip in any other leaf stays where it is.
-
-    Parameters
-    ----------
-    trees : whose leaf classes are numbered as in the subtrees.
-    subtrees : of different leaves of the training.
-    n_classes : C of the new trees.
-    """
-    old = trees.nodes[:, 2]
-    node_of_leaf = np.full(trees.n_leaves, -1, np.int64)
-    node_of_leaf[-1 - old[old < 0]] = np.flatnonzero(old < 0)
-    home = np.searchsorted(trees.roots, [node_of_leaf[one.leaf] for one in subtrees], side="right") - 1
-    added = np.bincount(home, [len(one.nodes) - 1 for one in subtrees], len(trees.roots)).astype(np.int64)
-    shifts = np.concatenate([[0], np.cumsum(added)])
-    lengths = np.diff(np.append(trees.roots, len(trees.nodes)))
-    nodes = np.zeros((len(trees.nodes) + int(shifts[-1]), 6), np.int32)
-    place = np.arange(len(trees.nodes)) + np.repeat(shifts[:-1], lengths)
-    nodes[place] = trees.nodes
-    inner = old >= 0
-    nodes[place[inner], 2] += np.repeat(shifts[:-1], lengths)[inner].astype(np.int32)
-    free = trees.roots + lengths + shifts[:-1]  # where the next subtree of each tree goes
-    numbers, homes, unused = _number_leaves(trees, subtrees, node_of_leaf)
-    for one, own, tree in zip(subtrees, numbers, home, strict=True):
-        moved = one.nodes.copy()
-        children = one.nodes[:, 2]
-        # The subtree's root takes the place of the leaf, so its other nodes begin one earlier.
-        moved[:, 2] = np.where(children < 0, -1 - own[-1 - np.minimum(children, -1)], children + free[tree] - 1)
-        nodes[place[node_of_leaf[one.leaf]]] = moved[0]
-        nodes[free[tree] : free[tree] + len(moved) - 1] = moved[1:]
-        free[tree] += len(moved) - 1
-    entries = _replace_entries(trees, subtrees, numbers, unused, len(homes))
-    sizes = trees.n_features, trees.n_frames, n_classes
-    return Trees(nodes, trees.roots + shifts[:-1], *entries, *sizes, homes, trees.pooled)
-
-
-def _number_leaves(
-    trees: Trees, subtrees: Sequence[Subtree], node_of_leaf: IntArray
-) -> tuple[list[IntArray], NDArray[np.int32], list[int]]:
-    """The numbers of the leaves of each subtree, the homes of all leaves then, and leaves that nothing leads to."""
-    homes = trees.home_leaves
-    spare: dict[int, list[int]] = {}
-    for leaf in np.flatnonzero(node_of_leaf < 0):
-        spare.setdefault(int(homes[leaf]), []).append(int(leaf))
-    numbers, more, n_leaves = [], [homes], trees.n_leaves
-    for one in subtrees:
-        free = spare.pop(one.leaf, [])
-        own = [one.leaf, *free[: one.n_leaves - 1]]
-        spare[one.leaf] = free[one.n_leaves - 1 :]
-        missing = one.n_leaves - len(own)
-        numbers.append(np.array([*own, *range(n_leaves, n_leaves + missing)]))
-        more.append(np.full(missing, one.leaf, np.int32))
-        n_leaves += missing
-    return numbers, np.concatenate(more), [leaf for free in spare.values() for leaf in free]
-
-
-def _replace_entries(
-    trees: Trees, subtrees: Sequence[Subtree], numbers: Sequence[IntArray], unused: Sequence[int], n_leaves: int
-) -> tuple[IntArray, NDArray[np.int32], NDArray[np.int32]]:
-    """Starts, classes and counts of all leaves in the order of their numbers."""
-    starts = trees.leaf_starts
-    begins, stops = np.zeros((2, n_leaves), np.int64)
-    begins[: trees.n_leaves], stops[: trees.n_leaves] = starts[:-1], starts[1:]
-    classes, counts = [trees.leaf_classes], [trees.leaf_counts]
-    end = int(starts[-1])
-    for one, own in zip(subtrees, numbers, strict=True):
-        ends = one.leaf_starts + end
-        begins[own], stops[own] = ends[:-1], ends[1:]
-        classes.append(one.leaf_classes)
-        counts.append(one.leaf_counts)
-        end = int(ends[-1])
-    classes.append(np.zeros(1, np.int32))
-    counts.append(np.zeros(1, np.int32))
-    begins[unused], stops[unused] = end, end + 1
-    sizes = stops - begins
-    new_starts = np.concatenate([[0], np.cumsum(sizes)])
-    picked = np.repeat(begins - new_starts[:-1], sizes) + np.arange(new_starts[-1])
-    return new_starts, np.concatenate(classes)[picked], np.concatenate(counts)[picked]
-
-
 FeatureReader = Callable[[IntArray], FloatArray]
+
+Examples = Callable[[IntArray], IntArray]
+"""Gives the places (n, E) of examples of some leaves of the training (n,), -1 where one has fewer."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -227,6 +75,7 @@ class StandingClips:
         on the order in which clips are added. Read for some clips only.
     later : (N,) whether each was taken up after the training; by default none was.
     names : where there are some, the categories are places in it.
+    examples : of each leaf a few clips of the training; the others are not read then, and stay where they are.
     """
 
     categories: ArrayLike
@@ -235,6 +84,7 @@ class StandingClips:
     keys: Keys | None = None
     later: BoolArray | None = None
     names: ArrayLike | None = None
+    examples: Examples | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -250,6 +100,8 @@ class Growth:
         those of all clips get their columns: ``forest.histograms_of(leaves)``.
     changed : (L,) the leaves of the old forest from which any clip, also one that the forest was not taught, may have
         come into others.
+    stay : (L,) the leaf in which clips of the training are that were in each of the old forest; None where these are
+        looked up as all others are.
     """
 
     forest: MotionForest
@@ -257,6 +109,7 @@ class Growth:
     moved: IntArray
     moved_leaves: IntArray
     changed: BoolArray
+    stay: NDArray[np.int32] | None = None
 
 
 def grow_forest(
@@ -314,7 +167,10 @@ def grow_forest(
     moved, moved_leaves = _move(forest, material, *reached)
     home = forest.trees_.home_leaves
     changed = growing[home] | (material.touched[home] & (home != np.arange(len(home))))
-    return Growth(grown, grown.apply(features), moved, moved_leaves, changed)
+    stay = None
+    if standing.examples is not None:
+        stay = np.where(material.touched[home], home, np.arange(len(home), dtype=np.int32))
+    return Growth(grown, grown.apply(features), moved, moved_leaves, changed, stay)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -345,6 +201,17 @@ class _Material:
     def n_standing(self) -> int:
         """N."""
         return len(self.own) - len(self.homes)
+
+    @property
+    def moving(self) -> StandingLeaves:
+        """Leaves of the standing clips that go where the nodes lead them."""
+        return self.leaves if self.standing.examples is None else self.leaves.among(self.later[: self.n_standing])
+
+    def find_examples(self, leaves: IntArray) -> list[IntArray]:
+        """Those of some leaves of the training; none where all that stands in them is read."""
+        if self.standing.examples is None or not len(leaves):
+            return [np.zeros(0, np.int64)] * len(leaves)
+        return [some[some >= 0] for some in self.standing.examples(leaves)]
 
     def read(self, rows: IntArray) -> FloatArray:
         """Features of any of them."""
@@ -448,6 +315,27 @@ def _make_points(forest: MotionForest, material: _Material, pairs: Pairs) -> tup
     return points, forest.trees_.home_leaves[forest.apply(points)]
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class _Touched:
+    """Leaves of the training to which something has come, or from which a point has gone.
+
+    Parameters
+    ----------
+    numbers : (K,) which, ascending.
+    counts, stayed : (K, C) what stands in them, and what of it never moves.
+    known : (K, C) categories that are no strangers there.
+    usual : (K,) the category of most clips of the training.
+    grows : (K,) whether strangers are many enough.
+    """
+
+    numbers: IntArray
+    counts: IntArray
+    stayed: IntArray
+    known: BoolArray
+    usual: IntArray
+    grows: BoolArray
+
+
 def _grow(
     forest: MotionForest,
     material: _Material,
@@ -457,40 +345,83 @@ def _grow(
 ) -> tuple[MotionForest, BoolArray, tuple[IntArray, NDArray[np.int32]]]:
     """The grown forest, which leaves of the training became trees now, and the clips of these with their leaves."""
     trees = _renumber(forest, classes)
-    numbers = np.flatnonzero(material.touched)
-    counts, strangers = _count_members(material, trees, numbers, len(classes))
-    sizes = counts.sum(axis=1)
-    grows = (strangers > 0) & (strangers * _MOST_OTHERS >= sizes)
-    stumps = [_make_stump(int(leaf), row) for leaf, row in zip(numbers[~grows], counts[~grows], strict=True)]
+    touched = _look_at_leaves(material, trees, len(classes))
+    chosen = touched.numbers[touched.grows]
     growing = np.zeros(trees.n_leaves, bool)
-    growing[numbers[grows]] = True
+    growing[chosen] = True
     clips, leaves = _list_members(material, trees, growing)
     rows, places = np.unique(clips, return_inverse=True)
     order = np.lexsort((material.keys[rows][places], leaves))  # keys may be read: of each clip once
-    parts = np.split(clips[order], np.cumsum(sizes[grows])[:-1]) if grows.any() else []
-    drawn = [_draw(part, material.own[part]) for part in parts]
+    parts = np.split(clips[order], np.searchsorted(leaves[order], chosen[1:])) if len(chosen) else []
+    shown = material.find_examples(chosen)
+    drawn = [np.concatenate([few, _draw(part, material.own[part])]) for few, part in zip(shown, parts, strict=True)]
     known = np.unique(np.concatenate([np.zeros(0, np.int64), *drawn]))
     features = material.read(known)
     tests = list_tests(trees.n_features, trees.n_frames) if feature_set is None else feature_set.tests
     subtrees = grow_subtrees(
         features,
-        material.own[known],
         len(classes),
         tests,
         forest.make_spec(len(tests)),
-        [(int(leaf), np.searchsorted(known, some)) for leaf, some in zip(numbers[grows], drawn, strict=True)],
-        mix(numbers[grows].astype(np.uint64), np.full(1, random_state, np.uint64)),
+        [
+            (int(leaf), np.searchsorted(known, some), own)
+            for leaf, some, own in zip(chosen, drawn, _name_clips(material, touched, drawn), strict=True)
+        ],
+        mix(chosen.astype(np.uint64), np.full(1, random_state, np.uint64)),
     )
-    subtrees = sorted(stumps + subtrees, key=lambda one: one.leaf)
-    plain = collapse_leaves(trees, numbers)
+    if material.standing.examples is not None:
+        usual = touched.usual[touched.grows].tolist()
+        subtrees = [part_strangers(one, most) for one, most in zip(subtrees, usual, strict=True)]
+    others = zip(touched.numbers[~touched.grows], touched.counts[~touched.grows], strict=True)
+    subtrees = sorted([make_stump(int(leaf), row) for leaf, row in others] + subtrees, key=lambda one: one.leaf)
+    plain = collapse_leaves(trees, touched.numbers)
     grown = forest.with_trees(replace_leaves(plain, subtrees, len(classes)), classes)
     now = _look_up(grown, material, rows, (known, features))
-    large = np.isin(leaves, numbers[grows][sizes[grows] > _MOST_DRAWN])
-    if large.any():
-        there = now[places[large], _tree_of_leaves(trees)[leaves[large]]].astype(np.int64)
-        keys, found = np.unique(there * len(classes) + material.own[clips[large]], return_counts=True)
-        grown = forest.with_trees(put_counts(grown.trees_, keys, found), classes)
-    return grown, growing, (rows, now)
+    return _count_again(grown, material, touched, (clips, leaves), now[places]), growing, (rows, now)
+
+
+def _name_clips(material: _Material, touched: _Touched, drawn: list[IntArray]) -> list[NDArray[np.int32]]:
+    """Categories by which the clips that leaves grow from are parted."""
+    own = [material.own[some] for some in drawn]
+    if material.standing.examples is None:
+        return own
+    # Whatever is no stranger is one there: it has its share of the vote already.
+    leaves = np.flatnonzero(touched.grows)
+    return [
+        np.where(touched.known[leaf, some], touched.usual[leaf], some).astype(np.int32)
+        for leaf, some in zip(leaves, own, strict=True)
+    ]
+
+
+def _count_again(
+    grown: MotionForest,
+    material: _Material,
+    touched: _Touched,
+    members: tuple[IntArray, IntArray],
+    now: NDArray[np.int32],
+) -> MotionForest:
+    """The same forest with all clips in the leaves that grew from some.
+
+    Parameters
+    ----------
+    members : clips and the leaves in which they stood.
+    now : (M, n_trees) where these are.
+    """
+    trees, n_classes = grown.trees_, grown.trees_.n_classes
+    clips, leaves = members
+    some = touched.grows & (touched.counts.sum(axis=1) > _MOST_DRAWN)
+    if material.standing.examples is not None:
+        some = touched.grows
+    again = np.isin(leaves, touched.numbers[some])
+    if not again.any():
+        return grown
+    there = now[again, _tree_of_leaves(trees)[leaves[again]]].astype(np.int64)
+    place, own = np.nonzero(touched.stayed * some[:, None])
+    keys = np.concatenate([there * n_classes + material.own[clips[again]], touched.numbers[place] * n_classes + own])
+    counts = np.concatenate([np.ones(len(there), np.int64), touched.stayed[place, own]])
+    keys, places = np.unique(keys, return_inverse=True)
+    found = np.bincount(places, counts).astype(np.int64)
+    return grown.with_trees(put_counts(trees, keys, found), grown.classes_)
 
 
 def _draw(members: IntArray, categories: NDArray[np.int32]) -> IntArray:
@@ -513,7 +444,8 @@ def _look_up(
     is_known = np.isin(rows, numbers)
     there = np.flatnonzero(is_known)
     for first in range(0, len(there), _AT_ONCE):
-        leaves[there[first : first + _AT_ONCE]] = grown.apply(features[first : min(first + _AT_ONCE, len(there))])
+        some = there[first : first + _AT_ONCE]
+        leaves[some] = grown.apply(features[np.searchsorted(numbers, rows[some])])
     others = np.flatnonzero(~is_known)
     for first in range(0, len(others), _AT_ONCE):
         some = others[first : first + _AT_ONCE]
@@ -530,13 +462,6 @@ def _tree_of_leaves(trees: Trees) -> IntArray:
     return owners
 
 
-def _make_stump(leaf: int, counts: IntArray) -> Subtree:
-    """A leaf that stays one, with so many clips of each category."""
-    classes = np.flatnonzero(counts).astype(np.int32)
-    node = np.array([[0, 0, -1, 0, 0, 0]], np.int32)
-    return Subtree(leaf, node, np.array([0, len(classes)]), classes, counts[classes].astype(np.int32))
-
-
 def _renumber(forest: MotionForest, classes: NDArray[Any]) -> Trees:
     """The trees of a forest with its categories numbered among all categories."""
     numbers = np.searchsorted(classes, forest.classes_).astype(np.int32)
@@ -544,11 +469,13 @@ def _renumber(forest: MotionForest, classes: NDArray[Any]) -> Trees:
     return replace(forest.trees_, leaf_classes=own, n_classes=len(classes))
 
 
-def _count_members(material: _Material, trees: Trees, numbers: IntArray, n_classes: int) -> tuple[IntArray, IntArray]:
-    """(K, C), what stands in K leaves of the training; and (K,) the strangers among it.
+def _look_at_leaves(material: _Material, trees: Trees, n_classes: int) -> _Touched:
+    """What stands in the leaves of the training that are touched, and which of them grow.
 
-    These came after the training, and are not of the most frequent category of those that were there.
+    Strangers came after the training, and are not of the most frequent category of those that were there; where that is
+    told by examples, of none that is a ``_MOST_OTHERS``th of these.
     """
+    numbers = np.flatnonzero(material.touched)
     ranks = np.full(trees.n_leaves, -1)
     ranks[numbers] = np.arange(len(numbers))
     own = (material.own + n_classes * material.later).astype(np.int32)
@@ -557,15 +484,24 @@ def _count_members(material: _Material, trees: Trees, numbers: IntArray, n_class
     clips, columns = np.nonzero(there >= 0)
     np.add.at(both, (there[clips, columns], own[material.n_standing + clips]), 1)
     trained, later = both[:, :n_classes], both[:, n_classes:]
-    counts = trained + later
+    counts, sizes = trained + later, both.sum(axis=1)
     usual = np.where(trained.any(axis=1), trained.argmax(axis=1), counts.argmax(axis=1))
-    return counts, later.sum(axis=1) - later[np.arange(len(numbers)), usual]
+    by_examples = material.standing.examples is not None
+    known = np.zeros(counts.shape, np.bool_)
+    if by_examples:
+        known = (trained > 0) & (trained * _MOST_OTHERS >= trained.sum(axis=1, keepdims=True))
+    known[np.arange(len(numbers)), usual] = True
+    strangers = np.where(known, 0, later).sum(axis=1)
+    grows = (strangers > 0) & (strangers * _MOST_OTHERS >= sizes)
+    if by_examples:
+        grows[grows] = [len(some) > 0 for some in material.find_examples(numbers[grows])]
+    return _Touched(numbers, counts, trained if by_examples else np.zeros_like(trained), known, usual, grows)
 
 
 def _list_members(material: _Material, trees: Trees, growing: BoolArray) -> tuple[IntArray, IntArray]:
-    """Everything that stands in some leaves of the training, and in which."""
+    """What stands in some leaves of the training and is no clip that stays there, and in which."""
     homes = trees.home_leaves
-    clips, leaves = material.leaves.list(growing[homes])
+    clips, leaves = material.moving.list(growing[homes])
     new, columns = np.nonzero(growing[material.homes])
     others = material.homes[new, columns].astype(np.int64)
     return np.concatenate([clips, material.n_standing + new]), np.concatenate([homes[leaves], others])

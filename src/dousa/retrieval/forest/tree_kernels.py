@@ -197,3 +197,34 @@ def list_marked(codes, offsets, places, marked, out):
                         out[0, count], out[1, count] = places[row], place
                     count += 1
     return count
+
+
+@njit(cache=True, nogil=True)
+def keep_examples(numbers, categories, leaves, kept, own):
+    """Puts clips into the rows of their leaves in ``kept`` (L, E), and their categories into ``own``; -1 is free.
+
+    Where a row is full, a clip takes the place of the last one of the category that has most there, if that has two
+    more than its own.
+    """
+    n_kept = kept.shape[1]
+    for clip in range(leaves.shape[0]):
+        category = categories[clip]
+        for tree in range(leaves.shape[1]):
+            leaf = leaves[clip, tree]
+            place, alike = n_kept, 0
+            for k in range(n_kept):
+                if kept[leaf, k] < 0:
+                    place = k
+                    break
+                alike += own[leaf, k] == category
+            if place == n_kept and 2 * alike < n_kept:
+                most = alike + 1
+                for k in range(n_kept):
+                    count, last = 0, k
+                    for other in range(n_kept):
+                        if own[leaf, other] == own[leaf, k]:
+                            count, last = count + 1, other
+                    if count > most:
+                        most, place = count, last
+            if place < n_kept:
+                kept[leaf, place], own[leaf, place] = numbers[clip], category

@@ -81,6 +81,16 @@ class StandingLeaves:
         ]
         return StandingLeaves(parts, int(chosen.sum()))
 
+    def among(self, chosen: BoolArray) -> StandingLeaves:
+        """Those of some clips, chosen (N,), which keep their numbers; the others stand nowhere."""
+        parts = [
+            LeafCodes(
+                part.codes, part.table, part.offsets, np.where(chosen[np.maximum(part.places, 0)], part.places, -1)
+            )
+            for part in self.parts
+        ]
+        return StandingLeaves(parts, self._count)
+
     def take(self, clips: IndexArray) -> NDArray[np.int32]:
         """(n, n_trees) leaves of some clips."""
         taken = np.empty((len(clips), self.n_trees), np.int32)
