@@ -6,6 +6,7 @@ import io
 import json
 import shutil
 import sys
+from dataclasses import replace
 from pathlib import Path
 from typing import get_args
 
@@ -182,7 +183,7 @@ def test_label_with_table_and_picture(dousa, library, recordings, tmp_path):
     code, out, _ = dousa("label", library, take, "--csv", table, "--picture", picture)
     assert code == 0 and "start" in out and "sure" in out
     lines = table.read_text().splitlines()
-    assert lines[0] == "start_s,end_s,category,confidence,repetitions"
+    assert lines[0] == "start_s,end_s,category,confidence,repetitions,perhaps"
     assert picture.read_bytes().startswith(b"\x89PNG")
     answer = json.loads(dousa("label", library, take, "--json")[1])
     assert len(answer["segments"]) == len(lines) - 1
@@ -348,8 +349,30 @@ def test_the_table_of_a_take_says_how_often(capsys):
     from dousa.library import LabelledTake
     from dousa.retrieval import Segment, Timeline
 
-    segments = (Segment(0.0, 9.0, "squat", 0.9, 5), Segment(9.0, 11.0, "kick", 0.8), Segment(11.0, 12.0, None, 0.6))
-    print_timeline(Console(width=90), LabelledTake("take.bvh", None, Timeline(segments, 12.0, 0.5)))
-    squat, kick, nothing = capsys.readouterr().out.splitlines()[-3:]
+    perhaps = Segment(12.0, 14.0, None, 0.31, 2, guess="[kick]")
+    known = Segment(0.0, 9.0, "squat", 0.9, 5), Segment(9.0, 11.0, "kick", 0.8)
+    timeline = Timeline((*known, Segment(11.0, 12.0, None, 0.6), perhaps), 14.0, 0.5)
+    print_timeline(Console(width=90), LabelledTake("take.bvh", None, timeline))
+    squat, kick, nothing, doubtful = capsys.readouterr().out.splitlines()[-4:]
     assert "squat × 5" in squat
+    assert "perhaps [kick] × 2" in doubtful and "31%" in doubtful
     assert "kick" in kick and "×" not in kick + nothing
+
+
+def test_a_doubtful_guess_is_said_to_be_one():
+    from dousa.app.tables.answers import describe_verdict
+    from dousa.library import Verdict
+    from dousa.messages import use_language
+
+    verdict = Verdict(None, "kick", 0.4, 0.31, {"kick": 0.6, "march": 0.4}, perhaps=True)
+    assert describe_verdict(verdict) == "perhaps kick, 31% (kick 60%, march 40%)"
+    assert describe_verdict(replace(verdict, perhaps=False)).startswith("unknown (most like kick, 31% likely right")
+    use_language("ja")
+    try:
+        assert describe_verdict(verdict) == "もしかすると kick、31%（kick 60%, march 40%）"
+    finally:
+        use_language("en")
+    assert verdict.to_json()["perhaps"] is True and verdict.to_json()["category"] is None
+    sure, strange = replace(verdict, category="kick", perhaps=False), replace(verdict, perhaps=False)
+    assert sure.fits_better_than(verdict) and verdict.fits_better_than(strange)
+    assert not verdict.fits_better_than(sure) and not strange.fits_better_than(verdict)

@@ -112,6 +112,20 @@ def test_unknown_is_grey_and_comes_last(tmp_path):
     assert share_of(bottom, "#e4e4e4") > 0.0
 
 
+def test_what_is_perhaps_of_a_category_stands_in_its_row_and_looks_another_way(tmp_path):
+    doubtful = {**segment(1, 2, None, 0.3), "guess": "bow"}
+    known = [segment(0, 1, "bow", 0.3), segment(2, 3, "wave", 0.5)]
+    draw_timeline({"segments": [*known, doubtful]}, tmp_path / "take.png")
+    draw_timeline({"segments": [*known, segment(1, 2, "bow", 0.3)]}, tmp_path / "sure.png")
+    image, sure = ink(tmp_path / "take.png"), ink(tmp_path / "sure.png")
+    assert image.shape == sure.shape  # no row for what is unknown
+    assert (image != sure).any()
+    assert 0.0 < share_of(image, "#9cc7e4") < share_of(sure, "#9cc7e4")
+    parts = (Segment(0, 1, "bow", 0.3), Segment(1, 2, None, 0.3, guess="bow"), Segment(2, 3, "wave", 0.5))
+    draw_timeline(Timeline(parts, 3.0, 0.5), tmp_path / "object.png")
+    assert (tmp_path / "object.png").read_bytes() == (tmp_path / "take.png").read_bytes()
+
+
 @pytest.mark.parametrize("seconds", [0.4, 30.0, 700.0, 40_000.0])
 def test_any_length_and_hundreds_of_segments(seconds, tmp_path):
     draw_timeline(take(400, 20, seconds / 400), tmp_path / "take.png")

@@ -89,6 +89,7 @@ _LESS = {
     "python benchmarks/count_labelled.py": "--folds 0 --only Intelli",
     "python benchmarks/label_disturbed.py": "--only HDM05",
     "python benchmarks/confidence.py": "--only hdm05 --folds 1 --find 2",
+    "python benchmarks/perhaps.py": "--only hdm05,utkinect --shares 0.98",
     "python benchmarks/segment_confidence.py": "--only hdm05",
     "benchmarks/find.py": "--minutes 1",
     "benchmarks/correspondence.py --full 12000": "--frames 400 --full 200 --memory",

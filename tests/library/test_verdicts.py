@@ -172,6 +172,20 @@ def test_the_threshold_can_be_given(five_categories, tmp_path):
             question(path, threshold=2)
 
 
+def test_a_doubtful_guess_is_told_and_is_no_category(five_categories, tmp_path):
+    paths = [write(tmp_path, category, 9) for category in ("bow", "jumping_jack", "sit_down", *KNOWN)]
+    told = five_categories.classify(paths)
+    assert not any(answer.verdict.perhaps for answer in told if answer.category)
+    named = five_categories.classify(paths, threshold=0)
+    assert not any(answer.verdict.perhaps for answer in named)
+    # What is asked to be as sure as nothing can be stays possible where it was known.
+    asked = five_categories.classify(paths, threshold=1)
+    assert all(answer.category is None for answer in asked)
+    assert all(answer.verdict.perhaps for answer in asked[3:])
+    assert [answer.verdict.perhaps for answer in asked[:3]] == [answer.verdict.perhaps for answer in told[:3]]
+    assert all(answer.to_json()["perhaps"] is answer.verdict.perhaps for answer in asked)
+
+
 def test_with_few_categories_nothing_is_unknown(empty_library, moves):
     empty_library.add([moves / "wave", moves / "bow"], category_from="name:([a-z]+)")
     assert empty_library.train(n_trees=5).calibration is None

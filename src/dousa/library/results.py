@@ -81,6 +81,8 @@ class Verdict(_Answer):
         action, one in eleven being of none that it knows; None likewise.
     histogram : share of the trees that vote for each category, the largest first.
     explanation : the reasons, if requested.
+    perhaps : whether the motion, though it has no category, may be what was guessed: it is less strange to the library
+        than nearly all gestures that nobody named.
     """
 
     category: str | None
@@ -89,11 +91,13 @@ class Verdict(_Answer):
     confidence: float | None
     histogram: dict[str, float]
     explanation: Explanation | None = None
+    perhaps: bool = False
 
     def fits_better_than(self, other: Verdict) -> bool:
         """Whether the forest is clearly surer of this than of another motion."""
-        if (self.category is None) != (other.category is None):
-            return other.category is None
+        own, others = ((one.category is not None, one.perhaps) for one in (self, other))
+        if own != others:
+            return own > others
         return self.histogram[self.guess] > other.histogram[other.guess] + MIRROR_VOTES
 
     def to_json(self) -> dict[str, Any]:
@@ -226,7 +230,7 @@ class Classification:
         """The answer as a plain dictionary; ``problem`` only where there is one."""
         if self.verdict is None:
             nothing = dict.fromkeys(("category", "histogram", "guess", "known", "confidence"))
-            return {"path": self.path, **nothing, "histogram": {}, "problem": str(self.problem)}
+            return {"path": self.path, **nothing, "histogram": {}, "perhaps": False, "problem": str(self.problem)}
         mirrored = _mirrored_json(self.verdict, self.mirrored)
         return {"path": self.path, **self.verdict.to_json(), **mirrored, **_notes_json(self.notes)}
 

@@ -174,9 +174,16 @@ def judge(stored: StoredForest, answers: TreeAnswers, features: FloatArray, thre
     seen = stored.assessor.assess(answers.leaves, features)
     unknown = seen.unknown if threshold is None else seen.confidence < threshold
     return [
-        Verdict(None if strange else guess, guess, float(known), float(confidence), histogram)
-        for (guess, histogram), known, confidence, strange in zip(
-            pairs, seen.known, seen.confidence, unknown, strict=True
+        Verdict(
+            None if strange else guess,
+            guess,
+            float(known),
+            float(confidence),
+            histogram,
+            perhaps=bool(strange and possible),
+        )
+        for (guess, histogram), known, confidence, strange, possible in zip(
+            pairs, seen.known, seen.confidence, unknown, seen.possible, strict=True
         )
     ]
 

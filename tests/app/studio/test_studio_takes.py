@@ -242,6 +242,25 @@ def test_strips_of_what_is_no_take_are_refused(studio):
     assert studio.get("/api/takes/strips").status_code == 422
 
 
+def test_doubtful_names_are_told_apart_in_strips_and_tables(studio, recording, wait_job, monkeypatch):
+    from dousa.app.studio.api import takes
+
+    def doubt(labels, corrections):
+        first, *rest = ({**one, "corrected": None} for one in labels)
+        return [{**first, "category": None, "unknown": True, "perhaps": True, "guess": "kick"}, *rest]
+
+    name = upload(studio, recording)
+    label(studio, name, wait_job)
+    monkeypatch.setattr("dousa.app.studio.content.corrections.lay_over", doubt)
+    told = studio.get("/api/takes/strips", params={"motion": name}).json()["takes"][name]["segments"]
+    assert told[0].items() >= {"category": None, "unknown": True, "perhaps": True, "guess": "kick"}.items()
+    assert not any(one["perhaps"] for one in told[1:])
+    segments = studio.get("/api/takes/labels", params={"motion": name}).json()["labels"]["segments"]
+    rows = list(csv.DictReader(io.StringIO(takes._format_csv(segments))))
+    assert (rows[0]["category"], rows[0]["perhaps"]) == ("", "kick")
+    assert not any(row["perhaps"] for row in rows[1:])
+
+
 def test_corrections_are_laid_over_labels():
     from dousa.app.studio.content.corrections import Correction, lay_over
 

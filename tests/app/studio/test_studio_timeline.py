@@ -77,6 +77,27 @@ def test_labels_are_text_and_say_what_they_are(timeline):
     assert page.messages() == []
 
 
+DOUBTFUL = [
+    {"start": 0, "end": 4, "label": "kick", "kind": "known", "confidence": 0.93},
+    {"start": 4, "end": 10, "label": "kick", "kind": "perhaps", "confidence": 0.31},
+]
+
+
+def test_what_is_doubtful_says_so_and_looks_another_way_without_colour(timeline, tmp_path):
+    page = timeline(segments=DOUBTFUL)
+    sure, doubtful = page.run("return [...document.querySelectorAll('.tl-segment')].map((one) => one.textContent)")
+    assert (sure, doubtful) == ("Akick", "A?perhaps kick")
+    title = page.run("return document.querySelector('.tl-perhaps').title")
+    assert "perhaps kick, 31 %" in title
+    looks = page.run(
+        "return [...document.querySelectorAll('.tl-segment')].map((one) => { const style = getComputedStyle(one);"
+        " return [style.borderTopStyle, style.backgroundImage === 'none', style.fontStyle]; })"
+    )
+    assert looks == [["solid", True, "normal"], ["dashed", False, "italic"]]
+    page.driver.save_screenshot(str(tmp_path / "doubtful.png"))
+    assert page.messages() == []
+
+
 def test_a_click_seeks_and_dragging_chooses(timeline):
     page = timeline(selectable=True)
     drag(page, 3, 3)

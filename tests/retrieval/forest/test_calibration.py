@@ -272,6 +272,30 @@ class TestLearning:
         earlier = Calibration.from_bytes(pack_arrays({"numbers": text, **ARRAYS}))
         assert earlier.is_unknown(known, confidence).tolist() == [False, False, False, True]
 
+    def test_what_is_likelier_known_than_gestures_without_a_name_is_perhaps_known(self):
+        told = replace(CALIBRATION, least_known=0.9, least_possible=0.3)
+        assert told.is_possible(np.array([0.29, 0.3, 0.31, 0.99])).tolist() == [False, False, True, True]
+        again = Calibration.from_bytes(told.to_bytes())
+        assert again.least_possible == 0.3
+        text = np.array(json.dumps({key: value for key, value in told.to_json().items() if key != "least_possible"}))
+        earlier = Calibration.from_bytes(pack_arrays({"numbers": text, **ARRAYS}))
+        # An earlier dousa did not learn it, and nothing is doubtful.
+        assert not earlier.is_possible(np.array([0.3, 0.9, 1.0])).any()
+
+    def test_what_is_called_known_is_possible_and_so_is_some_that_is_not(self, material):
+        features, categories, kept, forest, people = material
+        calibration = learn_calibration(forest, features[kept], categories[kept], people)
+        assert calibration.least_possible == 1.0  # features of no set, so nobody made gestures of them
+        leaves = forest.apply(features)
+        seen = [
+            Assessor(forest, replace(calibration, least_possible=least)).assess(leaves, features)
+            for least in (0.0, 0.5 * calibration.least_known, 1.0)
+        ]
+        assert seen[0].possible.all() and np.array_equal(seen[2].possible, ~seen[2].unknown)
+        assert seen[0].possible.sum() >= seen[1].possible.sum() >= seen[2].possible.sum()
+        assert all(np.array_equal(one.unknown, seen[0].unknown) for one in seen)
+        assert all(one.possible[~one.unknown].all() for one in seen)
+
     def test_copies_are_those_of_their_rows(self):
         copies = Copies(np.array([1, 4, 6]), FEATURES[:3])
         assert copies.find(np.array([6, 0, 4])).tolist() == [1, 2]
@@ -407,6 +431,8 @@ class TestStorage:
             {"threshold": 1.5},
             {"threshold": "much"},
             {"least_known": -0.1},
+            {"least_possible": 1.1},
+            {"least_possible": "never"},
             {"auroc": None},
         ],
     )
@@ -488,7 +514,7 @@ class TestStorage:
         curve = {"intercept": -1.0, "slopes": [0.5, 1.0, 0.0, 0.3, 0.2, 0.0, 2.0, 1.5, 0.0, 0.7]}
         judgement = {"by_votes": curve, "by_poses": curve}
         numbers = {**CALIBRATION.to_json(), "known": judgement, "sure": judgement}
-        del numbers["lowest"]
+        del numbers["lowest"], numbers["least_possible"]
         arrays = {name: array for name, array in ARRAYS.items() if name != "others"}
         earlier = Calibration.from_bytes(pack_arrays({"numbers": np.array(json.dumps(numbers)), **arrays}))
         verdicts = Assessor(forest, earlier).assess(forest.apply(features), features)

@@ -15,6 +15,8 @@ from oracles.short_actions import ACTIONS, learned_labeller, make_clip, make_lib
 
 from dousa.errors import DousaError, InvalidMotionError, MotionWriteError, OptionError, TrainingError
 from dousa.experiments.metrics import TrueSegment, add_counts, compare_timeline
+from dousa.formats.annotations.label_file import to_annotation
+from dousa.formats.annotations.reading import read_label_file
 from dousa.motion.annotation import Stretch
 from dousa.retrieval.features.posed_motion import AnnotatedTake
 from dousa.retrieval.forest.forest_file import pack_arrays
@@ -230,19 +232,29 @@ def test_any_probabilities_make_a_timeline_in_order(seed):
 
 
 def test_timelines_are_plain_json_and_csv(tmp_path):
-    timeline = Timeline((Segment(0.0, 1.5, "bow", 0.9), Segment(1.5, 2.0, None, 0.6)), 2.0, 0.5)
+    perhaps = Segment(2.0, 3.0, None, 0.31, 2, guess="kick")
+    timeline = Timeline((Segment(0.0, 1.5, "bow", 0.9), Segment(1.5, 2.0, None, 0.6), perhaps), 3.0, 0.5)
     said = json.loads(json.dumps(timeline.to_json()))
     assert said["segments"][1] == {
-        "start_s": 1.5, "end_s": 2.0, "category": None, "unknown": True, "confidence": 0.6,
-        "repetitions": 1, "mirrored": False,
+        "start_s": 1.5, "end_s": 2.0, "category": None, "unknown": True, "perhaps": False, "guess": None,
+        "confidence": 0.6, "repetitions": 1, "mirrored": False,
     }  # fmt: skip
+    doubtful = {"category": None, "unknown": True, "perhaps": True, "guess": "kick", "confidence": 0.31}
+    assert said["segments"][2].items() >= doubtful.items()
+    assert timeline.category_at(2.5) is None
     write_timeline_csv(timeline, tmp_path / "take.csv")
     rows = list(csv.reader((tmp_path / "take.csv").read_text(encoding="utf-8").splitlines()))
     assert rows == [
-        ["start_s", "end_s", "category", "confidence", "repetitions"],
-        ["0.000", "1.500", "bow", "0.9000", "1"],
-        ["1.500", "2.000", "", "0.6000", "1"],
+        ["start_s", "end_s", "category", "confidence", "repetitions", "perhaps"],
+        ["0.000", "1.500", "bow", "0.9000", "1", ""],
+        ["1.500", "2.000", "", "0.6000", "1", ""],
+        ["2.000", "3.000", "", "0.3100", "2", "kick"],
     ]
+    # A doubtful name is learned neither as a label nor as nothing.
+    table = read_label_file(tmp_path / "take.csv")
+    learned, notes = to_annotation(table, table.takes[""])
+    assert [(one.start, one.stop, one.category) for one in learned.segments] == [(0.0, 1.5, "bow")]
+    assert learned.unclear == ((2.0, 3.0),) and not notes
     with pytest.raises(MotionWriteError, match="cannot write the timeline"):
         write_timeline_csv(timeline, tmp_path)
 

@@ -16,7 +16,7 @@ from dousa.retrieval.features.posed_motion import AnnotatedTake
 from dousa.retrieval.features.sensor_noise import measure_unsteadiness
 from dousa.retrieval.forest.evidence import EVIDENCE
 from dousa.retrieval.forest.stretches import StretchOpinions, cut_stretch
-from dousa.retrieval.takes.label import combine_chances, label_take, weigh_chosen
+from dousa.retrieval.takes.label import combine_chances, label_take, make_timeline, weigh_chosen
 from dousa.retrieval.takes.labeller_training import train_labeller
 from dousa.retrieval.takes.live import LiveLabeller
 from dousa.retrieval.takes.made_takes import join_clips
@@ -149,11 +149,10 @@ def test_unsteadiness_is_the_median_spread_of_a_bone(count):
     assert measure_unsteadiness(replace(clip, positions=points)) == pytest.approx(np.median(spreads), rel=1e-12)
 
 
-def opinion(*, judged=True, name="wave", lead=2.0, typical=0.0, unsteady=0.02, sure=False):
+def opinion(*, judged=True, name="wave", lead=2.0, typical=0.0, unsteady=0.02, sure=False, possible=False):
     """Of one stretch."""
-    return StretchOpinions(
-        np.array([judged]), (name,), np.array([lead]), np.array([typical]), np.array([unsteady]), np.array([sure])
-    )
+    numbers = (np.array([number]) for number in (lead, typical, unsteady, sure, sure or possible))
+    return StretchOpinions(np.array([judged]), (name,), *numbers)
 
 
 def test_all_that_is_seen_moves_the_confidence_that_is_told():
@@ -199,6 +198,35 @@ def test_a_segment_is_named_where_it_is_likely_or_would_be_as_a_clip():
     assert weigh(0.3, replace(doubtful, sure=np.array([True]))).likely
 
 
+def test_what_a_clip_would_perhaps_be_is_perhaps_in_a_take_too():
+    names = learned_labeller().classes
+    doubtful = weigh(0.3, opinion(name="spread", lead=0.0, typical=-0.3, possible=True))
+    assert (doubtful.likely, doubtful.possible, names[doubtful.category]) == (False, True, "spread")
+    strange = weigh(0.3, opinion(lead=0.0, typical=-0.3))
+    assert not strange.likely and not strange.possible
+    after, last = replace(strange, start=60, stop=120), replace(strange, start=120, stop=180)
+    perhaps, unknown = make_timeline([doubtful, after, last], [False] * 3, names, 6.0, 0.5).segments
+    assert (perhaps.category, perhaps.guess, perhaps.perhaps, perhaps.start) == (None, "spread", True, 0.0)
+    assert perhaps.confidence == doubtful.confidence  # that it is that
+    assert (unknown.category, unknown.guess, unknown.perhaps) == (None, None, False)
+    assert unknown.confidence == pytest.approx(1 - strange.confidence)  # that it is nothing known; both as one
+    (named,) = make_timeline([doubtful], [True], names, 2.0, 0.0).segments
+    assert (named.category, named.guess, named.perhaps) == ("spread", None, False)
+
+
+def test_frames_that_come_live_are_perhaps_something_as_those_of_a_take(monkeypatch):
+    says = _Says(opinion(name="spread", lead=0.0, typical=-0.9, possible=True))
+    live = LiveLabeller(learned_labeller(), height=shown_take().height, judge=says)
+    answers = [live.push(pose, k / 30) for k, pose in enumerate(shown_take().positions)]
+    told = [one for one in (*answers, live.finish()) if one is not None]
+    settled = [part for one in told for part in one.settled if part.perhaps]
+    assert {part.guess for part in settled} == {"spread"} and not any(part.category for part in settled)
+    said = [one.to_json() for one in told if one.guess is not None]
+    assert {(one["category"], one["unknown"], one["perhaps"], one["guess"]) for one in said} == {
+        (None, True, True, "spread")
+    }
+
+
 def test_of_categories_that_a_judge_does_not_know_the_labeller_speaks_alone():
     alone = weigh(0.97, opinion(judged=False, name="spread", lead=6.0, sure=True))
     assert alone.confidence == pytest.approx(0.97)
@@ -224,6 +252,7 @@ def test_what_is_repeated_without_a_rest_is_judged_by_its_parts():
         np.array([0.1, -0.2, 0.4]),
         np.array([0.01, 0.02, 0.03]),
         np.array([True, True, False]),
+        np.array([True, True, False]),
     )
     told = _Says(three)
     (weighed,) = weigh_chosen(learned_labeller(), [replace(whole, parts=parts)], shown_take(), told)
@@ -239,7 +268,7 @@ def test_of_a_long_series_a_few_parts_are_looked_at():
     chosen = Chosen(0, 390, 0, np.zeros(6), shares=np.eye(len(learned_labeller().classes))[0], parts=parts)
     told = _Says(
         StretchOpinions(
-            np.ones(5, bool), (learned_labeller().classes[0],) * 5, *(np.zeros(5) for _ in range(3)), np.ones(5, bool)
+            np.ones(5, bool), (learned_labeller().classes[0],) * 5, *np.zeros((3, 5)), *np.ones((2, 5), bool)
         )
     )
     (weighed,) = weigh_chosen(learned_labeller(), [chosen], shown_take(), told)

@@ -230,9 +230,10 @@ def draw_search_result(
     else:
         motion, _ = read_canonical(query, options, whole=False)
     share = max(result.histogram.values(), default=0.0)
+    doubtful = f"perhaps {result.verdict.guess}" if result.verdict.perhaps else "unknown"
     asked = Strip(
         motion,
-        result.category or "unknown",
+        result.category or doubtful,
         str(result.query),
         f"so say {share:.0%} of the trees" + (f"; in truth: {truth}" if truth else ""),
     )

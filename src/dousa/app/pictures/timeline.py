@@ -1,7 +1,8 @@
 """The picture of a labelled take: which category when, how sure, and what the body looked like then.
 
 Every category has a row of its own with its name beside it, so nothing hangs on colour. A bar is as high as its
-confidence; what is unknown is grey and hatched, in the last row.
+confidence; what is perhaps of a category is pale, dotted and in its row, with a dashed frame and a question mark; what
+is unknown is grey and hatched, in the last row.
 """
 
 from __future__ import annotations
@@ -36,12 +37,13 @@ _STEPS = (0.1, 0.2, 0.5, 1, 2, 5, 10, 15, 30, 60, 120, 300, 600, 900, 1800, 3600
 
 @dataclass(frozen=True, slots=True)
 class _Segment:
-    """From ``start`` to ``end`` (s) the take is taken for ``category``, with a confidence of 0 to 1 or None."""
+    """From ``start`` to ``end`` (s) the take is taken for ``category``, perhaps; a confidence of 0 to 1 or None."""
 
     start: float
     end: float
     category: str
     confidence: float | None
+    perhaps: bool = False
 
 
 def draw_timeline(
@@ -52,8 +54,8 @@ def draw_timeline(
     Parameters
     ----------
     timeline : a `dousa.retrieval.Timeline` or its JSON: ``segments``, each with its start and end in s, its
-        ``category`` (none, or ``"unknown"``, where the take is like no category) and ``confidence`` of 0 to 1; the
-        duration in s, by default the end of the last segment.
+        ``category`` (none, or ``"unknown"``, where the take is like no category; ``guess`` is what it perhaps is) and
+        ``confidence`` of 0 to 1; the duration in s, by default the end of the last segment.
     path : .png, .svg or .pdf.
     motion : the take; its poses are drawn above their times.
     title : of the take, by default its ``take`` or ``path`` in the timeline.
@@ -93,12 +95,14 @@ def _get(source: Any, name: str) -> Any:
 
 def _read_segment(item: Any) -> _Segment:
     start, end, category, confidence = (_get(item, name) for name in ("start", "end", "category", "confidence"))
+    guess = _get(item, "guess") if category is None else None
     try:
         segment = _Segment(
             float(start),
             float(end),
-            _UNKNOWN if category is None else str(category),
+            str(category or guess or _UNKNOWN),
             None if confidence is None else float(confidence),
+            perhaps=guess is not None,
         )
     except (TypeError, ValueError):
         raise OptionError("pictures.not_a_segment", found=repr(item)) from None
@@ -173,7 +177,7 @@ def _draw_rows(figure: Any, segments: Sequence[_Segment], rows: Sequence[str], s
         size = 10.5 if len(name) <= _SHORT_NAME else 9.0
         write(figure, (_MARGIN + _NAMES - 0.1) / width, middle, name, size, ha="right", weight=weight)
         total = sum(segment.end - segment.start for segment in mine)
-        text = _say_time(total, 0.1)
+        text = _say_time(total, 0.1) + "?" * any(segment.perhaps for segment in mine)
         write(figure, (_WIDTH - _MARGIN - _TOTALS + 0.1) / width, middle, text, 9.5, color=GREY)
     _draw_time_axis(axes, seconds)
 
@@ -183,19 +187,24 @@ def _draw_segment(axes: Any, segment: _Segment, row: int, per_inch: float) -> No
     from matplotlib.patches import Rectangle
 
     unknown = segment.category == _UNKNOWN
+    doubtful = unknown or segment.perhaps
     colour = GREY if unknown else BLUE
     length = max(segment.end - segment.start, _LEAST_BAR * per_inch)
     floor = row + 0.5 * _BAR
     axes.add_patch(Rectangle((segment.start, floor - _BAR), length, _BAR, facecolor="white", lw=0.0))
     share = 1.0 if segment.confidence is None else segment.confidence
     style: dict[str, Any] = {"facecolor": "#e4e4e4", "hatch": "////"} if unknown else {"facecolor": "#9cc7e4"}
+    if segment.perhaps:
+        style = {"facecolor": "#e3f0f9", "hatch": "..."}
     corner = (segment.start, floor - share * _BAR)
     axes.add_patch(Rectangle(corner, length, share * _BAR, edgecolor=colour, lw=0.0, **style))
-    axes.add_patch(Rectangle((segment.start, floor - _BAR), length, _BAR, fill=False, edgecolor=colour, lw=0.8))
+    frame = Rectangle((segment.start, floor - _BAR), length, _BAR, fill=False, edgecolor=colour, lw=0.8)
+    frame.set_linestyle("--" if segment.perhaps else "-")
+    axes.add_patch(frame)
     if segment.confidence is not None and length > _PERCENT * per_inch:
-        plate = {"facecolor": "white", "edgecolor": "none", "pad": 0.6} if unknown else None
+        plate = {"facecolor": "white", "edgecolor": "none", "pad": 0.6} if doubtful else None
         middle = segment.start + 0.5 * length
-        text = f"{segment.confidence:.0%}"
+        text = f"{segment.confidence:.0%}" + "?" * segment.perhaps
         write(axes, middle, row + 0.02, text, 8.5, ha="center", va="center", bbox=plate, color=INK)
 
 
@@ -226,13 +235,15 @@ def _say_time(seconds: float, least: float) -> str:
 def _draw_head(figure: Any, title: str, segments: Sequence[_Segment], seconds: float) -> None:
     """Title, and how to read the picture, with the totals."""
     width, height = figure.get_size_inches()
-    known = [segment for segment in segments if segment.category != _UNKNOWN]
+    known = [segment for segment in segments if segment.category != _UNKNOWN and not segment.perhaps]
+    doubtful = any(segment.perhaps for segment in segments)
     categories = len({segment.category for segment in known})
     stretches = sum(segment.end - segment.start for segment in known)
     facts = f"{_say_time(seconds, 0.1)}, "
     if segments:
         facts += f"{_count(len(known), 'segment')} of {_count(categories, 'category')} "
         facts += f"over {stretches / seconds:.0%} of it; bars are as high as the confidence"
+        facts += ", dotted ones are perhaps of their row" * doubtful
     else:
         facts += "nothing was found"
     shown = title if len(title) <= 90 else f"{title[:70]} ... {title[-15:]}"

@@ -180,6 +180,8 @@ def describe_verdict(verdict: Verdict) -> str:
     votes = describe_votes(verdict.histogram)
     if verdict.category is not None:
         return f"{verdict.category} ({votes})"
+    if verdict.perhaps:
+        return str(Message("verdict.perhaps", guess=verdict.guess, confidence=verdict.confidence, votes=votes))
     if verdict.confidence is None:
         return str(Message("verdict.unknown", guess=verdict.guess, votes=votes))
     return str(Message("verdict.unlikely", guess=verdict.guess, confidence=verdict.confidence, votes=votes))
@@ -364,11 +366,13 @@ def print_places(out: Console, answer: FindResult, *, mirrored: bool) -> None:
 
 def _name_segment(segment: Segment) -> str:
     """The category, how often it is done where that is more than once, and whether left and right are swapped."""
-    if segment.category is None:
+    name = segment.category or segment.guess
+    if name is None:
         return str(Message("columns.unknown"))
     often = f" × {segment.repetitions}" if segment.repetitions > 1 else ""
     side = f" ({_name_side(segment.mirrored)})" if segment.mirrored else ""
-    return escape(one_line(segment.category)) + often + side
+    named = one_line(name) + often + side
+    return escape(str(Message("columns.perhaps", name=named)) if segment.perhaps else named)
 
 
 def print_timeline(out: Console, answer: LabelledTake) -> None:

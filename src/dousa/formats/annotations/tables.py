@@ -1,7 +1,8 @@
 """Tables of labels as comma, semicolon or tab separated text, and those that BORIS exports.
 
 dousa's own has the columns ``start_s``, ``end_s`` and ``category``, and may have ``tier``; with ``path`` or ``file`` it
-is about several takes. A row without a category says that nothing happens there. BORIS (Friard and Gamba, Methods in
+is about several takes. A row without a category says that nothing happens there, or, with a name in the column
+``perhaps``, that nobody can say what does. BORIS (Friard and Gamba, Methods in
 Ecology and Evolution 7, 2016) exports "tabular events", a row where something starts and one where it stops, and
 "aggregated events", a row a behaviour; its subjects are the tiers.
 """
@@ -28,6 +29,7 @@ from dousa.formats.annotations.label_file import (
 _START = ("start_s", "start", "begin_s", "begin", "start (s)", "onset")
 _STOP = ("end_s", "end", "stop_s", "stop", "stop (s)", "offset")
 _CATEGORY = ("category", "label", "behavior", "behaviour")
+_DOUBT = "perhaps"
 _TIER = ("tier", "subject")
 _TAKE = ("path", "file")
 _OBSERVATION = "observation id"
@@ -134,6 +136,8 @@ def _read_spans(table: _Table) -> LabelFile:
         span = make_span(table.path, start, stop, category, row.line)
         if category:
             tier.spans.append(span)
+        elif clean_category(table.cell(row, _DOUBT)):
+            tier.unclear.append((start, stop))
     return found.to_file(table)
 
 
@@ -168,6 +172,7 @@ class _Tier:
     def __init__(self, name: str) -> None:
         self.name = name
         self.spans: list[LabelSpan] = []
+        self.unclear: list[tuple[float, float]] = []
         self.n_points = 0
 
 
@@ -196,7 +201,7 @@ class _Found:
 
     def _finish(self, tiers: dict[str, _Tier]) -> Iterator[LabelTier]:
         for tier in tiers.values():
-            yield sort_spans(LabelTier(tier.name, tuple(tier.spans), n_points=tier.n_points))
+            yield sort_spans(LabelTier(tier.name, tuple(tier.spans), tuple(tier.unclear), n_points=tier.n_points))
 
 
 def _name_takes(table: _Table) -> str:

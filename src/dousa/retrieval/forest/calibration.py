@@ -17,6 +17,9 @@ Where the guess is more likely wrong than right, the motion is called unknown; a
 than 85 % of the disturbed motions of people held back. A library whose categories are far apart is sure of all
 of them, and nothing that it holds back lies between: what does is a stranger of another kind. A motion of which it is
 clear that it is known, but not which of two categories it belongs to, is no stranger.
+
+But so may a known motion of another sensor or another style lie there. So one that is likelier known than 98 % of the
+gestures that nobody named is not simply unknown: perhaps it is what was guessed.
 """
 
 from __future__ import annotations
@@ -68,8 +71,11 @@ _LEAST_KNOWN = (0.5, 0.97)  # the lowest and the highest
 _LOST = 0.15  # of the disturbed motions of people held back that are not known enough; a library of all knows more
 _LOWEST_SHARES = np.linspace(0.0, _LOST, 16)  # of them, of which it is kept how likely they are known
 _LEAST_SHARE = 0.04
+_NEVER = 1.0
 STRANGERS = 0.1
 """Motions of no category that the library knows, for each one of a known category."""
+ALIEN = 0.98
+"""Share of the gestures that nobody named than which a motion that is perhaps known is likelier known."""
 
 _WHAT = Message("stored.calibration")
 Watch = Callable[[int, MotionForest, IndexArray, IndexArray, IndexArray], None]
@@ -93,6 +99,7 @@ _SURE_ALONE = replace(SURE_PRIOR, by_poses=spread_curve(Curve(2.06, (1.16, 0.7, 
 _JUDGEMENTS = ("known", "sure")
 _NUMBERS = ("threshold", "auroc", "false_alarms", "misses")
 _LATER_NUMBER = "least_known"  # an earlier dousa had none
+_LEAST_POSSIBLE = "least_possible"  # nor this
 _LOWEST = "lowest"  # nor these
 
 
@@ -161,6 +168,8 @@ class Calibration:
     least_known : so is a clip that is known with a smaller probability.
     lowest : (16,) or none, ascending: probabilities to be known below which 0 to 15 % of the disturbed motions of
         people held back are.
+    least_possible : a clip that is called unknown is perhaps what was guessed if it is known with a greater
+        probability, before that is limited; 1 for never.
     """
 
     known: Judgement
@@ -173,6 +182,7 @@ class Calibration:
     misses: float
     least_known: float = 0.0
     lowest: tuple[float, ...] = ()
+    least_possible: float = _NEVER
 
     def limit(self, known: FloatArray) -> FloatArray:
         """At most how likely motions (N,) are known that are ``known`` with some probability.
@@ -192,6 +202,11 @@ class Calibration:
         unknown: BoolArray = (confidence < self.threshold) | (known < self.least_known)
         return unknown
 
+    def is_possible(self, belongs: FloatArray) -> BoolArray:
+        """Which clips (N,) may be what was guessed, from the probabilities to be known before they are limited."""
+        possible: BoolArray = belongs > self.least_possible
+        return possible
+
     def with_clips(self, features: FloatArray, categories: ArrayLike) -> Calibration:
         """The calibration of a forest that has taken up clips (M, T, F) of categories (M,), old or new."""
         poses = self.poses.with_clips(features, np.asarray(categories))
@@ -202,7 +217,10 @@ class Calibration:
     def to_json(self) -> dict[str, Any]:
         """The curves and numbers, ready for ``json.dumps``; without the poses."""
         judgements = {name: getattr(self, name).to_json() for name in _JUDGEMENTS}
-        return {**judgements, **{name: getattr(self, name) for name in (*_NUMBERS, _LATER_NUMBER, _LOWEST)}}
+        return {
+            **judgements,
+            **{name: getattr(self, name) for name in (*_NUMBERS, _LATER_NUMBER, _LEAST_POSSIBLE, _LOWEST)},
+        }
 
     def to_bytes(self) -> bytes:
         """An .npz file (no pickle); the same calibration gives the same bytes."""
@@ -227,14 +245,15 @@ class Calibration:
                 known = sure = _read_earlier(written)
             numbers = [float(written[name]) for name in _NUMBERS]
             numbers.append(float(written.get(_LATER_NUMBER, 0.0)))
+            numbers.append(float(written.get(_LEAST_POSSIBLE, _NEVER)))
             lowest = tuple(float(number) for number in written.get(_LOWEST, ()))
         except (KeyError, TypeError, ValueError, OverflowError, RecursionError) as error:
             raise damaged(_WHAT, error) from error
         check(all(0.0 <= number <= 1.0 for number in (*numbers, *lowest)), _WHAT, "shares beyond 0 ... 1")
         right = len(lowest) in (0, len(_LOWEST_SHARES)) and lowest == tuple(sorted(lowest))
         check(right, _WHAT, "bad shares of what is known")
-        threshold, auroc, false_alarms, misses, least = numbers
-        return cls(known, sure, poses, usual, threshold, auroc, false_alarms, misses, least, lowest)
+        threshold, auroc, false_alarms, misses, least, possible = numbers
+        return cls(known, sure, poses, usual, threshold, auroc, false_alarms, misses, least, lowest, possible)
 
 
 def _read_earlier(written: Mapping[str, Any]) -> Judgement:
@@ -256,6 +275,7 @@ class Verdicts:
     known : (N,) probability that the clip belongs to any category of the forest.
     confidence : (N,) probability that the guess is right; at most ``known``.
     unknown : (N,) whether the clip is called unknown.
+    possible : (N,) whether it may be what was guessed: where it is called unknown, too, perhaps it is.
     evidence : (N, 11) what was weighed, see ``evidence``.
     """
 
@@ -263,6 +283,7 @@ class Verdicts:
     known: FloatArray
     confidence: FloatArray
     unknown: BoolArray
+    possible: BoolArray
     evidence: FloatArray
 
 
@@ -297,10 +318,11 @@ class Assessor:
         calibration, names = self.calibration, self.forest.classes_[guess]
         seen, has_poses, places = gather_evidence(scores, calibration.poses, features, names)
         evidence = relate_to_usual(seen, calibration.usual[places])
-        known = calibration.known.evaluate(evidence, has_poses)
-        known = np.minimum(known, calibration.limit(known))
+        belongs = calibration.known.evaluate(evidence, has_poses)
+        known = np.minimum(belongs, calibration.limit(belongs))
         confidence = np.minimum(calibration.sure.evaluate(evidence, has_poses), known)
-        return Verdicts(guess, known, confidence, calibration.is_unknown(known, confidence), evidence)
+        unknown = calibration.is_unknown(known, confidence)
+        return Verdicts(guess, known, confidence, unknown, ~unknown | calibration.is_possible(belongs), evidence)
 
 
 def learn_calibration(
@@ -313,6 +335,7 @@ def learn_calibration(
     copies: Copies | None = None,
     random_state: int = 0,
     watch: Watch | None = None,
+    alien: float = ALIEN,
 ) -> Calibration:
     """Learn from people and categories that are held back how far guesses can be trusted.
 
@@ -328,6 +351,7 @@ def learn_calibration(
     copies : disturbed copies of some of the clips, of any rows. Without them, noise is taken for strangeness.
     random_state : seed; the same seed gives the same calibration, however many workers.
     watch : called in each round with its number, its forest, and the rows that train it, that are known and unknown.
+    alien : share of the gestures that nobody named than which a motion that is perhaps known is likelier known.
 
     Returns
     -------
@@ -357,7 +381,7 @@ def learn_calibration(
     if not seen:
         raise TrainingError("calibration.clips")
     space = judge.fit_space(np.arange(len(labels)))
-    return _summarise(seen, space)
+    return _summarise(seen, space, alien)
 
 
 def guess_performers(heights: ArrayLike) -> tuple[str, ...]:
@@ -469,7 +493,7 @@ class _Judge:
         return _Round(evidence, guess, kinds, copied, (guess == labels) & (kinds == _KNOWN))
 
 
-def _summarise(rounds: list[_Round], poses: PoseSpace) -> Calibration:
+def _summarise(rounds: list[_Round], poses: PoseSpace, alien: float) -> Calibration:
     seen, guess, kinds, copied, right = (
         np.concatenate([getattr(one, name) for one in rounds])
         for name in ("evidence", "guess", "kinds", "copied", "right")
@@ -485,6 +509,7 @@ def _summarise(rounds: list[_Round], poses: PoseSpace) -> Calibration:
     harder = own & copied if (own & copied).any() else own
     lowest = np.quantile(belongs[harder], _LOWEST_SHARES)
     least = float(np.clip(lowest[-1], *_LEAST_KNOWN))
+    made = belongs[kinds == _MADE]
     plain = ~copied & (kinds <= _KNOWN)
     called = ((confidence >= _THRESHOLD) & (belongs >= least))[plain]
     own = own[plain]
@@ -499,6 +524,7 @@ def _summarise(rounds: list[_Round], poses: PoseSpace) -> Calibration:
         misses=float(called[~own].mean()) if not own.all() else 0.0,
         least_known=least,
         lowest=tuple(lowest.tolist()),
+        least_possible=float(np.quantile(made, alien)) if len(made) else _NEVER,
     )
 
 

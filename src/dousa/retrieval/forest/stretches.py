@@ -38,6 +38,7 @@ class StretchOpinions:
     typical : (N,) how near the poses are to those of the category, less what is usual (``evidence``).
     unsteady : (N,) unsteadiness of the bones (``measure_unsteadiness``).
     sure : (N,) whether a clip of these frames would be called by this name.
+    possible : (N,) whether it would be, or perhaps.
     """
 
     judged: BoolArray
@@ -46,6 +47,7 @@ class StretchOpinions:
     typical: FloatArray
     unsteady: FloatArray
     sure: BoolArray
+    possible: BoolArray
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -112,6 +114,7 @@ class StretchJudge:
             seen.evidence[:, EVIDENCE.index("typical")],
             np.array(unsteady),
             judged & ~seen.unknown,
+            judged & seen.possible,
         )
 
     def sparing(self, categories: frozenset[str]) -> StretchJudge:

@@ -3,7 +3,8 @@
 Discriminants say how likely every category, and nothing, is at every moment (`moment_model`), and the likeliest
 sequence of segments is found (`sequence`), which finds the places and the lengths of the actions at once. Each segment
 is then cut out and judged as a clip, by the forest that clips are judged by (`stretches`); what it is called, and how
-likely that is right, follows from both. What is nothing, and what is not likely enough to be right, is unknown.
+likely that is right, follows from both. What is nothing, and what is not likely enough to be right, is unknown; but of
+the latter the guess is told where a clip of it would perhaps be that.
 """
 
 from __future__ import annotations
@@ -68,9 +69,11 @@ class Segment:
     ----------
     start, stop : s.
     category : None where it is unknown.
-    confidence : 0 to 1, the probability that the category is right; of an unknown one, that none would be.
+    confidence : 0 to 1, the probability that the category, or else the guess, is right; where there is neither, that
+        none would be.
     repetitions : how often the action is done.
     mirrored : whether it is so with left and right the other way round; never where the library tells sides apart.
+    guess : what it perhaps is, where that is too doubtful to be its category; None where there is no such name.
     """
 
     start: float
@@ -79,6 +82,12 @@ class Segment:
     confidence: float
     repetitions: int = 1
     mirrored: bool = False
+    guess: str | None = None
+
+    @property
+    def perhaps(self) -> bool:
+        """Whether it has no category and perhaps is what was guessed."""
+        return self.guess is not None
 
     def to_json(self) -> dict[str, Any]:
         """Plain words and numbers; times in seconds."""
@@ -87,6 +96,8 @@ class Segment:
             "end_s": round(self.stop, 3),
             "category": self.category,
             "unknown": self.category is None,
+            "perhaps": self.perhaps,
+            "guess": self.guess,
             "confidence": round(self.confidence, 4),
             "repetitions": self.repetitions,
             "mirrored": self.mirrored,
@@ -125,7 +136,10 @@ class Timeline:
 
 
 def write_timeline_csv(timeline: Timeline, path: str | os.PathLike[str]) -> None:
-    """Write a row a segment: start_s, end_s, category (empty where unknown), confidence, repetitions.
+    """Write a row a segment: start_s, end_s, category (empty where unknown), confidence, repetitions, perhaps.
+
+    A name that is too doubtful for the column of categories stands in the last one: who learns from the table learns
+    neither the name nor that nothing happens there.
 
     Raises
     ------
@@ -134,11 +148,10 @@ def write_timeline_csv(timeline: Timeline, path: str | os.PathLike[str]) -> None
     try:
         with open(path, "w", newline="", encoding="utf-8") as file:
             writer = csv.writer(file)
-            writer.writerow(("start_s", "end_s", "category", "confidence", "repetitions"))
-            writer.writerows(
-                (f"{one.start:.3f}", f"{one.stop:.3f}", one.category or "", f"{one.confidence:.4f}", one.repetitions)
-                for one in timeline.segments
-            )
+            writer.writerow(("start_s", "end_s", "category", "confidence", "repetitions", "perhaps"))
+            for one in timeline.segments:
+                sure = f"{one.confidence:.4f}", one.repetitions
+                writer.writerow((f"{one.start:.3f}", f"{one.stop:.3f}", one.category or "", *sure, one.guess or ""))
     except OSError as error:
         raise MotionWriteError(path, "labeller.unwritable", reason=error) from error
 
@@ -408,7 +421,8 @@ def weigh_chosen(
     for k in np.flatnonzero(seen.judged).tolist():
         # That it is an action the sequence has decided; here is asked whether it is one that has a name.
         likely = bool(seen.sure[k] or chances[k] >= _EVEN * placed[k])
-        said[k] = replace(said[k], category=names.index(seen.names[k]), confidence=float(chances[k]), likely=likely)
+        category, possible = names.index(seen.names[k]), bool(likely or seen.possible[k])
+        said[k] = replace(said[k], category=category, confidence=float(chances[k]), likely=likely, possible=possible)
     return said
 
 
@@ -434,7 +448,7 @@ def _gather(seen: StretchOpinions, whole: NDArray[np.intp]) -> StretchOpinions:
     """Opinions on N actions from those on their parts: the name that most speaks for, and the means."""
     if len(whole) == whole.max() + 1:
         return seen
-    names, leads, sure = [], [], []
+    names, leads, sure, possible = [], [], [], []
     for k in range(int(whole.max()) + 1):
         parts = np.flatnonzero(whole == k)
         votes: dict[str, float] = {}
@@ -444,10 +458,12 @@ def _gather(seen: StretchOpinions, whole: NDArray[np.intp]) -> StretchOpinions:
         same = np.array([seen.names[part] == names[-1] for part in parts])
         leads.append(float(np.where(same, seen.leads[parts], -np.abs(seen.leads[parts])).mean()))
         sure.append(bool((seen.sure[parts] & same).mean() >= _EVEN))
+        possible.append(bool((seen.possible[parts] & same).mean() >= _EVEN))
     count = np.bincount(whole)
     typical, unsteady = (np.bincount(whole, values) / count for values in (seen.typical, seen.unsteady))
     firsts = np.flatnonzero(np.diff(whole, prepend=-1))
-    return StretchOpinions(seen.judged[firsts], tuple(names), np.array(leads), typical, unsteady, np.array(sure))
+    told = np.array(sure), np.array(possible)
+    return StretchOpinions(seen.judged[firsts], tuple(names), np.array(leads), typical, unsteady, *told)
 
 
 def combine_chances(placed: FloatArray, seen: StretchOpinions) -> FloatArray:
@@ -535,14 +551,19 @@ def make_timeline(
     for one, (start, stop), known in zip(chosen, spans, said, strict=True):
         if start > reached:
             parts.append(Segment(reached / TAKE_RATE, start / TAKE_RATE, None, 1.0))
-        category = classes[one.category] if known else None
-        sure = one.confidence if known else 1.0 - one.confidence
-        often, mirrored = (one.repetitions, one.mirrored) if known else (1, False)
-        parts.append(Segment(start / TAKE_RATE, stop / TAKE_RATE, category, sure, often, mirrored))
+        parts.append(make_segment(one, (start / TAKE_RATE, stop / TAKE_RATE), classes[one.category], said=known))
         reached = stop
     if reached < n_frames:
         parts.append(Segment(reached / TAKE_RATE, duration, None, 1.0))
     return Timeline(_merge_unknown(parts), duration, threshold)
+
+
+def make_segment(one: Chosen, span: tuple[float, float], name: str, *, said: bool) -> Segment:
+    """A segment of an action that is said to be of a category, or is perhaps, or is not."""
+    if not said and not one.possible:
+        return Segment(*span, None, 1.0 - one.confidence)
+    named = (name, None) if said else (None, name)
+    return Segment(*span, named[0], one.confidence, one.repetitions, one.mirrored, named[1])
 
 
 def _share_gaps(spans: list[tuple[float, float]], n_frames: float) -> list[tuple[float, float]]:
@@ -562,11 +583,11 @@ def _share_gaps(spans: list[tuple[float, float]], n_frames: float) -> list[tuple
 
 
 def _merge_unknown(parts: Sequence[Segment]) -> tuple[Segment, ...]:
-    """Neighbouring stretches that are unknown become one, as sure as their mean over time."""
+    """Neighbouring stretches that have no name at all become one, as sure as their mean over time."""
     merged: list[Segment] = []
     for part in parts:
         before = merged[-1] if merged else None
-        if before is not None and before.category is None and part.category is None:
+        if before is not None and not any(one.category or one.perhaps for one in (before, part)):
             sure, more = (each.confidence * (each.stop - each.start) for each in (before, part))
             mean = (sure + more) / (part.stop - before.start)
             merged[-1] = Segment(before.start, part.stop, None, mean)

@@ -29,6 +29,7 @@ from dousa.retrieval.takes.label import (
     average_shares,
     check_threshold,
     describe_run,
+    make_segment,
     weigh_chosen,
 )
 from dousa.retrieval.takes.moment_model import sharpen
@@ -52,9 +53,10 @@ class LiveAnswer:
     ----------
     time : s, of the last frame that counted.
     category : of the action that ends about now; None where it is unknown or not over yet.
-    confidence : 0 to 1, the probability that the category is right; of an unknown one, that none would be.
+    confidence : 0 to 1, as of a `Segment`.
     start : s, when that action began; ``time`` where there is none.
     settled : stretches that became certain since the last answer; together they are the timeline.
+    guess : what it perhaps is, where that is too doubtful to be the category; else None.
     """
 
     time: float
@@ -62,6 +64,7 @@ class LiveAnswer:
     confidence: float
     start: float
     settled: tuple[Segment, ...] = ()
+    guess: str | None = None
 
     def to_json(self) -> dict[str, Any]:
         """Plain words and numbers; times in seconds."""
@@ -69,6 +72,8 @@ class LiveAnswer:
             "time_s": round(self.time, 3),
             "category": self.category,
             "unknown": self.category is None,
+            "perhaps": self.guess is not None,
+            "guess": self.guess,
             "confidence": round(self.confidence, 4),
             "start_s": round(self.start, 3),
             "settled": [segment.to_json() for segment in self.settled],
@@ -190,10 +195,8 @@ class LiveLabeller:
         if run.state == len(self._labeller.classes):
             return Segment(start, stop, None, 1.0)
         weighed = self._weigh(run)
-        sure = weighed.confidence
-        known = weighed.likely if self._threshold is None else sure >= self._threshold
-        category = self._labeller.classes[weighed.category] if known else None
-        return Segment(start, stop, category, sure if known else 1.0 - sure)
+        known = weighed.likely if self._threshold is None else weighed.confidence >= self._threshold
+        return make_segment(weighed, (start, stop), self._labeller.classes[weighed.category], said=known)
 
     def _weigh(self, run: Run) -> Chosen:
         """How likely a run of a category is right, by what is still there of it."""
@@ -211,7 +214,8 @@ class LiveLabeller:
         runs = self._runs()
         if runs and runs[-1].state < len(self._labeller.classes):
             segment = self._segment(runs[-1])
-            return LiveAnswer(time, segment.category, segment.confidence, segment.start, settled)
+            told = segment.category, segment.confidence, segment.start
+            return LiveAnswer(time, *told, settled, segment.guess)
         return LiveAnswer(time, None, 1.0, time, settled)
 
 

@@ -54,6 +54,7 @@ class Chosen:
     repetitions : how often it is done.
     confidence : probability that the category is right.
     likely : whether it is named where nobody asks for a confidence.
+    possible : whether it is perhaps what it is not called, where it is not.
     shares : (C,) how much of each category it shows, on average, by the labeller.
     parts : its repetitions, where it is much longer than usual, from which frame to which; none for the whole.
     mirrored : whether it was seen in the mirror image of the recording.
@@ -69,6 +70,7 @@ class Chosen:
     shares: FloatArray = field(default_factory=lambda: np.empty(0))
     parts: tuple[tuple[int, int], ...] = ()
     mirrored: bool = False
+    possible: bool = False
 
 
 _LEAD, _LEAST = 1.5, 1.0  # log odds above those of what is there, of which nothing and doubt count as so many
@@ -188,5 +190,5 @@ def _join(series: Sequence[Chosen]) -> list[Chosen]:
     same = [one for one in series if one.category == series[0].category]
     sizes = np.array([one.stop - one.start for one in same], np.float32)
     evidence = np.average(np.stack([one.evidence for one in same]), axis=0, weights=sizes)
-    surest = max(same, key=lambda one: (one.likely, one.confidence))
+    surest = max(same, key=lambda one: (one.likely, one.possible, one.confidence))
     return [replace(surest, start=series[0].start, stop=series[-1].stop, evidence=evidence, parts=())]

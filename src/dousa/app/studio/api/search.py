@@ -72,7 +72,8 @@ class ClassifyRequest(BaseModel):
 def search(studio: StudioNow, wanted: SearchRequest) -> Answer:
     """What the motion is taken for, and the most similar clips, the most similar first.
 
-    ``category`` is null where the motion is of no category that the library knows; ``guess`` is the nearest one.
+    ``category`` is null where the motion is of no category that the library knows, or too doubtful; ``guess`` is the
+    nearest one, and ``perhaps`` says whether it may be that.
     """
     with studio.searching.enter(_PATIENCE), studio.learning.follow() as progress:
         found = studio.library.search(
@@ -156,7 +157,7 @@ def _classify(studio: Studio, ref: MotionRef, wanted: ClassifyRequest) -> dict[s
         raise
     except DousaError as error:
         problem = to_answer(name_error(error, studio.workspace.root))
-        return {"motion": ref.motion, "category": None, "guess": None, "histogram": {}, **problem}
+        return {"motion": ref.motion, "category": None, "guess": None, "perhaps": False, "histogram": {}, **problem}
     answer = result.to_json()
     return {
         "motion": ref.motion,

@@ -84,7 +84,12 @@ def _summarise(studio: Studio, ref: MotionRef) -> dict[str, Any]:
         return {"given": False, "segments": None}
     kept = [one for one in labels["segments"] if one["category"] or one.get("unknown")]
     segments = [
-        {**{name: one[name] for name in ("start_s", "end_s", "category")}, "unknown": one["category"] is None}
+        {
+            **{name: one[name] for name in ("start_s", "end_s", "category")},
+            "unknown": one["category"] is None,
+            "perhaps": one.get("perhaps", False),
+            "guess": one.get("guess"),
+        }
         for one in kept
     ]
     return {"given": answer["given"] is not None, "segments": segments}
@@ -203,13 +208,17 @@ def export(
 
 
 def _format_csv(segments: Sequence[dict[str, Any]]) -> str:
-    """Given labels as they are read again; recognised ones with how sure they are, and what was corrected."""
+    """Given labels as they are read again; recognised ones with how sure they are, and what was corrected.
+
+    What somebody calls doubtful is no label: it stands in a column of its own.
+    """
     text = io.StringIO()
     writer = csv.writer(text)
     is_given = any("counted" in one for one in segments)
-    writer.writerow(("start_s", "end_s", "category", *(() if is_given else ("confidence", "corrected"))))
+    writer.writerow(("start_s", "end_s", "category", *(() if is_given else ("confidence", "corrected", "perhaps"))))
     for one in segments:
-        sure = () if is_given else (f"{one['confidence']:.4f}", "" if one["corrected"] is None else "yes")
+        by_hand, doubtful = "" if is_given or one["corrected"] is None else "yes", one.get("guess") or ""
+        sure = () if is_given else (f"{one['confidence']:.4f}", by_hand, doubtful)
         writer.writerow((f"{one['start_s']:.3f}", f"{one['end_s']:.3f}", one["category"] or "", *sure))
     return text.getvalue()
 

@@ -1,6 +1,6 @@
 // createTimeline(element, options) -> timeline: a stretch of time with labels, a cursor, a part, cuts.
 //
-//   options: {duration (s), segments: [{start, end, label, kind: "known" | "unknown" | "corrected", confidence}],
+//   options: {duration (s), segments: [{start, end, label, kind: "known" | "perhaps" | "unknown" | "corrected", confidence}],
 //     cuts: [s], selectable: a part can be chosen, editable: cuts can be moved, added and taken away,
 //     label: what it shows (for screen readers), texts: {name: word} instead of the words timeline_* of the page}
 //   timeline.setCursor(s) .setSegments(segments) .setSelection(start, end) .setSelection(null) .setCuts([s])

@@ -29,13 +29,48 @@ const percent = (part, whole) => `${(100 * part) / Math.max(whole, 1e-9)}%`;
 /** Where something from start to end lies: a style. */
 export const place = (start, end, duration) => ({ left: percent(start, duration), width: percent(end - start, duration) });
 
+/** What a stretch of the API is for a timeline: how it is drawn, and under which name. */
+export function kindOf(one) {
+  if (one.corrected) return "corrected";
+  if (one.perhaps) return "perhaps";
+  return one.unknown ? "unknown" : "known";
+}
+
+export const nameOf = (one) => one.category ?? (one.perhaps ? one.guess : null);
+
+export const toSegment = (one) => ({ start: one.start_s, end: one.end_s, label: nameOf(one), kind: kindOf(one), confidence: one.confidence });
+
+/** "12 % unknown, 30 % doubtful" */
+export function sayShares(stretches, duration) {
+  const share = (kind) => stretches.reduce((sum, one) => sum + (kindOf(one) === kind ? one.end_s - one.start_s : 0), 0) / Math.max(duration, 1e-9);
+  const [unknown, doubtful] = ["unknown", "perhaps"].map((kind) => Math.round(100 * share(kind)));
+  return t("unknown_share", { percent: unknown }) + (doubtful ? `, ${t("doubtful_share", { percent: doubtful })}` : "");
+}
+
+/** The name as it is said: "kick", "perhaps kick", "unknown". */
+export function sayName(kind, label) {
+  if (kind === "unknown") return t("unknown");
+  return kind === "perhaps" ? t("perhaps", { category: label }) : label;
+}
+
 /** "kick, 93 %, 1.2 s to 3.4 s" */
 export function describeSegment(segment) {
-  const what = segment.kind === "unknown" ? t("unknown") : segment.label;
-  const sure = segment.kind === "known" && segment.confidence != null ? `${Math.round(100 * segment.confidence)} %` : null;
+  const what = sayName(segment.kind, segment.label);
+  const sure = ["known", "perhaps"].includes(segment.kind) && segment.confidence != null ? `${Math.round(100 * segment.confidence)} %` : null;
   const hand = segment.kind === "corrected" ? t("timeline_corrected") : null;
   const when = t("timeline_span", { start: formatSeconds(segment.start), end: formatSeconds(segment.end) });
   return [what, sure, hand, when].filter(Boolean).join(", ");
+}
+
+const letterOf = (kind, tone) => (tone ? tone.letter : "") + (kind === "unknown" || kind === "perhaps" ? "?" : "");
+
+/** The letter of a stretch in its pattern, as in the legend. */
+export function makeSwatch(kind, label, tones, options = {}) {
+  const tone = kind === "unknown" ? null : tones.of(label);
+  const look = kind === "unknown" || kind === "perhaps" ? `tl-${kind}` : `tl-pattern-${tone.pattern}`;
+  const swatch = h("b", { class: `tl-swatch ${look}`, ...options }, letterOf(kind, tone));
+  if (tone) swatch.style.setProperty("--hue", tone.hue);
+  return swatch;
 }
 
 export function makeSegment(segment, duration, tones) {
@@ -43,9 +78,9 @@ export function makeSegment(segment, duration, tones) {
   const tone = unknown ? null : tones.of(segment.label);
   const element = h(
     "div",
-    { class: `tl-segment tl-${segment.kind}${tone ? ` tl-pattern-${tone.pattern}` : ""}`, title: describeSegment(segment), style: place(segment.start, segment.end, duration) },
-    h("b", {}, unknown ? "?" : tone.letter),
-    h("span", {}, unknown ? t("unknown") : segment.label),
+    { class: `tl-segment tl-${segment.kind}${tone && segment.kind !== "perhaps" ? ` tl-pattern-${tone.pattern}` : ""}`, title: describeSegment(segment), style: place(segment.start, segment.end, duration) },
+    h("b", {}, letterOf(segment.kind, tone)),
+    h("span", {}, sayName(segment.kind, segment.label)),
   );
   if (tone) element.style.setProperty("--hue", tone.hue);
   if (segment.kind === "corrected") element.append(h("i", {}, "✎"));
@@ -57,7 +92,8 @@ export function makeSegment(segment, duration, tones) {
 export function drawStrip(element, segments, duration, tones) {
   const piece = (one) => {
     const unknown = one.kind === "unknown";
-    const part = h("i", { class: unknown ? "tl-none" : "", style: place(one.start, one.end, duration) });
+    const look = { unknown: "tl-none", perhaps: "tl-maybe" }[one.kind] ?? "";
+    const part = h("i", { class: look, style: place(one.start, one.end, duration) });
     if (!unknown) part.style.setProperty("--hue", tones.of(one.label).hue);
     return part;
   };
@@ -67,15 +103,11 @@ export function drawStrip(element, segments, duration, tones) {
 
 /** What the letters and patterns mean: [{label, kind}] in any order. */
 export function makeLegend(segments, tones) {
-  const labels = [...new Set(segments.filter((one) => one.kind !== "unknown").map((one) => one.label))];
+  const labelsOf = (isIn) => [...new Set(segments.filter((one) => isIn(one.kind)).map((one) => one.label))];
   const item = (swatch, text) => h("li", {}, swatch, text);
-  const items = labels.map((label) => {
-    const tone = tones.of(label);
-    const swatch = h("b", { class: `tl-swatch tl-pattern-${tone.pattern}` }, tone.letter);
-    swatch.style.setProperty("--hue", tone.hue);
-    return item(swatch, label);
-  });
-  if (segments.some((one) => one.kind === "unknown")) items.push(item(h("b", { class: "tl-swatch tl-unknown" }, "?"), t("unknown")));
+  const items = labelsOf((kind) => kind === "known" || kind === "corrected").map((label) => item(makeSwatch("known", label, tones), label));
+  items.push(...labelsOf((kind) => kind === "perhaps").map((label) => item(makeSwatch("perhaps", label, tones), sayName("perhaps", label))));
+  if (segments.some((one) => one.kind === "unknown")) items.push(item(makeSwatch("unknown", null, tones), t("unknown")));
   if (segments.some((one) => one.kind === "corrected")) items.push(item(h("b", { class: "tl-swatch tl-plain" }, "✎"), t("timeline_corrected")));
   return h("ul", { class: "tl-legend", "aria-label": t("timeline_legend") }, ...items);
 }

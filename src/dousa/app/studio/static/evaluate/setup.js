@@ -144,12 +144,12 @@ export class Setup {
       const own = items.find((clip) => clip.motion === performance.motion)?.performer ?? null;
       const others = items.filter((clip) => clip.motion !== performance.motion);
       others.sort((a, b) => Number(own !== null && a.performer === own) - Number(own !== null && b.performer === own));
-      return { category, clips: others.slice(0, MOST), sure: answer.category !== null };
+      return { category, clips: others.slice(0, MOST), sure: answer.category !== null, perhaps: answer.perhaps };
     });
     this.suggestion.textContent = found?.said ?? "";
     if (!found?.clips) return;
     const words = { category: found.category, count: found.clips.length };
-    const said = found.clips.length ? (found.sure ? "suggested" : "suggested_unsure") : "suggested_none";
+    const said = found.clips.length ? (found.sure ? "suggested" : found.perhaps ? "suggested_perhaps" : "suggested_unsure") : "suggested_none";
     this.suggestion.textContent = t(said, words);
     this.add(found.clips.map((clip) => whole(clip.motion)));
   }

@@ -58,15 +58,16 @@ function showLabel(label) {
   else if (label?.state === "learning") note.textContent = t("label_learning");
   else if (!label || label.confidence === null) note.textContent = t("label_none");
   else {
-    large.textContent = label.category ?? "";
-    note.textContent = label.category ? t("label_sure", { percent: Math.round(100 * label.confidence) }) : t("label_unknown");
+    large.textContent = label.category ?? (label.perhaps ? t("perhaps", { category: label.guess }) : "");
+    note.textContent = label.category || label.perhaps ? t(label.perhaps ? "label_perhaps" : "label_sure", { percent: Math.round(100 * label.confidence) }) : t("label_unknown");
   }
   for (const one of label?.settled ?? []) addPast(one);
 }
 
 const told = new Set();
 
-function addPast({ category, start_s: start, end_s: end }) {
+function addPast({ category: named, perhaps, guess, start_s: start, end_s: end }) {
+  const category = named ?? (perhaps ? t("perhaps", { category: guess }) : null);
   const key = `${start} ${end}`;
   if (!category || told.has(key)) return;
   told.add(key);

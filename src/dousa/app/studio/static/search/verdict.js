@@ -1,4 +1,4 @@
-// What the query is taken for, in words and bars; unknown is said.
+// What the query is taken for, in words and bars; unknown is said, and doubtful.
 
 import { h, t } from "../core/dom.js";
 import { listReasons } from "./reasons.js";
@@ -7,6 +7,9 @@ const MOST_BARS = 5;
 const percent = (share) => Math.round(100 * share);
 
 function headline(answer) {
+  if (answer.category === null && answer.perhaps) {
+    return [h("span", { class: "badge unsure" }, "? ", t("doubtful")), h("h2", { class: "verdict-words" }, t("perhaps", { category: answer.guess })), h("p", { class: "note" }, t("verdict_perhaps"))];
+  }
   if (answer.category === null) {
     return [h("span", { class: "badge unsure" }, "? ", t("unknown")), h("h2", { class: "verdict-words" }, t("verdict_unknown")), h("p", { class: "note" }, t("verdict_guess", { category: answer.guess }))];
   }
@@ -26,13 +29,13 @@ function bars(histogram) {
 
 /** Instead of the answer: why there is none. */
 export function drawNoVerdict(element, sentence) {
-  element.classList.remove("is-unknown");
+  element.classList.remove("is-unknown", "is-doubtful");
   element.replaceChildren(h("p", { class: "problem-box" }, sentence));
 }
 
 /** Instead of the answer: a take as a whole is no query; a part of it is. */
 export function drawAskPart(element, motion) {
-  element.classList.remove("is-unknown");
+  element.classList.remove("is-unknown", "is-doubtful");
   const link = h("a", { class: "button", href: `/takes?${new URLSearchParams({ motion })}` }, t("open_take"));
   element.replaceChildren(h("div", { class: "verdict-head", id: "ask-part" }, h("h2", { class: "verdict-words" }, t("ask_part")), h("p", {}, t("ask_part_how")), link));
 }
@@ -49,7 +52,8 @@ export function drawVerdict(element, answer, { explain, onGo }) {
   });
   const mirrored = answer.mirrored?.fits_better ? h("p", { class: "badge unsure" }, t("verdict_mirrored", { category: answer.mirrored.category ?? answer.mirrored.guess })) : null;
   const chance = answer.confidence == null || answer.category !== null ? null : h("p", { class: "note" }, t("verdict_right_share", { percent: percent(answer.confidence) }));
-  element.classList.toggle("is-unknown", answer.category === null);
+  element.classList.toggle("is-unknown", answer.category === null && !answer.perhaps);
+  element.classList.toggle("is-doubtful", answer.category === null && Boolean(answer.perhaps));
   const words = h("div", { class: "verdict-head" }, ...headline(answer), mirrored, chance, why);
   element.replaceChildren(words, h("div", { class: "votes" }, h("h3", {}, t("votes")), bars(answer.histogram)));
 }

@@ -1,6 +1,7 @@
 // What is under the cursor, and where a part gets its name.
 
 import { formatSeconds, h, icon, t } from "../core/dom.js";
+import { kindOf, makeSwatch, nameOf, sayName } from "../core/timeline_parts.js";
 import { often } from "./segments.js";
 
 export class Desk {
@@ -32,12 +33,10 @@ export class Desk {
       this.sure.textContent = "";
       return;
     }
-    const tone = segment.unknown ? null : tones.of(segment.category);
-    const swatch = h("b", { class: `tl-swatch ${tone ? `tl-pattern-${tone.pattern}` : "tl-unknown"}` }, tone ? tone.letter : "?");
-    if (tone) swatch.style.setProperty("--hue", tone.hue);
-    this.what.replaceChildren(swatch, segment.unknown ? t("unknown") : segment.category, often(segment));
+    const [kind, name] = [kindOf(segment), nameOf(segment)];
+    this.what.replaceChildren(makeSwatch(kind, name, tones), sayName(kind, name), often(segment));
     const percent = Math.round(100 * segment.confidence);
-    const sure = segment.confidence == null ? t("given") : t(segment.unknown ? "sure_unknown" : "sure", { percent });
+    const sure = segment.confidence == null ? t("given") : t(kind === "unknown" ? "sure_unknown" : kind === "perhaps" ? "sure_perhaps" : "sure", { percent });
     this.sure.textContent = segment.corrected ? t("timeline_corrected") : sure;
   }
 

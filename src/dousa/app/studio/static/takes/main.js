@@ -8,7 +8,7 @@ import { followJob, finished, isActive, stopJob } from "../core/jobs.js";
 import { attempt, notify } from "../core/notices.js";
 import { pickClips } from "../core/pick.js";
 import { createTimeline } from "../core/timeline.js";
-import { makeLegend } from "../core/timeline_parts.js";
+import { makeLegend, nameOf, sayShares, toSegment } from "../core/timeline_parts.js";
 import { listenForUndo, undoButton } from "../core/undo.js";
 import { Desk } from "./desk.js";
 import { Review } from "./review.js";
@@ -119,7 +119,7 @@ function seek(seconds) {
 
 function choose(segment) {
   timeline.setSelection(segment.start_s, segment.end_s);
-  desk.setPart({ start: segment.start_s, end: segment.end_s }, segment.category);
+  desk.setPart({ start: segment.start_s, end: segment.end_s }, nameOf(segment));
 }
 
 async function exportPart(start, end) {
@@ -128,9 +128,7 @@ async function exportPart(start, end) {
 }
 
 /** Given stretches that have a name, as the timeline and the table take them. */
-const named = (segments) => segments.filter((one) => one.category).map((one) => ({ ...one, unknown: false, confidence: null, corrected: null }));
-
-const kindOf = (one) => (one.corrected ? "corrected" : one.unknown ? "unknown" : "known");
+const named = (segments) => segments.filter((one) => one.category).map((one) => ({ ...one, unknown: false, perhaps: false, confidence: null, corrected: null }));
 
 async function load() {
   const [name, turn] = [motion, ++loads];
@@ -140,13 +138,12 @@ async function load() {
   drawTools(answer.given);
   labels = given ? named(given.segments) : (answer.labels?.segments ?? []);
   const shown = labels.length ? labels : answer.corrections.map((one) => ({ ...one, corrected: one.id, confidence: 1 }));
-  const segments = shown.map((one) => ({ start: one.start_s, end: one.end_s, label: one.category, kind: kindOf(one), confidence: one.confidence }));
+  const segments = shown.map(toSegment);
   timeline.setSegments(segments);
   $("#legend").replaceChildren(makeLegend(segments, timeline.tones));
   drawSegments($("#segments"), labels, { motion, tones: timeline.tones, onGo: (one) => seek(one.start_s), onChoose: (one) => { seek(one.start_s); choose(one); }, onExport: (one) => exportPart(one.start_s, one.end_s) });
   desk.setCorrections(answer.corrections);
-  const unknown = labels.reduce((sum, one) => sum + (one.unknown ? one.end_s - one.start_s : 0), 0);
-  const facts = { duration: formatSeconds(info.duration_s), count: labels.length, unknown: Math.round((100 * unknown) / info.duration_s) };
+  const facts = { duration: formatSeconds(info.duration_s), count: labels.length, unknown: sayShares(labels, info.duration_s) };
   const said = given ? t("facts_given", { ...facts, source: given.source }) : t("facts", facts);
   $("#take-facts").textContent = labels.length ? said : formatSeconds(info.duration_s);
   player.seek(player.time); // tells what is now

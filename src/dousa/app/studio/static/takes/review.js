@@ -1,6 +1,7 @@
 // Going through the stretches of a take: the least sure first; right, split here, join with the next. Buttons and keys.
 
 import { h, t } from "../core/dom.js";
+import { nameOf } from "../core/timeline_parts.js";
 
 const KEYS = { u: "next_unsure", y: "right", x: "split", j: "join" };
 
@@ -32,7 +33,7 @@ export class Review {
     const { one, next } = this.now();
     const able = {
       next_unsure: this.tools.segments().some(isOpen),
-      right: one && isOpen(one) && !one.unknown,
+      right: one && isOpen(one) && nameOf(one),
       split: one,
       join: one && next && (one.category || next.category),
     };
@@ -55,7 +56,7 @@ export class Review {
 
   async confirm() {
     const { one } = this.now();
-    if (await this.learn({ start: one.start_s, end: one.end_s, category: one.category })) this.goNext();
+    if (await this.learn({ start: one.start_s, end: one.end_s, category: nameOf(one) })) this.goNext();
   }
 
   /** Two stretches of one; of something unknown what begins here is chosen, to be named. */

@@ -1,12 +1,11 @@
 // The stretches of a take as a table.
 
 import { formatSeconds, h, icon, t } from "../core/dom.js";
+import { kindOf, makeSwatch, nameOf, sayName } from "../core/timeline_parts.js";
 
-function swatchOf(one, tones) {
-  const tone = one.unknown ? null : tones.of(one.category);
-  const swatch = h("b", { class: `tl-swatch ${tone ? `tl-pattern-${tone.pattern}` : "tl-unknown"}`, "aria-hidden": "true" }, tone ? tone.letter : "?");
-  if (tone) swatch.style.setProperty("--hue", tone.hue);
-  return swatch;
+function sayWhat(one) {
+  const [kind, said] = [kindOf(one), sayName(kindOf(one), nameOf(one))];
+  return kind === "unknown" || kind === "perhaps" ? h("i", {}, said) : said;
 }
 
 function confidence(one) {
@@ -18,7 +17,7 @@ function confidence(one) {
 
 /** How often it is done, where that is more than once. */
 export function often(one) {
-  return !one.unknown && one.repetitions > 1 ? h("span", { class: "often" }, `× ${one.repetitions}`) : "";
+  return nameOf(one) && one.repetitions > 1 ? h("span", { class: "often" }, `× ${one.repetitions}`) : "";
 }
 
 /** tools: {motion, tones, onGo(segment), onChoose(segment), onExport(segment)} */
@@ -30,7 +29,7 @@ export function drawSegments(element, segments, { motion, tones, onGo, onChoose,
       "tr",
       { dataset: { start: String(one.start_s) } },
       h("td", {}, h("button", { type: "button", class: "small quiet go", onclick: () => onGo(one), ondblclick: () => onChoose(one) }, `${formatSeconds(one.start_s)} – ${formatSeconds(one.end_s)}`)),
-      h("th", { scope: "row" }, h("span", { class: "what" }, swatchOf(one, tones), one.unknown ? h("i", {}, t("unknown")) : one.category, often(one))),
+      h("th", { scope: "row" }, h("span", { class: "what" }, makeSwatch(kindOf(one), nameOf(one), tones, { "aria-hidden": "true" }), sayWhat(one), often(one))),
       h("td", {}, confidence(one)),
       h("td", { class: "acts" }, h("button", { type: "button", class: "small quiet", onclick: () => onChoose(one), title: t("correct_title") }, icon("tag"), h("span", { class: "word" }, t("correct_title"))), h("a", { class: "button small quiet", href: `/search?${asked}`, title: t("search_segment") }, icon("search"), h("span", { class: "word" }, t("search_word"))), h("button", { type: "button", class: "small quiet export", onclick: () => onExport(one), title: t("export_part") }, icon("download"), h("span", { class: "word" }, t("export_word")))),
     );

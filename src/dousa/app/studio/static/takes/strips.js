@@ -3,12 +3,11 @@
 import { get } from "../core/api.js";
 import { baseName, formatSeconds, h, t } from "../core/dom.js";
 import { notify } from "../core/notices.js";
-import { Tones, drawStrip } from "../core/timeline_parts.js";
+import { Tones, drawStrip, sayShares, toSegment } from "../core/timeline_parts.js";
 
 function say(labels, duration) {
   if (!labels?.segments) return t("not_labelled");
-  const unknown = labels.segments.reduce((sum, one) => sum + (one.unknown ? one.end_s - one.start_s : 0), 0);
-  return t(labels.given ? "strip_given" : "strip_facts", { count: labels.segments.length, unknown: Math.round((100 * unknown) / Math.max(duration, 1e-9)) });
+  return t(labels.given ? "strip_given" : "strip_facts", { count: labels.segments.length, unknown: sayShares(labels.segments, duration) });
 }
 
 /** A list of rows that lead to their takes; the strips come when they are known. */
@@ -26,8 +25,7 @@ export function listTakes(items) {
       for (const { clip, strip, facts } of rows) {
         const labels = takes[`clip:${clip.id}`];
         facts.textContent = say(labels, clip.duration);
-        const segments = (labels?.segments ?? []).map((one) => ({ start: one.start_s, end: one.end_s, label: one.category, kind: one.unknown ? "unknown" : "known" }));
-        drawStrip(strip, segments, clip.duration, tones);
+        drawStrip(strip, (labels?.segments ?? []).map(toSegment), clip.duration, tones);
       }
     }, (error) => notify(error.message, "problem"));
   return h("ul", { class: "take-list" }, ...rows.map((row) => row.element));
