@@ -136,7 +136,8 @@ def test_what_can_be_done_with_a_choice_stays_while_clips_are_read_again(library
     page.wait("return document.querySelector('#grid').textContent.includes('#seen')")
     page.settle()
     same = "const now = document.querySelector('#actions').children;"
-    assert page.run(f"{same} return window.before.length === now.length && window.before.every((one, k) => one === now[k])")
+    kept = "return window.before.length === now.length && window.before.every((one, k) => one === now[k])"
+    assert page.run(f"{same} {kept}")
     page.find(".cell:nth-child(2)").click()  # another one: the bar is about that
     page.wait("return document.querySelector('#actions a[href^=\"/search\"]').href.endsWith(arguments[0])", str(other))
     assert page.messages() == []
