@@ -253,6 +253,12 @@ def tell(samples: list[tuple[float, float]], statuses: Counter[tuple[str, int]],
     print(f"memory: {size[0]:.0f} MB at the start, at most {size.max():.0f}")
     print(f"  from minute {at[later][0] / 60:.0f} on {first:.0f} MB, at the end {last:.0f} "
           f"({(last / first - 1) * 100:+.1f} %), {slope:+.1f} MB an hour")  # fmt: skip
+    step = 300.0 if seconds >= 1200.0 else seconds / 4
+    print("  curve, from minute on: median, most in MB")
+    for start in np.arange(0.0, seconds, step):
+        part = size[(at >= start) & (at < start + step)]
+        if len(part):
+            print(f"  {start / 60:5.1f}  {np.median(part):4.0f} {part.max():4.0f}")
     bad = sum(count for (_, status), count in statuses.items() if status >= 400 or status == 0)
     print(f"refused or failed: {bad}")
 

@@ -303,7 +303,8 @@ export class ClipMap {
 
   choose(line, event) {
     const { ids, places, fits, groups, group, lit } = this;
-    const within = ids.filter((_, k) => (!fits || fits[k]) && (!lit.size || lit.has(groups[group[k]].name)) && MapView.inside(line, places[2 * k], places[2 * k + 1]));
+    const isInside = MapView.enclosure(line);
+    const within = ids.filter((_, k) => (!fits || fits[k]) && (!lit.size || lit.has(groups[group[k]].name)) && isInside(places[2 * k], places[2 * k + 1]));
     const chosen = new Set(within);
     const { selection } = this.hooks;
     if (event.altKey) this.set(selection.ids.filter((id) => !chosen.has(id)));

@@ -141,13 +141,17 @@ export class MapView {
     return found;
   }
 
-  /** Whether a place lies within a line that is closed from its end to its beginning. */
-  static inside(line, x, y) {
-    let within = false;
-    for (let k = 0, last = line.length - 1; k < line.length; last = k, k += 1) {
-      const [[ax, ay], [bx, by]] = [line[k], line[last]];
-      if (ay > y !== by > y && x < ((bx - ax) * (y - ay)) / (by - ay) + ax) within = !within;
-    }
-    return within;
+  /** -> function (x, y): whether a place lies within a line that is closed from its end to its beginning */
+  static enclosure(line) {
+    const [xs, ys] = [0, 1].map((axis) => Float64Array.from(line, (point) => point[axis]));
+    const [left, right, top, bottom] = [Math.min(...xs), Math.max(...xs), Math.min(...ys), Math.max(...ys)];
+    return (x, y) => {
+      if (x < left || x > right || y < top || y > bottom) return false; // most of very many are far away
+      let within = false;
+      for (let k = 0, last = xs.length - 1; k < xs.length; last = k, k += 1) {
+        if (ys[k] > y !== ys[last] > y && x < ((xs[last] - xs[k]) * (y - ys[k])) / (ys[last] - ys[k]) + xs[k]) within = !within;
+      }
+      return within;
+    };
   }
 }
