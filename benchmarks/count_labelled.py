@@ -127,15 +127,15 @@ def gather(sets: Mapping[str, list[LabelledClip]], seed: int, *, loose: bool) ->
     return found
 
 
-def gather_many(cycles: Mapping[str, list[LabelledClip]], seed: int, first: int) -> list[Counted]:
-    """Series of many kinds of all sets, and of synthetic performers from ``first`` on."""
+def gather_many(cycles: Mapping[str, list[LabelledClip]], seed: int, first: int, people: int) -> list[Counted]:
+    """Series of many kinds of all sets, and of so many synthetic performers from ``first`` on."""
     found = []
     for name, clips in cycles.items():
         tallies = tally_clips(clips)
         for kind, one in make_repeated(name, clips, seed):
             found.append(Counted(one, list_others(tallies, one.person, one.category), kind))
     tallies = tally_clips(read_synthetic(_MODELS))
-    for kind, one in make_synthetic_repeated(seed, first):
+    for kind, one in make_synthetic_repeated(seed, first, people):
         usual = [each for (_, category), some in tallies.items() if category == one.category for each in some]
         found.append(Counted(one, usual, kind))
     return found
@@ -313,19 +313,21 @@ def main() -> None:
     parser.add_argument("--folds", type=int, default=1, help="people left out in turn for the rows end to end; 0: none")
     parser.add_argument("--repeats", type=int, default=2, help="takes of a category for the rows end to end")
     parser.add_argument("--only", default="", help="regular expression: which sets")
+    parser.add_argument("--quick", action="store_true", help="one drawing of each generator, of one made performer")
     parser.add_argument("--write", action="store_true", help="fit the weights to all sets and write them")
     options = parser.parse_args()
     cycles = read_cycles(options.data)
     sets = {name: clips for name, clips in cycles.items() if name != "Bandai"}
     real = gather_real(options.data)
-    material = [one for seed in _SEEDS for loose in (False, True) for one in gather(sets, seed, loose=loose)]
-    material += [one for seed in _MANY_SEEDS for one in gather_many(cycles, seed, _FITTED + 10 * seed)]
+    n, people = (1, 1) if options.quick else (None, 3)
+    material = [one for seed in _SEEDS[:n] for loose in (False, True) for one in gather(sets, seed, loose=loose)]
+    material += [one for seed in _MANY_SEEDS[:n] for one in gather_many(cycles, seed, _FITTED + 10 * seed, people)]
     if options.write:
         write_weights(fit_weights([*material, *real * _REAL]))
         return
     wanted = list(filter(re.compile(options.only).search, (*cycles, SYNTHETIC)))
-    test = [one for seed in _TEST_SEEDS for one in gather(sets, seed, loose=False)]
-    test += [one for seed in _MANY_TEST_SEEDS for one in gather_many(cycles, seed, _TESTED + 10 * seed)]
+    test = [one for seed in _TEST_SEEDS[:n] for one in gather(sets, seed, loose=False)]
+    test += [one for seed in _MANY_TEST_SEEDS[:n] for one in gather_many(cycles, seed, _TESTED + 10 * seed, people)]
     rows: dict[tuple[str, str, str], Row] = {}
     for person in sorted({one.series.person for one in real if re.search(options.only, "UTKinect")}):
         others = [one for one in real if one.series.person != person]

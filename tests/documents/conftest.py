@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import functools
 import hashlib
+import os
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -15,13 +17,20 @@ SOURCE = ROOT / "src"
 
 def hash_package() -> dict[str, str]:
     """Digests of all that the package ships beside its code: tables, trained models, pages."""
-    paths = sorted(path for path in SOURCE.rglob("*") if path.is_file() and is_data(path))
-    return {path.relative_to(SOURCE).as_posix(): hashlib.sha256(path.read_bytes()).hexdigest() for path in paths}
+    paths = (Path(folder, name) for folder, _, names in os.walk(SOURCE) if is_shipped(folder) for name in names)
+    found = sorted(path for path in paths if path.suffix not in (".py", ".pyi"))
+    return {path.relative_to(SOURCE).as_posix(): hash_file(path, path.stat().st_mtime_ns) for path in found}
 
 
-def is_data(path: Path) -> bool:
-    """Whether a file is shipped and is neither code nor a cache."""
-    return path.suffix not in (".py", ".pyi") and "__pycache__" not in path.parts
+def is_shipped(folder: str) -> bool:
+    """Whether the files of a folder are no cache."""
+    return not folder.endswith("__pycache__")
+
+
+@functools.cache
+def hash_file(path: Path, written_ns: int) -> str:
+    """Digest of a file as it was last written; read once."""
+    return hashlib.sha256(path.read_bytes()).hexdigest()
 
 
 @pytest.fixture(autouse=True)

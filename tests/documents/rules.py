@@ -86,7 +86,7 @@ _LESS = {
     "python benchmarks/search.py --train": "--train 60 --categories 3",
     "python benchmarks/label_corrections.py": "--quick",
     "python benchmarks/likeness.py": "--trees 10 --queries 1 --report hdm05",
-    "python benchmarks/count_labelled.py": "--folds 0 --only Intelli",
+    "python benchmarks/count_labelled.py": "--folds 0 --only Intelli --quick",
     "python benchmarks/label_disturbed.py": "--only HDM05",
     "python benchmarks/confidence.py": "--only hdm05 --folds 1 --find 2",
     "python benchmarks/perhaps.py": "--only hdm05,utkinect --shares 0.98",
