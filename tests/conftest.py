@@ -10,6 +10,7 @@ import pytest
 from hypothesis import HealthCheck, settings
 
 from one_compiler import compile_in_turns
+from processor_times import ProcessorTimes
 
 os.environ["DOUSA_LANG"] = "en"  # whatever the locale of the machine is; commands in processes of their own inherit it
 # A loaded machine is slow, not wrong; CI tries the same examples each time, whoever works at it tries new ones.
@@ -23,9 +24,11 @@ SHARED_DATA = TESTS.parents[1] / "shared" / "data"
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    """Workers compile in turns, by files in the folder where their temporary ones are."""
+    """Workers compile in turns, by files in the folder where their temporary ones are; what tests cost can be told."""
     if hasattr(config, "workerinput"):
         compile_in_turns(Path(config.option.basetemp).parent / "kernels")
+    if count := int(os.environ.get("DOUSA_TEST_TIMES", "0")):
+        config.pluginmanager.register(ProcessorTimes(count), "processor times")
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
