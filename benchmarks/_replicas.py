@@ -7,6 +7,8 @@ category, the direction between both, and the poses and the words of the first. 
 from __future__ import annotations
 
 import json
+import shutil
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +19,9 @@ from dousa.library import Library, schema
 from dousa.library.engine import next_revision, note_changed_clips, take_clip_ids
 from dousa.library.forests import StoredForest, load_forest, name_votes
 from dousa.library.seals.checksums import LABELS, LEAVES, POSES, RELATIONS, Seal, seal_positions, seal_rows
+from dousa.library.windows.portions import Portion, read_portion
+from dousa.library.windows.scanning import TakesOnDisk
+from dousa.retrieval.takes.windows import TAKE_RATE, TakeWindows
 
 AT_ONCE = 20_000
 EXCHANGED = 0.3
@@ -38,15 +43,23 @@ def replicate(path: Path, n_clips: int) -> None:
 
 
 def replicate_take(path: Path, hours: float) -> int:
-    """Add rows of its one take to a trained library, a file, until it has so many hours; returns how many there are."""
+    """Add takes made of the one take of a trained library, a file, until it has so many hours; how many there are.
+
+    Each is of somebody who stands and moves a little differently: to the poses of every joint a constant and a slow
+    movement are added, and a third of the leaves of a window are those of another of the same length. Positions are
+    those of the one take.
+    """
     clips, windows, arrays = schema.clips, schema.take_windows, schema.clip_trajectories
+    chance = np.random.default_rng(0)
     with Library.open(path) as library:
         with library.database.reading() as connection:
             row = connection.execute(sa.select(clips).where(clips.c.kind == schema.TAKE)).one()._mapping
             own = connection.execute(sa.select(windows).where(windows.c.clip_id == row["id"])).one()
             data = connection.execute(sa.select(arrays.c.positions).where(arrays.c.clip_id == row["id"])).scalar_one()
         count = max(round(hours * 3600 / row["duration"]), 1)
+        known = TakeWindows.from_bytes(own.data)
         for _ in range(count - 1):
+            made = vary(known, chance).to_bytes()
             with library.database.writing() as connection:
                 next_revision(connection)
                 (number,) = take_clip_ids(connection, 1)
@@ -54,8 +67,42 @@ def replicate_take(path: Path, hours: float) -> int:
                 connection.execute(sa.insert(clips), seal_rows(clips, [new]))
                 sums = seal_positions(number, data)
                 connection.execute(sa.insert(arrays), [{"clip_id": number, "positions": data, "block_checksums": sums}])
-                connection.execute(sa.insert(windows), [{**own._mapping, "clip_id": number}])
+                connection.execute(sa.insert(windows), [{**own._mapping, "clip_id": number, "data": made}])
     return count
+
+
+def vary(take: TakeWindows, chance: np.random.Generator) -> TakeWindows:
+    """A take of somebody else who does nearly the same."""
+    n_values = take.poses.shape[1]
+    times = np.arange(take.n_frames)[:, None] / TAKE_RATE
+    waves = np.sin(times * chance.uniform(0.1, 1.0, n_values) + chance.uniform(0, 6.3, n_values))
+    moved = take.poses + chance.normal(0, 0.03, n_values) + chance.uniform(0, 0.03, n_values) * waves
+    lengths = take.stops - take.starts
+    leaves = take.leaves.copy()
+    for length in take.grid.lengths:
+        rows = np.flatnonzero(lengths == length)
+        other = chance.random((len(rows), leaves.shape[1])) < EXCHANGED
+        leaves[rows] = np.where(other, take.leaves[chance.permutation(rows)], take.leaves[rows])
+    return TakeWindows(take.grid, leaves, moved.astype(np.float16), take.duration)
+
+
+def copy_windows(path: Path, hours: float) -> tuple[TakesOnDisk, int]:
+    """Takes on disk of so many hours, the files of windows beside a library and copies of these; and how many."""
+    files = sorted(Path(f"{path}-windows").glob("*.windows"))
+    known = [portion for portion in map(read_portion, files) if portion is not None]
+    portions: list[Portion] = []
+    places: dict[int, tuple[int, int]] = {}
+    seconds = 0.0
+    while seconds < 3600 * hours:
+        one = known[len(portions) % len(known)]
+        there = one.path
+        if len(portions) >= len(known):
+            there = Path(shutil.copyfile(one.path, f"{path}-windows/{len(portions):06}.copy"))
+        ids = len(places) + np.arange(len(one.ids))
+        places.update({number: (len(portions), place) for place, number in enumerate(ids.tolist())})
+        portions.append(replace(one, path=there, ids=ids))
+        seconds += float(one.durations.sum())
+    return TakesOnDisk(portions, places), len(places)
 
 
 class _Known:

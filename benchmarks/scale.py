@@ -1,6 +1,7 @@
 """What a library costs as it grows: making it, training, searching, and adding 64 clips to it when it is trained.
 
-    python benchmarks/scale.py [N ...] [--categories N] [--folder FOLDER] [--drawn K] [--replicate M] [--hours H]
+    python benchmarks/scale.py [N ...] [--categories N] [--folder FOLDER] [--drawn K] [--replicate M]
+        [--hours H] [--scanned H]
     python benchmarks/scale.py --library PATH
 
 The clips are made as by ``benchmarks/search.py``, 60 frames each. Prints for each size the clips written per second in
@@ -17,15 +18,18 @@ With ``--replicate`` rows are added to each library, when all that is done, unti
 timed in that: they cost what the rows cost, so a million clips need not be trained. ``first search of all`` reads every
 row and makes the file of the index; ``first search`` is that of the next program; then 64 clips get another category.
 
-With ``--hours`` a take of ten minutes is added to the first library, and its rows again until there are so many hours,
-9 MB each; a motion and its mirror image are looked for in them, twice. Memory then is that of the program, the rest of
-which takes 0.2 GB.
+With ``--hours`` a take of ten minutes is added to the first library, and takes made of it until there are so many
+hours, 9 MB each. A motion and its mirror image are looked for in them: by a program that compares everything, by one
+that makes the files of windows, and by the next; and it is told how many of the first ten places of the first are those
+of the others, for ten motions. Memory is that of the program, the rest of which takes 0.2 GB. With ``--scanned`` the
+files of windows are copied until there are so many hours, and looked through by themselves.
 """
 
 from __future__ import annotations
 
 import argparse
 import multiprocessing
+import pickle
 import resource
 import tempfile
 import time
@@ -35,13 +39,20 @@ from pathlib import Path
 from unittest import mock
 
 import numpy as np
-from _replicas import replicate, replicate_take
+from _replicas import copy_windows, replicate, replicate_take
 from search import make_library, train
 
-from dousa.formats.registry import write_motion
+from dousa.formats.registry import read_motion, write_motion
 from dousa.library import Library
+from dousa.library.features import find_feature_set
+from dousa.library.forests import load_forest
+from dousa.library.results import Place
+from dousa.library.windows import keeper
+from dousa.motion import canonicalise, compute_trajectories
+from dousa.motion.canonical.canonicalise import mirror_canonical
 from dousa.motion.synthetic.performers import CATEGORIES, draw_performer, make_motion
 from dousa.retrieval.forest import trees
+from dousa.retrieval.takes.find import TakeSearch, describe_query
 
 N_ADDED = 64
 N_WARM = 20
@@ -117,11 +128,54 @@ def add(path: Path, files: Path) -> None:
         measure(f"add {N_ADDED} clips", lambda: library.add(files, n_jobs=1))
 
 
-def find(path: Path, query: Path, n_takes: int) -> None:
-    """Time looking for a motion in takes: when a program begins, and again."""
-    with Library.open(path) as library:
+def find(path: Path, queries: list[Path], n_takes: int) -> None:
+    """Time looking for a motion in takes, and count the places that are those of a search that compares everything."""
+    there = f"in {n_takes} takes of ten minutes"
+    with Library.open(path) as library, mock.patch.object(keeper, "MOST_IN_MEMORY", 1 << 60):
         for what in ("first", "second"):
-            measure(f"{what} find in {n_takes} takes of ten minutes", lambda: library.find(query, mirror=True))
+            measure(f"{what} find {there}, all compared", lambda: library.find(queries[0], mirror=True))
+        exact = [library.find(query, mirror=True).results for query in queries]
+    path.with_suffix(".exact").write_bytes(pickle.dumps(exact))
+
+
+def find_again(path: Path, queries: list[Path], n_takes: int) -> None:
+    """Time looking for a motion in takes whose windows lie in files, which the first program makes."""
+    there = f"in {n_takes} takes of ten minutes"
+    exact: list[tuple[Place, ...]] = pickle.loads(path.with_suffix(".exact").read_bytes())
+    with Library.open(path) as library:
+        for what in ("first", "second", "third"):
+            measure(f"{what} find {there}", lambda: library.find(queries[0], mirror=True))
+        shares = []
+        for query, expected in zip(queries, exact, strict=True):
+            found = {(one.clip_id, one.start, one.end) for one in library.find(query, mirror=True).results}
+            if expected:
+                shares.append(np.mean([(one.clip_id, one.start, one.end) in found for one in expected]))
+        print(f"of the first ten places {np.mean(shares):.3f} are found, {np.min(shares):.1f} at least", flush=True)
+
+
+def scan(path: Path, query: Path, hours: float) -> None:
+    """Time looking through files of windows alone."""
+    far, count = copy_windows(path, hours)
+    with Library.open(path) as library, library.database.reading() as connection:
+        stored = load_forest(connection, library.name)
+    assert stored is not None
+    motion = canonicalise(compute_trajectories(read_motion(query)))
+    asked = [
+        describe_query(stored.forest, find_feature_set(stored.feature_set), one)
+        for one in (motion, mirror_canonical(motion))
+    ]
+
+    def search() -> None:
+        searches = [TakeSearch(one) for one in asked]
+        for number in range(count):
+            for one in searches:
+                one.include(str(number))
+        far.search(searches, {number: number for number in range(count)})
+        for one in searches:
+            one.finish(far.cutter)
+
+    for what in ("first", "second", "third"):
+        measure(f"{what} look through the files of {hours:.0f} hours", search)
 
 
 def add_take(path: Path, file: Path) -> None:
@@ -162,6 +216,7 @@ def main() -> None:
     parser.add_argument("--drawn", type=int, metavar="K", help="clips that each tree grows from")
     parser.add_argument("--replicate", type=int, metavar="M", help="then search in so many clips, made of its rows")
     parser.add_argument("--hours", type=float, metavar="H", help="look for a motion in so many hours of takes")
+    parser.add_argument("--scanned", type=float, metavar="H", help="look through files of so many hours by themselves")
     parser.add_argument("--library", type=Path, metavar="PATH", help="a trained library that is measured, and changed")
     options = parser.parse_args()
     with tempfile.TemporaryDirectory(dir=options.folder) as folder:
@@ -178,7 +233,12 @@ def main() -> None:
             use(path, files)
             if options.hours and size == options.sizes[0]:
                 add_take(path, Path(folder, "take.bvh"))
-                run_alone(find, path, next(files[0].rglob("*.bvh")), replicate_take(path, options.hours))
+                queries = sorted(files[0].rglob("*.bvh"))[:10]
+                n_takes = replicate_take(path, options.hours)
+                for function in (find, find_again, find_again):
+                    run_alone(function, path, queries, n_takes)
+                if options.scanned:
+                    run_alone(scan, path, queries[0], options.scanned)
             if options.replicate:
                 replicate(path, options.replicate)
                 print(f"{options.replicate} clips, made of these rows", flush=True)

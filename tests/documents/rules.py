@@ -92,6 +92,7 @@ _LESS = {
     "python benchmarks/perhaps.py": "--only hdm05,utkinect --shares 0.98",
     "python benchmarks/segment_confidence.py": "--only hdm05",
     "benchmarks/find.py": "--minutes 1",
+    "python benchmarks/find_many.py": "--minutes 1",
     "benchmarks/correspondence.py --full 12000": "--frames 400 --full 200 --memory",
 }
 

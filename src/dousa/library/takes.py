@@ -25,12 +25,14 @@ from dousa.library.results import MIRROR_SCORE, FindResult, Place
 from dousa.library.search import PartProgress
 from dousa.library.selection import fetch_in, find_row
 from dousa.library.text.meanings import find_meanings
+from dousa.library.windows.keeper import WindowKeeper
 from dousa.messages import Message
 from dousa.retrieval.features.partial_bodies import count_placed, hide_joints
 from dousa.retrieval.forest.likeness import merge_votes
 
 if TYPE_CHECKING:
-    from dousa.retrieval.takes.find import Found
+    from dousa.library.windows.scanning import TakesOnDisk
+    from dousa.retrieval.takes.find import CutStretch, Found
     from dousa.retrieval.takes.windows import TakeWindows, WindowGrid
 
 _ALIKE = 0.5
@@ -188,6 +190,7 @@ class Takes:
         self._windows: dict[int, TakeWindows] = {}
         self._kept_bytes = 0
         self._keeps = True
+        self._keeper = WindowKeeper(database)
 
     def find(
         self,
@@ -196,6 +199,7 @@ class Takes:
         k: int,
         *,
         mirror: bool,
+        exact: bool = False,
         options: ReadOptions,
         n_jobs: int | None,
         progress: PartProgress | None = None,
@@ -220,7 +224,9 @@ class Takes:
                 chosen, skipped = self.all_takes(connection, describing)
             else:
                 chosen, skipped = self.chosen(connection, describing, takes)
-            found, seconds = _find([motion, motion.mirror()] if mirror else [motion], chosen, k)
+            asked = [motion, motion.mirror()] if mirror else [motion], chosen, k
+            numbers = None if takes is None else {take.clip_id for take in chosen if take.clip_id is not None}
+            found, seconds = _find(*asked) if exact else self._find(connection, stored, numbers, asked, progress)
             places = _judge_places(connection, stored, motion, chosen, _rank(found, chosen, k))
         notes = [] if note is None else [note]
         fewer = sum(take.stored.hidden != part.hidden for take in chosen)
@@ -236,6 +242,25 @@ class Takes:
             notes=tuple(notes),
             alike_count=_count_alike(stored, places),
         )
+
+    def _find(
+        self,
+        connection: sa.Connection,
+        stored: StoredForest,
+        numbers: set[int] | None,
+        asked: tuple[Sequence[StoredMotion], Sequence[ReadTake], int],
+        progress: PartProgress | None,
+    ) -> tuple[list[tuple[Found, bool]], float]:
+        """``_find`` with the files of windows, if there are many; of a damaged one takes are looked at without it."""
+        from dousa.library.windows.portions import PortionGoneError
+
+        while True:
+            read = partial(self._read, connection, stored, keep=False)
+            on_disk = self._keeper.open(connection, stored, numbers, read, progress)
+            try:
+                return _find(*asked, None if on_disk is None else (stored, on_disk))
+            except PortionGoneError as gone:
+                self._keeper.drop(gone.path)
 
     def _read_query(self, connection: sa.Connection, query: Query, options: ReadOptions) -> tuple[str, StoredMotion]:
         """The name and the motion of a query."""
@@ -385,8 +410,8 @@ class Takes:
         names = [path for path in paths if is_unicode(path)]
         return {row.path: row for row in fetch_in(connection, query, table.path, names)}
 
-    def _read(self, connection: sa.Connection, stored: StoredForest, clip_id: int) -> TakeWindows:
-        """Windows of a take; those that are not stored are described."""
+    def _read(self, connection: sa.Connection, stored: StoredForest, clip_id: int, *, keep: bool = True) -> TakeWindows:
+        """Windows of a take; those that are not stored are described. They stay in memory, if they shall and can."""
         from dousa.retrieval.takes.windows import TakeWindows
 
         if self._learned != stored.learned:
@@ -412,7 +437,7 @@ class Takes:
             trees, leaves = stored.forest.trees_, windows.leaves
             if leaves.shape[1] != len(trees.roots) or (leaves.size and leaves.max() >= trees.n_leaves):
                 raise LibraryDamagedError("library_takes.other_forest", library=where, number=clip_id)
-        if self._kept_bytes + windows.n_bytes <= _MOST_KEPT:
+        if keep and self._kept_bytes + windows.n_bytes <= _MOST_KEPT:
             self._windows[clip_id] = windows
             self._kept_bytes += windows.n_bytes
         return windows
@@ -449,10 +474,16 @@ def _give(windows: TakeWindows) -> TakeWindows:
     return windows
 
 
-def _find(motions: Sequence[StoredMotion], takes: Sequence[ReadTake], k: int) -> tuple[list[tuple[Found, bool]], float]:
+def _find(
+    motions: Sequence[StoredMotion],
+    takes: Sequence[ReadTake],
+    k: int,
+    on_disk: tuple[StoredForest, TakesOnDisk] | None = None,
+) -> tuple[list[tuple[Found, bool]], float]:
     """The best places of the query, and of its mirror image if there is one, and the seconds of all takes.
 
-    Takes that are compared by the same joints are ordered together. Each is read once, and again where a place is.
+    Takes that are compared by the same joints are ordered together. Each is read once, and again where a place is; but
+    those that are ``on_disk``, by a forest.
     """
     from dousa.retrieval.takes.find import TakeSearch, describe_query
 
@@ -466,17 +497,38 @@ def _find(motions: Sequence[StoredMotion], takes: Sequence[ReadTake], k: int) ->
         kind = find_feature_set(stored.feature_set)
         queries = [describe_query(stored.forest, kind, hide_joints(motion, kind.hidden)) for motion in motions]
         searches = [TakeSearch(query, k) for query in queries]
-        for row in rows:
+        far = on_disk[1] if on_disk is not None and on_disk[0] is stored else None
+        wanted: dict[int, int] = {}
+        for place, row in enumerate(rows):
+            number = takes[row].clip_id
+            if far is not None and number is not None and number in far:
+                wanted[number] = place
+                seconds[row] = far.duration(number)
+                for search in searches:
+                    search.include(str(row))
+                continue
             windows = takes[row].read()
             seconds[row] = windows.duration
             for search in searches:
                 search.look(str(row), windows)  # two files may have one name, and numbers are compared fast
+        if far is not None:
+            far.search(searches, wanted)
         # Of a body of which less can be compared, less is known to be alike.
         share = count_placed(kind.hidden) / most
         for mirrored, search in enumerate(searches):
-            places = search.finish(lambda number, rows=rows: takes[rows[number]].read())  # type: ignore[misc]
+            places = search.finish(partial(_look_again, takes, rows, far))
             found += [(one if share == 1.0 else replace(one, score=one.score * share), mirrored > 0) for one in places]
     return found, sum(seconds[row] for row in range(len(takes)))
+
+
+def _look_again(
+    takes: Sequence[ReadTake], rows: Sequence[int], far: TakesOnDisk | None, place: int
+) -> TakeWindows | CutStretch:
+    """The take at one of the rows: its windows, or what cuts stretches out of it."""
+    take = takes[rows[place]]
+    if far is not None and take.clip_id is not None and take.clip_id in far:
+        return far.cutter(take.clip_id)
+    return take.read()
 
 
 def _rank(found: list[tuple[Found, bool]], takes: Sequence[ReadTake], k: int) -> list[Place]:

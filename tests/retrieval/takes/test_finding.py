@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
@@ -167,17 +168,19 @@ def find_slowly(query, takes, limit, most):
             distance = np.empty(1)
             one = slice(row, row + 1)
             compare_poses(
-                windows.sums, windows.starts[one], windows.stops[one], find._cut(query.poses), np.inf, distance
+                windows.sums, windows.starts[one], windows.stops[one], find.cut_parts(query.poses), np.inf, distance
             )
             share = (windows.leaves[row] == query.leaves).mean()
-            every.append((float(find._cost(distance[0], share)), number, row, share))
+            every.append((float(find.cost_windows(distance[0], share)), number, row, share))
     every.sort(key=lambda one: one[:3])
     kept, spans = [], []
     for _, number, row, share in every[:most]:
         span = takes[number][1].starts[row], takes[number][1].stops[row]
         if all(other != number or overlap(span, there) < 0.3 for other, there in spans):
             spans.append((number, span))
-            kept.append(find._refine(query, takes[number], int(row), float(share), (0.5, 2.0)))
+            name, windows = takes[number]
+            window = {"start": windows.starts[row], "stop": windows.stops[row], "share": share}
+            kept.append(find._refine(query, (name, partial(find.cut_stretch, windows)), window, (0.5, 2.0)))
     found = sorted(kept[: 2 * limit + 20], key=lambda one: (-one.score, one.take, one.start))
     return find._drop_same(found)[:limit]
 

@@ -47,6 +47,9 @@ def find(
     ] = None,
     k: Annotated[int, typer.Option("-k", min=1, help="Number of hits.")] = 10,
     mirror: Mirror = False,
+    exact: Annotated[
+        bool, typer.Option("--exact", help="Compare every window, also of more than 10 hours of recordings.")
+    ] = False,
     *,
     motion_options: o.MotionOptions,
     jobs: o.Jobs = None,
@@ -64,6 +67,7 @@ def find(
             None if not takes else [clip_or_path(take) for take in takes],
             k,
             mirror=mirror,
+            exact=exact,
             options=motion_options.load(),
             n_jobs=jobs,
             progress=progress,

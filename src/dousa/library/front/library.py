@@ -426,6 +426,7 @@ class Library(LibraryChanges):
         k: int = 10,
         *,
         mirror: bool = False,
+        exact: bool = False,
         options: ReadOptions | None = None,
         n_jobs: int | None = None,
         progress: PartProgress | None = None,
@@ -439,9 +440,11 @@ class Library(LibraryChanges):
             kept. Others are described now.
         k : how many places at most.
         mirror : look for the mirror image of the query too.
+        exact : compare every window, also of more takes than memory has room for. Of these only windows are compared
+            otherwise whose sketches are nearest.
         options : what the files do not say.
         n_jobs : files read, and parts described, at a time; as in ``add``.
-        progress : as in ``search``.
+        progress : as in ``search``; of many takes also called while the files are made in which they are searched.
 
         Raises
         ------
@@ -457,7 +460,8 @@ class Library(LibraryChanges):
         single = (int, str, os.PathLike, CanonicalMotion, Motion, Trajectories)
         chosen = [takes] if isinstance(takes, single) else takes if takes is None else list(takes)
         options = options or ReadOptions()
-        return self._takes.find(query, chosen, k, mirror=mirror, options=options, n_jobs=n_jobs, progress=progress)
+        asked = query, chosen, k
+        return self._takes.find(*asked, mirror=mirror, exact=exact, options=options, n_jobs=n_jobs, progress=progress)
 
     def label(
         self,

@@ -38,16 +38,21 @@ _PART = ("ids", "sums", "given", "predicted", "path_ends", "path_bytes", "codes"
 _VOTES = ("starts", "categories", "votes", "squares", "lengths")
 
 
-def find_place(connection: sa.Connection, where: str) -> Path:
-    """Where the file of a library is: beside its own, or in the folder of caches where a server has it."""
+def find_place(connection: sa.Connection, where: str, kind: str = "search") -> Path:
+    """Where the file of a library is: beside its own, or in the folder of caches where a server has it.
+
+    Parameters
+    ----------
+    kind : what it is, at the end of its name.
+    """
     if connection.dialect.name == "sqlite":
         path = next(row[2] for row in connection.exec_driver_sql("PRAGMA database_list") if row[1] == "main")
-        return Path(f"{path}-search")
+        return Path(f"{path}-{kind}")
     name = hashlib.sha256(where.encode()).hexdigest()[:32]
-    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "dousa" / f"{name}-search"
+    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "dousa" / f"{name}-{kind}"
 
 
-def _name_forest(stored: StoredForest) -> list[int]:
+def name_forest(stored: StoredForest) -> list[int]:
     """What votes depend on besides the leaves."""
     sums = [zlib.crc32(np.ascontiguousarray(part).data) for part in stored.forest.vote_entries]
     return [stored.revision, stored.learned, *sums]
@@ -135,7 +140,7 @@ def _write_file(file: IO[bytes], stored: StoredForest, merged: MergedParts, rows
         described.append([name, data.dtype.str, [count, *data.shape[1:]], place, checksum])
     header = {
         "arrays": described,
-        "forest": _name_forest(stored),
+        "forest": name_forest(stored),
         "names": merged.names,
         "partial": sorted(rows.partial.items()),
     }
@@ -157,7 +162,7 @@ def read_side_file(path: Path, stored: StoredForest) -> tuple[LeafIndex, bool] |
     part, rows, header, arrays = found
     try:
         votes = None
-        if header["forest"] == _name_forest(stored):
+        if header["forest"] == name_forest(stored):
             votes = SparseVotes(*(arrays[f"votes.{name}"] for name in _VOTES))
     except (KeyError, TypeError):
         return None

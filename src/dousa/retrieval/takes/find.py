@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -25,7 +26,7 @@ if TYPE_CHECKING:
     from dousa.retrieval.forest.forest import MotionForest
 
 # Chosen on joined takes of UTD-MHAD and HDM05 with people and some of the categories left out (docs/takes.md).
-_POSE_WEIGHT, _LEAF_WEIGHT, _ALIGNED_WEIGHT = 3.0, 0.05, 2.0
+POSE_WEIGHT, _LEAF_WEIGHT, _ALIGNED_WEIGHT = 3.0, 0.05, 2.0
 _LEAST_SHARE = 0.02
 
 # Where the score is one half, and how fast it falls, for costs in units of how much the query moves.
@@ -145,7 +146,40 @@ def find_in_takes(
     return search.finish(by_place.__getitem__)
 
 
-_NUMBERS = np.dtype([("take", "i8"), ("row", "i8"), ("start", "i8"), ("stop", "i8"), ("cost", "f8"), ("share", "f8")])
+WINDOW_NUMBERS = np.dtype(
+    [("take", "i8"), ("row", "i8"), ("start", "i8"), ("stop", "i8"), ("cost", "f8"), ("share", "f8")]
+)
+"""A window of the n-th take that was shown: where it is, its cost, and the share of trees with the query's leaf."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Stretch:
+    """The frames of a take around a window.
+
+    Parameters
+    ----------
+    first : frame of the take with which it begins.
+    poses : (n, 27) float16, its small poses.
+    sums : (n + 1, 27) running sums of poses; where they begin makes no difference.
+    n_frames, duration : of the whole take, in frames at ``TAKE_RATE`` and s.
+    """
+
+    first: int
+    poses: NDArray[np.float16]
+    sums: FloatArray
+    n_frames: int
+    duration: float
+
+
+CutStretch = Callable[[int, int], Stretch]
+"""Gives the frames of a take from one to another, as far as there are such."""
+
+
+def cut_stretch(windows: TakeWindows, first: int, last: int) -> Stretch:
+    """Frames of a take that is in memory."""
+    frames = slice(max(first, 0), last)
+    sums = windows.sums[frames.start : last + 1]
+    return Stretch(frames.start, windows.poses[frames], sums, windows.n_frames, windows.duration)
 
 
 class TakeSearch:
@@ -160,16 +194,57 @@ class TakeSearch:
         if limit < 1 or not 0 < slowest <= fastest < np.inf:
             raise OptionError("find.options", limit=limit, slowest=slowest, fastest=fastest)
         self._query, self._limit, self._tempos = query, limit, (slowest, fastest)
+        self._parts = cut_parts(query.poses)
         self._names: list[str] = []
-        self._best = np.zeros(0, _NUMBERS)
+        self._best = np.zeros(0, WINDOW_NUMBERS)
         self._waiting: list[NDArray[Any]] = []
         self._farthest = np.inf
 
     def look(self, name: str, windows: TakeWindows) -> None:
         """Look at the next take."""
         found = _compare(self._query, windows, self._tempos, self._farthest)
-        found["take"] = len(self._names)
+        found["take"] = self.include(name)
+        self._wait(found)
+
+    @property
+    def leaves(self) -> IntArray:
+        """That the query reaches."""
+        return self._query.leaves
+
+    @property
+    def parts(self) -> FloatArray:
+        """(8, 27) mean poses of the parts of the query."""
+        return self._parts
+
+    @property
+    def lengths(self) -> tuple[float, float]:
+        """The shortest and the longest windows that are compared, in frames; not whole ones."""
+        return _limit_lengths(len(self._query.poses), self._tempos)
+
+    def include(self, name: str) -> int:
+        """The number of the next take, of which some windows will be shown, or none."""
         self._names.append(name)
+        return len(self._names) - 1
+
+    def consider(self, windows: NDArray[Any], sums: FloatArray, places: IntArray) -> None:
+        """Look at some windows of takes that were included.
+
+        Parameters
+        ----------
+        windows : (M,) ``WINDOW_NUMBERS``, without their costs.
+        sums : running sums of poses in which all of them lie.
+        places : (M,) where each begins there.
+        """
+        from dousa.retrieval.takes.window_kernels import compare_poses
+
+        distances = np.empty(len(windows))
+        ends = places + windows["stop"] - windows["start"]
+        compare_poses(sums, places, ends, self._parts, self._farthest / POSE_WEIGHT, distances)
+        found = windows.copy()
+        found["cost"] = cost_windows(distances, found["share"])
+        self._wait(found[found["cost"] <= self._farthest])
+
+    def _wait(self, found: NDArray[Any]) -> None:
         self._waiting.append(found)
         if sum(map(len, self._waiting)) >= _MOST_WINDOWS:
             self._keep_best()
@@ -178,19 +253,20 @@ class TakeSearch:
         """Of all windows so far those that may be looked through; a later one must not cost more than the last."""
         found = np.concatenate([self._best, *self._waiting])
         self._waiting = []
-        self._best = found[np.argsort(found["cost"], kind="stable")[:_MOST_WINDOWS]]
+        self._best = found[np.lexsort((found["row"], found["take"], found["cost"]))[:_MOST_WINDOWS]]
         if len(self._best) == _MOST_WINDOWS:
             self._farthest = float(self._best["cost"][-1])
 
-    def finish(self, get_windows: Callable[[int], TakeWindows]) -> list[Found]:
-        """The places, best first; ``get_windows`` gives the windows of the n-th take again."""
+    def finish(self, get_windows: Callable[[int], TakeWindows | CutStretch]) -> list[Found]:
+        """The places, best first; ``get_windows`` gives the windows of the n-th take again, or cuts stretches out."""
         self._keep_best()
         chosen = _different_places(self._best, 2 * self._limit + 20)
         found: list[Found] = []
         for take in np.unique(chosen["take"]):
-            windows = get_windows(int(take))
+            own = get_windows(int(take))
+            cut = own if callable(own) else partial(cut_stretch, own)
             found += [
-                _refine(self._query, (self._names[take], windows), int(one["row"]), float(one["share"]), self._tempos)
+                _refine(self._query, (self._names[take], cut), one, self._tempos)
                 for one in chosen[chosen["take"] == take]
             ]
         found.sort(key=lambda one: (-one.score, one.take, one.start))
@@ -198,38 +274,44 @@ class TakeSearch:
 
 
 def _compare(query: TakeQuery, take: TakeWindows, tempos: tuple[float, float], farthest: float) -> NDArray[Any]:
-    """The windows of a take that cost no more than ``farthest``, in their order, as ``_NUMBERS``."""
+    """The windows of a take that cost no more than ``farthest``, in their order, as ``WINDOW_NUMBERS``."""
     from dousa.retrieval.takes.window_kernels import compare_leaves, compare_poses
 
     if take.leaves.shape[1] != len(query.leaves):
         raise InvalidMotionError("find.other_forest", expected=len(query.leaves), found=take.leaves.shape[1])
     lengths = take.stops - take.starts
-    slowest, fastest = tempos
-    # A grid has gaps: the lengths next to the range may hold an edge of it.
-    first = int(np.searchsorted(lengths, len(query.poses) / fastest / 1.1))
-    last = max(int(np.searchsorted(lengths, len(query.poses) / slowest * 1.1, side="right")), first)
+    shortest, longest = _limit_lengths(len(query.poses), tempos)
+    first = int(np.searchsorted(lengths, shortest))
+    last = max(int(np.searchsorted(lengths, longest, side="right")), first)
     distances = np.empty(last - first)
     starts, stops = take.starts[first:last], take.stops[first:last]
     # Leaves that are shared make nothing cheaper than the poses are.
-    compare_poses(take.sums, starts, stops, _cut(query.poses), farthest / _POSE_WEIGHT, distances)
+    compare_poses(take.sums, starts, stops, cut_parts(query.poses), farthest / POSE_WEIGHT, distances)
     near = np.flatnonzero(np.isfinite(distances))
     shares = np.empty(len(near))
     compare_leaves(take.leaves[first + near], query.leaves.astype(take.leaves.dtype), shares)
-    costs = _cost(distances[near], shares)
+    costs = cost_windows(distances[near], shares)
     kept = costs <= farthest
     near = near[kept]
-    found = np.empty(len(near), _NUMBERS)
+    found = np.empty(len(near), WINDOW_NUMBERS)
     found["row"], found["start"], found["stop"] = first + near, starts[near], stops[near]
     found["cost"], found["share"] = costs[kept], shares[kept]
     return found
 
 
-def _cost(distances: Any, shares: Any) -> Any:
-    """Of windows, 0 for the query itself."""
-    return _POSE_WEIGHT * distances + _LEAF_WEIGHT * np.log((1 + _LEAST_SHARE) / (shares + _LEAST_SHARE))
+def _limit_lengths(n_frames: int, tempos: tuple[float, float]) -> tuple[float, float]:
+    """The lengths of windows that are compared with a query of so many frames."""
+    slowest, fastest = tempos
+    # A grid has gaps: the lengths next to the range may hold an edge of it.
+    return n_frames / fastest / 1.1, n_frames / slowest * 1.1
 
 
-def _cut(poses: NDArray[Any]) -> FloatArray:
+def cost_windows(distances: Any, shares: Any) -> Any:
+    """Of windows, by the distance of their poses and the share of trees with the same leaf; 0 for the query itself."""
+    return POSE_WEIGHT * distances + _LEAF_WEIGHT * np.log((1 + _LEAST_SHARE) / (shares + _LEAST_SHARE))
+
+
+def cut_parts(poses: NDArray[Any]) -> FloatArray:
     """(8, 27) mean poses of the parts of a sequence, which start at whole frames as those of windows do."""
     count = len(poses)
     edges = (np.arange(N_PARTS + 1) * count * 2 + N_PARTS) // (2 * N_PARTS)
@@ -240,7 +322,7 @@ def _cut(poses: NDArray[Any]) -> FloatArray:
 
 
 def _different_places(ordered: NDArray[Any], wanted: int) -> NDArray[Any]:
-    """The first windows (``_NUMBERS``) of which no two share much of their time (non-maximum suppression)."""
+    """The first windows (``WINDOW_NUMBERS``) of which no two share much of their time (non-maximum suppression)."""
     kept: list[int] = []
     spans: dict[int, list[tuple[int, int]]] = {}
     for k, (take, start, stop) in enumerate(ordered[["take", "start", "stop"]].tolist()):
@@ -260,19 +342,18 @@ def overlap(one: tuple[float, float], other: tuple[float, float]) -> float:
     return max(shared, 0.0) / union if union > 0 else 0.0
 
 
-def _refine(
-    query: TakeQuery, named: tuple[str, TakeWindows], row: int, share: float, tempos: tuple[float, float]
-) -> Found:
+def _refine(query: TakeQuery, named: tuple[str, CutStretch], window: Any, tempos: tuple[float, float]) -> Found:
     """Move the edges of a window until the poses of its parts fit best, then align it pose by pose."""
     from dousa.retrieval.takes.window_kernels import compare_poses
 
-    name, take = named
-    start, stop = int(take.starts[row]), int(take.stops[row])
+    name, cut = named
+    start, stop, share = int(window["start"]), int(window["stop"]), float(window["share"])
     moves = np.unique(np.round(_STEPS * (stop - start)).astype(np.int64))
     starts = np.repeat(start + moves, len(moves))
     stops = np.tile(stop + moves, len(moves))
     # The window itself comes first, so that it stays where others are only as good.
     starts, stops = np.append(start, starts), np.append(stop, stops)
+    take = cut(int(starts.min()), int(stops.max()))
     inside = (starts >= 0) & (stops <= take.n_frames) & (stops - starts >= N_PARTS)
     starts, stops = starts[inside], stops[inside]
     # Windows lie a little beyond the tempos, as the grid has gaps; the answers do not, if they can be moved.
@@ -280,11 +361,11 @@ def _refine(
     off = np.maximum(tempo / tempos[1], tempos[0] / tempo).clip(1.0)
     starts, stops = starts[off == off.min()], stops[off == off.min()]
     distances = np.empty(len(starts))
-    compare_poses(take.sums, starts, stops, _cut(query.poses), np.inf, distances)
+    compare_poses(take.sums, starts - take.first, stops - take.first, cut_parts(query.poses), np.inf, distances)
     best = int(np.argmin(distances))
     start, stop = int(starts[best]), int(stops[best])
-    aligned = _align(query.poses, take.poses[start:stop])
-    cost = float(_cost(distances[best], share)) + _ALIGNED_WEIGHT * aligned
+    aligned = _align(query.poses, take.poses[start - take.first : stop - take.first])
+    cost = float(cost_windows(distances[best], share)) + _ALIGNED_WEIGHT * aligned
     return Found(
         take=name,
         start=start / TAKE_RATE,

@@ -128,6 +128,14 @@ def hop_of(length: int) -> int:
     return (length + 3) // 6
 
 
+def count_windows(length: int, n_frames: int) -> int:
+    """How many windows of a length a take has."""
+    if length > n_frames:
+        return 0
+    hops, left = divmod(n_frames - length, hop_of(length))
+    return hops + 1 + (left > 0)
+
+
 def _starts(length: int, n_frames: int) -> IntArray:
     if length > n_frames:
         return np.zeros(0, np.int64)

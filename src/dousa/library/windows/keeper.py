@@ -1,0 +1,199 @@
+"""The files with the windows of many takes: which are of the library as it is now, and making those that are missing.
+
+Takes that fit into memory are compared there. Of more than that, windows are kept in a folder beside the library, some
+takes in each file. A file is of some takes as one forest described them, so nobody has to say what has changed: what
+stands for both is compared, and takes that are in no file, or as they are no longer, are looked at without one. Where
+these are many, a file is made of them; one that is of another forest, or half of whose takes are gone, is taken away.
+"""
+
+from __future__ import annotations
+
+import os
+import zlib
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+
+import sqlalchemy as sa
+
+from dousa.library import schema
+from dousa.library.engine import Database
+from dousa.library.features import lacks
+from dousa.library.forests import StoredForest
+from dousa.library.index.side_file import find_place, name_forest
+from dousa.library.windows.portions import Portion, read_portion, write_portion
+from dousa.library.windows.scanning import TakesOnDisk
+from dousa.messages import Message
+from dousa.retrieval.takes.windows import TAKE_RATE, TakeWindows, hop_of
+
+MOST_IN_MEMORY = 1 << 29
+"""Bytes of windows that are compared in memory, those of some 10 hours: of more a search uses files."""
+
+PORTION_BYTES = 1 << 26
+"""Of windows in memory that go into one file."""
+
+_SUFFIX = ".windows"
+_CLEARLY = 1.1  # of an estimate
+_BYTES_A_FRAME = 27 * (2 + 8)  # of a pose, and of its running sums
+
+Progress = Callable[[int, int, Message], None]
+
+
+@dataclass(frozen=True, slots=True)
+class _Take:
+    """What stands for the content of a take, and its length in s."""
+
+    stamp: int
+    duration: float
+
+
+class WindowKeeper:
+    """The files of one library; what was read of them stays in memory."""
+
+    def __init__(self, database: Database) -> None:
+        self._database = database
+        self._known: dict[tuple[str, int, int], Portion | None] = {}
+        self._writes = not database.is_read_only
+
+    def open(
+        self,
+        connection: sa.Connection,
+        stored: StoredForest,
+        asked: Collection[int] | None,
+        read: Callable[[int], TakeWindows],
+        progress: Progress | None = None,
+    ) -> TakesOnDisk | None:
+        """Takes whose windows are in files, as the library is now; None where memory has room for those asked about.
+
+        Parameters
+        ----------
+        stored : the forest by which they are described.
+        asked : numbers of takes; None for all.
+        read : gives the windows of a take.
+        progress : called with (takes done, takes, what is done) while files are made.
+        """
+        takes = _list_takes(connection, stored)
+        wanted = takes.values() if asked is None else [takes[number] for number in asked if number in takes]
+        if _estimate(stored, (take.duration for take in wanted)) <= MOST_IN_MEMORY:
+            return None
+        folder = find_place(connection, self._database.where, "windows")
+        forest = name_forest(stored)
+        portions = self._load(folder, forest)
+        places = _place(portions, takes)
+        pending = [number for number in sorted(takes) if number not in places]
+        waiting = _estimate(stored, (takes[number].duration for number in pending))
+        if self._writes and waiting >= _CLEARLY * PORTION_BYTES:
+            kept = self._sweep(folder, portions, places)
+            pending = [number for number in sorted(takes) if number not in _place(kept, takes)]
+            making = _Making(folder, forest, stored.forest.trees_.n_leaves, takes)
+            self._writes = making.make(pending, read, progress)
+            portions = self._load(folder, forest)
+            places = _place(portions, takes)
+        return TakesOnDisk(portions, places)
+
+    def drop(self, path: Path) -> None:
+        """Take away a file that is damaged."""
+        for key in [key for key in self._known if key[0] == str(path)]:
+            self._known[key] = None
+        if not self._database.is_read_only:
+            with suppress(OSError):
+                path.unlink()
+
+    def _load(self, folder: Path, forest: list[int]) -> list[Portion]:
+        """The files of a forest, by their names."""
+        found: dict[tuple[str, int, int], Portion | None] = {}
+        for path in sorted(folder.glob(f"*{_SUFFIX}")):
+            with suppress(OSError):
+                state = os.stat(path)
+                key = str(path), state.st_mtime_ns, state.st_size
+                found[key] = self._known[key] if key in self._known else read_portion(path)
+        self._known = found
+        return [portion for portion in found.values() if portion is not None and portion.forest == forest]
+
+    def _sweep(self, folder: Path, portions: Sequence[Portion], places: Mapping[int, tuple[int, int]]) -> list[Portion]:
+        """Take away files of another forest, and those with fewer takes of the library than others; the rest."""
+        alive = [0] * len(portions)
+        for portion, _ in places.values():
+            alive[portion] += 1
+        kept = [one for one, count in zip(portions, alive, strict=True) if 2 * count > len(one.ids)]
+        names = {one.path for one in kept}
+        for path in folder.glob(f"*{_SUFFIX}"):
+            if path not in names:
+                with suppress(OSError):
+                    path.unlink()
+        return kept
+
+
+def _list_takes(connection: sa.Connection, stored: StoredForest) -> dict[int, _Take]:
+    """The takes, by number, of which the forest describes windows."""
+    table = schema.clips.c
+    columns = table.id, table.content_hash, table.read_options, table.n_frames, table.frame_rate, table.height
+    query = sa.select(*columns, table.duration, table.absent).where(table.kind == schema.TAKE)
+    return {
+        row.id: _Take(zlib.crc32(repr(tuple(row[:-2])).encode()), row.duration)
+        for row in connection.execute(query)
+        if not lacks(stored.feature_set, row.absent)
+    }
+
+
+def _estimate(stored: StoredForest, durations: Iterable[float]) -> float:
+    """Bytes of windows of takes in memory, nearly."""
+    a_window = len(stored.forest.trees_.roots) * (2 if stored.forest.trees_.n_leaves < 2**16 else 4) + 16
+    a_frame = _BYTES_A_FRAME + sum(a_window / hop_of(length) for length in stored.grid.lengths)
+    return sum(durations) * TAKE_RATE * a_frame
+
+
+def _place(portions: Sequence[Portion], takes: Mapping[int, _Take]) -> dict[int, tuple[int, int]]:
+    """By number, file and place of each take that is as it was."""
+    places: dict[int, tuple[int, int]] = {}
+    for place, portion in enumerate(portions):
+        for own, (number, stamp) in enumerate(zip(portion.ids.tolist(), portion.stamps.tolist(), strict=True)):
+            if number in takes and takes[number].stamp == stamp:
+                places.setdefault(number, (place, own))
+    return places
+
+
+@dataclass(frozen=True, slots=True)
+class _Making:
+    """Makes files of takes.
+
+    Parameters
+    ----------
+    folder, forest, n_leaves : where, and of which forest.
+    takes : of the library.
+    """
+
+    folder: Path
+    forest: list[int]
+    n_leaves: int
+    takes: Mapping[int, _Take]
+
+    def make(self, pending: Sequence[int], read: Callable[[int], TakeWindows], progress: Progress | None) -> bool:
+        """Make files of takes, but of few that are left over; false where they cannot be written."""
+        waiting: list[tuple[int, int, TakeWindows]] = []
+        size = 0
+        for done, number in enumerate(pending):
+            if progress is not None:
+                progress(done, len(pending), Message("library_takes.keeping"))
+            waiting.append((number, self.takes[number].stamp, read(number)))
+            size += waiting[-1][2].n_bytes
+            if size >= PORTION_BYTES:
+                if not self._write(waiting):
+                    return False
+                waiting, size = [], 0
+        if progress is not None and pending:
+            progress(len(pending), len(pending), Message("library_takes.keeping"))
+        return True
+
+    def _write(self, waiting: Sequence[tuple[int, int, TakeWindows]]) -> bool:
+        some = [one for one in waiting if len(one[2].leaves)]
+        if not some:
+            return True
+        name = zlib.crc32(repr((self.forest, [one[:2] for one in some])).encode())
+        try:
+            self.folder.mkdir(parents=True, exist_ok=True)
+            path = self.folder / f"{some[0][0]:010}-{name:08x}{_SUFFIX}"
+            return write_portion(path, self.forest, some, self.n_leaves)
+        except OSError:
+            return False

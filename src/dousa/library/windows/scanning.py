@@ -1,0 +1,240 @@
+"""Looking for a motion in the windows of many takes: all sketches are scanned, and the nearest windows compared.
+
+What a sketch says is nearly what a window costs, so the windows that are compared need not be those that cost the
+least; but they are many times as many as can become answers.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import IO, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dousa.arrays import BoolArray, IntArray
+from dousa.library.windows.kernels import scan_sketches
+from dousa.library.windows.portions import Portion, PortionGoneError
+from dousa.library.windows.sketches import N_MARKS, cost_marks
+from dousa.retrieval.takes.find import POSE_WEIGHT, WINDOW_NUMBERS, CutStretch, Stretch, TakeSearch
+from dousa.retrieval.takes.window_kernels import compare_leaves
+
+MOST_COMPARED = 16_384
+"""Windows that are compared, those with the nearest sketches."""
+
+_CHOSEN = np.dtype([("cost", "f8"), ("portion", "i8"), ("length", "i8"), ("window", "i8")])
+
+
+@dataclass(slots=True, eq=False)
+class _Sieve:
+    """Keeps the windows with the nearest sketches.
+
+    Attributes
+    ----------
+    most : cost beyond which nobody is kept.
+    """
+
+    most: float = np.inf
+    _kept: list[NDArray[Any]] = field(default_factory=list)
+    _count: int = 0
+
+    def add(self, portion: int, length: int, windows: NDArray[Any], costs: NDArray[Any]) -> None:
+        own = np.empty(len(windows), _CHOSEN)
+        own["cost"], own["portion"], own["length"], own["window"] = costs, portion, length, windows
+        self._kept.append(own)
+        self._count += len(own)
+        if self._count > 2 * MOST_COMPARED:
+            self._kept = [self.nearest()]
+            self._count = len(self._kept[0])
+            self.most = float(self._kept[0]["cost"].max())
+
+    def nearest(self) -> NDArray[Any]:
+        """Those that are left, in the order in which they came."""
+        found = np.concatenate([np.empty(0, _CHOSEN), *self._kept])
+        if len(found) <= MOST_COMPARED:
+            return found
+        return found[np.sort(np.argpartition(found["cost"], MOST_COMPARED)[:MOST_COMPARED])]
+
+
+@dataclass(slots=True, eq=False)
+class _Room:
+    """Memory for the sketches of a file, and for what is found in them: taken once, as the system fills it first."""
+
+    data: NDArray[np.int8] = field(default_factory=lambda: np.empty(0, np.int8))
+    rows: IntArray = field(default_factory=lambda: np.empty(0, np.int64))
+    costs: NDArray[np.float64] = field(default_factory=lambda: np.empty(0))
+
+    def give(self, n_bytes: int, n_rows: int) -> tuple[NDArray[np.int8], IntArray, NDArray[np.float64]]:
+        """Room for so many bytes of sketches, and so many rows and costs."""
+        if len(self.data) < n_bytes:
+            self.data = np.empty(n_bytes, np.int8)
+        if len(self.rows) < n_rows:
+            self.rows, self.costs = np.empty(n_rows, np.int64), np.empty(n_rows)
+        return self.data[:n_bytes], self.rows, self.costs
+
+
+class TakesOnDisk:
+    """Takes whose windows are in files.
+
+    Parameters
+    ----------
+    portions : the files.
+    places : by number, the file of a take and its place in it.
+    """
+
+    def __init__(self, portions: Sequence[Portion], places: Mapping[int, tuple[int, int]]) -> None:
+        self._portions, self._places = portions, places
+
+    def __contains__(self, number: int | None) -> bool:
+        return number in self._places
+
+    def duration(self, number: int) -> float:
+        """Of a take, in s."""
+        portion, place = self._places[number]
+        return float(self._portions[portion].durations[place])
+
+    def search(self, searches: Sequence[TakeSearch], wanted: Mapping[int, int]) -> None:
+        """Show the windows to searches that may be answers.
+
+        Parameters
+        ----------
+        searches : for motions that are equally long.
+        wanted : by number of a take, its number in each search.
+
+        Raises
+        ------
+        PortionGoneError : a file is not there, or damaged.
+        """
+        chosen: dict[int, BoolArray] = {}
+        for number in wanted:
+            portion, place = self._places[number]
+            own = chosen.setdefault(portion, np.zeros(len(self._portions[portion].ids), np.bool_))
+            own[place] = True
+        sieves = [_Sieve() for _ in searches]
+        room = _Room()
+        for number in sorted(chosen):
+            with _open(self._portions[number]) as file:
+                _scan(
+                    file,
+                    (number, self._portions[number]),
+                    chosen[number],
+                    list(zip(searches, sieves, strict=True)),
+                    room,
+                )
+        for search, sieve in zip(searches, sieves, strict=True):
+            nearest = sieve.nearest()
+            for number in np.unique(nearest["portion"]).tolist():
+                portion = self._portions[number]
+                with _open(portion) as file:
+                    _compare(file, portion, search, nearest[nearest["portion"] == number], wanted)
+
+    def cutter(self, number: int) -> CutStretch:
+        """Gives stretches of a take; raises PortionGoneError as ``search``."""
+        index, place = self._places[number]
+        portion = self._portions[index]
+
+        def cut(first: int, last: int) -> Stretch:
+            with _open(portion) as file:
+                begin, poses = portion.read_frames(file, place, first, last)
+            return Stretch(begin, poses, _add_up(poses), int(portion.n_frames[place]), float(portion.durations[place]))
+
+        return cut
+
+
+def _open(portion: Portion) -> IO[bytes]:
+    try:
+        return open(portion.path, "rb", buffering=0)
+    except OSError as error:
+        raise PortionGoneError(portion.path) from error
+
+
+def _add_up(poses: NDArray[np.float16]) -> NDArray[np.float64]:
+    """Running sums. Sums of half precision are exact in double precision, so they may begin anywhere."""
+    sums = np.zeros((len(poses) + 1, poses.shape[1]))
+    np.cumsum(poses, axis=0, dtype=np.float64, out=sums[1:])
+    return sums
+
+
+def _scan(
+    file: IO[bytes],
+    numbered: tuple[int, Portion],
+    chosen: BoolArray,
+    searches: Sequence[tuple[TakeSearch, _Sieve]],
+    room: _Room,
+) -> None:
+    """Put the windows of some takes of a file through sieves."""
+    number, portion = numbered
+    shortest, longest = searches[0][0].lengths
+    first = int(np.searchsorted(portion.lengths, shortest))
+    last = int(np.searchsorted(portion.lengths, longest, side="right"))
+    if last <= first:
+        return
+    begin, end = int(portion.places[first]), int(portion.places[last])
+    data, rows, costs = room.give(end - begin, int(portion.ends[first:last, -1].max()))
+    file.seek(begin)
+    if file.readinto(data.data) != len(data):  # type: ignore[attr-defined]
+        raise PortionGoneError(portion.path)
+    asked = [
+        (*portion.sketcher.ask(search.parts), portion.encode(search.leaves)[:N_MARKS].astype(np.uint8))
+        for search, _ in searches
+    ]
+    added, weight = cost_marks(min(N_MARKS, portion.n_trees)), POSE_WEIGHT * float(portion.sketcher.steps[0])
+    for length in range(first, last):
+        ends = portion.ends[length]
+        own = data[int(portion.places[length]) - begin : int(portion.places[length + 1]) - begin]
+        sketches, marks = portion.sketches(own, length)
+        for start, stop in _runs(chosen):
+            for (_, sieve), (query, rests, leaves) in zip(searches, asked, strict=True):
+                span = sketches, marks, ends[start], ends[stop]
+                count = scan_sketches(*span, query, rests, leaves, added, weight, sieve.most, rows, costs)
+                sieve.add(number, length, rows[:count], costs[:count])
+
+
+def _runs(chosen: BoolArray) -> Iterator[tuple[int, int]]:
+    """First and one past the last of those that follow one another."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], chosen, [False]]).astype(np.int8)))
+    yield from zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True)
+
+
+def _compare(
+    file: IO[bytes], portion: Portion, search: TakeSearch, nearest: NDArray[Any], wanted: Mapping[int, int]
+) -> None:
+    """Show windows of a file to a search."""
+    codes = portion.read_rows(file, nearest["length"], nearest["window"])
+    found = np.empty(len(nearest), WINDOW_NUMBERS)
+    places = np.empty(len(nearest), np.int64)
+    for length in np.unique(nearest["length"]).tolist():
+        own = nearest["length"] == length
+        places[own], found["row"][own], found["start"][own] = portion.locate(length, nearest["window"][own])
+    found["stop"] = found["start"] + portion.lengths[nearest["length"]]
+    found["take"] = [wanted[number] for number in portion.ids[places].tolist()]
+    shares = np.empty(len(found))
+    compare_leaves(codes, portion.encode(search.leaves), shares)
+    found["share"] = shares
+    poses, starts = _read_around(file, portion, places, found)
+    search.consider(found, _add_up(poses), starts)
+
+
+def _read_around(
+    file: IO[bytes], portion: Portion, places: IntArray, windows: NDArray[Any]
+) -> tuple[NDArray[np.float16], IntArray]:
+    """Poses in which all windows lie, by the places of their takes, and where each begins. Each is read once."""
+    starts = np.empty(len(windows), np.int64)
+    parts: list[NDArray[np.float16]] = []
+    length = 0
+    order = deque(np.lexsort((windows["start"], places)).tolist())
+    spans = list(zip(places.tolist(), windows["start"].tolist(), windows["stop"].tolist(), strict=True))
+    while order:
+        take, first, last = spans[order[0]]
+        together = []
+        while order and spans[order[0]][0] == take and spans[order[0]][1] <= last:
+            last = max(last, spans[order[0]][2])
+            together.append(order.popleft())
+        begin, poses = portion.read_frames(file, take, first, last)
+        for row in together:
+            starts[row] = length + spans[row][1] - begin
+        parts.append(poses)
+        length += len(poses)
+    return np.concatenate(parts), starts
