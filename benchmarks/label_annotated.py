@@ -20,7 +20,7 @@ from dousa.experiments.annotated.trial import learn_clip_judge
 from dousa.experiments.metrics import TrueSegment, compare_timeline
 from dousa.formats.registry import read_motion
 from dousa.motion import canonicalise
-from dousa.retrieval.takes.label import label_take
+from dousa.retrieval.takes.label import Timeline, label_take
 from dousa.retrieval.takes.labeller_training import train_labeller
 from dousa.retrieval.takes.windows import TAKE_RATE
 
@@ -41,6 +41,24 @@ def read_truth(path: Path, take: str, frame_rate: float, same: dict[str, str]) -
                 truth.append(TrueSegment(earliest, latest, None, counted=False))
             begin = latest
     return truth
+
+
+def print_doubtful(timeline: Timeline, truth: list[TrueSegment]) -> None:
+    """The same with what is perhaps so; and how much of the rest has a name, for sure or perhaps."""
+    shown: list[bool] = []
+    rest: list[tuple[bool, bool]] = []
+    for piece in truth:
+        for seconds in np.arange(piece.start, piece.stop, 1.0 / TAKE_RATE) if piece.counted else ():
+            one = next((one for one in timeline.segments if one.start <= seconds < one.stop), None)
+            named = None if one is None else one.category
+            perhaps = None if one is None else one.guess
+            if piece.category is not None:
+                shown.append((named or perhaps) == piece.category)
+            else:
+                rest.append((named is not None, perhaps is not None))
+    sure, doubtful = np.mean(rest or [(np.nan, np.nan)], axis=0)
+    print(f"  {np.mean(shown or [np.nan]):.3f} of those with what is perhaps so; the rest: named {sure:.3f}, ", end="")
+    print(f"perhaps {doubtful:.3f}")
 
 
 def main() -> None:
@@ -67,9 +85,11 @@ def main() -> None:
             for seconds in np.arange(piece.start, piece.stop, 1.0 / TAKE_RATE)
         ]
         print(f"  {np.mean(shared or [np.nan]):.3f} of those {len(shared)} that show a category")
+        print_doubtful(timeline, truth)
         for one in timeline.segments:
             side = " mirrored" if one.mirrored else ""
-            print(f"  {one.start:6.1f} {one.stop:6.1f}  {one.category or 'unknown':32} {one.confidence:.2f}{side}")
+            said = one.category or (f"perhaps {one.guess}" if one.guess else "unknown")
+            print(f"  {one.start:6.1f} {one.stop:6.1f}  {said:40} {one.confidence:.2f}{side}")
     print("truth:")
     for piece in truth:
         if piece.counted:

@@ -90,6 +90,7 @@ _LESS = {
     "python benchmarks/label_disturbed.py": "--only HDM05",
     "python benchmarks/confidence.py": "--only hdm05 --folds 1 --find 2",
     "python benchmarks/perhaps.py": "--only hdm05,utkinect --shares 0.98",
+    "python benchmarks/label_strangers.py": "--only hdm05,utkinect --takes 1",
     "python benchmarks/segment_confidence.py": "--only hdm05",
     "benchmarks/find.py": "--minutes 1",
     "python benchmarks/find_many.py": "--minutes 1",

@@ -91,7 +91,11 @@ def test_a_series_is_as_sure_as_its_surest_part():
     assert (one.start, one.stop, one.repetitions) == (0, third.stop, 3)
     assert (one.likely, one.confidence, one.mirrored) == (True, 0.9, True)
     (one,) = count_all([replace(part, likely=False) for part in parts], joined.positions, HEIGHT)
-    assert (one.likely, one.confidence) == (False, 0.95)
+    assert (one.likely, one.confidence, one.possible) == (False, 0.95, False)
+    # Which part it is as sure of has no say in whether any is perhaps that.
+    doubtful = [replace(part, likely=False, possible=part is parts[0]) for part in parts]
+    (one,) = count_all(doubtful, joined.positions, HEIGHT)
+    assert (one.likely, one.confidence, one.possible) == (False, 0.95, True)
 
 
 @pytest.fixture(scope="module")

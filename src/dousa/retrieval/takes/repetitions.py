@@ -190,5 +190,7 @@ def _join(series: Sequence[Chosen]) -> list[Chosen]:
     same = [one for one in series if one.category == series[0].category]
     sizes = np.array([one.stop - one.start for one in same], np.float32)
     evidence = np.average(np.stack([one.evidence for one in same]), axis=0, weights=sizes)
-    surest = max(same, key=lambda one: (one.likely, one.possible, one.confidence))
-    return [replace(surest, start=series[0].start, stop=series[-1].stop, evidence=evidence, parts=())]
+    surest = max(same, key=lambda one: (one.likely, one.confidence))
+    possible = any(one.possible for one in same)
+    spanned = replace(surest, start=series[0].start, stop=series[-1].stop, evidence=evidence, parts=())
+    return [replace(spanned, possible=possible)]
