@@ -35,6 +35,23 @@ def test_a_review_is_a_job_with_doubts_and_duplicates(studio):
     assert refused.status_code == 409 and "empty" in refused.json()["problem"]
 
 
+def test_labels_that_are_being_checked_are_not_checked_a_second_time(show, running):
+    from dousa.app.studio.jobs.board import Job
+
+    board = running.app.state.studio.jobs
+    job = Job("00000000000000ab", "review", "review", {}, state="running", started_s=1.0)
+    board._jobs[job.id] = job
+    page = show("/library")
+    page.wait(f"{CELLS}.length > 3")
+    click(page, "#review-button")
+    page.wait("return new URLSearchParams(location.search).get('job') === arguments[0]", job.id)
+    assert page.wait("return document.querySelector('dialog progress')")
+    assert [one.id for one in board.all() if one.kind == "review"] == [job.id]
+    page.press(KEYS.ESCAPE)
+    assert page.messages() == []
+    del board._jobs[job.id]
+
+
 def test_wrong_labels_are_decided_by_keys_and_taken_back(show, planted):
     library, kick, squat = planted
     category = lambda number: library.clips([number])[0].category  # noqa: E731

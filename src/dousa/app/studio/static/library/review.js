@@ -27,7 +27,9 @@ export async function openReview(jobId, hooks) {
     },
   });
   dialog.addEventListener("keydown", (event) => queue?.press(event));
-  const id = jobId ?? (await attempt(() => post("/jobs/review")))?.id;
+  // One that is being made already is waited for, and not made a second time.
+  const begin = async () => (await get("/jobs", { kind: "review", active: true })).jobs[0] ?? post("/jobs/review");
+  const id = jobId ?? (await attempt(begin))?.id;
   if (!id) {
     close();
     return;
