@@ -65,7 +65,9 @@ def _add_up(
     start: np.ndarray,
 ) -> FloatArray:  # pragma: no cover - compiled
     logits = np.empty((len(rows), len(start)))
-    logits[:] = start
+    for i in range(len(rows)):  # all at once would have the compiler write the message of an error, for seconds
+        for c in range(len(start)):
+            logits[i, c] = start[c]
     # A tree for a block of rows: both stay in the nearest cache.
     for first in range(0, len(rows), _BLOCK):
         last = min(first + _BLOCK, len(rows))

@@ -412,6 +412,7 @@ def _describe(
     limb_out = np.zeros((len(frames), n_limbs, len(halves), 21))
     body_out = np.zeros((len(frames), len(halves), 15))
     lagged, fit, late = np.zeros(4), np.zeros(5), np.zeros(5)
+    now, everywhere = int(np.int64(0)), int(np.int64(-1))  # for plain constants there would be a kernel each
     for i in range(len(frames)):
         for w in range(len(halves)):
             first, last = max(frames[i] - halves[w], 0), min(frames[i] + halves[w] + 1, n)
@@ -419,8 +420,8 @@ def _describe(
             out = body_out[i, w]
             body_lag = lagged[2] / rate
             out[0], out[1], out[2], out[3] = lagged[0], lagged[1], body_lag, lagged[3]
-            _fit_gain(ours, theirs, first, last, 0, -1, limb_of, fit)
-            _fit_gain(ours, theirs, first, last, body_at - center, -1, limb_of, late)
+            _fit_gain(ours, theirs, first, last, now, everywhere, limb_of, fit)
+            _fit_gain(ours, theirs, first, last, body_at - center, everywhere, limb_of, late)
             out[4], out[5], out[6], out[7] = fit[0], fit[1], late[0], late[1]
             out[8] = np.sqrt(max(_mean(sums, first, last, n_limbs), 0.0))
             out[9] = np.sqrt(max(_mean(sums, first, last, width + n_limbs), 0.0))
@@ -435,7 +436,7 @@ def _describe(
                 out[0], out[1], out[2], out[3] = lagged[0], lagged[1], lagged[2] / rate, lagged[3]
                 out[4] = np.sqrt(max(_mean(totals[limb], first, last, body_at), 0.0))
                 out[5] = abs(lagged[2] / rate - body_lag)
-                _fit_gain(ours, theirs, first, last, 0, limb, limb_of, fit)
+                _fit_gain(ours, theirs, first, last, now, limb, limb_of, fit)
                 _fit_gain(ours, theirs, first, last, at - center, limb, limb_of, late)
                 for k in range(5):
                     out[6 + k] = fit[k]
