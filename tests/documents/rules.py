@@ -124,7 +124,7 @@ BENCHMARKS = {
     "fragments.py": "--clips 300",
     "forest.py": "--clips 60 --classes 3 --repeats 1",
     "forest_query.py": "--clips 60 --classes 3",
-    "in_turns.py": f"--before '{ROOT}' --rounds 1 --command 'forest_query.py --clips 60 --classes 3'",
+    "in_turns.py": f"--before '{ROOT}' --rounds 1 --command 'correlation_matrix.py --frames 200 --repeats 1'",
     "library_flips.py": "--flips 4",
     "library_kill.py": "--kills 2 --only tag",
     "library_add.py": "../shared/data/bandai/run --jobs 1 --repeats 1 --peer-files 1",
