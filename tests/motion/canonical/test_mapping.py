@@ -9,7 +9,7 @@ from oracles.bodies import walking_body
 from dousa.errors import JointMappingError
 from dousa.formats.registry import read_motion
 from dousa.motion import CANONICAL_JOINTS, Trajectories, canonicalise
-from dousa.motion.canonical.anthropometry import measure_proportions, stature_of_parts
+from dousa.motion.canonical.anthropometry import find_medians, measure_proportions, stature_of_parts
 from dousa.motion.canonical.naming import match_names
 from dousa.motion.canonical.recipes import JOINT_INDEX
 
@@ -219,3 +219,15 @@ def test_hips_that_coincide_are_not_taken(foreign, name: str) -> None:
     found = canonicalise(read_motion(foreign(name)))
     width = np.linalg.norm(_of(found.positions, "left_hip") - _of(found.positions, "right_hip"), axis=1)
     assert 0.08 < width.mean() < 0.3
+
+
+def test_medians_of_what_is_seen_are_those_of_numpy():
+    draw = np.random.default_rng(0)
+    for n_rows in (1, 2, 3, 8, 51):
+        values = draw.normal(size=(n_rows, 30))
+        values[draw.random(values.shape) < 0.4] = np.nan
+        values[:, 0] = np.nan
+        values[0, 1:] = 1.0
+        expected = np.concatenate([[np.nan], np.nanmedian(values[:, 1:], axis=0)])
+        np.testing.assert_array_equal(find_medians(values), expected)
+    assert np.isnan(find_medians(np.empty((0, 3)))).all()

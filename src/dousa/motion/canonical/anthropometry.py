@@ -136,13 +136,17 @@ def _unit(vectors: FloatArray) -> FloatArray:
 def _measure_bones(points: FloatArray) -> FloatArray:
     """Median lengths of `_BONES` over the frames that show them, NaN for those that none does."""
     bones = points[:, _ENDS] - points[:, _STARTS]
-    lengths = np.sqrt(np.einsum("tjk,tjk->tj", bones, bones))
-    middle: FloatArray = np.median(lengths, axis=0)
-    for bone in np.flatnonzero(np.isnan(middle)):  # one by one: most have no length in any frame
-        seen = lengths[~np.isnan(lengths[:, bone]), bone]
-        if len(seen):
-            middle[bone] = np.median(seen)
-    return middle
+    return find_medians(np.sqrt(np.einsum("tjk,tjk->tj", bones, bones)))
+
+
+def find_medians(values: FloatArray) -> FloatArray:
+    """Medians (K,) of the values (T, K) that there are, NaN where there are none: ``np.nanmedian``, in less time."""
+    if not len(values):
+        return np.full(values.shape[1], np.nan)
+    ordered, columns = np.sort(values, axis=0), np.arange(values.shape[1])  # what is missing comes last
+    seen = len(ordered) - np.isnan(ordered).sum(axis=0)
+    medians: FloatArray = 0.5 * (ordered[np.maximum(seen - 1, 0) // 2, columns] + ordered[seen // 2, columns])
+    return medians
 
 
 def _means(left: FloatArray, right: FloatArray) -> FloatArray:
@@ -168,6 +172,10 @@ _SHARES = {
 }
 
 
+_LIMB_SHARES = np.repeat([_SHARES[name] for name in ("thigh", "shank", "upper_arm", "forearm")], 2)
+_TRUNK_SHARES = np.array([_SHARES["shoulders"], _SHARES["trunk"]])
+
+
 def stature_of_parts(points: FloatArray) -> float:
     """Stature of a body of which only a part is there, in the unit of the points; NaN if no long bone is seen.
 
@@ -176,9 +184,8 @@ def stature_of_parts(points: FloatArray) -> float:
     points : (T, 20, 3) canonical points, NaN where absent.
     """
     middle = _measure_bones(points)
-    shares = [_SHARES[name] for name in ("thigh", "shank", "upper_arm", "forearm") for _ in range(2)]
-    found = middle[:8] / np.array(shares)
-    if np.isnan(found).all():
-        found = middle[9:11] / np.array([_SHARES["shoulders"], _SHARES["trunk"]])
-    seen = found[~np.isnan(found)]
-    return float(np.median(seen)) if len(seen) else float("nan")
+    found = np.sort(middle[:8] / _LIMB_SHARES)  # what is missing comes last
+    if np.isnan(found[0]):
+        found = np.sort(middle[9:11] / _TRUNK_SHARES)
+    seen = int(np.count_nonzero(~np.isnan(found)))
+    return float(0.5 * (found[max(seen - 1, 0) // 2] + found[seen // 2]))
