@@ -135,9 +135,8 @@ def test_what_can_be_done_with_a_choice_stays_while_clips_are_read_again(library
     page.run("document.dispatchEvent(new Event('visibilitychange'))")
     page.wait("return document.querySelector('#grid').textContent.includes('#seen')")
     page.settle()
-    same = "const now = document.querySelector('#actions').children;"
-    kept = "return window.before.length === now.length && window.before.every((one, k) => one === now[k])"
-    assert page.run(f"{same} {kept}")
+    now = "const now = [...document.querySelectorAll('#actions > *')];"
+    assert page.run(f"{now} return now.length === before.length && before.every((one, k) => one === now[k])")
     page.find(".cell:nth-child(2)").click()  # another one: the bar is about that
     page.wait("return document.querySelector('#actions a[href^=\"/search\"]').href.endsWith(arguments[0])", str(other))
     assert page.messages() == []

@@ -43,6 +43,25 @@ def test_the_bar_of_the_first_labelling_shows_its_steps(show, library_copy, reco
     assert page.messages() == []
 
 
+@pytest.mark.parametrize("language", ["en", "ja"])
+def test_stretches_of_a_take_can_be_read_on_a_phone(show, recording, language):  # noqa: F811
+    page = show("/takes", width=390, height=844, language=language)
+    page.find("#take-file").send_keys(str(recording[0]))
+    page.wait("return document.querySelectorAll('#segments tbody tr').length > 2")
+    page.run("document.querySelector('#segments').scrollIntoView({behavior: 'instant'})")
+    page.settle()
+    high = page.run(
+        "return [...document.querySelectorAll('#segments .what')].map((e) => e.getBoundingClientRect().height)"
+    )
+    assert max(high) < 34, "one line for each name"
+    right = (
+        "return [...document.querySelectorAll('#segments tbody .acts > *')].map((e) => e.getBoundingClientRect().right)"
+    )
+    assert max(page.run(right)) <= page.run("return document.querySelector('#segments').getBoundingClientRect().right")
+    assert page.run("return document.documentElement.scrollWidth") <= 390
+    assert page.messages() == []
+
+
 def test_a_search_that_learns_first_shows_its_steps(show, client, monkeypatch):
     real, go_on = Library.search, threading.Event()
 
