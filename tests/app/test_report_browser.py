@@ -40,6 +40,8 @@ def test_the_console_stays_silent(case: str, language: str, browser: Any, tmp_pa
     assert browser.run("return window.hacked === undefined")
     width = browser.run("return document.documentElement.scrollWidth")
     assert width <= 390, "the page is wider than a phone"
+    low = "return [...document.querySelectorAll('.tip svg text')].map((e) => e.getBoundingClientRect().height)"
+    assert min(browser.run(low), default=10) >= 10, "nobody reads that"
 
 
 def test_the_cursor_follows_the_player(opened: Any) -> None:
