@@ -43,7 +43,12 @@ def begin_where_large(database: Database) -> bool:
     with database.reading() as connection:
         if find_store(connection) is not None:
             return False
-        if connection.execute(sa.select(sa.func.count()).select_from(schema.clip_trajectories)).scalar_one() < BEGIN_AT:
+        # All but segments have positions; to count these themselves reads through the whole file.
+        n_clips, n_segments = (
+            connection.execute(sa.select(sa.func.count()).select_from(table)).scalar_one()
+            for table in (schema.clips, schema.segments)
+        )
+        if n_clips - n_segments < BEGIN_AT:
             return False
     with database.writing() as connection:
         if find_store(connection) is None:
