@@ -28,6 +28,11 @@ from dousa.retrieval.forest.calibration import ALIEN, Copies, guess_performers, 
 CONFIDENCES = (0.05, 0.1, 0.15, 0.2, 0.25, 0.28, 0.3, 0.35, 0.4, 0.5)
 
 
+def mean(values: np.ndarray | list[float]) -> float:
+    """Nothing has no mean."""
+    return float(np.mean(values)) if len(values) else float("nan")
+
+
 @dataclass(frozen=True)
 class Asked:
     """Clips of a set, asked of a library: whether each is right, strange, called known; and what each system names."""
@@ -41,7 +46,7 @@ class Asked:
 
     def gain(self, system: str, choice: float) -> float:
         told = self.named[system][choice] | self.known
-        return float(told[self.right].mean() - told[self.strange].mean())
+        return mean(told[self.right]) - mean(told[self.strange])
 
 
 def learn_least(
@@ -84,7 +89,7 @@ def choose(pairs: list[Asked], system: str, left_out: set[str]) -> float:
     """What gains most on pairs that have none of these sets."""
     rest = [one for one in pairs if not {one.library, one.name} & left_out and one.right.sum() >= 5]
     choices = list(pairs[0].named[system])
-    gains = [np.mean([one.gain(system, choice) for one in rest]) if rest else 0.0 for choice in choices]
+    gains = [mean([one.gain(system, choice) for one in rest]) for choice in choices]
     return choices[int(np.argmax(gains))] if rest else choices[len(choices) // 2]
 
 
@@ -94,9 +99,9 @@ def print_row(title: str, pairs: list[Asked], named: Callable[[Asked], np.ndarra
     )
     perhaps = np.concatenate([named(one) for one in pairs]) & ~known
     print(
-        f"{title:52s} right {right.sum():4d}  lost {np.mean(~(known | perhaps)[right]):.2f} (before "
-        f"{np.mean(~known[right]):.2f})  strange {strange.sum():4d}  perhaps {np.mean(perhaps[strange]):.2f}  for sure "
-        f"{np.mean(known[strange]):.2f}  of perhaps right {right[perhaps].sum() / max(perhaps.sum(), 1):.2f}",
+        f"{title:52s} right {right.sum():4d}  lost {mean(~(known | perhaps)[right]):.2f} (before "
+        f"{mean(~known[right]):.2f})  strange {strange.sum():4d}  perhaps {mean(perhaps[strange]):.2f}  for sure "
+        f"{mean(known[strange]):.2f}  of perhaps right {right[perhaps].sum() / max(perhaps.sum(), 1):.2f}",
         flush=True,
     )
 
@@ -121,7 +126,7 @@ def main() -> None:
             pairs += [ask(trial, library, name, trained, least) for name in trial.clips if name != library]
     for system in pairs[0].named if pairs else ():
         for choice in pairs[0].named[system]:
-            gain = np.mean([one.gain(system, choice) for one in pairs if one.right.sum() >= 5])
+            gain = mean([one.gain(system, choice) for one in pairs if one.right.sum() >= 5])
             print(f"{system:30s} {choice:5.2f}  gain {gain:.3f}", flush=True)
     for library in trial.clips if len(pairs) > 1 else ():
         own = [one for one in pairs if one.library == library]
