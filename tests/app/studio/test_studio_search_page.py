@@ -120,14 +120,42 @@ def test_places_inside_takes_open_at_their_moment(show, running, tmp_path):
 
 
 def test_unknown_is_said_in_words(show, running):
-    """With the highest bar nothing is known; the nearest guess is told all the same."""
+    """With the highest bar nothing is known, but perhaps; the nearest guess is told all the same."""
     page = show(f"/search?motion={first_clip(running)}&threshold=1")
     page.wait("return document.querySelector('.verdict-words') !== null")
     known = page.run("return document.querySelector('#verdict').textContent")
     answer = running.app.state.studio.library.search(int(first_clip(running)[5:]), threshold=1)
     if answer.verdict.known is not None:
-        assert "Unknown" in known
+        assert ("perhaps kick_left" if answer.verdict.perhaps else "Unknown") in known
         assert "kick_left" in known
+    assert page.messages() == []
+
+
+DRAW_VERDICT = """
+    const done = arguments[1];
+    const core = document.querySelector('script[type=module][src*="/core/"]').src;
+    import(core.replace('core/frame.js', 'search/verdict.js')).then(({drawVerdict}) => {
+      const place = document.querySelector('#verdict');
+      drawVerdict(place, arguments[0], {explain: async () => null, onGo: () => {}});
+      done([place.className, place.querySelector('.verdict-head').textContent]);
+    });
+"""
+
+
+def test_known_doubtful_and_unknown_are_three_answers(show, running, tmp_path):
+    page = show(f"/search?motion={first_clip(running)}")
+    page.wait("return document.querySelector('.verdict-words') !== null")
+    answer = {"category": None, "guess": "kick", "confidence": 0.31, "histogram": {"kick": 0.6, "march": 0.4}}
+    look, said = page.driver.execute_async_script(DRAW_VERDICT, {**answer, "perhaps": True})
+    assert "is-doubtful" in look and "is-unknown" not in look
+    assert "perhaps kick" in said and "31 %" in said and "Unknown" not in said
+    page.driver.save_screenshot(str(tmp_path / "doubtful.png"))
+    look, said = page.driver.execute_async_script(DRAW_VERDICT, {**answer, "perhaps": False})
+    assert "is-unknown" in look and "is-doubtful" not in look
+    assert "Unknown" in said and "perhaps" not in said
+    look, said = page.driver.execute_async_script(DRAW_VERDICT, {**answer, "category": "kick", "perhaps": False})
+    assert not {"is-unknown", "is-doubtful"} & set(look.split())
+    assert "kick, 31" in said and "sure" in said
     assert page.messages() == []
 
 

@@ -18,6 +18,8 @@ function headline(answer) {
   return [h("h2", { class: "verdict-words" }, words)];
 }
 
+const mirroredName = ({ category, guess, perhaps }) => category ?? (perhaps ? t("perhaps", { category: guess }) : guess);
+
 function bars(histogram) {
   const shares = Object.entries(histogram).filter(([, share]) => share > 0);
   const rest = shares.slice(MOST_BARS);
@@ -50,7 +52,7 @@ export function drawVerdict(element, answer, { explain, onGo }) {
     if (explained) place.replaceWith(listReasons(explained.explanation?.reasons, onGo));
     else place.remove();
   });
-  const mirrored = answer.mirrored?.fits_better ? h("p", { class: "badge unsure" }, t("verdict_mirrored", { category: answer.mirrored.category ?? answer.mirrored.guess })) : null;
+  const mirrored = answer.mirrored?.fits_better ? h("p", { class: "badge unsure" }, t("verdict_mirrored", { category: mirroredName(answer.mirrored) })) : null;
   const chance = answer.confidence == null || answer.category !== null ? null : h("p", { class: "note" }, t("verdict_right_share", { percent: percent(answer.confidence) }));
   element.classList.toggle("is-unknown", answer.category === null && !answer.perhaps);
   element.classList.toggle("is-doubtful", answer.category === null && Boolean(answer.perhaps));
