@@ -77,7 +77,8 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as folder:
         far = write_files(Path(folder), takes, forest.trees_.n_leaves)
         for most in (*COMPARED, n_windows):
-            with mock.patch.object(scanning, "MOST_COMPARED", most):
+            kept = most * scanning.MOST_KEPT // scanning.MOST_COMPARED
+            with mock.patch.object(scanning, "MOST_COMPARED", most), mock.patch.object(scanning, "MOST_KEPT", kept):
                 found = [find_on_disk(query, far, len(takes)) for query in queries]
             shares = [
                 np.mean([any(same(one, own) for own in there) for one in wanted])

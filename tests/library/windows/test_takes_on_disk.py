@@ -61,6 +61,7 @@ def many(monkeypatch):
     def begin(most: int = 10**9) -> None:
         monkeypatch.setattr(keeper, "MOST_IN_MEMORY", 0)
         monkeypatch.setattr(keeper, "PORTION_BYTES", 40_000)
+        monkeypatch.setattr(scanning, "MOST_KEPT", 4 * most)
         monkeypatch.setattr(scanning, "MOST_COMPARED", most)
 
     return begin

@@ -30,7 +30,7 @@ from dousa.retrieval.takes.windows import TAKE_RATE, TakeWindows, hop_of
 MOST_IN_MEMORY = 1 << 29
 """Bytes of windows that are compared in memory, those of some 10 hours: of more a search uses files."""
 
-PORTION_BYTES = 1 << 26
+PORTION_BYTES = 1 << 28
 """Of windows in memory that go into one file."""
 
 _SUFFIX = ".windows"

@@ -1,5 +1,6 @@
-"""Looking for a motion in the windows of many takes: all sketches are scanned, and the nearest windows compared.
+"""Looking for a motion in the windows of many takes: all sketches are scanned, and some windows compared.
 
+Leaves of the windows with the cheapest sketches are read, and the poses of those that are cheapest by these as well.
 What a sketch says is nearly what a window costs, so the windows that are compared need not be those that cost the
 least; but they are many times as many as can become answers.
 """
@@ -14,22 +15,25 @@ from typing import IO, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from dousa.arrays import BoolArray, IntArray
+from dousa.arrays import BoolArray, IndexArray, IntArray
 from dousa.library.windows.kernels import scan_sketches
 from dousa.library.windows.portions import Portion, PortionGoneError
 from dousa.library.windows.sketches import N_MARKS, cost_marks
-from dousa.retrieval.takes.find import POSE_WEIGHT, WINDOW_NUMBERS, CutStretch, Stretch, TakeSearch
+from dousa.retrieval.takes.find import POSE_WEIGHT, WINDOW_NUMBERS, CutStretch, Stretch, TakeSearch, cost_windows
 from dousa.retrieval.takes.window_kernels import compare_leaves
 
-MOST_COMPARED = 16_384
-"""Windows that are compared, those with the nearest sketches."""
+MOST_KEPT = 16_384
+"""Windows whose leaves are read, those with the cheapest sketches."""
 
-_CHOSEN = np.dtype([("cost", "f8"), ("portion", "i8"), ("length", "i8"), ("window", "i8")])
+MOST_COMPARED = 4096
+"""Windows that are compared, those that are cheapest by sketches and leaves."""
+
+_CHOSEN = np.dtype([("cost", "f8"), ("share", "f8"), ("portion", "i8"), ("length", "i8"), ("window", "i8")])
 
 
 @dataclass(slots=True, eq=False)
 class _Sieve:
-    """Keeps the windows with the nearest sketches.
+    """Keeps the windows with the cheapest sketches.
 
     Attributes
     ----------
@@ -45,17 +49,21 @@ class _Sieve:
         own["cost"], own["portion"], own["length"], own["window"] = costs, portion, length, windows
         self._kept.append(own)
         self._count += len(own)
-        if self._count > 2 * MOST_COMPARED:
-            self._kept = [self.nearest()]
+        if self._count > 2 * MOST_KEPT:
+            self._kept = [self.cheapest()]
             self._count = len(self._kept[0])
             self.most = float(self._kept[0]["cost"].max())
 
-    def nearest(self) -> NDArray[Any]:
+    def cheapest(self) -> NDArray[Any]:
         """Those that are left, in the order in which they came."""
-        found = np.concatenate([np.empty(0, _CHOSEN), *self._kept])
-        if len(found) <= MOST_COMPARED:
-            return found
-        return found[np.sort(np.argpartition(found["cost"], MOST_COMPARED)[:MOST_COMPARED])]
+        return _choose(np.concatenate([np.empty(0, _CHOSEN), *self._kept]), MOST_KEPT)
+
+
+def _choose(windows: NDArray[Any], count: int) -> NDArray[Any]:
+    """The cheapest windows, in their order."""
+    if len(windows) <= count:
+        return windows
+    return windows[np.sort(np.argpartition(windows["cost"], count)[:count])]
 
 
 @dataclass(slots=True, eq=False)
@@ -124,11 +132,20 @@ class TakesOnDisk:
                     room,
                 )
         for search, sieve in zip(searches, sieves, strict=True):
-            nearest = sieve.nearest()
-            for number in np.unique(nearest["portion"]).tolist():
-                portion = self._portions[number]
-                with _open(portion) as file:
-                    _compare(file, portion, search, nearest[nearest["portion"] == number], wanted)
+            kept = sieve.cheapest()
+            for file, one, rows in self._parts(kept):
+                kept[rows] = _read_leaves(file, one, search, kept[rows])
+            kept = _choose(kept, MOST_COMPARED)
+            for file, one, rows in self._parts(kept):
+                _compare(file, one, search, kept[rows], wanted)
+
+    def _parts(self, windows: NDArray[Any]) -> Iterator[tuple[IO[bytes], Portion, IndexArray]]:
+        """Files, and which of some windows are in each."""
+        order = np.argsort(windows["portion"], kind="stable")
+        numbers, firsts = np.unique(windows["portion"][order], return_index=True)
+        for number, own in zip(numbers.tolist(), np.split(order, firsts[1:]), strict=False):
+            with _open(self._portions[number]) as file:
+                yield file, self._portions[number], own
 
     def cutter(self, number: int) -> CutStretch:
         """Gives stretches of a take; raises PortionGoneError as ``search``."""
@@ -198,11 +215,22 @@ def _runs(chosen: BoolArray) -> Iterator[tuple[int, int]]:
     yield from zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True)
 
 
+def _read_leaves(file: IO[bytes], portion: Portion, search: TakeSearch, windows: NDArray[Any]) -> NDArray[Any]:
+    """Windows of a file with their shares of leaves, and what they cost by these and their sketches."""
+    codes = portion.read_rows(file, windows["length"], windows["window"])
+    wanted, found = portion.encode(search.leaves), windows.copy()
+    shares = np.empty(len(windows))
+    compare_leaves(codes, wanted, shares)
+    marks = codes[:, :N_MARKS].astype(np.uint8) == wanted[:N_MARKS].astype(np.uint8)
+    found["share"] = shares
+    found["cost"] += cost_windows(0.0, shares) - cost_marks(marks.shape[1])[marks.sum(axis=1)]
+    return found
+
+
 def _compare(
     file: IO[bytes], portion: Portion, search: TakeSearch, nearest: NDArray[Any], wanted: Mapping[int, int]
 ) -> None:
     """Show windows of a file to a search."""
-    codes = portion.read_rows(file, nearest["length"], nearest["window"])
     found = np.empty(len(nearest), WINDOW_NUMBERS)
     places = np.empty(len(nearest), np.int64)
     for length in np.unique(nearest["length"]).tolist():
@@ -210,9 +238,7 @@ def _compare(
         places[own], found["row"][own], found["start"][own] = portion.locate(length, nearest["window"][own])
     found["stop"] = found["start"] + portion.lengths[nearest["length"]]
     found["take"] = [wanted[number] for number in portion.ids[places].tolist()]
-    shares = np.empty(len(found))
-    compare_leaves(codes, portion.encode(search.leaves), shares)
-    found["share"] = shares
+    found["share"] = nearest["share"]
     poses, starts = _read_around(file, portion, places, found)
     search.consider(found, _add_up(poses), starts)
 
