@@ -165,6 +165,8 @@ def test_find(dousa, library, recordings, tmp_path):
     assert best["start_s"] < squat / 2 and best["end_s"] < squat + 1
     given = json.loads(dousa("find", library, query, recordings / "take.trc", "-k", 2, "--json")[1])
     assert given["results"] == answer["results"]
+    exact = json.loads(dousa("find", library, query, "-k", 2, "--exact", "--json")[1])
+    assert exact["results"] == answer["results"]
 
 
 def test_find_goes_on_after_a_bad_file(dousa, library, recordings, tmp_path):
