@@ -523,7 +523,7 @@ class FindResult(_Answer):
     n_takes, seconds : takes that were looked into, and their duration.
     results : the places most like the query, best first, no two of them the same.
     skipped : takes that could not be used, and why.
-    notes : what was not compared, where a body lacks joints.
+    notes : what was not compared: joints that a body lacks, windows of many takes.
     alike_count : places among them that are alike, which come first; None where that was not learned.
     """
 

@@ -226,12 +226,14 @@ class Takes:
                 chosen, skipped = self.chosen(connection, describing, takes)
             asked = [motion, motion.mirror()] if mirror else [motion], chosen, k
             numbers = None if takes is None else {take.clip_id for take in chosen if take.clip_id is not None}
-            found, seconds = _find(*asked) if exact else self._find(connection, stored, numbers, asked, progress)
+            far = None if exact else (connection, stored, numbers)
+            found, seconds, sketched = self._find(far, asked, progress)
             places = _judge_places(connection, stored, motion, chosen, _rank(found, chosen, k))
         notes = [] if note is None else [note]
         fewer = sum(take.stored.hidden != part.hidden for take in chosen)
         if fewer:
             notes.append(Message("partial.some_takes", n=fewer))
+        notes += sketched
         return FindResult(
             query=name,
             duration=motion.duration,
@@ -245,22 +247,27 @@ class Takes:
 
     def _find(
         self,
-        connection: sa.Connection,
-        stored: StoredForest,
-        numbers: set[int] | None,
+        far: tuple[sa.Connection, StoredForest, set[int] | None] | None,
         asked: tuple[Sequence[StoredMotion], Sequence[ReadTake], int],
         progress: PartProgress | None,
-    ) -> tuple[list[tuple[Found, bool]], float]:
-        """``_find`` with the files of windows, if there are many; of a damaged one takes are looked at without it."""
+    ) -> tuple[list[tuple[Found, bool]], float, list[Message]]:
+        """``_find``, in the files of windows if there are many; of a damaged one takes are looked at without it."""
         from dousa.library.windows.portions import PortionGoneError
+        from dousa.library.windows.scanning import MOST_COMPARED
 
-        while True:
+        while far is not None:
+            connection, stored, numbers = far
             read = partial(self._read, connection, stored, keep=False)
             on_disk = self._keeper.open(connection, stored, numbers, read, progress)
+            if on_disk is None:
+                break
             try:
-                return _find(*asked, None if on_disk is None else (stored, on_disk))
+                found = _find(*asked, (stored, on_disk))
             except PortionGoneError as gone:
                 self._keeper.drop(gone.path)
+            else:
+                return *found, [Message("library_takes.sketched", n=MOST_COMPARED)] if on_disk.leaves_out else []
+        return *_find(*asked), []
 
     def _read_query(self, connection: sa.Connection, query: Query, options: ReadOptions) -> tuple[str, StoredMotion]:
         """The name and the motion of a query."""

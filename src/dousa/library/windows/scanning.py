@@ -90,10 +90,15 @@ class TakesOnDisk:
     ----------
     portions : the files.
     places : by number, the file of a take and its place in it.
+
+    Attributes
+    ----------
+    leaves_out : whether a search did not compare all windows that it might have.
     """
 
     def __init__(self, portions: Sequence[Portion], places: Mapping[int, tuple[int, int]]) -> None:
         self._portions, self._places = portions, places
+        self.leaves_out = False
 
     def __contains__(self, number: int | None) -> bool:
         return number in self._places
@@ -133,6 +138,7 @@ class TakesOnDisk:
                 )
         for search, sieve in zip(searches, sieves, strict=True):
             kept = sieve.cheapest()
+            self.leaves_out |= len(kept) > MOST_COMPARED
             for file, one, rows in self._parts(kept):
                 kept[rows] = _read_leaves(file, one, search, kept[rows])
             kept = _choose(kept, MOST_COMPARED)
