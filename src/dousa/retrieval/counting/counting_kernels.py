@@ -144,54 +144,43 @@ def _find_directions(course, squares, room, axes):
 
     ``course`` (3, K, n) are poses, velocities, and room; ``squares`` (K, K) and ``room`` (6, K) are working memory.
     """
-    square(course[0], course[2], squares)
-    find_axes(squares, room, axes[:2])
-    square_curves(course[1], squares)
-    find_axes(squares, room, axes[2:])
+    for which in range(2):  # one call for both: what is called twice is compiled twice
+        if which:
+            square_curves(course[1], squares)
+        else:
+            square(course[0], course[2], squares)
+        find_axes(squares, room, axes[2 * which : 2 + which])
 
 
 @compiled
-def _count_course(poses, velocities, axes, lines, work):
-    """What swings along the directions ``axes`` (3, K): ``_count_along`` and ``_count_quick``, into ``work`` (9,)."""
-    project(poses, axes[0], lines[4])
-    _count_along(lines[4], lines, work[:5])
+def _count_course(course, axes, n_axes, lines, work):
+    """What swings along the directions ``axes`` (3, K): ``_count_along`` of ``n_axes``, and ``_count_quick``.
+
+    Into ``work`` (14,), two rows of 5 and one of 4.
+    """
+    poses, velocities = course[0], course[1]
+    for number in range(n_axes):
+        project(poses, axes[number], lines[4])
+        _count_along(lines[4], lines, work[5 * number : 5 * number + 5])
     project(velocities, axes[2], lines[4])
     project(poses, axes[2], lines[5])
-    _count_quick(lines[4], lines[5], lines, work[5:])
+    _count_quick(lines[4], lines[5], lines, work[10:])
 
 
 @compiled
-def _count_whole(course, axes, speeds, ordered, weights, lines, calm, sums, work, counts):
-    """The tallies of what is smoothed much, into ``counts`` (15,)."""
-    poses, velocities = course[0], course[1]
-    _count_course(poses, velocities, axes, lines, work)
-    for k in range(9):
-        counts[k if k < 4 else k + 1] = work[k]
-    project(poses, axes[1], lines[4])
-    _count_along(lines[4], lines, work[:5])
-    counts[4] = work[0]
+def _put_whole(course, speeds, ordered, lines, calm, work, counts):
+    """The tallies of what is smoothed much, but for bursts and periods, into ``counts`` (28,)."""
+    for k in range(4):
+        counts[k], counts[6 + k] = work[k], work[10 + k]
+    counts[4], counts[5] = work[5], work[4]
     moving = _read_moving(ordered)
-    counts[10] = _count_bursts(speeds, ordered, weights, lines[2])
     counts[11] = count_bouts(speeds, moving, _BOUT_GAP)
-    _count_away(poses, speeds, ordered, calm[0], calm[1], lines, counts[12:14])
-    counts[14] = _count_periods(velocities, speeds, moving, sums)
-
-
-@compiled
-def _count_light(course, axes, speeds, ordered, weights, lines, sums, work, counts):
-    """Some of it, of what is smoothed less, along the same directions; into ``counts`` (5,)."""
-    _count_course(course[0], course[1], axes, lines, work)
-    counts[0], counts[1], counts[2] = work[4], work[5], work[8]
-    counts[3] = _count_bursts(speeds, ordered, weights, lines[2])
-    counts[4] = _count_periods(course[1], speeds, _read_moving(ordered), sums)
-
-
-@compiled
-def _count_even(course, axes, speeds, ordered, lines, sums, work, counts):
-    """Some of it, of what both sides do; into ``counts`` (5,)."""
-    _count_course(course[0], course[1], axes, lines, work)
-    counts[0], counts[1], counts[2], counts[3] = work[2], work[4], work[5], work[8]
-    counts[4] = _count_periods(course[1], speeds, _read_moving(ordered), sums)
+    _count_away(course[0], speeds, ordered, calm[0], calm[1], lines, counts[12:14])
+    counts[25] = len(speeds) / RATE
+    for t in range(len(speeds)):
+        counts[26] += speeds[t]
+        counts[27] += speeds[t] > moving
+    counts[27] /= RATE
 
 
 @compiled
@@ -205,35 +194,37 @@ def tally(points, height, smoothing, joints, places, courses, speeds, lines, cal
     (``N_LINES``, n); ``calm`` (``CALM``,) and (``CALM``, 3 K); ``squares`` (3 K, 3 K), (E, E), (6, 3 K), and the
     directions (3, 3 K) and (3, E); ``sums`` (3, ``SHORT`` + 1). A number of periods that takes a spectrum is NaN.
     """
-    n, ordered, work = len(points), lines[3], sums[2, :9]
+    n, ordered, work, axes, fastest = len(points), lines[3], sums[2, :14], squares[3], 0.0
     hips, shoulders, looked_at, others = joints
-    course, light, even = courses
-    axes, even_axes = squares[3], squares[4]
     counts[:] = 0.0
-    describe(points, height, smoothing[0], hips, shoulders, looked_at, places[0], places[1], course[0])
-    differentiate(course[0], course[1], speeds[0])
-    sort_into(speeds[0], ordered, lines[1])
-    fastest = ordered[n - 1]
-    if fastest <= STILL:
-        return False
-    _find_directions(course, squares[0], squares[2], axes)
-    _count_whole(course, axes, speeds[0], ordered, smoothing[0], lines, calm, sums, work, counts[:15])
-    moving = _read_moving(ordered)
-    counts[25] = n / RATE
-    for t in range(n):
-        counts[26] += speeds[0, t]
-        counts[27] += speeds[0, t] > moving
-    counts[27] /= RATE
-    describe(points, height, smoothing[1], hips, shoulders, looked_at, places[0], places[1], light[0])
-    differentiate(light[0], light[1], speeds[1])
-    sort_into(speeds[1], ordered, lines[1])
-    _count_light(light, axes, speeds[1], ordered, smoothing[1], lines, sums, work, counts[15:20])
-    fold(course[0], others, even[0])
-    differentiate(even[0], even[1], speeds[2])
-    sort_into(speeds[2], ordered, lines[1])
-    if ordered[n - 1] > max(_LEAST_EVEN * fastest, STILL):
-        _find_directions(even, squares[1], squares[2], even_axes)
-        _count_even(even, even_axes, speeds[2], ordered, lines, sums, work, counts[20:25])
+    for which in range(3):  # smoothed much, smoothed little, what both sides do; each thing is called at one place
+        course = courses[which]
+        if which < 2:
+            describe(points, height, smoothing[which], hips, shoulders, looked_at, places[0], places[1], course[0])
+        else:
+            fold(courses[0][0], others, course[0])
+        differentiate(course[0], course[1], speeds[which])
+        sort_into(speeds[which], ordered, lines[1])
+        if which == 0:
+            fastest = ordered[n - 1]
+            if fastest <= STILL:
+                return False
+        if which == 2 and ordered[n - 1] <= max(_LEAST_EVEN * fastest, STILL):
+            break
+        if which != 1:  # what is smoothed less is looked at along the same directions
+            axes = squares[3 + which // 2]
+            _find_directions(course, squares[which // 2], squares[2], axes)
+        _count_course(course, axes, 1 if which else 2, lines, work)
+        periods = _count_periods(course[1], speeds[which], _read_moving(ordered), sums)
+        if which == 2:
+            counts[20], counts[21], counts[22], counts[23], counts[24] = work[2], work[4], work[10], work[13], periods
+            break
+        bursts = _count_bursts(speeds[which], ordered, smoothing[which], lines[2])
+        if which == 1:
+            counts[15], counts[16], counts[17], counts[18], counts[19] = work[4], work[10], work[13], bursts, periods
+        else:
+            counts[10], counts[14] = bursts, periods
+            _put_whole(course, speeds[0], ordered, lines, calm, work, counts)
     return True
 
 
