@@ -35,10 +35,9 @@ quick: $(VENV)/.dev
 test-slow: $(VENV)/.dev
 	$(PYTEST) $(MORE) -rR -m "$(SLOW)" $(COVERED)
 
-# The tests of libraries once more, each library a database of a PostgreSQL server that they start; without those of
-# what is computed of clips that were read, which is the same wherever they lie.
+# The tests of libraries once more, each library a database of a PostgreSQL server that they start.
 test-postgres: $(VENV)/.dev
-	DOUSA_TEST_DATABASE=postgresql $(PYTEST) $(JOBS) -m "not ($(SLOW) or sqlite or computing)" tests/library $(COVERED)
+	DOUSA_TEST_DATABASE=postgresql $(PYTEST) $(JOBS) -m "not ($(SLOW))" tests/library $(COVERED)
 
 # Both in one go, which reads the tests once, and makes once what quick and slow ones share.
 test-all: $(VENV)/.dev

@@ -16,8 +16,6 @@ from dousa.formats.motion_files import ReadOptions
 from dousa.library import Library
 from dousa.motion import Trajectories, compute_trajectories
 
-pytestmark = pytest.mark.computing  # what is computed of clips is the same wherever they lie
-
 CLAIM = FrameClaim(("bvh", ("Hips",)), "y", "assumed", 0.01, "inferred", 160.0)
 
 

@@ -11,8 +11,6 @@ from dousa.library.text.meanings import find_meanings
 from dousa.motion.synthetic.performers import draw_performer, make_motion
 from dousa.retrieval.forest.likeness import Likeness, merge_votes
 
-pytestmark = pytest.mark.computing  # what is computed of clips is the same wherever they lie
-
 MOVES = ("walk", "squat", "clap", "kick_left", "kick_right", "bow", "wave_right", "jump", "march", "throw")
 PEOPLE = 6
 

@@ -39,7 +39,6 @@ def squat(moves):
     return moves / "squat" / "squat_p1.bvh"
 
 
-@pytest.mark.computing
 @pytest.mark.parametrize(("absent", "missing"), [(UPPER, "the head and the arms"), (ARMS, "the arms")])
 def test_legs_alone_find_whole_bodies_that_do_the_same(library, squat, absent, missing):
     result = library.search(cut(squat, absent), 5)
@@ -53,7 +52,6 @@ def test_legs_alone_find_whole_bodies_that_do_the_same(library, squat, absent, m
     assert "left_hand" in written["results"][0]["compared_without"]
 
 
-@pytest.mark.computing
 def test_an_upper_body_without_a_pelvis_is_recognised(library, moves):
     for move in ("wave", "bow"):
         assert library.search(cut(moves / move / f"{move}_p2.bvh", LOWER), 3).verdict.guess == move
@@ -86,7 +84,6 @@ def test_clips_of_parts_are_kept_and_found(library, moves, squat):
     assert explained.results[0].likeness is not None
 
 
-@pytest.mark.computing
 def test_parts_that_share_nothing_are_left_out(library, squat):
     library.add_motion(cut(squat, ARMS + LEGS[:3]), "one leg", "squat")
     library.add_motion(cut(squat, LEGS), "no legs", "squat")
@@ -96,7 +93,6 @@ def test_parts_that_share_nothing_are_left_out(library, squat):
     assert [note.code for note in result.notes] == ["partial.query", "partial.some_hits", "partial.left_out"]
 
 
-@pytest.mark.computing
 def test_too_little_of_a_body_is_told(library, squat):
     lone = [joint for joint in CANONICAL_JOINTS if joint not in ("right_shoulder", "right_elbow", "right_wrist")]
     with pytest.raises(InvalidMotionError, match="which way it faces"):
@@ -146,7 +142,6 @@ def test_the_forest_that_incomplete_clips_need_is_learned_with_the_training(libr
         assert other.search(query).to_json() == answer.to_json()
 
 
-@pytest.mark.computing
 def test_the_forest_of_a_part_learns_from_disturbed_copies_too(library_file, library, squat):
     library.search(cut(squat, UPPER))
     ((calibration,),) = run_sql(library_file, "SELECT calibration FROM part_forests")
@@ -160,7 +155,6 @@ def test_a_library_that_cannot_be_written_answers_too(library_file, squat):
         assert library.search(cut(squat, UPPER)).category == "squat"
 
 
-@pytest.mark.computing
 def test_a_library_of_legs_alone(empty_library, moves):
     for path in sorted(moves.rglob("*.bvh")):
         empty_library.add_motion(cut(path, UPPER), path.stem, path.parent.name)
@@ -177,7 +171,6 @@ def test_a_library_of_legs_alone(empty_library, moves):
     assert empty_library.add_motion(cut(whole, (*UPPER, "left_toe")), "more", "squat").n_learned == 1
 
 
-@pytest.mark.computing
 def test_few_parts_do_not_teach_the_forest_of_whole_bodies(library, moves):
     library.add_motion(cut(moves / "bow" / "bow_p0.bvh", LEGS), "no legs", "bow")
     report = library.train(n_trees=10)
@@ -185,7 +178,6 @@ def test_few_parts_do_not_teach_the_forest_of_whole_bodies(library, moves):
     assert library.search(cut(moves / "bow" / "bow_p1.bvh", LEGS), 5).category == "bow"
 
 
-@pytest.mark.computing
 def test_files_of_parts_are_classified(library, squat, tmp_path):
     from dousa.formats import write_motion
 
@@ -201,7 +193,6 @@ def test_files_of_parts_are_classified(library, squat, tmp_path):
     assert set(names_of(library.search(path, 2))) == {str(path), str(squat)}
 
 
-@pytest.mark.computing
 def test_takes_of_parts_are_searched_and_labelled(library, moves, squat):
     take = [cut(moves / move / f"{move}_p0.bvh", UPPER) for move in ("wave", "squat", "bow", "squat")]
     joined = take[0].replace(positions=np.concatenate([part.positions for part in take]))
@@ -263,7 +254,6 @@ def test_what_takes_of_parts_are_labelled_with_is_kept(library_file, library, sq
     assert len(learned) == 3
 
 
-@pytest.mark.computing
 def test_damaged_joints_are_told(library_file, library, squat):
     library.add_motion(cut(squat, UPPER), "legs")
     run_sql(library_file, "UPDATE clips SET absent = 'tail', label_checksum = NULL WHERE path = 'legs'")

@@ -192,7 +192,6 @@ def test_clips_that_change_while_the_trees_grow(library, library_file, write_mov
     assert all(clip.predicted_category for clip in library.clips())
 
 
-@pytest.mark.computing
 def test_real_gestures_find_their_kind(empty_library, shared_data):
     root = shared_data("hdm05")
     kinds = sorted(folder for folder in root.iterdir() if folder.is_dir())[:3]
@@ -209,7 +208,6 @@ def test_real_gestures_find_their_kind(empty_library, shared_data):
     assert sum(right) >= len(right) - 1
 
 
-@pytest.mark.computing
 def test_the_order_inside_a_category_is_a_ranking(empty_library, shared_data):
     root = shared_data("hdm05")
     kinds = sorted(folder for folder in root.iterdir() if folder.is_dir())[:3]

@@ -54,7 +54,6 @@ def test_originals_are_the_same_bytes(tmp_path, library, recordings):
     assert all(row["from"] == "file" for row in table)
 
 
-@pytest.mark.computing
 @pytest.mark.parametrize(
     ("to", "suffix"), [("glb", ".glb"), ("c3d", ".c3d"), ("bvh", ".bvh"), ("csv", ".csv"), ("amass", ".amass.npz")]
 )
@@ -202,7 +201,6 @@ def test_an_interrupted_zip_goes_on(tmp_path, library):
     assert not list(tmp_path.glob(".all.zip*"))
 
 
-@pytest.mark.computing
 def test_a_zip_does_not_write_elsewhere(tmp_path, library):
     """Names that lead out of the folder are brought into it, and are not in the next archive."""
     path = tmp_path / "sub" / "bad.zip"
@@ -215,7 +213,6 @@ def test_a_zip_does_not_write_elsewhere(tmp_path, library):
     assert len(names_in(path)) == 3
 
 
-@pytest.mark.computing
 def test_what_is_said_of_the_files_counts(tmp_path, library):
     """Unit, rate and character of the files that are written; what was said when they were added holds otherwise."""
     doubled = library.export(tmp_path / "a", category="walk", to="npz", options=ReadOptions(unit=0.02))
@@ -228,7 +225,6 @@ def test_what_is_said_of_the_files_counts(tmp_path, library):
     assert library.export(tmp_path / "b", category="walk", to="npz").kept == ()  # at another rate they are others
 
 
-@pytest.mark.computing
 def test_a_part_of_a_take(tmp_path):
     """Segments are cut out of the file, with all of its joints; there is no original of them."""
     take = tmp_path / "take.bvh"
@@ -247,7 +243,6 @@ def test_a_part_of_a_take(tmp_path):
         assert library.export(tmp_path / "joints", category="step", to="c3d").written
 
 
-@pytest.mark.computing
 def test_the_joint_map_reaches_the_character(tmp_path):
     """Points with names of nobody's go onto a character when a map says which is which."""
     walk = canonicalise(make_motion("walk", draw_performer(2))).to_trajectories()

@@ -12,8 +12,6 @@ from dousa.library.index.leaf_index import IndexQuery, LeafIndex
 from dousa.library.index.ranking import Ranked, rank_index
 from dousa.retrieval.ranking.ranking import RANKINGS
 
-pytestmark = pytest.mark.computing  # what is computed of clips is the same wherever they lie
-
 
 def ask(clips: DenseClips, row: int) -> IndexQuery:
     direction = None if clips.directions is None else clips.directions[row]

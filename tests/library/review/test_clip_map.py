@@ -18,8 +18,6 @@ from dousa.formats import write_motion
 from dousa.formats.motion_files import read_canonical
 from dousa.library.review import clip_map
 
-pytestmark = pytest.mark.computing  # what is computed of clips is the same wherever they lie
-
 CATEGORIES = ("kick_left", "squat", "wave_right", "walk")
 N = 24
 ARMS = tuple(f"{side}_{joint}" for side in ("left", "right") for joint in ("shoulder", "elbow", "wrist", "hand"))

@@ -10,8 +10,6 @@ import pytest
 
 from dousa.library import Library
 
-pytestmark = pytest.mark.computing  # what is computed of clips is the same wherever they lie
-
 DATA = Path(__file__).resolve().parents[4] / "shared" / "data" / "hdm05"
 SHARE, MOST = 0.05, 12  # wrong labels; clips of a category that are read
 

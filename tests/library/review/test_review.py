@@ -15,8 +15,6 @@ from dousa.library.review.duplicates import find_pairs
 from dousa.library.review.label_doubts import deal
 from dousa.motion import Trajectories
 
-pytestmark = pytest.mark.computing  # what is computed of clips is the same wherever they lie
-
 N_PEOPLE, N_WRONG = 12, 6
 
 
