@@ -36,6 +36,7 @@ if TYPE_CHECKING:
     from dousa.retrieval.takes.windows import TakeWindows, WindowGrid
 
 _ALIKE = 0.5
+_TRIES = 8  # times that files of windows are looked into, where one after the other is gone
 _SAME_PLACE = 0.3  # intersection over union of two answers that are the same place
 _MOST_KEPT = 1 << 29  # bytes of windows that stay in memory: some 10 hours of takes, 20 in a training
 
@@ -251,11 +252,12 @@ class Takes:
         asked: tuple[Sequence[StoredMotion], Sequence[ReadTake], int],
         progress: PartProgress | None,
     ) -> tuple[list[tuple[Found, bool]], float, list[Message]]:
-        """``_find``, in the files of windows if there are many; of a damaged one takes are looked at without it."""
+        """``_find``, in the files of windows if there are many, without any that is damaged."""
         from dousa.library.windows.portions import PortionGoneError
         from dousa.library.windows.scanning import MOST_COMPARED
 
-        while far is not None:
+        for _ in range(_TRIES if far is not None else 0):
+            assert far is not None
             connection, stored, numbers = far
             read = partial(self._read, connection, stored, keep=False)
             on_disk = self._keeper.open(connection, stored, numbers, read, progress)
@@ -264,7 +266,9 @@ class Takes:
             try:
                 found = _find(*asked, (stored, on_disk))
             except PortionGoneError as gone:
-                self._keeper.drop(gone.path)
+                self._keeper.drop(gone.path, damaged=gone.damaged)
+            except OSError:  # while a file is read
+                break
             else:
                 return *found, [Message("library_takes.sketched", n=MOST_COMPARED)] if on_disk.leaves_out else []
         return *_find(*asked), []

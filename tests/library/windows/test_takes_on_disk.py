@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import random
 import shutil
 from dataclasses import replace
@@ -238,3 +239,25 @@ def test_windows_are_where_the_take_has_them(made, many, library_path, tmp_path)
                         assert np.array_equal(portion.encode(own.leaves[row].astype(np.int64)), code)
                         assert np.array_equal(read[int(portion.ids[take])], own.poses)
     assert len(read) >= 4
+
+
+@pytest.mark.parametrize("length", [2**40, 2**63])
+def test_a_file_that_claims_a_huge_size_is_no_file(tmp_path, length):
+    path = tmp_path / "x.windows"
+    path.write_bytes(portions._START.pack(portions._MAGIC, 10, length, 0) + b"some more bytes")
+    assert portions.read_portion(path) is None
+
+
+def test_what_a_killed_program_left_is_taken_away_later(library_path, made, many, tmp_path):
+    with Library.open(library_path) as library:
+        many()
+        ask(library, made)
+        folder = find_files(tmp_path)[0].parent
+        for path in find_files(tmp_path):
+            path.unlink()
+        old, new = folder / "0000000001-00000000.windows.part", folder / "0000000002-00000000.windows.part"
+        for path in (old, new):
+            path.write_bytes(b"half")
+        os.utime(old, (0, 0))
+        ask(library, made)
+    assert not old.exists() and new.exists()

@@ -9,6 +9,7 @@ these are many, a file is made of them; one that is of another forest, or half o
 from __future__ import annotations
 
 import os
+import time
 import zlib
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from contextlib import suppress
@@ -34,7 +35,8 @@ PORTION_BYTES = 1 << 28
 """Of windows in memory that go into one file."""
 
 _SUFFIX = ".windows"
-_CLEARLY = 1.1  # of an estimate
+_CLEARLY = 1.25  # of an estimate, which of short takes is a ninth too high
+_ABANDONED = 86_400.0  # s after which nobody writes an unfinished file any more
 _BYTES_A_FRAME = 27 * (2 + 8)  # of a pose, and of its running sums
 
 Progress = Callable[[int, int, Message], None]
@@ -92,11 +94,11 @@ class WindowKeeper:
             places = _place(portions, takes)
         return TakesOnDisk(portions, places)
 
-    def drop(self, path: Path) -> None:
-        """Take away a file that is damaged."""
+    def drop(self, path: Path, *, damaged: bool) -> None:
+        """Use a file no more, and take it away if it is damaged: one that cannot be opened may be as good as ever."""
         for key in [key for key in self._known if key[0] == str(path)]:
             self._known[key] = None
-        if not self._database.is_read_only:
+        if damaged and not self._database.is_read_only:
             with suppress(OSError):
                 path.unlink()
 
@@ -121,6 +123,10 @@ class WindowKeeper:
         for path in folder.glob(f"*{_SUFFIX}"):
             if path not in names:
                 with suppress(OSError):
+                    path.unlink()
+        for path in folder.glob(f"*{_SUFFIX}.part"):  # of a program that was killed
+            with suppress(OSError):
+                if time.time() - path.stat().st_mtime > _ABANDONED:
                     path.unlink()
         return kept
 
@@ -170,7 +176,10 @@ class _Making:
     takes: Mapping[int, _Take]
 
     def make(self, pending: Sequence[int], read: Callable[[int], TakeWindows], progress: Progress | None) -> bool:
-        """Make files of takes, but of few that are left over; false where they cannot be written."""
+        """Make files of takes, but of few that are left over; false where they cannot be written.
+
+        Where another program makes the same ones they are left to it.
+        """
         waiting: list[tuple[int, int, TakeWindows]] = []
         size = 0
         for done, number in enumerate(pending):
@@ -179,7 +188,10 @@ class _Making:
             waiting.append((number, self.takes[number].stamp, read(number)))
             size += waiting[-1][2].n_bytes
             if size >= PORTION_BYTES:
-                if not self._write(waiting):
+                try:
+                    if not self._write(waiting):
+                        break
+                except OSError:
                     return False
                 waiting, size = [], 0
         if progress is not None and pending:
@@ -191,9 +203,6 @@ class _Making:
         if not some:
             return True
         name = zlib.crc32(repr((self.forest, [one[:2] for one in some])).encode())
-        try:
-            self.folder.mkdir(parents=True, exist_ok=True)
-            path = self.folder / f"{some[0][0]:010}-{name:08x}{_SUFFIX}"
-            return write_portion(path, self.forest, some, self.n_leaves)
-        except OSError:
-            return False
+        self.folder.mkdir(parents=True, exist_ok=True)
+        path = self.folder / f"{some[0][0]:010}-{name:08x}{_SUFFIX}"
+        return write_portion(path, self.forest, some, self.n_leaves)

@@ -8,6 +8,7 @@ blocks. Rows and blocks have checksums, as they make answers; sketches have none
 from __future__ import annotations
 
 import json
+import os
 import struct
 import zlib
 from collections.abc import Sequence
@@ -34,11 +35,11 @@ _MISSING = np.iinfo(np.uint16).max  # the code of a leaf that no window is in
 
 
 class PortionGoneError(Exception):
-    """A file that is no longer there, or damaged: its takes are looked at in another way."""
+    """A file that cannot be read, or is damaged: its takes are looked at in another way."""
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, *, damaged: bool = True) -> None:
         super().__init__(str(path))
-        self.path = path
+        self.path, self.damaged = path, damaged
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -250,7 +251,7 @@ def read_portion(path: Path) -> Portion | None:
     try:
         with open(path, "rb") as file:
             magic, place, length, checksum = _START.unpack(file.read(_START.size))
-            if magic != _MAGIC:
+            if magic != _MAGIC or place + length > os.fstat(file.fileno()).st_size:
                 return None
             file.seek(place)
             whole = file.read(length)
@@ -280,5 +281,5 @@ def read_portion(path: Path) -> Portion | None:
             np.dtype(header["code_type"]),
             np.array(header["places"], np.int64),
         )
-    except (OSError, ValueError, KeyError, TypeError, struct.error):
+    except (OSError, ValueError, OverflowError, KeyError, TypeError, struct.error):
         return None

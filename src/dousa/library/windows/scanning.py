@@ -170,7 +170,7 @@ def _open(portion: Portion) -> IO[bytes]:
     try:
         return open(portion.path, "rb", buffering=0)
     except OSError as error:
-        raise PortionGoneError(portion.path) from error
+        raise PortionGoneError(portion.path, damaged=False) from error
 
 
 def _add_up(poses: NDArray[np.float16]) -> NDArray[np.float64]:

@@ -186,7 +186,8 @@ def export(
 ) -> Response:
     """Labels with corrections: a table with a row for each stretch, JSON, or a document of ELAN.
 
-    Each can be read as labels of the take again.
+    Tables and documents can be read as labels of the take again. A document has no place for what is perhaps something:
+    it is left out there, and so read as nothing.
     """
     answer = _describe(studio, MotionRef(motion=motion))
     labels = answer["given"] if given else answer["labels"]

@@ -28,4 +28,4 @@ export function cutMiddle(element, text) {
 }
 
 /** A name in pieces, so that a line of it ends behind a separator or before a capital letter, and not anywhere. */
-export const breakable = (name) => name.split(/(?<=[_\-.\/\\ ])|(?<=[a-z])(?=[A-Z])/).flatMap((piece) => [piece, h("wbr", {})]);
+export const breakable = (name) => name.replace(/[_\-.\/\\ ]|[a-z](?=[A-Z])/g, "$&\0").split("\0").flatMap((piece) => [piece, h("wbr", {})]);
