@@ -13,6 +13,7 @@ from dousa.library.features import load_features
 from dousa.library.growth import lesson
 from dousa.retrieval.forest import trees
 from library.database_server import run_sql
+from library.test_learning import tell_all
 
 RULES = {"category_from": r"name:([a-z]+)", "n_jobs": 1}
 
@@ -38,15 +39,6 @@ def files(write_move, tmp_path) -> list[Path]:
 
 def read_examples(path) -> list[tuple]:
     return run_sql(path, "SELECT revision, clips FROM leaf_examples")
-
-
-def tell_all(library):
-    clips = sorted(library.clips(), key=lambda clip: clip.path)
-    queries = [(Path(clip.path).name, clip.predicted_category, library.search(clip.id, 100)) for clip in clips]
-    return [
-        (name, guess, found.verdict.to_json(), [(hit.path, hit.distance, hit.rank_distance) for hit in found.results])
-        for name, guess, found in queries
-    ]
 
 
 def leaves_of(path, last: int) -> list[tuple]:

@@ -256,10 +256,11 @@ class Takes:
         from dousa.library.windows.portions import PortionGoneError
         from dousa.library.windows.scanning import MOST_COMPARED
 
-        for _ in range(_TRIES if far is not None else 0):
-            assert far is not None
-            connection, stored, numbers = far
-            read = partial(self._read, connection, stored, keep=False)
+        if far is None:
+            return *_find(*asked), []
+        connection, stored, numbers = far
+        read = partial(self._read, connection, stored, keep=False)
+        for _ in range(_TRIES):
             on_disk = self._keeper.open(connection, stored, numbers, read, progress)
             if on_disk is None:
                 break

@@ -6,7 +6,8 @@ them from what is there.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 import sqlalchemy as sa
@@ -39,13 +40,20 @@ def choose_trained(
     if not stored.forest.trees_.pooled:
         return None
     rows = np.flatnonzero((categories >= 0) & (ids < stored.first_later))
+    return _choose(stored, (ids, categories), rows, lambda some: answers.leaves[some])
 
-    def hand_out() -> Iterator[tuple[IntArray, NDArray[np.int32], NDArray[np.int32]]]:
-        for start in range(0, len(rows), _AT_ONCE):
-            some = rows[start : start + _AT_ONCE]
-            yield ids[some], categories[some], answers.leaves[some]
 
-    return choose_examples(hand_out(), stored.forest.trees_.n_leaves)
+def _choose(
+    stored: StoredForest,
+    clips: tuple[IntArray, NDArray[Any]],
+    rows: IndexArray,
+    read_leaves: Callable[[IndexArray], NDArray[np.int32]],
+) -> NDArray[np.int32]:
+    """Examples among some rows of clips (numbers, categories), whose leaves are read in portions."""
+    ids, categories = clips
+    portions = (rows[start : start + _AT_ONCE] for start in range(0, len(rows), _AT_ONCE))
+    handed = ((ids[some], categories[some].astype(np.int32), read_leaves(some)) for some in portions)
+    return choose_examples(handed, stored.forest.trees_.n_leaves)
 
 
 def make_examples(
@@ -63,13 +71,7 @@ def make_examples(
     ordered = np.fromiter(connection.execute(query).scalars(), np.int64)
     places = np.minimum(np.searchsorted(ids, ordered), max(len(ids) - 1, 0))
     places = places[(ids[places] == ordered) & (categories[places] >= 0)] if len(ids) else places[:0]
-
-    def hand_out() -> Iterator[tuple[IntArray, NDArray[np.int32], NDArray[np.int32]]]:
-        for start in range(0, len(places), _AT_ONCE):
-            some = places[start : start + _AT_ONCE]
-            yield ids[some], categories[some].astype(np.int32), homes[leaves.take(some)]
-
-    return choose_examples(hand_out(), stored.forest.trees_.n_leaves)
+    return _choose(stored, (ids, categories), places, lambda some: homes[leaves.take(some)])
 
 
 def find_places(kept: NDArray[np.int32], leaves: IndexArray, ids: IntArray) -> IntArray:
