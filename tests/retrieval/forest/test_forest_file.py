@@ -14,6 +14,7 @@ from hypothesis import strategies as st
 
 from dousa.errors import DousaError
 from dousa.retrieval import MotionForest
+from dousa.retrieval.forest.growth import StandingClips, grow_forest
 
 RANDOM = np.random.default_rng(0)
 POSE = RANDOM.normal(size=(40, 3, 4))
@@ -83,6 +84,41 @@ def test_any_wrong_number_is_noticed_or_harmless(data):
         forest.predict(clip)
 
 
+@functools.cache
+def grown_bytes():
+    forest = MotionForest.from_bytes(forest_bytes())
+    there = StandingClips(WORDS, forest.apply(POSE), lambda rows: POSE[rows])
+    return grow_forest(forest, there, POSE[:3] + 0.1, np.array(["crawl"] * 3)).forest.to_bytes()
+
+
+def test_a_forest_that_has_grown_comes_back_with_what_its_training_left():
+    forest, trained = (MotionForest.from_bytes(data) for data in (grown_bytes(), forest_bytes()))
+    assert forest.to_bytes() == grown_bytes()
+    starts, classes, counts = forest.trees_.trained
+    assert np.array_equal(starts, trained.trees_.leaf_starts)
+    assert np.array_equal(counts, trained.trees_.leaf_counts)
+    assert (forest.classes_[classes] == trained.classes_[trained.trees_.leaf_classes]).all()
+
+
+@pytest.mark.parametrize(
+    ("damage", "problem"),
+    [
+        (lambda a: a.pop("trained_counts"), "other arrays"),
+        (lambda a: a.pop("homes"), "leaves of the training"),
+        (lambda a: a.update(trained_starts=a["trained_starts"][:-1]), "leaves of the training"),
+        (lambda a: a.update(trained_starts=a["trained_starts"][:1]), "leaves of the training"),
+        (lambda a: a.update(trained_classes=a["trained_classes"] + np.int32(9)), "does not exist"),
+        (lambda a: a.update(trained_counts=np.zeros_like(a["trained_counts"])), "does not exist"),
+        (lambda a: a.update(version=np.int64(2)), "other arrays"),
+    ],
+)
+def test_grown_forests_that_cannot_be_are_refused(damage, problem):
+    arrays = arrays_of(grown_bytes())
+    damage(arrays)
+    with pytest.raises(DousaError, match=problem):
+        MotionForest.from_bytes(bytes_of(arrays))
+
+
 def with_cycle(arrays):
     inner = np.flatnonzero(arrays["nodes"][:, 2] > 2)[0]
     arrays["nodes"][inner, 2] = 0
@@ -92,7 +128,8 @@ def with_cycle(arrays):
     ("damage", "problem"),
     [
         (with_cycle, "child"),
-        (lambda a: a.update(version=np.int64(3)), "version 3"),
+        (lambda a: a.update(version=np.int64(4)), "version 4"),
+        (lambda a: a.update(version=np.int64(3)), "other arrays"),
         (lambda a: a.update(version=np.array("one")), "version"),
         (lambda a: a.pop("roots"), "other arrays"),
         (lambda a: a.update(more=np.zeros(3)), "other arrays"),

@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 import tracemalloc
 from collections import Counter
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -59,6 +60,56 @@ def test_old_splits_stay_where_they_are(forest_and_clips):
         for tree in range(12):
             asked = [one[1:] for one in before if one[0] == tree]
             assert asked == [one[1:] for one in after if one[0] == tree][: len(asked)]
+
+
+@pytest.mark.parametrize("by_an_older_dousa", [False, True])
+def test_a_leaf_of_copies_alone_is_one_when_points_have_come_and_gone(by_an_older_dousa):
+    """Copies teach a tree in the stead of their clips, and no clip stands in leaves that only they made."""
+    features, categories = make_clips(n_categories=12, each=8, spread=0.8)
+    old, new = split_off(features, categories, ["c2", "c5"], 8)
+    copies = features[old] + np.random.default_rng(5).normal(0, 1.2, (len(old), *features.shape[1:]))
+    both = np.concatenate([features[old], copies])
+    trained = MotionForest(12, random_state=0).fit(both, categories[old], copied=np.arange(len(old)))
+    keys = mix_keys(len(features))
+
+    def take_up(forest, standing, leaves, some):
+        there = StandingClips(
+            categories[standing],
+            leaves,
+            lambda places: features[standing[places]],
+            keys[standing],
+            np.isin(standing, new),
+        )
+        return grow_forest(forest, there, features[some], categories[some], keys=keys[some])
+
+    forest, standing, leaves, emptied = trained, old, trained.apply(features[old]), 0
+    for one in new:
+        growth = take_up(forest, standing, leaves, np.array([one]))
+        leaves[growth.moved] = growth.moved_leaves
+        leaves, standing, forest = np.concatenate([leaves, growth.leaves]), np.append(standing, one), growth.forest
+        if by_an_older_dousa:  # which did not keep what the training left
+            forest = forest.with_trees(replace(forest.trees_, trained=None), forest.classes_)
+        trees = forest.trees_
+        assert (np.diff(trees.leaf_starts) > 0).all()
+        assert trees.leaf_shares().sum() == pytest.approx(trees.leaf_votes().sum())
+        reached = np.zeros(trees.n_leaves, np.bool_)
+        reached[-1 - trees.nodes[trees.nodes[:, 2] < 0, 2]] = True
+        empty = np.flatnonzero(reached & (trees.leaf_votes() == 0))
+        emptied += len(empty)
+        assert not np.isin(leaves, empty).any()
+        again = MotionForest.from_bytes(forest.to_bytes())
+        assert np.array_equal(again.predict_proba(features), forest.predict_proba(features))
+        assert (again.trees_.trained is None) == by_an_older_dousa
+    assert (emptied > 0) == by_an_older_dousa
+    if by_an_older_dousa:
+        return
+    at_once = take_up(trained, old, trained.apply(features[old]), new).forest
+    probes = np.concatenate([features, copies])
+    assert np.allclose(at_once.predict_proba(probes), forest.predict_proba(probes))
+
+
+def mix_keys(count):
+    return points.mix(np.arange(count, dtype=np.uint64), np.ones(1, np.uint64))
 
 
 def decisions_of(forest, features):

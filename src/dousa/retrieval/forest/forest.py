@@ -279,7 +279,7 @@ class MotionForest:
 
         Returns
         -------
-        (N, C) shares in the order of ``classes_``; rows sum to 1.
+        (N, C) shares in the order of ``classes_``; rows sum to 1, less where trees that have grown know nothing.
 
         Raises
         ------
@@ -298,7 +298,7 @@ class MotionForest:
 
         Returns
         -------
-        (N, C) shares in the order of ``classes_``; rows sum to 1.
+        (N, C) shares in the order of ``classes_``; rows sum to 1, less where trees that have grown know nothing.
 
         Raises
         ------
@@ -445,7 +445,7 @@ class MotionForest:
         self._trees, self._classes, self._feature_names = trees, classes, feature_names
         self._cuts = trees.cuts
         ones = np.arange(trees.n_leaves + 1)
-        self._votes = (ones, trees.leaf_categories(), np.ones(trees.n_leaves))
+        self._votes = (ones, trees.leaf_categories(), trees.leaf_votes())
         self._shares = (trees.leaf_starts, trees.leaf_classes, trees.leaf_shares())
         if trees.pooled:
             self._votes = self._shares

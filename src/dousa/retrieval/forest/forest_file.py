@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from dousa.errors import DousaError
 from dousa.files.npz_arrays import open_npz
 from dousa.messages import Message
-from dousa.retrieval.forest.trees import Trees
+from dousa.retrieval.forest.trees import LeafEntries, Trees
 
 
 def damaged(what: Message, reason: object) -> DousaError:
@@ -56,7 +56,7 @@ def check_version(arrays: Mapping[str, NDArray[Any]], what: Message, known: Sequ
 
 
 _WHAT = Message("stored.forest")
-_VERSION = 2
+_VERSION, _PLAIN = 3, 2  # without what the training left in the leaves, which a forest has that has grown
 _WITHOUT_KINDS = 1  # in this version every test was a mean, which is what its nodes say in version 2 as well
 
 # Arrays of the trees by the names of their fields.
@@ -67,6 +67,7 @@ _TREE_ARRAYS = {
     "leaf_classes": (np.int32, 1),
     "leaf_counts": (np.int32, 1),
 }
+_TRAINED_ARRAYS = {"trained_starts": (np.int64, 1), "trained_classes": (np.int32, 1), "trained_counts": (np.int32, 1)}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -87,7 +88,7 @@ def pack_forest(file: ForestFile) -> bytes:
     }
     return pack_arrays(
         {
-            "version": np.array(_VERSION, np.int64),
+            "version": np.array(_PLAIN if trees.trained is None else _VERSION, np.int64),
             "parameters": np.array(json.dumps(parameters)),
             "classes": file.classes,
             "feature_names": np.array(file.feature_names, dtype=np.str_),
@@ -95,6 +96,7 @@ def pack_forest(file: ForestFile) -> bytes:
             "sizes": np.array([trees.n_features, trees.n_frames, trees.n_classes], np.int64),
             **({} if trees.homes is None else {"homes": trees.homes}),
             **({"pooled": np.array(1, np.int64)} if trees.pooled else {}),
+            **({} if trees.trained is None else dict(zip(_TRAINED_ARRAYS, trees.trained, strict=True))),
         }
     )
 
@@ -102,9 +104,11 @@ def pack_forest(file: ForestFile) -> bytes:
 def unpack_forest(data: bytes) -> ForestFile:
     """The forest in the bytes; DousaError if they are damaged, something else, or of a newer version."""
     names = {"version", "parameters", "classes", "feature_names", *_TREE_ARRAYS, "sizes"}
-    arrays = unpack_arrays(data, names, _WHAT, ("homes", "pooled"))
-    check_version(arrays, _WHAT, (_WITHOUT_KINDS, _VERSION))
-    for name, (dtype, axes) in _TREE_ARRAYS.items():
+    arrays = unpack_arrays(data, names, _WHAT, ("homes", "pooled", *_TRAINED_ARRAYS))
+    check_version(arrays, _WHAT, (_WITHOUT_KINDS, _PLAIN, _VERSION))
+    grown = int(arrays["version"]) == _VERSION
+    _check(all((name in arrays) == grown for name in _TRAINED_ARRAYS), "other arrays")
+    for name, (dtype, axes) in {**_TREE_ARRAYS, **(_TRAINED_ARRAYS if grown else {})}.items():
         array = arrays[name]
         _check(array.dtype == dtype and array.ndim == axes and array.flags.c_contiguous, f"bad {name}")
     sizes = arrays["sizes"]
@@ -115,6 +119,7 @@ def unpack_forest(data: bytes) -> ForestFile:
         *map(int, sizes),
         arrays.get("homes"),
         "pooled" in arrays,
+        LeafEntries(*(arrays[name] for name in _TRAINED_ARRAYS)) if grown else None,
     ]
     trees = Trees(*fields)
     _check_trees(trees)
@@ -170,3 +175,10 @@ def _check_trees(trees: Trees) -> None:
         _check(homes.dtype == np.int32 and homes.shape == (trees.n_leaves,), "bad homes")
         _check(bool(((homes >= 0) & (homes < trees.n_leaves)).all()), "a home that does not exist")
         _check(bool((homes[homes] == homes).all()), "a home that has grown itself")
+    if trees.trained is not None:
+        starts, classes, counts = trees.trained
+        _check(trees.homes is not None and 1 < len(starts) <= trees.n_leaves + 1, "bad leaves of the training")
+        right = starts[0] == 0 and starts[-1] == len(classes) == len(counts) and bool((np.diff(starts) > 0).all())
+        _check(right and bool((trees.home_leaves < len(starts) - 1).all()), "bad leaves of the training")
+        in_range = (classes >= 0) & (classes < trees.n_classes) & (counts > 0)
+        _check(bool(in_range.all()), "a leaf of a category that does not exist")

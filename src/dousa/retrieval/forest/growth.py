@@ -10,8 +10,9 @@ Chawla et al., Journal of Artificial Intelligence Research 16, 2002): features a
 the mean of two of them. These points live in the counts of the leaves only.
 
 What becomes of a leaf of the training follows from the clips that stand in it and from nothing else: not from their
-order, nor from what stood in it before (``Trees.homes`` says which leaf of the training each leaf grew from, and a leaf
-that is met again is grown anew). So the same clips give the same forest, in whatever portions they were added.
+order, nor from what stood in it before (``Trees.homes`` says which leaf of the training each leaf grew from; a leaf
+that is met again is grown anew, and one from which all points have gone is as the training left it). So the same clips
+give the same forest, in whatever portions they were added.
 
 In a large library a leaf has hundreds of clips, and where each tree grew from a sample, of several categories. So what
 growing costs is bounded: a leaf grows only when the strangers that came after the training are a 64th of it (one among
@@ -48,7 +49,7 @@ from dousa.retrieval.forest.leaves.subtrees import (
     part_strangers,
     replace_leaves,
 )
-from dousa.retrieval.forest.trees import Trees, put_counts
+from dousa.retrieval.forest.trees import LeafEntries, Trees, put_counts
 
 _AT_ONCE = 4096  # clips whose features are read
 _MOST_OTHERS = 64  # a leaf grows where this many times the strangers in it are all of its clips, or more
@@ -463,10 +464,15 @@ def _tree_of_leaves(trees: Trees) -> IntArray:
 
 
 def _renumber(forest: MotionForest, classes: NDArray[Any]) -> Trees:
-    """The trees of a forest with its categories numbered among all categories."""
+    """The trees of a forest with its categories numbered among all, and with what the training left in its leaves."""
     numbers = np.searchsorted(classes, forest.classes_).astype(np.int32)
-    own = numbers[forest.trees_.leaf_classes]
-    return replace(forest.trees_, leaf_classes=own, n_classes=len(classes))
+    own, trees = numbers[forest.trees_.leaf_classes], forest.trees_
+    trained = trees.trained
+    if trained is not None:
+        trained = trained._replace(classes=numbers[trained.classes])
+    elif trees.homes is None and not trees.pooled:
+        trained = LeafEntries(trees.leaf_starts, own, trees.leaf_counts)
+    return replace(trees, leaf_classes=own, n_classes=len(classes), trained=trained)
 
 
 def _look_at_leaves(material: _Material, trees: Trees, n_classes: int) -> _Touched:
@@ -495,6 +501,9 @@ def _look_at_leaves(material: _Material, trees: Trees, n_classes: int) -> _Touch
     grows = (strangers > 0) & (strangers * _MOST_OTHERS >= sizes)
     if by_examples:
         grows[grows] = [len(some) > 0 for some in material.find_examples(numbers[grows])]
+    if trees.trained is not None:  # disturbed copies, too, which stand nowhere
+        for row in np.flatnonzero(~later.any(axis=1)):
+            counts[row] = trees.trained.of(int(numbers[row]), n_classes)
     return _Touched(numbers, counts, trained if by_examples else np.zeros_like(trained), known, usual, grows)
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
 from functools import partial
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,6 +33,19 @@ class TreesSpec:
     n_jobs: int | None
 
 
+class LeafEntries(NamedTuple):
+    """What a training left in its leaves: where the entries of each begin (L + 1,), their categories and counts."""
+
+    starts: IntArray
+    classes: NDArray[np.int32]
+    counts: NDArray[np.int32]
+
+    def of(self, leaf: int, n_classes: int) -> IntArray:
+        """(C,) clips of each category in one leaf."""
+        own = slice(int(self.starts[leaf]), int(self.starts[leaf + 1]))
+        return np.bincount(self.classes[own], self.counts[own], n_classes).astype(np.int64)
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Trees:
     """Trees one behind the other; the layout of a node is told in ``tree_kernels``.
@@ -43,12 +56,14 @@ class Trees:
     roots : (n_trees,) index of each tree's first node.
     leaf_starts : (L + 1,) where the entries of each leaf begin.
     leaf_classes, leaf_counts : (E,) int32, the category and the number of training clips of each entry; an entry
-        without clips in a leaf that nothing leads to.
+        without clips in a leaf that nothing leads to, or in which nothing stands any more.
     n_features, n_frames, n_classes : F, T and C.
     homes : (L,) int32, the leaf of the training that each leaf has grown from; None where nothing has grown. The first
         leaf of each keeps its number.
     pooled : whether the leaves hold clips that the trees did not grow from, of several categories: a tree then shares
         its vote among those of its leaf.
+    trained : what the training left in its leaves, where something has grown since; None where nothing has, or the
+        leaves are pooled, or an earlier dousa grew them.
     only_means : whether no node asks for a spread or a trend.
     """
 
@@ -62,6 +77,7 @@ class Trees:
     n_classes: int
     homes: NDArray[np.int32] | None = None
     pooled: bool = False
+    trained: LeafEntries | None = None
     only_means: bool = field(init=False)
 
     def __post_init__(self) -> None:
@@ -93,6 +109,10 @@ class Trees:
         leaf = np.repeat(np.arange(self.n_leaves), np.diff(self.leaf_starts))
         order = np.lexsort((self.leaf_classes, -self.leaf_counts, leaf))
         return self.leaf_classes[order[self.leaf_starts[:-1]]]
+
+    def leaf_votes(self) -> FloatArray:
+        """(L,) 1, or 0 for a leaf without clips, which votes for nothing."""
+        return np.maximum.reduceat(self.leaf_counts > 0, self.leaf_starts[:-1]).astype(np.float64)
 
 
 @dataclass(frozen=True, slots=True)

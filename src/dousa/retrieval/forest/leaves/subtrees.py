@@ -94,8 +94,11 @@ def part_strangers(subtree: Subtree, usual: int) -> Subtree:
 
 
 def make_stump(leaf: int, counts: IntArray) -> Subtree:
-    """A leaf that stays one, with so many clips of each category (C,)."""
-    classes = np.flatnonzero(counts).astype(np.int32)
+    """A leaf that stays one, with so many clips of each category (C,).
+
+    There may be none where only a disturbed copy taught the leaf, and the points that came to it have gone again.
+    """
+    classes = np.flatnonzero(counts).astype(np.int32) if counts.any() else np.zeros(1, np.int32)
     node = np.array([[0, 0, -1, 0, 0, 0]], np.int32)
     return Subtree(leaf, node, np.array([0, len(classes)]), classes, counts[classes].astype(np.int32))
 
@@ -173,7 +176,7 @@ def replace_leaves(trees: Trees, subtrees: Sequence[Subtree], n_classes: int) ->
         free[tree] += len(moved) - 1
     entries = _replace_entries(trees, subtrees, numbers, unused, len(homes))
     sizes = trees.n_features, trees.n_frames, n_classes
-    return Trees(nodes, trees.roots + shifts[:-1], *entries, *sizes, homes, trees.pooled)
+    return Trees(nodes, trees.roots + shifts[:-1], *entries, *sizes, homes, trees.pooled, trees.trained)
 
 
 def _number_leaves(
