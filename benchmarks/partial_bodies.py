@@ -11,7 +11,7 @@ are left, for all alike. Columns: share of clips whose category is right; share 
     python benchmarks/partial_bodies.py --library LIB
 
 tells instead how long somebody waits who searches a trained library, of which a copy is made, with each of these bodies
-for the first time, and for the second: seconds on the clock, and of processors.
+for the first time, for the second, and after clips were added: seconds on the clock, and of processors.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ SETS = {
     "UTD-MHAD": ("utd_mhad/skeleton", "name:^(a\\d+)_", "name:_(s\\d+)_"),
 }
 SIDES = ("left", "right")
-INSTANTS, FIRST = 32, 5
+INSTANTS, FIRST, ADDED = 32, 5, 64
 MEASURED = ("hip", "knee", "ankle", "shoulder", "elbow", "hand")
 
 
@@ -134,27 +134,40 @@ def measure(clips: list, hidden: tuple[str, ...], n_seeds: int) -> dict[str, np.
 
 
 def time_first(path: Path, only: str) -> None:
-    """Search a copy of a library with its first clip, of which joints are hidden, twice."""
-    print("| joints of the query | first search, s | CPU s | second, s |")
-    print("| --- | --- | --- | --- |")
+    """Search a copy of a library with its first clip, of which joints are hidden: twice, and when more was added."""
+    print("| joints of the query | first search, s | CPU s | second, s | after an add, s | CPU s |")
+    print("| --- | --- | --- | --- | --- | --- |")
     with tempfile.TemporaryDirectory() as folder:
         copy = Path(folder) / path.name
         shutil.copy(path, copy)
         with Library.open(copy) as library:
-            first = library.clips()[0].id
-            library.search(first)
-            motion = library.trajectories(first)
-            for case, hidden in HIDDEN.items():
+            clips = library.clips()
+            library.search(clips[0].id)
+            motion = library.trajectories(clips[0].id)
+            for number, (case, hidden) in enumerate(HIDDEN.items()):
                 if only not in case:
                     continue
                 positions = np.array(motion.positions)
                 positions[:, [JOINT_INDEX[joint] for joint in hidden]] = np.nan
-                query, took = motion.replace(positions=positions, rest_positions=None), []
-                for _ in range(2):
-                    clock, processors = time.perf_counter(), time.process_time()
-                    library.search(query)
-                    took.append((time.perf_counter() - clock, time.process_time() - processors))
-                print(f"| {case} | {took[0][0]:.1f} | {took[0][1]:.1f} | {took[1][0]:.3f} |", flush=True)
+                query = motion.replace(positions=positions, rest_positions=None)
+                took = [time_search(library, query) for _ in range(2)]
+                for clip in clips[number :: len(clips) // ADDED][:ADDED]:
+                    again = library.trajectories(clip.id)
+                    larger = again.replace(positions=np.array(again.positions) * 1.03, rest_positions=None)
+                    library.add_motion(larger, f"{clip.path} larger", f"{clip.category} again")
+                library.search(clips[0].id)
+                took.append(time_search(library, query))
+                (first, processors), (second, _), (later, more) = took
+                print(
+                    f"| {case} | {first:.1f} | {processors:.1f} | {second:.3f} | {later:.1f} | {more:.1f} |", flush=True
+                )
+
+
+def time_search(library: Library, query: object) -> tuple[float, float]:
+    """Seconds on the clock, and of processors."""
+    clock, processors = time.perf_counter(), time.process_time()
+    library.search(query)
+    return time.perf_counter() - clock, time.process_time() - processors
 
 
 def main() -> None:

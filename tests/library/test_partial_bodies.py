@@ -260,3 +260,55 @@ def test_damaged_joints_are_told(library_file, library, squat):
     number = next(clip.id for clip in library.clips() if clip.path == "legs")
     with pytest.raises(LibraryDamagedError, match="legs"):
         library.trajectories(number)
+
+
+def read_part(library_file):
+    columns = "learned_from, forest, calibration, clip_ids, leaves, poses"
+    (row,) = run_sql(library_file, f"SELECT {columns} FROM part_forests")
+    return row
+
+
+def add_later(library, moves, names):
+    for name in names:
+        move = name.partition("_")[0]
+        library.add_motion(cut(moves / move / f"{name}.bvh", ("left_hand",)), f"{name} later", f"later {move}")
+
+
+def test_the_forest_of_a_part_grows_by_clips_that_are_added(library_file, library, moves, squat, monkeypatch):
+    """Nothing is trained again, what it knew it still knows, and in whatever portions it learns the same."""
+    query, before = cut(squat, UPPER), read_canonical(moves / "wave" / "wave_p1.bvh")[0]
+    library.search(query)
+    names = ["squat_p1", "squat_p3", "wave_p0", "bow_p2"]
+    with monkeypatch.context() as patch:
+        patch.setattr("dousa.library.partial.learning.fit_forest", None)
+        add_later(library, moves, names[:2])
+        library.add_motion(cut(squat, ("right_hand",)), "nobody knows")
+        assert library.search(cut(squat, UPPER), 3).category in ("squat", "later squat")
+        add_later(library, moves, names[2:])
+        answer = library.search(query, 20).to_json()
+    assert {f"later {move}" for move in ("squat", "wave", "bow")} <= {one["category"] for one in answer["results"]}
+    assert library.search(before.to_trajectories(), 1).results[0].category == "wave"
+    grown = read_part(library_file)
+    # Asked for after all of them had come, it is trained with those of the training and grows by the others at once.
+    run_sql(library_file, "DELETE FROM part_forests")
+    with Library.open(library_file) as other:
+        assert other.search(query, 20).to_json() == answer
+    again = read_part(library_file)
+    assert (again[0], again[3]) == (grown[0], grown[3])
+    # A training teaches it all of them alike.
+    library.train(n_trees=10, random_state=0)
+    library.search(query)
+    assert read_part(library_file)[0] != grown[0]
+
+
+def test_the_forest_of_a_part_knows_nothing_of_clips_that_went(library_file, library, moves, squat):
+    query = cut(squat, UPPER)
+    library.search(query)
+    first = read_part(library_file)[0]
+    add_later(library, moves, ["bow_p2", "bow_p3"])
+    library.search(query)
+    assert read_part(library_file)[0] != first
+    library.remove(["bow_p2 later", "bow_p3 later"])
+    library.search(query)
+    assert read_part(library_file)[0] == first
+    assert not any(hit.category == "later bow" for hit in library.search(query, 30).results)

@@ -1,14 +1,12 @@
 """Forests for parts of bodies: learned from the clips of the library, described as if all lacked the same joints.
 
 Such a forest is learned when a body without these joints is first asked about, or with the training where clips of the
-library lack them. It is kept in the library with what it says of the clips, and learned anew when they, their
-categories or the parameters change.
+library lack them (``learning``). It is kept in the library with what it says of the clips, grows by clips that are
+added, and is learned anew when others, their categories or the parameters change.
 """
 
 from __future__ import annotations
 
-import hashlib
-import json
 from collections import Counter
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
@@ -20,18 +18,10 @@ from numpy.typing import NDArray
 
 from dousa.errors import DousaError, LibraryDamagedError, LibraryError
 from dousa.library import schema
-from dousa.library.engine import Database, choose_jobs
-from dousa.library.features import ClipFeatures, Description, describe_stored, find_feature_set, lacks
-from dousa.library.forests import (
-    StoredForest,
-    TreeAnswers,
-    count_votes,
-    describe_copies,
-    find_leaves,
-    fit_forest,
-    hold_back,
-    learn_unknown,
-)
+from dousa.library.engine import Database
+from dousa.library.features import find_feature_set
+from dousa.library.forests import StoredForest, TreeAnswers, count_votes
+from dousa.library.partial.learning import Answers, Lesson, Material, count_categories, read_material
 from dousa.library.schema import pack, stack
 from dousa.library.seals.checksums import PART_FORESTS, seal_rows
 from dousa.library.search import PartProgress
@@ -39,13 +29,7 @@ from dousa.messages import Message
 from dousa.retrieval.features.partial_bodies import is_comparable, name_parts
 
 if TYPE_CHECKING:
-    from dousa.arrays import FloatArray
     from dousa.retrieval.features.feature_sets import FeatureSet
-    from dousa.retrieval.forest.calibration import Copies
-
-_STEPS = 4
-
-_LEARNED_BY = "copies"  # what is learned otherwise than by an earlier dousa is learned anew
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -69,26 +53,6 @@ class PartIndex:
     labels: tuple[str, ...]
     answers: TreeAnswers
     poses: NDArray[np.float32]
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Answers:
-    """What a forest says of clips: leaves (n_trees,) and poses of each, by number."""
-
-    leaves: dict[int, NDArray[np.int32]]
-    poses: dict[int, NDArray[np.float32]]
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Material:
-    """The clips that have a part, by number, and what stands for what a forest learns from them."""
-
-    rows: list[Any]
-    learned_from: str
-
-    @property
-    def ids(self) -> list[int]:
-        return [row.id for row in self.rows]
 
 
 class PartForests:
@@ -166,46 +130,40 @@ class PartForests:
         """
         kind = find_feature_set(find_feature_set(main.feature_set).base).without(hidden)
         with self._database.reading() as connection:
-            material = _read_material(connection, main, kind)
-            if len({row.category for row in material.rows if row.category is not None}) < 2:
+            material = read_material(connection, main, kind)
+            if count_categories(material.rows) < 2:
                 return None
             known = self._kept.get(kind.name)
             if known is not None and (known.learned_from, known.ids) == (
                 material.learned_from,
-                tuple(row.id for row in _by_path(material.rows)),
+                tuple(row.id for row in material.by_path),
             ):
                 return known
             stored, answers = self._read(connection, main, kind, material)
-            missing = [clip_id for clip_id in material.ids if clip_id not in answers.leaves]
-            described = _describe(connection, missing, kind, n_jobs, progress)
-            if stored is None:
-                clips = _gather_taught(material, described)
-                copies = describe_copies(connection, clips, range(len(clips.ids)), kind, n_jobs)
-                stored = _train(main, kind, clips, copies, n_jobs, progress)
-        if missing:
-            features = _stack([described[clip_id] for clip_id in missing])
-            answers.leaves.update(zip(missing, find_leaves(stored, features), strict=True))
-            answers.poses.update((clip_id, described[clip_id].poses) for clip_id in missing)
+            lesson = Lesson(connection, main, kind, material, n_jobs, progress)
+            stored, changed = lesson.learn(stored, answers)
+        if changed:
             self._keep(stored, material, answers)
-        if progress is not None:
-            progress(_STEPS, _STEPS, Message("library_training.done"))
         self._kept[kind.name] = _index(stored, material, answers)
         return self._kept[kind.name]
 
     def _read(
-        self, connection: sa.Connection, main: StoredForest, kind: FeatureSet, material: _Material
-    ) -> tuple[StoredForest | None, _Answers]:
-        """The forest and its answers as the library keeps them, if it has learned from the clips as they are."""
+        self, connection: sa.Connection, main: StoredForest, kind: FeatureSet, material: Material
+    ) -> tuple[StoredForest | None, Answers]:
+        """The forest and its answers as the library keeps them, if all that it has learned from is as it was."""
         from dousa.retrieval import MotionForest
         from dousa.retrieval.features.pose_sequences import POSE_CELLS, POSE_COLUMNS
         from dousa.retrieval.forest.calibration import Assessor, Calibration
 
         table = schema.part_forests.c
-        query = sa.select(schema.part_forests).where(table.feature_set == kind.name)
-        row = connection.execute(query.where(table.learned_from == material.learned_from)).one_or_none()
+        row = connection.execute(sa.select(schema.part_forests).where(table.feature_set == kind.name)).one_or_none()
         if row is None:
-            return None, _Answers({}, {})
+            return None, Answers({}, {})
         PART_FORESTS.check(connection, row)
+        n_clips = len(row.clip_ids) // 4
+        ids = stack([row.clip_ids], "<i4", (n_clips,), "part")[0].tolist()
+        if row.learned_from != material.stand_for(ids):
+            return None, Answers({}, {})
         try:
             forest = MotionForest.from_bytes(row.forest)
             calibration = None if row.calibration is None else Calibration.from_bytes(row.calibration)
@@ -215,11 +173,9 @@ class PartForests:
         categories = tuple(str(name) for name in forest.classes_)
         assessor = None if calibration is None else Assessor(forest, calibration)
         stored = replace(main, forest=forest, categories=categories, feature_set=kind.name, assessor=assessor)
-        n_clips = len(row.clip_ids) // 4
-        ids = stack([row.clip_ids], "<i4", (n_clips,), "part")[0].tolist()
         leaves = stack([row.leaves], "<i4", (n_clips, len(forest.trees_.roots)), "leaves")[0]
         poses = stack([row.poses], "<f4", (n_clips, POSE_CELLS, POSE_COLUMNS), "poses")[0]
-        return stored, _Answers(dict(zip(ids, leaves, strict=True)), dict(zip(ids, poses, strict=True)))
+        return stored, Answers(dict(zip(ids, leaves, strict=True)), dict(zip(ids, poses, strict=True)))
 
     def read_labeller(self, part: StoredForest) -> bytes | None:
         """What takes are labelled with by a forest that was loaded last, where the library has it."""
@@ -244,7 +200,7 @@ class PartForests:
         except LibraryError:
             return
 
-    def _keep(self, stored: StoredForest, material: _Material, answers: _Answers) -> None:
+    def _keep(self, stored: StoredForest, material: Material, answers: Answers) -> None:
         """Write a forest and its answers, unless the library cannot be written."""
         table, ids = schema.part_forests, material.ids
         row: dict[str, Any] = {
@@ -268,78 +224,8 @@ class PartForests:
             return  # the next program learns it again
 
 
-def _read_material(connection: sa.Connection, main: StoredForest, kind: FeatureSet) -> _Material:
-    clips = schema.clips.c
-    query = sa.select(clips.id, clips.path, clips.category, clips.performer, clips.height, clips.absent)
-    rows = connection.execute(query.where(clips.kind == schema.CLIP).order_by(clips.id))
-    there = [row for row in rows if not lacks(kind.name, row.absent)]
-    parameters = {name: value for name, value in main.forest.get_params().items() if name != "n_jobs"}
-    taught = [(row.id, row.category, row.performer) for row in there if row.category is not None]
-    digest = hashlib.sha256(json.dumps([kind.name, parameters, taught, _LEARNED_BY]).encode())
-    return _Material(there, digest.hexdigest())
-
-
-def _by_path(rows: Sequence[Any]) -> list[Any]:
-    return sorted(rows, key=lambda row: str(row.path))
-
-
-def _describe(
-    connection: sa.Connection,
-    ids: Sequence[int],
-    kind: FeatureSet,
-    n_jobs: int | None,
-    progress: PartProgress | None,
-) -> dict[int, Description]:
-    def tell(done: int, total: int) -> None:
-        if progress is not None:
-            progress(0, _STEPS, Message("library_training.describing_clips_done", done=done, total=total))
-
-    return describe_stored(connection, ids, kind.name, n_jobs, tell)
-
-
-def _stack(described: Sequence[Description]) -> FloatArray:
-    """Features as those of a training: float32, of which precision they are, so that the same loops are compiled."""
-    return np.stack([own.features.astype(np.float32) for own in described])
-
-
-def _gather_taught(material: _Material, described: dict[int, Description]) -> ClipFeatures:
-    """The clips that have a category."""
-    rows = [row for row in material.rows if row.category is not None]
-    return ClipFeatures(
-        ids=[row.id for row in rows],
-        features=_stack([described[row.id] for row in rows]),
-        categories=[row.category for row in rows],
-        performers=[row.performer for row in rows],
-        heights=[row.height for row in rows],
-        computed={},
-    )
-
-
-def _train(
-    main: StoredForest,
-    kind: FeatureSet,
-    clips: ClipFeatures,
-    copies: Copies,
-    n_jobs: int | None,
-    progress: PartProgress | None,
-) -> StoredForest:
-    """A forest with the parameters of the library's, over clips that have a category, and their disturbed copies."""
-    from dousa.retrieval import MotionForest
-
-    report = progress or (lambda done, total, what: None)
-    forest = MotionForest().set_params(**{**main.forest.get_params(), "n_jobs": choose_jobs(n_jobs)})
-    labelled = range(len(clips.ids))
-    report(1, _STEPS, Message("library_training.growing_trees"))
-    fit_forest(forest, clips, labelled, kind, copies)
-    report(2, _STEPS, Message("library_training.calibrating"))
-    assessor = learn_unknown(forest, hold_back(clips, labelled), kind, copies)
-    report(3, _STEPS, Message("library_training.writing"))
-    categories = tuple(str(name) for name in forest.classes_)
-    return replace(main, forest=forest, categories=categories, feature_set=kind.name, assessor=assessor)
-
-
-def _index(stored: StoredForest, material: _Material, answers: _Answers) -> PartIndex:
-    rows = _by_path(material.rows)
+def _index(stored: StoredForest, material: Material, answers: Answers) -> PartIndex:
+    rows = material.by_path
     said = count_votes(stored, np.stack([answers.leaves[row.id] for row in rows]))
     guesses = said.predicted()
     return PartIndex(
