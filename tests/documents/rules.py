@@ -173,14 +173,17 @@ def is_mention(text: str) -> bool:
 
 
 @functools.cache
-def _parameters(name: str) -> list[Any]:
+def _commands() -> dict[str, Any]:
     from typer.main import get_command
 
     from dousa.app.cli.main import app
 
-    commands = get_command(app).commands  # type: ignore[attr-defined]
-    assert name in commands, f"there is no command 'dousa {name}'"
-    return list(commands[name].params)
+    return get_command(app).commands  # type: ignore[attr-defined, no-any-return]
+
+
+def _parameters(name: str) -> list[Any]:
+    assert name in _commands(), f"there is no command 'dousa {name}'"
+    return list(_commands()[name].params)
 
 
 def check_options(text: str) -> None:
