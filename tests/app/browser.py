@@ -6,6 +6,7 @@ import base64
 import os
 import shutil
 import subprocess
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -66,10 +67,16 @@ class Page:
 
     def wait(self, script: str, *values: Any, seconds: float = PATIENCE) -> Any:
         """Wait until the script returns something true, and return that; fewer seconds than `PATIENCE` are not kept."""
-        from selenium.webdriver.support.ui import WebDriverWait
+        from selenium.common.exceptions import TimeoutException
 
-        waiting = WebDriverWait(self.driver, max(seconds, PATIENCE), poll_frequency=0.02)
-        return waiting.until(lambda driver: driver.execute_script(script, *values), script)
+        end = time.monotonic() + max(seconds, PATIENCE)
+        pause = 0.02  # s; who waits long asks less often, as each question costs 10 ms of a processor
+        while not (found := self.run(script, *values)):
+            if time.monotonic() > end:
+                raise TimeoutException(script)
+            time.sleep(pause)
+            pause = min(1.1 * pause, 0.1)
+        return found
 
     def settle(self) -> None:
         """Wait until two frames were drawn."""

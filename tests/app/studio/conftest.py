@@ -20,6 +20,7 @@ from app.studio.axe_core import AXE, find_faults
 from app.studio.evaluation_cases import write_dances
 from app.studio.studio_client import Client
 from dousa.app.studio import Settings, create_app
+from made_once import make_once
 from patience import PATIENCE
 
 TOKEN = "the-token-of-the-tests"
@@ -32,12 +33,13 @@ def trained_library(tmp_path_factory: pytest.TempPathFactory) -> Path:
     from dousa.app.demo.demo import write_library
     from dousa.library import Library
 
-    folder = tmp_path_factory.mktemp("studio-library")
-    write_library(folder / "motions", n_performers=6, categories=CATEGORIES)
-    with Library.open(folder / "moves.dousa", create=True) as library:
-        library.add([folder / "motions"], performer_from=r"name:^(performer\d+)_")
-        library.train(n_trees=30)
-    return folder / "moves.dousa"
+    def make(folder: Path) -> None:
+        write_library(folder / "motions", n_performers=6, categories=CATEGORIES)
+        with Library.open(folder / "moves.dousa", create=True) as library:
+            library.add([folder / "motions"], performer_from=r"name:^(performer\d+)_")
+            library.train(n_trees=30)
+
+    return make_once(tmp_path_factory, "studio-library", make) / "moves.dousa"
 
 
 @pytest.fixture

@@ -45,5 +45,5 @@ class Client:
             found: dict[str, Any] = self.ask("GET", f"/api/jobs/{job}")
             if found["state"] not in ("queued", "running", "stopping"):
                 return found
-            time.sleep(0.05)
+            time.sleep(0.1)
         raise AssertionError(f"job {job} is not over after {seconds} s")
