@@ -13,3 +13,10 @@ Mask = NDArray[np.bool_]
 """(..., H, W), True where the person is."""
 Image = NDArray[np.uint8]
 """(H, W) or (H, W, 3), bytes."""
+
+
+def read_only(array: FloatArray) -> FloatArray:
+    """A view that cannot be written to: what is compiled for it serves arrays of both kinds."""
+    view = array.view()
+    view.flags.writeable = False
+    return view

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from dousa.arrays import FloatArray
+from dousa.arrays import FloatArray, read_only
 from dousa.motion.canonical.joints import CANONICAL_JOINTS, JOINT_INDEX, MIRRORED_JOINTS
 from dousa.retrieval.counting import counting_kernels as counting
 from dousa.retrieval.counting import tally_kernels as kernels
@@ -73,8 +73,8 @@ def measure_tallies(sampled: FloatArray, height: float) -> FloatArray:
     speeds, room = np.empty((3, n)), (np.empty(points.shape), np.empty((n, 2)))
     sizes = (width, width), (_N_EVEN, _N_EVEN), (6, width), (3, width), (3, _N_EVEN)
     moves = counting.tally(
-        np.ascontiguousarray(points), float(height), _WEIGHTS, (HIPS, SHOULDERS, _INDEX, _OTHERS), room, courses,
-        speeds, np.empty((counting.N_LINES, n)), (np.empty(counting.CALM), np.empty((counting.CALM, width))),
+        read_only(np.ascontiguousarray(points)), float(height), _WEIGHTS, (HIPS, SHOULDERS, _INDEX, _OTHERS), room,
+        courses, speeds, np.empty((counting.N_LINES, n)), (np.empty(counting.CALM), np.empty((counting.CALM, width))),
         tuple(np.empty(size) for size in sizes), np.empty((3, counting.SHORT + 1)), tallies,
     )  # fmt: skip
     if moves:

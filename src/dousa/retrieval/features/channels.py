@@ -16,7 +16,7 @@ from itertools import product
 
 import numpy as np
 
-from dousa.arrays import FloatArray, IntArray
+from dousa.arrays import FloatArray, IntArray, read_only
 from dousa.motion.canonical.joints import CANONICAL_JOINTS, JOINT_INDEX, MIRRORED_JOINTS
 from dousa.retrieval.features import channel_kernels as kernels
 from dousa.retrieval.features.pose_features import HIPS, SHOULDERS, say_joint
@@ -202,8 +202,8 @@ def compute_channels(positions: FloatArray, height: float) -> FloatArray:
     room, lefts = np.empty((3, *positions.shape)), np.empty((2, n, 2))
     headings, angles, rows = np.empty(n), np.empty((2, n, 3 * len(_FAST))), np.empty((n, len(CHANNELS)))
     kernels.describe_frames(
-        np.ascontiguousarray(positions, np.float64), float(height), _POSE_WEIGHTS, _HEADING_WEIGHTS, HIPS, SHOULDERS,
-        _FAST_INDEX, _PLACED_INDEX, _APART_INDEX, _FEET, _POINTING_INDEX, CHANNEL_RATE, _SLOW,
+        read_only(np.ascontiguousarray(positions, np.float64)), float(height), _POSE_WEIGHTS, _HEADING_WEIGHTS,
+        HIPS, SHOULDERS, _FAST_INDEX, _PLACED_INDEX, _APART_INDEX, _FEET, _POINTING_INDEX, CHANNEL_RATE, _SLOW,
         room, lefts, headings, angles, rows,
     )  # fmt: skip
     return rows
@@ -234,7 +234,7 @@ def smooth_positions(positions: FloatArray, deviation: float) -> FloatArray:
 
 def _smooth(values: FloatArray, weights: FloatArray) -> FloatArray:
     even = np.empty(values.shape)
-    kernels.smooth(values.reshape(len(values), -1), weights, even.reshape(len(values), -1))
+    kernels.smooth(read_only(values.reshape(len(values), -1)), weights, even.reshape(len(values), -1))
     return even
 
 

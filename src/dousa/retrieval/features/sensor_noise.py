@@ -19,7 +19,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from dousa.arrays import BoolArray, FloatArray, IndexArray
+from dousa.arrays import BoolArray, FloatArray, IndexArray, read_only
 from dousa.motion.canonical.anthropometry import stature_of_parts
 from dousa.motion.canonical.geometry import CHAIN_BONES, CHAIN_SHARES, chain_height
 from dousa.motion.canonical.joints import JOINT_INDEX
@@ -227,5 +227,6 @@ def _measure_bones(points: FloatArray) -> float:
     if np.isnan(points[0]).any():  # a joint that is missing is so in all frames
         height = chain_height(points)
     else:
-        height = kernels.measure_chain(points, CHAIN_BONES, CHAIN_SHARES, np.empty(len(points)))
+        placed = read_only(np.ascontiguousarray(points))
+        height = kernels.measure_chain(placed, CHAIN_BONES, CHAIN_SHARES, np.empty(len(points)))
     return height if height > 0 else stature_of_parts(points)
