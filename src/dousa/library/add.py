@@ -35,7 +35,7 @@ from dousa.library.labels import LabelRule, check_text, no_label
 from dousa.library.results import AddReport, Duplicate
 from dousa.library.seals.checksums import LABELS, NUMBERS, update_rows
 from dousa.library.selection import delete_clips, fetch_in, read_tags, save_tags
-from dousa.library.takes import refresh_windows
+from dousa.library.takes.kept_windows import refresh_windows
 from dousa.messages import Message
 
 AddProgress = Callable[[int, int, str], None]

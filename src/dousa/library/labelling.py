@@ -20,7 +20,7 @@ from dousa.library.ingest import Query
 from dousa.library.partial.forests import PartForests
 from dousa.library.results import LabelledTake
 from dousa.library.selection import fetch_in
-from dousa.library.takes import Takes, check_single
+from dousa.library.takes.takes import Takes, check_single
 from dousa.messages import Message
 from dousa.motion.canonical.joints import find_absent
 from dousa.retrieval.features.partial_bodies import hide_joints

@@ -44,7 +44,7 @@ from dousa.library.forests import (
 from dousa.library.growth.examples import choose_trained, save_examples
 from dousa.library.index.renewal import make_side_file
 from dousa.library.results import TrainReport
-from dousa.library.takes import describe_takes, refresh_windows, save_windows
+from dousa.library.takes.kept_windows import describe_takes, refresh_windows, save_windows
 from dousa.library.text.meanings import find_meanings
 from dousa.library.text.store import keep_all_relations, keep_relations_of
 from dousa.messages import Message

@@ -30,7 +30,7 @@ from dousa.library.labels import check_text
 from dousa.library.results import TakeAnnotation, TakeSegment
 from dousa.library.seals.checksums import ANNOTATIONS, LABELS, SEGMENTS, seal_rows, update_rows
 from dousa.library.selection import delete_clips, fetch_in, find_row
-from dousa.library.takes import refresh_windows
+from dousa.library.takes.kept_windows import refresh_windows
 from dousa.messages import Message
 from dousa.motion.annotation import Annotation, Stretch
 from dousa.retrieval.features.posed_motion import AnnotatedTake

@@ -223,7 +223,7 @@ class LibraryChanges(LibraryContents):
     def _step(self, number: int | None, *, redo: bool, n_jobs: int | None) -> JournalEntry:
         from dousa.library.forests import load_forest
         from dousa.library.journal.undoing import step
-        from dousa.library.takes import refresh_windows
+        from dousa.library.takes.kept_windows import refresh_windows
 
         entry = step(self.database, number, redo=redo)
         with self.database.reading() as connection:

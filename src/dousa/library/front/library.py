@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from dousa.library.review.duplicates import DuplicateGroup
     from dousa.library.review.label_doubts import LabelReview, ReviewProgress
     from dousa.library.search import PartProgress, Searcher
-    from dousa.library.takes import Takes
+    from dousa.library.takes.takes import Takes
     from dousa.library.text.answers import TextMatches, TextResult
     from dousa.library.text.index import TextSearcher
     from dousa.library.train import TrainProgress
@@ -542,7 +542,7 @@ class Library(LibraryChanges):
 
     @cached_property
     def _takes(self) -> Takes:
-        from dousa.library.takes import Takes
+        from dousa.library.takes.takes import Takes
 
         return Takes(self.database, self._forests, self._parts)
 

@@ -12,7 +12,7 @@ from dousa.library import schema
 from dousa.library.features import Description, describe_clip, lacks
 from dousa.library.forests import StoredForest, TreeAnswers, ask_trees
 from dousa.library.ingest import ClipRecord
-from dousa.library.takes import describe_windows
+from dousa.library.takes.kept_windows import describe_windows
 from dousa.library.text.store import describe_relations
 
 

@@ -16,7 +16,7 @@ from dousa.library.fragments.arrays import put_aside
 from dousa.library.growth.arrival import Arrival
 from dousa.library.ingest import ClipRecord
 from dousa.library.seals.checksums import seal_positions, seal_rows
-from dousa.library.takes import save_windows
+from dousa.library.takes.kept_windows import save_windows
 from dousa.library.text.store import keep_relations, save_relations
 
 

@@ -26,7 +26,7 @@ from dousa.library.seals import checksums
 from dousa.library.seals.bits import is_one_bit, mend_bytes, mend_values
 from dousa.library.seals.checksums import BLOCK_FRAMES, SEALS, Seal, seal_positions
 from dousa.library.selection import portions
-from dousa.library.takes import refresh_windows
+from dousa.library.takes.kept_windows import refresh_windows
 from dousa.library.text.store import keep_all_relations
 from dousa.library.upkeep.damage import REMOVED_POSITIONS, Fault, Findings, are_positions, find_damage
 from dousa.library.upkeep.report import CheckReport, Damage
