@@ -2,7 +2,7 @@
 
     python benchmarks/subsamples.py [FOLDER] [--performer-from RULE] [--clips N] [--drawn M ...] [--folds K]
     python benchmarks/subsamples.py [FOLDER] [--performer-from RULE] [--clips N] [--drawn M ...] --new C [--most O ...]
-        [--examples E ...] [--fold K] [--seed S]
+        [--examples E ...] [--silent S ...] [--fold K] [--seed S]
 
 So many clips with names cannot be had, so each is made of two recorded ones of a category: the weighted mean of their
 features, and noise of a tenth of their spread. The people of each fold do not train; on their clips, as they were
@@ -13,6 +13,7 @@ With ``--new`` forests are trained without so many categories, and learn them fr
 30: prints how often clips of the new categories and of the others are told right, for each share of a leaf that
 strangers must be before it grows (one of so many), and of how many clips of the training the features were read: where
 leaves keep a few of their clips as examples, as those of large libraries do, and where all that is in them is read.
+With examples, clips that came later count in a leaf where they are one of so many (``--silent``) of its clips.
 """
 
 from __future__ import annotations
@@ -107,17 +108,18 @@ def compare_growth(
         for name in np.unique(categories[is_new])
     ]
     numbers = np.unique(names, return_inverse=True)[1].astype(np.int32)
-    for n_examples, others in itertools.product((*options.examples, None), options.most):
+    kinds = [*itertools.product(options.examples, options.silent), (None, options.silent[0])]
+    for (n_examples, silent), others in itertools.product(kinds, options.most):
         examples, how = None, "all clips"
         if n_examples is not None:
             shown = [(np.arange(n_clips), numbers, trained.apply(made))]
             examples = choose_examples(shown, trained.trees_.n_leaves, n_examples).__getitem__
-            how = f"{n_examples} examples"
+            how = f"{n_examples} examples, later ones count from 1 of {silent} on"
         rows, leaves, forest = np.zeros(0, np.int64), trained.apply(made), trained
         for count, sooner in zip(LEARNED, (0, *LEARNED), strict=False):
             some = np.concatenate([own[sooner:count] for own in later])
             start = time.process_time()
-            with mock.patch.object(growth, "_MOST_OTHERS", others):
+            with mock.patch.multiple(growth, _MOST_OTHERS=others, _MOST_SILENT=silent):
                 grown, n_read = teach(forest, (made, names), (features, categories), (rows, some), (leaves, examples))
             seconds = time.process_time() - start
             leaves[grown.moved] = grown.moved_leaves
@@ -164,6 +166,7 @@ def main() -> None:
     parser.add_argument("--folds", type=int, default=2)
     parser.add_argument("--new", type=int, metavar="C")
     parser.add_argument("--examples", type=int, nargs="+", default=[MOST_EXAMPLES], metavar="E")
+    parser.add_argument("--silent", type=int, nargs="+", default=[growth._MOST_SILENT], metavar="S")
     parser.add_argument("--fold", type=int, default=0, help="of the people who are tested, with --new")
     parser.add_argument("--seed", type=int, default=0, help="of the new categories that are drawn")
     parser.add_argument("--most", type=int, nargs="+", default=[64], metavar="O")

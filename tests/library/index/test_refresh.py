@@ -10,6 +10,7 @@ from dousa.library.engine import read_revision
 from dousa.library.forests import load_forest
 from dousa.library.index import refresh, renewal, side_file
 from dousa.library.index.leaf_index import LeafIndex
+from dousa.retrieval.forest.growth import find_changed
 from library.index.test_index_of_library import check_searches
 
 
@@ -180,6 +181,97 @@ def test_what_a_forest_has_learned_is_in_the_file(
             check_searches(third, (1, 16 + 2 * turn))
         assert read == []
     assert library.check().is_sound
+
+
+@pytest.fixture
+def later(monkeypatch, large):
+    """What a forest learns goes into a later file, however much it is."""
+    monkeypatch.setattr(renewal, "_MOST_AGAIN", 1e9)
+    monkeypatch.setattr(refresh, "_MOST_CHANGED", 1e9)
+
+
+def find_later(folder):
+    (file,) = folder.rglob("*-search-later")
+    return file
+
+
+@pytest.mark.parametrize("block", [4, refresh.BLOCK])
+def test_a_later_file_has_what_a_forest_has_learned(
+    library, library_file, tmp_path, read, later, monkeypatch, write_move, block
+):
+    """Of the first one nothing is written again; categories that are new have numbers between the others."""
+    monkeypatch.setattr(refresh, "BLOCK", block)
+    library.train(n_trees=20)
+    (place,) = find_side_files(tmp_path)
+    whole = place.read_bytes()
+    for turn, category in enumerate(("nod", "a nod", "nod", "bow")):
+        library.relabel([2 + turn], category="bow" if turn % 2 else None)
+        library.remove([9 + turn])
+        for number in range(2):
+            write_move(tmp_path / "more" / category / f"{turn}{number}.bvh", "bow", 70 + 2 * turn + number)
+        with Library.open(library_file) as other:
+            assert other.add(tmp_path / "more", n_jobs=1).n_learned == 2
+        assert place.read_bytes() == whole and find_later(tmp_path).exists()
+        del read[:]
+        kept, has_votes = read_kept(library, tmp_path)
+        assert read == [] and has_votes and len(kept.parts) == 2
+        check_same(kept, load(library))
+        del read[:]
+        with Library.open(library_file) as third:
+            check_searches(third, (1, 16 + 2 * turn))
+        assert read == []
+    assert library.check().is_sound
+    library.train(n_trees=20)
+    assert not [*tmp_path.rglob("*-search-later")]
+
+
+def test_of_what_stays_no_votes_are_counted_again(library, library_file, tmp_path, later, monkeypatch, write_move):
+    library.train(n_trees=2)
+    counted = []
+    count = renewal.count_part
+    monkeypatch.setattr(
+        renewal, "count_part", lambda s, part, m: counted.extend(part.ids.tolist()) or count(s, part, m)
+    )
+    write_move(tmp_path / "more" / "nod" / "a.bvh", "bow", 70)
+    with library.database.reading() as connection:
+        before = load_forest(connection, library.name)
+    leaves = {number: load(library).answers_of(number) for number in range(1, 16)}
+    library.add(tmp_path / "more", n_jobs=1)
+    with library.database.reading() as connection:
+        changed = find_changed(before.forest, load_forest(connection, library.name).forest)
+    assert set(counted) == {16, *(number for number, told in leaves.items() if changed[told.leaves].any())}
+    assert 0 < len(set(counted)) < 16
+
+
+@pytest.mark.parametrize("how", ["damaged", "cut", "gone", "of another file", "of an older state"])
+def test_a_later_file_that_is_not_right_is_not_believed(library, library_file, tmp_path, read, later, write_move, how):
+    library.train(n_trees=20)
+    write_move(tmp_path / "more" / "nod" / "a.bvh", "bow", 70)
+    library.add(tmp_path / "more", n_jobs=1)
+    place = find_later(tmp_path)
+    whole = place.read_bytes()
+    if how == "of an older state":
+        write_move(tmp_path / "more" / "nod" / "b.bvh", "bow", 71)
+        library.add(tmp_path / "more", n_jobs=1)
+        place.write_bytes(whole)
+    elif how == "of another file":
+        library.train(n_trees=20)
+        place.write_bytes(whole)
+    elif how == "gone":
+        place.unlink()
+    expected = load(library)
+    texts = [whole]
+    if how == "damaged":
+        texts = [whole[:at] + bytes([whole[at] ^ 4]) + whole[at + 1 :] for at in range(0, len(whole), 97)]
+    elif how == "cut":
+        texts = [whole[:size] for size in (0, 30, len(whole) // 2, len(whole) - 1)]
+    for text in texts:
+        if how in ("damaged", "cut"):
+            place.write_bytes(text)
+        kept, _ = read_kept(library, tmp_path)
+        check_same(kept, expected)
+        with Library.open(library_file) as other:
+            check_searches(other, (1, 16))
 
 
 def test_clips_that_are_not_learned_are_read_from_their_rows(

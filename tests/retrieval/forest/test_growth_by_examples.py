@@ -10,7 +10,7 @@ from oracles import plain_novelty as slow
 
 from dousa.retrieval import MotionForest
 from dousa.retrieval.forest import growth, trees
-from dousa.retrieval.forest.growth import StandingClips, grow_forest
+from dousa.retrieval.forest.growth import StandingClips, find_changed, grow_forest
 from dousa.retrieval.forest.leaves.examples import choose_examples
 from dousa.retrieval.forest.leaves.subtrees import Subtree, part_strangers
 
@@ -142,6 +142,34 @@ def test_clips_of_categories_that_a_leaf_knows_are_only_counted(monkeypatch):
     assert grown.trees_.leaf_counts.sum() == 6 * len(features)
 
 
+@pytest.mark.parametrize("how", ["at once", "one by one"])
+def test_a_leaf_votes_as_before_until_enough_came_later(monkeypatch, how):
+    """Clips that are one of fewer than so many of its clips change nothing in it; one more, and all of them count."""
+    features, categories, _ = make_clips(n_categories=2, each=60, spread=2.0)
+    n_trained, keys = len(features), np.arange(2 * len(features)).astype(np.uint64)
+    clips = np.concatenate([features, features]), np.concatenate([categories, categories]), keys
+    forest = train(monkeypatch, features, categories)
+    kept = keep(forest, features, categories, keys[:n_trained])
+    monkeypatch.setattr(growth, "_MOST_SILENT", 10)
+    for count in range(1, 12):
+        new = np.arange(n_trained, n_trained + count)
+        portions = [new] if how == "at once" else np.split(new, count)
+        grown, rows, leaves, _ = take_up(forest, clips, n_trained, kept, portions)
+        assert np.array_equal(grown.trees_.nodes, forest.trees_.nodes)
+        for leaf in range(forest.trees_.n_leaves):
+            there = (leaves == leaf).any(axis=1)
+            later = int(there[n_trained:].sum())
+            if 10 * later < there.sum():
+                there[n_trained:] = False
+            names, counts = np.unique(clips[1][rows[there]], return_counts=True)
+            assert slow.leaf_counts(grown, leaf) == dict(zip(names.tolist(), counts.tolist(), strict=True))
+        changed = find_changed(forest, grown)
+        same = [slow.leaf_counts(one, leaf) for leaf in np.flatnonzero(~changed).tolist() for one in (forest, grown)]
+        shares = [{name: count / sum(own.values()) for name, count in own.items()} for own in same]
+        assert shares[::2] == shares[1::2]
+    assert changed.any() and not changed.all()
+
+
 def test_a_leaf_whose_examples_are_gone_only_counts(monkeypatch):
     clips, n_trained = split(make_clips(), ["c2"])
     features, categories, _ = clips
@@ -151,6 +179,26 @@ def test_a_leaf_whose_examples_are_gone_only_counts(monkeypatch):
     assert not read
     assert np.array_equal(grown.trees_.nodes, forest.trees_.nodes)
     assert grown.trees_.leaf_counts.sum() == 6 * len(features)
+
+
+def test_what_votes_otherwise_is_told(monkeypatch):
+    """A clip votes as before, for categories of the same names, unless it stands in a leaf that has changed."""
+    clips, n_trained = split(make_clips(), ["c2"], more=(3, 50, 220))
+    features, categories, keys = clips
+    forest = train(monkeypatch, features[:n_trained], categories[:n_trained])
+    kept = keep(forest, features[:n_trained], categories[:n_trained], keys[:n_trained])
+    names = np.where(categories == "c2", "a0", categories)  # all others get another number
+    some = np.arange(n_trained, n_trained + 20)
+    grown, _, leaves, _ = take_up(forest, (features, names, keys), n_trained, kept, [some])
+    changed = find_changed(forest, grown)
+    assert len(changed) == grown.trees_.n_leaves
+    stay = ~changed[leaves[:n_trained]].any(axis=1)
+    assert 0 < stay.sum() < n_trained
+    before, now = (one.histograms_of(leaves[:n_trained]) for one in (forest, grown))
+    assert np.array_equal(now[stay], np.pad(before[stay], ((0, 0), (1, 0))))
+    for leaf in np.flatnonzero(changed[: forest.trees_.n_leaves]).tolist():
+        assert slow.leaf_counts(forest, leaf) != slow.leaf_counts(grown, leaf)
+    assert not find_changed(grown, grown).any()
 
 
 def test_clips_that_an_older_dousa_moved_come_back(monkeypatch):

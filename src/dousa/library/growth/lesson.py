@@ -169,7 +169,7 @@ def _work_out(connection: sa.Connection, where: str, stored: StoredForest, stamp
     grown = replace(stored, forest=growth.forest, categories=categories, assessor=assessor)
     ids, leaves = _find_moved(connection, grown, clips, (stands, new), growth)
     learned = Learned(len(new), tuple(sorted(set(labels.tolist()) - known)))
-    return _Lesson(stamp, grown, learned, teach_rows(grown, rows, ids, leaves), made)
+    return _Lesson(stamp, grown, learned, teach_rows(stored, grown, rows, ids, leaves), made)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -101,13 +101,17 @@ def read_index(connection: sa.Connection, revision: int, stored: StoredForest) -
     rows = IndexedRows(add_checksums(connection), read_lacking(connection))
     starts = range(0, len(rows.sums) * BLOCK, BLOCK)
     part = read_part(connection, stored, (clips.id.between(start, start + BLOCK - 1) for start in starts))
-    return make_index(revision, stored, rows, part)
+    return make_index(revision, stored, rows, (part,))
 
 
 def make_index(
-    revision: int, stored: StoredForest, rows: IndexedRows, part: ClipPart, votes: SparseVotes | None = None
+    revision: int,
+    stored: StoredForest,
+    rows: IndexedRows,
+    parts: tuple[ClipPart, ...],
+    votes: tuple[SparseVotes, ...] | None = None,
 ) -> LeafIndex:
-    """The index of clips that are in one part; their votes are counted where they are not known."""
+    """The index of clips that are all as they were; their votes are counted where they are not known."""
     meanings = number_meanings(stored.categories)
     return LeafIndex(
         revision,
@@ -115,9 +119,9 @@ def make_index(
         stored.categories,
         stored.likeness,
         meanings,
-        (part,),
-        (count_part(stored, part, meanings) if votes is None else votes,),
-        (None,),
+        parts,
+        tuple(count_part(stored, part, meanings) for part in parts) if votes is None else votes,
+        (None,) * len(parts),
         {number: absent for number, absent in rows.partial.items() if lacks(stored.feature_set, absent)},
         rows,
     )
@@ -153,7 +157,7 @@ def refresh_index(connection: sa.Connection, revision: int, stored: StoredForest
         votes.append(count_part(stored, some, number_meanings(stored.categories)))
         alive.append(np.ones(len(some), np.bool_))
     kept = [place for place, own in enumerate(alive) if place == 0 or own.any()]
-    whole = make_index(revision, stored, IndexedRows(sums, lacking), parts[0], votes[0])
+    whole = make_index(revision, stored, IndexedRows(sums, lacking), tuple(parts[:1]), tuple(votes[:1]))
     return replace(
         whole,
         parts=tuple(parts[place] for place in kept),

@@ -15,7 +15,7 @@ import numpy as np
 import sqlalchemy as sa
 from numpy.typing import NDArray
 
-from dousa.arrays import BoolArray, IntArray
+from dousa.arrays import BoolArray, IndexArray, IntArray
 from dousa.library import schema
 from dousa.library.engine import Database, next_clip_id, read_revision
 from dousa.library.forests import StoredForest
@@ -23,19 +23,30 @@ from dousa.library.index.kernels import find_most
 from dousa.library.index.leaf_index import IndexedRows, LeafIndex, number_meanings
 from dousa.library.index.parts import ClipPart, SparseVotes, count_part, pick_clips, read_part
 from dousa.library.index.refresh import (
-    KnownRows,
     change_sums,
     compare_rows,
     read_index,
     refresh_index,
     renew_lacking,
 )
-from dousa.library.index.side_file import find_place, read_side_file, read_side_rows, write_side_file
+from dousa.library.index.side_file import (
+    Base,
+    find_place,
+    read_side_file,
+    read_side_rows,
+    renumber_votes,
+    write_later_file,
+    write_side_file,
+)
 from dousa.library.schema import pack
 from dousa.library.selection import portions
+from dousa.retrieval.forest.growth import find_changed
+from dousa.retrieval.forest.tree_kernels import find_marked
 
 FEWEST_CLIPS = 16_384
 """From which on a library has a file of its index: fewer are read as fast from their rows."""
+
+_MOST_AGAIN = 0.05  # of the clips of a file, in the later one: with more all is written anew, half of ``refresh``'s
 
 
 def load_index(
@@ -96,11 +107,15 @@ class StandingRows:
     Parameters
     ----------
     source : what they were read from; None where the library is too small for a file.
+    votes : of parts out of files, the first; none where the forest has learned since.
+    base : of the file that the first part is of, where its votes are among these.
     """
 
     parts: tuple[ClipPart, ...]
     alive: tuple[BoolArray, ...]
     source: IndexedRows | None
+    votes: tuple[SparseVotes, ...] = ()
+    base: Base | None = None
 
 
 def read_standing(connection: sa.Connection, where: str, stored: StoredForest) -> StandingRows:
@@ -115,13 +130,14 @@ def read_standing(connection: sa.Connection, where: str, stored: StoredForest) -
     LibraryDamagedError : as of ``read_part``, of what is read from the library.
     """
     clips = schema.clips.c
-    known: KnownRows | None = read_side_rows(find_place(connection, where), stored)
+    known = read_side_rows(find_place(connection, where), stored)
     compared = None if known is None else compare_rows(connection, known)
     if known is not None and compared is not None:
         sums, changed, fresh, alive = compared
         some = read_part(connection, stored, (clips.id.in_(ids) for ids in portions(fresh.tolist())))
         source = IndexedRows(sums, renew_lacking(connection, known, changed))
-        return StandingRows((*known.parts, some), (*alive, np.ones(len(some), np.bool_)), source)
+        living = *alive, np.ones(len(some), np.bool_)
+        return StandingRows((*known.parts, some), living, source, known.votes or (), known.base)
     n_clips = connection.execute(sa.select(sa.func.count()).select_from(schema.clip_leaves)).scalar_one()
     if n_clips >= FEWEST_CLIPS:
         index = read_index(connection, read_revision(connection), stored)
@@ -137,10 +153,12 @@ class LearnedRows:
 
     Parameters
     ----------
-    parts, alive : as of ``StandingRows``; behind these are the clips that have come into other leaves.
+    parts, alive : as of ``StandingRows``; behind these are the clips that have come into other leaves, or of which the
+        forest says something else.
     votes : of the forest as it has learned.
     source : as of ``StandingRows``, from before.
     changes : by number, the values in ``clip_leaves`` that change.
+    base : of the file that the first part is of, where that has the votes of its clips.
     """
 
     parts: tuple[ClipPart, ...]
@@ -148,6 +166,7 @@ class LearnedRows:
     votes: tuple[SparseVotes, ...]
     source: IndexedRows | None
     changes: dict[int, dict[str, Any]]
+    base: Base | None = None
 
     def sealed(self, checksums: Mapping[int, int]) -> LearnedRows:
         """With the checksums that the rows got which were written, by number."""
@@ -158,6 +177,9 @@ class LearnedRows:
         parts, differences = [], np.zeros(len(ids), np.int64)
         for part, own in zip(self.parts, self.alive, strict=True):
             rows, which = find_clips(part, own, ids)
+            if not len(rows):
+                parts.append(part)
+                continue
             differences[which] = new[which] - part.sums[rows, 1]
             sums = part.sums.copy()
             sums[rows, 1] = new[which]
@@ -175,37 +197,82 @@ def find_clips(part: ClipPart, alive: BoolArray, ids: IntArray) -> tuple[IntArra
     return rows[which], which
 
 
-def teach_rows(stored: StoredForest, rows: StandingRows, ids: IntArray, leaves: NDArray[np.int32]) -> LearnedRows:
+def teach_rows(
+    before: StoredForest, stored: StoredForest, rows: StandingRows, ids: IntArray, leaves: NDArray[np.int32]
+) -> LearnedRows:
     """What a forest that has learned says of all clips.
 
     Parameters
     ----------
-    stored : the forest.
+    before, stored : the forest, and as it has learned.
     ids, leaves : (M,) and (M, n_trees), of the clips that have come into other leaves.
     """
-    meanings, n_leaves = number_meanings(stored.categories), stored.forest.trees_.n_leaves
-    alive, moved = [], []
-    for part, own in zip(rows.parts, rows.alive, strict=True):
+    n_leaves = stored.forest.trees_.n_leaves
+    votes_differ = find_changed(before.forest, stored.forest)
+    parts: list[_Told] = []
+    others: list[tuple[ClipPart, bool]] = []
+    for place, (part, own) in enumerate(zip(rows.parts, rows.alive, strict=True)):
         places, which = find_clips(part, own, ids)
         left = own.copy()
         left[places] = False
-        alive.append(left)
         if len(places):
-            moved.append(pick_clips(part, places, leaves[which], n_leaves))
-    alive += [np.ones(len(part), np.bool_) for part in moved]
-    parts, votes = [], []
+            others.append((pick_clips(part, places, leaves[which], n_leaves), True))
+        known = rows.votes[place] if place < len(rows.votes) else None
+        again = np.zeros(0, np.int64)
+        if known is not None:
+            again = _find_again(part, left, votes_differ)
+            if len(again) > _MOST_AGAIN * len(part):
+                known, again = None, again[:0]
+        if known is not None:
+            known = renumber_votes(known, before.categories, stored.categories)
+        if len(again):
+            left[again] = False
+            others.append((pick_clips(part, again, part.leaves(again), n_leaves), False))
+        parts.append(_Told(part, left, known))
+    parts += [_Told(part, np.ones(len(part), np.bool_), None, moved) for part, moved in others]
+    base = rows.base if parts and parts[0].votes is not None else None
     changes: dict[int, dict[str, Any]] = {}
-    for place, (part, own) in enumerate(zip((*rows.parts, *moved), alive, strict=True)):
-        votes.append(count_part(stored, part, meanings))
-        guessed, others = _guess_again(part, votes[-1], stored.categories)
-        for row in np.flatnonzero(own & others).tolist():
-            changes[int(part.ids[row])] = {"predicted_category": guessed.names[guessed.predicted[row]]}
-        if place >= len(rows.parts):
-            for row, number in enumerate(part.ids.tolist()):
-                told = {"predicted_category": guessed.names[guessed.predicted[row]]}
-                changes[number] = told | {"leaves": pack(part.leaves(slice(row, row + 1))[0], "<i4")}
-        parts.append(guessed)
-    return LearnedRows(tuple(parts), tuple(alive), tuple(votes), rows.source, changes)
+    told = [_tell(stored, one, changes) for one in parts]
+    return LearnedRows(
+        tuple(one.part for one, _ in told),
+        tuple(one.alive for one, _ in told),
+        tuple(votes for _, votes in told),
+        rows.source,
+        changes,
+        base,
+    )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Told:
+    """Clips; their votes, where these are known and all that is said of them stays; and whether they have moved."""
+
+    part: ClipPart
+    alive: BoolArray
+    votes: SparseVotes | None
+    moved: bool = False
+
+
+def _tell(stored: StoredForest, one: _Told, changes: dict[int, dict[str, Any]]) -> tuple[_Told, SparseVotes]:
+    """Clips and their votes as the forest has them now; what becomes other in their rows is added to ``changes``."""
+    part = one.part
+    if one.votes is not None:
+        return one, one.votes
+    votes = count_part(stored, part, number_meanings(stored.categories))
+    guessed, others = _guess_again(part, votes, stored.categories)
+    for row in np.flatnonzero(one.alive & (others | one.moved)).tolist():
+        told: dict[str, Any] = {"predicted_category": guessed.names[guessed.predicted[row]]}
+        if one.moved:
+            told["leaves"] = pack(part.leaves(slice(row, row + 1))[0], "<i4")
+        changes[int(part.ids[row])] = told
+    return replace(one, part=guessed), votes
+
+
+def _find_again(part: ClipPart, alive: BoolArray, changed: BoolArray) -> IndexArray:
+    """Rows of clips in leaves (L,) that have changed."""
+    hits = np.empty(len(part), np.bool_)
+    find_marked(part.codes, part.offsets, np.where(alive, 0, -1), changed[part.table], hits)
+    return np.flatnonzero(hits)
 
 
 def _guess_again(part: ClipPart, votes: SparseVotes, categories: Sequence[str]) -> tuple[ClipPart, BoolArray]:
@@ -223,4 +290,8 @@ def keep_learned(database: Database, stored: StoredForest, learned: LearnedRows)
         return
     with database.reading() as connection:
         place = find_place(connection, database.where)
-    write_side_file(place, stored, learned)
+    n_later = sum(int(own.sum()) for own in learned.alive[1:])
+    if learned.base is not None and n_later <= _MOST_AGAIN * len(learned.parts[0]):
+        write_later_file(place, stored, learned, learned.base)
+    else:
+        write_side_file(place, stored, learned)

@@ -4,6 +4,9 @@ Reading a million clips row by row takes many seconds, and each program would do
 any time: it is made again, and what is in it is believed only where the checksums of the library's rows are those that
 it was made from (``refresh``), and its own are right. It is written beside its place and renamed, so it is there whole
 or as it was before.
+
+What a forest learns changes what it says of some clips. These go into a second, later file, which says of which first
+file it is: to write half a gigabyte again for a few clips would take as long as all else.
 """
 
 from __future__ import annotations
@@ -15,9 +18,9 @@ import os
 import struct
 import sys
 import zlib
-from collections.abc import Collection, Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import IO, Any, Protocol
 
@@ -25,6 +28,7 @@ import numpy as np
 import sqlalchemy as sa
 from numpy.typing import NDArray
 
+from dousa.arrays import BoolArray, IntArray
 from dousa.library.forests import StoredForest
 from dousa.library.index.leaf_index import IndexedRows, LeafIndex
 from dousa.library.index.merging import IndexedParts, MergedParts
@@ -58,6 +62,20 @@ def name_forest(stored: StoredForest) -> list[int]:
     return [stored.revision, stored.learned, *sums]
 
 
+@dataclass(frozen=True, slots=True)
+class Base:
+    """Which file a later one is of.
+
+    Parameters
+    ----------
+    checksum : of its header, which has those of its arrays.
+    categories : of the forest when it was written, in the order of its votes.
+    """
+
+    checksum: int
+    categories: tuple[str, ...]
+
+
 class KeptIndex(IndexedParts, Protocol):
     """What is written: a ``LeafIndex``, or anything like it."""
 
@@ -81,9 +99,46 @@ def write_side_file(path: Path, stored: StoredForest, index: KeptIndex) -> bool:
         with create_alone(path) as file:
             if file is not None:
                 _write_file(file, stored, merged, index.source)
+        if file is not None:
+            with suppress(OSError):  # it is of the file before, and believed no more
+                _place_later(path).unlink()
         return file is not None
     except (OSError, ValueError):
         return False
+
+
+def write_later_file(path: Path, stored: StoredForest, index: KeptIndex, base: Base) -> bool:
+    """Write what has changed since a file was written; false as of ``write_side_file``.
+
+    Parameters
+    ----------
+    index : its first part is that of the file at the path, whose clips have their votes of that time still.
+    base : of that file.
+    """
+    if index.source is None or not index.source.is_sealed:
+        return False
+    alive = index.alive[0]
+    dead = np.zeros(0, np.int64) if alive is None else np.flatnonzero(~alive)
+    try:
+        merged = MergedParts(_Others(index))
+        with create_alone(_place_later(path)) as file:
+            if file is not None:
+                more = {"base": base.checksum, "categories": base.categories}
+                _write_file(file, stored, merged, index.source, more, dead)
+        return file is not None
+    except (OSError, ValueError):
+        return False
+
+
+def _place_later(path: Path) -> Path:
+    return path.with_name(f"{path.name}-later")
+
+
+class _Others:
+    """All parts of an index but the first."""
+
+    def __init__(self, index: KeptIndex) -> None:
+        self.parts, self.votes, self.alive = index.parts[1:], index.votes[1:], index.alive[1:]
 
 
 @contextmanager
@@ -127,10 +182,19 @@ def _lock(file: IO[bytes]) -> None:
         fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
 
 
-def _write_file(file: IO[bytes], stored: StoredForest, merged: MergedParts, rows: IndexedRows) -> None:
+def _write_file(
+    file: IO[bytes],
+    stored: StoredForest,
+    merged: MergedParts,
+    rows: IndexedRows,
+    more: Mapping[str, Any] | None = None,
+    dead: IntArray | None = None,
+) -> None:
+    """Write the clips of an index, what they were read from, and what a later file has more."""
     file.write(bytes(_ALIGNED))  # for the start, when the rest is there
     described = []
-    for name, portions_of_it in (*merged.arrays(), ("rows", iter([rows.sums]))):
+    others = [("rows", iter([rows.sums]))] if dead is None else [("rows", iter([rows.sums])), ("dead", iter([dead]))]
+    for name, portions_of_it in (*merged.arrays(), *others):
         file.write(bytes(-file.tell() % _ALIGNED))
         place, count, checksum = file.tell(), 0, 0
         for array in portions_of_it:
@@ -143,6 +207,7 @@ def _write_file(file: IO[bytes], stored: StoredForest, merged: MergedParts, rows
         "forest": name_forest(stored),
         "names": merged.names,
         "partial": sorted(rows.partial.items()),
+        **(more or {}),
     }
     text, place = json.dumps(header).encode(), file.tell()
     file.write(text)
@@ -150,44 +215,94 @@ def _write_file(file: IO[bytes], stored: StoredForest, merged: MergedParts, rows
     file.write(_START.pack(_MAGIC, place, len(text), zlib.crc32(text)))
 
 
-def read_side_file(path: Path, stored: StoredForest) -> tuple[LeafIndex, bool] | None:
-    """The index in a file, with arrays that stay there until they are looked at, and whether it has their votes.
+@dataclass(frozen=True, slots=True, eq=False)
+class KeptRows:
+    """Clips as files have them: see ``refresh.KnownRows``.
 
-    None where there is none, or a damaged one. It is of the library at some time: ``refresh_index`` brings it up to
-    date.
+    Parameters
+    ----------
+    parts, alive : those of the file, and of the later one where there is one.
+    source : what they were read from.
+    votes : of the parts; None where the forest has learned since.
+    base : of the file; None where its votes are not known.
     """
-    found = _read_file(path, stored)
-    if found is None:
+
+    parts: tuple[ClipPart, ...]
+    alive: tuple[BoolArray | None, ...]
+    source: IndexedRows
+    votes: tuple[SparseVotes, ...] | None
+    base: Base | None
+
+
+def read_side_rows(path: Path, stored: StoredForest) -> KeptRows | None:
+    """The clips of a file, and of what came later; None where there is none, or a damaged one.
+
+    Arrays stay in the files until they are looked at.
+    """
+    forest = name_forest(stored)
+    first = _read_file(path, stored, forest)
+    if first is None:
         return None
-    part, rows, header, arrays = found
+    later = _read_file(_place_later(path), stored, forest, first.checksum)
+    if later is None:
+        base = None if first.votes is None else Base(first.checksum, stored.categories)
+        own = None if first.votes is None else (first.votes,)
+        return KeptRows((first.part,), (None,), first.rows, own, base)
     try:
+        alive = np.ones(len(first.part), np.bool_)
+        alive[later.dead] = False
+        base = None if later.votes is None else Base(first.checksum, tuple(map(str, later.header["categories"])))
         votes = None
-        if header["forest"] == name_forest(stored):
-            votes = SparseVotes(*(arrays[f"votes.{name}"] for name in _VOTES))
-    except (KeyError, TypeError):
+        if base is not None and later.votes is not None:
+            kept = _read_file(path, stored, None) if first.votes is None else first
+            if kept is None or kept.checksum != first.checksum or kept.votes is None:
+                return None
+            votes = renumber_votes(kept.votes, base.categories, stored.categories), later.votes
+    except (IndexError, KeyError, TypeError, ValueError):
         return None
-    return make_index(-1, stored, rows, part, votes), votes is not None
+    return KeptRows((first.part, later.part), (alive, None), later.rows, votes, base)
+
+
+def renumber_votes(votes: SparseVotes, before: Sequence[str], now: Sequence[str]) -> SparseVotes:
+    """The same votes for categories among which there are others; ValueError where one is gone."""
+    numbers = [now.index(name) for name in before]
+    if numbers == list(range(len(numbers))):
+        return votes
+    return replace(votes, categories=np.array(numbers, np.uint16)[votes.categories])
+
+
+def read_side_file(path: Path, stored: StoredForest) -> tuple[LeafIndex, bool] | None:
+    """The index in files, with arrays that stay there until they are looked at, and whether it has their votes.
+
+    None as of ``read_side_rows``. It is of the library at some time: ``refresh_index`` brings it up to date.
+    """
+    kept = read_side_rows(path, stored)
+    if kept is None:
+        return None
+    index = make_index(-1, stored, kept.source, kept.parts, kept.votes)
+    return replace(index, alive=kept.alive), kept.votes is not None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class SideRows:
-    """Clips as a file has them, without votes: see ``refresh.KnownRows``."""
+class _File:
+    """What a file has; ``votes`` only where they are wanted, ``dead`` only of a later one."""
 
-    parts: tuple[ClipPart]
-    alive: tuple[None]
-    source: IndexedRows
-
-
-def read_side_rows(path: Path, stored: StoredForest) -> SideRows | None:
-    """The clips of a file, without their votes; None as of ``read_side_file``."""
-    found = _read_file(path, stored, {*_PART, "rows"})
-    return None if found is None else SideRows((found[0],), (None,), found[1])
+    part: ClipPart
+    rows: IndexedRows
+    header: dict[str, Any]
+    checksum: int
+    votes: SparseVotes | None
+    dead: IntArray
 
 
-def _read_file(
-    path: Path, stored: StoredForest, wanted: Collection[str] | None = None
-) -> tuple[ClipPart, IndexedRows, dict[str, Any], dict[str, NDArray[Any]]] | None:
-    """The clips in a file, its header and arrays; of these all, or those that are wanted and read."""
+def _read_file(path: Path, stored: StoredForest, forest: list[int] | None, base: int | None = None) -> _File | None:
+    """A file; None where it is not there, damaged, of other trees, or later than another file.
+
+    Parameters
+    ----------
+    forest : its votes are wanted where they are of this one; None for any.
+    base : of the file that it must be later than.
+    """
     try:
         with open(path, "rb") as file:
             # Numba would compile again for what cannot be written.
@@ -195,32 +310,35 @@ def _read_file(
     except (OSError, ValueError):
         return None
     try:
-        header, arrays = _read_arrays(data, wanted)
-        if header["forest"][0] != stored.revision:
+        magic, place, length, checksum = _START.unpack_from(data)
+        text = data[place : place + length]
+        if magic != _MAGIC or zlib.crc32(text) != checksum:
             return None
+        header: dict[str, Any] = json.loads(text)
+        if header["forest"][0] != stored.revision or header.get("base") != base:
+            return None
+        has_votes = forest is None or header["forest"] == forest
+        arrays = _read_arrays(data, header["arrays"], has_votes)
         fields = {name: arrays.get(name) for name in _PART}
         part = ClipPart(**fields, names=tuple(header["names"]))  # type: ignore[arg-type]
         rows = IndexedRows(arrays["rows"], {int(number): str(absent) for number, absent in header["partial"]})
         if part.codes.shape[1:] != (len(stored.forest.trees_.roots),):
             return None
+        votes = SparseVotes(*(arrays[f"votes.{name}"] for name in _VOTES)) if has_votes else None
+        dead = arrays.get("dead", np.zeros(0, np.int64))
     except (AttributeError, KeyError, TypeError, ValueError, struct.error):
         return None
-    return part, rows, header, arrays
+    return _File(part, rows, header, checksum, votes, dead)
 
 
-def _read_arrays(data: mmap.mmap, wanted: Collection[str] | None) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
-    """The header and the arrays, or those that are wanted; ValueError where a checksum is wrong."""
-    magic, place, length, checksum = _START.unpack_from(data)
-    text = data[place : place + length]
-    if magic != _MAGIC or zlib.crc32(text) != checksum:
-        raise ValueError
-    header: dict[str, Any] = json.loads(text)
+def _read_arrays(data: mmap.mmap, described: Sequence[Any], has_votes: bool) -> dict[str, NDArray[Any]]:
+    """Arrays, of votes where these are wanted; ValueError where a checksum is wrong."""
     arrays = {}
-    for name, kind, shape, start, own in header["arrays"]:
-        if wanted is not None and name not in wanted:
+    for name, kind, shape, start, own in described:
+        if name.startswith("votes.") and not has_votes:
             continue
         array = np.frombuffer(data, kind, int(np.prod(shape)), start).reshape(shape)
         if zlib.crc32(array.data) != own:
             raise ValueError
         arrays[name] = array
-    return header, arrays
+    return arrays

@@ -23,7 +23,8 @@ Of a library so large that its trees grow from samples not even that is read. Ea
 clips as examples (``leaves.examples``). It grows where strangers, which are then clips of categories that are less than
 a 64th of what the training left in it, are a 64th of it; and what grows parts these from the examples. The clips of the
 training stay in the leaf, which keeps its number and its counts, whatever nodes lead to it: none of them is read, and
-none moves.
+none moves. Nor does a leaf vote otherwise for a clip more among hundreds: those that came later count in it where they
+are a 64th of it, so that most clips of the library keep their votes.
 """
 
 from __future__ import annotations
@@ -53,6 +54,7 @@ from dousa.retrieval.forest.trees import LeafEntries, Trees, put_counts
 
 _AT_ONCE = 4096  # clips whose features are read
 _MOST_OTHERS = 64  # a leaf grows where this many times the strangers in it are all of its clips, or more
+_MOST_SILENT = 256  # clips that came later count beside examples where this many times they are all clips of the leaf
 _MOST_DRAWN = 256  # clips that a leaf grows from
 
 
@@ -172,6 +174,28 @@ def grow_forest(
     if standing.examples is not None:
         stay = np.where(material.touched[home], home, np.arange(len(home), dtype=np.int32))
     return Growth(grown, grown.apply(features), moved, moved_leaves, changed, stay)
+
+
+def find_changed(before: MotionForest, now: MotionForest) -> BoolArray:
+    """(L,) which leaves of a forest that has grown vote otherwise than before, or were not there.
+
+    Parameters
+    ----------
+    before, now : of categories that are among those of the other.
+    """
+    starts, classes, weights = before.vote_entries
+    new_starts, new_classes, new_weights = now.vote_entries
+    lengths, new_lengths = np.diff(starts), np.diff(new_starts)
+    changed = np.ones(len(new_lengths), np.bool_)
+    same = np.flatnonzero(lengths == new_lengths[: len(lengths)])
+    changed[same] = False
+    own = lengths[same]
+    inside = np.arange(int(own.sum())) - np.repeat(np.cumsum(own) - own, own)
+    old, new = (np.repeat(some[:-1][same], own) + inside for some in (starts, new_starts))
+    numbers = np.searchsorted(now.classes_, before.classes_)
+    differ = (numbers[classes[old]] != new_classes[new]) | (weights[old] != new_weights[new])
+    changed[np.repeat(same, own)[differ]] = True
+    return changed
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -323,7 +347,7 @@ class _Touched:
     Parameters
     ----------
     numbers : (K,) which, ascending.
-    counts, stayed : (K, C) what stands in them, and what of it never moves.
+    counts, stayed : (K, C) what counts in them, and what of it never moves.
     known : (K, C) categories that are no strangers there.
     usual : (K,) the category of most clips of the training.
     grows : (K,) whether strangers are many enough.
@@ -479,7 +503,8 @@ def _look_at_leaves(material: _Material, trees: Trees, n_classes: int) -> _Touch
     """What stands in the leaves of the training that are touched, and which of them grow.
 
     Strangers came after the training, and are not of the most frequent category of those that were there; where that is
-    told by examples, of none that is a ``_MOST_OTHERS``th of these.
+    told by examples, of none that is a ``_MOST_OTHERS``th of these. There a leaf votes as the training left it until
+    as many of its clips came later.
     """
     numbers = np.flatnonzero(material.touched)
     ranks = np.full(trees.n_leaves, -1)
@@ -504,6 +529,8 @@ def _look_at_leaves(material: _Material, trees: Trees, n_classes: int) -> _Touch
     if trees.trained is not None:  # disturbed copies, too, which stand nowhere
         for row in np.flatnonzero(~later.any(axis=1)):
             counts[row] = trees.trained.of(int(numbers[row]), n_classes)
+        few = later.sum(axis=1) * _MOST_SILENT < sizes
+        counts[few] = trained[few]
     return _Touched(numbers, counts, trained if by_examples else np.zeros_like(trained), known, usual, grows)
 
 
