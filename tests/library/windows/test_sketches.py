@@ -8,8 +8,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from oracles.slow_takes import near_sketches, pose_distance
 
+from dousa.library.windows import portions
+from dousa.library.windows import sketches as making
 from dousa.library.windows.kernels import TILE, scan_sketches
-from dousa.library.windows.sketches import Sketcher, cut_windows
+from dousa.library.windows.sketches import Sketcher, cut_windows, sketch_windows
 from dousa.retrieval.takes.find import cut_parts
 from dousa.retrieval.takes.windows import TakeWindows, WindowGrid, count_windows, place_windows
 
@@ -91,6 +93,24 @@ def test_windows_that_are_all_alike_have_sketches():
     assert not sketches[:-1].any()
     coordinates, rests = sketcher.ask(cut_parts(still.poses))
     assert coordinates == pytest.approx(0, abs=1e-2) and rests[0] == pytest.approx(0, abs=1)
+
+
+@pytest.mark.parametrize("at_once", [1, 7, 10_000])
+def test_of_a_long_take_some_windows_at_a_time_are_sketched(monkeypatch, at_once):
+    one = make_windows(3)
+    sketcher = fit(one)
+    whole = sketcher.sketch(cut_windows(one, slice(None)))
+    monkeypatch.setattr(making, "_AT_ONCE", at_once)
+    monkeypatch.setattr(portions, "_AT_ONCE", at_once)
+    rows = [some for length in GRID.lengths for some in portions._portions(one, length)]
+    assert np.array_equal(
+        np.concatenate([np.arange(len(one.starts))[some] for some in rows]), np.arange(len(one.starts))
+    )
+    assert (
+        np.abs(sketch_windows(sketcher, one, slice(None)).astype(int) - whole).max() <= 1
+    )  # sums are rounded otherwise
+    assert sketch_windows(sketcher, one, slice(5, 5)).shape == (len(whole), 0)
+    assert np.abs(sketch_windows(sketcher, one, slice(5, 24)).astype(int) - whole[:, 5:24]).max() <= 1
 
 
 @given(st.sampled_from([16, 24, 32, 48, 64, 96, 4096]), st.integers(0, 5000))

@@ -11,7 +11,7 @@ import json
 import os
 import struct
 import zlib
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import IO, Any
@@ -23,13 +23,14 @@ from dousa.arrays import IndexArray, IntArray
 from dousa.library.index.kernels import encode_leaves, find_owners
 from dousa.library.index.parts import order_table
 from dousa.library.index.side_file import create_alone
-from dousa.library.windows.sketches import N_MARKS, N_VALUES, Sketcher, cut_windows
+from dousa.library.windows.sketches import N_MARKS, N_VALUES, Sketcher, cut_windows, sketch_windows
 from dousa.retrieval.takes.windows import N_PARTS, N_SMALL, TakeWindows, WindowGrid, count_windows, hop_of
 
 BLOCK = 64  # frames with one checksum
 _MAGIC = b"dousa windows 1\n"
 _START = struct.Struct("<16sQQI")  # magic; place, length and checksum of the header, which comes last
 _BLOCK_BYTES = BLOCK * N_SMALL * 2 + 4
+_AT_ONCE = 16_384  # windows that are packed
 _FITTED = 20_000  # windows to which sketches are fitted
 _MISSING = np.iinfo(np.uint16).max  # the code of a leaf that no window is in
 
@@ -173,14 +174,16 @@ def write_portion(path: Path, forest: list[int], takes: Sequence[tuple[int, int,
         places = []
         for length in lengths:
             places.append(file.tell())
-            own = [_sketch(sketcher, one, length) for one in windows]
+            own = [sketch_windows(sketcher, one, _rows(one, length)) for one in windows]
             file.write(np.ascontiguousarray(np.concatenate(own, axis=1)).data)
             for one in windows:
-                file.write(np.ascontiguousarray(ranks[one.leaves[_rows(one, length), :N_MARKS]].astype(np.uint8)).data)
+                for some in _portions(one, length):
+                    file.write(np.ascontiguousarray(ranks[one.leaves[some, :N_MARKS]].astype(np.uint8)).data)
         places.append(file.tell())
         for length in lengths:
             for one in windows:
-                file.write(_pack_rows(one.leaves[_rows(one, length)], ranks, code_type))
+                for some in _portions(one, length):
+                    file.write(_pack_rows(one.leaves[some], ranks, code_type))
         places.append(file.tell())
         for one in windows:
             file.write(_pack_poses(one.poses))
@@ -221,8 +224,11 @@ def _rows(windows: TakeWindows, length: int) -> slice:
     return windows.rows_within(WindowGrid((length,)))
 
 
-def _sketch(sketcher: Sketcher, windows: TakeWindows, length: int) -> NDArray[np.int8]:
-    return sketcher.sketch(cut_windows(windows, _rows(windows, length)))
+def _portions(windows: TakeWindows, length: int) -> Iterator[slice]:
+    """The windows of a length, some at a time."""
+    rows = _rows(windows, length)
+    for first in range(rows.start, rows.stop, _AT_ONCE):
+        yield slice(first, min(first + _AT_ONCE, rows.stop))
 
 
 def _pack_rows(leaves: NDArray[Any], ranks: IntArray, code_type: np.dtype[Any]) -> bytes:

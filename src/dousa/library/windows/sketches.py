@@ -27,6 +27,7 @@ _ALIKE = 0.4
 # The share of all trees is that of some, and of one tree more with a usual share.
 _USUAL_SHARE = 0.25
 _LEAST_STEP = 1e-9
+_AT_ONCE = 16_384  # windows whose mean poses are in memory: 28 MB, and some times that on the way
 _NEARLY_ALL = 0.9999  # what is farther out is taken to be as far as that
 
 
@@ -99,6 +100,14 @@ def cut_windows(windows: TakeWindows, rows: slice | NDArray[np.intp]) -> FloatAr
     edges = starts + (np.arange(N_PARTS + 1) * lengths * 2 + N_PARTS) // (2 * N_PARTS)
     means: FloatArray = np.diff(windows.sums[edges], axis=1) / np.diff(edges, axis=1)[..., None]
     return means
+
+
+def sketch_windows(sketcher: Sketcher, windows: TakeWindows, rows: slice) -> NDArray[np.int8]:
+    """(R + 1, N) sketches of some windows of a take, which may be long: of many windows some at a time."""
+    first, last, _ = rows.indices(len(windows.starts))
+    starts = range(first, last, _AT_ONCE)
+    parts = [sketcher.sketch(cut_windows(windows, slice(one, min(one + _AT_ONCE, last)))) for one in starts]
+    return np.concatenate([np.empty((sketcher.axes.shape[1] + 1, 0), np.int8), *parts], axis=1)
 
 
 def _expand(means: FloatArray) -> FloatArray:
