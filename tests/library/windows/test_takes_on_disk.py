@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import json
 import os
 import random
 import shutil
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -183,6 +185,68 @@ def test_a_damaged_file_is_left_out(library_path, made, many, tmp_path):
             assert ask(library, made) == expected
         for one, content in whole.items():
             one.write_bytes(content)
+
+
+@pytest.mark.parametrize("part", ["header", "sketches", "marks", "rows", "poses", "cut"])
+def test_a_check_finds_what_a_search_does_not_look_at(library_path, made, many, tmp_path, part):
+    """A repair takes the file away, and the next search makes it again."""
+    many()
+    with Library.open(library_path) as library:
+        expected = ask(library, made)
+        assert library.check().is_sound
+        (path, *_) = find_files(tmp_path)
+        portion, whole = portions.read_portion(path), path.read_bytes()
+        ends = portion.places
+        place = {"header": len(whole) - 30, "sketches": ends[0] + 40, "marks": ends[1] - 1, "rows": ends[-2] + 3}
+        data = bytearray(whole)
+        data[place.get(part, ends[-1] + 5)] ^= 8
+        path.write_bytes(data[:-1] if part == "cut" else data)
+        (found,) = library.check().damage
+        assert (found.what.code, found.what.values["file"]) == ("library_damage.window_file", path.name)
+        assert not found.repaired and found.clip_id is None
+        report = library.check(repair=True)
+        assert report.is_sound and [one.repaired for one in report.damage] == [True]
+        assert not path.exists() and library.check().damage == ()
+        assert ask(library, made) == expected
+        assert path.read_bytes() == whole
+
+
+def test_files_of_an_older_dousa_have_no_checksums_of_sketches(library_path, made, many, tmp_path, monkeypatch):
+    many()
+    with Library.open(library_path) as library:
+        expected = ask(library, made)
+        files = find_files(tmp_path)
+        for path in files:
+            path.unlink()
+
+        def dumps(header):
+            return json.dumps({key: value for key, value in header.items() if key != "sums"})
+
+        with monkeypatch.context() as patch:
+            patch.setattr(portions, "json", SimpleNamespace(dumps=dumps, loads=json.loads))
+            assert ask(library, made) == expected
+        assert portions.read_portion(files[0]).sums == ()
+        assert library.check().is_sound
+        assert ask(library, made) == expected
+
+
+def test_compacting_takes_files_away_that_no_search_uses(library_path, made, many, tmp_path):
+    many()
+    with Library.open(library_path) as library:
+        expected = ask(library, made)
+        files = find_files(tmp_path)
+        assert library.compact().swept == 0
+        assert find_files(tmp_path) == files and ask(library, made) == expected
+        portion = portions.read_portion(files[0])
+        library.remove(portion.ids[: len(portion.ids) // 2 + 1].tolist())
+        size = files[0].stat().st_size
+        report = library.compact()
+        assert report.swept == report.to_json()["swept"] == size
+        assert "library_compact.swept" in [message.code for message in report.to_messages()]
+        assert find_files(tmp_path) == files[1:]
+        library.train(n_trees=10)
+        assert library.compact().swept > 0
+        assert not files[0].parent.exists()
 
 
 def test_who_may_not_write_makes_no_files(library_path, made, many, tmp_path):

@@ -20,6 +20,7 @@ from dousa.library.fragments.moving import (
     rewrite_fragments,
 )
 from dousa.library.journal.entries import forget_kept, measure_kept
+from dousa.library.windows.keeper import sweep_files
 from dousa.messages import Message
 
 _STEPS = 10_000  # of the database between two looks at whether somebody wants to stop
@@ -39,6 +40,7 @@ class CompactReport:
     forgotten : bytes of removed clips that were kept for an undo.
     moved : bytes of arrays that were moved from the file, or the tables, to fragments.
     n_fragments : how many there are.
+    swept : bytes of files of takes, beside the library, that no search would use.
     """
 
     library: str
@@ -47,6 +49,7 @@ class CompactReport:
     forgotten: int = 0
     moved: int = 0
     n_fragments: int = 0
+    swept: int = 0
 
     def to_messages(self) -> Iterator[Message]:
         """What was moved, what is forgotten, and what the file was and is."""
@@ -54,6 +57,8 @@ class CompactReport:
             yield Message("library_compact.moved", megabytes=self.moved / 1e6, n=self.n_fragments)
         if self.forgotten:
             yield Message("library_compact.forgotten", megabytes=self.forgotten / 1e6)
+        if self.swept:
+            yield Message("library_compact.swept", megabytes=self.swept / 1e6)
         if self.before:
             yield Message("library_compact.done", before=self.before / 1e6, after=self.after / 1e6)
 
@@ -66,6 +71,7 @@ class CompactReport:
             "forgotten": self.forgotten,
             "moved": self.moved,
             "n_fragments": self.n_fragments,
+            "swept": self.swept,
         }
 
 
@@ -100,10 +106,11 @@ def compact_library(
     if in_file:
         _vacuum(database)
     drop_unused(database, min(database.timeout, 5.0))
+    swept = sweep_files(database)
     after, n_fragments = _measure(database)
-    if not in_file and not (forgotten or moved or n_fragments):
+    if not in_file and not (forgotten or moved or n_fragments or swept):
         raise LibraryError("library_compact.server", library=database.where)
-    return CompactReport(database.where, before, after, forgotten, moved, n_fragments)
+    return CompactReport(database.where, before, after, forgotten, moved, n_fragments, swept)
 
 
 def _measure(database: Database) -> tuple[int, int]:

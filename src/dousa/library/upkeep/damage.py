@@ -22,6 +22,8 @@ from dousa.library.fragments.moving import measure_used
 from dousa.library.seals import checksums
 from dousa.library.seals.checksums import SEALS, STATE, Seal, seal_positions
 from dousa.library.selection import fetch_in
+from dousa.library.windows.keeper import find_files
+from dousa.library.windows.portions import check_portion
 from dousa.messages import Message
 
 Tell = Callable[[int, int], None]
@@ -34,6 +36,9 @@ REMOVED_POSITIONS = Message("library_damage.removed_positions")
 """Names positions of a removed clip."""
 
 _WINDOWS = Message("library_damage.windows")
+WINDOW_FILE = "library_damage.window_file"
+"""Code of a file of windows; its key is where it is."""
+
 _LABELLER = Message("library_damage.labeller")
 
 
@@ -102,6 +107,10 @@ def find_damage(database: Database, tell: Tell | None = None) -> Findings:
     with _noting(findings), database.reading() as connection:
         _check_state(connection, findings)
         _check_forest(connection, database.where, findings)
+    with _noting(findings), database.reading() as connection:
+        for file in find_files(connection, database.where):
+            if not check_portion(file):
+                findings.add(Fault(Message(WINDOW_FILE, file=file.name), str(file)))
     report(total, total)
     return findings
 

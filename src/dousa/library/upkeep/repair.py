@@ -28,7 +28,7 @@ from dousa.library.seals.checksums import BLOCK_FRAMES, SEALS, Seal, seal_positi
 from dousa.library.selection import portions
 from dousa.library.takes.kept_windows import refresh_windows
 from dousa.library.text.store import keep_all_relations
-from dousa.library.upkeep.damage import REMOVED_POSITIONS, Fault, Findings, are_positions, find_damage
+from dousa.library.upkeep.damage import REMOVED_POSITIONS, WINDOW_FILE, Fault, Findings, are_positions, find_damage
 from dousa.library.upkeep.report import CheckReport, Damage
 from dousa.library.upkeep.salvage import salvage_library
 from dousa.messages import Message
@@ -146,7 +146,7 @@ def _foresee(database: Database, fault: Fault) -> Message:
     code = fault.what.code
     if code in _FORESEEN:
         return _FORESEEN[code]
-    if code in _COMPUTED or code in ("library_damage.labeller", "library_damage.state"):
+    if code in _COMPUTED or code in ("library_damage.labeller", "library_damage.state", WINDOW_FILE):
         return Message("library_check.would_compute")
     if code == "library_damage.positions":
         return _look_at_file(database, fault.key)[0]
@@ -162,6 +162,10 @@ def _repair(database: Database, fault: Fault) -> Message | None:
             done = Message("library_check.computed")
         elif code == "library_damage.fragment":
             done = Message("library_check.replaced")  # whether it is so is seen when all is looked at again
+        elif code == WINDOW_FILE:
+            with suppress(OSError):
+                os.unlink(fault.key)
+            done = Message("library_check.deleted")
         elif code == "library_damage.labeller":
             with database.writing() as connection:
                 connection.execute(sa.update(schema.forests).values(labeller=None))

@@ -21,7 +21,7 @@ import sqlalchemy as sa
 from dousa.library import schema
 from dousa.library.engine import Database
 from dousa.library.features import lacks
-from dousa.library.forests import StoredForest
+from dousa.library.forests import StoredForest, load_forest
 from dousa.library.index.side_file import find_place, name_forest
 from dousa.library.windows.portions import Portion, read_portion, write_portion
 from dousa.library.windows.scanning import TakesOnDisk
@@ -34,7 +34,6 @@ MOST_IN_MEMORY = 1 << 29
 PORTION_BYTES = 1 << 28
 """Of windows in memory that go into one file."""
 
-_SUFFIX = ".windows"
 _CLEARLY = 1.25  # of an estimate, which of short takes is a ninth too high
 _ABANDONED = 86_400.0  # s after which nobody writes an unfinished file any more
 _BYTES_A_FRAME = 27 * (2 + 8)  # of a pose, and of its running sums
@@ -86,7 +85,7 @@ class WindowKeeper:
         pending = [number for number in sorted(takes) if number not in places]
         waiting = _estimate(stored, (takes[number].duration for number in pending))
         if self._writes and waiting >= _CLEARLY * PORTION_BYTES:
-            kept = self._sweep(folder, portions, places)
+            kept, _ = _sweep(folder, portions, places)
             pending = [number for number in sorted(takes) if number not in _place(kept, takes)]
             making = _Making(folder, forest, stored.forest.trees_.n_leaves, takes)
             self._writes = making.make(pending, read, progress)
@@ -105,7 +104,7 @@ class WindowKeeper:
     def _load(self, folder: Path, forest: list[int]) -> list[Portion]:
         """The files of a forest, by their names."""
         found: dict[tuple[str, int, int], Portion | None] = {}
-        for path in sorted(folder.glob(f"*{_SUFFIX}")):
+        for path in sorted(folder.glob(f"*{SUFFIX}")):
             with suppress(OSError):
                 state = os.stat(path)
                 key = str(path), state.st_mtime_ns, state.st_size
@@ -113,22 +112,54 @@ class WindowKeeper:
         self._known = found
         return [portion for portion in found.values() if portion is not None and portion.forest == forest]
 
-    def _sweep(self, folder: Path, portions: Sequence[Portion], places: Mapping[int, tuple[int, int]]) -> list[Portion]:
-        """Take away files of another forest, and those with fewer takes of the library than others; the rest."""
-        alive = [0] * len(portions)
-        for portion, _ in places.values():
-            alive[portion] += 1
-        kept = [one for one, count in zip(portions, alive, strict=True) if 2 * count > len(one.ids)]
-        names = {one.path for one in kept}
-        for path in folder.glob(f"*{_SUFFIX}"):
-            if path not in names:
-                with suppress(OSError):
-                    path.unlink()
-        for path in folder.glob(f"*{_SUFFIX}.part"):  # of a program that was killed
-            with suppress(OSError):
-                if time.time() - path.stat().st_mtime > _ABANDONED:
-                    path.unlink()
-        return kept
+
+SUFFIX = ".windows"
+"""Of the names of the files."""
+
+
+def find_files(connection: sa.Connection, where: str) -> list[Path]:
+    """The files of a library, ``where`` as it is named."""
+    return sorted(find_place(connection, where, "windows").glob(f"*{SUFFIX}"))
+
+
+def sweep_files(database: Database) -> int:
+    """Take away the files that no search would use; how many bytes these had."""
+    with database.reading() as connection:
+        stored = load_forest(connection, database.where)
+        takes = {} if stored is None else _list_takes(connection, stored)
+        folder = find_place(connection, database.where, "windows")
+    forest = None if stored is None else name_forest(stored)
+    read = map(read_portion, sorted(folder.glob(f"*{SUFFIX}")))
+    portions = [one for one in read if one is not None and one.forest == forest]
+    size = _sweep(folder, portions, _place(portions, takes))[1]
+    with suppress(OSError):
+        folder.rmdir()  # if nothing is left in it
+    return size
+
+
+def _sweep(
+    folder: Path, portions: Sequence[Portion], places: Mapping[int, tuple[int, int]]
+) -> tuple[list[Portion], int]:
+    """Take away files of another forest, and those with fewer takes of the library than others.
+
+    Returns
+    -------
+    The rest, and the bytes of what is gone.
+    """
+    alive = [0] * len(portions)
+    for portion, _ in places.values():
+        alive[portion] += 1
+    kept = [one for one, count in zip(portions, alive, strict=True) if 2 * count > len(one.ids)]
+    names = {one.path for one in kept}
+    size = 0
+    for path in (*folder.glob(f"*{SUFFIX}"), *folder.glob(f"*{SUFFIX}.part")):
+        with suppress(OSError):
+            state = path.stat()
+            # An unfinished file is of a program that was killed, or writes it now.
+            if path not in names and (path.suffix == SUFFIX or time.time() - state.st_mtime > _ABANDONED):
+                path.unlink()
+                size += state.st_size
+    return kept, size
 
 
 def _list_takes(connection: sa.Connection, stored: StoredForest) -> dict[int, _Take]:
@@ -204,5 +235,5 @@ class _Making:
             return True
         name = zlib.crc32(repr((self.forest, [one[:2] for one in some])).encode())
         self.folder.mkdir(parents=True, exist_ok=True)
-        path = self.folder / f"{some[0][0]:010}-{name:08x}{_SUFFIX}"
+        path = self.folder / f"{some[0][0]:010}-{name:08x}{SUFFIX}"
         return write_portion(path, self.forest, some, self.n_leaves)

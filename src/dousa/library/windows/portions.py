@@ -2,7 +2,9 @@
 
 Sketches and marks of all windows of one length follow one another, the shortest length first, so that a query reads
 one run of bytes; then a row for each window, its leaves as codes, in the same order; then the poses of the takes, in
-blocks. Rows and blocks have checksums, as they make answers; sketches have none: they only say what is looked at.
+blocks. Rows and blocks have checksums each, as they make answers. The sketches of a length have one, which a search
+does not compare, as that would make its scan longer by half: a bit that has flipped in a sketch moves one window up or
+down among those that are looked at. ``check_portion`` compares all.
 """
 
 from __future__ import annotations
@@ -31,6 +33,7 @@ _MAGIC = b"dousa windows 1\n"
 _START = struct.Struct("<16sQQI")  # magic; place, length and checksum of the header, which comes last
 _BLOCK_BYTES = BLOCK * N_SMALL * 2 + 4
 _AT_ONCE = 16_384  # windows that are packed
+_READ = 1 << 20  # bytes
 _FITTED = 20_000  # windows to which sketches are fitted
 _MISSING = np.iinfo(np.uint16).max  # the code of a leaf that no window is in
 
@@ -59,6 +62,7 @@ class Portion:
     table, codes : (L,) leaves in ascending order, and the code of each among those of its tree.
     n_trees, code_type : of the rows.
     places : first bytes of the sketches of each length, of rows and of poses.
+    sums : checksums of the sketches of each length; none in a file of an older dousa.
 
     Attributes
     ----------
@@ -79,6 +83,7 @@ class Portion:
     n_trees: int
     code_type: np.dtype[Any]
     places: IntArray
+    sums: tuple[int, ...] = ()
     ends: IntArray = field(init=False, repr=False)
     blocks: IntArray = field(init=False, repr=False)
 
@@ -171,14 +176,14 @@ def write_portion(path: Path, forest: list[int], takes: Sequence[tuple[int, int,
         if file is None:
             return False
         file.write(bytes(_START.size))
-        places = []
+        places, sums = [], []
         for length in lengths:
             places.append(file.tell())
-            own = [sketch_windows(sketcher, one, _rows(one, length)) for one in windows]
-            file.write(np.ascontiguousarray(np.concatenate(own, axis=1)).data)
-            for one in windows:
-                for some in _portions(one, length):
-                    file.write(np.ascontiguousarray(ranks[one.leaves[some, :N_MARKS]].astype(np.uint8)).data)
+            checksum = 0
+            for part in _sketch(sketcher, windows, length, ranks):
+                file.write(part.data)
+                checksum = zlib.crc32(part.data, checksum)
+            sums.append(checksum)
         places.append(file.tell())
         for length in lengths:
             for one in windows:
@@ -197,6 +202,7 @@ def write_portion(path: Path, forest: list[int], takes: Sequence[tuple[int, int,
             "n_trees": windows[0].leaves.shape[1],
             "code_type": code_type.str,
             "places": places,
+            "sums": sums,
             "steps": sketcher.steps.tolist(),
             "n_leaves": len(table),
         }
@@ -222,6 +228,17 @@ def _rank_leaves(windows: Sequence[TakeWindows], n_leaves: int) -> IntArray | No
 
 def _rows(windows: TakeWindows, length: int) -> slice:
     return windows.rows_within(WindowGrid((length,)))
+
+
+def _sketch(
+    sketcher: Sketcher, takes: Sequence[TakeWindows], length: int, ranks: IntArray
+) -> Iterator[NDArray[np.int8 | np.uint8]]:
+    """The sketches of the windows of a length, and then their marks, take after take."""
+    own = [sketch_windows(sketcher, one, _rows(one, length)) for one in takes]
+    yield np.ascontiguousarray(np.concatenate(own, axis=1))
+    for one in takes:
+        for some in _portions(one, length):
+            yield np.ascontiguousarray(ranks[one.leaves[some, :N_MARKS]].astype(np.uint8))
 
 
 def _portions(windows: TakeWindows, length: int) -> Iterator[slice]:
@@ -286,6 +303,40 @@ def read_portion(path: Path) -> Portion | None:
             header["n_trees"],
             np.dtype(header["code_type"]),
             np.array(header["places"], np.int64),
+            tuple(map(int, header.get("sums", ()))),
         )
     except (OSError, ValueError, OverflowError, KeyError, TypeError, struct.error):
         return None
+
+
+def check_portion(path: Path) -> bool:
+    """Whether all that is in a file is as it was written; also where it is gone meanwhile."""
+    portion = read_portion(path)
+    try:
+        if portion is None:
+            return not path.exists()
+        with open(path, "rb") as file:
+            return _is_whole(portion, file)
+    except FileNotFoundError:
+        return True
+    except (OSError, ValueError, PortionGoneError):
+        return False
+
+
+def _is_whole(portion: Portion, file: IO[bytes]) -> bool:
+    """Sketches, rows and poses against their checksums; PortionGoneError where rows or poses are not as they were."""
+    for place, expected in enumerate(portion.sums):
+        checksum, left = 0, int(portion.places[place + 1] - portion.places[place])
+        file.seek(int(portion.places[place]))
+        while left and (data := file.read(min(left, _READ))):
+            checksum, left = zlib.crc32(data, checksum), left - len(data)
+        if left or checksum != expected:
+            return False
+    for place, count in enumerate(portion.ends[:, -1].tolist()):
+        for first in range(0, count, _AT_ONCE):
+            windows = np.arange(first, min(first + _AT_ONCE, count))
+            portion.read_rows(file, np.full(len(windows), place), windows)
+    for take, n_frames in enumerate(portion.n_frames.tolist()):
+        for first in range(0, n_frames, _AT_ONCE):
+            portion.read_frames(file, take, first, first + _AT_ONCE)
+    return True
