@@ -35,11 +35,11 @@ from dousa.library.labels import LabelRule, check_text, no_label
 from dousa.library.results import AddReport, Duplicate
 from dousa.library.seals.checksums import LABELS, NUMBERS, update_rows
 from dousa.library.selection import delete_clips, fetch_in, read_tags, save_tags
-from dousa.library.takes.kept_windows import refresh_windows
+from dousa.library.takes.kept_windows import make_window_files, refresh_windows
 from dousa.messages import Message
 
 AddProgress = Callable[[int, int, str], None]
-"""Called with (files done, files, path of the last one)."""
+"""Called with (files done, files, path of the last one), then, where takes are many, with (takes done, takes, what)."""
 
 _NO_LABEL = {
     "category": Message("library_add.no_category"),
@@ -160,7 +160,7 @@ class Adding:
         self._store_portion(portion)
         if self._labels_from is not None:
             self._annotate(labels)
-        return self._finish(start, n_jobs)
+        return self._finish(start, n_jobs, progress)
 
     def _annotate(self, labels: Mapping[str, FoundLabels]) -> None:
         """Give the takes among the files their labels; those that have the same already are left alone."""
@@ -215,13 +215,17 @@ class Adding:
         self._store_portion([record])
         return self._finish(start, n_jobs)
 
-    def _finish(self, start: float, n_jobs: int | None) -> AddReport:
+    def _finish(self, start: float, n_jobs: int | None, progress: AddProgress | None = None) -> AddReport:
         # Also where nothing is new: an earlier run may have been stopped before this.
         self.forest, learned = learn_new(self._database, self.forest)
         self._tally["n_learned"].append(learned.n_clips)
         self._tally["new_categories"] += learned.new_categories
         if self.forest is not None:
             refresh_windows(self._database, self.forest, n_jobs)
+            report = progress or (lambda done, total, path: None)
+            make_window_files(
+                self._database, self.forest, n_jobs, lambda done, total, what: report(done, total, str(what))
+            )
         if begin_where_large(self._database):
             self._tally["warnings"].append((self._database.where, Message("library_fragments.begun", most=BEGIN_AT)))
         return _make_report(self._tally, time.perf_counter() - start)

@@ -44,7 +44,7 @@ from dousa.library.forests import (
 from dousa.library.growth.examples import choose_trained, save_examples
 from dousa.library.index.renewal import make_side_file
 from dousa.library.results import TrainReport
-from dousa.library.takes.kept_windows import describe_takes, refresh_windows, save_windows
+from dousa.library.takes.kept_windows import describe_takes, make_window_files, refresh_windows, save_windows
 from dousa.library.text.meanings import find_meanings
 from dousa.library.text.store import keep_all_relations, keep_relations_of
 from dousa.messages import Message
@@ -100,6 +100,9 @@ def train_forest(
     def tell_takes(done: int, total: int) -> None:
         report(4, _STEPS, Message("library_training.describing_takes_done", done=done, total=total))
 
+    def tell_files(done: int, total: int, what: Message) -> None:
+        report(5, _STEPS, Message("library_training.keeping_takes_done", done=done, total=total))
+
     database.check_writable()  # before the work
     with database.reading() as connection:
         kind, n_partial = _choose_joints(database.where, connection, kind)  # before the work
@@ -117,6 +120,7 @@ def train_forest(
     del windows
     refresh_windows(database, stored, n_jobs, tell_takes)
     make_side_file(database, stored)
+    make_window_files(database, stored, n_jobs, tell_files)
     report(_STEPS, _STEPS, Message("library_training.done"))
     n_clips, n_labelled = len(answers.clips.ids), sum(counts.values())
     done = TrainReport(

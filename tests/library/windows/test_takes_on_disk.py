@@ -17,6 +17,7 @@ from dousa.formats.registry import write_motion
 from dousa.library import Library
 from dousa.library.index.side_file import create_alone
 from dousa.library.windows import keeper, portions, scanning
+from dousa.messages import Message
 from dousa.retrieval.takes.windows import TakeWindows
 from library.test_takes import join
 
@@ -187,6 +188,29 @@ def test_a_damaged_file_is_left_out(library_path, made, many, tmp_path):
             one.write_bytes(content)
 
 
+def test_a_training_and_an_add_make_the_files(library_path, made, many, write_move, tmp_path):
+    """They say how far that is; what they left over is as little as one file would have, and a search makes none."""
+    with Library.open(library_path) as library:
+        many()
+        steps = []
+        library.train(n_trees=10, progress=lambda *step: steps.append((step[0], step[2])))
+        files = find_files(tmp_path)
+        assert len(files) >= 2
+        told = [(done, what.values["done"]) for done, what in steps if "keeping" in what.code]
+        assert told == [(5, done) for done in range(7)]
+        assert steps[-1][0] == 6 and steps[-1][1].code == "library_training.done"
+        ask(library, made)
+        assert find_files(tmp_path) == files
+        more = [write_move(tmp_path / f"more {seed}.bvh", "wave", 80 + seed, n_frames=400) for seed in range(4)]
+        told = []
+        library.add(more, kind="take", n_jobs=1, progress=lambda done, total, what: told.append((done, what)))
+        again = find_files(tmp_path)
+        assert set(files) < set(again)
+        assert told[-1][0] > 0 and told[-1][1] == str(Message("library_takes.keeping"))
+        ask(library, made)
+        assert find_files(tmp_path) == again
+
+
 @pytest.mark.parametrize("part", ["header", "sketches", "marks", "rows", "poses", "cut"])
 def test_a_check_finds_what_a_search_does_not_look_at(library_path, made, many, tmp_path, part):
     """A repair takes the file away, and the next search makes it again."""
@@ -230,7 +254,7 @@ def test_files_of_an_older_dousa_have_no_checksums_of_sketches(library_path, mad
         assert ask(library, made) == expected
 
 
-def test_compacting_takes_files_away_that_no_search_uses(library_path, made, many, tmp_path):
+def test_compacting_takes_files_away_that_no_search_uses(library_path, made, many, tmp_path, monkeypatch):
     many()
     with Library.open(library_path) as library:
         expected = ask(library, made)
@@ -244,6 +268,7 @@ def test_compacting_takes_files_away_that_no_search_uses(library_path, made, man
         assert report.swept == report.to_json()["swept"] == size
         assert "library_compact.swept" in [message.code for message in report.to_messages()]
         assert find_files(tmp_path) == files[1:]
+        monkeypatch.setattr(keeper, "MOST_IN_MEMORY", 1 << 40)
         library.train(n_trees=10)
         assert library.compact().swept > 0
         assert not files[0].parent.exists()

@@ -1,4 +1,7 @@
-"""The windows of takes that a library keeps: described by its forest, and anew when that has learned."""
+"""The windows of takes that a library keeps: described by its forest, and anew when that has learned.
+
+Those of many takes lie in files, too (``library.windows``), which are made here when windows have been described.
+"""
 
 from __future__ import annotations
 
@@ -7,10 +10,12 @@ from typing import TYPE_CHECKING
 
 import sqlalchemy as sa
 
+from dousa.errors import DousaError, LibraryDamagedError
 from dousa.library import schema
 from dousa.library.engine import Database, choose_jobs
 from dousa.library.features import StoredMotion, find_feature_set, lacks, load_motions
 from dousa.library.forests import StoredForest
+from dousa.messages import Message
 from dousa.retrieval.features.partial_bodies import hide_joints
 
 if TYPE_CHECKING:
@@ -104,3 +109,58 @@ def replace_windows(database: Database, stored: StoredForest, clip_id: int, wind
         connection.execute(sa.delete(table).where(table.c.clip_id == clip_id))
         save_windows(connection, stored, {clip_id: windows})
     return True
+
+
+def read_windows(connection: sa.Connection, where: str, stored: StoredForest, clip_id: int) -> TakeWindows | None:
+    """Windows of a take as this forest described them; None where that has not been.
+
+    Raises
+    ------
+    LibraryDamagedError : bytes that are no windows, or of another forest.
+    """
+    from dousa.retrieval.takes.windows import TakeWindows
+
+    table = schema.take_windows.c
+    query = sa.select(table.data).where(table.learned == stored.learned, table.clip_id == clip_id)
+    data = connection.execute(query).scalar_one_or_none()
+    if data is None:
+        return None
+    try:
+        windows = TakeWindows.from_bytes(data)
+    except DousaError as error:
+        raise LibraryDamagedError("library_takes.damaged", library=where, number=clip_id, problem=error) from error
+    # Leaves are looked up by number, so there must be such leaves.
+    trees, leaves = stored.forest.trees_, windows.leaves
+    if leaves.shape[1] != len(trees.roots) or (leaves.size and leaves.max() >= trees.n_leaves):
+        raise LibraryDamagedError("library_takes.other_forest", library=where, number=clip_id)
+    return windows
+
+
+def make_window_files(
+    database: Database,
+    stored: StoredForest,
+    n_jobs: int | None = None,
+    progress: Callable[[int, int, Message], None] | None = None,
+) -> None:
+    """Make the files in which takes are searched for which memory has no room, so that no search needs to.
+
+    ``progress`` is called with (takes done, takes, what is done) where there are such takes. To be called when windows
+    are up to date: ``refresh_windows``.
+    """
+    with database.reading() as connection:
+        if connection.execute(sa.select(schema.take_windows.c.clip_id).limit(1)).first() is None:
+            return
+    from dousa.library.windows.keeper import WindowKeeper
+
+    def read(clip_id: int) -> TakeWindows:
+        try:
+            windows = read_windows(connection, database.where, stored, clip_id)
+        except LibraryDamagedError:  # a search says so, or a check
+            windows = None
+        if windows is None:
+            (motion,) = load_motions(connection, [clip_id])
+            windows = describe_windows(stored, motion, n_jobs)
+        return windows
+
+    with database.reading() as connection:
+        WindowKeeper(database).open(connection, stored, None, read, progress)

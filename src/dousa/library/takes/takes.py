@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import sqlalchemy as sa
 
-from dousa.errors import DousaError, InvalidMotionError, LibraryDamagedError, LibraryError, MotionFileError
+from dousa.errors import InvalidMotionError, LibraryError, MotionFileError
 from dousa.formats.motion_files import ReadOptions, Skipped, find_motion_files, is_unicode
 from dousa.library import schema
 from dousa.library.engine import Database
@@ -20,7 +20,7 @@ from dousa.library.partial.forests import PartForests
 from dousa.library.results import FindResult
 from dousa.library.search import PartProgress
 from dousa.library.selection import fetch_in, find_row
-from dousa.library.takes.kept_windows import MOST_KEPT, describe_windows, replace_windows
+from dousa.library.takes.kept_windows import MOST_KEPT, describe_windows, read_windows, replace_windows
 from dousa.library.takes.places import count_alike, find_places, judge_places, rank_places
 from dousa.library.takes.reading import Describing, ReadTake
 from dousa.library.windows.keeper import WindowKeeper
@@ -281,31 +281,16 @@ class Takes:
 
     def _read(self, connection: sa.Connection, stored: StoredForest, clip_id: int, *, keep: bool = True) -> TakeWindows:
         """Windows of a take; those that are not stored are described. They stay in memory, if they shall and can."""
-        from dousa.retrieval.takes.windows import TakeWindows
-
         if self._learned != stored.learned:
             self._learned, self._windows, self._kept_bytes = stored.learned, {}, 0
         known = self._windows.get(clip_id)
         if known is not None:
             return known
-        table, where = schema.take_windows.c, self._database.where
-        query = sa.select(table.data).where(table.learned == stored.learned, table.clip_id == clip_id)
-        data = connection.execute(query).scalar_one_or_none()
-        if data is None:
+        windows = read_windows(connection, self._database.where, stored, clip_id)
+        if windows is None:
             (motion,) = load_motions(connection, [clip_id])
             windows = describe_windows(stored, motion, None)
             self._keep(stored, clip_id, windows)
-        else:
-            try:
-                windows = TakeWindows.from_bytes(data)
-            except DousaError as error:
-                raise LibraryDamagedError(
-                    "library_takes.damaged", library=where, number=clip_id, problem=error
-                ) from error
-            # Leaves are looked up by number, so there must be such leaves.
-            trees, leaves = stored.forest.trees_, windows.leaves
-            if leaves.shape[1] != len(trees.roots) or (leaves.size and leaves.max() >= trees.n_leaves):
-                raise LibraryDamagedError("library_takes.other_forest", library=where, number=clip_id)
         if keep and self._kept_bytes + windows.n_bytes <= MOST_KEPT:
             self._windows[clip_id] = windows
             self._kept_bytes += windows.n_bytes
