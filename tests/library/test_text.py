@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gzip
+import random
 from pathlib import Path
 
 import pytest
@@ -146,12 +147,52 @@ def test_new_clips_and_labels_are_found(tmp_path):
         assert found(library, "bend forward") == set()
 
 
+def test_of_a_change_what_changed_is_read(tmp_path, monkeypatch):
+    """Whatever is changed, answers are those of a program that reads everything."""
+    read = []
+    plain = text_index.load_relations
+
+    def load(connection, ids=None):
+        read.append(ids)
+        return plain(connection, ids)
+
+    monkeypatch.setattr(text_index, "load_relations", load)
+    chance = random.Random(5)
+    with Library.open(tmp_path / "new.dousa", create=True) as library:
+        for number in range(8):
+            move = list(NAMES.values())[number % len(NAMES)]
+            library.add_motion(make_motion(move, draw_performer(number), seed=number), f"{move} {number}", move)
+        found(library, "walk")
+        assert read == [None]
+        for turn in range(8):
+            ids = [clip.id for clip in library.clips()]
+            changed = chance.sample(ids, 2)
+            if turn == 3:
+                removed = changed
+                library.remove(removed)
+            elif turn == 4:
+                changed = removed
+                library.undo()
+            elif turn == 5:
+                library.add_motion(make_motion("bow", draw_performer(9), seed=9), "a bow", "bend")
+                changed = [max(clip.id for clip in library.clips())]
+            else:
+                library.relabel(changed, category=chance.choice(["tennis serve", "しゃがむ", "walk", f"new {turn}"]))
+            del read[:]
+            for text in ("walk", "しゃがむ", "serve", "bow", "new", "arm up"):
+                own = library.search_text(text, None)
+                with Library.open(tmp_path / "new.dousa") as other:
+                    assert other.search_text(text, None) == own
+            again = {number for ids in read if ids is not None for number in ids}
+            assert again <= set(changed) and (again or turn == 3)
+
+
 def test_tags_leave_the_words_as_they_are(tmp_path, monkeypatch):
     reads = []
 
-    def load(connection, revision, sums):
+    def load(connection, revision, sums, known):
         reads.append(revision)
-        return load_index(connection, revision, sums)
+        return load_index(connection, revision, sums, known)
 
     load_index = text_index._load_index
     monkeypatch.setattr(text_index, "_load_index", load)

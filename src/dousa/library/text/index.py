@@ -1,10 +1,10 @@
-"""The index of words of a library, and searching in it; it stays in memory until the library changes."""
+"""The index of words of a library, and searching in it; it stays in memory, and of a change what changed is read."""
 
 from __future__ import annotations
 
 import os
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import PurePath
 from typing import Any
@@ -14,8 +14,10 @@ import sqlalchemy as sa
 
 from dousa.arrays import FloatArray, IndexArray
 from dousa.errors import OptionError
+from dousa.library import schema
 from dousa.library.engine import Database, read_revision
 from dousa.library.seals.checksums import LABELS, RELATIONS
+from dousa.library.selection import fetch_in
 from dousa.library.text.answers import TextHit, TextMatches, TextResult
 from dousa.library.text.store import load_relations
 from dousa.messages.tables import LANGUAGES
@@ -32,7 +34,7 @@ from dousa.retrieval.words.matching import (
     read_query,
 )
 from dousa.retrieval.words.reading import read_words
-from dousa.retrieval.words.relations import Relation
+from dousa.retrieval.words.relations import RELATIONS_VERSION, Relation
 from dousa.retrieval.words.vectors import load_replacement
 from dousa.retrieval.words.vocabulary import Vocabulary, load_vocabulary, normalise
 
@@ -45,14 +47,12 @@ _NEAR_MEANING, _NEAR_SPELLING = 0.4, 60  # weight of what such a word finds; per
 
 @dataclass(frozen=True, slots=True)
 class _Entry:
-    """A motion in the index: its row, the words of its category and name, its relations with theirs."""
+    """A motion in the index: its row, its label and name letter by letter, its relations, and the words of all."""
 
     row: Any
-    category: Unit
-    name: Unit
     literal: str
     relations: tuple[Relation, ...]
-    units: tuple[tuple[Unit, float], ...]
+    words: MotionWords
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -60,6 +60,7 @@ class _TextIndex:
     """The motions in the order of their paths, as of a revision of the library; their words by key.
 
     ``sums`` tell whether what it was made of is still the same: tags, stars and kept searches leave it as it is.
+    ``stamps`` are the checksums of each motion, by number, from which it is known which motions have changed.
     """
 
     revision: int
@@ -67,6 +68,8 @@ class _TextIndex:
     entries: tuple[_Entry, ...]
     columns: WordColumns
     words: KnownWords
+    stamps: Mapping[int, tuple[Any, ...]]
+    units: Mapping[tuple[str, str], Unit]
 
 
 class TextSearcher:
@@ -116,7 +119,7 @@ class TextSearcher:
                 if self._index is not None and sums is not None and self._index.sums == sums:
                     self._index = replace(self._index, revision=revision)
                 else:
-                    self._index = _load_index(connection, revision, sums or ())
+                    self._index = _load_index(connection, revision, sums or (), self._index)
             return self._index
 
 
@@ -155,17 +158,25 @@ def _choose(entries: Sequence[_Entry], category: str | None, performer: str | No
     return np.flatnonzero(np.array(fits, bool))
 
 
-def _load_index(connection: sa.Connection, revision: int, sums: tuple[int, ...]) -> _TextIndex:
-    query = sa.select(*LABELS.columns)
-    relations = load_relations(connection)
+def _load_index(
+    connection: sa.Connection, revision: int, sums: tuple[int, ...], known: _TextIndex | None
+) -> _TextIndex:
+    """The index at a revision; of motions that are as they were in a ``known`` one, nothing is read but checksums."""
+    stamps = _read_stamps(connection)
+    kept: list[_Entry] = []
+    if known is not None:
+        kept = [one for one in known.entries if _is_same(known.stamps.get(one.row.id), stamps.get(one.row.id))]
+    there = {one.row.id for one in kept}
+    some = None if not kept else [number for number in stamps if number not in there]
     vocabulary = load_vocabulary()
-    units: dict[tuple[str, str], Unit] = {}
-    categories: dict[str, Unit] = {}
-    entries = []
-    rows = connection.execute(query).all()
+    units = {} if known is None else dict(known.units)
+    categories = {one.row.category or "": one.words.category for one in kept}
+    relations = load_relations(connection, some)
+    query = sa.select(*LABELS.columns)
+    rows = list(connection.execute(query) if some is None else fetch_in(connection, query, schema.clips.c.id, some))
     if rows:
         LABELS.check_all(connection, list(zip(*rows, strict=True)))
-    for row in sorted(rows, key=lambda row: str(row.path)):
+    for row in rows:
         label = row.category or ""
         if label not in categories:
             categories[label] = make_unit(vocabulary, read_words(vocabulary, label, name=True))
@@ -174,19 +185,38 @@ def _load_index(connection: sa.Connection, revision: int, sums: tuple[int, ...])
             if (relation.name, relation.part) not in units:
                 units[relation.name, relation.part] = _make_relation_unit(vocabulary, relation)
         name = _name_of(row.path)
-        entries.append(
+        kept.append(
             _Entry(
                 row,
-                categories[label],
-                make_unit(vocabulary, read_words(vocabulary, name, name=True)),
                 _literal(f"{label} {name}"),
                 own,
-                tuple((units[one.name, one.part], one.share) for one in own),
+                MotionWords(
+                    categories[label],
+                    make_unit(vocabulary, read_words(vocabulary, name, name=True)),
+                    tuple((units[one.name, one.part], one.share) for one in own),
+                ),
             )
         )
-    columns = WordColumns([MotionWords(entry.category, entry.name, entry.units) for entry in entries])
-    words = KnownWords(word for entry in entries for unit in (entry.category, entry.name) for word in unit.words)
-    return _TextIndex(revision, sums, tuple(entries), columns, words)
+    entries = tuple(sorted(kept, key=lambda entry: str(entry.row.path)))
+    columns = WordColumns([entry.words for entry in entries])
+    words = KnownWords(
+        word for entry in entries for unit in (entry.words.category, entry.words.name) for word in unit.words
+    )
+    return _TextIndex(revision, sums, entries, columns, words, stamps, units)
+
+
+def _read_stamps(connection: sa.Connection) -> dict[int, tuple[Any, ...]]:
+    """The checksums of the labels and of the relations of all motions, by number; None where there is none."""
+    clips, table = schema.clips.c, schema.clip_relations.c
+    own = sa.select(table.clip_id, table.checksum).where(table.version == RELATIONS_VERSION)
+    relations: dict[int, Any] = {row.clip_id: row.checksum for row in connection.execute(own)}
+    labels = connection.execute(sa.select(clips.id, clips.label_checksum))
+    return {row.id: (row.label_checksum, relations.get(row.id)) for row in labels}
+
+
+def _is_same(before: tuple[Any, ...] | None, now: tuple[Any, ...] | None) -> bool:
+    """Whether a motion has the checksums that it had; without one nobody knows."""
+    return before is not None and before == now and None not in before
 
 
 def _name_of(path: str) -> str:
@@ -254,8 +284,8 @@ def _find_near(vocabulary: Vocabulary, query: ReadQuery, entries: Iterable[_Entr
     for entry in entries:
         label = entry.row.category or ""
         counts[label] += 1
-        units.setdefault(label, entry.category)
-        for one, (unit, _) in zip(entry.relations, entry.units, strict=True):
+        units.setdefault(label, entry.words.category)
+        for one, (unit, _) in zip(entry.relations, entry.words.relations, strict=True):
             does[one.name, one.part] += 1
             examples.setdefault((one.name, one.part), (one, unit))
     for key, (relation, unit) in examples.items():

@@ -18,8 +18,8 @@ from dousa.retrieval.words.relations import RELATIONS_VERSION, Relation, find_re
 _COUNT_CLIPS = sa.select(sa.func.count()).select_from(schema.clips)
 
 
-def load_relations(connection: sa.Connection) -> dict[int, tuple[Relation, ...]]:
-    """The relations of all clips and takes, by number; those that are not kept are computed.
+def load_relations(connection: sa.Connection, ids: Sequence[int] | None = None) -> dict[int, tuple[Relation, ...]]:
+    """The relations of clips and takes, of all or of some, by number; those that are not kept are computed.
 
     Raises
     ------
@@ -28,10 +28,11 @@ def load_relations(connection: sa.Connection) -> dict[int, tuple[Relation, ...]]
     table = schema.clip_relations.c
     query = sa.select(*RELATIONS.columns).where(table.version == RELATIONS_VERSION)
     found = {}
-    for row in connection.execute(query).all():
+    rows = connection.execute(query).all() if ids is None else fetch_in(connection, query, table.clip_id, ids)
+    for row in rows:
         RELATIONS.check(connection, row)
         found[row.clip_id] = _from_json(row.relations)
-    return found | _compute(connection, _list_missing(connection))
+    return found | _compute(connection, _list_missing(connection, ids))
 
 
 def keep_relations(connection: sa.Connection) -> None:

@@ -127,8 +127,10 @@ class WordColumns:
 def _number(units: Sequence[Unit]) -> tuple[list[Unit], IndexArray]:
     """Different units, and the place of each one among these."""
     places: dict[Unit, int] = {}
-    numbers = np.array([places.setdefault(unit, len(places)) for unit in units], np.intp)
-    return list(places), numbers
+    # Most units are there many times; to compare their words takes longer than to see that they are the same.
+    objects = {id(unit): unit for unit in units}
+    known = {key: places.setdefault(unit, len(places)) for key, unit in objects.items()}
+    return list(places), np.array([known[id(unit)] for unit in units], np.intp)
 
 
 def _keep_meant(unit: Unit) -> Unit:
