@@ -173,7 +173,11 @@ def _load_index(
     categories = {one.row.category or "": one.words.category for one in kept}
     relations = load_relations(connection, some)
     query = sa.select(*LABELS.columns)
-    rows = list(connection.execute(query) if some is None else fetch_in(connection, query, schema.clips.c.id, some))
+    rows: list[Any]
+    if some is None:
+        rows = list(connection.execute(query))
+    else:
+        rows = list(fetch_in(connection, query, schema.clips.c.id, some))
     if rows:
         LABELS.check_all(connection, list(zip(*rows, strict=True)))
     for row in rows:
