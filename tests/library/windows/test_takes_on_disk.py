@@ -136,6 +136,25 @@ def test_few_windows_are_compared_and_what_is_found_has_the_same_numbers(library
             assert len(known.intersection(own)) >= 0.8 * len(own)
 
 
+def test_of_more_windows_more_are_compared_up_to_a_number(library_path, made, many, monkeypatch):
+    """One of so many that are as long as the query asks for; who asks about some takes has theirs counted."""
+    many(2)
+    with Library.open(library_path) as library:
+        query, numbers = made / "asked" / "bow.bvh", sorted(c.id for c in library.clips() if c.kind == "take")
+        library.find(query, mirror=True)
+        told = {}
+        for one_of, most in ((10**9, 9), (4, 10**9), (2, 10**9), (2, 9)):
+            monkeypatch.setattr(scanning, "_ONE_OF", one_of)
+            monkeypatch.setattr(scanning, "_MOST_OF_MANY", most)
+            (note,) = library.find(query, mirror=True).notes
+            told[one_of, most] = note.values["n"]
+        assert told[10**9, 9] == 2 and told[2, 9] == 9
+        assert 9 < told[4, 10**9] == told[2, 10**9] // 2
+        monkeypatch.setattr(scanning, "_MOST_OF_MANY", 10**9)
+        (note,) = library.find(query, numbers[:4], mirror=True).notes
+        assert note.values["n"] < told[2, 10**9]
+
+
 def test_files_follow_the_library(library_path, made, many, write_move, tmp_path, monkeypatch):
     """Whatever is changed, answers are those of a library whose takes are all in memory."""
 

@@ -111,7 +111,6 @@ class Takes:
     ) -> tuple[list[tuple[Found, bool]], float, list[Message]]:
         """``find_places``, in the files of windows if there are many, without any that is damaged."""
         from dousa.library.windows.portions import PortionGoneError
-        from dousa.library.windows.scanning import MOST_COMPARED
 
         if far is None:
             return *find_places(*asked), []
@@ -128,7 +127,7 @@ class Takes:
             except OSError:  # while a file is read
                 break
             else:
-                return *found, [Message("library_takes.sketched", n=MOST_COMPARED)] if on_disk.leaves_out else []
+                return *found, [Message("library_takes.sketched", n=on_disk.n_compared)] if on_disk.leaves_out else []
         return *find_places(*asked), []
 
     def _read_query(self, connection: sa.Connection, query: Query, options: ReadOptions) -> tuple[str, StoredMotion]:

@@ -23,10 +23,14 @@ from dousa.retrieval.takes.find import POSE_WEIGHT, WINDOW_NUMBERS, CutStretch, 
 from dousa.retrieval.takes.window_kernels import compare_leaves
 
 MOST_KEPT = 16_384
-"""Windows whose leaves are read, those with the cheapest sketches."""
+"""Windows whose leaves are read, those with the cheapest sketches, or twice as many as are compared."""
 
 MOST_COMPARED = 4096
-"""Windows that are compared, those that are cheapest by sketches and leaves."""
+"""Windows that are compared, those that are cheapest by sketches and leaves; of more than 50 hours more."""
+
+# One of so many windows: with it all of the first ten places were found in 50 and in 200 hours. Of more than 200 hours
+# the memory of a search, and its time, are bounded.
+_ONE_OF, _MOST_OF_MANY = 400, 16_384
 
 _CHOSEN = np.dtype([("cost", "f8"), ("share", "f8"), ("portion", "i8"), ("length", "i8"), ("window", "i8")])
 
@@ -35,11 +39,16 @@ _CHOSEN = np.dtype([("cost", "f8"), ("share", "f8"), ("portion", "i8"), ("length
 class _Sieve:
     """Keeps the windows with the cheapest sketches.
 
+    Parameters
+    ----------
+    n_kept : how many.
+
     Attributes
     ----------
     most : cost beyond which nobody is kept.
     """
 
+    n_kept: int
     most: float = np.inf
     _kept: list[NDArray[Any]] = field(default_factory=list)
     _count: int = 0
@@ -49,14 +58,14 @@ class _Sieve:
         own["cost"], own["portion"], own["length"], own["window"] = costs, portion, length, windows
         self._kept.append(own)
         self._count += len(own)
-        if self._count > 2 * MOST_KEPT:
+        if self._count > 2 * self.n_kept:
             self._kept = [self.cheapest()]
             self._count = len(self._kept[0])
             self.most = float(self._kept[0]["cost"].max())
 
     def cheapest(self) -> NDArray[Any]:
         """Those that are left, in the order in which they came."""
-        return _choose(np.concatenate([np.empty(0, _CHOSEN), *self._kept]), MOST_KEPT)
+        return _choose(np.concatenate([np.empty(0, _CHOSEN), *self._kept]), self.n_kept)
 
 
 def _choose(windows: NDArray[Any], count: int) -> NDArray[Any]:
@@ -94,11 +103,12 @@ class TakesOnDisk:
     Attributes
     ----------
     leaves_out : whether a search did not compare all windows that it might have.
+    n_compared : how many it compared at most.
     """
 
     def __init__(self, portions: Sequence[Portion], places: Mapping[int, tuple[int, int]]) -> None:
         self._portions, self._places = portions, places
-        self.leaves_out = False
+        self.leaves_out, self.n_compared = False, MOST_COMPARED
 
     def __contains__(self, number: int | None) -> bool:
         return number in self._places
@@ -125,7 +135,9 @@ class TakesOnDisk:
             portion, place = self._places[number]
             own = chosen.setdefault(portion, np.zeros(len(self._portions[portion].ids), np.bool_))
             own[place] = True
-        sieves = [_Sieve() for _ in searches]
+        n_windows = sum(_count(self._portions[number], own, searches[0].lengths) for number, own in chosen.items())
+        self.n_compared = max(MOST_COMPARED, min(n_windows // _ONE_OF, _MOST_OF_MANY))
+        sieves = [_Sieve(max(MOST_KEPT, 2 * self.n_compared)) for _ in searches]
         room = _Room()
         for number in sorted(chosen):
             with _open(self._portions[number]) as file:
@@ -138,10 +150,10 @@ class TakesOnDisk:
                 )
         for search, sieve in zip(searches, sieves, strict=True):
             kept = sieve.cheapest()
-            self.leaves_out |= len(kept) > MOST_COMPARED
+            self.leaves_out |= len(kept) > self.n_compared
             for file, one, rows in self._parts(kept):
                 kept[rows] = _read_leaves(file, one, search, kept[rows])
-            kept = _choose(kept, MOST_COMPARED)
+            kept = _choose(kept, self.n_compared)
             for file, one, rows in self._parts(kept):
                 _compare(file, one, search, kept[rows], wanted)
 
@@ -180,6 +192,19 @@ def _add_up(poses: NDArray[np.float16]) -> NDArray[np.float64]:
     return sums
 
 
+def _find_lengths(portion: Portion, lengths: tuple[float, float]) -> tuple[int, int]:
+    """The first of the lengths of windows between two, and one past the last."""
+    shortest, longest = lengths
+    first = int(np.searchsorted(portion.lengths, shortest))
+    return first, int(np.searchsorted(portion.lengths, longest, side="right"))
+
+
+def _count(portion: Portion, chosen: BoolArray, lengths: tuple[float, float]) -> int:
+    """Windows of some takes of a file that are between two lengths."""
+    first, last = _find_lengths(portion, lengths)
+    return int(np.diff(portion.ends[first:last], axis=1)[:, chosen].sum())
+
+
 def _scan(
     file: IO[bytes],
     numbered: tuple[int, Portion],
@@ -189,9 +214,7 @@ def _scan(
 ) -> None:
     """Put the windows of some takes of a file through sieves."""
     number, portion = numbered
-    shortest, longest = searches[0][0].lengths
-    first = int(np.searchsorted(portion.lengths, shortest))
-    last = int(np.searchsorted(portion.lengths, longest, side="right"))
+    first, last = _find_lengths(portion, searches[0][0].lengths)
     if last <= first:
         return
     begin, end = int(portion.places[first]), int(portion.places[last])
