@@ -86,6 +86,7 @@ class LeafIndex:
     alive : for each part (N,) which of its clips are as they were; None for all.
     partial : by number, the joints that clips lack which the forest asks about: they are not among the above.
     source : what it was read from; None where nobody asks.
+    n_kept : of the parts, the first, that were read from all rows or from files; the others are of what changed since.
     """
 
     revision: int
@@ -98,6 +99,7 @@ class LeafIndex:
     alive: tuple[BoolArray | None, ...]
     partial: dict[int, str] = field(default_factory=dict)
     source: IndexedRows | None = None
+    n_kept: int = 1
 
     @cached_property
     def starts(self) -> IntArray:

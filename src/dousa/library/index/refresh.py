@@ -144,7 +144,7 @@ def refresh_index(connection: sa.Connection, revision: int, stored: StoredForest
     if len(known.parts) > _MOST_PARTS:  # the small ones become one
         alive, again = _fold(known, alive)
         fresh = np.union1d(fresh, again)
-    n_changed = len(fresh) + sum(int(a.sum()) for a in alive[1:])
+    n_changed = len(fresh) + sum(int(a.sum()) for a in alive[known.n_kept :])
     if n_changed > max(_MOST_CHANGED * len(known.parts[0]), 1000):
         return None
     lacking = renew_lacking(connection, known, changed)
@@ -163,6 +163,7 @@ def refresh_index(connection: sa.Connection, revision: int, stored: StoredForest
         parts=tuple(parts[place] for place in kept),
         votes=tuple(votes[place] for place in kept),
         alive=tuple(None if alive[place].all() else alive[place] for place in kept),
+        n_kept=sum(place < known.n_kept for place in kept),
     )
 
 
@@ -222,5 +223,6 @@ def _compare_blocks(
 
 def _fold(known: LeafIndex, alive: list[BoolArray]) -> tuple[list[BoolArray], IntArray]:
     """All clips of the small parts as if they were gone, and their numbers."""
-    again = [part.ids[own] for part, own in zip(known.parts[1:], alive[1:], strict=True)]
-    return [alive[0], *(np.zeros_like(own) for own in alive[1:])], np.concatenate(again)
+    n_kept = known.n_kept
+    again = [part.ids[own] for part, own in zip(known.parts[n_kept:], alive[n_kept:], strict=True)]
+    return [*alive[:n_kept], *(np.zeros_like(own) for own in alive[n_kept:])], np.concatenate(again)

@@ -280,7 +280,7 @@ def read_side_file(path: Path, stored: StoredForest) -> tuple[LeafIndex, bool] |
     if kept is None:
         return None
     index = make_index(-1, stored, kept.source, kept.parts, kept.votes)
-    return replace(index, alive=kept.alive), kept.votes is not None
+    return replace(index, alive=kept.alive, n_kept=len(kept.parts)), kept.votes is not None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
