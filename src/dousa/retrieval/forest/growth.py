@@ -526,11 +526,11 @@ def _look_at_leaves(material: _Material, trees: Trees, n_classes: int) -> _Touch
     grows = (strangers > 0) & (strangers * _MOST_OTHERS >= sizes)
     if by_examples:
         grows[grows] = [len(some) > 0 for some in material.find_examples(numbers[grows])]
+        few = later.sum(axis=1) * _MOST_SILENT < sizes
+        counts[few] = trained[few]
     if trees.trained is not None:  # disturbed copies, too, which stand nowhere
         for row in np.flatnonzero(~later.any(axis=1)):
             counts[row] = trees.trained.of(int(numbers[row]), n_classes)
-        few = later.sum(axis=1) * _MOST_SILENT < sizes
-        counts[few] = trained[few]
     return _Touched(numbers, counts, trained if by_examples else np.zeros_like(trained), known, usual, grows)
 
 
