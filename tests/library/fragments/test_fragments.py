@@ -154,7 +154,7 @@ def test_another_program_that_reads_an_earlier_state_goes_on(moved, library_file
             writer.compact()
         assert next(reading)[1].n_frames == 24
         reading.close()
-    assert len(moved.compact().to_json()) == 6
+    assert len(moved.compact().to_json()) == 7
     assert len(list_fragments(moved)) == 1
 
 
