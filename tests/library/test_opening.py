@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import shutil
 import sqlite3
+import subprocess
 import sys
 import tempfile
 from collections.abc import Iterator
@@ -26,6 +27,7 @@ from dousa.errors import (
 from dousa.library import Library, schema
 from dousa.library import engine as _engine
 from dousa.library import opening as _opening
+from dousa.motion.synthetic import draw_performer, make_motion
 from fuzzing import count_tries
 from library.database_server import address, connect_plainly, run_sql
 
@@ -45,6 +47,37 @@ def test_create_makes_a_library_and_opens_it_again(tmp_path):
     assert os.listdir(tmp_path) == ["any name"]  # no log is left behind
     with closing(sqlite3.connect(path)) as connection:
         assert connection.execute("PRAGMA journal_mode").fetchone() == ("wal",)
+
+
+@pytest.mark.sqlite
+def test_a_program_that_opens_it_twice_keeps_its_log(tmp_path):
+    """To open a file and close it gives up a program's locks on it; another one would then take its log away."""
+    path = tmp_path / "moves.dousa"
+    visit = f"from dousa.library import Library\nwith Library.open({os.fspath(path)!r}) as library: library.clips()"
+    with Library.open(path, create=True) as library:
+        assert library.clips() == []
+        with Library.open(path) as again:
+            assert again.clips() == []
+        log = os.stat(f"{path}-wal").st_ino
+        subprocess.run([sys.executable, "-c", visit], check=True)
+        assert os.stat(f"{path}-wal").st_ino == log
+        library.add_motion(make_motion("walk", draw_performer(0)), "walk", "walk")
+        with Library.open(path) as again:
+            assert [clip.path for clip in again.clips()] == ["walk"]
+    with closing(sqlite3.connect(path)) as connection:
+        assert connection.execute("PRAGMA integrity_check").fetchone() == ("ok",)
+
+
+@pytest.mark.sqlite
+@pytest.mark.parametrize("content", [b"abc", b"x" * 511, b"x" * 5000, bytes(700), b"SQLite format 3\0" + b"x" * 600])
+def test_what_is_no_database_is_left_as_it_was(tmp_path, content):
+    path = tmp_path / "notes.dousa"
+    path.write_bytes(content)
+    for create in (True, False):
+        with pytest.raises(LibraryDamagedError, match="not a dousa library|damaged"):
+            Library.open(path, create=create)
+    assert path.read_bytes() == content
+    assert os.listdir(tmp_path) == ["notes.dousa"]
 
 
 def test_a_missing_library_says_how_to_make_one(tmp_path):

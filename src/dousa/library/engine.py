@@ -42,7 +42,7 @@ _READ_ONLY = "dousa_read_only"
 _ATTEMPTS = 3  # of working something out beside other writers
 _MOST_PAUSE = 0.2  # s
 _BUSY = 5.0  # s that SQLite waits by itself; it cannot be interrupted meanwhile
-_SQLITE_START = b"SQLite format 3\0"
+_LEAST_BYTES = 512  # of a database that is not empty: a page
 
 
 Plan = TypeVar("Plan")
@@ -124,14 +124,30 @@ def _check_place(path: Path, create: bool) -> None:
 
 
 def _is_something_else(path: Path) -> bool:
+    """Whether a file is no database; SQLite itself looks.
+
+    On POSIX a program that opens a file and closes it again gives up all locks that it has on it, those of its other
+    connections, too. SQLite knows that and closes later; else another program would take these connections for gone,
+    and the log away that they write to.
+    """
     if not os.path.isfile(path):
         return True  # a pipe would be waited for
+    size = os.path.getsize(path)
+    if size < _LEAST_BYTES:
+        return size > 0
     try:
-        with open(path, "rb") as file:
-            start = file.read(len(_SQLITE_START))
-    except OSError:
-        return False  # connecting says what is wrong
-    return start not in (b"", _SQLITE_START)
+        connection = sqlite3.connect(_name_for_sqlite(path, "mode=ro&immutable=1"), uri=True)
+        try:
+            connection.execute("PRAGMA schema_version").fetchone()
+        finally:
+            connection.close()
+    except sqlite3.Error as error:
+        return getattr(error, "sqlite_errorname", "") == "SQLITE_NOTADB"  # else connecting says what is wrong
+    return False
+
+
+def _name_for_sqlite(path: Path, options: str) -> str:
+    return f"file:{quote(os.fsencode(path.as_posix()))}?{options}"
 
 
 def _connect(path: Path, create: bool, read_only: bool, timeout: float) -> sqlite3.Connection:
@@ -160,7 +176,7 @@ def _free_lock_files(path: Path) -> None:
 
 
 def _connect_as(path: Path, options: str, timeout: float) -> sqlite3.Connection:
-    name = f"file:{quote(os.fsencode(path.as_posix()))}?{options}"
+    name = _name_for_sqlite(path, options)
     connection = sqlite3.connect(name, uri=True, timeout=timeout, check_same_thread=False, isolation_level=None)
     try:
         connection.execute("SELECT count(*) FROM sqlite_master")
