@@ -74,7 +74,7 @@ def test_what_is_no_database_is_left_as_it_was(tmp_path, content):
     path = tmp_path / "notes.dousa"
     path.write_bytes(content)
     for create in (True, False):
-        with pytest.raises(LibraryDamagedError, match="not a dousa library|damaged"):
+        with pytest.raises(LibraryDamagedError, match=r"not a dousa library|damaged"):
             Library.open(path, create=create)
     assert path.read_bytes() == content
     assert os.listdir(tmp_path) == ["notes.dousa"]
