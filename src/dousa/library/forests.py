@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
+from hashlib import blake2b
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -130,6 +131,12 @@ def find_leaves(stored: StoredForest, features: FloatArray) -> NDArray[np.int32]
     for start in range(0, len(features), _AT_ONCE):
         leaves[start : start + _AT_ONCE] = stored.forest.apply(features[start : start + _AT_ONCE])
     return leaves
+
+
+def make_keys(hashes: Iterable[str]) -> NDArray[np.uint64]:
+    """Numbers that stand for the contents of clips, of which hashes are given: a forest grows by them in any order."""
+    digests = (blake2b(content.encode(), digest_size=8).digest() for content in hashes)
+    return np.array([int.from_bytes(digest) for digest in digests], np.uint64)
 
 
 def check_leaves(stored: StoredForest, leaves: NDArray[np.int32]) -> None:

@@ -158,6 +158,16 @@ def read_kept(library: Library, folder) -> tuple[LeafIndex, bool]:
         return refresh.refresh_index(connection, read_revision(connection), stored, index), has_votes
 
 
+def change_and_teach(library, library_file, folder, write_move, turn, category):
+    """Two clips are changed here, and another program adds two."""
+    library.relabel([2 + turn], category="bow" if turn % 2 else None)
+    library.remove([9 + turn])
+    for number in range(2):
+        write_move(folder / category / f"{turn}{number}.bvh", "bow", 70 + 2 * turn + number)
+    with Library.open(library_file) as other:
+        assert other.add(folder, n_jobs=1).n_learned == 2
+
+
 @pytest.mark.parametrize("block", [4, refresh.BLOCK])
 def test_what_a_forest_has_learned_is_in_the_file(
     library, library_file, tmp_path, read, large, monkeypatch, write_move, block
@@ -166,12 +176,7 @@ def test_what_a_forest_has_learned_is_in_the_file(
     monkeypatch.setattr(refresh, "BLOCK", block)
     library.train(n_trees=20)
     for turn, category in enumerate(("nod", "wave", "nod", "bow")):
-        library.relabel([2 + turn], category="bow" if turn % 2 else None)
-        library.remove([9 + turn])
-        for number in range(2):
-            write_move(tmp_path / "more" / category / f"{turn}{number}.bvh", "bow", 70 + 2 * turn + number)
-        with Library.open(library_file) as other:
-            assert other.add(tmp_path / "more", n_jobs=1).n_learned == 2
+        change_and_teach(library, library_file, tmp_path / "more", write_move, turn, category)
         del read[:]
         kept, has_votes = read_kept(library, tmp_path)
         assert read == [] and has_votes and kept.alive == (None,)
@@ -205,12 +210,7 @@ def test_a_later_file_has_what_a_forest_has_learned(
     (place,) = find_side_files(tmp_path)
     whole = place.read_bytes()
     for turn, category in enumerate(("nod", "a nod", "nod", "bow")):
-        library.relabel([2 + turn], category="bow" if turn % 2 else None)
-        library.remove([9 + turn])
-        for number in range(2):
-            write_move(tmp_path / "more" / category / f"{turn}{number}.bvh", "bow", 70 + 2 * turn + number)
-        with Library.open(library_file) as other:
-            assert other.add(tmp_path / "more", n_jobs=1).n_learned == 2
+        change_and_teach(library, library_file, tmp_path / "more", write_move, turn, category)
         assert place.read_bytes() == whole and find_later(tmp_path).exists()
         del read[:]
         kept, has_votes = read_kept(library, tmp_path)

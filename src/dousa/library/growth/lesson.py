@@ -9,7 +9,6 @@ how many were learned at a time.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from hashlib import blake2b
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -20,7 +19,7 @@ from dousa.arrays import BoolArray, FloatArray, IntArray
 from dousa.library import schema
 from dousa.library.engine import Database, next_revision
 from dousa.library.features import find_feature_set, load_features
-from dousa.library.forests import StoredForest, find_leaves, load_forest, update_forest
+from dousa.library.forests import StoredForest, find_leaves, load_forest, make_keys, update_forest
 from dousa.library.growth.examples import find_places, load_examples, make_examples, save_examples
 from dousa.library.index.renewal import LearnedRows, StandingRows, keep_learned, read_standing, teach_rows
 from dousa.library.seals.checksums import LEAVES, update_rows
@@ -184,8 +183,7 @@ class _Keys:
         wanted = self.ids[places].tolist()
         query = sa.select(clips.id, clips.content_hash)
         found = {row.id: row.content_hash for row in fetch_in(self.connection, query, clips.id, wanted)}
-        digests = (blake2b(found[number].encode(), digest_size=8).digest() for number in wanted)
-        return np.array([int.from_bytes(digest) for digest in digests], np.uint64)
+        return make_keys(found[number] for number in wanted)
 
 
 def _grow(

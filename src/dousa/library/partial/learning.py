@@ -12,7 +12,6 @@ import json
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from hashlib import blake2b
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -29,6 +28,7 @@ from dousa.library.forests import (
     fit_forest,
     hold_back,
     learn_unknown,
+    make_keys,
 )
 from dousa.messages import Message
 from dousa.retrieval.forest.calibration import Assessor
@@ -227,12 +227,19 @@ class Lesson:
             np.array([row.category for row in standing], np.str_),
             np.stack([answers.leaves[number] for number in ids.tolist()]),
             lambda places: self._read(ids[places].tolist()),
-            _make_keys(standing),
+            make_keys(row.content_hash for row in standing),
             np.array([number not in trained for number in ids.tolist()]),
         )
         own = [row.id for row in new]
         labels, features = np.array([row.category for row in new], np.str_), self._read(own)
-        growth = grow_forest(stored.forest, there, features, labels, keys=_make_keys(new), feature_set=self.kind)
+        growth = grow_forest(
+            stored.forest,
+            there,
+            features,
+            labels,
+            keys=make_keys(row.content_hash for row in new),
+            feature_set=self.kind,
+        )
         assessor = stored.assessor
         if assessor is not None:
             assessor = Assessor(growth.forest, assessor.calibration.with_clips(features, labels))
@@ -247,9 +254,3 @@ class Lesson:
         answers.poses.update((number, self._described[number].poses) for number in own)
         self._ask(grown, answers, again)
         return grown
-
-
-def _make_keys(rows: Sequence[Any]) -> NDArray[np.uint64]:
-    """Numbers that stand for the contents of clips."""
-    digests = (blake2b(row.content_hash.encode(), digest_size=8).digest() for row in rows)
-    return np.array([int.from_bytes(digest) for digest in digests], np.uint64)
