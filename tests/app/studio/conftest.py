@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import os
 import shutil
+import subprocess
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -18,8 +20,11 @@ pytest.importorskip("fastapi", reason="the studio is not installed: pip install 
 from app.browser import Page
 from app.studio.axe_core import AXE, find_faults
 from app.studio.evaluation_cases import write_dances
+from app.studio.forked_workers import use_forks
+from app.studio.one_address import Address
 from app.studio.studio_client import Client
 from dousa.app.studio import Settings, create_app
+from dousa.app.studio.jobs import lanes
 from made_once import make_once
 from patience import PATIENCE
 
@@ -48,6 +53,37 @@ def library_copy(trained_library: Path, tmp_path: Path) -> Iterator[Path]:
     files = sorted(trained_library.parent.rglob("*"))
     yield Path(shutil.copy(trained_library, tmp_path / "moves.dousa"))
     assert sorted(trained_library.parent.rglob("*")) == files, "a test has changed the files that all tests share"
+
+
+@pytest.fixture(scope="session")
+def forks() -> Iterator[Any]:
+    """What starts the workers of studios, see ``forked_workers.py``; coverage is measured in plain ones alone."""
+    if not hasattr(os, "fork") or os.environ.get("COVERAGE"):
+        yield None
+        return
+    with use_forks() as found:
+        yield found
+
+
+@pytest.fixture(scope="package", autouse=True)
+def forked_workers(forks: Any) -> Iterator[None]:
+    """Workers begin as forks."""
+    with pytest.MonkeyPatch.context() as patch:
+        if forks is not None:
+            patch.setattr(lanes, "subprocess", forks)
+        yield
+
+
+def _start_plainly(request: pytest.FixtureRequest) -> Iterator[None]:
+    """Workers of what has the mark ``plain_workers`` begin from nothing; each kind of work has such a test."""
+    with pytest.MonkeyPatch.context() as patch:
+        if request.node.get_closest_marker("plain_workers"):
+            patch.setattr(lanes, "subprocess", subprocess)
+        yield
+
+
+plain_workers_of_module = pytest.fixture(_start_plainly, scope="module", autouse=True)
+plain_workers_of_test = pytest.fixture(_start_plainly, autouse=True)
 
 
 @pytest.fixture
@@ -124,11 +160,20 @@ def listening(settings: Settings) -> Iterator[Running]:
             thread.join(timeout=PATIENCE)
 
 
-@pytest.fixture
-def running(library_copy: Path) -> Iterator[Running]:
-    """A studio for the browser."""
-    with listening(Settings(library_copy, token=TOKEN)) as found:
+@pytest.fixture(scope="session")
+def one_address() -> Iterator[Address]:
+    """Where the studios of all tests are found by the browser."""
+    found = Address()
+    with found.open():
         yield found
+
+
+@pytest.fixture
+def running(library_copy: Path, one_address: Address) -> Iterator[Running]:
+    """A studio for the browser."""
+    app = create_app(Settings(library_copy, token=TOKEN, port=one_address.port))
+    with one_address.serve(app):
+        yield Running(one_address.url, TOKEN, app)
 
 
 @pytest.fixture
@@ -144,7 +189,7 @@ def dances(tmp_path_factory: pytest.TempPathFactory) -> tuple[list[Path], Path]:
 
 
 @pytest.fixture
-def show(browser: Page, running: Running) -> Iterator[Callable[..., Page]]:
+def show(browser: Page, running: Running, one_address: Address) -> Iterator[Callable[..., Page]]:
     """``show("/library?x=1", width=1280, height=720, scheme="light", language="en")``: a page of that studio."""
 
     def open_page(path: str, width: int = 1280, height: int = 720, scheme: str = "light", language: str = "en") -> Page:
@@ -162,7 +207,7 @@ def show(browser: Page, running: Running) -> Iterator[Callable[..., Page]]:
 
     yield open_page
     # A page that is left open would ask a studio that is gone, and complain in the next test.
-    browser.driver.get("about:blank")
+    one_address.leave(browser)
 
 
 @pytest.fixture

@@ -58,6 +58,7 @@ def test_other_pages_and_names_are_refused(studio, headers, status):
     assert studio.get("/api/info", headers=headers).status_code == status
 
 
+@pytest.mark.plain_workers
 def test_an_uploaded_motion_is_added_and_the_answer_says_so(studio, bvh, wait_job):
     batch = studio.post("/api/uploads?name=hop/new.bvh", content=bvh.read_bytes() + b"\n").json()["batch"]
     job = studio.post("/api/jobs/add", json={"batch": batch}).json()

@@ -88,6 +88,7 @@ def npz(**arrays: Any) -> bytes:
 
 
 class TestBefore:
+    @pytest.mark.plain_workers
     def test_a_look_shows_views_cameras_and_silhouettes(self, client, batch):
         found = look(client, batch=batch, frames="2:")
         assert found["missing"] is None
@@ -144,6 +145,7 @@ class TestBefore:
         found = look(client, batch=upload(client, ("huge.npz", file.getvalue())))
         assert found["missing"] and found["views"] == []
 
+    @pytest.mark.plain_workers
     def test_the_example_is_ready_to_be_estimated(self, client):
         answer = client.post("/api/estimations/example")
         assert answer.status_code == 201 and 1.4 < answer.json()["stature_m"] < 2.1
@@ -222,6 +224,7 @@ def _ref(job: dict[str, Any]) -> Any:
 
 
 class TestStopped:
+    @pytest.mark.plain_workers
     def test_stopped_work_goes_on_where_it_was(self, client, tmp_path):
         content = write_scene(tmp_path / "long.npz", 90).read_bytes()
         batch = upload(client, ("long.npz", content))

@@ -29,6 +29,7 @@ def read_zip(content):
     return archive, {row["file"]: row for row in rows}
 
 
+@pytest.mark.plain_workers
 def test_clips_on_a_character(studio, character, tmp_path, wait_job):
     motion, height = character
     said = studio.get("/api/export/character", params={"motion": motion}).json()

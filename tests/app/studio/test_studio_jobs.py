@@ -19,6 +19,8 @@ from dousa.errors import OptionError
 from dousa.messages import Message
 from patience import PATIENCE
 
+pytestmark = pytest.mark.plain_workers
+
 
 class Work:
     """Work that goes on until it is let go or stopped."""

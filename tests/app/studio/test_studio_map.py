@@ -28,6 +28,7 @@ def test_without_a_map_that_is_said(studio):
     assert (told["is_made"], told["ids"], told["n_new"]) == (False, [], N)
 
 
+@pytest.mark.plain_workers
 def test_the_map_has_every_clip_with_its_category(mapped):
     told = mapped.get("/api/map").json()
     clips = {clip["id"]: clip for clip in mapped.get("/api/clips", params={"limit": 100}).json()["items"]}

@@ -13,6 +13,7 @@ from app.studio.estimating_scenes import write_films, write_scene
 from dousa.app.studio import Settings, create_app
 from dousa.estimation import read_cameras, read_silhouettes
 
+pytestmark = pytest.mark.plain_workers
 N_FRAMES = 8
 THING, AT = (slice(97, 109), slice(70, 125)), 5  # a shadow below the feet, in one frame
 ERASE = {"view": 0, "frame": AT, "action": "remove", "points": [[70, 104], [125, 104]], "radius": 5}

@@ -22,6 +22,7 @@ def planted(running):
     return library, kick, squat
 
 
+@pytest.mark.plain_workers
 def test_a_review_is_a_job_with_doubts_and_duplicates(studio):
     library = studio.app.state.studio.library
     first = library.clips(category="squat")[0].id
@@ -85,6 +86,7 @@ def test_wrong_labels_are_decided_by_keys_and_taken_back(show, planted):
     assert page.messages() == []
 
 
+@pytest.mark.plain_workers
 def test_an_empty_library_is_filled_with_the_demo_by_a_button(browser, tmp_path):
     with listening(Settings(tmp_path / "new.dousa", token=TOKEN)) as running:
         browser.resize(1280, 720)

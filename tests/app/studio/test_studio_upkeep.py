@@ -34,6 +34,7 @@ def test_damage_is_found_and_repaired(studio, wait_job, library_copy):
         assert library.check().damage == ()
 
 
+@pytest.mark.plain_workers
 def test_a_structure_is_not_repaired_under_an_open_studio(studio, wait_job, library_copy):
     damage(library_copy, "DELETE FROM clips WHERE id = 3")  # foreign keys are not looked at
     before = library_copy.stat().st_ino
@@ -74,6 +75,7 @@ def test_files_of_jobs_are_read_once(tmp_path, monkeypatch):
     assert mentioned.list() == set()
 
 
+@pytest.mark.plain_workers
 def test_arrays_are_moved_to_fragments(studio, wait_job, library_copy):
     asked = {"query": {"motion": "clip:1"}}
     before = studio.post("/api/search", json=asked).json()["results"]

@@ -46,6 +46,7 @@ def test_what_is_new_is_taken_once_when_it_rests(tmp_path, squat):
     assert not watch.look() and not watch.look(), "what has gone stays in the library"
 
 
+@pytest.mark.plain_workers
 def test_what_appears_goes_into_the_library_with_its_folder_as_category(studio, tmp_path, squat, wait_job):
     from dousa.app.studio.server import _watch
 
