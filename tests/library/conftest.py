@@ -94,6 +94,29 @@ def _database_server() -> Iterator[None]:
         yield
 
 
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """What has a server of its own is the same where all have one: the other run of the tests has it."""
+    reason = f"the same without DOUSA_TEST_DATABASE={database_server.WANTED}"
+    for item in items if database_server.WANTED else ():
+        if "server" in getattr(item, "fixturenames", ()):
+            item.add_marker(pytest.mark.skip(reason=reason))
+
+
+@pytest.fixture(scope="session")
+def server() -> Iterator[database_server.Server]:
+    """A PostgreSQL server with a data folder and a port of its own; skips the test where there is none."""
+    if reason := database_server.why_no_server():
+        pytest.skip(reason)
+    with database_server.run_server() as start:
+        yield database_server.Server(start)
+
+
+@pytest.fixture
+def url(server: database_server.Server) -> str:
+    """Of an empty database of that server."""
+    return server.make()
+
+
 @pytest.fixture(autouse=True)
 def _databases_of_a_test(request: pytest.FixtureRequest) -> Iterator[None]:
     """A test on a server leaves no databases behind."""

@@ -9,23 +9,7 @@ import pytest
 
 from dousa.errors import OptionError
 from dousa.library import Library
-from library.database_server import Server, connect_plainly, run_server, why_no_server
-
-pytestmark = pytest.mark.skipif(why_no_server() is not None, reason=str(why_no_server()))
-
-
-@pytest.fixture(scope="module")
-def server():
-    """A server with a data folder and a port of its own."""
-    with run_server() as start:
-        yield Server(start)
-
-
-@pytest.fixture
-def url(server):
-    """Of an empty database."""
-    return server.make()
-
+from library.database_server import connect_plainly
 
 _CREATE = """
 import sys
@@ -34,13 +18,6 @@ from dousa.library import Library
 print("ready", flush=True)
 sys.stdin.readline()
 Library.open(sys.argv[1], create=True).close()
-"""
-_ADD = """
-import sys
-from dousa.library import Library
-
-with Library.open(sys.argv[1], timeout=60.0) as library:
-    library.add(sys.argv[2], n_jobs=1)
 """
 
 
@@ -62,23 +39,6 @@ def test_four_programs_make_one_library_at_once(url, attempt):
     assert [program.returncode for program in programs] == [0, 0, 0, 0]
     with Library.open(url) as library:
         assert library.clips() == []
-
-
-def test_four_programs_add_to_a_trained_library(url, moves, write_move, tmp_path):
-    with Library.open(url, create=True) as library:
-        library.add(moves, performer_from=r"name:_(p\d)", n_jobs=1)
-        library.train(n_trees=10, n_jobs=1)
-    folders = [tmp_path / f"in{n}" for n in range(4)]
-    for n, folder in enumerate(folders):
-        for seed in range(3):
-            write_move(folder / "wave" / f"w{n}_{seed}.bvh", "wave", 1000 + 10 * n + seed)
-    programs = [run_program(_ADD, url, folder) for folder in folders]
-    assert [program.wait() for program in programs] == [0, 0, 0, 0]
-    with Library.open(url) as library:
-        assert library.categories()["wave"] == 5 + 12
-        assert library.stats().n_learned == 12
-        assert len(library.search(1, 100).results) == 27
-        assert library.check().is_sound
 
 
 def test_the_same_answers_as_from_a_file(url, moves, tmp_path, write_move):

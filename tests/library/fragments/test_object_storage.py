@@ -9,7 +9,6 @@ from dousa.errors import LibraryError
 from dousa.library import Library
 from dousa.library.fragments import store
 from dousa.library.fragments.store import ObjectFragments, Place
-from library.database_server import Server, run_server, why_no_server
 
 pytest.importorskip("s3fs", reason="s3fs is not installed")
 moto = pytest.importorskip("moto.server", reason="moto is not installed")
@@ -56,30 +55,27 @@ def test_a_bucket_that_is_not_there(bucket):
         ObjectFragments("xyz://somewhere", "moves.dousa")
 
 
-@pytest.mark.skipif(why_no_server() is not None, reason=str(why_no_server()))
-def test_a_library_on_a_server_keeps_its_arrays_there(bucket, moves, write_move, tmp_path):
-    with run_server() as start:
-        url = Server(start).make()
-        with Library.open(url, create=True) as library:
-            library.add(moves, n_jobs=1)
-            library.train(n_trees=5, n_jobs=1)
-            answers = library.search(1, 20), library.trajectories(2).positions.tobytes()
-            with pytest.raises(LibraryError, match="--fragments-at"):
-                library.compact(fragments="")
-            report = library.compact(fragments=f"{bucket}/library")
-            assert report.moved > 0 and report.n_fragments >= 1
-            assert (library.search(1, 20), library.trajectories(2).positions.tobytes()) == answers
-        with Library.open(url) as library:
-            library.add(write_move(tmp_path / "in" / "wave" / "new.bvh", "wave", 99).parent.parent, n_jobs=1)
-            library.train(n_trees=5, n_jobs=1)
-            library.remove(category="squat")
-            before = library.search(1, 20)
-            library.compact()
-            assert library.search(1, 20) == before
-            assert library.check().damage == ()
-            with library.database.reading() as connection:
-                query = "SELECT count(*) FROM clip_features WHERE fragment IS NULL OR length(pose_features) > 0"
-                assert connection.execute(sa.text(query)).scalar_one() == 0
-            with pytest.raises(LibraryError) as caught:
-                library.compact(fragments=f"{bucket}/elsewhere")
-            assert caught.value.code == "library_fragments.other_place"
+def test_a_library_on_a_server_keeps_its_arrays_there(url, bucket, moves, write_move, tmp_path):
+    with Library.open(url, create=True) as library:
+        library.add(moves, n_jobs=1)
+        library.train(n_trees=5, n_jobs=1)
+        answers = library.search(1, 20), library.trajectories(2).positions.tobytes()
+        with pytest.raises(LibraryError, match="--fragments-at"):
+            library.compact(fragments="")
+        report = library.compact(fragments=f"{bucket}/library")
+        assert report.moved > 0 and report.n_fragments >= 1
+        assert (library.search(1, 20), library.trajectories(2).positions.tobytes()) == answers
+    with Library.open(url) as library:
+        library.add(write_move(tmp_path / "in" / "wave" / "new.bvh", "wave", 99).parent.parent, n_jobs=1)
+        library.train(n_trees=5, n_jobs=1)
+        library.remove(category="squat")
+        before = library.search(1, 20)
+        library.compact()
+        assert library.search(1, 20) == before
+        assert library.check().damage == ()
+        with library.database.reading() as connection:
+            query = "SELECT count(*) FROM clip_features WHERE fragment IS NULL OR length(pose_features) > 0"
+            assert connection.execute(sa.text(query)).scalar_one() == 0
+        with pytest.raises(LibraryError) as caught:
+            library.compact(fragments=f"{bucket}/elsewhere")
+        assert caught.value.code == "library_fragments.other_place"

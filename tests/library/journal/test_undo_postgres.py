@@ -8,7 +8,6 @@ import pytest
 
 from dousa.errors import LibraryError
 from dousa.library import Library
-from library.test_postgres import server, url  # noqa: F401
 
 pytest.importorskip("psycopg", reason="the driver psycopg is not installed")
 
@@ -17,7 +16,7 @@ def rows(library):
     return [(clip.id, clip.path, clip.category, clip.performer, clip.tags) for clip in library.clips()]
 
 
-def test_changes_come_back_with_the_same_answers(url, moves, write_move, tmp_path):  # noqa: F811
+def test_changes_come_back_with_the_same_answers(url, moves, write_move, tmp_path):
     with Library.open(url, create=True) as library:
         library.add(moves, n_jobs=1)
         library.train(n_trees=10, n_jobs=1)
@@ -45,7 +44,7 @@ def test_changes_come_back_with_the_same_answers(url, moves, write_move, tmp_pat
         assert library.journal() == []
 
 
-def test_of_several_who_undo_one_change_one_does(url, moves):  # noqa: F811
+def test_of_several_who_undo_one_change_one_does(url, moves):
     with Library.open(url, create=True) as library:
         library.add(moves, n_jobs=1)
         library.remove([1, 2, 3])
@@ -70,7 +69,7 @@ def test_of_several_who_undo_one_change_one_does(url, moves):  # noqa: F811
 
 
 @pytest.mark.usefixtures("url")
-def test_the_tables_of_an_older_dousa_get_a_journal(url, moves):  # noqa: F811
+def test_the_tables_of_an_older_dousa_get_a_journal(url, moves):
     import sqlalchemy as sa
 
     from dousa.library import schema
