@@ -87,37 +87,56 @@ def alone(files, tmp_path_factory):
     return make(tmp_path_factory.mktemp("alone") / "m.dousa", files, None)
 
 
-@pytest.mark.slow
-@needs_kill
-@pytest.mark.parametrize("killed", [False, True])
-def test_the_same_library_as_without_a_cluster(files, tmp_path, monkeypatch, alone, killed):
-    monkeypatch.setattr(cluster_module, "_MOST_BYTES", 100_000)  # several portions, some of them shared
+@pytest.fixture(scope="module")
+def workers():
+    """The address of a cluster whose workers live on."""
+    with run_cluster() as (address, _):
+        yield address
+
+
+@pytest.fixture
+def small_portions(monkeypatch):
+    """Several portions, some of them shared."""
+    monkeypatch.setattr(cluster_module, "_MOST_BYTES", 100_000)
     monkeypatch.setattr(cluster_module, "_INLINE", 10_000)
-    with run_cluster() as (address, pids):
-        made = make(tmp_path / "m.dousa", files, address, pids[0] if killed else None)
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures("small_portions")
+def test_the_same_library_as_without_a_cluster(files, tmp_path, alone, workers):
+    made = make(tmp_path / "m.dousa", files, workers)
     assert made[1] == alone[1]
     assert made[0] == alone[0]
 
 
 @pytest.mark.slow
 @needs_kill
-def test_a_client_that_was_killed_goes_on(files, tmp_path, alone):
-    path = tmp_path / "m.dousa"
-    with run_cluster() as (address, _):
-        words = [sys.executable, "-W", "ignore", "-c", _ADD, path, files / "first", address]
-        program = subprocess.Popen(words, stdout=subprocess.PIPE, text=True)
-        assert program.stdout is not None
-        with program.stdout as output:
-            for line in output:
-                if int(line) >= 20:
-                    break
-            program.kill()
-        assert program.wait() == -signal.SIGKILL
-        assert make(path, files, address) == alone
+@pytest.mark.usefixtures("small_portions")
+def test_the_same_library_where_a_worker_is_killed(files, tmp_path, alone):
+    with run_cluster() as (address, pids):
+        made = make(tmp_path / "m.dousa", files, address, pids[0])
+    assert made[1] == alone[1]
+    assert made[0] == alone[0]
 
 
 @pytest.mark.slow
-def test_experiments_give_the_same_numbers(files, monkeypatch):
+@needs_kill
+def test_a_client_that_was_killed_goes_on(files, tmp_path, alone, workers):
+    path = tmp_path / "m.dousa"
+    words = [sys.executable, "-W", "ignore", "-c", _ADD, path, files / "first", workers]
+    program = subprocess.Popen(words, stdout=subprocess.PIPE, text=True)
+    assert program.stdout is not None
+    with program.stdout as output:
+        for line in output:
+            if int(line) >= 20:
+                break
+        program.kill()
+    assert program.wait() == -signal.SIGKILL
+    assert make(path, files, workers) == alone
+
+
+@pytest.mark.slow
+def test_experiments_give_the_same_numbers(files, monkeypatch, workers):
     from dousa.app.pipelines.experiment_clips import read_labelled_clips
     from dousa.experiments import run_experiment
     from dousa.experiments.runner import run_tasks
@@ -125,24 +144,23 @@ def test_experiments_give_the_same_numbers(files, monkeypatch):
     from dousa.messages import Message
 
     found, reading = [], Message("progress.reading")
-    with run_cluster() as (address, _):
-        for where in (None, address):
-            with use_cluster(where):
-                rules = {"category_from": "folder", "performer_from": None, "options": ReadOptions()}
-                clips, skipped = read_labelled_clips([files / "first"], **rules)
-                assert len(skipped) == 1
-                result = run_experiment(clips, n_trees=5, systems=["forest"]).to_json()
-                made = list(run_tasks(abs, [-1, 2], lambda task: reading, n_jobs=1, progress=None))
-                scores = {name: one["confusions"] for name, one in result["systems"].items()}
-                found.append((scores, made))
-        with use_cluster(address) as cluster:
-            assert list(cluster.map(abs, range(-200, 0), most=7)) == list(range(200, 0, -1))
-            assert list(cluster.map(abs, [])) == []
-            with pytest.raises(ZeroDivisionError):
-                list(cluster.map(lambda number: 1 // number, [1, 0]))
-            monkeypatch.setattr(os.path, "getsize", lambda path: 1)  # what the workers see has another size
-            with pytest.raises(ClusterError, match="does not see"):
-                cluster.check_paths([files / "first" / "walk" / "broken.bvh"])
+    for where in (None, workers):
+        with use_cluster(where):
+            rules = {"category_from": "folder", "performer_from": None, "options": ReadOptions()}
+            clips, skipped = read_labelled_clips([files / "first"], **rules)
+            assert len(skipped) == 1
+            result = run_experiment(clips, n_trees=5, systems=["forest"]).to_json()
+            made = list(run_tasks(abs, [-1, 2], lambda task: reading, n_jobs=1, progress=None))
+            scores = {name: one["confusions"] for name, one in result["systems"].items()}
+            found.append((scores, made))
+    with use_cluster(workers) as cluster:
+        assert list(cluster.map(abs, range(-200, 0), most=7)) == list(range(200, 0, -1))
+        assert list(cluster.map(abs, [])) == []
+        with pytest.raises(ZeroDivisionError):
+            list(cluster.map(lambda number: 1 // number, [1, 0]))
+        monkeypatch.setattr(os.path, "getsize", lambda path: 1)  # what the workers see has another size
+        with pytest.raises(ClusterError, match="does not see"):
+            cluster.check_paths([files / "first" / "walk" / "broken.bvh"])
     assert found[0] == found[1]
 
 
