@@ -20,6 +20,7 @@ pytest.importorskip("fastapi", reason="the studio is not installed: pip install 
 from app.browser import Page
 from app.studio.axe_core import AXE, find_faults
 from app.studio.evaluation_cases import write_dances
+from app.studio.firefox import Firefox, open_firefox
 from app.studio.forked_workers import use_forks
 from app.studio.one_address import Address
 from app.studio.studio_client import Client
@@ -165,6 +166,13 @@ def one_address() -> Iterator[Address]:
     """Where the studios of all tests are found by the browser."""
     found = Address()
     with found.open():
+        yield found
+
+
+@pytest.fixture(scope="session")
+def firefox(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Firefox]:
+    """A headless Firefox, started once."""
+    with open_firefox(tmp_path_factory.mktemp("firefox") / "profile") as found:
         yield found
 
 

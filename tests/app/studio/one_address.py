@@ -15,6 +15,7 @@ import uvicorn
 from starlette.responses import HTMLResponse
 
 from app.browser import Page
+from app.studio.firefox import Firefox
 from dousa.app.studio.core.guard import with_headers
 from patience import PATIENCE
 
@@ -97,3 +98,8 @@ class Address:
         page.driver.get(f"{self.url}{_NOTHING}")
         page.run("sessionStorage.clear()")
         page.driver.execute_cdp_cmd("Storage.clearDataForOrigin", {"origin": self.url, "storageTypes": "all"})
+
+    def leave_firefox(self, page: Firefox) -> None:
+        """The same with a Firefox."""
+        page.open(f"{self.url}{_NOTHING}")
+        page.run("(sessionStorage.clear(), localStorage.clear())")

@@ -4,21 +4,13 @@ from __future__ import annotations
 
 import pytest
 
-from app.studio.firefox import open_firefox
-
 PAGES = ("library", "search?motion=clip:1", "takes", "evaluate?references=clip:1", "estimate", "live", "api")
 
 pytestmark = pytest.mark.browser
 
 
-@pytest.fixture(scope="module")
-def firefox(tmp_path_factory):
-    with open_firefox(tmp_path_factory.mktemp("firefox") / "profile") as found:
-        yield found
-
-
 @pytest.fixture
-def go(firefox, running):
+def go(firefox, running, one_address):
     """``go("library")``: a page of a studio in the browser."""
 
     def open_page(path, language="en", width=1280, height=800):
@@ -30,7 +22,7 @@ def go(firefox, running):
         return firefox
 
     yield open_page
-    firefox.open("about:blank")
+    one_address.leave_firefox(firefox)
 
 
 @pytest.mark.parametrize("path", PAGES)

@@ -9,7 +9,6 @@ import pytest
 
 from app.studio.estimating_scenes import write_scene
 from app.studio.evaluation_cases import write_dances
-from app.studio.firefox import open_firefox
 from app.studio.studio_client import Client
 from dousa.estimation import PackedSilhouettes, read_cameras, read_silhouettes, write_silhouettes
 
@@ -19,15 +18,8 @@ CONTROL = "\ue009"
 PATIENCE = 180.0  # s
 
 
-@pytest.fixture(scope="module")
-def firefox(tmp_path_factory):
-    with open_firefox(tmp_path_factory.mktemp("firefox") / "profile") as found:
-        found.resize(1440, 900)
-        yield found
-
-
 @pytest.fixture
-def go(firefox, running):
+def go(firefox, running, one_address):
     """``go("library")``: a page of a studio in the browser; it ends without a word in the console."""
 
     def open_page(path):
@@ -36,9 +28,11 @@ def go(firefox, running):
         return firefox
 
     firefox.said.clear()
+    firefox.resize(1440, 900)
     yield open_page
-    assert firefox.said == []
-    firefox.open("about:blank")
+    said = list(firefox.said)
+    one_address.leave_firefox(firefox)
+    assert said == []
 
 
 def appear(page, selector: str) -> None:
