@@ -157,14 +157,14 @@ def time_peer(votes: np.ndarray) -> float | None:
     return best
 
 
-def time_cold(path: Path, query: str) -> float:
+def time_cold(path: Path, query: str, count: int) -> float:
     command = shutil.which("dousa", path=str(Path(sys.executable).parent))
     if command is not None:
         words = [command, "search", str(path), query, "--json"]
     else:
         program = f"from dousa.library import Library; print(Library.open({str(path)!r}).search({query!r}).to_json())"
         words = [sys.executable, "-c", program]
-    return best_of(lambda: subprocess.run(words, check=True, capture_output=True), 5)
+    return best_of(lambda: subprocess.run(words, check=True, capture_output=True), count)
 
 
 def main() -> None:
@@ -172,6 +172,7 @@ def main() -> None:
     parser.add_argument("--clips", type=int, default=10_000)
     parser.add_argument("--categories", type=int, default=70)
     parser.add_argument("--train", type=int, nargs="+", default=[], metavar="N", help="train libraries of so many")
+    parser.add_argument("--cold", type=int, default=5, metavar="N", help="the best of so many cold commands")
     options = parser.parse_args()
     if options.train:
         time_training(options.train, options.categories)
@@ -187,7 +188,7 @@ def main() -> None:
         peer = time_peer(votes)
         if peer is not None:
             print(f"ratio, warm, peer / ours: {peer / ours:.2f}")
-        print(f"ours, cold command, a file: {time_cold(path, str(query)):.2f} s")
+        print(f"ours, cold command, a file: {time_cold(path, str(query), options.cold):.2f} s")
 
 
 if __name__ == "__main__":

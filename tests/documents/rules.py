@@ -138,7 +138,7 @@ BENCHMARKS = {
     "scale.py": "60 --categories 3",
     # These start a server and ask it, as tests/app/studio does: only their options are read.
     **{path.name: "--help" for path in sorted((ROOT / "benchmarks").glob("studio_*.py"))},
-    "search.py": "--clips 60 --categories 3",  # a page only trains
+    "search.py": "--clips 60 --categories 3 --cold 1",  # a page only trains
     "silhouette_candidates.py": "--candidates 100 --limbs left_forearm",
     "weigh_install.py": "--help",  # it needs the package index
     # These take minutes to an hour; two of them write what the package ships.
