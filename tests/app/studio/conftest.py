@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import shutil
 import subprocess
+import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -59,7 +60,7 @@ def library_copy(trained_library: Path, tmp_path: Path) -> Iterator[Path]:
 @pytest.fixture(scope="session")
 def forks() -> Iterator[Any]:
     """What starts the workers of studios, see ``forked_workers.py``; coverage is measured in plain ones alone."""
-    if not hasattr(os, "fork") or os.environ.get("COVERAGE"):
+    if not sys.platform.startswith("linux") or os.environ.get("COVERAGE"):
         yield None
         return
     with use_forks() as found:
