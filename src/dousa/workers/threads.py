@@ -1,8 +1,13 @@
-"""Small pieces of work side by side, in threads: a few of them at a time, as handing one over costs time too."""
+"""Small pieces of work side by side, in threads: a few of them at a time, as handing one over costs time too.
+
+Threads are those of the standard library: ``joblib.Parallel`` looks every 10 ms whether they are done, which is as long
+as some of what is done here. How many there are is asked of joblib.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from typing import TypeVar
 
 _One = TypeVar("_One")
@@ -28,14 +33,15 @@ def map_pieces(
     ------
     Whatever the work raises first.
     """
-    from joblib import Parallel, delayed, effective_n_jobs
+    from joblib import effective_n_jobs
 
-    if len(pieces) <= at_a_time or effective_n_jobs(n_jobs) == 1:
+    n_threads = 1 if len(pieces) <= at_a_time else effective_n_jobs(n_jobs)
+    if n_threads == 1:
         return [work(piece) for piece in pieces]
 
     def do_some(some: Sequence[_One]) -> list[_Answer]:
         return [work(piece) for piece in some]
 
-    parts = (pieces[first : first + at_a_time] for first in range(0, len(pieces), at_a_time))
-    done = Parallel(n_jobs=n_jobs, prefer="threads")(delayed(do_some)(part) for part in parts)
-    return [answer for some in done for answer in some]
+    parts = [pieces[first : first + at_a_time] for first in range(0, len(pieces), at_a_time)]
+    with ThreadPoolExecutor(min(n_threads, len(parts))) as threads:
+        return [answer for some in threads.map(do_some, parts) for answer in some]

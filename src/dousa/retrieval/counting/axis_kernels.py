@@ -65,21 +65,31 @@ def _reduce(square, diagonal, beside, moved):
             continue
         for i in range(len(mirror)):
             mirror[i] /= size
-        rest, some = square[k + 1 :, k + 1 :], moved[: len(mirror)]
+        some = moved[: len(mirror)]
         for i in range(len(mirror)):
-            some[i] = 2.0 * dot(rest[i], mirror)
+            some[i] = 2.0 * dot(square[k + 1 + i, k + 1 :], mirror)
         share = dot(some, mirror)
         for i in range(len(mirror)):
             some[i] -= share * mirror[i]
         for i in range(len(mirror)):
+            row, one, other = square[k + 1 + i, k + 1 :], mirror[i], some[i]
             for j in range(len(mirror)):
-                rest[i, j] -= mirror[i] * some[j] + some[i] * mirror[j]
+                row[j] -= one * some[j] + other * mirror[j]
     diagonal[count - 1], beside[count - 1] = square[count - 1, count - 1], 0.0
 
 
 @compiled
+def _keep_away(pivot):
+    """A pivot that can be divided by."""
+    return -_TINY if abs(pivot) < _TINY else pivot
+
+
+@compiled
 def _find_value(diagonal, beside, rank):
-    """The eigenvalue of a tridiagonal matrix than which ``rank`` are larger."""
+    """The eigenvalue of a tridiagonal matrix than which ``rank`` are larger.
+
+    Two halvings at a time: a processor divides for the middle and both of the next middles while it would wait for one.
+    """
     count, low, high = len(diagonal), np.inf, -np.inf
     for k in range(count):
         radius = abs(beside[k]) + (abs(beside[k - 1]) if k else 0.0)
@@ -87,16 +97,19 @@ def _find_value(diagonal, beside, rank):
     least = _NEAR * max(abs(low), abs(high)) + _TINY
     while high - low > least:
         middle = 0.5 * (low + high)
-        larger, pivot = 0, 1.0
+        below, above = 0.5 * (low + middle), 0.5 * (middle + high)
+        lower, larger, upper, one, two, three = 0, 0, 0, 1.0, 1.0, 1.0
         for k in range(count):
-            pivot = diagonal[k] - middle - (beside[k - 1] * beside[k - 1] / pivot if k else 0.0)
-            if abs(pivot) < _TINY:
-                pivot = -_TINY
-            larger += pivot > 0.0
-        if larger > rank:
-            low = middle
-        else:
-            high = middle
+            square = beside[k - 1] * beside[k - 1] if k else 0.0
+            one, two, three = (
+                _keep_away(diagonal[k] - below - square / one),
+                _keep_away(diagonal[k] - middle - square / two),
+                _keep_away(diagonal[k] - above - square / three),
+            )
+            lower, larger, upper = lower + (one > 0.0), larger + (two > 0.0), upper + (three > 0.0)
+        for half, found in ((middle, larger), (above, upper) if larger > rank else (below, lower)):
+            if high - low > least:
+                low, high = (half, high) if found > rank else (low, half)
     return 0.5 * (low + high)
 
 

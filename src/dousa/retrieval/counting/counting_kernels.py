@@ -229,6 +229,29 @@ def tally(points, height, smoothing, joints, places, courses, speeds, lines, cal
 
 
 @compiled
+def tally_all(
+    points, spans, height, smoothing, joints, places, left, frames, speeds, lines, calm, squares, sums, counts
+):  # fmt: skip
+    """``tally`` for parts of one recording ``points`` (n, J, 3), into ``counts`` (N, 28).
+
+    ``spans`` (N, 2) are the first frame of each part and the one after its last, two at least, and so many at most as
+    there is working memory for: ``places``, ``left``, ``speeds`` and ``lines`` are flat, ``frames`` are three flat
+    courses; the rest is as there.
+    """
+    for number in range(len(spans)):
+        part = points[spans[number, 0] : spans[number, 1]]
+        n, n_joints, width, even = len(part), points.shape[1], len(squares[0]), len(squares[1])
+        room = places[: 3 * n * n_joints].reshape(n, n_joints, 3), left[: 2 * n].reshape(n, 2)
+        courses = (
+            frames[0][: 3 * width * n].reshape(3, width, n),
+            frames[1][: 3 * width * n].reshape(3, width, n),
+            frames[2][: 3 * even * n].reshape(3, even, n),
+        )
+        fast, rows = speeds[: 3 * n].reshape(3, n), lines[: N_LINES * n].reshape(N_LINES, n)
+        tally(part, height, smoothing, joints, room, courses, fast, rows, calm, squares, sums, counts[number])
+
+
+@compiled
 def choose(tallies, usual, known, n_counted, weights, least, farthest, most):
     """The count from 1 to ``most`` that tallies (28,) speak for: see ``counter``, which describes each count so.
 

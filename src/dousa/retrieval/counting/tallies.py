@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from dousa.arrays import FloatArray, read_only
+from dousa.arrays import FloatArray, IntArray, read_only
 from dousa.motion.canonical.joints import CANONICAL_JOINTS, JOINT_INDEX, MIRRORED_JOINTS
 from dousa.retrieval.counting import counting_kernels as counting
 from dousa.retrieval.counting import tally_kernels as kernels
@@ -81,6 +81,32 @@ def measure_tallies(sampled: FloatArray, height: float) -> FloatArray:
         for place, course, speed in zip(_PERIODS, courses, speeds, strict=True):
             if np.isnan(tallies[place]):
                 tallies[place] = _count_periods(course[1], speed)
+    return tallies
+
+
+def measure_parts(sampled: FloatArray, spans: IntArray, height: float) -> FloatArray:
+    """The same (N, 28) of parts of a recording, in less time than one by one.
+
+    Parameters
+    ----------
+    sampled : (n, 20, 3) m, canonical joints at 30 Hz, finite.
+    spans : (N, 2) the first frame of each part, and the one after its last.
+    height : m.
+    """
+    tallies, lengths, most = np.zeros((len(spans), len(TALLIES))), np.diff(spans, axis=1)[:, 0], counting.SHORT
+    short = np.flatnonzero((lengths >= 2) & (lengths <= most))
+    for number in np.setdiff1d(np.arange(len(spans)), short).tolist():
+        tallies[number] = measure_tallies(sampled[slice(*spans[number])], height)
+    found, points, width = tallies[short], np.ascontiguousarray(sampled, np.float64), 3 * len(_JOINTS)
+    frames = np.empty(3 * width * most), np.empty(3 * width * most), np.empty(3 * _N_EVEN * most)
+    sizes = (width, width), (_N_EVEN, _N_EVEN), (6, width), (3, width), (3, _N_EVEN)
+    counting.tally_all(
+        read_only(points), spans[short], float(height), _WEIGHTS, (HIPS, SHOULDERS, _INDEX, _OTHERS),
+        np.empty(most * points[0].size), np.empty(2 * most), frames, np.empty(3 * most),
+        np.empty(counting.N_LINES * most), (np.empty(counting.CALM), np.empty((counting.CALM, width))),
+        tuple(np.empty(size) for size in sizes), np.empty((3, most + 1)), found,
+    )  # fmt: skip
+    tallies[short] = found
     return tallies
 
 

@@ -19,6 +19,9 @@ _njit: Any = njit  # whose types leave out some of its options
 compiled = _njit(cache=True, nogil=True, error_model="numpy", no_cfunc_wrapper=True, _nrt=False)
 
 
+_AT_ONCE = 4  # frames
+
+
 @compiled
 def describe(sampled, height, weights, hips, shoulders, joints, room, left, poses):
     """Smoothed places of some joints in the body-fixed system.
@@ -48,8 +51,9 @@ def differentiate(poses, velocities, speeds):
     for k in range(count):
         curve, slopes = poses[k], velocities[k]
         slopes[0], slopes[n - 1] = curve[1] - curve[0], curve[n - 1] - curve[n - 2]
-        for t in range(1, n - 1):
-            slopes[t] = (curve[t + 1] - curve[t - 1]) / 2.0
+        inner, after = slopes[1:], curve[2:]
+        for t in range(n - 2):
+            inner[t] = (after[t] - curve[t]) / 2.0
         for t in range(n):
             speeds[t] += slopes[t] * slopes[t]
     for t in range(n):
@@ -237,16 +241,28 @@ def count_bouts(speeds, moving, gap):
 def correlate(curves, first, last, products):
     """The products of curves (K, n), from frame ``first`` to before ``last``, with themselves 0, 1, 2 ... frames later.
 
-    Into ``products`` (L,).
+    Into ``products`` (L,). Four frames are added at a time, in the order of time: the sums wait in registers, not in
+    memory.
     """
     most = len(products)
     products[:] = 0.0
     for k in range(len(curves)):
         curve = curves[k]
-        for t in range(first, last):
-            value = curve[t]
+        for t in range(first, last - _AT_ONCE + 1, _AT_ONCE):
+            one, two, three, four = curve[t:], curve[t + 1 :], curve[t + 2 :], curve[t + 3 :]
+            whole = min(most, last - t - _AT_ONCE + 1)
+            for lag in range(whole):
+                total = products[lag] + one[0] * one[lag]
+                total += two[0] * two[lag]
+                total += three[0] * three[lag]
+                products[lag] = total + four[0] * four[lag]
+            for lag in range(whole, min(most, last - t)):
+                for later in range(t, last - lag):
+                    products[lag] += curve[later] * curve[later + lag]
+        for t in range(last - (last - first) % _AT_ONCE, last):
+            one = curve[t:]
             for lag in range(min(most, last - t)):
-                products[lag] += value * curve[t + lag]
+                products[lag] += one[0] * one[lag]
 
 
 @compiled
@@ -254,9 +270,11 @@ def normalise(curves, first, last, energy, products):
     """Make products (L,) of ``correlate`` a correlation, -1 to 1; ``energy`` (n + 1,) is working memory."""
     n = last - first
     energy[:] = 0.0
+    summed = energy[1:]
     for k in range(len(curves)):
+        curve = curves[k, first:]
         for t in range(n):
-            energy[t + 1] += curves[k, first + t] * curves[k, first + t]
+            summed[t] += curve[t] * curve[t]
     for t in range(n):
         energy[t + 1] += energy[t]
     for lag in range(len(products)):

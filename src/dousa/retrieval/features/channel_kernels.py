@@ -2,6 +2,9 @@
 the cells of windows.
 
 What each number means is told in ``channels``, in whose order the columns stand.
+
+An index that is a sum may be negative to the compiler, which then handles one value at a time; so parts of rows are
+slices, counted from 0, and a loop writes to one of them.
 """
 
 from __future__ import annotations
@@ -27,8 +30,9 @@ def _smooth_narrow(values, count, weights, out):
         out[k] = weights[0] * values[k]
     for step in range(1, len(weights)):
         weight, apart = weights[step], step * count
-        for k in range(apart, size - apart):
-            out[k] += weight * (values[k - apart] + values[k + apart])
+        inner, later = out[apart:], values[2 * apart :]
+        for k in range(size - 2 * apart):
+            inner[k] += weight * (values[k] + later[k])
         for k in range(min(apart, size)):
             later = values[k + apart] if k < size - apart else values[size - count + k % count]
             out[k] += weight * (values[k % count] + later)
@@ -48,14 +52,25 @@ def smooth(values, weights, out):
         _smooth_narrow(values.reshape(n * count), count, weights, out.reshape(n * count))
         return
     for t in range(n):
-        row = out[t]
+        row, own = out[t], values[t]
         for k in range(count):
-            row[k] = weights[0] * values[t, k]
-        for step in range(1, len(weights)):
-            weight = weights[step]
+            row[k] = weights[0] * own[k]
+        step = 1
+        while step + 2 < len(weights):  # three at a time: the sums wait in registers, not in memory
+            one, two, three = weights[step], weights[step + 1], weights[step + 2]
             sooner, later = values[max(t - step, 0)], values[min(t + step, last)]
+            sooner_still, later_still = values[max(t - step - 1, 0)], values[min(t + step + 1, last)]
+            soonest, latest = values[max(t - step - 2, 0)], values[min(t + step + 2, last)]
+            for k in range(count):
+                total = row[k] + one * (sooner[k] + later[k])
+                total += two * (sooner_still[k] + later_still[k])
+                row[k] = total + three * (soonest[k] + latest[k])
+            step += 3
+        while step < len(weights):
+            weight, sooner, later = weights[step], values[max(t - step, 0)], values[min(t + step, last)]
             for k in range(count):
                 row[k] += weight * (sooner[k] + later[k])
+            step += 1
 
 
 @compiled
@@ -272,12 +287,14 @@ def integrate_rows(rows, first_speed, n_speeds, at_rest, step, times, integrals)
         weight = effort * step
         times[t + 1] = times[t] + weight
         middle = 0.5 * (times[t] + times[t + 1])
+        row, last, now = rows[t], integrals[t], integrals[t + 1]
+        squares, moments, now_squares, now_moments = last[count:], last[2 * count :], now[count:], now[2 * count :]
         for k in range(count):
-            value = rows[t, k]
-            part = value * weight
-            integrals[t + 1, k] = integrals[t, k] + part
-            integrals[t + 1, count + k] = integrals[t, count + k] + part * value
-            integrals[t + 1, 2 * count + k] = integrals[t, 2 * count + k] + part * middle
+            now[k] = last[k] + row[k] * weight
+        for k in range(count):
+            now_squares[k] = squares[k] + row[k] * weight * row[k]
+        for k in range(count):
+            now_moments[k] = moments[k] + row[k] * weight * middle
 
 
 @compiled
@@ -288,14 +305,15 @@ def read_edge(integrals, times, edge, n_channels, row):
     share = edge - below
     whole = times[below + 1] - times[below]
     time = times[below] + share * whole
+    lower, upper = integrals[below], integrals[below + 1]
     for c in range(min(width, 2 * n_channels)):
-        row[c] = integrals[below, c] + share * (integrals[below + 1, c] - integrals[below, c])
+        row[c] = lower[c] + share * (upper[c] - lower[c])
     if width > n_channels:
         # Within a frame the value is constant, so its integral over time is a line, its moment a parabola.
         grown = 0.5 * (time * time - times[below] * times[below]) / whole
+        moments, lowest = row[2 * n_channels :], lower[2 * n_channels :]
         for c in range(n_channels):
-            value = integrals[below + 1, c] - integrals[below, c]
-            row[2 * n_channels + c] = integrals[below, 2 * n_channels + c] + grown * value
+            moments[c] = lowest[c] + grown * (upper[c] - lower[c])
     return time
 
 
@@ -309,7 +327,6 @@ def read_cells(integrals, times, edges, n_channels, work, out):
     values times the time, counted in cells from the start of the window. ``work`` (2, banks * n_channels) is working
     memory.
     """
-    squares, moments = n_channels, 2 * n_channels
     before, now = work[0], work[1]
     for w in range(out.shape[0]):
         earlier = 0.0
@@ -321,10 +338,13 @@ def read_cells(integrals, times, edges, n_channels, work, out):
                 for c in range(n_channels):
                     row[c] = (now[c] - before[c]) / cell
                 if integrals.shape[1] > n_channels:
+                    squares, square, sooner = row[n_channels + 1 :], now[n_channels:], before[n_channels:]
                     for c in range(n_channels):
-                        row[squares + 1 + c] = (now[squares + c] - before[squares + c]) / cell
-                        moment = now[moments + c] - before[moments + c] - earlier * (now[c] - before[c])
-                        row[moments + 1 + c] = (t - 1) * row[c] + moment / (cell * cell)
+                        squares[c] = (square[c] - sooner[c]) / cell
+                    moments, moment, sooner = row[2 * n_channels + 1 :], now[2 * n_channels :], before[2 * n_channels :]
+                    for c in range(n_channels):
+                        grown = moment[c] - sooner[c] - earlier * (now[c] - before[c])
+                        moments[c] = (t - 1) * row[c] + grown / (cell * cell)
             before, now = now, before
             earlier = time
 
@@ -367,6 +387,35 @@ def find_edges(times, starts, stops, parts, edges):
         for e in range(1, len(parts) - 1):
             edges[w, e] = _find_frame(times, begin + (end - begin) * parts[e], low, high)
             low = int(edges[w, e])
+
+
+@compiled
+def describe_clips(
+    positions, heights, pose_weights, heading_weights, hips, shoulders, fast, placed, apart, feet, pointing, rate, slow,
+    room, lefts, headings, angles, rows, answered, first_speed, n_speeds, at_rest, times, integrals, parts, edges, work,
+    cells, ends,
+):  # fmt: skip
+    """The cells of clips, each as a whole, into ``cells`` (N, T, 3 C + 1), by the steps above.
+
+    ``positions`` (N, n, J, 3), ``heights`` (N,); ``answered`` (C,) are the channels that are not 0; ``parts`` (T + 1,)
+    as in ``find_edges``; ``ends`` (2, 1) are 0 and n. ``times`` (n + 1,) and ``integrals`` (n + 1, 3 C) begin with
+    zeros; the rest is as there.
+    """
+    n, n_channels = positions.shape[1], rows.shape[1]
+    for clip in range(len(positions)):
+        describe_frames(
+            positions[clip], heights[clip], pose_weights, heading_weights, hips, shoulders, fast, placed, apart, feet,
+            pointing, rate, slow, room, lefts, headings, angles, rows,
+        )  # fmt: skip
+        for c in range(n_channels):
+            if not answered[c]:
+                for t in range(n):
+                    rows[t, c] = 0.0
+        integrate_rows(rows, first_speed, n_speeds, at_rest, 1.0 / rate, times, integrals)
+        find_edges(times, ends[0], ends[1], parts, edges)
+        for cell in range(cells.shape[1]):
+            cells[clip, cell, n_channels] = n / rate
+        read_cells(integrals, times, edges, n_channels, work, cells[clip : clip + 1])
 
 
 @compiled

@@ -16,7 +16,7 @@ from itertools import product
 
 import numpy as np
 
-from dousa.arrays import FloatArray, IntArray, read_only
+from dousa.arrays import BoolArray, FloatArray, IntArray, read_only
 from dousa.motion.canonical.joints import CANONICAL_JOINTS, JOINT_INDEX, MIRRORED_JOINTS
 from dousa.retrieval.features import channel_kernels as kernels
 from dousa.retrieval.features.pose_features import HIPS, SHOULDERS, say_joint
@@ -207,6 +207,33 @@ def compute_channels(positions: FloatArray, height: float) -> FloatArray:
         room, lefts, headings, angles, rows,
     )  # fmt: skip
     return rows
+
+
+def describe_clips(
+    positions: FloatArray, heights: FloatArray, answered: BoolArray, n_cells: int, cells: FloatArray
+) -> None:
+    """Means, duration, means of squares and of values times time, in the cells of clips, each as a whole.
+
+    Parameters
+    ----------
+    positions : (N, n, 20, 3) m, as for ``compute_channels``.
+    heights : (N,) m.
+    answered : (C,) whether a channel counts; the others are 0.
+    n_cells : T, of equal motion time.
+    cells : (N, T, 3 C + 1) that is filled.
+    """
+    _, n, n_joints, _ = positions.shape
+    room, lefts = np.empty((3, n, n_joints, 3)), np.empty((2, n, 2))
+    headings, angles, rows = np.empty(n), np.empty((2, n, 3 * len(_FAST))), np.empty((n, len(CHANNELS)))
+    times, integrals = np.zeros(n + 1), np.zeros((n + 1, 3 * len(CHANNELS)))
+    edges, work = np.empty((1, n_cells + 1)), np.empty((2, integrals.shape[1]))
+    kernels.describe_clips(
+        read_only(np.ascontiguousarray(positions, np.float64)), heights, _POSE_WEIGHTS, _HEADING_WEIGHTS,
+        HIPS, SHOULDERS, _FAST_INDEX, _PLACED_INDEX, _APART_INDEX, _FEET, _POINTING_INDEX, CHANNEL_RATE, _SLOW,
+        room, lefts, headings, angles, rows,
+        answered, _FIRST_SPEED, len(_FAST), _AT_REST, times, integrals, np.linspace(0.0, 1.0, n_cells + 1), edges,
+        work, cells, np.array([[0.0], [n]]),
+    )  # fmt: skip
 
 
 def integrate_channels(rows: FloatArray) -> tuple[FloatArray, FloatArray]:

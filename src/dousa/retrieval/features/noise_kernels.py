@@ -127,6 +127,17 @@ def choose(left, freedom, n, room, chosen):
 
 
 @compiled
+def choose_all(left, freedom, n, recordings, n_joints, room, chosen, variances):
+    """``choose`` for ``recordings`` (R,) out of those whose courses are all in ``left`` and ``chosen``.
+
+    The variance of each into ``variances`` (R,).
+    """
+    for r in range(len(recordings)):
+        first, stop = recordings[r] * n_joints, (recordings[r] + 1) * n_joints
+        variances[r] = choose(left[first:stop], freedom, n, room, chosen[first:stop])
+
+
+@compiled
 def weigh(waves, rows, kept, chosen, turns, spectrum):
     """What the chosen splines keep of the waves (J, 3, n) of some courses, as a ``spectrum`` of folded ones.
 
@@ -158,15 +169,16 @@ def raise_again(folded, rows, lines, smooth):
 
 
 @compiled
-def believe(courses, smooth, limit, room, changed, believed):
+def believe(courses, smooth, limit, rows, room, changed, believed, glitches):
     """Put what the splines say in the stead of glitches: into ``believed`` (J, 3, n), of joints that have any.
 
-    A glitch is a place whose squared error is beyond ``limit`` medians of its joint. ``changed`` (J,) are joints that
-    had one before, or have one now; ``room`` (2, n). Returns how many there are.
+    A glitch is a place whose squared error is beyond ``limit`` medians of its joint. ``rows`` (R,) are the joints that
+    are looked at; ``changed`` (J,) those that had one before, or have one now; ``room`` (2, n). How many there are in
+    each recording is added to ``glitches``, which has a number for each, of as many joints.
     """
-    count, n = 0, courses.shape[2]
+    n, n_joints = courses.shape[2], len(courses) // len(glitches)
     squared, ordered = room
-    for j in range(len(courses)):
+    for j in rows:
         for t in range(n):
             square = 0.0
             for axis in range(3):
@@ -175,13 +187,12 @@ def believe(courses, smooth, limit, room, changed, believed):
         beyond, here = limit * find_middle(ordered), 0
         for t in range(n):
             here += squared[t] > beyond
-        count += here
+        glitches[j // n_joints] += here
         changed[j] = changed[j] or here > 0
         if changed[j]:
             for axis in range(3):
                 for t in range(n):
                     believed[j, axis, t] = smooth[j, axis, t] if squared[t] > beyond else courses[j, axis, t]
-    return count
 
 
 @compiled

@@ -13,7 +13,7 @@ depends on the rate, the body or the movement.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -35,6 +35,7 @@ _GLITCH = 8.0  # standard deviations: what moves fast for a moment is no glitch;
 _MEDIAN_OF_SQUARES = 2.366  # of three normal deviates together, chi-squared
 _ROUNDS = 3
 _AT_ONCE = 1 << 18  # frames of joints: an hour does not fill the memory
+_TOGETHER = 1024  # frames of recordings of one length that are smoothed together: what a core's cache holds
 _SHORT = 300  # frames: the splines of clips are kept in memory, at most 34 MB of them
 _END = 3  # frames whose mean is where a joint begins, or ends
 _BONES = [
@@ -71,26 +72,48 @@ def reduce_noise(motion: PosedMotion) -> PosedMotion:
     ------
     InvalidMotionError : another shape than (n, 20, 3), no frame, no body height, a frame rate below 1 Hz.
     """
+    return reduce_noise_of_all([motion])[0]
+
+
+def reduce_noise_of_all(motions: Sequence[PosedMotion]) -> list[PosedMotion]:
+    """The same of several motions, in less time: those that have as many frames, and the same joints, go together."""
+    quiet, points = list(motions), [_thin(motion) for motion in motions]
+    alike: dict[tuple[int, bytes], list[int]] = {}
+    for number, places in enumerate(points):
+        finite: BoolArray = np.isfinite(places)
+        there: BoolArray = np.ones(places.shape[1], np.bool_) if finite.all() else np.all(finite, axis=(0, 2))
+        if len(places) >= _FEWEST and there.any():
+            alike.setdefault((len(places), there.tobytes()), []).append(number)
+    for (n_frames, kept), numbers in alike.items():
+        there, at_once = np.frombuffer(kept, np.bool_), max(_TOGETHER // n_frames, 1)
+        for first in range(0, len(numbers), at_once):
+            some = numbers[first : first + at_once]
+            together = np.stack([points[k] for k in some]) if len(some) > 1 else points[some[0]][None]
+            smooth, noise = smooth_together(together if there.all() else together[:, :, there])
+            for number, found, size in zip(some, smooth, noise.tolist(), strict=True):
+                if found is not None:
+                    quiet[number] = _put_back(motions[number], points[number], there, found, size)
+    return quiet
+
+
+def _thin(motion: PosedMotion) -> FloatArray:
+    """The places of a motion, at ``CHANNEL_RATE`` where it is faster."""
     points = check_shape(motion.positions, motion.height)
     check_frame_rate(motion.frame_rate)
-    rate = min(motion.frame_rate, CHANNEL_RATE)
-    if motion.frame_rate > CHANNEL_RATE:
-        points = sample_positions(points, motion.frame_rate)
-    finite: BoolArray = np.isfinite(points)
-    whole = bool(finite.all())
-    there: BoolArray = np.ones(points.shape[1], np.bool_) if whole else np.all(finite, axis=(0, 2))
-    if len(points) < _FEWEST or not there.any():
-        return motion
-    seen = points if whole else points[:, there]
-    smooth, noise = smooth_places(seen)
-    if smooth is seen:
-        return motion
-    quiet = smooth if whole else points.copy()
-    if not whole:
+    return sample_positions(points, motion.frame_rate) if motion.frame_rate > CHANNEL_RATE else points
+
+
+def _put_back(
+    motion: PosedMotion, points: FloatArray, there: BoolArray, smooth: FloatArray, noise: float
+) -> QuietMotion:
+    """A motion whose ``points`` (n, 20, 3) are the smooth ones, of the joints that are there."""
+    quiet = smooth
+    if not there.all():
+        quiet = points.copy()
         quiet[:, there] = smooth
     before, after = _measure_bones(points), _measure_bones(quiet)
     share = after / before if before > 0 and after > 0 else 1.0
-    return QuietMotion(quiet, rate, motion.height * share, noise)
+    return QuietMotion(quiet, min(motion.frame_rate, CHANNEL_RATE), motion.height * share, noise)
 
 
 def measure_unsteadiness(motion: PosedMotion) -> float:
@@ -120,27 +143,46 @@ def smooth_places(points: FloatArray) -> tuple[FloatArray, float]:
     points : (n, J, 3); the same array where there is neither noise nor a glitch.
     noise : in the unit of the points, along each axis.
     """
-    courses: FloatArray = np.ascontiguousarray(points.transpose(1, 2, 0))
+    (smooth,), noise = smooth_together(points[None])
+    return points if smooth is None else smooth, float(noise[0])
+
+
+def smooth_together(points: FloatArray) -> tuple[list[FloatArray | None], FloatArray]:
+    """The same of R recordings of the same length (R, n, J, 3), each for itself.
+
+    Returns
+    -------
+    points : (n, J, 3) of each; None where there is neither noise nor a glitch.
+    noise : (R,)
+    """
+    n_recordings, n_frames, n_joints, _ = points.shape
+    courses: FloatArray = np.ascontiguousarray(points.transpose(0, 2, 3, 1)).reshape(-1, 3, n_frames)
     believed, limit = courses, _GLITCH**2 / _MEDIAN_OF_SQUARES
-    changed, room = np.zeros(len(courses), np.bool_), np.empty((2, len(points)))
-    splines = _Splines(courses)
-    noise = splines.choose()
+    changed, room = np.zeros((n_recordings, n_joints), np.bool_), np.empty((2, n_frames))
+    splines = _Splines(courses, n_recordings)
+    noise = splines.choose(np.arange(n_recordings))
+    noisy = np.flatnonzero(noise >= _NO_NOISE)
     for _ in range(_ROUNDS):
-        if noise < _NO_NOISE:
+        if not len(noisy):
             break
         believed = courses.copy() if believed is courses else believed
-        if not kernels.believe(courses, splines.draw(), limit, room, changed, believed):
-            break
-        splines.read(believed, np.flatnonzero(changed))
-        noise = splines.choose()
-    if noise < _NO_NOISE and not changed.any():
-        return points, noise
-    smooth = believed if noise < _NO_NOISE else splines.draw()
-    return np.ascontiguousarray(smooth.transpose(2, 0, 1)), noise
+        glitches, rows = np.zeros(n_recordings, np.int64), splines.list_joints(noisy)
+        kernels.believe(courses, splines.draw(noisy), limit, rows, room, changed.ravel(), believed, glitches)
+        noisy = np.flatnonzero(glitches)
+        splines.read(believed, splines.list_joints(noisy)[changed[noisy].ravel()])
+        noise[noisy] = splines.choose(noisy)
+        noisy = noisy[noise[noisy] >= _NO_NOISE]
+    smooth = splines.draw(np.flatnonzero(noise >= _NO_NOISE)), believed
+    found: list[FloatArray | None] = []
+    for number, size in enumerate(noise.tolist()):
+        own = smooth[0 if size >= _NO_NOISE else 1].reshape(n_recordings, n_joints, 3, n_frames)[number]
+        same = size < _NO_NOISE and not changed[number].any()
+        found.append(None if same else np.ascontiguousarray(own.transpose(2, 0, 1)))
+    return found, noise
 
 
 class _Splines:
-    """The splines of all weights through the courses of joints, one of which is chosen for each.
+    """The splines of all weights through the courses of the joints of recordings, one of which is chosen for each.
 
     In the frequencies of a recording that is reflected at its ends, the penalty of a spline is diagonal (Garcia,
     "Robust smoothing of gridded data", Computational Statistics and Data Analysis 54, 2010). They come from a transform
@@ -149,16 +191,23 @@ class _Splines:
 
     Parameters
     ----------
-    courses : (J, 3, n).
+    courses : (R J, 3, n), recording after recording.
+    n_recordings : R.
     """
 
-    def __init__(self, courses: FloatArray) -> None:
-        n_joints, _, self._count = courses.shape
+    def __init__(self, courses: FloatArray, n_recordings: int) -> None:
+        n_courses, _, self._count = courses.shape
+        self._n_joints = n_courses // n_recordings
         self._list = _list_splines(self._count)
         self._lines, self._smooth, self._waves = (np.empty_like(courses) for _ in range(3))
-        self._left, self._room = np.empty((n_joints, len(_WEIGHTS))), np.empty((2, n_joints))
-        self._fitted, self._chosen = np.full((2, n_joints), -1)
-        self.read(courses, np.arange(n_joints))
+        self._left, self._room = np.empty((n_courses, len(_WEIGHTS))), np.empty((2, self._n_joints))
+        self._fitted, self._chosen = np.full((2, n_courses), -1)
+        self.read(courses, np.arange(n_courses))
+
+    def list_joints(self, recordings: IndexArray) -> IndexArray:
+        """Which courses are of some recordings."""
+        rows: IndexArray = (recordings[:, None] * self._n_joints + np.arange(self._n_joints)).ravel()
+        return rows
 
     def _portions(self, rows: IndexArray) -> Iterator[IndexArray]:
         some = max(_AT_ONCE // self._count, 1)
@@ -173,17 +222,23 @@ class _Splines:
             kernels.measure(self._waves, some, self._list.lost, self._left)
         self._fitted[rows] = -1
 
-    def choose(self) -> float:
-        """Choose the spline of each joint; returns the standard deviation of the errors of all."""
-        return float(np.sqrt(kernels.choose(self._left, self._list.freedom, self._count, self._room, self._chosen)))
+    def choose(self, recordings: IndexArray) -> FloatArray:
+        """Choose the spline of each joint of some recordings; returns the standard deviation of the errors in each."""
+        variances = np.empty(len(recordings))
+        kernels.choose_all(
+            self._left, self._list.freedom, self._count, recordings, self._n_joints, self._room, self._chosen, variances
+        )
+        return np.sqrt(variances)
 
-    def draw(self) -> FloatArray:
-        """The splines that are chosen (J, 3, n)."""
-        for some in self._portions(np.flatnonzero(self._chosen != self._fitted)):
+    def draw(self, recordings: IndexArray) -> FloatArray:
+        """The splines (R J, 3, n), of which those of some recordings are drawn as they are chosen now."""
+        rows = self.list_joints(recordings)
+        rows = rows[self._chosen[rows] != self._fitted[rows]]
+        for some in self._portions(rows):
             spectrum = np.empty((len(some), 3, self._count // 2 + 1), np.complex128)
             kernels.weigh(self._waves, some, self._list.kept, self._chosen, self._list.turns, spectrum)
             kernels.raise_again(np.fft.irfft(spectrum, self._count), some, self._lines, self._smooth)
-        self._fitted[:] = self._chosen
+        self._fitted[rows] = self._chosen[rows]
         return self._smooth
 
 

@@ -11,10 +11,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from dousa.arrays import BoolArray, FloatArray
+from dousa.arrays import BoolArray, FloatArray, IndexArray
 from dousa.retrieval.features.feature_sets import FeatureSet
 from dousa.retrieval.features.posed_motion import PosedMotion, check_shape
-from dousa.retrieval.features.sensor_noise import measure_unsteadiness, reduce_noise
+from dousa.retrieval.features.sensor_noise import measure_unsteadiness, reduce_noise_of_all
 from dousa.retrieval.forest.calibration import Assessor
 from dousa.retrieval.forest.evidence import EVIDENCE
 from dousa.workers.threads import map_pieces
@@ -24,6 +24,7 @@ from dousa.workers.threads import map_pieces
 _BY_FINDER, _BY_VOTES = 1.06, 2.74
 _LEAST_SHARE = 0.02
 _MOST_ODDS = 7.0
+_AT_ONCE = 16  # stretches that a thread looks at before it asks for more
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -87,13 +88,18 @@ class StretchJudge:
         """
         forest = self.assessor.forest
 
-        def look(span: tuple[float, float]) -> tuple[FloatArray, float]:
-            part = reduce_noise(cut_stretch(motion, *span))
-            return self.feature_set.compute_quiet(part), measure_unsteadiness(part)
+        def look(some: IndexArray) -> tuple[FloatArray, list[float]]:
+            parts = reduce_noise_of_all([cut_stretch(motion, *spans[k]) for k in some])
+            return self.feature_set.compute_quiet_all(parts), [measure_unsteadiness(part) for part in parts]
 
-        described, unsteady = zip(*map_pieces(look, spans, n_jobs), strict=True)
+        # What lasts equally long is described together.
+        order = np.argsort([stop - start for start, stop in spans], kind="stable")
+        pieces = np.split(order, range(_AT_ONCE, len(order), _AT_ONCE))
+        described, measured = zip(*map_pieces(look, pieces, n_jobs, at_a_time=1), strict=True)
         # As stored clips are: what is kept of features is single precision.
-        features = np.stack(described).astype(np.float32).astype(np.float64)
+        features, unsteady = np.empty((len(spans), *described[0].shape[1:]), np.float32), np.empty(len(spans))
+        features[order], unsteady[order] = np.concatenate(described), np.concatenate(measured)
+        features = features.astype(np.float64)
         leaves = forest.apply(features)
         votes = forest.histograms_of(leaves.astype(np.int64))
         numbers = {name: number for number, name in enumerate(categories) if name not in self.spared}
@@ -112,7 +118,7 @@ class StretchJudge:
             tuple(str(name) for name in forest.classes_[named]),
             np.maximum(leads, -_MOST_ODDS),
             seen.evidence[:, EVIDENCE.index("typical")],
-            np.array(unsteady),
+            unsteady,
             judged & ~seen.unknown,
             judged & seen.possible,
         )

@@ -47,6 +47,7 @@ from dousa.retrieval.takes.moments import (
 from dousa.retrieval.takes.repetitions import Chosen, count_all, is_clearer, lay_mirrored
 from dousa.retrieval.takes.sequence import FLOOR, N_PHASES, Run, SequenceModel, SequenceWeights, join_phases
 from dousa.retrieval.takes.windows import TAKE_RATE
+from dousa.workers.threads import map_pieces
 
 SHORT_GAP = 15
 """Frames between two actions, or at an end, that are shared out among them."""
@@ -212,8 +213,6 @@ class TakeLabeller:
     def _judge(
         self, sampled: FloatArray, height: float, n_jobs: int | None, views: Sequence[_View]
     ) -> list[NDArray[np.float32]]:
-        import joblib
-
         firsts = chunk_starts(len(sampled))
         shape = count_moments(len(sampled)), N_PHASES * len(self.classes) + 1
         scores = [np.empty(shape, np.float32) for _ in views]
@@ -223,10 +222,7 @@ class TakeLabeller:
             for some, view in zip(scores, views, strict=True):
                 some[rows] = view(values)
 
-        # One chunk alone is not worth the threads.
-        joblib.Parallel(n_jobs=n_jobs if len(firsts) > 1 else 1, prefer="threads")(
-            joblib.delayed(fill)(first) for first in firsts
-        )
+        map_pieces(fill, firsts, n_jobs, at_a_time=1)
         return scores
 
     @property
@@ -259,9 +255,9 @@ class TakeLabeller:
         """(W,) probability that segments are where some action is, from their evidence (W, K)."""
         return _weigh_evidence(evidence, self.placing or self.calibration)
 
-    def find_most(self, evidence: FloatArray) -> float:
-        """The greatest probability that a segment with some evidence (K,) is right, whoever judges it."""
-        return float(max(self.place(evidence[None])[0], self.confidence(evidence[None])[0]))
+    def find_most(self, evidence: FloatArray) -> FloatArray:
+        """(W,) the greatest probability that segments with some evidence (W, K) are right, whoever judges them."""
+        return np.maximum(self.place(evidence), self.confidence(evidence))
 
     def to_bytes(self) -> bytes:
         """The bytes of an .npz file (no pickle); the same labeller gives the same bytes."""
@@ -404,13 +400,13 @@ def weigh_chosen(
     if not chosen:
         return []
     evidence = np.stack([one.evidence for one in chosen])
-    sure = labeller.confidence(evidence)
-    said = [
-        replace(one, confidence=float(own), likely=bool(own >= labeller.threshold))
-        for one, own in zip(chosen, sure, strict=True)
-    ]
+    sure = labeller.confidence(evidence).tolist()
+
+    def believe(k: int) -> Chosen:
+        return replace(chosen[k], confidence=sure[k], likely=sure[k] >= labeller.threshold)
+
     if judge is None:
-        return said
+        return [believe(k) for k in range(len(chosen))]
     names = labeller.classes
     whole, spans = _divide(chosen)
     shares = np.stack([chosen[k].shares for k in whole])
@@ -418,11 +414,16 @@ def weigh_chosen(
     seen = _gather(judge.judge(motion, spans, found, shares, names, n_jobs), whole)
     placed = labeller.place(evidence)
     chances = combine_chances(placed, seen)
-    for k in np.flatnonzero(seen.judged).tolist():
+    said = []
+    for k, judged in enumerate(seen.judged.tolist()):
+        if not judged:
+            said.append(believe(k))
+            continue
         # That it is an action the sequence has decided; here is asked whether it is one that has a name.
         likely = bool(seen.sure[k] or chances[k] >= _EVEN * placed[k])
         category, possible = names.index(seen.names[k]), bool(likely or seen.possible[k])
-        said[k] = replace(said[k], category=category, confidence=float(chances[k]), likely=likely, possible=possible)
+        chance = float(chances[k])
+        said.append(replace(chosen[k], category=category, confidence=chance, likely=likely, possible=possible))
     return said
 
 
@@ -513,13 +514,15 @@ def label_take(
     if labeller.tells_sides:
         chosen = weigh_chosen(labeller, choose(labeller.judge(sampled, motion.height, n_jobs)), motion, judge, n_jobs)
     else:
-        own, mirrored = labeller.judge_both(sampled, motion.height, n_jobs)
-        chosen = weigh_chosen(labeller, choose(own), motion, judge, n_jobs)
+        scores = labeller.judge_both(sampled, motion.height, n_jobs)
+        own, mirrored = map_pieces(choose, scores, n_jobs, at_a_time=1)
+        chosen = weigh_chosen(labeller, own, motion, judge, n_jobs)
         # The clips make nothing likelier than that some action is there.
+        most = labeller.find_most(np.array([one.evidence for one in mirrored]).reshape(len(mirrored), N_EVIDENCE))
         possible = [
             one
-            for one in choose(mirrored)
-            if is_clearer(replace(one, confidence=labeller.find_most(one.evidence)), chosen)
+            for one, chance in zip(mirrored, most.tolist(), strict=True)
+            if is_clearer(replace(one, confidence=chance), chosen)
         ]
         image = CutStretch(mirror_positions(points), motion.frame_rate, motion.height)
         chosen = lay_mirrored(chosen, weigh_chosen(labeller, possible, image, judge, n_jobs), SHORT_GAP)

@@ -1,4 +1,8 @@
-"""Compiled loops over the moments of a recording: what lies around each, and the best sequence of segments."""
+"""Compiled loops over the moments of a recording: what lies around each, and the best sequence of segments.
+
+An index that is a sum may be negative to the compiler, which then handles one value at a time; so parts of rows are
+slices, counted from 0, and a loop writes to one of them.
+"""
 
 from __future__ import annotations
 
@@ -18,11 +22,13 @@ def integrate(rows, padding, first_speed, n_speeds, at_rest, sums, times):  # pr
     for t in range(n + 2 * padding):
         inside = padding <= t < padding + n
         row = rows[min(max(t - padding, 0), n - 1)]
-        effort = at_rest
-        for k in range(count):
-            value = row[k] if inside or k < first_speed else 0.0
-            sums[t + 1, k] = sums[t, k] + value
-            sums[t + 1, count + k] = sums[t, count + k] + value * value
+        last, squares, now, now_squares = sums[t], sums[t, count:], sums[t + 1], sums[t + 1, count:]
+        moving, effort = count if inside else first_speed, at_rest
+        for k in range(moving):
+            now[k] = last[k] + row[k]
+        for k in range(moving):
+            now_squares[k] = squares[k] + row[k] * row[k]
+        now[moving:count], now_squares[moving:] = last[moving:count], squares[moving:]
         if inside:
             for k in range(n_speeds):
                 effort += row[first_speed + 4 + k]
@@ -72,20 +78,22 @@ def describe(sums, times, moments, seconds, efforts, reach, out):  # pragma: no 
                     edge = _place(times, middle + edges[e], low, high)
                 below = min(int(edge), last - 1)
                 share = edge - below
+                lower, upper = sums[below], sums[below + 1]
                 for k in range(2 * count):
-                    now[k] = sums[below, k] + share * (sums[below + 1, k] - sums[below, k])
+                    now[k] = lower[k] + share * (upper[k] - lower[k])
                 if e > 0:
                     per_frame = 1.0 / max(edge - place, 1e-3)
+                    if kind == 0:
+                        means = out[m, column:]
+                        for k in range(count):
+                            means[k] = (now[k] - before[k]) * per_frame
+                        column += count
+                    spreads, squares, earlier = out[m, column:], now[count:], before[count:]
                     for k in range(count):
                         mean = (now[k] - before[k]) * per_frame
-                        square = (now[count + k] - before[count + k]) * per_frame
-                        spread = np.sqrt(max(square - mean * mean, 0.0))
-                        if kind == 0:
-                            out[m, column + k] = mean
-                            out[m, column + count + k] = spread
-                        else:
-                            out[m, column + k] = spread
-                    column += count * (2 - kind)
+                        square = (squares[k] - earlier[k]) * per_frame
+                        spreads[k] = np.sqrt(max(square - mean * mean, 0.0))
+                    column += count
                 before, now = now, before
                 place = edge
 
@@ -104,9 +112,11 @@ def place_mirrored(values, order, signs, lows, scales, highest, out):  # pragma:
     """The same of the mirror image: value ``order`` (F,) of a motion, times ``signs`` (F,), is that of its image."""
     nothing = np.float32(0.0)
     for m in range(values.shape[0]):
+        row, own = values[m], out[m]
         for f in range(values.shape[1]):
-            value = values[m, order[f]] * signs[f]
-            out[m, f] = min(max((value - lows[f]) * scales[f], nothing), highest)
+            own[f] = row[order[f]]
+        for f in range(values.shape[1]):
+            own[f] = min(max((own[f] * signs[f] - lows[f]) * scales[f], nothing), highest)
 
 
 @njit(cache=True, nogil=True)

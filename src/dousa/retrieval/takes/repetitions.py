@@ -9,12 +9,13 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from dousa.arrays import FloatArray
-from dousa.retrieval.counting.counter import choose_count, count_repetitions, find_usual
-from dousa.retrieval.counting.tallies import measure_tallies
+from dousa.retrieval.counting.counter import choose_count, find_usual
+from dousa.retrieval.counting.tallies import measure_parts, measure_tallies
 from dousa.retrieval.features.posed_motion import PosedMotion, check_motion
 from dousa.retrieval.takes.material.made_takes import SERIES
 from dousa.workers.threads import map_pieces
 
+_AT_ONCE = 16  # actions that a thread counts before it asks for more
 _LONGEST_REST = 90  # frames between neighbours of a series
 _LONGEST_SLIP = 45  # frames, where something lies there that is not likely right
 
@@ -147,13 +148,17 @@ def count_all(
     n_jobs : threads; None for one.
     """
     joined = [one for some in _find_series(chosen) for one in _join(some)]
-    counts = map_pieces(lambda one: _count(one, sampled, height, usual), joined, n_jobs)
-    return [replace(one, repetitions=count) for one, count in zip(joined, counts, strict=True)]
+
+    def count(some: Sequence[Chosen]) -> list[Chosen]:
+        tallies = measure_parts(sampled, np.array([(one.start, one.stop) for one in some]), height)
+        return [replace(one, repetitions=_count(one, own, usual)) for one, own in zip(some, tallies, strict=True)]
+
+    pieces = [joined[first : first + _AT_ONCE] for first in range(0, len(joined), _AT_ONCE)]
+    return [one for some in map_pieces(count, pieces, n_jobs, at_a_time=1) for one in some]
 
 
-def _count(one: Chosen, sampled: FloatArray, height: float, usual: FloatArray | None) -> int:
-    known = usual[one.category] if usual is not None and one.category < len(usual) else None
-    return count_repetitions(sampled[one.start : one.stop], height, known)
+def _count(one: Chosen, tallies: FloatArray, usual: FloatArray | None) -> int:
+    return choose_count(tallies, usual[one.category] if usual is not None and one.category < len(usual) else None)
 
 
 def _find_series(chosen: Sequence[Chosen]) -> list[list[Chosen]]:
