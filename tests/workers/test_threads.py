@@ -5,7 +5,7 @@ from __future__ import annotations
 import joblib
 import pytest
 
-from dousa.workers.threads import map_pieces
+from dousa.workers.threads import map_pieces, map_together
 
 
 @pytest.mark.parametrize("n_jobs", [None, 1, 2, 3])
@@ -22,3 +22,17 @@ def test_threads_of_the_configuration_are_used():
 def test_an_error_in_a_thread_is_raised():
     with pytest.raises(ZeroDivisionError):
         map_pieces(lambda number: 1 / (number - 20), range(40), 2)
+
+
+@pytest.mark.parametrize("n_jobs", [1, 2])
+def test_pieces_of_one_size_come_together(n_jobs):
+    pieces, portions = ["a", "bb", "c", "dd", "e", "f"], []
+
+    def shout(some):
+        portions.append(some)
+        return (piece.upper() for piece in some)
+
+    found = map_together(shout, pieces, [len(piece) for piece in pieces], n_jobs, at_a_time=2)
+    assert found == ["A", "BB", "C", "DD", "E", "F"]
+    assert sorted(portions) == [["a", "c"], ["bb", "dd"], ["e", "f"]]
+    assert map_together(shout, [], [], n_jobs) == []

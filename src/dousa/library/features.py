@@ -26,7 +26,7 @@ from dousa.motion.canonical.joints import JOINT_INDEX, CanonicalPoses, find_abse
 from dousa.retrieval.features.partial_bodies import hide_joints, order_joints
 from dousa.retrieval.features.posed_motion import SLOWEST_RATE
 from dousa.workers.current import current_cluster
-from dousa.workers.threads import map_pieces
+from dousa.workers.threads import map_together
 
 if TYPE_CHECKING:
     from dousa.arrays import FloatArray
@@ -98,18 +98,24 @@ def find_feature_set(name: str) -> FeatureSet:
 
 def describe_clip(motion: StoredMotion, feature_set: str) -> Description:
     """Features and poses of a motion whose positions are rounded; joints that the features leave out are hidden."""
+    return _describe_clips([motion], feature_set)[0]
+
+
+def _describe_clips(motions: Sequence[StoredMotion], feature_set: str) -> list[Description]:
     from dousa.retrieval.features.feature_sets import FEATURE_SETS, compute_track
     from dousa.retrieval.features.pose_sequences import compute_window_poses
-    from dousa.retrieval.features.sensor_noise import reduce_noise
+    from dousa.retrieval.features.sensor_noise import reduce_noise_of_all
 
-    wanted = find_feature_set(feature_set)
-    seen = hide_joints(motion, wanted.hidden)
-    # The poses are read from the integrals of the extended features: these are computed once for both.
-    track = compute_track(reduce_noise(seen), FEATURE_SETS["extended"].without(wanted.hidden))
-    poses = compute_window_poses(track, [0.0], [track.n_frames])[0]
-    features = track.describe([0.0], [track.n_frames])[0] if wanted is track.feature_set else wanted.compute(seen)
-    with np.errstate(over="ignore"):  # what is beyond float32 is beyond measure
-        return Description(feature_set, features.astype(np.float32).astype(np.float64), poses)
+    wanted, described = find_feature_set(feature_set), []
+    seen = [hide_joints(motion, wanted.hidden) for motion in motions]
+    for own, quiet in zip(seen, reduce_noise_of_all(seen), strict=True):
+        # The poses are read from the integrals of the extended features: these are computed once for both.
+        track = compute_track(quiet, FEATURE_SETS["extended"].without(wanted.hidden))
+        poses = compute_window_poses(track, [0.0], [track.n_frames])[0]
+        features = track.describe([0.0], [track.n_frames])[0] if wanted is track.feature_set else wanted.compute(own)
+        with np.errstate(over="ignore"):  # what is beyond float32 is beyond measure
+            described.append(Description(feature_set, features.astype(np.float32).astype(np.float64), poses))
+    return described
 
 
 def lacks(feature_set: str, absent: str) -> bool:
@@ -385,10 +391,10 @@ def describe_stored(
 def describe_motions(motions: Sequence[StoredMotion], feature_set: str, n_jobs: int | None = 1) -> list[Description]:
     """Describe motions whose positions are rounded, some at a time."""
     cluster = current_cluster()
-    describe = partial(describe_clip, feature_set=feature_set)
+    sizes = [motion.positions.nbytes for motion in motions]
     if cluster is not None:
-        return list(cluster.map(describe, motions, sizes=[motion.positions.nbytes for motion in motions]))
-    return map_pieces(describe, motions, choose_jobs(n_jobs))
+        return list(cluster.map(partial(describe_clip, feature_set=feature_set), motions, sizes=sizes))
+    return map_together(partial(_describe_clips, feature_set=feature_set), motions, sizes, choose_jobs(n_jobs))
 
 
 def keep_features(

@@ -21,11 +21,13 @@ from dousa.library.schema import pack
 from dousa.library.seals.checksums import FOREST, seal_rows, update_rows
 from dousa.library.selection import portions
 from dousa.workers.current import current_cluster
+from dousa.workers.threads import map_together
 
 if TYPE_CHECKING:
     from dousa.arrays import FloatArray
     from dousa.retrieval import MotionForest
     from dousa.retrieval.features.feature_sets import FeatureSet
+    from dousa.retrieval.features.posed_motion import PosedMotion
     from dousa.retrieval.forest.calibration import Assessor, Copies, Watch
     from dousa.retrieval.forest.likeness import Likeness
     from dousa.retrieval.takes.windows import WindowGrid
@@ -314,9 +316,8 @@ def describe_copies(
 
     None for features without banks: the paper knows no copies.
     """
-    from joblib import Parallel, delayed
-
     from dousa.retrieval.features.partial_bodies import hide_joints
+    from dousa.retrieval.features.sensor_noise import reduce_noise_of_all
     from dousa.retrieval.forest.calibration import Copies
     from dousa.retrieval.takes.material.disturbances import disturb_motion
 
@@ -324,19 +325,20 @@ def describe_copies(
     some = bool(rows) and kind.has_banks
     places = np.arange(0, len(rows), -(-len(rows) // MOST_COPIES)) if some else np.zeros(0, np.intp)
 
-    def describe(task: tuple[int, StoredMotion]) -> FloatArray:
-        place, motion = task
+    def disturb(place: int, motion: StoredMotion) -> PosedMotion:
         whole = kind.complete(hide_joints(motion, kind.hidden))
-        return kind.compute(disturb_motion(whole, np.random.default_rng(place)))
+        return disturb_motion(whole, np.random.default_rng(place))
+
+    def describe(tasks: Sequence[tuple[int, StoredMotion]]) -> FloatArray:
+        return kind.compute_quiet_all(reduce_noise_of_all([disturb(*task) for task in tasks]))
 
     motions = list(load_motions(connection, [clips.ids[rows[place]] for place in places]))
+    tasks, sizes = list(zip(places.tolist(), motions, strict=True)), [motion.positions.nbytes for motion in motions]
     cluster = current_cluster()
     if cluster is not None:
-        sizes = [motion.positions.nbytes for motion in motions]
-        features = list(cluster.map(describe, list(zip(places.tolist(), motions, strict=True)), sizes=sizes))
+        features = list(cluster.map(lambda task: describe([task])[0], tasks, sizes=sizes))
     else:
-        parallel = Parallel(n_jobs=choose_jobs(n_jobs), prefer="threads")
-        features = parallel(delayed(describe)(one) for one in zip(places.tolist(), motions, strict=True))
+        features = map_together(describe, tasks, sizes, choose_jobs(n_jobs))
     shape = (0, kind.n_frames, kind.n_columns)
     return Copies(places, np.stack(features) if features else np.zeros(shape))
 

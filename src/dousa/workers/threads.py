@@ -6,7 +6,7 @@ as some of what is done here. How many there are is asked of joblib.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from typing import TypeVar
 
@@ -45,3 +45,25 @@ def map_pieces(
     parts = [pieces[first : first + at_a_time] for first in range(0, len(pieces), at_a_time)]
     with ThreadPoolExecutor(min(n_threads, len(parts))) as threads:
         return [answer for some in threads.map(do_some, parts) for answer in some]
+
+
+def map_together(
+    work: Callable[[list[_One]], Iterable[_Answer]],
+    pieces: Sequence[_One],
+    sizes: Sequence[float],
+    n_jobs: int | None = None,
+    at_a_time: int = _AT_A_TIME,
+) -> list[_Answer]:
+    """The answers to all pieces, in their order, of work that is cheaper for several of one size together.
+
+    Parameters
+    ----------
+    work : called with some pieces, of sizes as near to each other as can be; gives an answer to each.
+    sizes : of the pieces.
+    n_jobs, at_a_time : as for `map_pieces`.
+    """
+    order = sorted(range(len(pieces)), key=lambda place: sizes[place])
+    parts = [order[first : first + at_a_time] for first in range(0, len(order), at_a_time)]
+    done = map_pieces(lambda part: list(work([pieces[place] for place in part])), parts, n_jobs, 1)
+    answers = dict(zip(order, (answer for some in done for answer in some), strict=True))
+    return [answers[place] for place in range(len(pieces))]

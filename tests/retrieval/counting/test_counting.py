@@ -21,7 +21,7 @@ from dousa.retrieval.counting.counter import (
     name_evidence,
     use_weights,
 )
-from dousa.retrieval.counting.tallies import COUNTED, TALLIES, correlate, count_swings, measure_tallies
+from dousa.retrieval.counting.tallies import COUNTED, TALLIES, correlate, count_swings, measure_parts, measure_tallies
 from dousa.retrieval.counting.tally_kernels import read_quantile
 
 HEIGHT = 1.7
@@ -52,6 +52,15 @@ def alternate_arms(times, seconds=0.8):
 )
 def test_made_cycles_are_counted(times, options):
     assert count_repetitions(raise_arms(times, **options), HEIGHT) == times
+
+
+def test_parts_of_a_recording_are_tallied_as_each_alone_is():
+    take = np.concatenate([raise_arms(3), alternate_arms(2), raise_arms(30, noise=0.02), raise_arms(2, rest=0.5)])
+    cuts = np.array([0, 1, 90, 108, 204, 204 + 400, len(take)])
+    spans = np.stack([cuts[:-1], cuts[1:]], axis=1)
+    expected = [measure_tallies(take[start:stop], HEIGHT) for start, stop in spans]
+    np.testing.assert_array_equal(measure_parts(take, spans, HEIGHT), expected)
+    assert measure_parts(take, spans[:0], HEIGHT).shape == (0, len(TALLIES))
 
 
 @pytest.mark.parametrize("noise", [0.0, 0.004, 0.03])

@@ -12,7 +12,7 @@ from dousa.motion.canonical.geometry import CHAIN_BONES, CHAIN_SHARES, chain_hei
 from dousa.motion.canonical.joints import JOINT_INDEX
 from dousa.retrieval import FEATURE_SETS, reduce_noise
 from dousa.retrieval.features.noise_kernels import measure_chain
-from dousa.retrieval.features.sensor_noise import smooth_places
+from dousa.retrieval.features.sensor_noise import reduce_noise_of_all, smooth_places
 
 HAND = JOINT_INDEX["right_hand"]
 
@@ -120,6 +120,20 @@ def test_groups_of_joints_change_nothing(monkeypatch):
     at_once = smooth_places(points)
     monkeypatch.setattr("dousa.retrieval.features.sensor_noise._AT_ONCE", 180)
     np.testing.assert_allclose(smooth_places(points)[0], at_once[0], atol=1e-12)
+
+
+def test_motions_together_are_those_one_by_one():
+    """Clean and noisy ones, with glitches and without a hand, of one length and of others, fast and too short."""
+    motions = [wave(), wave(60, 120.0), wave(5)]
+    motions += [disturb(wave(length, rate), 0.02, seed) for seed, (length, rate) in enumerate([(60, 15.0)] * 4)]
+    motions += [disturb(wave(240, 120.0), 0.02), disturb(wave(60, 30.0), 0.01), disturb(wave(61, 30.0), 0.01)]
+    motions[3].positions[20, HAND] += 0.5
+    motions[4].positions[:, HAND] = np.nan
+    for motion, found in zip(motions, reduce_noise_of_all(motions), strict=True):
+        alone = reduce_noise(motion)
+        assert (found is motion) == (alone is motion)
+        assert (found.frame_rate, found.height) == (alone.frame_rate, alone.height)
+        np.testing.assert_array_equal(found.positions, alone.positions)
 
 
 def test_features_of_a_noisy_clip_come_close_to_those_of_the_clean_one():

@@ -64,6 +64,7 @@ _PERFORMER_PARTS = 3
 _TREES = 50
 _MOST_JUDGED = 500  # clips that are known, and as many that are not, in a round
 _MOST_BETWEEN = 250
+_AT_A_TIME = 256  # clips that are copied
 _COPY_WEIGHT = 2 / 3
 _SAME_HEIGHT = 0.04  # m
 _THRESHOLD = 0.5
@@ -133,8 +134,12 @@ class Copies:
         copied : (K,) clips among the M that have a copy.
         """
         places = self.find(rows)
-        joined = np.empty((len(chosen) + len(places), *features.shape[1:]), features.dtype)
-        np.take(features, chosen, axis=0, out=joined[: len(chosen)], mode="clip")
+        _, frames, columns = features.shape
+        # As ``order_for_trees`` has them, so that no forest orders a copy of its own.
+        joined = np.empty((len(chosen) + len(places), columns, frames), features.dtype).transpose(0, 2, 1)
+        for first in range(0, len(chosen), _AT_A_TIME):
+            some = chosen[first : first + _AT_A_TIME]
+            joined[first : first + len(some)] = features[some]
         joined[len(chosen) :] = self.features[places]
         return joined, self.of(rows).rows
 
@@ -433,6 +438,7 @@ class _Judge:
         copies = Copies(np.zeros(0, np.intp), self.features[:0]) if self.copies is None else self.copies
         features, copied = copies.join(self.features, train, train)
         small.fit(features, self.labels[train], feature_set=self.feature_set, copied=copied)
+        del features  # some rounds are held at a time
         if self.watch is not None:
             self.watch(number, small, train, known, unknown)
         guess, scores = VoteScale(small).measure(small.apply(self._choose(number, known, unknown)[0]))
@@ -470,13 +476,13 @@ class _Judge:
 
     def fit_space(self, rows: IndexArray) -> PoseSpace:
         """The space of some clips and of their copies: what noise changes is scatter within a category."""
-        features, labels = self.features[rows], self.labels[rows]
+        labels, copies = self.labels[rows], None
         if self.copies is not None:
             places = self.copies.find(rows)
-            features = np.concatenate([features, self.copies.features[places]])
+            copies = self.copies.features[places]
             labels = np.concatenate([labels, self.labels[self.copies.rows[places]]])
         others = None if self.strangers is None else self.strangers.beside
-        return fit_pose_space(features, labels, self.feature_set, others)
+        return fit_pose_space(self.features[rows], labels, self.feature_set, others, copies)
 
     def compare_poses(
         self,

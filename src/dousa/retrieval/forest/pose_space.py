@@ -145,6 +145,7 @@ def fit_pose_space(
     categories: NDArray[Any],
     feature_set: FeatureSet | None = None,
     others: FloatArray | None = None,
+    copies: FloatArray | None = None,
 ) -> PoseSpace:
     """Learn the space from clips.
 
@@ -154,14 +155,15 @@ def fit_pose_space(
     categories : (N,) words or whole numbers.
     feature_set : what the columns are; without one, all are means.
     others : (M, T, F) motions of no category, which have a say in where the axes go, too.
+    copies : (K, T, F) more clips, of the last K of N + K ``categories``; of any precision, as they are kept apart.
     """
     layout = np.array([features.shape[2], 0], np.int64)
     if feature_set is not None:
         layout[:] = len(feature_set.channels), feature_set.has_banks
-    described = _describe(features, layout)
-    count = len(described)
-    if others is not None:
-        described = np.concatenate([described, _describe(others, layout)])
+    parts = [_describe(some, layout) for some in (features, copies, others) if some is not None]
+    described = np.concatenate(parts) if len(parts) > 1 else parts[0]
+    count = len(described) - (0 if others is None else len(others))
+    del parts
     names, own = np.unique(categories, return_inverse=True)
     middle, spread = described.mean(axis=0), described.var(axis=0)
     # A column that hardly varies must not speak as loudly as the others: half of its scale is that of all.

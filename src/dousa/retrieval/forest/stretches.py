@@ -6,25 +6,24 @@ it has an opinion on what it shows, too; the trees often know better where a sen
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from dousa.arrays import BoolArray, FloatArray, IndexArray
+from dousa.arrays import BoolArray, FloatArray
 from dousa.retrieval.features.feature_sets import FeatureSet
 from dousa.retrieval.features.posed_motion import PosedMotion, check_shape
 from dousa.retrieval.features.sensor_noise import measure_unsteadiness, reduce_noise_of_all
 from dousa.retrieval.forest.calibration import Assessor
 from dousa.retrieval.forest.evidence import EVIDENCE
-from dousa.workers.threads import map_pieces
+from dousa.workers.threads import map_together
 
 # What a category's share by who found a stretch, and by the trees, weigh in the log odds of the categories. Fitted as
 # those of `label` are (benchmarks/segment_confidence.py).
 _BY_FINDER, _BY_VOTES = 1.06, 2.74
 _LEAST_SHARE = 0.02
 _MOST_ODDS = 7.0
-_AT_ONCE = 16  # stretches that a thread looks at before it asks for more
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -88,18 +87,14 @@ class StretchJudge:
         """
         forest = self.assessor.forest
 
-        def look(some: IndexArray) -> tuple[FloatArray, list[float]]:
-            parts = reduce_noise_of_all([cut_stretch(motion, *spans[k]) for k in some])
-            return self.feature_set.compute_quiet_all(parts), [measure_unsteadiness(part) for part in parts]
+        def look(some: list[tuple[float, float]]) -> Iterator[tuple[FloatArray, float]]:
+            parts = reduce_noise_of_all([cut_stretch(motion, *span) for span in some])
+            return zip(self.feature_set.compute_quiet_all(parts), map(measure_unsteadiness, parts), strict=True)
 
-        # What lasts equally long is described together.
-        order = np.argsort([stop - start for start, stop in spans], kind="stable")
-        pieces = np.split(order, range(_AT_ONCE, len(order), _AT_ONCE))
-        described, measured = zip(*map_pieces(look, pieces, n_jobs, at_a_time=1), strict=True)
+        lengths = [stop - start for start, stop in spans]
+        described, unsteady = zip(*map_together(look, spans, lengths, n_jobs), strict=True)
         # As stored clips are: what is kept of features is single precision.
-        features, unsteady = np.empty((len(spans), *described[0].shape[1:]), np.float32), np.empty(len(spans))
-        features[order], unsteady[order] = np.concatenate(described), np.concatenate(measured)
-        features = features.astype(np.float64)
+        features = np.stack(described).astype(np.float32).astype(np.float64)
         leaves = forest.apply(features)
         votes = forest.histograms_of(leaves.astype(np.int64))
         numbers = {name: number for number, name in enumerate(categories) if name not in self.spared}
@@ -118,7 +113,7 @@ class StretchJudge:
             tuple(str(name) for name in forest.classes_[named]),
             np.maximum(leads, -_MOST_ODDS),
             seen.evidence[:, EVIDENCE.index("typical")],
-            unsteady,
+            np.array(unsteady),
             judged & ~seen.unknown,
             judged & seen.possible,
         )
