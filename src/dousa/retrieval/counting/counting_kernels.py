@@ -5,7 +5,10 @@ Nothing here allocates: without reference counts it compiles in half the time.
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
+from numba import njit
 
 from dousa.retrieval.counting.axis_kernels import find_axes, square_curves
 from dousa.retrieval.counting.tally_kernels import (
@@ -28,6 +31,8 @@ from dousa.retrieval.counting.tally_kernels import (
     square,
 )
 from dousa.retrieval.features.channel_kernels import smooth
+
+_njit: Any = njit  # whose types leave out some of its options
 
 _LARGE, _SMALL = 0.5, 0.3  # shares of the range (5 to 95 %) that a movement out and back has at least
 _TURN, _SMALL_TURN, _BURST = 0.6, 0.3, 0.35  # likewise of the speed along one direction, of the body's speed (95 %)
@@ -183,7 +188,7 @@ def _put_whole(course, speeds, ordered, lines, calm, work, counts):
     counts[27] /= RATE
 
 
-@compiled
+@_njit(inline="always")  # into `tally_all` alone: what is called is compiled twice
 def tally(points, height, smoothing, joints, places, courses, speeds, lines, calm, squares, sums, counts):
     """All tallies of ``points`` (n, J, 3), two frames at least, into ``counts`` (28,); returns whether anything moves.
 

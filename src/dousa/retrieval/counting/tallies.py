@@ -66,22 +66,32 @@ def measure_tallies(sampled: FloatArray, height: float) -> FloatArray:
     from dousa.retrieval.features.partial_bodies import FRAME_JOINTS, complete_positions
 
     points = complete_positions(sampled, height, (), {*_JOINTS, *FRAME_JOINTS})
-    tallies, n, width = np.zeros(len(TALLIES)), len(points), 3 * len(_JOINTS)
+    tallies, n = np.zeros((1, len(TALLIES))), len(points)
+    found: FloatArray = tallies[0]
     if n < 2:
-        return tallies
-    courses = np.empty((3, width, n)), np.empty((3, width, n)), np.empty((3, _N_EVEN, n))
-    speeds, room = np.empty((3, n)), (np.empty(points.shape), np.empty((n, 2)))
+        return found
+    frames, speeds = _tally(points, np.array([[0, n]]), height, n, tallies)
+    for place, course, speed in zip(_PERIODS, frames, speeds.reshape(3, n), strict=True):
+        if np.isnan(found[place]):
+            found[place] = _count_periods(course.reshape(3, -1, n)[1], speed)
+    return found
+
+
+def _tally(
+    points: FloatArray, spans: IntArray, height: float, most: int, tallies: FloatArray
+) -> tuple[tuple[FloatArray, FloatArray, FloatArray], FloatArray]:
+    """Fill ``tallies`` (N, 28) of parts of at most so many frames; of the last one, the courses and the speeds."""
+    width = 3 * len(_JOINTS)
+    frames = np.empty(3 * width * most), np.empty(3 * width * most), np.empty(3 * _N_EVEN * most)
     sizes = (width, width), (_N_EVEN, _N_EVEN), (6, width), (3, width), (3, _N_EVEN)
-    moves = counting.tally(
-        read_only(np.ascontiguousarray(points)), float(height), _WEIGHTS, (HIPS, SHOULDERS, _INDEX, _OTHERS), room,
-        courses, speeds, np.empty((counting.N_LINES, n)), (np.empty(counting.CALM), np.empty((counting.CALM, width))),
+    speeds = np.empty(3 * most)
+    counting.tally_all(
+        read_only(np.ascontiguousarray(points, np.float64)), spans, float(height), _WEIGHTS,
+        (HIPS, SHOULDERS, _INDEX, _OTHERS), np.empty(most * points[0].size), np.empty(2 * most), frames, speeds,
+        np.empty(counting.N_LINES * most), (np.empty(counting.CALM), np.empty((counting.CALM, width))),
         tuple(np.empty(size) for size in sizes), np.empty((3, counting.SHORT + 1)), tallies,
     )  # fmt: skip
-    if moves:
-        for place, course, speed in zip(_PERIODS, courses, speeds, strict=True):
-            if np.isnan(tallies[place]):
-                tallies[place] = _count_periods(course[1], speed)
-    return tallies
+    return frames, speeds
 
 
 def measure_parts(sampled: FloatArray, spans: IntArray, height: float) -> FloatArray:
@@ -97,15 +107,8 @@ def measure_parts(sampled: FloatArray, spans: IntArray, height: float) -> FloatA
     short = np.flatnonzero((lengths >= 2) & (lengths <= most))
     for number in np.setdiff1d(np.arange(len(spans)), short).tolist():
         tallies[number] = measure_tallies(sampled[slice(*spans[number])], height)
-    found, points, width = tallies[short], np.ascontiguousarray(sampled, np.float64), 3 * len(_JOINTS)
-    frames = np.empty(3 * width * most), np.empty(3 * width * most), np.empty(3 * _N_EVEN * most)
-    sizes = (width, width), (_N_EVEN, _N_EVEN), (6, width), (3, width), (3, _N_EVEN)
-    counting.tally_all(
-        read_only(points), spans[short], float(height), _WEIGHTS, (HIPS, SHOULDERS, _INDEX, _OTHERS),
-        np.empty(most * points[0].size), np.empty(2 * most), frames, np.empty(3 * most),
-        np.empty(counting.N_LINES * most), (np.empty(counting.CALM), np.empty((counting.CALM, width))),
-        tuple(np.empty(size) for size in sizes), np.empty((3, most + 1)), found,
-    )  # fmt: skip
+    found = tallies[short]
+    _tally(sampled, spans[short], height, most, found)
     tallies[short] = found
     return tallies
 

@@ -19,9 +19,6 @@ _njit: Any = njit  # whose types leave out some of its options
 compiled = _njit(cache=True, nogil=True, error_model="numpy", no_cfunc_wrapper=True, _nrt=False)
 
 
-_AT_ONCE = 4  # frames
-
-
 @compiled
 def describe(sampled, height, weights, hips, shoulders, joints, room, left, poses):
     """Smoothed places of some joints in the body-fixed system.
@@ -241,28 +238,16 @@ def count_bouts(speeds, moving, gap):
 def correlate(curves, first, last, products):
     """The products of curves (K, n), from frame ``first`` to before ``last``, with themselves 0, 1, 2 ... frames later.
 
-    Into ``products`` (L,). Four frames are added at a time, in the order of time: the sums wait in registers, not in
-    memory.
+    Into ``products`` (L,). An index that is a sum may be negative to the compiler, which then handles one value at a
+    time; a slice is counted from 0.
     """
     most = len(products)
     products[:] = 0.0
     for k in range(len(curves)):
-        curve = curves[k]
-        for t in range(first, last - _AT_ONCE + 1, _AT_ONCE):
-            one, two, three, four = curve[t:], curve[t + 1 :], curve[t + 2 :], curve[t + 3 :]
-            whole = min(most, last - t - _AT_ONCE + 1)
-            for lag in range(whole):
-                total = products[lag] + one[0] * one[lag]
-                total += two[0] * two[lag]
-                total += three[0] * three[lag]
-                products[lag] = total + four[0] * four[lag]
-            for lag in range(whole, min(most, last - t)):
-                for later in range(t, last - lag):
-                    products[lag] += curve[later] * curve[later + lag]
-        for t in range(last - (last - first) % _AT_ONCE, last):
-            one = curve[t:]
+        for t in range(first, last):
+            later = curves[k, t:]
             for lag in range(min(most, last - t)):
-                products[lag] += one[0] * one[lag]
+                products[lag] += later[0] * later[lag]
 
 
 @compiled

@@ -55,22 +55,11 @@ def smooth(values, weights, out):
         row, own = out[t], values[t]
         for k in range(count):
             row[k] = weights[0] * own[k]
-        step = 1
-        while step + 2 < len(weights):  # three at a time: the sums wait in registers, not in memory
-            one, two, three = weights[step], weights[step + 1], weights[step + 2]
+        for step in range(1, len(weights)):
+            weight = weights[step]
             sooner, later = values[max(t - step, 0)], values[min(t + step, last)]
-            sooner_still, later_still = values[max(t - step - 1, 0)], values[min(t + step + 1, last)]
-            soonest, latest = values[max(t - step - 2, 0)], values[min(t + step + 2, last)]
-            for k in range(count):
-                total = row[k] + one * (sooner[k] + later[k])
-                total += two * (sooner_still[k] + later_still[k])
-                row[k] = total + three * (soonest[k] + latest[k])
-            step += 3
-        while step < len(weights):
-            weight, sooner, later = weights[step], values[max(t - step, 0)], values[min(t + step, last)]
             for k in range(count):
                 row[k] += weight * (sooner[k] + later[k])
-            step += 1
 
 
 @compiled

@@ -160,7 +160,7 @@ def fit_pose_space(
     layout = np.array([features.shape[2], 0], np.int64)
     if feature_set is not None:
         layout[:] = len(feature_set.channels), feature_set.has_banks
-    parts = [_describe(some, layout) for some in (features, copies, others) if some is not None]
+    parts = [_describe(some, layout) for some in (features, copies, others) if some is not None and len(some)]
     described = np.concatenate(parts) if len(parts) > 1 else parts[0]
     count = len(described) - (0 if others is None else len(others))
     del parts

@@ -28,7 +28,8 @@ def integrate(rows, padding, first_speed, n_speeds, at_rest, sums, times):  # pr
             now[k] = last[k] + row[k]
         for k in range(moving):
             now_squares[k] = squares[k] + row[k] * row[k]
-        now[moving:count], now_squares[moving:] = last[moving:count], squares[moving:]
+        for k in range(moving, count):  # row to row would have the compiler write the message of an error, for seconds
+            now[k], now_squares[k] = last[k], squares[k]
         if inside:
             for k in range(n_speeds):
                 effort += row[first_speed + 4 + k]
