@@ -6,7 +6,6 @@ import os
 import shutil
 import subprocess
 import sys
-import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -23,7 +22,7 @@ from app.studio.axe_core import AXE, find_faults
 from app.studio.evaluation_cases import write_dances
 from app.studio.firefox import Firefox, open_firefox
 from app.studio.forked_workers import use_forks
-from app.studio.one_address import Address
+from app.studio.one_address import Address, run_app
 from app.studio.studio_client import Client
 from dousa.app.studio import Settings, create_app
 from dousa.app.studio.jobs import lanes
@@ -144,22 +143,12 @@ def listening(settings: Settings) -> Iterator[Running]:
     import socket
     from dataclasses import replace
 
-    import uvicorn
-
     with socket.socket(proto=socket.IPPROTO_TCP) as listener:
         listener.bind(("127.0.0.1", 0))
         settings = replace(settings, port=listener.getsockname()[1])
         app = create_app(settings)
-        server = uvicorn.Server(uvicorn.Config(app, log_level="warning", access_log=False))
-        thread = threading.Thread(target=server.run, kwargs={"sockets": [listener]}, daemon=True)
-        thread.start()
-        while not server.started:
-            time.sleep(0.01)
-        try:
+        with run_app(app, listener):
             yield Running(f"http://127.0.0.1:{settings.port}", settings.token, app)
-        finally:
-            server.should_exit = True
-            thread.join(timeout=PATIENCE)
 
 
 @pytest.fixture(scope="session")

@@ -19,10 +19,25 @@ from app.studio.firefox import Firefox
 from dousa.app.studio.core.guard import with_headers
 from patience import PATIENCE
 
-__all__ = ["Address"]
+__all__ = ["Address", "run_app"]
 
 _EMPTY = HTMLResponse("<!doctype html><html lang=en><title>nothing</title><link rel=icon href=data:,>")
 _NOTHING = "/nothing-of-the-tests"
+
+
+@contextmanager
+def run_app(app: Any, listener: socket.socket) -> Iterator[None]:
+    """Answer what comes to a socket, in a thread."""
+    server = uvicorn.Server(uvicorn.Config(app, log_level="warning", access_log=False))
+    thread = threading.Thread(target=server.run, kwargs={"sockets": [listener]}, daemon=True)
+    thread.start()
+    while not server.started:
+        time.sleep(0.01)
+    try:
+        yield
+    finally:
+        server.should_exit = True
+        thread.join(timeout=PATIENCE)
 
 
 class Address:
@@ -62,16 +77,8 @@ class Address:
         with socket.socket(proto=socket.IPPROTO_TCP) as listener:
             listener.bind(("127.0.0.1", 0))
             self.port = listener.getsockname()[1]
-            server = uvicorn.Server(uvicorn.Config(self, log_level="warning", access_log=False))
-            thread = threading.Thread(target=server.run, kwargs={"sockets": [listener]}, daemon=True)
-            thread.start()
-            while not server.started:
-                time.sleep(0.01)
-            try:
+            with run_app(self, listener):
                 yield
-            finally:
-                server.should_exit = True
-                thread.join(timeout=PATIENCE)
 
     @contextmanager
     def serve(self, app: Any) -> Iterator[None]:
