@@ -25,7 +25,7 @@ from dousa.motion.synthetic.performers import Plan, play_score
 from dousa.motion.synthetic.scores import SCORES
 from dousa.retrieval.features.channels import sample_positions
 from dousa.retrieval.features.posed_motion import LabelledClip
-from dousa.retrieval.takes.made_takes import go_on, mirror_positions
+from dousa.retrieval.takes.material.made_takes import go_on, mirror_positions
 from dousa.retrieval.takes.windows import TAKE_RATE
 
 __all__ = ["KINDS", "SYNTHETIC", "make_repeated", "make_synthetic_repeated", "read_cycles", "read_synthetic"]

@@ -22,7 +22,7 @@ from _timing import timed
 from dousa.experiments.annotated.trial import learn_clip_judge
 from dousa.retrieval.takes.label import label_take
 from dousa.retrieval.takes.labeller_training import train_labeller
-from dousa.retrieval.takes.made_takes import JoinedTake
+from dousa.retrieval.takes.material.made_takes import JoinedTake
 from dousa.retrieval.takes.moments import HOP, describe_moments
 
 _MOMENTS, _TREES = 20_000, 60  # that the peer is grown on, and that it has

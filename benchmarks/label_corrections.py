@@ -22,7 +22,7 @@ from dousa.experiments.annotated.trial import learn_clip_judge
 from dousa.retrieval import TakeLabeller, label_take, train_labeller
 from dousa.retrieval.features.posed_motion import LabelledClip
 from dousa.retrieval.forest.stretches import StretchJudge
-from dousa.retrieval.takes.made_takes import JoinedTake, join_clips
+from dousa.retrieval.takes.material.made_takes import JoinedTake, join_clips
 from dousa.retrieval.takes.teaching import Example, teach_labeller
 from dousa.retrieval.takes.windows import TAKE_RATE
 

@@ -32,7 +32,7 @@ from dousa.formats import ReadOptions
 from dousa.retrieval.features.posed_motion import AnnotatedTake, LabelledClip
 from dousa.retrieval.takes.label import Segment, label_take
 from dousa.retrieval.takes.labeller_training import train_labeller
-from dousa.retrieval.takes.made_takes import JoinedTake, join_clips, join_series, shuffle_into_takes
+from dousa.retrieval.takes.material.made_takes import JoinedTake, join_clips, join_series, shuffle_into_takes
 from dousa.retrieval.takes.windows import TAKE_RATE
 
 SETS = {"HDM05": ("hdm05", r"name:HDM_(..)_"), "UTD-MHAD": ("utd_mhad/skeleton", r"name:_s(\d+)_")}

@@ -22,7 +22,7 @@ from dousa.experiments.annotated.trial import learn_clip_judge
 from dousa.retrieval.features.posed_motion import LabelledClip
 from dousa.retrieval.takes.label import Timeline, label_take
 from dousa.retrieval.takes.labeller_training import train_labeller
-from dousa.retrieval.takes.made_takes import JoinedTake, join_clips, shuffle_into_takes
+from dousa.retrieval.takes.material.made_takes import JoinedTake, join_clips, shuffle_into_takes
 from dousa.retrieval.takes.windows import TAKE_RATE
 
 THRESHOLDS = (0.01, 0.02, 0.05, 0.1, 0.15, 0.2, 0.25, 0.3, 0.4, 0.5, 0.7)

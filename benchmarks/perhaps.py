@@ -1,6 +1,6 @@
 """Perhaps: what becomes of clips of another sensor, studio and style, between what is known and what is unknown.
 
-    python benchmarks/perhaps.py ../shared/data [--shares 0.9,0.95,0.98,0.99,1] [--folds 1]
+    python benchmarks/perhaps.py ../shared/data [--shares 0.9,0.95,0.98,0.99,1] [--folds 1] [--moved 0]
 
 People of one set train a library (without one person; Bandai: half of every category), and all clips of the other three
 sets are asked, as recorded; what means the same is told by the table of `confidence.py`. *Lost*: clips whose guess is
@@ -10,7 +10,8 @@ or perhaps. Gain is what is not lost less what is named, averaged over pairs of 
 Where "perhaps" begins, dousa learns for each library from gestures that nobody named: a share of them is less likely
 known. The baselines have one curve and one threshold for all libraries: the confidence that is told, and the same
 before it is limited. Each threshold, and the share, is also chosen anew for each pair of library and set, as what gains
-most on pairs that have neither of the two (*left out*).
+most on pairs that have neither of the two (*left out*). With `--moved 0` nobody of the disturbed copies moves
+differently.
 """
 
 from __future__ import annotations
@@ -24,6 +25,8 @@ import numpy as np
 from confidence import KIND, MOST_COPIES, SETS, Trained, Trial, find_meaning, split
 
 from dousa.retrieval.forest.calibration import ALIEN, Copies, guess_performers, learn_calibration
+from dousa.retrieval.takes.material import disturbances
+from dousa.retrieval.takes.material.disturbances import MOVED_SHARE
 
 CONFIDENCES = (0.05, 0.1, 0.15, 0.2, 0.25, 0.28, 0.3, 0.35, 0.4, 0.5)
 
@@ -112,11 +115,15 @@ def main() -> None:
     parser.add_argument("--only", default=",".join(SETS), help="sets, separated by commas")
     parser.add_argument("--shares", default="0.9,0.95,0.98,0.99,1", help="of the gestures that nobody named")
     parser.add_argument("--folds", type=int, default=1, help="people of each set that are left out")
+    parser.add_argument(
+        "--moved", type=float, default=MOVED_SHARE, help="share of the copies that are moved differently"
+    )
     asked = parser.parse_args()
     if not asked.data.exists():
         print(f"skipped: no recordings at {asked.data}")
         return
     shares = tuple(sorted({ALIEN, *map(float, asked.shares.split(","))}))
+    disturbances.MOVED_SHARE = asked.moved
     trial = Trial(asked.data, asked.only.split(","))
     pairs = []
     for library, clips in trial.clips.items():

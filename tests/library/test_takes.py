@@ -157,8 +157,9 @@ def test_what_is_like_the_query_is_found(library, long_moves, take_file, write_m
     first, second = result.results[:2]
     assert {where((place.start + place.end) / 2) for place in (first, second)} == {0, 3}
     assert [place.rank for place in result.results] == list(range(1, len(result.results) + 1))
-    scores = [place.score for place in result.results]
-    assert scores == sorted(scores, reverse=True)
+    chances = [place.probability for place in result.results]
+    assert None not in chances
+    assert chances == sorted(chances, reverse=True)
     assert first.score > 2 * result.results[2].score
     assert (first.take, first.mirrored) == (str(take_file), False)
 

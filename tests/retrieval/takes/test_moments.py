@@ -9,7 +9,7 @@ import pytest
 from oracles.short_actions import ACTIONS, make_clip
 from oracles.slow_sequence import best_value, value_of
 
-from dousa.retrieval.takes.made_takes import join_clips, mirror_positions
+from dousa.retrieval.takes.material.made_takes import join_clips, mirror_positions
 from dousa.retrieval.takes.moment_kernels import find_best_sequence
 from dousa.retrieval.takes.moment_model import (
     MomentModel,

@@ -21,7 +21,7 @@ from dousa.workers.threads import map_together
 
 # What a category's share by who found a stretch, and by the trees, weigh in the log odds of the categories. Fitted as
 # those of `label` are (benchmarks/segment_confidence.py).
-_BY_FINDER, _BY_VOTES = 0.96, 2.84
+_BY_FINDER, _BY_VOTES = 1.06, 2.74
 _LEAST_SHARE = 0.02
 _MOST_ODDS = 7.0
 

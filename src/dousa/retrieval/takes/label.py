@@ -26,7 +26,7 @@ from dousa.retrieval.counting.tallies import TALLIES
 from dousa.retrieval.features.posed_motion import PosedMotion, check_motion
 from dousa.retrieval.forest.forest_file import check, check_version, pack_arrays, unpack_arrays
 from dousa.retrieval.forest.stretches import CutStretch, StretchJudge, StretchOpinions
-from dousa.retrieval.takes.made_takes import mirror_positions
+from dousa.retrieval.takes.material.made_takes import mirror_positions
 from dousa.retrieval.takes.moment_model import (
     MODEL_ARRAYS,
     Codes,
@@ -378,7 +378,7 @@ def describe_run(
 # typical. Fitted to segments in takes of people who did not train, as recorded and disturbed, with and without unknown
 # actions: HDM05's, UTD-MHAD's and Bandai's joined clips, each set counting the same, and UTKinect's own takes, which
 # count less (benchmarks/segment_confidence.py, docs/takes.md).
-_OFFSET, _BY_LEAD, _BY_TYPICAL, _BY_UNSTEADINESS = -0.94, 0.78, 4.16, 8.32
+_OFFSET, _BY_LEAD, _BY_TYPICAL, _BY_UNSTEADINESS = -0.91, 0.76, 3.42, 8.38
 _EVEN = 0.5
 
 

@@ -23,10 +23,10 @@ from dousa.retrieval.counting.tallies import measure_tallies
 from dousa.retrieval.features.posed_motion import AnnotatedTake, LabelledClip, check_motion
 from dousa.retrieval.takes.label import SHORT_GAP, TakeLabeller
 from dousa.retrieval.takes.labeller_tuning import STRANGE, UNCOUNTED, Trial, calibrate, calibrate_places, choose_weights
-from dousa.retrieval.takes.made_takes import (
+from dousa.retrieval.takes.material.disturbances import disturb
+from dousa.retrieval.takes.material.made_takes import (
     JoinedTake,
     Piece,
-    disturb,
     join_clips,
     join_with_rests,
     shuffle_into_takes,

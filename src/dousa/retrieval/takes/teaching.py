@@ -17,7 +17,8 @@ from numpy.typing import NDArray
 from dousa.arrays import IntArray
 from dousa.retrieval.features.posed_motion import PosedMotion, check_motion
 from dousa.retrieval.takes.label import TakeLabeller
-from dousa.retrieval.takes.made_takes import JoinedTake, disturb
+from dousa.retrieval.takes.material.disturbances import disturb
+from dousa.retrieval.takes.material.made_takes import JoinedTake
 from dousa.retrieval.takes.moment_model import Codes, MomentModel
 from dousa.retrieval.takes.moments import HOP, describe_moments
 from dousa.retrieval.takes.sequence import N_PHASES, PHASE_FRAMES

@@ -1,7 +1,6 @@
-"""Takes whose truth is known: clips played one after another, with rests between them, and recordings disturbed.
+"""Takes whose truth is known: clips played one after another, with rests between them.
 
-A library of clips has no takes to learn from, so takes are made of its clips. Disturbed copies of made and of real
-takes show what another body, sensor, camera and frame rate do to the same motion.
+A library of clips has no takes to learn from, so takes are made of its clips.
 """
 
 from __future__ import annotations
@@ -14,8 +13,8 @@ import numpy as np
 
 from dousa.arrays import FloatArray
 from dousa.errors import TrainingError
-from dousa.motion.canonical.joints import CANONICAL_PARENTS, JOINT_INDEX, MIRRORED_JOINTS
-from dousa.retrieval.features.posed_motion import LabelledClip, PosedMotion
+from dousa.motion.canonical.joints import JOINT_INDEX, MIRRORED_JOINTS
+from dousa.retrieval.features.posed_motion import LabelledClip
 from dousa.retrieval.takes.windows import TAKE_RATE
 
 BLEND_SECONDS = (0.3, 0.5)
@@ -197,107 +196,8 @@ def _make_transition(last: FloatArray, following: FloatArray, generator: np.rand
     return np.concatenate([blend, following + drift])
 
 
-_BONES, _TILT, _HEIGHT = 0.06, 0.07, 0.03  # spreads: log lengths of bones, rad of the camera, log height
-_SLOWEST = 10.0  # Hz
-_NOISE = 0.035  # m, of the noisiest joints
-_MISSING = 0.1  # of the frames of a joint, at most
-_LONGEST_GAP = 6  # frames
-_DRIFT, _LASTING = 0.05, (0.7, 4.0)  # m, of the largest errors that last; frames of their standard deviation
-_JUMP, _JUMPS, _JUMP_SHARE = 0.1, 0.01, 0.3  # m; share of the frames of a joint; share of the takes that have such
-
-
-def disturb(take: JoinedTake, generator: np.random.Generator) -> JoinedTake:
-    """The same take with another body, a tilted camera, a slower and noisier sensor that loses joints.
-
-    Parameters
-    ----------
-    take : at ``TAKE_RATE``.
-    generator : draws how much of each.
-    """
-    points = _tilt(_stretch_bones(take.positions, generator), generator)
-    rate = take.frame_rate
-    if generator.random() < 0.5:
-        rate = float(generator.uniform(_SLOWEST, rate))
-        points = _sample_slower(points, max(round(len(points) * rate / take.frame_rate), 2))
-        rate = take.frame_rate * len(points) / len(take.positions)
-    noise = (
-        _NOISE * generator.random() ** 2 / np.sqrt(3.0) * np.exp(generator.normal(0.0, 0.3, (1, points.shape[1], 1)))
-    )
-    points = points + generator.normal(size=points.shape) * noise
-    points = _lose_joints(points, generator)
-    if generator.random() < _JUMP_SHARE:
-        jumping = generator.random(points.shape[:2]) < _JUMPS
-        points[jumping] += generator.normal(0.0, _JUMP, (int(jumping.sum()), 3))
-    height = take.height * float(np.exp(generator.normal(0.0, _HEIGHT)))
-    return replace(take, positions=points, height=height, frame_rate=rate)
-
-
-def disturb_motion(motion: PosedMotion, generator: np.random.Generator) -> JoinedTake:
-    """A clip as another sensor may have seen it; all its joints have a place.
-
-    As in ``disturb``, and half of them with errors that last for some frames, which no filter takes off.
-    """
-    from dousa.retrieval.features.channels import sample_positions, smooth_positions
-
-    points = sample_positions(motion.positions, motion.frame_rate)
-    if generator.random() < 0.5:
-        errors = smooth_positions(generator.normal(size=points.shape), generator.uniform(*_LASTING))
-        errors /= errors.std() + 1e-9
-        points = points + errors * (_DRIFT * np.sqrt(generator.random() / 3.0))
-    return disturb(JoinedTake(points, motion.height, ()), generator)
-
-
 def mirror_positions(points: FloatArray) -> FloatArray:
     """(n, 20, 3) canonical joints with left and right the other way round."""
     image = np.take(points, MIRRORED_JOINTS, axis=1)
     np.negative(image[..., 0], out=image[..., 0])
     return image
-
-
-def _stretch_bones(points: FloatArray, generator: np.random.Generator) -> FloatArray:
-    factors = np.exp(generator.normal(0.0, _BONES, points.shape[1]))
-    factors = np.sqrt(factors * factors[list(MIRRORED_JOINTS)])  # left and right alike
-    stretched = points.copy()
-    for joint, parent in enumerate(CANONICAL_PARENTS):
-        if parent >= 0:
-            stretched[:, joint] = stretched[:, parent] + (points[:, joint] - points[:, parent]) * factors[joint]
-    return stretched
-
-
-def _tilt(points: FloatArray, generator: np.random.Generator) -> FloatArray:
-    """Turned a little about both horizontal axes."""
-    a, b = generator.normal(0.0, _TILT, 2)
-    about_x = np.array([[1.0, 0.0, 0.0], [0.0, np.cos(a), -np.sin(a)], [0.0, np.sin(a), np.cos(a)]])
-    about_z = np.array([[np.cos(b), -np.sin(b), 0.0], [np.sin(b), np.cos(b), 0.0], [0.0, 0.0, 1.0]])
-    middle = points.mean(axis=(0, 1))
-    turned: FloatArray = (points - middle) @ (about_x @ about_z).T + middle
-    return turned
-
-
-def _sample_slower(points: FloatArray, count: int) -> FloatArray:
-    """So many single poses at equal distances, as a slow sensor sees them."""
-    places = np.clip((np.arange(count) + 0.5) * len(points) / count - 0.5, 0, len(points) - 1)
-    below = np.minimum(places.astype(np.intp), max(len(points) - 2, 0))
-    share = (places - below)[:, None, None]
-    sampled: FloatArray = points[below] * (1.0 - share) + points[np.minimum(below + 1, len(points) - 1)] * share
-    return sampled
-
-
-def _lose_joints(points: FloatArray, generator: np.random.Generator) -> FloatArray:
-    """Some joints are gone for some frames, and held or bridged in a straight line."""
-    share, length = _MISSING * generator.random() ** 2, int(generator.integers(1, _LONGEST_GAP))
-    held = generator.random() < 0.5
-    lost = generator.random(points.shape[:2]) < share / length
-    gone = lost.copy()
-    for k in range(1, min(length, len(points))):
-        gone[k:] |= lost[:-k]
-    gone[0] = False
-    points = points.copy()
-    frames = np.arange(len(points))
-    for joint in np.flatnonzero(gone.any(axis=0)):
-        seen = np.flatnonzero(~gone[:, joint])
-        before = seen[np.searchsorted(seen, frames, side="right") - 1]
-        after = before if held else seen[np.minimum(np.searchsorted(seen, frames), len(seen) - 1)]
-        share_of = ((frames - before) / np.maximum(after - before, 1))[:, None]
-        points[:, joint] = points[before, joint] * (1.0 - share_of) + points[after, joint] * share_of
-    return points

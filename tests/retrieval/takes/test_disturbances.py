@@ -1,0 +1,75 @@
+"""Motions as somebody else may do them: what stays as it was, and what may differ."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from dousa.motion import canonicalise
+from dousa.motion.canonical.joints import CANONICAL_PARENTS
+from dousa.motion.synthetic.gestures import make_gesture
+from dousa.retrieval.takes.material import disturbances
+from dousa.retrieval.takes.material.disturbances import move_differently
+from dousa.retrieval.takes.material.made_takes import mirror_positions
+
+
+@pytest.fixture(scope="module")
+def points():
+    return canonicalise(make_gesture(3)).positions
+
+
+def bone_lengths(points):
+    parents = np.array(CANONICAL_PARENTS)
+    return np.linalg.norm(points[:, 1:] - points[:, parents[1:]], axis=2)
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_somebody_else_stands_on_the_same_floor(points, seed):
+    moved = move_differently(points, np.random.default_rng(seed))
+    assert moved.shape == points.shape
+    np.testing.assert_allclose(moved[..., 1].min(axis=1), points[..., 1].min(axis=1), atol=1e-9)
+    np.testing.assert_allclose(moved[:, 0, ::2], points[:, 0, ::2], atol=0.2)
+    assert 0.005 < np.linalg.norm(moved - points, axis=2).mean() < 0.5
+
+
+def test_nobody_else_moves_as_it_was(points, monkeypatch):
+    for name in ("_HELD", "_EXTENT", "_PLACED"):
+        monkeypatch.setattr(disturbances, name, 0.0)
+    np.testing.assert_allclose(move_differently(points, np.random.default_rng(0)), points, atol=1e-6)
+
+
+def test_bones_that_are_only_held_otherwise_stay_as_long(points, monkeypatch):
+    monkeypatch.setattr(disturbances, "_PLACED", 0.0)
+    moved = move_differently(points, np.random.default_rng(1))
+    np.testing.assert_allclose(bone_lengths(moved), bone_lengths(points), atol=1e-6)
+    assert np.abs(moved - points).max() > 0.01
+
+
+def test_less_extent_brings_bones_nearer_to_their_mean(points, monkeypatch):
+    for name, most in (("_HELD", 0.0), ("_PLACED", 0.0), ("_EXTENT", 0.8)):
+        monkeypatch.setattr(disturbances, name, most)
+    wrists = [6, 10]
+    ways = []
+    for seed in range(8):
+        moved = move_differently(points, np.random.default_rng(seed))
+        ways.append([part[:, wrists].std(axis=0).sum() for part in (moved, points)])
+    ratios = np.array(ways)[:, 0] / np.array(ways)[:, 1]
+    assert ratios.min() < 0.95 and ratios.max() > 1.05
+
+
+def test_who_holds_both_sides_alike_does_so_in_the_mirror(points, monkeypatch):
+    monkeypatch.setattr(disturbances, "_ALIKE", 1.0)
+    moved = move_differently(points, np.random.default_rng(2))
+    image = move_differently(mirror_positions(points), np.random.default_rng(2))
+    np.testing.assert_allclose(image, mirror_positions(moved), atol=1e-6)
+
+
+def test_the_trunk_has_a_frame_in_any_pose(points):
+    lying = points @ np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+    frames = disturbances._frame_trunks(np.concatenate([points, lying]))
+    np.testing.assert_allclose(frames.transpose(0, 2, 1) @ frames, np.broadcast_to(np.eye(3), frames.shape), atol=1e-6)
+    np.testing.assert_allclose(np.linalg.det(frames), 1.0, atol=1e-6)
+
+
+def test_one_frame_is_enough(points):
+    assert np.isfinite(move_differently(points[:1], np.random.default_rng(0))).all()
