@@ -34,7 +34,7 @@ __all__ = [
 
 # Many motions are their own mirror image, so a mirror image must be clearly better: by this share of the votes, this
 # factor of a distance, this much of a score.
-MIRROR_VOTES, MIRROR_DISTANCE, MIRROR_SCORE = 0.05, 0.95, 0.02
+MIRROR_VOTES, MIRROR_DISTANCE, MIRROR_SCORE = 0.1, 0.95, 0.02
 
 
 class _Answer:

@@ -232,7 +232,7 @@ class TestLearning:
             right = forest.classes_[verdicts.guess] == categories[test]
             said.append(abs(verdicts.confidence.mean() - right.mean()))
         assert said[1] < said[0]
-        assert said[1] < 0.15
+        assert said[1] < 0.2
 
     def test_what_is_less_likely_known_than_most_of_those_held_back_is_unknown(self):
         """Categories far apart: the curves alone would call motions known that lie far from all of them."""
@@ -252,8 +252,10 @@ class TestLearning:
         assert strange.unknown.mean() > 0.95 > (alone.confidence < 0.5).mean()
         assert strange.confidence.mean() < 0.3 < alone.confidence.mean()
 
-    def test_what_is_known_no_more_than_hardly_any_that_was_held_back_is_hardly_known(self):
-        lowest = tuple(np.linspace(0.6, 0.9, 16).tolist())
+    @pytest.mark.parametrize("highest", [0.9, 1.0])  # of 15 % of an earlier dousa; of 20 %
+    def test_what_is_known_no_more_than_hardly_any_that_was_held_back_is_hardly_known(self, highest):
+        lowest = tuple(np.round(np.arange(0.6, highest + 0.01, 0.02), 2).tolist())
+        assert len(lowest) in (16, 21)
         told = replace(CALIBRATION, least_known=0.9, lowest=lowest)
         shares = np.array([0.04, 0.04, 0.08])  # of the motions held back that are known no better
         wanted = [*(shares / (shares + 0.1)), 1.0, 1.0]

@@ -25,7 +25,7 @@ TAKE, TIMELINE = "take.bvh", "timeline.png"
 
 _LEAST_CLIPS, _N_CLIPS = 3, 9
 _N_PLACES = 5
-_FIGURE = "circles"  # of the synthetic dance
+_FIGURE = "point"  # of the synthetic dance; its circles are arm circles with bent knees, and its kicks are kicks
 
 
 @dataclass(frozen=True, slots=True)

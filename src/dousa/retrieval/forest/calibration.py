@@ -14,7 +14,7 @@ No library is asked about motions of another kind in its own rounds, so it is to
 (``strangers``), and where hardly any known motion is, no curve is trusted (``Calibration.limit``).
 
 Where the guess is more likely wrong than right, the motion is called unknown; and also where it is less likely known
-than 85 % of the disturbed motions of people held back. A library whose categories are far apart is sure of all
+than 80 % of the disturbed motions of people held back. A library whose categories are far apart is sure of all
 of them, and nothing that it holds back lies between: what does is a stranger of another kind. A motion of which it is
 clear that it is known, but not which of two categories it belongs to, is no stranger.
 
@@ -69,8 +69,8 @@ _COPY_WEIGHT = 2 / 3
 _SAME_HEIGHT = 0.04  # m
 _THRESHOLD = 0.5
 _LEAST_KNOWN = (0.5, 0.97)  # the lowest and the highest
-_LOST = 0.15  # of the disturbed motions of people held back that are not known enough; a library of all knows more
-_LOWEST_SHARES = np.linspace(0.0, _LOST, 16)  # of them, of which it is kept how likely they are known
+_LOST = 20  # % of the disturbed motions of people held back that are not known enough; a library of all knows more
+_EARLIER_LOST = 15  # of an earlier dousa, whose copies were less far from the clips
 _LEAST_SHARE = 0.04
 _NEVER = 1.0
 STRANGERS = 0.1
@@ -171,8 +171,8 @@ class Calibration:
     auroc : over the rounds, how well ``known`` told held back categories from the others; 0.5 to 1.
     false_alarms, misses : over the rounds, the share of known clips called unknown, and of unknown ones called known.
     least_known : so is a clip that is known with a smaller probability.
-    lowest : (16,) or none, ascending: probabilities to be known below which 0 to 15 % of the disturbed motions of
-        people held back are.
+    lowest : (21,) or none, ascending: probabilities to be known below which 0, 1 ... 20 % of the disturbed motions of
+        people held back are; of an earlier dousa (16,), up to 15 %.
     least_possible : a clip that is called unknown is perhaps what was guessed if it is known with a greater
         probability, before that is limited; 1 for never.
     """
@@ -199,7 +199,7 @@ class Calibration:
         """
         if not self.lowest:
             return np.ones(len(known))
-        shares = np.maximum(np.interp(known, self.lowest, _LOWEST_SHARES), _LEAST_SHARE)
+        shares = np.maximum(np.interp(known, self.lowest, np.arange(len(self.lowest)) / 100), _LEAST_SHARE)
         return np.where(known < self.least_known, shares / (shares + STRANGERS), 1.0)
 
     def is_unknown(self, known: FloatArray, confidence: FloatArray) -> BoolArray:
@@ -255,7 +255,7 @@ class Calibration:
         except (KeyError, TypeError, ValueError, OverflowError, RecursionError) as error:
             raise damaged(_WHAT, error) from error
         check(all(0.0 <= number <= 1.0 for number in (*numbers, *lowest)), _WHAT, "shares beyond 0 ... 1")
-        right = len(lowest) in (0, len(_LOWEST_SHARES)) and lowest == tuple(sorted(lowest))
+        right = len(lowest) in (0, _EARLIER_LOST + 1, _LOST + 1) and lowest == tuple(sorted(lowest))
         check(right, _WHAT, "bad shares of what is known")
         threshold, auroc, false_alarms, misses, least, possible = numbers
         return cls(known, sure, poses, usual, threshold, auroc, false_alarms, misses, least, lowest, possible)
@@ -513,7 +513,7 @@ def _summarise(rounds: list[_Round], poses: PoseSpace, alien: float) -> Calibrat
     confidence = np.minimum(sure.by_poses.evaluate(evidence), belongs)
     own = kinds == _KNOWN
     harder = own & copied if (own & copied).any() else own
-    lowest = np.quantile(belongs[harder], _LOWEST_SHARES)
+    lowest = np.quantile(belongs[harder], np.arange(_LOST + 1) / 100)
     least = float(np.clip(lowest[-1], *_LEAST_KNOWN))
     made = belongs[kinds == _MADE]
     plain = ~copied & (kinds <= _KNOWN)
