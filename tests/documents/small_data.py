@@ -1,7 +1,11 @@
-"""A few files of each kind of ../shared/data, in folders of the same names: what long measurements are tried on."""
+"""A few files of each kind of ../shared/data, in folders of the same names: what long measurements are tried on.
+
+Pages that are followed have all of them, with less of the films.
+"""
 
 from __future__ import annotations
 
+import os
 import re
 import shutil
 from collections.abc import Iterator
@@ -12,7 +16,7 @@ import numpy as np
 from dousa.formats.registry import read_motion, write_motion
 from dousa.motion import Trajectories
 
-__all__ = ["make_small_data"]
+__all__ = ["link_data", "make_small_data"]
 
 _BENCH_FRAMES, _MASK_FRAMES = 12, 20
 _FILM_FRAMES = 20  # of films and of what they are compared with
@@ -72,6 +76,15 @@ def make_small_data(data: Path, folder: Path) -> None:
         _cut_dance(path, _place(path, data, folder))
 
 
+def link_data(data: Path, folder: Path) -> None:
+    """Make the folder: links to all files, and the beginnings of the films that pages estimate."""
+    shutil.copytree(data, folder, copy_function=os.symlink)
+    for path in (data / "pose2sim/videos").glob("cam0[14].mp4"):
+        place = _place(path, data, folder)
+        place.unlink()
+        _cut_film(path, place, smaller=1)
+
+
 def _place(path: Path, data: Path, folder: Path) -> Path:
     place = folder / path.relative_to(data)
     place.parent.mkdir(parents=True, exist_ok=True)
@@ -105,12 +118,12 @@ def _cut_skeleton(source: Path, target: Path) -> None:
     write_motion(Trajectories(points.names, points.positions[:_MASK_FRAMES], points.frame_rate), target)
 
 
-def _cut_film(source: Path, target: Path) -> None:
-    """The first frames, a quarter as wide and high."""
+def _cut_film(source: Path, target: Path, smaller: int = 4) -> None:
+    """The first frames, so many times less wide and high."""
     import cv2
 
     film = cv2.VideoCapture(str(source))
-    size = tuple(int(film.get(side)) // 4 for side in (cv2.CAP_PROP_FRAME_WIDTH, cv2.CAP_PROP_FRAME_HEIGHT))
+    size = tuple(int(film.get(side)) // smaller for side in (cv2.CAP_PROP_FRAME_WIDTH, cv2.CAP_PROP_FRAME_HEIGHT))
     copy = cv2.VideoWriter(str(target), cv2.VideoWriter.fourcc(*"mp4v"), film.get(cv2.CAP_PROP_FPS), size)
     for _ in range(_FILM_FRAMES):
         copy.write(cv2.resize(film.read()[1], size, interpolation=cv2.INTER_AREA))

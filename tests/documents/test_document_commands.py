@@ -19,7 +19,7 @@ from documents.commands import PAGES, ROOT, Command, collect, read_page, unread_
 from documents.material import DONE_BEFORE, RECORDED, make_material, make_readme_libraries
 from documents.rules import BENCHMARKS, How, check_options, choose_rule, fill_in, is_mention, make_small
 from documents.running import Outcome, run_line, run_program, run_python
-from documents.small_data import make_small_data
+from documents.small_data import link_data, make_small_data
 
 DATA = ROOT.parent / "shared" / "data"
 COMMANDS = tuple(command for page in PAGES for command in collect(page))
@@ -53,13 +53,21 @@ def material(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
+@pytest.fixture(scope="module")
+def shared(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with the recordings, of films the beginning; none where there are none."""
+    folder = tmp_path_factory.mktemp("shared")
+    if DATA.exists():
+        link_data(DATA, folder / "data")
+    return folder
+
+
 @pytest.fixture
-def empty(tmp_path: Path) -> Path:
-    """A working folder as the project's is seen from its commands: with docs, beside the whole ../shared/data."""
+def empty(tmp_path: Path, shared: Path) -> Path:
+    """A working folder as the project's is seen from its commands: with docs, beside ../shared/data."""
     (tmp_path / "work").mkdir()
     (tmp_path / "work/docs").symlink_to(ROOT / "docs")
-    if DATA.exists():
-        (tmp_path / "shared").symlink_to(DATA.parent)
+    (tmp_path / "shared").symlink_to(shared)
     return tmp_path / "work"
 
 
