@@ -116,31 +116,45 @@ def settled(show):
     return open_page
 
 
-@pytest.mark.parametrize("path", PAGES)
-@pytest.mark.parametrize("width, height", [(1280, 720), (390, 844)])
-def test_no_page_is_wider_than_its_window_and_all_that_can_be_used_has_a_name(settled, path, width, height):
-    page = settled(path, width=width, height=height)
+def check_frame(page, width):
+    """The page is no wider than its window, has one heading, and all that can be used has a name."""
     assert page.run("return document.documentElement.scrollWidth") <= width
     assert page.run(UNNAMED) == []
     assert page.run("return [...document.querySelectorAll('h1')].filter((e) => e.checkVisibility()).length") == 1
     assert page.messages() == []
 
 
-@pytest.mark.parametrize("path", PAGES)
-@pytest.mark.parametrize("scheme", ["light", "dark"])
-def test_text_stands_out_in_both_schemes(settled, path, scheme):
-    page = settled(path, scheme=scheme)
-    assert page.run(PALE) == []
+def check_hints(page):
+    """What stands in empty fields has room, on a phone and on screens."""
+    for width in (390, 1280, 1440):
+        page.resize(width, 844)
+        page.settle()
+        assert page.run(CUT_HINTS) == [], width
 
 
 @pytest.mark.parametrize("path", PAGES)
-def test_at_twice_the_size_nothing_runs_out_of_the_window(settled, path):
-    page = settled(path, width=640, height=360)
+def test_on_a_phone_and_at_twice_the_size_nothing_runs_out_of_the_window(settled, path):
+    page = settled(path, width=390, height=844)
+    check_frame(page, 390)
+    page.resize(640, 360)
+    page.settle()
     assert page.run("return document.documentElement.scrollWidth") <= 640
 
 
-@pytest.mark.parametrize("path", PAGES)
-def test_the_japanese_page_is_japanese(settled, trained_library, path):
+@pytest.mark.parametrize("path", (*PAGES, "/takes?motion=clip:1"))
+def test_a_page_fits_its_window_and_text_stands_out_in_both_schemes(settled, path):
+    page = settled(path)
+    check_frame(page, 1280)
+    for scheme in ("light", "dark"):
+        page.paint(scheme)
+        page.settle()
+        assert page.run(f"return matchMedia('(prefers-color-scheme: {scheme})').matches")
+        assert page.run(PALE) == [], scheme
+    check_hints(page)
+
+
+@pytest.mark.parametrize("path", (*PAGES, "/takes?motion=clip:1"))
+def test_the_japanese_page_is_japanese_and_fits_its_fields(settled, path):
     page = settled(path, language="ja")
     assert page.run("return document.documentElement.lang") == "ja"
     assert page.run(WITHOUT_THE_FONT) == []
@@ -148,16 +162,7 @@ def test_the_japanese_page_is_japanese(settled, trained_library, path):
     assert [text for text in page.run(LEFT_IN_ENGLISH) if text not in names and "performer" not in text] == []
     assert page.run("return document.body.innerText").count("{") == 0 or path == "/api"
     assert page.messages() == []
-
-
-@pytest.mark.parametrize("path", (*PAGES, "/takes?motion=clip:1"))
-@pytest.mark.parametrize("language", ["en", "ja"])
-def test_what_stands_in_empty_fields_is_not_cut(settled, path, language):
-    page = settled(path, language=language)
-    for width in (390, 1280, 1440):
-        page.resize(width, 844)
-        page.settle()
-        assert page.run(CUT_HINTS) == [], width
+    check_hints(page)
 
 
 @pytest.mark.parametrize("path", ["/search?motion=clip:1", "/takes?motion=clip:1", "/evaluate", "/estimate"])
