@@ -2,18 +2,24 @@
 
 from __future__ import annotations
 
+import functools
+import hashlib
+import pickle
 import shutil
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import pytest
+
+from dousa.files.disk import atomic_write
 
 try:
     import fcntl
 except ImportError:  # elsewhere each makes its own
     fcntl = None
 
-__all__ = ["make_once"]
+__all__ = ["make_once", "remember"]
 
 
 def make_once(factory: pytest.TempPathFactory, name: str, make: Callable[[Path], None]) -> Path:
@@ -39,3 +45,38 @@ def make_once(factory: pytest.TempPathFactory, name: str, make: Callable[[Path],
             make(folder)
             made.touch()
     return folder
+
+
+def remember(factory: pytest.TempPathFactory, work: Callable[..., Any]) -> Callable[..., Any]:
+    """The same function, whose answers lie in files: what it has done once in a run is not done again.
+
+    Parameters
+    ----------
+    factory : of the temporary folders of this worker; those of all lie beside one another.
+    work : answers the same whenever it is asked the same, and takes a ``progress``, which hears the same again too.
+    """
+    worker = factory.getbasetemp()
+    folder = (worker.parent if worker.name.startswith("popen-") else worker) / work.__name__
+    folder.mkdir(exist_ok=True)
+
+    @functools.wraps(work)
+    def recall(*words: Any, progress: Callable[..., None] | None = None, **options: Any) -> Any:
+        report = progress or (lambda *step: None)
+        path = folder / hashlib.sha256(pickle.dumps((words, options))).hexdigest()
+        if path.exists():
+            steps, answer = pickle.loads(path.read_bytes())
+            for step in steps:
+                report(*step)
+            return answer
+        steps = []
+
+        def tell(*step: Any) -> None:
+            steps.append(step)
+            report(*step)
+
+        answer = work(*words, progress=tell, **options)
+        with atomic_write(path) as file:
+            pickle.dump((steps, answer), file)
+        return answer
+
+    return recall

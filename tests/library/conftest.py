@@ -9,7 +9,9 @@ from pathlib import Path
 import pytest
 
 from dousa.library import Library
+from dousa.retrieval.takes import labeller_training
 from library import database_server
+from made_once import make_once, remember
 
 WriteMove = Callable[..., Path]
 
@@ -130,6 +132,15 @@ def _databases_of_a_test(request: pytest.FixtureRequest) -> Iterator[None]:
     database_server.drop_below(folder)
 
 
+@pytest.fixture(scope="package", autouse=True)
+def _labellers_learned_once(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
+    """Most libraries have the same clips: to learn to label their takes was nearly half of what these tests cost."""
+    with pytest.MonkeyPatch.context() as patch:
+        learn = remember(tmp_path_factory, labeller_training.train_labeller)
+        patch.setattr(labeller_training, "train_labeller", learn)
+        yield
+
+
 @pytest.fixture(scope="session")
 def write_move() -> WriteMove:
     """Writes a BVH file: ``write_move(path, move="wave"|"squat"|"bow", seed=0, n_frames=24)``."""
@@ -139,11 +150,13 @@ def write_move() -> WriteMove:
 @pytest.fixture(scope="session")
 def moves(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder with three categories of five files; never changed by a test."""
-    root = tmp_path_factory.mktemp("moves")
-    for move in _MOVES:
-        for seed in range(5):
-            _write_move(root / move / f"{move}_p{seed}.bvh", move, seed)
-    return root
+
+    def make(folder: Path) -> None:
+        for move in _MOVES:
+            for seed in range(5):
+                _write_move(folder / move / f"{move}_p{seed}.bvh", move, seed)
+
+    return make_once(tmp_path_factory, "moves", make)
 
 
 @pytest.fixture(scope="session")
