@@ -13,6 +13,7 @@ import pytest
 from dousa.errors import OptionError
 from dousa.formats import ReadOptions, read_motion
 from dousa.library import Library
+from dousa.library.engine import choose_jobs
 from dousa.messages import Message
 from dousa.motion import CANONICAL_JOINTS, canonicalise, compute_trajectories
 
@@ -234,6 +235,13 @@ def test_another_backend_of_joblib_gives_the_same_library(library, moves, tmp_pa
         assert [clip.to_json() for clip in other.clips()] == [clip.to_json() for clip in library.clips()]
         query = library.clips()[3].path
         assert other.search(query) == library.search(query)
+
+
+def test_every_core_is_used_unless_joblib_or_the_caller_says_otherwise():
+    assert choose_jobs(None) == -1
+    assert choose_jobs(1) == 1
+    with joblib.parallel_config(backend="threading", n_jobs=3):
+        assert joblib.effective_n_jobs(choose_jobs(None)) == 3
 
 
 def test_progress_counts_every_file(empty_library, moves):

@@ -436,6 +436,5 @@ def choose_jobs(n_jobs: int | None) -> int | None:
     import joblib
 
     check_jobs(n_jobs)
-    if n_jobs is None and joblib.effective_n_jobs() == 1:
-        return int(joblib.cpu_count())
-    return n_jobs
+    # Without an argument joblib is asked for all cores, and says how many these are, not what it would take by itself.
+    return -1 if n_jobs is None and joblib.effective_n_jobs(None) == 1 else n_jobs
