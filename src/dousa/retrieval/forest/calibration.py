@@ -57,6 +57,7 @@ from dousa.retrieval.forest.pose_space import (
     read_curve,
 )
 from dousa.retrieval.forest.strangers import Strangers, describe_strangers
+from dousa.workers.threads import map_pieces
 
 _ROUNDS = 8
 _CATEGORY_PARTS = 4  # a round holds back a quarter, so that its forest has almost as many categories as the real one
@@ -366,8 +367,6 @@ def learn_calibration(
     ------
     TrainingError : fewer than 3 categories, or too few clips to hold some back.
     """
-    from joblib import Parallel, delayed
-
     labels = np.asarray(categories)
     labels = labels.astype(np.str_) if labels.dtype == object else labels
     names = np.unique(labels)
@@ -376,13 +375,8 @@ def learn_calibration(
     people = [None] * len(labels) if performers is None else performers
     judge = _Judge(forest.get_params(), features, labels, feature_set, copies, watch, describe_strangers(feature_set))
     rounds = list(_draw_rounds(labels, people, random_state))
-    # The forests side by side, each by one worker, as small ones are not worth dividing; the poses one after the other,
-    # as the linear algebra has workers of its own.
-    asked = Parallel(n_jobs=forest.n_jobs, prefer="threads")(
-        delayed(judge.ask_forest)(number, *parts) for number, parts in enumerate(rounds)
-    )
-    held = enumerate(zip(rounds, asked, strict=True))
-    seen = [judge.compare_poses(number, parts, said) for number, (parts, said) in held]
+    # Side by side, each by one worker, as small forests are not worth dividing.
+    seen = map_pieces(lambda number: judge.hold(number, *rounds[number]), range(len(rounds)), forest.n_jobs, 1)
     if not seen:
         raise TrainingError("calibration.clips")
     space = judge.fit_space(np.arange(len(labels)))
@@ -429,10 +423,17 @@ class _Judge:
     watch: Watch | None = None
     strangers: Strangers | None = None
 
-    def ask_forest(
-        self, number: int, train: IndexArray, known: IndexArray, unknown: IndexArray
-    ) -> tuple[NDArray[Any], FloatArray]:
-        """Train on some clips, and guess the categories of others, with the scores."""
+    def hold(self, number: int, train: IndexArray, known: IndexArray, unknown: IndexArray) -> _Round:
+        """Train on some clips, guess the categories of others, and compare their poses."""
+        small = self.train(number, train, known, unknown)
+        features, labels, kinds, copied = self._choose(number, known, unknown)
+        guess, scores = VoteScale(small).measure(small.apply(features))
+        names = small.classes_[guess]
+        evidence, _, _ = gather_evidence(scores, self.fit_space(train), features, names)
+        return _Round(evidence, names, kinds, copied, (names == labels) & (kinds == _KNOWN))
+
+    def train(self, number: int, train: IndexArray, known: IndexArray, unknown: IndexArray) -> MotionForest:
+        """The forest of a round, which is watched."""
         trees = min(_TREES, self.parameters["n_trees"])
         small = MotionForest(**{**self.parameters, "n_trees": trees, "random_state": number, "n_jobs": 1})
         copies = Copies(np.zeros(0, np.intp), self.features[:0]) if self.copies is None else self.copies
@@ -441,8 +442,7 @@ class _Judge:
         del features  # some rounds are held at a time
         if self.watch is not None:
             self.watch(number, small, train, known, unknown)
-        guess, scores = VoteScale(small).measure(small.apply(self._choose(number, known, unknown)[0]))
-        return small.classes_[guess], scores
+        return small
 
     def _choose(
         self, number: int, known: IndexArray, unknown: IndexArray
@@ -483,20 +483,6 @@ class _Judge:
             labels = np.concatenate([labels, self.labels[self.copies.rows[places]]])
         others = None if self.strangers is None else self.strangers.beside
         return fit_pose_space(self.features[rows], labels, self.feature_set, others, copies)
-
-    def compare_poses(
-        self,
-        number: int,
-        parts: tuple[IndexArray, IndexArray, IndexArray],
-        said: tuple[NDArray[Any], FloatArray],
-    ) -> _Round:
-        """Add what the poses say."""
-        train, known, unknown = parts
-        guess, scores = said
-        features, labels, kinds, copied = self._choose(number, known, unknown)
-        space = self.fit_space(train)
-        evidence, _, _ = gather_evidence(scores, space, features, guess)
-        return _Round(evidence, guess, kinds, copied, (guess == labels) & (kinds == _KNOWN))
 
 
 def _summarise(rounds: list[_Round], poses: PoseSpace, alien: float) -> Calibration:

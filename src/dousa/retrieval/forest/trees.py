@@ -14,6 +14,7 @@ from dousa.arrays import FloatArray, IntArray
 from dousa.retrieval.features.integral import MEAN, SPREAD, TREND
 from dousa.retrieval.forest import growing_kernels as kernels
 from dousa.workers.current import current_cluster
+from dousa.workers.threads import map_pieces
 
 KIND_NAMES = ("mean", "spread", "trend")
 """Names of the kinds of tests, by their numbers in the kernels."""
@@ -179,7 +180,7 @@ def grow_trees(
     seeds : 64-bit, one per tree.
     copied : (K,) clips of which the last K are copies: a tree learns one or the other. None if there are none.
     """
-    from joblib import Parallel, delayed, effective_n_jobs
+    from joblib import effective_n_jobs
 
     frames, count = features.shape[1:]
     copies = np.zeros(0, np.int64) if copied is None else copied
@@ -193,7 +194,7 @@ def grow_trees(
     if cluster is not None:
         grown = list(cluster.map(grow, tasks, most=1))
     else:
-        grown = Parallel(n_jobs=spec.n_jobs, prefer="threads")(delayed(grow)(some) for some in tasks)
+        grown = map_pieces(grow, tasks, spec.n_jobs, at_a_time=1)
     trees = _join([tree for some in grown for tree in some], (count, frames, n_classes))
     if clips <= MOST_GROWN:
         return trees
@@ -202,13 +203,9 @@ def grow_trees(
 
 def _count_again(trees: Trees, features: FloatArray, categories: NDArray[np.int32], n_jobs: int | None) -> Trees:
     """Trees that were grown from some of the clips, with all clips in their leaves."""
-    from joblib import Parallel, delayed
-
     leaves = np.empty((len(features), len(trees.roots)), np.int32)
-    Parallel(n_jobs=n_jobs, prefer="threads")(
-        delayed(_find_leaves)(trees, features[part], leaves[part])
-        for part in (slice(start, start + _AT_ONCE) for start in range(0, len(features), _AT_ONCE))
-    )
+    parts = [slice(start, start + _AT_ONCE) for start in range(0, len(features), _AT_ONCE)]
+    map_pieces(lambda part: _find_leaves(trees, features[part], leaves[part]), parts, n_jobs, at_a_time=1)
     keys, counts = [], []
     for column in leaves.T:  # the leaves of a tree follow those of the tree before
         own, found = np.unique(column.astype(np.int64) * trees.n_classes + categories, return_counts=True)
