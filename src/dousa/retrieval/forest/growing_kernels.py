@@ -44,7 +44,7 @@ _MANY = 64  # from here on, counting digits is faster than insertion sort
 _AT_ONCE = 16  # tests that a block of clips is asked
 _BLOCK = 64  # clips: their rows stay in the cache meanwhile
 _FIRST = 8  # tests of a node that are asked before it is known that many will be
-_MOST_ASKED, _ASKED_CLIPS, _ASKED_BLOCK = 128, (64, 256), 16  # then so many at once, if a node has so many clips
+_MOST_ASKED, _ASKED_CLIPS = 128, (64, 256)  # then so many at once, if a node has so many clips
 _MOST_LOOKED = 256  # clips by which a node of more chooses a few of its tests
 _MOST_WEIGHED = 2048  # clips by which it chooses among these; all clips are then parted by the best
 _KEPT = 8  # tests that are weighed again
@@ -62,6 +62,7 @@ class Workspace(NamedTuple):
     values: FloatArray
     asked: FloatArray
     rows: FloatArray
+    others: FloatArray
     places: IntArray
     chosen: IntArray
     thresholds: FloatArray
@@ -93,8 +94,9 @@ class Workspace(NamedTuple):
         return cls(
             values=np.empty((_AT_ONCE, n_clips)),
             asked=np.empty((_MOST_ASKED, _ASKED_CLIPS[1])),
-            rows=np.empty(_ASKED_BLOCK * features.shape[1] * features.shape[2], features.dtype),
-            places=np.arange(_ASKED_BLOCK),
+            rows=np.empty(_BLOCK * features.shape[1] * features.shape[2], features.dtype),
+            others=np.empty(_BLOCK),
+            places=np.arange(_BLOCK),
             chosen=np.empty(_MOST_ASKED, np.int64),
             thresholds=np.empty(_MOST_ASKED),
             states=np.empty(_MOST_ASKED, np.uint64),
@@ -169,47 +171,51 @@ def _measure_trend(difference, moment_difference, length, middle):
 
 
 @_compiled
-def _add_cells(cells, row, width, first, last, column):
-    """The sum of a column over the cells first ... last - 1 of a clip, whose values begin at ``row``: eq. 5."""
-    total = 0.0
-    start = row + column * width
-    for place in range(start + first, start + last):
-        total += cells[place]
-    return total
+def _add_cells(cells, size, start, length, samples, sums):
+    """The sums of ``length`` cells of a few clips, from the place ``start`` of each clip on: eq. 5.
+
+    One cell of all clips, then the next one, so that no clip waits until the memory has given another.
+    """
+    for k in range(len(samples)):
+        sums[k] = 0.0
+    for place in range(start, start + length):
+        for k in range(len(samples)):
+            sums[k] += cells[np.uint64(samples[k]) * size + place]
 
 
 @_compiled
-def _evaluate(cells, size, width, test, samples, start, stop, values):
-    """The value of one test for the clips ``start ... stop - 1`` of a node, into ``values``.
+def _evaluate(cells, size, width, test, samples, others, values):
+    """The value of one test for some clips of a node, into ``values``, a block of clips after the other.
 
-    ``cells`` holds the features one clip after the other, ``size`` values each, in columns of ``width`` cells.
+    ``cells`` holds the features one clip after the other, ``size`` values each, in columns of ``width`` cells;
+    ``others`` is room for the numbers of a block.
     """
     # Unsigned, so that no place is looked at for being counted from the end.
-    first, last = np.uint64(test[3]), np.uint64(test[4])
+    first, count = np.uint64(test[3]), np.uint64(test[4] - test[3])
     kind, column, partner = test[0], np.uint64(test[1]), np.uint64(test[2])
     length, middle = float(test[4] - test[3]), 0.5 * (test[3] + test[4])
-    if kind == MEAN:
-        for k in range(start, stop):
-            values[k] = _add_cells(cells, np.uint64(samples[k]) * size, width, first, last, column)
-    elif kind == SPREAD:
-        for k in range(start, stop):
-            row = np.uint64(samples[k]) * size
-            total = _add_cells(cells, row, width, first, last, column)
-            values[k] = _measure_spread(total, _add_cells(cells, row, width, first, last, partner), length)
-    else:
-        for k in range(start, stop):
-            row = np.uint64(samples[k]) * size
-            total = _add_cells(cells, row, width, first, last, column)
-            values[k] = _measure_trend(total, _add_cells(cells, row, width, first, last, partner), length, middle)
+    for start in range(0, len(samples), _BLOCK):
+        some, sums = samples[start : start + _BLOCK], values[start : start + _BLOCK]
+        _add_cells(cells, size, column * width + first, count, some, sums)
+        if kind == MEAN:
+            continue
+        _add_cells(cells, size, partner * width + first, count, some, others)
+        if kind == SPREAD:
+            for k in range(len(some)):
+                sums[k] = _measure_spread(sums[k], others[k], length)
+        else:
+            for k in range(len(some)):
+                sums[k] = _measure_trend(sums[k], others[k], length, middle)
 
 
 @_compiled
-def _evaluate_all(cells, size, width, tests, chosen, samples, values):
+def _evaluate_all(cells, size, width, tests, chosen, samples, others, values):
     """The values of some tests for the clips of a node, into ``values`` (tests, clips)."""
     n = len(samples)
     for start in range(0, n, _BLOCK):
+        stop = min(start + _BLOCK, n)
         for q in range(len(chosen)):
-            _evaluate(cells, size, width, tests[chosen[q]], samples, start, min(start + _BLOCK, n), values[q])
+            _evaluate(cells, size, width, tests[chosen[q]], samples[start:stop], others, values[q, start:stop])
 
 
 @_compiled
@@ -219,14 +225,14 @@ def _evaluate_many(cells, size, width, tests, chosen, samples, work, values):
     Memory gives them much faster than cell by cell.
     """
     rows = work.rows
-    for start in range(0, len(samples), _ASKED_BLOCK):
-        count = min(_ASKED_BLOCK, len(samples) - start)
+    for start in range(0, len(samples), _BLOCK):
+        count = min(_BLOCK, len(samples) - start)
         for k in range(count):
             own, copy = np.uint64(samples[start + k]) * size, np.uint64(k) * size
             for cell in range(size):
                 rows[copy + cell] = cells[own + cell]
         for q in range(len(chosen)):
-            _evaluate(rows, size, width, tests[chosen[q]], work.places, np.int64(0), count, values[q, start:])
+            _evaluate(rows, size, width, tests[chosen[q]], work.places[:count], work.others, values[q, start:])
 
 
 @_njit(fastmath={"nnan", "nsz"}, **_OPTIONS)
@@ -380,7 +386,7 @@ def _find_splits(
         if is_many:
             _evaluate_many(cells, size, width, tests, work.chosen[:count], samples, work, values)
         else:
-            _evaluate_all(cells, size, width, tests, work.chosen[:count], samples, values)
+            _evaluate_all(cells, size, width, tests, work.chosen[:count], samples, work.others, values)
         end = drawn + count
         for q in range(count):
             test = work.chosen[q]
@@ -427,7 +433,7 @@ def _weigh_again(
 ):  # fmt: skip
     """The best of the tests in ``kept`` by more clips, and its threshold."""
     best, best_test, best_threshold = np.int64(_NO_SCORE), work.kept[0], work.kept_thresholds[0]
-    _evaluate_all(cells, size, width, tests, work.kept[:n_kept], samples, work.values)
+    _evaluate_all(cells, size, width, tests, work.kept[:n_kept], samples, work.others, work.values)
     for q in range(n_kept):
         values, test, threshold = work.values[q], work.kept[q], work.kept_thresholds[q]
         if random_thresholds:
@@ -568,7 +574,7 @@ def grow_tree(
             n_leaves += 1
             leaf_starts[n_leaves] = n_entries
             continue
-        _evaluate(cells, size, width, tests[test], inside, np.int64(0), n, values)
+        _evaluate(cells, size, width, tests[test], inside, work.others, values)
         n_left = _partition(values, threshold, inside, work.keys)
         _write_node(nodes, cuts, node, tests[test], threshold, n_frames, n_nodes)
         stack[depth, 0], stack[depth, 1], stack[depth, 2] = n_nodes + 1, start + n_left, stop
