@@ -21,7 +21,7 @@ from dousa.library.schema import pack
 from dousa.library.seals.checksums import FOREST, seal_rows, update_rows
 from dousa.library.selection import portions
 from dousa.workers.current import current_cluster
-from dousa.workers.threads import map_together
+from dousa.workers.threads import map_pieces, map_together
 
 if TYPE_CHECKING:
     from dousa.arrays import FloatArray
@@ -34,7 +34,7 @@ if TYPE_CHECKING:
 
 _FOREST_ID = 1
 
-_AT_ONCE = 4096  # clips that trees are asked about
+_AT_ONCE = 1024  # clips that trees are asked about; each takes some kilobytes more on its way
 
 # Clips that the rounds of a calibration use, enough for two curves: so many of each category, within these bounds.
 _HELD_OF_EACH, _MOST_HELD_BACK = 20, (1500, 3000)
@@ -122,16 +122,19 @@ def ask_trees(stored: StoredForest, features: FloatArray) -> TreeAnswers:
     answers = count_votes(stored, find_leaves(stored, features))
     if stored.likeness is None or not len(features):
         return answers
-    # In portions, as a clip takes some kilobytes more on its way.
-    parts = (np.ascontiguousarray(features[start : start + _AT_ONCE]) for start in range(0, len(features), _AT_ONCE))
-    return replace(answers, directions=np.concatenate([stored.likeness.place(part) for part in parts]))
+    parts = [features[start : start + _AT_ONCE] for start in range(0, len(features), _AT_ONCE)]
+    placed = map_pieces(stored.likeness.place, parts, stored.forest.n_jobs, at_a_time=1)
+    return replace(answers, directions=np.concatenate(placed))
 
 
 def find_leaves(stored: StoredForest, features: FloatArray) -> NDArray[np.int32]:
     """(N, n_trees), the leaf that each clip reaches in each tree."""
     leaves = np.empty((len(features), len(stored.forest.trees_.roots)), np.int32)
-    for start in range(0, len(features), _AT_ONCE):
+
+    def find(start: int) -> None:
         leaves[start : start + _AT_ONCE] = stored.forest.apply(features[start : start + _AT_ONCE])
+
+    map_pieces(find, range(0, len(features), _AT_ONCE), stored.forest.n_jobs, at_a_time=1)
     return leaves
 
 

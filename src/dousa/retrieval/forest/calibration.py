@@ -425,11 +425,14 @@ class _Judge:
 
     def hold(self, number: int, train: IndexArray, known: IndexArray, unknown: IndexArray) -> _Round:
         """Train on some clips, guess the categories of others, and compare their poses."""
-        small = self.train(number, train, known, unknown)
-        features, labels, kinds, copied = self._choose(number, known, unknown)
-        guess, scores = VoteScale(small).measure(small.apply(features))
-        names = small.classes_[guess]
-        evidence, _, _ = gather_evidence(scores, self.fit_space(train), features, names)
+        small, space = self.train(number, train, known, unknown), self.fit_space(train)
+        parts, labels, kinds, copied = self._choose(number, known, unknown)
+        scale = VoteScale(small)
+        asked = [scale.measure(small.apply(features)) for features in parts]
+        named = [small.classes_[guess] for guess, _ in asked]
+        seen = zip(asked, parts, named, strict=True)
+        evidence = np.concatenate([gather_evidence(scores, space, *part)[0] for (_, scores), *part in seen])
+        names = np.concatenate(named)
         return _Round(evidence, names, kinds, copied, (names == labels) & (kinds == _KNOWN))
 
     def train(self, number: int, train: IndexArray, known: IndexArray, unknown: IndexArray) -> MotionForest:
@@ -446,8 +449,11 @@ class _Judge:
 
     def _choose(
         self, number: int, known: IndexArray, unknown: IndexArray
-    ) -> tuple[FloatArray, NDArray[Any], IndexArray, BoolArray]:
-        """Clips held back, their copies, and motions between two: features, labels, kinds, and which are copies."""
+    ) -> tuple[list[FloatArray], NDArray[Any], IndexArray, BoolArray]:
+        """Clips held back, their copies, and motions between two: features, labels, kinds, and which are copies.
+
+        The features in parts, as they take much room.
+        """
         chance = np.random.default_rng(number)
         known, unknown = (chance.permutation(rows)[:_MOST_JUDGED] for rows in (known, unknown))
         other = chance.permutation(known)
@@ -468,7 +474,7 @@ class _Judge:
         sizes = [len(rows) for _, rows in parts]
         labels = self.labels[np.concatenate([rows for _, rows in parts])]
         return (
-            np.concatenate([features for features, _ in parts]),
+            [features for features, _ in parts],
             labels,
             np.repeat(kinds, sizes),
             np.repeat(copied, sizes),

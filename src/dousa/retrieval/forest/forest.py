@@ -52,13 +52,8 @@ def count_trials(n_trials: int | str | None, n_tests: int) -> int:
     return min(int(np.log2(n_tests)) + 1 if n_trials is None else int(n_trials), n_tests)
 
 
-def check_features(
-    features: ArrayLike, shape: tuple[int, int] | None = None, *, finite: bool = False, for_trees: bool = False
-) -> FloatArray:
-    """(N, T, F), float32 if they are and else float64, C-ordered or as ``order_for_trees``.
-
-    They are finite if asked for: the query looks for itself.
-    """
+def check_features(features: ArrayLike, shape: tuple[int, int] | None = None, *, for_trees: bool = False) -> FloatArray:
+    """(N, T, F), float32 if they are and else float64, C-ordered or as ``order_for_trees``; finite or not."""
     try:
         given = np.asarray(features)
         kind: Any = np.float32 if given.dtype == np.float32 else np.float64
@@ -68,11 +63,18 @@ def check_features(
     if pose.ndim != 3 or 0 in pose.shape[1:] or (shape is not None and pose.shape[1:] != shape):
         wanted = "(clips, frames, features)" if shape is None else f"(clips, {shape[0]}, {shape[1]})"
         raise InvalidMotionError("forest.shape", wanted=wanted, shape=pose.shape)
-    pose = order_for_trees(pose) if for_trees else pose
-    if finite and not np.isfinite(measure_columns(pose)).all():
+    return order_for_trees(pose) if for_trees else pose
+
+
+def _measure_finite(pose: FloatArray) -> FloatArray:
+    """(F,) of ``measure_columns``; InvalidMotionError for features (N, T, F) that are not finite, or too large."""
+    largest = measure_columns(pose)
+    if not np.isfinite(largest).all():
         bad = next(number for number, clip in enumerate(pose) if not np.isfinite(clip).all())
         raise InvalidMotionError("forest.not_finite", clip=bad)
-    return pose
+    if largest.max() > _LARGEST_VALUE:
+        raise InvalidMotionError("forest.too_large", largest=_LARGEST_VALUE)
+    return largest
 
 
 def number_categories(categories: ArrayLike, n_clips: int) -> tuple[NDArray[Any], NDArray[np.int32]]:
@@ -233,12 +235,11 @@ class MotionForest:
         """
         self._check_options()
         shape = None if feature_set is None else (feature_set.n_frames, feature_set.n_columns)
-        pose = check_features(features, shape, finite=True, for_trees=True)
+        pose = check_features(features, shape, for_trees=True)
+        largest = _measure_finite(pose)
         twins = _check_copied(copied, len(pose))
         if len(pose) == len(twins):
             raise TrainingError("forest.no_clips")
-        if measure_columns(pose).max() > _LARGEST_VALUE:
-            raise InvalidMotionError("forest.too_large", largest=_LARGEST_VALUE)
         classes, numbers = number_categories(categories, len(pose) - len(twins))
         numbers = np.append(numbers, numbers[twins])
         if feature_set is None:
@@ -248,7 +249,7 @@ class MotionForest:
             names, tests = feature_set.column_names, feature_set.tests
         drawn = np.random.SeedSequence(self.random_state).generate_state(self.n_trees, np.uint64)
         seeds = drawn.astype(np.uint64)
-        trees = grow_trees(pose, numbers, len(classes), tests, self.make_spec(len(tests)), seeds, twins)
+        trees = grow_trees(pose, numbers, len(classes), tests, self.make_spec(len(tests)), seeds, twins, largest)
         self._take(trees, classes, names)
         return self
 

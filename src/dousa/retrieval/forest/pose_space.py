@@ -61,7 +61,9 @@ class PoseSpace:
         described = _describe(features, self.layout)
         if described.shape[1] != len(self.middle):
             raise InvalidMotionError("forest.pose_space", shape=features.shape)
-        placed: FloatArray = ((described - self.middle) * self.scale) @ self.axes
+        described -= self.middle  # in its place: there may be many clips
+        described *= self.scale
+        placed: FloatArray = described @ self.axes
         return placed
 
     def compare(self, features: FloatArray, categories: NDArray[Any]) -> FloatArray:
@@ -187,13 +189,14 @@ def fit_pose_space(
 def _describe(features: FloatArray, layout: IntArray) -> FloatArray:
     """(N, D): means, and spreads where the features have them, over a few joined cells."""
     count, has_squares = (int(number) for number in layout)
-    means = _join_cells(features[:, :, :count])
-    if not has_squares:
-        return means.reshape(len(features), -1)
-    squares = _join_cells(features[:, :, count + 1 : 2 * count + 1])
-    squares -= means**2
-    spreads = np.sqrt(np.maximum(squares, 0.0, out=squares), out=squares)
-    return np.concatenate([means, spreads], axis=1).reshape(len(features), -1)
+    described = np.empty((len(features), 1 + has_squares, min(_CELLS, features.shape[1]), count))
+    _join_cells(features[:, :, :count], described[:, 0])
+    if has_squares:
+        means, spreads = described[:, 0], described[:, 1]
+        _join_cells(features[:, :, count + 1 : 2 * count + 1], spreads)
+        spreads -= means**2
+        np.sqrt(np.maximum(spreads, 0.0, out=spreads), out=spreads)
+    return described.reshape(len(features), -1)
 
 
 def _mean_of_channels(values: FloatArray, layout: IntArray) -> FloatArray:
@@ -217,17 +220,14 @@ def _find_axes(centred: FloatArray) -> FloatArray:
     return axes
 
 
-def _join_cells(cells: FloatArray) -> FloatArray:
-    """(N, T, C) to at most ``_CELLS`` cells."""
-    groups = np.array_split(np.arange(cells.shape[1]), min(_CELLS, cells.shape[1]))
-    joined = np.empty((len(cells), len(groups), cells.shape[2]))
-    for row, group in enumerate(groups):
+def _join_cells(cells: FloatArray, joined: FloatArray) -> None:
+    """Means (N, T, C) over neighbouring cells, into fewer cells (N, S, C)."""
+    for row, group in enumerate(np.array_split(np.arange(cells.shape[1]), joined.shape[1])):
         mean = joined[:, row]
         mean[:] = cells[:, group[0]]
         for cell in group[1:]:
             mean += cells[:, cell]
         mean /= len(group)
-    return joined
 
 
 _RIDGE = 1e-3  # holds curves finite where the scores part both sides without a mistake

@@ -167,7 +167,8 @@ def grow_trees(
     tests: IntArray,
     spec: TreesSpec,
     seeds: NDArray[np.uint64],
-    copied: IntArray | None = None,
+    copied: IntArray,
+    largest: FloatArray,
 ) -> Trees:
     """One tree per seed, whatever the number of workers; of more than ``MOST_GROWN`` clips from some for each tree.
 
@@ -178,19 +179,19 @@ def grow_trees(
     tests : (R, 5) what may be asked at a node, see ``tree_kernels``.
     spec : how to grow.
     seeds : 64-bit, one per tree.
-    copied : (K,) clips of which the last K are copies: a tree learns one or the other. None if there are none.
+    copied : (K,) clips of which the last K are copies: a tree learns one or the other.
+    largest : (F,) of ``measure_columns``.
     """
     from joblib import effective_n_jobs
 
     frames, count = features.shape[1:]
-    copies = np.zeros(0, np.int64) if copied is None else copied
-    clips = len(features) - len(copies)
-    material = prepare_material(features, categories, tests, min(clips, MOST_GROWN))
+    clips = len(features) - len(copied)
+    material = prepare_material(features, _SAME_VALUE * largest, categories, tests, min(clips, MOST_GROWN))
     # A few trees a task: with few clips a tree takes less time than handing it out.
     cluster = None if spec.n_jobs == 1 else current_cluster()
     workers = effective_n_jobs(spec.n_jobs) if cluster is None else cluster.n_threads
     tasks = np.array_split(seeds, min(len(seeds), 4 * workers))
-    grow = partial(_grow_seeds, material, n_classes, spec, copies)
+    grow = partial(_grow_seeds, material, n_classes, spec, copied)
     if cluster is not None:
         grown = list(cluster.map(grow, tasks, most=1))
     else:
@@ -264,10 +265,11 @@ _AT_A_TIME = 1024  # clips of which a copy is made
 
 def measure_columns(features: FloatArray) -> FloatArray:
     """(F,) the largest size of each column of features (N, T, F); not finite where a value is not."""
-    largest = np.zeros(features.shape[2])
-    for start in range(0, len(features), _AT_A_TIME):
-        some = np.abs(features[start : start + _AT_A_TIME]).max(axis=(0, 1))
-        largest = np.maximum(largest, some)
+    if not len(features):
+        return np.zeros(features.shape[2])
+    # Over the clips first, which NumPy does for many cells at a time.
+    sizes = np.maximum(features.max(axis=0), -features.min(axis=0))
+    largest: FloatArray = sizes.max(axis=0).astype(np.float64)
     return largest
 
 
@@ -281,9 +283,13 @@ Material = tuple[NDArray[Any], ...]
 GrownTree = tuple[NDArray[np.int32], IntArray, NDArray[np.int32], NDArray[np.int32]]
 
 
-def prepare_material(features: FloatArray, categories: NDArray[np.int32], tests: IntArray, largest: int) -> Material:
-    """What ``grow_some`` grows trees of at most ``largest`` clips from; the rest as in ``grow_trees``."""
-    tolerances = _SAME_VALUE * measure_columns(features)
+def prepare_material(
+    features: FloatArray, tolerances: FloatArray, categories: NDArray[np.int32], tests: IntArray, largest: int
+) -> Material:
+    """What ``grow_some`` grows trees of at most ``largest`` clips from; the rest as in ``grow_trees``.
+
+    Values of a column (F,) that are closer than its tolerance are one value.
+    """
     number = np.arange(largest + 1)
     logarithms = np.rint(number * np.log2(np.maximum(number, 1)) * kernels.FIXED_POINT).astype(np.int64)
     return order_for_trees(features).transpose(0, 2, 1), tolerances, categories, tests, logarithms
@@ -294,11 +300,10 @@ def prepare_leaves(features: FloatArray, categories: NDArray[np.int32], tests: I
 
     In the stead of the tolerances are the largest sizes of the columns of each clip.
     """
-    _, _, categories, tests, logarithms = prepare_material(features[:0], categories, tests, largest)
     sizes = np.empty((len(features), features.shape[2]), features.dtype)
     for start in range(0, len(features), _AT_A_TIME):
         sizes[start : start + _AT_A_TIME] = np.abs(features[start : start + _AT_A_TIME]).max(axis=1)
-    return order_for_trees(features).transpose(0, 2, 1), sizes, categories, tests, logarithms
+    return prepare_material(features, sizes, categories, tests, largest)
 
 
 def grow_some(
