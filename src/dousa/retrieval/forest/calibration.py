@@ -379,7 +379,7 @@ def learn_calibration(
     seen = map_pieces(lambda number: judge.hold(number, *rounds[number]), range(len(rounds)), forest.n_jobs, 1)
     if not seen:
         raise TrainingError("calibration.clips")
-    space = judge.fit_space(np.arange(len(labels)))
+    space = judge.fit_space(slice(None))
     return _summarise(seen, space, alien)
 
 
@@ -480,11 +480,11 @@ class _Judge:
             np.repeat(copied, sizes),
         )
 
-    def fit_space(self, rows: IndexArray) -> PoseSpace:
+    def fit_space(self, rows: IndexArray | slice) -> PoseSpace:
         """The space of some clips and of their copies: what noise changes is scatter within a category."""
         labels, copies = self.labels[rows], None
         if self.copies is not None:
-            places = self.copies.find(rows)
+            places = rows if isinstance(rows, slice) else self.copies.find(rows)  # of all clips all, where they stand
             copies = self.copies.features[places]
             labels = np.concatenate([labels, self.labels[self.copies.rows[places]]])
         others = None if self.strangers is None else self.strangers.beside

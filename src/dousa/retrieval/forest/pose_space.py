@@ -58,7 +58,7 @@ class PoseSpace:
         columns, has_squares = (int(number) for number in self.layout)
         if features.ndim != 3 or features.shape[2] < columns * (1 + has_squares) + has_squares:
             raise InvalidMotionError("forest.pose_space", shape=features.shape)
-        described = _describe(features, self.layout)
+        described = _describe([features], self.layout)
         if described.shape[1] != len(self.middle):
             raise InvalidMotionError("forest.pose_space", shape=features.shape)
         described -= self.middle  # in its place: there may be many clips
@@ -162,10 +162,8 @@ def fit_pose_space(
     layout = np.array([features.shape[2], 0], np.int64)
     if feature_set is not None:
         layout[:] = len(feature_set.channels), feature_set.has_banks
-    parts = [_describe(some, layout) for some in (features, copies, others) if some is not None and len(some)]
-    described = np.concatenate(parts) if len(parts) > 1 else parts[0]
+    described = _describe([some for some in (features, copies, others) if some is not None], layout)
     count = len(described) - (0 if others is None else len(others))
-    del parts
     names, own = np.unique(categories, return_inverse=True)
     middle, spread = described.mean(axis=0), described.var(axis=0)
     # A column that hardly varies must not speak as loudly as the others: half of its scale is that of all.
@@ -186,17 +184,21 @@ def fit_pose_space(
     return PoseSpace(layout, middle, scale, axes, *nobody, beside).with_placed(placed[:count], np.asarray(categories))
 
 
-def _describe(features: FloatArray, layout: IntArray) -> FloatArray:
-    """(N, D): means, and spreads where the features have them, over a few joined cells."""
+def _describe(parts: Sequence[FloatArray], layout: IntArray) -> FloatArray:
+    """(N, D) of clips (M, T, F) in some parts: means, and spreads where there are squares, over a few joined cells."""
     count, has_squares = (int(number) for number in layout)
-    described = np.empty((len(features), 1 + has_squares, min(_CELLS, features.shape[1]), count))
-    _join_cells(features[:, :, :count], described[:, 0])
-    if has_squares:
-        means, spreads = described[:, 0], described[:, 1]
-        _join_cells(features[:, :, count + 1 : 2 * count + 1], spreads)
-        spreads -= means**2
-        np.sqrt(np.maximum(spreads, 0.0, out=spreads), out=spreads)
-    return described.reshape(len(features), -1)
+    described = np.empty((sum(map(len, parts)), 1 + has_squares, min(_CELLS, parts[0].shape[1]), count))
+    first = 0
+    for features in parts:
+        own = described[first : first + len(features)]
+        first += len(features)
+        _join_cells(features[:, :, :count], own[:, 0])
+        if has_squares:
+            means, spreads = own[:, 0], own[:, 1]
+            _join_cells(features[:, :, count + 1 : 2 * count + 1], spreads)
+            spreads -= means**2
+            np.sqrt(np.maximum(spreads, 0.0, out=spreads), out=spreads)
+    return described.reshape(len(described), -1)
 
 
 def _mean_of_channels(values: FloatArray, layout: IntArray) -> FloatArray:
