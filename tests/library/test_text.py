@@ -23,6 +23,7 @@ NAMES = {
     "x17": "kick_right",
     "x18": "clap",
     "walk": "walk",
+    "x19": "raise_hands",
 }
 
 
@@ -88,12 +89,43 @@ def test_typos_are_forgiven_and_told(made, text, meant):
 def test_nothing_is_found_where_nothing_fits(made, text):
     answer = made.search_text(text, None)
     assert answer.results == () and answer.n_found == 0
-    assert answer.n_searched == 12
+    assert answer.n_searched == 14
 
 
 def test_near_words_are_offered(made):
     assert made.search_text("xqzzv").unknown == ("xqzzv",)
     assert "kickLFront1Reps" in made.search_text("high kick of a footballer playing polo on ice").near
+
+
+@pytest.mark.parametrize(("text", "whole"), [
+    ("hands overhead", "both hands overhead"), ("hands over her head", "both hands overhead"),
+    ("手を頭の上に", "両手を頭の上に"), ("arms above the head", "both arms above the head"),
+])  # fmt: skip
+def test_limbs_without_a_side_are_both(made, text, whole):
+    wanted = [(hit.category, hit.performer) for hit in made.search_text(whole, None).results]
+    assert wanted
+    assert {(hit.category, hit.performer) for hit in made.search_text(text, None).results} == set(wanted)
+
+
+@pytest.mark.parametrize(("text", "category"), [("clap hands", "a07_clap"), ("kick the legs", "kickLFront1Reps")])
+def test_a_side_that_nobody_asked_for_contradicts_nothing(made, text, category):
+    assert category in found(made, text)
+
+
+@pytest.mark.parametrize("text", ["walk or clap", "歩くまたは拍手", "clap OR walk"])
+def test_alternatives(made, text):
+    assert found(made, text) == found(made, "walk") | found(made, "clap")
+    assert set(made.match_text(text).ids) == {hit.clip_id for hit in made.search_text(text, None).results}
+
+
+def test_no_alternatives_without_an_action(made):
+    assert found(made, "left or right leg kick") == found(made, "left right leg kick")
+
+
+@pytest.mark.parametrize("text", ["not walking", "walking without arms", "don't kick", "歩かない", "歩く以外"])
+def test_what_is_not_shown_cannot_be_asked_for(made, text):
+    with pytest.raises(OptionError, match="does not"):
+        made.search_text(text)
 
 
 def test_filters_and_limits(made):

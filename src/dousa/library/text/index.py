@@ -28,10 +28,11 @@ from dousa.retrieval.words.matching import (
     Fit,
     KnownWords,
     Matcher,
-    ReadQuery,
     Unit,
+    find_negation,
     make_unit,
     read_query,
+    split_alternatives,
 )
 from dousa.retrieval.words.reading import read_words
 from dousa.retrieval.words.relations import RELATIONS_VERSION, Relation
@@ -83,10 +84,11 @@ class TextSearcher:
         """Numbers of all motions that fit a text, the best first, without what they are; as ``Library.match_text``."""
         _check_text(text)
         index = self._load()
-        matcher = _read(index, text)
-        rows, scores = _find(matcher, text, index, np.arange(len(index.entries)))
+        matchers = _read(index, text)
+        rows, scores, _ = _find(matchers, text, index, np.arange(len(index.entries)))
         ids = np.array([index.entries[row].row.id for row in rows.tolist()], np.int64)
-        return TextMatches(ids, scores, matcher.query.corrections | matcher.query.replaced)
+        taken = _join([one.query.corrections | one.query.replaced for one in matchers])
+        return TextMatches(ids, scores, taken)
 
     def search(
         self,
@@ -101,15 +103,21 @@ class TextSearcher:
         _check_text(text)
         index = self._load()
         chosen = _choose(index.entries, category, performer, kind)
-        matcher = _read(index, text)
-        rows, scores = _find(matcher, text, index, chosen)
+        matchers = _read(index, text)
+        rows, scores, fitting = _find(matchers, text, index, chosen)
+        found = zip(rows[:k].tolist(), scores.tolist(), fitting.tolist(), strict=False)
         hits = tuple(
-            _make_hit(index.entries[row], _fit(matcher, index, row, score), rank)
-            for rank, (row, score) in enumerate(zip(rows[:k].tolist(), scores.tolist(), strict=False), start=1)
+            _make_hit(index.entries[row], _fit(matchers[which], index, row, score), rank)
+            for rank, (row, score, which) in enumerate(found, start=1)
         )
-        query = matcher.query
-        near = () if len(rows) else _find_near(load_vocabulary(), query, [index.entries[row] for row in chosen])
-        return TextResult(text, hits, len(rows), len(chosen), query.corrections, query.replaced, query.unknown, near)
+        queries = [one.query for one in matchers]
+        near: tuple[str, ...] = ()
+        if not len(rows):
+            there = [index.entries[row] for row in chosen]
+            near = tuple(dict.fromkeys(word for one in matchers for word in _find_near(one, there)))[:_MOST_NEAR]
+        corrections = _join([one.corrections for one in queries]), _join([one.replaced for one in queries])
+        unknown = tuple(word for one in queries for word in one.unknown)
+        return TextResult(text, hits, len(rows), len(chosen), *corrections, unknown, near)
 
     def _load(self) -> _TextIndex:
         with self._database.reading() as connection:
@@ -136,9 +144,18 @@ def _read_sums(connection: sa.Connection) -> tuple[int, ...] | None:
     return tuple(sums)
 
 
-def _read(index: _TextIndex, text: str) -> Matcher:
-    vocabulary = load_vocabulary()
-    return Matcher(vocabulary, read_query(vocabulary, text, index.words, load_replacement()))
+def _read(index: _TextIndex, text: str) -> list[Matcher]:
+    """What compares each of the alternatives that a text asks for."""
+    vocabulary, letters = load_vocabulary(), _literal(text)
+    negation = find_negation(text)
+    if negation is not None and not any(letters in entry.literal for entry in index.entries):
+        raise OptionError("library_text.negation", word=negation)
+    parts = split_alternatives(vocabulary, text)
+    return [Matcher(vocabulary, read_query(vocabulary, part, index.words, load_replacement())) for part in parts]
+
+
+def _join(parts: Iterable[Mapping[str, str]]) -> dict[str, str]:
+    return {word: other for part in parts for word, other in part.items()}
 
 
 def _check_text(text: str) -> None:
@@ -242,9 +259,15 @@ def _literal(text: str) -> str:
     return "".join(letter for letter in normalise(text).casefold() if letter.isalnum())
 
 
-def _find(matcher: Matcher, text: str, index: _TextIndex, chosen: IndexArray) -> tuple[IndexArray, FloatArray]:
-    """Places and scores of the motions that fit, the best first; equals in the order of their paths."""
-    scores, letters = index.columns.score(matcher), _literal(text)
+def _find(
+    matchers: Sequence[Matcher], text: str, index: _TextIndex, chosen: IndexArray
+) -> tuple[IndexArray, FloatArray, IndexArray]:
+    """Places and scores of the motions that fit, and which of the alternatives fits them, the best first.
+
+    Equals in the order of their paths.
+    """
+    alternatives, letters = np.stack([index.columns.score(one) for one in matchers]), _literal(text)
+    fitting, scores = alternatives.argmax(axis=0), alternatives.max(axis=0)
     if len(letters) >= 3:
         weak = chosen[scores[chosen] < _LITERAL]
         scores[[row for row in weak.tolist() if letters in index.entries[row].literal]] = _LITERAL
@@ -252,7 +275,7 @@ def _find(matcher: Matcher, text: str, index: _TextIndex, chosen: IndexArray) ->
     found = found[np.argsort(-np.round(scores[found], 3), kind="stable")]
     best = scores[found[0]] if len(found) else 0.0
     found = found[scores[found] >= LEAST_OF_BEST * best]
-    return found, scores[found]
+    return found, scores[found], fitting[found]
 
 
 def _fit(matcher: Matcher, index: _TextIndex, row: int, score: float) -> Fit:
@@ -277,7 +300,7 @@ def _make_hit(entry: _Entry, fit: Fit, rank: int) -> TextHit:
     )
 
 
-def _find_near(vocabulary: Vocabulary, query: ReadQuery, entries: Iterable[_Entry]) -> tuple[str, ...]:
+def _find_near(matcher: Matcher, entries: Iterable[_Entry]) -> tuple[str, ...]:
     """Words of categories and relations that come nearest: by what they mean, else by their letters."""
     from rapidfuzz import fuzz, process
 
@@ -296,7 +319,7 @@ def _find_near(vocabulary: Vocabulary, query: ReadQuery, entries: Iterable[_Entr
         units[str(relation.message)] = unit
         counts[str(relation.message)] += does[key]
     units.pop("", None)
-    matcher = Matcher(vocabulary, query)
+    query = matcher.query
     weights = [slot.weight for slot in query.slots]
     # An action that is near, not a limb or a side: those are everywhere.
     scores = {

@@ -8,6 +8,7 @@ The score is the share of the query's weight that is found, 0 to 1.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 
@@ -22,10 +23,13 @@ DOES, ALSO_DOES = 0.95, 0.7  # what a motion does: where its category says nothi
 _SPELLING, _MEANING = 0.9, 0.85  # a word that was corrected, or put in the place of one that nobody knows
 OPPOSITE = 0.3  # what is left of words that say the opposite
 _LITTLE = 0.3  # of the weight of a part that is implied: the hands of clapping
+_BOTH, _TACIT = "both", 0.1  # hands without a side are both, but to lack that costs little
 _NAMED = 0.5  # a query must name more than this share of a relation's words for it to count
 _ENOUGH = 0.6  # and this share for all of it to count
 _DONE = 0.9  # what it counts at least if the query names what is done
 _MOST_EDITS = {3: 1, 8: 2}  # letters from which a word may be misspelt, and how often
+_OR = re.compile(r"\s+or\s+|または|もしくは|あるいは", re.IGNORECASE)
+_NOT = re.compile(r"\b(?:not?|never|without|except|\w+n't)\b|(?<=[かがさたなばまらわ])ない|ません|以外", re.IGNORECASE)
 _ALIKE, _LONG = 0.45, 4  # cosine from which the vectors of two words speak of the same, and letters that they need
 
 
@@ -38,11 +42,13 @@ class Slot:
     word : as it was understood.
     weight : its share of the query.
     factor : what finding it counts; less than 1 if the word was corrected or replaced.
+    tacit : whether nobody wrote it, so that nothing contradicts it.
     """
 
     word: Word
     weight: float
     factor: float = 1.0
+    tacit: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -156,7 +162,36 @@ def read_query(vocabulary: Vocabulary, text: str, known: KnownWords, replacement
             else:
                 unknown.append(word.text)
         slots.append(slot)
+    if _speaks_of_both(vocabulary, [slot.word for slot in slots]):
+        slots.append(Slot(Word(_BOTH, _BOTH, (_BOTH,)), _TACIT, tacit=True))
     return ReadQuery(_weigh_implied(vocabulary, _without_extras(slots)), corrections, replaced, tuple(unknown))
+
+
+def _speaks_of_both(vocabulary: Vocabulary, words: Sequence[Word]) -> bool:
+    """Whether words name a limb in the plural, or in Japanese, and no side."""
+    kinds = {vocabulary.concepts[name].kind for word in words for name in word.meanings}
+    return "side" not in kinds and any(
+        vocabulary.paired.intersection(word.meanings)
+        and (not word.text.isascii() or word.text.casefold() == "feet" or word.text.casefold().endswith("s"))
+        for word in words
+    )
+
+
+def split_alternatives(vocabulary: Vocabulary, text: str) -> list[str]:
+    """The parts of "walk or sit", where each names an action; else the text as it is."""
+    parts = [part for part in _OR.split(text) if part.strip()]
+
+    def acts(part: str) -> bool:
+        words = read_words(vocabulary, part)
+        return any(vocabulary.concepts[name].kind == "action" for word in words for name in word.meanings)
+
+    return parts if len(parts) > 1 and all(map(acts, parts)) else [text]
+
+
+def find_negation(text: str) -> str | None:
+    """The first word that asks for what a motion does not show, if there is one."""
+    found = _NOT.search(text)
+    return None if found is None else found[0].strip()
 
 
 def _without_extras(slots: list[Slot]) -> tuple[Slot, ...]:
@@ -240,7 +275,7 @@ class Matcher:
         said = {name for other in unit.words for name in other.meanings}
         opposites = self._vocabulary.opposites
         slots = list(zip(self.query.slots, values, strict=True))
-        lacking = {name for slot, value in slots if not value for name in slot.word.meanings}
+        lacking = {name for slot, value in slots if not value and not slot.tacit for name in slot.word.meanings}
         if any((asked, other) in opposites for asked in lacking for other in said):
             return True
         parts = [value for slot, value in slots if any(map(self._is_part, slot.word.meanings))]

@@ -69,6 +69,7 @@ class Vocabulary:
     related : what concept b counts where concept a is asked for, by (a, b); 1 for the same.
     opposites : (a, b) where who asks for a does not want b.
     implied : (part, action) where the action is done with the part anyway.
+    paired : parts of the body of which there are two.
     unknown : weight of a word that is not in the table.
     spelled : English words as they are written, by stem.
     """
@@ -79,6 +80,7 @@ class Vocabulary:
     related: dict[tuple[str, str], float]
     opposites: frozenset[tuple[str, str]]
     implied: frozenset[tuple[str, str]]
+    paired: frozenset[str]
     unknown: float
     spelled: dict[str, str]
 
@@ -162,6 +164,7 @@ def make_vocabulary(table: dict[str, Any]) -> Vocabulary:
         _relate(concepts, broader, close) | {_read_pair(pair): value for pair, value in table["counts"].items()},
         _read_opposites(table["opposites"]),
         frozenset((part, action) for part, line in table["implied"].items() for action in line.split()),
+        frozenset(table["paired"]["parts"].split()),
         float(weights["unknown"]),
         spelled,
     )
