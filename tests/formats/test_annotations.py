@@ -2,17 +2,22 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+import dousa
 from dousa.errors import DousaError, MotionFileError, OptionError
 from dousa.formats.annotations import is_label_file, read_label_file, write_eaf, write_labels_csv
-from dousa.formats.annotations.label_file import to_annotation
+from dousa.formats.annotations.label_file import MOST_BYTES, is_unknown, to_annotation
+from dousa.library import labels
+from dousa.messages import LANGUAGES, Message
 from dousa.motion.annotation import Stretch
 
+STUDIO_WORDS = Path(dousa.__file__).parent / "app" / "studio" / "words"
 DATA = Path(__file__).resolve().parents[3] / "shared" / "data"
 
 LONG_GRID = '''File type = "ooTextFile"
@@ -218,6 +223,61 @@ def test_a_list_of_cmu(tmp_path):
         to_annotation(file, file.tiers_of("86_01.amc"))
 
 
+def doubts(path: Path, tier: str | None = None) -> list[tuple[int | None, str]]:
+    """Lines and codes of what is said of a table."""
+    file = read_label_file(path)
+    notes = [note.values for note in to_annotation(file, file.takes[""], tier)[1]]
+    return [(values.get("line"), values["problem"].code.removeprefix("label_files.")) for values in notes]
+
+
+def test_labels_at_the_same_time_are_kept_and_the_same_label_counts_once(tmp_path):
+    path = write(tmp_path, "s01.csv", HEAD + "2,6,walk\n2,6,run\n2,6,walk\n2.0002,6,run\n")
+    assert read(path) == [(2.0, 6.0, "walk"), (2.0, 6.0, "run")]
+    assert doubts(path) == [(4, "twice"), (3, "overlap")]
+    file = read_label_file(path)
+    twice, overlap = (note.values["problem"] for note in to_annotation(file, file.takes[""])[1])
+    assert (twice.values["n"], overlap.values["n"]) == (2, 1)
+
+
+@pytest.mark.parametrize(
+    "word", ["unknown", "Unknown", "不明", "未知", "(nothing)", "（何もない）", "(nothing, unknown)"]
+)
+def test_what_dousa_calls_unknown_is_no_category(tmp_path, word):
+    path = write(tmp_path, "s01.csv", HEAD + f'1,2,walk\n3,4,"{word}"\n')
+    assert read(path) == [(1.0, 2.0, "walk")]
+    assert doubts(path) == [(3, "unknown")]
+    doubtful = write(tmp_path, "s02.csv", f'start_s,end_s,category,perhaps\n3,4,"{word}",walk\n')
+    (tier,) = read_label_file(doubtful).takes[""]
+    assert (tier.spans, tier.unclear, tier.n_rest) == ((), ((3.0, 4.0),), 0)
+    document = write(tmp_path, "s01.eaf", EAF.replace("sit down", word))
+    assert read(document) == [(1.5, 4.0, "stand up")]
+    grid = write(tmp_path, "s01.TextGrid", LONG_GRID.replace("wave ! high", word))
+    assert read(grid) == [(2.5, 3.5, "手を叩く")]
+
+
+def test_the_words_for_unknown_are_those_that_dousa_prints():
+    for language in LANGUAGES:
+        for code in ("columns.unknown", "trial_takes.nothing"):
+            assert is_unknown(Message(code).render(language))
+    words = json.loads((STUDIO_WORDS / "common.json").read_text(encoding="utf-8"))
+    assert all(is_unknown(word) for word in words["unknown"])
+    assert not any(is_unknown(word) for word in ("unknown dance", "nothing", "walk"))
+
+
+def test_an_empty_table_is_blank_and_rows_without_a_category_are_not(tmp_path):
+    blank = {
+        "a.labels.csv": HEAD,
+        "a.eaf": EAF.partition('  <TIER LINGUISTIC_TYPE_REF="default-lt" TIER_ID="action">')[0]
+        + "</ANNOTATION_DOCUMENT>",
+        "a.TextGrid": LONG_GRID.replace("wave ! high", "").replace("手を叩く", " "),
+    }
+    said = {"b.labels.csv": HEAD + "0,5,\n", "c.labels.csv": "start_s,end_s,category,perhaps\n0,5,,walk\n"}
+    for name, content in {**blank, **said}.items():
+        file = read_label_file(write(tmp_path, name, content))
+        annotation, _ = to_annotation(file, file.takes[""])
+        assert (annotation.segments, annotation.is_blank) == ((), name in blank), name
+
+
 HEAD = "start_s,end_s,category\n"
 GRID_HEAD = 'File type = "ooTextFile"\nObject class = "TextGrid"\n0\n9\n<exists>\n1\n"IntervalTier"\n"x"\n0\n9\n'
 
@@ -235,6 +295,10 @@ GRID_HEAD = 'File type = "ooTextFile"\nObject class = "TextGrid"\n0\n9\n<exists>
         ("a.labels.csv", HEAD + "1,2,wa\0lk\n", 2, "label_files.zero_bytes"),
         ("a.labels.csv", HEAD.encode() + b"1,2,w\xe4lk\n", 2, "label_files.not_utf8"),
         ("a.labels.csv", b"", None, "disk.empty"),
+        ("a.labels.csv", HEAD + '0,1,run\n1,2,"walk\n3,4,sit\n', 3, "label_files.open_quote"),
+        ("a.labels.csv", HEAD + '1,2,"walk\n3,4,"sit"\n', 2, "label_files.open_quote"),
+        ("a.labels.csv", HEAD + '1,2,"walk\n3,4,sit"\n5,6,run\n', 2, "label_files.open_quote"),
+        ("a.labels.csv", HEAD + f"1,2,walk\n3,4,{'x' * 1001}\n", 3, "label_files.long_category"),
         ("a.boris.csv", TABULAR.replace(",START", ",STOP", 1), 6, "label_files.stops_only"),
         ("a.boris.csv", TABULAR.replace(",STOP", ",START", 1), 9, "label_files.starts_twice"),
         ("a.boris.csv", TABULAR.rstrip("\n").rpartition("\n")[0] + "\n", 7, "label_files.never_stops"),
@@ -265,6 +329,10 @@ def test_damaged_tables_say_where(tmp_path, name, content, line, code):
         assert caught.value.line == line
 
 
+def test_categories_are_as_long_as_a_library_keeps_them():
+    assert MOST_BYTES == labels.MOST_BYTES
+
+
 NAMES = st.text(st.characters(codec="utf-8", exclude_categories=["Cc", "Zl", "Zp", "Zs", "Cs"]), min_size=1)
 
 
@@ -272,7 +340,7 @@ NAMES = st.text(st.characters(codec="utf-8", exclude_categories=["Cc", "Zl", "Zp
 def test_what_is_written_is_read(tmp_path_factory, rows):
     folder = tmp_path_factory.mktemp("labels")
     segments = [Stretch(start / 1000, (start + length) / 1000, name) for start, length, name in rows]
-    wanted = sorted((round(one.start, 3), round(one.stop, 3), one.category) for one in segments)
+    wanted = sorted({(round(one.start, 3), round(one.stop, 3), one.category) for one in segments})
     for name, put in (("s01.labels.csv", write_labels_csv), ("s01.eaf", write_eaf)):
         put(segments, folder / name)
         assert sorted((round(a, 3), round(b, 3), c) for a, b, c in read(folder / name)) == wanted

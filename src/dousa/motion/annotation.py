@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from itertools import pairwise
 
 _LEAST = 1e-6  # s of a stretch
@@ -18,12 +18,14 @@ class Stretch:
     start, stop : s.
     category : what happens there; None where it is nothing that has a name.
     counted : false where nobody can say what it is.
+    line : of the table that says so, for messages; None where there is none. Stretches are equal without it.
     """
 
     start: float
     stop: float
     category: str | None
     counted: bool = True
+    line: int | None = field(default=None, compare=False)
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,12 +38,14 @@ class Annotation:
     unclear : (start, stop) s of parts of which nobody can say what they are.
     source : where it was read.
     tier : the one of several that was chosen; empty where there is only one.
+    is_blank : whether a table says nothing at all, not even that nothing happens: nobody has annotated the recording.
     """
 
     segments: tuple[Stretch, ...]
     unclear: tuple[tuple[float, float], ...] = ()
     source: str = ""
     tier: str = ""
+    is_blank: bool = False
 
 
 def lay_out(

@@ -8,7 +8,7 @@ from __future__ import annotations
 import re
 
 from dousa.errors import MotionFileError
-from dousa.formats.annotations.label_file import LabelFile, LabelSpan, LabelTier, decode_text
+from dousa.formats.annotations.label_file import LabelFile, LabelSpan, LabelTier, check_category, decode_text
 from dousa.messages import Message
 
 _TAKE = re.compile(r"\s*(\d+)[\s_]+(\d+)\s*")
@@ -45,6 +45,7 @@ def read_cmu_list(path: str, data: bytes) -> LabelFile:
                 earliest = likely
             if earliest <= begin:
                 raise MotionFileError(path, "label_files.cmu_backwards", number, frame=latest, before=begin)
+            check_category(path, action[1], number)
             spans.append(LabelSpan(begin, earliest, action[1], number))
             if latest > earliest:
                 unclear.append((earliest, latest))

@@ -13,7 +13,7 @@ import numpy as np
 
 from dousa.errors import CalibrationError, MotionFileError
 from dousa.files.markup import parse_xml
-from dousa.formats.annotations.label_file import LabelFile, LabelTier, clean_category, make_span, sort_spans
+from dousa.formats.annotations.label_file import LabelFile, LabelTier, clean_category, finish_tier, make_span
 
 _Times = dict[str, tuple[float, float]]
 
@@ -57,7 +57,7 @@ def read_eaf(path: str, data: bytes) -> LabelFile:
             start, stop = times[node.get("ANNOTATION_ID", "")]
             if category:
                 spans.append(make_span(path, start, stop, category, None))
-        tiers.append(sort_spans(LabelTier(tier.get("TIER_ID", ""), tuple(spans))))
+        tiers.append(finish_tier(path, LabelTier(tier.get("TIER_ID", ""), tuple(spans))))
     return LabelFile(path, {"": tuple(tiers)})
 
 

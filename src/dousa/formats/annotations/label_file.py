@@ -4,17 +4,22 @@ from __future__ import annotations
 
 import os
 import re
+import unicodedata
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cache
 from math import isfinite
 from pathlib import Path
 
 from dousa.errors import MotionFileError, OptionError
-from dousa.messages import Message
+from dousa.messages import LANGUAGES, Message
 from dousa.motion.annotation import Annotation, Stretch
 
 _TOUCHING = 1e-3  # s that neighbours may overlap by
 _LATEST = 1e7  # s
+
+MOST_BYTES = 1000
+"""Of a label in UTF-8: a database server cannot look up longer ones."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,6 +49,7 @@ class LabelTier:
     spans : in the order of time.
     unclear : (start, stop) of parts of which nobody can say what they are.
     n_points : labels of a moment, which have no length and are not among the spans.
+    n_rest : labels without a category, which say that nothing happens and are not among the spans.
     warnings : doubts that came up.
     """
 
@@ -52,6 +58,12 @@ class LabelTier:
     unclear: tuple[tuple[float, float], ...] = ()
     n_points: int = 0
     warnings: tuple[Message, ...] = ()
+    n_rest: int = 0
+
+    @property
+    def is_blank(self) -> bool:
+        """Whether it says nothing at all, not even that nothing happens."""
+        return not (self.spans or self.unclear or self.n_rest)
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,20 +93,25 @@ class LabelFile:
         take : its path.
         root : the folder that was named, which paths of the file may be relative to.
         """
+        name = self.name_of(take, root)
+        return None if name is None else self.takes[name]
+
+    def name_of(self, take: str | os.PathLike[str], root: str | os.PathLike[str] | None = None) -> str | None:
+        """What the file calls a take, None where it has nothing of it; as ``tiers_of``."""
         if "" in self.takes:
-            return self.takes[""]
+            return ""
         path = os.path.abspath(take)
         bases = [os.path.dirname(os.path.abspath(self.path)), *([os.path.abspath(root)] if root else [])]
-        for name, tiers in self.takes.items():
+        for name in self.takes:
             relative = os.path.normpath(name.replace("\\", "/"))
             if any(os.path.normpath(os.path.join(base, relative)) == path for base in bases):
-                return tiers
+                return name
         if not self.by_name:
             return None
         for key in (_bare, _plain):
-            for name, tiers in self.takes.items():
+            for name in self.takes:
                 if key(name) == key(path):
-                    return tiers
+                    return name
         return None
 
 
@@ -123,7 +140,8 @@ def choose_tier(file: LabelFile, tiers: Sequence[LabelTier], wanted: str | None)
             raise OptionError(code, path=file.path, tier=wanted, found=names)
         return found[0], []
     full = [tier for tier in tiers if tier.spans]
-    chosen = full[0] if full else (tiers[0] if tiers else LabelTier("", ()))
+    some = full or [tier for tier in tiers if not tier.is_blank] or list(tiers)
+    chosen = some[0] if some else LabelTier("", ())
     if len(full) < 2:
         return chosen, []
     others = [tier.name for tier in full[1:]]
@@ -152,10 +170,39 @@ def to_annotation(
     scale = 1.0 / frame_rate if file.counts_frames and frame_rate else 1.0
     if chosen.n_points:
         notes.append(Message("label_files.points", path=file.path, n=chosen.n_points))
-    notes += _find_overlaps(file.path, chosen.spans)
-    segments = tuple(Stretch(one.start * scale, one.stop * scale, one.category) for one in chosen.spans)
+    all_of_it = [Stretch(one.start * scale, one.stop * scale, one.category, line=one.line) for one in chosen.spans]
+    segments, twice = leave_out_twice(all_of_it)
+    notes += [_say_where(file.path, one.line, note) for one, note in twice]
+    once = {id(one) for one in segments}
+    pairs = zip(chosen.spans, all_of_it, strict=True)
+    notes += _find_overlaps(file.path, [span for span, one in pairs if id(one) in once])
     unclear = tuple((start * scale, stop * scale) for start, stop in chosen.unclear)
-    return Annotation(segments, unclear, file.path, chosen.name), notes
+    return Annotation(tuple(segments), unclear, file.path, chosen.name, chosen.is_blank), notes
+
+
+def leave_out_twice(segments: Sequence[Stretch]) -> tuple[list[Stretch], list[tuple[Stretch, Message]]]:
+    """Segments, each once: times to the millisecond and category tell them apart; and what to say of the others.
+
+    Returns
+    -------
+    The segments in their order, and the first that was left out with a note about all of them, if there are any.
+    """
+    once: dict[tuple[float, float, str | None], Stretch] = {}
+    again = []
+    for one in segments:
+        if once.setdefault((round(one.start, 3), round(one.stop, 3), one.category), one) is not one:
+            again.append(one)
+    if not again:
+        return list(segments), []
+    first = again[0]
+    values = {"start": first.start, "stop": first.stop, "category": first.category}
+    return list(once.values()), [(first, Message("label_files.twice", n=len(again), **values))]
+
+
+def _say_where(path: str, line: int | None, note: Message) -> Message:
+    if line is None:
+        return Message("text.in_file", path=path, problem=note)
+    return Message("text.in_line", path=path, line=line, problem=note)
 
 
 def _find_overlaps(path: str, spans: Sequence[LabelSpan]) -> list[Message]:
@@ -173,8 +220,7 @@ def _find_overlaps(path: str, spans: Sequence[LabelSpan]) -> list[Message]:
     values = {"start": second.start, "stop": second.stop, "category": second.category, "other": first.category}
     note = Message("label_files.overlap", n=len(both), other_start=first.start, other_stop=first.stop, **values)
     line = second.line if second.line is not None else first.line
-    where = Message("text.in_file", path=path, problem=note)
-    return [where if line is None else Message("text.in_line", path=path, line=line, problem=note)]
+    return [_say_where(path, line, note)]
 
 
 def clean_category(text: str) -> str:
@@ -182,13 +228,38 @@ def clean_category(text: str) -> str:
     return " ".join(text.split())
 
 
+def is_unknown(category: str) -> bool:
+    """Whether it is one of the words that dousa prints where nobody knows what happens."""
+    return _fold(category) in _list_unknown()
+
+
+@cache
+def _list_unknown() -> frozenset[str]:
+    words = [Message("label_files.unknown_words").render(language).split("|") for language in LANGUAGES]
+    return frozenset(_fold(word) for some in words for word in some)
+
+
+def _fold(word: str) -> str:
+    return unicodedata.normalize("NFKC", word).casefold()
+
+
+def check_category(path: str, category: str, line: int | None) -> None:
+    """MotionFileError for a label that not every database can keep."""
+    n_bytes = len(category.encode(errors="surrogatepass"))
+    if n_bytes > MOST_BYTES:
+        raise MotionFileError(
+            path, "label_files.long_category", line, category=category[:40], found=n_bytes, most=MOST_BYTES
+        )
+
+
 def make_span(path: str, start: float, stop: float, category: str, line: int | None) -> LabelSpan:
     """A label of some length.
 
     Raises
     ------
-    MotionFileError : it ends before it begins, or lies nowhere in a recording.
+    MotionFileError : it ends before it begins, or lies nowhere in a recording; a category that is too long.
     """
+    check_category(path, category, line)
     if not (isfinite(start) and isfinite(stop) and abs(start) < _LATEST and abs(stop) < _LATEST):
         raise MotionFileError(path, "label_files.no_time", line, found=f"{start:g}, {stop:g}")
     if stop <= start:
@@ -230,6 +301,13 @@ def decode_text(path: str, data: bytes, encoding: str = "utf-8-sig") -> str:
     return text
 
 
-def sort_spans(tier: LabelTier) -> LabelTier:
-    """The tier with its spans in the order of time."""
-    return replace(tier, spans=tuple(sorted(tier.spans, key=lambda one: (one.start, one.stop))))
+def finish_tier(path: str, tier: LabelTier) -> LabelTier:
+    """The tier with its spans in the order of time; a category that says "unknown" is none, with a note."""
+    spans = sorted(tier.spans, key=lambda one: (one.start, one.stop))
+    unknown = [one for one in spans if is_unknown(one.category)]
+    if not unknown:
+        return replace(tier, spans=tuple(spans))
+    note = Message("label_files.unknown", n=len(unknown), category=unknown[0].category)
+    warnings = (*tier.warnings, _say_where(path, unknown[0].line, note))
+    named = tuple(one for one in spans if not is_unknown(one.category))
+    return replace(tier, spans=named, warnings=warnings, n_rest=tier.n_rest + len(unknown))

@@ -21,9 +21,10 @@ from dousa.formats.annotations.label_file import (
     LabelTier,
     clean_category,
     decode_text,
+    finish_tier,
+    is_unknown,
     make_span,
     parse_number,
-    sort_spans,
 )
 
 _START = ("start_s", "start", "begin_s", "begin", "start (s)", "onset")
@@ -99,21 +100,33 @@ def read_table(path: str, data: bytes) -> LabelFile:
 
 def _split(path: str, text: str, number: int, names: list[str]) -> _Table:
     lines = text.splitlines(keepends=True)
-    reader = csv.reader(io.StringIO("".join(lines[number:]), newline=""), delimiter=_find_delimiter(lines[number]))
+    delimiter = _find_delimiter(lines[number])
+    reader = csv.reader(io.StringIO("".join(lines[number:]), newline=""), delimiter=delimiter, strict=True)
     rows = []
+    before = 0
     try:
         next(reader)
         before = reader.line_num
         for cells in reader:
+            if any(_holds_row(cell, delimiter, len(names)) for cell in cells):
+                raise MotionFileError(path, "label_files.open_quote", number + before + 1)
             if any(cell.strip() for cell in cells):
                 rows.append(_Row(number + before + 1, cells))
             before = reader.line_num
     except csv.Error as error:
-        raise MotionFileError(path, "label_files.not_a_table", number + reader.line_num, reason=error) from error
+        first = number + before + 1
+        if '"' in "".join(lines[first - 1 : number + reader.line_num]):  # what else can be wrong with a row
+            raise MotionFileError(path, "label_files.open_quote", first) from error
+        raise MotionFileError(path, "label_files.not_a_table", first, reason=error) from error
     columns: dict[str, int] = {}
     for place, name in enumerate(names):
         columns.setdefault(name, place)
     return _Table(path, columns, number + 1, rows)
+
+
+def _holds_row(cell: str, delimiter: str, n_columns: int) -> bool:
+    """Whether a cell goes on over lines that look like rows of the table."""
+    return any(line.count(delimiter) >= n_columns - 1 for line in cell.splitlines()[1:])
 
 
 def _read_spans(table: _Table) -> LabelFile:
@@ -134,10 +147,13 @@ def _read_spans(table: _Table) -> LabelFile:
             continue
         stop = parse_number(table.path, table.cell(row, stop_in), stop_in, row.line)
         span = make_span(table.path, start, stop, category, row.line)
-        if category:
+        doubt = clean_category(table.cell(row, _DOUBT))
+        if category and not (doubt and is_unknown(category)):
             tier.spans.append(span)
-        elif clean_category(table.cell(row, _DOUBT)):
+        elif doubt:
             tier.unclear.append((start, stop))
+        else:
+            tier.n_rest += 1
     return found.to_file(table)
 
 
@@ -174,6 +190,7 @@ class _Tier:
         self.spans: list[LabelSpan] = []
         self.unclear: list[tuple[float, float]] = []
         self.n_points = 0
+        self.n_rest = 0
 
 
 class _Found:
@@ -191,7 +208,7 @@ class _Found:
 
     def to_file(self, table: _Table) -> LabelFile:
         """The whole file; one about a single BORIS observation is about any take."""
-        takes = {take: tuple(self._finish(tiers)) for take, tiers in self._takes.items()}
+        takes = {take: tuple(self._finish(table.path, tiers)) for take, tiers in self._takes.items()}
         own = table.find(_TAKE)
         if not own and len(takes) == 1:
             takes = {"": next(iter(takes.values()))}
@@ -199,9 +216,10 @@ class _Found:
             takes = {"": ()}
         return LabelFile(table.path, takes, by_name=own != "path")
 
-    def _finish(self, tiers: dict[str, _Tier]) -> Iterator[LabelTier]:
-        for tier in tiers.values():
-            yield sort_spans(LabelTier(tier.name, tuple(tier.spans), tuple(tier.unclear), n_points=tier.n_points))
+    def _finish(self, path: str, tiers: dict[str, _Tier]) -> Iterator[LabelTier]:
+        for own in tiers.values():
+            spans, unclear = tuple(own.spans), tuple(own.unclear)
+            yield finish_tier(path, LabelTier(own.name, spans, unclear, n_points=own.n_points, n_rest=own.n_rest))
 
 
 def _name_takes(table: _Table) -> str:

@@ -17,9 +17,9 @@ from dousa.formats.annotations.label_file import (
     LabelTier,
     clean_category,
     decode_text,
+    finish_tier,
     make_span,
     parse_number,
-    sort_spans,
 )
 
 _TOKEN = re.compile(
@@ -111,7 +111,7 @@ def _read_tier(reader: _Reader) -> LabelTier:
             stop, category = reader.number(), clean_category(reader.take("text"))
             if category:
                 spans.append(make_span(reader.path, start, stop, category, line))
-        return sort_spans(LabelTier(name, tuple(spans)))
+        return finish_tier(reader.path, LabelTier(name, tuple(spans)))
     if kind not in _POINTS:
         raise MotionFileError(reader.path, "label_files.grid_order", reader.line, found=kind[:40])
     n_points = 0
