@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from dousa.errors import LibraryError, OptionError
+from dousa.errors import LibraryError, MotionFileError, OptionError
 from dousa.library import Library
 from dousa.motion.annotation import Annotation, Stretch, lay_out
 
@@ -93,7 +93,11 @@ def test_what_was_removed_comes_back_and_what_was_relabelled_stays(library, take
 def test_what_goes_beyond_the_end_is_cut_and_what_is_no_motion_left_out(library, take):
     labels = Annotation((Stretch(1.5, 9.0, "wave"), Stretch(5.0, 6.0, "far"), Stretch(0.2, 0.21, "point")))
     changes = library.annotations.write(take, labels, n_jobs=1)
-    assert [note.code for _, note in changes.warnings] == ["annotations.past_end", "annotations.too_short"]
+    assert [note.code for _, note in changes.warnings] == [
+        "annotations.past_end",
+        "annotations.beyond",
+        "annotations.too_short",
+    ]
     (one,) = library.annotations.read()[0].segments
     assert (one.start, one.end, one.category) == (1.5, pytest.approx(2.0, abs=0.01), "wave")
 
@@ -165,3 +169,109 @@ def test_an_empty_annotation_says_that_nothing_happens(tmp_path, write_move):
         library.annotations.write(1, Annotation(()))
         (known,) = library.annotations.read()
         assert known.segments == () and [one.counted for one in known.stretches] == [True]
+
+
+def test_labels_on_the_same_stretch_are_clips_of_their_own(library, take):
+    both = (
+        Stretch(0.5, 1.5, "walk"),
+        Stretch(0.5, 1.5, "turn"),
+        Stretch(0.5002, 1.5, "nod"),
+        Stretch(0.5, 1.5, "walk"),
+    )
+    changes = library.annotations.write(take, Annotation(both), n_jobs=1)
+    assert changes.n_segments == 3
+    assert [note.code for _, note in changes.warnings] == ["label_files.twice"]
+    found = {clip.category: clip for clip in library.clips() if clip.take_id == take}
+    times = {name: clip.path.partition("#t=")[2] for name, clip in found.items()}
+    assert times == {"walk": "0.500,1.500", "turn": "0.500,1.500&id=2", "nod": "0.500,1.500&id=3"}
+    assert library.annotations.write(take, Annotation(both), n_jobs=1).unchanged
+    # One that goes leaves the others as they are; one that comes takes the name that is free.
+    library.remove([found["turn"].id])
+    assert library.annotations.write(take, Annotation(both), n_jobs=1).n_segments == 1
+    fewer = library.annotations.write(take, Annotation((*both[1:3], Stretch(0.5, 1.5, "hop"))), n_jobs=1)
+    assert (fewer.n_segments, fewer.n_removed) == (1, 1)
+    now = {clip.category: clip.path.partition("#t=")[2] for clip in library.clips() if clip.take_id == take}
+    assert now == {"turn": "0.500,1.500&id=2", "nod": "0.500,1.500&id=3", "hop": "0.500,1.500"}
+
+
+def test_labels_at_the_same_time_that_were_relabelled(library, take):
+    both = Annotation((Stretch(0.5, 1.5, "walk"), Stretch(0.5, 1.5, "turn")))
+    library.annotations.write(take, both, n_jobs=1)
+    walk = next(clip.id for clip in library.clips() if clip.category == "walk")
+    library.relabel([walk], category="hop")
+    assert library.annotations.write(take, both, n_jobs=1).unchanged
+    more = Annotation((*both.segments, Stretch(0.5, 1.5, "hop")))
+    assert library.annotations.write(take, more, n_jobs=1).n_segments == 1
+    assert sorted(one.category for one in library.annotations.read()[0].segments) == ["hop", "turn", "walk"]
+    library.relabel([one.clip_id for one in library.annotations.read()[0].segments], category="hop")
+    assert library.annotations.write(take, Annotation((Stretch(0.5, 1.5, "hop"),)), n_jobs=1).n_removed == 2
+    library.undo()
+    assert len(library.annotations.read()[0].segments) == 3
+
+
+@pytest.mark.parametrize(
+    ("segments", "said"),
+    [
+        (
+            [(2067, 6667)],
+            "'x' from 2067 to 6667 s does not fit one.bvh, which ends at 2.00 s; of its 1 label none lies",
+        ),
+        ([(0, 700), (800, 1900)], "'x' from 0 to 700 s does not fit .* milliseconds"),
+        ([(0, 20), (25, 55)], "'x' from 0 to 20 s does not fit .* the frame rate, 30 Hz"),
+        ([(30.5, 40.0), (60.0, 70.5)], "of its 2 labels none lies within the take"),
+        ([(0.1, 0.11), (0.2, 0.21)], "shorter than two frames"),
+    ],
+)
+def test_labels_that_do_not_fit_their_take_change_nothing(library, take, segments, said):
+    library.annotations.write(take, LABELS, n_jobs=1)
+    revision = library.revision
+    parts = tuple(Stretch(start, stop, "x", line=7) for start, stop in segments)
+    with pytest.raises(OptionError, match=said):
+        library.annotations.write(take, Annotation(parts))
+    with pytest.raises(MotionFileError, match=f"t.csv:7: .*{said}"):
+        library.annotations.write(take, Annotation(parts, source="t.csv"))
+    assert library.revision == revision and len(library.annotations.read()[0].segments) == 2
+
+
+def test_what_no_label_can_be_is_refused_and_changes_nothing(library, take):
+    library.annotations.write(take, LABELS, n_jobs=1)
+    revision = library.revision
+    nan = float("nan")
+    for start, stop, said in (
+        (nan, 1.0, "expected times within a recording, got nan, 1"),
+        (0.0, float("inf"), "expected times"),
+        (1.5, 0.5, "'x' ends at 0.5, not after it begins at 1.5"),
+        (1.0, 1.0, "ends at 1"),
+        (100.0, 101.0, "does not fit one.bvh"),
+    ):
+        with pytest.raises(OptionError, match=said):
+            library.annotations.name(take, start, stop, "x")
+        with pytest.raises(OptionError, match=said):
+            library.annotations.write(take, Annotation((Stretch(start, stop, "x"),)))
+    for labels in (
+        Annotation((Stretch(0.1, 0.5, " "),)),
+        Annotation((Stretch(0.1, 0.5, "x" * 2000),)),
+        Annotation((), unclear=((1.0, nan),)),
+    ):
+        with pytest.raises(OptionError):
+            library.annotations.write(take, labels)
+    assert library.revision == revision
+    assert library.annotations.name(take, 0.5, 0.51, "x") is None
+
+
+def test_blank_labels_take_all_away(library, take):
+    assert library.annotations.write(take, Annotation((), is_blank=True)).unchanged
+    library.annotations.write(take, LABELS, n_jobs=1)
+    library.annotations.name(take, 1.5, 1.9, "hop", n_jobs=1)
+    changes = library.annotations.write(take, Annotation((), is_blank=True), n_jobs=1)
+    assert changes.n_removed == 3
+    assert [note.code for _, note in changes.warnings] == ["annotations.removed", "annotations.by_hand_gone"]
+    assert library.annotations.read() == []
+    library.undo()
+    assert library.annotations.read()[0].is_complete
+
+
+def test_what_a_new_table_removes_is_said(library, take):
+    library.annotations.write(take, LABELS, n_jobs=1)
+    changes = library.annotations.write(take, Annotation((Stretch(0.1, 0.5, "wave"),)), n_jobs=1)
+    assert [(note.code, note.values["n"]) for _, note in changes.warnings] == [("annotations.removed", 1)]

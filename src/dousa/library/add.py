@@ -21,8 +21,10 @@ from dousa.formats.annotations.label_file import to_annotation
 from dousa.formats.frame_votes import FrameVotes
 from dousa.formats.motion_files import FoundFile, ReadOptions, Skipped, find_motion_files, is_unicode
 from dousa.library import schema
+from dousa.library.annotations.copies import choose_labels
+from dousa.library.annotations.fitting import TakeLength, check_fit
 from dousa.library.annotations.places import FoundLabels, find_labels
-from dousa.library.annotations.store import annotate_takes, rename_segments
+from dousa.library.annotations.store import annotate_takes, read_annotations, rename_segments
 from dousa.library.engine import Database, next_revision
 from dousa.library.forests import StoredForest, load_forest
 from dousa.library.fragments.moving import BEGIN_AT, begin_where_large
@@ -31,6 +33,7 @@ from dousa.library.growth.insert import insert_clips
 from dousa.library.growth.lesson import learn_new
 from dousa.library.ingest import ClipRecord, FileRecord, ReadTask, SourceState, look_at, read_clip, read_clips
 from dousa.library.journal.recording import recording
+from dousa.library.journal.undoing import step
 from dousa.library.labels import LabelRule, check_text, no_label
 from dousa.library.results import AddReport, Duplicate
 from dousa.library.seals.checksums import LABELS, NUMBERS, update_rows
@@ -129,6 +132,23 @@ class Adding:
         # All tables before anything is written: a mistake in one leaves nothing half done.
         labels = {} if self._labels_from is None else find_labels(files, self._labels_from, self._tier)
         tasks = self._plan()
+        self._check_known(labels)
+        try:
+            self._read(tasks, labels, n_jobs, report)
+            if self._labels_from is not None:
+                self._annotate(labels)
+        except DousaError:
+            if labels and self.change is not None:  # of many takes that were written while others were read
+                step(self._database, self.change, redo=False)
+                self.change = None
+            raise
+        return self._finish(start, n_jobs, progress)
+
+    def _read(
+        self, tasks: Sequence[ReadTask], labels: Mapping[str, FoundLabels], n_jobs: int | None, report: AddProgress
+    ) -> None:
+        """Read files and store them in portions; a table that does not fit its take stops this."""
+        files = self._found
         done = len(files) - len(tasks)
         if done:
             report(done, len(files), "")
@@ -139,6 +159,7 @@ class Adding:
         answers = read_clips(tasks, n_jobs)
         try:
             for answer in answers:
+                self._check_table(answer, labels)
                 claim = answer.claim if isinstance(answer, ClipRecord) else None
                 if claim is not None:
                     votes.count(claim)
@@ -146,7 +167,8 @@ class Adding:
                     doubtful.append(cast("ClipRecord", answer))
                 else:
                     portion.append(answer)
-                if _is_full(portion) or time.monotonic() - last >= _PORTION_SECONDS:
+                # Takes with tables wait as long as there is room for them: nothing is written if one does not fit.
+                if _is_full(portion) or (not labels and time.monotonic() - last >= _PORTION_SECONDS):
                     portion = self._store_portion(portion)
                     last = time.monotonic()
                 done += 1
@@ -158,30 +180,56 @@ class Adding:
             answers.close()
         portion += [self._settle(record, votes) for record in doubtful]
         self._store_portion(portion)
-        if self._labels_from is not None:
-            self._annotate(labels)
-        return self._finish(start, n_jobs, progress)
+
+    def _check_known(self, labels: Mapping[str, FoundLabels]) -> None:
+        """Whether tables fit takes that are in the library, before anything is written."""
+        paths = [path for path in self._tally["unchanged"] if path in labels]
+        for row in self._read_takes(paths):
+            self._check_fit(TakeLength.of(row), labels)
+
+    def _check_table(self, answer: Answer, labels: Mapping[str, FoundLabels]) -> None:
+        if isinstance(answer, ClipRecord) and answer.row["kind"] == schema.TAKE and answer.path in labels:
+            row = answer.row
+            length = TakeLength(answer.path, row["duration"], row["frame_rate"], row["n_frames"])
+            self._check_fit(length, labels)
+
+    def _check_fit(self, take: TakeLength, labels: Mapping[str, FoundLabels]) -> None:
+        own = labels[take.path]
+        check_fit(take, to_annotation(own.file, own.tiers, self._tier, take.frame_rate)[0])
+
+    def _read_takes(self, paths: Sequence[str]) -> list[Any]:
+        """Rows of the takes of these paths, in their order."""
+        table = schema.clips.c
+        query = sa.select(table.id, table.path, table.frame_rate, table.duration, table.n_frames)
+        with self._database.reading() as connection:
+            rows = fetch_in(connection, query.where(table.kind == schema.TAKE), table.path, list(paths))
+            return sorted(rows, key=lambda row: str(row.path))
 
     def _annotate(self, labels: Mapping[str, FoundLabels]) -> None:
         """Give the takes among the files their labels; those that have the same already are left alone."""
-        table = schema.clips.c
-        query = sa.select(table.id, table.path, table.frame_rate).where(table.kind == schema.TAKE)
+        copies: dict[str, list[FoundLabels]] = {}
+        for one in self._tally["duplicates"]:
+            if one.path in labels:
+                copies.setdefault(one.same_as, []).append(labels[one.path])
+        rows = self._read_takes(list(dict.fromkeys([*self._found, *copies])))
         with self._database.reading() as connection:
-            rows = sorted(fetch_in(connection, query, table.path, list(self._found)), key=lambda row: str(row.path))
+            stored = {one.take_id: one for one in read_annotations(connection, [row.id for row in rows])}
         wanted = {}
         notes: dict[int, list[Message]] = {}
         for row in rows:
-            own = labels.get(row.path)
-            if own is None:
-                self._tally["warnings"].append((row.path, Message("annotations.no_table")))
-            else:
-                wanted[row.id], notes[row.id] = to_annotation(own.file, own.tiers, self._tier, row.frame_rate)
+            chosen = choose_labels(row, labels.get(row.path), copies.get(row.path, ()), stored[row.id], self._tier)
+            self._tally["warnings"] += [(row.path, note) for note in chosen.always]
+            if chosen.labels is not None:
+                wanted[row.id], notes[row.id] = chosen.labels, list(chosen.notes)
         self.forest, changes = annotate_takes(self._database, wanted, self.forest, self.change)
         changed = set(changes.takes)
         # What was said of labels that have not changed is not said again.
-        self._tally["warnings"] += [(row.path, n) for row in rows if row.path in changed for n in notes[row.id]]
+        told = [(row.path, note) for row in rows if row.path in changed for note in notes[row.id]]
+        of_several = {note: path for path, note in reversed(told) if note.code == "annotations.one_name"}
+        self._tally["warnings"] += [(path, note) for path, note in told if of_several.get(note, path) == path]
         self._tally["warnings"] += changes.warnings
-        self._tally["labelled"] += changes.takes
+        blank = {row.path for row in rows if row.id in wanted and wanted[row.id].is_blank}
+        self._tally["labelled"] += [path for path in changes.takes if path not in blank]
         self._tally["n_segments"].append(changes.n_segments)
         self._tally["n_learned"].append(changes.n_learned)
         self._tally["new_categories"] += changes.new_categories

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -11,7 +13,7 @@ import typer
 from dousa.app import tables
 from dousa.app.cli.options import shared as o
 from dousa.app.output import console, print_json, progress_bar, say, warn
-from dousa.errors import LibraryError, LibraryVersionError, OptionError
+from dousa.errors import LibraryError, LibraryVersionError, MotionFileError, OptionError
 from dousa.extras import require
 from dousa.messages import Message
 from dousa.workers.current import use_cluster
@@ -140,6 +142,7 @@ def add(
     if labels is not None and takes:
         _check_labels(paths, labels, tier)
     with (
+        _leave_no_empty(library),
         use_cluster(cluster) as workers,
         _open_for_workers(workers, library, paths, wait) as opened,
         progress_bar() as progress,
@@ -191,6 +194,21 @@ def _open_for_workers(workers: Cluster | None, library: str, paths: list[Path], 
 
         workers.check_paths([file.path for file in find_motion_files(paths)[0]])
     return open_library(library, create=True, wait=wait)
+
+
+@contextmanager
+def _leave_no_empty(library: str) -> Iterator[None]:
+    """A new library goes again where a table of labels does not fit its take: nothing has been written into it."""
+    is_new = "://" not in library and not os.path.exists(library)
+    try:
+        yield
+    except MotionFileError:
+        if is_new and os.path.exists(library):
+            with open_to_read(library) as opened:
+                is_empty = not opened.clips()
+            if is_empty:
+                os.remove(library)
+        raise
 
 
 def _check_labels(paths: list[Path], rule: str, tier: str | None) -> None:

@@ -145,10 +145,11 @@ def read_annotated_takes(
     Raises
     ------
     OptionError : a rule that cannot be understood.
-    MotionFileError : labels that cannot be read.
+    MotionFileError : labels that cannot be read, or do not fit their take.
     TrainingError : no take could be read.
     """
     from dousa.formats.annotations.label_file import to_annotation
+    from dousa.library.annotations.fitting import TakeLength, check_fit
     from dousa.library.annotations.places import find_labels
     from dousa.motion.annotation import lay_out
     from dousa.retrieval.features.posed_motion import AnnotatedTake
@@ -168,6 +169,10 @@ def read_annotated_takes(
             continue
         own = labels[str(file.path)]
         annotation, _ = to_annotation(own.file, own.tiers, tier, motion.frame_rate)
+        if annotation.is_blank:
+            skipped.append(Skipped(str(file.path), Message("annotations.blank", table=annotation.source)))
+            continue
+        check_fit(TakeLength(str(file.path), motion.duration, motion.frame_rate, motion.n_frames), annotation)
         stretches = lay_out(annotation.segments, annotation.unclear, motion.duration)
         performer = performer_of(file.root, file.path)
         known = str(file.path), performer, motion.positions, motion.frame_rate, motion.height

@@ -12,8 +12,8 @@ A rule is written as a short text:
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from dousa.errors import OptionError
@@ -21,6 +21,7 @@ from dousa.formats.annotations import LABEL_SUFFIXES, LabelFile, LabelTier, is_l
 from dousa.formats.annotations.label_file import choose_tier
 from dousa.formats.annotations.tables import about_one_take
 from dousa.formats.motion_files import FoundFile
+from dousa.messages import Message
 
 _TABLES = (".csv", ".tsv")  # which may be a recording too
 
@@ -33,10 +34,12 @@ class FoundLabels:
     ----------
     file : that they are in.
     tiers : of this take.
+    notes : doubts about whether they are of this take.
     """
 
     file: LabelFile
     tiers: tuple[LabelTier, ...]
+    notes: tuple[Message, ...] = ()
 
 
 def find_labels(files: Sequence[FoundFile], rule: str, tier: str | None) -> dict[str, FoundLabels]:
@@ -57,12 +60,14 @@ def find_labels(files: Sequence[FoundFile], rule: str, tier: str | None) -> dict
     if (kind, rest) != ("beside", "") and not (kind in ("folder", "csv") and rest):
         raise OptionError("annotations.unknown_rule", text=rule)
     found: dict[str, FoundLabels] = {}
+    called: dict[tuple[str, str], list[str]] = {}  # takes by the table and what it calls them
     if kind == "csv":
         file = read_label_file(os.path.expanduser(rest))
         for one in files:
-            tiers = file.tiers_of(one.path, one.root if one.root != one.path else None)
-            if tiers is not None:
-                found[str(one.path)] = FoundLabels(file, tiers)
+            name = file.name_of(one.path, one.root if one.root != one.path else None)
+            if name is not None:
+                found[str(one.path)] = FoundLabels(file, file.takes[name])
+                called.setdefault((file.path, name), []).append(str(one.path))
         if files and not found:
             raise OptionError(
                 "annotations.none_in_file", path=file.path, takes=list(file.takes), name=files[0].path.name
@@ -76,12 +81,24 @@ def find_labels(files: Sequence[FoundFile], rule: str, tier: str | None) -> dict
                 tiers = file.tiers_of(one.path)
                 if tiers is not None:
                     found[str(one.path)] = FoundLabels(file, tiers)
+                    if kind == "folder":
+                        called.setdefault((file.path, path.name), []).append(str(one.path))
         if files and not found:
             stem = files[0].path.name.partition(".")[0]
             raise OptionError("annotations.none_beside", folder=rest or files[0].path.parent, stem=stem)
     for labels in found.values():
         choose_tier(labels.file, labels.tiers, tier)  # whether it is there
+    _note_names(found, called)
     return found
+
+
+def _note_names(found: dict[str, FoundLabels], called: Mapping[tuple[str, str], Sequence[str]]) -> None:
+    """Say of takes in different folders that one name of a table means them all."""
+    for (table, name), takes in called.items():
+        if len({os.path.dirname(take) for take in takes}) > 1:  # one take in two formats lies in one folder
+            values = {"n": len(takes), "takes": takes[:4], "name": name or os.path.basename(table)}
+            note = Message("annotations.one_name", path=table, **values)
+            found.update({take: replace(found[take], notes=(note,)) for take in takes})
 
 
 class _Folders:

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
@@ -18,6 +19,7 @@ import sqlalchemy as sa
 
 from dousa.errors import LibraryError, OptionError
 from dousa.library import schema
+from dousa.library.annotations.fitting import TakeLength, check_annotation, check_fit, check_times, fit
 from dousa.library.engine import Database, next_revision
 from dousa.library.features import StoredMotion, load_motions
 from dousa.library.forests import ForestCache, StoredForest, load_forest
@@ -35,9 +37,7 @@ from dousa.messages import Message
 from dousa.motion.annotation import Annotation, Stretch
 from dousa.retrieval.features.posed_motion import AnnotatedTake
 
-LEAST_FRAMES = 2
-"""Of a segment: one pose is no motion."""
-
+_TIME = "#t="  # between the path of a take and the time of a segment
 _TAKES_AT_ONCE = 16  # in one transaction
 
 
@@ -82,7 +82,8 @@ def annotate_takes(
 
     Parameters
     ----------
-    wanted : by number of the take; those that are not there are left out.
+    wanted : by number of the take; those that are not there are left out. Blank ones take all labels away: nobody
+        has annotated the take then.
     forest : of the library, if it is loaded.
     change : number in the journal, of what this belongs to.
     note : told that number, or the one that this has there; None where nothing changed.
@@ -90,12 +91,18 @@ def annotate_takes(
     Returns
     -------
     The forest as it has learned, and what changed; takes with the same labels as before are not touched.
+
+    Raises
+    ------
+    OptionError, MotionFileError : labels that cannot be, or that do not fit their take; then nothing has changed.
     """
     for labels in wanted.values():
-        for one in labels.segments:
-            check_text(one.category or "")
-    changes = AnnotationChanges()
+        check_annotation(labels)
     ids = sorted(wanted)
+    with database.reading() as connection:
+        for row in _read_takes(connection, ids):
+            check_fit(TakeLength.of(row), wanted[row.id])
+    changes = AnnotationChanges()
     for start in range(0, len(ids), _TAKES_AT_ONCE):
         some = {number: wanted[number] for number in ids[start : start + _TAKES_AT_ONCE]}
         plan = partial(_plan_tables, database.where, some, forest)
@@ -115,14 +122,20 @@ def _learn(
 
 def _find_missing(row: Any, labels: Annotation, there: Iterable[TakeSegment]) -> list[Stretch]:
     """Segments of a table that were removed since, but for those in whose place something was named by hand."""
-    spans = {(one.start, one.end) for one in there}
+    there = list(there)
+    n_there = Counter((one.start, one.end) for one in there)
+    known = {(one.start, one.end, one.category) for one in there}
     by_hand = [one for one in there if one.by_hand]
-    kept, _ = _fit(row, labels.segments)
-    return [
-        one
-        for one in kept
-        if (one.start, one.stop) not in spans and not any(_is_same_place(own, one) for own in by_hand)
-    ]
+    kept, _ = fit(TakeLength.of(row), labels.segments)
+    # One that was relabelled is there: as many go as come of those that share their times.
+    n_missing = Counter((one.start, one.stop) for one in kept) - n_there
+    missing = []
+    for one in kept:
+        span = (one.start, one.stop)
+        if n_missing[span] > 0 and (*span, one.category) not in known:
+            n_missing[span] -= 1
+            missing.append(one)
+    return [one for one in missing if not any(_is_same_place(own, one) for own in by_hand)]
 
 
 def name_segment(
@@ -146,10 +159,12 @@ def name_segment(
         if not rows:
             return _Exchange(forest)
         before = _read_segments(connection, [take_id]).get(take_id, [])
-        kept, changes = _fit(rows[0], [segment])
+        if segment.start >= rows[0].duration or segment.stop <= 0.0:
+            check_fit(TakeLength.of(rows[0]), Annotation((segment,)))
+        kept, _ = fit(TakeLength.of(rows[0]), [segment])
         gone = [one.clip_id for one in before if kept and _is_same_place(one, kept[0])]
         places = [(rows[0], kept, gone)] if kept else []
-        return _plan(connection, database.where, places, _Exchange(forest, changes=changes, by_hand=True), known)
+        return _plan(connection, database.where, places, _Exchange(forest, by_hand=True), known)
 
     done, ids, asked, change = database.write_planned(plan, _exchange)
     note(change)
@@ -217,7 +232,9 @@ def _plan_tables(
     changes, tables, places = AnnotationChanges(), [], []
     for row in rows:
         labels, there = wanted[row.id], before.get(row.id, [])
-        if hashes.get(row.id) != _hash_labels(labels):
+        if labels.is_blank and not there and row.id not in hashes:
+            changes += AnnotationChanges(unchanged=(row.path,))
+        elif labels.is_blank or hashes.get(row.id) != _hash_labels(labels):
             place, own = _compare(row, labels, there)
             tables.append((row, labels))
             places.append(place)
@@ -234,12 +251,17 @@ def _compare(
     row: Any, labels: Annotation, there: Iterable[TakeSegment]
 ) -> tuple[tuple[Any, list[Stretch], list[int]], AnnotationChanges]:
     """What a new table adds to the segments of a take, and the numbers of those that go."""
-    kept, changes = _fit(row, labels.segments)
+    there = list(there)
+    kept, notes = fit(TakeLength.of(row), labels.segments)
     known = {(one.start, one.end, one.category): one for one in there}
     stays = {(one.start, one.stop, one.category) for one in kept} & known.keys()
-    gone = [one for place, one in known.items() if place not in stays]
-    if by_hand := sum(one.by_hand for one in gone):
-        changes += AnnotationChanges(warnings=((row.path, Message("annotations.by_hand_gone", n=by_hand)),))
+    gone = [one for one in there if (place := (one.start, one.end, one.category)) not in stays or known[place] != one]
+    by_hand = sum(one.by_hand for one in gone)
+    if len(gone) > by_hand:
+        notes.append(Message("annotations.removed", n=len(gone) - by_hand))
+    if by_hand:
+        notes.append(Message("annotations.by_hand_gone", n=by_hand))
+    changes = AnnotationChanges(warnings=tuple((row.path, note) for note in notes))
     new = [one for one in kept if (one.start, one.stop, one.category) not in stays]
     return (row, new, [one.clip_id for one in gone]), changes
 
@@ -257,7 +279,14 @@ def _plan(
     for row, new, _ in places:
         if new:
             (motion,) = load_motions(connection, [row.id])  # one at a time: they are long
-            records += [_make_record(row, motion, one, exchange.by_hand) for one in new]
+            taken = _read_paths(connection, row.id) - _read_paths(connection, row.id, gone)
+            for one in new:
+                number, path = 1, name_path(row.path, one.start, one.stop)
+                while path in taken:
+                    number += 1
+                    path = name_path(row.path, one.start, one.stop, number)
+                taken.add(path)
+                records.append(_make_record(row, motion, one, path, number, exchange.by_hand))
     changes = AnnotationChanges(n_segments=len(records), n_removed=len(gone))
     forest, arrival = exchange.forest, None
     if records:
@@ -302,8 +331,10 @@ def _write_exchange(connection: sa.Connection, planned: _Exchange) -> list[int]:
                 "unclear": [list(span) for span in labels.unclear],
             }
             for row, labels in planned.tables
+            if not labels.is_blank
         ]
-        connection.execute(sa.insert(table), seal_rows(table, rows))
+        if rows:
+            connection.execute(sa.insert(table), seal_rows(table, rows))
     if planned.arrival is None:
         return []
     insert_clips(connection, planned.records, planned.arrival)
@@ -313,54 +344,40 @@ def _write_exchange(connection: sa.Connection, planned: _Exchange) -> list[int]:
     return [numbers[path] for path in paths]
 
 
-def _fit(row: Any, segments: Iterable[Stretch]) -> tuple[list[Stretch], AnnotationChanges]:
-    """Segments within a take, each once, and what was cut or left out."""
-    kept: dict[tuple[float, float, str | None], Stretch] = {}
-    late, short = [], []
-    for one in sorted(segments, key=lambda one: (one.start, one.stop)):
-        cut = replace(one, start=max(one.start, 0.0), stop=min(one.stop, row.duration))
-        first, last = _find_frames(row, cut)
-        if one.stop - row.duration > 1.0 / row.frame_rate:
-            late.append(one)
-        if last - first >= LEAST_FRAMES:
-            kept[(cut.start, cut.stop, cut.category)] = cut
-        elif one.start < row.duration:
-            short.append(one)
-    notes = []
-    if late:
-        end = {"start": late[0].start, "stop": late[0].stop, "category": late[0].category}
-        notes.append(Message("annotations.past_end", n=len(late), duration=row.duration, **end))
-    if short:
-        notes.append(Message("annotations.too_short", n=len(short), start=short[0].start, category=short[0].category))
-    return list(kept.values()), AnnotationChanges(warnings=tuple((row.path, note) for note in notes))
+def name_path(take: str, start: float, stop: float, number: int = 1) -> str:
+    """What a segment is called: the take's path with the time, as media fragments of the W3C have it.
+
+    Of several at the same time each has a number, from 2 it is told.
+    """
+    return f"{take}{_TIME}{start:.3f},{stop:.3f}" + (f"&id={number}" if number > 1 else "")
 
 
-def _find_frames(row: Any, segment: Stretch) -> tuple[int, int]:
-    """The first frame of a segment, and the one after its last."""
-    first, stop = round(segment.start * row.frame_rate), round(segment.stop * row.frame_rate)
-    return max(first, 0), min(stop, row.n_frames)
-
-
-def name_path(take: str, start: float, stop: float) -> str:
-    """What a segment is called: the take's path with the time, as media fragments of the W3C have it."""
-    return f"{take}#t={start:.3f},{stop:.3f}"
+def _read_paths(connection: sa.Connection, take_id: int, among: Sequence[int] | None = None) -> set[str]:
+    """Paths of the segments of a take, of those among some clips."""
+    clips, table = schema.clips.c, schema.segments.c
+    query = sa.select(clips.path).join(schema.segments, clips.id == table.clip_id).where(table.take_id == take_id)
+    if among is not None:
+        return {row.path for row in fetch_in(connection, query, clips.id, among)}
+    return set(connection.execute(query).scalars())
 
 
 def rename_segments(connection: sa.Connection, take: str) -> None:
     """Segments of a take that lies elsewhere now are called after its new path."""
     clips, table = schema.clips.c, schema.segments.c
     owner = sa.select(clips.id).where(clips.path == take)
-    query = sa.select(table.clip_id, table.start_s, table.end_s).where(table.take_id.in_(owner))
-    rows = connection.execute(query).all()
-    update_rows(connection, LABELS, {row.clip_id: {"path": name_path(take, row.start_s, row.end_s)} for row in rows})
+    query = sa.select(clips.id, clips.path).join(schema.segments, clips.id == table.clip_id)
+    rows = connection.execute(query.where(table.take_id.in_(owner))).all()
+    paths = {row.id: take + _TIME + row.path.rpartition(_TIME)[2] for row in rows}
+    update_rows(connection, LABELS, {number: {"path": path} for number, path in paths.items()})
 
 
-def _make_record(row: Any, motion: StoredMotion, segment: Stretch, by_hand: bool) -> ClipRecord:
-    first, stop = _find_frames(row, segment)
+def _make_record(row: Any, motion: StoredMotion, segment: Stretch, path: str, number: int, by_hand: bool) -> ClipRecord:
+    first, stop = TakeLength.of(row).find_frames(segment)
     part = StoredMotion(motion.positions[first:stop], motion.frame_rate, motion.height)
     named = f"{row.content_hash} {row.id} {segment.start} {segment.stop} {segment.category}"
+    named += f" {number}" if number > 1 else ""  # one of the same name may have been called otherwise since
     values = {
-        "path": name_path(row.path, segment.start, segment.stop),
+        "path": path,
         "content_hash": hashlib.sha256(named.encode()).hexdigest(),
         "fingerprint": "",
         "size": 0,
@@ -471,11 +488,16 @@ class Annotations:
         Parameters
         ----------
         take : number.
-        labels : what is beyond the end of the take is cut off.
+        labels : what goes beyond the end of the take is cut there, what lies beyond it is left out. Two may lie on the
+            same stretch. None at all say that nothing happens in the take; blank ones (``is_blank``) that nobody has
+            annotated it: they take all labels away.
         n_jobs : takes described anew at a time, as in ``Library.add``.
 
         Raises
         ------
+        OptionError : times that are no numbers, an end that is not after its beginning, an empty category or one that
+            is too long; labels without a source of which none lies in the take. Then nothing changes.
+        MotionFileError : the same of labels that came from a table: none of them lies in the take.
         LibraryError : no take of this number, or the library cannot be written.
         """
         return self.write_all({take: labels}, n_jobs=n_jobs)
@@ -504,12 +526,14 @@ class Annotations:
 
         Raises
         ------
-        OptionError : an empty category.
+        OptionError : an empty category; times that are no numbers, an end that is not after the beginning, a part that
+            lies outside of the take.
         LibraryError : no take of this number, or the library cannot be written.
         """
         if not category.strip():
             raise OptionError("library_clips.empty_label")
         check_text(category)
+        check_times(start, end, category)
         self._check_take(take)
         part = Stretch(start, end, category)
         self._forests.last, number, changes = name_segment(self._database, take, part, self._forests.last, self._note)

@@ -93,7 +93,7 @@ class Library(LibraryChanges):
         Raises
         ------
         OptionError : a rule that cannot be understood, or another kind; labels of clips, or of no take at all.
-        MotionFileError : a table of labels that cannot be read.
+        MotionFileError : a table of labels that cannot be read, or of which nothing lies in its take; nothing is added.
         LibraryError : the library cannot be written.
         """
         from dousa.library.add import Adding

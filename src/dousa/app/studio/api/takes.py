@@ -18,6 +18,7 @@ from dousa.app.studio.content.studio import Studio, StudioNow
 from dousa.app.studio.core.answers import Answer, RefusedError, attachment
 from dousa.app.studio.core.words import say
 from dousa.app.studio.jobs.board import Job
+from dousa.messages import Message
 
 router = APIRouter(tags=["takes"])
 
@@ -148,7 +149,10 @@ class AnnotateRequest(BaseModel):
 
 @router.post("/takes/annotate", status_code=201, summary="Give a take the labels of a table")
 def annotate(studio: StudioNow, wanted: AnnotateRequest) -> Answer:
-    """The table (CSV, ELAN, Praat, BORIS) takes the place of the labels that the take has; each segment is a clip."""
+    """The table (CSV, ELAN, Praat, BORIS) takes the place of the labels that the take has; each segment is a clip.
+
+    An empty table takes them all away. One of which nothing lies in the take is refused.
+    """
     from dousa.app.studio.content.corrections import find_take
     from dousa.formats.annotations import read_label_file
     from dousa.formats.annotations.label_file import to_annotation
@@ -165,9 +169,12 @@ def annotate(studio: StudioNow, wanted: AnnotateRequest) -> Answer:
         raise RefusedError(422, "studio_takes.other_takes", name=PurePath(info.path).name, takes=list(file.takes)[:12])
     annotation, notes = to_annotation(file, tiers, wanted.tier, info.frame_rate)
     changes = studio.library.annotations.write(take, annotation, n_jobs=1)
+    if annotation.is_blank:
+        notes = [*notes, Message("annotations.blank", table=path.name)]
+    now = studio.library.annotations.read([take])
     answer = {
         "given": _describe_given(studio, MotionRef(motion=wanted.motion)),
-        "n_segments": len(annotation.segments),
+        "n_segments": len(now[0].segments) if now else 0,
         "new_categories": list(changes.new_categories),
         "notes": [say(note) for note in (*notes, *(note for _, note in changes.warnings))],
     }
