@@ -94,10 +94,10 @@ def check_fit(take: TakeLength, labels: Annotation) -> None:
     unit = _guess_unit(take, labels.segments, 0.0 if not kept else _COVERED)
     if kept and unit is None:
         return
-    far = [one for one in labels.segments if one.stop > take.duration] or list(labels.segments)
-    first = min(far, key=lambda one: (one.start, one.stop))
+    outside = [one for one in labels.segments if one.stop > take.duration or one.stop <= 0.0]
+    first = min(outside or labels.segments, key=lambda one: (one.start, one.stop))
     values = {"start": first.start, "stop": first.stop, "category": first.category, "take": PurePath(take.path).name}
-    if unit is None and any(one.start < take.duration and one.stop > 0 for one in labels.segments):
+    if unit is None and not outside:
         raise _about(labels, first, Message("annotations.all_short", **values))
     remedy = unit or Message("annotations.other_take", n=len(labels.segments))
     raise _about(labels, first, Message("annotations.outside", duration=take.duration, remedy=remedy, **values))
