@@ -63,6 +63,9 @@ def test_a_mistake_is_one_sentence_with_file_and_line(dousa, session, tmp_path):
         (b"start_s,end_s,category\n1,2,wa\0lk\n", ":2: zero bytes"),
         (b"start_s,end_s,category\n1,2,w\xe4lk\n", ":2: not text in UTF-8"),
         (b"a,b\n1,2\n", ":1: expected the columns start_s, end_s and category"),
+        (b'start_s,end_s,category\n0,1,"walk\n1,2,sit\n', ":2: a quotation mark opens and is not closed"),
+        (b"start_s,end_s,category\n0,1," + b"x" * 1001, ":2: expected a category of at most 1000 bytes"),
+        (b"start_s,end_s,category\n2067,6667,walk\n", ":2: 'walk' from 2067 to 6667 s does not fit p0.trc, which ends"),
     ):
         table.write_bytes(content)
         code, _, err = dousa("add", library, folder, "--takes", "--labels", "beside")
@@ -73,6 +76,28 @@ def test_a_mistake_is_one_sentence_with_file_and_line(dousa, session, tmp_path):
     assert code == 2 and "no labels of any take" in " ".join(err.split())
     code, _, err = dousa("add", library, folder, "--labels", "beside")
     assert code == 2 and "--takes" in err
+
+
+def test_labels_at_the_same_time_and_what_is_unknown(dousa, session, tmp_path):
+    folder = tmp_path / "takes"
+    folder.mkdir()
+    (folder / "p0.trc").write_bytes((session / "p0.trc").read_bytes())
+    (folder / "p0.labels.csv").write_text("start_s,end_s,category\n0,2,walk\n0,2,run\n0,2,run\n2,3,unknown\n")
+    library = tmp_path / "a.dousa"
+    code, out, err = dousa("add", library, folder, "--takes", "--labels", "beside")
+    said = " ".join(err.split())
+    assert code == 0 and "1 take labelled, 2 new segments" in out
+    assert "labels.csv:4: 1 label is there twice and counts once" in said
+    assert "labels.csv:5: 1 label such as 'unknown' read as no category" in said
+    _, out, _ = dousa("list", library, "--json")
+    parts = {clip["category"]: clip["path"].partition("#t=")[2] for clip in json.loads(out)["clips"] if clip["take_id"]}
+    assert parts == {"walk": "0.000,2.000", "run": "0.000,2.000&id=2"}
+    (folder / "p0.labels.csv").write_text("start_s,end_s,category\n")
+    code, _, err = dousa("add", library, folder, "--takes", "--labels", "beside")
+    assert code == 0 and "the take keeps its 2 segments" in " ".join(err.split())
+    (folder / "p0.labels.csv").write_text("start_s,end_s,category\n0,2,walk\n")
+    code, _, err = dousa("add", library, folder, "--takes", "--labels", "beside")
+    assert code == 0 and "1 earlier segment removed" in " ".join(err.split())
 
 
 def test_the_trial_of_annotated_takes(dousa, session):

@@ -10,7 +10,7 @@ import pytest
 from oracles.short_actions import make_clip
 from oracles.standing import standing
 
-from dousa.errors import TrainingError
+from dousa.errors import MotionFileError, TrainingError
 from dousa.experiments.annotated.trial import NEVER_UNKNOWN, OURS, run_annotated_takes_experiment
 from dousa.motion.annotation import Stretch
 from dousa.retrieval.features.posed_motion import AnnotatedTake
@@ -115,3 +115,9 @@ def test_takes_are_read_with_their_tables(tmp_path):
     assert [item.reason.code for item in skipped] == ["annotations.no_table"]
     said = [one.category for one in takes[0].stretches]
     assert said == [one.category for one in TAKES[0].stretches]
+    (tmp_path / "p2.labels.csv").write_text("start_s,end_s,category\n")
+    _, skipped = read_annotated_takes([tmp_path], "beside", performer_from=r"name:p(\d)", options=options, n_jobs=1)
+    assert [item.reason.code for item in skipped] == ["annotations.blank"]
+    (tmp_path / "p2.labels.csv").write_text("start_s,end_s,category\n9000,9900,bow\n")
+    with pytest.raises(MotionFileError, match=r"p2.labels.csv:2: 'bow' from 9000 to 9900 s does not fit p2.trc"):
+        read_annotated_takes([tmp_path], "beside", performer_from=r"name:p(\d)", options=options, n_jobs=1)

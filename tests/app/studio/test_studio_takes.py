@@ -668,6 +668,35 @@ def test_what_is_wrong_with_a_dropped_table_is_said(studio, recording, wait_job)
     assert get_given(studio, motion) is None
 
 
+def drop_table(client, motion, content):
+    """The answer to a table of labels that is dropped onto a take."""
+    came = client.post("/api/uploads?name=a.labels.csv", content=f"start_s,end_s,category\n{content}".encode()).json()
+    return client.post("/api/takes/annotate", json={"motion": motion, "batch": came["batch"], "name": "a.labels.csv"})
+
+
+def test_a_dropped_table_that_does_not_fit_is_refused(studio, recording, table, wait_job):
+    motion, _ = add_take(studio, recording, wait_job, table)
+    before = get_given(studio, motion)
+    for rows, said in (("2067,6667,hop\n", "milliseconds"), ("900.5,901.5,hop\n", "none lies within the take")):
+        answer = drop_table(studio, motion, rows)
+        assert answer.status_code == 422 and "a.labels.csv:2: 'hop'" in answer.text and said in answer.text
+        assert str(studio.app.state.studio.workspace.root) not in answer.text
+    assert get_given(studio, motion) == before
+
+
+def test_labels_at_the_same_time_are_dropped_and_an_empty_table_takes_all_away(studio, recording, table, wait_job):
+    motion, _ = add_take(studio, recording, wait_job, table)
+    answer = drop_table(studio, motion, "0,2,hop\n0,2,clap\n0,2,hop\n3,4,unknown\n")
+    assert answer.status_code == 201 and answer.json()["n_segments"] == 2
+    said = " ".join(answer.json()["notes"])
+    assert "there twice" in said and "read as no category" in said and "earlier segments removed" in said
+    answer = drop_table(studio, motion, "")
+    assert answer.status_code == 201 and (answer.json()["n_segments"], answer.json()["given"]) == (0, None)
+    said = " ".join(answer.json()["notes"])
+    assert "a.labels.csv has no labels" in said and "2 earlier segments removed" in said
+    assert not [clip for clip in studio.app.state.studio.library.clips() if clip.take_id is not None]
+
+
 def test_a_correction_of_a_take_of_the_library_is_a_segment_of_it(studio, recording, strange, wait_job):
     motion, _ = add_take(studio, recording, wait_job)
     start, end = strange[0]
