@@ -277,3 +277,11 @@ def test_one_name_for_takes_of_several_folders_is_said(library, takes, tmp_path,
     if rule == "csv":
         table.write_text("file,start_s,end_s,category\n../takes/p0_take.bvh,0,1,wave\n../more/p0_take.bvh,1,2,bow\n")
         assert [note.code for _, note in library.add(paths, **asked).warnings] == ["annotations.removed"]
+
+
+def test_the_table_of_a_file_that_is_a_clip_is_told(library, takes):
+    library.add(takes / "p0_take.bvh", n_jobs=1)
+    report = add(library, takes)
+    assert codes(report) == [("p0_take.bvh", "of_clip")] and set(labels(library)) == {"p1_take"}
+    copy = make_copy(takes, "0.3,1.1,bow\n")
+    assert codes(add(library, copy)) == [("p0_take.bvh", "of_clip")]

@@ -221,6 +221,7 @@ class Adding:
             self._tally["warnings"] += [(row.path, note) for note in chosen.always]
             if chosen.labels is not None:
                 wanted[row.id], notes[row.id] = chosen.labels, list(chosen.notes)
+        self._tally["warnings"] += self._find_clips(labels, {row.path for row in rows})
         self.forest, changes = annotate_takes(self._database, wanted, self.forest, self.change)
         changed = set(changes.takes)
         # What was said of labels that have not changed is not said again.
@@ -234,6 +235,15 @@ class Adding:
         self._tally["n_learned"].append(changes.n_learned)
         self._tally["new_categories"] += changes.new_categories
         self._leave_out_tables(labels)
+
+    def _find_clips(self, labels: Mapping[str, FoundLabels], takes: set[str]) -> Iterator[tuple[str, Message]]:
+        """Files with tables that are in the library as clips: their labels have no take."""
+        first = {one.path: one.same_as for one in self._tally["duplicates"]}
+        skipped = {one.path for one in self._tally["skipped"]}
+        for path, own in labels.items():
+            clip = first.get(path, path)
+            if clip not in takes and path not in skipped:
+                yield path, Message("annotations.of_clip", table=own.file.path, clip=clip)
 
     def _leave_out_tables(self, labels: Mapping[str, FoundLabels]) -> None:
         """Tables that were read are not among the files that no reader takes."""
