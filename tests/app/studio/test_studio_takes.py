@@ -730,3 +730,51 @@ def test_labels_are_dropped_onto_a_take_and_shown(show, running, recording, tabl
     page.wait("return document.querySelector('#show-given')?.getAttribute('aria-pressed') === 'false'", seconds=60)
     assert "given=false" in page.run("return document.querySelector('#export-eaf').href")
     assert page.messages() == []
+
+
+def test_a_take_that_comes_with_its_table_is_added_with_its_labels(show, running, recording, table, tmp_path, faults):
+    """A table of the same name is told, in any case; takes are preselected; one of another name is said to be unread."""
+    for name in ("SESSION.labels.csv", "other.labels.csv"):
+        (tmp_path / name).write_text(table)
+    page = show("/library")
+    page.wait("return document.querySelector('.cell canvas') !== null")
+    page.run("document.querySelector('#add-button').click()")
+    page.wait("return document.querySelector('#add-files') !== null")
+    names = [str(recording[0]), str(tmp_path / "SESSION.labels.csv"), str(tmp_path / "other.labels.csv")]
+    page.find("#add-files").send_keys("\n".join(names))
+    page.wait("return document.querySelector('#add-go') !== null")
+    assert page.run("return document.querySelector('#add-kind-take').checked")
+    assert page.run("return document.querySelector('#add-labels').checked")
+    text = "return document.querySelector('dialog[open]').innerText"
+    assert "Table of labels (1): SESSION.labels.csv" in page.run(text)
+    assert "no motion has the same name: other.labels.csv" in page.run(text)
+    assert "Read the labels beside them (1 table)" in page.run(text)
+    assert "Other files" not in page.run(text) and "left aside" not in page.run(text)
+    assert faults(page) == []
+    page.run("document.querySelector('#add-kind-clip').click()")
+    assert "left aside" in page.run(text)
+    page.run("document.querySelector('#add-kind-take').click()")
+    page.screenshot(tmp_path / "tables.png")
+    page.run("document.querySelector('#add-go').click()")
+    page.wait("return document.querySelector('#add-labelled') !== null", seconds=60)
+    labelled = page.run("return document.querySelector('#add-labelled').textContent")
+    assert labelled == f"1 take labelled, {len(ORDER) - 1} new segments: these are clips now."
+    assert page.messages() == []
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "take"),
+    [
+        ("a/Day.Labels.CSV", "start_s,end_s,category\n", "a/Day"),
+        ("day.csv", "start_s;end_s;category\n", "day"),
+        ("day.eaf", "<ANNOTATION_DOCUMENT/>", "day"),
+        ("day.TextGrid", "File type", "day"),
+        ("day.boris.csv", "Observation id,x\n", "day"),
+        ("day.csv", "file,stature\n", None),
+        ("session.bvh", None, None),
+    ],
+)
+def test_an_upload_says_which_take_a_table_belongs_to(studio, recording, name, content, take):
+    body = recording[0].read_bytes() if content is None else content.encode()
+    (file,) = studio.post("/api/uploads", params={"name": name}, content=body).json()["files"]
+    assert file["labels_of"] == take and (file["motion"] is None) == (content is not None)

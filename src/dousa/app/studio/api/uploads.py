@@ -13,6 +13,7 @@ from dousa.app.studio.content.studio import StudioNow
 from dousa.app.studio.core.answers import Answer, RefusedError
 from dousa.app.studio.core.uploads import MOTIONS, receive
 from dousa.app.studio.core.words import say
+from dousa.formats.annotations import LABEL_SUFFIXES, is_label_file
 from dousa.formats.registry import is_motion_file
 
 general = APIRouter(tags=["general"])
@@ -56,6 +57,9 @@ async def upload(
 ) -> Answer:
     """Keep a file, or the files of a zip archive, in a batch.
 
+    Of each file ``motion`` is its name as a motion, and ``labels_of``, of a table of labels, the name without a suffix
+    of the take that it belongs to; null of others.
+
     Files that belong together (AMC with ASF; masks of one view; a folder for the library) go into one batch: give the
     ``batch`` of the first answer with the others.
     """
@@ -74,11 +78,19 @@ async def upload(
 
 
 def _describe(batch: str, folder: Path, name: str, size: int) -> dict[str, Any]:
+    is_motion = is_motion_file(folder / name)
     return {
         "name": name,
         "bytes": size,
-        "motion": str(Address(batch=batch, name=name)) if is_motion_file(folder / name) else None,
+        "motion": str(Address(batch=batch, name=name)) if is_motion else None,
+        "labels_of": None if is_motion else _name_take(folder, name),
     }
+
+
+def _name_take(folder: Path, table: str) -> str | None:
+    """The name of a take, without its suffix, whose labels are in a table beside it; None of what is no such table."""
+    suffix = next((one for one in (*LABEL_SUFFIXES, ".csv", ".tsv") if table.lower().endswith(one)), None)
+    return None if suffix is None or not is_label_file(folder / table) else table[: -len(suffix)]
 
 
 @router.get("/uploads/{batch}", summary="The files of a batch")

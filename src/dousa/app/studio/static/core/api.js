@@ -39,7 +39,7 @@ export const put = async (path, value) => (await call("PUT", path, asJson(value)
 export const patch = async (path, value) => (await call("PATCH", path, asJson(value))).json();
 export const remove = async (path) => (await call("DELETE", path)).json();
 
-/** Upload one file; -> {batch, files: [{name, bytes, motion}], refused: [{name, reason}]}. */
+/** Upload one file; -> {batch, files: [{name, bytes, motion, labels_of}], refused: [{name, reason}]}. */
 export async function upload(file, { name = file.name, batch, signal } = {}) {
   return (await call("POST", "/uploads", { body: file, params: { name, batch }, signal })).json();
 }

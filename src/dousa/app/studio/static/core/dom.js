@@ -2,10 +2,11 @@
 
 const words = JSON.parse(document.getElementById("words").textContent);
 
-/** A word of the page's language; {names} are filled in. */
+/** A word of the page's language; {names} are filled in, and of {name:clip|clips} the first is taken where it is 1. */
 export function t(name, values = {}) {
   const word = words[name] ?? name;
-  return word.replace(/\{(\w+)\}/g, (whole, key) => (key in values ? String(values[key]) : whole));
+  const numbered = word.replace(/\{(\w+):([^{}|]*)\|([^{}]*)\}/g, (whole, key, one, many) => (String(values[key]) === "1" ? one : many));
+  return numbered.replace(/\{(\w+)\}/g, (whole, key) => (key in values ? String(values[key]) : whole));
 }
 
 export const language = document.documentElement.lang;

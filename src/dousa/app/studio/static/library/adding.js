@@ -13,7 +13,7 @@ import { report } from "./report.js";
 
 const count = new Intl.NumberFormat(language);
 const MOTION = /\.(bvh|amc|c3d|trc|npz|npy|pkl|csv|tsv|json|vmd|mvnx|fbx|dae|usd[acz]?|glb|gltf|vrm|vrma)$/i;
-const TABLE = /\.(eaf|textgrid|csv|tsv)$/i; // that the labels of takes may be in
+const FEW = 4; // tables that are named
 const remembered = (id) => `dousa-refused-${id}`; // what an upload refused, for the report of its job
 let open = null;
 
@@ -105,18 +105,20 @@ async function receive(state, entries) {
 
 function question(state) {
   const motions = state.files.filter((file) => file.motion);
-  const others = state.files.length - motions.length;
   if (!motions.length) {
     state.body.replaceChildren(h("p", { role: "status" }, t("no_motions")), refusedList(state.refused) ?? "", zone((more) => state.take(more)));
     return;
   }
-  const tables = state.files.filter((file) => !file.motion && TABLE.test(file.name));
-  const how = askHow(motions.map((file) => file.name), tables.map((file) => file.name));
+  const { beside, alone } = pairTables(motions, state.files.filter((file) => file.labels_of != null));
+  const others = state.files.length - motions.length - beside.length - alone.length;
+  const how = askHow(motions.map((file) => file.name), beside);
   const go = h("button", { type: "submit", class: "primary", id: "add-go" }, t("add_go", { count: count.format(motions.length) }));
   const form = h(
     "form",
     { class: "stack" },
     h("p", { role: "status", id: "came" }, t("came", { count: count.format(motions.length) }), others ? ` ${t("came_others", { count: count.format(others) })}` : ""),
+    beside.length ? h("p", { id: "came-tables" }, t("came_tables", { count: count.format(beside.length), names: some(beside) })) : "",
+    alone.length ? h("p", { class: "note", id: "tables-alone" }, t("tables_alone", { names: some(alone) })) : "",
     refusedList(state.refused) ?? "",
     how.element,
     foot(h("button", { type: "button", onclick: state.close }, t("cancel")), go),
@@ -132,6 +134,22 @@ function question(state) {
   });
   state.body.replaceChildren(form);
   go.focus();
+}
+
+const some = (names) => names.slice(0, FEW).join(t("tally_comma")) + (names.length > FEW ? ` ${t("and_more", { count: count.format(names.length - FEW) })}` : "");
+
+/** What tables of labels are called: those that lie beside a motion of their name, and those that belong to none. */
+function pairTables(motions, tables) {
+  const takes = new Set(motions.flatMap(({ name }) => stems(name)));
+  const isBeside = (table) => takes.has(stems(`${table.labels_of}.`)[0]);
+  return { beside: tables.filter(isBeside).map((table) => table.name), alone: tables.filter((table) => !isBeside(table)).map((table) => table.name) };
+}
+
+/** The names that a table of a motion may have, with their folder: without the last suffix, and without all. */
+function stems(name) {
+  const at = name.lastIndexOf("/") + 1;
+  const [folder, file] = [name.slice(0, at), name.slice(at).toLowerCase()];
+  return [file.slice(0, file.lastIndexOf(".")), file.split(".")[0]].map((stem) => folder + stem);
 }
 
 function keepRefused({ job, refused }) {

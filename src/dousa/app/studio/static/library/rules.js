@@ -3,7 +3,6 @@
 import { h, t } from "../core/dom.js";
 
 const SHOWN = 5;
-const SURE = /\.(eaf|textgrid|labels\.[ct]sv|boris\.[ct]sv)$/i; // hold nothing but labels
 const DEEPEST = 6; // levels of folders that are offered
 const RULES = { folder: "folder", last_folder: "path:([^/]+)/[^/]+$", none: "none", ...levels(DEEPEST) };
 
@@ -12,24 +11,26 @@ function levels(deepest) {
   return Object.fromEntries(Array.from({ length: deepest }, (_, at) => [`level_${at + 1}`, `path:^(?:[^/]+/){${at}}([^/]+)/`]));
 }
 
-/** names: of the motions that came, tables: of files that labels may be in -> {element, value: for POST /jobs/add} */
+/** names: of the motions that came, tables: of labels that lie beside some of them -> {element, value: for POST /jobs/add} */
 export function askHow(names, tables = []) {
   const folders = names.some((name) => name.includes("/"));
-  const kind = choice("add-kind", ["clip", "take"].map((name) => [name, t(`add_as_${name}`)]), "clip");
+  const kind = choice("add-kind", ["clip", "take"].map((name) => [name, t(`add_as_${name}`)]), tables.length ? "take" : "clip");
   const depth = Math.min(Math.max(...names.map((name) => name.split("/").length - 1), 0), DEEPEST);
   const byLevel = depth > 1 ? Object.keys(levels(depth)) : [];
   const byFolder = depth > 1 ? ["folder", "last_folder", ...byLevel] : ["folder"];
   const category = rule("category", [...byFolder, "name", "none"], folders ? "folder" : "none", "^([A-Za-z]+)");
   const performer = rule("performer", ["none", ...(depth > 1 ? byLevel : ["level_1"]), "name"], "none", "_([A-Za-z]+[0-9]*)");
   const unit = h("select", { id: "add-unit" }, ...["", "m", "cm", "mm", "inch", "cmu"].map((name) => h("option", { value: name }, t(`unit_${name || "file"}`))));
-  const beside = h("input", { type: "checkbox", id: "add-labels", checked: tables.some((name) => SURE.test(name)) });
+  const beside = h("input", { type: "checkbox", id: "add-labels", checked: true });
   const labels = h("label", { class: "check" }, beside, t("labels_beside", { count: tables.length }));
+  const unread = h("p", { class: "note", id: "labels-unread" }, t("labels_unread"));
   const preview = h("div", { class: "preview" });
   const element = h(
     "div",
     { class: "stack" },
     kind.element,
     labels,
+    unread,
     h("div", { class: "option-row" }, category.element, performer.element),
     preview,
     h("details", {}, h("summary", {}, t("options")), h("label", { class: "field narrow" }, t("unit"), unit)),
@@ -37,6 +38,7 @@ export function askHow(names, tables = []) {
   const renew = () => {
     category.element.hidden = kind.value === "take";
     labels.hidden = kind.value !== "take" || !tables.length;
+    unread.hidden = kind.value === "take" || !tables.length;
     preview.replaceChildren(...look(names, kind.value === "take" ? null : category, performer));
   };
   element.addEventListener("input", renew);
