@@ -342,3 +342,37 @@ def test_all_pages_stand_in_the_head_of_a_phone(show, width, language):
         " || a.getBoundingClientRect().left < 0 || a.scrollWidth > a.clientWidth).map((a) => a.textContent)"
     )
     assert cut == [] and page.run("return document.querySelectorAll('.bar nav a').length") == 6
+
+
+def test_words_lead_to_the_part_of_a_take(show, running, tmp_path, faults):
+    """A card of a take says when; a click plays that part, chosen on the timeline; going back shows words and list."""
+    take = add_take(running.app.state.studio.library, tmp_path)
+    page = show("/search?text=crouching")
+    hit = "[...document.querySelectorAll('.word-hit')].find((one) => one.textContent.includes('take.bvh'))"
+    page.wait(f"return {hit}")
+    times = re.search(r"(\d+):(\d+\.\d) – (\d+):(\d+\.\d)", page.run(f"return {hit}.textContent"))
+    start, end = (60 * int(times[at]) + float(times[at + 1]) for at in (1, 3))
+    assert 0 < start < end
+    assert faults(page) == []
+    page.screenshot(tmp_path / "words.png")
+    n_hits = page.run("return document.querySelectorAll('.word-hit').length")
+    page.run(f"{hit}.click()")
+    page.wait("return document.querySelector('.tl-cursor') && document.querySelector('.dousa-player canvas')")
+    asked = urllib.parse.parse_qs(urllib.parse.urlsplit(page.run("return location.href")).query)
+    assert asked["motion"] == [f"clip:{take}"] and asked["from"] == ["crouching"]
+    assert [float(asked[name][0]) for name in ("start_s", "end_s")] == pytest.approx([start, end], abs=0.06)
+    now = "Number(document.querySelector('.tl-cursor').getAttribute('aria-valuenow'))"
+    page.wait(f"return {now} >= arguments[0] && {now} <= arguments[1]", start - 0.1, end + 0.1)
+    assert page.run("return document.querySelector('#ask-part')") is None
+    assert page.run("return document.querySelector('.tl-part:not([hidden])') !== null")
+    page.screenshot(tmp_path / "part.png")
+    assert faults(page) == []
+    for back in (page.driver.back, lambda: page.run("document.querySelector('#back-to-words').click()")):
+        back()
+        page.wait("return document.querySelectorAll('.word-hit').length === arguments[0]", n_hits)
+        page.wait("return document.activeElement.textContent.includes('take.bvh')")
+        assert page.run("return document.querySelector('#words-text').value") == "crouching"
+        assert page.run("return document.querySelector('#search').hidden")
+        page.run("document.activeElement.click()")
+        page.wait("return document.querySelector('#back-to-words') !== null")
+    assert page.messages() == []

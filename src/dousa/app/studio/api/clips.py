@@ -72,7 +72,7 @@ def _read_asked(
         str, Query(max_length=300, description="of names and labels, also misspelt, or words for what is done")
     ] = "",
     category: Annotated[
-        _Names | None, Query(description="any of these; an empty one: without a label; kick/: all below it")
+        _Names | None, Query(description="any of these; an empty one: clips without a label; kick/: all below it")
     ] = None,
     performer: Annotated[_Names | None, Query(description="likewise")] = None,
     kind: Literal["clip", "take"] | None = None,
@@ -118,7 +118,7 @@ _Offset = Annotated[int, Query(ge=0, le=10**9)]
 def list_clips(
     studio: StudioNow, asked: _AskedNow, offset: _Offset = 0, limit: Annotated[int, Query(ge=0, le=500)] = 60
 ) -> Answer:
-    """Facets count what would fit if that facet were left open; ``""`` in them stands for no label.
+    """Facets count what would fit if that facet were left open; ``""`` in them stands for no label; takes have no category.
 
     ``reading`` says how ``text`` was understood: what misspelt words were ``taken_for``, how many ``more`` clips do
     what it says, and whether that is still ``pending``.

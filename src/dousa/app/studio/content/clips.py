@@ -129,6 +129,7 @@ class Snapshot:
             self._names[label] = sorted(set(values))
             code = {name: number for number, name in enumerate(self._names[label])}
             self._codes[label] = np.array([code[value] for value in values], np.intp)
+        self._are_clips = np.array([clip.kind != "take" for clip in clips], bool)
         self._tags = [clip.tags or (NO_LABEL,) for clip in clips]
         self._lengths = np.digitize(self.durations, [end for _, end in LENGTHS.values()])
         self._orders: dict[str, NDArray[np.intp]] = {}
@@ -187,8 +188,7 @@ class Snapshot:
     def summarise(self) -> dict[str, Any]:
         """The library in numbers, whatever is asked for."""
         names, codes = self._names["category"], self._codes["category"]
-        kinds = np.array([name == "take" for name in self._names["kind"]], bool)
-        takes = kinds[self._codes["kind"]] if len(kinds) else np.zeros(0, bool)
+        takes = ~self._are_clips
         sizes = dict(zip(names, np.bincount(codes[~takes], minlength=len(names)).tolist(), strict=True))
         n_unlabelled = sizes.pop(NO_LABEL, 0)
         return {
@@ -205,7 +205,8 @@ class Snapshot:
         names, below = frozenset(wanted), tuple(name for name in wanted if name.endswith("/"))
         fits = [name in names or (bool(below) and f"{name}/".startswith(below)) for name in self._names[label]]
         known = np.array(fits, bool)
-        return known[self._codes[label]] if len(known) else np.zeros(0, bool)
+        found = known[self._codes[label]] if len(known) else np.zeros(0, bool)
+        return found & self._are_clips if label == "category" else found  # a take does not lack one
 
     def _tagged(self, wanted: Sequence[str]) -> Mask | None:
         names = frozenset(wanted)
@@ -222,6 +223,8 @@ class Snapshot:
         for other, own in masks.items():
             if other != name:
                 mask = _both(mask, own)
+        if name == "category":
+            mask = _both(mask, self._are_clips)
         if name == "tag":
             rows = range(len(self._tags)) if mask is None else np.flatnonzero(mask)
             return dict(Counter(tag for row in rows for tag in self._tags[row]).most_common(_MOST_NAMES))

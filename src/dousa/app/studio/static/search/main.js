@@ -28,8 +28,8 @@ const hits = new Hits($("#hits"), clock, {
 });
 
 const words = new Words($("#ask-words"), $("#words-found"), {
-  onAsk: (text) => go({ ...state, text }),
-  onChoose: (hit) => go({ ...state, motion: hit.motion, ...NO_PART, ...NO_HIT, unit: null, up: null, text: null }),
+  onAsk: (text) => go({ ...state, text, from: null }),
+  onChoose: (hit, part) => playHit({ motion: hit.motion, ...(part ?? NO_PART), ...NO_HIT, unit: null, up: null }),
 });
 
 let state = {};
@@ -55,9 +55,16 @@ function compare(changes) {
   stage.reveal();
 }
 
+/** Show what was found in words; the words stay in the address, so that their list is found again. */
+function playHit(changes) {
+  go({ ...changes, text: null, from: state.text });
+  $("#back-to-words")?.focus();
+}
+
 async function apply(next) {
   state = next;
   words.show(state.text);
+  drawWayBack();
   showFrame(Boolean(state.motion));
   if (!state.motion) {
     leave();
@@ -81,6 +88,13 @@ async function apply(next) {
   else if (!sought || !isSameSearch(sought, state)) search();
   showStage();
   drawMatch();
+}
+
+/** From a hit to the list that it stood in. */
+function drawWayBack() {
+  const back = () => go({ ...state, motion: null, ...NO_PART, ...NO_HIT, text: state.from, from: null });
+  $("#from-words").hidden = !state.from || Boolean(state.text);
+  $("#from-words").replaceChildren(...($("#from-words").hidden ? [] : [h("button", { type: "button", class: "small", id: "back-to-words", onclick: back }, icon("undo"), t("words_back", { text: state.from }))]));
 }
 
 function showFrame(shown, problem = "") {
@@ -128,7 +142,7 @@ function hitOf({ hit, other_start_s }) {
 }
 
 function drawMatch() {
-  stage.describeMatch(state, hitOf(state), { searchWith: (part) => go({ ...state, unit: null, up: null, ...NO_HIT, ...part }) });
+  stage.describeMatch(state, hitOf(state), { searchWith: (part) => go({ ...state, unit: null, up: null, ...NO_HIT, ...part, from: null }) });
   hits.mark(state.other_start_s === null ? state.hit : null);
 }
 
@@ -233,12 +247,12 @@ function explain() {
 
 async function take(entries) {
   const [motion] = await takeMotions(entries);
-  if (motion) go({ ...state, motion, ...NO_PART, ...NO_HIT, unit: null, up: null });
+  if (motion) go({ ...state, motion, ...NO_PART, ...NO_HIT, unit: null, up: null, from: null });
 }
 
 async function pick() {
   const [clip] = await pickClips({ kind: "clip" });
-  if (clip) go({ ...state, motion: clip.motion ?? `clip:${clip.id}`, ...NO_PART, ...NO_HIT, unit: null, up: null });
+  if (clip) go({ ...state, motion: clip.motion ?? `clip:${clip.id}`, ...NO_PART, ...NO_HIT, unit: null, up: null, from: null });
 }
 
 function drawChoosing() {

@@ -6,7 +6,7 @@ const CLEAR = 0.3; // score below which a place is shown only to who asks, where
 const isClear = (place) => place.alike ?? place.score >= CLEAR;
 
 /** "1:04.2" */
-function formatMoment(seconds) {
+export function formatMoment(seconds) {
   const tenths = Math.round(10 * seconds);
   return `${Math.floor(tenths / 600)}:${String(Math.floor(tenths / 10) % 60).padStart(2, "0")}.${tenths % 10}`;
 }

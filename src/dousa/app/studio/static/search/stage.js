@@ -6,7 +6,7 @@ import { createTimeline } from "../core/timeline.js";
 import { nameOf } from "./hits.js";
 import { isSameMotion, queryOf, wholeOf } from "./state.js";
 
-const [LONG, SEEN] = [150, 75]; // s: of a longer take so much is shown at first
+const [LONG, SEEN, BEFORE] = [150, 75, 10]; // s: of a longer take so much is shown at first, from before its part
 const [BAR, ENOUGH] = [64, 0.75]; // px that the bar of the page covers; share of the player that has to be seen
 const calm = window.matchMedia("(prefers-reduced-motion: reduce)");
 
@@ -25,7 +25,7 @@ export class Stage {
     if (run !== this.run) return;
     Object.assign(this, { shown: { ...state }, offset: state.hit ? (state.start_s ?? 0) : 0 });
     if (fresh) this.describe(info);
-    if (fresh) this.makeTimeline(info);
+    if (fresh) this.makeTimeline(info, state.start_s ?? 0);
     this.timeline.setSelection(state.start_s ?? (state.end_s === null ? null : 0), state.end_s ?? info.duration_s);
     this.play(data, fresh, state);
   }
@@ -50,10 +50,10 @@ export class Stage {
     document.title = `${info.name} - ${t("page_search")} - dousa`;
   }
 
-  makeTimeline(info) {
+  makeTimeline(info, from) {
     this.timeline?.destroy();
     this.timeline = createTimeline($("#timeline"), { duration: info.duration_s, selectable: true, label: t("query") });
-    if (info.kind === "take" && info.duration_s > LONG) this.timeline.show(0, SEEN);
+    if (info.kind === "take" && info.duration_s > LONG) this.timeline.show(Math.max(from - BEFORE, 0), Math.max(from - BEFORE, 0) + SEEN);
     this.timeline.onSeek((seconds) => {
       this.player?.pause();
       this.player?.seek(seconds - this.offset);

@@ -1,7 +1,7 @@
 // What is searched for and how, as it stands in the address: reload and back show the same again.
 
 const NUMBERS = ["start_s", "end_s", "k", "threshold", "other_start_s", "other_end_s"];
-const TEXTS = ["motion", "hit", "ranking", "unit", "up", "text"];
+const TEXTS = ["motion", "hit", "ranking", "unit", "up", "text", "from"];
 const SWITCHES = ["mirror", "same_category"];
 
 export function readState() {

@@ -2,13 +2,14 @@
 
 import { post } from "../core/api.js";
 import { baseName, h, t } from "../core/dom.js";
+import { formatMoment } from "./places.js";
 
 const FIRST = 24;
 
 export class Words {
-  /** tools: {onAsk(text) keeps the text in the address, onChoose(hit)} */
+  /** tools: {onAsk(text) keeps the text in the address, onChoose(hit, {start_s, end_s} of a part of a take)} */
   constructor(form, place, tools) {
-    Object.assign(this, { form, place, tools, asked: null, asking: null });
+    Object.assign(this, { form, place, tools, asked: null, asking: null, left: null });
     this.input = form.querySelector("input");
     form.addEventListener("submit", (event) => {
       event.preventDefault();
@@ -21,8 +22,28 @@ export class Words {
     if (text === this.asked) return;
     this.asked = text;
     this.input.value = text ?? "";
-    if (!text) this.clear();
-    else await this.ask(text, FIRST);
+    const left = this.left; // where a hit was chosen: the list is found again as it was
+    if (!text) {
+      this.clear();
+      return;
+    }
+    this.left = null;
+    await this.ask(text, left?.text === text ? left.k : FIRST);
+    if (left?.text === text && this.asked === text) this.returnTo(left);
+  }
+
+  /** The list at the place where it was left, with the hit that was chosen. */
+  returnTo({ top, place }) {
+    const list = this.place.querySelector(".word-hits");
+    if (!list) return;
+    list.scrollTop = top;
+    list.children[place]?.querySelector("button").focus({ preventScroll: true });
+  }
+
+  choose(hit, part, { currentTarget }) {
+    const list = this.place.querySelector(".word-hits");
+    this.left = { text: this.asked, k: this.k, top: list.scrollTop, place: [...list.children].indexOf(currentTarget.closest("li")) };
+    this.tools.onChoose(hit, part);
   }
 
   clear() {
@@ -34,6 +55,7 @@ export class Words {
   async ask(text, k) {
     this.asking?.abort();
     const mine = (this.asking = new AbortController());
+    this.k = k;
     this.place.hidden = false;
     this.place.replaceChildren(h("p", { class: "note" }, t("searching")));
     try {
@@ -56,9 +78,14 @@ export class Words {
     this.place.replaceChildren(...parts);
   }
 
+  /** Of a take its parts lead to themselves: the first with the hit, each further one by a button of its own. */
   drawHit(hit) {
-    const does = hit.relations.map((one) => h("span", { class: "badge" }, one.text));
-    const open = h("button", { type: "button", class: "word-hit", onclick: () => this.tools.onChoose(hit) }, h("b", {}, hit.category ?? "–"), h("span", { class: "hit-name", title: hit.path }, baseName(hit.path)), ...does, h("span", { class: "note" }, t("words_fits", { percent: Math.round(100 * hit.score) })));
-    return h("li", {}, open);
+    const isTake = hit.kind === "take";
+    const [shown, others] = isTake ? [hit.relations.slice(0, 1), hit.relations.slice(1)] : [hit.relations, []];
+    const open = (one, kind, ...parts) => h("button", { type: "button", class: kind, onclick: (event) => this.choose(hit, one && isTake ? { start_s: one.start_s, end_s: one.end_s } : null, event) }, ...parts);
+    const does = (one) => [isTake ? h("b", {}, `${formatMoment(one.start_s)} – ${formatMoment(one.end_s)}`) : null, h("span", { class: "badge" }, one.text)];
+    const head = [h("b", {}, hit.category ?? (isTake ? t("take") : "–")), h("span", { class: "hit-name", title: hit.path }, baseName(hit.path))];
+    const fits = h("span", { class: "note" }, t("words_fits", { percent: Math.round(100 * hit.score) }));
+    return h("li", {}, open(shown[0], "word-hit", ...head, ...shown.flatMap(does), fits), ...others.map((one) => open(one, "word-hit word-part", ...does(one))));
   }
 }
