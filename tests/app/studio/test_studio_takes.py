@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import io
 import json
+import shutil
 from pathlib import Path
 from urllib.parse import urlencode
 from urllib.request import Request, urlopen
@@ -224,7 +225,7 @@ def test_labels_are_exported_with_corrections(studio, recording, strange, wait_j
     studio.post("/api/takes/correct", json=asked)
     segments = label(studio, motion, wait_job)
     table = studio.get("/api/takes/export", params={"motion": motion})
-    assert "session_labels.csv" in table.headers["content-disposition"]
+    assert "session.labels.csv" in table.headers["content-disposition"]
     rows = list(csv.DictReader(io.StringIO(table.text)))
     assert len(rows) == len(segments)
     assert [row["category"] for row in rows if row["corrected"]] == [STRANGE]
@@ -640,11 +641,20 @@ def test_takes_are_added_with_the_tables_beside_them(studio, recording, table, w
 
 
 @pytest.mark.parametrize("format", ["csv", "eaf"])
-def test_given_labels_are_downloaded_as_they_are_read(studio, recording, table, wait_job, format):
+def test_given_labels_are_downloaded_as_they_are_read(studio, recording, table, wait_job, tmp_path, format):
+    from dousa.formats.motion_files import FoundFile
+    from dousa.library.annotations.places import find_labels
+
     motion, _ = add_take(studio, recording, wait_job, table)
     before = get_given(studio, motion)["segments"]
     answer = studio.get("/api/takes/export", params={"motion": motion, "format": format, "given": True})
-    assert answer.status_code == 200 and f"session_labels.{format}" in answer.headers["content-disposition"]
+    assert answer.status_code == 200
+    name = {"csv": "session.labels.csv", "eaf": "session.eaf"}[format]
+    assert f'filename="{name}"' in answer.headers["content-disposition"]
+    (tmp_path / name).write_bytes(answer.content)
+    take = Path(shutil.copy(recording[0], tmp_path))
+    (found,) = find_labels([FoundFile(tmp_path, take)], "beside", None).values()  # without another name
+    assert [one.category for one in found.tiers[0].spans if one.category] == list(ORDER[:-1])
     came = studio.post(f"/api/uploads?name=other.{format}", content=answer.content).json()
     asked = {"motion": motion, "batch": came["batch"], "name": f"other.{format}"}
     again = studio.post("/api/takes/annotate", json=asked)
@@ -778,3 +788,75 @@ def test_an_upload_says_which_take_a_table_belongs_to(studio, recording, name, c
     body = recording[0].read_bytes() if content is None else content.encode()
     (file,) = studio.post("/api/uploads", params={"name": name}, content=body).json()["files"]
     assert file["labels_of"] == take and (file["motion"] is None) == (content is not None)
+
+
+def open_annotated(show, running, recording, table, tmp_path):
+    """The page of a take with given labels, which are shown."""
+    library = running.app.state.studio.library
+    take = tmp_path / "annotated" / "session.bvh"
+    take.parent.mkdir()
+    take.write_bytes(recording[0].read_bytes())
+    take.with_name("session.labels.csv").write_text(table)
+    library.add([take], kind="take", labels_from="beside")
+    number = library.clips([take])[0].id
+    page = show(f"/takes?motion=clip:{number}")
+    page.wait(f"{GIVEN} === 'true'")
+    page.wait(f"return performance.getEntriesByType('resource').some((one) => one.name.endsWith('/jobs/label'))")
+    page.wait("return document.querySelector('#progress').children.length === 0", seconds=60)
+    assert ask(running, "/takes/labels", motion=f"clip:{number}")["is_current"]
+    page.settle()
+    return page
+
+
+GIVEN = "return document.querySelector('#show-given')?.getAttribute('aria-pressed')"
+NOTICE = "return [...document.querySelectorAll('.notice')].find((one) => one.textContent.includes(arguments[0]))"
+
+
+def test_labels_that_are_asked_for_again_are_shown(show, running, recording, table, tmp_path, faults):
+    page = open_annotated(show, running, recording, table, tmp_path)
+    assert "4 stretches from session.labels.csv" in page.run("return document.querySelector('#take-facts').textContent")
+    page.run("document.querySelector('#label-again').click()")
+    page.wait(f"{GIVEN} === 'false'", seconds=60)
+    page.wait("return document.querySelector('#segments .sure') !== null")  # how sure each is: recognised ones
+    page.wait(NOTICE, "Labelled again")
+    assert faults(page) == []
+    page.screenshot(tmp_path / "again.png")
+    page.run(f"{NOTICE.removeprefix('return ')}.querySelector('button').click()", "Labelled again")
+    page.wait(f"{GIVEN} === 'true'")
+    assert page.messages() == []
+
+
+def test_what_was_learned_leads_to_the_other_place(show, running, recording, strange, table, tmp_path, faults):
+    """Given labels hide what the library recognises; the message of a correction leads there."""
+    head, *rows = table.splitlines()
+    unsaid = [f"{row.removesuffix(STRANGE)},{STRANGE}" if row.endswith(STRANGE) else f"{row}," for row in rows]
+    known = "\n".join([f"{head},perhaps", *unsaid])  # nobody can say what the unknown motions are
+    page = open_annotated(show, running, recording, known, tmp_path)
+    whole = recording[1][-1][1]
+    page.run(
+        """
+        const box = document.querySelector('.tl-inner').getBoundingClientRect();
+        const at = (share) => ({clientX: box.left + share * box.width, clientY: box.top + 50, bubbles: true,
+          pointerId: 1, pointerType: 'mouse', button: 0, cancelable: true});
+        const [start, end] = arguments;
+        document.querySelector('.tl-track').dispatchEvent(new PointerEvent('pointerdown', at(start)));
+        for (const to of [0.5 * (start + end), end]) window.dispatchEvent(new PointerEvent('pointermove', at(to)));
+        window.dispatchEvent(new PointerEvent('pointerup', at(end)));
+        """,
+        *(seconds / whole for seconds in strange[0]),
+    )
+    page.find("#category").send_keys(STRANGE)
+    page.run("document.querySelector('#correct').click()")
+    page.wait(NOTICE, "Learned", seconds=60)
+    assert page.run(f"{NOTICE}.querySelector('p').textContent", "Learned").endswith(
+        "1 other place is called that now."
+    )
+    assert page.run(GIVEN) == "true"
+    page.screenshot(tmp_path / "learned.png")
+    assert faults(page) == []
+    page.run(f"{NOTICE.removeprefix('return ')}.querySelector('[data-act=show]').click()", "Learned")
+    page.wait(f"{GIVEN} === 'false'")
+    page.wait(f"return document.querySelector('#category').value === '{STRANGE}'")
+    time = float(page.run("return document.querySelector('.tl-cursor').getAttribute('aria-valuenow')"))
+    assert strange[1][0] - 1.5 < time < strange[1][1]
+    assert page.messages() == []

@@ -193,14 +193,15 @@ def export(
 ) -> Response:
     """Labels with corrections: a table with a row for each stretch, JSON, or a document of ELAN.
 
-    Tables and documents can be read as labels of the take again. A document has no place for what is perhaps something:
+    Tables and documents are called as labels beside a take are, and can be read again. A document has no place for what is perhaps something:
     it is left out there, and so read as nothing.
     """
     answer = _describe(studio, MotionRef(motion=motion))
     labels = answer["given"] if given else answer["labels"]
     if labels is None:
         raise RefusedError(409, "studio_takes.not_labelled")
-    headers = {"content-disposition": attachment(f"{PurePath(answer['name']).stem}_labels.{format}")}
+    suffix = f".{format}" if format == "eaf" else f".labels.{format}"  # what is found beside the take
+    headers = {"content-disposition": attachment(f"{PurePath(answer['name']).stem}{suffix}")}
     segments = labels["segments"]
     if format == "json":
         kept = {name: labels[name] for name in ("duration_s", "threshold", "source", "segments") if name in labels}

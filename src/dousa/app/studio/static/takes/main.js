@@ -16,7 +16,7 @@ import { drawSegments, markSegment } from "./segments.js";
 import { listTakes } from "./strips.js";
 
 const [LONG, SEEN] = [150, 75]; // s: of a longer take so much is shown at first
-
+const TOUCH = 0.1; // s
 const TABLE = /\.(eaf|textgrid|csv|tsv|txt)$/i; // that labels may be in
 
 const TITLE = document.title;
@@ -27,6 +27,7 @@ let info = null;
 let player = null;
 let timeline = null;
 let labels = []; // stretches with corrections, or those that were given
+let recognised = null; // stretches that the library found, also where given ones are shown; null before it was asked
 let wantsGiven = true; // shows the given labels where there are some
 let jobShown = null;
 let loads = 0; // how often the labels were asked for
@@ -87,6 +88,7 @@ function showFrame(shown, problem = "") {
 function makeTimeline() {
   timeline?.destroy();
   labels = [];
+  recognised = null;
   timeline = createTimeline($("#timeline"), { duration: info.duration_s, selectable: true, label: t("labels") });
   timeline.onSeek((seconds) => {
     player.pause();
@@ -136,6 +138,7 @@ async function load() {
   if (name !== motion || turn !== loads) return answer; // a later one knows more
   const given = wantsGiven ? answer.given : null;
   drawTools(answer.given);
+  recognised = answer.labels?.segments ?? null;
   labels = given ? named(given.segments) : (answer.labels?.segments ?? []);
   const shown = labels.length ? labels : answer.corrections.map((one) => ({ ...one, corrected: one.id, confidence: 1 }));
   const segments = shown.map(toSegment);
@@ -155,7 +158,21 @@ async function load() {
 async function label() {
   const name = motion;
   const job = await attempt(() => post("/jobs/label", { take: { motion: name } }));
-  if (job) await watch(job.id, name);
+  return job && watch(job.id, name);
+}
+
+/** Label the take anew and show what comes of it, also in the place of labels that were given. */
+async function labelAgain() {
+  const name = motion;
+  const state = await label();
+  if (state !== "done" || name !== motion || $("#show-given")?.getAttribute("aria-pressed") !== "true") return;
+  await showGiven(false);
+  notify(t("labelled_again"), "note", h("button", { type: "button", class: "small", onclick: () => name === motion && showGiven(true) }, t("show_given")));
+}
+
+async function showGiven(wants) {
+  wantsGiven = wants;
+  await attempt(load);
 }
 
 async function watch(id, name) {
@@ -166,6 +183,7 @@ async function watch(id, name) {
   if (jobShown === id) $("#progress").replaceChildren();
   if (job.state === "failed") notify(job.problem, "problem");
   if (name === motion && job.state === "done") await attempt(load);
+  return job.state;
 }
 
 function drawProgress(job) {
@@ -177,11 +195,21 @@ function drawProgress(job) {
 
 // --- correcting
 
-const placesOf = (category) => labels.filter((one) => one.category === category && !one.corrected).length;
+/** Where the library finds something, besides the places that people named. */
+const placesOf = (category) => (recognised ?? []).filter((one) => one.category === category && !one.corrected);
+
+/** To a stretch that the library found, which given labels hide. */
+async function showFound(segment) {
+  if (wantsGiven && $("#show-given")) await showGiven(false);
+  player.pause();
+  seek(segment.start_s);
+  choose(segment);
+  $(".tl-cursor").focus();
+}
 
 /** split: makes two parts; replaces: numbers of the corrections that go. All of it is undone in one step. */
 async function learn({ start, end, category, split = null, replaces = [] }) {
-  const before = placesOf(category);
+  const [name, before] = [motion, recognised && placesOf(category)];
   const learned = await attempt(() => post("/takes/correct", { motion, start_s: start, end_s: end, category, split_s: split, replaces }));
   if (!learned) return false;
   library.categories[category] = (library.categories[category] ?? 0) + learned.corrections.length;
@@ -190,8 +218,11 @@ async function learn({ start, end, category, split = null, replaces = [] }) {
   desk.setPart(null);
   await attempt(load);
   await label();
-  const more = placesOf(category) - before;
-  notify(t(more > 1 ? "learned_more" : more === 1 ? "learned_one" : "learned_here", { category, count: more }), "note", undoButton(learned.change, afterUndo));
+  const touches = ({ start_s, end_s }) => start_s < end + TOUCH && start - TOUCH < end_s; // an edge of the part itself
+  const isNew = (place) => !touches(place) && !before.some((one) => one.start_s < place.end_s && place.start_s < one.end_s);
+  const more = before && name === motion ? placesOf(category).filter(isNew) : [];
+  const lead = more.length ? h("button", { type: "button", class: "small", dataset: { act: "show" }, onclick: () => name === motion && attempt(() => showFound(more[0])) }, t("show")) : null;
+  notify(t(more.length ? "learned_more" : "learned_here", { category, count: more.length }), "note", h("div", { class: "notice-acts" }, lead, undoButton(learned.change, afterUndo)));
   return true;
 }
 
@@ -219,15 +250,11 @@ function drawTools(given) {
   const download = (kind) => h("a", { class: "button small", href: `/api/takes/export?${new URLSearchParams({ motion, format: kind, given: shows })}`, download: "", title: t("export_title", { kind: t(`export_${kind}`) }), id: `export-${kind}` }, icon("download"), t(`export_${kind}`));
   const button = (id, name, word, action, pressed = null) => h("button", { type: "button", class: "small", id, "aria-pressed": pressed, onclick: action }, ...(name ? [icon(name)] : []), t(word));
   const add = motion.startsWith("file:") ? button("add-take", "folder", "add_take", () => attempt(() => addTake(motion).then((found) => found && open(found, null, player.time)))) : null;
-  const change = () => {
-    wantsGiven = !wantsGiven;
-    attempt(load);
-  };
-  const which = given ? button("show-given", "tag", "show_given", change, String(shows)) : null;
+  const which = given ? button("show-given", "tag", "show_given", () => showGiven(!wantsGiven), String(shows)) : null;
   const input = h("input", { type: "file", class: "sr", tabindex: "-1", "aria-hidden": "true", accept: LABEL_FILES, id: "labels-file" });
   input.addEventListener("change", () => take([...input.files].map((file) => ({ file, path: file.name }))).then(() => (input.value = "")));
   const give = button("give-labels", "upload", "give_labels", () => input.click());
-  $("#take-tools").replaceChildren(...[which, input, give, add, button("label-again", null, "label_again", () => label()), ...["csv", "eaf", "json"].map(download)].filter(Boolean));
+  $("#take-tools").replaceChildren(...[which, input, give, add, button("label-again", null, "label_again", () => labelAgain()), ...["csv", "eaf", "json"].map(download)].filter(Boolean));
 }
 
 /** Add a dropped recording to the library; -> its name there. */
