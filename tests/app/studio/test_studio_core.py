@@ -102,7 +102,7 @@ def test_a_job_speaks_the_language_of_whoever_asks(studio, wait_job):
     job = wait_job(studio, studio.post("/api/jobs/train", json={}).json()["id"])
     assert job["state"] == "failed" and job["codes"]["problem"]["code"].startswith("library_training.")
     japanese = studio.get(f"/api/jobs/{job['id']}", headers={"accept-language": "ja"}).json()
-    assert "分類" in japanese["problem"] and japanese["codes"] == job["codes"]
+    assert "カテゴリー" in japanese["problem"] and japanese["codes"] == job["codes"]
 
 
 def test_words_of_the_pages_are_pairs_that_name_the_same():
@@ -110,6 +110,16 @@ def test_words_of_the_pages_are_pairs_that_name_the_same():
         for name, (english, japanese) in json.loads(file.read_text(encoding="utf-8")).items():
             assert bool(english) == bool(japanese), f"{file.name}: {name}"
             assert sorted(re.findall(r"\{\w+\}", english)) == sorted(re.findall(r"\{\w+\}", japanese)), name
+            for counted in re.findall(r"\{(\w+):[^{}|]+\|[^{}]+\}", english):  # {count:clip|clips}
+                assert f"{{{counted}}}" in english, name
+
+
+def test_a_category_has_one_name_in_japanese():
+    """カテゴリー, as most messages of the command line call it."""
+    tables = [*resources.files("dousa.messages").joinpath("ja").iterdir()]
+    tables += resources.files("dousa.app.studio").joinpath("words").iterdir()
+    other = re.compile("分類|カテゴリ(?!ー)")
+    assert [file.name for file in tables if other.search(file.read_text(encoding="utf-8"))] == []
 
 
 def test_what_was_not_added_is_said_in_the_language_of_whoever_asks(studio, bvh, wait_job):

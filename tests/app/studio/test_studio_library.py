@@ -8,6 +8,7 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 import pytest
 
+from app.studio.test_studio_search import add_take
 from dousa.app.player.figures import MINIATURE_BYTES, encode_miniature
 from dousa.app.studio.content.clips import LENGTHS, Thumbnails
 from dousa.library import Library
@@ -240,6 +241,16 @@ def test_several_programs_may_make_figures_at_once(studio):
         found = list(pool.map(lambda _: Thumbnails.of(home).get(library, numbers), range(12)))
     assert len(set(found)) == 1
     assert len(found[0]) == N * MINIATURE_BYTES
+
+
+def test_a_take_does_not_lack_a_category(studio, tmp_path):
+    """It is counted among takes, and not among clips without a label."""
+    add_take(open_library(studio), tmp_path)
+    studio.post("/api/clips/relabel", json={"clips": [1], "category": None})
+    facets = studio.get("/api/clips").json()["facets"]
+    assert (facets["kind"], facets["category"][""]) == ({"clip": N, "take": 1}, 1)
+    assert ids_of(studio.get("/api/clips", params={"category": ""})) == [1]
+    assert studio.get("/api/clips", params={"kind": "take"}).json()["facets"]["category"] == {}
 
 
 # --- labels and removal
