@@ -743,7 +743,7 @@ def test_labels_are_dropped_onto_a_take_and_shown(show, running, recording, tabl
 
 
 def test_a_take_that_comes_with_its_table_is_added_with_its_labels(show, running, recording, table, tmp_path, faults):
-    """A table of the same name is told, in any case; takes are preselected; one of another name is said to be unread."""
+    """A table of the same name, in any case, preselects takes; one of another name is said to be unread."""
     for name in ("SESSION.labels.csv", "other.labels.csv"):
         (tmp_path / name).write_text(table)
     page = show("/library")
@@ -801,7 +801,7 @@ def open_annotated(show, running, recording, table, tmp_path):
     number = library.clips([take])[0].id
     page = show(f"/takes?motion=clip:{number}")
     page.wait(f"{GIVEN} === 'true'")
-    page.wait(f"return performance.getEntriesByType('resource').some((one) => one.name.endsWith('/jobs/label'))")
+    page.wait("return performance.getEntriesByType('resource').some((one) => one.name.endsWith('/jobs/label'))")
     page.wait("return document.querySelector('#progress').children.length === 0", seconds=60)
     assert ask(running, "/takes/labels", motion=f"clip:{number}")["is_current"]
     page.settle()
@@ -848,9 +848,7 @@ def test_what_was_learned_leads_to_the_other_place(show, running, recording, str
     page.find("#category").send_keys(STRANGE)
     page.run("document.querySelector('#correct').click()")
     page.wait(NOTICE, "Learned", seconds=60)
-    assert page.run(f"{NOTICE}.querySelector('p').textContent", "Learned").endswith(
-        "1 other place is called that now."
-    )
+    assert page.run(f"{NOTICE}.querySelector('p').textContent", "Learned").endswith("1 other place is called that now.")
     assert page.run(GIVEN) == "true"
     page.screenshot(tmp_path / "learned.png")
     assert faults(page) == []
@@ -859,4 +857,38 @@ def test_what_was_learned_leads_to_the_other_place(show, running, recording, str
     page.wait(f"return document.querySelector('#category').value === '{STRANGE}'")
     time = float(page.run("return document.querySelector('.tl-cursor').getAttribute('aria-valuenow')"))
     assert strange[1][0] - 1.5 < time < strange[1][1]
+    assert page.messages() == []
+
+
+def test_a_table_that_is_refused_is_told_with_its_line(show, running, recording, table, tmp_path, faults):
+    """In the dialog, which goes back to the questions: the mended table takes the place of the other one."""
+    labels = tmp_path / "session.labels.csv"
+    labels.write_text("start_s,end_s,category\n2,1,hop\n")
+    page = show("/library")
+    page.wait("return document.querySelector('.cell canvas') !== null")
+    page.run("document.querySelector('#add-button').click()")
+    page.wait("return document.querySelector('#add-files') !== null")
+    page.find("#add-files").send_keys(f"{recording[0]}\n{labels}")
+    page.wait("return document.querySelector('#add-go') !== null")
+    page.run("document.querySelector('#add-go').click()")
+    page.wait("return document.querySelector('dialog .problem-box') !== null", seconds=60)
+    said = page.run("return document.querySelector('dialog .problem-box').textContent")
+    assert said.startswith("session.labels.csv:2: 'hop' ends at 1"), said
+    page.screenshot(tmp_path / "refused.png")
+    assert faults(page) == []
+    assert not [clip for clip in running.app.state.studio.library.clips() if clip.kind == "take"]
+    page.run("document.querySelector('#add-back').click()")
+    page.wait("return document.querySelector('#add-labels')?.checked")
+    labels.write_text(table)
+    page.run(
+        "const files = new DataTransfer(); files.items.add(new File([arguments[0]], 'session.labels.csv'));"
+        "document.documentElement.dispatchEvent("
+        "new DragEvent('drop', {bubbles: true, cancelable: true, dataTransfer: files}));",
+        table,
+    )
+    page.wait("return document.querySelector('#add-go') !== null && document.querySelector('#came-tables') !== null")
+    page.wait("return document.querySelector('dialog progress') === null")
+    assert "(1)" in page.run("return document.querySelector('#came-tables').textContent")
+    page.run("document.querySelector('#add-go').click()")
+    page.wait("return document.querySelector('#add-labelled') !== null", seconds=60)
     assert page.messages() == []

@@ -118,7 +118,9 @@ _Offset = Annotated[int, Query(ge=0, le=10**9)]
 def list_clips(
     studio: StudioNow, asked: _AskedNow, offset: _Offset = 0, limit: Annotated[int, Query(ge=0, le=500)] = 60
 ) -> Answer:
-    """Facets count what would fit if that facet were left open; ``""`` in them stands for no label; takes have no category.
+    """Facets count what would fit if that facet were left open; ``""`` in them stands for no label.
+
+    Takes have no category, and are not counted as clips that lack one.
 
     ``reading`` says how ``text`` was understood: what misspelt words were ``taken_for``, how many ``more`` clips do
     what it says, and whether that is still ``pending``.

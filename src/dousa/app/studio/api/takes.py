@@ -193,8 +193,8 @@ def export(
 ) -> Response:
     """Labels with corrections: a table with a row for each stretch, JSON, or a document of ELAN.
 
-    Tables and documents are called as labels beside a take are, and can be read again. A document has no place for what is perhaps something:
-    it is left out there, and so read as nothing.
+    Tables and documents are called as labels beside a take are, and can be read again. A document has no place for
+    what is perhaps something: it is left out there, and so read as nothing.
     """
     answer = _describe(studio, MotionRef(motion=motion))
     labels = answer["given"] if given else answer["labels"]

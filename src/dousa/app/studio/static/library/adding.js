@@ -44,6 +44,12 @@ export function openAdding({ entries, jobId, hooks }) {
     });
   };
   open = { batch: null, refused: [], files: [], busy: false, body, close, follow, stop };
+  open.back = () => {
+    end();
+    open.job = null;
+    inAddress({ job: null });
+    question(open);
+  };
   open.take = (more) => attempt(() => receive(open, more));
   window.addEventListener("pagehide", gone);
   if (jobId) follow(jobId);
@@ -93,7 +99,7 @@ async function receive(state, entries) {
     state.uploading = uploadAll(withoutOutermost(entries), { batch: state.batch, onProgress, onBatch, signal: state.stop.signal });
     const came = await state.uploading;
     state.batch = came.batch;
-    state.files.push(...came.files);
+    state.files = [...state.files.filter((one) => !came.files.some((other) => other.name === one.name)), ...came.files];
     state.refused.push(...came.refused);
   } finally {
     state.busy = false;
@@ -172,7 +178,7 @@ function refusedOf(id) {
 
 function show(body, job, { close, hooks }) {
   if (!isActive(job)) {
-    body.replaceChildren(...report(job, refusedOf(job.id), { close, hooks }));
+    body.replaceChildren(...report(job, refusedOf(job.id), { close, hooks, back: open?.files.length ? open.back : null }));
     body.querySelector(".foot .primary")?.focus();
     return;
   }

@@ -9,12 +9,13 @@ import { undo } from "../core/undo.js";
 const FEW = 8; // categories that are named in a line
 const count = new Intl.NumberFormat(language);
 
-/** -> elements for the dialog; refused: [{name, reason}] of the upload */
-export function report(job, refused, { close, hooks }) {
+/** -> elements for the dialog; refused: [{name, reason}] of the upload; back() shows the questions again, if there are any */
+export function report(job, refused, { close, hooks, back: change }) {
   const done = h("button", { type: "button", class: "primary", onclick: close }, t("close"));
   if (!job.result) {
     const again = job.resumable ? h("button", { type: "button", onclick: () => attempt(() => resumeJob(job.id)) }, t("resume")) : null;
-    return [h("p", { class: "problem-box" }, job.problem ?? t("adding_stopped")), lost(refused, []), foot(...[again, done].filter(Boolean))].filter(Boolean);
+    const differently = change && job.state === "failed" ? h("button", { type: "button", id: "add-back", onclick: change }, t("add_back")) : null;
+    return [h("p", { class: "problem-box", role: "alert" }, job.problem ?? t("adding_stopped")), lost(refused, []), foot(...[differently, again, done].filter(Boolean))].filter(Boolean);
   }
   const { result, request } = job;
   const fresh = result.added.length + result.replaced.length;
