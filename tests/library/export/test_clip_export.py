@@ -267,3 +267,20 @@ def test_every_format_that_is_written_can_be_named():
     assert set(list_formats().values()) == set(WRITERS)
     for name in list_formats():
         assert ExportFormat(name).to == name
+
+
+def test_files_that_no_export_has_written_stay(tmp_path, library, recordings):
+    before = {path: path.read_bytes() for path in recordings.rglob("*.bvh")}
+    first = library.export(recordings, to="bvh", frame_rate=10.0)
+    assert {path: path.read_bytes() for path in before} == before and len(first.written) == 4
+    again = library.export(recordings, to="bvh", frame_rate=10.0)
+    assert sorted(again.kept) == sorted(first.written) and len(list(recordings.rglob("*.bvh"))) == 8
+
+
+def test_a_list_of_somebody_else_is_refused(tmp_path, library):
+    own = tmp_path / "out" / MANIFEST
+    own.parent.mkdir()
+    own.write_text("title,composer\nSakura,-\n")
+    with pytest.raises(OptionError, match=r"manifest\.csv was not written by an export"):
+        library.export(tmp_path / "out")
+    assert own.read_text() == "title,composer\nSakura,-\n" and len(list(own.parent.iterdir())) == 1

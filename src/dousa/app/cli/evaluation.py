@@ -18,6 +18,7 @@ from dousa.app.cli.options.evaluation import (
     TakesOptions,
 )
 from dousa.app.output import console, print_json, progress_bar, say, warn, warn_skipped
+from dousa.app.targets import REPORT, check_targets
 from dousa.errors import OptionError
 from dousa.messages import Message, get_language
 
@@ -32,6 +33,7 @@ if TYPE_CHECKING:
     from dousa.formats.motion_files import ReadOptions
 
 _SHOWN_PROBLEMS = 3
+_REPORT_FILES, _EXERCISE_FILES = ("report.html", "curves.csv", "events.csv"), ("report.html", "repetitions.csv")
 
 
 def register(app: typer.Typer) -> None:
@@ -93,6 +95,9 @@ def evaluate(
     check_beat_options(beat_options.music, beat_options.beats, beat_options.music_start, exercise_options.repetitions)
     if output is not None:
         check_folder(output)
+        inputs = (*reference, performance, judging_options.furi, judging_options.weights)
+        for name in _EXERCISE_FILES if exercise_options.repetitions else _REPORT_FILES:
+            check_targets({"--output": output / name}, inputs, REPORT)
     if not performance.exists():
         raise OptionError("evaluation_cli.performance_not_found", path=performance)
     files = find_references(reference)
@@ -165,6 +170,7 @@ def progress(
     """
     from dousa.app.pipelines.progress import compare_answers
 
+    check_targets({"--picture": picture}, answers)
     found, alike = compare_answers(answers)
     if not alike:
         warn(Message("evaluation_cli.other_reference"))

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 from dousa.app import tables
 from dousa.app.output import console, print_json, progress_bar, say, warn
+from dousa.app.targets import REPETITIONS, check_targets
 from dousa.errors import OptionError
 from dousa.files.disk import atomic_write
 from dousa.messages import Message, get_language
@@ -48,6 +49,7 @@ def evaluate_exercise(
     from dousa.app.report import to_repetitions_csv, write_exercise_report
 
     csv, picture = exercise.csv, exercise.picture
+    check_targets({"--csv": csv, "--picture": picture}, (*references, performance, judging.weights), REPETITIONS)
     weights = judging.choose_weights()
     with progress_bar() as progress:
         done = evaluate_repetitions(

@@ -23,6 +23,7 @@ from dousa.app.cli.options.experiments import (
     VariantName,
 )
 from dousa.app.output import ProgressCallback, console, print_json, progress_bar, warn, warn_skipped
+from dousa.app.targets import check_targets
 from dousa.errors import OptionError
 from dousa.extras import require
 from dousa.messages import Message
@@ -70,6 +71,7 @@ def experiment(
     kind = _choose_kind(kind_options)
     test = split_options.test
     _check_options(kind, split_options, system_options, label_options, figure)
+    check_targets({"--figure": figure}, motion_options.files)
     systems = _choose_systems(system_options.system, kind)
     shared: dict[str, Any] = {
         "feature_set": (system_options.features or kind.usual_features).value,

@@ -10,6 +10,7 @@ import typer
 from dousa.app import tables
 from dousa.app.cli.options import shared as o
 from dousa.app.output import console, fail, print_json, say, warn
+from dousa.app.targets import ANYTHING, check_targets, is_same_file
 from dousa.errors import DousaError, OptionError
 from dousa.messages import Message
 
@@ -126,7 +127,9 @@ def _shows_anybody(motion: Motion | Trajectories) -> bool:
 def convert(
     source: Annotated[Path, typer.Argument(metavar="IN", help="Motion file to read.")],
     target: Annotated[Path, typer.Argument(metavar="OUT", help=f"File to write: {WRITTEN_SUFFIXES}.")],
-    overwrite: Annotated[bool, typer.Option("--overwrite", help="Allow OUT to be IN.")] = False,
+    overwrite: Annotated[
+        bool, typer.Option("--overwrite", help="Allow OUT to be IN, or another file that is there.")
+    ] = False,
     *,
     character_options: o.CharacterOptions,
     motion_options: o.MotionOptions,
@@ -146,8 +149,11 @@ def convert(
     onto, frame_rate = character_options.onto, character_options.frame_rate
     if character_options.keep_reach and onto is None:
         raise OptionError("export.reach_of_nobody")
-    if not overwrite and target.exists() and target.samefile(source):
-        raise OptionError("files_cli.same_file", path=target)
+    if is_same_file(target, source):
+        if not overwrite:
+            raise OptionError("files_cli.same_file", path=target)
+    else:
+        check_targets({"OUT": target}, (onto, *motion_options.files), ANYTHING if overwrite else None)
     motion = _read(source, options)
     for note in motion.provenance.notes if motion.provenance else ():
         warn(note)
@@ -252,6 +258,7 @@ def plot(
     from dousa.errors import JointMappingError
     from dousa.motion import canonicalise
 
+    check_targets({"--output": output}, (file, *motion_options.files))
     options = motion_options.load()
     motion = _read(file, options)
     try:

@@ -10,6 +10,7 @@ import typer
 
 from dousa.app.cli.options import shared as o
 from dousa.app.output import print_json, progress_bar, say, warn
+from dousa.app.targets import CAMERAS, SYNC, check_targets
 from dousa.messages import Message
 
 if TYPE_CHECKING:
@@ -60,6 +61,7 @@ def sync(
     """
     from dousa.app.films.film_sync import sync_films
 
+    check_targets({"--output": output}, (*films, cameras), SYNC)
     with progress_bar() as progress:
         names, found = sync_films(films, cameras, sound, model, progress)
     for note in found.warnings:
@@ -133,6 +135,7 @@ def calibrate(
     from dousa.app.films.film_cameras import CalibrationRequest, calibrate_films
 
     request = CalibrationRequest(tuple(films), stature, board, cameras, focal, offsets, together, model)
+    check_targets({"--output": output, "--picture": picture}, (*films, cameras, offsets), CAMERAS)
     with progress_bar() as progress:
         found, times = calibrate_films(request, progress)
     notes = (*(times.warnings if times is not None else ()), *found.warnings)

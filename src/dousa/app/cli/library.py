@@ -13,6 +13,7 @@ import typer
 from dousa.app import tables
 from dousa.app.cli.options import shared as o
 from dousa.app.output import console, print_json, progress_bar, say, warn
+from dousa.app.targets import check_targets
 from dousa.errors import LibraryError, LibraryVersionError, MotionFileError, OptionError
 from dousa.extras import require
 from dousa.messages import Message
@@ -331,6 +332,7 @@ def search(
         return
     if picture:
         require("matplotlib", "pictures")
+    check_targets({"--picture": picture}, (query, library, *motion_options.files))
     with open_to_learn(library) as opened:
         wanted = clip_or_path(query)
         options = motion_options.load()

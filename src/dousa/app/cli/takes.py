@@ -16,6 +16,7 @@ from dousa.app import tables
 from dousa.app.cli.library import Mirror, Query, clip_or_path, open_library, open_to_learn
 from dousa.app.cli.options import shared as o
 from dousa.app.output import console, print_json, progress_bar, warn, warn_skipped
+from dousa.app.targets import check_table, check_targets
 from dousa.errors import InvalidMotionError, OptionError
 from dousa.extras import require
 from dousa.messages import Message
@@ -101,6 +102,9 @@ def label(
         ),
     ] = None,
     csv: Annotated[Path | None, typer.Option("--csv", help="Write the timeline as a table.")] = None,
+    overwrite: Annotated[
+        bool, typer.Option("--overwrite", help="Write --csv over a table that is there already.")
+    ] = False,
     picture: Annotated[Path | None, typer.Option("--picture", help="Draw the timeline: .png, .svg or .pdf.")] = None,
     height: Annotated[
         float | None,
@@ -135,6 +139,9 @@ def label(
         raise OptionError("takes_cli.height_of_recording")
     if picture:
         require("matplotlib", "pictures")
+    inputs = (take, library, *motion_options.files)
+    check_table("--csv", csv, inputs, overwrite=overwrite)
+    check_targets({"--picture": picture}, inputs)
     with open_library(library) as opened:
         with progress_bar() as progress:
             answer = opened.label(

@@ -13,6 +13,7 @@ from dousa.app import tables
 from dousa.app.cli.library import open_library, open_to_learn, open_to_read
 from dousa.app.cli.options import shared as o
 from dousa.app.output import console, print_json, progress_bar, say
+from dousa.app.targets import CLIP_MAP, check_targets
 from dousa.errors import OptionError
 from dousa.files.disk import atomic_write
 from dousa.messages import Message
@@ -133,6 +134,7 @@ def map_clips(
         raise OptionError("library_map.no_output")
     if output is not None and output.suffix.lower() not in (*_TABLES, *_PICTURES):
         raise OptionError("library_map.suffix", path=output, found=output.suffix)
+    check_targets({"--output": output}, (library,), CLIP_MAP)
     with open_to_read(library) as opened:
         with progress_bar() as progress:
             found = opened.map(progress=progress)

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from dousa.app.targets import ANGLES, check_targets
 from dousa.errors import MotionWriteError, OptionError
 from dousa.extras import require
 from dousa.files.disk import atomic_write
@@ -70,6 +71,7 @@ def check_outputs(outputs: Outputs, inputs: Iterable[Path]) -> None:
             raise OptionError("outputs.same_file", option=option, path=path, other=taken[place])
         taken[place] = option
         check_file(path)
+        check_targets({option: path}, (), ANGLES if option == "--angles" else None)
 
 
 def check_file(path: Path) -> None:

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from dousa.app.targets import KEYPOINTS, check_targets
 from dousa.errors import OptionError
 from dousa.extras import require
 from dousa.messages import Message
@@ -19,6 +20,7 @@ if TYPE_CHECKING:
     from dousa.estimation.keypoints.keypoint_search import LandmarkModel
 
 _SEEN = 0.5  # of visibility
+_VIDEO, _SHEET = "_keypoints.mp4", "_keypoints.png"  # after the names of films
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -91,6 +93,10 @@ def find_in_films(request: KeypointRequest, progress: ProgressCallback | None = 
         raise OptionError("keypoints_cli.same_name", name=next(name for name in names if names.count(name) > 1))
     for package in ("cv2", "av", "ai_edge_litert"):
         require(package, "film")
+    for name in names:
+        for ending, wanted in ((".npz", True), (_VIDEO, request.overlay), (_SHEET, request.sheet)):
+            target = request.folder / f"{name}{ending}"
+            check_targets({"--output": target if wanted else None}, request.films, KEYPOINTS)
     make_folder(request.folder)
     done = []
     for film in request.films:
@@ -108,10 +114,10 @@ def _draw(view: ViewKeypoints, request: KeypointRequest, name: str, progress: Pr
 
     written = []
     if request.overlay:
-        written.append(request.folder / f"{name}_keypoints.mp4")
+        written.append(request.folder / f"{name}{_VIDEO}")
         write_keypoint_overlay(view, written[-1], progress)
     if request.sheet:
-        written.append(request.folder / f"{name}_keypoints.png")
+        written.append(request.folder / f"{name}{_SHEET}")
         write_keypoint_sheet(view, written[-1])
     return written
 

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from dousa.app.pipelines.doubts import parse_frames
 from dousa.app.pipelines.estimation_body import GivenBody, load_body, load_given_body
 from dousa.app.pipelines.estimation_output import check_file
+from dousa.app.targets import SILHOUETTES, check_targets
 from dousa.arrays import FloatArray
 from dousa.errors import OptionError
 from dousa.formats.motion_files import ReadOptions
@@ -132,6 +133,7 @@ def _check_output(request: RenderRequest) -> None:
     if os.path.realpath(request.output) in {os.path.realpath(path) for path in inputs}:
         raise OptionError("outputs.is_input", option="--output", path=request.output)
     check_file(request.output)
+    check_targets({"--output": request.output}, (), SILHOUETTES)
 
 
 def _read_motion(request: RenderRequest) -> CanonicalMotion:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import dataclasses
 import hashlib
+import itertools
 import json
 import os
 import re
@@ -200,7 +201,8 @@ class _Export:
                 return
 
     def _choose_name(self, clip: ClipInfo, suffix: str) -> str:
-        """Category, name of the source; with the clip's number where another clip has the name, or may have it."""
+        """Category, name of the source; with the clip's number where another clip has the name, or may have it, or a
+        file that no export has written."""
         parts = [_safe(part) for part in (clip.category or "").split("/") if part]
         base = os.path.basename(_file_of(clip))
         own = _suffix_of(base)
@@ -209,9 +211,15 @@ class _Export:
             stem = f"{stem}_{clip.start_s or 0.0:.2f}s"
         name = "/".join((*parts, stem + suffix))
         other = self.rows.get(name)
-        if name == MANIFEST or (other is not None and other["id"] != str(clip.id)):
+        if name == MANIFEST or (other is not None and other["id"] != str(clip.id)) or self._is_foreign(name):
             name = "/".join((*parts, f"{stem}_{clip.id}{suffix}"))
+        numbers = itertools.count(2)
+        while self._is_foreign(name):
+            name = "/".join((*parts, f"{stem}_{clip.id}_{next(numbers)}{suffix}"))
         return name
+
+    def _is_foreign(self, name: str) -> bool:
+        return self.destination.is_foreign(name, self.rows)
 
     def _write(self, clip: ClipInfo, name: str, content: str) -> str:
         """Write the file; returns what it was made of."""

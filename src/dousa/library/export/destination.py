@@ -39,8 +39,10 @@ class Destination:
             raise OptionError("export.no_folder", path=path)
 
     def open(self) -> Rows:
-        """What an earlier run has left."""
+        """What an earlier run has left; OptionError where the list that is there is not ours."""
         rows = read_manifest(self.folder / MANIFEST)
+        if not rows and _holds_text(self.folder / MANIFEST):
+            raise OptionError("export.other_manifest", path=self.folder / MANIFEST)
         return {name: row for name, row in rows.items() if (self.folder / name).is_file()}
 
     def prepare(self, name: str) -> Path:
@@ -51,6 +53,10 @@ class Destination:
         except OSError as error:
             raise write_error(path, error) from error
         return path
+
+    def is_foreign(self, name: str, rows: Rows) -> bool:
+        """Whether a file of this name is there that no export has written, such as a recording itself."""
+        return name not in rows and (self.folder / name).exists()
 
     def remove(self, name: str) -> None:
         """Take away a file that was written."""
@@ -85,6 +91,10 @@ class ZipDestination(Destination):
         self.path = path
         self.folder = path.parent / f".{path.name[:100]}.parts"
 
+    def is_foreign(self, name: str, rows: Rows) -> bool:
+        """No: nobody else writes into the hidden folder."""
+        return False
+
     def open(self) -> Rows:
         """What an earlier run has left, unpacked."""
         if self.path.exists():
@@ -116,6 +126,16 @@ def choose_destination(path: str | os.PathLike[str]) -> Destination:
     """A folder, or a ZIP file if the name ends so."""
     target = Path(path)
     return ZipDestination(target) if target.suffix.lower() == ".zip" and not target.is_dir() else Destination(target)
+
+
+def _holds_text(path: Path) -> bool:
+    """Whether there is more in a file than our heading."""
+    heading = ",".join(COLUMNS).encode()
+    try:
+        with open(path, "rb") as file:
+            return file.read(len(heading) + 9).strip() not in (b"", heading)
+    except OSError:
+        return False
 
 
 def read_manifest(path: Path) -> Rows:

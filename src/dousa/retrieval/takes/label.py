@@ -10,6 +10,7 @@ the latter the guess is told where a clip of it would perhaps be that.
 from __future__ import annotations
 
 import csv
+import io
 import os
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
@@ -20,7 +21,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dousa.arrays import FloatArray
-from dousa.errors import MotionWriteError, OptionError
+from dousa.errors import OptionError
+from dousa.files.disk import atomic_write
 from dousa.messages import Message
 from dousa.retrieval.counting.tallies import TALLIES
 from dousa.retrieval.features.posed_motion import PosedMotion, check_motion
@@ -146,15 +148,14 @@ def write_timeline_csv(timeline: Timeline, path: str | os.PathLike[str]) -> None
     ------
     MotionWriteError : the file cannot be written.
     """
-    try:
-        with open(path, "w", newline="", encoding="utf-8") as file:
-            writer = csv.writer(file)
-            writer.writerow(("start_s", "end_s", "category", "confidence", "repetitions", "perhaps"))
-            for one in timeline.segments:
-                sure = f"{one.confidence:.4f}", one.repetitions
-                writer.writerow((f"{one.start:.3f}", f"{one.stop:.3f}", one.category or "", *sure, one.guess or ""))
-    except OSError as error:
-        raise MotionWriteError(path, "labeller.unwritable", reason=error) from error
+    text = io.StringIO(newline="")
+    writer = csv.writer(text)
+    writer.writerow(("start_s", "end_s", "category", "confidence", "repetitions", "perhaps"))
+    for one in timeline.segments:
+        sure = f"{one.confidence:.4f}", one.repetitions
+        writer.writerow((f"{one.start:.3f}", f"{one.stop:.3f}", one.category or "", *sure, one.guess or ""))
+    with atomic_write(path) as file:
+        file.write(text.getvalue().encode())
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -75,6 +75,11 @@ class FileOptions:
         typer.Option("--file-rate", metavar="HZ", help="Frame rate of a file that does not say it: arrays, JSON."),
     ] = None
 
+    @property
+    def files(self) -> tuple[Path | None, ...]:
+        """The files that the options name."""
+        return (self.skeleton,)
+
     def load(self) -> ReadOptions:
         """The options in the form in which files are read; the files that they name are read."""
         from dousa.formats.motion_files import ReadOptions
@@ -97,6 +102,11 @@ class MotionOptions(FileOptions):
     any_skeleton: Annotated[
         bool, typer.Option("--any-skeleton", help="Also take skeletons that are not human, such as animals.")
     ] = False
+
+    @property
+    def files(self) -> tuple[Path | None, ...]:
+        """The files that the options name."""
+        return (self.skeleton, self.joint_map)
 
     def load(self) -> ReadOptions:
         """The options in the form in which files are read; the files that they name are read."""

@@ -1,0 +1,128 @@
+"""Files that a person names for an answer: what stands there already is not lost without a word."""
+
+from __future__ import annotations
+
+import os
+import re
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+
+from dousa.errors import DousaError, OptionError
+
+_DATABASE = b"SQLite format 3\0"
+_HEAD = 200  # bytes that tell what is in a file
+
+# How the files begin that dousa writes, by their suffix; what stands in an npz, the name of its first array tells.
+_BEGINNINGS = {
+    ".png": rb"\x89PNG",
+    ".pdf": rb"%PDF",
+    ".svg": rb"<\?xml|<svg",
+    ".bvh": rb"HIERARCHY",
+    ".trc": rb"PathFileType",
+    ".c3d": rb".\x50",
+    ".npz": rb"PK.{28}(kind|poses)\.npy",
+    ".csv": rb"(\xef\xbb\xbf)?Format Version",
+    ".fbx": rb"Kaydara|; FBX",
+    ".glb": rb"glTF",
+    ".mp4": rb".{4}ftyp",
+    ".avi": rb"RIFF",
+    ".mkv": rb"\x1a\x45\xdf\xa3",
+    ".html": rb"<!doctype html>",
+}
+ANYTHING = dict.fromkeys(_BEGINNINGS, b"")
+"""For a command whose options let it write over any file but a library."""
+
+SYNC = {".toml": rb"# A film's own time plus"}
+CAMERAS = {".toml": rb"\[cam_01\]\nname = "}
+KEYPOINTS = {".npz": rb"PK.{28}names\.npy"}
+SILHOUETTES = {".npz": rb"PK.{28}mask_packed\.npy"}
+REPETITIONS = {".csv": rb"number,complete,start_s,"}
+CLIP_MAP = {".csv": rb"clip_id,path,"}
+ANGLES = {".csv": rb"time_s,"}
+REPORT = {".csv": rb"(\xef\xbb\xbf)?(time_s|kind|number,complete),"}
+
+
+def check_targets(
+    targets: Mapping[str, Path | None],
+    inputs: Iterable[str | os.PathLike[str] | None] = (),
+    begins: Mapping[str, bytes] | None = None,
+) -> None:
+    """Whether files may be written: each is new, or what the same option writes; to be known before the long work.
+
+    Parameters
+    ----------
+    targets : path by option; None where the option was not given.
+    inputs : files that are read, of which none may be written over.
+    begins : how the files begin that this command writes, where that differs from `_BEGINNINGS`.
+
+    Raises
+    ------
+    OptionError : a file that is read, a library, or one of another content stands there.
+    """
+    known = {**_BEGINNINGS, **(begins or {})}
+    sources = [path for path in inputs if path is not None]
+    for option, path in targets.items():
+        if path is None or not _look_for_danger(option, path, sources):
+            continue
+        beginning = known.get(path.suffix.lower())
+        head = _read_head(path)
+        if beginning is not None and head and re.match(beginning, head, re.DOTALL) is None:
+            raise OptionError("targets.other_content", option=option, path=path, suffix=path.suffix)
+
+
+def check_table(
+    option: str, path: Path | None, inputs: Iterable[str | os.PathLike[str] | None], *, overwrite: bool
+) -> None:
+    """Whether a table may be written that people correct by hand: over another one only where they say so.
+
+    Raises
+    ------
+    OptionError : a file that is read, a library or a motion, or without ``overwrite`` any file.
+    """
+    if path is None or not _look_for_danger(option, path, [source for source in inputs if source is not None]):
+        return
+    if _holds_motion(path):
+        raise OptionError("targets.is_motion", option=option, path=path)
+    if not overwrite and os.path.getsize(path):
+        raise OptionError("targets.exists", option=option, path=path)
+
+
+def is_same_file(path: str | os.PathLike[str], other: str | os.PathLike[str]) -> bool:
+    """Whether both are one file; no where one of them is not there."""
+    try:
+        return os.path.samefile(path, other)
+    except (OSError, ValueError):
+        return False
+
+
+def _look_for_danger(option: str, path: Path, sources: Iterable[str | os.PathLike[str]]) -> bool:
+    """Whether a file stands there; OptionError where it is read by this command, or a library."""
+    if not os.path.isfile(path):
+        return False
+    if any(is_same_file(path, source) for source in sources):
+        raise OptionError("targets.is_input", option=option, path=path)
+    if _read_head(path).startswith(_DATABASE):
+        raise OptionError("targets.is_library", option=option, path=path)
+    return True
+
+
+def _read_head(path: Path) -> bytes:
+    try:
+        with open(path, "rb") as file:
+            return file.read(_HEAD)
+    except OSError:
+        return b""  # that it cannot be written either is said when it is
+
+
+def _holds_motion(path: Path) -> bool:
+    from dousa.formats.registry import SUFFIXES, read_motion
+
+    if not path.name.lower().endswith(tuple(SUFFIXES)):
+        return False
+    if path.suffix.lower() not in (".csv", ".tsv", ".json"):  # these may be tables of anything
+        return True
+    try:
+        read_motion(path)
+    except DousaError:
+        return False
+    return True
