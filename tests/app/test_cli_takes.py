@@ -378,3 +378,65 @@ def test_a_doubtful_guess_is_said_to_be_one():
     sure, strange = replace(verdict, category="kick", perhaps=False), replace(verdict, perhaps=False)
     assert sure.fits_better_than(verdict) and verdict.fits_better_than(strange)
     assert not verdict.fits_better_than(sure) and not strange.fits_better_than(verdict)
+
+
+@pytest.fixture(scope="session")
+def cut_off(recordings, tmp_path_factory) -> Path:
+    """The take, cut off within a row."""
+    path = tmp_path_factory.mktemp("cut off") / "cut.trc"
+    data = (recordings / "take.trc").read_bytes()
+    path.write_bytes(data[: 2 * len(data) // 3])
+    return path
+
+
+NOTE = "the last row breaks off and was left out"
+
+
+@pytest.mark.parametrize("words", [("label",), ("classify",), ("search",), ("find",)], ids=" ".join)
+def test_what_came_up_when_a_file_was_read_is_said(dousa, library, cut_off, words):
+    code, out, err = dousa(*words, library, cut_off)
+    assert code == 0 and NOTE not in out
+    assert err.count(NOTE) == 1 and f"note: {cut_off}: {NOTE}" in err
+    code, out, err = dousa(*words, library, cut_off, "--json")
+    (answer,) = [json.loads(out)] if words != ("classify",) else json.loads(out)
+    assert code == 0 and sum(NOTE in note for note in answer["notes"]) == 1
+
+
+def test_what_came_up_when_a_take_was_read_is_said(dousa, library, cut_off):
+    code, _, err = dousa("find", library, "1", cut_off)
+    assert code == 0 and err.count(f"note: {cut_off}: {NOTE}") == 1
+
+
+def test_what_came_up_when_a_file_was_added_is_said_again(dousa, library, cut_off):
+    with Library.open(library) as opened:
+        opened.add(cut_off, kind="take")
+        (number,) = (clip.id for clip in opened.clips() if clip.path == str(cut_off))
+        assert [note.code for note in opened.label(number).notes] == ["trc.cut_off"]
+    for take in (cut_off, number):
+        assert NOTE in dousa("label", library, take)[2]
+
+
+def test_a_take_is_no_clip(dousa, library, recordings, tmp_path):
+    motion = read_motion(recordings / "take.trc")
+    many = motion.replace(positions=np.concatenate([motion.positions] * 4))
+    write_motion(many, tmp_path / "long.trc")
+    told = "long.trc: lasts 31 s, nearly all clips of the library less than"
+    for command in ("classify", "search"):
+        code, _, err = dousa(command, library, tmp_path / "long.trc")
+        assert code == 0 and told in err and "dousa find, dousa label" in err
+        assert "lasts" not in dousa(command, library, recordings / "clips/walk/p0.bvh")[2]
+    for command in ("label", "find"):
+        assert "lasts" not in dousa(command, library, tmp_path / "long.trc")[2]
+
+
+@pytest.mark.parametrize("command", ["find", "search", "label"])
+def test_a_joint_beyond_measure_is_said_with_the_file(dousa, library, recordings, tmp_path, command):
+    motion = read_motion(recordings / "clips/walk/p0.bvh")
+    far = compute_trajectories(motion)
+    positions = far.positions.copy()
+    positions[3, 5, 0] = 1e300
+    path = tmp_path / "far.trc"
+    write_motion(far.replace(positions=positions), path)
+    code, out, err = dousa(command, library, path)
+    assert (code, out) == (2, "")
+    assert "far.trc: the joints are impossibly far away" in err and err.count("\n") == 1

@@ -15,12 +15,12 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 
-from dousa.errors import DousaError, InvalidMotionError
+from dousa.errors import DousaError, InvalidMotionError, MotionFileError
 from dousa.formats.frame_votes import OVERRULED, FrameClaim, describe_frame
 from dousa.formats.motion_files import ReadOptions, Skipped, describe_problem, is_unicode, read_both, read_canonical
 from dousa.library.engine import check_jobs, choose_jobs
 from dousa.library.features import BEYOND_MEASURE, Description, StoredMotion, describe_clip, lacks, round_positions
-from dousa.library.schema import CLIP, pack
+from dousa.library.schema import CLIP, as_message, pack
 from dousa.messages import Message
 from dousa.motion import CANONICAL_JOINTS, CanonicalMotion, canonicalise
 from dousa.retrieval.features.posed_motion import check_frame_rate
@@ -217,12 +217,8 @@ def make_record(motion: CanonicalMotion, name: str, kind: str) -> ClipRecord:
 
 
 def _derive(motion: CanonicalMotion, row: dict[str, Any], feature_set: str) -> ClipRecord:
-    rounded = round_positions(motion)
+    rounded = _round(motion)
     absent = rounded.absent
-    there = [row for row, joint in enumerate(CANONICAL_JOINTS) if joint not in absent]
-    if not ((np.abs(rounded.positions[:, there]) < BEYOND_MEASURE).all() and motion.height * BEYOND_MEASURE > 1):
-        raise InvalidMotionError("motion_files.beyond_measure")
-    check_frame_rate(motion.frame_rate)
     row |= {
         "n_frames": motion.n_frames,
         "frame_rate": motion.frame_rate,
@@ -235,6 +231,16 @@ def _derive(motion: CanonicalMotion, row: dict[str, Any], feature_set: str) -> C
     described = feature_set and not lacks(feature_set, row["absent"])
     description = describe_clip(rounded, feature_set) if described else None
     return ClipRecord(row, rounded, description)
+
+
+def _round(motion: CanonicalMotion) -> StoredMotion:
+    """The motion as it would be stored; InvalidMotionError where positions or the frame rate are beyond measure."""
+    rounded = round_positions(motion)
+    there = [row for row, joint in enumerate(CANONICAL_JOINTS) if joint not in rounded.absent]
+    if not ((np.abs(rounded.positions[:, there]) < BEYOND_MEASURE).all() and motion.height * BEYOND_MEASURE > 1):
+        raise InvalidMotionError("motion_files.beyond_measure")
+    check_frame_rate(motion.frame_rate)
+    return rounded
 
 
 def read_clips(
@@ -285,6 +291,24 @@ def read_query(
     if isinstance(query, str | os.PathLike):
         return read_canonical(query, options, whole=False)[0]
     return query if isinstance(query, CanonicalMotion) else canonicalise(query, options.joint_map)
+
+
+def read_rounded(
+    query: str | os.PathLike[str] | CanonicalMotion | Motion | Trajectories, options: ReadOptions
+) -> tuple[StoredMotion, tuple[Message, ...]]:
+    """A file or a motion as it would be stored, and what came up when it was read."""
+    motion = read_query(query, options)
+    try:
+        return _round(motion), motion.warnings
+    except InvalidMotionError as error:
+        if isinstance(query, str | os.PathLike):
+            raise MotionFileError(query, error.message) from error
+        raise
+
+
+def list_doubts(record: ClipRecord) -> tuple[Message, ...]:
+    """What came up when a file was read."""
+    return tuple(map(as_message, record.row["warnings"]))
 
 
 def name_query(query: Query) -> str:

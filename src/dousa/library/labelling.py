@@ -77,7 +77,7 @@ class Labellers:
         check_single(take)
         stored = self._load()
         with self._database.reading() as connection:
-            path, clip_id, motion = self._takes.read_single(connection, take, options)
+            path, clip_id, motion, doubts = self._takes.read_single(connection, take, options)
         part, note = self._parts.choose(stored, motion.absent, progress)
         if part is None:
             raise MotionFileError(path, note if note is not None else Message("partial.incomparable", parts=()))
@@ -86,7 +86,7 @@ class Labellers:
         seen = _complete(motion, part.feature_set)
         judge = self._find_judge(part, examples if whole else ())
         timeline = label_take(labeller, seen, judge=judge, threshold=threshold, n_jobs=choose_jobs(n_jobs))
-        return LabelledTake(path, clip_id, timeline, () if note is None else (note,))
+        return LabelledTake(path, clip_id, timeline, doubts if note is None else (*doubts, note))
 
     def _find_judge(self, stored: StoredForest, examples: Sequence[int] = ()) -> StretchJudge | None:
         """Who judges segments as clips; of what examples teach the trees have seen too little."""

@@ -161,7 +161,7 @@ class SearchResult:
     results : the most similar clips, the most similar first.
     ranking : what they were ordered by, one of ``dousa.retrieval.RANKINGS``.
     mirrored : what it predicts for the mirror image, if requested.
-    notes : what was not compared, where a body lacks joints.
+    notes : what came up when the query was read, and what was not compared, where a body lacks joints.
     alike_count : clips of the library that are alike, of which ``results`` may be the first; the others follow them,
         alike or not. None where likeness was not learned: the library was not trained since, or is too small.
     """
@@ -207,7 +207,7 @@ class Classification:
     verdict : what the forest predicts, None if the file cannot be used.
     mirrored : what it predicts for the mirror image, if requested.
     problem : why the file cannot be used, None if it can.
-    notes : what was not looked at, where the body lacks joints.
+    notes : what came up when the file was read, and what was not looked at, where the body lacks joints.
     """
 
     path: str
@@ -523,7 +523,8 @@ class FindResult(_Answer):
     n_takes, seconds : takes that were looked into, and their duration.
     results : the places most like the query, best first, no two of them the same.
     skipped : takes that could not be used, and why.
-    notes : what was not compared: joints that a body lacks, windows of many takes.
+    notes : what came up when the query and takes that are not in the library were read, with their names; and what was
+        not compared: joints that a body lacks, windows of many takes.
     alike_count : places among them that are alike, which come first; None where that was not learned.
     """
 
@@ -555,7 +556,7 @@ class LabelledTake:
     take : its file.
     clip_id : its number in the library, None for a file that is not there.
     timeline : its stretches, one after another without gaps, with their categories and how sure they are.
-    notes : what was not looked at, where the body lacks joints.
+    notes : what came up when its file was read, and what was not looked at, where the body lacks joints.
     """
 
     take: str

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Collection, Iterable, Sequence
@@ -24,20 +25,30 @@ from dousa.library.features import (
     load_features,
     load_motions,
     load_poses,
-    round_positions,
 )
 from dousa.library.forests import ForestCache, StoredForest, TreeAnswers, ask_trees
 from dousa.library.index.leaf_index import IndexQuery, LeafIndex
 from dousa.library.index.ranking import PoseReader, Ranked, rank_index
 from dousa.library.index.renewal import load_index
-from dousa.library.ingest import ClipRecord, Query, ReadTask, is_as_stored, name_query, read_clips, read_query
+from dousa.library.ingest import (
+    ClipRecord,
+    Query,
+    ReadTask,
+    is_as_stored,
+    list_doubts,
+    name_query,
+    read_clips,
+    read_rounded,
+)
 from dousa.library.results import MIRROR_DISTANCE, Classification, Hit, SearchResult, Verdict
-from dousa.library.selection import find_row
+from dousa.library.selection import find_row, read_doubts
 from dousa.messages import Message
 
 PartProgress = Callable[[int, int, Message], None]
 """Called with (steps done, steps, message about the next step)."""
 
+# What lasts so many seconds, and so many times as long as nearly all clips, is an uncut recording.
+_LEAST_TAKE, _TAKE_FACTOR, _NEARLY_ALL = 10.0, 2.0, 0.99
 _MOST_POSES = 16_384  # kept in memory; some 4 kB each
 
 
@@ -263,16 +274,19 @@ class Searcher(ABC):
             motion: StoredMotion | None = None
             if clip_id is None:
                 assert not isinstance(query, int)
-                name, motion = name_query(query), round_positions(read_query(query, options))
+                motion, doubts = read_rounded(query, options)
+                name, doubts = name_query(query), (*doubts, *note_long(connection, motion.duration))
             else:
-                name = self._name(connection, index, query)
+                name, doubts = self._name(connection, index, query), read_doubts(connection, clip_id)
                 if wanted.mirror or wanted.explain or index.partial:
                     (motion,) = load_motions(connection, [clip_id])
             whole = motion is None or not lacks(stored.feature_set, " ".join(motion.absent))
             if whole and not index.partial:
-                return self._search_whole(connection, index, stored, (name, clip_id, motion), wanted)
+                found = self._search_whole(connection, index, stored, (name, clip_id, motion), wanted)
+                return replace(found, notes=doubts)
         assert motion is not None
-        return self._search_parts((stored, index), (name, motion), wanted, progress)
+        found = self._search_parts((stored, index), (name, motion), wanted, progress)
+        return replace(found, notes=(*doubts, *found.notes))
 
     @abstractmethod
     def _search_parts(
@@ -366,11 +380,19 @@ class Searcher(ABC):
                 if explaining is not None:
                     own = explaining.setdefault(asked.feature_set, Explaining(asked))
                     verdicts = own.verdicts(verdicts, item.motion)
-                notes = () if note is None else (note,)
-                answers.append(Classification(item.path, verdicts[0], verdicts[1] if mirror else None, None, notes))
+                notes = [*list_doubts(item), *self._note_long(item.motion.duration)]
+                notes += [] if note is None else [note]
+                mirrored = verdicts[1] if mirror else None
+                answers.append(Classification(item.path, verdicts[0], mirrored, None, tuple(notes)))
             elif isinstance(item, Skipped):
                 answers.append(Classification(item.path, None, problem=item.reason))
         return answers
+
+    def _note_long(self, seconds: float) -> tuple[Message, ...]:
+        if seconds < _LEAST_TAKE:
+            return ()
+        with self._database.reading() as connection:
+            return note_long(connection, seconds)
 
     def _load_index(self, connection: sa.Connection, stored: StoredForest) -> LeafIndex:
         known, database = self._index, self._database
@@ -409,6 +431,18 @@ class Searcher(ABC):
         if row is None or not known or not is_as_stored(row, options):
             return None
         return int(row.id)
+
+
+def note_long(connection: sa.Connection, seconds: float) -> tuple[Message, ...]:
+    """What to say of a file that is searched for, or classified, and is much longer than the clips of the library."""
+    if seconds < _LEAST_TAKE:
+        return ()
+    table = schema.clips.c
+    durations = connection.execute(sa.select(table.duration).where(table.kind == schema.CLIP)).scalars().all()
+    longest = float(np.quantile(durations, _NEARLY_ALL)) if durations else math.inf
+    if seconds < _TAKE_FACTOR * longest:
+        return ()
+    return (Message("library_search.like_a_take", seconds=seconds, longest=longest),)
 
 
 def ask_forest(stored: StoredForest, motion: StoredMotion, mirrored: bool = False) -> Asked:

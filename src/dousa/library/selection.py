@@ -16,6 +16,7 @@ from dousa.library import schema
 from dousa.library.engine import note_changed_clips, read_revision
 from dousa.library.results import ClipInfo, LibraryStats
 from dousa.library.seals.checksums import LABELS, NUMBERS, TAGS, seal_rows, update_rows
+from dousa.messages import Message
 
 _VALUES_AT_ONCE = 500  # databases limit the number of values in one query
 _PAGE = 1000  # clips that are listed at a time
@@ -330,3 +331,10 @@ def set_labels(
         # Whoever performs a take performs its segments.
         chosen = ids if name == "category" else with_segments(connection, ids)
         update_rows(connection, LABELS, {clip_id: {name: value} for clip_id in chosen})
+
+
+def read_doubts(connection: sa.Connection, clip_id: int) -> tuple[Message, ...]:
+    """What came up when the file of a clip or take was read."""
+    table = schema.clips.c
+    found = connection.execute(sa.select(table.warnings).where(table.id == clip_id)).scalar_one_or_none()
+    return tuple(map(schema.as_message, found or ()))

@@ -261,6 +261,8 @@ def plot(
     check_targets({"--output": output}, (file, *motion_options.files))
     options = motion_options.load()
     motion = _read(file, options)
+    for note in motion.provenance.notes if motion.provenance else ():
+        warn(Message("text.in_file", path=file, problem=note))
     try:
         drawn: Drawable = canonicalise(motion, options.joint_map, any_skeleton=options.any_skeleton)
     except JointMappingError as error:

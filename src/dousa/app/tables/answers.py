@@ -171,7 +171,7 @@ def print_classes(out: Console, answers: Sequence[Classification]) -> None:
         if answer.verdict is not None:
             out.print(one_line(f"{answer.path}: {describe_verdict(answer.verdict)}"), markup=False, soft_wrap=True)
             _print_mirrored(out, answer.verdict, answer.mirrored)
-            _print_notes(out, answer.notes)
+            _print_notes(out, answer.notes, answer.path)
             _print_reasons(out, answer.verdict.explanation)
 
 
@@ -193,10 +193,23 @@ def _print_mirrored(out: Console, verdict: Verdict, mirrored: Verdict | None) ->
         _say(out, code, verdict=describe_verdict(mirrored))
 
 
-def _print_notes(out: Console, notes: Sequence[Message]) -> None:
-    """What was not compared."""
+_OF_ANSWERS = ("partial.", "library_takes.")
+
+
+def _print_notes(out: Console, notes: Sequence[Message], path: str | None = None) -> None:
+    """What was not compared, below the answer; and on standard error what came up when files were read.
+
+    Parameters
+    ----------
+    out : where to print.
+    notes : of an answer.
+    path : the file that was read, where its notes do not name it.
+    """
     for note in notes:
-        out.print(one_line(f"  {note}"), markup=False, soft_wrap=True)
+        if note.code.startswith(_OF_ANSWERS):
+            out.print(one_line(f"  {note}"), markup=False, soft_wrap=True)
+        else:
+            warn(note if path is None else Message("text.in_file", path=path, problem=note))
 
 
 def _print_reasons(out: Console, reasons: Explanation | Likeness | None, indent: str = "  ") -> None:
@@ -209,7 +222,7 @@ def print_search(out: Console, answer: SearchResult) -> None:
     verdict = answer.verdict
     out.print(one_line(f"{answer.query}: {describe_verdict(verdict)}"), markup=False, soft_wrap=True)
     _print_mirrored(out, verdict, answer.mirrored)
-    _print_notes(out, answer.notes)
+    _print_notes(out, answer.notes, answer.query)
     _print_reasons(out, verdict.explanation)
     if not answer.results:
         warn(Message("answers.no_clip_found"))
@@ -378,7 +391,7 @@ def _name_segment(segment: Segment) -> str:
 def print_timeline(out: Console, answer: LabelledTake) -> None:
     """What happens in a take, one stretch in a row."""
     out.print(one_line(f"{answer.take}: {answer.timeline.duration:.1f} s"), markup=False, soft_wrap=True)
-    _print_notes(out, answer.notes)
+    _print_notes(out, answer.notes, answer.take)
     table = _make_table(("columns.start", "columns.end"), (), "columns.category")
     table.add_column(str(Message("columns.sure")), justify="right")
     for segment in answer.timeline.segments:

@@ -27,6 +27,7 @@ class ReadTake:
     read : gives its windows; of many takes not all are in memory at a time.
     stored : that forest: the present one, or one for the joints that take and query have in common.
     motion : of a take that is not in the library.
+    notes : what came up when its file was read, if that was done just now.
     """
 
     path: str
@@ -34,6 +35,7 @@ class ReadTake:
     read: Callable[[], TakeWindows]
     stored: StoredForest
     motion: StoredMotion | None = None
+    notes: tuple[Message, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,7 +55,9 @@ class Describing:
     options: ReadOptions
     n_jobs: int | None
 
-    def describe(self, path: str, clip_id: int | None, motion: StoredMotion) -> ReadTake | Skipped:
+    def describe(
+        self, path: str, clip_id: int | None, motion: StoredMotion, notes: tuple[Message, ...] = ()
+    ) -> ReadTake | Skipped:
         """A recording with its windows, or why it has none."""
         chosen, why = self.choose(motion.absent)
         if chosen is None:
@@ -62,4 +66,4 @@ class Describing:
         stored, grid = chosen
         kept = motion if clip_id is None else None
         windows = describe_windows(stored, motion, self.n_jobs, grid)
-        return ReadTake(path, clip_id, lambda: windows, stored, kept)
+        return ReadTake(path, clip_id, lambda: windows, stored, kept, notes)

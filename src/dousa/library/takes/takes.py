@@ -13,13 +13,22 @@ from dousa.errors import InvalidMotionError, LibraryError, MotionFileError
 from dousa.formats.motion_files import ReadOptions, Skipped, find_motion_files, is_unicode
 from dousa.library import schema
 from dousa.library.engine import Database
-from dousa.library.features import StoredMotion, load_motions, round_positions
+from dousa.library.features import StoredMotion, load_motions
 from dousa.library.forests import ForestCache, StoredForest
-from dousa.library.ingest import ClipRecord, Query, ReadTask, is_as_stored, name_query, read_clips, read_query
+from dousa.library.ingest import (
+    ClipRecord,
+    Query,
+    ReadTask,
+    is_as_stored,
+    list_doubts,
+    name_query,
+    read_clips,
+    read_rounded,
+)
 from dousa.library.partial.forests import PartForests
 from dousa.library.results import FindResult
 from dousa.library.search import PartProgress
-from dousa.library.selection import fetch_in, find_row
+from dousa.library.selection import fetch_in, find_row, read_doubts
 from dousa.library.takes.kept_windows import MOST_KEPT, describe_windows, read_windows, replace_windows
 from dousa.library.takes.places import count_alike, find_places, judge_places, rank_places
 from dousa.library.takes.reading import Describing, ReadTake
@@ -65,7 +74,7 @@ class Takes:
         """The places of takes that are most like a motion; as ``Library.find``."""
         with self._database.reading() as connection:
             stored = self._forests.load(connection)
-            name, motion = self._read_query(connection, query, options)
+            name, motion, doubts = self._read_query(connection, query, options)
 
             def choose(
                 absent: Sequence[str],
@@ -87,7 +96,9 @@ class Takes:
             far = None if exact else (connection, stored, numbers)
             found, seconds, sketched = self._find(far, asked, progress)
             places = judge_places(connection, stored, motion, chosen, rank_places(found, chosen, k))
-        notes = [] if note is None else [note]
+        said = [(name, doubts), *((take.path, take.notes) for take in chosen)]
+        notes = [Message("text.in_file", path=path, problem=doubt) for path, own in said for doubt in own]
+        notes += [] if note is None else [note]
         fewer = sum(take.stored.hidden != part.hidden for take in chosen)
         if fewer:
             notes.append(Message("partial.some_takes", n=fewer))
@@ -130,13 +141,15 @@ class Takes:
                 return *found, [Message("library_takes.sketched", n=on_disk.n_compared)] if on_disk.leaves_out else []
         return *find_places(*asked), []
 
-    def _read_query(self, connection: sa.Connection, query: Query, options: ReadOptions) -> tuple[str, StoredMotion]:
-        """The name and the motion of a query."""
+    def _read_query(
+        self, connection: sa.Connection, query: Query, options: ReadOptions
+    ) -> tuple[str, StoredMotion, tuple[Message, ...]]:
+        """The name and the motion of a query, and what came up when it was read."""
         if not isinstance(query, int):
-            return name_query(query), round_positions(read_query(query, options))
+            return name_query(query), *read_rounded(query, options)
         path = find_row(connection, self._database.where, query).path
         (motion,) = load_motions(connection, [query])
-        return path, motion
+        return path, motion, read_doubts(connection, query)
 
     def all_takes(self, connection: sa.Connection, describing: Describing) -> tuple[list[ReadTake], list[Skipped]]:
         """Every take of the library, in the order of their paths; LibraryError where there are none.
@@ -203,8 +216,8 @@ class Takes:
                 some, missing = self._by_path(connection, describing, item)
                 skipped += missing
             else:
-                motion = round_positions(read_query(item, describing.options))
-                some, missing = _part_skipped([describing.describe(name_query(item), None, motion)])
+                motion, doubts = read_rounded(item, describing.options)
+                some, missing = _part_skipped([describing.describe(name_query(item), None, motion, doubts)])
                 takes += some
                 skipped += missing
                 continue  # motions may have one name
@@ -214,8 +227,9 @@ class Takes:
 
     def read_single(
         self, connection: sa.Connection, take: Query, options: ReadOptions
-    ) -> tuple[str, int | None, StoredMotion]:
-        """Path, number in the library (None for a file that is not there) and motion of one recording.
+    ) -> tuple[str, int | None, StoredMotion, tuple[Message, ...]]:
+        """Path, number in the library (None for a file that is not there) and motion of one recording, and what came
+        up when it was read.
 
         A file that is in the library, and has not changed since, is not read.
         """
@@ -231,13 +245,13 @@ class Takes:
             elif not files:
                 raise MotionFileError(take, skipped[0].reason)
         else:
-            return name_query(take), None, round_positions(read_query(take, options))
+            return name_query(take), None, *read_rounded(take, options)
         if number is not None:
             (motion,) = load_motions(connection, [number])
-            return path, number, motion
+            return path, number, motion, read_doubts(connection, number)
         (answer,) = read_clips([ReadTask(path, options, kind=schema.TAKE)], 1)
         if isinstance(answer, ClipRecord):
-            return path, None, answer.motion
+            return path, None, answer.motion, list_doubts(answer)
         raise MotionFileError(str(take), answer.reason if isinstance(answer, Skipped) else skipped[0].reason)
 
     def _by_number(self, connection: sa.Connection, describing: Describing, number: int) -> ReadTake | Skipped:
@@ -264,7 +278,7 @@ class Takes:
         for name in paths:
             answer = read.get(name)
             if isinstance(answer, ClipRecord):
-                takes.append(describing.describe(name, None, answer.motion))
+                takes.append(describing.describe(name, None, answer.motion, list_doubts(answer)))
             elif name in rows:
                 takes.append(kept[name])
         there, lacking = _part_skipped(takes)
