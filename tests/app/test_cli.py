@@ -389,3 +389,20 @@ def test_ctrl_c_is_a_word_not_a_traceback(dousa, motions, tmp_path, monkeypatch)
     assert code == 130
     assert "interrupted" in err and "Traceback" not in err
     monkeypatch.undo()
+
+
+def test_check_of_a_file_that_cannot_be_read_sends_nobody_to_itself(dousa, trained, tmp_path):
+    path = tmp_path / "cut.dousa"
+    data = trained.read_bytes()
+    path.write_bytes(data[: len(data) // 2])
+    assert f"see what is lost with: dousa check {path}" in dousa("list", path)[2]
+    for more in ((), ("--repair",)):
+        code, out, err = dousa("check", path, *more)
+        assert (code, out) == (2, "") and "nothing of it can be read" in err and "dousa check" not in err
+
+
+def test_plot_says_what_came_up(dousa, motions, tmp_path):
+    path = tmp_path / "cut.bvh"
+    path.write_text((motions / "walk" / "p0.bvh").read_text()[:-200])
+    code, _, err = dousa("plot", path, "-o", tmp_path / "cut.png")
+    assert code == 0 and f"note: {path}: the last row breaks off" in err

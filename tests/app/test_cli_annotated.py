@@ -9,7 +9,11 @@ import numpy as np
 import pytest
 
 from dousa.formats import write_motion
+from dousa.formats.annotations.reading import read_label_file
+from dousa.formats.annotations.writing import write_labels_csv
+from dousa.library import Library
 from dousa.motion import CANONICAL_JOINTS, Trajectories, canonicalise, compute_trajectories
+from dousa.motion.annotation import Stretch
 from dousa.motion.synthetic.performers import draw_performer, make_motion
 
 PARTS = ("squat", "jump", "squat", "clap")
@@ -115,3 +119,43 @@ def test_the_trial_of_annotated_takes(dousa, session):
     assert code == 2 and "--performer-from" in err
     code, _, err = dousa("experiment", session, "--labels", "beside")
     assert code == 2 and "--takes" in err
+
+
+def test_given_labels_are_given_back(dousa, session, tmp_path):
+    library, take = tmp_path / "a.dousa", session / "p1.trc"
+    assert dousa("add", library, session, "--takes", "--labels", "beside")[0] == 0
+    with Library.open(library, read_only=True) as opened:
+        (before,) = (one for one in opened.annotations.read() if one.path == str(take))
+    named = [(round(one.start, 3), round(one.end, 3), one.category) for one in before.segments]
+    code, out, _ = dousa("label", library, take, "--given", "--csv", tmp_path / "p1.csv")
+    assert code == 0 and [row.split()[-1] for row in out.splitlines()[2:6]] == ["-", "jump", "squat", "clap"]
+    code, out, _ = dousa("label", library, before.take_id, "--given", "--json", "--csv", tmp_path / "p1.eaf")
+    assert code == 0 and [part["category"] for part in json.loads(out)["segments"]] == ["jump", "squat", "clap"]
+    for name in ("p1.csv", "p1.eaf"):
+        (tier,) = read_label_file(tmp_path / name).takes[""]
+        assert [(one.start, one.stop, one.category) for one in tier.spans] == named and not tier.unclear
+    code, _, err = dousa("label", library, take, "--given", "--csv", tmp_path / "p1.csv")
+    assert code == 2 and "--overwrite" in err
+
+
+def test_what_nobody_can_say_is_written_as_that(tmp_path):
+    write_labels_csv([Stretch(0, 1, "walk"), Stretch(1, 2, None, counted=False)], tmp_path / "a.csv")
+    (tier,) = read_label_file(tmp_path / "a.csv").takes[""]
+    assert [one.category for one in tier.spans] == ["walk"] and tier.unclear == ((1.0, 2.0),)
+
+
+def test_labels_that_nobody_gave(dousa, session, tmp_path):
+    library = tmp_path / "a.dousa"
+    assert dousa("add", library, session, "--takes")[0] == 0
+    for words, said in (
+        ((session / "p0.trc", "--given"), "nobody has given this take labels"),
+        ((session / "p0.trc", "--given", "--threshold", 0), "--given shows labels as they are"),
+        (("-", "--given"), "frames on standard input"),
+    ):
+        code, out, err = dousa("label", library, *words)
+        assert (code, out) == (2, "") and said in err and err.count("\n") == 1, err
+
+
+def test_a_trial_without_performers_says_why_it_needs_them(dousa, session):
+    code, out, err = dousa("experiment", session, "--takes", "--labels", "beside")
+    assert (code, out) == (2, "") and "--takes --labels requires --performer-from" in err and "--split" not in err

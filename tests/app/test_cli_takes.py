@@ -108,7 +108,7 @@ def test_unknown_motions(dousa, library, tmp_path):
     assert code == 0
     first, second = out.splitlines()
     assert f"{stranger}: unknown (most like " in first and "likely right" in first
-    assert second.startswith(f"{friend}: squat (squat ")
+    assert second.startswith(f"{friend}: squat, ") and "% sure (votes: squat " in second
     answer = json.loads(dousa("search", library, stranger, "--json")[1])
     assert answer["category"] is None and answer["guess"] in KNOWN and answer["known"] < 0.5
     answer = json.loads(dousa("search", library, stranger, "--json", "--threshold", 0)[1])
@@ -340,7 +340,7 @@ def test_an_old_library_is_brought_up_to_date_and_searched(dousa, tmp_path):
     path = tmp_path / "old.dousa"
     path.write_bytes(gzip.decompress(made.read_bytes()))
     code, out, _ = dousa("search", path, 1, "-k", 2)
-    assert code == 0 and "bow (bow 100%)" in out
+    assert code == 0 and "bow (votes: bow 100%)" in out
     assert "features 'paper'" in dousa("list", path)[1]
 
 
@@ -367,11 +367,15 @@ def test_a_doubtful_guess_is_said_to_be_one():
     from dousa.messages import use_language
 
     verdict = Verdict(None, "kick", 0.4, 0.31, {"kick": 0.6, "march": 0.4}, perhaps=True)
-    assert describe_verdict(verdict) == "perhaps kick, 31% (kick 60%, march 40%)"
+    assert describe_verdict(verdict) == "perhaps kick, 31% sure (votes: kick 60%, march 40%)"
+    named = replace(verdict, category="kick", confidence=0.97, perhaps=False)
+    assert describe_verdict(named) == "kick, 97% sure (votes: kick 60%, march 40%)"
+    assert describe_verdict(replace(named, confidence=None)) == "kick (votes: kick 60%, march 40%)"
     assert describe_verdict(replace(verdict, perhaps=False)).startswith("unknown (most like kick, 31% likely right")
     use_language("ja")
     try:
-        assert describe_verdict(verdict) == "もしかすると kick、31%（kick 60%, march 40%）"
+        assert describe_verdict(verdict) == "もしかすると kick、確信度 31%（票: kick 60%, march 40%）"
+        assert describe_verdict(named) == "kick、確信度 97%（票: kick 60%, march 40%）"
     finally:
         use_language("en")
     assert verdict.to_json()["perhaps"] is True and verdict.to_json()["category"] is None
@@ -440,3 +444,27 @@ def test_a_joint_beyond_measure_is_said_with_the_file(dousa, library, recordings
     code, out, err = dousa(command, library, path)
     assert (code, out) == (2, "")
     assert "far.trc: the joints are impossibly far away" in err and err.count("\n") == 1
+
+
+def test_places_are_in_the_order_of_what_the_table_shows(dousa, library, recordings):
+    words = ("find", library, recordings / "clips/jump/p0.bvh", "-k", 10)
+    places = json.loads(dousa(*words, "--json")[1])["results"]
+    assert sorted(places, key=lambda place: -place["probability"]) == places
+    rows = dousa(*words)[1].splitlines()[1:]
+    assert rows[0].split() == ["rank", "sure", "score", "start", "end", "tempo", "take"]
+    shown = [row.split()[1] for row in rows[1:] if "no longer alike" not in row]
+    assert shown == [f"{place['probability']:.0%}" for place in places]
+    ends = [number for number, row in enumerate(rows[1:]) if "no longer alike" in row] or [len(places)]
+    assert [place["probability"] >= 0.5 for place in places] == [number < ends[0] for number in range(len(places))]
+    assert "確信度" in dousa(*words, "--lang", "ja")[1].splitlines()[1]
+
+
+def test_places_of_bodies_that_lack_joints_have_no_probability(capsys):
+    from rich.console import Console
+
+    from dousa.app.tables import print_places
+    from dousa.library import FindResult, Place
+
+    place = Place("take.bvh", None, 0.0, 1.0, 0.4, 0.1, 0.5, 1.0, False, 1)
+    print_places(Console(width=90), FindResult("a", 1.0, 1, 9.0, (place,), ()), mirrored=False)
+    assert capsys.readouterr().out.splitlines()[1].split() == ["rank", "score", "start", "end", "tempo", "take"]

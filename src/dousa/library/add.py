@@ -10,6 +10,7 @@ import os
 import time
 from collections import Counter, defaultdict
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any, cast
@@ -58,6 +59,7 @@ Labels = dict[str, str | None]
 
 Answer = ClipRecord | FileRecord | Skipped
 
+_SKELETONS = {".asf", ".pmx"}  # which are no motions, but read with them
 
 Tally = defaultdict[str, list[Any]]
 """The fields of the report while it grows; numbers are lists of their parts."""
@@ -125,6 +127,7 @@ class Adding:
         self._tally["skipped"] += missing
         self._tally["passed_over"] += others.most_common()
         self._found = {str(file.path): file for file in files}
+        self._leave_out(self._find_skeletons())
         report = progress or (lambda done, total, path: None)
         report(0, len(files), "")  # a rule for labels may take for ever
         for path in self._found:
@@ -247,12 +250,22 @@ class Adding:
 
     def _leave_out_tables(self, labels: Mapping[str, FoundLabels]) -> None:
         """Tables that were read are not among the files that no reader takes."""
-        roots = [file.root for file in self._found.values() if file.root != file.path]
-        used = Counter(
-            os.path.splitext(path)[1].lower()
-            for path in {os.path.abspath(own.file.path) for own in labels.values()}
-            if any(root in Path(path).parents for root in roots)
-        )
+        self._leave_out({os.path.abspath(own.file.path) for own in labels.values()})
+
+    def _find_skeletons(self) -> set[str]:
+        """The skeleton files that motions of the folders are read with."""
+        found: set[str] = set()
+        if not {suffix for suffix, _ in self._tally["passed_over"]} & _SKELETONS:
+            return found
+        for path in self._found:
+            with suppress(DousaError, OSError):
+                found.update(map(os.path.abspath, look_at(path, self._options).files[1:]))
+        return found
+
+    def _leave_out(self, paths: set[str]) -> None:
+        """Take files that were used out of those that no reader takes, if they are in the folders."""
+        roots = {file.root for file in self._found.values() if file.root != file.path}
+        used = Counter(os.path.splitext(path)[1].lower() for path in paths if not roots.isdisjoint(Path(path).parents))
         left = [(suffix, count - used[suffix]) for suffix, count in self._tally["passed_over"]]
         self._tally["passed_over"] = [(suffix, count) for suffix, count in left if count > 0]
 

@@ -21,6 +21,7 @@ from dousa.formats.motion_files import ReadOptions, Skipped, describe_problem, i
 from dousa.library.engine import check_jobs, choose_jobs
 from dousa.library.features import BEYOND_MEASURE, Description, StoredMotion, describe_clip, lacks, round_positions
 from dousa.library.schema import CLIP, as_message, pack
+from dousa.library.selection import choose_doubts
 from dousa.messages import Message
 from dousa.motion import CANONICAL_JOINTS, CanonicalMotion, canonicalise
 from dousa.retrieval.features.posed_motion import check_frame_rate
@@ -299,7 +300,7 @@ def read_rounded(
     """A file or a motion as it would be stored, and what came up when it was read."""
     motion = read_query(query, options)
     try:
-        return _round(motion), motion.warnings
+        return _round(motion), choose_doubts(motion.warnings)
     except InvalidMotionError as error:
         if isinstance(query, str | os.PathLike):
             raise MotionFileError(query, error.message) from error
@@ -308,7 +309,7 @@ def read_rounded(
 
 def list_doubts(record: ClipRecord) -> tuple[Message, ...]:
     """What came up when a file was read."""
-    return tuple(map(as_message, record.row["warnings"]))
+    return choose_doubts(map(as_message, record.row["warnings"]))
 
 
 def name_query(query: Query) -> str:

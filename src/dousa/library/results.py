@@ -35,6 +35,7 @@ __all__ = [
 # Many motions are their own mirror image, so a mirror image must be clearly better: by this share of the votes, this
 # factor of a distance, this much of a score.
 MIRROR_VOTES, MIRROR_DISTANCE, MIRROR_SCORE = 0.1, 0.95, 0.02
+_LEAST_REST = 0.002  # s; less is lost where times are rounded
 
 
 class _Answer:
@@ -438,6 +439,13 @@ class TakeAnnotation(_Answer):
         named = [Stretch(one.start, one.end, one.category) for one in self.segments if one.category is not None]
         unnamed = [(one.start, one.end) for one in self.segments if one.category is None]
         return lay_out(named, [*self.unclear, *unnamed], self.duration, complete=self.is_complete)
+
+    @property
+    def rows(self) -> list[Stretch]:
+        """What a table says of it: its segments, which may overlap, and the rest."""
+        named = [Stretch(one.start, one.end, one.category) for one in self.segments if one.category is not None]
+        rest = [one for one in self.stretches if one.category is None and one.stop - one.start >= _LEAST_REST]
+        return sorted([*named, *rest], key=lambda one: (one.start, one.stop))
 
 
 @dataclass(frozen=True, slots=True)

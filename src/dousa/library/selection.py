@@ -337,4 +337,9 @@ def read_doubts(connection: sa.Connection, clip_id: int) -> tuple[Message, ...]:
     """What came up when the file of a clip or take was read."""
     table = schema.clips.c
     found = connection.execute(sa.select(table.warnings).where(table.id == clip_id)).scalar_one_or_none()
-    return tuple(map(schema.as_message, found or ()))
+    return choose_doubts(map(schema.as_message, found or ()))
+
+
+def choose_doubts(doubts: Iterable[Message]) -> tuple[Message, ...]:
+    """Doubts about a file that an answer has no words of its own for, as it has for a body that lacks joints."""
+    return tuple(doubt for doubt in doubts if doubt.code != "canonical.part")

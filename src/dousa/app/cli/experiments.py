@@ -155,7 +155,7 @@ def _check_options(
     if kind is _Kind.ANNOTATED and split.split == "half":
         raise OptionError("experiments_cli.not_with", option="--split half", kind=kind.value[0])
     if kind is _Kind.ANNOTATED and labels.performer_from is None:
-        raise OptionError("experiments_cli.no_performers")
+        raise OptionError("experiments_cli.takes_of_nobody")
     given = {
         "--category-from": labels.category_from != "folder",
         "--train-share": split.train_share is not None,

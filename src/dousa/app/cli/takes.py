@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from dousa.app import tables
-from dousa.app.cli.library import Mirror, Query, clip_or_path, open_library, open_to_learn
+from dousa.app.cli.library import Mirror, Query, clip_or_path, open_library, open_to_learn, open_to_read
 from dousa.app.cli.options import shared as o
 from dousa.app.output import console, print_json, progress_bar, warn, warn_skipped
 from dousa.app.targets import check_table, check_targets
@@ -58,7 +58,8 @@ def find(
 ) -> None:
     """Find where a motion occurs in uncut recordings, at half to twice its tempo.
 
-    The score is 1 for the very same motion and near 0 for another; how sure a score is depends on the recordings.
+    The surest places come first: how sure it is that they show the same. Below 50 % they are no longer alike. The
+    score is 1 for the very same motion and near 0 for another; how sure a score is depends on the recordings.
 
     Example: dousa find moves.dousa kick.bvh
     """
@@ -101,7 +102,9 @@ def label(
             show_default="more likely right than wrong, as a clip or all in all",
         ),
     ] = None,
-    csv: Annotated[Path | None, typer.Option("--csv", help="Write the timeline as a table.")] = None,
+    csv: Annotated[
+        Path | None, typer.Option("--csv", help="Write the timeline as a table; with .eaf for ELAN.")
+    ] = None,
     overwrite: Annotated[
         bool, typer.Option("--overwrite", help="Write --csv over a table that is there already.")
     ] = False,
@@ -116,6 +119,9 @@ def label(
             show_default="estimated from the first second",
         ),
     ] = None,
+    given: Annotated[
+        bool, typer.Option("--given", help="The labels that a take was given, instead of recognising any.")
+    ] = False,
     *,
     motion_options: o.MotionOptions,
     jobs: o.Jobs = None,
@@ -124,13 +130,15 @@ def label(
     """Label an uncut recording from beginning to end, including unknown segments.
 
     With - frames come as JSON lines, {"time": s, "joints": {"left_hand": [x, y, z], ...}} in m with Y up, and answers
-    go as JSON lines, some eight a second. The first time after dousa train, what takes are labelled with is learned.
+    go as JSON lines, five a second. The first time after dousa train, what takes are labelled with is learned.
 
     Example: dousa label moves.dousa recordings/session.bvh --picture session.png
+
+    Example: dousa label moves.dousa recordings/session.bvh --given --csv session.eaf
     """
     options = motion_options.load()
     if take == _STANDARD_INPUT:
-        if csv or picture or motion_options != o.MotionOptions():
+        if csv or picture or given or motion_options != o.MotionOptions():
             raise OptionError("takes_cli.live_options")
         with open_library(library) as opened:
             _label_live(opened, height, threshold, jobs)
@@ -141,6 +149,11 @@ def label(
         require("matplotlib", "pictures")
     inputs = (take, library, *motion_options.files)
     check_table("--csv", csv, inputs, overwrite=overwrite)
+    if given:
+        if picture or threshold is not None or motion_options != o.MotionOptions():
+            raise OptionError("takes_cli.given_options")
+        _show_given(library, take, csv, json=json)
+        return
     check_targets({"--picture": picture}, inputs)
     with open_library(library) as opened:
         with progress_bar() as progress:
@@ -153,11 +166,38 @@ def label(
             tables.print_timeline(console(), answer)
         # Last, so that an answer is not lost where a file cannot be written.
         if csv:
-            from dousa.retrieval.takes.label import write_timeline_csv
-
-            write_timeline_csv(answer.timeline, csv)
+            _write_labels(answer, csv)
         if picture:
             _draw(opened, answer, picture, options)
+
+
+def _write_labels(answer: LabelledTake, path: Path) -> None:
+    """The timeline as a table, or as a document of ELAN, which has no place for how sure it is."""
+    from dousa.formats.annotations.writing import write_eaf
+    from dousa.motion.annotation import Stretch
+    from dousa.retrieval.takes.label import write_timeline_csv
+
+    if path.suffix.lower() == ".eaf":
+        write_eaf([Stretch(one.start, one.stop, one.category) for one in answer.timeline.segments], path)
+    else:
+        write_timeline_csv(answer.timeline, path)
+
+
+def _show_given(library: str, take: str, path: Path | None, *, json: bool) -> None:
+    """The labels that somebody gave a take: as a table, and in a file from which they can be read again."""
+    from dousa.formats.annotations.writing import write_eaf, write_labels_csv
+
+    with open_to_read(library) as opened:
+        takes = [clip.id for clip in opened.clips([clip_or_path(take)]) if clip.kind == "take"]
+        known = [one for one in opened.annotations.read(takes) if one.is_complete or one.segments]
+    if len(known) != 1:
+        raise OptionError("takes_cli.none_given" if not known else "takes_cli.several_given", take=take, n=len(known))
+    if json:
+        print_json(known[0].to_json())
+    else:
+        tables.print_given(console(), known[0])
+    if path is not None:
+        (write_eaf if path.suffix.lower() == ".eaf" else write_labels_csv)(known[0].rows, path)
 
 
 def _draw(library: Library, answer: LabelledTake, picture: Path, options: ReadOptions) -> None:

@@ -14,7 +14,7 @@ from dousa.app.cli.library import open_library, open_to_learn, open_to_read
 from dousa.app.cli.options import shared as o
 from dousa.app.output import console, print_json, progress_bar, say
 from dousa.app.targets import CLIP_MAP, check_targets
-from dousa.errors import OptionError
+from dousa.errors import LibraryDamagedError, OptionError
 from dousa.files.disk import atomic_write
 from dousa.messages import Message
 
@@ -43,8 +43,13 @@ def check(
 
     Example: dousa check moves.dousa --repair
     """
-    with (open_library if repair else open_to_learn)(library) as opened, progress_bar() as progress:
-        report = opened.check(repair=repair, progress=progress)
+    try:
+        with (open_library if repair else open_to_learn)(library) as opened, progress_bar() as progress:
+            report = opened.check(repair=repair, progress=progress)
+    except LibraryDamagedError as error:
+        if error.code == "library_file.cut_short":  # which says that this command can tell more
+            raise LibraryDamagedError("library_file.nothing_left", library=library) from error
+        raise
     if json:
         print_json(report.to_json())
     else:

@@ -262,12 +262,12 @@ def _print_answer(console: Console, plan: _Plan, result: SearchResult) -> None:
     from rich.markup import escape
     from rich.table import Table
 
-    from dousa.app.tables.answers import describe_votes
+    from dousa.app.tables.answers import describe_verdict
 
     truth = plan.queries[plan.example]
     console.print(f"\nQuery: {plan.example} ({plan.who})", markup=False, soft_wrap=True)
     console.print(
-        f"In truth {truth}; the forest says {result.category or 'unknown'} ({describe_votes(result.histogram)})",
+        f"In truth {truth}; the forest says {describe_verdict(result.verdict)}",
         markup=False,
     )
     for reason in result.verdict.explanation.reasons[:1] if result.verdict.explanation else ():

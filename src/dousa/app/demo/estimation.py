@@ -174,15 +174,15 @@ def _print_accuracy(console: Console, done: Estimation, files: _Files) -> None:
 
 
 def _search(console: Console, library_path: Path, files: _Files) -> None:
-    from dousa.app.tables.answers import describe_votes
+    from dousa.app.tables.answers import describe_verdict
     from dousa.library import Library
 
     with Library.open(library_path, read_only=True) as library:
         result = library.search(files.estimated, _N_RESULTS)
     right = sum(hit.category == _CATEGORY for hit in result.results)
     console.print(
-        f"In the library: in truth {_CATEGORY}, the forest says {result.category or 'unknown'} "
-        f"({describe_votes(result.histogram)}); {right} of the {len(result.results)} nearest clips are {_CATEGORY}",
+        f"In the library: in truth {_CATEGORY}, the forest says {describe_verdict(result.verdict)}; "
+        f"{right} of the {len(result.results)} nearest clips are {_CATEGORY}",
         markup=False,
         soft_wrap=True,
     )

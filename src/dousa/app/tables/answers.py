@@ -23,7 +23,16 @@ if TYPE_CHECKING:
     from dousa.app.pipelines.estimate import Estimation
     from dousa.evaluation import Assessment
     from dousa.experiments.table import ResultTable
-    from dousa.library import AddReport, Classification, FindResult, LabelledTake, SearchResult, TextResult, Verdict
+    from dousa.library import (
+        AddReport,
+        Classification,
+        FindResult,
+        LabelledTake,
+        SearchResult,
+        TakeAnnotation,
+        TextResult,
+        Verdict,
+    )
     from dousa.retrieval import Explanation, Likeness, Segment
     from dousa.retrieval.words.relations import Relation
 
@@ -176,15 +185,12 @@ def print_classes(out: Console, answers: Sequence[Classification]) -> None:
 
 
 def describe_verdict(verdict: Verdict) -> str:
-    """What a motion is taken for: ``kick (kick 87%, march 5%)``."""
-    votes = describe_votes(verdict.histogram)
-    if verdict.category is not None:
-        return f"{verdict.category} ({votes})"
-    if verdict.perhaps:
-        return str(Message("verdict.perhaps", guess=verdict.guess, confidence=verdict.confidence, votes=votes))
+    """What a motion is taken for, and how surely: ``kick, 97% sure (votes: kick 87%, march 5%)``."""
+    values: dict[str, Any] = {"guess": verdict.guess, "votes": describe_votes(verdict.histogram)}
     if verdict.confidence is None:
-        return str(Message("verdict.unknown", guess=verdict.guess, votes=votes))
-    return str(Message("verdict.unlikely", guess=verdict.guess, confidence=verdict.confidence, votes=votes))
+        return str(Message("verdict.unknown" if verdict.category is None else "verdict.named", **values))
+    code = "verdict.perhaps" if verdict.perhaps else "verdict.unlikely"
+    return str(Message(code if verdict.category is None else "verdict.sure", confidence=verdict.confidence, **values))
 
 
 def _print_mirrored(out: Console, verdict: Verdict, mirrored: Verdict | None) -> None:
@@ -349,14 +355,16 @@ def print_stats(out: Console, library: str, stats: dict[str, Any]) -> None:
 
 
 def print_places(out: Console, answer: FindResult, *, mirrored: bool) -> None:
-    """A query and the places that are like it; a column says which are mirrored if that was looked for."""
+    """A query and the places that are like it, the surest first; a column says which are mirrored if that was asked."""
     takes = Message("stats.takes", n=answer.n_takes, minutes=answer.seconds / 60)
     _say(out, "places.query", query=answer.query, seconds=answer.duration, takes=takes)
     _print_notes(out, answer.notes)
     if not answer.results:
         warn(Message("answers.takes_too_short" if answer.n_takes else "answers.no_takes"))
         return
-    numbers = ("columns.rank", "columns.score", "columns.start", "columns.end", "columns.tempo")
+    # What the order goes by, where that was learned; else it is the score.
+    sure = ("columns.sure",) if any(place.probability is not None for place in answer.results) else ()
+    numbers = ("columns.rank", *sure, "columns.score", "columns.start", "columns.end", "columns.tempo")
     table = _make_table(numbers, ("columns.side",) if mirrored else (), "columns.take")
     likely = answer.alike_count if answer.alike_count is not None else len(answer.results)
     if not likely:
@@ -366,8 +374,10 @@ def print_places(out: Console, answer: FindResult, *, mirrored: bool) -> None:
             table.add_row(*[""] * (len(table.columns) - 1), str(Message("answers.no_longer_alike")))
         times = (format_time(place.start), format_time(place.end), f"{place.tempo:.2f}")
         side = (_name_side(place.mirrored),) if mirrored else ()
+        chance = "-" if place.probability is None else f"{place.probability:.0%}"
         table.add_row(
             str(place.rank),
+            *((chance,) if sure else ()),
             f"{place.score:.2f}",
             *times,
             *side,
@@ -403,6 +413,16 @@ def print_timeline(out: Console, answer: LabelledTake) -> None:
             f"{segment.confidence:.0%}",
             style=None if known else "dim",
         )
+    out.print(table)
+
+
+def print_given(out: Console, given: TakeAnnotation) -> None:
+    """The labels that a take was given, one in a row."""
+    out.print(one_line(f"{given.path}: {given.duration:.1f} s"), markup=False, soft_wrap=True)
+    table = _make_table(("columns.start", "columns.end"), (), "columns.category")
+    for one in given.rows:
+        name = _cell(one.category) if one.category is not None else "-" if one.counted else "?"
+        table.add_row(format_time(one.start), format_time(one.stop), name, style="dim" if one.category is None else "")
     out.print(table)
 
 

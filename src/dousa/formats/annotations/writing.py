@@ -16,11 +16,18 @@ COLUMNS = ("start_s", "end_s", "category")
 
 
 def format_labels_csv(segments: Iterable[Stretch]) -> str:
-    """A row a segment: start_s, end_s, category (empty where nothing happens)."""
+    """A row a segment: start_s, end_s, category (empty where nothing happens).
+
+    Where nobody can say what some of them are, these have a question mark in a column ``perhaps``.
+    """
+    rows = list(segments)
+    doubtful = not all(one.counted for one in rows)
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(COLUMNS)
-    writer.writerows((f"{one.start:.3f}", f"{one.stop:.3f}", one.category or "") for one in segments)
+    writer.writerow((*COLUMNS, *(("perhaps",) if doubtful else ())))
+    for one in rows:
+        perhaps = ("" if one.counted else "?",) if doubtful else ()
+        writer.writerow((f"{one.start:.3f}", f"{one.stop:.3f}", one.category or "", *perhaps))
     return text.getvalue()
 
 

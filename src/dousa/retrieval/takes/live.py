@@ -115,7 +115,7 @@ class LiveLabeller:
         self._scores = np.zeros((0, N_PHASES * len(labeller.classes) + 1), np.float32)  # of the moments after those
 
     def push(self, positions: ArrayLike, time: float) -> LiveAnswer | None:
-        """Take a frame; answers come about eight times a second, None in between.
+        """Take a frame; answers come five times a second, None in between.
 
         Parameters
         ----------
