@@ -297,7 +297,9 @@ def test_mixed_skeletons_in_one_library(empty_library, shared_data):
 
 def test_a_skeleton_that_was_used_is_not_passed_over(empty_library, shared_data, tmp_path):
     source = shared_data("hdm05")
+    folder = tmp_path / "in"
+    folder.mkdir()
     for path in (next(source.glob("*/*bd*.amc")), source / "HDM_bd.asf", source / "HDM_dg.asf"):
-        shutil.copy(path, tmp_path / path.name)
-    report = empty_library.add(tmp_path, category_from=None)
+        shutil.copy(path, folder)
+    report = empty_library.add(folder, category_from=None)
     assert len(report.added) == 1 and report.passed_over == ((".asf", 1),)
