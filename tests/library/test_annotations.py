@@ -163,6 +163,11 @@ def test_where_segments_overlap_the_shorter_is_seen():
     ]
 
 
+def test_what_is_left_by_rounding_is_no_stretch():
+    parts = lay_out([Stretch(0.0004, 1.0, "walk"), Stretch(1.0003, 2.5333, "wave")], [], 2.53333)
+    assert [(one.start, one.stop, one.category) for one in parts] == [(0.0, 1.0003, "walk"), (1.0003, 2.53333, "wave")]
+
+
 def test_an_empty_annotation_says_that_nothing_happens(tmp_path, write_move):
     with Library.open(tmp_path / "a.dousa", create=True) as library:
         library.add(write_move(tmp_path / "one.bvh"), kind="take", n_jobs=1)

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
 
-_LEAST = 1e-6  # s of a stretch
+_LEAST = 1e-3  # s of a stretch: tables are written to the millisecond
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,7 +71,9 @@ def lay_out(
     parts: list[tuple[Stretch, float, float]] = []
     for start, stop in pairwise(edges):
         if stop - start < _LEAST:
+            parts[-1:] = [(one, first, stop) for one, first, _ in parts[-1:]]
             continue
+        start = start if parts else 0.0
         middle = 0.5 * (start + stop)
         top = next((one for one in reversed(spans) if one.start <= middle < one.stop), rest)
         last = parts[-1] if parts else None

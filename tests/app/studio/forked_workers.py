@@ -73,7 +73,7 @@ class _Worker:
             left = None if end is None else end - time.monotonic()
             if left is not None and left < 0:
                 raise subprocess.TimeoutExpired("worker", timeout or 0.0)
-            with contextlib.suppress(ValueError):  # another thread has just heard it
+            with contextlib.suppress(ValueError, OSError):  # another thread has just heard it
                 select.select([self._news], [], [], left)
         assert self.returncode is not None
         return self.returncode
