@@ -73,14 +73,14 @@ def lay_out(
         if stop - start < _LEAST:
             parts[-1:] = [(one, first, stop) for one, first, _ in parts[-1:]]
             continue
-        start = start if parts else 0.0
+        begin = start if parts else 0.0
         middle = 0.5 * (start + stop)
         top = next((one for one in reversed(spans) if one.start <= middle < one.stop), rest)
         last = parts[-1] if parts else None
         if last is not None and (last[0] is top or _is_same_rest(last[0], top)):
             parts[-1] = (top, last[1], stop)
         else:
-            parts.append((top, start, stop))
+            parts.append((top, begin, stop))
     return tuple(Stretch(start, stop, one.category, one.counted) for one, start, stop in parts)
 
 
