@@ -339,7 +339,7 @@ def test_names_with_brackets_and_line_ends_are_shown_as_they_are(dousa, motions,
     query = folder / "walk" / "p\n0.bvh"
     code, out, _ = dousa("search", lib, query, "-k", 1)
     assert code == 0
-    assert "[/walk] ([/walk] " in out and "p\\n0.bvh" in out and "[bold]a[" in out
+    assert "[/walk], " in out and "p\\n0.bvh" in out and "[bold]a[" in out
     for command in ("list", "classify"):
         words = (query,) if command == "classify" else ("--clips",)
         code, out, _ = dousa(command, lib, *words)
