@@ -381,7 +381,6 @@ def describe_run(
 # count less (benchmarks/segment_confidence.py, docs/takes.md).
 _OFFSET, _BY_LEAD, _BY_TYPICAL, _BY_UNSTEADINESS = -0.91, 0.76, 3.42, 8.38
 _EVEN = 0.5
-_LEAST_SAID = 0.1  # of names that are less likely in all, right as they may be if some action is there, most are wrong
 
 
 def weigh_chosen(
@@ -496,8 +495,7 @@ def label_take(
     motion : of any length and frame rate.
     judge : the forest that judges segments as clips; without one the labeller's word alone counts.
     threshold : confidence from which a category is said, 0 to 1. With 0 nothing is unknown. None: what is more likely
-        right than wrong, as a clip or if some action is there, and likelier in all than one in ten; without a judge,
-        what the labeller has learned.
+        right than wrong, as a clip or all in all; without a judge, what the labeller has learned.
     n_jobs : threads; None for one. The result does not depend on it.
 
     Raises
@@ -531,7 +529,7 @@ def label_take(
         chosen = lay_mirrored(chosen, weigh_chosen(labeller, possible, image, judge, n_jobs), SHORT_GAP)
     chosen = count_all(chosen, sampled, motion.height, labeller.usual, n_jobs)
     limit = usual_threshold(labeller, judge) if threshold is None else threshold
-    said = [is_said(one, threshold, limit) for one in chosen]
+    said = [one.likely if threshold is None else one.confidence >= threshold for one in chosen]
     return make_timeline(chosen, said, labeller.classes, len(points) / motion.frame_rate, limit)
 
 
@@ -542,13 +540,8 @@ def check_threshold(threshold: float | None) -> None:
 
 
 def usual_threshold(labeller: TakeLabeller, judge: StretchJudge | None) -> float:
-    """The confidence below which no category is said where nobody asks for another."""
-    return labeller.threshold if judge is None else _LEAST_SAID
-
-
-def is_said(one: Chosen, threshold: float | None, limit: float) -> bool:
-    """Whether an action is said to be of its category, for sure; ``limit`` that of ``usual_threshold``."""
-    return one.confidence >= threshold if threshold is not None else one.likely and one.confidence >= limit
+    """The confidence from which a category is said where nobody asks for another."""
+    return labeller.threshold if judge is None else _EVEN
 
 
 def make_timeline(

@@ -29,9 +29,7 @@ from dousa.retrieval.takes.label import (
     average_shares,
     check_threshold,
     describe_run,
-    is_said,
     make_segment,
-    usual_threshold,
     weigh_chosen,
 )
 from dousa.retrieval.takes.moment_model import sharpen
@@ -197,7 +195,7 @@ class LiveLabeller:
         if run.state == len(self._labeller.classes):
             return Segment(start, stop, None, 1.0)
         weighed = self._weigh(run)
-        known = is_said(weighed, self._threshold, usual_threshold(self._labeller, self._judge))
+        known = weighed.likely if self._threshold is None else weighed.confidence >= self._threshold
         return make_segment(weighed, (start, stop), self._labeller.classes[weighed.category], said=known)
 
     def _weigh(self, run: Run) -> Chosen:
