@@ -102,20 +102,19 @@ def describe_clip(motion: StoredMotion, feature_set: str) -> Description:
 
 
 def _describe_clips(motions: Sequence[StoredMotion], feature_set: str) -> list[Description]:
-    from dousa.retrieval.features.feature_sets import FEATURE_SETS, compute_track
-    from dousa.retrieval.features.pose_sequences import compute_window_poses
+    from dousa.retrieval.features.feature_sets import FEATURE_SETS
+    from dousa.retrieval.features.pose_sequences import compute_with_poses
     from dousa.retrieval.features.sensor_noise import reduce_noise_of_all
 
-    wanted, described = find_feature_set(feature_set), []
+    wanted = find_feature_set(feature_set)
     seen = [hide_joints(motion, wanted.hidden) for motion in motions]
-    for own, quiet in zip(seen, reduce_noise_of_all(seen), strict=True):
-        # The poses are read from the integrals of the extended features: these are computed once for both.
-        track = compute_track(quiet, FEATURE_SETS["extended"].without(wanted.hidden))
-        poses = compute_window_poses(track, [0.0], [track.n_frames])[0]
-        features = track.describe([0.0], [track.n_frames])[0] if wanted is track.feature_set else wanted.compute(own)
-        with np.errstate(over="ignore"):  # what is beyond float32 is beyond measure
-            described.append(Description(feature_set, features.astype(np.float32).astype(np.float64), poses))
-    return described
+    posed = FEATURE_SETS["extended"].without(wanted.hidden)
+    features, poses = compute_with_poses(reduce_noise_of_all(seen), posed)
+    if wanted is not posed:
+        features = np.array([wanted.compute(motion) for motion in seen])
+    with np.errstate(over="ignore"):  # what is beyond float32 is beyond measure
+        features = features.astype(np.float32).astype(np.float64)
+    return [Description(feature_set, *own) for own in zip(features, poses, strict=True)]
 
 
 def lacks(feature_set: str, absent: str) -> bool:

@@ -379,35 +379,6 @@ def find_edges(times, starts, stops, parts, edges):
 
 
 @compiled
-def describe_clips(
-    positions, heights, pose_weights, heading_weights, hips, shoulders, fast, placed, apart, feet, pointing, rate, slow,
-    room, lefts, headings, angles, rows, answered, first_speed, n_speeds, at_rest, times, integrals, parts, edges, work,
-    cells, ends,
-):  # fmt: skip
-    """The cells of clips, each as a whole, into ``cells`` (N, T, 3 C + 1), by the steps above.
-
-    ``positions`` (N, n, J, 3), ``heights`` (N,); ``answered`` (C,) are the channels that are not 0; ``parts`` (T + 1,)
-    as in ``find_edges``; ``ends`` (2, 1) are 0 and n. ``times`` (n + 1,) and ``integrals`` (n + 1, 3 C) begin with
-    zeros; the rest is as there.
-    """
-    n, n_channels = positions.shape[1], rows.shape[1]
-    for clip in range(len(positions)):
-        describe_frames(
-            positions[clip], heights[clip], pose_weights, heading_weights, hips, shoulders, fast, placed, apart, feet,
-            pointing, rate, slow, room, lefts, headings, angles, rows,
-        )  # fmt: skip
-        for c in range(n_channels):
-            if not answered[c]:
-                for t in range(n):
-                    rows[t, c] = 0.0
-        integrate_rows(rows, first_speed, n_speeds, at_rest, 1.0 / rate, times, integrals)
-        find_edges(times, ends[0], ends[1], parts, edges)
-        for cell in range(cells.shape[1]):
-            cells[clip, cell, n_channels] = n / rate
-        read_cells(integrals, times, edges, n_channels, work, cells[clip : clip + 1])
-
-
-@compiled
 def read_means(integrals, times, edges, columns, scale, out):
     """Means of some channels over the cells of windows, into ``out`` (W, E - 1, K).
 
@@ -426,3 +397,42 @@ def read_means(integrals, times, edges, columns, scale, out):
                 if e > 0:
                     out[w, e - 1, k] = (now - before) * per_cell * scale[k]
                 before = now
+
+
+@compiled
+def describe_clips(
+    positions, bounds, heights, pose_weights, heading_weights, hips, shoulders, fast, placed, apart, feet, pointing,
+    rate, slow, room, lefts, headings, angles, rows, answered, first_speed, n_speeds, at_rest, times, integrals, parts,
+    edges, work, cells, mean_parts, mean_edges, columns, scale, means, ends,
+):  # fmt: skip
+    """The cells of clips, each as a whole, into ``cells`` (N, T, 3 C + 1), and the means of some channels over other
+    cells, into ``means`` (N, E - 1, K), by the steps above.
+
+    ``positions`` (n, J, 3) of all clips, one after another, of which ``bounds`` (N + 1,) are the first frames;
+    ``heights`` (N,); ``answered`` (C,) are the channels that are not 0; ``parts`` (T + 1,) and ``mean_parts`` (E,) as in
+    ``find_edges``; ``columns`` (K,) and ``scale`` (K,) as in ``read_means``; ``ends`` (2, 1) is room for where a clip
+    begins and ends. The other rooms are for the longest clip, ``room``, ``lefts`` and ``angles`` of one dimension;
+    ``times`` (n + 1,) and ``integrals`` (n + 1, 3 C) begin with zeros.
+    """
+    n_channels, n_joints, n_angles = rows.shape[1], positions.shape[1], 3 * len(fast)
+    for clip in range(len(heights)):
+        n = bounds[clip + 1] - bounds[clip]
+        own, own_times, own_integrals = rows[:n], times[: n + 1], integrals[: n + 1]
+        describe_frames(
+            positions[bounds[clip] : bounds[clip + 1]], heights[clip], pose_weights, heading_weights, hips, shoulders,
+            fast, placed, apart, feet, pointing, rate, slow, room[: 9 * n * n_joints].reshape(3, n, n_joints, 3),
+            lefts[: 4 * n].reshape(2, n, 2), headings[:n], angles[: 2 * n * n_angles].reshape(2, n, n_angles), own,
+        )  # fmt: skip
+        for c in range(n_channels):
+            if not answered[c]:
+                for t in range(n):
+                    own[t, c] = 0.0
+        integrate_rows(own, first_speed, n_speeds, at_rest, 1.0 / rate, own_times, own_integrals)
+        ends[0, 0], ends[1, 0] = 0.0, n
+        find_edges(own_times, ends[0], ends[1], parts, edges)
+        for cell in range(cells.shape[1]):
+            cells[clip, cell, n_channels] = n / rate
+        read_cells(own_integrals, own_times, edges, n_channels, work, cells[clip : clip + 1])
+        if len(columns):
+            find_edges(own_times, ends[0], ends[1], mean_parts, mean_edges)
+            read_means(own_integrals, own_times, mean_edges, columns, scale, means[clip : clip + 1])

@@ -11,6 +11,7 @@ time, as a noisy hip line would make everything tremble), vertical axis gravity'
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import product
 
@@ -209,31 +210,60 @@ def compute_channels(positions: FloatArray, height: float) -> FloatArray:
     return rows
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class WantedMeans:
+    """Means of some channels over the cells of a clip, which are asked for beside its features.
+
+    Parameters
+    ----------
+    n_cells : of equal motion time.
+    columns : (K,) which channels.
+    scale : (K,) that their means are multiplied by.
+    """
+
+    n_cells: int
+    columns: IntArray
+    scale: FloatArray
+
+
+NO_MEANS = WantedMeans(0, np.empty(0, np.intp), np.empty(0))
+"""Features alone."""
+
+
 def describe_clips(
-    positions: FloatArray, heights: FloatArray, answered: BoolArray, n_cells: int, cells: FloatArray
-) -> None:
+    clips: Sequence[FloatArray], heights: FloatArray, answered: BoolArray, n_cells: int, wanted: WantedMeans
+) -> tuple[FloatArray, FloatArray]:
     """Means, duration, means of squares and of values times time, in the cells of clips, each as a whole.
 
     Parameters
     ----------
-    positions : (N, n, 20, 3) m, as for ``compute_channels``.
+    clips : N times (n, 20, 3) m, each as for ``compute_channels``; one at least.
     heights : (N,) m.
     answered : (C,) whether a channel counts; the others are 0.
     n_cells : T, of equal motion time.
-    cells : (N, T, 3 C + 1) that is filled.
+    wanted : what is asked for beside them.
+
+    Returns
+    -------
+    cells : (N, T, 3 C + 1).
+    means : (N, cells, K) of what is wanted.
     """
-    _, n, n_joints, _ = positions.shape
-    room, lefts = np.empty((3, n, n_joints, 3)), np.empty((2, n, 2))
-    headings, angles, rows = np.empty(n), np.empty((2, n, 3 * len(_FAST))), np.empty((n, len(CHANNELS)))
-    times, integrals = np.zeros(n + 1), np.zeros((n + 1, 3 * len(CHANNELS)))
-    edges, work = np.empty((1, n_cells + 1)), np.empty((2, integrals.shape[1]))
+    bounds = np.cumsum([0, *map(len, clips)])
+    positions: FloatArray = np.concatenate(clips) if len(clips) > 1 else clips[0]
+    n, n_joints, n_angles = int(np.diff(bounds).max()), positions.shape[1], 3 * len(_FAST)
+    rows, times, integrals = np.empty((n, len(CHANNELS))), np.zeros(n + 1), np.zeros((n + 1, 3 * len(CHANNELS)))
+    cells = np.empty((len(clips), n_cells, integrals.shape[1] + 1))
+    means = np.empty((len(clips), wanted.n_cells, len(wanted.columns)))
     kernels.describe_clips(
-        read_only(np.ascontiguousarray(positions, np.float64)), heights, _POSE_WEIGHTS, _HEADING_WEIGHTS,
+        read_only(np.ascontiguousarray(positions, np.float64)), bounds, heights, _POSE_WEIGHTS, _HEADING_WEIGHTS,
         HIPS, SHOULDERS, _FAST_INDEX, _PLACED_INDEX, _APART_INDEX, _FEET, _POINTING_INDEX, CHANNEL_RATE, _SLOW,
-        room, lefts, headings, angles, rows,
-        answered, _FIRST_SPEED, len(_FAST), _AT_REST, times, integrals, np.linspace(0.0, 1.0, n_cells + 1), edges,
-        work, cells, np.array([[0.0], [n]]),
+        np.empty(9 * n * n_joints), np.empty(4 * n), np.empty(n), np.empty(2 * n * n_angles), rows,
+        answered, _FIRST_SPEED, len(_FAST), _AT_REST, times, integrals,
+        np.linspace(0.0, 1.0, n_cells + 1), np.empty((1, n_cells + 1)), np.empty((2, integrals.shape[1])), cells,
+        np.linspace(0.0, 1.0, wanted.n_cells + 1), np.empty((1, wanted.n_cells + 1)), wanted.columns, wanted.scale,
+        means, np.empty((2, 1)),
     )  # fmt: skip
+    return cells, means
 
 
 def integrate_channels(rows: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -28,7 +28,9 @@ from dousa.retrieval.features.channel_kernels import find_edges, read_cells
 from dousa.retrieval.features.channels import (
     CHANNEL_RATE,
     CHANNELS,
+    NO_MEANS,
     Channel,
+    WantedMeans,
     compute_channels,
     describe_clips,
     integrate_channels,
@@ -164,22 +166,19 @@ class FeatureSet:
         return cells
 
     def compute_quiet_all(self, motions: Sequence[PosedMotion]) -> FloatArray:
-        """The same (N, T, F) of several clips, in less time: those that last equally long go together."""
-        described = np.empty((len(motions), self.n_frames, self.n_columns))
+        """The same (N, T, F) of several clips, in less time."""
         if not self.has_banks:
-            for number, motion in enumerate(motions):
-                described[number] = self.compute(motion)
-            return described
+            shape = len(motions), self.n_frames, self.n_columns
+            return np.array([self.compute(motion) for motion in motions], np.float64).reshape(shape)
+        return self.compute_quiet_with(motions, NO_MEANS)[0]
+
+    def compute_quiet_with(self, motions: Sequence[PosedMotion], wanted: WantedMeans) -> tuple[FloatArray, FloatArray]:
+        """The same for a set with banks, and (N, cells, K) what else is wanted of the channels."""
+        if not motions:
+            return np.empty((0, self.n_frames, self.n_columns)), np.empty((0, wanted.n_cells, len(wanted.columns)))
         points = [self._sample(motion) for motion in motions]
         heights = np.array([motion.height for motion in motions], np.float64)
-        alike: dict[int, list[int]] = {}
-        for number, some in enumerate(points):
-            alike.setdefault(len(some), []).append(number)
-        for numbers in alike.values():
-            together, cells = np.stack([points[k] for k in numbers]), described[numbers]
-            describe_clips(together, heights[numbers], self.answered, self.n_frames, cells)
-            described[numbers] = cells
-        return described
+        return describe_clips(points, heights, self.answered, self.n_frames, wanted)
 
     def _sample(self, motion: PosedMotion) -> FloatArray:
         """Positions of all joints at ``CHANNEL_RATE``."""

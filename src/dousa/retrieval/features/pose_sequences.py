@@ -11,6 +11,7 @@ All of it is read from the integrals of a ``FeatureTrack``, so a window of a lon
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -19,10 +20,10 @@ from numpy.typing import ArrayLike, NDArray
 from dousa.arrays import FloatArray, IndexArray
 from dousa.errors import OptionError
 from dousa.retrieval.features.channel_kernels import read_means
-from dousa.retrieval.features.channels import CHANNELS
+from dousa.retrieval.features.channels import CHANNELS, WantedMeans
 
 if TYPE_CHECKING:
-    from dousa.retrieval.features.feature_sets import FeatureTrack
+    from dousa.retrieval.features.feature_sets import FeatureSet, FeatureTrack
     from dousa.retrieval.features.posed_motion import PosedMotion
 
 POSE_CELLS = 16
@@ -59,6 +60,30 @@ def compute_pose_sequence(motion: PosedMotion) -> NDArray[np.float32]:
     return sequence
 
 
+def compute_with_poses(
+    motions: Sequence[PosedMotion], feature_set: FeatureSet
+) -> tuple[FloatArray, NDArray[np.float32]]:
+    """Features and sequences of clips whose noise has been taken off; the channels are computed once for both.
+
+    Parameters
+    ----------
+    motions : N clips.
+    feature_set : ``extended``, whole or without some joints.
+
+    Returns
+    -------
+    features : (N, T, F).
+    poses : (N, POSE_CELLS, POSE_COLUMNS).
+
+    Raises
+    ------
+    InvalidMotionError : positions that are not finite, no frame, or no body height.
+    """
+    wanted = WantedMeans(POSE_CELLS, _COLUMNS, _find_scale(feature_set.hidden))
+    features, poses = feature_set.compute_quiet_with(motions, wanted)
+    return features, poses.astype(np.float32)
+
+
 def compute_window_poses(track: FeatureTrack, starts: ArrayLike, stops: ArrayLike) -> NDArray[np.float32]:
     """The sequences of windows of a recording.
 
@@ -79,7 +104,7 @@ def compute_window_poses(track: FeatureTrack, starts: ArrayLike, stops: ArrayLik
     columns = _find_columns(track)
     edges = track.find_edges(starts, stops, POSE_CELLS)
     means = np.empty((len(edges), POSE_CELLS, POSE_COLUMNS))
-    read_means(track.integrals, track.times, edges, columns, _find_scale(track), means)
+    read_means(track.integrals, track.times, edges, columns, _find_scale(track.feature_set.hidden), means)
     found: NDArray[np.float32] = means.astype(np.float32)
     return found
 
@@ -93,9 +118,8 @@ _RELATIONS = (*(f"{joint} and pelvis" for joint in _JOINTS), "body moving", "bod
 _SCALE = np.append(np.ones(3 * N_JOINTS), np.full(N_MOVING, MOVING_SECONDS)) / np.sqrt(N_JOINTS)
 
 
-def _find_scale(track: FeatureTrack) -> FloatArray:
+def _find_scale(hidden: Sequence[str]) -> FloatArray:
     """(POSE_COLUMNS,) so that distances stay root mean squares over the joints that are looked at."""
-    hidden = track.feature_set.hidden
     n_hidden = sum(joint.replace("_", " ").replace("ankle", "foot") in _JOINTS for joint in hidden)
     scale: FloatArray = _SCALE * np.sqrt(N_JOINTS / max(N_JOINTS - n_hidden, 1)) if n_hidden else _SCALE
     return scale
