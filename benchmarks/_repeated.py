@@ -28,7 +28,16 @@ from dousa.retrieval.features.posed_motion import LabelledClip
 from dousa.retrieval.takes.material.made_takes import go_on, mirror_positions
 from dousa.retrieval.takes.windows import TAKE_RATE
 
-__all__ = ["KINDS", "SYNTHETIC", "make_repeated", "make_synthetic_repeated", "read_cycles", "read_synthetic"]
+__all__ = [
+    "KINDS",
+    "SYNTHETIC",
+    "draw_manner",
+    "make_repeated",
+    "make_synthetic_repeated",
+    "read_cycles",
+    "read_synthetic",
+    "see",
+]
 
 SYNTHETIC = "synthetic"
 KINDS = ("steady", "quick", "slow", "pauses", "fading", "growing", "hastening", "tiring", "uneven", "sides")
@@ -105,7 +114,7 @@ def make_repeated(source: str, clips: Sequence[LabelledClip], seed: int) -> Iter
                     continue  # which are done to both sides as it is
                 picked = [own[int(k)] for k in generator.integers(len(own), size=count)]
                 whole = _join(picked, draw_manner(kind, count, generator), generator)
-                yield kind, _see(source, person, category, count, whole, picked[0].height, generator)
+                yield kind, see(source, person, category, count, whole, picked[0].height, generator)
 
 
 def _join(clips: Sequence[LabelledClip], manner: Manner, generator: np.random.Generator) -> FloatArray:
@@ -220,10 +229,10 @@ def make_synthetic_repeated(seed: int, first: int, n_performers: int = 3) -> Ite
                 generator = np.random.default_rng([9, seed, number, performer, *map(ord, category)])
                 count = int(generator.integers(_FEWEST, _MOST + 1))
                 whole, height = _play_rounds(category, performer, kind, count, [seed, number])
-                yield kind, _see(SYNTHETIC, str(performer), category, count, whole, height, generator)
+                yield kind, see(SYNTHETIC, str(performer), category, count, whole, height, generator)
 
 
-def _see(
+def see(
     source: str,
     person: str,
     category: str,

@@ -4,13 +4,14 @@ Single repetitions of HDM05, UTD-MHAD (18 actions that a clip shows once) and In
 to ten, at one tempo or so, in one go and with pauses of 0.2 to 2 s; clean, and at 15 Hz with noise of 3 cm along each
 axis and 5 % of the joints missing. Series of many kinds, and of two sets more (Bandai's raised hands, the synthetic
 performers), are made by another generator (``_repeated.py``): quick and slow, fading, hastening, with pauses, with left
-and right in turns, seen at 10 to 120 Hz. The segments of UTKinect are counted by hand (``utkinect_counts.csv``; written
-before anything was chosen). Compared are the peaks of the first principal component with a prominence of half its
-range, the period at which it resembles itself most, ours knowing nothing of the category, ours knowing the clips of the
-category by other people (IntelliRehabDS: by the same one), and, end to end, the segment that `dousa label` finds
-between four other actions, learned from other people: of its category, and sharing half of the time that both take
-together; without one there is no answer. Summed are the repetitions of all
-segments of its category that lie in it by half: two repetitions may be two segments.
+and right in turns, seen at 10 to 120 Hz. So are those that are done where a limb is first brought to (``_held.py``), to
+which no weights are fitted. The segments of UTKinect are counted by hand (``utkinect_counts.csv``; written before
+anything was chosen). Compared are the peaks of the first principal component with a prominence of half its range, the
+period at which it resembles itself most, ours knowing nothing of the category, ours knowing the clips of the category
+by other people (IntelliRehabDS: by the same one), and, end to end, the segment that `dousa label` finds between four
+other actions, learned from other people: of its category, and sharing half of the time that both take together; without
+one there is no answer. Summed are the repetitions of all segments of its category that lie in it by half: two
+repetitions may be two segments.
 The weights that count a set are fitted to the others, those of UTKinect to other people.
 The takes of UTKinect themselves are labelled by what the other people's takes teach: what is counted there is the
 segment of the category that shares most with the true one.
@@ -28,6 +29,7 @@ from pathlib import Path
 
 import numpy as np
 from _disturbed import KINECT_RATE, make_kinect_like
+from _held import HELD, make_held, read_held
 from _repeated import SYNTHETIC, make_repeated, make_synthetic_repeated, read_cycles, read_synthetic
 from _series import Series, join_series, make_series, make_take, read_counted_takes
 
@@ -139,6 +141,15 @@ def gather_many(cycles: Mapping[str, list[LabelledClip]], seed: int, first: int,
         usual = [each for (_, category), some in tallies.items() if category == one.category for each in some]
         found.append(Counted(one, usual, kind))
     return found
+
+
+def gather_held(seed: int, first: int, people: int) -> list[Counted]:
+    """Series that are done where a limb is first brought to, by so many synthetic performers from ``first`` on."""
+    tallies = tally_clips(read_held(_MODELS))
+    return [
+        Counted(one, list_others(tallies, one.person, one.category), kind)
+        for kind, one in make_held(seed, first, people)
+    ]
 
 
 def gather_real(data: Path) -> list[Counted]:
@@ -325,9 +336,10 @@ def main() -> None:
     if options.write:
         write_weights(fit_weights([*material, *real * _REAL]))
         return
-    wanted = list(filter(re.compile(options.only).search, (*cycles, SYNTHETIC)))
+    wanted = list(filter(re.compile(options.only).search, (*cycles, SYNTHETIC, HELD)))
     test = [one for seed in _TEST_SEEDS[:n] for one in gather(sets, seed, loose=False)]
     test += [one for seed in _MANY_TEST_SEEDS[:n] for one in gather_many(cycles, seed, _TESTED + 10 * seed, people)]
+    test += [one for seed in _MANY_TEST_SEEDS[:n] for one in gather_held(seed, _TESTED + 10 * seed, people)]
     rows: dict[tuple[str, str, str], Row] = {}
     for person in sorted({one.series.person for one in real if re.search(options.only, "UTKinect")}):
         others = [one for one in real if one.series.person != person]

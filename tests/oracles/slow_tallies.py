@@ -25,6 +25,7 @@ _MOVING = 0.15  # share of the speed (90 %) below which the body rests
 _BOUT_GAP = 9  # frames of rest between two bouts of movement
 _SHORTEST = 9  # frames of a period
 _LONGEST = 0.62  # share of the moving part that a period may last
+_NEAR, _REACHED, _END, _ROUNDS = 0.8, 0.1, 3, 2.5  # of what is repeated between a way there and a way back
 _ALIKE, _NEARLY = 0.3, 0.8  # correlation of a period at least; share of the highest that a shorter period needs
 
 
@@ -47,6 +48,10 @@ def measure_tallies(sampled: FloatArray, height: float) -> FloatArray:
     speeds, velocities = _measure_speeds(poses)
     if speeds.max() <= 1e-9:
         return np.zeros(len(TALLIES))
+    core = find_core(poses, speeds)
+    if core.stop > core.start and _fit_periods(velocities[core]) >= _ROUNDS:
+        points, poses = points[core], _describe(points[core], height, _SMOOTHING)
+        speeds, velocities = _measure_speeds(poses)
     moving, axes = _find_moving(speeds), _find_axes(poses, velocities)
     counts = (
         *_count_along_axes(poses, axes),
@@ -59,6 +64,25 @@ def measure_tallies(sampled: FloatArray, height: float) -> FloatArray:
         *_count_even(poses, float(speeds.max())),
     )
     return np.array([*counts, len(points) / RATE, speeds.sum(), moving.sum() / RATE], np.float64)
+
+
+def find_core(poses: FloatArray, speeds: FloatArray) -> slice:
+    """The frames of poses (n, K) between a way there and a way back, or one of them; none where there is no such."""
+    moving = np.flatnonzero(_find_moving(speeds))
+    if not len(moving) or moving[-1] + 1 - moving[0] < 2 * _SHORTEST:
+        return slice(0, 0)
+    starts, stops = [], []
+    for pose in (poses[:_END].mean(axis=0), poses[-_END:].mean(axis=0)):
+        away = np.linalg.norm(poses - pose, axis=1)
+        far = away >= _NEAR * np.median(away[moving[0] : moving[-1] + 1])
+        block = np.flatnonzero(far)
+        if len(block) == block[-1] + 1 - block[0] >= 2 * _SHORTEST:
+            reached = block[away[block] >= np.quantile(away[block], _REACHED)]
+            starts.append(int(reached[0]))
+            stops.append(int(reached[-1]) + 1)
+    if not starts or min(stops) - max(starts) < 2 * _SHORTEST:
+        return slice(0, 0)
+    return slice(max(starts), min(stops))
 
 
 def _describe(points: FloatArray, height: float, deviation: float) -> FloatArray:
@@ -189,7 +213,10 @@ def _count_away(poses: FloatArray, speeds: FloatArray) -> tuple[float, float]:
 def _count_periods(velocities: FloatArray, moving: BoolArray) -> float:
     """How often the period fits into the moving part; 1 where there is none."""
     places = np.flatnonzero(moving)
-    part = velocities[places[0] : places[-1] + 1]
+    return _fit_periods(velocities[places[0] : places[-1] + 1])
+
+
+def _fit_periods(part: FloatArray) -> float:
     likeness = correlate(part)
     peaks = 1 + np.flatnonzero((likeness[1:-1] >= likeness[:-2]) & (likeness[1:-1] > likeness[2:]))
     peaks = peaks[peaks >= _SHORTEST]

@@ -40,6 +40,22 @@ def raise_arms(times, seconds=1.2, rest=0.0, noise=0.0, fading=1.0, sides=("left
     return body + noise * draw.normal(size=body.shape)
 
 
+def wave(times, seconds=0.7, way=0.6, rest=0.4, noise=0.0, turned_back=True):
+    """A hand that is raised, waves and is lowered."""
+    draw = np.random.default_rng(times)
+    ramp = 0.5 * (1.0 - np.cos(np.linspace(0.0, np.pi, round(way * 30))))
+    aside = np.sin(np.linspace(0.0, 2.0 * np.pi * times, round(times * seconds * 30), endpoint=False))
+    held, still = np.ones(len(aside)), np.zeros(round(rest * 30))
+    up = np.concatenate([still, ramp, held, *([ramp[::-1], still] if turned_back else [])])
+    body = np.repeat(standing(), len(up), axis=0)
+    for joint, share in (("elbow", 0.4), ("wrist", 0.9), ("hand", 1.0)):
+        body[:, JOINT_INDEX[f"left_{joint}"], 1] += 0.9 * share * up
+    first = len(still) + len(ramp)
+    for joint, share in (("wrist", 0.7), ("hand", 1.0)):
+        body[first : first + len(aside), JOINT_INDEX[f"left_{joint}"], 0] += 0.15 * share * aside
+    return body + noise * draw.normal(size=body.shape)
+
+
 def alternate_arms(times, seconds=0.8):
     """One hand up and down, then the other, as often."""
     left, right = (raise_arms(1, seconds, sides=(side,)) for side in ("left", "right"))
@@ -72,6 +88,24 @@ def test_tallies_are_those_of_the_slow_code(noise):
         found, expected = measure_tallies(clip, HEIGHT), measure_slowly(clip, HEIGHT)
         np.testing.assert_array_equal(found[: len(COUNTED)], expected[: len(COUNTED)])
         np.testing.assert_allclose(found, expected, rtol=1e-12)
+
+
+@pytest.mark.parametrize("times", [3, 4, 7, 12, 30])
+@pytest.mark.parametrize(
+    "options", [{}, {"noise": 0.01}, {"seconds": 1.2, "way": 0.3}, {"rest": 0.0}, {"turned_back": False}]
+)
+def test_what_a_raised_hand_does_is_counted(times, options):
+    motion = wave(times, **options)
+    assert count_repetitions(motion, HEIGHT) == times
+    np.testing.assert_allclose(measure_tallies(motion, HEIGHT), measure_slowly(motion, HEIGHT), rtol=1e-12)
+    spans = np.array([[0, len(motion)], [0, 30]])
+    together = measure_parts(motion, spans, HEIGHT)
+    np.testing.assert_array_equal(together, [measure_tallies(motion[slice(*span)], HEIGHT) for span in spans])
+
+
+@pytest.mark.parametrize("times", [0, 1])
+def test_a_hand_that_is_raised_and_lowered_is_so_once(times):
+    assert count_repetitions(wave(times), HEIGHT) == 1
 
 
 @given(st.lists(st.floats(-1e3, 1e3), min_size=1, max_size=40), st.floats(0, 1))

@@ -11,6 +11,7 @@ import numpy as np
 from numba import njit
 
 from dousa.retrieval.counting.axis_kernels import find_axes, square_curves
+from dousa.retrieval.counting.core_kernels import find_core
 from dousa.retrieval.counting.tally_kernels import (
     compiled,
     correlate,
@@ -57,6 +58,9 @@ SHORT = 256
 
 LONGEST = 0.62
 """Share of the moving part that a period may last."""
+
+ROUNDS = 2.5
+"""Periods that are repetitions: one action that goes there and back may have a top with two parts."""
 
 CALM = 120
 """Of the calm poses, so many are looked at, and at least half as many."""
@@ -128,6 +132,12 @@ def _count_periods(velocities, speeds, moving, sums):
     for t in range(len(speeds)):
         if speeds[t] > moving:
             first, last = min(first, t), t + 1
+    return _fit_periods(velocities, first, last, sums)
+
+
+@compiled
+def _fit_periods(velocities, first, last, sums):
+    """How often the period fits into the frames from ``first`` to before ``last``, as `_count_periods` says."""
     n = last - first
     if n > SHORT:
         return np.nan
@@ -136,6 +146,23 @@ def _count_periods(velocities, speeds, moving, sums):
     normalise(velocities, first, last, sums[1], likeness)
     period = find_period(likeness, SHORTEST, ALIKE, NEARLY)
     return n / period if period else 1.0
+
+
+@compiled
+def _find_repeated(course, speeds, ordered, lines, sums, core):
+    """Whether what is repeated lies between a way there and a way back, and where, into ``core`` (2,).
+
+    Where that is too long for its period to be told, the frame after its last is negative, and the answer no.
+    """
+    start, stop = find_core(course[0], speeds, _read_moving(ordered), 2 * SHORTEST, lines)
+    if stop > start:
+        periods = _fit_periods(course[1], start, stop, sums)
+        if periods >= ROUNDS:
+            core[0], core[1] = start, stop
+            return True
+        if np.isnan(periods):
+            core[0], core[1] = start, -stop
+    return False
 
 
 @compiled
@@ -189,8 +216,11 @@ def _put_whole(course, speeds, ordered, lines, calm, work, counts):
 
 
 @_njit(inline="always")  # into `tally_all` alone: what is called is compiled twice
-def tally(points, height, smoothing, joints, places, courses, speeds, lines, calm, squares, sums, counts):
-    """All tallies of ``points`` (n, J, 3), two frames at least, into ``counts`` (28,); returns whether anything moves.
+def tally(points, height, smoothing, joints, places, courses, speeds, lines, calm, squares, sums, whole, core, counts):
+    """All tallies of ``points`` (n, J, 3), two frames at least, into ``counts`` (28,).
+
+    Returns True, and nothing else, if it is not to be the ``whole`` and a part of it alone is to be tallied, which is
+    then in ``core`` (2,) as `_find_repeated` tells it.
 
     ``smoothing`` are weights as of ``smooth``, of much and of little of it. ``joints`` are the hips (2,), the shoulders
     (2,), the joints (K,) that are looked at, and those on the other side of them. All else is working memory:
@@ -214,6 +244,8 @@ def tally(points, height, smoothing, joints, places, courses, speeds, lines, cal
             fastest = ordered[n - 1]
             if fastest <= STILL:
                 return False
+            if not whole and _find_repeated(course, speeds[0], ordered, lines, sums, core):
+                return True
         if which == 2 and ordered[n - 1] <= max(_LEAST_EVEN * fastest, STILL):
             break
         if which != 1:  # what is smoothed less is looked at along the same directions
@@ -230,21 +262,28 @@ def tally(points, height, smoothing, joints, places, courses, speeds, lines, cal
         else:
             counts[10], counts[14] = bursts, periods
             _put_whole(course, speeds[0], ordered, lines, calm, work, counts)
-    return True
+    return False
 
 
 @compiled
 def tally_all(
-    points, spans, height, smoothing, joints, places, left, frames, speeds, lines, calm, squares, sums, counts
+    points, spans, height, smoothing, joints, places, left, frames, speeds, lines, calm, squares, sums, whole, core,
+    counts,
 ):  # fmt: skip
     """``tally`` for parts of one recording ``points`` (n, J, 3), into ``counts`` (N, 28).
 
     ``spans`` (N, 2) are the first frame of each part and the one after its last, two at least, and so many at most as
     there is working memory for: ``places``, ``left``, ``speeds`` and ``lines`` are flat, ``frames`` are three flat
-    courses; the rest is as there.
+    courses; the rest is as there. ``core`` is that of the last part, 0 where none is found.
     """
-    for number in range(len(spans)):
-        part = points[spans[number, 0] : spans[number, 1]]
+    number, start, trimmed = 0, 0, False
+    while number < len(spans):  # a part whose core alone counts comes twice
+        if trimmed:
+            start, stop = start + core[0], start + core[1]
+        else:
+            start, stop = spans[number, 0], spans[number, 1]
+            core[:] = 0
+        part = points[start:stop]
         n, n_joints, width, even = len(part), points.shape[1], len(squares[0]), len(squares[1])
         room = places[: 3 * n * n_joints].reshape(n, n_joints, 3), left[: 2 * n].reshape(n, 2)
         courses = (
@@ -253,7 +292,12 @@ def tally_all(
             frames[2][: 3 * even * n].reshape(3, even, n),
         )
         fast, rows = speeds[: 3 * n].reshape(3, n), lines[: N_LINES * n].reshape(N_LINES, n)
-        tally(part, height, smoothing, joints, room, courses, fast, rows, calm, squares, sums, counts[number])
+        trimmed = tally(
+            part, height, smoothing, joints, room, courses, fast, rows, calm, squares, sums, whole or trimmed, core,
+            counts[number],
+        )  # fmt: skip
+        if not trimmed:
+            number += 1
 
 
 @compiled

@@ -66,20 +66,45 @@ def measure_tallies(sampled: FloatArray, height: float) -> FloatArray:
     from dousa.retrieval.features.partial_bodies import FRAME_JOINTS, complete_positions
 
     points = complete_positions(sampled, height, (), {*_JOINTS, *FRAME_JOINTS})
-    tallies, n = np.zeros((1, len(TALLIES))), len(points)
-    found: FloatArray = tallies[0]
-    if n < 2:
+    if len(points) < 2:
+        return np.zeros(len(TALLIES))
+    found, (first, last), (frames, speeds) = _tally_one(points, height)
+    if last > 0:  # a part of it, short enough for all to be told
         return found
-    frames, speeds = _tally(points, np.array([[0, n]]), height, n, tallies)
-    for place, course, speed in zip(_PERIODS, frames, speeds.reshape(3, n), strict=True):
+    if last < 0 and _fit_periods(_read_velocities(frames[0], len(points))[:, first:-last]) >= counting.ROUNDS:
+        points = points[first:-last]
+        found, _, (frames, speeds) = _tally_one(points, height, whole=True)
+    for place, course, speed in zip(_PERIODS, frames, speeds.reshape(3, -1), strict=True):
         if np.isnan(found[place]):
-            found[place] = _count_periods(course.reshape(3, -1, n)[1], speed)
+            found[place] = _count_periods(_read_velocities(course, len(points)), speed)
     return found
 
 
+def _read_velocities(course: FloatArray, n_frames: int) -> FloatArray:
+    velocities: FloatArray = course.reshape(3, -1, n_frames)[1]
+    return velocities
+
+
+_Courses = tuple[tuple[FloatArray, FloatArray, FloatArray], FloatArray]
+
+
+def _tally_one(points: FloatArray, height: float, *, whole: bool = False) -> tuple[FloatArray, list[int], _Courses]:
+    """The tallies (28,), the frames of what alone was tallied, or may be, and the courses and the speeds."""
+    tallies, core = np.zeros((1, len(TALLIES))), np.zeros(2, np.int64)
+    courses = _tally(points, np.array([[0, len(points)]]), height, len(points), tallies, core, whole=whole)
+    return tallies[0], core.tolist(), courses
+
+
 def _tally(
-    points: FloatArray, spans: IntArray, height: float, most: int, tallies: FloatArray
-) -> tuple[tuple[FloatArray, FloatArray, FloatArray], FloatArray]:
+    points: FloatArray,
+    spans: IntArray,
+    height: float,
+    most: int,
+    tallies: FloatArray,
+    core: IntArray,
+    *,
+    whole: bool = False,
+) -> _Courses:
     """Fill ``tallies`` (N, 28) of parts of at most so many frames; of the last one, the courses and the speeds."""
     width = 3 * len(_JOINTS)
     frames = np.empty(3 * width * most), np.empty(3 * width * most), np.empty(3 * _N_EVEN * most)
@@ -89,7 +114,7 @@ def _tally(
         read_only(np.ascontiguousarray(points, np.float64)), spans, float(height), _WEIGHTS,
         (HIPS, SHOULDERS, _INDEX, _OTHERS), np.empty(most * points[0].size), np.empty(2 * most), frames, speeds,
         np.empty(counting.N_LINES * most), (np.empty(counting.CALM), np.empty((counting.CALM, width))),
-        tuple(np.empty(size) for size in sizes), np.empty((3, counting.SHORT + 1)), tallies,
+        tuple(np.empty(size) for size in sizes), np.empty((3, counting.SHORT + 1)), whole, core, tallies,
     )  # fmt: skip
     return frames, speeds
 
@@ -108,7 +133,7 @@ def measure_parts(sampled: FloatArray, spans: IntArray, height: float) -> FloatA
     for number in np.setdiff1d(np.arange(len(spans)), short).tolist():
         tallies[number] = measure_tallies(sampled[slice(*spans[number])], height)
     found = tallies[short]
-    _tally(sampled, spans[short], height, most, found)
+    _tally(sampled, spans[short], height, most, found, np.zeros(2, np.int64))
     tallies[short] = found
     return tallies
 
@@ -117,9 +142,12 @@ def _count_periods(velocities: FloatArray, speeds: FloatArray) -> float:
     """How often the period fits into the moving part; 1 where there is none. ``velocities`` (K, n), ``speeds`` (n,)."""
     moving = counting.MOVING * kernels.read_quantile(np.sort(speeds), 0.9)
     places = np.flatnonzero(speeds > moving)
-    part = velocities[:, places[0] : places[-1] + 1]
-    period = kernels.find_period(correlate(part.T), counting.SHORTEST, counting.ALIKE, counting.NEARLY)
-    return part.shape[1] / float(period) if period else 1.0
+    return _fit_periods(velocities[:, places[0] : places[-1] + 1])
+
+
+def _fit_periods(velocities: FloatArray) -> float:
+    period = kernels.find_period(correlate(velocities.T), counting.SHORTEST, counting.ALIKE, counting.NEARLY)
+    return velocities.shape[1] / float(period) if period else 1.0
 
 
 def correlate(velocities: FloatArray) -> FloatArray:

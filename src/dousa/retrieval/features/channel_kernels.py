@@ -409,9 +409,9 @@ def describe_clips(
     cells, into ``means`` (N, E - 1, K), by the steps above.
 
     ``positions`` (n, J, 3) of all clips, one after another, of which ``bounds`` (N + 1,) are the first frames;
-    ``heights`` (N,); ``answered`` (C,) are the channels that are not 0; ``parts`` (T + 1,) and ``mean_parts`` (E,) as in
-    ``find_edges``; ``columns`` (K,) and ``scale`` (K,) as in ``read_means``; ``ends`` (2, 1) is room for where a clip
-    begins and ends. The other rooms are for the longest clip, ``room``, ``lefts`` and ``angles`` of one dimension;
+    ``heights`` (N,); ``answered`` (C,) are the channels that are not 0; ``parts`` (T + 1,) and ``mean_parts`` (E,) as
+    in ``find_edges``; ``columns`` (K,) and ``scale`` (K,) as in ``read_means``; ``ends`` (2, 1) is room for where a
+    clip begins and ends. The other rooms are for the longest clip, ``room``, ``lefts`` and ``angles`` of one dimension;
     ``times`` (n + 1,) and ``integrals`` (n + 1, 3 C) begin with zeros.
     """
     n_channels, n_joints, n_angles = rows.shape[1], positions.shape[1], 3 * len(fast)
