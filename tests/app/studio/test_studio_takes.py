@@ -210,6 +210,16 @@ def test_corrections_that_make_no_sense_are_refused(studio, recording, changes, 
     assert "hop" not in studio.get("/api/info").json()["library"]["categories"]
 
 
+@pytest.mark.parametrize("word", ["unknown", " Unknown ", "(nothing)", "不明", "未知"])
+def test_a_correction_calls_nothing_unknown(studio, recording, word):
+    """A table of labels takes such a word for no category; here, too, none is made of it."""
+    asked = {"motion": upload(studio, recording), "start_s": 0, "end_s": 1.0, "category": word}
+    answer = studio.post("/api/takes/correct", json=asked)
+    assert answer.status_code == 422, answer.text
+    assert f"'{word.strip()}'" in answer.json()["problem"]
+    assert word.strip() not in studio.get("/api/info").json()["library"]["categories"]
+
+
 def test_names_with_slashes_and_quotes_stay_names(studio, recording, strange):
     motion = upload(studio, recording)
     name = '../"kick", 蹴り'
