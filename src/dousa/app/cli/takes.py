@@ -129,7 +129,7 @@ def label(
 ) -> None:
     """Label an uncut recording from beginning to end, including unknown segments.
 
-    With - frames come as JSON lines, {"time": s, "joints": {"left_hand": [x, y, z], ...}} in m with Y up, and answers
+    With - frames come as JSON lines, {"time": s, "joints": {"left_hand": \\[x, y, z], ...}} in m with Y up, and answers
     go as JSON lines, five a second. The first time after dousa train, what takes are labelled with is learned.
 
     Example: dousa label moves.dousa recordings/session.bvh --picture session.png
