@@ -294,6 +294,23 @@ def test_experiment_prints_the_four_systems(dousa, motions, tmp_path):
     assert "single full tree" in out and "motion templates" in out
 
 
+def test_experiment_says_what_came_up_when_files_were_read(dousa, motions, tmp_path):
+    folder = shutil.copytree(motions, tmp_path / "cut")
+    for name in ("walk/p0.bvh", "walk/p1.bvh"):
+        text = (folder / name).read_text()
+        (folder / name).write_text(text[: int(len(text) * (0.8 if "p0" in name else 0.85))])
+    words = ("experiment", folder, "--system", "forest", "--trees", "5")
+    code, _, err = dousa(*words)
+    assert code == 0, err
+    said = " ".join(err.split())
+    assert "walk/p0.bvh: " in said and "walk/p1.bvh: " in said and said.count("truncated") == 2, err
+    code, out, err = dousa(*words, "--json", "--lang", "ja")
+    assert code == 0 and "truncated" not in err
+    notes = json.loads(out)["notes"]
+    assert [Path(one["path"]).name for one in notes] == ["p0.bvh", "p1.bvh"]
+    assert all("途中で切れ" in one["note"] for one in notes), notes
+
+
 def test_experiment_with_given_test_folder(dousa, motions, tmp_path):
     shutil.copytree(motions, tmp_path / "copy")
     words = ("--features", "extended", "--json")

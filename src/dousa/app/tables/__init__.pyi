@@ -14,6 +14,7 @@ from .answers import (
     print_tables,
     print_text_search,
     print_timeline,
+    warn_of_files,
 )
 from .progress import print_progress
 from .repetitions import print_repetitions
@@ -43,4 +44,5 @@ __all__ = [
     "print_tags",
     "print_text_search",
     "print_timeline",
+    "warn_of_files",
 ]

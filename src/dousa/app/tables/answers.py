@@ -163,6 +163,23 @@ def print_add(out: Console, report: AddReport) -> None:
         warn(Message("answers.other_labels", n=len(report.other_labels)))
 
 
+def warn_of_files(notes: Iterable[tuple[str, Message]]) -> None:
+    """What came up when files were read, on standard error: each once, with the file where it is the only one."""
+    files: dict[Message, list[str]] = {}
+    for path, message in notes:
+        files.setdefault(message, []).append(path)
+    for message, paths in sorted(files.items(), key=lambda item: -len(item[1]))[:_SHOWN]:
+        if len(paths) > 1:
+            warn(Message("answers.note_of_files", note=message, n=len(paths)))
+        else:
+            warn(message if message.code in _NAMED else Message("text.in_file", path=paths[0], problem=message))
+    if len(files) > _SHOWN:
+        warn(Message("answers.more_notes", n=len(files) - _SHOWN))
+
+
+_NAMED = ("text.in_file", "text.in_line")
+
+
 def print_some(out: Console, heading: Message, lines: list[str]) -> None:
     """A heading and the first lines of a list."""
     out.print(str(heading), markup=False)
