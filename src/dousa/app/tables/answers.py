@@ -285,6 +285,9 @@ def print_text_search(out: Console, answer: TextResult) -> None:
     for code, words in (("text_search.corrected", answer.corrections), ("text_search.replaced", answer.replaced)):
         for word, taken in words.items():
             _say(out, code, word=word, taken=taken)
+    if not answer.n_searched:
+        warn(Message("text_search.nothing_there"))
+        return
     if not answer.results:
         _say(out, "text_search.nothing", text=answer.text, all=answer.n_searched)
         if answer.unknown:
