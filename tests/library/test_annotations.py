@@ -148,6 +148,7 @@ def test_removed_categories_and_takes(library, take):
     library.annotations.write(take, LABELS, n_jobs=1)
     before = library.annotations.read()
     library.remove(category="kick")
+    assert library.journal()[0].n_clips == 1
     assert library.annotations.read()[0].unclear == ((0.6, 1.4), (1.4, 1.6))
     library.undo()
     library.remove([take, *(one.clip_id for one in before[0].segments)])
