@@ -135,6 +135,14 @@ def test_labels_at_one_time_lie_one_below_the_other(timeline):
     assert page.messages() == []
 
 
+@pytest.mark.parametrize("duration", [10, 10.2, 123.4, 3640, 3700])
+def test_the_ruler_needs_no_scrolling(timeline, duration):
+    """The label of the last tick ends where the take does."""
+    page = timeline(duration=duration, segments=[])
+    assert page.run("const one = document.querySelector('.tl-scroll'); return one.scrollWidth - one.clientWidth") <= 0
+    assert page.run("return document.querySelectorAll('.tl-tick').length") > 5
+
+
 def test_a_click_seeks_and_dragging_chooses(timeline):
     page = timeline(selectable=True)
     drag(page, 3, 3)

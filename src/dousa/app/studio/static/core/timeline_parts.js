@@ -5,6 +5,7 @@ import { formatSeconds, h, t } from "./dom.js";
 const HUES = [255, 55, 160, 325, 95, 205, 20, 290, 130, 235, 75, 350];
 const STEPS = [0.1, 0.2, 0.5, 1, 2, 5, 10, 15, 30, 60, 120, 300, 600, 1800, 3600];
 const ROOM = 64; // px that a label of the ruler needs
+const LABEL = 44; // px of a long one: nearer to the end it stands before its tick, as it would be scrolled to
 
 /** Letters and colours of categories; what was seen once keeps its own. */
 export class Tones {
@@ -150,7 +151,7 @@ export function makeTicks(duration, width) {
   const ticks = [];
   for (let k = 0; k * step <= duration + 1e-9; k += 1) {
     const seconds = k * step;
-    const last = ((duration - seconds) / duration) * width < 20;
+    const last = ((duration - seconds) / duration) * width < LABEL;
     ticks.push(h("span", { class: last ? "tl-tick tl-last" : "tl-tick", style: { left: percent(seconds, duration) } }, formatTick(seconds, step)));
   }
   return ticks;
