@@ -77,6 +77,17 @@ def test_help_names_every_command_and_gives_examples(dousa):
         assert re.search(rf"Example:\s+dousa {command}", text)
 
 
+def test_help_says_all_of_it_in_whole_lines(dousa, monkeypatch):
+    """Square brackets are no style, and lines are as long as the terminal, not as those of the source."""
+    monkeypatch.setenv("COLUMNS", "100")
+    _, text, _ = dousa("label", "--help")
+    said = " ".join(text.split())
+    assert '{"time": s, "joints": {"left_hand": [x, y, z], ...}} in m with Y up, and answers go as JSON lines' in said
+    assert "Below 50 % they are no longer alike. The score is" in " ".join(dousa("find", "--help")[1].split())
+    assert "and answers go as JSON lines" in text
+    assert "right than wrong if there is an action, and one in ten at least" in re.sub(r"[\s│]+", " ", text)
+
+
 def test_version(dousa):
     assert re.fullmatch(r"dousa \d+\.\d+\.\d+\n", dousa("--version")[1])
 
@@ -281,6 +292,23 @@ def test_experiment_prints_the_four_systems(dousa, motions, tmp_path):
     code, out, _ = dousa("experiment", motions, "--split", "leave-performer-out", "--performer-from", r"name:(p\d)")
     assert code == 0
     assert "single full tree" in out and "motion templates" in out
+
+
+def test_experiment_says_what_came_up_when_files_were_read(dousa, motions, tmp_path):
+    folder = shutil.copytree(motions, tmp_path / "cut")
+    for name in ("walk/p0.bvh", "walk/p1.bvh"):
+        text = (folder / name).read_text()
+        (folder / name).write_text(text[: int(len(text) * (0.8 if "p0" in name else 0.85))])
+    words = ("experiment", folder, "--system", "forest", "--trees", "5")
+    code, _, err = dousa(*words)
+    assert code == 0, err
+    said = " ".join(err.split())
+    assert "walk/p0.bvh: " in said and "walk/p1.bvh: " in said and said.count("truncated") == 2, err
+    code, out, err = dousa(*words, "--json", "--lang", "ja")
+    assert code == 0 and "truncated" not in err
+    notes = json.loads(out)["notes"]
+    assert [Path(one["path"]).name for one in notes] == ["p0.bvh", "p1.bvh"]
+    assert all("途中で切れ" in one["note"] for one in notes), notes
 
 
 def test_experiment_with_given_test_folder(dousa, motions, tmp_path):

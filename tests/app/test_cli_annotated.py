@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -119,6 +120,16 @@ def test_the_trial_of_annotated_takes(dousa, session):
     assert code == 2 and "--performer-from" in err
     code, _, err = dousa("experiment", session, "--labels", "beside")
     assert code == 2 and "--takes" in err
+
+
+def test_the_trial_says_what_is_doubtful_in_tables(dousa, session, tmp_path):
+    folder = shutil.copytree(session, tmp_path / "own")
+    table = folder / "p1.labels.csv"
+    table.write_text(table.read_text() + "\n0.5,900,walk")
+    code, _, err = dousa("experiment", folder, "--takes", "--labels", "beside", "--performer-from", r"name:(p\d)")
+    said = " ".join(err.split())
+    assert code == 0, err
+    assert "p1.labels.csv:" in said and "p1.trc: " in said and "beyond" in said, err
 
 
 def test_given_labels_are_given_back(dousa, session, tmp_path):

@@ -58,6 +58,16 @@ def test_no_answer_is_said_in_words(dousa, library):
     assert "near words of the library: kick_left" in out
 
 
+def test_that_words_leave_no_clip_for_a_motion_is_said(dousa, library):
+    code, _, err = dousa("search", library, library.parent / "clap" / "p0.bvh", "--text", "xqzzv")
+    assert code == 0 and "'xqzzv': nothing fits among 9 clips and takes" in err
+
+
+def test_that_there_is_nothing_to_search_is_said(dousa, library):
+    code, out, err = dousa("search", library, "--text", "kick", "--category", "nothing")
+    assert (code, out) == (0, "") and "no clips and takes, or none of this category" in err
+
+
 def test_words_and_labels_filter_what_a_motion_finds(dousa, library):
     query = library.parent / "clap" / "p0.bvh"
     for words in (("--text", "kick"), ("--category", "kick_left")):

@@ -15,7 +15,7 @@ from dousa.app.pipelines.estimation_body import read_start
 from dousa.app.pipelines.estimation_output import check_outputs
 from dousa.app.pipelines.estimation_request import EstimationRequest, Outputs, parse_start
 from dousa.app.pipelines.track_log import PartialFile, describe_files, fingerprint
-from dousa.app.tables.answers import describe_frames
+from dousa.app.tables.estimation import describe_frames
 from dousa.errors import MotionWriteError, OptionError
 from dousa.estimation.silhouettes.silhouettes import PackedSilhouettes
 from dousa.estimation.tracking.settings import PAPER, TrackerSettings

@@ -90,6 +90,73 @@ def test_what_was_removed_comes_back_and_what_was_relabelled_stays(library, take
     assert library.annotations.write(take, LABELS, n_jobs=1).unchanged
 
 
+def test_where_a_removed_segment_was_nobody_can_say_what_happens(library, take):
+    """It is not called nothing by the next training; what the table says of the rest stays true."""
+    library.annotations.write(take, LABELS, n_jobs=1)
+    (before,) = library.annotations.read()
+    kick = before.segments[1]
+    library.remove([kick.clip_id])
+    (known,) = library.annotations.read()
+    assert known.is_complete and known.unclear == ((0.6, 1.4), (1.4, 1.6))
+    said = [(one.start, one.category, one.counted) for one in known.stretches]
+    assert said == [(0.0, None, True), (0.1, "wave", True), (0.5, None, True), (0.6, None, False), (1.6, None, True)]
+    library.undo()
+    assert library.annotations.read() == [before]
+    library.redo()
+    assert library.annotations.read() == [known]
+    library.annotations.write(take, LABELS, n_jobs=1)
+    (again,) = library.annotations.read()
+    assert again.unclear == LABELS.unclear and [one.category for one in again.segments] == ["wave", "kick"]
+    library.undo()
+    assert library.annotations.read() == [known]
+    assert library.check().is_sound
+
+
+@pytest.mark.parametrize("for_good", [False, True])
+def test_a_take_whose_segments_are_all_removed_has_no_labels(library, take, for_good):
+    library.annotations.write(take, LABELS, n_jobs=1)
+    before = library.annotations.read()
+    numbers = [one.clip_id for one in before[0].segments]
+    library.remove(numbers[:1])
+    library.remove(numbers[1:], for_good=for_good)
+    assert library.annotations.read() == [] and list(library.annotations.load()) == []
+    if not for_good:
+        library.undo()
+        library.undo()
+        assert library.annotations.read() == before
+        library.redo()
+        library.redo()
+    assert library.annotations.write(take, LABELS, n_jobs=1).n_segments == 2
+    assert library.annotations.read()[0].is_complete
+
+
+def test_what_was_named_by_hand_leaves_the_table_as_it_is(library, take):
+    """Names that are taken back one after the other can be had again in any order."""
+    library.annotations.write(take, LABELS, n_jobs=1)
+    before = library.annotations.read()
+    numbers = [library.annotations.name(take, start, start + 0.2, "nod", n_jobs=1) for start in (1.45, 1.7)]
+    library.remove([numbers[0]])
+    first = library.last_change
+    library.remove([numbers[1]])
+    assert library.annotations.read() == before
+    library.undo(first)
+    assert [one.clip_id for one in library.annotations.read()[0].segments][2:] == numbers[:1]
+
+
+def test_removed_categories_and_takes(library, take):
+    """Segments of several takes go at once; a take that goes takes its table along, and brings it back."""
+    library.annotations.write(take, LABELS, n_jobs=1)
+    before = library.annotations.read()
+    library.remove(category="kick")
+    assert library.journal()[0].n_clips == 1
+    assert library.annotations.read()[0].unclear == ((0.6, 1.4), (1.4, 1.6))
+    library.undo()
+    library.remove([take, *(one.clip_id for one in before[0].segments)])
+    assert library.annotations.read() == []
+    library.undo()
+    assert library.annotations.read() == before
+
+
 def test_what_goes_beyond_the_end_is_cut_and_what_is_no_motion_left_out(library, take):
     labels = Annotation((Stretch(1.5, 9.0, "wave"), Stretch(5.0, 6.0, "far"), Stretch(0.2, 0.21, "point")))
     changes = library.annotations.write(take, labels, n_jobs=1)

@@ -142,6 +142,18 @@ def test_letters_of_a_name_are_found(made):
     assert found(made, "a07") == {"a07_clap"}
 
 
+def test_segments_of_takes_are_found_by_what_they_are_called_and_not_by_their_times(tmp_path):
+    """A library of labelled takes only, with a category that no table of words has."""
+    write_motion(make_motion("walk", draw_performer(0), seed=1), tmp_path / "day03.bvh")
+    (tmp_path / "day03.labels.csv").write_text("start_s,end_s,category\n0,1.25,flumphing\n1.25,1.75,walk\n")
+    with Library.open(tmp_path / "takes.dousa", create=True) as library:
+        library.add(tmp_path / "day03.bvh", kind="take", labels_from="beside", n_jobs=1)
+        assert found(library, "flumphing") == {"flumphing"}
+        for text in ("250", "bvh", "t=1.25"):
+            assert not library.search_text(text, None).results, text
+        assert len(library.search_text("day03", None).results) == 3
+
+
 def test_the_answer_is_json(made):
     answer = made.search_text("手を叩く", 2)
     assert isinstance(answer, TextResult)

@@ -210,6 +210,16 @@ def test_corrections_that_make_no_sense_are_refused(studio, recording, changes, 
     assert "hop" not in studio.get("/api/info").json()["library"]["categories"]
 
 
+@pytest.mark.parametrize("word", ["unknown", " Unknown ", "(nothing)", "不明", "未知"])
+def test_a_correction_calls_nothing_unknown(studio, recording, word):
+    """A table of labels takes such a word for no category; here, too, none is made of it."""
+    asked = {"motion": upload(studio, recording), "start_s": 0, "end_s": 1.0, "category": word}
+    answer = studio.post("/api/takes/correct", json=asked)
+    assert answer.status_code == 422, answer.text
+    assert f"'{word.strip()}'" in answer.json()["problem"]
+    assert word.strip() not in studio.get("/api/info").json()["library"]["categories"]
+
+
 def test_names_with_slashes_and_quotes_stay_names(studio, recording, strange):
     motion = upload(studio, recording)
     name = '../"kick", 蹴り'
@@ -707,6 +717,55 @@ def test_labels_at_the_same_time_are_dropped_and_an_empty_table_takes_all_away(s
     assert not [clip for clip in studio.app.state.studio.library.clips() if clip.take_id is not None]
 
 
+def test_both_labels_at_one_time_are_told_and_downloaded(studio, recording, table, wait_job):
+    motion, _ = add_take(studio, recording, wait_job, table)
+    drop_table(studio, motion, "0,2,hop\n0,2,clap\n2.5,4,walk\n3,3.5,nod\n")
+    told = [(one["start_s"], one["end_s"], one["category"]) for one in get_given(studio, motion)["segments"]]
+    named = [(0.0, 2.0, "hop"), (0.0, 2.0, "clap"), (2.5, 4.0, "walk"), (3.0, 3.5, "nod")]
+    assert sorted(one for one in told if one[2]) == sorted(named)
+    got = studio.get("/api/takes/export", params={"motion": motion, "format": "csv", "given": True}).text
+    rows = [(float(row["start_s"]), float(row["end_s"]), row["category"]) for row in csv.DictReader(io.StringIO(got))]
+    assert sorted(row for row in rows if row[2]) == sorted(named)
+    library = studio.app.state.studio.library
+    library.remove([one.clip_id for one in library.annotations.read()[0].segments if one.category == "walk"])
+    got = studio.get("/api/takes/export", params={"motion": motion, "format": "csv", "given": True}).text
+    rows = list(csv.DictReader(io.StringIO(got)))
+    assert {row["perhaps"] for row in rows if 2.5 <= float(row["start_s"]) < 4 and not row["category"]} == {"?"}
+
+
+@pytest.mark.parametrize(
+    ("width", "scheme", "language"), [(1280, "light", "en"), (640, "dark", "ja"), (640, "light", "en")]
+)
+def test_both_labels_at_one_time_are_seen_and_chosen(show, running, recording, tmp_path, width, scheme, language):
+    library = running.app.state.studio.library
+    labels = tmp_path / "labels"
+    labels.mkdir()
+    rows = "0,2,hop\n0,2,clap\n2.5,4,walk\n3,3.5,nod\n"
+    (labels / f"{recording[0].stem}.labels.csv").write_text(f"start_s,end_s,category\n{rows}")
+    library.add(recording[0], kind="take", labels_from=f"folder:{labels}")
+    take = next(clip for clip in library.clips() if clip.kind == "take")
+    page = show(f"/takes?motion=clip:{take.id}&at_s=1", width, 720, scheme, language)
+    page.wait("return document.querySelectorAll('.tl-segment').length === 4", seconds=60)
+    page.wait("return document.querySelectorAll('.now-one').length === 2", seconds=60)
+    assert page.run("return document.querySelectorAll('#segments tr[aria-current]').length") == 2
+    heights = page.run("return [...document.querySelectorAll('.tl-segment')].map((one) => one.offsetHeight)")
+    assert len(set(heights)) == 1 and heights[0] >= 25
+    names = page.run("return [...document.querySelectorAll('.choices button')].map((one) => one.textContent)")
+    assert ["hop" in names[0], "clap" in names[1], len(names)] == [True, True, 2]
+    for number, name in enumerate(("hop", "clap")):
+        button = page.run("return document.querySelectorAll('.choices button')[arguments[0]]", number)
+        button.send_keys(KEYS.ENTER)
+        assert page.run("return document.querySelector('#category').value") == name
+    page.screenshot(tmp_path / "both.png")
+    assert page.run("return document.documentElement.scrollWidth") <= width
+    page.run("document.querySelector('.tl-cursor').focus()")
+    page.find(".tl-cursor").send_keys(*[KEYS.ARROW_RIGHT] * 21)  # walk with nod in it
+    page.wait("return document.querySelector('.now-what').textContent.includes('nod')")
+    page.find(".tl-cursor").send_keys(KEYS.HOME, *[KEYS.ARROW_RIGHT] * 27)
+    page.wait("return document.querySelectorAll('.choices button').length === 1")
+    assert page.messages() == []
+
+
 def test_a_correction_of_a_take_of_the_library_is_a_segment_of_it(studio, recording, strange, wait_job):
     motion, _ = add_take(studio, recording, wait_job)
     start, end = strange[0]
@@ -801,7 +860,9 @@ def open_annotated(show, running, recording, table, tmp_path):
     number = library.clips([take])[0].id
     page = show(f"/takes?motion=clip:{number}")
     page.wait(f"{GIVEN} === 'true'")
-    page.wait("return performance.getEntriesByType('resource').some((one) => one.name.endsWith('/jobs/label'))")
+    # The labels are asked for once more when the job is over: before, its progress may not be shown yet.
+    asked = "performance.getEntriesByType('resource').filter((one) => one.name.includes('/takes/labels?')).length"
+    page.wait(f"return {asked} > 1", seconds=60)
     page.wait("return document.querySelector('#progress').children.length === 0", seconds=60)
     assert ask(running, "/takes/labels", motion=f"clip:{number}")["is_current"]
     page.settle()

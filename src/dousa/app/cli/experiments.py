@@ -80,6 +80,8 @@ def experiment(
         "n_jobs": jobs or -1,
     }
     files: dict[str, Any] = {"performer_from": label_options.performer_from, "options": motion_options.load()}
+    notes: list[tuple[str, Message]] = []
+    files["note"] = lambda path, message: notes.append((path, message))
     result: Result
     with use_cluster(cluster), progress_bar() as progress:
         shared["progress"] = progress
@@ -99,9 +101,12 @@ def experiment(
             skipped += more
     warn_skipped(skipped)
     answer = {**result.to_json(), "skipped": [item.to_json() for item in skipped]}
+    if notes:
+        answer["notes"] = [{"path": path, "note": str(message)} for path, message in notes]
     if json:
         print_json(answer)
     else:
+        tables.warn_of_files(notes)
         tables.print_tables(console(), result.to_tables())
     if figure:  # last, so that an answer that took long is not lost where the picture cannot be written
         from dousa.app.pictures.sheets import draw_experiment_figure

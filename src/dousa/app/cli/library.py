@@ -377,6 +377,8 @@ def _choose_among(library: Library, text: str | None, category: str | None, perf
     """The clips that filters leave for a search with a motion; None for all."""
     if text is not None:
         found = library.search_text(text, None, category=category, performer=performer, kind="clip")
+        if found.n_searched and not found.results:
+            warn(Message("text_search.nothing", text=text, all=found.n_searched))
         return [hit.clip_id for hit in found.results]
     if category is None and performer is None:
         return None

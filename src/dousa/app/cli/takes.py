@@ -5,7 +5,7 @@ from __future__ import annotations
 import io
 import json as json_module
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -99,7 +99,7 @@ def label(
             min=0,
             max=1,
             help="Minimum confidence of a label.",
-            show_default="more likely right than wrong, as a clip or all in all",
+            show_default="more likely right than wrong if there is an action, and one in ten at least",
         ),
     ] = None,
     csv: Annotated[
@@ -129,46 +129,56 @@ def label(
 ) -> None:
     """Label an uncut recording from beginning to end, including unknown segments.
 
-    With - frames come as JSON lines, {"time": s, "joints": {"left_hand": [x, y, z], ...}} in m with Y up, and answers
+    With - frames come as JSON lines, {"time": s, "joints": {"left_hand": \\[x, y, z], ...}} in m with Y up, and answers
     go as JSON lines, five a second. The first time after dousa train, what takes are labelled with is learned.
 
     Example: dousa label moves.dousa recordings/session.bvh --picture session.png
 
     Example: dousa label moves.dousa recordings/session.bvh --given --csv session.eaf
     """
-    options = motion_options.load()
+    is_plain = motion_options == o.MotionOptions()
     if take == _STANDARD_INPUT:
-        if csv or picture or given or motion_options != o.MotionOptions():
+        if csv or picture or given or not is_plain:
             raise OptionError("takes_cli.live_options")
-        with open_library(library) as opened:
-            _label_live(opened, height, threshold, jobs)
+        _label_live(library, height, threshold, jobs)
         return
     if height is not None:
         raise OptionError("takes_cli.height_of_recording")
-    if picture:
-        require("matplotlib", "pictures")
-    inputs = (take, library, *motion_options.files)
-    check_table("--csv", csv, inputs, overwrite=overwrite)
+    if given and (picture or threshold is not None or not is_plain):
+        raise OptionError("takes_cli.given_options")
+    options = motion_options.load()
+    _check_outputs(csv, picture, (take, library, *motion_options.files), overwrite=overwrite)
     if given:
-        if picture or threshold is not None or motion_options != o.MotionOptions():
-            raise OptionError("takes_cli.given_options")
         _show_given(library, take, csv, json=json)
         return
-    check_targets({"--picture": picture}, inputs)
     with open_library(library) as opened:
         with progress_bar() as progress:
             answer = opened.label(
                 clip_or_path(take), threshold=threshold, options=options, n_jobs=jobs, progress=progress
             )
-        if json:
-            print_json(answer.to_json())
-        else:
-            tables.print_timeline(console(), answer)
+        _show_timeline(answer, json=json)
         # Last, so that an answer is not lost where a file cannot be written.
         if csv:
             _write_labels(answer, csv)
         if picture:
             _draw(opened, answer, picture, options)
+
+
+def _check_outputs(
+    csv: Path | None, picture: Path | None, inputs: Sequence[str | Path | None], *, overwrite: bool
+) -> None:
+    """Before anything is computed: whether the files can be written, and what draws is installed."""
+    if picture:
+        require("matplotlib", "pictures")
+    check_table("--csv", csv, inputs, overwrite=overwrite)
+    check_targets({"--picture": picture}, inputs)
+
+
+def _show_timeline(answer: LabelledTake, *, json: bool) -> None:
+    if json:
+        print_json(answer.to_json())
+    else:
+        tables.print_timeline(console(), answer)
 
 
 def _write_labels(answer: LabelledTake, path: Path) -> None:
@@ -212,13 +222,18 @@ def _draw(library: Library, answer: LabelledTake, picture: Path, options: ReadOp
     draw_timeline(answer.to_json(), picture, motion)
 
 
-def _label_live(library: Library, height: float | None, threshold: float | None, jobs: int | None) -> None:
+def _label_live(library: str, height: float | None, threshold: float | None, jobs: int | None) -> None:
     """Answer frames on standard input as they come, a line of JSON each time there is something to say."""
+    with open_library(library) as opened:
+        # Before the first frame: what takes are labelled with may still have to be learned.
+        with progress_bar() as progress:
+            labeller = opened.live(height=height, threshold=threshold, n_jobs=jobs, progress=progress)
+        _answer_frames(labeller)
+
+
+def _answer_frames(labeller: LiveLabeller) -> None:
     from dousa.retrieval.takes.live import LiveFrameParser, read_live_frames
 
-    # Before the first frame: what takes are labelled with may still have to be learned.
-    with progress_bar() as progress:
-        labeller = library.live(height=height, threshold=threshold, n_jobs=jobs, progress=progress)
     parser = LiveFrameParser()
     try:
         for frame in read_live_frames(_read_lines(), parser):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from dousa.errors import DousaError, OptionError, TrainingError
@@ -28,6 +28,9 @@ if TYPE_CHECKING:
 
 _Read = TypeVar("_Read")
 
+FileNote = Callable[[str, Message], None]
+"""Called with a file and what came up when it was read."""
+
 
 def read_labelled_clips(
     paths: Sequence[str | os.PathLike[str]],
@@ -37,6 +40,7 @@ def read_labelled_clips(
     options: ReadOptions,
     n_jobs: int | None = None,
     progress: ProgressCallback | None = None,
+    note: FileNote | None = None,
 ) -> tuple[list[LabelledClip], list[Skipped]]:
     """Read all motion files below some paths, with their category and performer.
 
@@ -47,6 +51,7 @@ def read_labelled_clips(
     options : what is said about the files.
     n_jobs : files at a time; None for every core.
     progress : called with (done, total, file).
+    note : told the doubts about the files that are used.
 
     Returns
     -------
@@ -66,7 +71,9 @@ def read_labelled_clips(
         if isinstance(answer, Skipped):
             skipped.append(answer)
         else:
-            clips.append(answer)
+            clip, doubts = answer
+            clips.append(clip)
+            _tell(note, clip.name, doubts)
     if not clips and not skipped:
         raise TrainingError("experiments_cli.nothing_found", paths=paths)
     if not clips:
@@ -125,6 +132,7 @@ def read_annotated_takes(
     options: ReadOptions,
     n_jobs: int | None = None,
     progress: ProgressCallback | None = None,
+    note: FileNote | None = None,
 ) -> tuple[list[AnnotatedTake], list[Skipped]]:
     """Read all takes below some paths that have labels.
 
@@ -136,6 +144,7 @@ def read_annotated_takes(
     options : what is said about the files.
     n_jobs : files at a time; None for every core.
     progress : called with (done, total, "reading").
+    note : told the doubts about the files that are used, and about their labels.
 
     Returns
     -------
@@ -149,7 +158,7 @@ def read_annotated_takes(
     TrainingError : no take could be read.
     """
     from dousa.formats.annotations.label_file import to_annotation
-    from dousa.library.annotations.fitting import TakeLength, check_fit
+    from dousa.library.annotations.fitting import TakeLength, check_fit, fit
     from dousa.library.annotations.places import find_labels
     from dousa.motion.annotation import lay_out
     from dousa.retrieval.features.posed_motion import AnnotatedTake
@@ -168,11 +177,13 @@ def read_annotated_takes(
             skipped.append(motion)
             continue
         own = labels[str(file.path)]
-        annotation, _ = to_annotation(own.file, own.tiers, tier, motion.frame_rate)
+        annotation, doubts = to_annotation(own.file, own.tiers, tier, motion.frame_rate)
         if annotation.is_blank:
             skipped.append(Skipped(str(file.path), Message("annotations.blank", table=annotation.source)))
             continue
-        check_fit(TakeLength(str(file.path), motion.duration, motion.frame_rate, motion.n_frames), annotation)
+        length = TakeLength(str(file.path), motion.duration, motion.frame_rate, motion.n_frames)
+        check_fit(length, annotation)
+        _tell(note, str(file.path), [*motion.warnings, *own.notes, *doubts, *fit(length, annotation.segments)[1]])
         stretches = lay_out(annotation.segments, annotation.unclear, motion.duration)
         performer = performer_of(file.root, file.path)
         known = str(file.path), performer, motion.positions, motion.frame_rate, motion.height
@@ -216,7 +227,7 @@ def _read_each(
 
 def _read_clip(
     file: FoundFile, options: ReadOptions, category: str | None, performer: str | None
-) -> LabelledClip | Skipped:
+) -> tuple[LabelledClip, tuple[Message, ...]] | Skipped:
     from dousa.retrieval.features.posed_motion import LabelledClip
 
     if category is None:
@@ -224,7 +235,8 @@ def _read_clip(
     motion = _read_file(file, options)
     if isinstance(motion, Skipped):
         return motion
-    return LabelledClip(str(file.path), category, performer, motion.positions, motion.frame_rate, motion.height)
+    clip = LabelledClip(str(file.path), category, performer, motion.positions, motion.frame_rate, motion.height)
+    return clip, motion.warnings
 
 
 def _read_take(file: FoundFile, options: ReadOptions) -> NamedMotion | Skipped:
@@ -240,6 +252,12 @@ def _read_file(file: FoundFile, options: ReadOptions) -> CanonicalMotion | Skipp
         return read_canonical(path, options)[0]
     except DousaError as error:
         return Skipped(path, describe_problem(path, error))
+
+
+def _tell(note: FileNote | None, path: str, doubts: Iterable[Message]) -> None:
+    if note is not None:
+        for doubt in doubts:
+            note(path, doubt)
 
 
 def _show_first(skipped: Sequence[Skipped]) -> dict[str, Any]:

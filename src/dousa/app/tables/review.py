@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
-from dousa.app.output import one_line
-from dousa.messages import Message
+from dousa.app.tables.lines import say_line
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -19,26 +18,22 @@ def print_label_review(out: Console, report: LabelReview, most: int) -> None:
     for one in report.doubts[:most]:
         labels = {"category": one.category, "suggested": one.suggested}
         votes = {"votes": one.votes, "own": one.own_votes}
-        _say(out, "library_review.line", number=one.clip_id, path=one.path, **labels, **votes)
+        say_line(out, "library_review.line", number=one.clip_id, path=one.path, **labels, **votes)
     if len(report.doubts) > most:
-        _say(out, "library_review.more", n=len(report.doubts) - most)
-    _say(out, "library_review.looked_at", n=len(report.doubts), judged=report.n_judged)
+        say_line(out, "library_review.more", n=len(report.doubts) - most)
+    say_line(out, "library_review.looked_at", n=len(report.doubts), judged=report.n_judged)
     if report.n_few:
-        _say(out, "library_review.few", n=report.n_few)
+        say_line(out, "library_review.few", n=report.n_few)
     if report.n_checked:
-        _say(out, "library_review.checked", n=report.n_checked)
+        say_line(out, "library_review.checked", n=report.n_checked)
 
 
 def print_duplicates(out: Console, groups: Sequence[DuplicateGroup], most: int) -> None:
     """Groups of clips that are nearly the same."""
     for group in groups[:most]:
-        _say(out, "library_review.group", n=len(group.clip_ids), percent=100 * group.distance)
+        say_line(out, "library_review.group", n=len(group.clip_ids), percent=100 * group.distance)
         for number, path, category in zip(group.clip_ids, group.paths, group.categories, strict=True):
-            _say(out, "library_review.member", number=number, path=path, category=category or "-")
+            say_line(out, "library_review.member", number=number, path=path, category=category or "-")
     if len(groups) > most:
-        _say(out, "library_review.more", n=len(groups) - most)
-    _say(out, "library_review.groups", n=len(groups))
-
-
-def _say(out: Console, code: str, /, **values: Any) -> None:
-    out.print(one_line(str(Message(code, **values))), markup=False, soft_wrap=True)
+        say_line(out, "library_review.more", n=len(groups) - most)
+    say_line(out, "library_review.groups", n=len(groups))

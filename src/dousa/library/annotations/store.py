@@ -240,6 +240,7 @@ def _plan_tables(
             places.append(place)
             changes += own
         elif missing := _find_missing(row, labels, there):
+            tables.append((row, labels))  # nobody could say what happens where they were
             places.append((row, missing, []))
         else:
             changes += AnnotationChanges(unchanged=(row.path,))

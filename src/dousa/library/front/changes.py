@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from dousa.errors import LibraryError, OptionError
 from dousa.library import selection as _selection
+from dousa.library.annotations.removal import find_leaving, leave_open
 from dousa.library.engine import next_revision
 from dousa.library.front.contents import LibraryContents
 from dousa.library.journal.recording import Recorded, recording, recording_together
@@ -36,7 +37,8 @@ class LibraryChanges(LibraryContents):
         """Take clips or takes out of the library; their files stay on the disk.
 
         The forest still knows what it learned from them, until the next training. ``undo`` brings them back until
-        ``compact`` forgets them.
+        ``compact`` forgets them. Where a segment of a take with a table of labels was, nobody can say what happens;
+        without any segment the take has no labels.
 
         Parameters
         ----------
@@ -58,9 +60,11 @@ class LibraryChanges(LibraryContents):
                 ids = select_ids(connection, self.name, selection, category, performer, tag)
                 paths = _selection.list_paths(connection, ids)
                 if ids:
-                    revision = next_revision(connection)
-                    with nullcontext() if for_good else recording(connection, revision, "remove", gone=ids) as recorded:
+                    revision, labelled = next_revision(connection), find_leaving(connection, ids)
+                    written = recording(connection, revision, "remove", gone=ids, takes=labelled)
+                    with nullcontext() if for_good else written as recorded:
                         _selection.delete_clips(connection, ids)
+                        leave_open(connection, labelled)
                     self._note_change(recorded)
         except LibraryError as error:
             if for_good or error.code not in _FULL:

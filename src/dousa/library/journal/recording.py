@@ -192,7 +192,8 @@ def _begin(connection: sa.Connection, number: int, kind: str, told: dict[str, An
 
 
 def _finish(connection: sa.Connection, number: int, made: Changes, known: Any) -> None:
-    changes, n_clips = made.to_json(), len(made.new) or len(made.clips)  # of files that replace others, each once
+    # Of files that replace others, each once; of segments that go, without the takes whose tables change with them.
+    changes, n_clips = made.to_json(), len(made.new) or len(made.gone) or len(made.clips)
     if known is not None:
         changes = {name: join_spans(known.changes[name], changes[name]) for name in changes}
         n_clips += known.n_clips

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -40,6 +41,7 @@ from dousa.retrieval.words.vectors import load_replacement
 from dousa.retrieval.words.vocabulary import Vocabulary, load_vocabulary, normalise
 
 _LONGEST = 500  # characters of a query
+_TIME = re.compile(r"#t=[0-9.]+,[0-9.]+(&id=[0-9]+)?$")  # of a segment, after the path of its take
 _LITERAL = 0.6  # score of a name that has the query in it letter by letter
 _SAME = 1e-6  # scores that differ by rounding
 _MOST_NEAR = 5  # words that are offered where nothing fits
@@ -241,8 +243,9 @@ def _is_same(before: tuple[Any, ...] | None, now: tuple[Any, ...] | None) -> boo
 
 
 def _name_of(path: str) -> str:
-    """The file's name without its suffix."""
-    return PurePath(os.path.basename(path)).stem or path
+    """The file's name without its suffix, and without the time of a segment, whose numbers name nothing."""
+    name = _TIME.sub("", os.path.basename(path))
+    return PurePath(name).stem or path
 
 
 def _make_relation_unit(vocabulary: Vocabulary, relation: Relation) -> Unit:

@@ -7,7 +7,7 @@ import io
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import PurePath
-from typing import Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from fastapi import APIRouter, Query
 from pydantic import BaseModel, ConfigDict, Field
@@ -19,6 +19,9 @@ from dousa.app.studio.core.answers import Answer, RefusedError, attachment
 from dousa.app.studio.core.words import say
 from dousa.app.studio.jobs.board import Job
 from dousa.messages import Message
+
+if TYPE_CHECKING:
+    from dousa.motion.annotation import Stretch
 
 router = APIRouter(tags=["takes"])
 
@@ -123,7 +126,7 @@ def _describe_given(studio: Studio, ref: MotionRef) -> dict[str, Any] | None:
         return None
     stretches = [
         {"start_s": round(one.start, 3), "end_s": round(one.stop, 3), "category": one.category, "counted": one.counted}
-        for one in known[0].stretches
+        for one in known[0].rows  # two labels at one time are both told
     ]
     return {"source": PurePath(known[0].source).name, "tier": known[0].tier, "segments": stretches}
 
@@ -208,10 +211,8 @@ def export(
         return Answer({"take": answer["name"], **kept}, headers=headers)
     if format == "eaf":
         from dousa.formats.annotations.writing import format_eaf
-        from dousa.motion.annotation import Stretch
 
-        stretches = [Stretch(one["start_s"], one["end_s"], one["category"]) for one in segments]
-        content = format_eaf(stretches, media=answer["name"])
+        content = format_eaf([_to_stretch(one) for one in segments], media=answer["name"])
         return Response(content, media_type="application/xml", headers=headers)
     return Response(_format_csv(segments).encode("utf-8", "replace"), media_type="text/csv", headers=headers)
 
@@ -221,15 +222,24 @@ def _format_csv(segments: Sequence[dict[str, Any]]) -> str:
 
     What somebody calls doubtful is no label: it stands in a column of its own.
     """
+    if any("counted" in one for one in segments):
+        from dousa.formats.annotations.writing import format_labels_csv
+
+        return format_labels_csv(_to_stretch(one) for one in segments)
     text = io.StringIO()
     writer = csv.writer(text)
-    is_given = any("counted" in one for one in segments)
-    writer.writerow(("start_s", "end_s", "category", *(() if is_given else ("confidence", "corrected", "perhaps"))))
+    writer.writerow(("start_s", "end_s", "category", "confidence", "corrected", "perhaps"))
     for one in segments:
-        by_hand, doubtful = "" if is_given or one["corrected"] is None else "yes", one.get("guess") or ""
-        sure = () if is_given else (f"{one['confidence']:.4f}", by_hand, doubtful)
+        by_hand, doubtful = "" if one["corrected"] is None else "yes", one.get("guess") or ""
+        sure = f"{one['confidence']:.4f}", by_hand, doubtful
         writer.writerow((f"{one['start_s']:.3f}", f"{one['end_s']:.3f}", one["category"] or "", *sure))
     return text.getvalue()
+
+
+def _to_stretch(one: dict[str, Any]) -> Stretch:
+    from dousa.motion.annotation import Stretch
+
+    return Stretch(one["start_s"], one["end_s"], one["category"], one.get("counted", True))
 
 
 @router.post("/takes/correct", status_code=201, summary="Say what a part of a take shows; it is learned")

@@ -25,6 +25,7 @@ from dousa.app.studio.content.motions import Address, MotionRef
 from dousa.app.studio.core.answers import RefusedError
 from dousa.app.studio.core.words import say
 from dousa.errors import LibraryError, LibraryLockedError
+from dousa.formats.annotations.label_file import is_unknown
 
 if TYPE_CHECKING:
     from dousa.app.studio.content.motions import Named
@@ -325,6 +326,8 @@ def _check_category(category: str) -> str:
     name = unicodedata.normalize("NFC", category).strip()
     if not name or any(unicodedata.category(character) in ("Cc", "Cs") for character in name):
         raise RefusedError(422, "studio_takes.no_category")
+    if is_unknown(name):  # a table of labels that says so names nothing either
+        raise RefusedError(422, "studio_takes.unknown_category", category=name)
     return name
 
 

@@ -5,6 +5,7 @@
 //     label: what it shows (for screen readers), texts: {name: word} instead of the words timeline_* of the page}
 //   timeline.setCursor(s) .setSegments(segments) .setSelection(start, end) .setSelection(null) .setCuts([s])
 //     .setDuration(s) .show(start, end): zoom there, .destroy()
+//   Segments at one time lie in lanes, one below the other.
 //   timeline.onSeek(callback(s)) .onSelect(callback({start, end} or null, done)) .onCuts(callback([s], done)): -> function
 //     that ends it. Called for what people do, not for the setters; done is false while something is being dragged.
 //   to read: .cursor .selection .cuts .duration .element .tones (for makeLegend of timeline_parts.js)
@@ -14,12 +15,13 @@
 
 import { formatSeconds, h, t } from "./dom.js";
 import { Overview } from "./timeline_overview.js";
-import { Tones, describeSegment, makeSegment, makeTicks, place } from "./timeline_parts.js";
+import { Tones, describeSegment, findLanes, makeSegment, makeTicks, place } from "./timeline_parts.js";
 
 const STEP = 0.1; // s of an arrow key
 const LEAST = 0.1; // s of a part, and between cuts
 const CLICK = 5; // px that a click may move
 const MOST_PIXELS_A_SECOND = 240;
+const MOST_LANES = 6; // for which the timeline grows: of more, each is lower
 
 const clamp = (value, low, high) => Math.min(Math.max(value, low), high);
 
@@ -108,7 +110,9 @@ class Timeline {
   }
 
   drawSegments() {
-    this.track.replaceChildren(...this.segments.map((one) => makeSegment(one, this.duration, this.tones)));
+    const lanes = findLanes(this.segments);
+    this.inner.style.setProperty("--lanes", Math.min(Math.max(1, ...lanes.map((one) => one.lanes)), MOST_LANES));
+    this.track.replaceChildren(...this.segments.map((one, number) => makeSegment(one, this.duration, this.tones, lanes[number])));
     this.overview.draw(this.segments, this.duration, this.tones);
   }
 
@@ -149,8 +153,7 @@ class Timeline {
   }
 
   drawCursor() {
-    const segment = this.segmentAt(this.cursor);
-    const text = [formatSeconds(this.cursor), segment ? describeSegment(segment) : null].filter(Boolean).join(", ");
+    const text = [formatSeconds(this.cursor), ...this.segmentsAt(this.cursor).map(describeSegment)].join(", ");
     this.setSlider(this.hand, this.cursor, text);
     this.say();
   }
@@ -246,13 +249,13 @@ class Timeline {
   }
 
   chooseSegment(event) {
-    const segment = this.segmentAt(this.seconds(event));
+    const shown = event.target.closest(".tl-segment"); // of several at one time the one that was meant
+    const segment = shown ? this.segments[[...this.track.children].indexOf(shown)] : this.segmentsAt(this.seconds(event)).at(-1);
     if (this.selectable && segment) this.select({ start: segment.start, end: segment.end }, true);
   }
 
-  segmentAt(seconds) {
-    // Corrections lie over labels, and come last.
-    return this.segments.findLast((one) => one.start <= seconds && seconds < one.end);
+  segmentsAt(seconds) {
+    return this.segments.filter((one) => one.start <= seconds && seconds < one.end);
   }
 
   wheel(event) {

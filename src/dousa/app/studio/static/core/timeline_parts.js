@@ -5,6 +5,7 @@ import { formatSeconds, h, t } from "./dom.js";
 const HUES = [255, 55, 160, 325, 95, 205, 20, 290, 130, 235, 75, 350];
 const STEPS = [0.1, 0.2, 0.5, 1, 2, 5, 10, 15, 30, 60, 120, 300, 600, 1800, 3600];
 const ROOM = 64; // px that a label of the ruler needs
+const LABEL = 44; // px of a long one: nearer to the end it stands before its tick, as it would be scrolled to
 
 /** Letters and colours of categories; what was seen once keeps its own. */
 export class Tones {
@@ -28,6 +29,30 @@ const percent = (part, whole) => `${(100 * part) / Math.max(whole, 1e-9)}%`;
 
 /** Where something from start to end lies: a style. */
 export const place = (start, end, duration) => ({ left: percent(start, duration), width: percent(end - start, duration) });
+
+const TOUCHING = 0.005; // s that neighbours may overlap by: times are rounded
+
+/** Where segments lie that share a time: {lane, lanes} of each, lanes being as many as any of those it hangs together with. */
+export function findLanes(segments) {
+  const found = segments.map(() => ({ lane: 0, lanes: 1 }));
+  const order = segments.map((_, number) => number).sort((a, b) => segments[a].start - segments[b].start || segments[a].end - segments[b].end);
+  let [ends, group, last] = [[], [], -Infinity]; // of the lanes, and who hangs together, until when
+  for (const number of order) {
+    const { start, end } = segments[number];
+    if (start >= last - TOUCHING) [ends, group] = [[], []];
+    const free = ends.findIndex((one) => start >= one - TOUCHING);
+    const lane = free < 0 ? ends.length : free;
+    ends[lane] = end;
+    group.push(number);
+    found[number].lane = lane;
+    for (const other of group) found[other].lanes = ends.length;
+    last = Math.max(last, end);
+  }
+  return found;
+}
+
+/** Where a lane lies, from top to bottom: a style. */
+const placeLane = ({ lane, lanes }) => (lanes === 1 ? {} : { top: percent(lane, lanes), bottom: percent(lanes - lane - 1, lanes) });
 
 /** What a stretch of the API is for a timeline: how it is drawn, and under which name. */
 export function kindOf(one) {
@@ -73,12 +98,13 @@ export function makeSwatch(kind, label, tones, options = {}) {
   return swatch;
 }
 
-export function makeSegment(segment, duration, tones) {
+/** lane: of findLanes */
+export function makeSegment(segment, duration, tones, lane) {
   const unknown = segment.kind === "unknown";
   const tone = unknown ? null : tones.of(segment.label);
   const element = h(
     "div",
-    { class: `tl-segment tl-${segment.kind}${tone && segment.kind !== "perhaps" ? ` tl-pattern-${tone.pattern}` : ""}`, title: describeSegment(segment), style: place(segment.start, segment.end, duration) },
+    { class: `tl-segment tl-${segment.kind}${tone && segment.kind !== "perhaps" ? ` tl-pattern-${tone.pattern}` : ""}`, title: describeSegment(segment), style: { ...place(segment.start, segment.end, duration), ...placeLane(lane) } },
     h("b", {}, letterOf(segment.kind, tone)),
     h("span", {}, sayName(segment.kind, segment.label)),
   );
@@ -90,10 +116,11 @@ export function makeSegment(segment, duration, tones) {
 
 /** Stretches in little, without words. */
 export function drawStrip(element, segments, duration, tones) {
-  const piece = (one) => {
+  const lanes = findLanes(segments);
+  const piece = (one, number) => {
     const unknown = one.kind === "unknown";
     const look = { unknown: "tl-none", perhaps: "tl-maybe" }[one.kind] ?? "";
-    const part = h("i", { class: look, style: place(one.start, one.end, duration) });
+    const part = h("i", { class: look, style: { ...place(one.start, one.end, duration), ...placeLane(lanes[number]) } });
     if (!unknown) part.style.setProperty("--hue", tones.of(one.label).hue);
     return part;
   };
@@ -124,7 +151,7 @@ export function makeTicks(duration, width) {
   const ticks = [];
   for (let k = 0; k * step <= duration + 1e-9; k += 1) {
     const seconds = k * step;
-    const last = ((duration - seconds) / duration) * width < 20;
+    const last = ((duration - seconds) / duration) * width < LABEL;
     ticks.push(h("span", { class: last ? "tl-tick tl-last" : "tl-tick", style: { left: percent(seconds, duration) } }, formatTick(seconds, step)));
   }
   return ticks;

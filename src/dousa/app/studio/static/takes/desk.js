@@ -11,7 +11,8 @@ export class Desk {
     Object.assign(this, { tools, part: null, now: null });
     this.what = h("p", { class: "now-what" });
     this.sure = h("p", { class: "note" });
-    this.stretch = h("button", { type: "button", class: "small", id: "choose-stretch", onclick: () => this.now && tools.onStretch(this.now) }, t("correct_stretch"));
+    this.stretch = h("button", { type: "button", class: "small", id: "choose-stretch", onclick: () => this.now?.length && tools.onStretch(this.now[0]) });
+    this.choices = h("div", { class: "choices" }, this.stretch); // more of them where several lie at one time
     this.options = h("datalist", { id: "categories" });
     this.input = h("input", { type: "text", id: "category", list: "categories", autocomplete: "off", maxlength: "200", placeholder: t("correct_placeholder"), oninput: () => this.settle() });
     this.button = h("button", { type: "submit", class: "primary", id: "correct" }, t("correct_button"));
@@ -19,25 +20,36 @@ export class Desk {
     this.span = h("p", { class: "part" });
     this.form = h("form", { class: "correct", onsubmit: (event) => this.submit(event) }, this.span, h("div", { class: "row" }, h("label", { class: "field" }, t("correct_category"), this.input), this.options, this.button, this.take));
     this.list = h("ul", { class: "corrections" });
-    element.replaceChildren(h("div", { class: "now-head" }, h("div", {}, h("h2", { class: "sr" }, t("now")), this.what, this.sure), this.stretch), review, h("h2", {}, t("correct_title")), this.form, this.list);
-    this.setNow(null);
+    element.replaceChildren(h("div", { class: "now-head" }, h("div", {}, h("h2", { class: "sr" }, t("now")), this.what, this.sure), this.choices), review, h("h2", {}, t("correct_title")), this.form, this.list);
+    this.setNow([]);
     this.setPart(null);
   }
 
-  setNow(segment, tones) {
-    if (segment === this.now && segment) return;
-    this.now = segment;
-    this.stretch.disabled = !segment;
-    if (!segment) {
+  /** Of several stretches at one time each is said, and can be chosen. */
+  setNow(segments, tones) {
+    if (this.now && segments.length === this.now.length && segments.every((one, number) => one === this.now[number])) return;
+    this.now = segments;
+    const several = segments.length > 1;
+    const word = (one) => (several ? t("correct_named", { category: sayName(kindOf(one), nameOf(one)) }) : t("correct_stretch"));
+    const choose = (one) => h("button", { type: "button", class: "small", onclick: () => this.tools.onStretch(one) }, word(one));
+    this.stretch.disabled = !segments.length;
+    this.stretch.textContent = word(segments[0]);
+    for (const button of [...this.choices.children].slice(1)) button.remove(); // the first one keeps the focus
+    this.choices.append(...segments.slice(1).map(choose));
+    if (!segments.length) {
       this.what.replaceChildren("–");
       this.sure.textContent = "";
       return;
     }
-    const [kind, name] = [kindOf(segment), nameOf(segment)];
-    this.what.replaceChildren(makeSwatch(kind, name, tones), sayName(kind, name), often(segment));
-    const percent = Math.round(100 * segment.confidence);
-    const sure = segment.confidence == null ? t("given") : t(kind === "unknown" ? "sure_unknown" : kind === "perhaps" ? "sure_perhaps" : "sure", { percent });
-    this.sure.textContent = segment.corrected ? t("timeline_corrected") : sure;
+    const say = (one) => h("span", { class: "now-one" }, makeSwatch(kindOf(one), nameOf(one), tones), sayName(kindOf(one), nameOf(one)), often(one));
+    this.what.replaceChildren(...segments.map(say));
+    this.sure.textContent = [...new Set(segments.map((one) => this.saySure(one)))].join(", ");
+  }
+
+  saySure(one) {
+    if (one.corrected) return t("timeline_corrected");
+    if (one.confidence == null) return t("given");
+    return t({ unknown: "sure_unknown", perhaps: "sure_perhaps" }[kindOf(one)] ?? "sure", { percent: Math.round(100 * one.confidence) });
   }
 
   /** category: what the part is called already; what was typed stays if left out */

@@ -12,7 +12,7 @@ import { makeLegend, nameOf, sayShares, toSegment } from "../core/timeline_parts
 import { listenForUndo, undoButton } from "../core/undo.js";
 import { Desk } from "./desk.js";
 import { Review } from "./review.js";
-import { drawSegments, markSegment } from "./segments.js";
+import { drawSegments, markSegments } from "./segments.js";
 import { listTakes } from "./strips.js";
 
 const [LONG, SEEN] = [150, 75]; // s: of a longer take so much is shown at first
@@ -107,9 +107,9 @@ function makePlayer(data) {
   player = window.dousa.createPlayer($("#player"), data);
   player.onTime((seconds) => {
     timeline.setCursor(seconds);
-    const place = labels.findIndex((one) => one.start_s <= seconds && seconds < one.end_s);
-    markSegment($("#segments"), place);
-    desk.setNow(labels[place] ?? null, timeline.tones);
+    const now = labels.filter((one) => one.start_s <= seconds && seconds < one.end_s);
+    markSegments($("#segments"), now.map((one) => labels.indexOf(one)));
+    desk.setNow(now, timeline.tones);
     review.settle();
   });
 }

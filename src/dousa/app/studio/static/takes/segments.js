@@ -40,14 +40,15 @@ export function drawSegments(element, segments, { motion, tones, onGo, onChoose,
   if (segments.length) element.querySelector(".scroll").scrollTop = scrolled;
 }
 
-/** Which stretch is under the cursor; -1 for none. */
-export function markSegment(element, place) {
-  const before = element.querySelector("tr[aria-current]");
-  const row = place < 0 ? null : element.querySelectorAll("tbody tr")[place];
-  if (before === row) return;
-  before?.removeAttribute("aria-current");
-  if (!row) return;
-  row.setAttribute("aria-current", "true");
-  const [box, inside] = [element.querySelector(".scroll"), row.offsetTop];
+/** Which stretches are under the cursor: their places in the table. */
+export function markSegments(element, places) {
+  const rows = element.querySelectorAll("tbody tr");
+  const now = places.map((place) => rows[place]).filter(Boolean);
+  const before = [...element.querySelectorAll("tr[aria-current]")];
+  if (before.length === now.length && now.every((row, number) => row === before[number])) return;
+  for (const row of before) row.removeAttribute("aria-current");
+  for (const row of now) row.setAttribute("aria-current", "true");
+  if (!now.length) return;
+  const [box, inside] = [element.querySelector(".scroll"), now[0].offsetTop];
   if (inside < box.scrollTop + 30 || inside > box.scrollTop + box.clientHeight - 40) box.scrollTop = inside - box.clientHeight / 3;
 }

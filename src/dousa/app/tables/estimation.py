@@ -1,0 +1,110 @@
+"""How well an estimated motion fits what the cameras saw."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+from rich.table import Table
+
+from dousa.app.tables.lines import say_line, to_cell
+from dousa.messages import Message
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from dousa.app.pipelines.estimate import Estimation
+
+_GOOD, _FAIR = 0.75, 0.5  # overlap of model and silhouette
+
+_SHOWN_STRETCHES = 6
+
+_SHOWN_JOINTS = 5
+
+
+def print_estimation(out: Console, done: Estimation) -> None:
+    """Overlap per view, what was lost, how sure the joints are, and what was written.
+
+    Parameters
+    ----------
+    out : where to print.
+    done : the answer.
+    """
+    answer = done.estimate
+    length = answer.n_frames / answer.frame_rate
+    say_line(
+        out,
+        "estimated.frames",
+        n=answer.n_frames,
+        rate=answer.frame_rate,
+        seconds=length,
+        speed=answer.frames_per_second,
+        body=done.body,
+        start=done.start,
+    )
+    table = Table(box=None)
+    table.add_column(str(Message("columns.view")))
+    for code in ("columns.overlap", "columns.worst", "columns.in_frame"):
+        table.add_column(str(Message(code)), justify="right")
+    for name, column in zip(done.views, answer.iou.T, strict=True):
+        if not np.isfinite(column).any():
+            table.add_row(to_cell(name), str(Message("estimated.no_image")), "", "")
+            continue
+        worst = int(np.nanargmin(column))
+        mean = float(np.nanmean(column))
+        colour = "green" if mean >= _GOOD else "yellow" if mean >= _FAIR else "red"
+        table.add_row(
+            to_cell(name),
+            f"[{colour}]{mean:.2f}[/]",
+            f"{column[worst]:.2f}",
+            str(done.first_frame + worst),
+        )
+    out.print(table)
+    lost = np.flatnonzero(answer.lost)
+    if len(lost):
+        frames = describe_frames(lost + done.first_frame)
+        seconds = describe_seconds(lost + done.first_frame, answer.frame_rate)
+        say_line(out, "estimated.lost", n=len(lost), total=answer.n_frames, frames=frames, seconds=seconds)
+    else:
+        say_line(out, "estimated.none_lost")
+    _print_uncertainty(out, done)
+    for path in done.outputs:
+        say_line(out, "estimated.wrote", path=path)
+
+
+def describe_frames(frames: Sequence[int] | np.ndarray) -> str:
+    """Numbers of frames as stretches: ``3-7, 12``."""
+    return _describe_stretches(frames, lambda first, last: f"{first}" if first == last else f"{first}-{last}")
+
+
+def describe_seconds(frames: Sequence[int] | np.ndarray, rate: float) -> str:
+    """Stretches of frames in seconds: ``0.10-0.27, 0.40-0.43``."""
+    return _describe_stretches(frames, lambda first, last: f"{first / rate:.2f}-{(last + 1) / rate:.2f}")
+
+
+def _describe_stretches(frames: Sequence[int] | np.ndarray, describe: Callable[[int, int], str]) -> str:
+    numbers = np.asarray(frames)
+    if len(numbers) == 0:
+        return str(Message("estimated.no_frames"))
+    cuts = np.flatnonzero(np.diff(numbers) > 1) + 1
+    stretches = [describe(int(part[0]), int(part[-1])) for part in np.split(numbers, cuts)]
+    more = len(stretches) - _SHOWN_STRETCHES
+    shown = ", ".join(stretches[:_SHOWN_STRETCHES])
+    return str(Message("estimated.more_stretches", shown=shown, n=more)) if more > 0 else shown
+
+
+def _print_uncertainty(out: Console, done: Estimation) -> None:
+    answer = done.estimate
+    kept = answer.uncertainty[~answer.lost] if (~answer.lost).any() else answer.uncertainty
+    if not np.isfinite(kept).any():
+        return
+    means = np.nanmean(kept, axis=0) * 1000.0
+    names = answer.points.names
+    order = [joint for joint in np.argsort(-means) if np.isfinite(means[joint])]
+    least_sure = ", ".join(f"{names[joint]} {means[joint]:.0f}" for joint in order[:_SHOWN_JOINTS])
+    say_line(out, "estimated.uncertainty", median=float(np.nanmedian(means)), joints=least_sure)
+    hidden = answer.occluded.mean(axis=0)
+    parts = [f"{answer.body.names[part]} {hidden[part]:.0%}" for part in np.argsort(-hidden) if hidden[part] >= 0.1]
+    if parts:
+        say_line(out, "estimated.hidden", parts=parts[:_SHOWN_JOINTS])

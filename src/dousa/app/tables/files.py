@@ -1,0 +1,139 @@
+"""What files hold, and what became of those that were added or read."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterable, Sequence
+from typing import TYPE_CHECKING, Any
+
+from rich.table import Table
+
+from dousa.app.output import warn
+from dousa.app.tables.lines import SHOWN, print_some, say_line, to_cell
+from dousa.messages import Message
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from dousa.library import AddReport
+
+
+def print_info(out: Console, answer: dict[str, Any]) -> None:
+    """One file, as `dousa info` describes it."""
+    table = Table(title=to_cell(answer["path"]), title_justify="left", show_header=False, box=None, padding=(0, 2))
+
+    def add(name: str, content: Message, style: str | None = None) -> None:
+        table.add_row(str(Message(name)), to_cell(str(content)), style=style)
+
+    holds = "info.rotations" if answer["holds"] == "rotations" else "info.positions"
+    add("info.format", Message(holds, format=answer["format"]))
+    length = {"n": answer["n_frames"], "rate": answer["frame_rate"], "seconds": answer["duration_s"]}
+    add("info.length", Message("info.frames", **length))
+    add("info.unit", Message("info.metres", unit=answer["unit_m"], source=answer["unit_source"]))
+    add("info.up", Message("info.axis", axis=answer["up"], source=answer["up_source"]))
+    mapping = answer["mapping"]
+    if mapping is None:
+        add("info.mapping", Message("info.not_understood"), "bold red")
+    else:
+        code = "info.table_and_derived" if mapping["derived"] else "info.table"
+        add("info.mapping", Message(code, table=mapping["table"], derived=mapping["derived"]))
+        add("info.sides", Message("info.names_and_geometry", agree=mapping["sides"]))
+        if mapping["absent"]:
+            add("info.absent", Message("text.verbatim", text=", ".join(mapping["absent"])), "yellow")
+        height = {"height": answer["height_m"], "source": answer["height_source"], "stature": answer["stature_m"]}
+        add("info.height", Message("info.height_from", **height))
+    add("info.joints", Message("info.names", n=answer["n_joints"], joints=answer["joints"]))
+    for warning in answer["warnings"]:
+        add("info.note", Message("text.verbatim", text=warning), "yellow")
+    _print_unpadded(out, table)
+
+
+def _print_unpadded(out: Console, table: Table) -> None:
+    """A table for people; in a file or pipe without the blanks that fill its rows to the longest."""
+    if out.is_terminal:
+        out.print(table)
+        return
+    with out.capture() as captured:
+        out.print(table)
+    rows = captured.get().splitlines()
+    out.print("\n".join(row.rstrip() for row in rows), markup=False, soft_wrap=True)
+
+
+_CONVERTED = {
+    "adding.convert_blender": (".fbx", ".dae", ".blend", ".abc", ".usd", ".usda", ".usdc", ".usdz", ".ma", ".max"),
+    "adding.convert_opensim": (".mot", ".sto"),
+    "adding.convert_program": (".tak", ".trk", ".qtm", ".vsk", ".vss", ".vst", ".x2d", ".cap", ".trb", ".anb", ".htr",
+                               ".gtr", ".mvn", ".tdf", ".bip", ".anim", ".mat"),
+}  # fmt: skip
+
+
+def _say_passed_over(out: Console, passed_over: Sequence[tuple[str, int]]) -> None:
+    """How many files of which suffix no reader takes, and how those that hold motion can be converted."""
+    counts = [f"{n} {suffix or '-'}" for suffix, n in passed_over]
+    say_line(out, "adding.passed_over", counts=counts)
+    for code, suffixes in _CONVERTED.items():
+        found = [suffix for suffix, _ in passed_over if suffix in suffixes]
+        if found:
+            say_line(out, code, suffixes=found)
+
+
+def print_add(out: Console, report: AddReport) -> None:
+    """What was added to a library, and what was not and why."""
+    rate = report.bytes / 1e6 / report.seconds if report.seconds > 0 else 0.0
+    say_line(
+        out,
+        "adding.added",
+        n=len(report.added),
+        megabytes=report.bytes / 1e6,
+        seconds=report.seconds,
+        rate=rate,
+    )
+    for said, files in (
+        ("adding.replaced", report.replaced),
+        ("adding.moved", report.moved),
+        ("adding.unchanged", report.unchanged),
+    ):
+        if files:
+            say_line(out, said, n=len(files))
+    if report.duplicates:
+        pairs = [f"{item.path} = {item.same_as}" for item in report.duplicates]
+        print_some(out, Message("adding.duplicates", n=len(pairs)), pairs)
+    if report.skipped:
+        print_some(
+            out,
+            Message("adding.skipped", n=len(report.skipped)),
+            [f"{item.path}: {item.reason}" for item in report.skipped],
+        )
+    if report.passed_over:
+        _say_passed_over(out, report.passed_over)
+    if report.labelled:
+        say_line(out, "adding.labelled", n=len(report.labelled), segments=report.n_segments)
+    if report.n_learned:
+        code = "adding.learned_categories" if report.new_categories else "adding.learned"
+        say_line(out, code, n=report.n_learned, new=len(report.new_categories))
+    if report.other_kind:
+        warn(Message("answers.other_kind", n=len(report.other_kind)))
+    for text, count in Counter(text for _, text in report.warnings).most_common(SHOWN):
+        warn(Message("answers.note_of_files", note=text, n=count))
+    told = (report.added, report.replaced, report.moved, report.unchanged, report.duplicates, report.skipped)
+    if not any(told):
+        warn(Message("answers.no_motion_files"))
+    if report.other_labels:
+        warn(Message("answers.other_labels", n=len(report.other_labels)))
+
+
+_NAMED = ("text.in_file", "text.in_line")
+
+
+def warn_of_files(notes: Iterable[tuple[str, Message]]) -> None:
+    """What came up when files were read, on standard error: each once, with the file where it is the only one."""
+    files: dict[Message, list[str]] = {}
+    for path, message in notes:
+        files.setdefault(message, []).append(path)
+    for message, paths in sorted(files.items(), key=lambda item: -len(item[1]))[:SHOWN]:
+        if len(paths) > 1:
+            warn(Message("answers.note_of_files", note=message, n=len(paths)))
+        else:
+            warn(message if message.code in _NAMED else Message("text.in_file", path=paths[0], problem=message))
+    if len(files) > SHOWN:
+        warn(Message("answers.more_notes", n=len(files) - SHOWN))

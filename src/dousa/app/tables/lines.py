@@ -1,0 +1,71 @@
+"""Lines, cells and tables, as all answers have them, and the notes below an answer."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+from rich.markup import escape
+from rich.table import Table
+
+from dousa.app.output import one_line, warn
+from dousa.messages import Message
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+SHOWN = 10
+"""Lines of a list that are printed."""
+
+
+def to_cell(text: Message | str) -> str:
+    """The text as Rich shows it: square brackets are square brackets, and it is one line."""
+    return escape(one_line(str(text)))
+
+
+def say_line(out: Console, code: str, /, **values: Any) -> None:
+    """One line of an answer."""
+    out.print(one_line(str(Message(code, **values))), markup=False, soft_wrap=True)
+
+
+def make_table(right: Sequence[str] = (), left: Sequence[str] = (), folded: str | None = None) -> Table:
+    """A table without lines: codes of its columns of numbers, of words, and of a last one that may be broken."""
+    table = Table(box=None)
+    for code in (*right, *left):
+        table.add_column(str(Message(code)), justify="right" if code in right else "left", overflow="fold")
+    if folded is not None:
+        table.add_column(str(Message(folded)), overflow="fold")
+    return table
+
+
+def name_side(mirrored: bool) -> str:
+    """What stands in the column of sides."""
+    return str(Message("columns.mirrored")) if mirrored else ""
+
+
+def print_some(out: Console, heading: Message, lines: list[str]) -> None:
+    """A heading and the first lines of a list."""
+    out.print(str(heading), markup=False)
+    for line in lines[:SHOWN]:
+        out.print(f"  {one_line(line)}", markup=False, soft_wrap=True)
+    if len(lines) > SHOWN:
+        say_line(out, "adding.more", n=len(lines) - SHOWN)
+
+
+_OF_ANSWERS = ("partial.", "library_takes.")
+
+
+def print_notes(out: Console, notes: Sequence[Message], path: str | None = None) -> None:
+    """What was not compared, below the answer; and on standard error what came up when files were read.
+
+    Parameters
+    ----------
+    out : where to print.
+    notes : of an answer.
+    path : the file that was read, where its notes do not name it.
+    """
+    for note in notes:
+        if note.code.startswith(_OF_ANSWERS):
+            out.print(one_line(f"  {note}"), markup=False, soft_wrap=True)
+        else:
+            warn(note if path is None else Message("text.in_file", path=path, problem=note))
