@@ -19,13 +19,14 @@ pytest.importorskip("fastapi", reason="the studio is not installed: pip install 
 
 from app.browser import Page
 from app.studio.axe_core import AXE, find_faults
-from app.studio.evaluation_cases import write_dances
+from app.studio.evaluation_cases import keep, write_dances
 from app.studio.firefox import Firefox, open_firefox
 from app.studio.forked_workers import use_forks
 from app.studio.one_address import Address, run_app
 from app.studio.studio_client import Client
 from dousa.app.studio import Settings, create_app
 from dousa.app.studio.jobs import lanes
+from dousa.evaluation.grade import adjustable
 from made_once import make_once
 from patience import PATIENCE
 
@@ -72,6 +73,15 @@ def forked_workers(forks: Any) -> Iterator[None]:
     with pytest.MonkeyPatch.context() as patch:
         if forks is not None:
             patch.setattr(lanes, "subprocess", forks)
+        yield
+
+
+@pytest.fixture(scope="package", autouse=True)
+def kept_comparisons() -> Iterator[None]:
+    """Dances are compared once, not for each page that judges them: what comparing says is tried without a studio."""
+    with pytest.MonkeyPatch.context() as patch:
+        for name in ("prepare_references", "compare_bodies", "weigh"):
+            patch.setattr(adjustable, name, keep(getattr(adjustable, name)))
         yield
 
 
