@@ -79,7 +79,7 @@ class Page:
             if time.monotonic() > end:
                 raise TimeoutException(script)
             time.sleep(pause)
-            pause = min(1.1 * pause, 0.1)
+            pause = min(1.1 * pause, 0.25)
         return found
 
     def settle(self) -> None:

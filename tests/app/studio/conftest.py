@@ -117,11 +117,13 @@ def studio(library_copy: Path) -> Iterator[Any]:
 def wait_for(client: Any, job_id: str, seconds: float = PATIENCE) -> dict[str, Any]:
     """A job of a client when it is over."""
     end = time.monotonic() + seconds
+    pause = 0.02  # s; who waits long asks less often, as the answer costs what the job could use
     while time.monotonic() < end:
         job: dict[str, Any] = client.get(f"/api/jobs/{job_id}").json()
         if job["state"] not in ("queued", "running", "stopping"):
             return job
-        time.sleep(0.05)
+        time.sleep(pause)
+        pause = min(1.1 * pause, 0.25)
     raise AssertionError(f"job {job_id} is not over after {seconds} s")
 
 
