@@ -26,8 +26,8 @@ CASE_SECONDS = 5  # processor seconds for one damaged file of a few kB; a reader
 
 
 def count_tries(whole: int) -> int:
-    """So many tries where there is time for all of them, as in `make fuzz`; else a quarter."""
-    return whole if SECONDS >= 60 else max(1, whole // 4)
+    """So many tries where there is time for all of them, as in `make fuzz`; else a sixth."""
+    return whole if SECONDS >= 60 else max(1, whole // 6)
 
 
 NUMBER = re.compile(rb"-?\d+(\.\d*)?([eE][+-]?\d+)?")

@@ -19,13 +19,14 @@ pytest.importorskip("fastapi", reason="the studio is not installed: pip install 
 
 from app.browser import Page
 from app.studio.axe_core import AXE, find_faults
-from app.studio.evaluation_cases import write_dances
+from app.studio.evaluation_cases import keep, write_dances
 from app.studio.firefox import Firefox, open_firefox
 from app.studio.forked_workers import use_forks
 from app.studio.one_address import Address, run_app
 from app.studio.studio_client import Client
 from dousa.app.studio import Settings, create_app
 from dousa.app.studio.jobs import lanes
+from dousa.evaluation.grade import adjustable
 from made_once import make_once
 from patience import PATIENCE
 
@@ -75,6 +76,15 @@ def forked_workers(forks: Any) -> Iterator[None]:
         yield
 
 
+@pytest.fixture(scope="package", autouse=True)
+def kept_comparisons() -> Iterator[None]:
+    """Dances are compared once, not for each page that judges them: what comparing says is tried without a studio."""
+    with pytest.MonkeyPatch.context() as patch:
+        for name in ("prepare_references", "compare_bodies", "weigh"):
+            patch.setattr(adjustable, name, keep(getattr(adjustable, name)))
+        yield
+
+
 def _start_plainly(request: pytest.FixtureRequest) -> Iterator[None]:
     """Workers of what has the mark ``plain_workers`` begin from nothing; each kind of work has such a test."""
     with pytest.MonkeyPatch.context() as patch:
@@ -107,11 +117,13 @@ def studio(library_copy: Path) -> Iterator[Any]:
 def wait_for(client: Any, job_id: str, seconds: float = PATIENCE) -> dict[str, Any]:
     """A job of a client when it is over."""
     end = time.monotonic() + seconds
+    pause = 0.02  # s; who waits long asks less often, as the answer costs what the job could use
     while time.monotonic() < end:
         job: dict[str, Any] = client.get(f"/api/jobs/{job_id}").json()
         if job["state"] not in ("queued", "running", "stopping"):
             return job
-        time.sleep(0.05)
+        time.sleep(pause)
+        pause = min(1.1 * pause, 0.25)
     raise AssertionError(f"job {job_id} is not over after {seconds} s")
 
 

@@ -2,12 +2,36 @@
 
 from __future__ import annotations
 
+import functools
+import hashlib
+import pickle
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-__all__ = ["upload", "write_dances"]
+__all__ = ["keep", "upload", "write_dances"]
 
 _TAKES = 3
+_MOST = 20
+
+
+class _Asked:
+    """What a function is asked: the same where its bytes are."""
+
+    def __init__(self, words: tuple[Any, ...]) -> None:
+        self.words, self.digest = words, hashlib.sha256(pickle.dumps(words)).digest()
+
+    def __hash__(self) -> int:
+        return hash(self.digest)
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, _Asked) and self.digest == other.digest
+
+
+def keep(work: Callable[..., Any]) -> Callable[..., Any]:
+    """The same function, which gives the answer again that it gave lately: tests of pages judge the same dances."""
+    answer = functools.lru_cache(_MOST)(lambda asked: work(*asked.words))
+    return lambda *words: answer(_Asked(words))
 
 
 def write_dances(folder: Path) -> tuple[list[Path], Path]:

@@ -96,9 +96,11 @@ class Firefox:
     def wait(self, expression: str, seconds: float = PATIENCE) -> Any:
         """Wait until an expression is something true; that."""
         end = time.monotonic() + seconds
+        pause = 0.02  # s; who waits long asks less often
         while not (value := self.run(expression)):
             assert time.monotonic() < end, expression
-            time.sleep(0.05)
+            time.sleep(pause)
+            pause = min(1.1 * pause, 0.25)
         return value
 
 

@@ -5,10 +5,13 @@ from __future__ import annotations
 import asyncio
 import io
 import json
+import os
 import socket
 import threading
 import time
 import zipfile
+from itertools import chain
+from pathlib import Path
 
 import pytest
 
@@ -22,7 +25,9 @@ GOOD = b"HIERARCHY\nROOT Hips\n"
 
 
 def below(folder):
-    return {str(path.relative_to(folder)) for path in folder.rglob("*")}
+    """All names below a folder; one that goes meanwhile is passed over."""
+    walked = os.walk(folder)
+    return {str(Path(root, name).relative_to(folder)) for root, *names in walked for name in chain(*names)}
 
 
 def send(studio, name, content, batch=None):

@@ -73,9 +73,9 @@ def test_other_weights_are_nearly_exact_at_once(adjustable):
 def test_what_is_kept_does_not_grow(motions):
     adjustable = AdjustableAssessment(*motions)
     sizes = []
-    for step in range(6):
+    for step in range(5):
         adjustable.assess(None, {"trunk": 1.0 + step / 10})
-        for end in range(60, 160, 2):
+        for end in range(60, 160, 3):
             adjustable.preview((Furi(0, end, "A"), Furi(end, 300, "B")))
         sizes.append(adjustable.n_bytes)
     assert sizes[3] == sizes[-1]
