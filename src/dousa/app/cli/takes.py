@@ -99,7 +99,7 @@ def label(
             min=0,
             max=1,
             help="Minimum confidence of a label.",
-            show_default="more likely right than wrong if there is an action, and one in ten at least",
+            show_default="more likely right than wrong if there is an action",
         ),
     ] = None,
     csv: Annotated[
