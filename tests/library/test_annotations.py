@@ -143,6 +143,24 @@ def test_what_was_named_by_hand_leaves_the_table_as_it_is(library, take):
     assert [one.clip_id for one in library.annotations.read()[0].segments][2:] == numbers[:1]
 
 
+def test_of_two_things_at_one_time_the_one_that_is_meant_is_named_otherwise(library, take):
+    both = Annotation((Stretch(0.1, 0.9, "walk"), Stretch(0.1, 0.9, "wave")))
+    library.annotations.write(take, both, n_jobs=1)
+
+    def list_categories():
+        return sorted(one.category for one in library.annotations.read()[0].segments)
+
+    library.annotations.name(take, 0.15, 0.9, "clap", instead_of="wave", n_jobs=1)
+    assert list_categories() == ["clap", "walk"]
+    library.annotations.name(take, 0.15, 0.9, "nod", instead_of="clap", n_jobs=1)
+    assert list_categories() == ["nod", "walk"]
+    library.undo()
+    library.annotations.name(take, 0.1, 0.9, "kick", instead_of="bow", n_jobs=1)  # which is not there
+    assert list_categories() == ["clap", "kick", "walk"]
+    library.annotations.name(take, 0.1, 0.9, "bow", n_jobs=1)
+    assert list_categories() == ["bow"]
+
+
 def test_removed_categories_and_takes(library, take):
     """Segments of several takes go at once; a take that goes takes its table along, and brings it back."""
     library.annotations.write(take, LABELS, n_jobs=1)

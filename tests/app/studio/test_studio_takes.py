@@ -763,7 +763,26 @@ def test_both_labels_at_one_time_are_seen_and_chosen(show, running, recording, t
     page.wait("return document.querySelector('.now-what').textContent.includes('nod')")
     page.find(".tl-cursor").send_keys(KEYS.HOME, *[KEYS.ARROW_RIGHT] * 27)
     page.wait("return document.querySelectorAll('.choices button').length === 1")
+    page.find(".tl-cursor").send_keys(KEYS.HOME, *[KEYS.ARROW_RIGHT] * 7)
+    page.wait("return document.querySelectorAll('.choices button').length === 2")
+    page.run("document.querySelectorAll('.choices button')[1].click()")
+    page.run("document.querySelector('#category').value = ''")
+    page.find("#category").send_keys("stamp", KEYS.ENTER)
+    page.wait(
+        "return [...document.querySelectorAll('.tl-segment')].some((one) => one.title.includes('stamp'))", seconds=60
+    )
+    assert {one.category for one in library.annotations.read()[0].segments} == {"hop", "stamp", "walk", "nod"}
     assert page.messages() == []
+
+
+def test_of_two_labels_at_one_time_one_is_corrected(studio, recording, table, wait_job):
+    motion, _ = add_take(studio, recording, wait_job, table)
+    drop_table(studio, motion, "0,2,hop\n0,2,clap\n2.5,4,walk\n")
+    for category, meant in (("wave", "clap"), ("bow", "wave")):
+        asked = {"motion": motion, "start_s": 0.1, "end_s": 2.0, "category": category, "instead_of": meant}
+        assert studio.post("/api/takes/correct", json=asked).status_code == 201
+        named = [one["category"] for one in get_given(studio, motion)["segments"] if one["category"]]
+        assert sorted(named) == sorted(["hop", category, "walk"])
 
 
 def test_a_correction_of_a_take_of_the_library_is_a_segment_of_it(studio, recording, strange, wait_job):

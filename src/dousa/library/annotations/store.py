@@ -144,8 +144,11 @@ def name_segment(
     segment: Stretch,
     forest: StoredForest | None,
     note: Callable[[int | None], None] = lambda number: None,
+    instead_of: str | None = None,
 ) -> tuple[StoredForest | None, int | None, AnnotationChanges]:
     """Name a part of a take by hand; one of about the same place (half, intersection over union) gives way.
+
+    Of several at one time only that of the category ``instead_of`` does, where that is not None.
 
     ``note`` is told the number of the change in the journal, as by `annotate_takes`.
 
@@ -162,7 +165,8 @@ def name_segment(
         if segment.start >= rows[0].duration or segment.stop <= 0.0:
             check_fit(TakeLength.of(rows[0]), Annotation((segment,)))
         kept, _ = fit(TakeLength.of(rows[0]), [segment])
-        gone = [one.clip_id for one in before if kept and _is_same_place(one, kept[0])]
+        there = [one for one in before if kept and _is_same_place(one, kept[0])]
+        gone = [one.clip_id for one in there if instead_of in (None, one.category)]
         places = [(rows[0], kept, gone)] if kept else []
         return _plan(connection, database.where, places, _Exchange(forest, by_hand=True), known)
 
@@ -511,14 +515,24 @@ class Annotations:
         self._refresh(changes, n_jobs)
         return changes
 
-    def name(self, take: int, start: float, end: float, category: str, *, n_jobs: int | None = None) -> int | None:
-        """Say what a part of a take shows, by hand; one of about the same place is replaced.
+    def name(
+        self,
+        take: int,
+        start: float,
+        end: float,
+        category: str,
+        *,
+        instead_of: str | None = None,
+        n_jobs: int | None = None,
+    ) -> int | None:
+        """Say what a part of a take shows, by hand; what is there about the same time is replaced.
 
         Parameters
         ----------
         take : number.
         start, end : s.
         category : what happens there.
+        instead_of : category of what alone is replaced, where several things happen at one time.
         n_jobs : as in ``write``.
 
         Returns
@@ -537,7 +551,9 @@ class Annotations:
         check_times(start, end, category)
         self._check_take(take)
         part = Stretch(start, end, category)
-        self._forests.last, number, changes = name_segment(self._database, take, part, self._forests.last, self._note)
+        self._forests.last, number, changes = name_segment(
+            self._database, take, part, self._forests.last, self._note, instead_of
+        )
         self._refresh(changes, n_jobs)
         return number
 

@@ -52,6 +52,9 @@ class CorrectRequest(BaseModel):
     category: str = Field(min_length=1, max_length=200)
     split_s: Seconds | None = Field(default=None, description="makes two parts of it, which are called the same")
     replaces: list[_Number] = Field(default=[], max_length=100, description="corrections that go with this")
+    instead_of: str | None = Field(
+        default=None, max_length=200, description="of several labels at one time the category of the one that goes"
+    )
 
 
 @router.post("/jobs/label", status_code=202, summary="Label a take from beginning to end")
@@ -246,13 +249,16 @@ def _to_stretch(one: dict[str, Any]) -> Stretch:
 def correct(studio: StudioNow, wanted: CorrectRequest) -> Answer:
     """The part becomes a clip of the library, the forest grows at once, and takes are labelled with it from now on.
 
-    A correction of mostly the same part of this take is replaced. All of it is one ``change`` of the journal, by whose
-    number POST /journal/undo takes it back. Label the take again to see what has changed.
+    A correction of mostly the same part of this take is replaced; of several only that of ``instead_of``. All of it is
+    one ``change`` of the journal, by whose number POST /journal/undo takes it back. Label the take again to see what
+    has changed.
     """
     from dousa.app.studio.content.corrections import learn_correction
 
     ref = MotionRef(motion=wanted.motion, start_s=wanted.start_s, end_s=wanted.end_s)
-    return Answer(learn_correction(studio, ref, wanted.category, wanted.split_s, wanted.replaces), 201)
+    return Answer(
+        learn_correction(studio, ref, wanted.category, wanted.split_s, wanted.replaces, wanted.instead_of), 201
+    )
 
 
 @router.delete("/takes/corrections/{number}", summary="Take a correction back")

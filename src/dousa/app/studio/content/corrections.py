@@ -222,7 +222,12 @@ def _names(studio: Studio, ref: MotionRef) -> set[str]:
 
 
 def learn_correction(
-    studio: Studio, ref: MotionRef, category: str, split_s: float | None = None, replaces: Sequence[str] = ()
+    studio: Studio,
+    ref: MotionRef,
+    category: str,
+    split_s: float | None = None,
+    replaces: Sequence[str] = (),
+    instead_of: str | None = None,
 ) -> dict[str, Any]:
     """Make a part a clip of the library, in the place of what was said of it; undone and done again in one step.
 
@@ -232,6 +237,7 @@ def learn_correction(
     category : what it shows.
     split_s : a moment of the take at which the part is made two, which are called the same; None for one.
     replaces : numbers of corrections that go, besides those of mostly the same part.
+    instead_of : of several labels of mostly the same part, the category of the one that goes.
 
     Returns
     -------
@@ -251,14 +257,20 @@ def learn_correction(
     known = list_corrections(studio, ref)
     if missing := set(replaces) - {one.id for one in known}:
         raise RefusedError(404, "studio_takes.no_correction", number=min(missing)[:40])
-    gone = [one for one in known if one.id in replaces or any(_is_same(part, one) for part in parts)]
     take = find_take(studio, ref)
+    meant = instead_of if take is not None and _has_label(studio, take, ref, instead_of) else None
+    there = [
+        one
+        for one in known
+        if any(_is_same(part, one.start_s, one.end_s) for part in parts) and meant in (None, one.category)
+    ]
+    gone = [one for one in known if one.id in replaces or one in there]
     try:
         with studio.library.one_change("name", category=name):
             if ids := [one.clip_id for one in gone]:
                 studio.library.remove(ids)
             if take is not None:
-                made = [_name_segment(studio, take, *one, name) for one in zip(named, parts, strict=True)]
+                made = [_name_segment(studio, take, *one, name, meant) for one in zip(named, parts, strict=True)]
             else:
                 made = [_add_clip(studio, *one, name) for one in zip(named, parts, strict=True)]
     except Exception:
@@ -267,6 +279,14 @@ def learn_correction(
         raise
     answer = {**made[0], "is_new_category": any(one["is_new_category"] for one in made)}
     return {**answer, "corrections": [one["correction"] for one in made], "change": studio.library.last_change}
+
+
+def _has_label(studio: Studio, take: int, ref: MotionRef, category: str | None) -> bool:
+    """Whether mostly this part of a take of the library has a label of a category."""
+    known = studio.library.annotations.read([take])
+    return any(
+        _is_same(ref, one.start, one.end) for one in (known[0].segments if known else ()) if one.category == category
+    )
 
 
 def _part_at(ref: MotionRef, split_s: float | None) -> list[MotionRef]:
@@ -303,13 +323,15 @@ def _add_clip(studio: Studio, named: Named, ref: MotionRef, name: str) -> dict[s
     }
 
 
-def _name_segment(studio: Studio, take: int, named: Named, ref: MotionRef, category: str) -> dict[str, Any]:
+def _name_segment(
+    studio: Studio, take: int, named: Named, ref: MotionRef, category: str, instead_of: str | None
+) -> dict[str, Any]:
     """The part of a take of the library, as a segment of it."""
     start = ref.start_s or 0.0
     end = ref.end_s if ref.end_s is not None else start + named.motion.duration
     trained = studio.library.stats().trained_at is not None
     is_new = category not in studio.library.categories()
-    number = studio.library.annotations.name(take, start, end, category, n_jobs=1)
+    number = studio.library.annotations.name(take, start, end, category, instead_of=instead_of, n_jobs=1)
     made = [one for one in _list_segments(studio, [take]) if one.clip_id == number]
     if not made:
         raise RefusedError(422, "studio_takes.too_short", least=_SHORTEST, seconds=named.motion.duration)
@@ -348,11 +370,11 @@ def _stem(named: Named) -> str:
     return PurePath(named.name).stem or "take"
 
 
-def _is_same(part: MotionRef, one: Correction) -> bool:
-    """Whether a correction is of mostly this part: who corrects it once more means the last one."""
+def _is_same(part: MotionRef, first: float, last: float) -> bool:
+    """Whether a label from first to last is of mostly this part: who corrects it once more means the last one."""
     start, end = part.start_s or 0.0, part.end_s if part.end_s is not None else float("inf")
-    shared = min(end, one.end_s) - max(start, one.start_s)
-    return shared > 0 and shared >= _SAME * (max(end, one.end_s) - min(start, one.start_s))
+    shared = min(end, last) - max(start, first)
+    return shared > 0 and shared >= _SAME * (max(end, last) - min(start, first))
 
 
 def forget_correction(studio: Studio, number: str) -> tuple[Correction, int | None]:

@@ -3,11 +3,11 @@
 //   options: {duration (s), segments: [{start, end, label, kind: "known" | "perhaps" | "unknown" | "corrected", confidence}],
 //     cuts: [s], selectable: a part can be chosen, editable: cuts can be moved, added and taken away,
 //     label: what it shows (for screen readers), texts: {name: word} instead of the words timeline_* of the page}
-//   timeline.setCursor(s) .setSegments(segments) .setSelection(start, end) .setSelection(null) .setCuts([s])
+//   timeline.setCursor(s) .setSegments(segments) .setSelection(start, end, of) .setSelection(null) .setCuts([s])
 //     .setDuration(s) .show(start, end): zoom there, .destroy()
 //   Segments at one time lie in lanes, one below the other.
-//   timeline.onSeek(callback(s)) .onSelect(callback({start, end} or null, done)) .onCuts(callback([s], done)): -> function
-//     that ends it. Called for what people do, not for the setters; done is false while something is being dragged.
+//   timeline.onSeek(callback(s)) .onSelect(callback({start, end, of: label that was chosen} or null, done))
+//     .onCuts(callback([s], done)): -> function that ends it. Called for what people do, not for the setters; done is false while something is being dragged.
 //   to read: .cursor .selection .cuts .duration .element .tones (for makeLegend of timeline_parts.js)
 //
 // Keys on the cursor: arrows (with Shift a part is chosen), Page Up/Down, Home/End, [ and ] set the ends of the part,
@@ -194,7 +194,7 @@ class Timeline {
   setEnd(at, seconds, done = true) {
     const ends = this.selectionEnds();
     ends[at] = at === 0 ? clamp(seconds, 0, ends[1] - LEAST) : clamp(seconds, ends[0] + LEAST, this.duration);
-    this.select({ start: ends[0], end: ends[1] }, done);
+    this.select({ ...this.selection, start: ends[0], end: ends[1] }, done);
   }
 
   /** The part begins or ends at the cursor; where its other end lies on the wrong side, that goes. */
@@ -251,7 +251,7 @@ class Timeline {
   chooseSegment(event) {
     const shown = event.target.closest(".tl-segment"); // of several at one time the one that was meant
     const segment = shown ? this.segments[[...this.track.children].indexOf(shown)] : this.segmentsAt(this.seconds(event)).at(-1);
-    if (this.selectable && segment) this.select({ start: segment.start, end: segment.end }, true);
+    if (this.selectable && segment) this.select({ start: segment.start, end: segment.end, of: segment.label }, true);
   }
 
   segmentsAt(seconds) {
@@ -374,9 +374,9 @@ export function createTimeline(element, options) {
       inner.drawSegments();
       inner.drawCursor();
     },
-    setSelection(start, end) {
+    setSelection(start, end, of) {
       const inside = (seconds) => clamp(seconds, 0, inner.duration);
-      inner.selection = start == null ? null : { start: inside(start), end: inside(end) };
+      inner.selection = start == null ? null : { start: inside(start), end: inside(end), ...(of && { of }) };
       inner.drawSelection();
     },
     setCuts(cuts) {

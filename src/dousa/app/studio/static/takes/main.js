@@ -120,8 +120,8 @@ function seek(seconds) {
 }
 
 function choose(segment) {
-  timeline.setSelection(segment.start_s, segment.end_s);
-  desk.setPart({ start: segment.start_s, end: segment.end_s }, nameOf(segment));
+  timeline.setSelection(segment.start_s, segment.end_s, segment.category);
+  desk.setPart({ start: segment.start_s, end: segment.end_s, of: segment.category }, nameOf(segment));
 }
 
 async function exportPart(start, end) {
@@ -207,10 +207,11 @@ async function showFound(segment) {
   $(".tl-cursor").focus();
 }
 
-/** split: makes two parts; replaces: numbers of the corrections that go. All of it is undone in one step. */
-async function learn({ start, end, category, split = null, replaces = [] }) {
+/** split: makes two parts; replaces: numbers of the corrections that go; of: what was meant, of several labels at one time. All
+ * of it is undone in one step. */
+async function learn({ start, end, category, split = null, replaces = [], of = null }) {
   const [name, before] = [motion, recognised && placesOf(category)];
-  const learned = await attempt(() => post("/takes/correct", { motion, start_s: start, end_s: end, category, split_s: split, replaces }));
+  const learned = await attempt(() => post("/takes/correct", { motion, start_s: start, end_s: end, category, split_s: split, replaces, instead_of: of }));
   if (!learned) return false;
   library.categories[category] = (library.categories[category] ?? 0) + learned.corrections.length;
   desk.setCategories(Object.keys(library.categories));
