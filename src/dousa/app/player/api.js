@@ -112,6 +112,12 @@ const miniatures = Object.freeze({
   get drawn() {
     return gallery.drawn;
   },
+  get patience() {
+    return gallery.patience;
+  },
+  set patience(milliseconds) {
+    gallery.patience = milliseconds;
+  },
 });
 
 window.dousa = Object.assign(window.dousa ?? {}, { createPlayer, createMiniature, createClock, miniatures });

@@ -7,7 +7,8 @@
 //   miniature.play() .pause() .seek(share 0..1) .replace(bytes) .destroy(); to read: .share .playing .visible .duration
 //   .scrub(share) shows a moment as long as somebody points at it, .scrub(null) lets it run on; .calm: less motion is wished for
 // It runs by itself while it is visible and not behind a dialog, and comes from its last pose to its first without a jump. Where less motion is wished for, it shows its most telling pose until its
-// host is hovered or focused. Its size is that of the element. `dousa.miniatures.alive` says how many run now.
+// host is hovered or focused. Its size is that of the element. `dousa.miniatures.alive` says how many run now. Where nobody
+// does anything on the page for `dousa.miniatures.patience` ms, all of them stand until somebody does.
 
 const FRAME_MS = 1000 / 31; // thirty pictures a second are enough for small ones
 const [HOLD, MEND] = [0.15, 0.4]; // s a loop rests at its end, and takes to come back to its beginning
@@ -21,6 +22,8 @@ const LOOK_AGAIN_MS = 250; // between looks whether it is still there
 const findDialog = () => document.querySelector("dialog:modal");
 const isBehind = (miniature, over) => Boolean(over) && !over.contains(miniature.canvas);
 
+const SIGNS = ["pointermove", "pointerdown", "keydown", "wheel", "scroll", "touchmove", "focusin", "visibilitychange"]; // that somebody is there
+
 // One loop of frames, one observer of each kind, for all miniatures of the page.
 const gallery = {
   all: new Set(),
@@ -28,6 +31,8 @@ const gallery = {
   waiting: 0,
   last: -Infinity,
   drawn: 0,
+  patience: 120_000, // ms: a page that is left open costs nothing
+  sign: 0, // ms, when somebody did something last
 
   add(miniature) {
     if (!this.seen) this.start();
@@ -51,12 +56,23 @@ const gallery = {
     this.sizes = new ResizeObserver((entries) => {
       for (const entry of entries) this.byCanvas.get(entry.target)?.resize(entry.contentRect);
     });
+    this.sign = performance.now();
+    for (const name of SIGNS) document.addEventListener(name, () => this.wake(), { capture: true, passive: true });
     onTheme(() => {
       for (const miniature of this.all) miniature.recolour();
     });
     lessMotion.addEventListener("change", () => {
       for (const miniature of this.all) miniature.settle();
     });
+  },
+
+  get rests() {
+    return performance.now() - this.sign > this.patience;
+  },
+
+  wake() {
+    this.sign = performance.now();
+    this.request();
   },
 
   get alive() {
@@ -148,6 +164,7 @@ class Miniature {
   }
 
   get moves() {
+    if (gallery.rests && !this.clock && !this.awake) return false;
     return this.visible && this.playing && this.loop.duration > 0;
   }
 
