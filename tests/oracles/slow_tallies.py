@@ -25,7 +25,13 @@ _MOVING = 0.15  # share of the speed (90 %) below which the body rests
 _BOUT_GAP = 9  # frames of rest between two bouts of movement
 _SHORTEST = 9  # frames of a period
 _LONGEST = 0.62  # share of the moving part that a period may last
-_NEAR, _REACHED, _END, _ROUNDS = 0.8, 0.1, 3, 2.5  # of what is repeated between a way there and a way back
+_NEAR, _REACHED, _END, _ROUNDS, _CORE_ALIKE = (
+    0.8,
+    0.1,
+    3,
+    2.5,
+    0.2,
+)  # of what is repeated between a way there and a way back
 _ALIKE, _NEARLY = 0.3, 0.8  # correlation of a period at least; share of the highest that a shorter period needs
 
 
@@ -49,7 +55,7 @@ def measure_tallies(sampled: FloatArray, height: float) -> FloatArray:
     if speeds.max() <= 1e-9:
         return np.zeros(len(TALLIES))
     core = find_core(poses, speeds)
-    if core.stop > core.start and _fit_periods(velocities[core]) >= _ROUNDS:
+    if core.stop > core.start and _fit_periods(velocities[core], _CORE_ALIKE) >= _ROUNDS:
         points, poses = points[core], _describe(points[core], height, _SMOOTHING)
         speeds, velocities = _measure_speeds(poses)
     moving, axes = _find_moving(speeds), _find_axes(poses, velocities)
@@ -213,14 +219,14 @@ def _count_away(poses: FloatArray, speeds: FloatArray) -> tuple[float, float]:
 def _count_periods(velocities: FloatArray, moving: BoolArray) -> float:
     """How often the period fits into the moving part; 1 where there is none."""
     places = np.flatnonzero(moving)
-    return _fit_periods(velocities[places[0] : places[-1] + 1])
+    return _fit_periods(velocities[places[0] : places[-1] + 1], _ALIKE)
 
 
-def _fit_periods(part: FloatArray) -> float:
+def _fit_periods(part: FloatArray, alike: float) -> float:
     likeness = correlate(part)
     peaks = 1 + np.flatnonzero((likeness[1:-1] >= likeness[:-2]) & (likeness[1:-1] > likeness[2:]))
     peaks = peaks[peaks >= _SHORTEST]
-    if not len(peaks) or likeness[peaks].max() < _ALIKE:
+    if not len(peaks) or likeness[peaks].max() < alike:
         return 1.0
     period = peaks[likeness[peaks] >= _NEARLY * likeness[peaks].max()][0]
     return len(part) / float(period)

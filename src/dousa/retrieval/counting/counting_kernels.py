@@ -59,8 +59,8 @@ SHORT = 256
 LONGEST = 0.62
 """Share of the moving part that a period may last."""
 
-ROUNDS = 2.5
-"""Periods that are repetitions: one action that goes there and back may have a top with two parts."""
+ROUNDS, CORE_ALIKE = 2.5, 0.2
+"""Periods that are repetitions, as one action there and back may have a top of two parts; and their correlation."""
 
 CALM = 120
 """Of the calm poses, so many are looked at, and at least half as many."""
@@ -132,19 +132,22 @@ def _count_periods(velocities, speeds, moving, sums):
     for t in range(len(speeds)):
         if speeds[t] > moving:
             first, last = min(first, t), t + 1
-    return _fit_periods(velocities, first, last, sums)
+    return _fit_periods(velocities, first, last, ALIKE, sums)
 
 
 @compiled
-def _fit_periods(velocities, first, last, sums):
-    """How often the period fits into the frames from ``first`` to before ``last``, as `_count_periods` says."""
+def _fit_periods(velocities, first, last, alike, sums):
+    """How often the period fits into the frames from ``first`` to before ``last``, as `_count_periods` says.
+
+    ``alike`` is the least correlation of a period.
+    """
     n = last - first
     if n > SHORT:
         return np.nan
     likeness = sums[0, : max(round(LONGEST * n), 1)]
     correlate(velocities, first, last, likeness)
     normalise(velocities, first, last, sums[1], likeness)
-    period = find_period(likeness, SHORTEST, ALIKE, NEARLY)
+    period = find_period(likeness, SHORTEST, alike, NEARLY)
     return n / period if period else 1.0
 
 
@@ -156,7 +159,7 @@ def _find_repeated(course, speeds, ordered, lines, sums, core):
     """
     start, stop = find_core(course[0], speeds, _read_moving(ordered), 2 * SHORTEST, lines)
     if stop > start:
-        periods = _fit_periods(course[1], start, stop, sums)
+        periods = _fit_periods(course[1], start, stop, CORE_ALIKE, sums)
         if periods >= ROUNDS:
             core[0], core[1] = start, stop
             return True

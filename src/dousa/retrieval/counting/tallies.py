@@ -71,7 +71,7 @@ def measure_tallies(sampled: FloatArray, height: float) -> FloatArray:
     found, (first, last), (frames, speeds) = _tally_one(points, height)
     if last > 0:  # a part of it, short enough for all to be told
         return found
-    if last < 0 and _fit_periods(_read_velocities(frames[0], len(points))[:, first:-last]) >= counting.ROUNDS:
+    if last < 0 and _is_repeated(_read_velocities(frames[0], len(points))[:, first:-last]):
         points = points[first:-last]
         found, _, (frames, speeds) = _tally_one(points, height, whole=True)
     for place, course, speed in zip(_PERIODS, frames, speeds.reshape(3, -1), strict=True):
@@ -142,11 +142,15 @@ def _count_periods(velocities: FloatArray, speeds: FloatArray) -> float:
     """How often the period fits into the moving part; 1 where there is none. ``velocities`` (K, n), ``speeds`` (n,)."""
     moving = counting.MOVING * kernels.read_quantile(np.sort(speeds), 0.9)
     places = np.flatnonzero(speeds > moving)
-    return _fit_periods(velocities[:, places[0] : places[-1] + 1])
+    return _fit_periods(velocities[:, places[0] : places[-1] + 1], counting.ALIKE)
 
 
-def _fit_periods(velocities: FloatArray) -> float:
-    period = kernels.find_period(correlate(velocities.T), counting.SHORTEST, counting.ALIKE, counting.NEARLY)
+def _is_repeated(velocities: FloatArray) -> bool:
+    return _fit_periods(velocities, counting.CORE_ALIKE) >= counting.ROUNDS
+
+
+def _fit_periods(velocities: FloatArray, alike: float) -> float:
+    period = kernels.find_period(correlate(velocities.T), counting.SHORTEST, alike, counting.NEARLY)
     return velocities.shape[1] / float(period) if period else 1.0
 
 
