@@ -56,7 +56,7 @@ SHORT_GAP = 15
 
 _View = Callable[[NDArray[np.float32]], NDArray[np.float32]]  # discriminants of moments
 
-_VERSION, _EARLIER = 6, (4, 5)
+_VERSION, _EARLIER = 7, (4, 5, 6)
 _WHAT = Message("stored.labeller")
 _NAMES = (
     *("version", "classes", *MODEL_ARRAYS, "log_lengths", "spreads", "weights"),
