@@ -41,7 +41,7 @@ const review = new Review({
     choose(segment);
   },
   onChoose: (segment) => choose(segment),
-  onLearn: (part) => learn(part),
+  onLearn: (part) => learn({ of: part.category, ...part }), // a stretch keeps its name; what else happens at that time stays
   isShown: () => !$("#take").hidden,
 });
 
