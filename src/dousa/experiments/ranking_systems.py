@@ -119,16 +119,14 @@ def compute_body_poses(clip: PosedMotion) -> NDArray[np.float32]:
 
 
 def _describe_for_forest(clip: PosedMotion, feature_set: FeatureSet) -> tuple[NDArray[np.float64], NDArray[np.float32]]:
-    """Features and pose sequence; where both come from the same track, it is computed once."""
-    from dousa.retrieval.features.feature_sets import compute_track
-    from dousa.retrieval.features.pose_sequences import compute_pose_sequence, compute_window_poses
+    """Features and pose sequence; where both come from the same channels, these are computed once."""
+    from dousa.retrieval.features.pose_sequences import compute_pose_sequence, compute_with_poses
     from dousa.retrieval.features.sensor_noise import reduce_noise
 
     if not feature_set.has_banks:
         return feature_set.compute(clip), compute_pose_sequence(clip)
-    track = compute_track(reduce_noise(clip), feature_set)
-    whole = [0.0], [float(track.n_frames)]
-    return track.describe(*whole)[0], compute_window_poses(track, *whole)[0]
+    features, poses = compute_with_poses([reduce_noise(clip)], feature_set)
+    return features[0], poses[0]
 
 
 def _resample(poses: NDArray[np.float32], n_frames: int) -> NDArray[np.float32]:

@@ -52,11 +52,10 @@ def compute_pose_sequence(motion: PosedMotion) -> NDArray[np.float32]:
     ------
     InvalidMotionError : positions that are not finite, no frame, or no body height.
     """
-    from dousa.retrieval.features.feature_sets import FEATURE_SETS, compute_track
+    from dousa.retrieval.features.feature_sets import FEATURE_SETS
     from dousa.retrieval.features.sensor_noise import reduce_noise
 
-    track = compute_track(reduce_noise(motion), FEATURE_SETS["extended"])
-    sequence: NDArray[np.float32] = compute_window_poses(track, [0.0], [track.n_frames])[0]
+    sequence: NDArray[np.float32] = compute_with_poses([reduce_noise(motion)], FEATURE_SETS["extended"])[1][0]
     return sequence
 
 

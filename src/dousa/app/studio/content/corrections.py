@@ -259,12 +259,12 @@ def learn_correction(
         raise RefusedError(404, "studio_takes.no_correction", number=min(missing)[:40])
     take = find_take(studio, ref)
     meant = instead_of if take is not None and _has_label(studio, take, ref, instead_of) else None
-    there = [
-        one
-        for one in known
-        if any(_is_same(part, one.start_s, one.end_s) for part in parts) and meant in (None, one.category)
-    ]
-    gone = [one for one in known if one.id in replaces or one in there]
+
+    def gives_way(one: Correction) -> bool:
+        same = meant in (None, one.category) and any(_is_same(part, one.start_s, one.end_s) for part in parts)
+        return same or one.id in replaces
+
+    gone = [one for one in known if gives_way(one)]
     try:
         with studio.library.one_change("name", category=name):
             if ids := [one.clip_id for one in gone]:
@@ -283,10 +283,8 @@ def learn_correction(
 
 def _has_label(studio: Studio, take: int, ref: MotionRef, category: str | None) -> bool:
     """Whether mostly this part of a take of the library has a label of a category."""
-    known = studio.library.annotations.read([take])
-    return any(
-        _is_same(ref, one.start, one.end) for one in (known[0].segments if known else ()) if one.category == category
-    )
+    segments = [one for known in studio.library.annotations.read([take]) for one in known.segments]
+    return any(one.category == category and _is_same(ref, one.start, one.end) for one in segments)
 
 
 def _part_at(ref: MotionRef, split_s: float | None) -> list[MotionRef]:
