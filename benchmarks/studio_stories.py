@@ -222,7 +222,7 @@ def play_researcher(person: Person, data: Path, work: Path, downloads: Path) -> 
 
 def can_research(data: Path) -> bool:
     """Whether there are films, and models that find people in them."""
-    from dousa.app.films.film_scene import has_models
+    from dousa.app.pipelines.film_scene import has_models
 
     return len(list((data / "pose2sim" / "videos").glob("*.mp4"))) == 4 and has_models()
 

@@ -37,7 +37,7 @@ from dousa.app.report.figures import (
     pick_worst,
     view_moment,
 )
-from dousa.app.tables.assessment import print_assessment
+from dousa.app.tables.evaluation import print_assessment
 from dousa.evaluation import Assessment, ErrorEvent, compute_correlation_matrix
 from dousa.evaluation.words import KINDS, describe_segments
 from dousa.experiments.injection.injection import Error

@@ -119,7 +119,7 @@ def addresses(studio: Studio, demo: Path) -> dict[str, tuple[str, str]]:
 
 def estimate_films(studio: Studio) -> str | None:
     """The man of Pose2Sim by two phones and his stature; None where the recordings or the models are not here."""
-    from dousa.app.films.film_scene import has_models
+    from dousa.app.pipelines.film_scene import has_models
 
     films = [DATA / f"cam{number}.mp4" for number in PHONES]
     if not has_models() or not all(film.is_file() for film in films):

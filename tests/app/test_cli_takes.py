@@ -362,7 +362,7 @@ def test_the_table_of_a_take_says_how_often(capsys):
 
 
 def test_a_doubtful_guess_is_said_to_be_one():
-    from dousa.app.tables.verdicts import describe_verdict
+    from dousa.app.tables.search import describe_verdict
     from dousa.library import Verdict
     from dousa.messages import use_language
 

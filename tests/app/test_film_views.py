@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from dousa.app.films import film_views
-from dousa.app.films.film_scene import shows_masks
+from dousa.app.pipelines import film_scene
+from dousa.app.pipelines.film_scene import shows_masks
 from dousa.errors import KeypointError
 from dousa.estimation.keypoints.keypoints import MEDIAPIPE_NAMES, ViewKeypoints
 from patience import PATIENCE
@@ -29,12 +29,12 @@ def finders(monkeypatch):
         return make_view(film)
 
     monkeypatch.setattr("dousa.estimation.find_keypoints", find)
-    monkeypatch.setattr(film_views.os, "cpu_count", lambda: 2)
+    monkeypatch.setattr(film_scene.os, "cpu_count", lambda: 2)
     return known
 
 
 def open_all(names, progress=lambda done, total, what: None):
-    return film_views.open_keypoints([Path(f"{name}.mp4") for name in names], "full", progress)
+    return film_scene.open_keypoints([Path(f"{name}.mp4") for name in names], "full", progress)
 
 
 @pytest.mark.parametrize("content", [b"", b"sound" * 99])

@@ -7,7 +7,7 @@ import io
 from oracles.short_actions import make_library
 from rich.console import Console
 
-from dousa.app.tables.trials import print_tables
+from dousa.app.tables.lines import print_tables
 from dousa.experiments.takes import run_takes_experiment
 
 

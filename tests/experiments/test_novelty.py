@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from dousa.app.tables.trials import print_tables
+from dousa.app.tables.lines import print_tables
 from dousa.errors import OptionError, TrainingError
 from dousa.experiments import run_novelty_experiment
 from dousa.motion.canonical.joints import CANONICAL_JOINTS, JOINT_INDEX

@@ -69,7 +69,7 @@ def estimate(
     Example: dousa estimate cam1.mp4 cam2.mp4 --cameras calib.toml --background bg1.png bg2.png
     --stature 1.75 -o walk.bvh
     """
-    from dousa.app.films.film_estimate import estimate_sources
+    from dousa.app.pipelines.film_estimate import estimate_sources
 
     groups = (output_options, view_options, body_options, start_options, sequence_options, search_options)
     given = o.list_values(*groups, people_options, motion_options.load())

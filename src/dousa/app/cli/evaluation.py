@@ -84,8 +84,7 @@ def evaluate(
     Example: dousa evaluate squat.trc --performance squats.trc --repetitions --csv squats.csv
     """
     from dousa.app.cli.exercises import check_exercise_options, evaluate_exercise
-    from dousa.app.pipelines.beats import check_beat_options
-    from dousa.app.pipelines.evaluate import check_folder, find_references
+    from dousa.app.pipelines.evaluate import check_beat_options, check_folder, find_references
 
     if performance is None:
         raise OptionError("evaluation_cli.no_performance")
@@ -122,8 +121,7 @@ def _evaluate_dance(
     json: bool,
 ) -> None:
     """Assess a dance as a whole; print a table or JSON, write the report."""
-    from dousa.app.pipelines.beats import load_beats, time_accents
-    from dousa.app.pipelines.evaluate import evaluate_files
+    from dousa.app.pipelines.evaluate import evaluate_files, load_beats, time_accents
 
     beats = load_beats(music.music, music.beats)
     with progress_bar() as progress:
@@ -168,7 +166,7 @@ def progress(
 
     Example: dousa progress monday.json friday.json --picture pupil.png
     """
-    from dousa.app.pipelines.progress import compare_answers
+    from dousa.app.pipelines.evaluate import compare_answers
 
     check_targets({"--picture": picture}, answers)
     found, alike = compare_answers(answers)

@@ -59,7 +59,7 @@ def sync(
 
     Example: dousa sync left.mp4 front.mp4 right.mp4 -o sync.toml
     """
-    from dousa.app.films.film_sync import sync_films
+    from dousa.app.pipelines.film_cameras import sync_films
 
     check_targets({"--output": output}, (*films, cameras), SYNC)
     with progress_bar() as progress:
@@ -132,7 +132,7 @@ def calibrate(
 
     Example: dousa calibrate a.mp4 b.mp4 --board charuco:5x7:40mm:30mm -o calib.toml
     """
-    from dousa.app.films.film_cameras import CalibrationRequest, calibrate_films
+    from dousa.app.pipelines.film_cameras import CalibrationRequest, calibrate_films
 
     request = CalibrationRequest(tuple(films), stature, board, cameras, focal, offsets, together, model)
     check_targets({"--output": output, "--picture": picture}, (*films, cameras, offsets), CAMERAS)
@@ -146,7 +146,7 @@ def calibrate(
 
         write_cameras(output, found.cameras)
     if picture is not None:
-        from dousa.app.films.camera_picture import draw_cameras
+        from dousa.app.pipelines.film_cameras import draw_cameras
 
         draw_cameras(found, picture)
     if json:

@@ -262,7 +262,7 @@ def _print_answer(console: Console, plan: _Plan, result: SearchResult) -> None:
     from rich.markup import escape
     from rich.table import Table
 
-    from dousa.app.tables.verdicts import describe_verdict
+    from dousa.app.tables.search import describe_verdict
 
     truth = plan.queries[plan.example]
     console.print(f"\nQuery: {plan.example} ({plan.who})", markup=False, soft_wrap=True)
@@ -293,7 +293,7 @@ def _measure(console: Console, plan: _Plan, picture: Path, seed: int, n_jobs: in
     """The paper's experiment on all motions at hand."""
     from dousa.app.pictures.sheets import draw_experiment_figure
     from dousa.app.pipelines.experiment_clips import read_labelled_clips
-    from dousa.app.tables.trials import print_tables
+    from dousa.app.tables.lines import print_tables
     from dousa.experiments import run_experiment
     from dousa.formats.motion_files import ReadOptions
 

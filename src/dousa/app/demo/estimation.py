@@ -174,7 +174,7 @@ def _print_accuracy(console: Console, done: Estimation, files: _Files) -> None:
 
 
 def _search(console: Console, library_path: Path, files: _Files) -> None:
-    from dousa.app.tables.verdicts import describe_verdict
+    from dousa.app.tables.search import describe_verdict
     from dousa.library import Library
 
     with Library.open(library_path, read_only=True) as library:

@@ -107,7 +107,7 @@ def run_dance_demo(console: Console, output: Path, *, seed: int = 0) -> None:
     from dousa.app.output import make_folder, progress_bar, warn
     from dousa.app.pipelines.evaluate import evaluate_files
     from dousa.app.report import write_report
-    from dousa.app.tables.assessment import print_assessment
+    from dousa.app.tables.evaluation import print_assessment
     from dousa.formats.motion_files import ReadOptions
 
     make_folder(output)

@@ -1,13 +1,14 @@
-"""From motion files to an assessment, of a dance or of the repetitions of an exercise."""
+"""From motion files to an assessment, of a dance or of the repetitions of an exercise, and to a pupil over time."""
 
 from __future__ import annotations
 
+import json
 import os
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Generic, TypeVar
+from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
 from dousa.errors import InvalidMotionError, OptionError
 from dousa.formats.motion_files import ReadOptions, find_motion_files, read_canonical
@@ -15,7 +16,7 @@ from dousa.messages import Message
 
 if TYPE_CHECKING:
     from dousa.app.output import ProgressCallback
-    from dousa.evaluation import Assessment, Furi, RepetitionsAssessment
+    from dousa.evaluation import Assessment, Beats, BeatTiming, Furi, Progress, RepetitionsAssessment
     from dousa.motion import CanonicalMotion
 
 
@@ -202,3 +203,87 @@ def check_folder(folder: Path) -> None:
         raise OptionError("evaluate.folder_below_file", folder=folder, place=place)
     if not os.access(place, os.W_OK | os.X_OK):
         raise OptionError("evaluate.folder_not_writable", folder=folder, place=place)
+
+
+def check_beat_options(music: Path | None, beats: Path | None, start_s: float | None, repetitions: bool) -> None:
+    """Whether the options go together, before the long work.
+
+    Raises
+    ------
+    OptionError : two sources of beats, a start without one, or either with ``--repetitions``.
+    """
+    if music is not None and beats is not None:
+        raise OptionError("beats.one_source")
+    if start_s is not None and music is None and beats is None:
+        raise OptionError("beats.start_with")
+    if repetitions and (music is not None or beats is not None):
+        raise OptionError("beats.not_with", option="--music" if beats is None else "--beats")
+
+
+def load_beats(music: Path | None, beats: Path | None) -> Beats | None:
+    """The beats of a sound file or of a text file; None if there is neither."""
+    from dousa.evaluation import find_beats, read_beats
+
+    if beats is not None:
+        return read_beats(beats)
+    return None if music is None else find_beats(music)
+
+
+def time_accents(done: Evaluation[Assessment], beats: Beats, start_s: float | None) -> BeatTiming:
+    """The accents of the performance of an evaluation against the beats.
+
+    Raises
+    ------
+    DousaError : as `dousa.evaluation.assess_timing`, with the name of the file.
+    """
+    from dousa.evaluation import assess_timing
+
+    try:
+        return assess_timing(done.motion, beats, music_start_s=start_s)
+    except InvalidMotionError as error:
+        raise InvalidMotionError("cli.file_problem", path=done.performance, reason=error.located) from error
+
+
+_MOST_BYTES = 100_000_000
+
+
+def compare_answers(paths: Sequence[Path]) -> tuple[Progress, bool]:
+    """Compare evaluations.
+
+    Parameters
+    ----------
+    paths : files that ``dousa evaluate --json`` wrote, the oldest first.
+
+    Returns
+    -------
+    progress : the comparison.
+    alike : whether all have the same reference.
+
+    Raises
+    ------
+    OptionError : a file that cannot be read or is something else; fewer than two files.
+    """
+    from dousa.evaluation import compare_attempts, read_attempt
+
+    answers = [_read(path) for path in paths]
+    attempts = [
+        read_attempt(answer, _name(answer, path)) if isinstance(answer, Mapping) else read_attempt({}, str(path))
+        for path, answer in zip(paths, answers, strict=True)
+    ]
+    models = {json.dumps(answer.get("references")) for answer in answers}
+    return compare_attempts(attempts), len(models) == 1
+
+
+def _read(path: Path) -> Any:
+    try:
+        if path.stat().st_size > _MOST_BYTES:
+            raise OptionError("progress.too_large", path=path)
+        return json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError, RecursionError) as error:
+        raise OptionError("progress.unreadable", path=path, reason=error) from error
+
+
+def _name(answer: Mapping[str, Any], path: Path) -> str:
+    """Of the performance; of the file where that is not known."""
+    performance = answer.get("performance")
+    return Path(performance).name if isinstance(performance, str) else path.name

@@ -1,8 +1,8 @@
-"""Lines, cells and tables, as all answers have them, and the notes below an answer."""
+"""Lines, cells and tables, as all answers have them, the notes below an answer, and tables of experiments."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import TYPE_CHECKING, Any
 
 from rich.markup import escape
@@ -13,6 +13,9 @@ from dousa.messages import Message
 
 if TYPE_CHECKING:
     from rich.console import Console
+
+    from dousa.experiments.table import ResultTable
+
 
 SHOWN = 10
 """Lines of a list that are printed."""
@@ -69,3 +72,25 @@ def print_notes(out: Console, notes: Sequence[Message], path: str | None = None)
             out.print(one_line(f"  {note}"), markup=False, soft_wrap=True)
         else:
             warn(note if path is None else Message("text.in_file", path=path, problem=note))
+
+
+def print_tables(out: Console, tables: Iterable[ResultTable]) -> None:
+    """Print tables one below the other, each with the lines that belong to it, in the language in use."""
+    for answer in tables:
+        for line in answer.preface:
+            out.print(one_line(str(line)), markup=False, soft_wrap=True)
+        if answer.columns:
+            out.print(_make_result_table(answer))
+        for line in answer.notes:
+            out.print(one_line(str(line)), markup=False, soft_wrap=True)
+
+
+def _make_result_table(answer: ResultTable) -> Table:
+    look = {} if answer.framed else {"box": None}
+    table = Table(title=to_cell(answer.title) or None, title_justify="left", **look)  # type: ignore[arg-type]
+    for place, heading in enumerate(answer.columns):
+        table.add_column(to_cell(heading), justify="left" if place < answer.n_words else "right")
+    for number, row in enumerate(answer.rows):
+        style = "bold" if number in answer.bold else None
+        table.add_row(*map(to_cell, row), style=style, end_section=number in answer.sections)
+    return table

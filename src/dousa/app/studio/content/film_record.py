@@ -24,7 +24,7 @@ from dousa.app.studio.core.answers import Answer, RefusedError
 from dousa.files.disk import atomic_write
 
 if TYPE_CHECKING:
-    from dousa.app.films.film_scene import FilmScene
+    from dousa.app.pipelines.film_scene import FilmScene
     from dousa.arrays import FloatArray
     from dousa.estimation import Camera, PersonTrack, ViewKeypoints
     from dousa.estimation.multiview.people import MatchedPerson
@@ -161,7 +161,7 @@ class FilmRecordWriter:
         )
 
     def _keep_tracks(self, found: Sequence[ViewKeypoints], moments: Sequence[FloatArray]) -> None:
-        from dousa.app.films.film_scene import nearest_frames
+        from dousa.app.pipelines.film_scene import nearest_frames
 
         frames = np.stack([nearest_frames(view.times, own) for view, own in zip(found, moments, strict=True)])
         for number, (view, rows) in enumerate(zip(found, frames, strict=True)):

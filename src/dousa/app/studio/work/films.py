@@ -52,7 +52,7 @@ def pair_films(sources: Sequence[Path]) -> tuple[FilmSource, ...]:
     ------
     OptionError : too many, or two of one name.
     """
-    from dousa.app.films.film_views import name_films
+    from dousa.app.pipelines.film_scene import name_films
 
     films = [path for path in sources if not holds_keypoints(path)]
     found = [path for path in sources if holds_keypoints(path)]
@@ -76,7 +76,7 @@ def _is_of(keypoints: Path, film: Path) -> bool:
 
 def takes_films(request: dict[str, Any], asked: EstimationRequest) -> bool:
     """Whether keypoints are to be fitted: films or keypoints, and no plates; silhouettes where somebody wants them."""
-    from dousa.app.films.film_scene import is_films, shows_masks
+    from dousa.app.pipelines.film_scene import is_films, shows_masks
 
     if request.get("cues") is not None:
         return bool(request["cues"] == "keypoints")
@@ -89,7 +89,7 @@ def takes_films(request: dict[str, Any], asked: EstimationRequest) -> bool:
 
 def can_do_without(asked: EstimationRequest) -> bool:
     """Whether films can be estimated by their silhouettes, since models are missing and a calibration is there."""
-    from dousa.app.films.film_scene import has_models
+    from dousa.app.pipelines.film_scene import has_models
 
     if any(holds_keypoints(path) for path in asked.sources) or asked.cameras is None:
         return False
@@ -138,8 +138,8 @@ def estimate_from_films(
     ------
     DousaError : what can be put right by the person who reads it.
     """
-    from dousa.app.films.film_estimate import check_agreement, estimate_person
-    from dousa.app.films.film_scene import place_films
+    from dousa.app.pipelines.film_estimate import check_agreement, estimate_person
+    from dousa.app.pipelines.film_scene import place_films
     from dousa.app.studio.content.film_record import FilmRecordWriter
     from dousa.errors import KeypointError
     from dousa.estimation.cameras.camera_files import write_cameras
@@ -190,7 +190,7 @@ def _show_films(views: Sequence[FilmSource], record: FilmRecordWriter, context: 
 
 
 def _find_people(views: Sequence[FilmSource], asked: EstimationRequest, context: Context) -> tuple[ViewKeypoints, ...]:
-    from dousa.app.films.film_views import open_keypoints
+    from dousa.app.pipelines.film_scene import open_keypoints
 
     found = open_keypoints([view.source for view in views], asked.model, context.progress)
     for one in found:

@@ -1,21 +1,22 @@
-"""What files hold, and what became of those that were added or read."""
+"""What files and libraries hold, what became of files that were added, and what looking after a library found."""
 
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
+from datetime import datetime
 from typing import TYPE_CHECKING, Any
 
 from rich.table import Table
 
-from dousa.app.output import warn
+from dousa.app.output import one_line, warn
 from dousa.app.tables.lines import SHOWN, print_some, say_line, to_cell
 from dousa.messages import Message
 
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from dousa.library import AddReport
+    from dousa.library import AddReport, CheckReport, DuplicateGroup, JournalEntry, LabelReview, SavedSearch
 
 
 def print_info(out: Console, answer: dict[str, Any]) -> None:
@@ -137,3 +138,113 @@ def warn_of_files(notes: Iterable[tuple[str, Message]]) -> None:
             warn(message if message.code in _NAMED else Message("text.in_file", path=paths[0], problem=message))
     if len(files) > SHOWN:
         warn(Message("answers.more_notes", n=len(files) - SHOWN))
+
+
+_CLIP_COLUMNS = (
+    *("columns.clip", "columns.kind", "columns.category", "columns.predicted", "columns.performer"),
+    *("columns.seconds", "columns.rate", "columns.file"),
+)
+
+
+def print_clips(out: Console, rows: list[dict[str, Any]]) -> None:
+    """Clips of a library, one in a row."""
+    table = Table(box=None)
+    for code in _CLIP_COLUMNS:
+        right = code in ("columns.clip", "columns.seconds", "columns.rate")
+        table.add_column(str(Message(code)), justify="right" if right else "left", overflow="fold")
+    for row in rows:
+        labels = [to_cell(row[name] or "-") for name in ("category", "predicted_category", "performer")]
+        table.add_row(
+            str(row["id"]),
+            row["kind"],
+            *labels,
+            f"{row['duration']:.1f}",
+            f"{row['frame_rate']:g}",
+            to_cell(row["path"]),
+        )
+    out.print(table)
+
+
+def print_stats(out: Console, library: str, stats: dict[str, Any]) -> None:
+    """A library in numbers."""
+    forest = Message("stats.untrained")
+    if stats["trained_at"]:
+        features = stats["parameters"].get("feature_set", "paper")
+        forest = Message("stats.trained", time=stats["trained_at"], features=features)
+        if stats["n_learned"]:
+            forest = Message("stats.learned_since", forest=forest, n=stats["n_learned"])
+        if not stats["forest_is_current"]:
+            forest = Message("stats.changed_since", forest=forest)
+    parts = [Message("stats.clips", n=stats["n_clips"], minutes=stats["seconds"] / 60)]
+    if stats["n_takes"]:
+        parts.append(Message("stats.takes", n=stats["n_takes"], minutes=stats["take_seconds"] / 60))
+    parts.append(Message("stats.performers", n=len(stats["performers"])))
+    say_line(out, "stats.library", library=library, parts=parts, forest=forest)
+    table = Table(box=None)
+    table.add_column(str(Message("columns.category")))
+    table.add_column(str(Message("columns.clips")), justify="right")
+    for name, count in stats["categories"].items():
+        table.add_row(to_cell(name), str(count))
+    if stats["n_unlabelled"]:
+        table.add_row(str(Message("stats.no_category")), str(stats["n_unlabelled"]))
+    out.print(table)
+
+
+def print_label_review(out: Console, report: LabelReview, most: int) -> None:
+    """Clips in doubt, the likeliest mistakes first, and how many were looked at."""
+    for one in report.doubts[:most]:
+        labels = {"category": one.category, "suggested": one.suggested}
+        votes = {"votes": one.votes, "own": one.own_votes}
+        say_line(out, "library_review.line", number=one.clip_id, path=one.path, **labels, **votes)
+    if len(report.doubts) > most:
+        say_line(out, "library_review.more", n=len(report.doubts) - most)
+    say_line(out, "library_review.looked_at", n=len(report.doubts), judged=report.n_judged)
+    if report.n_few:
+        say_line(out, "library_review.few", n=report.n_few)
+    if report.n_checked:
+        say_line(out, "library_review.checked", n=report.n_checked)
+
+
+def print_duplicates(out: Console, groups: Sequence[DuplicateGroup], most: int) -> None:
+    """Groups of clips that are nearly the same."""
+    for group in groups[:most]:
+        say_line(out, "library_review.group", n=len(group.clip_ids), percent=100 * group.distance)
+        for number, path, category in zip(group.clip_ids, group.paths, group.categories, strict=True):
+            say_line(out, "library_review.member", number=number, path=path, category=category or "-")
+    if len(groups) > most:
+        say_line(out, "library_review.more", n=len(groups) - most)
+    say_line(out, "library_review.groups", n=len(groups))
+
+
+def print_check(out: Console, report: CheckReport) -> None:
+    """What is damaged and what can be done, or that nothing is."""
+    for message in report.to_messages():
+        out.print(one_line(str(message)), markup=False, soft_wrap=True)
+
+
+def print_journal(out: Console, entries: Sequence[JournalEntry]) -> None:
+    """The changes of a library that can be undone, the last first."""
+    if not entries:
+        out.print(str(Message("journal.empty")), markup=False)
+    for entry in entries:
+        when = datetime.fromisoformat(entry.made_at).astimezone().strftime("%Y-%m-%d %H:%M")
+        values = {"number": entry.number, "when": when, "what": entry.what}
+        line = str(Message("journal.line_undone" if entry.is_undone else "journal.line", **values))
+        if entry.kept_bytes:
+            line += str(Message("journal.line_kept", megabytes=entry.kept_bytes / 1e6))
+        out.print(one_line(line), markup=False, soft_wrap=True)
+
+
+def print_tags(out: Console, counts: Mapping[str, int], searches: Sequence[SavedSearch]) -> None:
+    """Tags with how often they are given, and searches that are kept."""
+    if not counts and not searches:
+        out.print(str(Message("library_tags.nothing_there")), markup=False)
+    for name, n in counts.items():
+        out.print(one_line(str(Message("library_tags.line", tag=name, n=n))), markup=False, soft_wrap=True)
+    for one in searches:
+        if one.is_selection:
+            message = Message("library_searches.selection", name=one.name, n=len(one.asked["clips"]))
+        else:
+            filters = tuple(f"{name}={value}" for name, value in one.asked.items())
+            message = Message("library_searches.line", name=one.name, filters=filters)
+        out.print(one_line(str(message)), markup=False, soft_wrap=True)

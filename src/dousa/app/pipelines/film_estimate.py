@@ -8,7 +8,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from dousa.app.films.film_scene import (
+from dousa.app.pipelines.doubts import describe_doubts
+from dousa.app.pipelines.estimate import Estimation, estimate_files
+from dousa.app.pipelines.estimation_output import check_outputs, write_outputs
+from dousa.app.pipelines.estimation_views import Scene, Watcher
+from dousa.app.pipelines.film_scene import (
     FilmScene,
     PersonSilhouettes,
     has_models,
@@ -18,10 +22,6 @@ from dousa.app.films.film_scene import (
     shows_masks,
     with_outputs,
 )
-from dousa.app.pipelines.doubts import describe_doubts
-from dousa.app.pipelines.estimate import Estimation, estimate_files
-from dousa.app.pipelines.estimation_output import check_outputs, write_outputs
-from dousa.app.pipelines.estimation_views import Scene, Watcher
 from dousa.errors import KeypointError, OptionError
 from dousa.extras import require
 from dousa.messages import Message

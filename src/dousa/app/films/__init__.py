@@ -1,1 +1,0 @@
-"""The films of one scene: their keypoints, times and cameras."""
