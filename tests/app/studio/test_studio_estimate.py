@@ -17,7 +17,7 @@ from app.studio.conftest import TOKEN, wait_for
 from app.studio.estimating_scenes import write_scene
 from dousa.app.studio import Settings, create_app
 from dousa.app.studio.content.footage import Footage, FootageWriter
-from dousa.app.studio.core.words import name_error, pack, say, say_packed
+from dousa.app.studio.core.answers import name_error, pack, say, say_packed
 from dousa.app.studio.jobs.lanes import Context
 from dousa.app.studio.work.materials import sort_materials
 from dousa.app.studio.work.preview import preview

@@ -18,7 +18,7 @@ from app.studio.conftest import TOKEN, wait_for
 from app.studio.film_scenes import LATE, N_FRAMES, RATE, write_film_scene
 from app.studio.test_studio_estimate import look, look_here, upload
 from dousa.app.studio import Settings, create_app
-from dousa.app.studio.content.film_pictures import FilmPictures, choose_stride, name_pictures, write_pictures
+from dousa.app.studio.content.film_record import FilmPictures, choose_stride, name_pictures, write_pictures
 from dousa.app.studio.work.films import choose_person, choose_who_places, leave_out, pair_films
 from dousa.app.studio.work.materials import sort_materials
 from dousa.errors import OptionError

@@ -10,8 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from dousa.app.studio.core.home_lock import lock_file, open_private
-from dousa.app.studio.core.workspace import Workspace
+from dousa.app.studio.core.workspace import Workspace, lock_file, open_private
 from dousa.app.studio.work import worker
 from fuzzing import count_tries
 from patience import PATIENCE

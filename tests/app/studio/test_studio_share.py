@@ -23,7 +23,7 @@ pytest.importorskip("cryptography", reason="pip install 'dousa[share]'")
 pytest.importorskip("segno", reason="pip install 'dousa[share]'")
 
 from dousa.app.studio import shared as sharing_server
-from dousa.app.studio.core.certificate import provide_certificate
+from dousa.app.studio.content.sharing import provide_certificate
 from dousa.app.studio.shared import create_shared_app, make_sharing, router
 from patience import PATIENCE
 
@@ -63,7 +63,7 @@ class Visitor:
 def visitor(studio):
     from starlette.testclient import TestClient
 
-    from dousa.app.studio.core.share_links import ShareLinks
+    from dousa.app.studio.content.sharing import ShareLinks
 
     links = ShareLinks()
     app = create_shared_app(studio.app.state.studio, HOST, links, answer_problems)

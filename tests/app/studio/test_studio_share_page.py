@@ -131,7 +131,7 @@ def test_a_teacher_gets_the_code_takes_it_back_and_ends_it(show, sharing, job):
     assert url.startswith("https://127.0.0.1:")
     warning = page.run("return document.querySelector('#sharing .problem-box').textContent")
     assert "Nobody can change anything" in warning
-    assert sharing.door.fingerprint in page.run("return document.querySelector('#sharing').textContent")
+    assert sharing.server.fingerprint in page.run("return document.querySelector('#sharing').textContent")
     before = sharing.links.all()
     assert [link.report for link in before] == [job]
     page.run("document.querySelector('.sharing-links').open = true")
@@ -140,11 +140,11 @@ def test_a_teacher_gets_the_code_takes_it_back_and_ends_it(show, sharing, job):
     assert sharing.links.find(before[0].token) is None  # the link that is shown now is another one
     page.find("[data-act=share_end]").click()
     page.wait("return document.querySelector('[data-act=share_begin]')")
-    assert sharing.door is None
+    assert sharing.server is None
     assert not page.run("return document.querySelector('#share-button').classList.contains('on')")
     page.find("[data-act=share_begin]").click()
     page.wait("return document.querySelector('#sharing img')")
-    assert sharing.door is not None
+    assert sharing.server is not None
     assert page.messages() == []
 
 

@@ -6,7 +6,7 @@ import json
 
 import pytest
 
-from dousa.app.studio.work.trust import rank_warnings
+from dousa.app.studio.work.estimation import rank_warnings
 from dousa.messages import Message
 from dousa.messages.tables import load_table
 
@@ -35,7 +35,7 @@ def test_the_gravest_comes_first_and_counts(warnings, lost, trust, order):
 
 
 def test_every_code_that_is_weighed_exists():
-    from dousa.app.studio.work import trust
+    from dousa.app.studio.work import estimation as trust
 
     assert (trust._WRONG | trust._DOUBTFUL) - set(load_table("en")) == set()
 

@@ -46,7 +46,7 @@ def test_a_structure_is_not_repaired_under_an_open_studio(studio, wait_job, libr
 def test_a_repair_looks_once_where_nothing_is_damaged(studio, wait_job, library_copy, monkeypatch):
     from types import SimpleNamespace
 
-    from dousa.app.studio.work.upkeep import check
+    from dousa.app.studio.work.library import check
     from dousa.library.upkeep import repair
 
     looks, find = [], repair.find_damage
@@ -58,7 +58,7 @@ def test_a_repair_looks_once_where_nothing_is_damaged(studio, wait_job, library_
 
 
 def test_files_of_jobs_are_read_once(tmp_path, monkeypatch):
-    from dousa.app.studio.jobs.mentioned import MentionedBatches
+    from dousa.app.studio.content.disk_space import MentionedBatches
 
     batches = [f"{k:016x}" for k in range(3)]
     for name in batches:

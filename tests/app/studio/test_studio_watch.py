@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from dousa.app.studio.jobs.folder_watch import FolderWatch
+from dousa.app.studio.jobs.board import FolderWatch
 from dousa.formats.registry import write_motion
 from dousa.motion.synthetic.performers import draw_performer, make_motion
 

@@ -122,7 +122,7 @@ def _make_page(page: str) -> Any:
 def _is_shared(request: Request) -> bool:
     """Whether others on the network see something now; sharing that was ended can begin again."""
     sharing = request.app.state.studio.sharing
-    return sharing is not None and sharing.door is not None
+    return sharing is not None and sharing.server is not None
 
 
 def _more(page: str, request: Request) -> dict[str, Any]:

@@ -32,14 +32,10 @@ from dousa.app.studio.api.exports import CHARACTER_FORM
 from dousa.app.studio.content.motions import MOTION_FORM
 from dousa.app.studio.content.sharing import print_code
 from dousa.app.studio.content.studio import Studio
-from dousa.app.studio.core.answers import Answer, describe_disk, status_of, to_answer
-from dousa.app.studio.core.codes import Codes
-from dousa.app.studio.core.guard import Guard
-from dousa.app.studio.core.home_lock import HomeTakenError, ask_running, other_library
-from dousa.app.studio.core.words import name_error
-from dousa.app.studio.core.workspace import Settings
-from dousa.app.studio.jobs.board import ACTIVE
-from dousa.app.studio.jobs.folder_watch import FolderWatch
+from dousa.app.studio.core.answers import Answer, describe_disk, name_error, status_of, to_answer
+from dousa.app.studio.core.guard import Codes, Guard
+from dousa.app.studio.core.workspace import HomeTakenError, Settings, ask_running, other_library
+from dousa.app.studio.jobs.board import ACTIVE, FolderWatch
 from dousa.app.studio.shared import make_sharing
 from dousa.app.studio.work.worker import make_lanes
 from dousa.errors import DousaError, OptionError
@@ -119,14 +115,14 @@ def _begin_sharing(studio: Studio, address: IPv4Address) -> None:
     """Show reports and library on the network, and say to whom, with the code for a phone."""
     studio.sharing = make_sharing(studio, address, answer_problems, PatientProtocol)
     try:
-        door = studio.sharing.begin()
+        server = studio.sharing.begin()
     except BaseException:
         studio.close()
         raise
     link = studio.sharing.address_of(studio.sharing.links.add(None))
     if sys.stderr.isatty():
         sys.stderr.write(f"\n{print_code(link)}\n")
-    sys.stderr.write(f"{Message('studio_share.serving', address=link, fingerprint=door.fingerprint)}\n")
+    sys.stderr.write(f"{Message('studio_share.serving', address=link, fingerprint=server.fingerprint)}\n")
 
 
 def _watch(folder: Path, studio: Studio) -> FolderWatch:

@@ -16,25 +16,88 @@ from collections.abc import Callable
 from functools import partial
 from ipaddress import IPv4Address
 from typing import TYPE_CHECKING, Annotated, Any
+from urllib.parse import parse_qsl, quote
 
 from fastapi import APIRouter, Depends, FastAPI, Query, Request
 from starlette.responses import Response
 
 from dousa.app.studio import pages
 from dousa.app.studio.api import evaluation, motions
-from dousa.app.studio.content.clips import Asked
+from dousa.app.studio.content.clips import ClipQuery
 from dousa.app.studio.content.evaluations import Language
-from dousa.app.studio.content.sharing import Door, Sharing, check_address
+from dousa.app.studio.content.sharing import (
+    KEY,
+    SharedServer,
+    ShareLink,
+    ShareLinks,
+    Sharing,
+    check_address,
+    provide_certificate,
+)
 from dousa.app.studio.content.studio import Studio, StudioNow
 from dousa.app.studio.core.answers import BYTES, Answer, RefusedError
-from dousa.app.studio.core.certificate import provide_certificate
-from dousa.app.studio.core.share_links import ShareLink, ShareLinks
-from dousa.app.studio.core.shared_guard import LINK, SharedGuard
+from dousa.app.studio.core.guard import RequestGuard, check_names, read_cookies
 from dousa.errors import OptionError
 from dousa.extras import require
 
 if TYPE_CHECKING:
     from collections.abc import Coroutine
+
+    from starlette.datastructures import Headers
+    from starlette.types import ASGIApp, Receive, Scope
+
+    from dousa.app.studio.content.sharing import ShareLink, ShareLinks
+
+
+LINK = "share_link"
+"""Where the link by which somebody came stands in the state of a request."""
+
+
+class SharedGuard(RequestGuard):
+    """Who may look at what is shown on the network.
+
+    Parameters
+    ----------
+    app : what answers requests that may come in.
+    host : address and port at which the network sees the studio.
+    links : which are let in.
+    """
+
+    def __init__(self, app: ASGIApp, host: str, links: ShareLinks) -> None:
+        super().__init__(app)
+        self._host, self._links = host, links
+        self._cookie = f"__Host-dousa_share_{host.rpartition(':')[2]}"  # sent over https alone, set by nobody else
+
+    async def judge(self, scope: Scope, headers: Headers, receive: Receive) -> Answer | Receive:
+        """As `RequestGuard.judge`: by the name that is asked, the method, and the link."""
+        check_names(scope["method"], headers, "https", {self._host})
+        if scope["method"] not in ("GET", "HEAD"):
+            raise RefusedError(405, "studio_share.only_reads")
+        if headers.get("content-length", "0") != "0" or "transfer-encoding" in headers:
+            raise RefusedError(413, "studio.large_request", most=0)
+        asked = dict(parse_qsl(scope["query_string"].decode("latin-1")))
+        if KEY in asked and not scope["path"].startswith("/api/"):
+            return self._welcome(asked[KEY])
+        scope.setdefault("state", {})[LINK] = self._find_link(headers)
+        return receive
+
+    def _find_link(self, headers: Headers) -> ShareLink:
+        for token in read_cookies(headers.getlist("cookie"), self._cookie):
+            link = self._links.find(token)
+            if link is not None:
+                return link
+        raise RefusedError(401, "studio_share.no_key")
+
+    def _welcome(self, token: str) -> Answer:
+        """The secret goes from the address into a cookie; the page that is shown is the link's own."""
+        link = self._links.find(token)
+        if link is None:
+            raise RefusedError(401, "studio_share.no_key")
+        answer = Answer(None, 303)
+        answer.headers["location"] = "/" if link.report is None else f"/report?job={quote(link.report)}"
+        answer.set_cookie(self._cookie, link.token, httponly=True, secure=True, samesite="lax", path="/")
+        return answer
+
 
 FIRST_PORT, _TRIES = 8865, 20
 _MOST_CONNECTIONS, _MOST_OF_ONE = 100, 24  # of all, and of one address; a browser opens about six
@@ -110,7 +173,7 @@ def list_clips(
 ) -> Answer:
     """Clips of the library: number, name, category and length; no names of performers, no folders."""
     snapshot = studio.listing.now()
-    rows = snapshot.find(Asked(text)).rows
+    rows = snapshot.find(ClipQuery(text)).rows
     told = [snapshot.describe(row) for row in rows[offset : offset + limit]]
     names = ("id", "name", "category", "duration")
     return Answer({"total": len(rows), "items": [{name: one[name] for name in names} for one in told]})
@@ -163,16 +226,16 @@ def make_sharing(
     http : the protocol of uvicorn.
     """
 
-    def open_door(links: ShareLinks) -> Door:
+    def start(links: ShareLinks) -> SharedServer:
         require("segno", "share")
         certificate = provide_certificate(studio.workspace.root, address)
         listener = listen(str(address))
         host = f"{address}:{listener.getsockname()[1]}"
         app = create_shared_app(studio, host, links, answer_problems)
-        shut = _serve(app, listener, str(certificate.path), http)
-        return Door(f"https://{host}", certificate.fingerprint, shut)
+        stop = _serve(app, listener, str(certificate.path), http)
+        return SharedServer(f"https://{host}", certificate.fingerprint, stop)
 
-    return Sharing(open_door)
+    return Sharing(start)
 
 
 def find_share_address(asked: str | None = None) -> IPv4Address:
@@ -289,9 +352,9 @@ def _serve(app: Any, listener: LimitedListener, certificate: str, http: Any) -> 
     thread = threading.Thread(target=run, name="share", daemon=True)
     thread.start()
 
-    def shut() -> None:
+    def stop() -> None:
         server.should_exit = True
         thread.join(timeout=10)
         listener.close_all()
 
-    return shut
+    return stop

@@ -1,15 +1,13 @@
-"""The interface below /api, by topic; each module has a ``router``."""
+"""The routers of the interface below /api, in the order in which the page on the interface lists them."""
 
 from __future__ import annotations
 
 from dousa.app.studio.api import (
     clips,
-    companions,
     estimation,
     evaluation,
     exports,
     jobs,
-    journal,
     live,
     masks,
     motions,
@@ -21,6 +19,8 @@ from dousa.app.studio.api import (
 
 __all__ = ["ROUTERS"]
 
-_EVALUATING = (evaluation, companions, estimation, masks, live)
-_MODULES = (uploads, clips, journal, search, motions, takes, *_EVALUATING, exports, share, jobs)
-ROUTERS = (uploads.general, *(module.router for module in _MODULES))
+ROUTERS = (
+    *(uploads.general, uploads.router, clips.router, clips.journal_router, search.router, motions.router, takes.router),
+    *(evaluation.router, evaluation.companions_router, estimation.router, masks.router, live.router),
+    *(exports.router, share.router, jobs.router),
+)

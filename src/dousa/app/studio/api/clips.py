@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 from fastapi import APIRouter, Depends, Query, Response
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
-from dousa.app.studio.content.clips import Asked, Snapshot, Sort
+from dousa.app.studio.content.clips import ClipQuery, Snapshot, Sort
 from dousa.app.studio.content.studio import Studio, StudioNow
 from dousa.app.studio.core.answers import BYTES, Answer, RefusedError
 
@@ -87,11 +87,11 @@ def _read_asked(
         str | None, Query(max_length=200, description="name of a search or selection that is kept")
     ] = None,
     wide: Annotated[bool, Query(description="also what does what the text says where others are called so")] = False,
-) -> Asked:
+) -> ClipQuery:
     labels: dict[str, Sequence[str]] = {"category": category or (), "performer": performer or (), "tag": tag or ()}
     labels["kind"] = () if kind is None else (kind,)
     among = None if saved is None else _find_saved(studio, saved)
-    return Asked(text, labels, min_s, max_s, batch, sort, among, wide)
+    return ClipQuery(text, labels, min_s, max_s, batch, sort, among, wide)
 
 
 def _find_saved(studio: Studio, name: str) -> frozenset[int]:
@@ -106,11 +106,11 @@ def _find_saved(studio: Studio, name: str) -> frozenset[int]:
         value = own.get(label) or ()
         labels[label] = (value,) if isinstance(value, str) else tuple(value)
     snapshot = studio.listing.now()
-    asked = Asked(str(own.get("text") or ""), labels, own.get("min_s"), own.get("max_s"))
+    asked = ClipQuery(str(own.get("text") or ""), labels, own.get("min_s"), own.get("max_s"))
     return frozenset(snapshot.ids[snapshot.find(asked, studio.meanings.match).rows].tolist())
 
 
-_AskedNow = Annotated[Asked, Depends(_read_asked)]
+_AskedNow = Annotated[ClipQuery, Depends(_read_asked)]
 _Offset = Annotated[int, Query(ge=0, le=10**9)]
 
 
@@ -223,3 +223,91 @@ def _check_there(snapshot: Snapshot, clip_ids: list[int]) -> list[int]:
     if not there:
         raise RefusedError(404, "studio_motions.no_clip", clip=clip_ids[0])
     return there
+
+
+journal_router = APIRouter(tags=["library"])
+
+_KeptName = Annotated[str, Field(min_length=1, max_length=200, pattern=ONE_LINE)]
+_KeptNames = Annotated[list[Annotated[str, Field(max_length=1000)]], Field(max_length=500)]
+
+
+class Step(BaseModel):
+    """Which change."""
+
+    model_config = ConfigDict(extra="forbid")
+
+    number: Annotated[int, Field(ge=1, le=2**62)] | None = Field(None, description="null for the last one")
+
+
+class Asked(BaseModel):
+    """What a search looks for, or which clips were chosen."""
+
+    model_config = ConfigDict(extra="forbid")
+
+    text: str | None = Field(None, max_length=300)
+    category: _KeptNames | None = None
+    performer: _KeptNames | None = None
+    tag: _KeptNames | None = None
+    kind: Literal["clip", "take"] | None = None
+    min_s: float | None = Field(None, ge=0, le=1e7)
+    max_s: float | None = Field(None, ge=0, le=1e7)
+    clips: Annotated[list[Annotated[int, Field(ge=1, le=2**31 - 1)]], Field(max_length=200_000)] | None = None
+
+
+class Saving(BaseModel):
+    """A search, and its name."""
+
+    model_config = ConfigDict(extra="forbid")
+
+    name: _KeptName
+    asked: Asked
+
+
+@journal_router.get("/journal", summary="The changes of the library that can be undone or done again")
+def list_changes(studio: StudioNow, limit: Annotated[int, Query(ge=1, le=1000)] = 100) -> Answer:
+    """The last first; ``kept_bytes`` are those of removed clips."""
+    entries = studio.library.journal()
+    kept = sum(entry.kept_bytes for entry in entries)
+    return Answer({"changes": [entry.to_json() for entry in entries[:limit]], "kept_bytes": kept})
+
+
+@journal_router.post("/journal/undo", summary="Undo a change of the library")
+def undo(studio: StudioNow, wanted: Step) -> Answer:
+    """Refused with 409 where the same clips were changed since; nothing is changed then."""
+    return Answer(studio.library.undo(wanted.number, n_jobs=1).to_json())
+
+
+@journal_router.post("/journal/redo", summary="Do a change again that was undone")
+def redo(studio: StudioNow, wanted: Step) -> Answer:
+    """As POST /journal/undo."""
+    return Answer(studio.library.redo(wanted.number, n_jobs=1).to_json())
+
+
+@journal_router.get("/searches", summary="Searches and selections that are kept")
+def list_searches(studio: StudioNow) -> Answer:
+    """By name. ``n_clips`` is the size of a selection, null for a search."""
+    rows = [
+        {
+            "name": one.name,
+            "asked": {name: value for name, value in one.asked.items() if name != "clips"},
+            "n_clips": len(one.asked["clips"]) if one.is_selection else None,
+        }
+        for one in studio.library.searches.all()
+    ]
+    return Answer({"searches": rows})
+
+
+@journal_router.post("/searches", summary="Keep a search or a selection under a name")
+def save_search(studio: StudioNow, wanted: Saving) -> Answer:
+    """Another one of the same name gives way."""
+    asked = {name: value for name, value in wanted.asked.model_dump().items() if value not in (None, [], "")}
+    if not asked:
+        raise RefusedError(422, "studio.empty_search")
+    return Answer(studio.library.searches.save(wanted.name, asked).to_json())
+
+
+@journal_router.post("/searches/forget", summary="Forget a search or a selection that is kept")
+def forget_search(studio: StudioNow, wanted: Annotated[str, Query(alias="name", max_length=200)]) -> Answer:
+    """Its clips stay."""
+    studio.library.searches.remove(wanted)
+    return Answer({"name": wanted})

@@ -11,8 +11,7 @@ from starlette.responses import FileResponse, Response
 
 from dousa.app.studio.content.motions import EXPORTED, Address, MotionPart, MotionRef, name_file
 from dousa.app.studio.content.studio import Studio, StudioNow
-from dousa.app.studio.core.answers import BYTES, Answer, RefusedError, attachment
-from dousa.app.studio.core.words import say
+from dousa.app.studio.core.answers import BYTES, Answer, RefusedError, attachment, say
 from dousa.library.export.clip_export import ORIGINAL, ExportFormat, list_formats
 from dousa.messages import Message
 

@@ -10,8 +10,7 @@ from pydantic import BaseModel, ConfigDict, Field
 from dousa.app.studio.content import live
 from dousa.app.studio.content.motions import MotionRef
 from dousa.app.studio.content.studio import StudioNow
-from dousa.app.studio.core.answers import Answer, RefusedError
-from dousa.app.studio.core.words import name_error, say
+from dousa.app.studio.core.answers import Answer, RefusedError, name_error, say
 from dousa.errors import DousaError
 
 router = APIRouter(tags=["live"])

@@ -10,8 +10,7 @@ from starlette.responses import Response
 
 from dousa.app.studio.content.motions import MotionName, MotionPart, MotionRef, Seconds, name_file
 from dousa.app.studio.content.studio import Studio, StudioNow
-from dousa.app.studio.core.answers import BYTES, Answer, attachment
-from dousa.app.studio.core.words import say
+from dousa.app.studio.core.answers import BYTES, Answer, attachment, say
 from dousa.messages import Message
 
 router = APIRouter(tags=["motions"])

@@ -9,8 +9,7 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from dousa.app.studio.content.motions import Address, MotionRef
 from dousa.app.studio.content.studio import Studio, StudioNow
-from dousa.app.studio.core.answers import Answer, to_answer
-from dousa.app.studio.core.words import name_error
+from dousa.app.studio.core.answers import Answer, name_error, to_answer
 from dousa.errors import DousaError, InvalidMotionError
 
 if TYPE_CHECKING:

@@ -8,10 +8,9 @@ from typing import Annotated, Any
 from fastapi import APIRouter
 from pydantic import BaseModel, ConfigDict, Field
 
-from dousa.app.studio.content.sharing import Sharing, draw_code
+from dousa.app.studio.content.sharing import ShareLink, Sharing, draw_code
 from dousa.app.studio.content.studio import Studio, StudioNow
 from dousa.app.studio.core.answers import Answer, RefusedError
-from dousa.app.studio.core.share_links import ShareLink
 
 router = APIRouter(prefix="/share", tags=["share"])
 
@@ -60,7 +59,7 @@ def make_link(studio: StudioNow, wanted: LinkRequest) -> Answer:
     sharing = _sharing(studio)
     if wanted.report is not None:
         studio.evaluations.name_performance(wanted.report)  # is it there?
-    if sharing.door is None:
+    if sharing.server is None:
         raise RefusedError(409, "studio_share.ended")
     return Answer(_describe_link(studio, sharing, sharing.links.add(wanted.report)))
 
@@ -80,13 +79,13 @@ def _sharing(studio: Studio) -> Sharing:
 
 def _describe(studio: Studio) -> Answer:
     sharing = studio.sharing
-    door = None if sharing is None else sharing.door
-    links = [] if sharing is None or door is None else sharing.links.all()
+    server = None if sharing is None else sharing.server
+    links = [] if sharing is None or server is None else sharing.links.all()
     return Answer(
         {
             "possible": sharing is not None,
-            "address": None if door is None else door.address,
-            "fingerprint": None if door is None else door.fingerprint,
+            "address": None if server is None else server.address,
+            "fingerprint": None if server is None else server.fingerprint,
             "links": [_describe_link(studio, sharing, link) for link in links if sharing is not None],
         }
     )

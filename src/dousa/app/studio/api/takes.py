@@ -15,8 +15,7 @@ from starlette.responses import Response
 
 from dousa.app.studio.content.motions import MotionName, MotionRef, Seconds
 from dousa.app.studio.content.studio import Studio, StudioNow
-from dousa.app.studio.core.answers import Answer, RefusedError, attachment
-from dousa.app.studio.core.words import say
+from dousa.app.studio.core.answers import Answer, RefusedError, attachment, say
 from dousa.app.studio.jobs.board import Job
 from dousa.messages import Message
 

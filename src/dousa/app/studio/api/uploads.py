@@ -10,9 +10,8 @@ from fastapi import APIRouter, Query, Request
 import dousa
 from dousa.app.studio.content.motions import Address
 from dousa.app.studio.content.studio import StudioNow
-from dousa.app.studio.core.answers import Answer, RefusedError
+from dousa.app.studio.core.answers import Answer, RefusedError, say
 from dousa.app.studio.core.uploads import MOTIONS, receive
-from dousa.app.studio.core.words import say
 from dousa.formats.annotations import LABEL_SUFFIXES, is_label_file
 from dousa.formats.registry import is_motion_file
 

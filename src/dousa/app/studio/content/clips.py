@@ -29,7 +29,7 @@ from numpy.typing import NDArray
 from dousa.app.player.figures import MINIATURE_BYTES, encode_miniature
 from dousa.app.studio.content.clip_words import ClipWords, Reading, plain, read_text
 from dousa.app.studio.content.motions import Address
-from dousa.app.studio.core.words import say
+from dousa.app.studio.core.answers import say
 from dousa.arrays import Mask
 from dousa.errors import DousaError, LibraryError
 from dousa.files.disk import atomic_write
@@ -63,7 +63,7 @@ _BATCH = re.compile(r"([0-9a-f]{16})/(.+)", re.DOTALL)
 
 
 @dataclass(frozen=True, slots=True)
-class Asked:
+class ClipQuery:
     """Which clips are wanted.
 
     Parameters
@@ -152,7 +152,7 @@ class Snapshot:
         """The row of a clip that is there."""
         return self._rows[clip_id]
 
-    def find(self, asked: Asked, match: Match = lambda text: None) -> Found:
+    def find(self, asked: ClipQuery, match: Match = lambda text: None) -> Found:
         """Which rows fit, and what the facets say; ``match`` finds clips by what they do, as `Meanings.match`."""
         masks = {label: self._labelled(label, asked.labels.get(label, ())) for label in _LABELS}
         masks["tag"] = self._tagged(asked.labels.get("tag", ()))

@@ -22,8 +22,7 @@ from pathlib import Path, PurePath
 from typing import TYPE_CHECKING, Any
 
 from dousa.app.studio.content.motions import Address, MotionRef
-from dousa.app.studio.core.answers import RefusedError
-from dousa.app.studio.core.words import say
+from dousa.app.studio.core.answers import RefusedError, say
 from dousa.errors import LibraryError, LibraryLockedError
 from dousa.formats.annotations.label_file import is_unknown
 

@@ -14,8 +14,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 from pydantic import BaseModel, ConfigDict, Field
 
 from dousa.app.studio.content.motions import MotionRef, Seconds
-from dousa.app.studio.core.answers import Gate, RefusedError
-from dousa.app.studio.core.words import reword
+from dousa.app.studio.core.answers import Gate, RefusedError, reword
 from dousa.messages import Message, get_language
 
 if TYPE_CHECKING:

@@ -26,10 +26,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dousa.app.pipelines.estimation_views import Scene
-from dousa.app.studio.content.film_pictures import LONGEST as LONGEST_FILM
+from dousa.app.studio.content.film_record import LONGEST as LONGEST_FILM
 from dousa.app.studio.content.film_record import FilmRecord
 from dousa.app.studio.core.answers import RefusedError
-from dousa.app.studio.jobs.opened import OpenedJobs
+from dousa.app.studio.jobs.board import OpenedJobs
 
 if TYPE_CHECKING:
     from dousa.app.pictures.overlay_view import ViewPainter

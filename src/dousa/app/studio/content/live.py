@@ -16,8 +16,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from dousa.app.studio.core.answers import RefusedError
-from dousa.app.studio.core.words import name_error
+from dousa.app.studio.core.answers import RefusedError, name_error
 from dousa.arrays import FloatArray, Image
 from dousa.errors import DousaError
 from dousa.messages import Message, get_language

@@ -22,7 +22,7 @@ import numpy as np
 
 from dousa.app.studio.content.footage import MASK, PICTURE, SEEN
 from dousa.app.studio.core.answers import RefusedError
-from dousa.app.studio.jobs.opened import OpenedJobs
+from dousa.app.studio.jobs.board import OpenedJobs
 from dousa.estimation.silhouettes.mask_doubts import doubt_masks, measure_mask
 from dousa.estimation.silhouettes.mask_npz import write_silhouettes
 from dousa.estimation.silhouettes.repairs import MaskRepair, RepairedSilhouettes, repair_from_json

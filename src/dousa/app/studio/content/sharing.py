@@ -2,33 +2,121 @@
 
 from __future__ import annotations
 
+import hmac
+import os
+import secrets
 import threading
+import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from contextlib import suppress
+from dataclasses import dataclass, field
+from datetime import UTC, datetime, timedelta
 from ipaddress import AddressValueError, IPv4Address
-from typing import Any
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 from dousa.app.studio.core.answers import RefusedError
-from dousa.app.studio.core.share_links import ShareLink, ShareLinks
-from dousa.app.studio.core.shared_guard import KEY
+from dousa.app.studio.core.workspace import open_private
 from dousa.errors import OptionError
 from dousa.extras import require
 
+if TYPE_CHECKING:
+    from cryptography.x509 import Certificate as _Signed
+
+_MOST_LINKS = 200
+
+KEY = "key"
+"""The name of the secret of a link in its address."""
+
 
 @dataclass(frozen=True, slots=True)
-class Door:
+class ShareLink:
+    """One link.
+
+    Parameters
+    ----------
+    report : the job of the one evaluation that it shows; None for all of them and the library.
+    number : names it, for who takes it back.
+    token : the secret in its address.
+    created_s : Unix time.
+    """
+
+    report: str | None
+    number: str = field(default_factory=lambda: secrets.token_hex(4))
+    token: str = field(default_factory=lambda: secrets.token_urlsafe(24), repr=False)
+    created_s: float = field(default_factory=time.time)
+
+
+class ShareLinks:
+    """The links that hold now, safe to be used from any thread."""
+
+    def __init__(self) -> None:
+        self._links: list[ShareLink] = []
+        self._lock = threading.Lock()
+
+    def add(self, report: str | None) -> ShareLink:
+        """The link to one evaluation, or to everything; the same one as long as it holds.
+
+        Raises
+        ------
+        RefusedError : too many links.
+        """
+        with self._lock:
+            for link in self._links:
+                if link.report == report:
+                    return link
+            if len(self._links) >= _MOST_LINKS:
+                raise RefusedError(409, "studio_share.many_links", most=_MOST_LINKS)
+            self._links.append(ShareLink(report))
+            return self._links[-1]
+
+    def find(self, token: str) -> ShareLink | None:
+        """The link with this secret; every one is compared, so that the time tells nothing."""
+        given, found = token.encode("utf-8", "replace"), None
+        with self._lock:
+            for link in self._links:
+                if hmac.compare_digest(link.token.encode(), given):
+                    found = link
+        return found
+
+    def revoke(self, number: str) -> None:
+        """Take a link back; who came by it gets nothing any more.
+
+        Raises
+        ------
+        RefusedError : no such link.
+        """
+        with self._lock:
+            kept = [link for link in self._links if link.number != number]
+            if len(kept) == len(self._links):
+                raise RefusedError(404, "studio_share.no_link", number=number[:20])
+            self._links = kept
+
+    def clear(self) -> None:
+        """Take all back."""
+        with self._lock:
+            self._links = []
+
+    def all(self) -> list[ShareLink]:
+        """Those that hold, the oldest first."""
+        with self._lock:
+            return list(self._links)
+
+
+@dataclass(frozen=True, slots=True)
+class SharedServer:
     """A server that others on the network reach.
 
     Parameters
     ----------
     address : without a slash at its end.
     fingerprint : of its certificate.
-    shut : ends it.
+    stop : ends it.
     """
 
     address: str
     fingerprint: str
-    shut: Callable[[], None]
+    stop: Callable[[], None]
 
 
 class Sharing:
@@ -36,23 +124,23 @@ class Sharing:
 
     Parameters
     ----------
-    open_door : starts the server for some links.
+    start : starts the server for some links.
 
     Every opening has links of its own: those of an earlier one open nothing any more.
     """
 
-    def __init__(self, open_door: Callable[[ShareLinks], Door]) -> None:
+    def __init__(self, start: Callable[[ShareLinks], SharedServer]) -> None:
         self.links = ShareLinks()
-        self._open_door = open_door
-        self._door: Door | None = None
+        self._start = start
+        self._server: SharedServer | None = None
         self._lock = threading.Lock()
 
     @property
-    def door(self) -> Door | None:
+    def server(self) -> SharedServer | None:
         """The server; None where nothing is shown."""
-        return self._door
+        return self._server
 
-    def begin(self) -> Door:
+    def begin(self) -> SharedServer:
         """Show it; where it is shown already, nothing changes.
 
         Raises
@@ -61,18 +149,18 @@ class Sharing:
         MissingExtraError : the extra ``share`` is not installed.
         """
         with self._lock:
-            if self._door is None:
+            if self._server is None:
                 self.links.clear()
-                self._door = self._open_door(self.links)
-            return self._door
+                self._server = self._start(self.links)
+            return self._server
 
     def end(self) -> None:
         """Show nothing any more; every link is taken back."""
         with self._lock:
             self.links.clear()
-            door, self._door = self._door, None
-        if door is not None:
-            door.shut()
+            server, self._server = self._server, None
+        if server is not None:
+            server.stop()
 
     def address_of(self, link: ShareLink) -> str:
         """What is opened on a phone.
@@ -81,9 +169,9 @@ class Sharing:
         ------
         RefusedError : nothing is shown now.
         """
-        if self._door is None:
+        if self._server is None:
             raise RefusedError(409, "studio_share.ended")
-        return f"{self._door.address}/?{KEY}={link.token}"
+        return f"{self._server.address}/?{KEY}={link.token}"
 
 
 def draw_code(text: str) -> str:
@@ -129,3 +217,92 @@ def check_address(text: str) -> IPv4Address:
     if address.is_global:
         raise OptionError("studio_share.public_address", found=text)
     return address
+
+
+_CERTIFICATE = "share.pem"
+_DAYS, _SPARE_DAYS = 365, 7  # phones take none that hold longer than 398 days
+
+
+@dataclass(frozen=True, slots=True)
+class Certificate:
+    """A key with its certificate.
+
+    Parameters
+    ----------
+    path : file of both; this user alone can read it.
+    fingerprint : SHA-256 of the certificate, as browsers show it.
+    """
+
+    path: Path
+    fingerprint: str
+
+
+def provide_certificate(home: Path, address: IPv4Address) -> Certificate:
+    """The certificate of a studio for an address: the one it has, or a new one.
+
+    Parameters
+    ----------
+    home : folder of the studio.
+    address : of this machine.
+
+    Raises
+    ------
+    MissingExtraError : the extra ``share`` is not installed.
+    OSError : the folder cannot be written.
+    """
+    require("cryptography", "share")
+    path = home / _CERTIFICATE
+    signed = _read_certificate(path, address)
+    if signed is None:
+        signed = _make_certificate(path, address)
+    return Certificate(path, _fingerprint(signed))
+
+
+def _read_certificate(path: Path, address: IPv4Address) -> _Signed | None:
+    """The certificate that is kept, if it is of this address and holds for some time."""
+    from cryptography import x509
+    from cryptography.hazmat.primitives.serialization import load_pem_private_key
+
+    with suppress(OSError, ValueError, TypeError, x509.ExtensionNotFound):
+        content = path.read_bytes()
+        signed = x509.load_pem_x509_certificate(content)
+        names = signed.extensions.get_extension_for_class(x509.SubjectAlternativeName).value
+        holds = signed.not_valid_after_utc - datetime.now(UTC) > timedelta(days=_SPARE_DAYS)
+        key = load_pem_private_key(content, None)
+        if holds and key.public_key() == signed.public_key() and address in names.get_values_for_type(x509.IPAddress):
+            os.chmod(path, 0o600)
+            return signed
+    return None
+
+
+def _make_certificate(path: Path, address: IPv4Address) -> _Signed:
+    from cryptography import x509
+    from cryptography.hazmat.primitives import hashes, serialization
+    from cryptography.hazmat.primitives.asymmetric import ec
+    from cryptography.x509.oid import ExtendedKeyUsageOID
+
+    key = ec.generate_private_key(ec.SECP256R1())
+    name = x509.Name([x509.NameAttribute(x509.NameOID.COMMON_NAME, f"dousa studio {address}")])
+    now = datetime.now(UTC)
+    plan: Any = x509.CertificateBuilder().subject_name(name).issuer_name(name).public_key(key.public_key())
+    plan = plan.serial_number(x509.random_serial_number())
+    plan = plan.not_valid_before(now - timedelta(days=1)).not_valid_after(now + timedelta(days=_DAYS))
+    plan = plan.add_extension(x509.SubjectAlternativeName([x509.IPAddress(address)]), critical=False)
+    plan = plan.add_extension(x509.BasicConstraints(ca=False, path_length=None), critical=True)
+    plan = plan.add_extension(x509.ExtendedKeyUsage([ExtendedKeyUsageOID.SERVER_AUTH]), critical=False)
+    signed: _Signed = plan.sign(key, hashes.SHA256())
+    secret = key.private_bytes(
+        serialization.Encoding.PEM, serialization.PrivateFormat.PKCS8, serialization.NoEncryption()
+    )
+    temporary = path.with_name(f".{path.name}")
+    with open_private(temporary) as file:
+        file.truncate(0)
+        file.write(secret + signed.public_bytes(serialization.Encoding.PEM))
+    os.replace(temporary, path)
+    return signed
+
+
+def _fingerprint(signed: _Signed) -> str:
+    from cryptography.hazmat.primitives import hashes
+
+    return ":".join(f"{value:02X}" for value in signed.fingerprint(hashes.SHA256()))

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import os
 import threading
-from collections.abc import Callable, Mapping
-from contextlib import suppress
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -20,10 +20,8 @@ from dousa.app.studio.content.live import Live
 from dousa.app.studio.content.masks import MaskDesks
 from dousa.app.studio.content.motions import Motions
 from dousa.app.studio.core.answers import Gate
-from dousa.app.studio.core.learning import Learning
-from dousa.app.studio.core.workspace import Workspace
+from dousa.app.studio.core.workspace import MentionedBatches, Workspace
 from dousa.app.studio.jobs.board import JobBoard, Lane
-from dousa.app.studio.jobs.mentioned import MentionedBatches
 from dousa.errors import LibraryError
 from dousa.messages import Message
 
@@ -31,6 +29,37 @@ if TYPE_CHECKING:
     from dousa.app.studio.content.sharing import Sharing
     from dousa.app.studio.core.workspace import Settings
     from dousa.library import Library
+
+Step = tuple[int, int, Message]
+"""Steps done, steps, message about the next step."""
+
+
+class Learning:
+    """What searches learn at present."""
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._steps: dict[object, Step] = {}
+
+    @contextmanager
+    def follow(self) -> Iterator[Callable[[int, int, Message], None]]:
+        """What a search calls with its steps; they count until it is over."""
+        mine = object()
+
+        def tell(done: int, total: int, what: Message) -> None:
+            with self._lock:
+                self._steps[mine] = (done, total, what)
+
+        try:
+            yield tell
+        finally:
+            with self._lock:
+                self._steps.pop(mine, None)
+
+    def now(self) -> Step | None:
+        """The step of the search that began first among those that learn; None if none does."""
+        with self._lock:
+            return next(iter(self._steps.values()), None)
 
 
 class Studio:

@@ -10,6 +10,9 @@ from __future__ import annotations
 
 import hmac
 import html
+import secrets
+import threading
+from collections import deque
 from collections.abc import Collection, Iterable
 from http.cookies import CookieError, SimpleCookie
 from typing import TYPE_CHECKING
@@ -17,15 +20,13 @@ from urllib.parse import parse_qsl, quote, unquote, urlencode
 
 from starlette.datastructures import Headers, MutableHeaders
 
-from dousa.app.studio.core.answers import Answer, RefusedError, to_answer
-from dousa.app.studio.core.words import say
+from dousa.app.studio.core.answers import Answer, RefusedError, say, to_answer
 from dousa.messages import LANGUAGES, get_language, use_language
 from dousa.messages import Message as _Words
 
 if TYPE_CHECKING:
     from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-    from dousa.app.studio.core.codes import Codes
     from dousa.app.studio.core.workspace import Settings
 
 UPLOAD_PATH = "/api/uploads"
@@ -52,7 +53,7 @@ _HEADERS = {
 }
 
 
-class Door:
+class RequestGuard:
     """The ASGI application in front of another: requests are judged, answered or refused in the language of who asks.
 
     Parameters
@@ -91,7 +92,7 @@ class Door:
         raise NotImplementedError
 
 
-class Guard(Door):
+class Guard(RequestGuard):
     """Who may come in to the studio.
 
     Parameters
@@ -108,7 +109,7 @@ class Guard(Door):
         self._cookie = f"dousa_{settings.port}"  # cookies do not tell ports apart: each studio has its own
 
     async def judge(self, scope: Scope, headers: Headers, receive: Receive) -> Answer | Receive:
-        """As `Door.judge`: by the name that is asked, token, cookie or code, and the length of the body."""
+        """As `RequestGuard.judge`: by the name that is asked, token, cookie or code, and the length of the body."""
         check_names(scope["method"], headers, "http", self._settings.hosts)
         asked = parse_qsl(scope["query_string"].decode("latin-1"), keep_blank_values=True)
         if scope["method"] == "GET" and not scope["path"].startswith("/api/"):
@@ -332,3 +333,31 @@ _CLOSED = """<!doctype html><html lang="{language}"><meta charset="utf-8"><title
 <meta name="viewport" content="width=device-width"><meta name="color-scheme" content="light dark">
 <body style="font:16px/1.6 system-ui,sans-serif;max-width:40rem;margin:15vh auto;padding:0 1.5rem">
 <h1 style="font-size:1.4rem">dousa studio <small>({status})</small></h1><p>{problem}</p>{form}</body></html>"""
+
+
+_MOST_CODES = 20  # codes that wait; older ones are dropped
+
+
+class Codes:
+    """Codes that were given out and not used, safe to be used from any thread."""
+
+    def __init__(self) -> None:
+        self._waiting: deque[str] = deque(maxlen=_MOST_CODES)
+        self._lock = threading.Lock()
+
+    def issue(self) -> str:
+        """A new code."""
+        code = secrets.token_urlsafe(24)
+        with self._lock:
+            self._waiting.append(code)
+        return code
+
+    def redeem(self, text: str) -> bool:
+        """Use a code up; whether it was one that waited."""
+        given = text.encode("utf-8", "replace")
+        with self._lock:
+            for code in self._waiting:
+                if hmac.compare_digest(code.encode(), given):
+                    self._waiting.remove(code)
+                    return True
+        return False

@@ -16,8 +16,7 @@ from functools import partial
 from pathlib import Path
 from typing import IO, TYPE_CHECKING, Any
 
-from dousa.app.studio.core.answers import Gate, RefusedError
-from dousa.app.studio.core.words import read_message, say_packed, to_message
+from dousa.app.studio.core.answers import Gate, RefusedError, read_message, say_packed, to_message
 from dousa.app.studio.jobs.board import JobStopped
 from dousa.errors import DousaError
 from dousa.messages import Message, get_language

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from dousa.app.studio.core.words import shorten, to_message
+from dousa.app.studio.core.answers import shorten, to_message
 from dousa.app.studio.jobs.lanes import Context
 from dousa.app.studio.work.materials import holds_keypoints
 from dousa.errors import OptionError
@@ -170,7 +170,7 @@ def estimate_from_films(
 
 def _show_films(views: Sequence[FilmSource], record: FilmRecordWriter, context: Context) -> None:
     """Pictures of all films, so that there is something to look at while people are found."""
-    from dousa.app.studio.content.film_pictures import choose_stride, write_pictures
+    from dousa.app.studio.content.film_record import choose_stride, write_pictures
     from dousa.estimation.keypoints.films import FilmFrames
 
     films = [view.film for view in views if view.film is not None]
@@ -313,7 +313,7 @@ def _look_at_view(view: FilmSource, answer: dict[str, Any]) -> dict[str, Any]:
 
 
 def _middle_picture(film: Path, n_frames: int) -> str | None:
-    from dousa.app.studio.content.film_pictures import to_picture_address
+    from dousa.app.studio.content.film_record import to_picture_address
     from dousa.estimation.silhouettes.video import VideoFile
 
     file = VideoFile(film)

@@ -4,16 +4,18 @@ from __future__ import annotations
 
 import csv
 from collections.abc import Mapping, Sequence
+from itertools import islice
 from pathlib import Path, PurePath
 from typing import TYPE_CHECKING, Any
 
 from dousa.app.studio.content.motions import EXPORTED, Address, MotionRef
-from dousa.app.studio.core.words import shorten
+from dousa.app.studio.core.answers import shorten
 from dousa.app.studio.jobs.lanes import Context
 from dousa.messages import Message
 
 if TYPE_CHECKING:
     from dousa.app.studio.content.studio import Studio
+    from dousa.app.studio.jobs.lanes import Context
     from dousa.library import Library
 
 _MOST_DRAWN = 2_000  # clips whose figures are made ahead; a longer list gets its own when it is looked at
@@ -210,3 +212,31 @@ def evaluate(studio: Studio, request: dict[str, Any], context: Context) -> dict[
     assessment = ready.assess(wanted)
     studio.evaluations.put(context.folder.name, ready)
     return describe(ready, assessment, wanted, wanted.language)
+
+
+_MOST_TOLD = 30  # lines; the result has all
+
+
+def check(request: dict[str, Any], context: Context) -> dict[str, Any]:
+    """Check the library, as `dousa check`; ``request``: repair.
+
+    A file whose structure is damaged is not repaired while a studio has it open, which is said.
+    """
+    with context.open_library() as library:
+        repair = bool(request.get("repair"))
+        report = library.check(repair=repair, salvage=False, progress=context.progress)
+        if repair and any(one.what.code == "library_damage.structure" for one in report.damage):
+            context.tell(Message("studio_jobs.repair_closed", library=library.name))
+    lines = list(report.to_messages())
+    for line in (*islice(lines[:-1], _MOST_TOLD), lines[-1]):
+        context.tell(line)
+    return report.to_json()
+
+
+def compact(request: dict[str, Any], context: Context) -> dict[str, Any]:
+    """Forget removed clips and make the file smaller, as `dousa compact`; ``request``: fragments."""
+    with context.open_library() as library:
+        report = library.compact(fragments="" if request.get("fragments") else None, progress=context.progress)
+    for line in report.to_messages():
+        context.tell(line)
+    return report.to_json()

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from dousa.app.studio.content.film_pictures import to_picture_address
-from dousa.app.studio.core.words import name_error, shorten, to_message
+from dousa.app.studio.content.film_record import to_picture_address
+from dousa.app.studio.core.answers import name_error, shorten, to_message
 from dousa.app.studio.jobs.lanes import Context
 from dousa.app.studio.work.estimation import list_materials, make_request
 from dousa.errors import CalibrationError, DousaError, OptionError, SilhouetteError

@@ -16,7 +16,7 @@ from importlib import import_module
 from pathlib import Path
 from typing import IO, TYPE_CHECKING, Any
 
-from dousa.app.studio.core.home_lock import TAKEN, lock_file, open_private
+from dousa.app.studio.core.workspace import TAKEN, lock_file, open_private
 from dousa.app.studio.jobs.board import Lane
 from dousa.app.studio.jobs.lanes import READY, Context, run_in_process, run_in_thread
 
@@ -33,10 +33,10 @@ IN_PROCESS = {
     "review": ("library", "review"),
     "map": ("library", "map_clips"),
     "export": ("library", "export"),
-    "check": ("upkeep", "check"),
-    "compact": ("upkeep", "compact"),
+    "check": ("library", "check"),
+    "compact": ("library", "compact"),
     "estimate": ("estimation", "estimate"),
-    "masks": ("masks", "prepare_masks"),
+    "masks": ("estimation", "prepare_masks"),
     "preview": ("preview", "preview"),
     "example": ("estimation", "write_example"),
 }
@@ -122,8 +122,7 @@ def _stand_back() -> None:
 
 
 def _do(task: dict[str, Any], out: Any) -> dict[str, Any]:
-    from dousa.app.studio.core.answers import describe_disk
-    from dousa.app.studio.core.words import name_error, pack, to_message
+    from dousa.app.studio.core.answers import describe_disk, name_error, pack, to_message
     from dousa.app.studio.jobs.lanes import Context
     from dousa.errors import DousaError
     from dousa.messages import Message, use_language
