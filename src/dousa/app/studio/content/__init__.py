@@ -1,2 +1,2 @@
-"""What all requests look at: the library with its clips and figures, motions by name, evaluations, corrections, and
+"""What all requests share: the library with its clips and figures, motions by name, evaluations, corrections, and
 estimations while they run."""

@@ -1,4 +1,5 @@
-"""What is typed into the one box of the Library page: names and labels letter by letter, misspelt, or by meaning."""
+"""Understand the text in the search box of the Library page: names and labels by their letters, misspelt, or by
+meaning."""
 
 from __future__ import annotations
 
@@ -27,7 +28,7 @@ _PATIENCE = 0.15  # s that a list waits for the words of the library to be read
 
 
 def plain(text: str) -> str:
-    """Text as it is compared: wide and narrow, large and small letters are the same."""
+    """Normalise a text for comparison: full and half width, upper and lower case are equal."""
     return unicodedata.normalize("NFKC", text).casefold()
 
 
@@ -38,10 +39,10 @@ class Reading:
     Parameters
     ----------
     fits : (n,) whether each clip fits; None for all.
-    scores : (n,) how well, where that is more than yes or no; None where it is not.
-    taken_for : words that are nowhere, and what they were taken for.
-    more : clips that are left out, but do what the words say.
-    pending : whether the words of the library are still being read: more may fit.
+    scores : (n,) how well each clip fits; None if clips only fit or not.
+    taken_for : words that the library does not have, and the words used instead.
+    more : number of clips left out that do what the words say.
+    pending : whether the words of the library are still being read, so that more clips may fit.
     """
 
     fits: Mask | None
@@ -52,19 +53,14 @@ class Reading:
 
 
 class ClipWords:
-    """The names and labels of some clips.
-
-    Parameters
-    ----------
-    texts : of each clip, as `plain` gives them.
-    """
+    """The names and labels of clips; ``texts`` holds one text for each clip, normalised by `plain`."""
 
     def __init__(self, texts: Sequence[str]) -> None:
         self._texts = texts
         self._known: list[str] | None = None
 
     def find(self, text: str) -> Mask | None:
-        """Clips that have all words of a text letter by letter; None where it has no word."""
+        """Find clips that contain every word of a text; None for a text without words."""
         words = plain(text).split()
         if not words:
             return None
@@ -74,7 +70,7 @@ class ClipWords:
         return fits
 
     def find_misspelt(self, text: str) -> tuple[Mask, dict[str, str]]:
-        """Clips that have all words, where those that are nowhere stand for the nearest ones; and which these are."""
+        """Find clips that contain every word, with unknown words replaced by the nearest known ones; returns these too."""
         fits, taken_for = np.ones(len(self._texts), bool), {}
         for word in plain(text).split():
             own = self._having([word])
@@ -87,14 +83,14 @@ class ClipWords:
         return fits, taken_for
 
     def _having(self, words: Sequence[str]) -> Mask:
-        """Clips that have one of the words: a loop for each of them, five times as fast as one over all."""
+        """Find clips that contain any of the words; one loop for each word is five times as fast as one over all."""
         fits = np.zeros(len(self._texts), bool)
         for word in words:
             fits |= np.array([word in known for known in self._texts], bool)
         return fits
 
     def _correct(self, word: str) -> list[str]:
-        """Known words from which one differs by few letters, the nearest first."""
+        """Find the known words nearest to a word that differ from it by few letters."""
         from rapidfuzz import process
         from rapidfuzz.distance import OSA
 
@@ -110,11 +106,11 @@ class ClipWords:
 
 
 class Meanings:
-    """What motions do, by the words of the library; read aside, as that takes a while where there are very many.
+    """Match texts with what motions do, in a thread of its own: large libraries take a while to read.
 
     Parameters
     ----------
-    library : gives the library that is open.
+    library : returns the open library.
     """
 
     def __init__(self, library: Callable[[], Library]) -> None:
@@ -124,7 +120,7 @@ class Meanings:
         self._busy: Future[TextMatches] | None = None
 
     def match(self, text: str) -> TextMatches | None:
-        """The clips that fit a text; None as long as the words are being read."""
+        """Find the clips that fit a text; None while the words of the library are being read."""
         with self._lock:
             if self._busy is not None and not self._busy.done():
                 return None
@@ -140,7 +136,7 @@ class Meanings:
             return TextMatches(np.zeros(0, np.int64), np.zeros(0), {})
 
     def close(self) -> None:
-        """Wait for what is being read; who asks again begins anew."""
+        """Wait for the thread to end; a later question starts a new one."""
         with self._lock:
             reader, self._reader, self._busy = self._reader, None, None
         if reader is not None:
@@ -150,14 +146,14 @@ class Meanings:
 def read_text(
     words: ClipWords, ids: NDArray[np.int64], text: str, match: Callable[[str], TextMatches | None], *, wide: bool
 ) -> Reading:
-    """Understand what was typed: letter by letter where anything is called so, else misspelt or by its meaning.
+    """Understand a text: by its letters if any clip is called so, else misspelt or by meaning.
 
     Parameters
     ----------
     words, ids : of the clips.
-    text : what was typed.
-    match : finds clips by what they do, as `Meanings.match`.
-    wide : those that do what the words say are wanted too where others are called so.
+    text : as it was typed.
+    match : finds clips by what they do, like `Meanings.match`.
+    wide : include clips that do what the words say even if others are called so.
     """
     literal = words.find(text)
     if literal is None:

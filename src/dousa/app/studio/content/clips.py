@@ -1,11 +1,9 @@
-"""The clips of a library as a page asks for them: filtered, counted by facets, a part at a time, with small moving
-figures.
+"""List the clips of a library for the pages: filtered, counted by facets, in parts, with small moving figures.
 
-What `Library.clips` says is kept in memory with columns of numbers beside it, and read again when the library has
-another revision: another program may have written. A figure is kept in one file of the studio, by the number of its
-clip together with what stands for the content of the clip (`Library.contents`), so that it is never shown for another
-one; so is the place of a clip on the map, in another file. Both can be thrown away at any time, and several programs
-may use the figures at once.
+The clips are kept in memory with columns of numbers beside them, and read again when the revision of the library
+changes, as another program may have written to it. Figures and the map lie in files of the studio, keyed by clip number
+and `Library.contents`, so that a figure is never shown for another clip. Both files can be deleted at any time, and
+several programs may use the figures at once.
 """
 
 from __future__ import annotations
@@ -68,14 +66,14 @@ class ClipQuery:
 
     Parameters
     ----------
-    text : what was typed, as `read_text` understands it.
+    text : as `read_text` understands it.
     labels : ``category``, ``performer``, ``kind`` or ``tag`` to the names that fit, `NO_LABEL` for none; all if empty.
-        A category with a slash at its end stands for all below it.
-    min_s, max_s : at least so long, and shorter than that; None for any.
-    batch : only what came with this batch of uploads.
-    sort : the order.
+        A category that ends with a slash stands for all below it.
+    min_s, max_s : shortest length, and the length that is too long, s; None for any.
+    batch : only clips of this batch of uploads.
+    sort : order of the list.
     among : only clips of these numbers; None for all.
-    wide : also clips that do what the text says where others are called so.
+    wide : include clips that do what the text says even if others are called so.
     """
 
     text: str = ""
@@ -90,11 +88,11 @@ class ClipQuery:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Found:
-    """What fits.
+    """The clips that fit.
 
     Parameters
     ----------
-    rows : (n,) of the snapshot, in the order asked for.
+    rows : (n,) rows of the snapshot in the order wanted.
     facets : facet to name to number of clips that would fit if this facet were left open.
     reading : how the text was understood.
     """
@@ -105,14 +103,14 @@ class Found:
 
 
 class Snapshot:
-    """All clips of one revision of a library; never changed, so that requests share it.
+    """All clips of one revision of a library; never changed, so that requests can share it.
 
     Parameters
     ----------
     clips : in the order of their paths.
     revision : of the library.
-    uploads : folder of the studio's batches; what lies there is named by its path in the batch.
-    before : an earlier one, whose texts of clips that are the same are taken over.
+    uploads : folder of the batches; clips in it are named by their path in the batch.
+    before : an earlier snapshot, whose texts are reused for unchanged clips.
     """
 
     def __init__(self, clips: Sequence[ClipInfo], revision: int, uploads: Path, before: Snapshot | None = None) -> None:
@@ -138,7 +136,7 @@ class Snapshot:
         return clip_id in self._rows
 
     def _read_texts(self, before: Snapshot | None) -> list[str]:
-        """What is searched of each clip."""
+        """Make the text in which each clip is searched."""
         known = {} if before is None else before._read
         self._read: dict[int, tuple[ClipInfo, str, str]] = {}
         for clip, short in zip(self.clips, self._shorts, strict=True):
@@ -149,11 +147,11 @@ class Snapshot:
         return [text for _, _, text in self._read.values()]
 
     def row_of(self, clip_id: int) -> int:
-        """The row of a clip that is there."""
+        """Return the row of a clip of the snapshot."""
         return self._rows[clip_id]
 
     def find(self, asked: ClipQuery, match: Match = lambda text: None) -> Found:
-        """Which rows fit, and what the facets say; ``match`` finds clips by what they do, as `Meanings.match`."""
+        """Find the rows that fit and count the facets; ``match`` finds clips by what they do, like `Meanings.match`."""
         masks = {label: self._labelled(label, asked.labels.get(label, ())) for label in _LABELS}
         masks["tag"] = self._tagged(asked.labels.get("tag", ()))
         masks["length"] = self._long(asked.min_s, asked.max_s)
@@ -173,7 +171,7 @@ class Snapshot:
         return Found(rows, {name: self._count(name, rest, masks) for name in masks}, reading)
 
     def describe(self, row: int) -> dict[str, Any]:
-        """One clip as the pages know it."""
+        """Describe one clip for the pages."""
         clip = self.clips[row]
         folder, _, name = self._shorts[row].rpartition("/")
         warnings = [say(warning) for warning in clip.warnings]
@@ -186,7 +184,7 @@ class Snapshot:
         }
 
     def summarise(self) -> dict[str, Any]:
-        """The library in numbers, whatever is asked for."""
+        """Count clips, takes, seconds and categories of the whole library."""
         names, codes = self._names["category"], self._codes["category"]
         takes = ~self._are_clips
         sizes = dict(zip(names, np.bincount(codes[~takes], minlength=len(names)).tolist(), strict=True))
@@ -251,12 +249,12 @@ class Snapshot:
 
 
 class Listing:
-    """The snapshot of the library as it is now.
+    """Provides the current snapshot of the library.
 
     Parameters
     ----------
-    library : gives the library that is open.
-    uploads : folder of the studio's batches.
+    library : returns the open library.
+    uploads : folder of the batches.
     """
 
     def __init__(self, library: Callable[[], Library], uploads: Path) -> None:
@@ -267,7 +265,7 @@ class Listing:
         self._of: Library | None = None  # another file may have taken the library's place
 
     def now(self) -> Snapshot:
-        """All clips as they are now; read only if something has changed since the last time."""
+        """Return all clips as they are now; they are read only if something has changed."""
         library = self._library()
         with self._lock:  # when many ask at once, one reads
             revision = library.revision
@@ -294,7 +292,8 @@ def _searchable(clip: ClipInfo, short: str) -> str:
 
 
 def _shorten(paths: Sequence[str], uploads: str) -> tuple[list[str | None], list[str]]:
-    """Batch of each file, and its path without what says nothing: the batch's folder, or what all others share."""
+    """Find the batch of each file, and its path without the folder of its batch or the folder that all other files
+    share."""
     matches = [_BATCH.fullmatch(path.removeprefix(uploads)) if path.startswith(uploads) else None for path in paths]
     others = list({os.path.dirname(path) for path, match in zip(paths, matches, strict=True) if match is None})
     # The last folder that they share stays: it may be the only one that says something.
@@ -320,29 +319,19 @@ _SPARE = 2_000  # figures of clips that are gone may stay so many
 
 
 class Thumbnails:
-    """The figures of one library.
-
-    Parameters
-    ----------
-    path : file where they are kept; made when the first are.
-    """
+    """The figures of one library, in a file that is made with the first figure."""
 
     def __init__(self, path: Path) -> None:
         self._path = path
 
     @classmethod
     def of(cls, home: Path) -> Thumbnails:
-        """Those of the studio whose folder this is."""
+        """Open the figures in the folder of a studio."""
         return cls(home / "thumbnails.sqlite")
 
     def get(self, library: Library, clip_ids: Sequence[int]) -> bytes:
-        """Records of `encode_miniature`, one after the other in the order of the numbers.
-
-        Parameters
-        ----------
-        library : where the clips are.
-        clip_ids : a clip that is not there, or is damaged, gets a record of zeros.
-        """
+        """Return records of `encode_miniature` in the order of the numbers; zeros for clips that are missing or
+        damaged."""
         contents = library.contents(clip_ids)
         records = self._read(contents)
         lacking = [clip_id for clip_id in contents if clip_id not in records]
@@ -354,7 +343,7 @@ class Thumbnails:
         return b"".join(records.get(clip_id, nothing) for clip_id in clip_ids)
 
     def make_ahead(self, library: Library, clip_ids: Sequence[int]) -> None:
-        """Make those that are lacking, so that nobody waits for them."""
+        """Make the missing figures, so that no page waits for them."""
         for start in range(0, len(clip_ids), _AT_ONCE):
             self.get(library, clip_ids[start : start + _AT_ONCE])
 
@@ -371,7 +360,7 @@ class Thumbnails:
         return found
 
     def _write(self, made: Mapping[int, tuple[str, bytes]], library: Library) -> None:
-        """Keep them; where that cannot be done they are made again next time."""
+        """Store figures; those that cannot be stored are made again next time."""
         rows = [(clip_id, content, record) for clip_id, (content, record) in made.items()]
         try:
             self._insert(rows, library)
@@ -421,7 +410,7 @@ def _start(connection: sqlite3.Connection) -> None:
 
 
 def _make(library: Library, clip_ids: Sequence[int]) -> dict[int, bytes]:
-    """Figures by number, of those clips that can be drawn."""
+    """Make the figures of those clips that can be drawn, by number."""
     from dousa.errors import InvalidMotionError, LibraryDamagedError
 
     made: dict[int, bytes] = {}
@@ -443,7 +432,7 @@ _MAP_DIGITS = 4  # of places on the map, from -1 to 1
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _KeptPoints:
-    """What the file holds: (N,) numbers, marks of contents and (N, 2) points; numbers that are left out."""
+    """The arrays of the file: (N,) numbers, marks of contents, (N, 2) points, and the numbers left out."""
 
     ids: NDArray[np.int64]
     marks: NDArray[np.int64]
@@ -452,14 +441,7 @@ class _KeptPoints:
 
 
 def keep_map(home: Path, found: ClipMap, contents: Mapping[int, str]) -> None:
-    """Write a map into the folder of a studio.
-
-    Parameters
-    ----------
-    home : that folder.
-    found : the map.
-    contents : as `Library.contents` gives them for its clips.
-    """
+    """Write a map into the folder of a studio; ``contents`` are those of `Library.contents` for its clips."""
     there = np.array([number in contents for number in found.clip_ids.tolist()], bool)
     ids = found.clip_ids[there]
     marks = np.array([_mark(contents[number]) for number in ids.tolist()], np.int64)
@@ -480,7 +462,7 @@ class KeptMap:
     Parameters
     ----------
     home : folder of the studio.
-    library : gives the library that is open.
+    library : returns the open library.
     listing : of its clips.
     """
 
@@ -491,9 +473,9 @@ class KeptMap:
         self._told: tuple[Any, dict[str, Any]] | None = None
 
     def describe(self) -> dict[str, Any]:
-        """Numbers, points and categories of the clips that are what they were when the map was made, as plain values.
+        """Describe the clips that are unchanged since the map was made: numbers, points and categories.
 
-        ``n_new`` clips came later or have changed, ``n_left_out`` lack joints; without a map ``is_made`` is false.
+        ``n_new`` clips came later or have changed, ``n_left_out`` lack joints; ``is_made`` is false without a map.
         """
         snapshot = self._listing.now()
         with self._lock:
@@ -509,7 +491,7 @@ class KeptMap:
             return 0
 
     def _read(self) -> _KeptPoints | None:
-        """What is kept; None where there is nothing, or what is no map."""
+        """Read the file; None if it is missing or no map."""
         with suppress(OSError, DousaError), open_npz(self._path, LibraryError) as arrays:
             ids, marks, left_out = (arrays.read(name, "i", 1).astype(np.int64) for name in ("ids", "marks", "left_out"))
             points = arrays.read("points", "f", 2).astype(np.float32)

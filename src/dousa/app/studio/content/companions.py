@@ -1,7 +1,7 @@
-"""What is shown in step with the figures of an evaluation: the film of the performance, and the music of the dance.
+"""Show a film of the performance and the music of the dance in step with the figures of an evaluation.
 
-Both are files that somebody adds. The film of a performance that was estimated from films is found by itself.
-``start_s`` says where a companion begins, in seconds of the performance: negative where it began before.
+Users add both files. The film of a performance that was estimated from films is found automatically. ``start_s`` is the
+time of the performance at which a companion begins, in s; negative if it begins earlier.
 """
 
 from __future__ import annotations
@@ -31,13 +31,7 @@ _WAIT = 60.0  # s for others whose beats are looked for
 
 @dataclass(frozen=True, slots=True)
 class Companion:
-    """A film or a piece of music.
-
-    Parameters
-    ----------
-    batch, name : of the upload, and the file in it.
-    start_s : when it begins, s of the performance.
-    """
+    """A film or a piece of music: a file of a batch, and when it begins, in s of the performance."""
 
     batch: str
     name: str
@@ -45,19 +39,14 @@ class Companion:
 
 
 class Companions:
-    """The companions of all evaluations, kept beside each.
-
-    Parameters
-    ----------
-    workspace, board, motions : of the studio.
-    """
+    """The companions of all evaluations, stored in the folders of their jobs."""
 
     def __init__(self, workspace: Workspace, board: JobBoard, motions: Motions) -> None:
         self._workspace, self._board, self._motions = workspace, board, motions
         self._gate = Gate(1, 6, Message("studio_evaluation.busy"))
 
     def get(self, job: Job) -> dict[str, Companion]:
-        """Those of an evaluation, by kind."""
+        """Return the companions of an evaluation by kind."""
         found: dict[str, Companion] = {}
         film = self._find_film(job.request["performance"])
         if film is not None:
@@ -72,12 +61,7 @@ class Companions:
         return found
 
     def put(self, job: Job, kind: Kind, companion: Companion | None) -> None:
-        """Keep one, or take it away.
-
-        Raises
-        ------
-        RefusedError : the file is not there, or of another kind.
-        """
+        """Store or remove a companion; RefusedError if its file is missing or of another kind."""
         from dousa.files.disk import atomic_write
 
         if companion is not None:
@@ -94,24 +78,16 @@ class Companions:
             file.write(json.dumps(stored).encode())
 
     def path(self, job: Job, kind: Kind) -> Path:
-        """The file of one.
-
-        Raises
-        ------
-        RefusedError : there is none.
-        """
+        """Return the file of a companion; RefusedError if there is none."""
         one = self.get(job).get(kind)
         if one is None:
             raise RefusedError(404, "studio_evaluation.no_companion")
         return self._workspace.find(one.batch, one.name)
 
     def find_beats(self, job: Job) -> Beats | None:
-        """The beats of the music of an evaluation, found once; None without music.
+        """Find the beats of the music once and store them; None without music.
 
-        Raises
-        ------
-        MissingExtraError : the extra ``music`` is not installed.
-        MotionFileError : it has no beats.
+        Raises MissingExtraError without the extra ``music``, MotionFileError for music without beats.
         """
         from dousa.evaluation import Beats, find_beats
         from dousa.files.disk import atomic_write
@@ -131,11 +107,9 @@ class Companions:
         return beats
 
     def time_accents(self, job: Job, performance: MotionRef) -> BeatTiming | None:
-        """The accents of the performance against the beats of its music; None without music.
+        """Compare the accents of the performance with the beats of its music; None without music.
 
-        Raises
-        ------
-        DousaError : as of `find_beats`; too few accents or beats.
+        Raises DousaError as `find_beats`, and for too few accents or beats.
         """
         from dousa.evaluation import assess_timing
 
@@ -146,7 +120,7 @@ class Companions:
         return assess_timing(self._motions.get(performance).motion, beats, music_start_s=start_s)
 
     def _find_film(self, performance: dict[str, Any]) -> Companion | None:
-        """The first film of a performance that was estimated from films."""
+        """Find the first film of a performance that was estimated from films."""
         motion = str(performance.get("motion", ""))
         if not motion.startswith("job:"):
             return None

@@ -1,7 +1,7 @@
-"""What people corrected in takes: each correction is a clip of the library.
+"""Store what people corrected in takes: each correction is a clip of the library.
 
-Of a take of the library it is a segment of the take, named by hand, and the library knows it (`Library.annotations`). A
-take that was only dropped has no segments: there the part is written as a clip, and remembered here for its take.
+In a take of the library it is a segment named by hand, which the library knows (`Library.annotations`). A take that was
+only uploaded has no segments: its part is written as a clip, and its take is noted here.
 """
 
 from __future__ import annotations
@@ -37,15 +37,15 @@ _LEAST = 0.02  # s of a stretch that is worth telling
 
 @dataclass(frozen=True, slots=True)
 class Correction:
-    """A part of a take that somebody named.
+    """A part of a take that was named by hand.
 
     Parameters
     ----------
     motion : name of the take, such as ``clip:7``.
     start_s, end_s : s.
     category : what it shows.
-    clip_id : number of the clip of the library that was made of the part.
-    batch : of the clip's file; empty where the clip is a segment of the take.
+    clip_id : number of the clip that was made of the part.
+    batch : of the file of the clip; empty if the clip is a segment of the take.
     id : 16 hexadecimal digits.
     made_s : Unix time.
     """
@@ -65,18 +65,13 @@ class Correction:
 
 
 class Corrections:
-    """All corrections of a studio, in one small file.
-
-    Parameters
-    ----------
-    root : the studio's folder.
-    """
+    """All corrections of a studio in one small file."""
 
     def __init__(self, root: Path) -> None:
         self._path = root / _FILE
 
     def all(self) -> list[Correction]:
-        """Every correction, the oldest first; none where the file is damaged."""
+        """Return all corrections, the oldest first; none if the file is damaged."""
         try:
             rows = json.loads(self._path.read_bytes())
             return [Correction(**row) for row in rows]
@@ -84,17 +79,17 @@ class Corrections:
             return []
 
     def of(self, names: Iterable[str]) -> list[Correction]:
-        """Those of one take, which may have several names, in the order of time."""
+        """Return the corrections of a take, which may have several names, by time."""
         wanted = set(names)
         return sorted((one for one in self.all() if one.motion in wanted), key=lambda one: one.start_s)
 
     def add(self, correction: Correction) -> None:
-        """Remember one."""
+        """Store a correction."""
         with _LOCK:
             self._write([*self.all(), correction])
 
     def forget_missing(self, there: AbstractSet[int]) -> None:
-        """Forget those whose clip is not among these, and whose file is gone: no undo brings them back."""
+        """Forget corrections whose clip is not among these and whose file is deleted: no undo brings them back."""
         with _LOCK:
             known = self.all()
             kept = [one for one in known if one.clip_id in there or (self._path.parent / "files" / one.batch).is_dir()]
@@ -109,16 +104,16 @@ class Corrections:
 
 
 def lay_over(segments: Sequence[dict[str, Any]], corrections: Sequence[Correction]) -> list[dict[str, Any]]:
-    """Stretches of a timeline with the corrected ones in their places.
+    """Replace stretches of a timeline by the corrections of its take.
 
     Parameters
     ----------
-    segments : as ``Timeline.to_json`` has them, one after another.
-    corrections : of this take; where two overlap, the later made is seen.
+    segments : as in ``Timeline.to_json``, one after another.
+    corrections : of this take; of two that overlap, the newer is shown.
 
     Returns
     -------
-    Stretches in the order of time, each with ``corrected``: the number of the correction, None for the labeller's.
+    Stretches by time, each with ``corrected``: the number of the correction, None for those of the labeller.
     """
     stretches = [{**one, "corrected": None} for one in segments]
     for own in sorted(corrections, key=lambda one: one.made_s):
@@ -137,7 +132,7 @@ def lay_over(segments: Sequence[dict[str, Any]], corrections: Sequence[Correctio
 
 
 def _around(stretch: dict[str, Any], start: float, end: float) -> list[dict[str, Any]]:
-    """What is left of a stretch outside of a part; how often it is done is known of the whole alone."""
+    """Return what is left of a stretch outside of a part, without its repetitions, which are known only of the whole."""
     if start >= stretch["end_s"] or end <= stretch["start_s"]:
         return [stretch]
     stretch = {name: value for name, value in stretch.items() if name != "repetitions"}
@@ -152,7 +147,7 @@ _LABELS = "labels.csv"
 
 
 def list_corrections(studio: Studio, ref: MotionRef) -> list[Correction]:
-    """What was corrected in a take, under any of its names, in the order of time."""
+    """List the corrections of a take under all its names, by time."""
     found = [one for one in Corrections(studio.workspace.root).of(_names(studio, ref)) if _is_there(studio, one)]
     take = find_take(studio, ref)
     if take is not None:
@@ -162,7 +157,7 @@ def list_corrections(studio: Studio, ref: MotionRef) -> list[Correction]:
 
 
 def _is_there(studio: Studio, correction: Correction) -> bool:
-    """Whether the clip is in the library: it may have gone by an undo, and may come back."""
+    """Whether the clip is in the library: an undo may have removed it, and may bring it back."""
     now = studio.listing.now()
     if correction.clip_id not in now:
         return False
@@ -170,13 +165,13 @@ def _is_there(studio: Studio, correction: Correction) -> bool:
 
 
 def list_examples(studio: Studio) -> list[int]:
-    """Numbers of all clips that were named by hand in takes."""
+    """List the numbers of all clips that were named by hand in takes."""
     dropped = [one.clip_id for one in Corrections(studio.workspace.root).all() if _is_there(studio, one)]
     return list(dict.fromkeys([*dropped, *(one.clip_id for one in _list_segments(studio))]))
 
 
 def find_take(studio: Studio, ref: MotionRef) -> int | None:
-    """The number of the take of the library that is meant; None where it is none, or not there."""
+    """Return the number of a take of the library; None for other motions."""
     address = ref.address
     try:
         if address.clip is not None:
@@ -193,7 +188,7 @@ def find_take(studio: Studio, ref: MotionRef) -> int | None:
 
 
 def _list_segments(studio: Studio, takes: Sequence[int] | None = None) -> list[Correction]:
-    """Segments that were named by hand, as corrections."""
+    """List segments named by hand as corrections."""
     found = []
     for take in studio.library.annotations.read(takes):
         name = str(Address(clip=take.take_id))
@@ -205,7 +200,7 @@ def _list_segments(studio: Studio, takes: Sequence[int] | None = None) -> list[C
 
 
 def _names(studio: Studio, ref: MotionRef) -> set[str]:
-    """A take that was dropped has another name once it is in the library."""
+    """List the names of a take: an uploaded one gets another name in the library."""
     names = {ref.motion}
     files = studio.workspace.root / "files"
     if ref.address.clip is not None:
@@ -228,24 +223,18 @@ def learn_correction(
     replaces: Sequence[str] = (),
     instead_of: str | None = None,
 ) -> dict[str, Any]:
-    """Make a part a clip of the library, in the place of what was said of it; undone and done again in one step.
+    """Make a part of a take a clip of the library, in place of its earlier labels; one step of undo.
+
+    Raises RefusedError for a part that is empty or too short, a name that is no label, or an unknown correction, and
+    DousaError if the library cannot be written.
 
     Parameters
     ----------
     ref : the part.
     category : what it shows.
-    split_s : a moment of the take at which the part is made two, which are called the same; None for one.
-    replaces : numbers of corrections that go, besides those of mostly the same part.
-    instead_of : of several labels of mostly the same part, the category of the one that goes.
-
-    Returns
-    -------
-    The corrections, and what was learned.
-
-    Raises
-    ------
-    RefusedError : a part is empty, or too short to be learned from; a name that is none; no such correction.
-    DousaError : the library cannot be written.
+    split_s : time of the take at which the part is split into two of the same name; None for one part.
+    replaces : numbers of corrections to remove besides those of mostly the same part.
+    instead_of : of several labels of mostly the same part, the category of the one to remove.
     """
     name = _check_category(category)
     parts = _part_at(ref, split_s)
@@ -281,7 +270,7 @@ def learn_correction(
 
 
 def _has_label(studio: Studio, take: int, ref: MotionRef, category: str | None) -> bool:
-    """Whether mostly this part of a take of the library has a label of a category."""
+    """Whether mostly this part of a take has a label of a category."""
     segments = [one for known in studio.library.annotations.read([take]) for one in known.segments]
     return any(one.category == category and _is_same(ref, one.start, one.end) for one in segments)
 
@@ -294,7 +283,7 @@ def _part_at(ref: MotionRef, split_s: float | None) -> list[MotionRef]:
 
 
 def _add_clip(studio: Studio, named: Named, ref: MotionRef, name: str) -> dict[str, Any]:
-    """The part of a take that was only dropped, as a clip of its own."""
+    """Add a part of an uploaded take as a clip."""
     batch = studio.workspace.new_batch()
     studio.workspace.keep(batch, by_library=True)
     path = _write_clip(studio, named, ref, batch, name)
@@ -323,7 +312,7 @@ def _add_clip(studio: Studio, named: Named, ref: MotionRef, name: str) -> dict[s
 def _name_segment(
     studio: Studio, take: int, named: Named, ref: MotionRef, category: str, instead_of: str | None
 ) -> dict[str, Any]:
-    """The part of a take of the library, as a segment of it."""
+    """Name a part of a take of the library as a segment of it."""
     start = ref.start_s or 0.0
     end = ref.end_s if ref.end_s is not None else start + named.motion.duration
     trained = studio.library.stats().trained_at is not None
@@ -351,7 +340,7 @@ def _check_category(category: str) -> str:
 
 
 def _write_clip(studio: Studio, named: Named, ref: MotionRef, batch: str, category: str) -> Path:
-    """The part as a file, with a table beside it that says what it shows."""
+    """Write the part as a file, with a table of its category beside it."""
     from dousa.app.studio.content.motions import make_file
 
     stem = "".join(character if character.isalnum() or character in "_-" else "_" for character in _stem(named))
@@ -368,23 +357,16 @@ def _stem(named: Named) -> str:
 
 
 def _is_same(part: MotionRef, first: float, last: float) -> bool:
-    """Whether a label from first to last is of mostly this part: who corrects it once more means the last one."""
+    """Whether a label covers mostly this part, so that a new correction replaces it."""
     start, end = part.start_s or 0.0, part.end_s if part.end_s is not None else float("inf")
     shared = min(end, last) - max(start, first)
     return shared > 0 and shared >= _SAME * (max(end, last) - min(start, first))
 
 
 def forget_correction(studio: Studio, number: str) -> tuple[Correction, int | None]:
-    """Take a correction back: its clip leaves the library, and comes back when that is undone.
+    """Remove a correction: its clip leaves the library until an undo. Returns it with the number of the change.
 
-    Returns
-    -------
-    The correction, and the number of the change in the journal of the library.
-
-    Raises
-    ------
-    RefusedError : there is no such correction.
-    DousaError : the library cannot be written.
+    Raises RefusedError if there is no such correction, DousaError if the library cannot be written.
     """
     known = [one for one in Corrections(studio.workspace.root).all() if _is_there(studio, one)]
     found = next((one for one in (*known, *_list_segments(studio)) if one.id == number), None)

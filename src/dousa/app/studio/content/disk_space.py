@@ -1,4 +1,4 @@
-"""What a studio keeps on the disk, and what of it can go."""
+"""Measure what a studio keeps on the disk, and delete what nothing needs."""
 
 from __future__ import annotations
 
@@ -25,10 +25,10 @@ _DAY = 86_400.0  # s
 
 
 def describe_space(studio: Studio) -> dict[str, Any]:
-    """Bytes of library, uploads and jobs, what `free_space` would give back, and what is left of the disk.
+    """Measure library, uploads and jobs, what `free_space` would free, and what is left of the disk, in bytes.
 
-    ``removed_bytes`` are those of removed clips that the library keeps for an undo; `Library.compact` forgets them.
-    ``old_bytes`` are those of uploads that jobs lived from, which are forgotten, unused for `OLD_DAYS` and more.
+    ``removed_bytes`` are those of removed clips that the library keeps for an undo until `Library.compact`.
+    ``old_bytes`` are those of uploads of deleted jobs that were not used for `OLD_DAYS`.
     """
     root = studio.workspace.root
     library = studio.settings.library
@@ -53,11 +53,11 @@ def describe_space(studio: Studio) -> dict[str, Any]:
 
 
 def free_space(studio: Studio, older_days: int | None = None) -> dict[str, Any]:
-    """Take away uploads that nothing uses, and forget finished exports: they can be made again.
+    """Delete unused uploads and finished exports, which can be made again.
 
     Parameters
     ----------
-    older_days : also uploads that a job lived from which is forgotten, and that were not used for so many days.
+    older_days : also uploads of deleted jobs that were not used for so many days.
     """
     before = describe_space(studio)
     mentioned = _list_mentioned(studio)
@@ -75,7 +75,7 @@ def free_space(studio: Studio, older_days: int | None = None) -> dict[str, Any]:
 
 
 def _list_exports(studio: Studio) -> dict[str, Path]:
-    """Folders of exports that are over, by number."""
+    """List the folders of finished exports by number."""
     over = (job for job in studio.jobs.all() if job.kind == "export" and job.state not in ACTIVE)
     return {job.id: studio.jobs.folder(job) for job in over}
 
@@ -86,7 +86,8 @@ def _list_old(studio: Studio, mentioned: str, days: int) -> dict[Path, float]:
 
 
 def _list_mentioned(studio: Studio) -> str:
-    """Text with every batch that a job names or from which a clip comes, also one that an undo brings back."""
+    """Join the names of all batches that a job names or from which a clip comes, including clips that an undo brings
+    back."""
     asked = [json.dumps([job.request for job in studio.jobs.all()]), *studio.mentioned.list()]
     files = f"{studio.workspace.root / 'files'}{os.sep}"
     paths = [clip.path for clip in studio.listing.now().clips] + studio.library.removed_paths()

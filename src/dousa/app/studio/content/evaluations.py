@@ -1,4 +1,4 @@
-"""Evaluations that can be changed while somebody looks: the last ones stay ready in memory, all can be made again."""
+"""Keep evaluations that users adjust while they look at them: the last ones in memory, the others are made again."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ class Cut(BaseModel):
 
 
 class Adjustment(BaseModel):
-    """What a person may change of an evaluation."""
+    """What a user may change of an evaluation."""
 
     model_config = ConfigDict(extra="forbid")
 
@@ -69,7 +69,7 @@ _ADJUSTABLE = set(Adjustment.model_fields)
 
 
 class EvaluationRequest(Adjustment):
-    """A performance and the reference that it is held against."""
+    """A performance and the references with which it is compared."""
 
     references: Annotated[list[MotionRef], Field(min_length=1, max_length=50)]
     performance: MotionRef
@@ -80,21 +80,21 @@ class EvaluationRequest(Adjustment):
 
     @property
     def pace(self) -> str:
-        """The tempo, where none is asked for the usual one."""
+        """The tempo, by default free for repetitions and else the same."""
         return self.tempo or ("free" if self.repetitions else "same")
 
 
 @dataclass(slots=True, eq=False)
 class Ready:
-    """An evaluation that answers quickly.
+    """An evaluation in memory.
 
     Parameters
     ----------
-    request : what was asked for.
+    request : of the job.
     names : of the references, and of the performance.
-    assessment : of these motions, to be asked with other figures and weights.
-    lock : it answers one question at a time.
-    last : the last answer, and to what.
+    assessment : of these motions, to be computed with other figures and weights.
+    lock : allows one computation at a time.
+    last : the last result with its adjustment.
     """
 
     request: EvaluationRequest
@@ -104,12 +104,7 @@ class Ready:
     last: tuple[str, Assessment] | None = None
 
     def assess(self, adjustment: Adjustment) -> Assessment:
-        """The assessment with these figures and weights.
-
-        Raises
-        ------
-        RefusedError, OptionError : figures or weights that cannot be.
-        """
+        """Assess with other figures and weights; RefusedError or OptionError if they are not possible."""
         key = adjustment.model_dump_json(include=_ADJUSTABLE)
         with self.lock:
             if self.last is None or self.last[0] != key:
@@ -119,19 +114,17 @@ class Ready:
             return self.last[1]
 
     def preview(self, adjustment: Adjustment) -> tuple[Assessment, bool]:
-        """The same quickly, and whether it is exactly the same; see `dousa.evaluation.AdjustableAssessment`."""
+        """Assess quickly, and tell whether the result is exact; see `dousa.evaluation.AdjustableAssessment`."""
         with self.lock:
             furi = self.to_furi(adjustment.furi)
             found, is_exact = self.assessment.preview(furi, adjustment.weights, importance=adjustment.importance)
         return _add_page_warnings(found), is_exact
 
     def to_furi(self, cuts: Sequence[Cut] | None) -> list[Furi] | None:
-        """Figures in frames of the first reference.
+        """Convert figures to frames of the first reference.
 
-        Raises
-        ------
-        RefusedError : a figure without length, beyond the reference, over another one, or with a label that a file
-            cannot hold.
+        Raises RefusedError for figures that are empty, beyond the reference or overlapping, and for labels that a file
+        cannot hold.
         """
         from dousa.evaluation import Furi
         from dousa.evaluation.figures.furi import can_hold
@@ -156,7 +149,7 @@ class Ready:
         return found
 
     def to_cuts(self) -> list[dict[str, Any]]:
-        """The figures that are found in the reference, as `Cut`."""
+        """Convert the figures found in the reference to the fields of `Cut`."""
         rate = self.assessment.frame_rate
         return [
             {"start_s": round(one.start / rate, 4), "end_s": round(one.end / rate, 4), "label": one.label}
@@ -165,13 +158,7 @@ class Ready:
 
 
 class Evaluations:
-    """The evaluations that were looked at last.
-
-    Parameters
-    ----------
-    motions : finds what is compared.
-    board : the jobs that asked for evaluations.
-    """
+    """The evaluations that were looked at last."""
 
     def __init__(self, motions: Motions, board: JobBoard) -> None:
         self._motions, self._board = motions, board
@@ -181,7 +168,7 @@ class Evaluations:
         self._ready: OrderedDict[str, Ready] = OrderedDict()
 
     def put(self, job_id: str, ready: Ready) -> None:
-        """Keep an evaluation; others that were not looked at for long go."""
+        """Keep an evaluation in memory; those not looked at for longest are dropped."""
         with self._lock:
             self._ready[job_id] = ready
             self._ready.move_to_end(job_id)
@@ -190,16 +177,11 @@ class Evaluations:
 
     @property
     def n_bytes(self) -> int:
-        """About how much memory is kept."""
+        """Memory of the evaluations, about, in bytes."""
         return sum(one.assessment.n_bytes for one in list(self._ready.values()))
 
     def get(self, job_id: str) -> Ready:
-        """An evaluation; made again if it is not in memory any more.
-
-        Raises
-        ------
-        RefusedError : no such evaluation, or it is not done; a motion of it is gone.
-        """
+        """Return an evaluation, made again if it is not in memory; RefusedError if it or one of its motions is missing."""
         job = self._done(job_id)
         ready = self._ready.get(job_id) or self._make_again(job)
         self.put(job_id, ready)
@@ -219,7 +201,7 @@ class Evaluations:
         return ready
 
     def read_adjustment(self, job_id: str) -> Adjustment:
-        """What somebody changed of an evaluation; else what was asked for."""
+        """Return the stored adjustment of an evaluation; by default that of its request."""
         job = self._done(job_id)
         with suppress(OSError, ValueError):
             return Adjustment.model_validate_json((self._board.folder(job) / _ADJUSTED).read_bytes())
@@ -227,29 +209,28 @@ class Evaluations:
         return Adjustment(weights=asked.weights, furi=asked.furi, importance=asked.importance)
 
     def write_adjustment(self, job_id: str, adjustment: Adjustment) -> None:
-        """Keep what somebody changed, for every page that shows the evaluation, and for the files of it."""
+        """Store an adjustment for all pages and files of the evaluation."""
         from dousa.files.disk import atomic_write
 
         with atomic_write(self._board.folder(self._done(job_id)) / _ADJUSTED) as file:
             file.write(json.dumps(adjustment.model_dump(include=_ADJUSTABLE)).encode())
 
     def read_notes(self, job_id: str) -> str:
-        """What somebody says of the performance; empty where nothing is said."""
+        """Return the notes on the performance; empty by default."""
         folder = self._board.folder(self._done(job_id))
         with suppress(OSError):
             return (folder / _NOTES).read_bytes().decode("utf-8", "replace")
         return ""
 
     def write_notes(self, job_id: str, notes: str) -> None:
-        """Keep them, for every page that shows the evaluation, and for its report."""
+        """Store the notes on the performance for all pages and the report."""
         from dousa.files.disk import atomic_write
 
         with atomic_write(self._board.folder(self._done(job_id)) / _NOTES) as file:
             file.write(notes.encode("utf-8", "replace"))
 
     def compare_with_earlier(self, job_id: str) -> Progress | None:
-        """This evaluation and those before it against the same reference, as they were asked for; None if it is the
-        first."""
+        """Compare an evaluation with earlier ones of the same reference, as they were requested; None for the first."""
         from dousa.evaluation import compare_attempts, read_attempt
 
         job = self._done(job_id)
@@ -266,11 +247,9 @@ class Evaluations:
         return compare_attempts([read_attempt(one, one["names"]["performance"]) for one in results])
 
     def compare(self, job_ids: Sequence[str]) -> Progress:
-        """Evaluations against one reference, in the order in which they are named, as they were asked for.
+        """Compare evaluations of one reference in the given order, as they were requested.
 
-        Raises
-        ------
-        RefusedError : fewer than two, one of an exercise, or against several references.
+        Raises RefusedError for fewer than two, for exercises, and for several references.
         """
         from dousa.evaluation import compare_attempts, read_attempt
 
@@ -283,12 +262,12 @@ class Evaluations:
         return compare_attempts([read_attempt(one, one["names"]["performance"]) for one in results])
 
     def draw_progress(self, job_id: str) -> bytes | None:
-        """The same as a picture, SVG, in the language in use."""
+        """Draw `compare_with_earlier` as SVG in the current language."""
         found = self.compare_with_earlier(job_id)
         return None if found is None else self._draw(found, job_id, _PROGRESS)
 
     def draw_comparison(self, job_ids: Sequence[str]) -> bytes:
-        """What `compare` finds as a picture, SVG, in the language in use."""
+        """Draw `compare` as SVG in the current language."""
         return self._draw(self.compare(job_ids), job_ids[-1], _COMPARISON)
 
     def _draw(self, found: Progress, job_id: str, name: str) -> bytes:
@@ -299,7 +278,7 @@ class Evaluations:
         return path.read_bytes()
 
     def list_done(self) -> list[dict[str, Any]]:
-        """Evaluations that can be looked at, the last first: number, name, Unix time, and whether of an exercise."""
+        """List finished evaluations, the newest first: number, name, Unix time, and whether of an exercise."""
         return [
             {
                 "id": job.id,
@@ -312,7 +291,7 @@ class Evaluations:
         ]
 
     def list_comparable(self) -> list[dict[str, Any]]:
-        """The same without exercises, with names of the references, grade, and what two must share to be compared."""
+        """List the same without exercises, with names of references, grade, and a key that comparable ones share."""
         found = []
         for one in self.list_done():
             job = self._board.get(one["id"])
@@ -324,17 +303,12 @@ class Evaluations:
         return found
 
     def name_performance(self, job_id: str) -> str:
-        """The name of what was judged."""
+        """Return the name of the performance."""
         result = self.find_job(job_id).result or {}
         return str(result["names"]["performance"])
 
     def read_exercise(self, job_id: str, name: str) -> bytes:
-        """A file of the evaluation of an exercise.
-
-        Raises
-        ------
-        RefusedError : no such evaluation, or it is not of an exercise.
-        """
+        """Read a file of the evaluation of an exercise; RefusedError for other evaluations."""
         job = self.find_job(job_id)
         if not job.request.get("repetitions"):
             raise RefusedError(404, "studio_evaluation.no_exercise")
@@ -347,12 +321,7 @@ class Evaluations:
         return job
 
     def find_job(self, job_id: str) -> Job:
-        """The job of an evaluation that is done, of an exercise too.
-
-        Raises
-        ------
-        RefusedError : there is none.
-        """
+        """Return the job of a finished evaluation or exercise; RefusedError if there is none."""
         job = self._board.get(job_id)
         if job.kind != "evaluate":
             raise RefusedError(404, "studio_evaluation.not_one", job=job_id)
@@ -362,7 +331,7 @@ class Evaluations:
 
 
 def _describe_model(job: Job) -> Any:
-    """What two evaluations must share to be compared: files that were uploaded again have other addresses."""
+    """Return what comparable evaluations share; files that were uploaded again have other addresses."""
     result = job.result or {}
     return [result.get("names", {}).get("references"), result.get("reference_duration_s"), result.get("options")]
 
@@ -372,17 +341,15 @@ def make_ready(
     find: Callable[[MotionRef], Named],
     progress: Callable[[int, int, Message], None] = lambda done, total, what: None,
 ) -> Ready:
-    """Read the motions of an evaluation.
+    """Read and compare the motions of an evaluation.
+
+    Raises RefusedError for a motion that cannot be used, with its name.
 
     Parameters
     ----------
-    request : which.
-    find : gives a motion.
+    request : of the job.
+    find : returns a motion.
     progress : called with (steps done, steps, what).
-
-    Raises
-    ------
-    RefusedError : a motion that cannot be used; the sentence names it.
     """
     from dousa.evaluation import AdjustableAssessment
 
@@ -397,12 +364,7 @@ def read_motions(
     find: Callable[[MotionRef], Named],
     progress: Callable[[int, int, Message], None],
 ) -> tuple[tuple[str, ...], list[CanonicalMotion], CanonicalMotion]:
-    """Names of all motions, the takes of the reference, and the performance.
-
-    Raises
-    ------
-    RefusedError : as of `make_ready`.
-    """
+    """Return the names of all motions, the takes of the reference, and the performance; errors as `make_ready`."""
     refs = [*request.references, request.performance]
     named = []
     for number, ref in enumerate(refs):
@@ -417,7 +379,7 @@ def read_motions(
 
 @contextmanager
 def _naming(names: Sequence[str], takes: Sequence[CanonicalMotion]) -> Iterator[None]:
-    """What is wrong with a motion is said with its name."""
+    """Add the name of the motion to errors about it."""
     from dousa.errors import InvalidMotionError
     from dousa.evaluation import ABOUT_REFERENCES
 
@@ -435,21 +397,10 @@ def assess_exercise(
     folder: Path,
     progress: Callable[[int, int, Message], None] = lambda done, total, what: None,
 ) -> dict[str, Any]:
-    """Assess the repetitions of an exercise; its reports and its table are written into a folder.
+    """Assess the repetitions of an exercise, and write its reports and table into the folder of the job.
 
-    Parameters
-    ----------
-    request : which, with ``repetitions``.
-    find, progress : as of `make_ready`.
-    folder : of the job.
-
-    Returns
-    -------
-    As ``dousa evaluate --repetitions --json``, with the names of the motions.
-
-    Raises
-    ------
-    RefusedError : as of `make_ready`; no repetition in the performance.
+    Returns the JSON of ``dousa evaluate --repetitions --json`` with the names of the motions. Raises RefusedError as
+    `make_ready`, and if the performance has no repetition.
     """
     from dousa.app.report import build_exercise, build_exercise_page, to_repetitions_csv
     from dousa.evaluation import assess_repetitions, describe_exercise, describe_trends
@@ -485,7 +436,7 @@ def assess_exercise(
 
 
 def _tell_apart(named: Sequence[Named]) -> tuple[str, ...]:
-    """Names of the motions; those that several have, with their categories."""
+    """Name the motions; add the category to names that several have."""
     count = Counter(one.name for one in named)
     return tuple(f"{one.category}/{one.name}" if count[one.name] > 1 and one.category else one.name for one in named)
 
@@ -503,14 +454,14 @@ def _check(named: Named) -> Named:
 
 
 def _check_work(durations: Sequence[float]) -> None:
-    """A comparison cannot be stopped in the middle, so it must not take for ever."""
+    """Limit the work, as a comparison cannot be stopped."""
     total, squares = sum(durations), sum(one * one for one in durations)
     if (total * total - squares) / 2 > _MOST_WORK:
         raise RefusedError(422, "studio_evaluation.too_much", count=len(durations), minutes=total / 60)
 
 
 def describe(ready: Ready, assessment: Assessment, adjustment: Adjustment, language: str) -> dict[str, Any]:
-    """An assessment as JSON, with the names of the motions, the figures and weights, and what was found by itself."""
+    """Return an assessment as JSON with names of motions, the figures and weights used, and the figures found."""
     from dousa.evaluation import advise, describe_advice
 
     request, take = ready.request, ready.assessment
@@ -534,7 +485,7 @@ def describe(ready: Ready, assessment: Assessment, adjustment: Adjustment, langu
 
 
 def _add_page_warnings(assessment: Assessment) -> Assessment:
-    """With warnings that name what the page has, and one more where motions were mixed up."""
+    """Reword warnings for the page, and warn if most of the performance differs from the reference."""
     warnings = [reword(warning) for warning in assessment.warnings]
     other_s = sum(event.end_s - event.start_s for event in assessment.events if event.kind == "global")
     share = other_s / max(assessment.performance.duration, 1e-9)
@@ -544,7 +495,7 @@ def _add_page_warnings(assessment: Assessment) -> Assessment:
 
 
 def format_weights(weights: Mapping[str, float], importance: str = "learned") -> str:
-    """The text of a file for ``dousa evaluate --weights``; equal importance is another option, named in it."""
+    """Format weights for ``dousa evaluate --weights``; a comment names the option for another importance."""
     lines = [f"{name} = {value:g}" for name, value in weights.items()]
     if importance != "learned":
         lines.insert(0, f"# use it with --importance {importance}")

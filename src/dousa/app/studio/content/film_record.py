@@ -1,11 +1,20 @@
-"""What an estimation from films found on its way: views, people, offsets, cameras, and how sure the motion is.
+"""What an estimation from films has found so far: views, people, offsets, cameras and doubts; and pictures of its
+films.
 
-The work writes, the studio reads. Of a job's folder:
+The work writes, the studio reads. In the folder of a job:
 
-    film.json         what `FilmRecord.describe` answers; written last, its ``version`` rises
-    frames.npy        (V, T) which frame of each film shows each common moment
-    points-V.npy      (P, T, K, 2) int16, a view's people in 1/16384 of its width and height; `UNSEEN` where not
+    film.json         the answer of `FilmRecord.describe`; written last, with a higher ``version``
+    frames.npy        (V, T) the frame of each film at each common moment
+    points-V.npy      (P, T, K, 2) int16, the people of a view in 1/16384 of its width and height; or `UNSEEN`
     sure-V.npy        (P, T, K) uint8, 255 times their visibility
+
+Pictures of every frame lie beside a film, as the studio itself does not decode films:
+
+    .NAME.jpg.idx     records of `SHOWN`: the frame, and the place of its JPEG in .NAME.jpg.bin
+    .NAME.jpg.bin     JPEG files, one after another
+    .NAME.jpg.end     exists once the film was read to its end
+
+An interrupted run continues there, and later estimations of the same film use them again.
 """
 
 from __future__ import annotations
@@ -44,28 +53,24 @@ Progress = Callable[[int, int, Message], None]
 
 
 def name_pictures(film: Path) -> Path:
-    """The beginning of the names of a film's pictures."""
+    """Return the path of a film's pictures without its last suffix."""
     digest = hashlib.sha256(film.name.encode("utf-8", "replace")).hexdigest()[:16]
     return film.with_name(f".{digest}.jpg")
 
 
 def choose_stride(n_frames: int) -> int:
-    """Every how many frames a picture is kept, where all films of a batch have so many."""
+    """Choose every how many frames a picture is stored, for the number of frames of all films of a batch."""
     return max(1, -(-n_frames * _USUAL_BYTES // _MOST_BYTES))
 
 
 def write_pictures(film: Path, stride: int, report: Progress) -> None:
-    """Write the pictures that are not there yet.
+    """Write the missing pictures of a film; KeypointError if it is damaged.
 
     Parameters
     ----------
-    film : that can be decoded.
+    film : to decode.
     stride : of `choose_stride`.
     report : called with (frames done, frames, what).
-
-    Raises
-    ------
-    KeypointError : the film is damaged.
     """
     from dousa.estimation.keypoints.films import FilmFrames
 
@@ -113,19 +118,14 @@ def _read_index(place: Path) -> NDArray[Any]:
 
 
 class FilmPictures:
-    """The pictures of a film as far as they are.
-
-    Parameters
-    ----------
-    film : its place, whether it is still there or not.
-    """
+    """The pictures of a film as far as they are written; the film itself may be deleted."""
 
     def __init__(self, film: Path) -> None:
         self._place = name_pictures(film)
         self._index = _read_index(self._place)
 
     def read(self, frame: int) -> bytes | None:
-        """The JPEG of a frame, or of the nearest before it; None where there is none."""
+        """Return the JPEG of a frame or of the nearest one before it; None if there is none."""
         if not len(self._index) or frame > self._index["frame"][-1]:
             self._index = _read_index(self._place)
         row = int(np.searchsorted(self._index["frame"], frame, side="right")) - 1
@@ -140,7 +140,7 @@ class FilmPictures:
 
 
 def to_picture_address(canvas: Image, longest: int) -> str:
-    """A picture (H, W, 3) blue, green, red as an address that contains it, of so many px at most."""
+    """Encode a picture (H, W, 3) blue, green, red as a data URL, of at most so many px."""
     from dousa.extras import cv2
 
     factor = min(1.0, longest / max(canvas.shape[:2]))
@@ -164,7 +164,7 @@ Track = tuple[int, int]
 
 
 def choose_names(names: Sequence[str]) -> tuple[list[str], list[list[int]]]:
-    """The points that are drawn, and the bones between them."""
+    """Choose the points that are drawn, and the bones between them."""
     from dousa.app.pictures.keypoint_overlay import BONES
 
     ends = {name for bone in BONES for name in bone}
@@ -173,13 +173,13 @@ def choose_names(names: Sequence[str]) -> tuple[list[str], list[list[int]]]:
 
 
 class FilmRecordWriter:
-    """Writes down what is found.
+    """Writes what is found.
 
     Parameters
     ----------
     folder : of the job.
-    films : (V,) name, and place of the film below the studio's files; None for keypoints without a film.
-    left_out : tracks that a person has excluded.
+    films : (V,) name, and path of the film below the studio's files; None for keypoints without a film.
+    left_out : tracks that the user has excluded.
     """
 
     def __init__(self, folder: Path, films: Sequence[tuple[str, str | None]], left_out: Sequence[Track]) -> None:
@@ -211,7 +211,7 @@ class FilmRecordWriter:
         }
 
     def begin(self, sizes: Sequence[tuple[int, int]], n_frames: Sequence[int], rate: float) -> None:
-        """The films can be looked at, each by its own clock."""
+        """Write that the films can be looked at, each on its own clock."""
         self._size_views(sizes)
         total = max(1, min(n_frames))
         frames = np.tile(np.arange(total), (len(sizes), 1))
@@ -219,7 +219,7 @@ class FilmRecordWriter:
         self._say(STAGES[0], total=total, frame_rate=rate)
 
     def show(self, film: str) -> None:
-        """The pictures of a film are there."""
+        """Write that the pictures of a film are complete."""
         for view in self._said["views"]:
             view["ready"] = view["ready"] or view["film"] == film
         self._say(self._said["stage"])
@@ -229,7 +229,7 @@ class FilmRecordWriter:
             view.update(width=width, height=height)
 
     def find(self, found: Sequence[ViewKeypoints]) -> None:
-        """People were found: every track of every view, those left out too, still by each film's own clock."""
+        """Write all tracks of people of all views, those left out too, on each film's own clock."""
         rate = min(view.frame_rate for view in found)
         moments = np.arange(int(min(view.times[-1] for view in found) * rate + 0.25) + 1) / rate
         self._size_views([view.size for view in found])
@@ -240,7 +240,7 @@ class FilmRecordWriter:
         self._say(STAGES[1], total=len(moments), frame_rate=rate, names=names, bones=bones)
 
     def place(self, scene: FilmScene, found: Sequence[ViewKeypoints]) -> None:
-        """The films are on one clock, with a camera each."""
+        """Write the common clock of the films and their cameras."""
         self._keep_tracks(found, [scene.moments + offset for offset in scene.offsets])
         self._say(
             STAGES[2],
@@ -251,13 +251,13 @@ class FilmRecordWriter:
         )
 
     def match(self, people: Sequence[MatchedPerson], chosen: int, numbers: Sequence[Sequence[int]]) -> None:
-        """It is known who of one view is who of the others.
+        """Write which tracks of the views are one person.
 
         Parameters
         ----------
-        people : who is seen most first.
-        chosen : place of the one who is estimated.
-        numbers : (V,) the number that each of a view's people had before some were left out.
+        people : those seen most come first.
+        chosen : index of the person to estimate.
+        numbers : (V,) the number of each track before some were left out.
         """
         said = []
         for person in people:
@@ -267,7 +267,7 @@ class FilmRecordWriter:
         self._say(STAGES[3], people=said, chosen=chosen)
 
     def fit(self, estimate: Estimate) -> None:
-        """There is a motion."""
+        """Write how sure the motion is."""
         from dousa.motion import CANONICAL_PARENTS
 
         doubt = np.nanmean(estimate.uncertainty, axis=1)
@@ -316,7 +316,7 @@ def _describe_track(person: PersonTrack) -> dict[str, Any]:
 
 
 def describe_camera(camera: Camera) -> dict[str, Any]:
-    """Name, place, and the corners (4, 3) of what it sees at a short distance; m, Y up."""
+    """Return name, position, and the corners (4, 3) of the view at a short distance; m, Y up."""
     right, low = camera.width - 1.0, camera.height - 1.0
     corners = np.array(((0.0, 0.0), (right, 0.0), (right, low), (0.0, low)))
     starts, ways = camera.compute_rays(corners)
@@ -330,12 +330,12 @@ def describe_camera(camera: Camera) -> dict[str, Any]:
 
 
 class FilmRecord:
-    """What was found of films so far.
+    """Reads what was found of films so far.
 
     Parameters
     ----------
     folder : of the job.
-    files : of the studio, where the batches are.
+    files : of the studio, with the batches.
     """
 
     def __init__(self, folder: Path, files: Path) -> None:
@@ -346,7 +346,7 @@ class FilmRecord:
         self._pictures: dict[int, FilmPictures] = {}
 
     def refresh(self) -> None:
-        """Read what was written since the last look."""
+        """Read what was written since the last call."""
         try:
             state = (self._folder / "film.json").stat()
         except FileNotFoundError:
@@ -360,15 +360,13 @@ class FilmRecord:
 
     @property
     def version(self) -> int:
-        """Rises with whatever is new; 0 where nothing is, or the estimation is not one from films."""
+        """Version of what was found; 0 for other estimations."""
         return int(self._said.get("version", 0))
 
     def describe(self) -> dict[str, Any]:
-        """Everything but tracks and pictures; ``film`` of a view says whether its pictures are there.
+        """Describe all but tracks and pictures; ``film`` of a view tells whether its pictures are complete.
 
-        Raises
-        ------
-        RefusedError : it is not an estimation from films, or none yet.
+        Raises RefusedError if the estimation is not one from films.
         """
         if not self._said:
             raise RefusedError(404, "studio_films.not_from_films")
@@ -376,12 +374,10 @@ class FilmRecord:
         return {**self._said, "views": views}
 
     def tracks(self, view: int, first: int, count: int) -> dict[str, Any]:
-        """The people of a view in some frames: ``points`` base64 of (P, n, K, 2) int16 in 1/16384 of the picture's
-        width and height, -32768 where not seen, and ``sure`` base64 of (P, n, K) uint8.
+        """Return the people of a view in some frames: ``points`` base64 of (P, n, K, 2) int16 in 1/16384 of width and
+        height, -32768 where not seen, and ``sure`` base64 of (P, n, K) uint8.
 
-        Raises
-        ------
-        RefusedError : no such view, or nobody was looked for yet.
+        Raises RefusedError if there is no such view, or people were not searched for yet.
         """
         self._check_view(view)
         try:
@@ -401,12 +397,7 @@ class FilmRecord:
         }
 
     def picture(self, view: int, frame: int) -> bytes:
-        """JPEG of a view at a common moment.
-
-        Raises
-        ------
-        RefusedError : no such view or moment, or there is no film.
-        """
+        """Return the JPEG of a view at a common moment; RefusedError if there is none."""
         self._check_view(view)
         if not 0 <= frame < self._frames.shape[1]:
             raise RefusedError(404, "studio_films.no_moment", frame=frame, count=self._frames.shape[1])
@@ -416,7 +407,7 @@ class FilmRecord:
         return content
 
     def find_picture(self, view: int, frame: int) -> bytes | None:
-        """The same; None where there is none."""
+        """Return the JPEG of a view at a common moment; None if there is none."""
         film = self._said["views"][view]["film"] if self._said and view < len(self._said["views"]) else None
         if film is None or not 0 <= frame < self._frames.shape[1]:
             return None

@@ -1,12 +1,13 @@
-"""An estimation as it can be watched while it runs: small pictures and every pose, in files that only grow.
+"""Record an estimation while it runs: small pictures and every pose, in files that only grow.
 
-The work writes, the studio reads, neither waits for the other. A frame may be written several times, as its pose
-settles and is smoothed; the last word counts. Records have one size, so that half of one at the end is known.
+The work writes, the studio reads, and neither waits for the other. A frame may be written several times, as its pose
+settles and is smoothed; the last record counts. Records have a fixed size, so that an incomplete one at the end is
+recognised.
 
     scene.npz   body, cameras, rate, number of frames, and the name of this run
     poses.bin   records of `pose_record`
-    seen.idx    records of `SEEN`: where in seen.bin the mask (PNG) or picture (JPEG) of a view lies
-    seen.bin    those, one after the other
+    seen.idx    records of `SEEN`: the place of the mask (PNG) or picture (JPEG) of a view in seen.bin
+    seen.bin    PNG and JPEG files, one after another
 """
 
 from __future__ import annotations
@@ -50,7 +51,7 @@ _KEPT_JPEG = 80
 
 
 def pose_record(n_numbers: int, n_views: int, n_parts: int) -> np.dtype[Any]:
-    """A pose: frame, stage, whether lost, the pose row, canonical joints in m, overlap per view, hidden parts."""
+    """The record of a pose: frame, stage, whether lost, pose, canonical joints in m, overlap per view, hidden parts."""
     return np.dtype(
         [
             ("frame", "<i4"),
@@ -65,7 +66,7 @@ def pose_record(n_numbers: int, n_views: int, n_parts: int) -> np.dtype[Any]:
 
 
 def canonical_indices(body: BodyModel) -> list[int] | None:
-    """Where the 20 canonical joints are among the body's points; None for a body that is no person."""
+    """Return the indices of the 20 canonical joints among the body's points; None for a body that is not a person."""
     from dousa.estimation.body.kinematics import point_names
     from dousa.motion import CANONICAL_JOINTS
 
@@ -76,12 +77,7 @@ def canonical_indices(body: BodyModel) -> list[int] | None:
 
 
 class FootageWriter:
-    """A `dousa.app.pipelines.estimation_views.Watcher` that writes down what it is shown.
-
-    Parameters
-    ----------
-    folder : of the job.
-    """
+    """Writes what a `dousa.app.pipelines.estimation_views.Watcher` is given into the folder of the job."""
 
     def __init__(self, folder: Path) -> None:
         self._folder = folder
@@ -91,7 +87,7 @@ class FootageWriter:
         self._offset = 0
 
     def begin(self, scene: Scene) -> None:
-        """Take up the files of an earlier run, or begin new ones."""
+        """Continue the files of an earlier run, or begin new ones."""
         self._scene = scene
         if scene.resumed == 0:
             for name in ("scene.npz", "poses.bin", "seen.idx", "seen.bin"):
@@ -102,14 +98,14 @@ class FootageWriter:
         self._offset = os.fstat(self._seen.fileno()).st_size
 
     def _append(self, name: str, record: int) -> Any:
-        """A file to write on to, less the part of a record at its end that an interrupted run left."""
+        """Open a file to append, without the incomplete record of an interrupted run."""
         file = open(self._folder / name, "ab", buffering=0)  # noqa: SIM115 - open as long as the work lasts
         file.truncate(file.tell() // record * record)
         self._files.append(file)
         return file
 
     def see(self, frame: int, masks: Sequence[Mask | None], pictures: Sequence[Image | None]) -> None:
-        """Keep small masks, and small pictures where there are any."""
+        """Write small masks and pictures."""
         if self._offset > _MOST_BYTES:
             return
         records = []
@@ -126,7 +122,7 @@ class FootageWriter:
         return frame, view, kind, self._offset - len(content), len(content)
 
     def follow(self, tracked: TrackedFrame) -> None:
-        """Keep a pose."""
+        """Write a pose."""
         if tracked.body is not self._body:
             self._begin_poses(tracked.body)
         row = np.zeros(1, self._record)
@@ -134,7 +130,7 @@ class FootageWriter:
         self._fill(row, tracked.pose[None], tracked.overlap[None], tracked.occluded[None], [tracked.lost])
 
     def end(self, estimate: Estimate) -> None:
-        """Keep all poses once more, smoothed."""
+        """Write all smoothed poses."""
         if estimate.body is not self._body:
             self._begin_poses(estimate.body)
         rows = np.zeros(estimate.n_frames, self._record)
@@ -143,7 +139,7 @@ class FootageWriter:
         self.close()
 
     def close(self) -> None:
-        """Let go of the files."""
+        """Close the files."""
         for file in self._files:
             file.close()
         self._files.clear()
@@ -160,7 +156,7 @@ class FootageWriter:
         self._poses.write(rows.tobytes())
 
     def _begin_poses(self, body: BodyModel) -> None:
-        """The body is known only when its girths are fitted."""
+        """Begin the poses once the girths of the body are fitted."""
         from dousa.estimation.cameras.camera_formats import cameras_to_arrays
         from dousa.files.disk import atomic_write
 
@@ -215,24 +211,14 @@ _JPEG = 88
 
 
 class Footages:
-    """What can be seen of the estimations that were looked at last.
-
-    Parameters
-    ----------
-    board : their jobs.
-    """
+    """The footage of the estimations that were looked at last."""
 
     def __init__(self, board: JobBoard) -> None:
         self._board = board
         self._opened = OpenedJobs(board, _open_footage, _MOST_OPEN)
 
     def get(self, job_id: str) -> Footage:
-        """An estimation; there may be nothing of it yet.
-
-        Raises
-        ------
-        RefusedError : no such job, or of another kind.
-        """
+        """Return the footage of an estimation, which may still be empty; RefusedError for other jobs."""
         job = self._board.get(job_id)
         if job.kind != "estimate":
             raise RefusedError(404, "studio_estimation.not_one", job=job_id)
@@ -246,12 +232,12 @@ def _open_footage(folder: Path) -> Footage:
 
 
 class Footage:
-    """One estimation as far as it is.
+    """Reads one estimation as far as it is.
 
     Parameters
     ----------
     folder : of its job.
-    film : what was found of its films, if it is one from films.
+    film : what was found of its films, for an estimation from films.
     """
 
     def __init__(self, folder: Path, film: FilmRecord | None = None) -> None:
@@ -277,7 +263,7 @@ class Footage:
     # --- taking in what is new
 
     def refresh(self) -> None:
-        """Read what was written since the last look."""
+        """Read what was written since the last call."""
         with self._lock:
             self.film.refresh()
             path = self._folder / "scene.npz"
@@ -342,19 +328,19 @@ class Footage:
 
     @property
     def n_finished(self) -> int:
-        """Frames from the first on that have a pose."""
+        """Number of frames from the first on that have a pose."""
         missing = np.flatnonzero(self._version == 0) if self.total else np.zeros(0, int)
         return int(missing[0]) if len(missing) else self.total
 
     def frames_since(self, count: int, *, joints: bool = False) -> dict[str, Any]:
-        """What is new after so many records: the page asks with ``next`` the next time.
+        """Return what is new after so many records; ``next`` is the number for the next call.
 
         Returns
         -------
         ``run``, ``total``, ``finished``, ``next``, ``frame_rate``, ``is_person`` (else there is no figure), ``film``
-        (version of what is known of its films; 0 where it is not from films), ``views`` with names and sizes; of the
-        frames that are new or changed ``frames`` (n,), ``stage`` (n,), ``lost`` (n,), ``overlap`` (n, V), and if
-        asked for ``joints``: base64 of (n, 20, 3) float32 in m.
+            (version of its films; 0 without films), ``views`` with names and sizes; of new and changed frames
+            ``frames`` (n,), ``stage`` (n,), ``lost`` (n,), ``overlap`` (n, V), and on request ``joints``: base64 of (n,
+            20, 3) float32 in m.
         """
         with self._lock:
             count = min(count, len(self._order))
@@ -381,12 +367,7 @@ class Footage:
             return answer | {"joints": _base64(rows["joints"])} if joints else answer
 
     def player(self, language: str) -> dict[str, Any]:
-        """The figure as far as it is, for the player.
-
-        Raises
-        ------
-        RefusedError : there is no figure yet, or the body is no person.
-        """
+        """Return the figure as far as it is, for the player; RefusedError if there is none."""
         from dousa.app.player.data import encode_motion
         from dousa.motion import CANONICAL_JOINTS, Trajectories
 
@@ -404,12 +385,7 @@ class Footage:
             return {**data, "n_tracked": n_frames, "next": len(self._order)}
 
     def overlay(self, view: int, frame: int) -> bytes:
-        """Silhouette, picture and model of one view in one frame, as JPEG.
-
-        Raises
-        ------
-        RefusedError : there is no such view, or no pose of this frame yet.
-        """
+        """Draw silhouette, picture and model of a view in a frame as JPEG; RefusedError without a pose of this frame."""
         with self._lock:
             if not 0 <= view < len(self.names):
                 raise RefusedError(404, "studio_estimation.no_view", view=view, count=len(self.names))

@@ -1,7 +1,7 @@
-"""Somebody before the camera, now: pictures come in one by one, keypoints, a label and a grade go out.
+"""Follow a person in front of the camera: pictures come in one by one; keypoints, a label and a grade go out.
 
-Everything is worked out on this machine; no picture is kept. One person is followed, whom the network places in space
-by itself (a guess of depth); feet are put on the floor.
+Everything is computed on this machine, and no picture is stored. The network estimates the depth of one person; the
+feet are put on the floor.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ _MODELS: tuple[LandmarkModel, ...] = ("full", "lite", "heavy")  # those that kee
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Seen:
-    """Somebody in a picture.
+    """A person in a picture.
 
     Parameters
     ----------
@@ -62,12 +62,9 @@ Finder = Callable[[Image], Seen | None]
 
 
 def choose_model() -> LandmarkModel:
-    """The model that keeps up best of those installed, if all that is needed is there.
+    """Choose the fastest installed model that is good enough.
 
-    Raises
-    ------
-    KeypointError : no model is installed.
-    MissingExtraError : LiteRT or OpenCV is not installed.
+    Raises KeypointError if no model is installed, MissingExtraError without LiteRT or OpenCV.
     """
     from dousa.errors import KeypointError
     from dousa.estimation.keypoints.pose_models import DETECTOR, find_pose_model
@@ -85,12 +82,7 @@ def choose_model() -> LandmarkModel:
 
 
 def open_finder() -> Finder:
-    """Follows whoever the detector is surest of.
-
-    Raises
-    ------
-    KeypointError, MissingExtraError : as `choose_model`.
-    """
+    """Make a function that follows the person of whom the detector is surest; errors as `choose_model`."""
     from dousa.estimation.keypoints.people import PeopleFollower
     from dousa.estimation.keypoints.pose_networks import LandmarkNetwork, PersonDetector
 
@@ -112,11 +104,9 @@ def open_finder() -> Finder:
 
 
 def to_canonical(world: FloatArray) -> FloatArray:
-    """(20, 3) m, canonical joints on the floor, of the landmarks (33, 3) of one picture.
+    """Convert the landmarks (33, 3) of a picture to canonical joints (20, 3) on the floor, m.
 
-    Raises
-    ------
-    InvalidMotionError : landmarks that are no person.
+    Raises InvalidMotionError for landmarks that are not a person.
     """
     from dousa.estimation import MEDIAPIPE_NAMES
     from dousa.motion import Trajectories, canonicalise
@@ -132,7 +122,7 @@ def to_canonical(world: FloatArray) -> FloatArray:
 
 @dataclass(slots=True)
 class _Graded:
-    """The performance so far, at `RATE`, and what is said of it."""
+    """The performance so far at `RATE`, and its grade."""
 
     assessor: IncrementalAssessor
     references: Sequence[CanonicalMotion]
@@ -149,8 +139,8 @@ class LiveSession:
     Parameters
     ----------
     finder : see `open_finder`.
-    library : whose labeller is asked; nothing is labelled where it is not trained.
-    references : takes that the performance is held against; none: nothing is graded.
+    library : labels the motion if it is trained.
+    references : takes with which the performance is compared; without any nothing is graded.
     """
 
     def __init__(self, finder: Finder, library: Library, references: Sequence[CanonicalMotion]) -> None:
@@ -167,7 +157,7 @@ class LiveSession:
         self._learning.start()
 
     def _learn(self) -> None:
-        """The labeller takes a while where it has to be learned."""
+        """Open the labeller, which takes a while if it must be trained."""
         try:
             self._labeller = self._library.live()
         except DousaError as error:
@@ -181,17 +171,17 @@ class LiveSession:
         return _Graded(IncrementalAssessor(list(self._references), RATE), self._references)
 
     def see(self, picture: Image, seconds: float) -> dict[str, Any]:
-        """Take the next picture.
+        """Process the next picture.
 
         Parameters
         ----------
         picture : (H, W, 3) red, green, blue.
-        seconds : s, by the clock of the camera; later than that of the picture before.
+        seconds : time of the camera, s; later than that of the picture before.
 
         Returns
         -------
-        ``person``: ``points`` [[x, y], ...] in shares of width and height and ``visibility``, null where nobody is
-        seen; ``label``, ``grade``; ``ms``: what each step took.
+        ``person``: ``points`` [[x, y], ...] in shares of width and height and ``visibility``, null if there is none;
+            ``label``, ``grade``; ``ms``: time of each step.
         """
         with self._lock:
             self.used = begun = time.monotonic()
@@ -252,7 +242,7 @@ class LiveSession:
     # --- the grade
 
     def _push_grade(self, points: FloatArray, seconds: float) -> None:
-        """Frames at one rate, in a straight line between those that came."""
+        """Resample the joints linearly to one rate."""
         graded = self._graded
         if graded is None:
             return
@@ -293,7 +283,7 @@ class LiveSession:
 
 
 def _grade(graded: _Graded, rows: list[FloatArray]) -> None:
-    """What the whole assessment says of the performance so far; beside the pictures, which do not wait for it."""
+    """Assess the performance so far, in a thread for which pictures do not wait."""
     from dousa.evaluation import assess
     from dousa.motion import CANONICAL_JOINTS, Trajectories, canonicalise
 
@@ -311,24 +301,19 @@ def _describe(seen: Seen, size: tuple[int, int]) -> dict[str, Any]:
 
 
 class Live:
-    """The camera that is watched: one at a time, a new one ends the one before."""
+    """The current session; a new one ends the one before."""
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
         self._now: LiveSession | None = None
 
     def begin(self, session: LiveSession) -> None:
-        """Watch another one."""
+        """Begin a session."""
         with self._lock:
             self._now = session
 
     def get(self, session_id: str) -> LiveSession:
-        """The session of this number.
-
-        Raises
-        ------
-        RefusedError : it is over.
-        """
+        """Return a session by number; RefusedError if it has ended."""
         with self._lock:
             if self._now is not None and time.monotonic() - self._now.used > _IDLE:
                 self._now = None
@@ -337,14 +322,14 @@ class Live:
             return self._now
 
     def end(self, session_id: str) -> None:
-        """Forget a session, if it is still there."""
+        """End a session."""
         with self._lock:
             if self._now is not None and self._now.id == session_id:
                 self._now = None
 
 
 def find_problem(home: Path) -> Message | None:
-    """Why nobody could be found in pictures here; None if somebody could."""
+    """Tell why people cannot be found in pictures here; None if they can."""
     try:
         choose_model()
     except DousaError as error:

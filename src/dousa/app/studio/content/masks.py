@@ -1,13 +1,13 @@
-"""The silhouettes of a job while somebody looks through them and repairs them.
+"""Look through the silhouettes of a job and repair them.
 
     masks.json      names, sizes, rate, frames, stature, whether there are cameras; the last file to be written
-    cameras.toml    the cameras, where they are known
+    cameras.toml    the cameras, if they are known
     seen.idx        records of `dousa.app.studio.content.footage.SEEN`
-    seen.bin        masks (PNG, of full size) and small pictures (JPEG), one after the other
+    seen.bin        masks (PNG, full size) and small pictures (JPEG), one after another
     measures.npy    (2, V, T) areas and second parts, see `dousa.estimation.silhouettes.mask_doubts`
-    repairs.json    what was repaired, and what of it was undone
+    repairs.json    the repairs, and those that were undone
 
-What was found is never changed: a repair is applied as the silhouettes are read.
+The stored masks are never changed: repairs are applied when they are read.
 """
 
 from __future__ import annotations
@@ -39,16 +39,7 @@ _MOST_OPEN = 3  # jobs
 
 
 class StoredMasks(Silhouettes):
-    """The silhouettes in the folder of a job, as they were found.
-
-    Parameters
-    ----------
-    folder : of the job.
-
-    Raises
-    ------
-    RefusedError : there are none.
-    """
+    """The silhouettes in the folder of a job as they were found; RefusedError if there are none."""
 
     def __init__(self, folder: Path) -> None:
         self._folder = folder
@@ -65,11 +56,11 @@ class StoredMasks(Silhouettes):
         self._places = {(f, v, kind): (offset, size) for f, v, kind, offset, size in records.tolist()}
 
     def read(self, frame: int) -> tuple[Mask | None, ...]:
-        """The masks (height, width) of all views in one frame; None where a view has no image then."""
+        """Read the masks (height, width) of all views in a frame; None for a view without an image."""
         return tuple(self.read_view(view, frame) for view in range(self.n_views))
 
     def read_view(self, view: int, frame: int) -> Mask | None:
-        """The mask of one view."""
+        """Read the mask of one view."""
         from dousa.extras import cv2
 
         content = self._find(checked_frame(frame, self.n_frames), view, MASK)
@@ -79,7 +70,7 @@ class StoredMasks(Silhouettes):
         return None if image is None else np.asarray(image) > 127
 
     def look(self, frame: int) -> tuple[Image | None, ...]:
-        """Small pictures behind the masks; None where there is none."""
+        """Read the small pictures behind the masks; None where there is none."""
         from dousa.extras import cv2
 
         found = [self.picture(view, frame) for view in range(self.n_views)]
@@ -89,7 +80,7 @@ class StoredMasks(Silhouettes):
         )
 
     def picture(self, view: int, frame: int) -> bytes | None:
-        """The small picture of a view as JPEG."""
+        """Read the small picture of a view as JPEG."""
         return self._find(frame, view, PICTURE)
 
     def _find(self, frame: int, view: int, kind: int) -> bytes | None:
@@ -102,22 +93,17 @@ class StoredMasks(Silhouettes):
 
 
 def load_repaired(folder: Path) -> tuple[StoredMasks, RepairedSilhouettes]:
-    """The silhouettes in a job's folder as they were found, and as they are repaired.
-
-    Raises
-    ------
-    RefusedError : there are none.
-    """
+    """Load the silhouettes of a job as found and as repaired; RefusedError if there are none."""
     found = StoredMasks(folder)
     return found, RepairedSilhouettes(found, _load_repairs(folder)[0])
 
 
 def export_masks(folder: Path, path: Path, progress: Any = None) -> None:
-    """Write the repaired silhouettes of a job's folder, with cameras and stature, as an npz for `dousa estimate`.
+    """Write the repaired silhouettes of a job with cameras and stature as npz for `dousa estimate`.
 
     Parameters
     ----------
-    folder : of the job with the silhouettes.
+    folder : of the job.
     path : the file to write.
     progress : called with (done, total, what).
     """
@@ -129,7 +115,7 @@ def export_masks(folder: Path, path: Path, progress: Any = None) -> None:
 
 
 def _load_repairs(folder: Path) -> tuple[list[MaskRepair], list[MaskRepair]]:
-    """Those in force, and those undone, the last one first."""
+    """Load the repairs, and the undone ones, the last undone first."""
     try:
         stored = json.loads((folder / _REPAIRS).read_bytes())
     except FileNotFoundError:
@@ -139,24 +125,14 @@ def _load_repairs(folder: Path) -> tuple[list[MaskRepair], list[MaskRepair]]:
 
 
 class MaskDesks:
-    """The silhouettes that were looked at last.
-
-    Parameters
-    ----------
-    board : their jobs.
-    """
+    """The silhouettes that were looked at last."""
 
     def __init__(self, board: JobBoard) -> None:
         self._board = board
         self._opened = OpenedJobs(board, MaskDesk, _MOST_OPEN)
 
     def get(self, job_id: str) -> MaskDesk:
-        """The silhouettes of a job that is done.
-
-        Raises
-        ------
-        RefusedError : no such job, of another kind, or not done.
-        """
+        """Return the silhouettes of a finished job; RefusedError for other jobs."""
         job = self._board.get(job_id)
         if job.kind != "masks":
             raise RefusedError(404, "studio_masks.not_one", job=job_id)
@@ -166,12 +142,7 @@ class MaskDesks:
 
 
 class MaskDesk:
-    """Silhouettes and what was repaired of them.
-
-    Parameters
-    ----------
-    folder : of the job.
-    """
+    """The silhouettes in the folder of a job, and their repairs."""
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
@@ -183,9 +154,9 @@ class MaskDesk:
         self._measure({(repair.view, frame) for repair in self._done for frame in repair.frames})
 
     def describe(self) -> dict[str, Any]:
-        """``views`` (name, width, height, whether there are pictures), ``n_frames``, ``frame_rate``, ``cameras``,
-        ``done`` and ``undone`` (numbers of repairs), ``repaired`` frames by view, ``doubts``: (frame, reason) by view.
-        """
+        """Describe ``views`` (name, width, height, whether there are pictures), ``n_frames``, ``frame_rate``,
+        ``cameras``, ``done`` and ``undone`` (numbers of repairs), ``repaired`` frames by view, ``doubts``: (frame,
+        reason) by view."""
         with self._lock:
             views = [
                 {"name": name, "width": width, "height": height, "pictures": self._has_pictures(view)}
@@ -209,13 +180,8 @@ class MaskDesk:
         return any(self.found.picture(view, frame) is not None for frame in (0, self.found.n_frames // 2))
 
     def repair(self, repair: MaskRepair) -> dict[str, Any]:
-        """Do one more; what was undone before is forgotten.
-
-        Raises
-        ------
-        RefusedError : too many.
-        SilhouetteError : no such view or frame.
-        """
+        """Add a repair and forget those undone; RefusedError if there are too many, SilhouetteError for an unknown
+        frame."""
         with self._lock:
             if len(self._done) >= _MOST_REPAIRS:
                 raise RefusedError(409, "studio_masks.many", most=_MOST_REPAIRS)
@@ -223,24 +189,14 @@ class MaskDesk:
             return self._set([*self._done, repair], [], repair)
 
     def undo(self) -> dict[str, Any]:
-        """Take the last one back.
-
-        Raises
-        ------
-        RefusedError : there is none.
-        """
+        """Undo the last repair; RefusedError if there is none."""
         with self._lock:
             if not self._done:
                 raise RefusedError(409, "studio_masks.nothing_to_undo")
             return self._set(self._done[:-1], [self._done[-1], *self._undone], self._done[-1])
 
     def redo(self) -> dict[str, Any]:
-        """Do again what was taken back last.
-
-        Raises
-        ------
-        RefusedError : there is none.
-        """
+        """Redo the repair that was undone last; RefusedError if there is none."""
         with self._lock:
             if not self._undone:
                 raise RefusedError(409, "studio_masks.nothing_to_redo")
@@ -266,12 +222,7 @@ class MaskDesk:
             self._measures[:, view, frame] = measured.area, measured.second
 
     def mask(self, view: int, frame: int) -> bytes:
-        """The repaired mask of a view as PNG of full size, black and white.
-
-        Raises
-        ------
-        SilhouetteError, RefusedError : no such view or frame; no image of this view then.
-        """
+        """Return the repaired mask of a view as PNG of full size; SilhouetteError or RefusedError if there is none."""
         from dousa.extras import cv2
 
         mask = self.repaired.read_view(view, frame)
@@ -281,19 +232,14 @@ class MaskDesk:
         return content.tobytes()
 
     def picture(self, view: int, frame: int) -> bytes:
-        """The small picture of a view as JPEG.
-
-        Raises
-        ------
-        RefusedError : there is none.
-        """
+        """Return the small picture of a view as JPEG; RefusedError if there is none."""
         content = self.found.picture(view, frame)
         if content is None:
             raise RefusedError(404, "studio_masks.no_image", frame=frame)
         return content
 
     def export(self) -> Path:
-        """The repaired silhouettes as an npz, in the folder of the job."""
+        """Write the repaired silhouettes as npz into the folder of the job."""
         with self._lock:
             path = self.folder / EXPORTED
             if not path.is_file():

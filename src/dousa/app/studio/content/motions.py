@@ -1,7 +1,6 @@
-"""Motions by name: a clip of the library, an uploaded file, what a job estimated; whole or a part.
+"""Find motions by name: a clip of the library, an uploaded file, an estimate; whole or a part.
 
-``clip:12``, ``file:BATCH/NAME`` and ``job:ID`` stand for a motion everywhere: in the interface, in the addresses of
-pages, and between them.
+``clip:12``, ``file:BATCH/NAME`` and ``job:ID`` name a motion everywhere: in requests and in the addresses of pages.
 """
 
 from __future__ import annotations
@@ -48,7 +47,7 @@ _LONGEST_S, _MOST_FRAMES = 3 * 3600.0, 1_500_000  # of a motion that is looked a
 
 @dataclass(frozen=True, slots=True)
 class Address:
-    """Where a motion is: one of a clip, a file of a batch, a job.
+    """The place of a motion: a clip, a file of a batch, or a job.
 
     Parameters
     ----------
@@ -64,7 +63,7 @@ class Address:
 
     @classmethod
     def parse(cls, motion: str) -> Address:
-        """The place that a `MotionName` says."""
+        """Parse a `MotionName`."""
         kind, _, rest = motion.partition(":")
         if kind == "clip":
             return cls(clip=int(rest))
@@ -89,12 +88,12 @@ class MotionPart(BaseModel):
     up: str | None = Field(default=None, max_length=2, description="up axis of an uploaded file: x, y or z")
 
     def ref(self) -> MotionRef:
-        """The same in the form that everything else uses."""
+        """Convert the query of an address to the form that requests have."""
         return MotionRef(motion=self.motion, start_s=self.start_s, end_s=self.end_s, unit=self.unit, up=self.up)
 
     @property
     def address(self) -> Address:
-        """Where it is."""
+        """The place of the motion."""
         return Address.parse(self.motion)
 
 
@@ -107,19 +106,19 @@ class MotionRef(MotionPart):
 
     @property
     def is_whole(self) -> bool:
-        """Whether it is all of the motion."""
+        """Whether the whole motion is meant."""
         return self.start_s is None and self.end_s is None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Named:
-    """A motion and what it is called.
+    """A motion and its name.
 
     Parameters
     ----------
-    name : of its file, for people.
-    motion : its canonical joints, with the doubts that came up when it was read.
-    category : its label, of clips.
+    name : of its file.
+    motion : canonical joints, with the warnings of its reader.
+    category : label of a clip.
     """
 
     name: str
@@ -133,12 +132,12 @@ class Named:
 
 
 class Motions:
-    """Finds motions, and keeps those of files that were read last.
+    """Finds motions, and keeps those in memory that were last read from files.
 
     Parameters
     ----------
-    library : gives the library that is open.
-    workspace, board : where uploads and estimates are.
+    library : returns the open library.
+    workspace, board : with uploads and estimates.
     """
 
     def __init__(self, library: Callable[[], Library], workspace: Workspace, board: JobBoard) -> None:
@@ -148,29 +147,19 @@ class Motions:
         self._kept: OrderedDict[tuple[Any, ...], Named] = OrderedDict()
 
     def get(self, ref: MotionRef) -> Named:
-        """The motion, or the part, that is meant.
-
-        Raises
-        ------
-        RefusedError : there is no such motion, or the part is empty.
-        DousaError : its file cannot be used.
-        """
+        """Return a motion or a part; RefusedError if there is none, DousaError if its file cannot be used."""
         return _cut(self._whole(ref), ref)
 
     def query(self, ref: MotionRef) -> int | CanonicalMotion:
-        """What `Library.search` is asked: the number of a whole clip, else a motion."""
+        """Return what `Library.search` takes: the number of a whole clip, else a motion."""
         clip = ref.address.clip
         if clip is not None and ref.is_whole:
             return clip
         return self.get(ref).motion
 
     def path(self, ref: MotionRef) -> Path:
-        """The file of a motion; of a clip, where it came from, whether it is there or not.
-
-        Raises
-        ------
-        RefusedError : there is no such motion.
-        """
+        """Return the file of a motion; of a clip its source, which may be gone. RefusedError if there is no such
+        motion."""
         address = ref.address
         if address.clip is not None:
             return Path(self._library().clips([address.clip])[0].path)
@@ -233,7 +222,7 @@ def _read(path: Path, ref: MotionRef) -> Named:
 
 
 def _check_size(name: str, n_frames: int, frame_rate: float) -> None:
-    """A file of a few frames that says it lasts a year would fill the memory when it is shown."""
+    """Refuse files that claim a length which would fill the memory."""
     from dousa.retrieval.features.posed_motion import check_frame_rate
 
     check_frame_rate(frame_rate)
@@ -290,7 +279,7 @@ _gate = Gate(2, 6, Message("studio_motions.busy_writing"))  # an hour takes half
 
 
 def name_file(named: Named, ref: MotionRef, suffix: str) -> str:
-    """What a motion, or a part of it, is called when it is downloaded."""
+    """Name the download of a motion or a part."""
     stem = named.name.rpartition(".")[0] or named.name
     part = "" if ref.is_whole else f"_{ref.start_s or 0:.2f}s"
     return f"{stem}{part}{suffix}"
@@ -304,26 +293,20 @@ def make_file(
     character: Motion | None = None,
     keep_reach: bool = False,
 ) -> bytes:
-    """The motion as a file.
+    """Write a motion as a file and return its bytes.
+
+    If the source still holds this motion as rotations, all its joints are written; else a body of the canonical joints
+    is fitted. Raises RefusedError if many others wait, JointMappingError if the joints of the character are not
+    recognised.
 
     Parameters
     ----------
-    named : the motion, or the part.
-    source : the file it came from; it may be gone, or be something else by now.
-    ref : which part, and what was said about the file.
+    named : the motion or the part.
+    source : the file from which it came; it may be gone or changed.
+    ref : the part, and how to read the file.
     suffix : of the format.
-    character : whose skeleton it is brought onto.
-    keep_reach : hands reach the same places, instead of arm directions.
-
-    Returns
-    -------
-    Bytes. Where the source still holds this very motion as rotations, all its joints are in them; else a body of
-    the canonical joints is fitted.
-
-    Raises
-    ------
-    RefusedError : many others wait.
-    JointMappingError : the joints of the character cannot be told apart.
+    character : skeleton to retarget onto.
+    keep_reach : keep the places that hands reach, instead of arm directions.
     """
     from dousa.formats.registry import write_motion
     from dousa.motion.retargeting import retarget
@@ -339,7 +322,7 @@ def make_file(
 
 
 def _read_original(named: Named, source: Path, ref: MotionRef) -> Motion | None:
-    """The part of the file that is meant; None if it does not hold this motion."""
+    """Read the part from the source; None if it does not hold this motion."""
     from dousa.formats.registry import read_motion
     from dousa.motion import Motion
 
@@ -359,7 +342,7 @@ def _read_original(named: Named, source: Path, ref: MotionRef) -> Motion | None:
 
 
 def _is_same(motion: Motion, named: Named, ref: MotionRef) -> bool:
-    """Whether a file still moves as the library remembers it: same length, rate, places and unit."""
+    """Whether a file still has the length, rate, joints and unit that the library stored."""
     from dousa.motion import canonicalise
 
     if motion.n_frames != named.motion.n_frames or motion.frame_rate != named.motion.frame_rate:

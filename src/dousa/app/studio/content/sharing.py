@@ -1,4 +1,9 @@
-"""What a studio shows on the network: whether it does, at which address, by which links."""
+"""Share reports and library on the local network: the address, the links, and a certificate that the studio signs.
+
+Each link has its own secret and can be revoked alone. No authority vouches for an address at home, so browsers warn at
+the first visit. The connection is encrypted nevertheless, and the fingerprint can be compared. The certificate is kept,
+so that a phone which trusts it warns again only if another machine answers.
+"""
 
 from __future__ import annotations
 
@@ -35,8 +40,8 @@ class ShareLink:
 
     Parameters
     ----------
-    report : the job of the one evaluation that it shows; None for all of them and the library.
-    number : names it, for who takes it back.
+    report : job of the one evaluation that it shows; None for all and the library.
+    number : names the link when it is revoked.
     token : the secret in its address.
     created_s : Unix time.
     """
@@ -48,19 +53,14 @@ class ShareLink:
 
 
 class ShareLinks:
-    """The links that hold now, safe to be used from any thread."""
+    """The valid links; safe to be used from any thread."""
 
     def __init__(self) -> None:
         self._links: list[ShareLink] = []
         self._lock = threading.Lock()
 
     def add(self, report: str | None) -> ShareLink:
-        """The link to one evaluation, or to everything; the same one as long as it holds.
-
-        Raises
-        ------
-        RefusedError : too many links.
-        """
+        """Return the link to one evaluation or to everything, made if missing; RefusedError if there are too many."""
         with self._lock:
             for link in self._links:
                 if link.report == report:
@@ -71,7 +71,7 @@ class ShareLinks:
             return self._links[-1]
 
     def find(self, token: str) -> ShareLink | None:
-        """The link with this secret; every one is compared, so that the time tells nothing."""
+        """Find the link with a secret; all are compared, so that the time reveals nothing."""
         given, found = token.encode("utf-8", "replace"), None
         with self._lock:
             for link in self._links:
@@ -80,12 +80,7 @@ class ShareLinks:
         return found
 
     def revoke(self, number: str) -> None:
-        """Take a link back; who came by it gets nothing any more.
-
-        Raises
-        ------
-        RefusedError : no such link.
-        """
+        """Revoke a link; RefusedError if there is none of this number."""
         with self._lock:
             kept = [link for link in self._links if link.number != number]
             if len(kept) == len(self._links):
@@ -93,26 +88,19 @@ class ShareLinks:
             self._links = kept
 
     def clear(self) -> None:
-        """Take all back."""
+        """Revoke all links."""
         with self._lock:
             self._links = []
 
     def all(self) -> list[ShareLink]:
-        """Those that hold, the oldest first."""
+        """List the valid links, the oldest first."""
         with self._lock:
             return list(self._links)
 
 
 @dataclass(frozen=True, slots=True)
 class SharedServer:
-    """A server that others on the network reach.
-
-    Parameters
-    ----------
-    address : without a slash at its end.
-    fingerprint : of its certificate.
-    stop : ends it.
-    """
+    """A running server for the network: its address without a slash at the end, its fingerprint, and how to stop it."""
 
     address: str
     fingerprint: str
@@ -120,13 +108,11 @@ class SharedServer:
 
 
 class Sharing:
-    """What is shown on the network; closed until it is opened, and again when that is ended.
+    """Starts and stops a server for the network; links are valid until it stops.
 
     Parameters
     ----------
     start : starts the server for some links.
-
-    Every opening has links of its own: those of an earlier one open nothing any more.
     """
 
     def __init__(self, start: Callable[[ShareLinks], SharedServer]) -> None:
@@ -137,17 +123,11 @@ class Sharing:
 
     @property
     def server(self) -> SharedServer | None:
-        """The server; None where nothing is shown."""
+        """The server; None if nothing is shared."""
         return self._server
 
     def begin(self) -> SharedServer:
-        """Show it; where it is shown already, nothing changes.
-
-        Raises
-        ------
-        OptionError : the address cannot be used.
-        MissingExtraError : the extra ``share`` is not installed.
-        """
+        """Start to share; OptionError if the address cannot be used, MissingExtraError without the extra ``share``."""
         with self._lock:
             if self._server is None:
                 self.links.clear()
@@ -155,7 +135,7 @@ class Sharing:
             return self._server
 
     def end(self) -> None:
-        """Show nothing any more; every link is taken back."""
+        """Stop to share and revoke all links."""
         with self._lock:
             self.links.clear()
             server, self._server = self._server, None
@@ -163,29 +143,19 @@ class Sharing:
             server.stop()
 
     def address_of(self, link: ShareLink) -> str:
-        """What is opened on a phone.
-
-        Raises
-        ------
-        RefusedError : nothing is shown now.
-        """
+        """Return the address of a link; RefusedError if nothing is shared."""
         if self._server is None:
             raise RefusedError(409, "studio_share.ended")
         return f"{self._server.address}/?{KEY}={link.token}"
 
 
 def draw_code(text: str) -> str:
-    """A text as a QR code: an SVG as the source of a picture, dark on white with its quiet zone.
-
-    Raises
-    ------
-    MissingExtraError : the extra ``share`` is not installed.
-    """
+    """Draw a text as a QR code, a data URL of an SVG; MissingExtraError without the extra ``share``."""
     return str(_make_code(text).svg_data_uri(scale=4, border=4, dark="#000", light="#fff"))
 
 
 def print_code(text: str) -> str:
-    """The same in half blocks for a terminal, in its own two colours."""
+    """Draw a text as a QR code of half blocks for a terminal."""
     import io
 
     out = io.StringIO()
@@ -198,16 +168,7 @@ def _make_code(text: str) -> Any:
 
 
 def check_address(text: str) -> IPv4Address:
-    """An address of this machine in a network of its own.
-
-    Parameters
-    ----------
-    text : such as 192.168.1.20.
-
-    Raises
-    ------
-    OptionError : it is none, or the whole internet could come.
-    """
+    """Parse an address of this machine such as 192.168.1.20; OptionError if it is none, or reachable from the internet."""
     try:
         address = IPv4Address(text)
     except AddressValueError:
@@ -225,30 +186,16 @@ _DAYS, _SPARE_DAYS = 365, 7  # phones take none that hold longer than 398 days
 
 @dataclass(frozen=True, slots=True)
 class Certificate:
-    """A key with its certificate.
-
-    Parameters
-    ----------
-    path : file of both; this user alone can read it.
-    fingerprint : SHA-256 of the certificate, as browsers show it.
-    """
+    """A file with a key and its certificate, and the SHA-256 fingerprint as browsers show it."""
 
     path: Path
     fingerprint: str
 
 
 def provide_certificate(home: Path, address: IPv4Address) -> Certificate:
-    """The certificate of a studio for an address: the one it has, or a new one.
+    """Return the certificate for an address from the folder of a studio, made if missing or expired.
 
-    Parameters
-    ----------
-    home : folder of the studio.
-    address : of this machine.
-
-    Raises
-    ------
-    MissingExtraError : the extra ``share`` is not installed.
-    OSError : the folder cannot be written.
+    Raises MissingExtraError without the extra ``share``, OSError if the folder cannot be written.
     """
     require("cryptography", "share")
     path = home / _CERTIFICATE
@@ -259,7 +206,7 @@ def provide_certificate(home: Path, address: IPv4Address) -> Certificate:
 
 
 def _read_certificate(path: Path, address: IPv4Address) -> _Signed | None:
-    """The certificate that is kept, if it is of this address and holds for some time."""
+    """Read the stored certificate if it is valid for this address."""
     from cryptography import x509
     from cryptography.hazmat.primitives.serialization import load_pem_private_key
 

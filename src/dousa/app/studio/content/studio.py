@@ -35,7 +35,7 @@ Step = tuple[int, int, Message]
 
 
 class Learning:
-    """What searches learn at present."""
+    """The progress of forests that searches train, for bodies of which parts are missing."""
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
@@ -43,7 +43,7 @@ class Learning:
 
     @contextmanager
     def follow(self) -> Iterator[Callable[[int, int, Message], None]]:
-        """What a search calls with its steps; they count until it is over."""
+        """Provide the progress function of a search; its steps count until the search ends."""
         mine = object()
 
         def tell(done: int, total: int, what: Message) -> None:
@@ -57,24 +57,21 @@ class Learning:
                 self._steps.pop(mine, None)
 
     def now(self) -> Step | None:
-        """The step of the search that began first among those that learn; None if none does."""
+        """Return the step of the search that began first; None if none trains."""
         with self._lock:
             return next(iter(self._steps.values()), None)
 
 
 class Studio:
-    """One library and everything that happens to it.
+    """One library and all that belongs to it.
+
+    Raises LibraryError if the file is no library, OptionError if the folder cannot be made, HomeTakenError if another
+    studio uses the folder.
 
     Parameters
     ----------
     settings : of the studio.
-    make_lanes : gives the lanes of a studio by kind of job.
-
-    Raises
-    ------
-    LibraryError : the file is not a library, or cannot be made.
-    OptionError : the folder cannot be made.
-    HomeTakenError : another studio has the folder.
+    make_lanes : returns the lanes by kind of job.
     """
 
     def __init__(self, settings: Settings, make_lanes: Callable[[Studio], Mapping[str, Lane]]) -> None:
@@ -102,12 +99,9 @@ class Studio:
         self.sharing: Sharing | None = None  # who starts the studio says whether the network may see it
 
     def get_library(self) -> Library:
-        """The library, opened once; it is made if it is not there when the studio starts.
+        """Return the library, opened once and made if missing when the studio starts.
 
-        Raises
-        ------
-        LibraryError : it is no library, or it was taken away. What were written into a file that has no name any more
-            would be lost when the studio ends.
+        Raises LibraryError if it is no library, or was deleted meanwhile: changes to a deleted file would be lost.
         """
         from dousa.library import Library
 
@@ -131,7 +125,7 @@ class Studio:
         return self.get_library()
 
     def close(self) -> None:
-        """Stop all work, show nothing to others any more, and let go of the library."""
+        """Stop all work and sharing, and close the library."""
         if self.sharing is not None:
             self.sharing.end()
         self.jobs.close()
@@ -150,7 +144,7 @@ def _make_private(library: Path) -> None:
 
 
 def _identify(path: Path) -> tuple[int, int] | None:
-    """Which file has this name now."""
+    """Return what identifies the file of this name; None if it is missing."""
     try:
         status = os.stat(path)
     except OSError:

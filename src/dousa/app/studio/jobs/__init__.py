@@ -1,1 +1,1 @@
-"""Work that outlives a request: the board, its lanes, the processes and threads that do it."""
+"""Work that outlives a request: the board, its lanes, and the processes and threads that do it."""

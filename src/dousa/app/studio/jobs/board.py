@@ -1,8 +1,8 @@
-"""Work that outlives a request: queued, watched, stopped, resumed, and still there after a reload.
+"""Work that outlives a request: it is queued, watched, stopped and resumed, and survives a reload of the page.
 
-Long work (adding, training, estimating) runs in a process of its own, which gives its memory back, can be stopped
-at any moment and leaves the page quick. Short work (labelling, evaluating) runs in a thread beside the kernels that
-are loaded already. Each lane does one thing at a time, in the order asked for.
+Long work (adding, training, estimating) runs in its own process, which frees its memory, can be stopped at any moment
+and leaves the page quick. Short work (labelling, evaluating) runs in a thread, where the kernels are loaded already.
+Each lane runs one job at a time, in the order of the requests.
 """
 
 from __future__ import annotations
@@ -34,24 +34,24 @@ _SAVE_EVERY = 2.0  # s between writes of the progress of a running job
 
 
 class JobStopped(Exception):  # noqa: N818 - not an error
-    """Raised inside work that somebody has stopped."""
+    """Raised inside work that was stopped."""
 
 
 @dataclass(slots=True)
 class Job:
-    """One piece of work and how far it is.
+    """One piece of work and its progress.
 
     Parameters
     ----------
     id : 16 hexadecimal digits.
     kind : name of the work, see `dousa.app.studio.work.worker`.
-    title : for people: a name, or a message.
-    request : what was asked for.
+    title : a name or a message.
+    request : of the client.
     language : of the result.
     state : ``queued``, ``running``, ``stopping``, ``done``, ``failed``, ``stopped``.
     done, total, what : progress.
-    notes : what a person should know.
-    result : the answer; None until it is done.
+    notes : messages for the user.
+    result : None until it is done.
     problem : why it failed.
     created_s, started_s, finished_s : Unix times.
     version : counts changes.
@@ -76,9 +76,9 @@ class Job:
     version: int = 0
 
     def to_json(self, *, brief: bool = False) -> dict[str, Any]:
-        """The job as a plain dictionary in the language in use; brief: without request and result.
+        """Return the job in the current language; brief: without request and result.
 
-        ``codes`` has what the sentences ``title``, ``what``, ``notes`` and ``problem`` are made of.
+        ``codes`` has the messages behind the sentences ``title``, ``what``, ``notes`` and ``problem``.
         """
         answer = {one.name: getattr(self, one.name) for one in fields(self)}
         if brief:
@@ -91,13 +91,13 @@ class Job:
         return {**answer, "what": answer["what"] or "", "codes": codes}
 
     def to_file(self) -> dict[str, Any]:
-        """The job as a plain dictionary for a file, in no language."""
+        """Return the job as a dictionary for a file, with messages instead of sentences."""
         answer = {one.name: getattr(self, one.name) for one in fields(self)}
         return answer | {name: _each(answer[name], Message.to_json) for name in _SAID}
 
     @classmethod
     def from_file(cls, stored: Mapping[str, Any]) -> Job:
-        """The job whose ``to_file()`` this is; older versions stored sentences."""
+        """Read the result of ``to_file()``; older versions stored sentences."""
         title = stored["title"] if isinstance(stored["title"], str) else read_message(stored["title"])
         read = {
             "what": read_message(stored["what"]) if stored["what"] else None,
@@ -118,13 +118,13 @@ def _each(value: Any, change: Callable[[Message], Any]) -> Any:
 
 @dataclass(frozen=True, slots=True)
 class Lane:
-    """A kind of work.
+    """A queue of work.
 
     Parameters
     ----------
     name : jobs of the same lane wait for each other.
-    run : does the work of a job; told whether to stop by ``stop``; returns the result.
-    resumable : a stopped job can be resumed where it was.
+    run : does the work of a job until ``stop`` is set; returns the result.
+    resumable : a stopped job can be resumed.
     """
 
     name: str
@@ -133,11 +133,11 @@ class Lane:
 
 
 class JobBoard:
-    """All jobs of a studio, safe to be used from any thread.
+    """All jobs of a studio; safe to be used from any thread.
 
     Parameters
     ----------
-    workspace : where jobs keep their files.
+    workspace : with the files of the jobs.
     kinds : the lane of each kind of work.
     """
 
@@ -156,12 +156,7 @@ class JobBoard:
     # --- asking for work
 
     def submit(self, kind: str, request: Mapping[str, Any], title: str | Message) -> Job:
-        """Queue some work.
-
-        Raises
-        ------
-        RefusedError : too much is waiting.
-        """
+        """Queue a job; RefusedError if too many wait."""
         with self._lock:
             if sum(job.state in ACTIVE for job in self._jobs.values()) >= _MOST_WAITING:
                 raise RefusedError(429, "studio_jobs.too_many", most=_MOST_WAITING)
@@ -174,12 +169,7 @@ class JobBoard:
             return job
 
     def resume(self, job_id: str) -> Job:
-        """Resume a job that was stopped or failed.
-
-        Raises
-        ------
-        RefusedError : no such job, or not one that can be resumed.
-        """
+        """Resume a job that was stopped or failed; RefusedError if that is not possible."""
         with self._lock:
             job = self.get(job_id)
             if job.state in ACTIVE:
@@ -193,7 +183,7 @@ class JobBoard:
             return job
 
     def stop(self, job_id: str) -> Job:
-        """Ask a job to stop; what it has done stays."""
+        """Ask a job to stop; finished parts of its work stay."""
         with self._lock:
             job = self.get(job_id)
             if job.state == "queued":
@@ -204,12 +194,7 @@ class JobBoard:
             return job
 
     def remove(self, job_id: str) -> None:
-        """Forget a finished job and its files.
-
-        Raises
-        ------
-        RefusedError : no such job, or it is under way.
-        """
+        """Delete a finished job with its files; RefusedError if it is missing or active."""
         with self._lock:
             job = self.get(job_id)
             if job.state in ACTIVE:
@@ -222,28 +207,23 @@ class JobBoard:
     # --- looking
 
     def get(self, job_id: str) -> Job:
-        """A job.
-
-        Raises
-        ------
-        RefusedError : there is none of this number.
-        """
+        """Return a job; RefusedError if there is none of this number."""
         with self._lock:
             if job_id not in self._jobs:
                 raise RefusedError(404, "studio_jobs.no_job", job=job_id[:40])
             return self._jobs[job_id]
 
     def all(self) -> list[Job]:
-        """All jobs, the newest first."""
+        """List all jobs, the newest first."""
         with self._lock:
             return sorted(self._jobs.values(), key=lambda job: -job.created_s)
 
     def folder(self, job: Job) -> Path:
-        """Where a job writes."""
+        """Return the folder of a job."""
         return self._workspace.job_folder(job.id)
 
     def change(self, job: Job, **values: Any) -> None:
-        """Say what is new of a job; used by the lanes. Who reads it meanwhile sees its result before it is done."""
+        """Change a job; its state is set last, so that a finished job has its result."""
         with self._lock:
             settled = "state" in values
             for name in sorted(values, key="state".__eq__):
@@ -253,7 +233,7 @@ class JobBoard:
                 self._save(job)
 
     def close(self) -> None:
-        """Stop all work and wait for it; the studio ends."""
+        """Stop all jobs and wait for them."""
         self._closing = True
         with self._lock:
             for job in self._jobs.values():
@@ -336,12 +316,12 @@ Opened = TypeVar("Opened")
 
 
 class OpenedJobs(Generic[Opened]):
-    """What was looked at last, safe to be used from any thread.
+    """Keeps what was last opened of jobs; safe to be used from any thread.
 
     Parameters
     ----------
     board : the jobs.
-    open_folder : opens what is in the folder of one.
+    open_folder : opens the folder of a job.
     most : how many stay open.
     """
 
@@ -351,7 +331,7 @@ class OpenedJobs(Generic[Opened]):
         self._open: OrderedDict[str, Opened] = OrderedDict()
 
     def get(self, job: Job) -> Opened:
-        """What is in the folder of a job."""
+        """Open a job, or return it if it is open."""
         with self._lock:
             if job.id not in self._open:
                 self._open[job.id] = self._open_folder(self._board.folder(job))
@@ -368,14 +348,13 @@ _Seen = frozenset[tuple[str, int, int]]  # path, bytes, time of the last change
 
 
 class FolderWatch:
-    """Asks for what is new in a folder to be added each time that it has come to rest.
+    """Adds new files of a folder to the library once the folder is at rest.
 
     Parameters
     ----------
     folder : with motion files, at any depth.
-    take_in : called with the paths of what is new or has changed; a job that adds them. What the library has already
-        is left alone by it.
-    is_busy : whether such a job is under way.
+    take_in : called with the paths of new and changed files; makes a job that adds them.
+    is_busy : whether such a job is active.
     """
 
     def __init__(self, folder: Path, take_in: Callable[[list[str]], object], is_busy: Callable[[], bool]) -> None:
@@ -386,17 +365,17 @@ class FolderWatch:
         self._thread = threading.Thread(target=self._run, name="folder watch", daemon=True)
 
     def start(self) -> None:
-        """Begin to look."""
+        """Start to watch."""
         self._thread.start()
 
     def end(self) -> None:
-        """Look no more."""
+        """Stop to watch."""
         self._over.set()
         if self._thread.is_alive():
             self._thread.join()
 
     def look(self) -> bool:
-        """Look once; whether something is to be added."""
+        """Look once; returns whether files are added."""
         now = self._read()
         rests, self._last = now == self._last, now
         if not rests or now <= self._taken or self._is_busy():

@@ -1,5 +1,5 @@
-"""How work is done: in a process of its own, where progress comes as lines of JSON and stopping is Ctrl-C, or in a
-thread of the studio, where the kernels and the library are loaded already."""
+"""Run work in its own process, where progress comes as lines of JSON and Ctrl-C stops it, or in a thread of the studio,
+where the kernels and the library are loaded already."""
 
 from __future__ import annotations
 
@@ -42,10 +42,10 @@ class Context:
     Parameters
     ----------
     library : file of the library.
-    home : the studio's folder, see `dousa.app.studio.core.workspace.Workspace`.
-    folder : where this job writes.
+    home : folder of the studio, see `dousa.app.studio.core.workspace.Workspace`.
+    folder : of the job.
     progress : see `Progress`.
-    tell : called with what a person should know.
+    tell : called with messages for the user.
     """
 
     library: Path
@@ -55,14 +55,14 @@ class Context:
     tell: Callable[[Message | str], None]
 
     def open_library(self) -> Library:
-        """The library; the studio made it when it started, so one that is not there was taken away."""
+        """Open the library; the studio made it, so a missing one was deleted."""
         from dousa.library import Library
 
         return Library.open(self.library)
 
 
 class WorkError(DousaError):
-    """The work of a process ended with a problem that it reported."""
+    """The problem that the process of a job reported."""
 
 
 def start_worker(
@@ -74,7 +74,7 @@ def start_worker(
     *,
     is_job: bool = False,
 ) -> tuple[subprocess.Popen[bytes], bytes]:
-    """A process that does work, and the line that it waits for on its standard input.
+    """Start a process that does work in the current language; returns it with the line for its standard input.
 
     Parameters
     ----------
@@ -82,9 +82,8 @@ def start_worker(
     kind, request : of the work, see `dousa.app.studio.work.worker`.
     folder : where it may write.
     errors : where its standard error goes.
-    is_job : the folder is its alone; it waits for one of a killed studio that is still ending there.
-
-    What it answers is in the language in use here.
+    is_job : the folder belongs to the job alone; the process waits for one of a killed studio that is still ending
+        there.
     """
     task = {
         "language": get_language(),
@@ -106,7 +105,7 @@ def start_worker(
 
 
 def run_in_process(settings: Settings) -> Callable[[Job, JobBoard, threading.Event], dict[str, Any]]:
-    """What does jobs of any kind of `dousa.app.studio.work.worker` in a new process each."""
+    """Make the function that runs each job in a new process."""
 
     def run(job: Job, board: JobBoard, stop: threading.Event) -> dict[str, Any]:
         folder = board.folder(job)
@@ -149,7 +148,7 @@ def _listen(
 
 
 def _read_lines(stdout: IO[bytes], job: Job, board: JobBoard) -> dict[str, Any]:
-    """Pass on progress and notes; the last word of the process."""
+    """Pass on progress and notes; returns the last message of the process."""
     last: dict[str, Any] = {}
     for line in stdout:
         with suppress(ValueError):
@@ -165,7 +164,7 @@ def _read_lines(stdout: IO[bytes], job: Job, board: JobBoard) -> dict[str, Any]:
 
 
 def _end_when(stop: threading.Event, process: subprocess.Popen[bytes]) -> None:
-    """Ctrl-C, and the end for what does not hear it: a decoder or a product of matrices looks up late."""
+    """Send Ctrl-C, and kill a process that does not react: decoders and large products of matrices react late."""
     stop.wait()
     if process.poll() is None:
         with suppress(OSError):
@@ -177,7 +176,7 @@ def _end_when(stop: threading.Event, process: subprocess.Popen[bytes]) -> None:
 
 
 def kill(process: subprocess.Popen[bytes]) -> None:
-    """End a process that was started in a session of its own, and what it started itself."""
+    """Kill a process with its own session, and its children."""
     if process.poll() is not None:
         return
     with suppress(OSError):
@@ -202,7 +201,7 @@ def _end(process: subprocess.Popen[bytes]) -> None:
 def run_in_thread(
     settings: Settings, work: Callable[[dict[str, Any], Context], dict[str, Any]]
 ) -> Callable[[Job, JobBoard, threading.Event], dict[str, Any]]:
-    """What does jobs of one kind in the thread of their lane."""
+    """Make the function that runs each job of a kind in the thread of its lane."""
 
     def run(job: Job, board: JobBoard, stop: threading.Event) -> dict[str, Any]:
         def progress(done: int, total: int, what: Message | str) -> None:
@@ -224,18 +223,9 @@ _under_way: dict[str, subprocess.Popen[bytes]] = {}
 
 
 def ask_process(settings: Settings, kind: str, request: dict[str, Any], folder: Path, seconds: float) -> dict[str, Any]:
-    """The result of work of `dousa.app.studio.work.worker`.
+    """Return the result of short work in a process; an older question about the same batch is dropped.
 
-    Parameters
-    ----------
-    settings : of the studio.
-    kind, request : of the work; an older question about the same batch is dropped.
-    folder : where it may write.
-    seconds : it may take.
-
-    Raises
-    ------
-    RefusedError : it reported a problem, took too long or ended without an answer.
+    Raises RefusedError if the work failed, took longer than ``seconds``, or ended without an answer.
     """
     key = f"{settings.folder} {kind} {request.get('batch')}"
     with _lock:
@@ -283,7 +273,7 @@ def _run(key: str, start: Callable[[], tuple[subprocess.Popen[bytes], bytes]], s
 
 
 def _ask(process: subprocess.Popen[bytes], task: bytes) -> list[bytes]:
-    """What the process says; it ends when its standard input does, so that is closed only afterwards."""
+    """Read the lines of a process; it ends when its standard input does, so that is closed only afterwards."""
     assert process.stdin is not None and process.stdout is not None
     lines: list[bytes] = []
     with process.stdout, suppress(BrokenPipeError):

@@ -11,6 +11,9 @@ export function t(name, values = {}) {
 
 export const language = document.documentElement.lang;
 
+/** Formats whole numbers in the language of the page. */
+export const count = new Intl.NumberFormat(language);
+
 /** Element: h("button", {class: "small", onclick: act, "aria-label": "x", hidden: false}, "text", child, ...). */
 export function h(tag, properties = {}, ...children) {
   const element = document.createElement(tag);
@@ -73,6 +76,9 @@ export function formatSeconds(seconds) {
   const [hours, minutes, rest] = [Math.floor(whole / 3600), Math.floor(whole / 60) % 60, whole % 60];
   return hours ? `${hours}:${two(minutes)}:${two(rest)}` : `${minutes}:${two(rest)}`;
 }
+
+/** A share as a whole number of percent. */
+export const percent = (share) => Math.round(100 * share);
 
 /** A grade of an answer, as reports and tables say it: half a point up. */
 export const wholeGrade = (score) => String(Math.floor(score + 0.5));

@@ -14,8 +14,40 @@
 // Escape lets it go, + and - zoom, C cuts. On a cut or an end: arrows move, Delete takes a cut away.
 
 import { formatSeconds, h, t } from "./dom.js";
-import { Overview } from "./timeline_overview.js";
-import { Tones, describeSegment, findLanes, makeSegment, makeTicks, place } from "./timeline_parts.js";
+import { describeSegment, drawStrip, findLanes, makeSegment, makeTicks, place, Tones } from "./timeline_parts.js";
+
+// The whole of a timeline in little, while only a part of it is seen; click or drag to see another part.
+
+export class Overview {
+  /** scroll: the element that scrolls; onGo(share): the middle of what is to be seen. */
+  constructor(scroll, onGo) {
+    this.scroll = scroll;
+    this.strip = h("div", { class: "tl-strip" });
+    this.frame = h("div", { class: "tl-frame" });
+    this.element = h("div", { class: "tl-overview", hidden: true, "aria-hidden": "true" }, this.strip, this.frame);
+    const go = (event) => {
+      const box = this.element.getBoundingClientRect();
+      onGo((event.clientX - box.left) / box.width);
+    };
+    this.element.addEventListener("pointerdown", (event) => {
+      event.preventDefault();
+      this.element.setPointerCapture(event.pointerId);
+      go(event);
+    });
+    this.element.addEventListener("pointermove", (event) => event.buttons && go(event));
+    scroll.addEventListener("scroll", () => this.place(), { passive: true });
+  }
+
+  draw(segments, duration, tones) {
+    drawStrip(this.strip, segments, duration, tones);
+  }
+
+  place() {
+    const { scrollLeft, clientWidth, scrollWidth } = this.scroll;
+    this.element.hidden = scrollWidth <= clientWidth + 2;
+    Object.assign(this.frame.style, place(scrollLeft, scrollLeft + clientWidth, scrollWidth));
+  }
+}
 
 const STEP = 0.1; // s of an arrow key
 const LEAST = 0.1; // s of a part, and between cuts

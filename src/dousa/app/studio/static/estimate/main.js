@@ -1,9 +1,8 @@
 // The page of estimation: before (files, person, a look) and while or after (?job=ID).
 
 import { $ } from "../core/dom.js";
-import { addressOf } from "./address.js";
-import { showSetup } from "./setup.js";
 import { showMasks } from "../masks/editor.js";
+import { addressOf, showSetup } from "./setup.js";
 import { watchEstimation } from "./watch.js";
 
 let leave = () => {};

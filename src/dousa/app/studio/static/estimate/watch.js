@@ -2,13 +2,154 @@
 
 import { get, post } from "../core/api.js";
 import { $, formatSeconds, h, icon, language, t } from "../core/dom.js";
+import { finished, followJob, isActive, resumeJob, stopJob } from "../core/jobs.js";
+import { attempt, notify } from "../core/notices.js";
 import { FilmDesk } from "../film/desk.js";
-import { followJob, isActive, resumeJob, stopJob } from "../core/jobs.js";
-import { attempt } from "../core/notices.js";
 import { Chart } from "./chart.js";
 import { Figure } from "./figure.js";
-import { showOutcome } from "./outcome.js";
-import { Views } from "./views.js";
+
+// Silhouette and model of every view at one frame; a picture stays until the next one is there.
+
+export class Views {
+  /** views: [{name, width, height}] */
+  constructor(place, job, views) {
+    this.job = job;
+    this.wanted = null;
+    this.cells = views.map((view, index) => new Cell(job, view, index));
+    const columns = chooseColumns(views);
+    place.style.setProperty("--columns", String(columns));
+    place.style.setProperty("--highest", `${Math.floor(56 / Math.ceil(views.length / columns))}vh`);
+    place.replaceChildren(...this.cells.map((cell) => cell.element));
+  }
+
+  /** known: {overlaps, lost, stage} of the frame; version: changes when its drawing does. */
+  show(frame, known) {
+    const version = `${known.stage}`;
+    for (const [index, cell] of this.cells.entries()) cell.show(frame, version, known.overlaps[index], known.lost);
+  }
+}
+
+/** Wide pictures two beside each other (three of six or nine), tall ones four. */
+function chooseColumns(views) {
+  const isTall = views[0].height > views[0].width;
+  if (isTall || views.length === 1) return Math.min(views.length, 4);
+  return views.length <= 4 || views.length % 3 ? 2 : 3;
+}
+
+class Cell {
+  constructor(job, view, index) {
+    Object.assign(this, { job, view, index, busy: false, next: null, shown: null });
+    this.picture = h("div", { class: "picture", style: {} }, t("view_waiting"));
+    this.picture.style.setProperty("--shape", `${view.width} / ${view.height}`);
+    this.value = h("span", {});
+    this.mark = h("span", { class: "lost-mark", hidden: true }, t("lost"));
+    this.element = h("figure", { class: "view", dataset: { view: view.name } }, this.picture, this.mark, h("figcaption", {}, h("b", {}, view.name), this.value));
+  }
+
+  show(frame, version, overlap, lost) {
+    const key = `${frame}.${version}`;
+    this.next = key === this.shown ? null : { frame, version, key, overlap, lost };
+    if (!this.busy && this.next) this.load();
+  }
+
+  // One picture at a time: whoever plays faster than pictures come sees fewer of them, not old ones.
+  async load() {
+    const { frame, version, key, overlap, lost } = this.next;
+    this.next = null;
+    this.busy = true;
+    const said = overlap === null ? "-" : overlap.toFixed(2);
+    const image = h("img", { alt: t("view_picture", { name: this.view.name, frame: frame + 1, overlap: said }) });
+    image.src = `/api/estimations/${this.job}/overlay/${this.index}/${frame}?stage=${version}`;
+    try {
+      await image.decode();
+      this.picture.replaceChildren(image);
+      this.value.textContent = overlap === null ? t("no_image") : t("overlap_value", { value: said });
+      this.mark.hidden = !lost;
+      this.element.classList.toggle("lost", lost);
+      this.element.dataset.frame = String(frame);
+      this.shown = key;
+    } catch {
+      // the job was forgotten, or the studio is away: what is shown stays
+    }
+    this.busy = false;
+    if (this.next) this.load();
+  }
+}
+
+// What came out, how far to trust it, and where to go with it.
+
+/** job: a finished estimation with its result. */
+export function showOutcome(job) {
+  const result = job.result;
+  const motion = encodeURIComponent(`job:${job.id}`);
+  const trust = result.trust ?? "good"; // of an older studio nothing is known
+  const weights = result.warning_weights ?? [];
+  const says = result.warnings.map((text, at) => h("li", { class: weights[at] ?? "" }, weights[at] && weights[at] !== "good" ? h("b", { class: "weight" }, t(`weight_${weights[at]}`), " ") : null, text));
+  const place = $("#outcome");
+  place.replaceChildren(
+    h("h2", { id: "outcome-title", class: `trust ${trust}` }, t(`outcome_title_${trust}`)),
+    h("p", { class: "note" }, t(`outcome_trust_${trust}`)),
+    h("ul", { class: "says" }, ...(says.length ? says : [h("li", { class: "good" }, t("outcome_good"))])),
+    h("dl", { class: "outcome-facts" }, ...facts(result).flatMap(([name, value]) => [h("div", {}, h("dt", {}, name), h("dd", {}, value))])),
+    h(
+      "div",
+      { class: "row" },
+      h("a", { class: `button ${trust === "bad" ? "" : "primary"}`, id: "search-it", href: `/search?motion=${motion}` }, icon("search"), t("search_it")),
+      h("a", { class: "button", id: "evaluate-it", href: `/evaluate?performance=${motion}` }, icon("mark"), t("evaluate_it")),
+      h("button", { type: "button", id: "add-it", onclick: () => askAndAdd(job) }, icon("folder"), t("add_it")),
+    ),
+    h(
+      "div",
+      { class: "row" },
+      ...result.files.map((name) => h("a", { class: "button small quiet", href: `/api/estimations/${job.id}/files/${name}`, download: name }, icon("download"), t(`file_${name}`))),
+    ),
+  );
+  place.hidden = false;
+}
+
+function facts(result) {
+  const overlap = result.iou.mean === null ? "-" : result.iou.mean.toFixed(2);
+  const lost = result.lost_frames.length;
+  return [
+    [t("outcome_overlap"), overlap],
+    [t("outcome_lost"), lost ? t("outcome_of", { count: lost, total: result.n_frames }) : t("outcome_none_lost")],
+    [t("outcome_length"), t("outcome_length_value", { frames: result.n_frames, seconds: formatSeconds(result.n_frames / result.frame_rate) })],
+    [t("outcome_body"), t("outcome_stature", { value: result.stature_m.toFixed(2) })],
+    [t("outcome_speed"), t("outcome_speed_value", { value: result.frames_per_second.toFixed(result.frames_per_second < 10 ? 1 : 0) })],
+  ];
+}
+
+function askAndAdd(job) {
+  const name = h("input", { type: "text", name: "name", required: true, maxlength: "80", value: job.title.replace(/\.[^.]+( \+ \d+)?$/, "") || "estimated" });
+  const category = h("input", { type: "text", name: "category", maxlength: "80" });
+  const dialog = h(
+    "dialog",
+    { "aria-label": t("add_title") },
+    h(
+      "form",
+      { method: "dialog" },
+      h("h2", {}, t("add_title")),
+      h("label", { class: "field" }, t("add_name"), name),
+      h("label", { class: "field" }, t("add_category"), category),
+      h("div", { class: "foot" }, h("button", { type: "button", onclick: () => dialog.close("cancel") }, t("cancel")), h("button", { class: "primary", value: "add" }, t("add_do"))),
+    ),
+  );
+  dialog.addEventListener("close", () => {
+    dialog.remove();
+    if (dialog.returnValue === "add") attempt(() => add(job, name.value.trim(), category.value.trim()));
+  });
+  document.body.append(dialog);
+  dialog.showModal();
+}
+
+async function add(job, name, category) {
+  const asked = await post(`/estimations/${job.id}/add`, { name: name || "estimated", category: category || null });
+  const done = await finished(asked.id);
+  const report = done.result;
+  const taken = report && report.added.length + report.replaced.length + report.unchanged.length + report.duplicates.length > 0;
+  if (taken) notify(t("added", { name }));
+  else notify(t("add_refused", { reason: done.problem ?? report?.skipped[0]?.reason ?? t(`state_${done.state}`) }), "problem");
+}
 
 const LOOK_EVERY = 350; // ms
 const UNSURE = 0.7; // mean overlap of silhouette and model, below which a frame is marked

@@ -1,14 +1,13 @@
 // The evaluation page: choose motions, wait for the grade, look at the report and change what it rests on.
 
+import { Comparison } from "../compare/comparison.js";
 import { get, post } from "../core/api.js";
 import { $, h, language, t } from "../core/dom.js";
 import { followJob, isActive, stopJob } from "../core/jobs.js";
 import { attempt } from "../core/notices.js";
 import { openSharing } from "../core/sharing.js";
-import { Comparison } from "../compare/comparison.js";
-import { Result, downloadLinks } from "./result.js";
-import { Setup } from "./setup.js";
-import { keepChoice, readAddress, showJob } from "./state.js";
+import { downloadLinks, Result } from "./result.js";
+import { keepChoice, readAddress, Setup, showJob } from "./setup.js";
 
 const places = { setup: $("#setup"), progress: $("#progress"), report: $("#report"), compare: $("#compare") };
 const result = new Result(places.report);

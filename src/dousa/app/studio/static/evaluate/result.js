@@ -1,13 +1,104 @@
 // The report of an evaluation, live: its parts, the player, the panel to adjust, files to take away.
 
-import { get } from "../core/api.js";
+import { get, post, put } from "../core/api.js";
 import { $, h, icon, language, t } from "../core/dom.js";
+import { notify } from "../core/notices.js";
 import { Adjust } from "./adjust.js";
-import { Asking } from "./asking.js";
 import { Beside } from "./beside.js";
-import { foldAnalysis, foldForPhones } from "./fold.js";
-import { putNotes } from "./notes.js";
-import { putParts } from "./parts.js";
+import { foldAnalysis, foldForPhones, putParts } from "./parts.js";
+
+// What the teacher says of a performance: kept as it is typed, printed, and in the report that is downloaded.
+
+const SETTLE = 600; // ms without a key before it is kept
+
+/** Fills a section; -> function that keeps at once what was typed last. */
+export function putNotes(section, job, notes) {
+  let kept = notes;
+  let waiting = null;
+  const state = h("span", { class: "note", role: "status" });
+  const field = h("textarea", { id: "notes", rows: "3", maxlength: "20000", placeholder: t("notes_placeholder"), "aria-labelledby": "notes-title" });
+  const printed = h("p", { class: "notes-said only-print", "aria-hidden": "true" }, notes);
+  field.value = notes;
+  const fit = () => {
+    field.style.height = "auto";
+    field.style.height = `${field.scrollHeight + 2}px`;
+  };
+  const keep = async () => {
+    clearTimeout(waiting);
+    const typed = field.value;
+    if (typed === kept) return;
+    try {
+      await put(`/evaluations/${job}/notes`, { notes: typed });
+      kept = typed;
+      state.textContent = t("notes_kept");
+    } catch (error) {
+      state.textContent = t("notes_not_kept");
+      notify(error.message, "problem");
+    }
+  };
+  field.addEventListener("input", () => {
+    printed.textContent = field.value;
+    section.classList.toggle("is-empty", !field.value.trim());
+    state.textContent = "";
+    fit();
+    clearTimeout(waiting);
+    waiting = setTimeout(keep, SETTLE);
+  });
+  field.addEventListener("change", keep);
+  section.classList.toggle("is-empty", !notes.trim());
+  section.replaceChildren(h("div", { class: "title-row" }, h("h2", { id: "notes-title" }, t("notes")), state), field, printed);
+  fit();
+  return keep;
+}
+
+// Asking for what was changed: quickly while it changes, exactly when it rests; never two questions at once.
+
+const REST = 450; // ms without a change before the exact answer is asked for
+
+/** onAnswer(answer), onProblem(error), onBusy(bool) */
+export class Asking {
+  constructor(path, { onAnswer, onProblem, onBusy }) {
+    Object.assign(this, { path, onAnswer, onProblem, onBusy, wanted: null, busy: false, timer: 0, ended: false });
+  }
+
+  /** Something is being changed; `done`: it is let go. */
+  change(values, done) {
+    this.wanted = { ...values, precision: "quick" };
+    this.latest = values;
+    clearTimeout(this.timer);
+    this.timer = setTimeout(() => this.settle(), done ? REST : 2 * REST);
+    this.run();
+  }
+
+  settle() {
+    this.wanted = { ...this.latest, precision: "exact" };
+    this.run();
+  }
+
+  async run() {
+    if (this.busy || !this.wanted || this.ended) return;
+    const asked = this.wanted;
+    this.wanted = null;
+    this.busy = true;
+    this.onBusy(true);
+    try {
+      const answer = await post(this.path, asked);
+      if (!this.ended) this.onAnswer({ ...answer, kept: asked.precision === "exact" });
+    } catch (error) {
+      // The exact question would be answered by the same words again.
+      if (!this.ended && asked.precision === "quick") clearTimeout(this.timer);
+      if (!this.ended) this.onProblem(error);
+    }
+    this.busy = false;
+    this.onBusy(false);
+    this.run();
+  }
+
+  end() {
+    this.ended = true;
+    clearTimeout(this.timer);
+  }
+}
 
 const FILES = { "report.html": "report", "curves.csv": "curves", "events.csv": "events", "furi.txt": "furi", "weights.toml": "weights" };
 

@@ -1,13 +1,121 @@
 // The three steps before a grade: performance, takes of the reference, options.
 
-import { get, post } from "../core/api.js";
-import { $, h, t } from "../core/dom.js";
-import { dropZone, MOTION_FILES } from "../core/drop.js";
-import { takeMotions } from "../core/incoming.js";
-import { attempt } from "../core/notices.js";
+import { get, getBytes, post } from "../core/api.js";
+import { $, formatSeconds, h, icon, t } from "../core/dom.js";
+import { dropZone, MOTION_FILES, takeMotions } from "../core/drop.js";
+import { attempt, notify } from "../core/notices.js";
 import { pickClips } from "../core/pick.js";
-import { describeMotion, motionRow } from "./motions.js";
-import { keepChoice, plain, whole } from "./state.js";
+
+// What is held against what, as it stands in the address; shapes that the modules of this page share.
+//
+// A motion here is {motion, start_s, end_s, unit, up} as the interface wants it, null where nothing is said.
+
+const ASIDE = ["start_s", "end_s", "unit", "up", "joint_map"];
+
+const toNumber = (text) => (text === null || text === "" || !Number.isFinite(Number(text)) ? null : Number(text));
+
+/** A name in the address stands for a whole motion; commas occur in names of files. */
+const splitNames = (text) => (text ? text.split(/,(?=(?:clip|file|job):)/) : []).filter(Boolean);
+
+export const whole = (motion) => ({ motion });
+
+/** The same motion without what is not said. */
+export function plain(ref) {
+  const asked = { motion: ref.motion };
+  for (const name of ASIDE) if (ref[name] !== null && ref[name] !== undefined) asked[name] = ref[name];
+  return asked;
+}
+
+export function readAddress() {
+  const asked = new URLSearchParams(location.search);
+  const motion = asked.get("performance");
+  return {
+    job: asked.get("job"),
+    compare: asked.has("compare") ? asked.get("compare").split(",").filter(Boolean) : null,
+    performance: motion ? { motion, start_s: toNumber(asked.get("start_s")), end_s: toNumber(asked.get("end_s")) } : null,
+    references: splitNames(asked.get("references")).map(whole),
+    side: asked.get("mirror") === "1" ? "mirrored" : "same",
+    tempo: asked.get("tempo") === "free" ? "free" : "same",
+    repetitions: asked.get("repetitions") === "1",
+  };
+}
+
+/** The choice of motions in the address: reload shows it again. Parts of references are kept by the job only. */
+export function keepChoice({ performance, references, side, tempo, repetitions }) {
+  const asked = new URLSearchParams();
+  if (performance) {
+    asked.set("performance", performance.motion);
+    for (const name of ["start_s", "end_s"]) if (performance[name] != null) asked.set(name, String(performance[name]));
+  }
+  if (references.length) asked.set("references", references.map((ref) => ref.motion).join(","));
+  if (side === "mirrored") asked.set("mirror", "1");
+  if (tempo === "free") asked.set("tempo", "free");
+  if (repetitions) asked.set("repetitions", "1");
+  history.replaceState(null, "", `/evaluate${asked.size ? `?${asked}` : ""}`);
+}
+
+export const showJob = (id) => history.pushState(null, "", `/evaluate?job=${id}`);
+
+// A chosen motion as a row: a small moving figure, its name and length, a part of it, buttons.
+
+const known = new Map(); // motion -> promise of what it is
+
+/** Name, length and more of a motion. */
+export function describeMotion(ref) {
+  const asked = plain({ ...ref, start_s: null, end_s: null });
+  const key = JSON.stringify(asked);
+  if (!known.has(key)) known.set(key, get("/motions/info", asked));
+  return known.get(key);
+}
+
+async function drawFigure(canvas, ref) {
+  try {
+    window.dousa.createMiniature(canvas, await getBytes("/motions/miniature", plain(ref)), { host: canvas.parentElement });
+  } catch {
+    // the row says what is wrong
+  }
+}
+
+function partFields(ref, duration, onChange) {
+  const field = (name, word) => {
+    const input = h("input", { type: "number", min: "0", max: duration.toFixed(2), step: "0.1", value: ref[name] ?? "", "aria-label": t(word), placeholder: t(word) });
+    input.addEventListener("change", () => {
+      const value = input.value === "" ? null : Number(input.value);
+      onChange({ ...ref, [name]: Number.isFinite(value) ? value : null });
+    });
+    return input;
+  };
+  const open = ref.start_s != null || ref.end_s != null;
+  return h("details", { class: "part", open }, h("summary", {}, t("part")), h("div", { class: "row" }, field("start_s", "part_from"), "–", field("end_s", "part_to")));
+}
+
+/** options: {first: bool, onChange(ref), onRemove(), onFirst()} -> row; onBroken() when the motion cannot be used */
+export function motionRow(ref, { first = false, onChange, onRemove, onFirst = null, onBroken = () => {} }) {
+  const canvas = h("canvas", { class: "figure-small", "aria-hidden": "true" });
+  const name = h("b", { class: "motion-name" }, ref.motion.split("/").pop());
+  const facts = h("span", { class: "note" }, t("loading"));
+  const remove = h("button", { type: "button", class: "quiet small icon", onclick: onRemove }, icon("close"));
+  const front = onFirst ? h("button", { type: "button", class: "quiet small", onclick: onFirst }, t("make_first")) : null;
+  const text = h("div", { class: "motion-text" }, h("div", { class: "row" }, name, first ? h("span", { class: "badge" }, t("first")) : null), facts);
+  const row = h("li", { class: "motion", dataset: { motion: ref.motion } }, canvas, text, front, remove);
+  remove.setAttribute("aria-label", t("take_away", { name: name.textContent }));
+  describeMotion(ref).then(
+    (info) => {
+      name.textContent = name.title = info.name || t("unnamed");
+      remove.setAttribute("aria-label", t("take_away", { name: info.name }));
+      facts.textContent = [info.category, formatSeconds(info.duration_s)].filter(Boolean).join(" · ");
+      text.append(partFields(ref, info.duration_s, onChange));
+      drawFigure(canvas, ref);
+    },
+    (error) => {
+      facts.textContent = error.message;
+      facts.classList.add("bad");
+      notify(error.message, "problem");
+      onBroken();
+    },
+  );
+  return row;
+}
 
 const MOST = 50;
 
@@ -155,4 +263,3 @@ export class Setup {
   }
 }
 
-export { describeMotion };

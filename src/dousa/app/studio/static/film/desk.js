@@ -1,7 +1,7 @@
 // The desk of an estimation from films: all films at one moment, the people in them, the cameras, the motion.
 
 import { get, post } from "../core/api.js";
-import { $, formatSeconds, h, language, t } from "../core/dom.js";
+import { $, formatSeconds, language, t } from "../core/dom.js";
 import { attempt } from "../core/notices.js";
 import { Chart } from "../estimate/chart.js";
 import { Figure } from "../estimate/figure.js";

@@ -1,25 +1,22 @@
 // The library: its clips in a grid, what they are filtered by, what is done with them.
 
 import { get, post } from "../core/api.js";
-import { $, h, icon, language, later, t } from "../core/dom.js";
+import { $, count, h, icon, later, t } from "../core/dom.js";
 import { acceptDrops } from "../core/drop.js";
 import { isActive, watchJobs } from "../core/jobs.js";
 import { attempt, notify } from "../core/notices.js";
 import { listenForUndo } from "../core/undo.js";
 import { Actions } from "./actions.js";
-import { showFacets } from "./facets.js";
-import { Filter } from "./filter.js";
+import { Filter, showFacets } from "./facets.js";
 import { Grid } from "./grid.js";
-import { Panes, nothingChosen } from "./panes.js";
+import { nothingChosen, Panes, Scroll } from "./panes.js";
 import { findAgain, findPlace, fromAddress, keepPlace } from "./places.js";
-import { Scroll } from "./scroll.js";
 import { Selection } from "./selection.js";
 import { Source } from "./source.js";
 import { openKeep, readAsked, showKept } from "./tags.js";
 import { readForest, showForest } from "./training.js";
 
 const LOOK_AGAIN = 8000; // ms between looks whether somebody else has changed the library
-const count = new Intl.NumberFormat(language);
 const many = (thing, number) => t(`n_${thing}_${number === 1 ? "one" : "many"}`, { count: count.format(number) });
 const problem = (error) => attempt(() => Promise.reject(error));
 

@@ -2,11 +2,10 @@
 // shows the same clips for those who use the keyboard or a screen reader.
 
 import { get, post, postForBytes } from "../core/api.js";
-import { h, language, later, t } from "../core/dom.js";
+import { count, h, language, later, t } from "../core/dom.js";
 import { followJob, isActive, stopJob } from "../core/jobs.js";
 import { attempt } from "../core/notices.js";
-import { Dots, inkOf } from "./map_dots.js";
-import { MapView } from "./map_view.js";
+import { Dots, inkOf, MapView } from "./map_view.js";
 
 const COLOURS = {
   light: ["#3b528b", "#b8460a", "#117733", "#aa4499", "#0e8fb3", "#882255", "#8a7a00", "#cc3355", "#2f8f83", "#7a5230"],
@@ -16,7 +15,6 @@ const OTHER = { light: "#7d8695", dark: "#8a94a4" };
 const INK = { light: "#1b2130", dark: "#ffffff" };
 const FAINT = 0.16; // opacity of what the filter or the legend leaves out
 const MOST_LISTED = 400; // categories of the legend
-const count = new Intl.NumberFormat(language);
 const dark = window.matchMedia("(prefers-color-scheme: dark)");
 const theme = () => (document.documentElement.dataset.theme ?? (dark.matches ? "dark" : "light")) === "dark" ? "dark" : "light";
 

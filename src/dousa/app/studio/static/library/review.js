@@ -2,7 +2,7 @@
 
 import { get, post, postForBytes } from "../core/api.js";
 import { foot, openDialog } from "../core/dialog.js";
-import { h, language, t } from "../core/dom.js";
+import { count, h, percent, t } from "../core/dom.js";
 import { followJob, isActive, stopJob } from "../core/jobs.js";
 import { attempt, notify } from "../core/notices.js";
 import { inAddress } from "./places.js";
@@ -10,8 +10,6 @@ import { inAddress } from "./places.js";
 const CHECKED = "checked"; // tag of clips whose label is right
 const FIGURE_BYTES = 1456;
 const MOST_GROUPS = 60;
-const count = new Intl.NumberFormat(language);
-const percent = (share) => Math.round(100 * share);
 
 /** jobId: of a review that was made, null to make one. hooks: changed(), choose(ids), look(clip number) */
 export async function openReview(jobId, hooks) {

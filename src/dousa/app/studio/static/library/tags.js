@@ -2,12 +2,11 @@
 
 import { get, post } from "../core/api.js";
 import { foot, openDialog } from "../core/dialog.js";
-import { h, icon, language, t } from "../core/dom.js";
+import { count, h, icon, language, t } from "../core/dom.js";
 import { attempt, notify } from "../core/notices.js";
 import { undoButton } from "../core/undo.js";
 
 export const FAVOURITE = "favourite";
-const count = new Intl.NumberFormat(language);
 const FEW = 2000; // clips whose own tags are looked at
 
 export const nameTag = (tag) => (tag === FAVOURITE ? `★ ${t("favourite")}` : tag);

@@ -2,12 +2,11 @@
 
 import { get, post } from "../core/api.js";
 import { foot, openDialog } from "../core/dialog.js";
-import { $, h, language, t } from "../core/dom.js";
+import { $, count, h, language, t } from "../core/dom.js";
 import { followJob, isActive, stopJob } from "../core/jobs.js";
 import { attempt } from "../core/notices.js";
 import { inAddress } from "./places.js";
 
-const count = new Intl.NumberFormat(language);
 const percent = new Intl.NumberFormat(language, { style: "percent", maximumFractionDigits: 0 });
 
 export async function readForest() {

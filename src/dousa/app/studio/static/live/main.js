@@ -1,10 +1,94 @@
 // The live page: the camera, the skeleton over it, what it is and how good it is.
 
-import { get, post, remove } from "../core/api.js";
-import { $, baseName, formatSeconds, h, t, wholeGrade } from "../core/dom.js";
+import { get, post, Problem, remove } from "../core/api.js";
+import { $, baseName, formatSeconds, h, language, t, wholeGrade } from "../core/dom.js";
 import { pickClips } from "../core/pick.js";
-import { Camera, sendPicture } from "./camera.js";
-import { drawPerson } from "./drawing.js";
+
+// The skeleton over the picture of the camera.
+
+const SURE = 0.5;
+const LIMB = { left: "#4ab8ff", right: "#ffa24a", middle: "#35e0a8" };
+const FIRST_OF_BODY = 11; // before it the face, whose points are odd at the left; behind it odd numbers are left too
+
+const sideOf = (one, other) => (one % 2 === other % 2 ? (one % 2 ? "left" : "right") : "middle");
+
+/** Draw a person {points: [[x, y] shares], visibility}, or nobody (null). */
+export function drawPerson(canvas, person, bones) {
+  const context = canvas.getContext("2d");
+  context.clearRect(0, 0, canvas.width, canvas.height);
+  if (!person) return;
+  const place = person.points.map(([x, y]) => [x * canvas.width, y * canvas.height]);
+  const unit = Math.max(canvas.width, canvas.height) / 640;
+  context.lineCap = "round";
+  for (const pass of ["#0009", null]) {
+    for (const [one, other] of bones) {
+      const sure = Math.min(person.visibility[one], person.visibility[other]);
+      if (sure < 0.15) continue;
+      Object.assign(context, { strokeStyle: pass ?? LIMB[sideOf(one, other)], lineWidth: (pass ? 7 : 4) * unit, globalAlpha: sure < SURE ? 0.4 : 1 });
+      context.beginPath();
+      context.moveTo(...place[one]);
+      context.lineTo(...place[other]);
+      context.stroke();
+    }
+  }
+  context.globalAlpha = 1;
+  context.fillStyle = "#ffffff";
+  for (let number = FIRST_OF_BODY; number < place.length; number += 1) {
+    if (person.visibility[number] < SURE) continue;
+    context.beginPath();
+    context.arc(...place[number], 2.6 * unit, 0, 2 * Math.PI);
+    context.fill();
+  }
+}
+
+// The camera of this machine: pictures of it go to the studio one after the other, over one connection.
+
+const [LONGEST, QUALITY] = [640, 0.8]; // px of what is looked at; more tells the networks nothing
+
+export class Camera {
+  constructor(video) {
+    this.video = video;
+    this.canvas = document.createElement("canvas");
+  }
+
+  /** Ask for the camera; -> [width, height] of what is looked at. */
+  async open() {
+    if (!navigator.mediaDevices) throw new Error(location.origin);
+    this.stream = await navigator.mediaDevices.getUserMedia({ video: { width: { ideal: 1280 }, height: { ideal: 720 }, facingMode: "user" }, audio: false });
+    this.video.srcObject = this.stream;
+    await this.video.play();
+    const { videoWidth: width, videoHeight: height } = this.video;
+    const factor = Math.min(1, LONGEST / Math.max(width, height));
+    Object.assign(this.canvas, { width: Math.round(width * factor), height: Math.round(height * factor) });
+    return [this.canvas.width, this.canvas.height];
+  }
+
+  /** The picture of now as JPEG. */
+  take() {
+    this.canvas.getContext("2d").drawImage(this.video, 0, 0, this.canvas.width, this.canvas.height);
+    return new Promise((resolve) => this.canvas.toBlob(resolve, "image/jpeg", QUALITY));
+  }
+
+  close() {
+    for (const track of this.stream?.getTracks() ?? []) track.stop();
+    this.video.srcObject = null;
+    this.stream = null;
+  }
+}
+
+/** Send a picture; -> what was found in it. */
+export async function sendPicture(session, picture, seconds, signal) {
+  const response = await fetch(`/api/live/${session}/picture?seconds=${seconds.toFixed(3)}`, {
+    method: "POST",
+    body: picture,
+    signal,
+    headers: { "accept-language": language, "content-type": "image/jpeg" },
+    credentials: "same-origin",
+  });
+  const answer = await response.json();
+  if (!response.ok) throw new Problem(answer.problem ?? String(response.status), response.status);
+  return answer;
+}
 
 const KEPT = 40; // settled labels that are shown
 const SMOOTH = 0.15; // share of the newest picture in what is said of the speed

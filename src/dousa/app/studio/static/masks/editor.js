@@ -4,8 +4,7 @@ import { get, post } from "../core/api.js";
 import { $, formatSeconds, h, icon, t } from "../core/dom.js";
 import { followJob, isActive } from "../core/jobs.js";
 import { attempt } from "../core/notices.js";
-import { Sheet } from "./sheet.js";
-import { Strip } from "./strip.js";
+import { Sheet, Strip } from "./sheet.js";
 
 const TOOLS = { add: "b", remove: "e", exclude: "x", exclude_through: "t" };
 const UNSURE = 0.7; // overlap of silhouette and model, below which a frame is doubtful

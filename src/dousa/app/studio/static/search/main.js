@@ -2,15 +2,12 @@
 
 import { get, post } from "../core/api.js";
 import { $, h, icon, t } from "../core/dom.js";
-import { acceptDrops, dropZone, MOTION_FILES } from "../core/drop.js";
-import { takeMotions } from "../core/incoming.js";
+import { acceptDrops, dropZone, MOTION_FILES, takeMotions } from "../core/drop.js";
 import { attempt, notify } from "../core/notices.js";
 import { pickClips } from "../core/pick.js";
-import { Hits, nameOf } from "./hits.js";
-import { drawOptions } from "./options.js";
-import { drawPlaces } from "./places.js";
+import { drawPlaces, Hits, nameOf } from "./hits.js";
 import { Stage } from "./stage.js";
-import { askOf, isSameMotion, isSameSearch, keepState, readState, wholeOf } from "./state.js";
+import { askOf, drawOptions, isSameMotion, isSameSearch, keepState, readState, wholeOf } from "./state.js";
 import { drawAskPart, drawNoVerdict, drawVerdict } from "./verdict.js";
 import { Words } from "./words.js";
 

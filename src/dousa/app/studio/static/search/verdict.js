@@ -1,10 +1,9 @@
 // What the query is taken for, in words and bars; unknown is said, and doubtful.
 
-import { h, t } from "../core/dom.js";
-import { listReasons } from "./reasons.js";
+import { h, percent, t } from "../core/dom.js";
+import { listReasons } from "./hits.js";
 
 const MOST_BARS = 5;
-const percent = (share) => Math.round(100 * share);
 
 function headline(answer) {
   if (answer.category === null && answer.perhaps) {

@@ -2,7 +2,7 @@
 
 import { post } from "../core/api.js";
 import { baseName, h, t } from "../core/dom.js";
-import { formatMoment } from "./places.js";
+import { formatMoment } from "./hits.js";
 
 const FIRST = 24;
 
