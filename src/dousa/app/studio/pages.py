@@ -1,4 +1,4 @@
-"""The shells of the pages, in two languages, and the files they are made of; all of it is ours and on this machine."""
+"""The shells of the pages in two languages, and the files they load, all from this machine."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ _FONT = "japanese.ttf"
 
 
 def register(app: FastAPI) -> None:
-    """Hang the pages on the application."""
+    """Register the pages."""
     router = APIRouter(include_in_schema=False)
 
     @router.get("/")
@@ -59,7 +59,7 @@ def register(app: FastAPI) -> None:
 
 
 def register_shared(app: FastAPI) -> None:
-    """Hang the two pages on the application that others on the network see."""
+    """Register the two pages that others on the network see."""
     router = APIRouter(include_in_schema=False)
     router.add_api_route("/static/{version}/{name:path}", _give_static, methods=["GET"])
     for address in ("/", "/report"):
@@ -68,14 +68,14 @@ def register_shared(app: FastAPI) -> None:
 
 
 def make_addresses(app: FastAPI) -> None:
-    """Make all addresses of an application now. Else the first request does, amid threads that switch warnings on and
-    off for the whole process, and somebody waits for it."""
+    """Make all addresses of an application now: the first request would otherwise do it, beside threads that switch
+    warnings of the whole process on and off, and wait for it."""
     with suppress(NoMatchFound):
         app.url_path_for("")  # looks through all of them
 
 
 def show_missing(request: Request) -> Response | None:
-    """The page that stands at addresses where there is none, with a way back; None where a program asks."""
+    """Return the page for an unknown address, with a way back; None for requests of programs."""
     if request.method not in ("GET", "HEAD") or request.url.path.startswith(_NO_PAGES):
         return None
     answer: Response = _make_page(_MISSING)(request)
@@ -120,13 +120,13 @@ def _make_page(page: str) -> Any:
 
 
 def _is_shared(request: Request) -> bool:
-    """Whether others on the network see something now; sharing that was ended can begin again."""
+    """Whether something is shared now."""
     sharing = request.app.state.studio.sharing
     return sharing is not None and sharing.server is not None
 
 
 def _more(page: str, request: Request) -> dict[str, Any]:
-    """What only some pages show."""
+    """Return the values of the templates of single pages."""
     if page == _MISSING:
         return {"asked": request.url.path[:200]}
     if page != "api":
@@ -140,7 +140,7 @@ def _more(page: str, request: Request) -> dict[str, Any]:
 
 @cache
 def read_words(page: str) -> Mapping[str, Mapping[str, str]]:
-    """All words that a page shows, by language and name."""
+    """Read all words of a page, by language and name."""
     found: dict[str, dict[str, str]] = {language: {} for language in LANGUAGES}
     for room in ("common", page):
         text = (files(_HERE) / "words" / f"{room}.json").read_text(encoding="utf-8")
@@ -168,7 +168,7 @@ def _environment() -> Environment:
 
 @cache
 def _load_static() -> Mapping[str, tuple[bytes, str]]:
-    """Everything that may be asked for, by name: no request makes a path."""
+    """Load all files by name; no request makes a path."""
     known = {
         "player.js": (read_player_script().encode(), "text/javascript"),
         "player.css": (read_player_style().encode(), "text/css"),
@@ -190,7 +190,7 @@ def _collect(folder: Traversable, prefix: str, known: dict[str, tuple[bytes, str
 
 
 def _read_font() -> bytes:
-    """A Japanese font for machines that have none; browsers fetch it only when such letters are shown."""
+    """Read a Japanese font for machines that have none; browsers fetch it only when it is needed."""
     from dousa.extras import find_font
 
     path = find_font()
@@ -199,7 +199,7 @@ def _read_font() -> bytes:
 
 @cache
 def _version() -> str:
-    """Part of the address of every file, so that browsers keep files for ever and still get new ones."""
+    """Return a part of the address of files that changes with them, so that browsers can cache them forever."""
     digest = hashlib.sha256()
     for name, (content, _) in sorted(_load_static().items()):
         digest.update(name.encode() + content)
@@ -212,8 +212,8 @@ class Operation:
 
     Parameters
     ----------
-    tag, method, path, summary, description : as the description of the interface (OpenAPI) says.
-    fields : (name, type, whether it must be given, what it is) of query and body.
+    tag, method, path, summary, description : of OpenAPI.
+    fields : (name, type, whether required, description) of query and body.
     call : a line for the shell; ``$URL`` and ``$TOKEN`` stand for address and token.
     """
 
@@ -227,12 +227,7 @@ class Operation:
 
 
 def describe_interface(openapi: Mapping[str, Any]) -> dict[str, list[Operation]]:
-    """All operations by topic, in the order of the description.
-
-    Parameters
-    ----------
-    openapi : description of the interface, as ``FastAPI.openapi`` makes it.
-    """
+    """List all operations of an OpenAPI description by topic."""
     schemas = openapi.get("components", {}).get("schemas", {})
     found: dict[str, list[Operation]] = {}
     for path, methods in openapi["paths"].items():

@@ -1,4 +1,4 @@
-"""Running the studio until somebody stops it."""
+"""Run the studio until it is stopped."""
 
 from __future__ import annotations
 
@@ -49,21 +49,19 @@ _TRIES = 20  # ports after the one asked for
 def serve(
     settings: Settings, *, opens_browser: bool = True, watched: Path | None = None, shared: IPv4Address | None = None
 ) -> None:
-    """Listen on this machine and show the address, until Ctrl-C.
+    """Serve the studio on this machine and print its address, until Ctrl-C.
+
+    Raises OptionError if no port is free, the folder belongs to a studio that does not answer, ``watched`` is no
+    folder, or the running studio would have to watch or share; MissingExtraError without the extra ``studio`` or
+    ``share``.
 
     Parameters
     ----------
-    settings : where, and for which library; a port that is taken is replaced by the next free one. If a studio of
-        this library runs already, that one is shown.
+    settings : a port that is taken is replaced by the next free one; if a studio of this library runs already, that one
+        is shown.
     opens_browser : show the page in the browser of this machine.
-    watched : folder; what appears in it goes into the library while the studio runs.
-    shared : address of this machine at which others on its network see reports and library, and change nothing.
-
-    Raises
-    ------
-    OptionError : no port is free; or the folder is another studio's, which does not answer; or what is to be watched is
-        no folder, or the studio that runs already would have to watch it, or to share.
-    MissingExtraError : the extra ``studio`` is not installed, or to share the extra ``share``.
+    watched : folder whose new files are added to the library while the studio runs.
+    shared : address of this machine at which others on its network see reports and library, read-only.
     """
     if watched is not None and not watched.is_dir():
         raise OptionError("studio.no_watched_folder", folder=watched)
@@ -112,7 +110,7 @@ def serve(
 
 
 def _begin_sharing(studio: Studio, address: IPv4Address) -> None:
-    """Show reports and library on the network, and say to whom, with the code for a phone."""
+    """Share on the network, and print the address with a code for a phone."""
     studio.sharing = make_sharing(studio, address, answer_problems, PatientProtocol)
     try:
         server = studio.sharing.begin()
@@ -144,14 +142,14 @@ def _say_serving(settings: Settings, code: str) -> None:
 
 
 def _show_running(settings: Settings, address: str, opens_browser: bool) -> None:
-    """Open the studio that has the folder already."""
+    """Show the studio that uses the folder already."""
     sys.stderr.write(f"{Message('studio.runs_already', library=settings.library, address=address)}\n")
     if opens_browser:
         webbrowser.open(address)
 
 
 def _tame_memory() -> None:
-    """Let memory go back to the system: glibc keeps a heap for every thread, and what is freed in it stays there."""
+    """Return memory to the system: glibc keeps a heap for every thread, in which freed memory stays."""
     if not sys.platform.startswith("linux"):
         return
     import ctypes
@@ -163,7 +161,7 @@ def _tame_memory() -> None:
 
 
 def _listen(settings: Settings) -> tuple[socket.socket, int]:
-    """A socket that waits for calls, and its port."""
+    """Open a listening socket and return it with its port."""
     for port in range(settings.port, min(settings.port + _TRIES, 65536)):
         # The protocol is named, else asyncio does not switch Nagle off, and small answers wait 40 ms.
         listener = socket.socket(socket.AF_INET, socket.SOCK_STREAM, socket.IPPROTO_TCP)
@@ -185,16 +183,12 @@ header `Accept-Language`, English or Japanese."""
 
 
 def create_app(settings: Settings, *, uses_alias: bool = False) -> FastAPI:
-    """The application of a studio.
+    """Make the application of a studio; LibraryError or OptionError if library or folder cannot be used.
 
     Parameters
     ----------
     settings : of the studio.
-    uses_alias : send browsers to a host name of the studio's own.
-
-    Raises
-    ------
-    LibraryError, OptionError : library or folder cannot be used.
+    uses_alias : send browsers to a host name that only this studio has.
     """
     from dousa.app.studio import pages
 
@@ -226,7 +220,7 @@ def create_app(settings: Settings, *, uses_alias: bool = False) -> FastAPI:
 
 @cache
 def _make_routes() -> tuple[BaseRoute, ...]:
-    """The addresses of a studio, the same for every one: to work out what their requests hold takes 0.1 s."""
+    """Make the routes, which are the same for every studio: to build their models takes 0.1 s."""
     from dousa.app.studio import pages
     from dousa.app.studio.api import ROUTERS
 
@@ -250,12 +244,12 @@ _PROBLEM_CONTENT: dict[str, Any] = {
 
 
 def answer_problems(app: FastAPI, show_missing: Callable[[Request], Response | None] = lambda request: None) -> None:
-    """Let an application answer errors with a status and a sentence.
+    """Register the answers to errors.
 
     Parameters
     ----------
     app : the application.
-    show_missing : gives the page for an address where there is none; None where the sentence is the answer.
+    show_missing : returns the page for an unknown address; None to answer with a sentence.
     """
 
     @app.exception_handler(DousaError)
@@ -298,7 +292,7 @@ _MOST_FIELDS, _LONGEST_VALUE = 20, 80
 
 
 def _describe_field(item: Mapping[str, Any]) -> Message:
-    """What is wrong with a field of a request: where, what was expected, what came."""
+    """Describe what is wrong with a field of a request: where, what was expected, what came."""
     where = ".".join(str(step) for step in item["loc"][1:]) or str(item["loc"][0])
     context = item.get("ctx", {})
     cause = context.get("error")
@@ -358,24 +352,24 @@ _LEAST_BYTES = 1000  # of a body, in every such time
 
 
 class PatientProtocol(H11Protocol):
-    """HTTP of uvicorn that closes a connection whose next request is not there in time, or whose body stands still."""
+    """HTTP of uvicorn that closes a connection whose next request is late, or whose body comes too slowly."""
 
     _deadline: asyncio.TimerHandle | None = None
     _n_bytes = 0  # of a body since it was looked at
 
     def connection_made(self, transport: Any) -> None:
-        """Somebody calls; from now on the time counts."""
+        """Start the time limit."""
         super().connection_made(transport)
         self._watch()
 
     def data_received(self, data: bytes) -> None:
-        """More of a request: single bytes now and then do not win time."""
+        """Count the bytes; a few bytes do not extend the time limit."""
         self._n_bytes += len(data)
         super().data_received(data)
         self._watch()
 
     def connection_lost(self, exc: Exception | None) -> None:
-        """Nobody is there any more."""
+        """Stop the time limit."""
         self._rest()
         super().connection_lost(exc)
 
@@ -403,7 +397,7 @@ class PatientProtocol(H11Protocol):
 
 
 def warm_up(studio: Studio) -> None:
-    """Load kernels, the forest and the index by one search and one pair; a library without a forest has none."""
+    """Load kernels, the forest and the index by one search and one pair; without a forest there is nothing to load."""
     from dousa.app.player.data import encode_pair
 
     with suppress(DousaError):

@@ -1,8 +1,8 @@
-"""What others on the local network see: reports and the clips of the library, on pages of their own, and nothing that
-writes.
+"""The application for others on the local network: reports and clips of the library, read-only.
 
-This is an application of its own, not the studio's with doors locked: what it cannot do is not there. It listens at one
-address of this machine, over TLS, and holds only so many connections, so that the studio itself is never kept waiting.
+It is not the studio with restrictions: what it cannot do does not exist in it. It listens at one address of this
+machine, over TLS, with a limited number of connections, so that the studio itself never waits. The owner's token is not
+accepted, only links, GET and HEAD, and no bodies.
 """
 
 from __future__ import annotations
@@ -54,13 +54,13 @@ LINK = "share_link"
 
 
 class SharedGuard(RequestGuard):
-    """Who may look at what is shown on the network.
+    """The guard of what is shared.
 
     Parameters
     ----------
-    app : what answers requests that may come in.
-    host : address and port at which the network sees the studio.
-    links : which are let in.
+    app : answers requests that are passed on.
+    host : address and port on the network.
+    links : the valid links.
     """
 
     def __init__(self, app: ASGIApp, host: str, links: ShareLinks) -> None:
@@ -69,7 +69,7 @@ class SharedGuard(RequestGuard):
         self._cookie = f"__Host-dousa_share_{host.rpartition(':')[2]}"  # sent over https alone, set by nobody else
 
     async def judge(self, scope: Scope, headers: Headers, receive: Receive) -> Answer | Receive:
-        """As `RequestGuard.judge`: by the name that is asked, the method, and the link."""
+        """Check host, method and link."""
         check_names(scope["method"], headers, "https", {self._host})
         if scope["method"] not in ("GET", "HEAD"):
             raise RefusedError(405, "studio_share.only_reads")
@@ -89,7 +89,7 @@ class SharedGuard(RequestGuard):
         raise RefusedError(401, "studio_share.no_key")
 
     def _welcome(self, token: str) -> Answer:
-        """The secret goes from the address into a cookie; the page that is shown is the link's own."""
+        """Move the secret from the address into a cookie, and lead to the page of the link."""
         link = self._links.find(token)
         if link is None:
             raise RefusedError(401, "studio_share.no_key")
@@ -192,14 +192,14 @@ def get_player(studio: StudioNow, asked: _Clip) -> Answer:
 
 
 def create_shared_app(studio: Studio, host: str, links: ShareLinks, answer_problems: Callable[[FastAPI], None]) -> Any:
-    """The application that others see.
+    """Make the application that others see.
 
     Parameters
     ----------
-    studio : whose reports and clips.
-    host : address and port at which it is seen.
-    links : by which somebody comes in.
-    answer_problems : hangs the answers to errors on it.
+    studio : with the reports and clips.
+    host : address and port.
+    links : the valid links.
+    answer_problems : registers the answers to errors.
     """
     app = FastAPI(docs_url=None, redoc_url=None, openapi_url=None, default_response_class=Answer)
     app.state.studio = studio
@@ -216,13 +216,13 @@ def create_shared_app(studio: Studio, host: str, links: ShareLinks, answer_probl
 def make_sharing(
     studio: Studio, address: IPv4Address, answer_problems: Callable[[FastAPI], None], http: Any
 ) -> Sharing:
-    """Sharing at an address of this machine.
+    """Prepare sharing at an address of this machine.
 
     Parameters
     ----------
     studio : what is shown.
-    address : at which.
-    answer_problems : hangs the answers to errors on an application.
+    address : of this machine.
+    answer_problems : registers the answers to errors.
     http : the protocol of uvicorn.
     """
 
@@ -239,15 +239,9 @@ def make_sharing(
 
 
 def find_share_address(asked: str | None = None) -> IPv4Address:
-    """The address at which others on the network of this machine see it.
+    """Return the given address, or that of this machine in its usual network.
 
-    Parameters
-    ----------
-    asked : what somebody chose; None for the one of the usual network.
-
-    Raises
-    ------
-    OptionError : there is no network, or it is no address in one that is closed to the internet.
+    Raises OptionError without a network, or for an address that is reachable from the internet.
     """
     return check_address(asked if asked is not None else _find_address())
 
@@ -265,19 +259,14 @@ def _find_address() -> str:
 
 
 class LimitedListener(socket.socket):
-    """A listening socket that takes no more than so many connections: files are few, and the studio needs some."""
+    """A listening socket with a limited number of connections: open files are few, and the studio needs some."""
 
     def hold_back(self) -> None:
-        """From now on."""
+        """Start to count."""
         self._open: weakref.WeakSet[socket.socket] = weakref.WeakSet()
 
     def accept(self) -> tuple[socket.socket, Any]:
-        """As of any socket; one too many is closed at once.
-
-        Raises
-        ------
-        ConnectionAbortedError : it was one too many.
-        """
+        """Accept a connection; ConnectionAbortedError, after closing it, if there are too many."""
         connection, peer = super().accept()
         there = [one for one in self._open if one.fileno() >= 0]
         same = sum(1 for one in there if _peer_of(one) == peer[0])
@@ -288,7 +277,7 @@ class LimitedListener(socket.socket):
         return connection, peer
 
     def close_all(self) -> None:
-        """Take no more, and leave those that are there."""
+        """Close the socket and all its connections."""
         self.close()
         for one in list(self._open):
             one.close()
@@ -302,12 +291,7 @@ def _peer_of(connection: socket.socket) -> str | None:
 
 
 def listen(address: str) -> LimitedListener:
-    """A socket that waits for calls at an address, at the first port that is free.
-
-    Raises
-    ------
-    OptionError : it is no address of this machine, or no port is free.
-    """
+    """Listen at an address on the first free port; OptionError if this is not possible."""
     problem: OSError | None = None
     for port in range(FIRST_PORT, FIRST_PORT + _TRIES):
         listener = LimitedListener(socket.AF_INET, socket.SOCK_STREAM, socket.IPPROTO_TCP)
@@ -325,7 +309,7 @@ def listen(address: str) -> LimitedListener:
 
 
 def _serve(app: Any, listener: LimitedListener, certificate: str, http: Any) -> Callable[[], None]:
-    """Answer calls in a thread; -> function that ends it."""
+    """Answer requests in a thread; returns a function that stops it."""
     uvicorn = require("uvicorn", "studio")
     config = uvicorn.Config(
         app, http=http, ws="none", lifespan="off", loop="asyncio", proxy_headers=False, server_header=False,

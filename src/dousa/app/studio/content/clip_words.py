@@ -70,7 +70,7 @@ class ClipWords:
         return fits
 
     def find_misspelt(self, text: str) -> tuple[Mask, dict[str, str]]:
-        """Find clips that contain every word, with unknown words replaced by the nearest known ones; returns these too."""
+        """Find clips that contain every word, unknown words replaced by the nearest known ones; returns these too."""
         fits, taken_for = np.ones(len(self._texts), bool), {}
         for word in plain(text).split():
             own = self._having([word])

@@ -132,7 +132,7 @@ def lay_over(segments: Sequence[dict[str, Any]], corrections: Sequence[Correctio
 
 
 def _around(stretch: dict[str, Any], start: float, end: float) -> list[dict[str, Any]]:
-    """Return what is left of a stretch outside of a part, without its repetitions, which are known only of the whole."""
+    """Return what is left of a stretch outside of a part, without its repetitions, known only of the whole."""
     if start >= stretch["end_s"] or end <= stretch["start_s"]:
         return [stretch]
     stretch = {name: value for name, value in stretch.items() if name != "repetitions"}

@@ -181,7 +181,7 @@ class Evaluations:
         return sum(one.assessment.n_bytes for one in list(self._ready.values()))
 
     def get(self, job_id: str) -> Ready:
-        """Return an evaluation, made again if it is not in memory; RefusedError if it or one of its motions is missing."""
+        """Return an evaluation, made again if it is not in memory; RefusedError if it or a motion is missing."""
         job = self._done(job_id)
         ready = self._ready.get(job_id) or self._make_again(job)
         self.put(job_id, ready)

@@ -385,7 +385,7 @@ class Footage:
             return {**data, "n_tracked": n_frames, "next": len(self._order)}
 
     def overlay(self, view: int, frame: int) -> bytes:
-        """Draw silhouette, picture and model of a view in a frame as JPEG; RefusedError without a pose of this frame."""
+        """Draw silhouette, picture and model of a view in a frame as JPEG; RefusedError without a pose of it."""
         with self._lock:
             if not 0 <= view < len(self.names):
                 raise RefusedError(404, "studio_estimation.no_view", view=view, count=len(self.names))

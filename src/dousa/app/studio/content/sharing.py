@@ -168,7 +168,7 @@ def _make_code(text: str) -> Any:
 
 
 def check_address(text: str) -> IPv4Address:
-    """Parse an address of this machine such as 192.168.1.20; OptionError if it is none, or reachable from the internet."""
+    """Parse an address such as 192.168.1.20; OptionError if it is none, or reachable from the internet."""
     try:
         address = IPv4Address(text)
     except AddressValueError:

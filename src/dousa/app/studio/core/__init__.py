@@ -1,1 +1,1 @@
-"""What the rooms of the studio stand on: settings and folder, who may come in, what is answered, in which words."""
+"""The parts of a studio that know nothing of libraries: answers, guard of requests, uploads, its folder."""

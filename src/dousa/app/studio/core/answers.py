@@ -1,4 +1,8 @@
-"""What the studio answers when something cannot be done: a status and a message."""
+"""Answers of the studio: JSON, problems with a status, and messages in the words of the pages.
+
+The pages show no folders of the studio and no options of the command line. The table ``studio_instead`` has other words
+for messages that name them, keyed by the whole code, such as ``studio_instead."bvh.unit"``.
+"""
 
 from __future__ import annotations
 
@@ -30,28 +34,22 @@ _PACKED = "$message"
 
 
 def to_message(text: Message | str) -> Message:
-    """A message, or a text that is none as a message."""
+    """Return a message, or a text as a message."""
     return text if isinstance(text, Message) else Message("text.verbatim", text=str(text))
 
 
 def read_message(stored: Mapping[str, Any] | str) -> Message:
-    """The message that was stored; what older versions stored is a text."""
+    """Read a stored message; older versions stored a text."""
     return to_message(stored) if isinstance(stored, str) else Message.from_json(stored)
 
 
 def name_error(error: DousaError, home: Path) -> Message:
-    """What an error says, with the files of the studio named as they were uploaded.
-
-    Parameters
-    ----------
-    error : of any room.
-    home : the studio's folder.
-    """
+    """Return the message of an error, with files below the studio's folder named as they were uploaded."""
     return shorten(error.located, home)
 
 
 def shorten(message: Message, home: Path) -> Message:
-    """A message whose values name files by their place in the batch or job."""
+    """Replace paths below the studio's folder in a message by their place in the batch or job."""
     inside = re.compile(re.escape(str(home)) + r"/(?:(?:files|jobs)(?:/[0-9a-f]{16}(?:/|$)|$))?")
     short: Message = _map_values(message, lambda text: inside.sub("", text))
     return short
@@ -66,12 +64,12 @@ def _map_values(value: Any, change: Callable[[str], str]) -> Any:
 
 
 def say(message: Message) -> str:
-    """The sentence in the language in use, in the words of the pages where they have other ones."""
+    """Render a message in the current language, in the words of the pages."""
     return reword(message).render()
 
 
 def reword(message: Message) -> Message:
-    """The message that the pages have for it; the same one if they have no other words."""
+    """Return the message that the pages have instead, if there is one."""
     found: Message = _reword(message, load_table(LANGUAGES[0]))
     return found
 
@@ -85,7 +83,7 @@ def _reword(value: Any, table: Mapping[str, str]) -> Any:
 
 
 def pack(value: Any) -> Any:
-    """Plain values with the messages among them as JSON, to be said later in the language of whoever asks."""
+    """Replace the messages among plain values by JSON, to be rendered later in the language of the request."""
     if isinstance(value, Message):
         return {_PACKED: value.to_json()}
     if isinstance(value, dict):
@@ -94,7 +92,7 @@ def pack(value: Any) -> Any:
 
 
 def say_packed(value: Any) -> Any:
-    """Plain values that were packed, with every message said in the language in use."""
+    """Render the messages among packed values in the current language."""
     if isinstance(value, dict):
         if value.keys() == {_PACKED}:
             return say(Message.from_json(value[_PACKED]))
@@ -129,12 +127,12 @@ _CONFLICTS = frozenset(
 
 
 class RefusedError(DousaError):
-    """A request that the studio does not carry out.
+    """A request that the studio refuses.
 
     Parameters
     ----------
     status : of HTTP, 400 to 499.
-    code, values : what was expected, what came and what to do.
+    code, values : of the message: what was expected, what came and the remedy.
     """
 
     def __init__(self, status: int, code: str | Message, /, **values: Any) -> None:
@@ -143,7 +141,7 @@ class RefusedError(DousaError):
 
 
 def status_of(error: DousaError) -> int:
-    """The status of HTTP that goes with an error a person can put right."""
+    """Return the HTTP status for an error that the user can correct."""
     if isinstance(error, RefusedError):
         return error.status
     if error.code in _NO_ROOM_CODES:
@@ -158,12 +156,12 @@ def status_of(error: DousaError) -> int:
 
 
 def describe_disk(error: OSError) -> Message | None:
-    """What to say where the disk takes no more; None where something else is wrong."""
+    """Return the message for a full disk; None for other errors."""
     return Message("studio.no_room", reason=error) if error.errno in _NO_ROOM else None
 
 
 def to_answer(problem: Message) -> dict[str, Any]:
-    """A problem as JSON: the sentence in the language of the request, the code and its values."""
+    """Return a problem as JSON: the sentence in the current language, the code and its values."""
     return {"problem": say(problem), **problem.to_json()}
 
 
@@ -174,10 +172,10 @@ BYTES: dict[int | str, dict[str, Any]] = {
 
 
 class Answer(JSONResponse):
-    """JSON in which numbers that are not finite are null and halves of characters are question marks."""
+    """JSON in which non-finite numbers are null and lone surrogates are question marks."""
 
     def render(self, content: Any) -> bytes:
-        """The bytes of an answer."""
+        """Encode the content."""
         try:
             text = _ENCODER.encode(content)
         except (ValueError, TypeError):  # not finite, or words of a message
@@ -189,7 +187,7 @@ _ENCODER = json.JSONEncoder(ensure_ascii=False, allow_nan=False, separators=(","
 
 
 def attachment(name: str) -> str:
-    """The header Content-Disposition for a file: in ASCII for old programs, and as it is (RFC 6266)."""
+    """Return the header Content-Disposition of a download, in ASCII and in UTF-8 (RFC 6266)."""
     kept = "".join(
         character if character.isascii() and (character.isalnum() or character in "._- ") else "_" for character in name
     )
@@ -197,13 +195,13 @@ def attachment(name: str) -> str:
 
 
 class Gate:
-    """Lets some through, keeps some waiting, sends the others away.
+    """Limits how many run at once and how many wait; refuses the others.
 
     Parameters
     ----------
-    at_once : how many are inside.
-    waiting : how many may wait; each holds a thread of the studio, which has some forty.
-    problem : what those who are sent away are told.
+    at_once : how many run.
+    waiting : how many may wait; each occupies one of the studio's forty threads.
+    problem : message for those refused.
     """
 
     def __init__(self, at_once: int, waiting: int, problem: Message) -> None:
@@ -213,12 +211,7 @@ class Gate:
 
     @contextmanager
     def enter(self, seconds: float) -> Iterator[None]:
-        """Wait at most so long, in s.
-
-        Raises
-        ------
-        RefusedError : too many wait already, or it took too long.
-        """
+        """Wait at most so many s; RefusedError if too many wait already, or it takes longer."""
         if not self._known.acquire(blocking=False):
             raise RefusedError(429, self._problem)
         try:

@@ -1,9 +1,11 @@
-"""Who may come in: only this machine, under its own name, with the token; and no request without end. Here the language
-of a request is chosen as well.
+"""Let requests in only from this machine, to its own name, with the token, and of limited size; choose their language.
 
-A page of somebody else in the same browser can reach 127.0.0.1. It is kept out three times: it does not know the
-token, the cookie is not sent with its requests, and the browser names it in ``Origin`` and ``Sec-Fetch-Site``.
-A name that somebody else points at 127.0.0.1 (DNS rebinding) is kept out by the ``Host`` header.
+A page of another site in the same browser can reach 127.0.0.1. It is kept out three times: it does not know the token,
+the cookie is not sent with its requests, and the browser names it in ``Origin`` and ``Sec-Fetch-Site``. A foreign name
+that points to 127.0.0.1 (DNS rebinding) is kept out by the ``Host`` header.
+
+The address of a page stays in the history of the browser and in the arguments of its process, which every user of the
+machine can list. So the address that is opened has a code that is used once, not the token.
 """
 
 from __future__ import annotations
@@ -54,12 +56,12 @@ _HEADERS = {
 
 
 class RequestGuard:
-    """The ASGI application in front of another: requests are judged, answered or refused in the language of who asks.
+    """The ASGI application in front of another, which answers, refuses or passes on requests in their language.
 
     Parameters
     ----------
-    app : what answers requests that may come in.
-    form_at : address that takes a token from the field of a page; no field if None.
+    app : answers requests that are passed on.
+    form_at : address that takes a token from a form; None for no form.
     """
 
     def __init__(self, app: ASGIApp, form_at: str | None = None) -> None:
@@ -67,7 +69,7 @@ class RequestGuard:
         self._form_at = form_at
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Answer a request, or let it through."""
+        """Answer a request or pass it on."""
         if scope["type"] == "lifespan":
             await self._app(scope, receive, send)
             return
@@ -88,18 +90,18 @@ class RequestGuard:
             await self._app(scope, judged, guarded)
 
     async def judge(self, scope: Scope, headers: Headers, receive: Receive) -> Answer | Receive:
-        """The answer to a request, or what the application behind receives its body by; RefusedError: not let in."""
+        """Return the answer, or how the application receives the body; RefusedError if the request is refused."""
         raise NotImplementedError
 
 
 class Guard(RequestGuard):
-    """Who may come in to the studio.
+    """The guard of the studio.
 
     Parameters
     ----------
-    app : what answers requests that may come in.
+    app : answers requests that are passed on.
     settings : token, names and limits.
-    codes : what lets a browser in once.
+    codes : let a browser in once.
     """
 
     def __init__(self, app: ASGIApp, settings: Settings, codes: Codes) -> None:
@@ -109,7 +111,7 @@ class Guard(RequestGuard):
         self._cookie = f"dousa_{settings.port}"  # cookies do not tell ports apart: each studio has its own
 
     async def judge(self, scope: Scope, headers: Headers, receive: Receive) -> Answer | Receive:
-        """As `RequestGuard.judge`: by the name that is asked, token, cookie or code, and the length of the body."""
+        """Check host, token, cookie or code, and the length of the body."""
         check_names(scope["method"], headers, "http", self._settings.hosts)
         asked = parse_qsl(scope["query_string"].decode("latin-1"), keep_blank_values=True)
         if scope["method"] == "GET" and not scope["path"].startswith("/api/"):
@@ -140,10 +142,10 @@ class Guard(RequestGuard):
         return self._settings.most_bytes if path.startswith(UPLOAD_PATH) else _MOST_BODY
 
     def _welcome(self, path: str, asked: list[tuple[str, str]], headers: Headers) -> Answer:
-        """Token or code go from the address into a cookie, so that neither stays in the address.
+        """Move token or code from the address into a cookie.
 
-        A code is for browsers: they are sent on, with a new one, to the name that only this studio has, where no other
-        server of this machine gets their cookies.
+        Browsers with a code are sent on, with a new code, to the name that only this studio has, as no other server of
+        this machine gets cookies of that name.
         """
         given, alias = dict(asked), self._settings.alias
         rest = [(name, value) for name, value in asked if name not in ("token", "code")]
@@ -166,7 +168,7 @@ class Guard(RequestGuard):
         return answer
 
     async def _enter(self, receive: Receive, place: str) -> Answer:
-        """The token from the field of the page that is shown without one; it leads to the page that was asked for."""
+        """Check the token of the form, and lead to the page that was asked for."""
         content = b""
         counting, more = _Counting(receive, _LONGEST_FORM), True
         while more:
@@ -185,13 +187,13 @@ class Guard(RequestGuard):
 
 
 def _own_place(path: str) -> str:
-    """A path of this studio: "//evil.example" would be another machine, and so would "/\\evil.example" to browsers."""
+    """Quote a path of this studio: "//evil.example" and, to browsers, "/\\evil.example" are other machines."""
     # Browsers leave out tabs and line ends between the slashes, so they are quoted.
     return "/" + quote(path.lstrip("/\\"), errors="replace")
 
 
 def _wanted_place(scope: Scope) -> str:
-    """The page that the field for the token leads to: the one asked for, without secrets in its address."""
+    """Return the address to which the form leads: the one asked for, without secrets."""
     asked = parse_qsl(scope["query_string"].decode("latin-1"), keep_blank_values=True)
     if scope["path"] == _ENTER:
         path, _, query = dict(asked).get("to", "").partition("?")
@@ -203,17 +205,15 @@ def _wanted_place(scope: Scope) -> str:
 
 
 def check_names(method: str, headers: Headers, scheme: str, hosts: Collection[str]) -> None:
-    """See that a request was meant for here, and comes from no page of somebody else.
+    """Check that a request is meant for this studio and does not come from a foreign page.
+
+    Raises RefusedError for another host or origin, or one of these headers given twice.
 
     Parameters
     ----------
     method, headers : of the request.
     scheme : ``http`` or ``https``, of our pages.
-    hosts : what a browser calls us, each with its port.
-
-    Raises
-    ------
-    RefusedError : another host or origin, or a header that decides stands twice.
+    hosts : names of the studio, each with its port.
     """
     for name in ("host", "origin", "sec-fetch-site"):
         if len(headers.getlist(name)) > 1:  # which one counts, others may see differently
@@ -229,7 +229,7 @@ def check_names(method: str, headers: Headers, scheme: str, hosts: Collection[st
 
 
 class _Counting:
-    """Receives no more than so many bytes."""
+    """Receives at most so many bytes."""
 
     def __init__(self, receive: Receive, most: int) -> None:
         self._receive, self._left, self._most = receive, most, most
@@ -244,7 +244,7 @@ class _Counting:
 
 
 def with_headers(send: Send) -> Send:
-    """Answers with the headers that every answer has."""
+    """Add the headers that every answer has."""
 
     async def sending(message: Message) -> None:
         if message["type"] == "http.response.start":
@@ -270,7 +270,8 @@ def _check_length(headers: Headers, most: int) -> None:
 
 
 def choose_language(scope: Scope, headers: Headers) -> str:
-    """A page by its address, else as it was chosen last, else as the browser asks; the interface as it is asked."""
+    """Choose the language: of a page by its address, else the last choice, else that of the browser; of the API by
+    header."""
     if not scope["path"].startswith("/api/"):
         asked = dict(parse_qsl(scope["query_string"].decode("latin-1")))
         for chosen in (asked.get("lang"), *read_cookies(headers.getlist("cookie"), "dousa_lang")):
@@ -280,7 +281,7 @@ def choose_language(scope: Scope, headers: Headers) -> str:
 
 
 def read_cookies(lines: Iterable[str], name: str) -> list[str]:
-    """The values of a cookie, from the lines of the header."""
+    """Return the values of a cookie in the lines of the header."""
     values = []
     for line in lines:
         try:
@@ -295,14 +296,7 @@ def read_cookies(lines: Iterable[str], name: str) -> list[str]:
 async def refuse(
     error: RefusedError, scope: Scope, receive: Receive, send: Send, *, form_at: str | None = None
 ) -> None:
-    """Answer that a request is not let through: a page to a browser, JSON to others.
-
-    Parameters
-    ----------
-    error : why.
-    scope, receive, send : of the request.
-    form_at : address that takes the token from a field of that page; no field if None.
-    """
+    """Refuse a request: a page for browsers, with a form that leads to ``form_at``, and JSON for others."""
     # What a stranger goes on to send is not waited for.
     headers = {"connection": "close"} if error.status in (401, 403, 421) else None
     is_page = scope["method"] == "GET" and not scope["path"].startswith(("/api/", "/static/"))
@@ -339,21 +333,21 @@ _MOST_CODES = 20  # codes that wait; older ones are dropped
 
 
 class Codes:
-    """Codes that were given out and not used, safe to be used from any thread."""
+    """Codes that let a browser in once; safe to be used from any thread."""
 
     def __init__(self) -> None:
         self._waiting: deque[str] = deque(maxlen=_MOST_CODES)
         self._lock = threading.Lock()
 
     def issue(self) -> str:
-        """A new code."""
+        """Make a new code."""
         code = secrets.token_urlsafe(24)
         with self._lock:
             self._waiting.append(code)
         return code
 
     def redeem(self, text: str) -> bool:
-        """Use a code up; whether it was one that waited."""
+        """Use up a code; returns whether it was valid."""
         given = text.encode("utf-8", "replace")
         with self._lock:
             for code in self._waiting:

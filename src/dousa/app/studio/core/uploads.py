@@ -1,4 +1,4 @@
-"""Files that come in: counted while they come, looked at before they are kept, archives unpacked with care."""
+"""Receive files: count them while they come, check them before they are kept, and unpack archives with care."""
 
 from __future__ import annotations
 
@@ -43,14 +43,7 @@ _DAMAGE = (
 
 @dataclass(frozen=True, slots=True)
 class Received:
-    """What came of an upload.
-
-    Parameters
-    ----------
-    batch : where the files are.
-    files : (name in the batch, bytes) of those kept.
-    refused : (name, reason) of the others.
-    """
+    """The files of an upload: the batch, (name, bytes) of those kept, and (name, reason) of those refused."""
 
     batch: str
     files: tuple[tuple[str, int], ...]
@@ -62,16 +55,14 @@ async def receive(
 ) -> Received:
     """Keep an uploaded file, or the files of an uploaded zip archive.
 
+    Raises RefusedError, and keeps nothing, for a name, kind, size or content that is not accepted.
+
     Parameters
     ----------
     body : its bytes.
     name : its path below the folder that was dropped.
     batch : where to put it; None for a new one.
     workspace, settings : of the studio.
-
-    Raises
-    ------
-    RefusedError : the name, kind, size or content is not one that the studio takes. Nothing is kept then.
     """
     from starlette.concurrency import run_in_threadpool
 
@@ -110,7 +101,7 @@ def _put(path: Path, name: str, workspace: Workspace, room: _Room) -> Received:
 
 
 class _Room:
-    """What still fits into a batch."""
+    """Counts what still fits into a batch."""
 
     def __init__(self, workspace: Workspace, batch: str, settings: Settings) -> None:
         self.batch, self._workspace = batch, workspace
@@ -134,7 +125,7 @@ def _check_suffix(name: str) -> str:
 
 
 def _check_content(path: Path, name: str) -> None:
-    """Whether a file can be what its name says; whether it is, its reader finds out."""
+    """Check that a file can be what its suffix says; its reader checks the rest."""
     with open(path, "rb") as file:
         head = file.read(512)
     if not head:
@@ -198,7 +189,7 @@ def _temporary(workspace: Workspace) -> Iterator[tuple[IO[bytes], Path]]:
 
 
 class _Archive(io.FileIO):
-    """The file of an archive, of which no more is read at once than an honest list of contents takes."""
+    """The file of an archive, from which no more is read at once than an honest list of contents takes."""
 
     def read(self, size: int | None = -1) -> bytes:
         if size is None or size < 0:  # all that is left
@@ -240,7 +231,7 @@ def _is_disk(error: BaseException) -> bool:
 
 
 def _check_archive(members: list[zipfile.ZipInfo], packed_bytes: int, room: _Room) -> None:
-    """What the archive says of itself; whether that is true is seen while it is unpacked."""
+    """Check what the archive states; whether it is true is found while it is unpacked."""
     if not members:
         raise RefusedError(415, "studio_files.archive_empty")
     if len(members) > room.most[0]:

@@ -1,5 +1,8 @@
-"""What a studio is given when it starts, and its own folder: uploaded files in batches, jobs with what they wrote; and
-no path that leads out of it."""
+"""The settings of a studio, and its folder: uploaded files in batches, and the files of jobs. No path leads out of it.
+
+Only one studio may use a folder, as two would take each other's jobs for interrupted ones, resume and delete them. The
+lock is the operating system's, so that it ends with the process.
+"""
 
 from __future__ import annotations
 
@@ -31,20 +34,13 @@ _ANSWER_S = 5.0  # s for the running studio to answer
 
 
 class HomeTakenError(OptionError):
-    """The folder of a studio belongs to another one, which runs."""
+    """Another running studio uses the folder."""
 
 
 class HomeLock:
-    """The right to a studio's folder, from its making until it is released or the process ends.
+    """The lock of a studio's folder until it is released or the process ends.
 
-    Parameters
-    ----------
-    home : the folder; it exists.
-
-    Raises
-    ------
-    HomeTakenError : another studio has it.
-    OSError : the folder cannot be written.
+    Raises HomeTakenError if another studio has it, OSError if the folder cannot be written.
     """
 
     def __init__(self, home: Path) -> None:
@@ -61,7 +57,7 @@ class HomeLock:
         self.announce(None, None, None)
 
     def announce(self, address: str | None, token: str | None, library: Path | None) -> None:
-        """Leave a note, for this user alone, where the studio answers, and of which library it is."""
+        """Write the address of the studio and its library into the folder, readable by this user alone."""
         known = None if library is None else str(library.absolute())
         note = {"process": os.getpid(), "address": address, "token": token, "library": known}
         temporary = self._home / f".{RUNNING}"
@@ -71,7 +67,7 @@ class HomeLock:
         os.replace(temporary, self._home / RUNNING)
 
     def release(self) -> None:
-        """Let another studio have the folder."""
+        """Release the lock."""
         if self._file is not None:
             with suppress(OSError):
                 (self._home / RUNNING).unlink(missing_ok=True)
@@ -80,12 +76,12 @@ class HomeLock:
 
 
 def open_private(path: Path) -> IO[bytes]:
-    """A file, made if missing, that nobody else on this machine can read; its content is kept."""
+    """Open a file that only this user can read, made if missing; its content is kept."""
     return os.fdopen(os.open(path, os.O_RDWR | os.O_CREAT, 0o600), "r+b")
 
 
 def lock_file(file: IO[bytes]) -> None:
-    """Lock a file until it is closed or the process ends; OSError at once where another process has locked it."""
+    """Lock a file until it is closed or the process ends; OSError at once if another process has locked it."""
     if sys.platform == "win32":
         import msvcrt
 
@@ -105,13 +101,13 @@ def _read_note(home: Path) -> dict[str, Any]:
 
 
 def other_library(home: Path, library: Path) -> str | None:
-    """The library of the studio that has a folder, if it is another one than this."""
+    """Return the library of the studio that uses a folder if it is another one."""
     known = _read_note(home).get("library")
     return known if known is not None and known != str(library.absolute()) else None
 
 
 def ask_running(home: Path) -> str | None:
-    """An address that opens the studio that has a folder, once; None where it does not answer."""
+    """Ask the running studio of a folder for an address that opens it once; None if it does not answer."""
     note = _read_note(home)
     address, token = note.get("address"), note.get("token")
     if not address or not token:
@@ -131,21 +127,19 @@ MEGABYTE = 1_000_000
 class Settings:
     """A studio and its limits.
 
+    Raises OptionError for a port outside 0 to 65535 or an empty token.
+
     Parameters
     ----------
     library : file of the motion library; made when the first motions are added.
     host, port : where it listens.
-    token : the secret in its address; who does not know it gets nothing.
+    token : the secret in its address, required from every request.
     home : folder for uploads, jobs and their results; ``NAME.studio`` beside the library by default.
-    alias : a name of this machine that browsers are sent to, so that no other server of it gets their cookie; none if
+    alias : a name of this machine to which browsers are sent, so that no other server of it gets their cookie; none if
         empty.
     most_bytes : of one uploaded file.
     most_unpacked_bytes : of all files of one zip archive, and of one batch of uploads.
     most_files : of one batch of uploads.
-
-    Raises
-    ------
-    OptionError : a port outside 0 to 65535, an empty token.
     """
 
     library: Path
@@ -166,13 +160,13 @@ class Settings:
 
     @property
     def folder(self) -> Path:
-        """The folder for everything that the studio writes besides the library."""
+        """The folder for everything but the library."""
         home = self.home or self.library.with_name(f"{self.library.stem}.studio")
         return home.absolute()  # what is read and added is named by whole paths
 
     @property
     def hosts(self) -> frozenset[str]:
-        """What a browser on this machine calls the studio; any other name is somebody else's."""
+        """The names of the studio in a browser on this machine; all others are foreign."""
         names = {self.host, self.alias, "127.0.0.1", "localhost", "[::1]"} - {""}
         return frozenset(f"{name}:{self.port}" for name in names)
 
@@ -196,7 +190,7 @@ _STALE = 7 * 86_400.0  # s after which other batches are cleared away when a stu
 
 
 def measure(folder: Path) -> int:
-    """Bytes of a file, or of all files below a folder; what vanishes meanwhile counts nothing."""
+    """Measure a file, or all files below a folder, in bytes; files that vanish meanwhile do not count."""
     total = 0
     for path in (folder, *folder.rglob("*")):
         with suppress(OSError):
@@ -206,11 +200,10 @@ def measure(folder: Path) -> int:
 
 
 def safe_parts(name: str) -> tuple[str, ...]:
-    """The folders and the file of a relative path that somebody sent, each fit to be made.
+    """Split a relative path from outside into folders and file.
 
-    Raises
-    ------
-    RefusedError : absolute, upwards, hidden, with control characters, a device's name, too long or too deep, or empty.
+    Raises RefusedError for a path that is absolute, upwards, hidden, too long, too deep or empty, or has control
+    characters or the name of a device.
     """
     text = unicodedata.normalize("NFC", name).replace("\\", "/")
     parts = tuple(part for part in text.split("/") if part not in ("", "."))
@@ -233,16 +226,7 @@ def safe_parts(name: str) -> tuple[str, ...]:
 
 
 class Workspace:
-    """The folder of one studio.
-
-    Parameters
-    ----------
-    root : made if missing.
-
-    Raises
-    ------
-    OptionError : it cannot be made.
-    """
+    """The folder of one studio, made if missing; OptionError if it cannot be made."""
 
     def __init__(self, root: Path) -> None:
         self.root = root.absolute()
@@ -258,12 +242,9 @@ class Workspace:
             raise OptionError("studio.no_home", folder=self.root, reason=error) from error
 
     def hold(self) -> HomeLock:
-        """Take the folder for one studio alone, and clear away what nobody needs any more.
+        """Lock the folder and delete what is no longer needed.
 
-        Raises
-        ------
-        HomeTakenError : another studio has it.
-        OptionError : it cannot be written.
+        Raises HomeTakenError if another studio has it, OptionError if it cannot be written.
         """
         try:
             self._held = HomeLock(self.root)
@@ -273,15 +254,15 @@ class Workspace:
         return self._held
 
     def release(self) -> None:
-        """Let another studio have the folder."""
+        """Release the folder."""
         if self._held is not None:
             self._held.release()
             self._held = None
 
     def read_alias(self) -> str:
-        """A host name that is this folder's own and leads to this machine; the same at every start.
+        """Return the host name of this folder, which leads to this machine and is the same at every start.
 
-        Browsers take every name below ``localhost`` for this machine without asking anybody.
+        Browsers resolve every name below ``localhost`` to this machine themselves.
         """
         with open_private(self.root / "host") as file:
             name = file.read(100).decode("ascii", "replace")
@@ -293,30 +274,20 @@ class Workspace:
         return name
 
     def new_batch(self) -> str:
-        """The name of a new, empty batch of files."""
+        """Make a new, empty batch of files and return its name."""
         batch = secrets.token_hex(8)
         (self.root / "files" / batch).mkdir()
         return batch
 
     def batch_folder(self, batch: str) -> Path:
-        """The folder of a batch.
-
-        Raises
-        ------
-        RefusedError : there is no such batch.
-        """
+        """Return the folder of a batch; RefusedError if there is none."""
         folder = self.root / "files" / batch
         if not _BATCH.fullmatch(batch) or not folder.is_dir():
             raise RefusedError(404, "studio_files.no_batch", batch=batch[:40])
         return folder
 
     def place(self, batch: str, name: str) -> Path:
-        """Where a file of a batch is or will be; its folder is made.
-
-        Raises
-        ------
-        RefusedError : no such batch, or a name that cannot be used.
-        """
+        """Return the path of a new file of a batch, with its folder made; RefusedError if the name cannot be used."""
         folder = self.batch_folder(batch)
         path = folder.joinpath(*safe_parts(name))
         try:
@@ -328,26 +299,21 @@ class Workspace:
         return path
 
     def find(self, batch: str, name: str) -> Path:
-        """A file of a batch.
-
-        Raises
-        ------
-        RefusedError : it is not there.
-        """
+        """Return the path of a file of a batch; RefusedError if it is missing."""
         path = self.batch_folder(batch).joinpath(*safe_parts(name))
         if not path.is_file() or path.is_symlink():
             raise RefusedError(404, "studio_files.no_file", name=name, batch=batch)
         return path
 
     def files(self, batch: str) -> list[Path]:
-        """All files of a batch, by name."""
+        """List all files of a batch by name."""
         folder = self.batch_folder(batch)
         return sorted(path for path in folder.rglob("*") if path.is_file() and not path.name.startswith("."))
 
     def grow(self, batch: str, n_files: int, n_bytes: int, most: tuple[int, int]) -> bool:
-        """Count what is about to be put into a batch; whether it fits below so many files and bytes.
+        """Count new files and bytes of a batch; returns whether they fit below ``most`` files and bytes.
 
-        The files are looked at only the first time: a folder that comes file by file would take ever longer.
+        The files are listed only the first time, as a folder that is uploaded file by file would take ever longer.
         """
         with self._counting:
             if batch not in self._sizes:
@@ -364,11 +330,11 @@ class Workspace:
         return fits
 
     def keep(self, batch: str, *, by_library: bool = False) -> Path:
-        """Say that a batch is in use, so that it is never cleared away; its folder.
+        """Mark a batch as used, so that it is never deleted, and return its folder.
 
         Parameters
         ----------
-        by_library : only as long as clips of the library come from it.
+        by_library : only while clips of the library come from it.
         """
         folder = self.batch_folder(batch)
         if by_library and not (folder / _KEPT).exists():
@@ -378,23 +344,23 @@ class Workspace:
         return folder
 
     def discard(self, batch: str) -> None:
-        """Take away a batch that is not in use."""
+        """Delete a batch that is not used."""
         folder = self.batch_folder(batch)
         if not (folder / _KEPT).exists():
             shutil.rmtree(folder, ignore_errors=True)
 
     def job_folder(self, job: str) -> Path:
-        """The folder of a job, whether it exists or not."""
+        """Return the folder of a job, whether it exists or not."""
         if not _BATCH.fullmatch(job):
             raise RefusedError(404, "studio_jobs.no_job", job=job[:40])
         return self.root / "jobs" / job
 
     def list_unused(self, mentioned: str) -> list[Path]:
-        """Batches that nothing lives from and nobody has touched for an hour.
+        """List batches that nothing uses and that are older than an hour.
 
         Parameters
         ----------
-        mentioned : text in which every batch stands that is asked for by something that is kept.
+        mentioned : text with the names of all batches in use.
         """
         return [
             folder
@@ -403,16 +369,11 @@ class Workspace:
         ]
 
     def list_outlived(self, mentioned: str) -> dict[Path, float]:
-        """Batches that a job once lived from and that nothing mentions any more, with the s since somebody used them.
-
-        Parameters
-        ----------
-        mentioned : as in `list_unused`.
-        """
+        """List batches that a deleted job used and that nothing mentions, with the s since their last use."""
         return {folder: age for folder, age, used in self._list_batches(mentioned) if used == ""}
 
     def _list_batches(self, mentioned: str) -> list[tuple[Path, float, str | None]]:
-        """Batches that are not mentioned, the s since their last use, and what says that they were kept."""
+        """List batches that are not mentioned, the s since their last use, and the content of their mark."""
         found = []
         for folder in (self.root / "files").iterdir():
             with suppress(OSError):
@@ -439,12 +400,7 @@ _NAMED_BATCH = re.compile(rb"(?=([0-9a-f]{16}))")  # also within a longer number
 
 
 class MentionedBatches:
-    """Batches that the files of jobs name. A file is read again only when it is another one.
-
-    Parameters
-    ----------
-    root : folder of the studio.
-    """
+    """The batches that files of jobs name; a file is read again only when it has changed."""
 
     def __init__(self, root: Path) -> None:
         self._root = root
@@ -452,7 +408,7 @@ class MentionedBatches:
         self._known: dict[Path, tuple[tuple[int, int, int], frozenset[str]]] = {}
 
     def list(self) -> set[str]:
-        """Those that are there and named; a job names none that is made later."""
+        """List existing batches that are named; a job names none that is made later."""
         with self._lock:
             found = {}
             there = {os.fsencode(folder.name) for folder in (self._root / "files").iterdir()}

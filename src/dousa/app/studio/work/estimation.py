@@ -1,4 +1,4 @@
-"""Estimating a motion from uploaded silhouettes or films, with every frame shown to those who watch."""
+"""Estimate a motion from uploaded silhouettes or films, recorded frame by frame; rate how far it can be trusted."""
 
 from __future__ import annotations
 
@@ -31,10 +31,10 @@ if TYPE_CHECKING:
 
 
 def estimate(request: dict[str, Any], context: Context) -> dict[str, Any]:
-    """Estimate; ``request`` as `dousa.app.studio.api.estimation.EstimateRequest`, see there.
+    """Estimate; ``request`` as `dousa.app.studio.api.estimation.EstimateRequest`.
 
-    The folder of the job then holds motion.bvh, joints.trc and angles.csv, overlay.mp4 if that was wanted, and the
-    cameras that films were found to have. Stopped work goes on where it was when the job is resumed.
+    The folder of the job then holds motion.bvh, joints.trc, angles.csv, on request overlay.mp4, and the cameras found
+    for films. A stopped job continues where it was when it is resumed.
     """
     from dousa.app.pipelines.estimation_request import Outputs
     from dousa.app.studio.content.footage import FootageWriter
@@ -86,10 +86,7 @@ def _estimate(
 
 
 def _take_masks(job: str, asked: EstimationRequest, context: Context) -> tuple[EstimationRequest, StoredMasks]:
-    """The request with the repaired silhouettes of a job, and these as they were found.
-
-    They are written into the folder of this job: what is repaired later does not change its result.
-    """
+    """Replace the sources by a copy of the repaired silhouettes of a job, which later repairs do not change."""
     from dousa.app.studio.content.masks import EXPORTED, StoredMasks, export_masks
 
     folder, path = context.home / "jobs" / job, context.folder / EXPORTED
@@ -102,7 +99,7 @@ def _take_masks(job: str, asked: EstimationRequest, context: Context) -> tuple[E
 
 
 class _PictureBringer:
-    """Shows a watcher the pictures that lie behind repaired silhouettes."""
+    """Shows a watcher the pictures behind repaired silhouettes."""
 
     def __init__(self, watcher: FootageWriter, stored: StoredMasks) -> None:
         self._watcher, self._stored = watcher, stored
@@ -113,10 +110,7 @@ class _PictureBringer:
 
 
 def write_example(request: dict[str, Any], context: Context) -> dict[str, Any]:
-    """A synthetic person kicks, and cameras see nothing but silhouettes.
-
-    Writes ``kick_seen.npz`` into the batch ``request["batch"]``; says the person's stature in m.
-    """
+    """Write ``kick_seen.npz``, silhouettes of a synthetic person who kicks, into a batch; returns the stature in m."""
     from dousa.app.demo.estimation import write_performance
 
     truth = context.folder / f"{request['batch']}.bvh"
@@ -128,24 +122,20 @@ def write_example(request: dict[str, Any], context: Context) -> dict[str, Any]:
 
 
 def _batch_folder(request: dict[str, Any], context: Context) -> Path:
-    """Where the files of a request are."""
     return context.home / "files" / str(request["batch"])
 
 
 def list_materials(request: dict[str, Any], context: Context) -> tuple[Material, ...]:
-    """Every file of the batch and what it is for, if nobody says otherwise."""
+    """List the files of the batch and their default roles."""
     folder = _batch_folder(request, context)
     files = [path for path in folder.rglob("*") if path.is_file() and not path.name.startswith(".")]
     return sort_materials(folder, [path.relative_to(folder).as_posix() for path in files])
 
 
 def make_request(request: dict[str, Any], context: Context, outputs: Outputs) -> EstimationRequest:
-    """The request with real paths; what was not said is found in the files.
+    """Complete a request by what its files contain, with real paths.
 
-    Raises
-    ------
-    OptionError : no silhouettes.
-    RefusedError : a name that is not in the batch.
+    Raises OptionError without silhouettes, RefusedError for a name that is not in the batch.
     """
     from dousa.app.pipelines.estimation_request import EstimationRequest
 
@@ -187,7 +177,7 @@ def make_request(request: dict[str, Any], context: Context, outputs: Outputs) ->
 
 
 def _find(folder: Path, name: str) -> Path:
-    """A file or folder of a batch; ``"."`` is all of it."""
+    """Return a file or folder of a batch; ``"."`` is the batch itself."""
     path = folder if name == "." else folder.joinpath(*safe_parts(name))
     if not path.exists() or path.is_symlink():
         raise RefusedError(404, "studio_estimation.no_file", name=name)
@@ -195,7 +185,7 @@ def _find(folder: Path, name: str) -> Path:
 
 
 def _find_start(request: dict[str, Any], context: Context) -> str | None:
-    """``FILE:FRAME`` of the motion that was named."""
+    """Return ``FILE:FRAME`` of the start."""
     said = request.get("start")
     if said is None:
         return None
@@ -212,7 +202,7 @@ def _find_start(request: dict[str, Any], context: Context) -> str | None:
 
 
 def _write_clip(clip: int, context: Context) -> Path:
-    """The joints of a clip as a file, as the library has them: where it came from may be gone."""
+    """Write the joints of a clip as the library has them, as its source may be gone."""
     from dousa.formats.registry import write_motion
 
     path = context.folder / "start.trc"
@@ -247,12 +237,12 @@ _MOST_LOST = 0.5  # share of frames beyond which there is hardly a motion
 
 
 def rank_warnings(warnings: Sequence[Message], lost_share: float) -> tuple[str, list[Message], list[str]]:
-    """What is said of an estimate, in the order of its weight.
+    """Sort warnings by their weight.
 
     Parameters
     ----------
     warnings : of the estimation.
-    lost_share : of its frames that are lost, 0 to 1.
+    lost_share : share of lost frames, 0 to 1.
 
     Returns
     -------
@@ -269,7 +259,7 @@ def _weigh(code: str) -> int:
 
 
 def _codes(value: Any) -> Iterator[str]:
-    """Of a message and of those among its values."""
+    """Yield the codes of a message and of those among its values."""
     if isinstance(value, Message):
         yield value.code
         for one in value.values.values():
@@ -285,12 +275,8 @@ _MOST_PICTURE_BYTES = 1_000_000_000
 
 
 def prepare_masks(request: dict[str, Any], context: Context) -> dict[str, Any]:
-    """Write the silhouettes of a request for an estimation into the folder of the job; see there for the files.
-
-    Returns
-    -------
-    ``n_frames``, ``views`` and ``notes``.
-    """
+    """Write the silhouettes of an estimation's request into the folder of the job, see
+    `dousa.app.studio.content.masks`."""
     from dousa.app.pipelines.doubts import WatchedSilhouettes, parse_frames
     from dousa.app.pipelines.estimation_request import Outputs
     from dousa.app.pipelines.estimation_views import open_bare_views, open_views, read_known_stature
@@ -321,7 +307,7 @@ def prepare_masks(request: dict[str, Any], context: Context) -> dict[str, Any]:
 
 
 def _write_cameras(asked: EstimationRequest, views: Silhouettes, context: Context) -> bool:
-    """Whether there is a camera for each view; silhouettes can be repaired without."""
+    """Write a camera for each view; returns whether they are known. Silhouettes can be repaired without."""
     from dousa.app.pipelines.estimation_views import choose_cameras
     from dousa.estimation.cameras.camera_files import write_cameras
 
@@ -335,7 +321,7 @@ def _write_cameras(asked: EstimationRequest, views: Silhouettes, context: Contex
 
 
 def _write_frames(views: Silhouettes, context: Context) -> Any:
-    """Write every frame; (2, V, T) measures of the masks."""
+    """Write every frame; returns the measures of the masks (2, V, T)."""
     from dousa.estimation.silhouettes.mask_doubts import measure_mask
 
     measures = np.full((2, views.n_views, views.n_frames), np.nan)

@@ -1,4 +1,4 @@
-"""Estimating from films with nothing prepared: people found, films synchronised, cameras placed, one fitted."""
+"""Estimate from films without preparation: find people, synchronise the films, place cameras, fit one person."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ class FilmSource:
     Parameters
     ----------
     name : of the view.
-    source : where its keypoints come from: the film, or a file of keypoints.
+    source : of its keypoints: the film, or a file of keypoints.
     film : whose pictures are shown; None for keypoints alone.
     """
 
@@ -46,12 +46,7 @@ class FilmSource:
 
 
 def pair_films(sources: Sequence[Path]) -> tuple[FilmSource, ...]:
-    """The views of a batch: a film and the keypoints that another program found in it are one.
-
-    Raises
-    ------
-    OptionError : too many, or two of one name.
-    """
+    """Pair the films of a batch with files of keypoints found in them; OptionError for too many, or two of one name."""
     from dousa.app.pipelines.film_scene import name_films
 
     films = [path for path in sources if not holds_keypoints(path)]
@@ -75,7 +70,7 @@ def _is_of(keypoints: Path, film: Path) -> bool:
 
 
 def takes_films(request: dict[str, Any], asked: EstimationRequest) -> bool:
-    """Whether keypoints are to be fitted: films or keypoints, and no plates; silhouettes where somebody wants them."""
+    """Whether keypoints are to be fitted: for films and keypoints without backgrounds, unless masks are wanted."""
     from dousa.app.pipelines.film_scene import is_films, shows_masks
 
     if request.get("cues") is not None:
@@ -88,7 +83,7 @@ def takes_films(request: dict[str, Any], asked: EstimationRequest) -> bool:
 
 
 def can_do_without(asked: EstimationRequest) -> bool:
-    """Whether films can be estimated by their silhouettes, since models are missing and a calibration is there."""
+    """Whether films can be estimated by silhouettes, as models are missing and there is a calibration."""
     from dousa.app.pipelines.film_scene import has_models
 
     if any(holds_keypoints(path) for path in asked.sources) or asked.cameras is None:
@@ -97,12 +92,7 @@ def can_do_without(asked: EstimationRequest) -> bool:
 
 
 def check_films(asked: EstimationRequest) -> tuple[FilmSource, ...]:
-    """The views, if all that is needed is there: known before the long work.
-
-    Raises
-    ------
-    DousaError : what is missing: a model, a package, the stature.
-    """
+    """Return the views; DousaError if a model, a package or the stature is missing."""
     from dousa.estimation.keypoints.pose_models import DETECTOR, choose_pose_model, find_pose_model
     from dousa.extras import require
 
@@ -125,18 +115,14 @@ def check_films(asked: EstimationRequest) -> tuple[FilmSource, ...]:
 def estimate_from_films(
     request: dict[str, Any], asked: EstimationRequest, context: Context, footage: FootageWriter
 ) -> Estimation:
-    """Estimate one person; everything found on the way is written down for those who watch.
+    """Estimate one person, and record everything that is found; DousaError for problems that the user can correct.
 
     Parameters
     ----------
-    request : with ``person``, tracks that the person has, and ``left_out``, tracks of nobody.
+    request : with ``person``, tracks of the person, and ``left_out``, tracks of nobody.
     asked : the same with real paths.
     context : of the job.
     footage : takes the motion.
-
-    Raises
-    ------
-    DousaError : what can be put right by the person who reads it.
     """
     from dousa.app.pipelines.film_estimate import check_agreement, estimate_person
     from dousa.app.pipelines.film_scene import place_films
@@ -169,7 +155,7 @@ def estimate_from_films(
 
 
 def _show_films(views: Sequence[FilmSource], record: FilmRecordWriter, context: Context) -> None:
-    """Pictures of all films, so that there is something to look at while people are found."""
+    """Write pictures of all films, to be looked at while people are searched for."""
     from dousa.app.studio.content.film_record import choose_stride, write_pictures
     from dousa.estimation.keypoints.films import FilmFrames
 
@@ -202,7 +188,7 @@ def _find_people(views: Sequence[FilmSource], asked: EstimationRequest, context:
 def leave_out(
     found: Sequence[ViewKeypoints], left_out: Sequence[Track]
 ) -> tuple[tuple[ViewKeypoints, ...], list[list[int]]]:
-    """The views without some tracks, and (V,) the numbers that the tracks which stay had before."""
+    """Return the views without some tracks, and (V,) the earlier numbers of the remaining tracks."""
     kept, numbers = [], []
     for view, one in enumerate(found):
         own = [number for number in range(len(one.people)) if (view, number) not in left_out]
@@ -214,7 +200,7 @@ def leave_out(
 def choose_who_places(
     kept: Sequence[ViewKeypoints], numbers: Sequence[Sequence[int]], wanted: Sequence[Track]
 ) -> list[int] | None:
-    """The wanted person by their places in all views, as the stature is theirs; None where not all views show them."""
+    """Return the indices of the wanted person, whose stature is known, in all views; None if a view lacks them."""
     places = []
     for view, own in enumerate(numbers):
         mine = [place for place, number in enumerate(own) if (view, number) in wanted]
@@ -225,11 +211,9 @@ def choose_who_places(
 
 
 def choose_person(people: Sequence[MatchedPerson], numbers: Sequence[Sequence[int]], wanted: Sequence[Track]) -> int:
-    """The place of the person with most of the wanted tracks; 0, who is seen most, where nobody is wanted.
+    """Return the index of the person with most of the wanted tracks; without any 0, the one seen most.
 
-    Raises
-    ------
-    OptionError : nobody has any of them.
+    Raises OptionError if no person has any of them.
     """
     if not wanted:
         return 0
@@ -245,7 +229,7 @@ def choose_person(people: Sequence[MatchedPerson], numbers: Sequence[Sequence[in
 def _without_empty_overlay(
     asked: EstimationRequest, views: Sequence[FilmSource], found: Sequence[ViewKeypoints]
 ) -> EstimationRequest:
-    """The films as sources of the overlay's pictures; no overlay where there is nothing to draw on."""
+    """Use the films as sources of the overlay's pictures; without films and masks there is no overlay."""
     has_masks = any(person.masks is not None for view in found for person in view.people)
     films = [view.film for view in views if view.film is not None]
     asked = replace(asked, sources=tuple(view.film or view.source for view in views))
@@ -255,7 +239,7 @@ def _without_empty_overlay(
 
 
 class _Watcher:
-    """Writes down the motion and how sure it is."""
+    """Records the motion and its doubts."""
 
     def __init__(self, footage: FootageWriter, record: FilmRecordWriter) -> None:
         self._footage, self._record = footage, record
@@ -275,7 +259,7 @@ class _Watcher:
 
 
 def look_at_films(asked: EstimationRequest, context: Context, answer: dict[str, Any]) -> None:
-    """The answer of a look before the work: the films with a picture of each, and what is missing."""
+    """Fill in the preview: the films with a picture of each, and what is missing."""
     views = pair_films(asked.sources)
     for view in views:
         answer["views"].append(_look_at_view(view, answer))

@@ -1,4 +1,4 @@
-"""Work on the library: adding uploads, training, exporting, labelling a take, judging a performance."""
+"""Work on the library: add uploads, train, export, check, label a take, judge a performance."""
 
 from __future__ import annotations
 
@@ -41,10 +41,9 @@ def add(request: dict[str, Any], context: Context) -> dict[str, Any]:
 
 
 def watch(request: dict[str, Any], context: Context) -> dict[str, Any]:
-    """Add what is new in a folder of this machine, as `dousa add` does; ``request``: folder and files.
+    """Add new files of a folder of this machine, as `dousa add` does; ``request``: folder and files.
 
-    They are not asked for by pages but by who started the studio. Of the others in the folder some may have been
-    removed on purpose.
+    Only the option ``--watch`` asks for this, not a page. Other files of the folder may have been removed on purpose.
     """
     folder, files = Path(request["folder"]), [Path(path) for path in request["files"]]
     table = context.folder / "categories.csv"
@@ -72,7 +71,7 @@ def _take_in(paths: Sequence[Path], options: Mapping[str, Any], context: Context
 
 
 def _inside(rule: str | None, folder: Path) -> str | None:
-    """A rule whose table, if it names one, is a file of the batch: no other file of this machine is read."""
+    """Resolve the table of a rule inside the batch, so that no other file of this machine is read."""
     from dousa.app.studio.core.workspace import safe_parts
 
     kind, _, name = (rule or "").partition(":")
@@ -80,7 +79,7 @@ def _inside(rule: str | None, folder: Path) -> str | None:
 
 
 def _draw_ahead(library: Library, before: set[int], context: Context) -> None:
-    """Make the small figures of what is new, so that the page shows them at once."""
+    """Make the figures of new clips, so that the page shows them at once."""
     from dousa.app.studio.content.clips import Thumbnails
 
     fresh = [clip.id for clip in library.clips() if clip.id not in before][:_MOST_DRAWN]
@@ -88,7 +87,7 @@ def _draw_ahead(library: Library, before: set[int], context: Context) -> None:
 
 
 def _without_folder(value: Any, folder: str) -> Any:
-    """Paths of a report as they were dropped; where the studio keeps them concerns nobody."""
+    """Replace paths in a report by those that were uploaded."""
     if isinstance(value, dict):
         return {key: _without_folder(item, folder) for key, item in value.items()}
     if isinstance(value, list):
@@ -109,7 +108,7 @@ def train(request: dict[str, Any], context: Context) -> dict[str, Any]:
 
 
 def review(request: dict[str, Any], context: Context) -> dict[str, Any]:
-    """Labels that are likely wrong, and clips that are nearly the same."""
+    """Find labels that are likely wrong, and clips that are nearly the same."""
     from dousa.errors import TrainingError
 
     with context.open_library() as library:
@@ -125,7 +124,7 @@ def review(request: dict[str, Any], context: Context) -> dict[str, Any]:
 
 
 def map_clips(request: dict[str, Any], context: Context) -> dict[str, Any]:
-    """Lay out all clips on a map, which the studio keeps."""
+    """Lay out all clips on a map."""
     from dousa.app.studio.content.clips import keep_map
 
     with context.open_library() as library:
@@ -135,7 +134,7 @@ def map_clips(request: dict[str, Any], context: Context) -> dict[str, Any]:
 
 
 def demo(request: dict[str, Any], context: Context) -> dict[str, Any]:
-    """Fill the library with made-up motions of a few people, and train it."""
+    """Fill the library with synthetic motions of a few people, and train it."""
     from dousa.app.demo.demo import write_library
 
     folder = context.home / "files" / str(request["batch"])
@@ -184,7 +183,7 @@ def _find_character(library: Library, motion: str, home: Path) -> Path:
 
 
 def label(studio: Studio, request: dict[str, Any], context: Context) -> dict[str, Any]:
-    """Label a take, with all that was ever corrected; ``request``: take (a `MotionRef`), threshold."""
+    """Label a take with all corrections; ``request``: take (a `MotionRef`), threshold."""
     from dousa.app.studio.content.corrections import list_examples
 
     take = MotionRef.model_validate(request["take"])
@@ -201,8 +200,7 @@ def label(studio: Studio, request: dict[str, Any], context: Context) -> dict[str
 
 
 def evaluate(studio: Studio, request: dict[str, Any], context: Context) -> dict[str, Any]:
-    """Judge a performance; ``request`` is an `EvaluationRequest`. What the page changes later is asked of what this
-    leaves ready."""
+    """Judge a performance; ``request`` is an `EvaluationRequest`. The evaluation stays in memory to be adjusted."""
     from dousa.app.studio.content.evaluations import EvaluationRequest, assess_exercise, describe, make_ready
 
     wanted = EvaluationRequest.model_validate(request)
@@ -220,7 +218,7 @@ _MOST_TOLD = 30  # lines; the result has all
 def check(request: dict[str, Any], context: Context) -> dict[str, Any]:
     """Check the library, as `dousa check`; ``request``: repair.
 
-    A file whose structure is damaged is not repaired while a studio has it open, which is said.
+    A damaged file structure is not repaired while the studio has the file open; a note tells so.
     """
     with context.open_library() as library:
         repair = bool(request.get("repair"))
@@ -234,7 +232,7 @@ def check(request: dict[str, Any], context: Context) -> dict[str, Any]:
 
 
 def compact(request: dict[str, Any], context: Context) -> dict[str, Any]:
-    """Forget removed clips and make the file smaller, as `dousa compact`; ``request``: fragments."""
+    """Forget removed clips and shrink the file, as `dousa compact`; ``request``: fragments."""
     with context.open_library() as library:
         report = library.compact(fragments="" if request.get("fragments") else None, progress=context.progress)
     for line in report.to_messages():

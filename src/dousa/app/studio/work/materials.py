@@ -1,4 +1,4 @@
-"""What uploaded files are for in an estimation, found in themselves: silhouettes, calibration, background, body."""
+"""Find the roles of uploaded files in an estimation by their content: silhouettes, calibration, background, body."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ class Material:
 
     Parameters
     ----------
-    name : in its batch; a folder's is without a slash at the end, ``"."`` is the batch itself.
+    name : in its batch; of a folder without a slash at the end, ``"."`` is the batch itself.
     role : one of `ROLES`.
     kind : ``npz``, ``video``, ``keypoints``, ``images``, ``picture``, ``table``, ``motion``, ``other``.
     n_files : of a folder of images or keypoints; else 1.
@@ -41,13 +41,7 @@ class Material:
 
 
 def sort_materials(folder: Path, names: Iterable[str]) -> tuple[Material, ...]:
-    """What each file of a batch is for.
-
-    Parameters
-    ----------
-    folder : of the batch.
-    names : of the files in it, with slashes.
-    """
+    """Find the role of each file of a batch; ``names`` are relative to its folder, with slashes."""
     files = sorted(names, key=natural_key)
     pictures: dict[str, list[str]] = {}
     found: list[Material] = []
@@ -91,7 +85,7 @@ def _holds_keypoints_json(path: Path) -> bool:
 
 
 def holds_keypoints(path: Path) -> bool:
-    """Whether a source holds people's keypoints: an npz of dousa, JSON of another program, a folder of such."""
+    """Whether a source holds keypoints of people: an npz of dousa, JSON of another program, or a folder of such."""
     if path.is_dir():
         first = next((file for file in sorted(path.iterdir()) if not file.name.startswith(".")), None)
         return first is not None and first.suffix.lower() == ".json" and _holds_keypoints_json(first)
@@ -101,7 +95,7 @@ def holds_keypoints(path: Path) -> bool:
 
 
 def _gather_frames(found: list[Material]) -> list[Material]:
-    """A folder of many files of keypoints is one view, of which each is a frame."""
+    """Make a folder of many files of keypoints one view, of which each file is a frame."""
     places: dict[str, list[Material]] = {}
     for item in found:
         if item.kind == "keypoints" and item.name.lower().endswith(".json"):
@@ -113,7 +107,7 @@ def _gather_frames(found: list[Material]) -> list[Material]:
 
 
 def _look_into_npz(path: Path, name: str) -> Material:
-    """By the names of its arrays; a file that is no npz is taken for silhouettes, whose reader says what is wrong."""
+    """Find the role of an npz by its arrays; other files count as silhouettes, whose reader tells what is wrong."""
     try:
         with zipfile.ZipFile(path) as file:
             inside = {member.removesuffix(".npy") for member in file.namelist()[:_MOST_MEMBERS]}
@@ -129,7 +123,7 @@ def _look_into_npz(path: Path, name: str) -> Material:
 
 
 def _sort_pictures(place: str, names: list[str], has_videos: bool) -> list[Material]:
-    """A folder of masks is one view; pictures beside videos, or so called, show the empty scene."""
+    """Make a folder of masks one view; pictures beside videos, or with such a name, show the empty scene."""
     plates = [name for name in names if has_videos or _PLATE.search(name)]
     others = [name for name in names if name not in plates]
     found = [Material(name, "background", "picture") for name in plates]
@@ -139,7 +133,7 @@ def _sort_pictures(place: str, names: list[str], has_videos: bool) -> list[Mater
 
 
 def _settle(found: list[Material]) -> list[Material]:
-    """One calibration, one body, one start: the first of each; an npz with all views stands alone."""
+    """Keep only the first calibration, body and start."""
     taken: set[str] = set()
     settled = []
     for item in found:
@@ -155,7 +149,7 @@ def _settle(found: list[Material]) -> list[Material]:
 
 
 def pair_backgrounds(sources: list[Path], backgrounds: list[Path]) -> list[Path]:
-    """Backgrounds in the order of the sources where their names say which belongs to which; else as they are."""
+    """Order backgrounds like the sources if their names tell which belong together."""
     from dousa.errors import CalibrationError
     from dousa.estimation.cameras.camera_sets import find_views
 

@@ -1,4 +1,4 @@
-"""A look at silhouettes, cameras and body before an estimation: seconds, and nothing is kept."""
+"""Look at silhouettes, cameras and body before an estimation; takes seconds and stores nothing."""
 
 from __future__ import annotations
 
@@ -25,13 +25,13 @@ _LONGEST = 320  # px of a picture
 
 
 def preview(request: dict[str, Any], context: Context) -> dict[str, Any]:
-    """Look; ``request`` as for an estimation.
+    """Preview a request for an estimation.
 
     Returns
     -------
-    ``files``: what each file is for; ``views``: name, size, camera, a picture of the first silhouette; ``n_frames``,
-    ``frame_rate``, ``first_frame``, ``body``, ``start``, ``notes``; ``missing``: what stands in the way, or None;
-    ``films``: whether people will be found in films, with nothing prepared.
+    ``files``: the role of each file; ``views``: name, size, camera, a picture of the first silhouette; ``n_frames``,
+        ``frame_rate``, ``first_frame``, ``body``, ``start``, ``notes``; ``missing``: the problem, or None; ``films``:
+        whether people will be searched for in films without preparation.
     """
     answer: dict[str, Any] = {
         "files": [asdict(item) for item in list_materials(request, context)],
@@ -82,7 +82,7 @@ def _look(request: dict[str, Any], context: Context, answer: dict[str, Any]) -> 
 
 
 def _open(asked: EstimationRequest, context: Context, answer: dict[str, Any]) -> Silhouettes:
-    """The silhouettes; without a calibration they can be looked at, though not used."""
+    """Open the silhouettes; without a calibration they can be shown but not used."""
     from dousa.app.pipelines.estimation_views import open_bare_views, open_views
 
     bare = asked.cameras is None and any(path.suffix.lower() != ".npz" for path in asked.sources)
@@ -113,7 +113,7 @@ def _match(asked: EstimationRequest, views: Silhouettes, answer: dict[str, Any])
 
 
 def _show_first(views: Silhouettes, first: int, last: int, answer: dict[str, Any]) -> None:
-    """Pictures of the first frame that shows somebody."""
+    """Add pictures of the first frame with a person."""
     from dousa.app.pipelines.doubts import WatchedSilhouettes
     from dousa.estimation.tracking.start import find_first
 
@@ -132,7 +132,7 @@ def _show_first(views: Silhouettes, first: int, last: int, answer: dict[str, Any
 
 
 def _draw(mask: Mask, image: NDArray[np.uint8] | None) -> str:
-    """Silhouette in grey, or outlined in its picture, as the address of a picture."""
+    """Draw a silhouette in grey, or outlined in its picture, as a data URL."""
     from dousa.app.pictures.overlay_view import LEFT, WHITE, draw_outlines, find_outlines
     from dousa.extras import cv2
 
@@ -153,7 +153,7 @@ def _draw(mask: Mask, image: NDArray[np.uint8] | None) -> str:
 
 
 def _check_person(asked: EstimationRequest, context: Context, answer: dict[str, Any]) -> None:
-    """What goes wrong with body and start is known before the work."""
+    """Check body and start before the work."""
     from dousa.app.pipelines.estimation_body import load_body, read_start
     from dousa.app.pipelines.estimation_views import read_known_stature
 

@@ -1,5 +1,5 @@
-"""The kinds of work, what does each and in which lane; and the process that does one long job: a task comes in as a
-line of JSON, progress and the answer go out as lines."""
+"""The kinds of work with their functions and lanes; and the process of one long job: a task comes in as a line of JSON,
+progress and the answer go out as lines."""
 
 from __future__ import annotations
 
@@ -44,14 +44,14 @@ IN_PROCESS = {
 
 
 def load_work(kind: str) -> Work:
-    """The function that does a kind of work of `IN_PROCESS`."""
+    """Import the function for a kind of work of `IN_PROCESS`."""
     module, name = IN_PROCESS[kind]
     work: Work = getattr(import_module(f"dousa.app.studio.work.{module}"), name)
     return work
 
 
 def make_lanes(studio: Studio) -> Mapping[str, Lane]:
-    """The lanes of a studio by kind of job."""
+    """Make the lanes of a studio by kind of job."""
     from dousa.app.studio.work.library import evaluate, label
 
     process = run_in_process(studio.settings)
@@ -79,7 +79,7 @@ _MOST_PIXELS = 200_000_000  # of a picture; small files can say that they are la
 
 
 def main() -> None:
-    """Read the task, do it, answer, end."""
+    """Read the task, run it, answer and exit."""
     # A studio that a script started in the background ignores Ctrl-C, and so would we: it is how work is stopped.
     signal.signal(signal.SIGINT, signal.default_int_handler)
     # What libraries print must not come between our lines: they get standard error.
@@ -99,7 +99,7 @@ def main() -> None:
 
 
 def _wait_for_predecessor(path: Path) -> IO[bytes]:
-    """The right to the folder of a job; a process of a studio that was killed may still be ending in it."""
+    """Lock the folder of a job; a process of a killed studio may still be ending in it."""
     file = open_private(path)
     end = time.monotonic() + 2 * _PATIENCE
     while time.monotonic() < end:
@@ -114,7 +114,7 @@ def _wait_for_predecessor(path: Path) -> IO[bytes]:
 
 
 def _stand_back() -> None:
-    """The studio goes first: with the processor, and where the memory runs out."""
+    """Lower the priority for the processor, and be the first to be killed when memory runs out."""
     if hasattr(os, "nice"):
         os.nice(5)
     with suppress(OSError):  # Linux
@@ -169,7 +169,7 @@ def _say(out: Any, message: dict[str, Any]) -> None:
 
 
 def _end_with_studio() -> None:
-    """The studio holds our standard input open; when it ends, by whatever cause, so do we."""
+    """End when the studio ends, which holds our standard input open."""
     sys.stdin.read()
     os.kill(os.getpid(), signal.SIGINT if os.name == "posix" else signal.SIGTERM)
     time.sleep(_PATIENCE)
