@@ -6,11 +6,11 @@ from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Annotated, Literal
 
 from fastapi import APIRouter, Depends, Query, Response
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import Field, model_validator
 
 from dousa.app.studio.content.clips import ClipQuery, Snapshot, Sort
 from dousa.app.studio.content.studio import Studio, StudioNow
-from dousa.app.studio.core.answers import BYTES, Answer, RefusedError
+from dousa.app.studio.core.answers import BYTES, Answer, RefusedError, StrictModel
 
 if TYPE_CHECKING:
     from dousa.library import Library
@@ -25,18 +25,14 @@ _Names = Annotated[list[Annotated[str, Query(max_length=1000)]], Query(max_lengt
 _Seconds = Annotated[float | None, Query(ge=0, le=1e7, allow_inf_nan=False)]
 
 
-class Clips(BaseModel):
+class Clips(StrictModel):
     """Some clips or takes."""
-
-    model_config = ConfigDict(extra="forbid")
 
     clips: Annotated[list[_Number], Field(min_length=1, max_length=200_000)]
 
 
-class Pictured(BaseModel):
+class Pictured(StrictModel):
     """Clips whose figures are wanted at once."""
-
-    model_config = ConfigDict(extra="forbid")
 
     clips: Annotated[list[_Number], Field(max_length=500)]
 
@@ -63,8 +59,8 @@ class Relabelling(Clips):
 class Tagging(Clips):
     """Clips and the tags that they get and lose."""
 
-    add: Annotated[list[_Label], Field(max_length=100)] = []
-    remove: Annotated[list[_Label], Field(max_length=100)] = []
+    add: list[_Label] = Field([], max_length=100)
+    remove: list[_Label] = Field([], max_length=100)
 
 
 def _read_asked(
@@ -231,18 +227,14 @@ _KeptName = Annotated[str, Field(min_length=1, max_length=200, pattern=ONE_LINE)
 _KeptNames = Annotated[list[Annotated[str, Field(max_length=1000)]], Field(max_length=500)]
 
 
-class Step(BaseModel):
+class Step(StrictModel):
     """Which change."""
-
-    model_config = ConfigDict(extra="forbid")
 
     number: Annotated[int, Field(ge=1, le=2**62)] | None = Field(None, description="null for the last one")
 
 
-class Asked(BaseModel):
+class Asked(StrictModel):
     """What a search looks for, or which clips were chosen."""
-
-    model_config = ConfigDict(extra="forbid")
 
     text: str | None = Field(None, max_length=300)
     category: _KeptNames | None = None
@@ -254,10 +246,8 @@ class Asked(BaseModel):
     clips: Annotated[list[Annotated[int, Field(ge=1, le=2**31 - 1)]], Field(max_length=200_000)] | None = None
 
 
-class Saving(BaseModel):
+class Saving(StrictModel):
     """A search, and its name."""
-
-    model_config = ConfigDict(extra="forbid")
 
     name: _KeptName
     asked: Asked

@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 import shutil
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 from fastapi import APIRouter, Path, Query
-from pydantic import BaseModel, ConfigDict, Field, field_validator
+from pydantic import Field, field_validator
 from starlette.responses import FileResponse, Response
 
 from dousa.app.pipelines.estimation_request import BackgroundMethod, Bones, Cues, Model, Preset, Sex, SourceKind
 from dousa.app.studio.content.motions import Address, MotionName, MotionRef
 from dousa.app.studio.content.studio import StudioNow
-from dousa.app.studio.core.answers import BYTES, Answer, RefusedError
+from dousa.app.studio.core.answers import BYTES, Answer, RefusedError, StrictModel, describe_bytes
 from dousa.app.studio.core.workspace import safe_parts
 from dousa.app.studio.jobs.lanes import ask_process
 
@@ -33,17 +33,15 @@ FRAMES_FORM = r"^-?\d{0,9}:-?\d{0,9}$"
 
 _PREVIEW_S, _EXAMPLE_S = 180.0, 180.0  # s; backgrounds of long films take a while, kernels compile at first
 _Name = Annotated[str, Field(min_length=1, max_length=1000, description="name in the batch")]
-_JobId = Annotated[str, Path(pattern="^[0-9a-f]{16}$")]
+JobId = Annotated[str, Path(pattern="^[0-9a-f]{16}$")]
 _Track = Annotated[
     list[Annotated[int, Field(ge=0, le=1000)]],
     Field(min_length=2, max_length=2, description="a view and the number of somebody found in it, from 0"),
 ]
 
 
-class BodyRequest(BaseModel):
+class BodyRequest(StrictModel):
     """Whose body is tracked."""
-
-    model_config = ConfigDict(extra="forbid")
 
     stature_m: Annotated[float, Field(ge=0.2, le=3.0)] | None = Field(
         None, description="found from what is seen if left out; films without calibration need it"
@@ -52,10 +50,8 @@ class BodyRequest(BaseModel):
     file: _Name | None = Field(None, description="body file (TOML), or a motion with the person's bones")
 
 
-class StartRequest(BaseModel):
+class StartRequest(StrictModel):
     """The pose of the first frame with somebody in it, in the world of the cameras."""
-
-    model_config = ConfigDict(extra="forbid")
 
     motion: MotionName
     frame: int = Field(0, ge=0, le=10_000_000)
@@ -64,10 +60,8 @@ class StartRequest(BaseModel):
     joint_map: dict[str, str | list[str]] | None = None
 
 
-class EstimateRequest(BaseModel):
+class EstimateRequest(StrictModel):
     """The options of `dousa estimate`. Where no sources are named, every file of the batch finds its own part."""
-
-    model_config = ConfigDict(extra="forbid")
 
     batch: str = Field(pattern="^[0-9a-f]{16}$")
     sources: list[_Name] | None = Field(
@@ -125,10 +119,8 @@ class EstimateRequest(BaseModel):
         return name
 
 
-class AddEstimate(BaseModel):
+class AddEstimate(StrictModel):
     """How an estimated motion is put into the library."""
-
-    model_config = ConfigDict(extra="forbid")
 
     name: str = Field("estimated", min_length=1, max_length=80)
     category: Annotated[str, Field(min_length=1, max_length=80)] | None = None
@@ -178,7 +170,7 @@ def make_example(studio: StudioNow) -> Answer:
 @router.get("/estimations/{job_id}/frames", summary="Frames that are new since the last time")
 def get_frames(
     studio: StudioNow,
-    job_id: _JobId,
+    job_id: JobId,
     since: Annotated[int, Query(alias="from", ge=0, description="``next`` of the last answer")] = 0,
     joints: Annotated[bool, Query(description="with the 20 canonical joints of each frame, base64")] = False,
 ) -> Answer:
@@ -187,20 +179,19 @@ def get_frames(
 
 
 @router.get("/estimations/{job_id}/player", summary="The figure as far as it is")
-def get_player(studio: StudioNow, job_id: _JobId, language: Literal["en", "ja"] = "en") -> Answer:
+def get_player(studio: StudioNow, job_id: JobId, language: Literal["en", "ja"] = "en") -> Answer:
     """Data of the player."""
     return Answer(studio.footage.get(job_id).player(language))
 
 
-_JPEG: dict[int | str, dict[str, Any]] = {
-    200: {"content": {"image/jpeg": {"schema": {"type": "string", "format": "binary"}}}}
-}
-_View = Annotated[int, Path(ge=0, le=1000)]
-_Frame = Annotated[int, Path(ge=0, le=10_000_000)]
+_JPEG = describe_bytes("image/jpeg")
+ViewPath = Annotated[int, Path(ge=0, le=1000)]
+FramePath = Annotated[int, Path(ge=0, le=10_000_000)]
 
 
-def _show(jpeg: bytes) -> Response:
-    return Response(jpeg, media_type="image/jpeg", headers={"cache-control": "private, no-cache"})
+def show_picture(content: bytes, kind: str = "image/jpeg") -> Response:
+    """Answer with a picture that browsers ask for again."""
+    return Response(content, media_type=kind, headers={"cache-control": "private, no-cache"})
 
 
 @router.get(
@@ -209,18 +200,13 @@ def _show(jpeg: bytes) -> Response:
     response_class=Response,
     responses=_JPEG,
 )
-def get_overlay(
-    studio: StudioNow,
-    job_id: _JobId,
-    view: _View,
-    frame: _Frame,
-) -> Response:
+def get_overlay(studio: StudioNow, job_id: JobId, view: ViewPath, frame: FramePath) -> Response:
     """JPEG, at most 480 pixels wide and high, from films 720."""
-    return _show(studio.footage.get(job_id).overlay(view, frame))
+    return show_picture(studio.footage.get(job_id).overlay(view, frame))
 
 
 @router.get("/estimations/{job_id}/film", summary="What was found of its films so far")
-def get_film(studio: StudioNow, job_id: _JobId) -> Answer:
+def get_film(studio: StudioNow, job_id: JobId) -> Answer:
     """Views with the people found, when each film begins (s after the first), cameras (m), who is who, and of every
     frame of the motion whether it is lost or unsure; ``stage`` is films, found, placed, matched or fitted."""
     return Answer(studio.footage.get(job_id).film.describe())
@@ -229,8 +215,8 @@ def get_film(studio: StudioNow, job_id: _JobId) -> Answer:
 @router.get("/estimations/{job_id}/film/people/{view}", summary="The keypoints of everybody in a film")
 def get_people(
     studio: StudioNow,
-    job_id: _JobId,
-    view: _View,
+    job_id: JobId,
+    view: ViewPath,
     first: Annotated[int, Query(ge=0, le=10_000_000)] = 0,
     count: Annotated[int, Query(ge=1, le=2000)] = 600,
 ) -> Answer:
@@ -245,14 +231,9 @@ def get_people(
     response_class=Response,
     responses=_JPEG,
 )
-def get_picture(
-    studio: StudioNow,
-    job_id: _JobId,
-    view: _View,
-    frame: _Frame,
-) -> Response:
+def get_picture(studio: StudioNow, job_id: JobId, view: ViewPath, frame: FramePath) -> Response:
     """JPEG, at most 720 pixels wide and high."""
-    return _show(studio.footage.get(job_id).film.picture(view, frame))
+    return show_picture(studio.footage.get(job_id).film.picture(view, frame))
 
 
 @router.get(
@@ -261,7 +242,7 @@ def get_picture(
     response_class=FileResponse,
     responses=BYTES,
 )
-def get_file(studio: StudioNow, job_id: _JobId, name: str) -> Response:
+def get_file(studio: StudioNow, job_id: JobId, name: str) -> Response:
     """``motion.bvh``, ``joints.trc``, ``angles.csv``, ``overlay.mp4``, ``cameras.toml``, ``masks.npz``."""
     job = studio.jobs.get(job_id)
     if name not in FILES or job.kind != "estimate":
@@ -273,7 +254,7 @@ def get_file(studio: StudioNow, job_id: _JobId, name: str) -> Response:
 
 
 @router.post("/estimations/{job_id}/add", status_code=202, summary="Add the estimated motion to the library")
-def add_to_library(studio: StudioNow, job_id: _JobId, wanted: AddEstimate) -> Answer:
+def add_to_library(studio: StudioNow, job_id: JobId, wanted: AddEstimate) -> Answer:
     """A job, as ``POST /jobs/add``."""
     motion = studio.motions.path(MotionRef(motion=str(Address(job=job_id))))
     batch = studio.workspace.new_batch()

@@ -8,7 +8,7 @@ from typing import Annotated, Any, Literal
 from urllib.parse import quote
 
 from fastapi import APIRouter, Query
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 from starlette.responses import FileResponse, Response
 
 from dousa.app.studio.content.companions import Companion, Kind
@@ -20,7 +20,7 @@ from dousa.app.studio.content.evaluations import (
     format_weights,
 )
 from dousa.app.studio.content.studio import Studio, StudioNow
-from dousa.app.studio.core.answers import BYTES, Answer, RefusedError, say
+from dousa.app.studio.core.answers import BYTES, Answer, RefusedError, StrictModel, say
 from dousa.app.studio.jobs.board import Job
 from dousa.errors import DousaError, InvalidMotionError, OptionError
 from dousa.messages import use_language
@@ -78,10 +78,8 @@ def collect_report(studio: Studio, job_id: str, language: Language) -> dict[str,
     return {"frame": build_frame(language), "notes": notes, **_show(assessment, language)}
 
 
-class NotesRequest(BaseModel):
+class NotesRequest(StrictModel):
     """What somebody has to say of a performance."""
-
-    model_config = ConfigDict(extra="forbid")
 
     notes: str = Field(max_length=20_000)
 
@@ -293,10 +291,8 @@ companions_router = APIRouter(prefix="/evaluations/{job_id}", tags=["evaluation"
 _CompanionLanguage = Annotated[Language, Query(description="of the words")]
 
 
-class CompanionRequest(BaseModel):
+class CompanionRequest(StrictModel):
     """A film or a piece of music that was uploaded."""
-
-    model_config = ConfigDict(extra="forbid")
 
     batch: str = Field(pattern="^[0-9a-f]{16}$")
     name: str = Field(min_length=1, max_length=1000)

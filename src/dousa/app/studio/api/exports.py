@@ -6,12 +6,12 @@ from pathlib import Path
 from typing import Annotated, Any
 
 from fastapi import APIRouter, Query
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 from starlette.responses import FileResponse, Response
 
 from dousa.app.studio.content.motions import EXPORTED, Address, MotionPart, MotionRef, name_file
 from dousa.app.studio.content.studio import Studio, StudioNow
-from dousa.app.studio.core.answers import BYTES, Answer, RefusedError, attachment, say
+from dousa.app.studio.core.answers import BYTES, Answer, RefusedError, StrictModel, attachment, say
 from dousa.library.export.clip_export import ORIGINAL, ExportFormat, list_formats
 from dousa.messages import Message
 
@@ -31,10 +31,8 @@ _Character = Annotated[
 _Format = Annotated[str, Field(max_length=20, description="of GET /api/export/formats")]
 
 
-class ExportRequest(BaseModel):
+class ExportRequest(StrictModel):
     """Which clips, and what they are written as."""
-
-    model_config = ConfigDict(extra="forbid")
 
     clips: Annotated[list[_Number], Field(min_length=1, max_length=20_000)]
     to: _Format = "bvh"

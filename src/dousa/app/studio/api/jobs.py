@@ -5,21 +5,19 @@ from __future__ import annotations
 from typing import Annotated, Literal
 
 from fastapi import APIRouter, Query
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
 from dousa.app.studio.content.disk_space import describe_space, free_space
 from dousa.app.studio.content.studio import StudioNow
-from dousa.app.studio.core.answers import Answer, RefusedError
+from dousa.app.studio.core.answers import Answer, RefusedError, StrictModel
 from dousa.app.studio.jobs.board import ACTIVE
 from dousa.messages import Message
 
 router = APIRouter(tags=["jobs"])
 
 
-class AddRequest(BaseModel):
+class AddRequest(StrictModel):
     """Which uploaded files, and what is said about them."""
-
-    model_config = ConfigDict(extra="forbid")
 
     batch: str = Field(pattern="^[0-9a-f]{16}$")
     kind: Literal["clip", "take"] = "clip"
@@ -32,28 +30,22 @@ class AddRequest(BaseModel):
     joint_map: dict[str, str | list[str]] | None = None
 
 
-class CheckRequest(BaseModel):
+class CheckRequest(StrictModel):
     """How the library is checked."""
-
-    model_config = ConfigDict(extra="forbid")
 
     repair: bool = Field(False, description="put right what can be, as dousa check --repair")
 
 
-class CompactRequest(BaseModel):
+class CompactRequest(StrictModel):
     """How room is given back."""
-
-    model_config = ConfigDict(extra="forbid")
 
     fragments: bool = Field(
         False, description="move positions and features out of the file, as dousa compact --fragments"
     )
 
 
-class TrainRequest(BaseModel):
+class TrainRequest(StrictModel):
     """How the forest is trained."""
-
-    model_config = ConfigDict(extra="forbid")
 
     feature_set: Literal["paper", "extended"] | None = None
     n_trees: Annotated[int, Field(ge=1, le=2000)] = 100

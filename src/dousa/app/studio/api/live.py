@@ -5,12 +5,12 @@ from __future__ import annotations
 from typing import Annotated, Any
 
 from fastapi import APIRouter, Path, Query, Request
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
 from dousa.app.studio.content import live
 from dousa.app.studio.content.motions import MotionRef
 from dousa.app.studio.content.studio import StudioNow
-from dousa.app.studio.core.answers import Answer, RefusedError, name_error, say
+from dousa.app.studio.core.answers import Answer, RefusedError, StrictModel, describe_body, name_error, say
 from dousa.errors import DousaError
 
 router = APIRouter(tags=["live"])
@@ -19,12 +19,10 @@ _MOST_BYTES, _MOST_SIDE, _LEAST_SIDE = 1_000_000, 1280, 16  # of a picture
 _SessionId = Annotated[str, Path(pattern="^[0-9a-f]{16}$")]
 
 
-class LiveRequest(BaseModel):
+class LiveRequest(StrictModel):
     """What a performance is held against."""
 
-    model_config = ConfigDict(extra="forbid")
-
-    references: Annotated[list[MotionRef], Field(max_length=10)] = []
+    references: list[MotionRef] = Field([], max_length=10)
 
 
 @router.get("/live", summary="Whether people can be found in pictures here")
@@ -48,12 +46,9 @@ def begin(studio: StudioNow, wanted: LiveRequest) -> Answer:
     return Answer({"id": session.id}, 201)
 
 
-_BODY: dict[str, Any] = {
-    "requestBody": {"required": True, "content": {"image/jpeg": {"schema": {"type": "string", "format": "binary"}}}}
-}
-
-
-@router.post("/live/{session_id}/picture", summary="The next picture of the camera", openapi_extra=_BODY)
+@router.post(
+    "/live/{session_id}/picture", summary="The next picture of the camera", openapi_extra=describe_body("image/jpeg")
+)
 async def see(
     request: Request,
     studio: StudioNow,

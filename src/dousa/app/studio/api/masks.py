@@ -2,36 +2,29 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
-from fastapi import APIRouter, Path
-from pydantic import BaseModel, ConfigDict, Field
+from fastapi import APIRouter
+from pydantic import Field
 from starlette.responses import FileResponse, Response
 
-from dousa.app.studio.api.estimation import EstimateRequest
+from dousa.app.studio.api.estimation import EstimateRequest, FramePath, JobId, ViewPath, show_picture
 from dousa.app.studio.content.masks import EXPORTED, MaskDesk
 from dousa.app.studio.content.studio import StudioNow
-from dousa.app.studio.core.answers import BYTES, Answer, Gate, RefusedError
+from dousa.app.studio.core.answers import BYTES, Answer, Gate, RefusedError, StrictModel, describe_bytes
 from dousa.estimation.silhouettes.repairs import MaskRepair, MaskStroke, find_part, follow_part
 from dousa.messages import Message
 
 router = APIRouter(tags=["estimation"])
 
-_JobId = Annotated[str, Path(pattern="^[0-9a-f]{16}$")]
-_View = Annotated[int, Path(ge=0, le=1000)]
-_Frame = Annotated[int, Path(ge=0, le=10_000_000)]
 _Pixel = Annotated[float, Field(ge=-100_000, le=100_000, allow_inf_nan=False)]
-_IMAGE: dict[int | str, dict[str, Any]] = {
-    200: {"content": {kind: {"schema": {"type": "string", "format": "binary"}} for kind in ("image/png", "image/jpeg")}}
-}
+_IMAGE = describe_bytes("image/png", "image/jpeg")
 _following = Gate(2, 6, Message("studio_jobs.busy_files"))
 _WAIT = 60.0  # s
 
 
-class RepairRequest(BaseModel):
+class RepairRequest(StrictModel):
     """One repair of the silhouette of a view."""
-
-    model_config = ConfigDict(extra="forbid")
 
     view: int = Field(ge=0, le=1000)
     frame: int = Field(ge=0, le=10_000_000)
@@ -56,7 +49,7 @@ def prepare(studio: StudioNow, wanted: EstimateRequest) -> Answer:
 
 
 @router.get("/masks/{job_id}", summary="What silhouettes there are, which were repaired, and which look doubtful")
-def describe(studio: StudioNow, job_id: _JobId) -> Answer:
+def describe(studio: StudioNow, job_id: JobId) -> Answer:
     """``doubts`` are, by view, frames with a reason: ``empty``, ``parts`` (a second one of some size), ``size``."""
     return Answer(studio.masks.get(job_id).describe())
 
@@ -67,9 +60,9 @@ def describe(studio: StudioNow, job_id: _JobId) -> Answer:
     response_class=Response,
     responses=_IMAGE,
 )
-def get_mask(studio: StudioNow, job_id: _JobId, view: _View, frame: _Frame) -> Response:
+def get_mask(studio: StudioNow, job_id: JobId, view: ViewPath, frame: FramePath) -> Response:
     """PNG, white on black, of full size."""
-    return _show(studio.masks.get(job_id).mask(view, frame), "image/png")
+    return show_picture(studio.masks.get(job_id).mask(view, frame), "image/png")
 
 
 @router.get(
@@ -78,17 +71,13 @@ def get_mask(studio: StudioNow, job_id: _JobId, view: _View, frame: _Frame) -> R
     response_class=Response,
     responses=_IMAGE,
 )
-def get_picture(studio: StudioNow, job_id: _JobId, view: _View, frame: _Frame) -> Response:
+def get_picture(studio: StudioNow, job_id: JobId, view: ViewPath, frame: FramePath) -> Response:
     """JPEG, at most 720 pixels wide and high, of the same proportions."""
-    return _show(studio.masks.get(job_id).picture(view, frame), "image/jpeg")
-
-
-def _show(content: bytes, kind: str) -> Response:
-    return Response(content, media_type=kind, headers={"cache-control": "private, no-cache"})
+    return show_picture(studio.masks.get(job_id).picture(view, frame), "image/jpeg")
 
 
 @router.post("/masks/{job_id}/repairs", summary="Repair a silhouette")
-def repair(studio: StudioNow, job_id: _JobId, wanted: RepairRequest) -> Answer:
+def repair(studio: StudioNow, job_id: JobId, wanted: RepairRequest) -> Answer:
     """As GET, and ``changed``: the view, the first of its frames and how many."""
     desk = studio.masks.get(job_id)
     return Answer(desk.repair(_make_repair(desk, wanted)))
@@ -105,13 +94,13 @@ def _make_repair(desk: MaskDesk, wanted: RepairRequest) -> MaskRepair:
 
 
 @router.post("/masks/{job_id}/undo", summary="Take the last repair back")
-def undo(studio: StudioNow, job_id: _JobId) -> Answer:
+def undo(studio: StudioNow, job_id: JobId) -> Answer:
     """As of a repair."""
     return Answer(studio.masks.get(job_id).undo())
 
 
 @router.post("/masks/{job_id}/redo", summary="Do again the repair that was taken back last")
-def redo(studio: StudioNow, job_id: _JobId) -> Answer:
+def redo(studio: StudioNow, job_id: JobId) -> Answer:
     """As of a repair."""
     return Answer(studio.masks.get(job_id).redo())
 
@@ -122,7 +111,7 @@ def redo(studio: StudioNow, job_id: _JobId) -> Answer:
     response_class=FileResponse,
     responses=BYTES,
 )
-def export(studio: StudioNow, job_id: _JobId) -> Response:
+def export(studio: StudioNow, job_id: JobId) -> Response:
     """With cameras and stature where they are known, as `dousa estimate` takes it."""
     desk = studio.masks.get(job_id)
     with _following.enter(_WAIT):

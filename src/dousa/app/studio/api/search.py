@@ -5,11 +5,11 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from fastapi import APIRouter
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
 from dousa.app.studio.content.motions import Address, MotionRef
 from dousa.app.studio.content.studio import Studio, StudioNow
-from dousa.app.studio.core.answers import Answer, name_error, to_answer
+from dousa.app.studio.core.answers import Answer, StrictModel, name_error, to_answer
 from dousa.errors import DousaError, InvalidMotionError
 
 if TYPE_CHECKING:
@@ -24,10 +24,8 @@ _MOST_PLACES = 20
 _MOST_MOTIONS = 100
 
 
-class SearchRequest(BaseModel):
+class SearchRequest(StrictModel):
     """What is searched for, and how."""
-
-    model_config = ConfigDict(extra="forbid")
 
     query: MotionRef
     k: int = Field(default=10, ge=1, le=200, description="how many clips")
@@ -44,10 +42,8 @@ class SearchRequest(BaseModel):
     inside_takes: bool = Field(default=False, description="look into takes too")
 
 
-class TextRequest(BaseModel):
+class TextRequest(StrictModel):
     """Words, English or Japanese, that describe motions."""
-
-    model_config = ConfigDict(extra="forbid")
 
     text: str = Field(min_length=1, max_length=500)
     k: int = Field(default=24, ge=1, le=1000, description="how many clips and takes at most")
@@ -56,10 +52,8 @@ class TextRequest(BaseModel):
     kind: Literal["clip", "take"] | None = None
 
 
-class ClassifyRequest(BaseModel):
+class ClassifyRequest(StrictModel):
     """Motions to name."""
-
-    model_config = ConfigDict(extra="forbid")
 
     motions: list[MotionRef] = Field(min_length=1, max_length=_MOST_MOTIONS)
     mirror: bool = False

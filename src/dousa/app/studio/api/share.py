@@ -6,29 +6,25 @@ from contextlib import suppress
 from typing import Annotated, Any
 
 from fastapi import APIRouter
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
 from dousa.app.studio.content.sharing import ShareLink, Sharing, draw_code
 from dousa.app.studio.content.studio import Studio, StudioNow
-from dousa.app.studio.core.answers import Answer, RefusedError
+from dousa.app.studio.core.answers import Answer, RefusedError, StrictModel
 
 router = APIRouter(prefix="/share", tags=["share"])
 
 
-class LinkRequest(BaseModel):
+class LinkRequest(StrictModel):
     """What a link shows."""
-
-    model_config = ConfigDict(extra="forbid")
 
     report: Annotated[str, Field(pattern="^[0-9a-f]{16}$")] | None = Field(
         None, description="the job of one evaluation; null for all evaluations and the library"
     )
 
 
-class RevokeRequest(BaseModel):
+class RevokeRequest(StrictModel):
     """Which link."""
-
-    model_config = ConfigDict(extra="forbid")
 
     number: Annotated[str, Field(max_length=40)]
 

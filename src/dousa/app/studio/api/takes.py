@@ -10,12 +10,12 @@ from pathlib import PurePath
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from fastapi import APIRouter, Query
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 from starlette.responses import Response
 
 from dousa.app.studio.content.motions import MotionName, MotionRef, Seconds
 from dousa.app.studio.content.studio import Studio, StudioNow
-from dousa.app.studio.core.answers import Answer, RefusedError, attachment, say
+from dousa.app.studio.core.answers import Answer, RefusedError, StrictModel, attachment, say
 from dousa.app.studio.jobs.board import Job
 from dousa.messages import Message
 
@@ -29,10 +29,8 @@ _Number = Annotated[str, Field(max_length=100)]
 _Motion = Annotated[MotionName, Query()]
 
 
-class LabelRequest(BaseModel):
+class LabelRequest(StrictModel):
     """Which take, and from when on something is said."""
-
-    model_config = ConfigDict(extra="forbid")
 
     take: MotionRef
     threshold: _Share | None = Field(
@@ -40,10 +38,8 @@ class LabelRequest(BaseModel):
     )
 
 
-class CorrectRequest(BaseModel):
+class CorrectRequest(StrictModel):
     """A part of a take and what it shows."""
-
-    model_config = ConfigDict(extra="forbid")
 
     motion: MotionName
     start_s: Seconds
@@ -141,10 +137,8 @@ def _last_label(studio: Studio, ref: MotionRef) -> Job | None:
     return None
 
 
-class AnnotateRequest(BaseModel):
+class AnnotateRequest(StrictModel):
     """A take of the library and an uploaded table of labels."""
-
-    model_config = ConfigDict(extra="forbid")
 
     motion: MotionName
     batch: str = Field(pattern="^[0-9a-f]{16}$", description="of the upload")

@@ -10,7 +10,7 @@ from fastapi import APIRouter, Query, Request
 import dousa
 from dousa.app.studio.content.motions import Address
 from dousa.app.studio.content.studio import StudioNow
-from dousa.app.studio.core.answers import Answer, RefusedError, say
+from dousa.app.studio.core.answers import Answer, RefusedError, describe_body, say
 from dousa.app.studio.core.uploads import MOTIONS, receive
 from dousa.formats.annotations import LABEL_SUFFIXES, is_label_file
 from dousa.formats.registry import is_motion_file
@@ -37,15 +37,9 @@ def get_info(studio: StudioNow) -> Answer:
     )
 
 
-_BODY: dict[str, Any] = {
-    "requestBody": {
-        "required": True,
-        "content": {"application/octet-stream": {"schema": {"type": "string", "format": "binary"}}},
-    }
-}
-
-
-@router.post("/uploads", status_code=201, summary="Upload a file", openapi_extra=_BODY)
+@router.post(
+    "/uploads", status_code=201, summary="Upload a file", openapi_extra=describe_body("application/octet-stream")
+)
 async def upload(
     request: Request,
     studio: StudioNow,

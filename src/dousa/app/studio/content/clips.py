@@ -28,9 +28,9 @@ from dousa.app.player.figures import MINIATURE_BYTES, encode_miniature
 from dousa.app.studio.content.clip_words import ClipWords, Reading, plain, read_text
 from dousa.app.studio.content.motions import Address
 from dousa.app.studio.core.answers import say
+from dousa.app.studio.core.workspace import write_file
 from dousa.arrays import Mask
 from dousa.errors import DousaError, LibraryError
-from dousa.files.disk import atomic_write
 from dousa.files.npz_arrays import open_npz
 
 if TYPE_CHECKING:
@@ -448,8 +448,7 @@ def keep_map(home: Path, found: ClipMap, contents: Mapping[int, str]) -> None:
     left_out = np.array(found.left_out, np.int64)
     buffer = io.BytesIO()
     np.savez(buffer, ids=ids, marks=marks, points=found.points[there], left_out=left_out)
-    with atomic_write(home / _MAP_NAME) as file:
-        file.write(buffer.getvalue())
+    write_file(home / _MAP_NAME, buffer.getvalue())
 
 
 def _mark(content: str) -> int:

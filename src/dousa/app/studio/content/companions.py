@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from dousa.app.studio.core.answers import Gate, RefusedError
 from dousa.app.studio.core.uploads import SOUNDS, VIDEOS
+from dousa.app.studio.core.workspace import write_file
 from dousa.messages import Message
 
 if TYPE_CHECKING:
@@ -62,8 +63,6 @@ class Companions:
 
     def put(self, job: Job, kind: Kind, companion: Companion | None) -> None:
         """Store or remove a companion; RefusedError if its file is missing or of another kind."""
-        from dousa.files.disk import atomic_write
-
         if companion is not None:
             path = self._workspace.find(companion.batch, companion.name)
             if path.suffix.lower() not in _SUFFIXES[kind]:
@@ -74,8 +73,7 @@ class Companions:
         with suppress(OSError, ValueError):
             stored = json.loads((folder / _FILE).read_bytes())
         stored[kind] = None if companion is None else asdict(companion)
-        with atomic_write(folder / _FILE) as file:
-            file.write(json.dumps(stored).encode())
+        write_file(folder / _FILE, json.dumps(stored).encode())
 
     def path(self, job: Job, kind: Kind) -> Path:
         """Return the file of a companion; RefusedError if there is none."""
@@ -90,7 +88,6 @@ class Companions:
         Raises MissingExtraError without the extra ``music``, MotionFileError for music without beats.
         """
         from dousa.evaluation import Beats, find_beats
-        from dousa.files.disk import atomic_write
 
         music = self.get(job).get("music")
         if music is None:
@@ -102,8 +99,7 @@ class Companions:
                 return Beats(stored["times_s"])
         with self._gate.enter(_WAIT):
             beats = find_beats(self.path(job, "music"))
-        with atomic_write(kept) as file:
-            file.write(json.dumps({"of": [music.batch, music.name], "times_s": beats.times.tolist()}).encode())
+        write_file(kept, json.dumps({"of": [music.batch, music.name], "times_s": beats.times.tolist()}).encode())
         return beats
 
     def time_accents(self, job: Job, performance: MotionRef) -> BeatTiming | None:

@@ -23,6 +23,7 @@ from typing import TYPE_CHECKING, Any
 
 from dousa.app.studio.content.motions import Address, MotionRef
 from dousa.app.studio.core.answers import RefusedError, say
+from dousa.app.studio.core.workspace import write_file
 from dousa.errors import LibraryError, LibraryLockedError
 from dousa.formats.annotations.label_file import is_unknown
 
@@ -97,10 +98,7 @@ class Corrections:
                 self._write(kept)
 
     def _write(self, corrections: Sequence[Correction]) -> None:
-        from dousa.files.disk import atomic_write
-
-        with atomic_write(self._path) as file:
-            file.write(json.dumps([one.to_json() for one in corrections], ensure_ascii=True).encode())
+        write_file(self._path, json.dumps([one.to_json() for one in corrections], ensure_ascii=True).encode())
 
 
 def lay_over(segments: Sequence[dict[str, Any]], corrections: Sequence[Correction]) -> list[dict[str, Any]]:

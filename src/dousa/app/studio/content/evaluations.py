@@ -11,10 +11,11 @@ from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
 from dousa.app.studio.content.motions import MotionRef, Seconds
-from dousa.app.studio.core.answers import Gate, RefusedError, reword
+from dousa.app.studio.core.answers import Gate, RefusedError, StrictModel, reword
+from dousa.app.studio.core.workspace import write_file
 from dousa.messages import Message, get_language
 
 if TYPE_CHECKING:
@@ -39,20 +40,16 @@ _MOST_ATTEMPTS = 30  # that are drawn
 _OTHER = 0.6  # of the performance
 
 
-class Cut(BaseModel):
+class Cut(StrictModel):
     """One figure of the dance."""
-
-    model_config = ConfigDict(extra="forbid")
 
     start_s: Seconds = Field(description="s of the first reference")
     end_s: Seconds
     label: str = Field(min_length=1, max_length=100, description="equal figures have equal labels")
 
 
-class Adjustment(BaseModel):
+class Adjustment(StrictModel):
     """What a user may change of an evaluation."""
-
-    model_config = ConfigDict(extra="forbid")
 
     weights: Annotated[dict[_Name, _Weight], Field(max_length=20)] = Field(
         default_factory=dict, description="of segments or limbs; 1 for those not named"
@@ -210,10 +207,10 @@ class Evaluations:
 
     def write_adjustment(self, job_id: str, adjustment: Adjustment) -> None:
         """Store an adjustment for all pages and files of the evaluation."""
-        from dousa.files.disk import atomic_write
-
-        with atomic_write(self._board.folder(self._done(job_id)) / _ADJUSTED) as file:
-            file.write(json.dumps(adjustment.model_dump(include=_ADJUSTABLE)).encode())
+        write_file(
+            self._board.folder(self._done(job_id)) / _ADJUSTED,
+            json.dumps(adjustment.model_dump(include=_ADJUSTABLE)).encode(),
+        )
 
     def read_notes(self, job_id: str) -> str:
         """Return the notes on the performance; empty by default."""
@@ -224,10 +221,7 @@ class Evaluations:
 
     def write_notes(self, job_id: str, notes: str) -> None:
         """Store the notes on the performance for all pages and the report."""
-        from dousa.files.disk import atomic_write
-
-        with atomic_write(self._board.folder(self._done(job_id)) / _NOTES) as file:
-            file.write(notes.encode("utf-8", "replace"))
+        write_file(self._board.folder(self._done(job_id)) / _NOTES, notes.encode("utf-8", "replace"))
 
     def compare_with_earlier(self, job_id: str) -> Progress | None:
         """Compare an evaluation with earlier ones of the same reference, as they were requested; None for the first."""
@@ -404,7 +398,6 @@ def assess_exercise(
     """
     from dousa.app.report import build_exercise, build_exercise_page, to_repetitions_csv
     from dousa.evaluation import assess_repetitions, describe_exercise, describe_trends
-    from dousa.files.disk import atomic_write
     from dousa.messages import LANGUAGES
 
     names, takes, performance = read_motions(request, find, progress)
@@ -423,8 +416,7 @@ def assess_exercise(
         files[f"exercise-{language}.html"] = page.encode("utf-8", "replace")
         files[f"exercise-{language}.json"] = json.dumps(build_exercise(done, performance, language, names[-1])).encode()
     for name, content in files.items():
-        with atomic_write(folder / name) as file:
-            file.write(content)
+        write_file(folder / name, content)
     said = (*describe_exercise(done), *describe_trends(done))
     return {
         **done.to_json(request.language),

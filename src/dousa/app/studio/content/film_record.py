@@ -30,12 +30,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dousa.app.studio.core.answers import Answer, RefusedError
+from dousa.app.studio.core.workspace import write_file
 from dousa.files.disk import atomic_write
 from dousa.messages import Message
 
 if TYPE_CHECKING:
     from dousa.app.pipelines.film_scene import FilmScene
-    from dousa.arrays import FloatArray, Image
+    from dousa.arrays import FloatArray, Image, Mask
     from dousa.estimation import Camera, PersonTrack, ViewKeypoints
     from dousa.estimation.multiview.people import MatchedPerson
     from dousa.estimation.tracking.settings import Estimate
@@ -78,7 +79,7 @@ def write_pictures(film: Path, stride: int, report: Progress) -> None:
     end = Path(f"{place}.end")
     if end.exists():
         return
-    known = _read_index(place)
+    known = read_records(Path(f"{place}.idx"), SHOWN)
     n_done = int(known["frame"][-1]) + 1 if len(known) else 0
     n_bytes = int(known["offset"][-1] + known["size"][-1]) if len(known) else 0
     what = Message("studio_films.pictures", film=film.name)
@@ -87,7 +88,7 @@ def write_pictures(film: Path, stride: int, report: Progress) -> None:
         index.truncate(len(known) * SHOWN.itemsize)
         for frame, _, picture in frames.read(skip=n_done):
             if frame % stride == 0:
-                content = _pack(picture)
+                content = encode_jpeg(shrink(picture, LONGEST)[..., ::-1], _QUALITY)
                 pictures.write(content)
                 pictures.flush()  # first: what the index names is there
                 index.write(np.array([(frame, len(content), n_bytes)], SHOWN).tobytes())
@@ -98,23 +99,42 @@ def write_pictures(film: Path, stride: int, report: Progress) -> None:
     end.touch()
 
 
-def _pack(picture: Image) -> bytes:
+def shrink(image: NDArray[np.uint8], longest: int) -> NDArray[np.uint8]:
+    """Shrink an image (H, W) or (H, W, 3) whose longer side has more px than this."""
     from dousa.extras import cv2
 
-    height, width = picture.shape[:2]
-    factor = min(1.0, LONGEST / max(height, width))
+    height, width = image.shape[:2]
+    factor = longest / max(height, width)
+    if factor >= 1.0:
+        return image
     size = max(1, round(width * factor)), max(1, round(height * factor))
-    small = cv2.resize(picture, size, interpolation=cv2.INTER_AREA)
-    _, content = cv2.imencode(".jpg", small[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, _QUALITY])
-    return bytes(content.tobytes())
+    return np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), np.uint8)
 
 
-def _read_index(place: Path) -> NDArray[Any]:
+def encode_jpeg(picture: NDArray[np.uint8], quality: int) -> bytes:
+    """Encode a picture (H, W, 3) blue, green, red."""
+    from dousa.extras import cv2
+
+    return bytes(cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, quality])[1].tobytes())
+
+
+def encode_mask(mask: Mask) -> bytes:
+    """Encode a mask (H, W) as PNG, white on black."""
+    from dousa.extras import cv2
+
+    image = np.ascontiguousarray(mask, bool).view(np.uint8) * np.uint8(255)
+    return bytes(cv2.imencode(".png", image, [cv2.IMWRITE_PNG_BILEVEL, 1])[1].tobytes())
+
+
+def read_records(path: Path, record: np.dtype[Any], start: int = 0) -> NDArray[Any]:
+    """Read the complete records of a file from a byte on; none if the file is missing."""
     try:
-        content = Path(f"{place}.idx").read_bytes()
+        with open(path, "rb") as file:
+            file.seek(start)
+            content = file.read()
     except FileNotFoundError:
         content = b""
-    return np.frombuffer(content[: len(content) // SHOWN.itemsize * SHOWN.itemsize], SHOWN)
+    return np.frombuffer(content[: len(content) // record.itemsize * record.itemsize], record)
 
 
 class FilmPictures:
@@ -122,12 +142,12 @@ class FilmPictures:
 
     def __init__(self, film: Path) -> None:
         self._place = name_pictures(film)
-        self._index = _read_index(self._place)
+        self._index = read_records(Path(f"{self._place}.idx"), SHOWN)
 
     def read(self, frame: int) -> bytes | None:
         """Return the JPEG of a frame or of the nearest one before it; None if there is none."""
         if not len(self._index) or frame > self._index["frame"][-1]:
-            self._index = _read_index(self._place)
+            self._index = read_records(Path(f"{self._place}.idx"), SHOWN)
         row = int(np.searchsorted(self._index["frame"], frame, side="right")) - 1
         if row < 0:
             return None
@@ -141,14 +161,7 @@ class FilmPictures:
 
 def to_picture_address(canvas: Image, longest: int) -> str:
     """Encode a picture (H, W, 3) blue, green, red as a data URL, of at most so many px."""
-    from dousa.extras import cv2
-
-    factor = min(1.0, longest / max(canvas.shape[:2]))
-    if factor < 1.0:
-        size = max(1, round(canvas.shape[1] * factor)), max(1, round(canvas.shape[0] * factor))
-        canvas = np.asarray(cv2.resize(canvas, size, interpolation=cv2.INTER_AREA), np.uint8)
-    _, content = cv2.imencode(".jpg", canvas, [cv2.IMWRITE_JPEG_QUALITY, 85])
-    return "data:image/jpeg;base64," + base64.b64encode(content.tobytes()).decode("ascii")
+    return "data:image/jpeg;base64," + encode_base64(np.frombuffer(encode_jpeg(shrink(canvas, longest), 85), np.uint8))
 
 
 UNSEEN = -32768
@@ -305,8 +318,7 @@ class FilmRecordWriter:
 
     def _say(self, stage: str, **values: Any) -> None:
         self._said |= {"stage": stage, "version": self._said["version"] + 1, **values}
-        with atomic_write(self._folder / "film.json") as file:
-            file.write(Answer(None).render(self._said))
+        write_file(self._folder / "film.json", Answer(None).render(self._said))
 
 
 def _describe_track(person: PersonTrack) -> dict[str, Any]:
@@ -392,8 +404,8 @@ class FilmRecord:
             "first": first,
             "people": points.shape[0],
             "frames": points[:, part].shape[1],
-            "points": _base64(points[:, part]),
-            "sure": _base64(sure[:, part]),
+            "points": encode_base64(points[:, part]),
+            "sure": encode_base64(sure[:, part]),
         }
 
     def picture(self, view: int, frame: int) -> bytes:
@@ -421,5 +433,6 @@ class FilmRecord:
             raise RefusedError(404, "studio_estimation.no_view", view=view, count=n_views)
 
 
-def _base64(values: NDArray[Any]) -> str:
+def encode_base64(values: NDArray[Any]) -> str:
+    """Encode the bytes of an array in C order."""
     return base64.b64encode(np.ascontiguousarray(values).tobytes()).decode("ascii")

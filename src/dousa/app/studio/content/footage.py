@@ -12,7 +12,6 @@ recognised.
 
 from __future__ import annotations
 
-import base64
 import dataclasses
 import os
 import secrets
@@ -28,7 +27,14 @@ from numpy.typing import NDArray
 
 from dousa.app.pipelines.estimation_views import Scene
 from dousa.app.studio.content.film_record import LONGEST as LONGEST_FILM
-from dousa.app.studio.content.film_record import FilmRecord
+from dousa.app.studio.content.film_record import (
+    FilmRecord,
+    encode_base64,
+    encode_jpeg,
+    encode_mask,
+    read_records,
+    shrink,
+)
 from dousa.app.studio.core.answers import RefusedError
 from dousa.app.studio.jobs.board import OpenedJobs
 
@@ -76,6 +82,57 @@ def canonical_indices(body: BodyModel) -> list[int] | None:
     return [names.index(name) for name in CANONICAL_JOINTS]
 
 
+class SeenWriter:
+    """Appends masks and pictures of views to the files of a folder, and their places to the index."""
+
+    def __init__(self, folder: Path) -> None:
+        self._index = open_to_append(folder / "seen.idx", SEEN.itemsize)
+        self._content = open_to_append(folder / "seen.bin", 1)
+        self.n_bytes = os.fstat(self._content.fileno()).st_size
+
+    def write(self, frame: int, view: int, kind: int, content: bytes) -> None:
+        """Append a mask or a picture; the index comes last, as it names what is there."""
+        self._content.write(content)
+        self._index.write(np.array([(frame, view, kind, self.n_bytes, len(content))], SEEN).tobytes())
+        self.n_bytes += len(content)
+
+    def close(self) -> None:
+        """Close the files."""
+        self._index.close()
+        self._content.close()
+
+
+def open_to_append(path: Path, record: int) -> Any:
+    """Open a file to append, without the incomplete record of an interrupted run."""
+    file = open(path, "ab", buffering=0)  # noqa: SIM115 - open as long as the work lasts
+    file.truncate(file.tell() // record * record)
+    return file
+
+
+class SeenReader:
+    """Reads the masks and pictures of views in a folder, as far as they are written."""
+
+    def __init__(self, folder: Path) -> None:
+        self._folder, self._n_read = folder, 0
+        self._places: dict[tuple[int, int, int], tuple[int, int]] = {}
+
+    def refresh(self) -> None:
+        """Read what was written since the last call."""
+        records = read_records(self._folder / "seen.idx", SEEN, self._n_read)
+        self._n_read += records.nbytes
+        for frame, view, kind, offset, size in records.tolist():
+            self._places[frame, view, kind] = (offset, size)
+
+    def read(self, frame: int, view: int, kind: int) -> bytes | None:
+        """Return a mask (PNG) or a picture (JPEG); None if there is none."""
+        if (frame, view, kind) not in self._places:
+            return None
+        offset, size = self._places[frame, view, kind]
+        with open(self._folder / "seen.bin", "rb") as file:
+            file.seek(offset)
+            return file.read(size)
+
+
 class FootageWriter:
     """Writes what a `dousa.app.pipelines.estimation_views.Watcher` is given into the folder of the job."""
 
@@ -83,8 +140,8 @@ class FootageWriter:
         self._folder = folder
         self._scene: Scene | None = None
         self._body: BodyModel | None = None
-        self._files: list[Any] = []
-        self._offset = 0
+        self._poses: Any = None
+        self._seen: SeenWriter | None = None
 
     def begin(self, scene: Scene) -> None:
         """Continue the files of an earlier run, or begin new ones."""
@@ -93,33 +150,20 @@ class FootageWriter:
             for name in ("scene.npz", "poses.bin", "seen.idx", "seen.bin"):
                 with suppress(FileNotFoundError):
                     (self._folder / name).unlink()
-        self._index = self._append("seen.idx", SEEN.itemsize)
-        self._seen = self._append("seen.bin", 1)
-        self._offset = os.fstat(self._seen.fileno()).st_size
-
-    def _append(self, name: str, record: int) -> Any:
-        """Open a file to append, without the incomplete record of an interrupted run."""
-        file = open(self._folder / name, "ab", buffering=0)  # noqa: SIM115 - open as long as the work lasts
-        file.truncate(file.tell() // record * record)
-        self._files.append(file)
-        return file
+        self._seen = SeenWriter(self._folder)
 
     def see(self, frame: int, masks: Sequence[Mask | None], pictures: Sequence[Image | None]) -> None:
         """Write small masks and pictures."""
-        if self._offset > _MOST_BYTES:
+        assert self._seen is not None
+        if self._seen.n_bytes > _MOST_BYTES:
             return
-        records = []
         for view, (mask, picture) in enumerate(zip(masks, pictures, strict=True)):
             if mask is not None:
-                records.append(self._put(frame, view, MASK, _pack_mask(mask)))
+                self._seen.write(
+                    frame, view, MASK, encode_mask(shrink(mask.view(np.uint8) * np.uint8(255), _LONGEST) > 127)
+                )
             if picture is not None:
-                records.append(self._put(frame, view, PICTURE, _pack_picture(picture)))
-        self._index.write(np.array(records, SEEN).tobytes())
-
-    def _put(self, frame: int, view: int, kind: int, content: bytes) -> tuple[int, ...]:
-        self._seen.write(content)
-        self._offset += len(content)
-        return frame, view, kind, self._offset - len(content), len(content)
+                self._seen.write(frame, view, PICTURE, encode_jpeg(shrink(picture, _LONGEST), _KEPT_JPEG))
 
     def follow(self, tracked: TrackedFrame) -> None:
         """Write a pose."""
@@ -140,9 +184,9 @@ class FootageWriter:
 
     def close(self) -> None:
         """Close the files."""
-        for file in self._files:
-            file.close()
-        self._files.clear()
+        for file in (self._seen, self._poses):
+            if file is not None:
+                file.close()
 
     def _fill(self, rows: Any, poses: Any, overlap: Any, hidden: Any, lost: Any) -> None:
         from dousa.estimation.body.kinematics import compute_points
@@ -163,7 +207,7 @@ class FootageWriter:
         assert self._scene is not None
         self._body, self._joints = body, canonical_indices(body)
         self._record = pose_record(7 + body.n_angles, len(self._scene.names), body.n_parts)
-        self._poses = self._append("poses.bin", self._record.itemsize)
+        self._poses = open_to_append(self._folder / "poses.bin", self._record.itemsize)
         fields = {f"body_{field.name}": getattr(body, field.name) for field in dataclasses.fields(body)}
         arrays = {
             **cameras_to_arrays(self._scene.cameras),
@@ -175,33 +219,6 @@ class FootageWriter:
         }
         with atomic_write(self._folder / "scene.npz") as file:
             np.savez(file, **arrays)  # type: ignore[arg-type]
-
-
-def _pack_mask(mask: Mask) -> bytes:
-    from dousa.extras import cv2
-
-    image = mask.view(np.uint8) * np.uint8(255)
-    small = _shrink(image)
-    _, content = cv2.imencode(".png", (small > 127) * np.uint8(255), [cv2.IMWRITE_PNG_BILEVEL, 1])
-    return content.tobytes()
-
-
-def _pack_picture(picture: NDArray[np.uint8]) -> bytes:
-    from dousa.extras import cv2
-
-    _, content = cv2.imencode(".jpg", _shrink(picture), [cv2.IMWRITE_JPEG_QUALITY, _KEPT_JPEG])
-    return content.tobytes()
-
-
-def _shrink(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    from dousa.extras import cv2
-
-    height, width = image.shape[:2]
-    factor = _LONGEST / max(height, width)
-    if factor >= 1.0:
-        return image
-    size = (max(1, round(width * factor)), max(1, round(height * factor)))
-    return np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), np.uint8)
 
 
 _MOST_OVERLAYS = 240  # kept, some 25 KB each
@@ -252,8 +269,8 @@ class Footage:
         self.names: tuple[str, ...] = ()
         self.sizes: tuple[tuple[int, int], ...] = ()
         self._order: list[int] = []
-        self._seen: dict[tuple[int, int, int], tuple[int, int]] = {}
-        self._read = {"poses.bin": 0, "seen.idx": 0}
+        self._seen = SeenReader(self._folder)
+        self._n_read = 0  # bytes of the poses
         self._painters: dict[int, ViewPainter] = {}
         self._overlays: OrderedDict[tuple[int, int, int], bytes] = OrderedDict()
         self._facing: dict[str, float] | None = None
@@ -280,7 +297,7 @@ class Footage:
                 self._load_scene(path)
                 self._stamp = stamp
             self._load_poses()
-            self._load_seen()
+            self._seen.refresh()
 
     def _load_scene(self, path: Path) -> None:
         from dousa.estimation.body.body import BodyModel
@@ -301,30 +318,14 @@ class Footage:
         self._version = np.zeros(self.total, np.int64)
 
     def _load_poses(self) -> None:
-        rows = self._new_records("poses.bin", self._record)
+        rows = read_records(self._folder / "poses.bin", self._record, self._n_read)
+        self._n_read += rows.nbytes
         frames = rows["frame"]
         good = (frames >= 0) & (frames < self.total)
         for row, frame in zip(rows[good], frames[good].tolist(), strict=True):
             self._rows[frame] = row
             self._order.append(frame)
             self._version[frame] = len(self._order)
-
-    def _load_seen(self) -> None:
-        for frame, view, kind, offset, size in self._new_records("seen.idx", SEEN).tolist():
-            self._seen[frame, view, kind] = (offset, size)
-
-    def _new_records(self, name: str, record: np.dtype[Any]) -> NDArray[Any]:
-        try:
-            with open(self._folder / name, "rb") as file:
-                file.seek(self._read[name])
-                content = file.read()
-        except FileNotFoundError:
-            content = b""
-        whole = len(content) // record.itemsize * record.itemsize
-        self._read[name] += whole
-        return np.frombuffer(content[:whole], record)
-
-    # --- telling
 
     @property
     def n_finished(self) -> int:
@@ -364,7 +365,7 @@ class Footage:
                 "lost": rows["lost"].tolist(),
                 "overlap": np.round(rows["overlap"].astype(float), 3).tolist(),
             }
-            return answer | {"joints": _base64(rows["joints"])} if joints else answer
+            return answer | {"joints": encode_base64(rows["joints"].astype("<f4"))} if joints else answer
 
     def player(self, language: str) -> dict[str, Any]:
         """Return the figure as far as it is, for the player; RefusedError if there is none."""
@@ -401,10 +402,8 @@ class Footage:
             return image
 
     def _paint(self, view: int, frame: int) -> bytes:
-        from dousa.extras import cv2
-
         row = self._rows[frame]
-        mask, picture = self._look(frame, view, MASK), self._look(frame, view, PICTURE)
+        mask, picture = (_decode(self._seen.read(frame, view, kind)) for kind in (MASK, PICTURE))
         if self.film.version and picture is None:
             picture = _decode(self.film.find_picture(view, frame))
             picture = np.full((4, 4, 3), _PLAIN, np.uint8) if picture is None else picture
@@ -414,8 +413,7 @@ class Footage:
             picture,
             row["hidden"],
         )
-        _, content = cv2.imencode(".jpg", drawn, [cv2.IMWRITE_JPEG_QUALITY, _JPEG])
-        return content.tobytes()
+        return encode_jpeg(drawn, _JPEG)
 
     def _painter(self, view: int) -> ViewPainter:
         from dousa.app.pictures.overlay_view import ViewPainter
@@ -427,21 +425,9 @@ class Footage:
             self._painters[view] = ViewPainter(self._body, self._cameras[view], *size)
         return self._painters[view]
 
-    def _look(self, frame: int, view: int, kind: int) -> NDArray[np.uint8] | None:
-        if (frame, view, kind) not in self._seen:
-            return None
-        offset, size = self._seen[frame, view, kind]
-        with open(self._folder / "seen.bin", "rb") as file:
-            file.seek(offset)
-            return _decode(file.read(size))
-
 
 def _decode(content: bytes | None) -> NDArray[np.uint8] | None:
     from dousa.extras import cv2
 
     image = cv2.imdecode(np.frombuffer(content, np.uint8), cv2.IMREAD_COLOR) if content else None
     return None if image is None else np.asarray(image, np.uint8)
-
-
-def _base64(values: NDArray[Any]) -> str:
-    return base64.b64encode(np.ascontiguousarray(values, "<f4").tobytes()).decode("ascii")

@@ -20,8 +20,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from dousa.app.studio.content.footage import MASK, PICTURE, SEEN
+from dousa.app.studio.content.film_record import encode_mask
+from dousa.app.studio.content.footage import MASK, PICTURE, SeenReader
 from dousa.app.studio.core.answers import RefusedError
+from dousa.app.studio.core.workspace import write_file
 from dousa.app.studio.jobs.board import OpenedJobs
 from dousa.estimation.silhouettes.mask_doubts import doubt_masks, measure_mask
 from dousa.estimation.silhouettes.mask_npz import write_silhouettes
@@ -42,10 +44,8 @@ class StoredMasks(Silhouettes):
     """The silhouettes in the folder of a job as they were found; RefusedError if there are none."""
 
     def __init__(self, folder: Path) -> None:
-        self._folder = folder
         try:
             scene = json.loads((folder / SCENE).read_bytes())
-            records = np.frombuffer((folder / "seen.idx").read_bytes(), SEEN)
         except (OSError, ValueError):
             raise RefusedError(404, "studio_masks.not_one", job=folder.name) from None
         self.names = tuple(scene["names"])
@@ -53,7 +53,8 @@ class StoredMasks(Silhouettes):
         self.n_frames, self.frame_rate = int(scene["n_frames"]), float(scene["frame_rate"])
         self.stature: float | None = scene["stature"]
         self.has_cameras: bool = scene["cameras"]
-        self._places = {(f, v, kind): (offset, size) for f, v, kind, offset, size in records.tolist()}
+        self._seen = SeenReader(folder)
+        self._seen.refresh()
 
     def read(self, frame: int) -> tuple[Mask | None, ...]:
         """Read the masks (height, width) of all views in a frame; None for a view without an image."""
@@ -63,7 +64,7 @@ class StoredMasks(Silhouettes):
         """Read the mask of one view."""
         from dousa.extras import cv2
 
-        content = self._find(checked_frame(frame, self.n_frames), view, MASK)
+        content = self._seen.read(checked_frame(frame, self.n_frames), view, MASK)
         if content is None:
             return None
         image = cv2.imdecode(np.frombuffer(content, np.uint8), cv2.IMREAD_GRAYSCALE)
@@ -81,15 +82,7 @@ class StoredMasks(Silhouettes):
 
     def picture(self, view: int, frame: int) -> bytes | None:
         """Read the small picture of a view as JPEG."""
-        return self._find(frame, view, PICTURE)
-
-    def _find(self, frame: int, view: int, kind: int) -> bytes | None:
-        if (frame, view, kind) not in self._places:
-            return None
-        offset, size = self._places[frame, view, kind]
-        with open(self._folder / "seen.bin", "rb") as file:
-            file.seek(offset)
-            return file.read(size)
+        return self._seen.read(frame, view, PICTURE)
 
 
 def load_repaired(folder: Path) -> tuple[StoredMasks, RepairedSilhouettes]:
@@ -203,11 +196,8 @@ class MaskDesk:
             return self._set([*self._done, self._undone[0]], self._undone[1:], self._undone[0])
 
     def _set(self, done: list[MaskRepair], undone: list[MaskRepair], changed: MaskRepair) -> dict[str, Any]:
-        from dousa.files.disk import atomic_write
-
         stored = {"done": [one.to_json() for one in done], "undone": [one.to_json() for one in undone]}
-        with atomic_write(self.folder / _REPAIRS) as file:
-            file.write(json.dumps(stored).encode())
+        write_file(self.folder / _REPAIRS, json.dumps(stored).encode())
         with suppress(FileNotFoundError):
             (self.folder / EXPORTED).unlink()
         self._done, self._undone = done, undone
@@ -223,13 +213,10 @@ class MaskDesk:
 
     def mask(self, view: int, frame: int) -> bytes:
         """Return the repaired mask of a view as PNG of full size; SilhouetteError or RefusedError if there is none."""
-        from dousa.extras import cv2
-
         mask = self.repaired.read_view(view, frame)
         if mask is None:
             raise RefusedError(404, "studio_masks.no_image", frame=frame)
-        _, content = cv2.imencode(".png", mask.view(np.uint8) * np.uint8(255), [cv2.IMWRITE_PNG_BILEVEL, 1])
-        return content.tobytes()
+        return encode_mask(mask)
 
     def picture(self, view: int, frame: int) -> bytes:
         """Return the small picture of a view as JPEG; RefusedError if there is none."""

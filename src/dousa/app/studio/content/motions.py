@@ -15,9 +15,9 @@ from pathlib import Path, PurePath
 from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
-from dousa.app.studio.core.answers import Gate, RefusedError
+from dousa.app.studio.core.answers import Gate, RefusedError, StrictModel
 from dousa.arrays import BoolArray
 from dousa.errors import DousaError
 from dousa.messages import Message
@@ -76,10 +76,8 @@ class Address:
         return f"file:{self.batch}/{self.name}" if self.batch else f"job:{self.job}"
 
 
-class MotionPart(BaseModel):
+class MotionPart(StrictModel):
     """A motion, or a part of one, as it stands in an address."""
-
-    model_config = ConfigDict(extra="forbid")
 
     motion: MotionName
     start_s: Seconds | None = Field(default=None, description="s; the beginning if left out")

@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import quote
 
+from pydantic import BaseModel, ConfigDict
 from starlette.responses import JSONResponse
 
 from dousa.errors import (
@@ -165,10 +166,24 @@ def to_answer(problem: Message) -> dict[str, Any]:
     return {"problem": say(problem), **problem.to_json()}
 
 
-BYTES: dict[int | str, dict[str, Any]] = {
-    200: {"content": {"application/octet-stream": {"schema": {"type": "string", "format": "binary"}}}}
-}
-"""What the description of the interface says of an answer that is no JSON."""
+def describe_bytes(*kinds: str) -> dict[int | str, dict[str, Any]]:
+    """Return the responses in OpenAPI of an address that answers with files of these media types."""
+    return {200: {"content": {kind: {"schema": {"type": "string", "format": "binary"}} for kind in kinds}}}
+
+
+BYTES = describe_bytes("application/octet-stream")
+"""The responses in OpenAPI of an address that answers with a file."""
+
+
+def describe_body(kind: str) -> dict[str, Any]:
+    """Return the request body in OpenAPI of an address that receives a file of this media type."""
+    return {"requestBody": {"required": True, "content": describe_bytes(kind)[200]["content"]}}
+
+
+class StrictModel(BaseModel):
+    """Fields of a request; unknown ones are refused."""
+
+    model_config = ConfigDict(extra="forbid")
 
 
 class Answer(JSONResponse):

@@ -30,8 +30,6 @@ LABELS = frozenset({".eaf", ".textgrid"})
 _ARCHIVE = ".zip"
 
 _BOXES = frozenset({b"ftyp", b"moov", b"mdat", b"free", b"skip", b"wide", b"pnot"})  # the first one of MP4 and MOV
-_MATROSKA = b"\x1a\x45\xdf\xa3"
-_TIFF = frozenset({b"II*\0", b"MM\0*", b"II+\0", b"MM\0+"})
 _TIMES_LARGER, _SMALL = 200, 20_000_000  # an honest archive of motions shrinks them ten times at most
 _CHUNK = 1 << 20
 _MOST_AT_ONCE = 25_000_000  # bytes; 20,000 files with the longest names that are taken
@@ -133,6 +131,7 @@ def _check_content(path: Path, name: str) -> None:
     suffix = Path(name).suffix.lower()
     starts = head.lstrip(b"\xef\xbb\xbf \t\r\n")
     is_text = b"\0" not in head
+    is_markup, is_box, is_glb = is_text and starts[:1] == b"<", head[4:8] in _BOXES, head[:4] == b"glTF"
     fits = {
         ".bvh": is_text and starts[:9].upper() == b"HIERARCHY",
         ".amc": is_text and starts[:1] in (b"#", b":", *(b"%d" % digit for digit in range(10))),
@@ -142,36 +141,26 @@ def _check_content(path: Path, name: str) -> None:
         ".npz": head[:2] == b"PK",
         ".npy": head[:6] == b"\x93NUMPY",
         ".json": is_text and starts[:1] in (b"{", b"["),
+        ".gltf": is_text and starts[:1] == b"{",
         ".vmd": head[:20] == b"Vocaloid Motion Data",
         ".fbx": head[:18] == b"Kaydara FBX Binary" or (is_text and b"FBX" in head),
-        **dict.fromkeys((".usd", ".usda", ".usdc", ".usdz"), head.startswith((b"#usda", b"PXR-USDC", b"PK"))),
-        ".dae": is_text and starts[:1] == b"<",
-        ".mvnx": is_text and starts[:1] == b"<",
         ".tsv": is_text,
-        ".eaf": is_text and starts[:1] == b"<",
         ".textgrid": is_text or head[:2] in (b"\xff\xfe", b"\xfe\xff"),
-        ".glb": head[:4] == b"glTF",
-        ".vrm": head[:4] == b"glTF",
-        ".vrma": head[:4] == b"glTF",
-        ".gltf": is_text and starts[:1] == b"{",
         ".png": head[:4] == b"\x89PNG",
-        ".jpg": head[:2] == b"\xff\xd8",
-        ".jpeg": head[:2] == b"\xff\xd8",
         ".bmp": head[:2] == b"BM",
-        ".tif": head[:4] in _TIFF,
-        ".tiff": head[:4] in _TIFF,
-        # A list of addresses that calls itself a film would be followed by the decoder.
-        ".mp4": head[4:8] in _BOXES,
-        ".m4v": head[4:8] in _BOXES,
-        ".mov": head[4:8] in _BOXES,
         ".avi": head[:4] == b"RIFF" and head[8:12] == b"AVI ",
-        ".mkv": head[:4] == _MATROSKA,
         ".wav": head[:4] in (b"RIFF", b"RF64") and head[8:12] == b"WAVE",
         ".flac": head[:4] == b"fLaC",
+        **dict.fromkeys((".usd", ".usda", ".usdc", ".usdz"), head.startswith((b"#usda", b"PXR-USDC", b"PK"))),
+        **dict.fromkeys((".dae", ".mvnx", ".eaf"), is_markup),
+        **dict.fromkeys((".glb", ".vrm", ".vrma"), is_glb),
+        **dict.fromkeys((".jpg", ".jpeg"), head[:2] == b"\xff\xd8"),
+        **dict.fromkeys((".tif", ".tiff"), head[:4] in (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")),
+        # A list of addresses that calls itself a film would be followed by the decoder.
+        **dict.fromkeys((".mp4", ".m4v", ".mov", ".m4a"), is_box),
+        **dict.fromkeys((".mkv", ".webm"), head[:4] == b"\x1a\x45\xdf\xa3"),
         **dict.fromkeys((".ogg", ".opus"), head[:4] == b"OggS"),
-        ".m4a": head[4:8] in _BOXES,
         **dict.fromkeys((".mp3", ".aac"), head[:3] == b"ID3" or (head[0] == 0xFF and head[1:2] >= b"\xe0")),
-        ".webm": head[:4] == _MATROSKA,
     }
     if not fits.get(suffix, is_text or suffix not in TABLES):
         raise RefusedError(415, "studio_files.other_content", suffix=suffix)

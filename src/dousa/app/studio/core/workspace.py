@@ -25,6 +25,7 @@ from urllib import request
 
 from dousa.app.studio.core.answers import RefusedError
 from dousa.errors import OptionError
+from dousa.files.disk import atomic_write
 from dousa.formats.asf_amc.reading import TOP
 
 LOCK, RUNNING = "studio.lock", "studio.json"
@@ -187,6 +188,12 @@ _OF_LIBRARY = "library"  # in that file: kept as long as clips come from it
 _MOST_COUNTED = 1_000  # batches whose size is remembered
 _REST = 3600.0  # s after which a batch may be cleared away by hand
 _STALE = 7 * 86_400.0  # s after which other batches are cleared away when a studio starts
+
+
+def write_file(path: Path, content: bytes) -> None:
+    """Write a file, which is replaced as a whole."""
+    with atomic_write(path) as file:
+        file.write(content)
 
 
 def measure(folder: Path) -> int:

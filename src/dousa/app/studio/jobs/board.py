@@ -21,6 +21,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
 from dousa.app.studio.core.answers import Answer, RefusedError, name_error, pack, read_message, say, say_packed
+from dousa.app.studio.core.workspace import write_file
 from dousa.errors import DousaError
 from dousa.formats.motion_files import find_motion_files
 from dousa.messages import Message, get_language, use_language
@@ -289,11 +290,9 @@ class JobBoard:
     # --- keeping
 
     def _save(self, job: Job) -> None:
-        from dousa.files.disk import atomic_write
-
         self._saved[job.id] = time.monotonic()
-        with suppress(Exception), atomic_write(self.folder(job) / "job.json") as file:
-            file.write(Answer(None).render(job.to_file()))
+        with suppress(Exception):
+            write_file(self.folder(job) / "job.json", Answer(None).render(job.to_file()))
 
     def _load(self) -> None:
         for path in (self._workspace.root / "jobs").glob("*/job.json"):

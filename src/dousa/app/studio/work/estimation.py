@@ -7,11 +7,12 @@ import json
 from collections.abc import Iterator, Sequence
 from contextlib import closing
 from pathlib import Path
-from typing import IO, TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from dousa.app.studio.content.footage import MASK, PICTURE, SEEN
+from dousa.app.studio.content.film_record import LONGEST, encode_jpeg, encode_mask, shrink
+from dousa.app.studio.content.footage import MASK, PICTURE, SeenWriter
 from dousa.app.studio.content.masks import CAMERAS, MEASURES, SCENE
 from dousa.app.studio.content.motions import Address
 from dousa.app.studio.core.answers import RefusedError, shorten, to_message
@@ -269,7 +270,6 @@ def _codes(value: Any) -> Iterator[str]:
             yield from _codes(one)
 
 
-_LONGEST_PICTURE = 720  # px
 _QUALITY = 78
 _MOST_PICTURE_BYTES = 1_000_000_000
 
@@ -325,38 +325,16 @@ def _write_frames(views: Silhouettes, context: Context) -> Any:
     from dousa.estimation.silhouettes.mask_doubts import measure_mask
 
     measures = np.full((2, views.n_views, views.n_frames), np.nan)
-    with open(context.folder / "seen.bin", "wb") as seen, open(context.folder / "seen.idx", "wb") as index:
+    with closing(SeenWriter(context.folder)) as seen:
         for frame in range(views.n_frames):
             masks = views.read(frame)
-            pictures = views.look(frame) if seen.tell() < _MOST_PICTURE_BYTES else (None,) * views.n_views
+            pictures = views.look(frame) if seen.n_bytes < _MOST_PICTURE_BYTES else (None,) * views.n_views
             for view, (mask, picture) in enumerate(zip(masks, pictures, strict=True)):
                 measured = measure_mask(mask)
                 measures[:, view, frame] = measured.area, measured.second
                 if mask is not None:
-                    _put(seen, index, (frame, view, MASK), _pack_mask(mask))
+                    seen.write(frame, view, MASK, encode_mask(mask))
                 if picture is not None:
-                    _put(seen, index, (frame, view, PICTURE), _pack_picture(picture))
+                    seen.write(frame, view, PICTURE, encode_jpeg(shrink(picture, LONGEST), _QUALITY))
             context.progress(frame + 1, views.n_frames, Message("studio_masks.preparing"))
     return measures
-
-
-def _put(seen: IO[bytes], index: IO[bytes], where: tuple[int, int, int], content: bytes) -> None:
-    index.write(np.array([(*where, seen.tell(), len(content))], SEEN).tobytes())
-    seen.write(content)
-
-
-def _pack_mask(mask: Mask) -> bytes:
-    from dousa.extras import cv2
-
-    image = np.ascontiguousarray(mask, bool).view(np.uint8) * np.uint8(255)
-    return bytes(cv2.imencode(".png", image, [cv2.IMWRITE_PNG_BILEVEL, 1])[1].tobytes())
-
-
-def _pack_picture(picture: Image) -> bytes:
-    from dousa.extras import cv2
-
-    height, width = picture.shape[:2]
-    factor = min(1.0, _LONGEST_PICTURE / max(height, width))
-    size = max(1, round(width * factor)), max(1, round(height * factor))
-    small = cv2.resize(picture, size, interpolation=cv2.INTER_AREA)
-    return bytes(cv2.imencode(".jpg", small, [cv2.IMWRITE_JPEG_QUALITY, _QUALITY])[1].tobytes())
