@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 
 from dousa.app.pictures.canvas import BLUE, FAINT, GREEN, GREY, PURPLE, new_figure, save_figure, write
 from dousa.app.pictures.overlay_view import ViewPainter, to_rgb
-from dousa.app.pipelines.estimation_request import Outputs
+from dousa.app.requests.estimation import Outputs
 from dousa.estimation import Estimate
 from dousa.evaluation import assess
 from dousa.motion import CANONICAL_JOINTS, CANONICAL_PARENTS

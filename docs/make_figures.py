@@ -32,7 +32,7 @@ def draw_sheet() -> None:
 def draw_demo() -> None:
     """The three pictures of the first act of ``dousa demo``."""
     with TemporaryDirectory() as folder:
-        run_demo(Console(), None, Path(folder), seed=0)
+        run_demo(Console(), Path(folder), seed=0)
         for name in ("search.png", "timeline.png", "experiment.png"):
             (FIGURES / name).write_bytes((Path(folder) / name).read_bytes())
 

@@ -239,7 +239,7 @@ def make_demo(folder: Path) -> None:
     from dousa.app.demo.estimation import run_estimation_demo
     from dousa.app.demo.evaluation import run_dance_demo
 
-    for act in (lambda: run_demo(Console(), None, folder), lambda: run_dance_demo(Console(), folder)):
+    for act in (lambda: run_demo(Console(), folder), lambda: run_dance_demo(Console(), folder)):
         act()
     run_estimation_demo(Console(), folder)
 

@@ -17,8 +17,8 @@ import numpy as np
 from measured_kinect import LAG, RATE, Clip, list_clips
 
 from dousa.app.pipelines.estimate import Estimation, estimate_files
-from dousa.app.pipelines.estimation_request import EstimationRequest, Outputs
-from dousa.app.pipelines.render import RenderRequest, render_file
+from dousa.app.pipelines.render import render_file
+from dousa.app.requests.estimation import EstimationRequest, Outputs, RenderRequest
 from dousa.estimation import TrackerSettings, fit_body, make_human
 from dousa.evaluation import assess
 from dousa.evaluation.grade.parts import compute_deviation

@@ -257,9 +257,9 @@ def test_compact(dousa, library):
     assert (code, "MB now" in out) == (0, True)
     code, out, _ = dousa("compact", library, "--json")
     assert json.loads(out)["after"] == library.stat().st_size
-    code, out, _ = dousa("compact", library, "--fragments")
+    code, out, _ = dousa("compact", library, "--fragments", "beside")
     assert (code, "features moved to fragments (1)" in out) == (0, True)
-    assert dousa("compact", library, "--fragments-at", library.parent)[0] == 2
+    assert dousa("compact", library, "--fragments", library.parent)[0] == 2
 
 
 def test_list_relabel_remove(dousa, library, motions):
@@ -304,7 +304,7 @@ def test_experiment_says_what_came_up_when_files_were_read(dousa, motions, tmp_p
     assert code == 0, err
     said = " ".join(err.split())
     assert "walk/p0.bvh: " in said and "walk/p1.bvh: " in said and said.count("truncated") == 2, err
-    code, out, err = dousa(*words, "--json", "--lang", "ja")
+    code, out, err = dousa("--lang", "ja", *words, "--json")
     assert code == 0 and "truncated" not in err
     notes = json.loads(out)["notes"]
     assert [Path(one["path"]).name for one in notes] == ["p0.bvh", "p1.bvh"]
@@ -337,12 +337,12 @@ def test_experiment_with_given_test_folder(dousa, motions, tmp_path):
         (("plot", "{bvh}", "-o", "{tmp}/a.xyz"), ".png"),
         (("info", "{tmp}"), "this is a folder"),
         (("search", "{lib}", "²"), "no suffix"),
-        (("train", "{lib}", "--jobs", "0"), "--jobs"),
-        (("experiment", "{dir}", "-j", "0"), "--jobs"),
+        (("--jobs", "0", "train", "{lib}"), "--jobs"),
+        (("train", "{lib}", "-j", "2"), "before them"),
         (("experiment", "{dir}", "--test", "{dir}"), "would also train"),
         (("info", "{bvh}", "--unit", "furlong"), "furlong"),
         (("info", "{bvh}", "--up", "w"), "w"),
-        (("info", "{bvh}", "--joint-map", "{tmp}/no.toml"), "no.toml"),
+        (("info", "{bvh}", "--read", "joint_map={tmp}/no.toml"), "no.toml"),
     ],
 )
 def test_bad_input_is_one_line_and_exit_code_2(dousa, library, motions, tmp_path, words, says):
@@ -413,7 +413,7 @@ def test_ctrl_c_is_a_word_not_a_traceback(dousa, motions, tmp_path, monkeypatch)
         raise KeyboardInterrupt
 
     monkeypatch.setattr(ingest, "read_clip", interrupt)
-    code, _, err = dousa("add", tmp_path / "a.dousa", motions, "--jobs", 1)
+    code, _, err = dousa("--jobs", 1, "add", tmp_path / "a.dousa", motions)
     assert code == 130
     assert "interrupted" in err and "Traceback" not in err
     monkeypatch.undo()

@@ -113,7 +113,7 @@ def test_the_trial_of_annotated_takes(dousa, session):
     answer = json.loads(out)
     assert set(answer["by_performer"]["dousa"]) == {"p0", "p1", "p2"}
     assert 0 <= answer["scores"]["dousa"]["annotated_right"] <= 1
-    for wrong in (("--split", "half"), ("--samples", "3"), ("--category-from", "none")):
+    for wrong in (("--split", "half"), ("--system", "dtw"), ("--category-from", "none")):
         code, _, err = dousa("experiment", session, *words[:5], *wrong)
         assert code == 2 and wrong[0] in err
     code, _, err = dousa("experiment", session, "--takes", "--labels", "beside")

@@ -1,4 +1,4 @@
-"""``dousa evaluate --beats`` and ``--music`` as a person uses them: sentences, JSON, and mistakes in one line."""
+"""``dousa evaluate --music`` with beats and with sound: sentences, JSON, and mistakes in one line."""
 
 from __future__ import annotations
 
@@ -25,34 +25,34 @@ def files(tmp_path_factory) -> Path:
     return folder
 
 
-def evaluate(dousa, files, *words):
-    return dousa("evaluate", files / "dance.trc", "--performance", files / "dance.trc", *words)
+def evaluate(dousa, files, *words, language="en"):
+    return dousa("--lang", language, "evaluate", files / "dance.trc", "--performance", files / "dance.trc", *words)
 
 
 def test_the_sentences(dousa, files):
-    code, out, _ = evaluate(dousa, files, "--beats", files / "beats.csv", "--music-start", "0")
+    code, out, _ = evaluate(dousa, files, "--music", files / "beats.csv", "--music-start", "0")
     assert code == 0
     assert "16 of 16 accents belong to beats of the music (120 a minute), " in out and " ms late in the median" in out
     assert "no drift over the song" in out
 
 
 def test_the_sentences_in_japanese_where_the_start_is_estimated(dousa, files):
-    code, out, _ = evaluate(dousa, files, "--beats", files / "beats.csv", "--lang", "ja")
+    code, out, _ = evaluate(dousa, files, "--music", files / "beats.csv", language="ja")
     assert code == 0
     assert "拍との一致: アクセント 16 個のうち 16 個" in out and "音楽の開始はアクセントから推定しました" in out
 
 
 @pytest.mark.parametrize(("language", "title"), [("en", "On the beat"), ("ja", "音楽の拍との一致")])
 def test_the_report_has_a_section(dousa, files, tmp_path, language, title):
-    words = ("--beats", files / "beats.csv", "--music-start", "0", "-o", tmp_path, "--lang", language)
-    assert evaluate(dousa, files, *words)[0] == 0
+    words = ("--music", files / "beats.csv", "--music-start", "0", "-o", tmp_path)
+    assert evaluate(dousa, files, *words, language=language)[0] == 0
     page = (tmp_path / "report.html").read_text(encoding="utf-8")
     section = page[page.index('<section id="beats">') :]
     assert f"<h2>{title}</h2>" in section and section.count('class="dot stop" style') == 16
 
 
 def test_json_has_beats_only_when_asked(dousa, files):
-    code, out, _ = evaluate(dousa, files, "--beats", files / "beats.csv", "--music-start", "0", "--json")
+    code, out, _ = evaluate(dousa, files, "--music", files / "beats.csv", "--music-start", "0", "--json")
     beats = json.loads(out)["beats"]
     assert code == 0
     assert beats["median_ms"] == pytest.approx(80.0, abs=25.0)
@@ -64,15 +64,14 @@ def test_json_has_beats_only_when_asked(dousa, files):
 @pytest.mark.parametrize(
     ("words", "says"),
     [
-        (("--beats", "unsorted.csv"), "expected rising times"),
-        (("--beats", "empty.csv"), "expected at least 4"),
-        (("--beats", "short.csv"), "shorter than the dance"),
-        (("--beats", "none.csv"), "none.csv"),
-        (("--beats", "beats.csv", "--music-start", "100"), "check --music-start"),
-        (("--beats", "beats.csv", "--music-start", "nan"), "expected seconds"),
-        (("--beats", "beats.csv", "--music", "song.wav"), "cannot be combined"),
-        (("--beats", "beats.csv", "--repetitions"), "cannot be combined with --repetitions"),
-        (("--music-start", "1"), "needs --music or --beats"),
+        (("--music", "unsorted.csv"), "expected rising times"),
+        (("--music", "empty.csv"), "expected at least 4"),
+        (("--music", "short.csv"), "shorter than the dance"),
+        (("--music", "none.csv"), "none.csv"),
+        (("--music", "beats.csv", "--music-start", "100"), "check --music-start"),
+        (("--music", "beats.csv", "--music-start", "nan"), "expected seconds"),
+        (("--music", "beats.csv", "--repetitions"), "cannot be combined with --repetitions"),
+        (("--music-start", "1"), "needs --music"),
     ],
 )
 def test_mistakes_are_one_line(dousa, files, monkeypatch, words, says):

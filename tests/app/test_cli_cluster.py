@@ -34,7 +34,7 @@ def files(tmp_path):
 @pytest.mark.parametrize("address", ["tcp://127.0.0.1:9", "127.0.0.1:9"])
 def test_no_scheduler_is_one_error_and_no_library(dousa, tmp_path, files, monkeypatch, address):
     monkeypatch.setattr(cluster_module, "_CONNECT", 0.5)
-    code, out, err = dousa("add", tmp_path / "m.dousa", files, "--cluster", address)
+    code, out, err = dousa("--cluster", address, "add", tmp_path / "m.dousa", files)
     assert (code, out) == (2, "")
     assert "Dask scheduler" in err and "Traceback" not in err
     assert err.startswith("dousa: ") and err.count("\n") <= 3
@@ -49,7 +49,7 @@ def test_files_that_workers_do_not_see_are_one_error_and_no_library(dousa, tmp_p
         yield Workers()
 
     monkeypatch.setattr(cluster_module, "connect", connect)
-    code, _, err = dousa("add", tmp_path / "m.dousa", files, "--cluster", "tcp://127.0.0.1:9")
+    code, _, err = dousa("--cluster", "tcp://127.0.0.1:9", "add", tmp_path / "m.dousa", files)
     assert code == 2
     assert "does not see" in err and "a.bvh" in err
     assert os.listdir(tmp_path) == ["in"]

@@ -26,7 +26,8 @@ def run(dousa):
 @pytest.fixture(scope="session")
 def jack(tmp_path_factory) -> Path:
     """A folder with half a second of a synthetic jumping jack, and what four cameras see of it."""
-    from dousa.app.pipelines.render import RenderRequest, render_file
+    from dousa.app.pipelines.render import render_file
+    from dousa.app.requests.estimation import RenderRequest
 
     folder = tmp_path_factory.mktemp("jack")
     whole = make_motion("jumping_jack", draw_performer(10))
@@ -217,7 +218,7 @@ class TestEstimateAround:
 
     def test_every_output_is_written(self, run, jack, tracked, tmp_path):
         files = [tmp_path / name for name in ("a.npz", "a.trc", "a.csv", "a.png", "a.mp4")]
-        options = ("-o", "--trc", "--angles", "--sheet", "--overlay")
+        options = ("-o", "-o", "--angles", "-o", "-o")
         words = [word for pair in zip(options, files, strict=True) for word in pair]
         code, out, err = run("estimate", jack / "seen.npz", "--frames", "0:5", *words)
         assert code == 0, err
@@ -238,22 +239,14 @@ class TestEstimateAround:
         assert code == 0 and "the motion is not saved" in err
         assert "lost in 3 of 12 frames: 5-6, 11" in out
 
-    def test_options_reach_the_tracker(self, run, jack, tracked):
-        words = (
-            "--reading",
-            "residual",
-            "--evidence",
-            "global",
-            "--smoothing",
-            0,
-            "--beam",
-            3,
-            "--stature",
-            1.5,
-        )
-        assert run("estimate", jack / "seen.npz", *words, "--frames", ":2")[0] == 0
-        assert run("estimate", jack / "seen.npz", "--method", "paper", "--beam", 2, "--frames", ":2")[0] == 0
-        assert run("estimate", jack / "seen.npz", "--frames", ":2")[0] == 0
+    def test_settings_reach_the_tracker(self, run, jack, tracked, tmp_path):
+        settings = tmp_path / "tracker.toml"
+        words = ("estimate", jack / "seen.npz", "--frames", ":2")
+        settings.write_text("reading = 'residual'\nevidence = 'global'\nsmoothing = 0\nbeam = 3\n")
+        assert run(*words, "--stature", 1.5, "--settings", settings)[0] == 0
+        settings.write_text("method = 'paper'\nbeam = 2\n")
+        assert run(*words, "--settings", settings)[0] == 0
+        assert run(*words)[0] == 0
         asked, paper, usual = tracked.asked
         assert paper.settings == dataclasses.replace(PAPER, beam=2) and usual.settings == TrackerSettings()
         settings = asked.settings
@@ -278,7 +271,8 @@ class TestEstimateAround:
         tracked.stop_at = 9
         run(*words)
         tracked.stop_at = None
-        code, _, err = run(*words, "--smoothing", 3)
+        (tmp_path / "tracker.toml").write_text("smoothing = 3")
+        code, _, err = run(*words, "--settings", tmp_path / "tracker.toml")
         assert code == 0 and "starting from the beginning" in err and tracked.asked[1].resume is None
 
     @pytest.mark.parametrize(
@@ -297,7 +291,8 @@ class TestEstimateAround:
             (("SEEN", "--cameras", "x.toml"), "x.toml"),
             (("SEEN", "--frames", "5:5"), "--frames"),
             (("SEEN", "SEEN"), "cannot be combined with other sources"),
-            (("SEEN", "--bones", "start"), "--start"),
+            (("SEEN", "-o", "a.bvh", "-o", "b.npz"), "one motion"),
+            (("SEEN", "--settings", "no.toml"), "cannot be read"),
             (("SEEN", "--background", "x.png"), "background"),
             (("JACK",), "calibration file required"),
         ],
@@ -311,6 +306,23 @@ class TestEstimateAround:
         }
         failed(run("estimate", *(places.get(word, word) for word in words)), said)
         assert list(tmp_path.iterdir()) == [] and tracked.asked == []
+
+    @pytest.mark.parametrize(
+        ("text", "expected"),
+        [
+            ("mood = 'glad'", "expected one of background_method, kind"),
+            ("beam = 'wide'", "beam: 'wide' cannot be used"),
+            ("smoothing = -1", "smoothing: -1 cannot be used"),
+            ("reading = 'backwards'", "masked"),
+            ("method = 'new'", "default or paper"),
+            ("bones = 'start'", "--start"),
+            ("beam = ", "cannot be read"),
+        ],
+    )
+    def test_mistakes_in_settings(self, run, jack, tracked, tmp_path, text, expected):
+        (tmp_path / "tracker.toml").write_text(text)
+        failed(run("estimate", jack / "seen.npz", "--settings", tmp_path / "tracker.toml"), expected)
+        assert tracked.asked == []
 
     @pytest.mark.skipif(hasattr(os, "geteuid") and os.geteuid() == 0, reason="root may write everywhere")
     def test_no_permission_is_found_before_the_work(self, run, jack, tracked, tmp_path):
@@ -424,7 +436,7 @@ class TestSources:
             np.testing.assert_allclose(camera.position, own[camera.name].position, atol=1e-6)
 
     def test_videos_are_drawn_below_the_model(self, run, tracked, sources, tmp_path):
-        words = ("--cameras", sources / "cameras.toml", "--sheet", tmp_path / "a.png", "--frames", "1:4")
+        words = ("--cameras", sources / "cameras.toml", "-o", tmp_path / "a.png", "--frames", "1:4")
         code, _, err = run("estimate", sources / "view1.mp4", *words)
         assert code == 0 and (tmp_path / "a.png").stat().st_size > 1000, err
         assert "a body height of 1.72 m is assumed" in err

@@ -33,7 +33,9 @@ def hold_start(silhouettes, cameras, body, start=None, *, settings, girths="fit"
 def run(monkeypatch):
     module = SimpleNamespace(estimate=hold_start, PAPER=PAPER)
     monkeypatch.setitem(sys.modules, "dousa.estimation.tracking.tracker", module)
-    return lambda *words: CliRunner().invoke(app, ["experiment-estimation", *map(str, words)], catch_exceptions=True)
+    return lambda *words: CliRunner().invoke(
+        app, ["--jobs", "1", "experiment-estimation", *map(str, words)], catch_exceptions=True
+    )
 
 
 @pytest.fixture(scope="module")
@@ -42,7 +44,7 @@ def clip(tmp_path_factory):
 
 
 def test_tables_show_the_estimate_beside_what_needs_no_image(run, clip):
-    answer = run(clip, "--views", "1,2", "--jobs", 1)
+    answer = run(clip, "--views", "1,2")
     assert answer.exit_code == 0, answer.output
     for words in (
         "clean: mean over 1 clips",
@@ -56,14 +58,14 @@ def test_tables_show_the_estimate_beside_what_needs_no_image(run, clip):
 
 
 def test_json_holds_the_means_and_every_clip(run, clip):
-    answer = json.loads(run(clip, "--views", "2", "--choice", "all", "--json", "--jobs", 1).stdout)
+    answer = json.loads(run(clip, "--views", "2", "--choice", "all", "--json").stdout)
     assert [row["views"] for row in answer["clips"]] == [[0, 1], [0, 2], [1, 2]]
     assert answer["summary"][0]["n_clips"] == 1
     assert answer["settings"]["reading"] == "masked"
 
 
 def test_what_the_tracker_refuses_is_a_note_and_a_lost_clip(run, clip):
-    answer = run(clip, "--views", "1", "--start", "auto", "--jobs", 1)
+    answer = run(clip, "--views", "1", "--start", "auto")
     assert answer.exit_code == 0
     assert "1 of 1 clips lost" in answer.stdout
     assert "wave clean, views 0: no start was found" in answer.stderr
@@ -71,7 +73,7 @@ def test_what_the_tracker_refuses_is_a_note_and_a_lost_clip(run, clip):
 
 def test_the_papers_experiment_is_a_table_of_readings(run, clip):
     words = ("--paper", "--frames", "0:3", "--views", "1,2", "--reading", "masked", "--reading", "literal")
-    answer = run(clip, *words, "--jobs", 1)
+    answer = run(clip, *words)
     assert answer.exit_code == 0, answer.output
     for text in (
         "frames 0 to 2",
@@ -81,7 +83,7 @@ def test_the_papers_experiment_is_a_table_of_readings(run, clip):
         "says 4.61",
     ):
         assert text in answer.stdout
-    told = json.loads(run(clip, *words, "--evidence", "local", "--json", "--jobs", 1).stdout)
+    told = json.loads(run(clip, *words, "--evidence", "local", "--json").stdout)
     assert {(row["reading"], row["evidence"]) for row in told["rows"]} == {
         ("masked", "local"),
         ("literal", "local"),

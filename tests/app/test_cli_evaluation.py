@@ -94,8 +94,8 @@ def test_json_alone_is_on_standard_output(run, takes, asked, tmp_path):
 def test_options_reach_the_assessment(run, takes, asked, tmp_path):
     weights = tmp_path / "weights"
     weights.write_text("arms = 2\n")
-    words = ("--mirror", "--tempo", "free", "--weights", weights, "--lang", "ja", "-o", tmp_path / "out")
-    code, out, _ = run("evaluate", takes / "takes", "-p", takes / "pupil.bvh", *words)
+    words = ("--mirror", "--tempo", "free", "--weights", weights, "-o", tmp_path / "out")
+    code, out, _ = run("--lang", "ja", "evaluate", takes / "takes", "-p", takes / "pupil.bvh", *words)
     assert code == 0
     options = asked.assess[0][2]
     assert (options["side"], options["tempo"]) == ("mirrored", "free")
@@ -156,8 +156,8 @@ def test_nothing_found_and_no_grade(run, takes, asked, monkeypatch):
         (("{takes}", "-p", "{pupil}", "-o", "{pupil}/deeper"), "is a file"),
         (("{takes}", "-p", "{pupil}", "--notes", "well done"), "--output"),
         (("{takes}", "-p", "{pupil}", "--notes", "well done", "--repetitions"), "--notes"),
-        (("{takes}", "-p", "{pupil}", "--joint-map", "{dir}/none"), "joint map"),
-        (("{takes}", "-p", "{pupil}", "--unit", "furlong"), "furlong"),
+        (("{takes}", "-p", "{pupil}", "--read", "joint_map={dir}/none"), "joint map"),
+        (("{takes}", "-p", "{pupil}", "--read", "unit=furlong"), "furlong"),
     ],
 )
 def test_mistakes_are_one_line_and_exit_code_2(run, takes, asked, tmp_path, words, says):
@@ -168,7 +168,7 @@ def test_mistakes_are_one_line_and_exit_code_2(run, takes, asked, tmp_path, word
     assert asked.assess == [] and list(tmp_path.iterdir()) == []
 
 
-@pytest.mark.parametrize("option", [("--tempo", "fast"), ("--lang", "fr")])
+@pytest.mark.parametrize("option", [("--tempo", "fast"), ("--read", "mood=glad")])
 def test_unknown_choices_are_refused(run, takes, option):
     code, _, err = run("evaluate", takes / "takes", "-p", takes / "pupil.bvh", *option)
     assert code == 2 and option[1] in err and "Traceback" not in err
@@ -216,14 +216,14 @@ def test_other_formats_and_names_with_brackets(run, takes, asked, tmp_path):
 
 def test_the_real_assessment_and_report(run, takes, tmp_path):
     words = (
+        "--lang",
+        "ja",
         "evaluate",
         takes / "takes",
         "-p",
         takes / "pupil.bvh",
         "-o",
         tmp_path / "report",
-        "--lang",
-        "ja",
         "--notes",
         "ひざを <柔らかく>",
     )
@@ -270,7 +270,7 @@ def blind(monkeypatch):
 
 
 def test_the_experiment_tells_what_is_found(run, takes, blind):
-    code, out, _ = run("experiment-errors", takes / "takes", "--jobs", 1)
+    code, out, _ = run("--jobs", 1, "experiment-errors", takes / "takes")
     assert code == 0
     for word in ("precision", "shift", "incomplete", "partial", "global", "mean", "a minute", "Recall by kind",
                  "no error", "median onset error"):  # fmt: skip
@@ -282,8 +282,8 @@ def test_the_experiment_as_json_and_second_takes(run, takes, blind, tmp_path):
     (tmp_path / "bad.bvh").write_text("")
     for path in (takes / "takes").iterdir():
         shutil.copy(path, tmp_path)
-    words = ("--jobs", 1, "--takes-from", "name:^(.*?)_?[0-9]", "--references", 2, "--json")
-    code, out, err = run("experiment-errors", tmp_path, "--repeats", 2, *words)
+    words = ("--takes-from", "name:^(.*?)_?[0-9]", "--references", 2, "--json")
+    code, out, err = run("--jobs", 1, "experiment-errors", tmp_path, "--repeats", 2, *words)
     assert code == 0 and "left out" in err
     answer = json.loads(out)
     assert answer["sets"]["all"]["n_motions"] == 4 and answer["repeats"] == 2
@@ -343,7 +343,7 @@ def test_progress_over_answers(run, takes, asked, tmp_path):
     assert "the grade rose from 71 to 80" in out and "every time" in out and "1 (24 deg)" in out
     assert (tmp_path / "p.png").read_bytes().startswith(b"\x89PNG")
     assert json.loads(run("progress", *files, "--json")[1])["worse"] == []
-    assert "評価点が71点から80点に" in run("progress", *files, "--lang", "ja")[1]
+    assert "評価点が71点から80点に" in run("--lang", "ja", "progress", *files)[1]
     later["references"] = ["another.bvh"]
     files[1].write_text(json.dumps(later), encoding="utf-8")
     assert "different references" in run("progress", *files)[2]

@@ -58,8 +58,8 @@ def test_cameras_are_said_written_and_drawn(dousa, scene, tmp_path):
     films = [str(scene / "film1.npz"), str(scene / "film2.npz")]
     target, picture, times = tmp_path / "calib.toml", tmp_path / "cameras.png", tmp_path / "sync.toml"
     times.write_text('[[film]]\nname = "film1"\noffset = 0.0\n[[film]]\nname = "film2"\noffset = 0.65\n')
-    words = ("calibrate", *films, "--stature", "1.7", "--cameras", str(scene / "calib.toml"), "--sync", str(times))
-    code, out, error = dousa(*words, "-o", str(target), "--picture", str(picture), "--json")
+    words = ("calibrate", *films, "--stature", "1.7", "--cameras", str(scene / "calib.toml"), "--offsets", str(times))
+    code, out, error = dousa(*words, "-o", str(target), "-o", str(picture), "--json")
     assert (code, error) == (0, "")
     answer = json.loads(out)
     assert [row["name"] for row in answer["cameras"]] == ["film1", "film2"]
@@ -79,10 +79,13 @@ def test_cameras_are_said_written_and_drawn(dousa, scene, tmp_path):
         (("{0}/film1.npz", "{0}/film2.npz"), "either --stature"),
         (("{0}/film1.npz", "{0}/film2.npz", "--stature", "1.7", "--board", "charuco:5x7:4cm:3cm"), "either --stature"),
         (("{0}/film1.npz", "--stature", "1.7"), "two films or more"),
-        (("{0}/film1.npz", "{0}/film2.npz", "--stature", "175", "--together"), "0.5 to 2.6 m"),
-        (("{0}/film1.npz", "{0}/film2.npz", "--stature", "1.7", "--focal", "3", "--together"), "focal length"),
-        (("{0}/film1.npz", "{0}/film2.npz", "--stature", "1.7", "--sync", "{0}/none.toml"), "none.toml"),
-        (("{0}/film1.npz", "{0}/film2.npz", "--stature", "1.7", "--sync", "x", "--together"), "either --sync"),
+        (("{0}/film1.npz", "{0}/film2.npz", "--stature", "175", "--offsets", "none"), "0.5 to 2.6 m"),
+        (
+            ("{0}/film1.npz", "{0}/film2.npz", "--stature", "1.7", "--focal-length", "3", "--offsets", "none"),
+            "focal length",
+        ),
+        (("{0}/film1.npz", "{0}/film2.npz", "--stature", "1.7", "--offsets", "{0}/none.toml"), "none.toml"),
+        (("{0}/film1.npz", "{0}/film2.npz", "--stature", "1.7", "-o", "b.toml"), "of the same kind"),
         (("{0}/film1.npz", "{0}/film2.npz", "--board", "9x6"), "chessboard:9x6:25mm"),
         (("{0}/calib.toml", "{0}/film2.npz", "--board", "charuco:5x7:40mm:30mm"), "calib.toml"),
     ],

@@ -1,4 +1,4 @@
-"""`dousa models` and `dousa keypoints`: what a person or a program is told of them."""
+"""`dousa keypoints`: the models, and what is found in films."""
 
 from __future__ import annotations
 
@@ -27,13 +27,13 @@ def folder(tmp_path, monkeypatch):
 
 
 def test_models_are_listed(dousa, folder):
-    code, out, _ = dousa("models", "--json")
+    code, out, _ = dousa("keypoints", "--json")
     answer = json.loads(out)
     assert code == 0 and answer["folder"] == str(folder)
     assert {name: row["state"] for name, row in answer["models"].items()} == dict.fromkeys(
         ("detector", "lite", "full", "heavy"), "missing"
     )
-    code, out, _ = dousa("models", "list")
+    code, out, _ = dousa("keypoints")
     assert code == 0 and str(folder) in out and out.count("not installed") == 4 and "Apache-2.0" in out
     assert not folder.exists()
 
@@ -41,14 +41,13 @@ def test_models_are_listed(dousa, folder):
 @pytest.mark.parametrize(
     ("words", "says"),
     [
-        (("install", "--from", "none.tgz"), "none.tgz: no such file"),
-        (("install", "huge"), "detector, lite, full or heavy"),
-        (("list", "--from", "x.tgz"), "dousa models install"),
-        (("remove",), "install"),
+        (("--install", "none.tgz"), "none.tgz: no such file"),
+        (("--install", "a.tgz", "b.tgz"), "one package or model"),
+        (("--clear-cache", "walk.mp4"), "one package or model"),
     ],
 )
 def test_mistakes_are_one_line(dousa, folder, words, says):
-    code, out, error = dousa("models", *words)
+    code, out, error = dousa("keypoints", *words)
     assert (code, out, error.count("\n")) == (2, "", 1)
     assert says in error
     assert not folder.exists()
@@ -131,5 +130,5 @@ def test_a_missing_model_is_one_line_with_the_command(dousa, film, tmp_path, fol
     monkeypatch.setenv("DOUSA_MODELS", str(folder))
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
     monkeypatch.setattr("sys.argv", ["dousa", "keypoints", str(film), "-o", str(tmp_path / "out")])
-    with pytest.raises(KeypointError, match="run: dousa models install"):
+    with pytest.raises(KeypointError, match="run: dousa keypoints --install"):
         find_keypoints(film, cache=tmp_path / "cache")

@@ -1,43 +1,52 @@
-"""Groups of options: spelled once as a dataclass, in the signature one by one, and handed over in one object."""
+"""Options from request classes, spelled once; how files are read; and how many options there are."""
 
 from __future__ import annotations
 
 import inspect
 from dataclasses import dataclass
-from typing import Annotated
+from pathlib import Path
+from typing import Annotated, Any
 
 import pytest
 import typer
 
-from dousa.app.cli.options.shared import FileOptions, MotionOptions, list_values
-from dousa.app.cli.usage import to_typer_command
+from dousa.app.cli.main import app
+from dousa.app.cli.usage import count_options, mark_tags, split_tags, to_typer_command
+from dousa.app.requests.estimation import EstimationRequest, Outputs
+from dousa.app.requests.reading import Reading, UnitReading
 from dousa.errors import OptionError
+from dousa.formats import ReadOptions
 
 
 @dataclass(frozen=True)
 class Size:
-    """A group of two."""
+    """A request of two options."""
 
     width: Annotated[int, typer.Option("--width")] = 4
     height: Annotated[int, typer.Option("--height")] = 3
+    unit: str = "cm"
 
 
-def test_options_of_a_group_stand_in_its_place_and_arrive_in_one_object():
+def test_options_of_a_request_stand_in_its_place_and_arrive_in_one_value():
     got = []
 
     def draw(name: str, *, size: Size, json: bool = False) -> None:
         got.append((name, size, json))
 
+    def measure(name: str, *, given: Annotated[dict[str, Any], Size]) -> None:
+        got.append((name, given))
+
     command = to_typer_command(draw)
     parameters = inspect.signature(command).parameters
-    assert list(parameters) == ["name", "width", "height", "json", "lang"]
+    assert list(parameters) == ["name", "width", "height", "json"]
     assert [parameters[name].default for name in ("width", "height")] == [4, 3]
     assert parameters["width"].annotation.__metadata__[0].default == "--width"  # as Typer keeps the name
-    command(name="a", width=7, height=3, json=True, lang=None)
-    assert got == [("a", Size(7, 3), True)]
+    command(name="a", width=7, height=3, json=True)
+    to_typer_command(measure)(name="b", width=7, height=3)
+    assert got == [("a", Size(7, 3), True), ("b", {"width": 7, "height": 3})]
 
 
-def test_an_option_that_two_groups_have_is_refused():
+def test_an_option_that_is_there_twice_is_refused():
     def draw(*, size: Size, width: int) -> None:
         raise AssertionError
 
@@ -45,13 +54,51 @@ def test_an_option_that_two_groups_have_is_refused():
         to_typer_command(draw)
 
 
+def test_there_are_not_too_many_commands_and_options():
+    counts = count_options(app)
+    assert set(counts) >= {"", "add", "search", "estimate", "evaluate"}
+    assert len(counts) - 1 <= 28
+    assert sum(counts.values()) <= 202  # two of them install the completion of words
+
+
 def test_options_of_a_file_become_those_that_it_is_read_with(tmp_path):
     path = tmp_path / "joints.txt"
     path.write_text("left_knee = L_Kn\n", encoding="utf-8")
-    options = MotionOptions("cm", "z", None, 25.0, path).load()
-    read = {"joint_map": {"left_knee": ("L_Kn",)}, "unit": "cm", "up": "z", "skeleton": None, "frame_rate": 25.0}
-    read["any_skeleton"] = False
-    assert list_values(options) == read
-    assert FileOptions("cm").load().joint_map is None
+    reading = UnitReading(["frame-rate=25", f"joint_map={path}", "any_skeleton", "skeleton=a.asf"], "cm", "z")
+    assert reading.load() == ReadOptions({"left_knee": ("L_Kn",)}, "cm", "z", Path("a.asf"), 25.0, True)
+    assert reading.files == (Path("a.asf"), path)
+    assert Reading().load() == ReadOptions() and Reading(["any_skeleton=no"]).load() == ReadOptions()
     with pytest.raises(OptionError):
-        MotionOptions(joint_map=tmp_path / "missing.txt").load()
+        Reading([f"joint_map={tmp_path / 'missing.txt'}"]).load()
+
+
+@pytest.mark.parametrize(
+    ("texts", "code"),
+    [
+        (["mood=glad"], "unknown_key"),
+        (["unit"], "no_value"),
+        (["unit=cm", "unit=m"], "twice"),
+        (["frame_rate=fast"], "not_a_number"),
+        (["any_skeleton=perhaps"], "not_a_switch"),
+    ],
+)
+def test_mistakes_in_them_have_a_code_each(texts, code):
+    with pytest.raises(OptionError) as caught:
+        Reading(texts).load()
+    assert caught.value.code == f"reading.{code}"
+
+
+def test_outputs_are_told_apart_by_their_suffixes():
+    motion, points, angles, film, sheet = map(Path, ("a.bvh", "a.trc", "a.csv", "a.mp4", "a.png"))
+    for order in ((motion, points, film, sheet), (sheet, points, film, motion)):
+        assert Outputs.from_paths(order, angles) == Outputs(motion, points, angles, film, sheet)
+    assert Outputs.from_paths([points]) == Outputs(motion=points)
+    for twice in ((motion, Path("b.npz")), (film, Path("b.avi")), (motion, points, Path("b.trc"))):
+        with pytest.raises(OptionError, match="of the same kind"):
+            Outputs.from_paths(twice)
+    assert EstimationRequest((motion,)).outputs.named == ()
+
+
+def test_tags_are_no_options():
+    words = ["lib", "12", "+fight", "-draft", "--tag", "x", "-h", "--", "-y"]
+    assert split_tags(mark_tags(words)) == (["lib", "12", "--tag", "x", "-h", "--", "-y"], ["fight"], ["draft"])

@@ -23,11 +23,11 @@ def folder(tmp_path_factory):
     return made
 
 
-PERFORMERS = ("--split", "leave-performer-out", "--performer-from", r"name:(p\d)", "--trees", 10, "--jobs", 1)
+PERFORMERS = ("--split", "leave-performer-out", "--performer-from", r"name:(p\d)", "--trees", 10)
 
 
 def test_the_table_names_every_ranking_and_says_what_was_left_out(dousa, folder):
-    code, out, err = dousa("experiment", folder, "--ranking", *PERFORMERS)
+    code, out, err = dousa("--jobs", 1, "experiment", folder, "--ranking", *PERFORMERS)
     assert code == 0, err
     for words in (
         "4 categories, 9 queries",
@@ -47,13 +47,13 @@ def test_the_table_names_every_ranking_and_says_what_was_left_out(dousa, folder)
 
 
 def test_json_and_systems_of_choice(dousa, folder):
-    code, out, err = dousa("experiment", folder, "--ranking", *PERFORMERS, "--json", "--features", "paper")
+    code, out, err = dousa("--jobs", 1, "experiment", folder, "--ranking", *PERFORMERS, "--json", "--features", "paper")
     assert code == 0, err
     answer = json.loads(out)
     assert list(answer["systems"]) == list(RANKING_SYSTEMS)
     assert answer["features"] == "paper" and answer["skipped"] == []
     words = ("--system", "dtw", "--system", "fused", "--json")
-    code, out, _ = dousa("experiment", folder, "--ranking", *PERFORMERS, *words)
+    code, out, _ = dousa("--jobs", 1, "experiment", folder, "--ranking", *PERFORMERS, *words)
     assert list(json.loads(out)["systems"]) == ["dtw", "fused"]
 
 
@@ -61,8 +61,8 @@ def test_a_folder_of_queries(dousa, folder, tmp_path):
     queries = tmp_path / "asked" / "walk"
     queries.mkdir(parents=True)
     write_motion(make_motion("walk", draw_performer(9), seed=9), queries / "p9.bvh")
-    words = ("--ranking", "--test", queries.parent, "--system", "fused", "--trees", 10, "--json", "--jobs", 1)
-    code, out, err = dousa("experiment", folder, *words)
+    words = ("--ranking", "--test", queries.parent, "--system", "fused", "--trees", 10, "--json")
+    code, out, err = dousa("--jobs", 1, "experiment", folder, *words)
     assert code == 0, err
     answer = json.loads(out)
     assert (answer["split"], answer["n_queries"], answer["n_gallery"]) == ("given", 1, 10)
@@ -72,7 +72,6 @@ def test_a_folder_of_queries(dousa, folder, tmp_path):
     ("words", "problem"),
     [
         (("--ranking", "--repeats", 2), "--repeats cannot be combined with --ranking"),
-        (("--ranking", "--samples", 1), "--samples cannot be combined with --ranking"),
         (("--ranking", "--figure", "a.png"), "--figure cannot be combined with --ranking"),
         (("--ranking", "--system", "forest"), "omit --ranking?"),
         (("--system", "dtw"), "add --ranking?"),
@@ -81,7 +80,7 @@ def test_a_folder_of_queries(dousa, folder, tmp_path):
     ],
 )
 def test_what_cannot_be_is_said(dousa, folder, words, problem):
-    code, _, err = dousa("experiment", folder, *words)
+    code, _, err = dousa("--jobs", 1, "experiment", folder, *words)
     assert code == 2 and problem in err
 
 
@@ -94,21 +93,21 @@ def test_what_cannot_be_is_said(dousa, folder, words, problem):
         (("--unknown", "--figure", "table.png"), "--figure cannot be combined with --unknown"),
         (("--unknown", "--system", "dtw"), "--system cannot be combined with --unknown"),
         (("--takes",), "performer"),
-        (("--ranking", "--train-share", 0.3), "--train-share cannot be combined with --ranking"),
-        (("--train-share", 0.3, *PERFORMERS), "--train-share requires a split by halves"),
-        (("--train-share", 1.5), "between 0 and 1"),
+        (("--ranking", "--split", 0.3), "--split SHARE cannot be combined with --ranking"),
+        (("--split", "thirds"), "expected half, leave-performer-out or a share"),
+        (("--split", 1.5), "between 0 and 1"),
     ],
 )
 def test_options_that_would_be_ignored_are_refused(dousa, folder, options, problem):
-    code, out, err = dousa("experiment", folder, *options)
+    code, out, err = dousa("--jobs", 1, "experiment", folder, *options)
     assert code == 2
     assert problem in err
     assert not out
 
 
 def test_unknown_motions_answer_with_tables(dousa, shared_data):
-    options = ("--performer-from", r"name:HDM_(..)_", "--trees", 10, "--jobs", 1)
-    code, out, err = dousa("experiment", shared_data("hdm05"), "--unknown", *options)
+    options = ("--performer-from", r"name:HDM_(..)_", "--trees", 10)
+    code, out, err = dousa("--jobs", 1, "experiment", shared_data("hdm05"), "--unknown", *options)
     assert code == 0, err
     for words in ("AUROC", "189 clips of 11 categories", "grown", "retrained"):
         assert words in out

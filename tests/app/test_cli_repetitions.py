@@ -84,7 +84,7 @@ def test_tempo_weights_and_importance_count(run, files):
 
 @pytest.mark.parametrize(("language", "title"), [("en", "kicks.trc: repetitions"), ("ja", "kicks.trc：手本と")])
 def test_the_report(run, files, tmp_path, language, title):
-    words = ("evaluate", files / "kick.trc", "--performance", files / "kicks.trc", "--repetitions", "--lang", language)
+    words = ("--lang", language, "evaluate", files / "kick.trc", "--performance", files / "kicks.trc", "--repetitions")
     code, out, _ = run(*words, "-o", tmp_path / "report")
     assert code == 0 and str(tmp_path / "report" / "report.html") in out
     page = (tmp_path / "report" / "report.html").read_text(encoding="utf-8")
@@ -104,8 +104,8 @@ def test_json_alone_is_on_standard_output(run, files):
 
 
 def test_the_table_in_japanese(run, files):
-    words = ("--performance", files / "kicks.trc", "--repetitions", "--lang", "ja")
-    code, out, _ = run("evaluate", files / "kick.trc", *words)
+    words = ("--performance", files / "kicks.trc", "--repetitions")
+    code, out, _ = run("--lang", "ja", "evaluate", files / "kick.trc", *words)
     assert code == 0
     assert out.startswith("反復 3 回、未完了 1 回")
     assert "左股関節の屈曲" in out

@@ -456,7 +456,7 @@ def test_places_are_in_the_order_of_what_the_table_shows(dousa, library, recordi
     assert shown == [f"{place['probability']:.0%}" for place in places]
     ends = [number for number, row in enumerate(rows[1:]) if "no longer alike" in row] or [len(places)]
     assert [place["probability"] >= 0.5 for place in places] == [number < ends[0] for number in range(len(places))]
-    assert "確信度" in dousa(*words, "--lang", "ja")[1].splitlines()[1]
+    assert "確信度" in dousa("--lang", "ja", *words)[1].splitlines()[1]
 
 
 def test_places_of_bodies_that_lack_joints_have_no_probability(capsys):

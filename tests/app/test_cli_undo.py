@@ -52,7 +52,7 @@ def test_undo_redo_and_the_list(dousa, library):
     assert ids(library, category=category) == own
     listed = json.loads(dousa("undo", library, "--list", "--json")[1])
     assert [entry["is_undone"] for entry in listed] == [True, True, False]
-    assert dousa("undo", library, "--redo", "--lang", "ja")[1].startswith("やり直しました: ")
+    assert dousa("--lang", "ja", "undo", library, "--redo")[1].startswith("やり直しました: ")
     assert "(undone)" in dousa("undo", library, "--list")[1]
     number = listed[1]["number"]
     assert json.loads(dousa("undo", library, number, "--json")[1])["kind"] == "relabel"
@@ -75,7 +75,7 @@ def test_removing_for_good_keeps_nothing(dousa, library):
 def test_tags_and_what_is_selected_by_them(dousa, library, tmp_path):
     first, second, third, *_ = ids(library)
     assert dousa("tag", library, first, second, "+fight", "+draft")[1].startswith("tags of 2 changed")
-    assert dousa("tag", library, "--tag", "fight", "-draft", "--add", "high kick")[0] == 0
+    assert dousa("tag", library, "--tag", "fight", "-draft", "+high kick")[0] == 0
     assert dousa("tag", library, third, "+favourite", "+夜")[0] == 0
     code, out, _ = dousa("tag", library, "--list")
     assert (code, "fight: 2 clips" in out, "draft" in out, "夜: 1 clip" in out) == (0, True, False, True)
@@ -91,7 +91,7 @@ def test_tags_and_what_is_selected_by_them(dousa, library, tmp_path):
     assert dousa("tag", library, "--select", "fights", "-fight")[0] == 0
     code, _, err = dousa("export", library, "--select", "fights", "-o", target)
     assert (code, "nothing fits the saved search" in err) == (2, True)
-    for words in ((first,), (first, "+"), (first, "--add", "-x"), ("+lonely",), ("--select", "none", "+x")):
+    for words in ((first,), (first, "+"), (first, "-"), ("+lonely",), ("--select", "none", "+x")):
         assert dousa("tag", library, *words)[0] == 2
     assert dousa("list", library, "--save", "all")[0] == 2
     assert dousa("undo", library)[0] == 0

@@ -34,7 +34,7 @@ def test_the_table_says_what_fits_and_how_many(dousa, library):
 
 
 def test_it_speaks_japanese(dousa, library):
-    code, out, _ = dousa("search", library, "--text", "手を叩く", "--lang", "ja")
+    code, out, _ = dousa("--lang", "ja", "search", library, "--text", "手を叩く")
     assert code == 0
     assert "「手を叩く」: 9件のうち3件" in out
     assert "clap" in out

@@ -8,7 +8,7 @@ import pytest
 from rich.console import Console
 
 from dousa.app.demo.demo import run_demo, write_library
-from dousa.errors import OptionError, TrainingError
+from dousa.errors import OptionError
 from dousa.library import Library
 
 CATEGORIES = ("bow", "kick_left", "walk")
@@ -40,7 +40,7 @@ def test_a_library_on_the_disk_is_the_same_each_time(tmp_path):
 def test_demo_can_be_run_again_and_tells_the_same(tmp_path, console, capsys):
     output = tmp_path / "out"
     for _ in range(2):
-        run_demo(console, None, output, n_jobs=1, n_performers=3, categories=CATEGORIES)
+        run_demo(console, output, n_jobs=1, n_performers=3, categories=CATEGORIES)
     text = told(console)
     assert text.count("In truth kick_left; the forest says kick_left") == 2
     assert "match" in text
@@ -57,35 +57,7 @@ def test_demo_can_be_run_again_and_tells_the_same(tmp_path, console, capsys):
     assert {clip.performer for clip in clips} == {"performer00", "performer01", "performer02"}
 
 
-def test_demo_on_other_data_holds_out_a_clip(tmp_path, console):
-    data, output = tmp_path / "data", tmp_path / "out"
-    write_library(data, 4, 1, 0, CATEGORIES)
-    run_demo(console, None, output, n_jobs=1, n_performers=2, categories=CATEGORIES)
-    run_demo(console, data, output, n_jobs=1, seed=1)
-    assert "one clip held out" in told(console)
-    with Library.open(output / "demo.dousa", read_only=True) as library:
-        paths = {clip.path for clip in library.clips()}
-    assert len(paths) == 11  # the query, the motions and the take of the run before are not there
-    assert all(path.startswith(str(data)) for path in paths)
-
-
-def test_demo_holds_out_a_performer_where_they_are_known(tmp_path, console):
-    data = tmp_path / "data"
-    write_library(data, 4, 1, 0, CATEGORIES)
-    run_demo(console, data, tmp_path / "out", n_jobs=1, performer_from=r"name:(performer\d+)")
-    assert "all clips of performer performer0" in told(console)
-    assert "Joined 3 motions of the same performer" in told(console)
-    with Library.open(tmp_path / "out" / "demo.dousa", read_only=True) as library:
-        assert [clip.kind for clip in library.clips()].count("clip") == 9
-
-
-def test_demo_says_what_data_it_needs(tmp_path, console):
-    (tmp_path / "empty").mkdir()
-    with pytest.raises(TrainingError, match="two or more folders named after their categories"):
-        run_demo(console, tmp_path / "empty", tmp_path / "out")
-
-
 def test_demo_says_where_it_cannot_write(tmp_path, console):
     (tmp_path / "file").write_text("x")
     with pytest.raises(OptionError, match="choose another with --output"):
-        run_demo(console, None, tmp_path / "file" / "out")
+        run_demo(console, tmp_path / "file" / "out")

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from dousa.app.pipelines.estimate import Estimation, estimate_files
-from dousa.app.pipelines.estimation_request import EstimationRequest, Outputs
+from dousa.app.requests.estimation import EstimationRequest, Outputs
 from dousa.errors import SilhouetteError
 from dousa.estimation.silhouettes.mask_npz import read_true_joints
 from dousa.estimation.tracking.settings import TrackerSettings
@@ -26,7 +26,8 @@ CALIBRATION = ("camera_matrix", "world_to_camera_rotation", "world_to_camera_tra
 @pytest.fixture(scope="module")
 def scene(tmp_path_factory) -> Path:
     """A folder with a dozen frames of a jumping jack and what four cameras see of it."""
-    from dousa.app.pipelines.render import RenderRequest, render_file
+    from dousa.app.pipelines.render import render_file
+    from dousa.app.requests.estimation import RenderRequest
 
     folder = tmp_path_factory.mktemp("scene")
     whole = make_motion("jumping_jack", draw_performer(10))
@@ -105,8 +106,17 @@ class TestRight:
         done = track(scene, scene / "seen.npz", frames=f":{count}")
         assert done.estimate.n_frames == count and mean_error(done, scene) < 40.0
 
-    def test_the_method_of_the_paper(self, dousa, scene):
-        words = ("--method", "paper", "--start", f"{scene / 'jack.bvh'}:0", "--frames", ":4", "--json")
+    def test_the_method_of_the_paper(self, dousa, scene, tmp_path):
+        (tmp_path / "paper.toml").write_text("method = 'paper'")
+        words = (
+            "--settings",
+            tmp_path / "paper.toml",
+            "--start",
+            f"{scene / 'jack.bvh'}:0",
+            "--frames",
+            ":4",
+            "--json",
+        )
         code, answer, _ = dousa("estimate", scene / "seen.npz", *words)
         assert code == 0 and json.loads(answer)["iou"]["mean"] > 0.5
 

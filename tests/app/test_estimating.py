@@ -13,8 +13,8 @@ import pytest
 from dousa.app.pipelines.doubts import WatchedSilhouettes, parse_frames
 from dousa.app.pipelines.estimation_body import read_start
 from dousa.app.pipelines.estimation_output import check_outputs
-from dousa.app.pipelines.estimation_request import EstimationRequest, Outputs, parse_start
 from dousa.app.pipelines.track_log import PartialFile, describe_files, fingerprint
+from dousa.app.requests.estimation import EstimationRequest, Outputs, parse_start
 from dousa.app.tables.estimation import describe_frames
 from dousa.errors import MotionWriteError, OptionError
 from dousa.estimation.silhouettes.silhouettes import PackedSilhouettes

@@ -18,7 +18,7 @@ def moves(tmp_path, dousa):
         path = tmp_path / "recordings" / category / "take.bvh"
         path.parent.mkdir(parents=True)
         write_motion(make_motion(category, draw_performer(1)), path)
-    assert dousa("add", tmp_path / "moves.dousa", tmp_path / "recordings", "--jobs", "1")[0] == 0
+    assert dousa("add", tmp_path / "moves.dousa", tmp_path / "recordings")[0] == 0
     return tmp_path / "moves.dousa"
 
 
@@ -34,7 +34,7 @@ def test_a_folder(tmp_path, moves, dousa):
 def test_chosen_clips_in_a_zip_on_a_character(tmp_path, moves, dousa):
     character = tmp_path / "character.bvh"
     write_motion(make_motion("jump", draw_performer(5)), character)
-    options = ("--to", "bvh", "--onto", character, "--keep-reach", "--frame-rate", "30", "--up", "y", "--json")
+    options = ("--to", "bvh", "--onto", character, "--keep-reach", "--frame-rate", "30", "--read", "up=y", "--json")
     code, said, _ = dousa("export", moves, "2", "-o", tmp_path / "out.zip", *options)
     assert code == 0
     (name,) = json.loads(said)["written"]

@@ -63,7 +63,7 @@ def hips_off(path, body, poses):
 def test_films_that_start_apart_are_synchronised_and_the_first_person_taken(dousa, scene, tmp_path):
     folder, sources, body, poses = scene
     words = ("--cameras", folder / "cameras.toml", "--cues", "keypoints", "--json")
-    code, out, err = dousa("estimate", *sources, *words, "-o", tmp_path / "one.bvh", "--trc", tmp_path / "one.trc")
+    code, out, err = dousa("estimate", *sources, *words, "-o", tmp_path / "one.bvh", "-o", tmp_path / "one.trc")
     assert code == 0, err
     answer = json.loads(out)
     assert answer["n_frames"] == 80 - LATE and not answer["lost_frames"]

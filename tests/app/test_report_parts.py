@@ -21,8 +21,7 @@ from dousa.app.report import (
     read_report_style,
     write_report,
 )
-from dousa.app.tables.evaluation import print_assessment
-from dousa.app.tables.evaluation import print_progress
+from dousa.app.tables.evaluation import print_assessment, print_progress
 from dousa.evaluation import compare_attempts, read_attempt
 from dousa.evaluation.grade.score import round_grade
 

@@ -50,7 +50,7 @@ _RULES = (
     _Rule(r"dousa experiment(?:-\w+)? .*\.\./shared/data/.*", How.SMALL),
     _Rule(r"dousa studio(?: .*)?|dousa demo --studio", How.SERVED),
     # It needs the net; these need what that installs.
-    _Rule(r"dousa (?:models install|keypoints|sync|calibrate) ?.*", How.MENTIONED),
+    _Rule(r"dousa (?:keypoints|sync|calibrate) ?.*", How.MENTIONED),
     _Rule(r"curl .*|[A-Z]+=\$\(python3 -c .*\)", How.ASKED),
     _Rule(r"dousa .*(?:--cluster|postgresql\+psycopg:).*", How.MENTIONED),  # tests/workers, tests/library start these
     _Rule(r"dousa .*", How.FOLLOWED),

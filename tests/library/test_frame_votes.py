@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from dousa.app.cli.library import _check_before_making
-from dousa.app.cli.options.shared import LabelOptions
+from dousa.app.requests.library import LabelRules
 from dousa.errors import OptionError
 from dousa.formats.frame_votes import FrameClaim, FrameVotes
 from dousa.formats.motion_files import ReadOptions
@@ -78,10 +78,10 @@ def test_a_folder_without_motions_makes_no_library(tmp_path) -> None:
     folder = tmp_path / "empty"
     folder.mkdir()
     with pytest.raises(OptionError, match="no motion file"):
-        _check_before_making(str(tmp_path / "moves.dousa"), [folder], LabelOptions(), ReadOptions())
+        _check_before_making(str(tmp_path / "moves.dousa"), [folder], LabelRules(), ReadOptions())
     shutil.rmtree(folder)
     with pytest.raises(OptionError, match="empty"):
-        _check_before_making(str(tmp_path / "moves.dousa"), [folder], LabelOptions(), ReadOptions())
+        _check_before_making(str(tmp_path / "moves.dousa"), [folder], LabelRules(), ReadOptions())
 
 
 def test_trajectories_of_trajectories() -> None:

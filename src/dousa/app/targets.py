@@ -9,7 +9,7 @@ from pathlib import Path
 
 from dousa.errors import DousaError, OptionError
 
-_DATABASE = b"SQLite format 3\0"
+DATABASE_HEAD = b"SQLite format 3\0"
 _HEAD = 200  # bytes that tell what is in a file
 
 # How the files begin that dousa writes, by their suffix; what stands in an npz, the name of its first array tells.
@@ -101,7 +101,7 @@ def _look_for_danger(option: str, path: Path, sources: Iterable[str | os.PathLik
         return False
     if any(is_same_file(path, source) for source in sources):
         raise OptionError("targets.is_input", option=option, path=path)
-    if _read_head(path).startswith(_DATABASE):
+    if _read_head(path).startswith(DATABASE_HEAD):
         raise OptionError("targets.is_library", option=option, path=path)
     return True
 

@@ -11,7 +11,8 @@ __all__ = ["write_films", "write_scene"]
 
 def write_scene(path: Path, n_frames: int) -> Path:
     """Write an npz of silhouettes: jumping jacks forth and back, two views of 160 x 120."""
-    from dousa.app.pipelines.render import RenderRequest, render_file
+    from dousa.app.pipelines.render import render_file
+    from dousa.app.requests.estimation import RenderRequest
     from dousa.formats.registry import write_motion
     from dousa.motion.synthetic.performers import draw_performer, make_motion
 

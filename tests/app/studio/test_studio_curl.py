@@ -33,7 +33,8 @@ def newest_curl():
 @pytest.fixture
 def seen(tmp_path, bvh):
     """Silhouettes of three frames."""
-    from dousa.app.pipelines.render import RenderRequest, parse_size, render_file
+    from dousa.app.pipelines.render import parse_size, render_file
+    from dousa.app.requests.estimation import RenderRequest
 
     size = parse_size("80x60")
     render_file(RenderRequest(motion=bvh, output=tmp_path / "seen.npz", n_ring=2, size=size, frames="0:3"))

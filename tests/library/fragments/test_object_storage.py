@@ -60,7 +60,7 @@ def test_a_library_on_a_server_keeps_its_arrays_there(url, bucket, moves, write_
         library.add(moves, n_jobs=1)
         library.train(n_trees=5, n_jobs=1)
         answers = library.search(1, 20), library.trajectories(2).positions.tobytes()
-        with pytest.raises(LibraryError, match="--fragments-at"):
+        with pytest.raises(LibraryError, match="--fragments"):
             library.compact(fragments="")
         report = library.compact(fragments=f"{bucket}/library")
         assert report.moved > 0 and report.n_fragments >= 1

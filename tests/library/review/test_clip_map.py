@@ -87,7 +87,7 @@ def test_bodies_that_lack_joints_and_takes_are_not_on_it(library, made, tmp_path
 
 
 def test_the_command_writes_a_table(library, tmp_path):
-    answer = CliRunner().invoke(app, ["map", library.name, "-o", str(tmp_path / "map.csv"), "--json"])
+    answer = CliRunner().invoke(app, ["plot", library.name, "-o", str(tmp_path / "map.csv"), "--json"])
     told = json.loads(answer.stdout)
     with open(tmp_path / "map.csv", newline="", encoding="utf-8") as file:
         rows = list(csv.DictReader(file))
@@ -100,7 +100,7 @@ def test_the_command_writes_a_table(library, tmp_path):
 
 def test_the_command_draws_a_picture_with_a_legend(library, tmp_path):
     pytest.importorskip("matplotlib", reason="matplotlib is not installed: pip install 'dousa[pictures]'")
-    answer = CliRunner().invoke(app, ["map", library.name, "-o", str(tmp_path / "map.svg")])
+    answer = CliRunner().invoke(app, ["plot", library.name, "-o", str(tmp_path / "map.svg")])
     assert f"{N} clips" in answer.stdout
     drawn = (tmp_path / "map.svg").read_text(encoding="utf-8")
     assert "walk (6)" in drawn or drawn.count("<use") >= N
@@ -113,7 +113,7 @@ def test_the_command_draws_a_picture_with_a_legend(library, tmp_path):
 def test_what_cannot_be_done_is_said(library, words, expected, tmp_path, monkeypatch, capsys):
     library.remove([clip.id for clip in library.clips()])
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(sys, "argv", ["dousa", "map", library.name, *words])
+    monkeypatch.setattr(sys, "argv", ["dousa", "plot", library.name, *words])
     with pytest.raises(SystemExit) as ended:
         main()
     assert ended.value.code == 2 and expected in capsys.readouterr().err

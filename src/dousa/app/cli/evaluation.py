@@ -4,22 +4,19 @@ from __future__ import annotations
 
 from collections import Counter
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
 from dousa.app import tables
-from dousa.app.cli.options import shared as o
-from dousa.app.cli.options.evaluation import (
-    BeatOptions,
-    ExerciseOptions,
-    InjectionOptions,
-    JudgingOptions,
-    TakesOptions,
-)
+from dousa.app.cli.options.evaluation import InjectionOptions, TakesOptions
+from dousa.app.cli.usage import Json
 from dousa.app.output import console, print_json, progress_bar, say, warn, warn_skipped
-from dousa.app.targets import REPORT, check_targets
+from dousa.app.requests.evaluation import EvaluationRequest
+from dousa.app.requests.reading import Reading
+from dousa.app.targets import REPETITIONS, REPORT, check_targets
 from dousa.errors import OptionError
+from dousa.files.disk import atomic_write
 from dousa.messages import Message, get_language
 
 if TYPE_CHECKING:
@@ -27,7 +24,7 @@ if TYPE_CHECKING:
 
     from dousa.app.output import ProgressCallback
     from dousa.app.pipelines.evaluate import Evaluation
-    from dousa.evaluation import Assessment
+    from dousa.evaluation import Assessment, RepetitionsAssessment
     from dousa.experiments.error_results import ErrorExperimentResult, SecondTakes
     from dousa.experiments.errors import NamedMotion
     from dousa.formats.motion_files import ReadOptions
@@ -49,7 +46,7 @@ def evaluate(
         typer.Argument(
             metavar="REFERENCE...",
             help="Reference: one take, or better five or more; files or folders of BVH, AMC, C3D, TRC, NPZ. The "
-            "first is what the performance is held against, all of them say what may vary.",
+            "first is what the performance is held against, all of them show what may vary.",
         ),
     ],
     performance: Annotated[
@@ -64,57 +61,59 @@ def evaluate(
     ] = None,
     notes: Annotated[
         str | None,
-        typer.Option("--notes", metavar="TEXT", help="What you have to say of the performance; stands in the report."),
+        typer.Option("--notes", metavar="TEXT", help="Remarks on the performance, for the report."),
     ] = None,
+    detail: Annotated[
+        Literal["brief", "full"],
+        typer.Option(
+            "--detail", help="brief: the grade and what to work on first; full: every error, or repetition, as well."
+        ),
+    ] = "full",
     *,
-    judging_options: JudgingOptions,
-    exercise_options: ExerciseOptions,
-    beat_options: BeatOptions,
-    motion_options: o.MotionOptions,
-    json: o.Json = False,
+    request: EvaluationRequest,
+    reading: Reading,
+    json: Json = False,
 ) -> None:
     """Show what differs between a performance and its reference, where, and by how much.
 
-    Tells four errors apart: another motion of the whole body, another motion
-    of a limb, motion not danced to the full, and wrong timing. With one
-    REFERENCE take the grade is not calibrated, and says so.
+    Four kinds of error are distinguished: another motion of the whole body,
+    another motion of a limb, motion not danced to the full, and wrong timing.
+    With one REFERENCE take the grade is not calibrated.
 
     Example: dousa evaluate teacher_*.bvh --performance pupil.bvh -o report
 
     Example: dousa evaluate squat.trc --performance squats.trc --repetitions --csv squats.csv
     """
-    from dousa.app.cli.exercises import check_exercise_options, evaluate_exercise
-    from dousa.app.pipelines.evaluate import check_beat_options, check_folder, find_references
+    from dousa.app.pipelines.evaluate import check_folder, find_references
 
     if performance is None:
         raise OptionError("evaluation_cli.no_performance")
-    check_exercise_options(exercise_options, {"--furi": judging_options.furi, "--notes": notes})
+    request.check()
+    if notes is not None and request.repetitions:
+        raise OptionError("exercises.not_with", option="--notes")
     if notes is not None and output is None:
         raise OptionError("evaluation_cli.notes_without_output")
-    check_beat_options(beat_options.music, beat_options.beats, beat_options.music_start, exercise_options.repetitions)
     if output is not None:
         check_folder(output)
-        inputs = (*reference, performance, judging_options.furi, judging_options.weights)
-        for name in _EXERCISE_FILES if exercise_options.repetitions else _REPORT_FILES:
+        inputs = (*reference, performance, request.furi, request.weights)
+        for name in _EXERCISE_FILES if request.repetitions else _REPORT_FILES:
             check_targets({"--output": output / name}, inputs, REPORT)
     if not performance.exists():
         raise OptionError("evaluation_cli.performance_not_found", path=performance)
     files = find_references(reference)
-    options = motion_options.load()
-    if exercise_options.repetitions:
-        evaluate_exercise(files, performance, options, judging_options, exercise_options, output=output, json=json)
+    options = reading.load()
+    if request.repetitions:
+        _evaluate_exercise(files, performance, options, request, detail, output=output, json=json)
     else:
-        _evaluate_dance(
-            files, performance, options, judging_options, beat_options, output=output, notes=notes or "", json=json
-        )
+        _evaluate_dance(files, performance, options, request, detail, output=output, notes=notes or "", json=json)
 
 
 def _evaluate_dance(
     references: Sequence[Path],
     performance: Path,
     options: ReadOptions,
-    judging: JudgingOptions,
-    music: BeatOptions,
+    request: EvaluationRequest,
+    detail: str,
     *,
     output: Path | None,
     notes: str,
@@ -123,19 +122,12 @@ def _evaluate_dance(
     """Assess a dance as a whole; print a table or JSON, write the report."""
     from dousa.app.pipelines.evaluate import evaluate_files, load_beats, time_accents
 
-    beats = load_beats(music.music, music.beats)
+    beats, judging = load_beats(request.music), request.choose_judging()
     with progress_bar() as progress:
         done = evaluate_files(
-            references,
-            performance,
-            options=options,
-            furi_file=judging.furi,
-            side=judging.side,
-            tempo=judging.tempo or "same",
-            **judging.choose_weights(),
-            progress=progress,
+            references, performance, options=options, furi_file=request.furi, **judging, progress=progress
         )
-        timing = None if beats is None else time_accents(done, beats, music.music_start)
+        timing = None if beats is None else time_accents(done, beats, request.music_start)
         page = None
         if output is not None:
             from dousa.app.report import write_report
@@ -144,14 +136,81 @@ def _evaluate_dance(
             page = write_report(done.assessment, output, language=get_language(), timing=timing, notes=notes)
     _warn(done)
     if json:
-        print_json(_describe(done, page, judging.detail) | ({} if timing is None else {"beats": timing.to_json()}))
+        print_json(_describe(done, page, detail) | ({} if timing is None else {"beats": timing.to_json()}))
         return
-    tables.print_assessment(console(), done.assessment, judging.detail)
+    tables.print_assessment(console(), done.assessment, detail)
     words = [] if timing is None else list(timing.messages)
     if page is not None:
         words.append(Message("evaluation_cli.report", path=page))
     for message in words:
         say(message)
+
+
+def _evaluate_exercise(
+    references: Sequence[Path],
+    performance: Path,
+    options: ReadOptions,
+    request: EvaluationRequest,
+    detail: str,
+    *,
+    output: Path | None,
+    json: bool,
+) -> None:
+    """Assess the repetitions in a file; print a table or JSON, write CSV and picture."""
+    from dousa.app.pipelines.evaluate import evaluate_repetitions
+    from dousa.app.report import to_repetitions_csv, write_exercise_report
+
+    csv, picture = request.csv, request.picture
+    check_targets({"--csv": csv, "--picture": picture}, (*references, performance, request.weights), REPETITIONS)
+    judging = request.choose_judging()
+    with progress_bar() as progress:
+        done = evaluate_repetitions(
+            references,
+            performance,
+            options=options,
+            **judging,
+            progress=progress,
+        )
+    assessment = done.assessment
+    if csv is not None:
+        with atomic_write(csv) as file:
+            file.write(to_repetitions_csv(assessment))
+    if picture is not None:
+        from dousa.app.pictures.repetitions_sheet import draw_repetitions
+        from dousa.evaluation.exercises.summary import choose_angles
+
+        draw_repetitions(assessment, done.motion, picture, choose_angles(assessment))
+    page = None
+    if output is not None:
+        name = performance.name
+        page = write_exercise_report(assessment, done.motion, output, language=get_language(), name=name)
+    for path, note in dict.fromkeys(done.notes):
+        warn(Message("evaluation_cli.note", path=path, note=note))
+    for warning in assessment.warnings:
+        warn(warning)
+    if json:
+        files: dict[str, Any] = {
+            "references": [str(path) for path in done.references],
+            "performance": str(done.performance),
+            "csv": None if csv is None else str(csv),
+            "picture": None if picture is None else str(picture),
+            "report": None if page is None else str(page),
+        }
+        print_json({**assessment.to_json(), **_describe_exercise(assessment), **files})
+        return
+    tables.print_repetitions(console(), assessment, detail)
+    outputs = (("exercise_table.csv", csv), ("exercise_table.picture", picture), ("evaluation_cli.report", page))
+    for code, written in outputs:
+        if written is not None:
+            say(Message(code, path=written))
+
+
+def _describe_exercise(assessment: RepetitionsAssessment) -> dict[str, Any]:
+    """What to know first, as sentences and codes."""
+    from dousa.evaluation import describe_exercise, describe_trends
+
+    messages = (*describe_exercise(assessment), *describe_trends(assessment))
+    return {"says": [str(message) for message in messages], "says_codes": [message.code for message in messages]}
 
 
 def progress(
@@ -160,7 +219,7 @@ def progress(
         typer.Argument(metavar="ANSWER...", help="Answers of dousa evaluate --json, the oldest first; two or more."),
     ],
     picture: Annotated[Path | None, typer.Option("--picture", help="Draw the curves: .png, .svg or .pdf.")] = None,
-    json: o.Json = False,
+    json: Json = False,
 ) -> None:
     """Show a pupil over time: the grade and the errors of several evaluations, what improved, and what still fails.
 
@@ -169,8 +228,8 @@ def progress(
     from dousa.app.pipelines.evaluate import compare_answers
 
     check_targets({"--picture": picture}, answers)
-    found, alike = compare_answers(answers)
-    if not alike:
+    found, same_reference = compare_answers(answers)
+    if not same_reference:
         warn(Message("evaluation_cli.other_reference"))
     if json:
         print_json(found.to_json())
@@ -210,13 +269,13 @@ def _warn(done: Evaluation[Assessment]) -> None:
 
 
 def experiment_errors(
+    context: typer.Context,
     path: Annotated[list[Path], typer.Argument(metavar="PATH...", help="Correct motions: files, or folders of them.")],
     *,
     injection_options: InjectionOptions,
     takes_options: TakesOptions,
-    motion_options: o.MotionOptions,
-    jobs: o.Jobs = None,
-    json: o.Json = False,
+    reading: Reading,
+    json: Json = False,
 ) -> None:
     """Measure error detection: inject errors of known class, time and size into motions and detect them.
 
@@ -233,15 +292,15 @@ def experiment_errors(
     if injection_options.repeats == 0 and takes_options.takes_from is None:
         raise OptionError("evaluation_cli.nothing_to_do")
     rule = parse_label_rule(takes_options.takes_from, "takes")
-    options = motion_options.load()
+    options = reading.load()
     trials = second_takes = None
     with progress_bar() as progress:
-        takes, skipped = read_takes(path, rule, options=options, n_jobs=jobs, progress=progress)
+        takes, skipped = read_takes(path, rule, options=options, n_jobs=context.obj, progress=progress)
         if injection_options.repeats:
-            trials = _inject_errors([motion for motion, _ in takes], injection_options, jobs, progress)
+            trials = _inject_errors([motion for motion, _ in takes], injection_options, context.obj, progress)
         if takes_options.takes_from is not None:
             n, seed = takes_options.references, injection_options.seed
-            second_takes = _compare_takes(takes, injection_options.which, n, seed, jobs, progress)
+            second_takes = _compare_takes(takes, injection_options.which, n, seed, context.obj, progress)
     if json:
         seconds = {"second_takes": second_takes} if second_takes else {}
         print_json({**(trials.to_json() if trials else {}), **seconds, "skipped": skipped})

@@ -11,23 +11,16 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from dousa.app import tables
-from dousa.app.cli.options import shared as o
-from dousa.app.cli.options.experiments import (
-    SAMPLES,
-    KindOptions,
-    PaperOptions,
-    SplitOptions,
-    SystemName,
-    SystemOptions,
-    TrialOptions,
-    VariantName,
-)
+from dousa.app.cli.options.experiments import PaperOptions, TrialOptions, VariantName
+from dousa.app.cli.usage import Json
 from dousa.app.output import ProgressCallback, console, print_json, progress_bar, warn, warn_skipped
+from dousa.app.requests.experiments import ExperimentRequest, SystemName
+from dousa.app.requests.library import FeatureSet, LabelRules, TakeLabels
+from dousa.app.requests.reading import Reading
 from dousa.app.targets import check_targets
 from dousa.errors import OptionError
 from dousa.extras import require
 from dousa.messages import Message
-from dousa.workers.current import use_cluster
 
 if TYPE_CHECKING:
     from dousa.estimation.tracking.settings import TrackerSettings
@@ -43,24 +36,22 @@ def register(app: typer.Typer) -> None:
 
 
 def experiment(
+    context: typer.Context,
     path: Annotated[list[Path], typer.Argument(metavar="PATH...", help="Folders of motion files.")],
     *,
-    split_options: SplitOptions,
-    kind_options: KindOptions,
-    system_options: SystemOptions,
-    label_options: o.LabelOptions,
-    motion_options: o.MotionOptions,
-    jobs: o.Jobs = None,
-    cluster: o.Cluster = None,
+    request: ExperimentRequest,
+    take_labels: TakeLabels,
+    rules: LabelRules,
+    reading: Reading,
     figure: Annotated[Path | None, typer.Option("--figure", help="Draw the table: .png, .svg or .pdf.")] = None,
-    json: o.Json = False,
+    json: Json = False,
 ) -> None:
     """Measure recognition on held-out clips: single trees, the forest and motion templates.
 
     The paper's figures 4 and 5 as a table. Without --split half of every category trains and half is tested. With
     --ranking: how good is the order in which clips are found, by our rankings, Euclidean distance, DTW and motion
     templates. With --takes: how well are long takes of people left out labelled and searched; with --labels these are
-    real takes. With --unknown: are motions of no known category told, and how good are categories added later.
+    real takes. With --unknown: are motions of no known category detected, and how good are categories added later.
 
     Example: dousa experiment hdm05/ --split leave-performer-out --performer-from 'name:HDM_(..)_'
 
@@ -68,36 +59,35 @@ def experiment(
     """
     from dousa.app.pipelines.experiment_clips import read_annotated_takes, read_labelled_clips, refuse_clips_in_both
 
-    kind = _choose_kind(kind_options)
-    test = split_options.test
-    _check_options(kind, split_options, system_options, label_options, figure)
-    check_targets({"--figure": figure}, motion_options.files)
-    systems = _choose_systems(system_options.system, kind)
+    kind = _choose_kind(request, take_labels)
+    _check_options(kind, request, rules, figure)
+    check_targets({"--figure": figure}, reading.files)
+    systems = _choose_systems(request.system, kind)
     shared: dict[str, Any] = {
-        "feature_set": (system_options.features or kind.usual_features).value,
-        "n_trees": system_options.trees,
-        "random_state": system_options.seed,
-        "n_jobs": jobs or -1,
+        "feature_set": request.features or kind.usual_features,
+        "n_trees": request.trees,
+        "random_state": request.seed,
+        "n_jobs": context.obj or -1,
     }
-    files: dict[str, Any] = {"performer_from": label_options.performer_from, "options": motion_options.load()}
+    files: dict[str, Any] = {"performer_from": rules.performer_from, "options": reading.load()}
     notes: list[tuple[str, Message]] = []
     files["note"] = lambda path, message: notes.append((path, message))
     result: Result
-    with use_cluster(cluster), progress_bar() as progress:
+    with progress_bar() as progress:
         shared["progress"] = progress
-        files |= {"n_jobs": jobs, "progress": progress}
+        files |= {"n_jobs": context.obj, "progress": progress}
         if kind is _Kind.ANNOTATED:
             from dousa.experiments import run_annotated_takes_experiment
 
-            takes, skipped = read_annotated_takes(path, kind_options.labels or "", kind_options.tier, **files)
+            takes, skipped = read_annotated_takes(path, take_labels.labels or "", take_labels.tier, **files)
             no_forest = {name: shared[name] for name in ("random_state", "n_jobs", "progress")}
             result = run_annotated_takes_experiment(takes, **no_forest)
         else:
-            files["category_from"] = label_options.category_from
+            files["category_from"] = rules.category_from
             clips, skipped = read_labelled_clips(path, **files)
-            tested, more = read_labelled_clips(test, **files) if test else (None, [])
+            tested, more = read_labelled_clips(request.test, **files) if request.test else (None, [])
             refuse_clips_in_both(clips, tested or [])
-            result = _run_trial(kind, clips, tested, split_options, systems, system_options.samples, shared)
+            result = _run_trial(kind, clips, tested, request, systems, shared)
             skipped += more
     warn_skipped(skipped)
     answer = {**result.to_json(), "skipped": [item.to_json() for item in skipped]}
@@ -118,58 +108,49 @@ class _Kind(enum.Enum):
     """What an experiment asks, and the options that have nothing to do with it."""
 
     RECOGNITION = ("", ())
-    RANKING = ("--ranking", ("--train-share", "--repeats", "--samples", "--figure"))
-    TAKES = (
-        "--takes",
-        ("--train-share", "--repeats", "--samples", "--figure", "--split", "--test", "--system"),
-    )
-    ANNOTATED = (
-        "--takes --labels",
-        ("--train-share", "--repeats", "--samples", "--figure", "--test", "--system", "--category-from"),
-    )
-    UNKNOWN = ("--unknown", ("--train-share", "--samples", "--figure", "--split", "--test", "--system"))
+    RANKING = ("--ranking", ("--repeats", "--figure", "--split SHARE"))
+    TAKES = ("--takes", ("--repeats", "--figure", "--split", "--test", "--system"))
+    ANNOTATED = ("--takes --labels", ("--repeats", "--figure", "--test", "--system", "--category-from"))
+    UNKNOWN = ("--unknown", ("--figure", "--split", "--test", "--system"))
 
     @property
-    def usual_features(self) -> o.FeatureSetName:
+    def usual_features(self) -> FeatureSet:
         """What it looks at by default."""
-        return o.FeatureSetName.PAPER if self is _Kind.RECOGNITION else o.FeatureSetName.EXTENDED
+        return "paper" if self is _Kind.RECOGNITION else "extended"
 
 
-def _choose_kind(options: KindOptions) -> _Kind:
-    asked = {_Kind.RANKING: options.ranking, _Kind.TAKES: options.takes, _Kind.UNKNOWN: options.unknown}
+def _choose_kind(request: ExperimentRequest, takes: TakeLabels) -> _Kind:
+    asked = {_Kind.RANKING: request.ranking, _Kind.TAKES: request.takes, _Kind.UNKNOWN: request.unknown}
     kinds = [kind for kind, wanted in asked.items() if wanted]
     if len(kinds) > 1:
         raise OptionError("experiments_cli.one_kind", found=[kind.value[0] for kind in kinds])
-    if (options.labels is not None or options.tier is not None) and not options.takes:
+    if takes != TakeLabels() and not request.takes:
         raise OptionError("annotations.of_clips")
-    if options.tier is not None and options.labels is None:
+    if takes.tier is not None and takes.labels is None:
         raise OptionError("annotations.tier_alone")
-    if options.labels is not None:
+    if takes.labels is not None:
         return _Kind.ANNOTATED
     return kinds[0] if kinds else _Kind.RECOGNITION
 
 
-def _check_options(
-    kind: _Kind, split: SplitOptions, systems: SystemOptions, labels: o.LabelOptions, figure: Path | None
-) -> None:
+def _check_options(kind: _Kind, request: ExperimentRequest, labels: LabelRules, figure: Path | None) -> None:
     """Refuse what does not go together, or would be ignored, before the long work."""
-    if split.test and split.split is not None:
+    if request.test and request.split is not None:
         raise OptionError("experiments_cli.split_and_test")
-    if split.split == "leave-performer-out" and labels.performer_from is None:
+    if request.split == "leave-performer-out" and labels.performer_from is None:
         raise OptionError("experiments_cli.no_performers")
-    if kind is _Kind.ANNOTATED and split.split == "half":
-        raise OptionError("experiments_cli.not_with", option="--split half", kind=kind.value[0])
+    if kind is _Kind.ANNOTATED and request.split not in (None, "leave-performer-out"):
+        raise OptionError("experiments_cli.not_with", option=f"--split {request.split}", kind=kind.value[0])
     if kind is _Kind.ANNOTATED and labels.performer_from is None:
         raise OptionError("experiments_cli.takes_of_nobody")
     given = {
         "--category-from": labels.category_from != "folder",
-        "--train-share": split.train_share is not None,
-        "--repeats": split.repeats != 1,
-        "--samples": systems.samples != SAMPLES,
+        "--repeats": request.repeats != 1,
         "--figure": figure is not None,
-        "--split": split.split is not None,
-        "--test": bool(split.test),
-        "--system": bool(systems.system),
+        "--split": request.split is not None,
+        "--split SHARE": request.train_share is not None,
+        "--test": bool(request.test),
+        "--system": bool(request.system),
     }
     name, ignored = kind.value
     for option in ignored:
@@ -177,8 +158,6 @@ def _check_options(
             raise OptionError("experiments_cli.not_with", option=option, kind=name)
     if figure:
         require("matplotlib", "pictures")
-    if split.train_share is not None and (split.test or split.split == "leave-performer-out"):
-        raise OptionError("experiments_cli.train_share")
 
 
 def _choose_systems(asked: list[SystemName] | None, kind: _Kind) -> list[str]:
@@ -199,12 +178,11 @@ def _run_trial(
     kind: _Kind,
     clips: list[LabelledClip],
     tested: list[LabelledClip] | None,
-    split: SplitOptions,
+    request: ExperimentRequest,
     systems: list[str],
-    samples: int,
     shared: dict[str, Any],
 ) -> Result:
-    """Tell categories apart, put clips in order, label takes, or detect what is unknown.
+    """Classify clips, rank them, label takes, or detect what is unknown.
 
     ``shared`` are the arguments that all kinds of experiments have.
     """
@@ -213,23 +191,24 @@ def _run_trial(
     if kind is _Kind.TAKES:
         return experiments.run_takes_experiment(clips, **shared)
     if kind is _Kind.UNKNOWN:
-        return experiments.run_novelty_experiment(clips, repeats=split.repeats, **shared)
-    parts = None if tested else split.split or "half"
+        return experiments.run_novelty_experiment(clips, repeats=request.repeats, **shared)
+    share = request.train_share
+    parts = None if tested else "half" if share is not None else request.split or "half"
     if kind is _Kind.RANKING:
         return experiments.run_ranking_experiment(clips, test_clips=tested, split=parts, systems=systems, **shared)
     return experiments.run_experiment(
         clips,
         test_clips=tested,
         split=parts,
-        train_share=split.train_share or 0.5,
-        repeats=split.repeats,
+        train_share=0.5 if share is None else share,
+        repeats=request.repeats,
         systems=systems,
-        samples_per_frame=samples,
         **shared,
     )
 
 
 def experiment_estimation(
+    context: typer.Context,
     path: Annotated[
         list[Path],
         typer.Argument(
@@ -240,8 +219,7 @@ def experiment_estimation(
     *,
     trial_options: TrialOptions,
     paper_options: PaperOptions,
-    jobs: o.Jobs = None,
-    json: o.Json = False,
+    json: Json = False,
 ) -> None:
     """Measure the accuracy of estimated poses, with static-pose and constant-velocity baselines.
 
@@ -261,7 +239,7 @@ def experiment_estimation(
     with progress_bar() as progress:
         if paper_options.paper:
             _check_paper(path, trial_options)
-            result = _run_paper(path[0], counts, trial_options, paper_options.frames, jobs, progress)
+            result = _run_paper(path[0], counts, trial_options, paper_options.frames, context.obj, progress)
         else:
             from dousa.experiments import run_bench
 
@@ -273,7 +251,7 @@ def experiment_estimation(
                 settings=_choose_settings(trial_options),
                 start=trial_options.start,
                 body=trial_options.body,
-                n_jobs=jobs or -1,
+                n_jobs=context.obj or -1,
                 progress=progress,
             )
             problems = bench.problems
@@ -345,16 +323,11 @@ def _run_paper(
 
 
 def demo(
-    data: Annotated[
-        Path | None, typer.Option("--data", help="Do it with the motion files of this folder instead.")
-    ] = None,
+    context: typer.Context,
     output: Annotated[
-        Path, typer.Option("--output", "-o", help="Folder for the motions, the library and the picture.")
+        Path, typer.Option("--output", "-o", help="Folder for the motions, the library and the pictures.")
     ] = Path("demo-output"),
-    *,
-    label_options: o.LabelOptions,
     seed: Annotated[int, typer.Option("--seed", min=0, help="Other performers and motions.")] = 0,
-    jobs: o.Jobs = None,
     studio: Annotated[
         bool,
         typer.Option(
@@ -362,40 +335,28 @@ def demo(
             help="Then open the studio on the demo library; at once if the folder has one already.",
         ),
     ] = False,
-    no_browser: Annotated[bool, typer.Option("--no-browser", help="With --studio: only print the address.")] = False,
 ) -> None:
-    """Show the main jobs with nothing but the package: make a library of motions, train it, search it and look
-    into an uncut take; make a dance and a pupil who gets parts of it wrong, and tell them; see a performer with four
-    cameras, estimate the motion from the silhouettes, and find and judge it (the last two not with --data).
+    """Show the main jobs with nothing but the package.
+
+    Make a library of motions, train it, search it and look into an uncut take; make a dance and a pupil who gets parts
+    of it wrong, and find them; see a performer with four cameras, estimate the motion from the silhouettes, and find
+    and judge it.
 
     Example: dousa demo --output demo-output
 
     Example: dousa demo --studio
     """
-    from dousa.app.cli.studio import LIBRARY, open_demo_studio
-    from dousa.app.demo.demo import run_demo
+    from dousa.app.cli.studio import open_demo_studio
+    from dousa.app.demo.demo import LIBRARY, run_demo
     from dousa.app.demo.estimation import run_estimation_demo
     from dousa.app.demo.evaluation import run_dance_demo
 
-    for package, extra in (
-        ("matplotlib", "pictures"),
-        ("cv2", "film"),
-        *([("uvicorn", "studio")] if studio else []),
-    ):
+    extras = {"matplotlib": "pictures", "cv2": "film", **({"uvicorn": "studio"} if studio else {})}
+    for package, extra in extras.items():
         require(package, extra)
-    if studio and (output / LIBRARY).is_file():
-        open_demo_studio(console(), output, opens_browser=not no_browser)
-        return
-    run_demo(
-        console(),
-        data,
-        output,
-        seed=seed,
-        n_jobs=jobs,
-        **o.list_values(label_options),
-    )
-    if data is None:
+    if not (studio and (output / LIBRARY).is_file()):
+        run_demo(console(), output, seed=seed, n_jobs=context.obj)
         run_dance_demo(console(), output, seed=seed)
         run_estimation_demo(console(), output, seed=seed)
     if studio:
-        open_demo_studio(console(), output, opens_browser=not no_browser)
+        open_demo_studio(console(), output)

@@ -1,22 +1,29 @@
-"""Commands for single files: info, convert, plot."""
+"""Commands for single files: info, convert, plot; plot also draws the map of a library."""
 
 from __future__ import annotations
 
+import csv
+import io
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from dousa.app import tables
-from dousa.app.cli.options import shared as o
-from dousa.app.output import console, fail, print_json, say, warn
-from dousa.app.targets import ANYTHING, check_targets, is_same_file
+from dousa.app.cli.library import open_to_read
+from dousa.app.cli.usage import Json
+from dousa.app.output import console, fail, print_json, progress_bar, say, warn
+from dousa.app.requests.library import Character
+from dousa.app.requests.reading import Reading, UnitReading
+from dousa.app.targets import ANYTHING, CLIP_MAP, DATABASE_HEAD, check_targets, is_same_file
 from dousa.errors import DousaError, OptionError
+from dousa.files.disk import atomic_write
 from dousa.messages import Message
 
 if TYPE_CHECKING:
     from dousa.app.pictures.stick_figures import Drawable
     from dousa.formats.motion_files import ReadOptions
+    from dousa.library import ClipInfo, ClipMap
     from dousa.motion import Motion, Trajectories
     from dousa.motion.canonical.recipes import JointMap
 
@@ -38,14 +45,14 @@ def register(app: typer.Typer) -> None:
 def info(
     files: Annotated[list[Path], typer.Argument(metavar="FILE...", help=f"Motion files: {READ_SUFFIXES}.")],
     *,
-    motion_options: o.MotionOptions,
-    json: o.Json = False,
+    reading: UnitReading,
+    json: Json = False,
 ) -> None:
     """Show what is in a motion file: length, rate, unit, up axis, joints and how they were identified.
 
     Example: dousa info walk.bvh take01.amc
     """
-    options = motion_options.load()
+    options = reading.load()
     answers, failed = [], 0
     for path in files:
         try:
@@ -112,8 +119,8 @@ def _describe(path: Path, options: ReadOptions) -> dict[str, Any]:
     return answer
 
 
-def _shows_anybody(motion: Motion | Trajectories) -> bool:
-    """Whether any frame says where anything is: no joint of a skeleton is anywhere without its root."""
+def _has_positions(motion: Motion | Trajectories) -> bool:
+    """Whether any frame has positions: without its root no joint of a skeleton has any."""
     import numpy as np
 
     from dousa.motion import Motion
@@ -131,40 +138,40 @@ def convert(
         bool, typer.Option("--overwrite", help="Allow OUT to be IN, or another file that is there.")
     ] = False,
     *,
-    character_options: o.CharacterOptions,
-    motion_options: o.MotionOptions,
-    json: o.Json = False,
+    character: Character,
+    reading: UnitReading,
+    json: Json = False,
 ) -> None:
     """Convert a motion file to another format; nothing the target can hold is lost.
 
-    Positions alone (C3D, TRC) become BVH by fitting a skeleton of rigid bones; the mean error is said. With --onto the
-    motion is put onto the skeleton of a character: limb directions are kept, feet stay where they stand.
+    Positions alone (C3D, TRC) become BVH by fitting a skeleton of rigid bones; the mean error is printed. With --onto
+    the motion is put onto the skeleton of a character: limb directions are kept, feet stay where they stand.
 
     Example: dousa convert take.amc take.bvh --frame-rate 30
     """
     from dousa.formats.registry import write_motion
     from dousa.motion import Motion, resample
 
-    options = motion_options.load()
-    onto, frame_rate = character_options.onto, character_options.frame_rate
-    if character_options.keep_reach and onto is None:
+    options = reading.load()
+    onto, frame_rate = character.onto, character.frame_rate
+    if character.keep_reach and onto is None:
         raise OptionError("export.reach_of_nobody")
     if is_same_file(target, source):
         if not overwrite:
             raise OptionError("files_cli.same_file", path=target)
     else:
-        check_targets({"OUT": target}, (onto, *motion_options.files), ANYTHING if overwrite else None)
+        check_targets({"OUT": target}, (onto, *reading.files), ANYTHING if overwrite else None)
     motion = _read(source, options)
     for note in motion.provenance.notes if motion.provenance else ():
         warn(note)
-    if not _shows_anybody(motion):
+    if not _has_positions(motion):
         warn(Message("canonical.never_seen"))
     if frame_rate is not None:
         motion = resample(motion, frame_rate)  # type: ignore[type-var]  # either, not both
     fit_error = None
     answer: dict[str, Any] = {}
     if onto is not None:
-        motion, answer = _put_onto(motion, onto, target, options, character_options.keep_reach)
+        motion, answer = _put_onto(motion, onto, target, options, character.keep_reach)
     if target.suffix.lower() == ".bvh" and not isinstance(motion, Motion):
         motion, fit_error = _fit(motion, options.joint_map)
         warn(Message("files_cli.fitted", path=source, error=1000 * fit_error))
@@ -196,9 +203,9 @@ def _put_onto(
     from dousa.motion import retarget
 
     made = retarget(motion, read_character(onto), joint_map=options.joint_map, keep_reach=keep_reach)
-    said = motion.provenance.notes if motion.provenance else ()
+    known = motion.provenance.notes if motion.provenance else ()
     for warning in made.warnings:
-        if warning not in said:
+        if warning not in known:
             warn(warning)
     fit = {"onto": str(onto), "skating_m": made.skating, "direction_error_deg": math.degrees(made.direction_error)}
     warn(
@@ -216,7 +223,7 @@ def _put_onto(
 def _put_onto_smpl(
     motion: Motion | Trajectories, target: Path, options: ReadOptions, answer: dict[str, Any]
 ) -> tuple[Motion | Trajectories, dict[str, Any]]:
-    """The motion on the mean body of SMPL where it is another's, and what that cost is said."""
+    """The motion on the mean body of SMPL, and the error where it was on another."""
     import math
 
     from dousa.formats.smpl.writing import is_smpl, put_onto_smpl
@@ -242,24 +249,58 @@ def _fit(positions: Trajectories, joint_map: JointMap | None) -> tuple[Motion, f
     return fitted, float(np.linalg.norm(reached - canonical.positions, axis=-1).mean())
 
 
+_TABLES, _PICTURES = (".csv",), (".png", ".svg", ".pdf")
+
+
 def plot(
-    file: Annotated[Path, typer.Argument(metavar="FILE", help="Motion file.")],
-    output: Annotated[Path, typer.Option("--output", "-o", help="Picture to write: .png, .svg or .pdf.")],
+    file: Annotated[str, typer.Argument(metavar="FILE|LIB", help="Motion file, or a library.")],
+    output: Annotated[
+        Path | None,
+        typer.Option("--output", "-o", help="Picture to write: .png, .svg or .pdf; of a library also .csv."),
+    ] = None,
     poses: Annotated[int, typer.Option("--poses", min=1, max=60, help="How many poses to draw.")] = 10,
     *,
-    motion_options: o.MotionOptions,
-    json: o.Json = False,
+    reading: Reading,
+    json: Json = False,
 ) -> None:
-    """Draw a contact sheet: the poses of a motion from the front and from the side.
+    """Draw a contact sheet of a motion, or a map of all clips of a library.
+
+    The sheet shows the poses from the front and from the side. On the map clips lie together whose poses are similar,
+    whatever they are called; only small distances mean something. In the studio: Library, Map, to choose clips with a
+    lasso.
 
     Example: dousa plot walk.bvh -o walk.png
+
+    Example: dousa plot moves.dousa -o map.png
     """
+    if _is_library(file):
+        if reading.read or poses != 10:
+            raise OptionError("library_map.options")
+        _plot_library(file, output, json=json)
+    else:
+        if output is None:
+            raise OptionError("usage.missing", name="--output")
+        _plot_motion(Path(file), output, poses, reading, json=json)
+
+
+def _is_library(file: str) -> bool:
+    """Whether a name is that of a library: a database URL, a file that is one, or a file of this suffix."""
+    if "://" in file or file.lower().endswith(".dousa"):
+        return True
+    try:
+        with open(file, "rb") as opened:
+            return opened.read(len(DATABASE_HEAD)) == DATABASE_HEAD
+    except (OSError, ValueError):
+        return False  # the reader of motions says why
+
+
+def _plot_motion(file: Path, output: Path, poses: int, reading: Reading, *, json: bool) -> None:
     from dousa.app.pictures.sheets import draw_contact_sheet
     from dousa.errors import JointMappingError
     from dousa.motion import canonicalise
 
-    check_targets({"--output": output}, (file, *motion_options.files))
-    options = motion_options.load()
+    check_targets({"--output": output}, (file, *reading.files))
+    options = reading.load()
     motion = _read(file, options)
     for note in motion.provenance.notes if motion.provenance else ():
         warn(Message("text.in_file", path=file, problem=note))
@@ -273,3 +314,47 @@ def plot(
         print_json({"path": str(file), "picture": str(output), "poses": min(poses, motion.n_frames)})
     else:
         say(f"{output}: {file.name}")
+
+
+def _plot_library(library: str, output: Path | None, *, json: bool) -> None:
+    if output is None and not json:
+        raise OptionError("library_map.no_output")
+    if output is not None and output.suffix.lower() not in (*_TABLES, *_PICTURES):
+        raise OptionError("library_map.suffix", path=output, found=output.suffix)
+    check_targets({"--output": output}, (library,), CLIP_MAP)
+    with open_to_read(library) as opened:
+        with progress_bar() as progress:
+            found = opened.map(progress=progress)
+        if not len(found.clip_ids):
+            raise OptionError("library_map.none", library=library)
+        by_number = {clip.id: clip for clip in opened.clips(found.clip_ids.tolist())}
+    clips = [by_number[number] for number in found.clip_ids.tolist()]
+    rows = [_describe_place(clip, *point) for clip, point in zip(clips, found.points.tolist(), strict=True)]
+    if output is not None:
+        _write_map(output, found, rows, clips)
+    if json:
+        print_json({"clips": rows, "n_laid_out": found.n_laid_out, "left_out": list(found.left_out)})
+        return
+    say(Message("library_map.line", output=output, n=len(rows)))
+    if found.left_out:
+        say(Message("library_map.left_out", n=len(found.left_out)))
+
+
+def _describe_place(clip: ClipInfo, x: float, y: float) -> dict[str, Any]:
+    """A clip on the map, as plain values."""
+    labels = {"category": clip.category, "performer": clip.performer}
+    return {"clip_id": clip.id, "path": clip.path, **labels, "x": round(x, 4), "y": round(y, 4)}
+
+
+def _write_map(output: Path, found: ClipMap, rows: list[dict[str, Any]], clips: list[ClipInfo]) -> None:
+    if output.suffix.lower() in _PICTURES:
+        from dousa.app.pictures.clip_map import draw_clip_map
+
+        draw_clip_map(found, [clip.category for clip in clips], output)
+        return
+    text = io.StringIO(newline="")
+    writer = csv.DictWriter(text, list(rows[0]))
+    writer.writeheader()
+    writer.writerows(rows)
+    with atomic_write(output) as file:
+        file.write(text.getvalue().encode("utf-8", "surrogateescape"))

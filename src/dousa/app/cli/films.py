@@ -1,29 +1,24 @@
-"""Commands that prepare films of one scene: their times and their cameras."""
+"""Commands that prepare films: their times, their cameras and their keypoints."""
 
 from __future__ import annotations
 
 import math
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from dousa.app.cli.options import shared as o
+from dousa.app.cli.usage import Json
 from dousa.app.output import print_json, progress_bar, say, warn
+from dousa.app.requests.estimation import CalibrationRequest, Films, KeypointRequest
 from dousa.app.targets import CAMERAS, SYNC, check_targets
+from dousa.errors import OptionError
 from dousa.messages import Message
 
 if TYPE_CHECKING:
     from dousa.estimation import Calibration, Synchronisation
 
-Films = Annotated[
-    list[Path],
-    typer.Argument(metavar="FILM...", help="A film for each camera, or a file of its keypoints (.npz, .json)."),
-]
-Model = Annotated[
-    Literal["lite", "full", "heavy"] | None,
-    typer.Option("--model", help="Network for keypoints. Default: the most precise that is installed."),
-]
+_PICTURES = (".png", ".svg", ".pdf")
 _BASIS = {
     "reference": "sync.basis_reference",
     "movement": "sync.basis_movement",
@@ -34,8 +29,8 @@ _BASIS = {
 
 def register(app: typer.Typer) -> None:
     """Register this module's commands with the application."""
-    app.command(rich_help_panel="Estimation")(sync)
-    app.command(rich_help_panel="Estimation")(calibrate)
+    for command in (sync, calibrate, keypoints):
+        app.command(rich_help_panel="Estimation")(command)
 
 
 def sync(
@@ -47,11 +42,9 @@ def sync(
         Path | None,
         typer.Option("--cameras", metavar="FILE", help="Calibration, if there is one: more exact."),
     ] = None,
-    sound: Annotated[bool, typer.Option("--sound/--no-sound", help="Listen to the sound of the films too.")] = True,
-    model: Model = None,
-    json: o.Json = False,
+    json: Json = False,
 ) -> None:
-    """The time offsets of films of one scene, to a fraction of a frame.
+    """Find the time offsets of films of one scene, to a fraction of a frame.
 
     By the movement of a person whom all cameras see, and by sound where the
     films have it. A film's own time plus its offset is the time of the first
@@ -63,7 +56,7 @@ def sync(
 
     check_targets({"--output": output}, (*films, cameras), SYNC)
     with progress_bar() as progress:
-        names, found = sync_films(films, cameras, sound, model, progress)
+        names, found = sync_films(films, cameras, progress)
     for note in found.warnings:
         warn(note)
     if output is not None:
@@ -87,42 +80,19 @@ def sync(
 def calibrate(
     films: Films,
     output: Annotated[
-        Path | None, typer.Option("--output", "-o", metavar="OUT", help="Cameras to write (.toml), for --cameras.")
-    ] = None,
-    stature: Annotated[
-        float | None, typer.Option("--stature", metavar="M", help="Stature of the person in metres.")
-    ] = None,
-    board: Annotated[
-        str | None,
+        list[Path] | None,
         typer.Option(
-            "--board",
-            metavar="BOARD",
-            help="Instead of a person: chessboard:9x6:25mm (inner corners, square) or charuco:5x7:40mm:30mm "
-            "(squares, square, marker; DICT_4X4_50 or :DICTIONARY).",
+            "--output",
+            "-o",
+            metavar="OUT",
+            help="Cameras to write (.toml), for --cameras; and a picture (.png, .svg, .pdf) of where they stand.",
         ),
     ] = None,
-    cameras: Annotated[
-        Path | None,
-        typer.Option("--cameras", metavar="FILE", help="Calibration whose focal lengths and distortion are right."),
-    ] = None,
-    focal: Annotated[
-        float | None,
-        typer.Option(
-            "--focal-length", "--focal", metavar="PX", help="Focal length of all cameras in pixels. Default: found."
-        ),
-    ] = None,
-    offsets: Annotated[
-        Path | None, typer.Option("--sync", metavar="FILE", help="Time offsets of dousa sync. Default: found.")
-    ] = None,
-    together: Annotated[bool, typer.Option("--together", help="The films begin at one moment.")] = False,
-    picture: Annotated[
-        Path | None,
-        typer.Option("--picture", metavar="OUT", help="Picture (.png, .svg, .pdf) of where the cameras stand."),
-    ] = None,
-    model: Model = None,
-    json: o.Json = False,
+    *,
+    given: Annotated[dict[str, Any], CalibrationRequest],
+    json: Json = False,
 ) -> None:
-    """Where the cameras of films stand, from a person who moves before them or from a board.
+    """Find where the cameras of films stand, from a person who moves before them or from a board.
 
     The cameras stand still. With a person nothing else is needed but the
     stature; up and floor come from the feet. The file is for --cameras of
@@ -132,25 +102,32 @@ def calibrate(
 
     Example: dousa calibrate a.mp4 b.mp4 --board charuco:5x7:40mm:30mm -o calib.toml
     """
-    from dousa.app.pipelines.film_cameras import CalibrationRequest, calibrate_films
+    from dousa.app.pipelines.film_cameras import calibrate_films
 
-    request = CalibrationRequest(tuple(films), stature, board, cameras, focal, offsets, together, model)
-    check_targets({"--output": output, "--picture": picture}, (*films, cameras, offsets), CAMERAS)
+    request = CalibrationRequest(tuple(films), **given)
+    pictures = [path for path in output or () if path.suffix.lower() in _PICTURES]
+    tables = [path for path in output or () if path not in pictures]
+    if len(pictures) > 1 or len(tables) > 1:
+        kind = pictures if len(pictures) > 1 else tables
+        raise OptionError("outputs.two_of_a_kind", path=kind[1], other=kind[0])
+    table, picture = next(iter(tables), None), next(iter(pictures), None)
+    for path in (table, picture):
+        check_targets({"--output": path}, (*films, request.cameras, request.offsets), CAMERAS)
     with progress_bar() as progress:
         found, times = calibrate_films(request, progress)
     notes = (*(times.warnings if times is not None else ()), *found.warnings)
     for note in notes:
         warn(note)
-    if output is not None:
+    if table is not None:
         from dousa.estimation import write_cameras
 
-        write_cameras(output, found.cameras)
+        write_cameras(table, found.cameras)
     if picture is not None:
         from dousa.app.pipelines.film_cameras import draw_cameras
 
         draw_cameras(found, picture)
     if json:
-        print_json(_describe(found, times, notes, output))
+        print_json(_describe(found, times, notes, table))
         return
     for camera, view in zip(found.cameras, found.views, strict=True):
         x, y, z = camera.position
@@ -158,7 +135,7 @@ def calibrate(
         values |= {"share": 100 * view.share, "degrees": math.degrees(view.turn)}
         say(Message("calibration.row", camera=camera.name, **values))
     say(Message("calibration.parallax", degrees=math.degrees(found.parallax)))
-    for path in (output, picture):
+    for path in (table, picture):
         if path is not None:
             say(Message("estimated.wrote", path=path))
 
@@ -186,3 +163,97 @@ def _describe(
         "warnings": [note.to_json() for note in notes],
         "output": None if output is None else str(output),
     }
+
+
+_STATES = {"installed": "models.state_installed", "missing": "models.state_missing", "damaged": "models.state_damaged"}
+
+
+def keypoints(
+    films: Annotated[
+        list[Path] | None,
+        typer.Argument(
+            metavar="[FILM...]",
+            help="Films of people, one for each view. Without any the models are listed.",
+        ),
+    ] = None,
+    *,
+    given: Annotated[dict[str, Any], KeypointRequest],
+    install: Annotated[
+        bool,
+        typer.Option(
+            "--install",
+            help="Install the models. FILM is then a package that you have (.tgz of npm, .whl of MediaPipe) or a model "
+            "(.tflite), instead of fetching.",
+        ),
+    ] = False,
+    clear_cache: Annotated[
+        bool, typer.Option("--clear-cache", help="Delete the keypoints that are kept of films.")
+    ] = False,
+    json: Json = False,
+) -> None:
+    """Find keypoints of the people in films: 33 points of each body, frame by frame, and who is who.
+
+    Needs models: --install takes them out of a published package (npm
+    @mediapipe/pose, else the pip wheel of mediapipe), checks their SHA-256 and
+    keeps them in the user's cache folder, or that of DOUSA_MODELS. Nothing is
+    fetched otherwise. The keypoints of films are kept in the user's cache, 4 GB
+    of them; an interrupted run resumes when the same command is run again.
+
+    Example: dousa keypoints --install
+
+    Example: dousa keypoints left.mp4 front.mp4 -o keypoints --sheet
+    """
+    if install or clear_cache or not films:
+        if (install and len(films or ()) > 1) or (films and not install):
+            raise OptionError("models.one_source")
+        _manage_models(films[0] if films else None, install=install, clear_cache=clear_cache, json=json)
+        return
+    from dousa.app.pipelines.keypoints import describe_found, find_in_films
+
+    request = KeypointRequest(tuple(films), **given)
+    with progress_bar() as progress:
+        done = find_in_films(request, progress)
+    for found in done:
+        for text in found.keypoints.warnings:
+            warn(text)
+    if json:
+        print_json({"model": request.model, "films": [found.to_json() for found in done]})
+        return
+    for found in done:
+        for line in describe_found(found):
+            say(line)
+
+
+def _manage_models(source: Path | None, *, install: bool, clear_cache: bool, json: bool) -> None:
+    """Install models or clear the cache where that is wanted, and list both."""
+    from dousa.estimation.keypoints import keypoint_cache, model_archives, pose_models
+
+    cache = pose_models.user_cache() / "keypoints"
+    installed: tuple[Path, ...] = ()
+    if install:
+        with progress_bar() as progress:
+            installed = model_archives.install_models((), source, progress)
+    removed = keypoint_cache.clear_kept(cache) if clear_cache else []
+    kept = keypoint_cache.list_kept(cache)
+    rows = [(model, pose_models.check_pose_model(model)) for model in pose_models.POSE_MODELS]
+    folder = pose_models.models_folder()
+    if json:
+        answer = {
+            "folder": str(folder),
+            "models": {model.name: {"file": model.file_name, "state": state} for model, state in rows},
+            "installed": [str(path) for path in installed],
+            "cache": {"folder": str(cache), "films": len(kept), "bytes": sum(film.n_bytes for film in kept)},
+            "removed": len(removed),
+        }
+        print_json(answer)
+        return
+    lines = [Message("models.folder", path=folder)]
+    for model, state in rows:
+        size = model.forms[0].n_bytes / 1e6
+        lines.append(Message("models.row", model=model.name, megabytes=size, state=Message(_STATES[state])))
+    if removed:
+        lines.append(Message("models.cleared", n=len(removed), megabytes=sum(film.n_bytes for film in removed) / 1e6))
+    lines.append(Message("models.cache", n=len(kept), megabytes=sum(film.n_bytes for film in kept) / 1e6, path=cache))
+    lines.append(Message("models.licence", npm=model_archives.NPM_PACKAGE, pip=model_archives.PIP_PACKAGE))
+    for line in lines:
+        say(line)

@@ -5,50 +5,48 @@ from __future__ import annotations
 import os
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from dousa.app import tables
-from dousa.app.cli.options import shared as o
+from dousa.app.cli.usage import Json, LibraryPath
 from dousa.app.output import console, print_json, progress_bar, say, warn
+from dousa.app.requests.library import (
+    Character,
+    ClassifyRequest,
+    LabelRules,
+    Labels,
+    SearchRequest,
+    TaggedLabels,
+    TakeLabels,
+    TrainRequest,
+)
+from dousa.app.requests.reading import Reading, UnitReading
 from dousa.app.targets import check_targets
 from dousa.errors import LibraryError, LibraryVersionError, MotionFileError, OptionError
 from dousa.extras import require
 from dousa.messages import Message
-from dousa.workers.current import use_cluster
+from dousa.workers.current import current_cluster
 
 if TYPE_CHECKING:
     from dousa.formats.motion_files import ReadOptions
     from dousa.library import Library
-    from dousa.workers import Cluster
 
-Query = Annotated[str, typer.Argument(metavar="QUERY", help="A motion file, or the number of a clip (see dousa list).")]
-Mirror = Annotated[bool, typer.Option("--mirror", help="Also search for the mirror image of the motion.")]
-Explain = Annotated[bool, typer.Option("--explain", help="Explain the answer in words, with times.")]
-
-Threshold = Annotated[
-    float | None,
-    typer.Option(
-        "--threshold",
-        min=0,
-        max=1,
-        help="Confidence below which a motion is called unknown; 0: never.",
-        show_default="0.5",
-    ),
-]
+_WAIT_S = 60.0  # for other programs that write
 
 
-def open_library(library: str, *, create: bool = False, wait: float = 5.0) -> Library:
-    """A library that can be changed."""
+def open_library(library: str, *, create: bool = False) -> Library:
+    """Open a library to change it, once other programs have written what they write."""
     from dousa.library import Library
 
-    return Library.open(library, create=create, timeout=wait)
+    return Library.open(library, create=create, timeout=_WAIT_S)
 
 
 def open_to_read(library: str) -> Library:
-    """A library that will only be asked; one that an older dousa made is brought up to date first."""
+    """Open a library to read it; one that an older dousa made is brought up to date first."""
     from dousa.library import Library
 
     try:
@@ -59,9 +57,11 @@ def open_to_read(library: str) -> Library:
 
 
 def open_to_learn(library: str) -> Library:
-    """A library that will be asked, and keeps what it learns for bodies that lack joints, if it can be written."""
+    """Open a library to read it, and to keep what it learns for bodies that lack joints if it can be written."""
+    from dousa.library import Library
+
     try:
-        return open_library(library)
+        return Library.open(library)
     except LibraryError:
         return open_to_read(library)
 
@@ -80,9 +80,10 @@ def choose_saved(library: Library, name: str) -> list[int | str]:
     return found
 
 
-RankingName = Literal["fused", "histogram", "leaves", "pose"]
-"""What clips are ordered by."""
-
+Select = Annotated[
+    str | None,
+    typer.Option("--select", metavar="NAME", help="Only clips of a saved search or selection (see dousa tag --list)."),
+]
 Clips = Annotated[
     list[str] | None,
     typer.Argument(metavar="[CLIP...]", help="Files, folders or clip numbers (see dousa list)."),
@@ -97,31 +98,18 @@ def register(app: typer.Typer) -> None:
 
 
 def add(
-    library: o.LibraryPath,
+    context: typer.Context,
+    library: LibraryPath,
     paths: Annotated[list[Path], typer.Argument(metavar="PATH...", help="Motion files, or folders of them.")],
     takes: Annotated[
         bool,
         typer.Option("--takes", help="These are uncut recordings: to search with dousa find, to label, to learn from."),
     ] = False,
-    labels: Annotated[
-        str | None,
-        typer.Option(
-            "--labels",
-            metavar="RULE",
-            help="Where takes have tables of what happens when: beside, folder:FOLDER or csv:FILE.",
-        ),
-    ] = None,
-    tier: Annotated[
-        str | None,
-        typer.Option("--tier", help="Tier of these tables.", show_default="the first that has labels"),
-    ] = None,
     *,
-    label_options: o.LabelOptions,
-    motion_options: o.MotionOptions,
-    jobs: o.Jobs = None,
-    cluster: o.Cluster = None,
-    wait: o.Wait = 60.0,
-    json: o.Json = False,
+    take_labels: TakeLabels,
+    rules: LabelRules,
+    reading: UnitReading,
+    json: Json = False,
 ) -> None:
     """Add motion files to a library, which is created if necessary. Files already in it are skipped.
 
@@ -136,26 +124,21 @@ def add(
 
     Example: dousa add moves.dousa sessions/ --takes --labels beside
     """
-    if takes and label_options.category_from != "folder":
+    if takes and rules.category_from != "folder":
         raise OptionError("library_cli.takes_without_category")
-    options = motion_options.load()
-    _check_before_making(library, paths, label_options, options)
-    if labels is not None and takes:
-        _check_labels(paths, labels, tier)
-    with (
-        _leave_no_empty(library),
-        use_cluster(cluster) as workers,
-        _open_for_workers(workers, library, paths, wait) as opened,
-        progress_bar() as progress,
-    ):
+    options = reading.load()
+    _check_before_making(library, paths, rules, options)
+    if take_labels.labels is not None and takes:
+        _check_labels(paths, take_labels.labels, take_labels.tier)
+    with _leave_no_empty(library), _open_to_add(library, paths) as opened, progress_bar() as progress:
         report = opened.add(
             paths,
             kind="take" if takes else "clip",
-            **o.list_values(label_options),
-            labels_from=labels,
-            tier=tier,
+            **asdict(rules),
+            labels_from=take_labels.labels,
+            tier=take_labels.tier,
             options=options,
-            n_jobs=jobs,
+            n_jobs=context.obj,
             progress=lambda done, total, path: progress(done, total, Message("library_cli.adding")),
         )
     if json:
@@ -167,7 +150,7 @@ def add(
         raise typer.Exit(2)
 
 
-def _check_before_making(library: str, paths: list[Path], label_options: o.LabelOptions, options: ReadOptions) -> None:
+def _check_before_making(library: str, paths: list[Path], rules: LabelRules, options: ReadOptions) -> None:
     """Find mistakes in the words of a command before it leaves an empty library behind."""
     from dousa.library import parse_label_rule
     from dousa.motion.canonical.reference_frame import parse_unit, parse_up
@@ -176,8 +159,8 @@ def _check_before_making(library: str, paths: list[Path], label_options: o.Label
         parse_unit(options.unit)
     if options.up is not None:
         parse_up(options.up)
-    parse_label_rule(label_options.category_from, "category")
-    parse_label_rule(label_options.performer_from, "performer")
+    parse_label_rule(rules.category_from, "category")
+    parse_label_rule(rules.performer_from, "performer")
     if not any(os.path.lexists(path) for path in paths):
         raise OptionError("library_cli.no_such_path", path=paths[0])
     if "://" not in library and not os.path.exists(library):
@@ -188,13 +171,14 @@ def _check_before_making(library: str, paths: list[Path], label_options: o.Label
             raise OptionError("library_cli.no_motion", path=paths[0], known=SUFFIXES)
 
 
-def _open_for_workers(workers: Cluster | None, library: str, paths: list[Path], wait: float) -> Library:
-    """The library that files go into; where workers do not see the files, none is made."""
+def _open_to_add(library: str, paths: list[Path]) -> Library:
+    """Open or make the library that files go into; where workers do not see the files, none is made."""
+    workers = current_cluster()
     if workers is not None:
         from dousa.formats.motion_files import find_motion_files
 
         workers.check_paths([file.path for file in find_motion_files(paths)[0]])
-    return open_library(library, create=True, wait=wait)
+    return open_library(library, create=True)
 
 
 @contextmanager
@@ -220,50 +204,13 @@ def _check_labels(paths: list[Path], rule: str, tier: str | None) -> None:
     find_labels(find_motion_files(paths)[0], rule, tier)
 
 
-def train(
-    library: o.LibraryPath,
-    features: Annotated[
-        o.FeatureSetName | None,
-        typer.Option(
-            "--features",
-            help="Features of the trees: the 56 pose features of the paper, or also speeds, spreads and trends.",
-            show_default="extended",
-        ),
-    ] = None,
-    trees: Annotated[int, typer.Option("--trees", min=1, help="Number of trees.")] = 100,
-    trials: Annotated[
-        int | None,
-        typer.Option(
-            "--trials",
-            min=1,
-            help="Tests drawn at a node; default: 12 of 3,080 (paper), the square root (extended).",
-        ),
-    ] = None,
-    max_entropy: Annotated[
-        float, typer.Option("--max-entropy", min=0, help="Bits; nodes at or below are leaves.")
-    ] = 0.0,
-    bootstrap: Annotated[bool, typer.Option("--bootstrap", help="Each tree draws its clips with replacement.")] = False,
-    seed: Annotated[int, typer.Option("--seed", min=0, help="The same seed gives the same forest.")] = 0,
-    jobs: o.Jobs = None,
-    cluster: o.Cluster = None,
-    wait: o.Wait = 60.0,
-    json: o.Json = False,
-) -> None:
+def train(context: typer.Context, library: LibraryPath, *, request: TrainRequest, json: Json = False) -> None:
     """Train a forest on the categories of a library; clips get their histograms, takes their features.
 
     Example: dousa train moves.dousa
     """
-    with use_cluster(cluster), open_library(library, wait=wait) as opened, progress_bar() as progress:
-        report = opened.train(
-            feature_set=features.value if features else None,
-            n_trees=trees,
-            n_trials=trials,
-            max_entropy=max_entropy,
-            bootstrap=bootstrap,
-            random_state=seed,
-            n_jobs=jobs or -1,
-            progress=progress,
-        )
+    with open_library(library) as opened, progress_bar() as progress:
+        report = opened.train(**asdict(request), n_jobs=context.obj or -1, progress=progress)
     if json:
         print_json(report.to_json())
         return
@@ -288,7 +235,7 @@ def train(
 
 
 def search(
-    library: o.LibraryPath,
+    library: LibraryPath,
     query: Annotated[
         str | None,
         typer.Argument(metavar="[QUERY]", help="A motion file, or the number of a clip (see dousa list)."),
@@ -297,25 +244,14 @@ def search(
         str | None,
         typer.Option("--text", "-t", help="Words, English or Japanese: what is done, or with QUERY only such clips."),
     ] = None,
-    k: Annotated[int, typer.Option("-k", "--limit", min=1, help="How many results.")] = 10,
-    category: Annotated[str | None, typer.Option("--category", help="Only clips of this category.")] = None,
-    performer: Annotated[str | None, typer.Option("--performer", help="Only clips of this performer.")] = None,
-    rank: Annotated[
-        RankingName,
-        typer.Option("--rank", help="Rank by votes, leaves, poses, or all three."),
-    ] = "fused",
-    mirror: Mirror = False,
-    explain: Explain = False,
-    threshold: Threshold = None,
-    same_category: Annotated[
-        bool, typer.Option("--same-category", help="Only clips of the category predicted for the query.")
-    ] = False,
     picture: Annotated[
         Path | None, typer.Option("--picture", help="Draw query and results: .png, .svg or .pdf.")
     ] = None,
     *,
-    motion_options: o.MotionOptions,
-    json: o.Json = False,
+    request: SearchRequest,
+    where: Labels,
+    reading: Reading,
+    json: Json = False,
 ) -> None:
     """Find the clips most similar to a motion, and classify it; or with --text those that words describe.
 
@@ -326,30 +262,19 @@ def search(
     Example: dousa search moves.dousa kick.bvh -k 5
     """
     if query is None:
-        if any((mirror, explain, same_category, picture, threshold is not None, rank != "fused")):
+        if picture or request != SearchRequest(k=request.k):
             raise OptionError("text_search.needs_query")
-        _search_text(library, text, k, category, performer, json)
+        _search_text(library, text, request.k, where, json)
         return
     if picture:
         require("matplotlib", "pictures")
-    check_targets({"--picture": picture}, (query, library, *motion_options.files))
+    check_targets({"--picture": picture}, (query, library, *reading.files))
     with open_to_learn(library) as opened:
         wanted = clip_or_path(query)
-        options = motion_options.load()
-        among = _choose_among(opened, text, category, performer)
+        options = reading.load()
+        among = _choose_among(opened, text, where)
         with progress_bar() as progress:
-            result = opened.search(
-                wanted,
-                k,
-                ranking=rank,
-                same_category=same_category,
-                mirror=mirror,
-                explain=explain,
-                threshold=threshold,
-                among=among,
-                options=options,
-                progress=progress,
-            )
+            result = opened.search(wanted, **asdict(request), among=among, options=options, progress=progress)
         if picture:
             from dousa.app.pictures.sheets import draw_search_result
 
@@ -360,57 +285,45 @@ def search(
         tables.print_search(console(), result)
 
 
-def _search_text(
-    library: str, text: str | None, k: int, category: str | None, performer: str | None, json: bool
-) -> None:
+def _search_text(library: str, text: str | None, k: int, where: Labels, json: bool) -> None:
     if text is None:
         raise OptionError("text_search.nothing_asked")
     with open_to_read(library) as opened:
-        answer = opened.search_text(text, k, category=category, performer=performer)
+        answer = opened.search_text(text, k, **asdict(where))
     if json:
         print_json(answer.to_json())
     else:
         tables.print_text_search(console(), answer)
 
 
-def _choose_among(library: Library, text: str | None, category: str | None, performer: str | None) -> list[int] | None:
+def _choose_among(library: Library, text: str | None, where: Labels) -> list[int] | None:
     """The clips that filters leave for a search with a motion; None for all."""
     if text is not None:
-        found = library.search_text(text, None, category=category, performer=performer, kind="clip")
+        found = library.search_text(text, None, **asdict(where), kind="clip")
         if found.n_searched and not found.results:
             warn(Message("text_search.nothing", text=text, all=found.n_searched))
         return [hit.clip_id for hit in found.results]
-    if category is None and performer is None:
+    if where == Labels():
         return None
-    return [clip.id for clip in library.clips(category=category, performer=performer)]
+    return [clip.id for clip in library.clips(**asdict(where))]
 
 
 def classify(
-    library: o.LibraryPath,
+    context: typer.Context,
+    library: LibraryPath,
     files: Annotated[list[Path], typer.Argument(metavar="FILE...", help="Motion files, or folders of them.")],
-    mirror: Mirror = False,
-    explain: Explain = False,
-    threshold: Threshold = None,
     *,
-    motion_options: o.MotionOptions,
-    jobs: o.Jobs = None,
-    json: o.Json = False,
+    request: ClassifyRequest,
+    reading: Reading,
+    json: Json = False,
 ) -> None:
     """Classify each file, or call it unknown, without adding it.
 
     Example: dousa classify moves.dousa new/*.bvh
     """
     with open_to_learn(library) as opened, progress_bar() as progress:
-        options = motion_options.load()
-        answers = opened.classify(
-            files,
-            mirror=mirror,
-            explain=explain,
-            threshold=threshold,
-            options=options,
-            n_jobs=jobs,
-            progress=progress,
-        )
+        options = reading.load()
+        answers = opened.classify(files, **asdict(request), options=options, n_jobs=context.obj, progress=progress)
     if json:
         print_json([answer.to_json() for answer in answers])
     else:
@@ -423,23 +336,21 @@ def classify(
 
 
 def list_clips(
-    library: o.LibraryPath,
-    category: Annotated[str | None, typer.Option("--category", help="Only clips of this category.")] = None,
-    performer: Annotated[str | None, typer.Option("--performer", help="Only clips of this performer.")] = None,
-    tag: Annotated[str | None, typer.Option("--tag", help="Only clips with this tag.")] = None,
-    select: o.Select = None,
+    library: LibraryPath,
+    *,
+    where: TaggedLabels,
+    select: Select = None,
     clips: Annotated[bool, typer.Option("--clips", help="List every clip and take, not only the categories.")] = False,
     save: Annotated[
         str | None, typer.Option("--save", metavar="NAME", help="Keep this search under a name, for --select.")
     ] = None,
-    json: o.Json = False,
+    json: Json = False,
 ) -> None:
     """List what is in a library: its categories, or with --clips (or a category, performer or tag) every clip and take.
 
     Example: dousa list moves.dousa --category walk
     """
-    asked = {"category": category, "performer": performer, "tag": tag}
-    asked = {name: label for name, label in asked.items() if label is not None}
+    asked = {name: label for name, label in asdict(where).items() if label is not None}
     if save is not None:
         if select is not None or not asked:
             raise OptionError("library_searches.nothing_to_save")
@@ -449,7 +360,7 @@ def list_clips(
         stats = opened.stats()
         saved = None if select is None else choose_saved(opened, select)
         wanted = bool(asked) or clips or json or saved is not None
-        rows = opened.clips(saved, category=category, performer=performer, tag=tag) if wanted else []
+        rows = opened.clips(saved, **asdict(where)) if wanted else []
     if json:
         print_json({**stats.to_json(), "clips": [clip.to_json() for clip in rows]})
     elif rows:
@@ -459,16 +370,14 @@ def list_clips(
 
 
 def export(
-    library: o.LibraryPath,
+    library: LibraryPath,
     clips: Clips = None,
     *,
     output: Annotated[
         Path, typer.Option("--output", "-o", metavar="OUT", help="Folder for the files, or a ZIP file (.zip).")
     ],
-    category: Annotated[str | None, typer.Option("--category", help="Only clips of this category.")] = None,
-    performer: Annotated[str | None, typer.Option("--performer", help="Only clips of this performer.")] = None,
-    tag: Annotated[str | None, typer.Option("--tag", help="Only clips with this tag.")] = None,
-    select: o.Select = None,
+    where: TaggedLabels,
+    select: Select = None,
     to: Annotated[
         str,
         typer.Option(
@@ -477,9 +386,9 @@ def export(
             help="Format of the files: the suffix of any that is written, such as glb, bvh or c3d; amass; or original.",
         ),
     ] = "original",
-    character_options: o.CharacterOptions,
-    motion_options: o.MotionOptions,
-    json: o.Json = False,
+    character: Character,
+    reading: Reading,
+    json: Json = False,
 ) -> None:
     """Export clips as files, a folder per category, with a manifest.csv of their labels.
 
@@ -488,17 +397,15 @@ def export(
 
     Example: dousa export moves.dousa --category walk --to glb -o walks/
     """
-    options = motion_options.load()
+    options = reading.load()
     with open_to_read(library) as opened, progress_bar() as progress:
         chosen = _selection(clips) + (choose_saved(opened, select) if select is not None else [])
         report = opened.export(
             output,
             chosen or None,
-            category=category,
-            performer=performer,
-            tag=tag,
+            **asdict(where),
             to=to,
-            **o.list_values(character_options),
+            **asdict(character),
             options=options,
             progress=lambda done, total, path: progress(done, total, Message("export.exporting")),
         )
@@ -518,23 +425,21 @@ def _selection(clips: list[str] | None) -> list[int | str]:
 
 
 def remove(
-    library: o.LibraryPath,
+    library: LibraryPath,
     clips: Clips = None,
-    category: Annotated[str | None, typer.Option("--category", help="Only clips of this category.")] = None,
-    performer: Annotated[str | None, typer.Option("--performer", help="Only clips of this performer.")] = None,
-    tag: Annotated[str | None, typer.Option("--tag", help="Only clips with this tag.")] = None,
+    *,
+    where: TaggedLabels,
     for_good: Annotated[
         bool, typer.Option("--for-good", help="Keep nothing for dousa undo, such as on a full disk.")
     ] = False,
-    wait: o.Wait = 60.0,
-    json: o.Json = False,
+    json: Json = False,
 ) -> None:
     """Remove clips or takes from a library; the files themselves are not touched, and dousa undo brings them back.
 
     Example: dousa remove moves.dousa recordings/broken.bvh
     """
-    with open_library(library, wait=wait) as opened:
-        removed = opened.remove(_selection(clips), category=category, performer=performer, tag=tag, for_good=for_good)
+    with open_library(library) as opened:
+        removed = opened.remove(_selection(clips), **asdict(where), for_good=for_good)
     if json:
         print_json({"removed": removed})
     else:
@@ -542,7 +447,7 @@ def remove(
 
 
 def relabel(
-    library: o.LibraryPath,
+    library: LibraryPath,
     clips: Clips = None,
     category: Annotated[str | None, typer.Option("--category", help="The new category; '' for none.")] = None,
     performer: Annotated[str | None, typer.Option("--performer", help="The new performer; '' for none.")] = None,
@@ -550,8 +455,7 @@ def relabel(
     where_performer: Annotated[
         str | None, typer.Option("--where-performer", help="Only clips of this performer.")
     ] = None,
-    wait: o.Wait = 60.0,
-    json: o.Json = False,
+    json: Json = False,
 ) -> None:
     """Change the category or performer of clips or takes; run dousa train to retrain the forest.
 
@@ -561,7 +465,7 @@ def relabel(
 
     if category is None and performer is None:
         raise OptionError("library_cli.nothing_to_change")
-    with open_library(library, wait=wait) as opened:
+    with open_library(library) as opened:
         changed = opened.relabel(
             _selection(clips),
             category=UNCHANGED if category is None else category or None,

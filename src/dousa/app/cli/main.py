@@ -14,17 +14,7 @@ from typing import Annotated, Any
 import typer
 
 import dousa
-from dousa.app.cli import estimation as cli_estimation
-from dousa.app.cli import evaluation as cli_evaluation
-from dousa.app.cli import experiments as cli_trials
-from dousa.app.cli import files as cli_files
-from dousa.app.cli import films as cli_films
-from dousa.app.cli import journal as cli_journal
-from dousa.app.cli import keypoints as cli_keypoints
-from dousa.app.cli import library as cli_library
-from dousa.app.cli import studio as cli_studio
-from dousa.app.cli import takes as cli_takes
-from dousa.app.cli import upkeep as cli_upkeep
+from dousa.app.cli import estimation, evaluation, experiments, files, films, library, studio, takes, upkeep
 from dousa.app.cli.usage import (
     Command,
     Group,
@@ -37,12 +27,13 @@ from dousa.app.cli.usage import (
 from dousa.app.output import fail, survive_narrow_encodings
 from dousa.errors import DousaError, OptionError
 from dousa.messages import Message
+from dousa.workers.current import use_cluster
 
 FAILED, INTERRUPTED = 2, 130
 
 
 class _Application(typer.Typer):
-    """Every command may have groups of options and has ``--lang``, and its mistakes are described by us."""
+    """Commands may take request classes, and their usage errors are messages."""
 
     def command(self, name: str | None = None, **settings: Any) -> Callable[..., Any]:
         add = super().command(name, cls=Command, **settings)
@@ -60,11 +51,14 @@ app = _Application(
     context_settings={"help_option_names": ["-h", "--help"]},
 )
 
-for group in (
-    cli_files, cli_library, cli_journal, cli_upkeep, cli_takes, cli_estimation, cli_films, cli_keypoints,
-    cli_evaluation, cli_studio, cli_trials,
-):  # fmt: skip
-    group.register(app)
+for module in (files, library, upkeep, takes, estimation, films, evaluation, studio, experiments):
+    module.register(app)
+
+
+def _check_jobs(jobs: int | None) -> int | None:
+    if jobs == 0:
+        raise OptionError("usage.jobs")
+    return jobs
 
 
 def _print_version(wanted: bool) -> None:
@@ -81,9 +75,24 @@ def _root(
         typer.Option("--version", callback=_print_version, is_eager=True, help="Print the version and stop."),
     ] = False,
     lang: Language = None,
+    jobs: Annotated[
+        int | None,
+        typer.Option("--jobs", "-j", min=-1, callback=_check_jobs, help="Workers; default: all cores."),
+    ] = None,
+    cluster: Annotated[
+        str | None,
+        typer.Option(
+            "--cluster",
+            metavar="ADDRESS",
+            help="Let the workers of a Dask scheduler, such as tcp://HOST:8786, read, describe and grow trees: add, "
+            "train, experiment.",
+        ),
+    ] = None,
 ) -> None:
     if context.invoked_subcommand is None:
         raise OptionError("usage.missing_command")
+    context.obj = jobs
+    context.with_resource(use_cluster(cluster))
 
 
 def main() -> None:

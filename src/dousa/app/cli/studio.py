@@ -30,10 +30,6 @@ def studio(
         Path | None,
         typer.Option("--home", metavar="DIR", help="Folder for uploads and results. Default: NAME.studio next to LIB."),
     ] = None,
-    max_upload: Annotated[
-        int,
-        typer.Option("--max-upload", min=1, max=100_000, metavar="MB", help="Maximum size of an uploaded file."),
-    ] = 500,
     watch: Annotated[
         Path | None,
         typer.Option("--watch", metavar="DIR", help="Add what appears in this folder, while the studio runs."),
@@ -69,20 +65,18 @@ def studio(
     from dousa.app.studio import Settings, find_share_address, serve
 
     shared = find_share_address(share_on) if share or share_on is not None else None
-    settings = Settings(library, port=port, home=home, most_bytes=max_upload * 1_000_000)
+    settings = Settings(library, port=port, home=home)
     serve(settings, opens_browser=not no_browser, watched=watch, shared=shared)
 
 
-LIBRARY = "demo.dousa"
-
-
 def prepare_studio(output: Path) -> Path:
-    """Put the recordings of the demonstration that are no clips into its library, as takes; the library.
+    """Add the uncut recordings of the demonstration to its library, as takes, and return its path.
 
     Raises
     ------
     OptionError : the demonstration was not run into this folder.
     """
+    from dousa.app.demo.demo import LIBRARY
     from dousa.app.demo.evaluation import PUPIL, REFERENCE
     from dousa.app.demo.takes import TAKE
     from dousa.library import Library
@@ -97,7 +91,7 @@ def prepare_studio(output: Path) -> Path:
     return path
 
 
-def open_demo_studio(console: Console, output: Path, *, opens_browser: bool = True) -> None:
+def open_demo_studio(console: Console, output: Path) -> None:
     """Open the studio on the demo library, until Ctrl-C.
 
     Raises
@@ -111,4 +105,4 @@ def open_demo_studio(console: Console, output: Path, *, opens_browser: bool = Tr
     seen = output / "seen.npz"
     if seen.is_file():
         console.print(f"silhouettes for the page Estimate: {seen}", markup=False, soft_wrap=True)
-    serve(Settings(library), opens_browser=opens_browser)
+    serve(Settings(library))

@@ -13,9 +13,11 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from dousa.app import tables
-from dousa.app.cli.library import Mirror, Query, clip_or_path, open_library, open_to_learn, open_to_read
-from dousa.app.cli.options import shared as o
+from dousa.app.cli.library import clip_or_path, open_library, open_to_learn, open_to_read
+from dousa.app.cli.usage import Json, LibraryPath
 from dousa.app.output import console, print_json, progress_bar, warn, warn_skipped
+from dousa.app.requests.library import Mirror
+from dousa.app.requests.reading import Reading
 from dousa.app.targets import check_table, check_targets
 from dousa.errors import InvalidMotionError, OptionError
 from dousa.extras import require
@@ -36,8 +38,11 @@ def register(app: typer.Typer) -> None:
 
 
 def find(
-    library: o.LibraryPath,
-    query: Query,
+    context: typer.Context,
+    library: LibraryPath,
+    query: Annotated[
+        str, typer.Argument(metavar="QUERY", help="A motion file, or the number of a clip (see dousa list).")
+    ],
     takes: Annotated[
         list[str] | None,
         typer.Argument(
@@ -52,14 +57,13 @@ def find(
         bool, typer.Option("--exact", help="Compare every window, also of more than 10 hours of recordings.")
     ] = False,
     *,
-    motion_options: o.MotionOptions,
-    jobs: o.Jobs = None,
-    json: o.Json = False,
+    reading: Reading,
+    json: Json = False,
 ) -> None:
     """Find where a motion occurs in uncut recordings, at half to twice its tempo.
 
-    The surest places come first: how sure it is that they show the same. Below 50 % they are no longer alike. The
-    score is 1 for the very same motion and near 0 for another; how sure a score is depends on the recordings.
+    The surest places come first: how likely they show the same motion. Below 50 % they no longer do. The score is 1 for
+    the very same motion and near 0 for another; how likely a score makes it depends on the recordings.
 
     Example: dousa find moves.dousa kick.bvh
     """
@@ -70,8 +74,8 @@ def find(
             k,
             mirror=mirror,
             exact=exact,
-            options=motion_options.load(),
-            n_jobs=jobs,
+            options=reading.load(),
+            n_jobs=context.obj,
             progress=progress,
         )
     if json:
@@ -84,7 +88,8 @@ def find(
 
 
 def label(
-    library: o.LibraryPath,
+    context: typer.Context,
+    library: LibraryPath,
     take: Annotated[
         str,
         typer.Argument(
@@ -123,9 +128,8 @@ def label(
         bool, typer.Option("--given", help="The labels that a take was given, instead of recognising any.")
     ] = False,
     *,
-    motion_options: o.MotionOptions,
-    jobs: o.Jobs = None,
-    json: o.Json = False,
+    reading: Reading,
+    json: Json = False,
 ) -> None:
     """Label an uncut recording from beginning to end, including unknown segments.
 
@@ -136,25 +140,24 @@ def label(
 
     Example: dousa label moves.dousa recordings/session.bvh --given --csv session.eaf
     """
-    is_plain = motion_options == o.MotionOptions()
     if take == _STANDARD_INPUT:
-        if csv or picture or given or not is_plain:
+        if csv or picture or given or reading.read:
             raise OptionError("takes_cli.live_options")
-        _label_live(library, height, threshold, jobs)
+        _label_live(library, height, threshold, context.obj)
         return
     if height is not None:
         raise OptionError("takes_cli.height_of_recording")
-    if given and (picture or threshold is not None or not is_plain):
+    if given and (picture or threshold is not None or reading.read):
         raise OptionError("takes_cli.given_options")
-    options = motion_options.load()
-    _check_outputs(csv, picture, (take, library, *motion_options.files), overwrite=overwrite)
+    options = reading.load()
+    _check_outputs(csv, picture, (take, library, *reading.files), overwrite=overwrite)
     if given:
         _show_given(library, take, csv, json=json)
         return
     with open_library(library) as opened:
         with progress_bar() as progress:
             answer = opened.label(
-                clip_or_path(take), threshold=threshold, options=options, n_jobs=jobs, progress=progress
+                clip_or_path(take), threshold=threshold, options=options, n_jobs=context.obj, progress=progress
             )
         _show_timeline(answer, json=json)
         # Last, so that an answer is not lost where a file cannot be written.
@@ -188,18 +191,20 @@ def _write_labels(answer: LabelledTake, path: Path) -> None:
     from dousa.retrieval.takes.label import write_timeline_csv
 
     if path.suffix.lower() == ".eaf":
-        write_eaf([Stretch(one.start, one.stop, one.category) for one in answer.timeline.segments], path)
+        segments = answer.timeline.segments
+        write_eaf([Stretch(segment.start, segment.stop, segment.category) for segment in segments], path)
     else:
         write_timeline_csv(answer.timeline, path)
 
 
 def _show_given(library: str, take: str, path: Path | None, *, json: bool) -> None:
-    """The labels that somebody gave a take: as a table, and in a file from which they can be read again."""
+    """Print the labels that a take was given, and write them into a file that can be read again."""
     from dousa.formats.annotations.writing import write_eaf, write_labels_csv
 
     with open_to_read(library) as opened:
         takes = [clip.id for clip in opened.clips([clip_or_path(take)]) if clip.kind == "take"]
-        known = [one for one in opened.annotations.read(takes) if one.is_complete or one.segments]
+        given = opened.annotations.read(takes)
+    known = [annotation for annotation in given if annotation.is_complete or annotation.segments]
     if len(known) != 1:
         raise OptionError("takes_cli.none_given" if not known else "takes_cli.several_given", take=take, n=len(known))
     if json:
@@ -223,7 +228,7 @@ def _draw(library: Library, answer: LabelledTake, picture: Path, options: ReadOp
 
 
 def _label_live(library: str, height: float | None, threshold: float | None, jobs: int | None) -> None:
-    """Answer frames on standard input as they come, a line of JSON each time there is something to say."""
+    """Answer frames on standard input as they come, by lines of JSON."""
     with open_library(library) as opened:
         # Before the first frame: what takes are labelled with may still have to be learned.
         with progress_bar() as progress:
@@ -243,7 +248,7 @@ def _answer_frames(labeller: LiveLabeller) -> None:
             if answer is not None:
                 _say(answer)
     except (InvalidMotionError, KeyboardInterrupt):
-        # The usual end of a live session: what was seen so far is told all the same.
+        # The usual end of a live session: what was seen so far is still answered.
         with suppress(InvalidMotionError):
             _finish(labeller)
         raise
@@ -259,7 +264,7 @@ def _push(labeller: LiveLabeller, frame: LiveFrame, line: int) -> LiveAnswer | N
 
 
 def _finish(labeller: LiveLabeller) -> bool:
-    """Tell what was not settled yet; whether there was a frame at all."""
+    """Answer what was not settled yet; whether there was a frame at all."""
     last = labeller.finish()
     if last is not None:
         _say(last)

@@ -1,41 +1,34 @@
-"""Commands that look after a library, and over it: check, compact, review, map."""
+"""Commands that look after a library: check, compact, review, undo, tag."""
 
 from __future__ import annotations
 
-import csv
-import io
-from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from dataclasses import asdict
+from typing import Annotated
 
 import typer
 
 from dousa.app import tables
-from dousa.app.cli.library import open_library, open_to_learn, open_to_read
-from dousa.app.cli.options import shared as o
-from dousa.app.output import console, print_json, progress_bar, say
-from dousa.app.targets import CLIP_MAP, check_targets
+from dousa.app.cli.library import Select, choose_saved, clip_or_path, open_library, open_to_learn, open_to_read
+from dousa.app.cli.usage import Json, LibraryPath, split_tags
+from dousa.app.output import console, print_json, progress_bar, say, warn
+from dousa.app.requests.library import TaggedLabels
 from dousa.errors import LibraryDamagedError, OptionError
-from dousa.files.disk import atomic_write
 from dousa.messages import Message
-
-if TYPE_CHECKING:
-    from dousa.library import ClipInfo, ClipMap
 
 
 def register(app: typer.Typer) -> None:
     """Register this module's commands with the application."""
-    for command in (check, compact, review):
+    for command in (tag, undo, check, compact, review):
         app.command(rich_help_panel="Library")(command)
-    app.command("map", rich_help_panel="Library")(map_clips)
 
 
 def check(
-    library: o.LibraryPath,
+    library: LibraryPath,
     repair: Annotated[
         bool,
         typer.Option("--repair", help="Put right what can be: computed again, read again from the original files."),
     ] = False,
-    json: o.Json = False,
+    json: Json = False,
 ) -> None:
     """Check that everything in a library is as it was written, by checksums; exit code 2 if something is damaged.
 
@@ -59,17 +52,17 @@ def check(
 
 
 def compact(
-    library: o.LibraryPath,
+    library: LibraryPath,
     fragments: Annotated[
-        bool,
-        typer.Option("--fragments", help="Move positions and features out of the file, into a folder beside it."),
-    ] = False,
-    fragments_at: Annotated[
         str | None,
-        typer.Option(metavar="FOLDER|URL", help="The same of a library on a server: s3://bucket/folder or a folder."),
+        typer.Option(
+            "--fragments",
+            metavar="beside|FOLDER|URL",
+            help="Move positions and features out of the file, into a folder beside it; those of a library on a server "
+            "to s3://bucket/folder or a folder.",
+        ),
     ] = None,
-    wait: o.Wait = 60.0,
-    json: o.Json = False,
+    json: Json = False,
 ) -> None:
     """Make the file of a library smaller after clips were removed. They cannot be brought back by dousa undo then.
 
@@ -77,8 +70,8 @@ def compact(
 
     Example: dousa compact moves.dousa
     """
-    place = fragments_at if fragments_at is not None else ("" if fragments else None)
-    with open_library(library, wait=wait) as opened, progress_bar() as progress:
+    place = "" if fragments == "beside" else fragments
+    with open_library(library) as opened, progress_bar() as progress:
         report = opened.compact(fragments=place, progress=progress)
     if json:
         print_json(report.to_json())
@@ -88,15 +81,15 @@ def compact(
 
 
 def review(
-    library: o.LibraryPath,
+    context: typer.Context,
+    library: LibraryPath,
     duplicates: Annotated[
         bool, typer.Option("--duplicates", help="Clips that are nearly the same, instead of wrong labels.")
     ] = False,
     k: Annotated[int, typer.Option("-k", "--limit", min=1, help="How many to list.")] = 20,
-    jobs: o.Jobs = None,
-    json: o.Json = False,
+    json: Json = False,
 ) -> None:
-    """List clips whose label is likely wrong: those that they resemble have another one. Nothing is changed.
+    """List clips whose label is likely wrong: clips that they resemble have another one. Nothing is changed.
 
     Every clip is judged by trees that have not seen it. Clips with the tag 'checked' are taken to be right:
     dousa tag moves.dousa +checked -- 12. In the studio: Library, Check labels.
@@ -112,68 +105,84 @@ def review(
                 tables.print_duplicates(console(), groups, k)
             return
         with progress_bar() as progress:
-            report = opened.review_labels(n_jobs=jobs or -1, progress=progress)
+            report = opened.review_labels(n_jobs=context.obj or -1, progress=progress)
     if json:
         print_json(report.to_json())
     else:
         tables.print_label_review(console(), report, k)
 
 
-_TABLES, _PICTURES = (".csv",), (".png", ".svg", ".pdf")
-
-
-def map_clips(
-    library: o.LibraryPath,
-    output: Annotated[
-        Path | None, typer.Option("--output", "-o", help="Table (.csv) or picture (.png, .svg, .pdf) to write.")
+def undo(
+    context: typer.Context,
+    library: LibraryPath,
+    number: Annotated[
+        int | None,
+        typer.Argument(metavar="[NUMBER]", help="A change (see --list).", show_default="the last one"),
     ] = None,
-    json: o.Json = False,
+    redo: Annotated[bool, typer.Option("--redo", help="Do again what was undone.")] = False,
+    show: Annotated[bool, typer.Option("--list", help="List the changes, and change nothing.")] = False,
+    json: Json = False,
 ) -> None:
-    """Lay out all clips on a map: those lie together whose poses are alike, whatever they are called.
+    """Undo the last change of a library: labels, tags, removed and added clips, labels of takes.
 
-    Only what is near means something. In the studio: Library, Map, to choose clips with a lasso.
+    Works after a restart too, and one change after the other. Removed clips are kept until dousa compact, and at most
+    1 GB of them. A change whose clips were changed since is left alone. What a forest has learned stays.
 
-    Example: dousa map moves.dousa -o map.png
+    Example: dousa undo moves.dousa
     """
-    if output is None and not json:
-        raise OptionError("library_map.no_output")
-    if output is not None and output.suffix.lower() not in (*_TABLES, *_PICTURES):
-        raise OptionError("library_map.suffix", path=output, found=output.suffix)
-    check_targets({"--output": output}, (library,), CLIP_MAP)
-    with open_to_read(library) as opened:
-        with progress_bar() as progress:
-            found = opened.map(progress=progress)
-        if not len(found.clip_ids):
-            raise OptionError("library_map.none", library=library)
-        clips = opened.clips(found.clip_ids.tolist())
-    by_number = {clip.id: clip for clip in clips}
-    clips = [by_number[number] for number in found.clip_ids.tolist()]
-    rows = [_describe_place(clip, *point) for clip, point in zip(clips, found.points.tolist(), strict=True)]
-    if output is not None:
-        _write_map(output, found, rows, clips)
+    if show:
+        if redo or number is not None:
+            raise OptionError("journal.list_alone")
+        with open_to_read(library) as opened:
+            entries = opened.journal()
+        if json:
+            print_json([entry.to_json() for entry in entries])
+        else:
+            tables.print_journal(console(), entries)
+        return
+    with open_library(library) as opened:
+        entry = (opened.redo if redo else opened.undo)(number, n_jobs=context.obj)
+        trained = opened.stats().trained_at is not None
     if json:
-        print_json({"clips": rows, "n_laid_out": found.n_laid_out, "left_out": list(found.left_out)})
+        print_json(entry.to_json())
         return
-    say(Message("library_map.line", output=output, n=len(rows)))
-    if found.left_out:
-        say(Message("library_map.left_out", n=len(found.left_out)))
+    say(Message("journal.redone" if redo else "journal.undone", what=entry.what))
+    if trained and not redo and entry.kind in ("add", "label", "name"):
+        warn(Message("journal.still_learned"))
 
 
-def _describe_place(clip: ClipInfo, x: float, y: float) -> dict[str, Any]:
-    """A clip on the map, as plain values."""
-    labels = {"category": clip.category, "performer": clip.performer}
-    return {"clip_id": clip.id, "path": clip.path, **labels, "x": round(x, 4), "y": round(y, 4)}
+def tag(
+    library: LibraryPath,
+    clips: Annotated[
+        list[str] | None,
+        typer.Argument(metavar="[CLIP...] [+TAG...] [-TAG...]", help="Clips, and tags to give (+) and take away (-)."),
+    ] = None,
+    select: Select = None,
+    *,
+    where: TaggedLabels,
+    show: Annotated[bool, typer.Option("--list", help="List the tags, and what is saved for --select.")] = False,
+    json: Json = False,
+) -> None:
+    """Give tags to clips or takes, and take tags away; a clip can have several. 'favourite' is a star in the studio.
 
-
-def _write_map(output: Path, found: ClipMap, rows: list[dict[str, Any]], clips: list[ClipInfo]) -> None:
-    if output.suffix.lower() in _PICTURES:
-        from dousa.app.pictures.clip_map import draw_clip_map
-
-        draw_clip_map(found, [clip.category for clip in clips], output)
+    Example: dousa tag moves.dousa 12 13 +fight -draft
+    """
+    if show:
+        with open_to_read(library) as opened:
+            counts, searches = opened.tags(), opened.searches.all()
+        if json:
+            print_json({"tags": counts, "searches": [search.to_json() for search in searches]})
+        else:
+            tables.print_tags(console(), counts, searches)
         return
-    text = io.StringIO(newline="")
-    writer = csv.DictWriter(text, list(rows[0]))
-    writer.writeheader()
-    writer.writerows(rows)
-    with atomic_write(output) as file:
-        file.write(text.getvalue().encode("utf-8", "surrogateescape"))
+    with open_library(library) as opened:
+        named, given, taken = split_tags(clips or ())
+        chosen: list[int | str] = [clip_or_path(clip) for clip in named]
+        if select is not None:
+            chosen += choose_saved(opened, select)
+        filters = {f"where_{name}": label for name, label in asdict(where).items()}
+        changed = opened.tag(chosen, add=given, remove=taken, **filters)
+    if json:
+        print_json({"tagged": changed})
+    else:
+        tables.print_some(console(), Message("library_tags.tagged", n=len(changed)), list(changed))

@@ -1,4 +1,4 @@
-"""Command line arguments: their groups, the language they select, and usage errors as errors of ours."""
+"""Command line arguments: options of request classes, the language, and usage errors as messages."""
 
 from __future__ import annotations
 
@@ -18,38 +18,36 @@ from typer.core import TyperCommand, TyperGroup
 from dousa.errors import OptionError
 from dousa.messages import LANGUAGES, Message, use_language
 
-_OPTION, _VARIABLE = "--lang", "DOUSA_LANG"
+_LANGUAGE, _VARIABLE = "--lang", "DOUSA_LANG"
+ROOT_OPTIONS = (_LANGUAGE, "--jobs", "-j", "--cluster")
+"""What stands before the command, as it goes for all commands."""
 
-
-def _use_given(language: str | None) -> None:
-    if language is not None:
-        use_language(_check(_OPTION, language))
-
-
+Json = Annotated[bool, typer.Option("--json", help="Answer as JSON on standard output.")]
+LibraryPath = Annotated[
+    str, typer.Argument(metavar="LIB", help="The library: a file such as moves.dousa, or a database URL.")
+]
 Language = Annotated[
     str | None,
     typer.Option(
-        _OPTION,
+        _LANGUAGE,
         metavar="|".join(LANGUAGES),
-        callback=_use_given,
-        is_eager=True,
         help=f"Language of answers and messages. Default: {_VARIABLE}, else the locale.",
     ),
 ]
 
 
 def choose_language(words: Sequence[str], environment: Mapping[str, str] = os.environ) -> None:
-    """Speak the language of ``--lang``, else that of ``DOUSA_LANG``, else that of the locale, from the start on.
+    """Use the language of ``--lang``, else that of ``DOUSA_LANG``, else that of the locale, from the start on.
 
     Parameters
     ----------
-    words : of the command line. They are looked through before they are understood, so that a mistake among them is
-        described in the language too.
+    words : of the command line. They are searched before they are parsed, so that a mistake among them is described
+        in the language too.
     environment : variables.
 
     Raises
     ------
-    OptionError : a language that there is not.
+    OptionError : an unknown language.
     """
     names = ("LC_ALL", "LC_MESSAGES", "LANG")  # the first one that is set decides, as POSIX has it
     locale = next((environment[name] for name in names if environment.get(name)), "")
@@ -59,10 +57,10 @@ def choose_language(words: Sequence[str], environment: Mapping[str, str] = os.en
         if word == "--":
             break
         name, _, value = word.partition("=")
-        if name == _OPTION and (value or following is not None):
+        if name == _LANGUAGE and (value or following is not None):
             given = value or following
     if given is not None:
-        use_language(_check(_OPTION, given))
+        use_language(_check(_LANGUAGE, given))
     elif environment.get(_VARIABLE):
         use_language(_check(_VARIABLE, environment[_VARIABLE]))
 
@@ -74,28 +72,29 @@ def _check(source: str, language: str) -> str:
 
 
 def to_typer_command(command: Callable[..., None]) -> Callable[..., None]:
-    """The command as Typer wants it: every option in the signature by itself, and ``--lang``, which is used before it
-    runs.
+    """Wrap a command for Typer, which wants every option by itself in the signature.
 
-    A parameter of the command whose type is a dataclass is a group of options, spelled once for all commands that have
-    it: the options of its fields stand in its place in the signature, and the command gets them in one object.
+    A parameter whose type is a dataclass, or ``Annotated[dict[str, Any], dataclass]``, stands for the options of its
+    fields: those annotated with ``typer.Option``. The command gets their values as an object of the dataclass, or as a
+    dictionary where the dataclass has other fields too.
     """
     parameters: list[inspect.Parameter] = []
     groups: list[tuple[str, Callable[..., Any], list[str]]] = []
     signature = inspect.signature(command, eval_str=True)
     for parameter in signature.parameters.values():
-        if dataclasses.is_dataclass(parameter.annotation):
-            group: Any = parameter.annotation
-            options = _list_options(group)
-            groups.append((parameter.name, group, [option.name for option in options]))
+        kind = parameter.annotation
+        metadata = getattr(kind, "__metadata__", (None,))[0]
+        if dataclasses.is_dataclass(kind) or dataclasses.is_dataclass(metadata):
+            make: Any = kind if dataclasses.is_dataclass(kind) else dict
+            options = _list_options(metadata if make is dict else kind)
+            groups.append((parameter.name, make, [option.name for option in options]))
             parameters += options
         else:
             parameters.append(parameter)
-    parameters.append(_option("lang", Language, None))
 
     @functools.wraps(command)
-    def run(*, lang: str | None = None, **values: Any) -> None:
-        made = {name: kind(**{option: values.pop(option) for option in names}) for name, kind, names in groups}
+    def run(**values: Any) -> None:
+        made = {name: make(**{option: values.pop(option) for option in names}) for name, make, names in groups}
         command(**values, **made)
 
     run.__signature__ = signature.replace(parameters=parameters)  # type: ignore[attr-defined]
@@ -105,14 +104,29 @@ def to_typer_command(command: Callable[..., None]) -> Callable[..., None]:
     return run
 
 
+_NOT_LOADED = {"ReadOptions": Any, "TrackerSettings": Any}  # types of fields without an option; heavy to import
+
+
 @functools.cache
 def _list_options(group: Any) -> list[inspect.Parameter]:
-    hints = get_type_hints(group, include_extras=True)
-    return [_option(field.name, hints[field.name], field.default) for field in dataclasses.fields(group)]
+    hints = get_type_hints(group, localns=_NOT_LOADED, include_extras=True)
+    return [
+        inspect.Parameter(
+            field.name, inspect.Parameter.KEYWORD_ONLY, default=field.default, annotation=hints[field.name]
+        )
+        for field in dataclasses.fields(group)
+        if hasattr(hints[field.name], "__metadata__")
+    ]
 
 
-def _option(name: str, annotation: Any, default: Any) -> inspect.Parameter:
-    return inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=default, annotation=annotation)
+def count_options(application: typer.Typer) -> dict[str, int]:
+    """Count the options of each command, without ``--help``; those before the command under an empty name."""
+    group: Any = typer.main.get_command(application)
+    commands = {"": group, **group.commands}
+    return {
+        name: sum(parameter.param_type_name == "option" for parameter in command.params)
+        for name, command in commands.items()
+    }
 
 
 # Typer brings its own copy of click in newer versions: the classes are had from where its errors are made.
@@ -122,7 +136,7 @@ UsageError: type[Exception] = _exceptions.UsageError
 
 
 class Group(TyperGroup):
-    """The commands; one that there is not is said with those of a similar name."""
+    """The commands; the error about an unknown one suggests similar names."""
 
     def resolve_command(self, ctx: Any, args: list[str]) -> Any:
         if args and not args[0].startswith("-") and self.get_command(ctx, args[0]) is None:
@@ -133,32 +147,37 @@ class Group(TyperGroup):
         return super().resolve_command(ctx, args)
 
 
-def spell_tags(words: Sequence[str]) -> list[str]:
-    """The words of ``dousa tag`` with ``+fight`` and ``-draft`` as ``--add=fight`` and ``--take=draft``."""
-    spelled: list[str] = []
-    for place, word in enumerate(words):
-        if word == "--":
-            return [*spelled, *words[place:]]
-        is_option = word.startswith("--") or word in ("-", "-h")
-        option = "" if is_option or len(word) < 2 else {"+": "--add=", "-": "--take="}.get(word[0], "")
-        spelled.append(option + word[1:] if option else word)
-    return spelled
+_TAG = "\0"  # no word of a command line holds it
+
+
+def mark_tags(words: Sequence[str]) -> list[str]:
+    """Mark the words ``+fight`` and ``-draft`` of ``dousa tag``, which are no options; see `split_tags`."""
+    end = words.index("--") if "--" in words else len(words)
+    is_tag = [len(word) > 1 and word[0] in "+-" and word[:2] != "--" and word != "-h" for word in words]
+    return [_TAG + word if is_tag[place] and place < end else word for place, word in enumerate(words)]
+
+
+def split_tags(words: Sequence[str]) -> tuple[list[str], list[str], list[str]]:
+    """Split the arguments of ``dousa tag`` into clips, tags to give, and tags to take away."""
+    tags = [word[1:] for word in words if word.startswith(_TAG)]
+    clips = [word for word in words if not word.startswith(_TAG)]
+    return clips, [tag[1:] for tag in tags if tag[0] == "+"], [tag[1:] for tag in tags if tag[0] == "-"]
 
 
 class Command(TyperCommand):
-    """A command that names the arguments which are too many."""
+    """A command whose error names the extra arguments."""
 
     allow_extra_args = True
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
-        rest = super().parse_args(ctx, spell_tags(args) if ctx.info_name == "tag" else args)
+        rest = super().parse_args(ctx, mark_tags(args) if ctx.info_name == "tag" else args)
         if rest and not ctx.resilient_parsing:
             raise OptionError("usage.extra_arguments", found=rest, command=ctx.command_path)
         return rest
 
 
 def describe_usage(error: Any) -> Message | None:
-    """What is wrong in a command; None where it has no arguments at all and its help was shown instead."""
+    """Describe a usage error; None where the help was shown since there were no arguments at all."""
     if isinstance(error, getattr(_exceptions, "NoArgsIsHelpError", ())):
         return None
     problem = _describe(error)
@@ -169,9 +188,9 @@ def describe_usage(error: Any) -> Message | None:
 
 def _describe(error: Any) -> Message:
     if isinstance(error, _exceptions.NoSuchOption):
-        if error.possibilities:
-            return Message("usage.no_such_option_but", name=error.option_name, similar=error.possibilities)
-        return Message("usage.no_such_option", name=error.option_name)
+        but = "_but" if error.possibilities else ""
+        code = "usage.before_command" if error.option_name in ROOT_OPTIONS else f"usage.no_such_option{but}"
+        return Message(code, name=error.option_name, similar=error.possibilities)
     if isinstance(error, _exceptions.BadOptionUsage):
         return Message("usage.option_without_value", name=error.option_name)
     name = _name(error.param) if getattr(error, "param", None) is not None else None
@@ -189,7 +208,7 @@ def _name(parameter: Any) -> str:
 
 
 def _describe_value(error: Any) -> Message:
-    """What was expected and what came, from the error of the validation behind it."""
+    """Describe what was expected and what came, from the validation error behind it."""
     details: list[dict[str, Any]] = getattr(error.__cause__, "errors", lambda: [])()
     if not details:  # from a version of Typer that validates otherwise
         return Message("text.verbatim", text=error.message)

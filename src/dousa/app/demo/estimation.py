@@ -8,20 +8,21 @@ from __future__ import annotations
 
 import dataclasses
 import time
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from dousa.app.demo.demo import LIBRARY
+from dousa.app.demo.takes import say
 from dousa.app.output import make_folder, progress_bar, warn
+from dousa.app.pipelines.estimate import estimate_files
+from dousa.app.requests.estimation import EstimationRequest, Outputs
 
 if TYPE_CHECKING:
     from rich.console import Console
 
     from dousa.app.pipelines.estimate import Estimation
-    from dousa.estimation import BodyModel
-    from dousa.motion import CanonicalMotion
 
 PERFORMED, SEEN, ESTIMATED = "performed.bvh", "seen.npz", "estimated.bvh"
 OVERLAY, SHEET, REPORT = "estimated.mp4", "estimated.png", "report_estimated"
@@ -35,55 +36,34 @@ _N_VIEWS = 4
 _N_RESULTS = 5
 
 
-@dataclass(frozen=True, slots=True)
-class _Files:
-    """What the act writes."""
-
-    performed: Path
-    seen: Path
-    estimated: Path
-    overlay: Path
-    sheet: Path
-    report: Path
-
-    @classmethod
-    def in_folder(cls, folder: Path) -> _Files:
-        return cls(*(folder / name for name in (PERFORMED, SEEN, ESTIMATED, OVERLAY, SHEET, REPORT)))
-
-
 def run_estimation_demo(console: Console, output: Path, *, seed: int = 0) -> None:
     """Render a performer, estimate the motion from the silhouettes, find it in the library and evaluate it.
 
-    Can be run again into the same folder.
-
-    Parameters
-    ----------
-    console : where to tell about it.
-    output : folder, made if missing; ``demo.dousa`` of the first act is asked if it is there.
-    seed : of the performer, the teacher's takes and the noise.
-
-    Raises
-    ------
-    DousaError : what can be put right by the person who reads it.
+    Can be run again into the same folder; the ``demo.dousa`` of the first act is searched if it is there.
     """
     make_folder(output)
     started = time.perf_counter()
-    files = _Files.in_folder(output)
-    stature = write_performance(files.performed, files.seen, seed)
-    console.print(
-        f"\nA performer seen by {_N_VIEWS} cameras only: {files.seen}, with bones and girths 5 to 7 % off those of the "
-        f"model, and spoiled silhouettes",
-        markup=False,
-        soft_wrap=True,
+    performed, seen, estimated, overlay, sheet = (
+        output / name for name in (PERFORMED, SEEN, ESTIMATED, OVERLAY, SHEET)
     )
-    done = _estimate(files, stature)
-    _print_accuracy(console, done, files)
-    if (output / "demo.dousa").exists():
-        _search(console, output / "demo.dousa", files)
-    _evaluate(console, files, output, seed)
+    stature = write_performance(performed, seen, seed)
+    say(
+        console,
+        f"\nA performer seen by {_N_VIEWS} cameras only: {seen}, with bones and girths 5 to 7 % off those of the "
+        f"model, and spoiled silhouettes",
+    )
+    outputs = Outputs(motion=estimated, overlay=overlay, sheet=sheet)
+    with progress_bar() as progress:
+        done = estimate_files(EstimationRequest((seen,), outputs=outputs, stature=stature), progress, warn)
+    for text in done.warnings:
+        warn(text)
+    _print_accuracy(console, done, seen)
+    say(console, f"Look at it: {overlay} and {sheet}")
+    if (output / LIBRARY).exists():
+        _search(console, output / LIBRARY, estimated)
+    _evaluate(console, performed, estimated, output, seed)
     console.print(f"Seen, estimated, found and judged in {time.perf_counter() - started:.0f} s. The same again:")
-    command = f"dousa estimate {files.seen} --stature {stature:.2f} -o {files.estimated} --overlay {files.overlay}"
-    console.print(f"  {command}", markup=False, soft_wrap=True)
+    say(console, f"  dousa estimate {seen} --stature {stature:.2f} -o {estimated} -o {overlay}")
 
 
 def write_performance(performed: Path, seen: Path, seed: int = 0) -> float:
@@ -102,6 +82,7 @@ def write_performance(performed: Path, seen: Path, seed: int = 0) -> float:
     from dousa.app.pipelines.render import ring_around
     from dousa.estimation.body.kinematics import compute_points, point_names
     from dousa.estimation.body.posing import fit_poses
+    from dousa.estimation.body.skeleton_body import body_from_motion
     from dousa.estimation.raster.rendering import NOISY, render, spoil
     from dousa.estimation.silhouettes.mask_npz import write_silhouettes
     from dousa.formats.registry import write_motion
@@ -112,7 +93,8 @@ def write_performance(performed: Path, seen: Path, seed: int = 0) -> float:
     motion = make_motion(_CATEGORY, performer)
     write_motion(motion, performed)
     canonical = canonicalise(motion)
-    body = _make_body(canonical)
+    body = body_from_motion(canonical)  # the performer's bones under wider solids than the model's
+    body = dataclasses.replace(body, spheres=body.spheres * np.array([1.0, 1.0, 1.0, _GIRTH]))
     poses, _ = fit_poses(body, canonical.positions)
     names, points = point_names(body), compute_points(body, poses)
     cameras = ring_around(points, _N_VIEWS, (320, 240))
@@ -129,67 +111,41 @@ def write_performance(performed: Path, seen: Path, seed: int = 0) -> float:
     return performer.stature
 
 
-def _make_body(motion: CanonicalMotion) -> BodyModel:
-    """The performer's bones under wider solids than the model's."""
-    from dousa.estimation.body.skeleton_body import body_from_motion
-
-    body = body_from_motion(motion)
-    return dataclasses.replace(body, spheres=body.spheres * np.array([1.0, 1.0, 1.0, _GIRTH]))
-
-
-def _estimate(files: _Files, stature: float) -> Estimation:
-    from dousa.app.pipelines.estimate import estimate_files
-    from dousa.app.pipelines.estimation_request import EstimationRequest, Outputs
-
-    outputs = Outputs(motion=files.estimated, overlay=files.overlay, sheet=files.sheet)
-    request = EstimationRequest((files.seen,), outputs=outputs, stature=stature)
-    with progress_bar() as progress:
-        done = estimate_files(request, progress, warn)
-    for text in done.warnings:
-        warn(text)
-    return done
-
-
-def _print_accuracy(console: Console, done: Estimation, files: _Files) -> None:
-    """What is known here and in no real recording: how far off the joints are."""
+def _print_accuracy(console: Console, done: Estimation, seen: Path) -> None:
+    """Print how far off the joints are, which is known here and in no real recording."""
     from dousa.estimation.silhouettes.mask_npz import read_true_joints
     from dousa.experiments.pose_metrics import compare_with_truth
 
     found = done.estimate
-    said = read_true_joints(files.seen)
-    if said is None:
-        return
-    names, truth = said
+    true_joints = read_true_joints(seen)
+    assert true_joints is not None
+    names, truth = true_joints
     off = compare_with_truth(found.points.names, found.points.positions, names, truth).errors
-    overlap = float(np.nanmean(found.iou))
     held = np.linalg.norm(truth - truth[:1], axis=-1).mean() * 1000.0
-    console.print(
+    say(
+        console,
         f"Estimated {found.n_frames} frames at {found.frames_per_second:.0f} frames/s, the start found by itself: "
-        f"overlap {overlap:.2f}, mean joint error {1000 * np.nanmean(off):.0f} mm (holding the true first pose: "
-        f"{held:.0f} mm), {int(found.lost.sum())} frames lost",
-        markup=False,
-        soft_wrap=True,
+        f"overlap {np.nanmean(found.iou):.2f}, mean joint error {1000 * np.nanmean(off):.0f} mm (holding the true "
+        f"first pose: {held:.0f} mm), {int(found.lost.sum())} frames lost",
     )
-    console.print(f"Look at it: {files.overlay} and {files.sheet}", markup=False, soft_wrap=True)
 
 
-def _search(console: Console, library_path: Path, files: _Files) -> None:
+def _search(console: Console, library_path: Path, estimated: Path) -> None:
     from dousa.app.tables.search import describe_verdict
     from dousa.library import Library
 
     with Library.open(library_path, read_only=True) as library:
-        result = library.search(files.estimated, _N_RESULTS)
+        result = library.search(estimated, _N_RESULTS)
     right = sum(hit.category == _CATEGORY for hit in result.results)
-    console.print(
+    say(
+        console,
         f"In the library: in truth {_CATEGORY}, the forest says {describe_verdict(result.verdict)}; "
         f"{right} of the {len(result.results)} nearest clips are {_CATEGORY}",
-        markup=False,
-        soft_wrap=True,
     )
 
 
-def _evaluate(console: Console, files: _Files, output: Path, seed: int) -> None:
-    """Against a teacher's takes: the estimate, and beside it the motion as it really was."""
+def _evaluate(console: Console, performed: Path, estimated: Path, output: Path, seed: int) -> None:
+    """Grade the estimate, and the motion as it really was, against a teacher's takes."""
     from dousa.app.pipelines.evaluate import evaluate_files
     from dousa.app.report import write_report
     from dousa.evaluation.grade.score import round_grade
@@ -198,22 +154,19 @@ def _evaluate(console: Console, files: _Files, output: Path, seed: int) -> None:
     from dousa.motion.synthetic.performers import Performer, make_motion
 
     teacher = Performer(name="teacher", seed=1000 * seed)
-    takes = []
-    for take in range(_TEACHER_TAKES):
-        path = output / f"teacher_{take + 1}.bvh"
+    takes = [output / f"teacher_{take + 1}.bvh" for take in range(_TEACHER_TAKES)]
+    for take, path in enumerate(takes):
         write_motion(make_motion(_CATEGORY, teacher, take), path)
-        takes.append(path)
     with progress_bar() as progress:
-        seen = evaluate_files(takes, files.estimated, options=ReadOptions(), tempo="free", progress=progress)
-        true = evaluate_files(takes, files.performed, options=ReadOptions(), tempo="free", progress=progress)
-        page = write_report(seen.assessment, files.report)
-    kinds = [
-        ", ".join(dict.fromkeys(event.kind for event in done.assessment.events)) or "no error" for done in (seen, true)
-    ]
-    console.print(
-        f"Held against {len(takes)} takes of a teacher: grade {round_grade(seen.assessment.score):.0f} ({kinds[0]}); "
-        f"the motion as it really was: {round_grade(true.assessment.score):.0f} ({kinds[1]})",
-        markup=False,
-        soft_wrap=True,
+        seen, true = (
+            evaluate_files(takes, path, options=ReadOptions(), tempo="free", progress=progress).assessment
+            for path in (estimated, performed)
+        )
+        page = write_report(seen, output / REPORT)
+    kinds = [", ".join(dict.fromkeys(event.kind for event in found.events)) or "no error" for found in (seen, true)]
+    say(
+        console,
+        f"Held against {len(takes)} takes of a teacher: grade {round_grade(seen.score):.0f} ({kinds[0]}); "
+        f"the motion as it really was: {round_grade(true.score):.0f} ({kinds[1]})",
     )
-    console.print(f"Open the report in a browser: {page}", markup=False, soft_wrap=True)
+    say(console, f"Open the report in a browser: {page}")

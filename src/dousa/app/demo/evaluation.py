@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from dousa.app.demo.takes import say
 from dousa.errors import OptionError
 
 if TYPE_CHECKING:
@@ -61,7 +62,7 @@ def write_dance(output: Path, seed: int = 0) -> tuple[Path, Path, tuple[Error, .
 
 
 def _draw_pupil(seed: int) -> Performer:
-    """Another body and posture, but someone who has learned the dance: the errors are put in afterwards."""
+    """Draw a performer of another body and posture who knows the dance: the errors are injected afterwards."""
     import dataclasses
 
     from dousa.motion.synthetic.performers import draw_performer
@@ -71,7 +72,7 @@ def _draw_pupil(seed: int) -> Performer:
 
 
 def _inject_all_kinds(motion: CanonicalMotion, seed: int) -> Injection:
-    """One error of each class. Places are drawn again only until there is one for each, whatever is found later."""
+    """Inject one error of each class; places are drawn again only until each class has one."""
     import numpy as np
 
     from dousa.experiments import inject_many
@@ -92,17 +93,7 @@ def _inject_all_kinds(motion: CanonicalMotion, seed: int) -> Injection:
 def run_dance_demo(console: Console, output: Path, *, seed: int = 0) -> None:
     """Make a dance and a pupil's performance of it, evaluate the files, and compare with the truth.
 
-    Can be run again into the same folder.
-
-    Parameters
-    ----------
-    console : where to tell about it.
-    output : folder, made if missing, for both BVH files and the folder ``report``.
-    seed : of the dancers and the errors.
-
-    Raises
-    ------
-    DousaError : what can be put right by the person who reads it.
+    Can be run again into the same folder, which gets both BVH files and the folder ``report``.
     """
     from dousa.app.output import make_folder, progress_bar, warn
     from dousa.app.pipelines.evaluate import evaluate_files
@@ -113,11 +104,10 @@ def run_dance_demo(console: Console, output: Path, *, seed: int = 0) -> None:
     make_folder(output)
     started = time.perf_counter()
     reference, pupil, errors = write_dance(output, seed)
-    console.print(
+    say(
+        console,
         f"\nA dance of six figures: {reference}, and a pupil of another build who makes {len(errors)} errors on "
         f"purpose: {pupil}",
-        markup=False,
-        soft_wrap=True,
     )
     folder = output / REPORT
     with progress_bar() as progress:
@@ -128,9 +118,8 @@ def run_dance_demo(console: Console, output: Path, *, seed: int = 0) -> None:
         warn(str(text))
     _print_comparison(console, errors, done.assessment.events)
     console.print(f"Evaluated in {time.perf_counter() - started:.0f} s. The same again:")
-    command = f"dousa evaluate {reference} --performance {pupil} -o {folder}"
-    console.print(f"  {command}", markup=False, soft_wrap=True)
-    console.print(f"Open the report in a browser: {page}", markup=False, soft_wrap=True)
+    say(console, f"  dousa evaluate {reference} --performance {pupil} -o {folder}")
+    say(console, f"Open the report in a browser: {page}")
 
 
 def compare_with_truth(

@@ -6,6 +6,7 @@ import os
 import time
 from collections import Counter
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -28,15 +29,14 @@ _N_PLACES = 5
 _FIGURE = "point"  # of the synthetic dance; its circles are arm circles with bent knees, and its kicks are kicks
 
 
+def say(console: Console, text: str) -> None:
+    """Print a line as it is."""
+    console.print(text, markup=False, soft_wrap=True)
+
+
 @dataclass(frozen=True, slots=True)
 class Take:
-    """A recording of which is known what happens in it.
-
-    Parameters
-    ----------
-    path : its file.
-    truth : what it shows; the category is None for what the library has none for.
-    """
+    """A recording and its true segments, whose category is None where the library has none for them."""
 
     path: Path
     truth: tuple[TrueSegment, ...]
@@ -109,40 +109,30 @@ def show_take(
 
     Parameters
     ----------
-    console : where to tell about it.
     library_path : trained, without the queries.
     queries : files of one performer with their true categories. With less than three there is no take.
     example : the one of them whose category is looked for.
-    strange : file of something else by the same performer, which no category stands for.
+    strange : file of another motion by the same performer, of none of the categories.
     output : folder for ``take.bvh`` and ``timeline.png``.
     seed : of the choice and order of the clips.
-    n_jobs : workers; every core by default.
-
-    Raises
-    ------
-    DousaError : what can be put right by the person who reads it.
     """
     from dousa.library import Library
 
     clips = _choose_clips(queries, example, strange, seed)
     if len(clips) < _LEAST_CLIPS:
-        console.print(
-            "No uncut take is shown: it is made of three or more clips of a performer held out (--performer-from)",
-            soft_wrap=True,
-        )
+        say(console, "No uncut take is shown: it is made of three or more clips of a performer held out")
         return
     with Library.open(library_path) as library:
         take = write_take(clips, tuple(library.categories()), output / TAKE, seed)
         library.add(take.path, kind="take", n_jobs=n_jobs)
-        console.print(
+        say(
+            console,
             f"\nJoined {len(clips)} motions of the same performer into an uncut take of {take.truth[-1].stop:.0f} s, "
             f"and added it: {take.path}",
-            markup=False,
-            soft_wrap=True,
         )
         _label(console, library, take, output / TIMELINE, n_jobs)
         _find(console, library, take, queries[example])
-    console.print(f"Picture of the timeline: {output / TIMELINE}", markup=False, soft_wrap=True)
+    say(console, f"Picture of the timeline: {output / TIMELINE}")
 
 
 def _choose_clips(queries: Mapping[Path, str], example: Path, strange: Path | None, seed: int) -> list[LabelledClip]:
@@ -162,24 +152,25 @@ def _choose_clips(queries: Mapping[Path, str], example: Path, strange: Path | No
     ordered = [chosen[k] for k in generator.permutation(len(chosen))]
     if strange is not None:
         ordered.insert((len(ordered) + 1) // 2, strange)
-    clips = (_read_clip(path, queries.get(path, "")) for path in ordered)
-    return [clip for clip in clips if clip is not None]
+    return read_clips(ordered, queries)
 
 
-def _read_clip(path: Path, category: str) -> LabelledClip | None:
-    """A motion file as a clip; None if it cannot be used, which the answers about all queries tell."""
+def read_clips(paths: Sequence[Path], categories: Mapping[Path, str]) -> list[LabelledClip]:
+    """Read motion files as clips; files that cannot be used are left out."""
     from dousa.formats.motion_files import ReadOptions, read_canonical
     from dousa.retrieval import LabelledClip
 
-    try:
-        motion = read_canonical(str(path), ReadOptions())[0]
-    except DousaError:
-        return None
-    return LabelledClip(str(path), category, None, motion.positions, motion.frame_rate, motion.height)
+    clips = []
+    for path in paths:
+        with suppress(DousaError):
+            motion = read_canonical(str(path), ReadOptions())[0]
+            labels = categories.get(path, ""), None
+            clips.append(LabelledClip(str(path), *labels, motion.positions, motion.frame_rate, motion.height))
+    return clips
 
 
 def _label(console: Console, library: Library, take: Take, picture: Path, n_jobs: int | None) -> None:
-    """What happens when, drawn, and how much of it is right."""
+    """Label the take, print how much is right, and draw it."""
     from dousa.app.pictures.timeline import draw_timeline
     from dousa.experiments.metrics import compare_timeline
 
@@ -189,40 +180,36 @@ def _label(console: Console, library: Library, take: Take, picture: Path, n_jobs
     seconds = time.perf_counter() - started
     counts = compare_timeline(answer.timeline.segments, take.truth, answer.timeline.duration)
     strangers = [piece for piece in take.truth if piece.category is None]
-    unknown = "".join(f"; {_say_unknown(answer, piece)}" for piece in strangers)
-    console.print(
+    unknown = "".join(f"; {_describe_unknown(answer, piece)}" for piece in strangers)
+    say(
+        console,
         f"Labelled it (with learning how, {seconds:.1f} s): {counts.matched} of {counts.true} motions found, "
         f"{counts.right_frames / counts.n_frames:.0%} of the frames right{unknown}",
-        markup=False,
-        soft_wrap=True,
     )
     if answer.clip_id is not None:
         draw_timeline(answer.to_json(), picture, library.trajectories(answer.clip_id), take.path.name)
 
 
-def _say_unknown(answer: LabelledTake, piece: TrueSegment) -> str:
-    """How much of what no category stands for is said to be unknown."""
+def _describe_unknown(answer: LabelledTake, piece: TrueSegment) -> str:
+    """How much of a segment without a category is labelled as unknown."""
     from dousa.evaluation.words import format_time
 
-    said = sum(
-        max(min(one.stop, piece.stop) - max(one.start, piece.start), 0.0)
-        for one in answer.timeline.segments
-        if one.category is None
-    )
-    share = said / (piece.stop - piece.start)
+    unknown = [segment for segment in answer.timeline.segments if segment.category is None]
+    overlaps = (min(segment.stop, piece.stop) - max(segment.start, piece.start) for segment in unknown)
+    share = sum(max(overlap, 0.0) for overlap in overlaps) / (piece.stop - piece.start)
     when = f"{format_time(piece.start)}-{format_time(piece.stop)}"
     return f"what the library has no category for ({when}) is unknown at {share:.0%} of its time"
 
 
 def _find(console: Console, library: Library, take: Take, category: str) -> None:
-    """Where in the take another performer's motion happens."""
+    """Find where in the take another performer's motion occurs."""
     models = [clip.path for clip in library.clips() if clip.category == category]
     if models:
         answer = library.find(models[0], take.path, k=_N_PLACES)
-        console.print(_say_place(answer, take, category), markup=False, soft_wrap=True)
+        say(console, _describe_place(answer, take, category))
 
 
-def _say_place(answer: FindResult, take: Take, category: str) -> str:
+def _describe_place(answer: FindResult, take: Take, category: str) -> str:
     from dousa.evaluation.words import format_time
     from dousa.retrieval.takes.find import overlap
 

@@ -28,7 +28,7 @@ from dousa.messages import Message
 
 if TYPE_CHECKING:
     from dousa.app.output import ProgressCallback
-    from dousa.app.pipelines.estimation_request import EstimationRequest
+    from dousa.app.requests.estimation import EstimationRequest
     from dousa.estimation import BodyModel, Camera, Silhouettes
     from dousa.estimation.tracking.settings import Estimate
     from dousa.estimation.tracking.tracker import PartialTrack

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from dousa.app.pipelines.estimation_request import parse_start
+from dousa.app.requests.estimation import parse_start
 from dousa.errors import BodyModelError, JointMappingError, MotionFileError, OptionError, SilhouetteError
 from dousa.messages import Message
 
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from dousa.app.output import ProgressCallback
-    from dousa.app.pipelines.estimation_request import EstimationRequest
+    from dousa.app.requests.estimation import EstimationRequest
     from dousa.arrays import Mask
     from dousa.estimation import BodyModel, Camera
     from dousa.formats.motion_files import ReadOptions

@@ -19,18 +19,18 @@ from dousa.messages import Message
 
 if TYPE_CHECKING:
     from dousa.app.output import ProgressCallback
-    from dousa.app.pipelines.estimation_request import Outputs
     from dousa.app.pipelines.estimation_views import VideoPictures
+    from dousa.app.requests.estimation import Outputs
     from dousa.estimation import Camera, Silhouettes
     from dousa.estimation.tracking.settings import Estimate
     from dousa.motion import Trajectories
 
 
 _ENDINGS = {
-    "--trc": (".trc",),
-    "--angles": (".csv",),
-    "--sheet": (".png", ".svg", ".pdf"),
-    "--overlay": (".mp4", ".avi", ".mkv"),
+    "trc": (".trc",),
+    "angles": (".csv",),
+    "sheet": (".png", ".svg", ".pdf"),
+    "overlay": (".mp4", ".avi", ".mkv"),
 }
 
 
@@ -54,8 +54,9 @@ def check_outputs(outputs: Outputs, inputs: Iterable[Path]) -> None:
 
     sources = {os.path.realpath(path): path for path in inputs}
     taken: dict[str, str] = {}
-    for option, path in outputs.named:
-        endings = _ENDINGS.get(option, tuple(WRITERS))
+    for kind, path in outputs.named:
+        option = "--angles" if kind == "angles" else "--output"
+        endings = _ENDINGS.get(kind, tuple(WRITERS))
         if path.suffix.lower() not in endings:
             raise OptionError(
                 "outputs.suffix" if path.suffix else "outputs.no_suffix",
@@ -71,7 +72,7 @@ def check_outputs(outputs: Outputs, inputs: Iterable[Path]) -> None:
             raise OptionError("outputs.same_file", option=option, path=path, other=taken[place])
         taken[place] = option
         check_file(path)
-        check_targets({option: path}, (), ANGLES if option == "--angles" else None)
+        check_targets({option: path}, (), ANGLES if kind == "angles" else None)
 
 
 def check_file(path: Path) -> None:
@@ -117,12 +118,12 @@ def write_outputs(
     ------
     MotionWriteError : the disk refuses.
     """
-    for number, (option, path) in enumerate(outputs.named):
+    for number, (kind, path) in enumerate(outputs.named):
         report(number, len(outputs.named), Message("progress.writing_file", name=path.name))
-        if option == "--angles":
+        if kind == "angles":
             write_angles(estimate, path)
-        elif option in ("--sheet", "--overlay"):
-            _draw(option, path, estimate, views, cameras, open_pictures(), report)
+        elif kind in ("sheet", "overlay"):
+            _draw(kind, path, estimate, views, cameras, open_pictures(), report)
         else:
             _write_motion(estimate, path)
     return tuple(path for _, path in outputs.named)
@@ -136,7 +137,7 @@ def _write_motion(estimate: Estimate, path: Path) -> None:
 
 
 def _draw(
-    option: str,
+    kind: str,
     path: Path,
     estimate: Estimate,
     views: Silhouettes,
@@ -148,7 +149,7 @@ def _draw(
     from dousa.app.pictures.overlay_sheet import draw_overlay_sheet
 
     try:
-        if option == "--sheet":
+        if kind == "sheet":
             draw_overlay_sheet(estimate, views, cameras, path, images=pictures)
         else:
             write_overlay(estimate, views, cameras, path, images=pictures, progress=report)

@@ -18,7 +18,7 @@ from dousa.messages import Message
 
 if TYPE_CHECKING:
     from dousa.app.output import ProgressCallback
-    from dousa.app.pipelines.estimation_request import EstimationRequest
+    from dousa.app.requests.estimation import EstimationRequest
     from dousa.arrays import Image, Mask
     from dousa.estimation import Camera, Silhouettes
     from dousa.estimation.tracking.settings import Estimate, TrackedFrame

@@ -205,28 +205,16 @@ def check_folder(folder: Path) -> None:
         raise OptionError("evaluate.folder_not_writable", folder=folder, place=place)
 
 
-def check_beat_options(music: Path | None, beats: Path | None, start_s: float | None, repetitions: bool) -> None:
-    """Whether the options go together, before the long work.
-
-    Raises
-    ------
-    OptionError : two sources of beats, a start without one, or either with ``--repetitions``.
-    """
-    if music is not None and beats is not None:
-        raise OptionError("beats.one_source")
-    if start_s is not None and music is None and beats is None:
-        raise OptionError("beats.start_with")
-    if repetitions and (music is not None or beats is not None):
-        raise OptionError("beats.not_with", option="--music" if beats is None else "--beats")
+_BEAT_TABLES = (".txt", ".csv", ".tsv")
 
 
-def load_beats(music: Path | None, beats: Path | None) -> Beats | None:
-    """The beats of a sound file or of a text file; None if there is neither."""
+def load_beats(path: Path | None) -> Beats | None:
+    """The beats of a sound file, or of a text file of their times; None if there is neither."""
     from dousa.evaluation import find_beats, read_beats
 
-    if beats is not None:
-        return read_beats(beats)
-    return None if music is None else find_beats(music)
+    if path is None:
+        return None
+    return read_beats(path) if path.suffix.lower() in _BEAT_TABLES else find_beats(path)
 
 
 def time_accents(done: Evaluation[Assessment], beats: Beats, start_s: float | None) -> BeatTiming:

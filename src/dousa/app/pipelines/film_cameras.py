@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -17,35 +17,9 @@ from dousa.messages import Message
 
 if TYPE_CHECKING:
     from dousa.app.output import ProgressCallback
+    from dousa.app.requests.estimation import CalibrationRequest
     from dousa.arrays import FloatArray
     from dousa.estimation import Calibration, Camera, Synchronisation, ViewKeypoints
-    from dousa.estimation.keypoints.pose_models import LandmarkModel
-
-
-@dataclass(frozen=True, slots=True)
-class CalibrationRequest:
-    """What is calibrated from what.
-
-    Parameters
-    ----------
-    films : films, or files of keypoints.
-    stature : m, of the person; None with a board.
-    board : as `parse_board` takes it; None with a person.
-    cameras : calibration whose focal lengths and distortion are known; None where none is.
-    focal : px, of all cameras, where nothing else is known.
-    offsets : file of time offsets; None where they are to be found.
-    together : the films begin at one moment.
-    model : by which keypoints are found in films; None for the most precise that is installed.
-    """
-
-    films: tuple[Path, ...]
-    stature: float | None = None
-    board: str | None = None
-    cameras: Path | None = None
-    focal: float | None = None
-    offsets: Path | None = None
-    together: bool = False
-    model: LandmarkModel | None = None
 
 
 def calibrate_films(
@@ -67,13 +41,11 @@ def calibrate_films(
         raise OptionError("calibration.person_or_board")
     if len(request.films) < 2:
         raise OptionError("calibration.one_view")
-    if request.offsets is not None and request.together:
-        raise OptionError("calibration.offsets_and_together")
     if request.board is not None:
         board = parse_board(request.board)
         views = _open_boards(request, progress)
     else:
-        views = open_keypoints(request.films, request.model, progress)
+        views = open_keypoints(request.films, None, progress)
     lenses = _find_lenses(request, views)
     offsets, found = _find_offsets(request, views, progress)
     focals = None if request.focal is None else [request.focal] * len(views)
@@ -108,9 +80,9 @@ def _find_offsets(
 ) -> tuple[Sequence[float], Synchronisation | None]:
     from dousa.estimation import read_offsets, sync
 
-    if request.together:
+    if request.offsets == "none":
         return [0.0] * len(views), None
-    if request.offsets is not None:
+    if request.offsets != "auto":
         return read_offsets(request.offsets, [view.source for view in views]), None
     found = sync(views, sounds=read_sounds(request.films), progress=progress)
     return found.offsets.tolist(), found
@@ -119,8 +91,6 @@ def _find_offsets(
 def sync_films(
     films: Sequence[Path],
     cameras: Path | None,
-    listen: bool,
-    model: LandmarkModel | None,
     progress: ProgressCallback,
 ) -> tuple[tuple[str, ...], Synchronisation]:
     """Find the time offsets of films.
@@ -129,8 +99,6 @@ def sync_films(
     ----------
     films : films, or files of keypoints.
     cameras : a calibration; None where there is none.
-    listen : to the sound of the films too.
-    model : by which keypoints are found in films.
     progress : called with (done, total, what).
 
     Returns
@@ -145,10 +113,10 @@ def sync_films(
 
     if len(films) < 2:
         raise OptionError("sync.one_film")
-    views = open_keypoints(films, model, progress)
+    views = open_keypoints(films, None, progress)
     calibrated = None if cameras is None else read_view_cameras(cameras, views)
-    sounds = read_sounds(films) if listen else None
-    return tuple(view.source for view in views), sync(views, cameras=calibrated, sounds=sounds, progress=progress)
+    found = sync(views, cameras=calibrated, sounds=read_sounds(films), progress=progress)
+    return tuple(view.source for view in views), found
 
 
 def read_view_cameras(path: Path, views: Sequence[ViewKeypoints]) -> tuple[Camera, ...]:

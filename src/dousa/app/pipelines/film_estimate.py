@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from dousa.app.output import ProgressCallback
-    from dousa.app.pipelines.estimation_request import EstimationRequest
+    from dousa.app.requests.estimation import EstimationRequest
     from dousa.estimation import BodyModel, Camera
     from dousa.estimation.multiview.keypoint_fit import KeypointFit
     from dousa.estimation.multiview.people import MatchedPerson

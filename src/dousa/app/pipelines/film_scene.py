@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from concurrent.futures import Future
 
     from dousa.app.output import ProgressCallback
-    from dousa.app.pipelines.estimation_request import EstimationRequest
+    from dousa.app.requests.estimation import EstimationRequest
     from dousa.estimation import Camera, PersonMasks, PersonTrack, ViewKeypoints
     from dousa.estimation.keypoints.pose_models import LandmarkModel
     from dousa.estimation.sync.sound import Sound

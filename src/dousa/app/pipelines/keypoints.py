@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -16,32 +15,11 @@ from dousa.messages import Message
 
 if TYPE_CHECKING:
     from dousa.app.output import ProgressCallback
+    from dousa.app.requests.estimation import KeypointRequest
     from dousa.estimation import ViewKeypoints
-    from dousa.estimation.keypoints.keypoint_search import LandmarkModel
 
 _SEEN = 0.5  # of visibility
 _VIDEO, _SHEET = "_keypoints.mp4", "_keypoints.png"  # after the names of films
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class KeypointRequest:
-    """What is looked for, and where it goes.
-
-    Parameters
-    ----------
-    films : one for each view.
-    folder : of the files that are written, named after the films.
-    model : ``"lite"``, ``"full"`` or ``"heavy"``.
-    people : that are followed at a time.
-    overlay, sheet : write a video, a contact sheet of the keypoints over each film.
-    """
-
-    films: Sequence[Path]
-    folder: Path
-    model: LandmarkModel = "full"
-    people: int = 4
-    overlay: bool = False
-    sheet: bool = False
 
 
 @dataclass(frozen=True, slots=True, eq=False)

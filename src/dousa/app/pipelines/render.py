@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import os
 import re
-from dataclasses import dataclass, field, replace
-from pathlib import Path
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -17,13 +16,13 @@ from dousa.app.pipelines.estimation_output import check_file
 from dousa.app.targets import SILHOUETTES, check_targets
 from dousa.arrays import FloatArray
 from dousa.errors import OptionError
-from dousa.formats.motion_files import ReadOptions
 from dousa.messages import Message
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from dousa.app.output import ProgressCallback
+    from dousa.app.requests.estimation import RenderRequest
     from dousa.estimation import BodyModel, Camera
     from dousa.motion import CanonicalMotion
 
@@ -31,40 +30,6 @@ _SIZE = (320, 240)
 _FOCAL = 1.25  # of the shorter side, see `make_ring`
 _MARGIN = 0.12  # m, of the body round its joints
 _NEAREST = 3.0  # m, of a camera on the ring
-
-
-@dataclass(frozen=True, slots=True)
-class RenderRequest:
-    """What is to be rendered.
-
-    Parameters
-    ----------
-    motion : file.
-    output : npz to write.
-    cameras : calibration; None for a ring.
-    n_ring : cameras on the ring.
-    size : px, width and height; None for the calibration's own, or 320 x 240.
-    body, stature, sex : see `load_body`; the motion's own bones where none is given.
-    noise : ``"clean"`` or ``"noisy"``.
-    seed : of the noise.
-    rate : Hz of the silhouettes.
-    frames : ``A:B`` of these; all by default.
-    options : how motion files are read.
-    """
-
-    motion: Path
-    output: Path
-    cameras: Path | None = None
-    n_ring: int = 4
-    size: tuple[int, int] | None = None
-    body: Path | None = None
-    stature: float | None = None
-    sex: str = "average"
-    noise: str = "clean"
-    seed: int = 0
-    rate: float = 30.0
-    frames: str | None = None
-    options: ReadOptions = field(default_factory=ReadOptions)
 
 
 def parse_size(text: str) -> tuple[int, int]:

@@ -4,29 +4,9 @@ from __future__ import annotations
 
 import enum
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Annotated, Literal
 
 import typer
-
-from dousa.app.cli.options import shared as o
-
-SplitName = Literal["half", "leave-performer-out"]
-
-
-class SystemName(enum.StrEnum):
-    """What is compared: the first four tell categories apart, the last seven rank."""
-
-    FULL_TREE = "full_tree"
-    RANDOM_TREE = "random_tree"
-    FOREST = "forest"
-    MOTION_TEMPLATES = "motion_templates"
-    FUSED = "fused"
-    HISTOGRAM = "histogram"
-    LEAVES = "leaves"
-    POSE = "pose"
-    EUCLIDEAN = "euclidean"
-    DTW = "dtw"
 
 
 class VariantName(enum.StrEnum):
@@ -36,87 +16,29 @@ class VariantName(enum.StrEnum):
     NOISY = "noisy"
 
 
+class ReadingName(enum.StrEnum):
+    """Readings of eq. 2 of the paper."""
+
+    MASKED = "masked"
+    RESIDUAL = "residual"
+    UNION = "union"
+    PLAIN = "plain"
+    LITERAL = "literal"
+
+
+class Evidence(enum.StrEnum):
+    """How the mismatch is weighted against inertia."""
+
+    LOG = "log"
+    LOCAL = "local"
+    GLOBAL = "global"
+
+
 StartName = Literal["truth", "auto"]
 
 BodyName = Literal["stature", "start"]
 
 ViewChoiceName = Literal["first", "all"]
-
-SAMPLES = 8
-
-
-@dataclass(frozen=True, slots=True)
-class SplitOptions:
-    """What is trained on and what is tested, and how often."""
-
-    test: Annotated[
-        list[Path] | None,
-        typer.Option("--test", help="Train on PATH and test on this folder instead of splitting."),
-    ] = None
-    split: Annotated[SplitName | None, typer.Option("--split", help="How PATH is split.", show_default="half")] = None
-    train_share: Annotated[
-        float | None,
-        typer.Option("--train-share", help="Share of every category to train on, instead of half.", show_default="0.5"),
-    ] = None
-    repeats: Annotated[int, typer.Option("--repeats", min=1, help="Number of repeats, with different seeds.")] = 1
-
-
-@dataclass(frozen=True, slots=True)
-class KindOptions:
-    """What is asked; by default, which category clips are of."""
-
-    ranking: Annotated[
-        bool,
-        typer.Option("--ranking", help="Evaluate the ranking of retrieved clips instead of their categories."),
-    ] = False
-    takes: Annotated[
-        bool,
-        typer.Option("--takes", help="Evaluate labelling and search of takes concatenated from clips, or annotated."),
-    ] = False
-    labels: Annotated[
-        str | None,
-        typer.Option(
-            "--labels",
-            metavar="RULE",
-            help="With --takes: PATH holds takes, with tables of what happens when: beside, folder:FOLDER or csv:FILE.",
-        ),
-    ] = None
-    tier: Annotated[
-        str | None,
-        typer.Option("--tier", help="Tier of these tables.", show_default="the first that has labels"),
-    ] = None
-    unknown: Annotated[
-        bool,
-        typer.Option("--unknown", help="Evaluate detection of unknown motions and learning of new categories."),
-    ] = False
-
-
-@dataclass(frozen=True, slots=True)
-class SystemOptions:
-    """The systems and what they look at."""
-
-    features: Annotated[
-        o.FeatureSetName | None,
-        typer.Option(
-            "--features",
-            help="paper: the 56 pose features; extended: also speeds, spreads, trends.",
-            show_default="paper; extended with --ranking, --takes and --unknown",
-        ),
-    ] = None
-    system: Annotated[
-        list[SystemName] | None,
-        typer.Option(
-            "--system",
-            help="Only this system; can be repeated.",
-            show_default="all four; with --ranking the last seven",
-        ),
-    ] = None
-    samples: Annotated[
-        int,
-        typer.Option("--samples", min=1, help="Poses averaged for each of the 10 frames; 1 is plain downsampling."),
-    ] = SAMPLES
-    trees: Annotated[int, typer.Option("--trees", min=1, help="Trees of the forest.")] = 100
-    seed: Annotated[int, typer.Option("--seed", min=0, help="The same seed gives the same table.")] = 0
 
 
 @dataclass(frozen=True, slots=True)
@@ -151,11 +73,11 @@ class TrialOptions:
         typer.Option("--body", help="stature: from tables; start: also the bones that the first frame shows."),
     ] = "stature"
     reading: Annotated[
-        list[o.Reading] | None,
+        list[ReadingName] | None,
         typer.Option("--reading", help="Reading of eq. 2; with --paper several.", show_default="masked"),
     ] = None
     evidence: Annotated[
-        list[o.Evidence] | None,
+        list[Evidence] | None,
         typer.Option(
             "--evidence",
             help="How image and inertia are weighted; with --paper several.",

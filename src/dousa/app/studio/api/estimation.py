@@ -9,7 +9,7 @@ from fastapi import APIRouter, Path, Query
 from pydantic import Field, field_validator
 from starlette.responses import FileResponse, Response
 
-from dousa.app.pipelines.estimation_request import BackgroundMethod, Bones, Cues, Model, Preset, Sex, SourceKind
+from dousa.app.requests.estimation import BackgroundMethod, Bones, Cues, Model, Preset, Sex, SourceKind
 from dousa.app.studio.content.motions import Address, MotionName, MotionRef
 from dousa.app.studio.content.studio import StudioNow
 from dousa.app.studio.core.answers import BYTES, Answer, RefusedError, StrictModel, describe_bytes

@@ -24,7 +24,7 @@ from dousa.messages import Message
 
 if TYPE_CHECKING:
     from dousa.app.pipelines.estimate import Estimation
-    from dousa.app.pipelines.estimation_request import EstimationRequest, Outputs
+    from dousa.app.requests.estimation import EstimationRequest, Outputs
     from dousa.app.studio.content.footage import FootageWriter
     from dousa.app.studio.content.masks import StoredMasks
     from dousa.arrays import Image, Mask
@@ -37,7 +37,7 @@ def estimate(request: dict[str, Any], context: Context) -> dict[str, Any]:
     The folder of the job then holds motion.bvh, joints.trc, angles.csv, on request overlay.mp4, and the cameras found
     for films. A stopped job continues where it was when it is resumed.
     """
-    from dousa.app.pipelines.estimation_request import Outputs
+    from dousa.app.requests.estimation import Outputs
     from dousa.app.studio.content.footage import FootageWriter
     from dousa.app.studio.content.masks import EXPORTED
     from dousa.app.studio.work.films import CAMERAS
@@ -138,7 +138,7 @@ def make_request(request: dict[str, Any], context: Context, outputs: Outputs) ->
 
     Raises OptionError without silhouettes, RefusedError for a name that is not in the batch.
     """
-    from dousa.app.pipelines.estimation_request import EstimationRequest
+    from dousa.app.requests.estimation import EstimationRequest
 
     roles: dict[str, list[str]] = {}
     if request.get("sources") is None:
@@ -278,8 +278,8 @@ def prepare_masks(request: dict[str, Any], context: Context) -> dict[str, Any]:
     """Write the silhouettes of an estimation's request into the folder of the job, see
     `dousa.app.studio.content.masks`."""
     from dousa.app.pipelines.doubts import WatchedSilhouettes, parse_frames
-    from dousa.app.pipelines.estimation_request import Outputs
     from dousa.app.pipelines.estimation_views import open_bare_views, open_views, read_known_stature
+    from dousa.app.requests.estimation import Outputs
     from dousa.extras import require
 
     require("cv2", "film")

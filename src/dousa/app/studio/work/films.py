@@ -15,8 +15,8 @@ from dousa.messages import Message
 
 if TYPE_CHECKING:
     from dousa.app.pipelines.estimate import Estimation
-    from dousa.app.pipelines.estimation_request import EstimationRequest
     from dousa.app.pipelines.estimation_views import Scene
+    from dousa.app.requests.estimation import EstimationRequest
     from dousa.app.studio.content.film_record import FilmRecordWriter, Track
     from dousa.app.studio.content.footage import FootageWriter
     from dousa.arrays import Image, Mask

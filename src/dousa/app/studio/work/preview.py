@@ -16,7 +16,7 @@ from dousa.errors import CalibrationError, DousaError, OptionError, SilhouetteEr
 from dousa.messages import Message
 
 if TYPE_CHECKING:
-    from dousa.app.pipelines.estimation_request import EstimationRequest
+    from dousa.app.requests.estimation import EstimationRequest
     from dousa.arrays import Mask
     from dousa.estimation import Camera
     from dousa.estimation.silhouettes.silhouettes import Silhouettes
@@ -55,7 +55,7 @@ def preview(request: dict[str, Any], context: Context) -> dict[str, Any]:
 
 def _look(request: dict[str, Any], context: Context, answer: dict[str, Any]) -> None:
     from dousa.app.pipelines.doubts import parse_frames
-    from dousa.app.pipelines.estimation_request import Outputs
+    from dousa.app.requests.estimation import Outputs
     from dousa.app.studio.work.films import can_do_without, look_at_films, takes_films
 
     asked = make_request(request, context, Outputs())

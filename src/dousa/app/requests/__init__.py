@@ -1,0 +1,1 @@
+"""What each task can be asked, once: the command line and the studio's interface are derived from these classes."""

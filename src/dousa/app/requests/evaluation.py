@@ -1,0 +1,115 @@
+"""What an evaluation can be asked."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import typer
+
+from dousa.errors import OptionError
+
+Tempo = Literal["same", "free"]
+Importance = Literal["learned", "equal"]
+
+_EQUAL = Path("equal")  # as --weights
+
+
+@dataclass(frozen=True, slots=True)
+class EvaluationRequest:
+    """How a performance is held against a reference."""
+
+    furi: Annotated[
+        Path | None,
+        typer.Option(
+            "--furi",
+            metavar="FILE",
+            help="Boundaries of the figures, in frames or seconds of the first REFERENCE. Default: detected.",
+        ),
+    ] = None
+    mirror: Annotated[
+        bool, typer.Option("--mirror", help="The performer faced the reference and danced its mirror image.")
+    ] = False
+    tempo: Annotated[
+        Tempo | None,
+        typer.Option(
+            "--tempo",
+            help="same: lateness counts; free: being slower throughout does not. Default: same; with --repetitions "
+            "free.",
+            show_default=False,
+        ),
+    ] = None
+    weights: Annotated[
+        Path | None,
+        typer.Option(
+            "--weights",
+            metavar="FILE",
+            help="Weights: lines such as 'arms = 2', 'left_shank = 0', multiplied with what matters in the reference. "
+            "equal, instead of a file: as --importance equal.",
+        ),
+    ] = None
+    importance: Annotated[
+        Importance,
+        typer.Option(
+            "--importance",
+            help="learned: in the grade segments count as they matter in the reference; equal: all count the same.",
+        ),
+    ] = "learned"
+    repetitions: Annotated[
+        bool,
+        typer.Option(
+            "--repetitions",
+            help="An exercise: count the repetitions, grade and measure each, and say how they develop.",
+        ),
+    ] = False
+    csv: Annotated[
+        Path | None, typer.Option("--csv", metavar="FILE", help="With --repetitions: write a row for each.")
+    ] = None
+    picture: Annotated[
+        Path | None,
+        typer.Option("--picture", metavar="FILE", help="With --repetitions: draw them (.png, .svg or .pdf)."),
+    ] = None
+    music: Annotated[
+        Path | None,
+        typer.Option(
+            "--music",
+            metavar="FILE",
+            help="The music: how early or late the accents are to its beats. Or its beats (.txt): one time in seconds "
+            "a line, or Audacity labels.",
+        ),
+    ] = None
+    music_start: Annotated[
+        float | None,
+        typer.Option(
+            "--music-start",
+            metavar="SECONDS",
+            help="Where the music begins in the recording of the performance. Default: estimated.",
+        ),
+    ] = None
+
+    def check(self) -> None:
+        """Check that the options go together, before the long work.
+
+        Raises
+        ------
+        OptionError : options that contradict each other.
+        """
+        for option, value in (("--furi", self.furi), ("--music", self.music)):
+            if self.repetitions and value is not None:
+                raise OptionError("exercises.not_with", option=option)
+        if not self.repetitions and (self.csv is not None or self.picture is not None):
+            raise OptionError("exercises.csv_with")
+        if self.music_start is not None and self.music is None:
+            raise OptionError("beats.start_with")
+
+    def choose_judging(self) -> dict[str, Any]:
+        """``side``, ``tempo``, ``weights`` and ``importance`` of `dousa.evaluation.assess`; the weights are read."""
+        judging: dict[str, Any] = {"side": "mirrored" if self.mirror else "same"}
+        judging["tempo"] = self.tempo or ("free" if self.repetitions else "same")
+        if self.weights == _EQUAL:
+            return {**judging, "weights": None, "importance": "equal"}
+        from dousa.evaluation import read_weights
+
+        weights = None if self.weights is None else read_weights(self.weights)
+        return {**judging, "weights": weights, "importance": self.importance}

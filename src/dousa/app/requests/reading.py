@@ -1,0 +1,132 @@
+"""How motion files are read: `ReadOptions` from ``--read KEY=VALUE``, ``--unit`` and ``--up``."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from dousa.errors import OptionError
+
+if TYPE_CHECKING:
+    from dousa.formats.motion_files import ReadOptions
+
+_YES, _NO = ("", "yes", "true", "1"), ("no", "false", "0")
+
+
+@dataclass(frozen=True, slots=True)
+class Reading:
+    """Properties of motion files that they do not state themselves."""
+
+    read: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--read",
+            metavar="KEY=VALUE",
+            help="How files are read; repeatable. unit=cm; up=z; skeleton=FILE (.asf of an .amc, .pmx of a .vmd, SMPL "
+            "model); frame_rate=HZ; joint_map=FILE; any_skeleton (also animals).",
+        ),
+    ] = None
+
+    @property
+    def values(self) -> dict[str, Any]:
+        """The options by name, as `ReadOptions` takes them; a joint map as its file.
+
+        Raises
+        ------
+        OptionError : an unknown key, a key without a value, one given twice, a value that cannot be understood.
+        """
+        return _parse(self.read or ())
+
+    @property
+    def files(self) -> tuple[Path | None, ...]:
+        """The files that the options name."""
+        return tuple(self.values.get(key) for key in ("skeleton", "joint_map"))
+
+    def load(self) -> ReadOptions:
+        """Parse the options and read the joint map.
+
+        Raises
+        ------
+        OptionError : as `values`, or a joint map that cannot be read.
+        """
+        from dousa.formats.motion_files import ReadOptions
+
+        values = self.values
+        if "joint_map" in values:
+            from dousa.motion import read_joint_map
+
+            values["joint_map"] = read_joint_map(values["joint_map"])
+        return ReadOptions(**values)
+
+
+@dataclass(frozen=True, slots=True)
+class UnitReading(Reading):
+    """The same for commands about single files, whose unit and axis are often wanted."""
+
+    unit: Annotated[
+        str | None,
+        typer.Option(
+            "--unit",
+            help="Unit of the file: mm, cm, m, inch, ft or metres per unit. Default: declared, else inferred.",
+        ),
+    ] = None
+    up: Annotated[
+        str | None,
+        typer.Option("--up", help="Axis of the file that points up: y, z, x, -y ... Default: inferred."),
+    ] = None
+
+    @property
+    def values(self) -> dict[str, Any]:
+        """The options by name, as `ReadOptions` takes them; see `Reading.values`."""
+        given = (("unit", self.unit), ("up", self.up))
+        return _parse((*(self.read or ()), *(f"{key}={value}" for key, value in given if value is not None)))
+
+
+def _parse(texts: Iterable[str]) -> dict[str, Any]:
+    values: dict[str, Any] = {}
+    for text in texts:
+        key, _, value = text.partition("=")
+        key = key.strip().replace("-", "_")
+        if key not in _PARSERS:
+            raise OptionError("reading.unknown_key", found=key, known=tuple(_PARSERS))
+        if key in values:
+            raise OptionError("reading.twice", key=key)
+        values[key] = _PARSERS[key](key, value.strip())
+    return values
+
+
+def _parse_text(key: str, value: str) -> str:
+    if not value:
+        raise OptionError("reading.no_value", key=key)
+    return value
+
+
+def _parse_file(key: str, value: str) -> Path:
+    return Path(_parse_text(key, value))
+
+
+def _parse_number(key: str, value: str) -> float:
+    try:
+        return float(_parse_text(key, value))
+    except ValueError:
+        raise OptionError("reading.not_a_number", key=key, found=value) from None
+
+
+def _parse_switch(key: str, value: str) -> bool:
+    if value.lower() not in (*_YES, *_NO):
+        raise OptionError("reading.not_a_switch", key=key, found=value)
+    return value.lower() in _YES
+
+
+_PARSERS: Mapping[str, Callable[[str, str], Any]] = {
+    "unit": _parse_text,
+    "up": _parse_text,
+    "skeleton": _parse_file,
+    "frame_rate": _parse_number,
+    "joint_map": _parse_file,
+    "any_skeleton": _parse_switch,
+}
