@@ -166,9 +166,9 @@ def choose_rule(command: Command) -> How | None:
 
 def is_mention(text: str) -> bool:
     """Whether a command of dousa in running prose lacks what it needs, or leaves something out."""
-    program, *words = shlex.split(text)
-    if program != "dousa":
+    if shlex.split(text)[0] != "dousa":
         return False
+    words = _split(text)[1]
     return words == ["demo"] or "..." in words or _count_values(words) < _count_needed(words[0])
 
 
@@ -188,11 +188,23 @@ def _parameters(name: str) -> list[Any]:
 
 def check_options(text: str) -> None:
     """Fail if a command of dousa has an option that the command line does not know."""
-    _, name, *words = shlex.split(text)
+    from dousa.app.cli.usage import ROOT_OPTIONS
+
+    before, (name, *words) = _split(text)
     known = {option for part in _parameters(name) for option in (*part.opts, *part.secondary_opts)}
+    assert set(before[::2]) <= set(ROOT_OPTIONS), f"{before} cannot stand before a command"
     for word in words:
         if word.startswith("-") and word not in ("-", "--help"):
             assert word.split("=")[0] in known, f"dousa {name} has no {word}"
+
+
+def _split(text: str) -> tuple[list[str], list[str]]:
+    """The options before the command, each with its value; and the command with its words."""
+    _, *words = shlex.split(text)
+    start = 0
+    while words[start].startswith("-"):
+        start += 2
+    return words[:start], words[start:]
 
 
 def _count_needed(name: str) -> int:

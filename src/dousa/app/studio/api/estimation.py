@@ -9,7 +9,8 @@ from fastapi import APIRouter, Path, Query
 from pydantic import Field, field_validator
 from starlette.responses import FileResponse, Response
 
-from dousa.app.requests.estimation import BackgroundMethod, Bones, Cues, Model, Preset, Sex, SourceKind
+from dousa.app.requests.estimation import EstimationRequest, Preset, Sex
+from dousa.app.requests.http import derive_model
 from dousa.app.studio.content.motions import Address, MotionName, MotionRef
 from dousa.app.studio.content.studio import StudioNow
 from dousa.app.studio.core.answers import BYTES, Answer, RefusedError, StrictModel, describe_bytes
@@ -60,7 +61,10 @@ class StartRequest(StrictModel):
     joint_map: dict[str, str | list[str]] | None = None
 
 
-class EstimateRequest(StrictModel):
+_SHARED = ("background_method", "kind", "mirrored", "bones", "cues", "model")
+
+
+class EstimateRequest(derive_model(EstimationRequest, _SHARED)):  # type: ignore[misc]
     """The options of `dousa estimate`. Where no sources are named, every file of the batch finds its own part."""
 
     batch: str = Field(pattern="^[0-9a-f]{16}$")
@@ -69,22 +73,16 @@ class EstimateRequest(StrictModel):
     )
     cameras: _Name | None = Field(None, description="calibration; an npz of silhouettes may have its own")
     backgrounds: list[_Name] | None = Field(None, max_length=100, description="pictures of the empty scene")
-    background_method: BackgroundMethod | None = None
-    kind: SourceKind | None = None
     rate: Annotated[float, Field(gt=0, le=10_000, allow_inf_nan=False)] | None = None
     frames: Annotated[str, Field(pattern=FRAMES_FORM)] | None = None
-    mirrored: bool = Field(False, description="the images are mirror images")
     body: BodyRequest | _Name | None = None
     start: StartRequest | None = Field(None, description="found if left out")
-    bones: Bones = "auto"
     method: Preset = "default"
     reading: Literal["masked", "residual", "union", "plain", "literal"] | None = None
     evidence: Literal["log", "local", "global"] | None = None
     smoothing: Annotated[float, Field(ge=0, le=1000, allow_inf_nan=False)] | None = None
     beam: Annotated[int, Field(ge=1, le=64)] | None = None
     overlay_video: bool = Field(True, description="write overlay.mp4 at the end")
-    cues: Cues | None = Field(None, description="what is fitted; keypoints for films without backgrounds if left out")
-    model: Model | None = Field(None, description="finds people in films; the most precise that is installed")
     offsets: Literal["auto", "none"] = Field("auto", description="films are synchronised, or start together")
     person: list[_Track] | None = Field(
         None, max_length=200, description="who is estimated from films: [view, track] of theirs; who is seen most"

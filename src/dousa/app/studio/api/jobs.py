@@ -7,6 +7,8 @@ from typing import Annotated, Literal
 from fastapi import APIRouter, Query
 from pydantic import Field
 
+from dousa.app.requests import library
+from dousa.app.requests.http import derive_model
 from dousa.app.studio.content.disk_space import describe_space, free_space
 from dousa.app.studio.content.studio import StudioNow
 from dousa.app.studio.core.answers import Answer, RefusedError, StrictModel
@@ -16,13 +18,12 @@ from dousa.messages import Message
 router = APIRouter(tags=["jobs"])
 
 
-class AddRequest(StrictModel):
-    """Which uploaded files, and what is said about them."""
+class AddRequest(derive_model(library.LabelRules)):  # type: ignore[misc]
+    """Which uploaded files, where their labels come from and how they are read."""
 
     batch: str = Field(pattern="^[0-9a-f]{16}$")
     kind: Literal["clip", "take"] = "clip"
     category_from: str | None = Field("folder", max_length=300, description="as dousa add --category-from")
-    performer_from: str | None = Field(None, max_length=300, description="as dousa add --performer-from")
     labels: bool = Field(False, description="of takes: tables of labels lie beside them in the batch")
     tier: str | None = Field(None, max_length=200, description="as dousa add --tier")
     unit: str | None = Field(None, max_length=20)
@@ -44,12 +45,10 @@ class CompactRequest(StrictModel):
     )
 
 
-class TrainRequest(StrictModel):
+class TrainRequest(derive_model(library.TrainRequest)):  # type: ignore[misc]
     """How the forest is trained."""
 
-    feature_set: Literal["paper", "extended"] | None = None
     n_trees: Annotated[int, Field(ge=1, le=2000)] = 100
-    random_state: Annotated[int, Field(ge=0, le=2**32 - 1)] = 0
 
 
 @router.post("/jobs/add", status_code=202, summary="Add uploaded files to the library")

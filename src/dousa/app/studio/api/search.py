@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 from fastapi import APIRouter
 from pydantic import Field
 
+from dousa.app.requests import library
+from dousa.app.requests.http import derive_model, pick_fields
 from dousa.app.studio.content.motions import Address, MotionRef
 from dousa.app.studio.content.studio import Studio, StudioNow
 from dousa.app.studio.core.answers import Answer, StrictModel, name_error, to_answer
@@ -19,26 +21,16 @@ router = APIRouter(tags=["search"])
 
 _PATIENCE = 20.0  # s that a search waits for its turn
 
-_Share = Annotated[float, Field(ge=0, le=1, allow_inf_nan=False)]
 _MOST_PLACES = 20
 _MOST_MOTIONS = 100
 
 
-class SearchRequest(StrictModel):
+class SearchRequest(derive_model(library.SearchRequest)):  # type: ignore[misc]
     """What is searched for, and how."""
 
     query: MotionRef
     k: int = Field(default=10, ge=1, le=200, description="how many clips")
-    ranking: Literal["fused", "pose", "leaves", "histogram"] | None = Field(
-        default=None, description="what clips are ordered by"
-    )
-    same_category: bool = Field(default=False, description="only clips of the category that the query is taken for")
-    mirror: bool = Field(default=False, description="search for the mirror image too")
-    explain: bool = Field(default=False, description="say why")
-    threshold: _Share | None = Field(
-        default=None,
-        description="confidence below which the query is unknown; learned if left out",
-    )
+    ranking: library.Ranking | None = Field(default=None, description="what clips are ordered by")
     inside_takes: bool = Field(default=False, description="look into takes too")
 
 
@@ -52,13 +44,10 @@ class TextRequest(StrictModel):
     kind: Literal["clip", "take"] | None = None
 
 
-class ClassifyRequest(StrictModel):
+class ClassifyRequest(derive_model(library.ClassifyRequest)):  # type: ignore[misc]
     """Motions to name."""
 
     motions: list[MotionRef] = Field(min_length=1, max_length=_MOST_MOTIONS)
-    mirror: bool = False
-    explain: bool = False
-    threshold: _Share | None = None
 
 
 @router.post("/search", summary="The clips most like a motion")
@@ -71,12 +60,7 @@ def search(studio: StudioNow, wanted: SearchRequest) -> Answer:
     with studio.searching.enter(_PATIENCE), studio.learning.follow() as progress:
         found = studio.library.search(
             studio.motions.query(wanted.query),
-            wanted.k,
-            ranking=wanted.ranking,
-            same_category=wanted.same_category,
-            mirror=wanted.mirror,
-            explain=wanted.explain,
-            threshold=wanted.threshold,
+            **pick_fields(wanted, library.SearchRequest),
             progress=progress,
         )
         answer = _name_hits(found)
@@ -116,11 +100,11 @@ def _name_hits(result: SearchResult | TextResult) -> dict[str, Any]:
 
 def _find_places(studio: Studio, wanted: SearchRequest) -> list[dict[str, Any]]:
     """Places in takes like the query; none where there are no takes, or the query is too short to be found."""
-    library = studio.library
-    if not library.stats().n_takes:
+    stored = studio.library
+    if not stored.stats().n_takes:
         return []
     try:
-        found = library.find(studio.motions.query(wanted.query), k=_MOST_PLACES, mirror=wanted.mirror)
+        found = stored.find(studio.motions.query(wanted.query), k=_MOST_PLACES, mirror=wanted.mirror)
     except InvalidMotionError:
         return []
     return [{**place.to_json(), "motion": str(Address(clip=place.clip_id))} for place in found.results]
@@ -142,9 +126,7 @@ def _classify(studio: Studio, ref: MotionRef, wanted: ClassifyRequest) -> dict[s
             studio.motions.query(ref),
             1,
             ranking="histogram",  # the quickest: only the verdict is looked at
-            mirror=wanted.mirror,
-            explain=wanted.explain,
-            threshold=wanted.threshold,
+            **pick_fields(wanted, library.ClassifyRequest),
         )
     except NotTrainedError:
         raise
