@@ -1,4 +1,4 @@
-"""By how much people differ throughout: what ``evaluation/posture/offset.py`` takes for another body.
+"""By how much people differ throughout: what ``evaluation/posture/yaw.py`` takes for another body.
 
     python benchmarks/body_offsets.py [--data DIR] [--pairs N]
 
@@ -22,8 +22,8 @@ from _judge_recordings import read_recordings
 
 from dousa.arrays import FloatArray
 from dousa.evaluation.grade.references import MOST_MISMATCH, compare
-from dousa.evaluation.posture.offset import BETWEEN_DEG, WITHIN_DEG, WITHIN_S, find_tilt
 from dousa.evaluation.posture.posture import SEGMENTS, Working, compute_postures, thin_postures
+from dousa.evaluation.posture.yaw import BETWEEN_DEG, WITHIN_DEG, WITHIN_S, find_tilt
 
 RATE = 30.0
 SETS = ("HDM05", "UTD-MHAD")

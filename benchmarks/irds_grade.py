@@ -21,7 +21,7 @@ import numpy as np
 
 from dousa.evaluation import assess
 from dousa.evaluation.alignment.correspondence import find_path
-from dousa.evaluation.errors.extent import measure_ranges
+from dousa.evaluation.errors.evidence import measure_ranges
 from dousa.evaluation.posture.posture import PostureSequence, compute_postures
 from dousa.formats.motion_files import read_canonical
 

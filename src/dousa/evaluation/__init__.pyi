@@ -1,13 +1,10 @@
 from .advice.advice import Advice, advise, describe_advice, praise
 from .advice.directions import Correction
 from .advice.progress import Attempt, Progress, compare_attempts, read_attempt
-from .alignment.correlation import compute_correlation_matrix
-from .alignment.correspondence import Line, find_lines, find_path
+from .alignment.correspondence import Line, compute_correlation_matrix, find_lines, find_path
+from .alignment.lines import Lapse
 from .beats.accents import ACCENTS, Accent, find_accents
-from .beats.beat_times import Beats, read_beats, to_beats
-from .beats.music import find_beats
-from .beats.timing import BeatTiming, TimedAccent, assess_timing
-from .errors.lapses import Lapse
+from .beats.beats import Beats, BeatTiming, TimedAccent, assess_timing, find_beats, read_beats, to_beats
 from .exercises.range_of_motion import (
     ANGLE_NAMES,
     ANGLES,
@@ -16,10 +13,16 @@ from .exercises.range_of_motion import (
     compute_joint_angles,
     compute_symmetry_index,
 )
-from .exercises.repetitions import AssessedRepetition, RepetitionsAssessment, assess_repetitions
+from .exercises.repetitions import (
+    AssessedRepetition,
+    RepetitionsAssessment,
+    Trend,
+    assess_repetitions,
+    describe_exercise,
+    describe_trends,
+    estimate_trend,
+)
 from .exercises.split import Repetition, RepetitionSplit, find_repetitions
-from .exercises.summary import describe_exercise, describe_trends
-from .exercises.trend import Trend, estimate_trend
 from .figures.eigenspace import (
     Eigenspace,
     compute_distance_from_space,
@@ -29,8 +32,7 @@ from .figures.eigenspace import (
     fit_eigenspace,
 )
 from .figures.furi import Furi, find_furi, fit_furi_eigenspaces, format_furi, read_furi, write_furi
-from .grade.adjustable import AdjustableAssessment
-from .grade.assessment import ABOUT_REFERENCES, assess
+from .grade.assessment import ABOUT_REFERENCES, AdjustableAssessment, assess
 from .grade.result import Assessment, ErrorEvent, FuriAssessment, describe_assessment
 from .live.assessor import FrameState, IncrementalAssessor
 from .posture.posture import (
@@ -42,8 +44,8 @@ from .posture.posture import (
     compute_postures,
     compute_segments,
     mirror_postures,
+    read_weights,
 )
-from .posture.weights import read_weights
 from .posture.yaw import compute_complex_correlation, estimate_robust_yaw, estimate_yaw, rotate_yaw
 from .words import describe_event, describe_heading, describe_lapse, describe_segments
 

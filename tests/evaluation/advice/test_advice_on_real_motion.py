@@ -10,8 +10,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from dousa.evaluation import SEGMENTS
-from dousa.evaluation.advice.directions import find_corrections
-from dousa.evaluation.advice.pairs import PairedDancers
+from dousa.evaluation.advice.directions import PairedDancers, find_corrections
 from dousa.evaluation.posture.posture import compute_postures
 from dousa.experiments.injection.injection import simulate_performer
 from dousa.formats.registry import read_motion

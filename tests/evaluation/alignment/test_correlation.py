@@ -10,7 +10,7 @@ from oracles import yamane_correlation as oracle
 
 from dousa.errors import InvalidMotionError, OptionError
 from dousa.evaluation.alignment import correlation
-from dousa.evaluation.alignment.correlation import compute_correlation_matrix, compute_similarity
+from dousa.evaluation.alignment.correspondence import compute_correlation_matrix, compute_similarity
 from dousa.evaluation.posture.posture import LIMBS
 from dousa.evaluation.posture.yaw import compute_complex_correlation, rotate_yaw
 

@@ -13,8 +13,7 @@ from oracles import yamane_correlation as oracle
 
 from dousa.errors import InvalidMotionError, OptionError
 from dousa.evaluation.alignment import correspondence
-from dousa.evaluation.alignment.correlation import compute_similarity
-from dousa.evaluation.alignment.correspondence import Line, find_lines, find_path
+from dousa.evaluation.alignment.correspondence import Line, compute_similarity, find_lines, find_path
 from dousa.evaluation.posture.posture import compute_postures
 from dousa.formats.registry import read_motion
 from dousa.motion import canonicalise

@@ -109,7 +109,7 @@ def test_another_tempo_is_no_agreement(start_s):
 
 def test_chance_is_rarely_taken_for_agreement():
     from dousa.evaluation.beats.accents import Accent
-    from dousa.evaluation.beats.timing import _measure
+    from dousa.evaluation.beats.beats import _measure
 
     beats, follows = Beats(BEATS), 0
     for seed in range(300):

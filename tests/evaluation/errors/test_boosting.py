@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from dousa.evaluation.errors.boosting import BoostedTrees
+from dousa.evaluation.errors.judge import BoostedTrees
 
 
 def test_exported_trees_answer_as_scikit_learn_does() -> None:

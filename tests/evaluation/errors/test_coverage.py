@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 from oracles.wrong_dances import be_late, choose, get_dance
 
-from dousa.evaluation.errors.deviation import compute_deviations
-from dousa.evaluation.errors.evidence import Evidence, gather_evidence
+from dousa.evaluation.errors.evidence import Evidence, compute_deviations, gather_evidence
 from dousa.evaluation.errors.explain import compute_unreached, follow_path
 from dousa.evaluation.posture.posture import compute_postures, thin_postures
 from dousa.motion import CanonicalMotion

@@ -7,7 +7,7 @@ import itertools
 import numpy as np
 import pytest
 
-from dousa.evaluation.errors.decode import BODY_CLASSES, LIMB_CLASSES, Decoding, decode, follow_classes
+from dousa.evaluation.errors.judge import BODY_CLASSES, LIMB_CLASSES, Decoding, decode, follow_classes
 
 RATE = 15.0
 PLAIN = Decoding(change=2.0, shortest_s=0.25, surest=0.0)

@@ -9,8 +9,7 @@ import pytest
 from oracles.wrong_dances import ARM, be_late, get_dance, shrink_arm, turn_limb
 
 from dousa.evaluation.errors.descriptors import LIMB_OF, N_LIMBS, Descriptors, describe_moments, mark_findings
-from dousa.evaluation.errors.deviation import Deviations, compute_deviations
-from dousa.evaluation.errors.evidence import gather_evidence
+from dousa.evaluation.errors.evidence import Deviations, compute_deviations, gather_evidence
 from dousa.evaluation.errors.explain import Finding
 from dousa.evaluation.posture.posture import compute_postures, thin_postures
 from dousa.motion import CanonicalMotion

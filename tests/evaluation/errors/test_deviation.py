@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from oracles.slow_deviations import measure
 from oracles.wrong_dances import ARM, choose, get_dance, lose, place, turn_limb
 
-from dousa.evaluation.errors.deviation import MAX_LAG_S, YAW_SCALE, compute_deviations, merge_takes
+from dousa.evaluation.errors.evidence import MAX_LAG_S, YAW_SCALE, compute_deviations, merge_takes
 from dousa.evaluation.posture.posture import Working, compute_postures, interpolate_segments, thin_postures
 from dousa.motion import CanonicalMotion
 

@@ -11,11 +11,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 from oracles.wrong_dances import ARM, be_late, choose, get_dance, lose, place, shrink_arm, turn_limb
 
-from dousa.evaluation.errors.deviation import compute_deviations
 from dousa.evaluation.errors.evidence import (
     CAP,
     Evidence,
     at_lag,
+    compute_deviations,
     find_stretches,
     gather_evidence,
     refine_lag,

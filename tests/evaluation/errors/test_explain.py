@@ -15,8 +15,7 @@ from oracles.wrong_dances import (
     turn_limb,
 )
 
-from dousa.evaluation.errors.deviation import compute_deviations
-from dousa.evaluation.errors.evidence import find_stretches, gather_evidence
+from dousa.evaluation.errors.evidence import compute_deviations, find_stretches, gather_evidence
 from dousa.evaluation.errors.explain import Finding, explain, find_best_span
 from dousa.evaluation.posture.posture import LIMBS, compute_postures, thin_postures
 from dousa.motion import CanonicalMotion

@@ -10,9 +10,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from oracles.wrong_dances import get_dance, lose, shrink_arm
 
-from dousa.evaluation.errors.deviation import Deviations, compute_deviations
-from dousa.evaluation.errors.extent import (
+from dousa.evaluation.errors.evidence import (
     GROUPS,
+    Deviations,
+    compute_deviations,
     find_shrunk,
     fit_gain,
     measure_missing_range,

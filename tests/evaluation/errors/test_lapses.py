@@ -11,8 +11,7 @@ import pytest
 from oracles.wandering import make_wandering_motion
 
 from dousa.evaluation import Lapse
-from dousa.evaluation.alignment.lines import align
-from dousa.evaluation.errors.lapses import find_lapses
+from dousa.evaluation.alignment.lines import align, find_lapses
 from dousa.evaluation.posture.posture import compute_postures, thin_postures
 from dousa.experiments.injection.injection import KINDS, inject, simulate_performer
 from dousa.formats.registry import read_motion

@@ -6,10 +6,9 @@ import numpy as np
 import pytest
 from oracles.wrong_dances import ARM, be_late, get_dance, shrink_arm, turn_limb
 
-from dousa.evaluation.errors.decode import Suspect
-from dousa.evaluation.errors.deviation import compute_deviations
-from dousa.evaluation.errors.evidence import gather_evidence
+from dousa.evaluation.errors.evidence import compute_deviations, gather_evidence
 from dousa.evaluation.errors.explain import Finding
+from dousa.evaluation.errors.judge import Suspect
 from dousa.evaluation.errors.measures import measure_suspects
 from dousa.evaluation.posture.posture import LIMBS, compute_postures, thin_postures
 from dousa.motion import CanonicalMotion

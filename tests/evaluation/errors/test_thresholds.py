@@ -10,8 +10,7 @@ import pytest
 from oracles.wrong_dances import ARM, be_late, get_dance, turn_limb
 
 from dousa.evaluation import assess
-from dousa.evaluation.errors.deviation import compute_deviations, merge_takes
-from dousa.evaluation.errors.evidence import SLACK_S, Tolerance, measure_unsteadiness
+from dousa.evaluation.errors.evidence import SLACK_S, Tolerance, compute_deviations, measure_unsteadiness, merge_takes
 from dousa.evaluation.grade.references import choose_tolerance, prepare_references
 from dousa.evaluation.posture.posture import compute_postures, thin_postures
 from dousa.experiments.injection.injection import simulate_performer

@@ -7,14 +7,15 @@ from collections.abc import Mapping, Sequence
 import pytest
 
 from dousa.evaluation import ANGLES, AssessedRepetition, RangeOfMotion, Repetition, RepetitionsAssessment
-from dousa.evaluation.exercises.summary import (
+from dousa.evaluation.exercises.repetitions import (
+    adjust_for_many,
     choose_angles,
     choose_pair,
     compute_median,
     describe_exercise,
     describe_trends,
+    estimate_trend,
 )
-from dousa.evaluation.exercises.trend import adjust_for_many, estimate_trend
 
 NAN = float("nan")
 KNEES = {"left_knee_flexion": 90.0, "right_knee_flexion": 90.0}

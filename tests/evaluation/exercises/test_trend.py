@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from dousa.evaluation import Trend, estimate_trend
-from dousa.evaluation.exercises.trend import adjust_for_many
+from dousa.evaluation.exercises.repetitions import adjust_for_many
 
 
 def brute_p_value(values: list[float]) -> float:

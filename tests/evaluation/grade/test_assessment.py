@@ -24,7 +24,7 @@ from oracles.wrong_dances import (
 
 from dousa.errors import OptionError
 from dousa.evaluation import Assessment, Furi, assess
-from dousa.evaluation.errors.extent import measure_ranges
+from dousa.evaluation.errors.evidence import measure_ranges
 from dousa.evaluation.posture.posture import SEGMENTS
 from dousa.experiments.injection.injection import simulate_performer
 from dousa.messages import LANGUAGES

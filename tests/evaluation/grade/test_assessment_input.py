@@ -24,8 +24,7 @@ from oracles.wrong_dances import (
 
 from dousa.errors import InvalidMotionError, OptionError
 from dousa.evaluation import Assessment, assess
-from dousa.evaluation.posture.posture import SEGMENTS
-from dousa.evaluation.posture.weights import spread_weights
+from dousa.evaluation.posture.posture import SEGMENTS, spread_weights
 from dousa.formats.registry import read_motion
 from dousa.motion import CanonicalMotion, canonicalise
 from dousa.motion.canonical.joints import CANONICAL_JOINTS
@@ -233,7 +232,7 @@ def test_what_is_named_more_exactly_weighs_in_any_order() -> None:
 
 
 def test_arms_and_legs_are_names_of_weights_everywhere():
-    from dousa.evaluation.posture.weights import spread_weights
+    from dousa.evaluation.posture.posture import spread_weights
 
     both = spread_weights({"arms": 2.0, "left_forearm": 0.5})
     spelled = spread_weights({"left_arm": 2.0, "right_arm": 2.0, "left_forearm": 0.5})

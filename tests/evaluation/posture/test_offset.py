@@ -11,16 +11,16 @@ from oracles.wandering import make_wandering_motion
 from dousa.arrays import FloatArray
 from dousa.evaluation import assess
 from dousa.evaluation.grade.references import compare
-from dousa.evaluation.posture.offset import (
+from dousa.evaluation.posture.posture import SEGMENTS, Working, compute_postures, thin_postures
+from dousa.evaluation.posture.yaw import (
     BETWEEN_DEG,
     Offset,
     estimate_offset,
     find_missing,
     learn_between,
+    rotate_yaw,
     turn_segments,
 )
-from dousa.evaluation.posture.posture import SEGMENTS, Working, compute_postures, thin_postures
-from dousa.evaluation.posture.yaw import rotate_yaw
 from dousa.motion.canonical.joints import JOINT_INDEX as J
 
 MOTION = make_wandering_motion(30, 1)

@@ -12,7 +12,7 @@ import numpy as np
 
 from dousa.app.player.figures import Figure, mean_heading
 from dousa.arrays import FloatArray
-from dousa.evaluation.alignment.correlation import compute_correlation_matrix, compute_similarity
+from dousa.evaluation.alignment.correspondence import compute_correlation_matrix, compute_similarity
 from dousa.evaluation.posture.posture import compute_postures
 from dousa.evaluation.posture.yaw import rotate_yaw
 

@@ -11,7 +11,7 @@ from dousa.app.report.markup import element, format_number
 from dousa.app.report.plot import Plot
 from dousa.app.report.timeline import choose_ticks, time_ticks, x_labels
 from dousa.evaluation.beats.accents import ACCENTS
-from dousa.evaluation.beats.timing import BeatTiming, TimedAccent
+from dousa.evaluation.beats.beats import BeatTiming, TimedAccent
 from dousa.evaluation.words import format_time
 from dousa.messages import load_section
 

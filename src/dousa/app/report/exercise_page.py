@@ -15,8 +15,14 @@ from dousa.app.report.markup import element, escape, format_grade, format_number
 from dousa.app.report.page import collect_text, fill_slots, read_file
 from dousa.errors import MotionWriteError, OptionError
 from dousa.evaluation.exercises.range_of_motion import ANGLE_NAMES
-from dousa.evaluation.exercises.repetitions import AssessedRepetition, RepetitionsAssessment
-from dousa.evaluation.exercises.summary import choose_angles, compute_median, describe_exercise, describe_trends
+from dousa.evaluation.exercises.repetitions import (
+    AssessedRepetition,
+    RepetitionsAssessment,
+    choose_angles,
+    compute_median,
+    describe_exercise,
+    describe_trends,
+)
 from dousa.evaluation.words import check_language, format_time
 from dousa.files.disk import atomic_write
 from dousa.messages import load_section

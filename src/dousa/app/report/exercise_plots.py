@@ -14,8 +14,14 @@ from dousa.app.report.plot import Plot, number_labels
 from dousa.app.report.timeline import choose_ticks, time_ticks, x_labels
 from dousa.arrays import FloatArray
 from dousa.evaluation.exercises.range_of_motion import ANGLE_NAMES, compute_joint_angles
-from dousa.evaluation.exercises.repetitions import AssessedRepetition, RepetitionsAssessment
-from dousa.evaluation.exercises.summary import PAIR_NAMES, choose_angles, choose_pair, compute_median
+from dousa.evaluation.exercises.repetitions import (
+    PAIR_NAMES,
+    AssessedRepetition,
+    RepetitionsAssessment,
+    choose_angles,
+    choose_pair,
+    compute_median,
+)
 from dousa.evaluation.words import format_time
 from dousa.motion import CanonicalMotion
 from dousa.motion.canonical.joints import JOINT_INDEX as J

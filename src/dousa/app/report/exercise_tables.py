@@ -10,8 +10,13 @@ from collections.abc import Mapping
 from dousa.app.report.curves import build_details, build_table
 from dousa.app.report.markup import element, format_grade, format_number
 from dousa.evaluation.exercises.range_of_motion import ANGLE_NAMES, ANGLES, MOVING_DEG
-from dousa.evaluation.exercises.repetitions import AssessedRepetition, RepetitionsAssessment
-from dousa.evaluation.exercises.summary import PAIR_NAMES, SHORT, choose_angles
+from dousa.evaluation.exercises.repetitions import (
+    PAIR_NAMES,
+    SHORT,
+    AssessedRepetition,
+    RepetitionsAssessment,
+    choose_angles,
+)
 from dousa.evaluation.words import format_time
 
 

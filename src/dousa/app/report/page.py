@@ -30,7 +30,7 @@ from dousa.app.report.segments import build_segments
 from dousa.app.report.timeline import draw_matrix, draw_timeline
 from dousa.arrays import FloatArray
 from dousa.errors import MotionWriteError, OptionError
-from dousa.evaluation.beats.timing import BeatTiming
+from dousa.evaluation.beats.beats import BeatTiming
 from dousa.evaluation.grade.result import Assessment
 from dousa.evaluation.words import SEGMENT_NAMES, check_language, name_all
 from dousa.files.disk import atomic_write

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from dousa.app.report.curves import thin_curve
 from dousa.app.report.markup import Svg, draw_mark, element, escape, format_grade, format_number, trace
 from dousa.arrays import FloatArray
-from dousa.evaluation.alignment.correlation import compute_correlation_matrix
+from dousa.evaluation.alignment.correspondence import compute_correlation_matrix
 from dousa.evaluation.grade.result import Assessment
 from dousa.evaluation.posture.posture import SEGMENTS
 from dousa.evaluation.words import KINDS, LAPSE_KINDS, SEGMENT_NAMES, format_time, name_all

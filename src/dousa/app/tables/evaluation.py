@@ -10,7 +10,7 @@ from rich.table import Table
 
 from dousa.app.output import one_line
 from dousa.evaluation.exercises.range_of_motion import ANGLE_NAMES
-from dousa.evaluation.exercises.summary import choose_angles, choose_pair, describe_exercise, describe_trends
+from dousa.evaluation.exercises.repetitions import choose_angles, choose_pair, describe_exercise, describe_trends
 from dousa.evaluation.grade.score import round_grade
 from dousa.evaluation.words import format_time
 from dousa.messages import Message

@@ -11,10 +11,9 @@ from typing import Any
 import numpy as np
 
 from dousa.errors import OptionError
-from dousa.evaluation.advice.phrases import name_parts
 from dousa.evaluation.grade.score import round_grade
 from dousa.evaluation.posture.posture import LIMBS, SEGMENTS
-from dousa.evaluation.words import KINDS
+from dousa.evaluation.words import KINDS, name_parts
 from dousa.messages import Message
 
 _SMALLER = 0.75  # of the size before, from which an error counts as smaller

@@ -1,17 +1,405 @@
-"""Where a performance differs by more than is tolerated: stretches of frames that want an explanation."""
+"""Deviations of a performance from its reference over time, lag and segment, and the stretches to be explained.
+
+The tensor of squared deviations is the basis of all errors: a time shift is small at another lag, a wrong limb is large
+at every lag. An incomplete motion shows as a gain below 1: performance = gain * reference + constant, fitted over the
+segments of a limb; the distance inside the eigenspace does not show it, since a short movement leaves the eigenspace.
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
 from dousa.arrays import FloatArray
 from dousa.evaluation.alignment.dynamic_programming import follow_lag, switch_on
-from dousa.evaluation.errors.deviation import Deviations
-from dousa.evaluation.errors.extent import find_shrunk
-from dousa.evaluation.posture.posture import LIMBS
+from dousa.evaluation.posture.posture import LIMBS, SEGMENTS, Working, interpolate_segments
+from dousa.evaluation.posture.yaw import rotate_yaw
+
+MAX_LAG_S = 1.2
+YAW_WINDOW_S = 0.6
+_SPREAD_S = 0.3
+YAW_SCALE = np.radians(12.0)  # chord from which a segment loses its say in the heading
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Deviations:
+    """Squared deviations.
+
+    Parameters
+    ----------
+    squared : (T, K, 9) squared chord between the segments of the performance at t and of the reference at the same
+        time + lag column, turned by the common yaw; 0 where either is not seen, and only there.
+    yaw : (T, K) rad that turn the reference onto the performance.
+    judged : (T, 9) both seen, and inside the reference.
+    performance, reference : (T, 9, 3) unit vectors at the same time, the reference turned onto the performance, and
+        both turned so that the reference's body always faces the same way: what is left is the motion of the limbs.
+    center : column of no lag.
+    step_s : s from column to column.
+    spread : (T, 9) rad, how much takes of the reference differ at each moment; 0 of one take.
+    """
+
+    squared: FloatArray
+    yaw: FloatArray
+    judged: NDArray[np.bool_]
+    performance: FloatArray
+    reference: FloatArray
+    center: int
+    step_s: float
+    spread: FloatArray
+
+
+def compute_deviations(reference: Working, performance: Working, frames: FloatArray, weights: FloatArray) -> Deviations:
+    """Compare every frame of the performance with the reference around ``frames`` (T,), at the working rate."""
+
+    # However slow the camera, there are lags to both sides.
+    reach = max(2, round(MAX_LAG_S * performance.frame_rate))
+    count = performance.n_frames
+    # The reference on the performance's clock, going on before and after it.
+    before = frames[0] + np.arange(-reach, 0)
+    after = frames[-1] + np.arange(1, reach + 1)
+    clock = np.concatenate([before, frames, after])
+    inside = (clock >= -1.0) & (clock <= reference.n_frames)
+    moved = interpolate_segments(reference.segments, clock)
+    near = np.clip(np.rint(clock).astype(np.intp), 0, reference.n_frames - 1)
+    # Before its start and after its end the reference stands still; errors are judged inside it only.
+    seen = reference.seen[near]
+    half = max(1, round(0.5 * YAW_WINDOW_S * performance.frame_rate))
+    squared, turn = measure_deviations(
+        np.ascontiguousarray(performance.segments),
+        moved,
+        np.ascontiguousarray(performance.seen),
+        seen,
+        np.asarray(weights, np.float64),
+        half,
+        YAW_SCALE**2,
+    )
+    here = slice(reach, reach + count)
+    judged = performance.seen & seen[here] & inside[here, None]
+    yaw = np.angle(turn)
+    facing = np.interp(frames, np.arange(reference.n_frames), reference.heading)
+    theirs = rotate_yaw(moved[here], -facing)
+    ours = rotate_yaw(performance.segments, -facing - yaw[:, reach])
+    return Deviations(squared, yaw, judged, ours, theirs, reach, 1.0 / performance.frame_rate, np.zeros(judged.shape))
+
+
+def merge_takes(takes: Sequence[Deviations]) -> Deviations:
+    """Deviations from the nearest of several takes, and how much the takes differ.
+
+    Parameters
+    ----------
+    takes : deviations of one performance from each take, along the same line; the first tells what is judged.
+
+    Returns
+    -------
+    The smallest deviations of all; the reference is the median of the takes, so that one take's slip does not count,
+    and the spread the median angle of the takes from it, averaged over 0.3 s. Where a take is not seen the others
+    speak.
+    """
+    first = takes[0]
+    if len(takes) == 1:
+        return first
+    squared = first.squared
+    for other in takes[1:]:
+        squared = take_nearest(squared, other.squared)
+    poses = np.stack([take.reference for take in takes])
+    # What is judged of no take is of no interest; any of them may stand for it.
+    known = np.stack([take.judged for take in takes]) | ~np.any([take.judged for take in takes], axis=0)
+    middle = _take_median(poses, known[..., None])
+    middle /= np.maximum(np.linalg.norm(middle, axis=2, keepdims=True), 1e-9)
+    far = _take_median(np.linalg.norm(poses - middle, axis=3), known)
+    half = max(1, round(0.5 * _SPREAD_S / first.step_s))
+    total = np.cumsum(np.pad(far, ((half + 1, half), (0, 0)), mode="edge"), axis=0)
+    spread = (total[2 * half + 1 :] - total[: -2 * half - 1]) / (2 * half + 1)
+    return replace(first, squared=squared, reference=middle, spread=spread)
+
+
+def _take_median(values: FloatArray, known: NDArray[np.bool_]) -> FloatArray:
+    """Median over the takes (first axis) of what is known; something of each is."""
+    if known.all():
+        return np.asarray(np.median(values, axis=0))
+    return np.asarray(np.nanmedian(np.where(known, values, np.nan), axis=0))
+
+
+def take_nearest(mine: FloatArray, its: FloatArray) -> FloatArray:
+    """The smaller of two squared deviations, of which 0 is none."""
+    return np.where((its > 0.0) & ((its < mine) | (mine == 0.0)), its, mine)
+
+
+_YAW_ROUNDS = 4
+_SMALLEST_SEEN = 1e-30  # of what is seen, far below rounding: 0 says that it is not seen
+
+
+@njit(cache=True, nogil=True)
+def measure_deviations(
+    ours: FloatArray,
+    theirs: FloatArray,
+    ours_seen: np.ndarray,
+    theirs_seen: np.ndarray,
+    weights: FloatArray,
+    half: int,
+    scale: float,
+) -> tuple[FloatArray, np.ndarray]:  # pragma: no cover - compiled
+    """Squared chords at every lag after a common yaw that changes slowly and that no wrong limb bends.
+
+    Parameters
+    ----------
+    ours : (T, 9, 3) unit vectors of the performance.
+    theirs : (T + K - 1, 9, 3) of the reference on the performance's clock; frame t at lag column k meets t + k.
+    ours_seen, theirs_seen : (T, 9) and (T + K - 1, 9).
+    weights : (9,).
+    half : the yaw is that of ``2 half + 1`` frames at equal lag.
+    scale : squared chord from which a segment loses its say.
+
+    Returns
+    -------
+    squared : (T, K, 9), 0 where either is not seen, and only there.
+    turn : (T, K) complex of modulus 1, the yaw that turns the reference onto the performance.
+    """
+    n_frames, n_lags = len(ours), len(theirs) - len(ours) + 1
+    squared = np.empty((n_frames, n_lags, 9))
+    turn = np.empty((n_frames, n_lags), np.complex128)
+    along, across = np.empty((n_frames, 9)), np.empty((n_frames, 9))
+    upright, far = np.empty((n_frames, 9)), np.empty((n_frames, 9))
+    weight, trust = np.empty((n_frames, 9)), np.empty((n_frames, 9))
+    total = np.zeros((n_frames + 1, 2))
+    for k in range(n_lags):
+        for t in range(n_frames):
+            for s in range(9):
+                x, y, z = ours[t, s, 0], ours[t, s, 1], ours[t, s, 2]
+                p, q, r = theirs[t + k, s, 0], theirs[t + k, s, 1], theirs[t + k, s, 2]
+                along[t, s] = z * r + x * p
+                across[t, s] = x * r - z * p
+                upright[t, s] = 2.0 - 2.0 * y * q
+                weight[t, s] = weights[s] if ours_seen[t, s] and theirs_seen[t + k, s] else 0.0
+                trust[t, s] = weight[t, s]
+        for _ in range(_YAW_ROUNDS):
+            for t in range(n_frames):
+                a, b = 0.0, 0.0
+                for s in range(9):
+                    a += along[t, s] * trust[t, s]
+                    b += across[t, s] * trust[t, s]
+                total[t + 1, 0] = total[t, 0] + a
+                total[t + 1, 1] = total[t, 1] + b
+            for t in range(n_frames):
+                low, high = max(t - half, 0), min(t + half + 1, n_frames)
+                a, b = total[high, 0] - total[low, 0], total[high, 1] - total[low, 1]
+                size = max(np.sqrt(a * a + b * b), 1e-12)
+                a, b = a / size, b / size
+                for s in range(9):
+                    far[t, s] = max(upright[t, s] - 2.0 * (along[t, s] * a + across[t, s] * b), 0.0)
+                    share = 1.0 / (1.0 + far[t, s] / scale)
+                    trust[t, s] = weight[t, s] * share * share
+                turn[t, k] = complex(a, b)
+        for t in range(n_frames):
+            for s in range(9):
+                squared[t, k, s] = max(far[t, s], _SMALLEST_SEEN) if ours_seen[t, s] and theirs_seen[t + k, s] else 0.0
+    return squared, turn
+
+
+GROUPS: dict[str, NDArray[np.intp]] = {"body": np.arange(len(SEGMENTS))} | {
+    limb: np.array(indices) for limb, indices in LIMBS.items()
+}
+"""What shrinks as one: the body, or a limb."""
+
+_WINDOWS_S = (0.7, 1.2, 2.0)
+_EVIDENCE = 8.0  # by how much shrinking explains a window better than a constant difference
+_SHORT = np.radians(10.0)  # range that is missing
+_SMALLER = 0.84  # gain
+_UNEXPLAINED_SHARE = 0.45  # share that is left
+_GAIN_ROUNDS = 4
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class GainFit:
+    """A motion as a smaller copy of another.
+
+    Parameters
+    ----------
+    gain : 1 for the same size.
+    unexplained : share of the difference, up to a constant, that shrinking leaves.
+    off_center : distance of the point it shrinks to from the middle of the reference's motion, in multiples of the
+        motion's reach.
+    chord : whether vectors shrink, or angles seen from ``pole``.
+    pole : (S, 3) mean directions.
+    reference_mean, performance_mean : (S, 3).
+    """
+
+    gain: float
+    unexplained: float
+    off_center: float
+    chord: bool
+    pole: FloatArray
+    reference_mean: FloatArray
+    performance_mean: FloatArray
+
+    def predict(self, reference: FloatArray) -> FloatArray:
+        """(T, S, 3) unit vectors: the reference made smaller."""
+        seen = reference if self.chord else _to_tangent(self.pole, reference)
+        moved = self.performance_mean + self.gain * (seen - self.reference_mean)
+        if not self.chord:
+            angle = np.linalg.norm(moved, axis=-1, keepdims=True)
+            moved = np.cos(angle) * self.pole + np.sin(angle) * moved / np.maximum(angle, 1e-9)
+        length = np.linalg.norm(moved, axis=-1, keepdims=True)
+        smaller: FloatArray = moved / np.maximum(length, 1e-9)
+        return smaller
+
+    def compute_rest(self, performance: FloatArray, reference: FloatArray, tolerance: FloatArray) -> FloatArray:
+        """(T, S) squared deviation from the prediction over squared tolerance."""
+        theirs = reference if self.chord else _to_tangent(self.pole, reference)
+        ours = performance if self.chord else _to_tangent(self.pole, performance)
+        rest = ours - self.performance_mean - self.gain * (theirs - self.reference_mean)
+        squared: FloatArray = (rest**2).sum(axis=2) / tolerance**2
+        return squared
+
+
+def fit_gain(performance: FloatArray, reference: FloatArray, tolerance: FloatArray) -> GainFit:
+    """The gain of a stretch, frames that do not fit losing weight.
+
+    Parameters
+    ----------
+    performance, reference : (T, S, 3) unit vectors at the same time, turned alike.
+    tolerance : (S,) rad.
+
+    Returns
+    -------
+    The best of four fits: vectors shrink (as an average of two postures does), or angles do (as joints do), seen from
+    the mean direction, from the direction at the beginning, or from that of a hanging limb.
+    """
+    middle = reference.mean(axis=0)
+    middle = middle / np.maximum(np.linalg.norm(middle, axis=1, keepdims=True), 1e-9)
+    hanging = np.broadcast_to(np.array([0.0, -1.0, 0.0]), middle.shape)
+    fits = [_fit(performance, reference, tolerance, middle, True)]
+    fits += [_fit(performance, reference, tolerance, pole, False) for pole in (middle, reference[0], hanging)]
+    return min(fits, key=lambda pair: pair[0])[1]
+
+
+def _fit(
+    performance: FloatArray, reference: FloatArray, tolerance: FloatArray, pole: FloatArray, chord: bool
+) -> tuple[float, GainFit]:
+    theirs = reference if chord else _to_tangent(pole, reference)
+    ours = performance if chord else _to_tangent(pole, performance)
+    trust = np.ones(len(theirs))
+    for _ in range(_GAIN_ROUNDS):
+        shares = (trust / trust.sum())[:, None, None]
+        x0, y0 = (theirs * shares).sum(axis=0), (ours * shares).sum(axis=0)
+        x, y = theirs - x0, ours - y0
+        weight = trust[:, None] / tolerance**2
+        power = ((x * x).sum(axis=2) * weight).sum()
+        gain = float(((x * y).sum(axis=2) * weight).sum() / max(power, 1e-9))
+        rest = ((y - gain * x) ** 2).sum(axis=2) / tolerance**2
+        trust = 1.0 / (1.0 + 2.0 * rest.mean(axis=1)) ** 2
+    plain = ((y - x) ** 2).sum(axis=2) / tolerance**2
+    unexplained = float((rest * trust[:, None]).sum() / max((plain * trust[:, None]).sum(), 1e-9))
+    target = (y0 - gain * x0) / max(1.0 - gain, 0.05)
+    reach = (x * x).sum(axis=2).max(axis=0).sum()
+    off_center = float(np.sqrt(((target - x0) ** 2).sum() / max(reach, 1e-9)))
+    cost = float(np.minimum(rest, 9.0).sum())
+    return cost, GainFit(gain, unexplained, off_center, chord, pole, x0, y0)
+
+
+def _to_tangent(pole: FloatArray, vectors: FloatArray) -> FloatArray:
+    """Directions as angles from a pole: the logarithm of the sphere."""
+    along = (vectors * pole).sum(axis=-1, keepdims=True)
+    across = vectors - along * pole
+    sine = np.linalg.norm(across, axis=-1, keepdims=True)
+    tangent: FloatArray = across / np.maximum(sine, 1e-9) * np.arctan2(sine, along)
+    return tangent
+
+
+def find_shrunk(deviations: Deviations, tolerance: FloatArray, rate: float) -> list[tuple[int, int]]:
+    """Windows over which a limb or the body moves less than the reference: half-open, the clearest first, apart.
+
+    A window adds up what no single frame shows: a range that is smaller by a few degrees everywhere.
+    """
+    theirs, ours = deviations.reference, deviations.performance
+    gaps = ~deviations.judged.all(axis=1)
+    sums = [
+        np.concatenate([np.zeros((1, *values.shape[1:])), np.cumsum(values, axis=0)])
+        for values in (theirs, ours, (theirs**2).sum(2), (theirs * ours).sum(2), (ours**2).sum(2), gaps)
+    ]
+    found: list[tuple[float, int, int]] = []
+    for seconds in _WINDOWS_S:
+        width = round(seconds * rate)
+        if not 2 <= width < len(ours):
+            continue
+        x, y, xx, xy, yy, unseen = (total[width:] - total[:-width] for total in sums)
+        xx = xx - (x * x).sum(axis=2) / width
+        xy = xy - (x * y).sum(axis=2) / width
+        yy = yy - (y * y).sum(axis=2) / width
+        clear = np.zeros(len(xx))
+        for group in GROUPS.values():
+            clear = np.maximum(clear, _weigh(xx[:, group], xy[:, group], yy[:, group], tolerance[group], width))
+        clear[unseen > 0] = 0.0
+        found += [(float(clear[start]), int(start), int(start) + width) for start in np.flatnonzero(clear)]
+    taken = np.zeros(len(ours), np.bool_)
+    kept = []
+    for _, start, end in sorted(found, key=lambda window: (-window[0], window[1])):
+        if not taken[start:end].any():
+            taken[start:end] = True
+            kept.append((start, end))
+    return kept
+
+
+def _weigh(xx: FloatArray, xy: FloatArray, yy: FloatArray, tolerance: FloatArray, width: int) -> FloatArray:
+    """(N,) how clearly a gain below one explains windows of (N, S) sums of squares about their means; 0 if not."""
+    inverse = 1.0 / tolerance**2
+    power, product, other = xx @ inverse, xy @ inverse, yy @ inverse
+    gain = product / np.maximum(power, 1e-9)
+    same_size = other - 2.0 * product + power
+    smaller = other - product * gain
+    # The range of a swing is 2 sqrt(2) times its root mean square.
+    missing = (1.0 - gain) * 2.0 * np.sqrt(2.0 * np.maximum(xx.max(axis=1), 0.0) / width)
+    shrunk = (
+        (same_size - smaller > _EVIDENCE)
+        & (missing > _SHORT)
+        & (gain > 0.0)
+        & (gain < _SMALLER)
+        & (smaller < _UNEXPLAINED_SHARE * same_size)
+    )
+    # A longer window must be worth its length.
+    return np.where(shrunk, same_size - 2.0 * smaller, 0.0).clip(min=0.0)
+
+
+_MOST_FRAMES = 90
+_MODEL_SHARE = 0.25
+
+
+def measure_ranges(segments: FloatArray) -> FloatArray:
+    """(S,) rad, the largest angle between any two directions of each segment of (T, S, 3)."""
+    thinned = segments[:: max(1, -(-len(segments) // _MOST_FRAMES))].transpose(1, 0, 2)
+    cosines = (thinned @ thinned.transpose(0, 2, 1)).reshape(len(thinned), -1).min(axis=1)
+    ranges: FloatArray = np.arccos(np.clip(cosines, -1.0, 1.0))
+    return ranges
+
+
+def measure_missing_range(
+    reference: FloatArray, performance: FloatArray, model: FloatArray, segments: NDArray[np.intp]
+) -> tuple[float, float]:
+    """How much range the most affected segment lacks.
+
+    Parameters
+    ----------
+    reference, performance, model : (T, 9, 3) unit vectors of the same moments; the model is the performance as its
+        explanation has it, without the performer's unsteadiness.
+    segments : indices of those that may be affected.
+
+    Returns
+    -------
+    missing : rad.
+    share : of the reference's range.
+    """
+    whole = measure_ranges(reference[:, segments])
+    # Seen and explained err to different sides: unsteadiness widens the one, a blunt model narrows the other.
+    seen, explained = measure_ranges(performance[:, segments]), measure_ranges(model[:, segments])
+    missing = whole - (1.0 - _MODEL_SHARE) * seen - _MODEL_SHARE * explained
+    worst = int(np.argmax(missing))
+    amount = float(max(missing[worst], 0.0))
+    return amount, amount / max(float(whole[worst]), 1e-6)
+
 
 CAP = 9.0
 """A segment three times out of tolerance is wrong; how much further out says no more."""
@@ -188,7 +576,7 @@ def _widen(mask: NDArray[np.bool_], reach: int) -> NDArray[np.bool_]:
 
 _STEADIEST, _UNSTEADIEST = np.radians(3.0), np.radians(9.0)
 _MULTIPLE = 2.4
-_LEAST = np.radians(10.0)
+_LEAST_TOLERANCE = np.radians(10.0)
 _NEAR_S = 0.14
 _WOBBLE_S, _WOBBLE_PERCENTILE, _WOBBLE_MULTIPLE, _MOST_SLACK_S = 0.5, 20.0, 3.0, 0.3
 
@@ -217,7 +605,7 @@ def measure_unsteadiness(deviations: Deviations) -> Tolerance:
     # The root mean square of a wavering direction is 1.2 times its median; errors hardly move the median.
     typical = 1.2 * np.sqrt(np.median(left, axis=0))
     steadiness = np.clip(typical, _STEADIEST, _UNSTEADIEST)
-    return Tolerance(np.maximum(_MULTIPLE * steadiness, _LEAST), _measure_wobble(deviations))
+    return Tolerance(np.maximum(_MULTIPLE * steadiness, _LEAST_TOLERANCE), _measure_wobble(deviations))
 
 
 def _measure_wobble(deviations: Deviations) -> float:

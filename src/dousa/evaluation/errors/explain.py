@@ -16,14 +16,18 @@ from dousa.arrays import FloatArray
 from dousa.evaluation.alignment.dynamic_programming import follow_lag, switch_on
 from dousa.evaluation.errors.evidence import (
     CAP,
+    GROUPS,
     LIMB_SEGMENTS,
     Evidence,
+    GainFit,
     at_lag,
     find_stretches,
+    fit_gain,
+    measure_missing_range,
+    measure_ranges,
     refine_lag,
     runs_of,
 )
-from dousa.evaluation.errors.extent import GROUPS, GainFit, fit_gain, measure_missing_range, measure_ranges
 
 _CHANGE = 0.3  # price of one column of lag: nearly free, since any time of the reference may be met
 _OUTSIDE = 1e3

@@ -9,10 +9,9 @@ from numpy.typing import NDArray
 
 from dousa.arrays import FloatArray
 from dousa.evaluation.alignment.dynamic_programming import follow_lag
-from dousa.evaluation.errors.decode import Suspect
-from dousa.evaluation.errors.evidence import LAG_CHANGE, Evidence
+from dousa.evaluation.errors.evidence import LAG_CHANGE, Evidence, fit_gain, measure_missing_range
 from dousa.evaluation.errors.explain import BODY, Finding, fade_gain, find_changed, measure_excess, measure_severity
-from dousa.evaluation.errors.extent import fit_gain, measure_missing_range
+from dousa.evaluation.errors.judge import Suspect
 
 _PLATEAU = 0.75  # of the largest lag: the rest is fading in and out
 _EDGE, _LEAST_KEPT = 0.3, 0.5  # of the lag; of the span

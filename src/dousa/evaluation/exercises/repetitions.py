@@ -1,18 +1,22 @@
-"""A recording of several repetitions against its reference: each one graded and measured, and how they develop."""
+"""A recording of several repetitions against its reference: each graded and measured, with trends and a summary."""
 
 from __future__ import annotations
 
 import dataclasses
+import itertools
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from dousa.arrays import FloatArray
 from dousa.errors import InvalidMotionError
 from dousa.evaluation.exercises.range_of_motion import (
+    ANGLE_NAMES,
     ANGLES,
     MOVING_DEG,
     PAIRED_ANGLES,
@@ -22,7 +26,6 @@ from dousa.evaluation.exercises.range_of_motion import (
     measure_ranges,
 )
 from dousa.evaluation.exercises.split import Repetition, find_reference_repetitions, find_repetitions
-from dousa.evaluation.exercises.trend import Trend, adjust_for_many, estimate_trend
 from dousa.evaluation.figures.furi import Furi, find_furi
 from dousa.evaluation.grade.assessment import (
     check_importance,
@@ -33,12 +36,103 @@ from dousa.evaluation.grade.assessment import (
 )
 from dousa.evaluation.grade.references import ReferenceTakes, prepare_references
 from dousa.evaluation.grade.result import Assessment
-from dousa.evaluation.posture.posture import compute_postures
-from dousa.evaluation.posture.weights import spread_weights
+from dousa.evaluation.grade.score import round_grade
+from dousa.evaluation.posture.posture import compute_postures, spread_weights
 from dousa.files.json_values import round_number
 from dousa.messages import Message
 from dousa.motion import CanonicalMotion
 from dousa.motion.canonical.canonicalise import mirror_canonical
+
+LEVEL = 0.05
+"""Two-sided probability below which a trend is called distinguishable from none."""
+_EXACT_UP_TO = 40  # repetitions without ties; beyond, and with ties, the normal approximation
+
+
+@dataclass(frozen=True, slots=True)
+class Trend:
+    """How one measure changes over the repetitions.
+
+    Parameters
+    ----------
+    slope : per repetition, in the unit of the measure; nan with fewer than two values.
+    p_value : of Mann and Kendall's test against no trend, two-sided; nan with fewer than two values.
+    n : number of values.
+    adjusted_p : the same probability where several measures were tested at once, see `adjust_for_many`.
+    """
+
+    slope: float
+    p_value: float
+    n: int
+    adjusted_p: float = math.nan
+
+    @property
+    def distinguishable(self) -> bool:
+        """Whether the trend can be told from none; with four repetitions or fewer it never can."""
+        return (self.p_value if math.isnan(self.adjusted_p) else self.adjusted_p) < LEVEL
+
+
+def estimate_trend(values: ArrayLike) -> Trend:
+    """The median of the slopes between all pairs, and the exact test that belongs to it.
+
+    Parameters
+    ----------
+    values : (N,) of one measure, in order of the repetitions; nan is left out and keeps its place.
+
+    Source: P. K. Sen, "Estimates of the regression coefficient based on Kendall's tau", J. American Statistical
+    Association 63, 1379-1389, 1968; H. B. Mann, "Nonparametric tests against trend", Econometrica 13, 245-259, 1945.
+    """
+    array = np.asarray(values, np.float64)
+    places = np.flatnonzero(np.isfinite(array))
+    if len(places) < 2:
+        return Trend(math.nan, math.nan, len(places))
+    pairs = [(array[j] - array[i], j - i) for i, j in itertools.combinations(places.tolist(), 2)]
+    slope = float(np.median([rise / run for rise, run in pairs]))
+    score = int(sum(np.sign(rise) for rise, _ in pairs))
+    return Trend(slope, _compute_p_value(score, array[places]), len(places))
+
+
+def adjust_for_many(trends: Mapping[str, Trend]) -> dict[str, Trend]:
+    """The trends with probabilities that allow for the number of measures: one chance finding in twenty recordings.
+
+    Source: S. Holm, "A simple sequentially rejective multiple test procedure", Scandinavian J. Statistics 6, 65-70,
+    1979.
+    """
+    tested = sorted((name for name in trends if not math.isnan(trends[name].p_value)), key=lambda n: trends[n].p_value)
+    adjusted, reached = dict(trends), 0.0
+    for place, name in enumerate(tested):
+        reached = max(reached, min(1.0, (len(tested) - place) * trends[name].p_value))
+        adjusted[name] = dataclasses.replace(trends[name], adjusted_p=reached)
+    return adjusted
+
+
+def _compute_p_value(score: int, values: np.ndarray) -> float:
+    n = len(values)
+    ties = np.unique(values, return_counts=True)[1]
+    if n <= _EXACT_UP_TO and ties.max() == 1:
+        counts = _count_orders(n)
+        total = math.factorial(n)
+        most = n * (n - 1) // 2
+        # A score of most - 2 d has d pairs out of order.
+        tail = sum(counts[: (most - abs(score)) // 2 + 1])
+        return min(1.0, 2.0 * tail / total)
+    variance = (n * (n - 1) * (2 * n + 5) - float((ties * (ties - 1) * (2 * ties + 5)).sum())) / 18.0
+    if variance <= 0:
+        return 1.0
+    return math.erfc(max(abs(score) - 1, 0) / math.sqrt(2.0 * variance))
+
+
+@lru_cache(maxsize=_EXACT_UP_TO)
+def _count_orders(n: int) -> tuple[int, ...]:
+    """Number of orders of n values by how many pairs are out of order."""
+    counts = [1]
+    for size in range(2, n + 1):
+        wider = [0] * (len(counts) + size - 1)
+        for place, count in enumerate(counts):
+            for more in range(size):
+                wider[place + more] += count
+        counts = wider
+    return tuple(counts)
+
 
 _MARGIN_S = 0.25  # kept around a repetition that is graded
 _MOST_TAKES = 5  # repetitions of the reference that a grade rests on
@@ -360,3 +454,178 @@ def _describe(one: AssessedRepetition, number: int) -> dict[str, Any]:
         },
         "symmetry_percent": {name: round_number(value, 1) for name, value in one.symmetry.items()},
     }
+
+
+PAIR_NAMES: Mapping[str, Message] = {
+    "elbow_flexion": Message("exercise_table.elbow_flexion"),
+    "shoulder_elevation": Message("exercise_table.shoulder_elevation"),
+    "shoulder_flexion": Message("exercise_table.shoulder_flexion"),
+    "shoulder_abduction": Message("exercise_table.shoulder_abduction"),
+    "hip_flexion": Message("exercise_table.hip_flexion"),
+    "hip_abduction": Message("exercise_table.hip_abduction"),
+    "knee_flexion": Message("exercise_table.knee_flexion"),
+}
+"""Angle of both sides -> its name."""
+
+SHORT, FAR = 85.0, 120.0
+"""Percent of the reference's range: a joint that goes less far, or further, is told."""
+_SLOWER, _FASTER = 1.2, 1 / 1.2  # of the reference's duration
+_WEAK = 5.0  # points below the median from which a repetition is named
+_UNEVEN = 15.0  # percent, symmetry index that is told
+_UNEVEN_CHANGE = 0.5  # percent a repetition: a slower change of the sides is true, and of no use to anybody
+_UNLIKE_REFERENCE = 10.0  # and by how much it must be beyond the reference's own
+_MOST_ANGLES = 4  # that a table has room for
+
+
+def choose_angles(assessment: RepetitionsAssessment, most: int = _MOST_ANGLES) -> tuple[str, ...]:
+    """The joint angles that move most in the reference, in the order of `ANGLES`; of each joint one, at least one.
+
+    A shoulder that is raised has an elevation, a flexion and an abduction; the one that moves most stands for it, the
+    same on both sides.
+    """
+    ranges = {name: value if math.isfinite(value) else 0.0 for name, value in assessment.reference_ranges.items()}
+    kinds: dict[str, tuple[float, str]] = {}
+    for name in ANGLES:
+        kind = _drop_side(name)
+        joint = kind.split("_")[0]
+        kinds[joint] = max(kinds.get(joint, (-1.0, "")), (ranges[name], kind))
+    chosen = {kind for _, kind in kinds.values()}
+    mine = [name for name in ANGLES if _drop_side(name) in chosen]
+    moving = [name for name in mine if name in assessment.angles] or mine[:1]
+    kept = sorted(moving, key=lambda name: -ranges[name])[:most]
+    return tuple(name for name in ANGLES if name in kept)
+
+
+def choose_pair(assessment: RepetitionsAssessment) -> str | None:
+    """The angle of both sides that moves most in the reference; None if no angle moves on both."""
+    pairs = [name for name in PAIRED_ANGLES if assessment.complete and name in assessment.complete[0].symmetry]
+    return max(pairs, key=lambda name: assessment.reference_ranges[f"left_{name}"], default=None)
+
+
+def describe_exercise(assessment: RepetitionsAssessment) -> tuple[Message, ...]:
+    """How the repetitions went, the most important first; see `describe_trends` for how they develop.
+
+    Parameters
+    ----------
+    assessment : at least one complete repetition.
+
+    Returns
+    -------
+    The grade; what was broken off; the joints that go less than `SHORT` or more than `FAR` percent as far as in the
+    reference in the median; tempo and sides where they are clearly different.
+    """
+    said = [*_say_grade(assessment), *_say_broken_off(assessment), *_say_ranges(assessment)]
+    return (*said, *_say_tempo(assessment), *_say_sides(assessment))
+
+
+def describe_trends(assessment: RepetitionsAssessment) -> tuple[Message, ...]:
+    """The trends that can be told from chance, or that there are none.
+
+    Of the joints those of `choose_angles` and `choose_pair`; all others are in ``assessment.trends``.
+    """
+    told = {"duration_s", "score", "pause_s", "extent", *choose_angles(assessment)}
+    pair = choose_pair(assessment)
+    uneven = f"symmetry_{pair}"
+    found = [
+        _say_trend(name, trend)
+        for name, trend in assessment.trends.items()
+        if trend.distinguishable and (name in told or (name == uneven and abs(trend.slope) >= _UNEVEN_CHANGE))
+    ]
+    return tuple(found) or (Message("exercise_table.no_trend"),)
+
+
+def compute_median(values: Sequence[float]) -> float:
+    """Of those that are finite; nan of none."""
+    known = [value for value in values if math.isfinite(value)]
+    return float(np.median(known)) if known else math.nan
+
+
+def _drop_side(angle: str) -> str:
+    return angle.removeprefix("left_").removeprefix("right_")
+
+
+def _say_grade(assessment: RepetitionsAssessment) -> list[Message]:
+    graded = [(one.score, number) for number, one in enumerate(assessment.repetitions, 1) if math.isfinite(one.score)]
+    if not graded:
+        return [Message("exercise_summary.no_grade")]
+    scores = [score for score, _ in graded]
+    below = compute_median(scores) - min(scores)
+    median, low, high = (round_grade(score) for score in (compute_median(scores), min(scores), max(scores)))
+    if low == high:
+        return [Message("exercise_summary.grade_even", score=median)]
+    if below < _WEAK:
+        return [Message("exercise_summary.grade", median=median, low=low, high=high)]
+    return [Message("exercise_summary.grade_weakest", median=median, low=low, high=high, number=min(graded)[1])]
+
+
+def _say_broken_off(assessment: RepetitionsAssessment) -> list[Message]:
+    broken = [
+        (number, 100.0 * one.repetition.extent)
+        for number, one in enumerate(assessment.repetitions, 1)
+        if not one.repetition.complete
+    ]
+    if not broken:
+        return []
+    if len(broken) == 1:
+        number, percent = broken[0]
+        return [Message("exercise_summary.broken_off", number=number, percent=percent)]
+    numbers = [str(number) for number, _ in broken]
+    return [Message("exercise_summary.several_broken_off", numbers=numbers, percent=max(one for _, one in broken))]
+
+
+def _say_ranges(assessment: RepetitionsAssessment) -> list[Message]:
+    said = []
+    compared = 0
+    for name in choose_angles(assessment):
+        degrees = compute_median([one.get_range(name).range_deg for one in assessment.complete])
+        expected = assessment.reference_ranges[name]
+        percent = compute_median([one.get_range(name).percent for one in assessment.complete])
+        compared += math.isfinite(percent)
+        if percent < SHORT or percent > FAR:
+            code = "exercise_summary.short" if percent < SHORT else "exercise_summary.far"
+            values = {"degrees": degrees, "expected": expected, "percent": percent}
+            said.append(Message(code, angle=ANGLE_NAMES[name], **values))
+    if not said and compared:
+        return [Message("exercise_summary.full_range", short=SHORT, far=FAR)]
+    return said
+
+
+def _say_tempo(assessment: RepetitionsAssessment) -> list[Message]:
+    tempo = compute_median([one.tempo for one in assessment.complete])
+    seconds = compute_median([one.repetition.duration_s for one in assessment.complete])
+    if tempo >= _SLOWER or tempo <= _FASTER:
+        code = "exercise_summary.slower" if tempo >= _SLOWER else "exercise_summary.faster"
+        return [Message(code, seconds=seconds, expected=assessment.reference_s)]
+    return []
+
+
+def _say_sides(assessment: RepetitionsAssessment) -> list[Message]:
+    pair = choose_pair(assessment)
+    if pair is None:
+        return []
+    uneven = compute_median([one.symmetry[pair] for one in assessment.complete])
+    left, right = (assessment.reference_ranges[f"{side}_{pair}"] for side in ("left", "right"))
+    own = compute_symmetry_index(left, right)
+    if not (abs(uneven) >= _UNEVEN and abs(uneven - own) >= _UNLIKE_REFERENCE):
+        return []
+    code = "exercise_summary.left_further" if uneven > 0 else "exercise_summary.right_further"
+    return [Message(code, angle=PAIR_NAMES[pair], percent=abs(uneven))]
+
+
+def _say_trend(name: str, trend: Trend) -> Message:
+    if name == "duration_s":
+        what = Message("exercise_table.measure_duration")
+        return Message("exercise_table.trend_seconds", what=what, slope=trend.slope, p=trend.adjusted_p)
+    if name == "pause_s":
+        what = Message("exercise_table.measure_pause")
+        return Message("exercise_table.trend_seconds", what=what, slope=trend.slope, p=trend.adjusted_p)
+    if name == "score":
+        what = Message("exercise_table.measure_score")
+        return Message("exercise_table.trend_points", what=what, slope=trend.slope, p=trend.adjusted_p)
+    if name == "extent":
+        what = Message("exercise_table.measure_extent")
+        return Message("exercise_table.trend_percent", what=what, slope=100 * trend.slope, p=trend.adjusted_p)
+    if name.startswith("symmetry_"):
+        what = Message("exercise_table.measure_symmetry", angle=PAIR_NAMES[name.removeprefix("symmetry_")])
+        return Message("exercise_table.trend_percent", what=what, slope=trend.slope, p=trend.adjusted_p)
+    return Message("exercise_table.trend_degrees", what=ANGLE_NAMES[name], slope=trend.slope, p=trend.adjusted_p)

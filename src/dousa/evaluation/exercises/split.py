@@ -1,9 +1,11 @@
 """Repetitions of an exercise in one recording: found, counted, and bounded to the frame.
 
-The posture is a point in the space of nine segment directions, its heading taken off; a repetition leaves a rest and
-comes back to it. A template (one repetition, of the reference or of the recording itself) is looked for by
-subsequence dynamic time warping of the displacements from rest (`parse`). Displacements, not postures: the same
-exercise is recognised in a body that stands differently.
+The posture is a point in the space of nine segment directions without its heading; a repetition leaves a rest and
+returns to it. A template (one repetition, of the reference or of the recording itself) is searched by subsequence
+dynamic time warping of the displacements from rest: an exercise is recognised in a body that stands differently.
+
+Source: the one-stage method of connected word recognition: H. Ney, "The use of a one-stage dynamic programming
+algorithm for connected word recognition", IEEE Trans. ASSP 32(2), 263-271, 1984.
 """
 
 from __future__ import annotations
@@ -13,17 +15,186 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numba import njit
+from numpy.typing import NDArray
 
 from dousa.arrays import BoolArray, FloatArray, IntArray
-from dousa.evaluation.exercises.parse import parse_passes
-from dousa.evaluation.exercises.posture_curve import (
-    PostureCurve,
-    compare_displacements,
-    compute_curve,
-    find_rests,
-)
-from dousa.evaluation.posture.posture import PostureSequence, compute_postures
+from dousa.evaluation.posture.posture import PostureSequence, Working, compute_postures, thin_postures
+from dousa.evaluation.posture.yaw import rotate_yaw
 from dousa.motion import CanonicalMotion
+from dousa.motion.resampling import smooth_gaussian
+
+STAY, SKIP = 0.2, 0.2
+"""Price of a frame during which the template waits, and of every frame of the template that is left out."""
+ENTRY = 0.03
+"""Price of beginning a repetition, as a share of the template's frames."""
+
+Matrix = NDArray[np.float64]
+
+
+def parse_passes(cost: Matrix, outside: NDArray[np.float64]) -> tuple[NDArray[np.int64], NDArray[np.float64], float]:
+    """The cheapest reading of a recording as passes through a template, and what lies between them.
+
+    Parameters
+    ----------
+    cost : (T, n) of pairing a frame of the recording with one of the template.
+    outside : (T,) cost of a frame that belongs to no pass.
+
+    Returns
+    -------
+    passes : (R, 2) first frame and frame after the last of each pass, in order.
+    prices : (R,) of each pass, a frame.
+    price : of the whole reading.
+    """
+    if len(cost) == 0 or cost.shape[1] == 0:
+        return np.zeros((0, 2), np.int64), np.zeros(0), float(outside.sum())
+    total, origin, from_pass = _accumulate(cost, outside, STAY, SKIP, ENTRY * cost.shape[1])
+    bounds = _trace(origin, from_pass, total[-1, -1] < total[-1, 0])
+    before = np.array([total[start - 1, [0, -1]].min() if start else 0.0 for start, _ in bounds])
+    prices = (total[bounds[:, 1] - 1, -1] - before) / np.maximum(bounds[:, 1] - bounds[:, 0], 1)
+    return bounds, prices, float(min(total[-1, 0], total[-1, -1]))
+
+
+@njit(cache=True, nogil=True)
+def _accumulate(  # type: ignore[no-untyped-def]
+    cost, outside, stay, skip, entry
+):  # pragma: no cover - compiled
+    """Cheapest prices (T, n + 1), and the way back: column 0 is outside, j + 1 the template."""
+    n_frames, n = cost.shape
+    total = np.full((n_frames, n + 1), np.inf)
+    origin = np.full((n_frames, n + 1), -1, np.int8)  # 0 from outside or a pass's end, 1 stay, 2, 3, 4: so many on
+    from_pass = np.zeros(n_frames, np.bool_)  # whether what is outside, or begins, follows a pass
+    total[0, 0] = outside[0]
+    total[0, 1] = entry + cost[0, 0]
+    origin[0, 1] = 0
+    for t in range(1, n_frames):
+        before, here = total[t - 1], total[t]
+        from_pass[t] = before[n] < before[0]
+        outer = min(before[0], before[n])
+        here[0] = outer + outside[t]
+        for j in range(1, n + 1):
+            best, way = before[j] + stay, 1
+            if j == 1 and outer + entry < best:
+                best, way = outer + entry, 0
+            for step in range(1, 4):
+                if j - step >= 1 and before[j - step] + skip * (step - 1) < best:
+                    best, way = before[j - step] + skip * (step - 1), 1 + step
+            here[j] = best + cost[t, j - 1]
+            origin[t, j] = way
+    return total, origin, from_pass
+
+
+@njit(cache=True, nogil=True)
+def _trace(origin, from_pass, in_pass):  # type: ignore[no-untyped-def]  # pragma: no cover - compiled
+    """(R, 2) bounds of the passes on the cheapest chain."""
+    n_frames, n = origin.shape[0], origin.shape[1] - 1
+    bounds = np.empty((n_frames, 2), np.int64)
+    count = 0
+    j = n if in_pass else 0
+    end = n_frames
+    for t in range(n_frames - 1, -1, -1):
+        if j == 0:
+            if t > 0 and from_pass[t]:
+                j, end = n, t
+            continue
+        way = origin[t, j]
+        if way == 0:
+            bounds[count, 0], bounds[count, 1] = t, end
+            count += 1
+            j = 0
+            if t > 0 and from_pass[t]:
+                j, end = n, t
+        elif way > 1:
+            j -= way - 1
+    return bounds[:count][::-1].copy()
+
+
+_HEADING_S = 0.5  # standard deviation: who turns on the way turns slowly
+_SMOOTH_S = 0.06
+_RATE = 15.0  # Hz at which repetitions are looked for; their bounds are found at the full rate
+_STILL = 0.6  # chord a second below which a body is at rest
+_ONE_REST = 0.35  # chord within which two postures are of one rest
+_MOST_RESTS = 6
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PostureCurve:
+    """Postures without heading, as points of a space in which distances are chords.
+
+    Parameters
+    ----------
+    fine : (T, 27) nine unit vectors in the body's frame, at the full rate.
+    fine_rate : Hz.
+    coarse : (U, 27) the same at about 15 Hz.
+    stride : frames of ``fine`` in one of ``coarse``.
+    place : (U, 2) m, where on the floor the body is.
+    """
+
+    fine: FloatArray
+    fine_rate: float
+    coarse: FloatArray
+    stride: int
+    place: FloatArray
+
+    @property
+    def rate(self) -> float:
+        """Hz of ``coarse``."""
+        return self.fine_rate / self.stride
+
+
+def compute_curve(postures: PostureSequence) -> PostureCurve:
+    """Take the heading off, which turns slowly, and smooth what a sensor adds."""
+    rate = postures.frame_rate
+    heading = _follow_heading(thin_postures(postures), postures.n_frames)
+    turned = rotate_yaw(postures.segments, -heading).reshape(postures.n_frames, -1)
+    fine = smooth_gaussian(turned, max(_SMOOTH_S * rate, 0.3))
+    stride = max(1, round(rate / _RATE))
+    return PostureCurve(
+        fine, rate, np.ascontiguousarray(fine[::stride]), stride, postures.positions[::stride, 0][:, [0, 2]]
+    )
+
+
+def _follow_heading(working: Working, n_frames: int) -> FloatArray:
+    smooth = smooth_gaussian(working.heading, _HEADING_S * working.frame_rate)
+    places = np.arange(working.n_frames) * working.stride
+    return np.interp(np.arange(n_frames), places, smooth)
+
+
+def find_rests(curve: PostureCurve) -> FloatArray:
+    """Postures in which the body often is and hardly moves, the most frequent one first.
+
+    Returns
+    -------
+    (K, 27), K from 2 to 8: where the recording begins and ends are among them.
+    """
+    points = curve.coarse
+    speed = np.linalg.norm(np.gradient(points, axis=0), axis=1) * curve.rate if len(points) > 1 else np.zeros(1)
+    calm = 1.0 / (1.0 + (speed / _STILL) ** 2)
+    some = points[:: max(1, len(points) // 400)]
+    near = np.exp(-0.5 * _squared(some, points) / _ONE_REST**2) * calm
+    rests: list[FloatArray] = [points[0], points[-1]]  # who starts at once, or stops at once, is nowhere long
+    left = np.ones(len(points))
+    while len(rests) < _MOST_RESTS + 2:
+        weight = near @ left
+        best = int(weight.argmax())
+        if weight[best] < 0.3 * curve.rate:
+            break
+        share = near[best] * left
+        rests.append((share @ points) / max(share.sum(), 1e-9))
+        left = left * (1.0 - np.exp(-0.5 * _squared(rests[-1][None], points)[0] / (2 * _ONE_REST) ** 2))
+    return np.array(rests)
+
+
+def _squared(a: FloatArray, b: FloatArray) -> FloatArray:
+    """(N, M) squared distances of (N, D) and (M, D)."""
+    sums = (a * a).sum(axis=1)[:, None] + (b * b).sum(axis=1)[None] - 2.0 * (a @ b.T)
+    return np.asarray(np.maximum(sums, 0.0))
+
+
+def compare_displacements(curve: FloatArray, template: FloatArray) -> FloatArray:
+    """(T, n) squared distances between displacements from rest, (T, D) and (n, D)."""
+    return _squared(curve, template)
+
 
 LEAST_EXCURSION = 0.25
 """Chord: what moves less (a limb of two segments by 10 degrees) is standing still."""

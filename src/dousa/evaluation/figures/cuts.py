@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dousa.arrays import FloatArray
-from dousa.evaluation.alignment.correlation import compute_correlation_matrix
+from dousa.evaluation.alignment.correspondence import compute_correlation_matrix
 
 _RATE = 10.0  # Hz, the coarse rate at most
 _MOST_POSES = 4000  # coarse poses of a very long take: 64 MB a matrix

@@ -1,7 +1,7 @@
-"""What a grade is made of: how far a performance is from its reference, measured in several ways.
+"""Measures that make a grade: distances of a performance from its reference, and the importance of each segment.
 
-The same parts are measured of every further take of the reference against the others: what those differ by is the
-yardstick.
+The same measures of each further take against the others are the yardstick. A segment that moves much, and in the same
+way in all takes, is important for the grade; finding errors does not use the importance.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 from dousa.arrays import FloatArray, IndexArray
 from dousa.errors import InvalidMotionError
 from dousa.evaluation.alignment.dynamic_programming import follow_lag
-from dousa.evaluation.errors.deviation import Deviations
+from dousa.evaluation.errors.evidence import Deviations
 from dousa.evaluation.posture.posture import LIMBS, SEGMENTS, Working, check_weights
 from dousa.evaluation.posture.yaw import rotate_yaw
 
@@ -255,3 +255,46 @@ def compute_deviation(residual: ArrayLike, weights: ArrayLike | None = None) -> 
         return float("nan")
     squares = (np.nan_to_num(angles) ** 2 * shares).sum(axis=1)[compared] / total[compared]
     return float(np.degrees(np.sqrt(squares).mean()))
+
+
+_LITTLE_DEG = 15.0  # of motion: what moves less is still looked at
+_ALIKE_DEG = 5.0  # what takes of one person differ by anyway
+_ALONE, _TOGETHER = 0.35, 0.5  # how much is made of it, with one take and with several
+_MOST = 2.5
+
+
+def learn_importance(takes: Sequence[Working], measured: Sequence[Measured]) -> FloatArray:
+    """(9,) weights of the segments, of mean 1.
+
+    Parameters
+    ----------
+    takes : of the reference, at the working rate.
+    measured : of the further ones against the others; of one take there are none, and its amount of motion alone
+        tells, mildly.
+    """
+    motion = np.mean([_measure_spread(take) for take in takes], axis=0) + _LITTLE_DEG
+    seen = takes[0].seen.any(axis=0)
+    if measured:
+        apart = np.mean([_average_over_time(one.shape) for one in measured], axis=0)
+        shares = (motion / (apart + _ALIKE_DEG)) ** _TOGETHER
+    else:
+        shares = motion**_ALONE
+    shares /= shares[seen].mean() if seen.any() else 1.0
+    shares = np.clip(shares, 1.0 / _MOST, _MOST)
+    return np.asarray(shares / shares[seen].mean() if seen.any() else np.ones(9))
+
+
+def _average_over_time(angles: FloatArray) -> FloatArray:
+    """(9,) root mean square over time of (N, 9); 0 where nothing is known."""
+    count = np.isfinite(angles).sum(axis=0)
+    return np.asarray(np.sqrt(np.nansum(angles**2, axis=0) / np.maximum(count, 1)))
+
+
+def _measure_spread(take: Working) -> FloatArray:
+    """(9,) deg, root mean square of the angle from the mean direction, in the performer's own frame."""
+    body = rotate_yaw(take.segments, -np.nan_to_num(take.heading))
+    mean = body.mean(axis=0)
+    mean /= np.maximum(np.linalg.norm(mean, axis=1, keepdims=True), 1e-9)
+    cosine = np.clip(np.einsum("tsk,sk->ts", body, mean), -1.0, 1.0)
+    spread: FloatArray = np.sqrt((np.degrees(np.arccos(cosine)) ** 2).mean(axis=0))
+    return spread

@@ -11,15 +11,20 @@ from dousa.arrays import FloatArray, IndexArray
 from dousa.evaluation.alignment.dynamic_programming import follow_lag
 from dousa.evaluation.alignment.lines import OUTSIDE, Alignment, align, pair_similarity, to_cost
 from dousa.evaluation.errors.descriptors import Descriptors, choose_stride, describe_moments
-from dousa.evaluation.errors.deviation import Deviations, compute_deviations, merge_takes
-from dousa.evaluation.errors.evidence import Evidence, Tolerance, measure_unsteadiness
+from dousa.evaluation.errors.evidence import (
+    Deviations,
+    Evidence,
+    Tolerance,
+    compute_deviations,
+    measure_unsteadiness,
+    merge_takes,
+)
 from dousa.evaluation.errors.explain import Finding, explain_all
 from dousa.evaluation.errors.judge import load_judge
 from dousa.evaluation.errors.measures import measure_suspects
-from dousa.evaluation.grade.importance import learn_importance
-from dousa.evaluation.grade.parts import PARTS, Measured, measure_parts
-from dousa.evaluation.posture.offset import Offset, estimate_offset, find_missing, learn_between, take_out
+from dousa.evaluation.grade.parts import PARTS, Measured, learn_importance, measure_parts
 from dousa.evaluation.posture.posture import PostureSequence, Working, interpolate_segments, thin_postures
+from dousa.evaluation.posture.yaw import Offset, estimate_offset, find_missing, learn_between, take_out
 
 MOST_MISMATCH, MOST_DEVIATION = 0.85, 26.0
 """Along the lines (0 to 1), and degrees at the best times: motions that differ more have nothing in common."""

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dousa.arrays import FloatArray
-from dousa.evaluation.errors.lapses import NO_LIKENESS
+from dousa.evaluation.alignment.lines import NO_LIKENESS
 from dousa.evaluation.grade.parts import PARTS
 from dousa.evaluation.grade.references import Comparison, ReferenceTakes
 from dousa.messages import Message

@@ -15,26 +15,17 @@ from numpy.typing import ArrayLike, NDArray
 from dousa.arrays import FloatArray
 from dousa.errors import InvalidMotionError, OptionError
 from dousa.evaluation.advice.advice import Advice, advise_on_event
-from dousa.evaluation.advice.pairs import PairedDancers
+from dousa.evaluation.advice.directions import PairedDancers
+from dousa.evaluation.alignment.lines import Lapse
 from dousa.evaluation.alignment.pairing import compare_poses
 from dousa.evaluation.errors.explain import Finding
-from dousa.evaluation.errors.lapses import Lapse
 from dousa.evaluation.figures.curves import take_off_median
 from dousa.evaluation.figures.furi import Furi, find_furi, fit_furi_eigenspaces, pool_takes, scale_furi
 from dousa.evaluation.grade.assessment import FEWEST_FRAMES, SHORTEST_S, check_importance, check_takes, judge
-from dousa.evaluation.grade.events import describe_findings
 from dousa.evaluation.grade.references import prepare_references
-from dousa.evaluation.grade.result import Assessment, ErrorEvent
+from dousa.evaluation.grade.result import Assessment, ErrorEvent, describe_findings
 from dousa.evaluation.live.stream_frame import FigureMeter, LagWatcher, PoseReader, compare_with_reference, find_front
 from dousa.evaluation.live.stream_window import LineFollower, Window
-from dousa.evaluation.posture.offset import (
-    estimate_offset,
-    find_turns,
-    make_no_offset,
-    take_out,
-    take_out_of_pose,
-    take_out_of_postures,
-)
 from dousa.evaluation.posture.posture import (
     MIRRORED_SEGMENTS,
     SEGMENTS,
@@ -44,10 +35,18 @@ from dousa.evaluation.posture.posture import (
     compute_postures,
     interpolate_segments,
     mirror_postures,
+    spread_weights,
     thin_postures,
 )
-from dousa.evaluation.posture.weights import spread_weights
-from dousa.evaluation.posture.yaw import estimate_robust_yaw
+from dousa.evaluation.posture.yaw import (
+    estimate_offset,
+    estimate_robust_yaw,
+    find_turns,
+    make_no_offset,
+    take_out,
+    take_out_of_pose,
+    take_out_of_postures,
+)
 from dousa.motion import CanonicalMotion
 from dousa.motion.canonical.joints import CANONICAL_JOINTS
 

@@ -20,21 +20,28 @@ from dousa.evaluation.alignment.lines import (
     OUTSIDE,
     PAUSE,
     Alignment,
+    Lapse,
     Run,
     extrapolate,
+    find_lapses,
     find_pauses,
     find_runs,
     pair_similarity,
     smooth_course,
     to_cost,
 )
-from dousa.evaluation.errors.decode import decode
 from dousa.evaluation.errors.descriptors import choose_stride
-from dousa.evaluation.errors.deviation import YAW_WINDOW_S, Deviations, compute_deviations, merge_takes
-from dousa.evaluation.errors.evidence import Evidence, Tolerance, gather_evidence
+from dousa.evaluation.errors.evidence import (
+    YAW_WINDOW_S,
+    Deviations,
+    Evidence,
+    Tolerance,
+    compute_deviations,
+    gather_evidence,
+    merge_takes,
+)
 from dousa.evaluation.errors.explain import Finding
-from dousa.evaluation.errors.judge import load_judge
-from dousa.evaluation.errors.lapses import Lapse, find_lapses
+from dousa.evaluation.errors.judge import decode, load_judge
 from dousa.evaluation.errors.measures import measure_suspects
 from dousa.evaluation.grade.references import ReferenceTakes, choose_tolerance, describe
 from dousa.evaluation.posture.posture import Working
@@ -152,7 +159,7 @@ class LineFollower:
         return there
 
     def _extend(self, segments: FloatArray) -> None:
-        from dousa.evaluation.alignment.correlation import compute_correlation_matrix
+        from dousa.evaluation.alignment.correspondence import compute_correlation_matrix
         from dousa.evaluation.alignment.dynamic_programming import extend_lines
 
         rows = np.arange(len(self._course) * self._step, len(segments), self._step)

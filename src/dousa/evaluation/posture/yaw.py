@@ -1,17 +1,27 @@
-"""Yaw: the rotation about the vertical between two postures, by complex correlation.
+"""Rotations between two bodies: the yaw by complex correlation, and the constant offset of each segment.
 
-Source: Yamane and Shakunaga, eq. 3 to 7. The horizontal part of a vector is the complex number ``h = z + j x``
-(Y is up here, Z in the paper), so that multiplying by ``exp(j theta)`` turns it by theta about +Y, right-handed.
+Source of the yaw: Yamane and Shakunaga, eq. 3 to 7. The horizontal part of a vector is the complex number
+``h = z + j x`` (Y is up here, Z in the paper), so that multiplying by ``exp(j theta)`` turns it by theta about +Y,
+right-handed.
+
+Neutral posture, proportions, the tilt of a sensor and the definition of a front turn each segment by the same angle at
+every moment. This offset is estimated over the whole performance, so that errors in less than half of the time do not
+bend it, and removed before deviations are measured, as far as bodies differ.
 """
 
 from __future__ import annotations
 
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from dousa.arrays import FloatArray
+from dousa.arrays import FloatArray, IndexArray
 from dousa.errors import OptionError
-from dousa.evaluation.posture.posture import LIMBS, SEGMENTS, check_segments, check_weights
+from dousa.evaluation.posture.posture import LIMBS, SEGMENTS, PostureSequence, Working, check_segments, check_weights
+from dousa.motion import rotations
 
 ComplexArray = NDArray[np.complex128]
 WRONG_CHORD = 0.35
@@ -175,3 +185,268 @@ def rotate_yaw(segments: ArrayLike, theta: ArrayLike) -> FloatArray:
     x, y, z = vectors[..., 0], vectors[..., 1], vectors[..., 2]
     turned_x = x * cosine + z * sine
     return np.stack([turned_x, np.broadcast_to(y, turned_x.shape), z * cosine - x * sine], axis=-1)
+
+
+BETWEEN_DEG = np.array([3.5, 9.0, 9.5, 9.0, 9.5, 6.0, 5.5, 6.0, 5.5])
+"""(9,) deg, root mean square of the offsets between people who do the same thing, beyond those between takes of one
+person. Chosen by hand, left as right: within 2.5 deg of the medians that benchmarks/body_offsets.py prints for HDM05
+(bd, bk) and UTD-MHAD (s1, s3, s5), between which they lie; five people do not say it more exactly."""
+
+WITHIN_DEG = np.array([2.5, 4.5, 5.0, 4.5, 5.0, 2.5, 3.0, 2.5, 3.0])
+"""(9,) deg, the same between two takes of one person that last `WITHIN_S`: what a short clip leaves open. Chosen by
+hand, within 1 deg of the root mean squares that benchmarks/body_offsets.py prints for both sets."""
+
+WITHIN_S = 2.5
+TILT_DEG = 5.0
+"""deg, of a sensor against the vertical."""
+
+_LIMIT = 1.6  # of the root mean square: one body in twelve differs more
+_PRIOR_TAKES = 4.0  # what is known of people counts as so many takes of the reference
+_SOFT = 4.0  # how suddenly the limit sets in
+
+_YAW_WINDOW_S = 0.6
+_SCALES = np.radians([3.0, 10.0]) ** 2  # squared deviation from which a moment loses its say, at least and at most
+_STEADY = 4.0  # of the median squared deviation
+_N_YAWS, _N_ROUNDS = 2, 5
+_MOST_MOMENTS = 1500
+_RIDGE = 0.03  # of the moments: about its own axis a segment that hardly moves has no offset
+
+_SEEN = 0.1  # of the time: less says nothing of a part
+_STILL = np.radians(0.1)  # nobody holds a limb so still: a joint that is not tracked
+_MOVES = np.radians(15.0)
+_HIGHER = 0.5  # vertical part of both thighs, mostly: who sits does not stand badly
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Offset:
+    """How another body stands, against the reference, throughout.
+
+    Parameters
+    ----------
+    measured : (9, 3) rad, rotation vectors in the performer's own frame (x to the own left, y up, z to the front)
+        that turn the reference's segments onto the performer's.
+    taken : (9, 3) the part of them that is laid to the body, and taken out.
+    seconds : (9,) s, of the performance, that the estimate rests on.
+    missing : (9,) parts that one of the two does not show, or does in another position throughout (sitting): not
+        judged.
+    """
+
+    measured: FloatArray
+    taken: FloatArray
+    seconds: FloatArray
+    missing: NDArray[np.bool_]
+
+    @property
+    def degrees(self) -> FloatArray:
+        """(9,) size of what is taken out."""
+        return np.asarray(np.degrees(np.linalg.norm(self.taken, axis=1)))
+
+
+def make_no_offset() -> Offset:
+    """Of the same body."""
+    return Offset(np.zeros((9, 3)), np.zeros((9, 3)), np.zeros(9), np.zeros(9, np.bool_))
+
+
+def estimate_offset(
+    reference: Working, performance: Working, pairs: IndexArray, between: FloatArray | None = None
+) -> Offset:
+    """How another body stands, as far as the moments that correspond tell.
+
+    Parameters
+    ----------
+    reference, performance : at the same working rate.
+    pairs : (K, 2) frames of reference and performance that correspond.
+    between : (9,) rad, root mean square of what bodies differ by; None for `BETWEEN_DEG`.
+    """
+    if not len(pairs):
+        return make_no_offset()
+    theirs, ours = pairs[:: max(1, len(pairs) // _MOST_MOMENTS)].T
+    span = float(ours[-1] - ours[0] + 1)
+    rate = performance.frame_rate * len(ours) / span  # of the moments that are looked at
+    judged = reference.seen[theirs] & performance.seen[ours]
+    heading = np.nan_to_num(performance.heading[ours])
+    a, b = reference.segments[theirs], performance.segments[ours]
+    measured, seconds = measure_offset(a, b, judged, heading, rate)
+    missing = find_missing(reference, performance)
+    shown = ~missing & (seconds > 0.0)
+    tilt = find_tilt(measured, shown)
+    # A short clip hardly tells a body from a take.
+    noise = np.radians(WITHIN_DEG) ** 2 * WITHIN_S / np.maximum(seconds, 1e-6)
+    spread = np.radians(BETWEEN_DEG) if between is None else between
+    sure = spread**2 / (spread**2 + noise)
+    taken = tilt * sure.min(initial=1.0, where=shown) + _limit(measured - tilt, spread) * sure[:, None]
+    taken[~shown] = 0.0
+    return Offset(measured, taken, seconds, missing)
+
+
+def find_tilt(measured: FloatArray, shown: NDArray[np.bool_]) -> FloatArray:
+    """(1, 3) rad, the tilt that all segments (9,) which are shown have in common: of a sensor, not of a body."""
+    common = np.median(measured[shown], axis=0) * (1.0, 0.0, 1.0) if shown.any() else np.zeros(3)
+    return _limit(common[None], np.radians([TILT_DEG]))
+
+
+def _limit(vectors: FloatArray, spread: FloatArray) -> FloatArray:
+    """(n, 3) vectors as far as bodies with this (n,) root mean square make them: small ones whole."""
+    size = np.linalg.norm(vectors, axis=1) / (_LIMIT * spread)
+    return np.asarray(vectors / (1.0 + size**_SOFT)[:, None] ** (1.0 / _SOFT))
+
+
+def learn_between(measured: Sequence[Offset]) -> FloatArray:
+    """(9,) rad, root mean square of what bodies differ by, from the offsets of further takes of the reference.
+
+    Takes of several people show more than those of one; what is known of people counts as some takes more.
+    """
+    known = np.radians(BETWEEN_DEG) ** 2
+    squares = [
+        np.maximum((one.measured**2).sum(axis=1) - np.radians(WITHIN_DEG) ** 2, 0.0) * ~one.missing for one in measured
+    ]
+    total = _PRIOR_TAKES * known + np.sum(squares, axis=0)
+    return np.asarray(np.sqrt(total / (_PRIOR_TAKES + len(squares))))
+
+
+def find_missing(reference: Working, performance: Working) -> NDArray[np.bool_]:
+    """(9,) what cannot be judged: not seen, not tracked in one of the two, or sitting against standing."""
+    both = (reference, performance)
+    missing: NDArray[np.bool_] = np.min([one.seen.mean(axis=0) for one in both], axis=0) < _SEEN
+    reach = np.array([_measure_reach(one, 99.0) for one in both])
+    missing |= (reach.min(axis=0) < _STILL) & (reach.max(axis=0) > _MOVES)
+    legs, thighs = [*LIMBS["left_leg"], *LIMBS["right_leg"]], [LIMBS["left_leg"][0], LIMBS["right_leg"][0]]
+    if missing[thighs].any():
+        return missing
+    height = np.array([[np.median(one.segments[one.seen[:, k], k, 1]) for k in thighs] for one in both])
+    rests = np.array([_measure_reach(one, 80.0)[thighs].max() for one in both]) < _MOVES
+    # Of the two that one sits whose thighs are higher; who squats moves.
+    sitting = int(height.mean(axis=1).argmax())
+    if (height[sitting] - height[1 - sitting] > _HIGHER).all() and rests[sitting]:
+        missing[legs] = True
+    return missing
+
+
+def _measure_reach(motion: Working, percent: float) -> FloatArray:
+    """(9,) rad, how far each segment gets from where it mostly is, so much of the time."""
+    reach = np.zeros(9)
+    step = max(1, motion.n_frames // _MOST_MOMENTS)
+    segments, seen = motion.segments[::step], motion.seen[::step]
+    for segment in np.flatnonzero(seen.any(axis=0)):
+        some = segments[seen[:, segment], segment]
+        middle = np.median(some, axis=0)
+        far = np.linalg.norm(some - middle / max(float(np.linalg.norm(middle)), 1e-9), axis=1)
+        reach[segment] = np.percentile(far, percent)
+    return reach
+
+
+def take_out(performance: Working, offset: Offset) -> Working:
+    """The performance by the body of the reference; what is missing is not seen.
+
+    The first line of a grade and of every deviation: what is left are differences that come and go.
+    """
+    heading = np.nan_to_num(performance.heading)
+    segments = _take_out(performance.segments, heading, offset)
+    return replace(performance, segments=segments, seen=performance.seen & ~offset.missing)
+
+
+def take_out_of_postures(performance: PostureSequence, working: Working, offset: Offset) -> PostureSequence:
+    """The same at the full rate; places stay as they are. ``working`` is the same performance, thinned."""
+    middle = (np.arange(working.n_frames) + 0.5) * working.stride - 0.5
+    heading = np.interp(np.arange(performance.n_frames), middle, np.nan_to_num(working.heading))
+    segments = _take_out(performance.segments, heading, offset)
+    segments.flags.writeable = False
+    return replace(performance, segments=segments, seen=performance.seen & ~offset.missing)
+
+
+def take_out_of_pose(pose: FloatArray, heading: float, turns: FloatArray) -> FloatArray:
+    """The same of one pose (9, 3) whose performer faces ``heading`` rad; ``turns`` (9, 3, 3) of `find_turns`."""
+    cosine, sine = math.cos(heading), math.sin(heading)
+    yaw = np.array([[cosine, 0.0, sine], [0.0, 1.0, 0.0], [-sine, 0.0, cosine]])
+    return np.asarray((turns @ (pose @ yaw)[..., None])[..., 0] @ yaw.T)
+
+
+def find_turns(offset: Offset) -> FloatArray:
+    """(9, 3, 3) rotations that take the offset out, in the performer's own frame."""
+    return np.asarray(rotations.to_matrix(rotations.from_axis_angle(-offset.taken)))
+
+
+def _take_out(segments: FloatArray, heading: FloatArray, offset: Offset) -> FloatArray:
+    if not offset.taken.any():
+        return segments.copy()
+    # In the performer's own frame, in one go: turn back by the heading, the offset, and the heading again.
+    return rotate_yaw(np.einsum("sij,tsj->tsi", find_turns(offset), rotate_yaw(segments, -heading)), heading)
+
+
+def measure_offset(
+    reference: FloatArray, performance: FloatArray, judged: NDArray[np.bool_], heading: FloatArray, rate: float
+) -> tuple[FloatArray, FloatArray]:
+    """The angle by which each segment is off at every moment.
+
+    Parameters
+    ----------
+    reference, performance : (N, 9, 3) unit vectors of the same moments.
+    judged : (N, 9) both seen.
+    heading : (N,) rad, of the performer.
+    rate : Hz of the moments.
+
+    Returns
+    -------
+    vectors : (9, 3) rad, see `Offset.measured`.
+    seconds : (9,) s that they rest on: moments that are elsewhere do not count.
+
+    Not in the paper. The start is a median, refined by re-weighting (Geman and McClure, scale 3 to 10 degrees); the
+    common heading and the offsets are estimated in turns.
+    """
+    vectors, trust = np.zeros((9, 3)), judged.astype(np.float64)
+    half = max(1, round(0.5 * _YAW_WINDOW_S * rate))
+    body = rotate_yaw(performance, -heading)
+    for number in range(_N_YAWS):
+        bare = turn_segments(body, -vectors)
+        theirs = rotate_yaw(reference, _find_yaw(reference, bare, heading, trust, half))
+        if number == 0:
+            vectors = _take_median(theirs, body, judged)
+        for _ in range(_N_ROUNDS):
+            vectors, trust = _refine(theirs, body, judged, vectors)
+    return vectors, trust.sum(axis=0) / rate
+
+
+def _find_yaw(
+    reference: FloatArray, performance: FloatArray, heading: FloatArray, trust: FloatArray, half: int
+) -> FloatArray:
+    """(N,) rad that turn the reference into the performer's frame, where ``performance`` is; changes slowly."""
+    products = get_horizontal(performance) * get_horizontal(reference).conj() * trust
+    turn = products.sum(axis=1) * np.exp(1j * heading)
+    total = np.cumsum(np.pad(turn, (half + 1, half)))
+    return np.asarray(np.angle(total[2 * half + 1 :] - total[: len(turn)]) - heading)
+
+
+def _take_median(reference: FloatArray, performance: FloatArray, judged: NDArray[np.bool_]) -> FloatArray:
+    """(9, 3) median over the moments of the shortest turn of each segment."""
+    across = np.cross(reference, performance)
+    sine = np.linalg.norm(across, axis=2)
+    angle = np.arctan2(sine, np.einsum("tsk,tsk->ts", reference, performance))
+    turns = across * (angle / np.maximum(sine, 1e-9))[..., None]
+    vectors = np.zeros((9, 3))
+    for segment in np.flatnonzero(judged.any(axis=0)):
+        vectors[segment] = np.median(turns[judged[:, segment], segment], axis=0)
+    return vectors
+
+
+def _refine(
+    reference: FloatArray, performance: FloatArray, judged: NDArray[np.bool_], vectors: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """One round of re-weighted least squares; and (N, 9) what each moment counts."""
+    turned = turn_segments(reference, vectors)
+    error = performance - turned
+    squared = (error**2).sum(axis=2)
+    # Of a steady performer less is needed to be elsewhere.
+    usual = np.array([np.median(squared[some, k]) if some.any() else 0.0 for k, some in enumerate(judged.T)])
+    trust = judged / (1.0 + squared / np.clip(_STEADY * usual, *_SCALES)) ** 2
+    count = trust.sum(axis=0)
+    # A small turn v moves a direction d by v x d: normal equations of sum |error - v x d|^2.
+    spread = np.einsum("ts,tsi,tsj->sij", trust, turned, turned)
+    left = (count * (1.0 + _RIDGE) + 1e-9)[:, None, None] * np.eye(3) - spread
+    right = np.einsum("ts,tsk->sk", trust, np.cross(turned, error)) - (_RIDGE * count)[:, None] * vectors
+    return vectors + np.linalg.solve(left, right[..., None])[..., 0], trust
+
+
+def turn_segments(segments: FloatArray, vectors: FloatArray) -> FloatArray:
+    """Segments (N, 9, 3), each turned by its rotation vector (9, 3) rad."""
+    turns = rotations.to_matrix(rotations.from_axis_angle(vectors))
+    return np.asarray(np.einsum("sij,tsj->tsi", turns, segments))

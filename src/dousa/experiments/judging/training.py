@@ -9,14 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dousa.arrays import FloatArray
-from dousa.evaluation.errors.boosting import BoostedTrees
-from dousa.evaluation.errors.decode import BODY_CLASSES, LIMB_CLASSES
 from dousa.evaluation.errors.descriptors import LIMB_OF, N_LIMBS, Descriptors
 from dousa.evaluation.errors.evidence import gather_evidence
+from dousa.evaluation.errors.judge import BODY_CLASSES, LIMB_CLASSES, BoostedTrees
 from dousa.evaluation.grade.assessment import compute_all_postures
 from dousa.evaluation.grade.references import choose_tolerance, compare, describe, prepare_references
-from dousa.evaluation.posture.posture import SEGMENTS, thin_postures
-from dousa.evaluation.posture.weights import spread_weights
+from dousa.evaluation.posture.posture import SEGMENTS, spread_weights, thin_postures
 from dousa.experiments.injection.injection import Error
 from dousa.experiments.judging.material import Trial
 

@@ -9,9 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from dousa.evaluation.errors.decode import Decoding, decode
 from dousa.evaluation.errors.descriptors import N_LIMBS, Descriptors
-from dousa.evaluation.errors.judge import Judge
+from dousa.evaluation.errors.judge import Decoding, Judge, decode
 from dousa.experiments.injection.injection import Error
 from dousa.experiments.judging.material import Generator, Performer, Recording, Trial, make_trials
 from dousa.experiments.judging.metrics import Report, Score

@@ -1,15 +1,23 @@
-"""How early or late the accents of a dance are to the beats of its music.
+"""Beats of a piece of music, and how early or late the accents of a dance are to them.
 
-The place of an accent between its two beats is an angle, and how far the accents agree is the length of the mean of
-these angles' unit vectors (Rayleigh's statistic). So a dancer who is late all the while agrees with the music as well
-as one who is on the beat, and the lateness is the direction of that mean.
+A beats file has one time in seconds a line. The rest of the line, after a comma, semicolon, space or tab, is a label:
+so Sonic Visualiser, madmom and ``librosa`` write beats, and Audacity its label tracks (start, end, label). A heading,
+empty lines, lines that begin with ``#`` and Audacity's lines of frequencies (``\\``) are skipped. Beats of a recording
+are those of `librosa.beat.beat_track` (the extra ``music``) on a grid of 12 ms: D. P. W. Ellis, "Beat tracking by
+dynamic programming", Journal of New Music Research 36(1), 51-60, 2007.
 
-Source: K. V. Mardia, P. E. Jupp, "Directional Statistics", Wiley 2000, section 6.3.1 (Rayleigh's test).
+The place of an accent between its two beats is an angle, and the agreement of the accents is the length of the mean of
+these angles' unit vectors (Rayleigh's statistic): a dancer who is late throughout agrees with the music as well as one
+who is on the beat, and the lateness is the direction of that mean. Source: K. V. Mardia, P. E. Jupp, "Directional
+Statistics", Wiley 2000, section 6.3.1 (Rayleigh's test).
 """
 
 from __future__ import annotations
 
 import math
+import os
+import re
+import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -18,14 +26,154 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from dousa.arrays import FloatArray
-from dousa.errors import InvalidMotionError, OptionError
+from dousa.errors import InvalidMotionError, MotionFileError, OptionError
 from dousa.evaluation.beats.accents import Accent, find_accents
-from dousa.evaluation.beats.beat_times import Beats, to_beats
+from dousa.extras import require
+from dousa.files.disk import read_small_text
 from dousa.files.json_values import round_number
 from dousa.messages import Message
 from dousa.motion import CanonicalMotion
 
-_FEWEST = 5  # accents that an answer rests on
+_FEWEST_BEATS = 4  # beats: of fewer no tempo can be told
+_CLOSEST_S = 0.1  # apart: 600 a minute
+_SHOWN = 40  # letters of a wrong line in a message
+_SEPARATOR = re.compile(r"[\s,;]+")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Beats:
+    """Beats of a piece of music.
+
+    Parameters
+    ----------
+    times : (B,) s from the beginning of the music, rising.
+    """
+
+    times: FloatArray
+
+    def __post_init__(self) -> None:
+        times = np.array(self.times, np.float64)
+        if times.ndim != 1 or len(times) < _FEWEST_BEATS:
+            raise OptionError("beats.too_few", least=_FEWEST_BEATS, n=times.size)
+        if not np.isfinite(times).all():
+            raise OptionError("beats.not_finite", number=int(np.flatnonzero(~np.isfinite(times))[0]) + 1)
+        close = np.flatnonzero(np.diff(times) < _CLOSEST_S)
+        if len(close):
+            first = int(close[0])
+            code = "beats.unsorted" if times[first + 1] <= times[first] else "beats.too_close"
+            raise OptionError(code, number=first + 2, time=float(times[first + 1]), before=float(times[first]))
+        times.flags.writeable = False
+        object.__setattr__(self, "times", times)
+
+    @property
+    def period_s(self) -> float:
+        """Median time from one beat to the next."""
+        return float(np.median(np.diff(self.times)))
+
+    @property
+    def tempo(self) -> float:
+        """Beats a minute."""
+        return 60.0 / self.period_s
+
+
+def to_beats(beats: Beats | ArrayLike) -> Beats:
+    """Beats from times in seconds.
+
+    Raises
+    ------
+    OptionError : fewer than four, not in order, closer than 0.1 s, or not finite.
+    """
+    if isinstance(beats, Beats):
+        return beats
+    try:
+        times = np.asarray(beats, np.float64)
+    except (TypeError, ValueError) as error:
+        raise OptionError("beats.no_numbers") from error
+    return Beats(times)
+
+
+def read_beats(path: str | os.PathLike[str]) -> Beats:
+    """Read the beats of a text file.
+
+    Parameters
+    ----------
+    path : text as the module's docstring says.
+
+    Raises
+    ------
+    MotionFileError : the file cannot be read; a line without a time; what `to_beats` does not take.
+    """
+    times: list[float] = []
+    heading = False
+    for number, line in enumerate(read_small_text(path).splitlines(), 1):
+        content = line.strip()
+        if not content or content[0] in "#\\":
+            continue
+        try:
+            time = float(_SEPARATOR.split(content, maxsplit=1)[0].strip("\"'"))
+        except ValueError:
+            if times or heading:
+                raise MotionFileError(path, "beats.no_time", line=number, found=repr(content[:_SHOWN])) from None
+            heading = True
+            continue
+        if not np.isfinite(time):
+            raise MotionFileError(path, "beats.no_time", line=number, found=repr(content[:_SHOWN]))
+        times.append(time)
+    try:
+        return Beats(np.array(times))
+    except OptionError as error:
+        raise MotionFileError(path, error.message) from None
+
+
+_RATE = 22_050  # Hz
+_HOP = 256  # samples from one value of the onset curve to the next
+_SILENT = 1e-4  # of full scale: nothing louder is silence
+_LONGEST_S = 3600.0
+
+
+def find_beats(path: str | os.PathLike[str]) -> Beats:
+    """The beats of a sound file.
+
+    Parameters
+    ----------
+    path : WAV, FLAC, OGG, MP3 and what else libsndfile reads; up to an hour.
+
+    Raises
+    ------
+    MissingExtraError : the extra ``music`` is not installed.
+    MotionFileError : no sound file, silent, too long, or without a beat.
+    """
+    librosa, soundfile = require("librosa", "music"), require("soundfile", "music")
+    samples, rate = _read(soundfile, path)
+    if not len(samples) or float(np.abs(samples).max()) < _SILENT:
+        raise MotionFileError(path, "beats.silent", seconds=len(samples) / rate)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # of very short pieces: an error of ours follows
+        samples = librosa.resample(samples, orig_sr=rate, target_sr=_RATE)
+        onsets = librosa.onset.onset_strength(y=samples, sr=_RATE, hop_length=_HOP, aggregate=np.median)
+        _, frames = librosa.beat.beat_track(onset_envelope=onsets, sr=_RATE, hop_length=_HOP, trim=False)
+    times = np.asarray(frames, np.float64) * _HOP / _RATE
+    try:
+        return Beats(times)
+    except OptionError:
+        raise MotionFileError(path, "beats.no_beat", seconds=len(samples) / _RATE) from None
+
+
+def _read(soundfile: Any, path: str | os.PathLike[str]) -> tuple[FloatArray, int]:
+    """Samples (N,) of all channels in one, and their rate."""
+    try:
+        with soundfile.SoundFile(os.fspath(path)) as file:
+            if file.frames > _LONGEST_S * file.samplerate:
+                raise MotionFileError(path, "beats.too_long", minutes=file.frames / file.samplerate / 60.0)
+            samples = file.read(dtype="float32", always_2d=True)
+            rate = int(file.samplerate)
+    except (soundfile.SoundFileError, OSError, ValueError, TypeError) as error:
+        raise MotionFileError(path, "beats.not_sound", reason=str(error)) from None
+    mono: FloatArray = np.nan_to_num(samples.mean(axis=1))
+    return mono, rate
+
+
+_FEWEST_ACCENTS = 5  # accents that an answer rests on
 _WINDOW = 0.3  # of a beat to either side of where the accents are on average: what is further is between the beats
 _CHANCE = 0.01  # p: agreement that chance gives as rarely as this is agreement
 _HALVES = 0.1  # by how much more the accents must agree with half beats to be measured against these
@@ -158,12 +306,12 @@ def assess_timing(
     if music_start_s is not None and not math.isfinite(music_start_s):
         raise OptionError("beats.start", start=music_start_s)
     accents = find_accents(performance)
-    if len(accents) < _FEWEST:
-        raise InvalidMotionError("beats.few_accents", least=_FEWEST, n=len(accents))
+    if len(accents) < _FEWEST_ACCENTS:
+        raise InvalidMotionError("beats.few_accents", least=_FEWEST_ACCENTS, n=len(accents))
     _check_length(accents, known)
     start_s = _estimate_start(accents, known) if music_start_s is None else float(music_start_s)
     inside = _choose_inside(accents, known, start_s)
-    if 2 * len(inside) < len(accents) or len(inside) < _FEWEST:
+    if 2 * len(inside) < len(accents) or len(inside) < _FEWEST_ACCENTS:
         raise OptionError(
             "beats.elsewhere",
             n=len(accents) - len(inside),
@@ -305,7 +453,7 @@ def _find_drift(times: FloatArray, off_ms: FloatArray) -> tuple[float, bool]:
     one, other = np.triu_indices(len(t), 1)
     apart: NDArray[np.float64] = t[other] - t[one]
     far = apart > 1e-6
-    if len(times) < _FEWEST or not far.any():
+    if len(times) < _FEWEST_ACCENTS or not far.any():
         return math.nan, False
     slope = float(np.median((y[other] - y[one])[far] / apart[far]))
     rest = off_ms - slope * times
