@@ -1,4 +1,4 @@
-"""How the commands speak: tables for people, JSON for programs, progress on standard error."""
+"""Answers of the commands: lines for people, JSON for programs, progress on standard error."""
 
 from __future__ import annotations
 

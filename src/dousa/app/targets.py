@@ -1,4 +1,4 @@
-"""Files that a person names for an answer: what stands there already is not lost without a word."""
+"""Output files: a file of other content that is already there is not overwritten."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from dousa.errors import DousaError, OptionError
 DATABASE_HEAD = b"SQLite format 3\0"
 _HEAD = 200  # bytes that tell what is in a file
 
-# How the files begin that dousa writes, by their suffix; what stands in an npz, the name of its first array tells.
+# How the files begin that dousa writes, by their suffix; the name of its first array shows what an npz holds.
 _BEGINNINGS = {
     ".png": rb"\x89PNG",
     ".pdf": rb"%PDF",
@@ -47,7 +47,7 @@ def check_targets(
     inputs: Iterable[str | os.PathLike[str] | None] = (),
     begins: Mapping[str, bytes] | None = None,
 ) -> None:
-    """Whether files may be written: each is new, or what the same option writes; to be known before the long work.
+    """Check that files may be written, before the long work: each is new, or what the same option writes.
 
     Parameters
     ----------
@@ -73,7 +73,7 @@ def check_targets(
 def check_table(
     option: str, path: Path | None, inputs: Iterable[str | os.PathLike[str] | None], *, overwrite: bool
 ) -> None:
-    """Whether a table may be written that people correct by hand: over another one only where they say so.
+    """Check that a table may be written that people correct by hand: over another one only with ``overwrite``.
 
     Raises
     ------
@@ -96,7 +96,7 @@ def is_same_file(path: str | os.PathLike[str], other: str | os.PathLike[str]) ->
 
 
 def _look_for_danger(option: str, path: Path, sources: Iterable[str | os.PathLike[str]]) -> bool:
-    """Whether a file stands there; OptionError where it is read by this command, or a library."""
+    """Whether a file is there; OptionError where it is an input of this command, or a library."""
     if not os.path.isfile(path):
         return False
     if any(is_same_file(path, source) for source in sources):
@@ -111,7 +111,7 @@ def _read_head(path: Path) -> bytes:
         with open(path, "rb") as file:
             return file.read(_HEAD)
     except OSError:
-        return b""  # that it cannot be written either is said when it is
+        return b""  # writing it fails with an error of its own
 
 
 def _holds_motion(path: Path) -> bool:

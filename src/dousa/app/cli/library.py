@@ -35,14 +35,12 @@ if TYPE_CHECKING:
     from dousa.formats.motion_files import ReadOptions
     from dousa.library import Library
 
-_WAIT_S = 60.0  # for other programs that write
-
 
 def open_library(library: str, *, create: bool = False) -> Library:
     """Open a library to change it, once other programs have written what they write."""
     from dousa.library import Library
 
-    return Library.open(library, create=create, timeout=_WAIT_S)
+    return Library.open(library, create=create, timeout=60.0)
 
 
 def open_to_read(library: str) -> Library:
@@ -393,7 +391,7 @@ def export(
     """Export clips as files, a folder per category, with a manifest.csv of their labels.
 
     Can be interrupted and run again: what is there and unchanged is kept. Files are read as they were when they were
-    added, but for what is said here.
+    added, but for --read.
 
     Example: dousa export moves.dousa --category walk --to glb -o walks/
     """

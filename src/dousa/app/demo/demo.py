@@ -19,7 +19,6 @@ if TYPE_CHECKING:
 
 LIBRARY = "demo.dousa"
 
-_N_RESULTS = 8
 _EXAMPLE = "kick_left"
 _TEMPLATE_RATE = 15.0  # Hz; half of the usual rate, a quarter of the waiting
 _PERFORMER_RULE = r"name:^(performer\d+)_"
@@ -166,7 +165,7 @@ def _search(console: Console, path: Path, queries: dict[Path, str], example: Pat
     from dousa.library import Library
 
     with Library.open(path, read_only=True) as library:
-        result = library.search(example, _N_RESULTS, explain=True)
+        result = library.search(example, 8, explain=True)
         draw_search_result(library, example, result, picture, truth=queries[example])
         _print_result(console, example, queries[example], result)
         answers = library.classify(list(queries), n_jobs=None)

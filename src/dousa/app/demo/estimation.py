@@ -29,11 +29,9 @@ OVERLAY, SHEET, REPORT = "estimated.mp4", "estimated.png", "report_estimated"
 
 _CATEGORY = "kick_left"
 _PERFORMER = 61  # number of the performer
-_TEACHER_TAKES = 5
 _GIRTH = 1.07  # of the performer, as a share of what the model has
 _ARMS, _LEGS = 1.06, 0.95  # likewise
 _N_VIEWS = 4
-_N_RESULTS = 5
 
 
 def run_estimation_demo(console: Console, output: Path, *, seed: int = 0) -> None:
@@ -77,7 +75,7 @@ def write_performance(performed: Path, seen: Path, seed: int = 0) -> float:
 
     Returns
     -------
-    The performer's stature in m: all that the tracker is told.
+    The performer's stature in m, the only thing that the tracker gets to know.
     """
     from dousa.app.pipelines.render import ring_around
     from dousa.estimation.body.kinematics import compute_points, point_names
@@ -135,7 +133,7 @@ def _search(console: Console, library_path: Path, estimated: Path) -> None:
     from dousa.library import Library
 
     with Library.open(library_path, read_only=True) as library:
-        result = library.search(estimated, _N_RESULTS)
+        result = library.search(estimated, 5)
     right = sum(hit.category == _CATEGORY for hit in result.results)
     say(
         console,
@@ -154,7 +152,7 @@ def _evaluate(console: Console, performed: Path, estimated: Path, output: Path, 
     from dousa.motion.synthetic.performers import Performer, make_motion
 
     teacher = Performer(name="teacher", seed=1000 * seed)
-    takes = [output / f"teacher_{take + 1}.bvh" for take in range(_TEACHER_TAKES)]
+    takes = [output / f"teacher_{take + 1}.bvh" for take in range(5)]
     for take, path in enumerate(takes):
         write_motion(make_motion(_CATEGORY, teacher, take), path)
     with progress_bar() as progress:

@@ -25,7 +25,6 @@ if TYPE_CHECKING:
 TAKE, TIMELINE = "take.bvh", "timeline.png"
 
 _LEAST_CLIPS, _N_CLIPS = 3, 9
-_N_PLACES = 5
 _FIGURE = "point"  # of the synthetic dance; its circles are arm circles with bent knees, and its kicks are kicks
 
 
@@ -205,7 +204,7 @@ def _find(console: Console, library: Library, take: Take, category: str) -> None
     """Find where in the take another performer's motion occurs."""
     models = [clip.path for clip in library.clips() if clip.category == category]
     if models:
-        answer = library.find(models[0], take.path, k=_N_PLACES)
+        answer = library.find(models[0], take.path, k=5)
         say(console, _describe_place(answer, take, category))
 
 

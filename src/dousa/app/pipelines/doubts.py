@@ -1,4 +1,4 @@
-"""What the overlap of model and silhouettes says about calibration, body and start."""
+"""Doubts about calibration, body and start, from the overlap of model and silhouettes."""
 
 from __future__ import annotations
 
@@ -21,15 +21,13 @@ if TYPE_CHECKING:
 _BAD_OVERLAP = 0.5  # mean of all frames
 _DOUBTFUL_OVERLAP = 0.7  # real people tracked right lie above 0.72, wrong lenses and exchanged cameras at 0.62 to 0.69
 _ODD_VIEW = 0.25  # below the mean of the others
-_TOUCHING = 0.05  # m: nearer to a camera nothing is drawn
-_MOST_POSES = 200
 _THIN, _THICK = 0.8, 1.4  # girth fitted over girth of the model; real people in clothes have 0.9 to 1.2
 
 
 def describe_doubts(
     estimate: Estimate, body: BodyModel, names: Sequence[str], cameras: Sequence[Camera]
 ) -> list[Message]:
-    """What the result says about calibration, body and start; ``body`` is the one before its girths were fitted."""
+    """Describe doubts about calibration, body and start; ``body`` is the one before its girths were fitted."""
     return [
         *_weigh_overlaps(estimate, names),
         *_weigh_girths(estimate.body, body),
@@ -50,26 +48,26 @@ def _weigh_girths(fitted: BodyModel, body: BodyModel) -> list[Message]:
 def _weigh_overlaps(estimate: Estimate, names: Sequence[str]) -> list[Message]:
     seen = [view for view in range(len(names)) if np.isfinite(estimate.iou[:, view]).any()]
     means = {names[view]: float(np.nanmean(estimate.iou[:, view])) for view in seen}
-    said = []
+    doubts = []
     if len(means) == 1:
-        said.append(Message("doubts.one_view"))
+        doubts.append(Message("doubts.one_view"))
     mean = float(np.mean(list(means.values()))) if means else 1.0
     if mean < _BAD_OVERLAP:
-        return [*said, Message("doubts.bad_overlap", overlap=mean)]
+        return [*doubts, Message("doubts.bad_overlap", overlap=mean)]
     if mean < _DOUBTFUL_OVERLAP:
-        said.append(Message("doubts.low_overlap", overlap=mean))
+        doubts.append(Message("doubts.low_overlap", overlap=mean))
     for name, value in means.items():
         others = float(np.mean([other for key, other in means.items() if key != name] or [value]))
         if value < others - _ODD_VIEW:
-            said.append(Message("doubts.odd_view", view=name, overlap=value, others=others))
-    return said
+            doubts.append(Message("doubts.odd_view", view=name, overlap=value, others=others))
+    return doubts
 
 
 def _cameras_inside(estimate: Estimate, cameras: Sequence[Camera]) -> list[Message]:
     from dousa.estimation.body.kinematics import place_parts
 
     body = estimate.body
-    poses = estimate.poses[:: max(1, len(estimate.poses) // _MOST_POSES)]
+    poses = estimate.poses[:: max(1, len(estimate.poses) // 200)]
     rotations, positions = place_parts(body, poses)
     inside = set()
     for part in range(body.n_parts):
@@ -78,7 +76,7 @@ def _cameras_inside(estimate: Estimate, cameras: Sequence[Camera]) -> list[Messa
             if camera.kind == "pinhole":
                 local = np.einsum("tji,tj->ti", rotations[:, part], camera.position - positions[:, part])
                 off = np.linalg.norm(local[:, None] - balls[:, :3], axis=2) - balls[:, 3]
-                if off.min() < _TOUCHING:
+                if off.min() < 0.05:
                     inside.add(number)
     return [Message("doubts.camera_inside", camera=cameras[number].name) for number in sorted(inside)]
 
@@ -98,7 +96,7 @@ _FULL = 0.9  # share of the image that no person fills and is still seen whole
 _EMPTY = 2e-4  # share of the image below which a silhouette is a few specks
 _SECOND = 0.3  # of the largest region: another region of this size is another person, or a part cut off
 _EVERY = 7  # frames between two looks for regions, which cost more than the rest
-_OFTEN = 0.2  # share of the frames from which something is said
+_OFTEN = 0.2  # share of the frames from which a warning is given
 _EDGE = 0.02  # of the outline's pixels lying on the border of the image
 
 
@@ -156,7 +154,7 @@ class MirroredSilhouettes(Silhouettes):
 
     @property
     def warnings(self) -> tuple[Message, ...]:  # type: ignore[override]
-        """What the source says."""
+        """Warnings of the source."""
         return self._inner.warnings
 
     def read(self, frame: int) -> tuple[Mask | None, ...]:
@@ -196,12 +194,12 @@ class WatchedSilhouettes(Silhouettes):
         self._shown: set[int] = set()
 
     def show(self, see: Callable[[int, Masks, Pictures], None] | None) -> None:
-        """Show somebody masks and pictures (V,) of every frame read for the first time from now on; None: nobody."""
+        """Call a function with masks and pictures (V,) of each frame when it is first read; None ends that."""
         self._show = see
 
     @property
     def warnings(self) -> tuple[Message, ...]:  # type: ignore[override]
-        """What the source says; see `describe` for what was seen."""
+        """Warnings of the source; see `describe` for those of the masks."""
         return self._inner.warnings
 
     def read(self, frame: int) -> tuple[Mask | None, ...]:
@@ -241,7 +239,7 @@ class WatchedSilhouettes(Silhouettes):
         return all(count.seen == count.empty + count.full for count in self._counts.views)
 
     def describe(self) -> tuple[Message, ...]:
-        """What was seen in the frames read so far."""
+        """Describe problems of the frames read so far."""
         return tuple(
             Message("doubts.view", view=name, problem=problem)
             for name, count in zip(self.names, self._counts.views, strict=True)
@@ -277,15 +275,15 @@ def _has_second_region(mask: Mask) -> bool:
 
 
 def _describe(count: _ViewCount) -> list[Message]:
-    total, said = max(count.seen, 1), []
+    total, problems = max(count.seen, 1), []
     if count.missing:
-        said.append(Message("doubts.no_image", count=count.missing, total=count.seen + count.missing))
+        problems.append(Message("doubts.no_image", count=count.missing, total=count.seen + count.missing))
     if count.empty:
-        said.append(Message("doubts.empty", count=count.empty, total=count.seen))
+        problems.append(Message("doubts.empty", count=count.empty, total=count.seen))
     if count.full:
-        said.append(Message("doubts.full", count=count.full, total=count.seen))
+        problems.append(Message("doubts.full", count=count.full, total=count.seen))
     if count.cut > _OFTEN * total:
-        said.append(Message("doubts.cut_off", count=count.cut, total=count.seen))
+        problems.append(Message("doubts.cut_off", count=count.cut, total=count.seen))
     if count.several > _OFTEN * max(count.looked, 1):
-        said.append(Message("doubts.second_region"))
-    return said
+        problems.append(Message("doubts.second_region"))
+    return problems

@@ -110,13 +110,13 @@ def estimate_files(
         first, last = parse_frames(request.frames, opened.n_frames, Message("frames.recording"))
         views = WatchedSilhouettes(opened, first, last, _KEPT_BYTES if request.outputs.has_drawings else 0)
         cameras, notes = choose_cameras(request, views)
-        said = None if request.start is None else read_start(request.start, request.options)
+        given = None if request.start is None else read_start(request.start, request.options)
         known = read_known_stature(request.sources)
-        if known is None and said is None and request.body is None and request.stature is None:
+        if known is None and given is None and request.body is None and request.stature is None:
             body, body_words, more = measure_body(request.sex, cameras, views.read(0), report)
         else:
-            body, body_words, more = choose_body(request, said, known)
-        start, start_words, start_notes = _choose_start(said, body, views, cameras)
+            body, body_words, more = choose_body(request, given, known)
+        start, start_words, start_notes = _choose_start(given, body, views, cameras)
         notes = [*notes, *more, *start_notes]
         every = None if watcher is None else _WATCHED_EVERY_S
         kept = PartialFile(request.outputs.first, _fingerprint(request, cameras, body, start), every)
@@ -160,19 +160,19 @@ def estimate_files(
 
 
 def _choose_start(
-    said: StartPose | None, body: BodyModel, views: Silhouettes, cameras: Sequence[Camera]
+    given: StartPose | None, body: BodyModel, views: Silhouettes, cameras: Sequence[Camera]
 ) -> tuple[FloatArray | None, Message, list[Message]]:
     """The pose of ``--start`` for this body; None where it is to be found."""
-    if said is None:
+    if given is None:
         return None, Message("estimate.start_found"), []
     from dousa.estimation.body.posing import fit_pose
 
-    pose, residual = fit_pose(body, said.positions)
-    notes = list(said.warnings)
-    doubt = check_start(body, pose, cameras, views.read(0), f"{said.file}:{said.frame}")
+    pose, residual = fit_pose(body, given.positions)
+    notes = list(given.warnings)
+    doubt = check_start(body, pose, cameras, views.read(0), f"{given.file}:{given.frame}")
     if doubt is not None:
         notes.append(doubt)
-    words = Message("estimate.start_given", path=said.file, frame=said.frame, off=1000 * residual)
+    words = Message("estimate.start_given", path=given.file, frame=given.frame, off=1000 * residual)
     return pose, words, notes
 
 

@@ -1,4 +1,4 @@
-"""``--body``, ``--stature`` and ``--sex``: whose body is tracked or drawn."""
+"""The body that is tracked or drawn, from a body file, a stature or a start pose."""
 
 from __future__ import annotations
 
@@ -29,16 +29,16 @@ _USUAL = 1.72  # m
 GivenBody: TypeAlias = "tuple[BodyModel, Message, tuple[Message, ...]]"
 """A body, what it was made from, and what a person should know."""
 
-_AGREES = 0.07  # of the stature: a start further off is of somebody else, or of a skeleton with other joints
+_AGREES = 0.07  # of the stature: a start further off is of another person, or of a skeleton with other joints
 
 
-def choose_body(request: EstimationRequest, said: StartPose | None, known_stature: float | None) -> GivenBody:
-    """The body to be tracked: of ``--body`` or the tables, with the limbs of the start where ``--bones`` asks for it.
+def choose_body(request: EstimationRequest, start: StartPose | None, known_stature: float | None) -> GivenBody:
+    """Choose the body to be tracked: of ``--body`` or the tables, with the limbs of the start if ``bones`` says so.
 
     Parameters
     ----------
     request : its ``body``, ``stature``, ``sex`` and ``bones`` count.
-    said : the joints of the start.
+    start : the joints of the start.
     known_stature : m, what the silhouettes' file says.
 
     Returns
@@ -52,15 +52,15 @@ def choose_body(request: EstimationRequest, said: StartPose | None, known_statur
     """
     from dousa.estimation.body.skeleton_body import fit_body
 
-    if request.bones == "start" and said is None:
+    if request.bones == "start" and start is None:
         raise OptionError("estimate.bones_without_start")
     body, words, notes = load_body(
         request.body, request.stature, request.sex, known_stature=known_stature, options=request.options
     )
-    if said is None or request.bones == "tables" or (request.bones == "auto" and request.body is not None):
+    if start is None or request.bones == "tables" or (request.bones == "auto" and request.body is not None):
         return body, words, notes
     try:
-        fitted = fit_body(body, said.positions)
+        fitted = fit_body(body, start.positions)
     except BodyModelError:
         if request.bones == "start":
             raise
@@ -75,7 +75,7 @@ def choose_body(request: EstimationRequest, said: StartPose | None, known_statur
 def measure_body(
     sex: str, cameras: Sequence[Camera], masks: Sequence[Mask | None], progress: ProgressCallback
 ) -> GivenBody:
-    """The body where nobody says how tall it is: several views of the first frame tell it, one does not.
+    """Measure the body whose stature is not given: several views of the first frame show it, one does not.
 
     Returns
     -------
@@ -87,7 +87,7 @@ def measure_body(
 
     try:
         scale = fit_scale(cameras, masks, make_body=lambda stature: make_human(stature, sex), progress=progress)
-    except SilhouetteError:  # nobody in the first frame
+    except SilhouetteError:  # no silhouette in the first frame
         return _assume_body(sex)
     if not scale.told:
         return _assume_body(sex)
@@ -109,7 +109,7 @@ def load_body(
     known_stature: float | None,
     options: ReadOptions,
 ) -> GivenBody:
-    """The body that the options ask for.
+    """Load the body of a file, or make one of a stature.
 
     Parameters
     ----------
@@ -173,7 +173,7 @@ class StartPose:
 
     Parameters
     ----------
-    file, frame : where that is said.
+    file, frame : its source.
     positions : canonical joint -> (3,) m in the world of the cameras.
     warnings : what a person should know.
     """
@@ -185,7 +185,7 @@ class StartPose:
 
 
 def read_start(text: str, options: ReadOptions) -> StartPose:
-    """The joints of ``--start``.
+    """Read the joints of ``--start``.
 
     Parameters
     ----------
@@ -194,7 +194,7 @@ def read_start(text: str, options: ReadOptions) -> StartPose:
 
     Raises
     ------
-    DousaError : no such file or frame, a file whose joints cannot be told.
+    DousaError : no such file or frame, a file whose joints cannot be identified.
     """
     path, frame = parse_start(text)
     true_joints = _read_true_joints(path)
@@ -206,7 +206,7 @@ def read_start(text: str, options: ReadOptions) -> StartPose:
 
 
 def _read_true_joints(path: Path) -> tuple[tuple[str, ...], NDArray[np.float64]] | None:
-    """What an npz of silhouettes says about the true joints; None for every other file."""
+    """Read the true joints of an npz of silhouettes; None for every other file."""
     if path.suffix.lower() != ".npz":
         return None
     from dousa.estimation.silhouettes.mask_npz import read_true_joints
@@ -214,7 +214,7 @@ def _read_true_joints(path: Path) -> tuple[tuple[str, ...], NDArray[np.float64]]
     try:
         return read_true_joints(path)
     except SilhouetteError:
-        return None  # the reader of motion files says what is wrong
+        return None  # the reader of motion files describes the problem
 
 
 def _check_frame(text: str, frame: int, n_frames: int) -> None:
@@ -241,9 +241,9 @@ def _read_motion(text: str, path: Path, frame: int, options: ReadOptions) -> Sta
         name: place for name, place in zip(CANONICAL_JOINTS, motion.positions[frame], strict=True) if name not in unseen
     }
     # Joints that the file lacks are guesses by tables; the body model has its own.
-    own = {name: place for name, place in known.items() if name not in made}
-    if len(own) >= _LEAST_JOINTS:
-        known = own
+    measured = {name: place for name, place in known.items() if name not in made}
+    if len(measured) >= _LEAST_JOINTS:
+        known = measured
     if len(known) < _LEAST_JOINTS:
         raise OptionError("start.too_few_joints", text=text, n=len(known), frame=frame)
     notes = tuple(Message("start.note", path=path, note=warning) for warning in motion.warnings)
@@ -257,7 +257,7 @@ def check_start(
     masks: Sequence[Mask | None],
     text: str,
 ) -> Message | None:
-    """Whether a given start can be that of the silhouettes.
+    """Check that a given start fits the silhouettes.
 
     Parameters
     ----------

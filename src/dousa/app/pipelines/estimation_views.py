@@ -1,4 +1,4 @@
-"""The views of ``dousa estimate``: silhouettes, a camera and pictures for each, and somebody who looks on."""
+"""The views of ``dousa estimate``: silhouettes, a camera and pictures for each, and the watcher of the work."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def open_views(request: EstimationRequest, report: ProgressCallback) -> Silhouet
 
     Raises
     ------
-    DousaError : sources that cannot be read, or whose cameras nobody tells.
+    DousaError : sources that cannot be read, or without cameras.
     """
     if request.cameras is None and not _is_npz(request.sources) and all(map(Path.exists, request.sources)):
         raise OptionError("estimate.no_cameras")
@@ -39,7 +39,7 @@ def open_views(request: EstimationRequest, report: ProgressCallback) -> Silhouet
 def open_bare_views(
     request: EstimationRequest, report: ProgressCallback, sizes: list[tuple[int, int]] | None = None
 ) -> Silhouettes:
-    """The same without a look at the cameras: silhouettes to be seen, though not used.
+    """Open the sources without their cameras, only to be looked at.
 
     Parameters
     ----------
@@ -78,7 +78,7 @@ def _is_npz(sources: Sequence[Path]) -> bool:
 
 
 def read_known_stature(sources: Sequence[Path]) -> float | None:
-    """What the files of the silhouettes say about the person."""
+    """Read the stature that the files of the silhouettes hold."""
     from dousa.estimation.silhouettes.mask_npz import read_stature
 
     for path in sources:
@@ -90,7 +90,7 @@ def read_known_stature(sources: Sequence[Path]) -> float | None:
 
 
 def choose_cameras(request: EstimationRequest, views: Silhouettes) -> tuple[tuple[Camera, ...], list[Message]]:
-    """A camera for each view, of the size of its images."""
+    """Choose a camera for each view, of the size of its images."""
     from dousa.estimation.cameras.camera_files import read_cameras
     from dousa.estimation.cameras.camera_sets import fit_cameras, match_cameras
 
@@ -213,7 +213,7 @@ class Scene:
 
 
 class Watcher(Protocol):
-    """Is told what happens, in the order of these methods."""
+    """Follows the work: its methods are called in this order."""
 
     def begin(self, scene: Scene) -> None:
         """Tracking is about to begin, or to go on."""

@@ -32,7 +32,7 @@ class Evaluation(Generic[_Assessment]):
     assessment : the answer.
     references : files of the reference takes, the first is the model.
     performance : the file judged.
-    notes : (file, warning) what reading the files said.
+    notes : (file, warning) of reading the files.
     motion : what that file holds.
     """
 
@@ -83,7 +83,7 @@ def evaluate_files(
     ----------
     references : files, see `find_references`.
     performance : file.
-    options : what is said about all of them.
+    options : how they are read.
     furi_file : cuts of the figures, in frames of the first reference; by default they are found.
     side, tempo, weights, importance : as in `dousa.evaluation.assess`.
     progress : called with (steps done, steps, what is being done).
@@ -126,7 +126,7 @@ def evaluate_repetitions(
     Parameters
     ----------
     references, performance : files, see `find_references`.
-    options : what is said about all of them.
+    options : how they are read.
     side, tempo, weights, importance : as in `dousa.evaluation.assess_repetitions`.
     progress : called with (steps done, steps, what is being done).
 
@@ -147,7 +147,7 @@ def evaluate_repetitions(
 def _read_takes(
     paths: Sequence[Path], options: ReadOptions, progress: ProgressCallback | None
 ) -> tuple[list[CanonicalMotion], tuple[tuple[Path, Message], ...]]:
-    """What is in the files, and (file, warning) what reading them said."""
+    """Read the files; also (file, warning) of each."""
     takes: list[CanonicalMotion] = []
     notes: list[tuple[Path, Message]] = []
     for number, path in enumerate(paths):
@@ -168,7 +168,7 @@ def _compare(
     takes: Sequence[CanonicalMotion],
     progress: ProgressCallback | None,
 ) -> Iterator[None]:
-    """Say that the takes are compared; an error about one of them gets the name of its file, which the person wants."""
+    """Report the comparison, and name the file in an error about one of the takes."""
     from dousa.evaluation import ABOUT_REFERENCES
 
     if progress is not None:
@@ -190,7 +190,7 @@ def _read_furi(path: Path, take: CanonicalMotion) -> Sequence[Furi]:
 
 
 def check_folder(folder: Path) -> None:
-    """Whether a folder can be made or written, without doing it: to be known before the long work.
+    """Check that a folder can be made or written, before the long work.
 
     Raises
     ------
@@ -218,7 +218,7 @@ def load_beats(path: Path | None) -> Beats | None:
 
 
 def time_accents(done: Evaluation[Assessment], beats: Beats, start_s: float | None) -> BeatTiming:
-    """The accents of the performance of an evaluation against the beats.
+    """Compare the accents of a performance with the beats.
 
     Raises
     ------
@@ -232,9 +232,6 @@ def time_accents(done: Evaluation[Assessment], beats: Beats, start_s: float | No
         raise InvalidMotionError("cli.file_problem", path=done.performance, reason=error.located) from error
 
 
-_MOST_BYTES = 100_000_000
-
-
 def compare_answers(paths: Sequence[Path]) -> tuple[Progress, bool]:
     """Compare evaluations.
 
@@ -245,7 +242,7 @@ def compare_answers(paths: Sequence[Path]) -> tuple[Progress, bool]:
     Returns
     -------
     progress : the comparison.
-    alike : whether all have the same reference.
+    same_reference : whether all have the same reference.
 
     Raises
     ------
@@ -264,7 +261,7 @@ def compare_answers(paths: Sequence[Path]) -> tuple[Progress, bool]:
 
 def _read(path: Path) -> Any:
     try:
-        if path.stat().st_size > _MOST_BYTES:
+        if path.stat().st_size > 100_000_000:
             raise OptionError("progress.too_large", path=path)
         return json.loads(path.read_text(encoding="utf-8"))
     except (OSError, ValueError, RecursionError) as error:

@@ -48,10 +48,10 @@ def read_labelled_clips(
     ----------
     paths : files and folders.
     category_from, performer_from : rules as in `dousa.library.labels`.
-    options : what is said about the files.
+    options : how the files are read.
     n_jobs : files at a time; None for every core.
     progress : called with (done, total, file).
-    note : told the doubts about the files that are used.
+    note : called with doubts about the files that are used.
 
     Returns
     -------
@@ -73,7 +73,7 @@ def read_labelled_clips(
         else:
             clip, doubts = answer
             clips.append(clip)
-            _tell(note, clip.name, doubts)
+            _note(note, clip.name, doubts)
     if not clips and not skipped:
         raise TrainingError("experiments_cli.nothing_found", paths=paths)
     if not clips:
@@ -95,7 +95,7 @@ def read_takes(
     ----------
     paths : files and folders.
     group_of : tells which files are takes of one thing.
-    options : what is said about the files.
+    options : how the files are read.
     n_jobs : files at a time; None for every core.
     progress : called with (done, total, "reading").
 
@@ -141,10 +141,10 @@ def read_annotated_takes(
     paths : files and folders.
     labels_from, tier : where their labels are, as in `dousa.library.annotations.places`.
     performer_from : rule as in `dousa.library.labels`.
-    options : what is said about the files.
+    options : how the files are read.
     n_jobs : files at a time; None for every core.
     progress : called with (done, total, "reading").
-    note : told the doubts about the files that are used, and about their labels.
+    note : called with doubts about the files that are used, and about their labels.
 
     Returns
     -------
@@ -176,14 +176,14 @@ def read_annotated_takes(
         if isinstance(motion, Skipped):
             skipped.append(motion)
             continue
-        own = labels[str(file.path)]
-        annotation, doubts = to_annotation(own.file, own.tiers, tier, motion.frame_rate)
+        table = labels[str(file.path)]
+        annotation, doubts = to_annotation(table.file, table.tiers, tier, motion.frame_rate)
         if annotation.is_blank:
             skipped.append(Skipped(str(file.path), Message("annotations.blank", table=annotation.source)))
             continue
         length = TakeLength(str(file.path), motion.duration, motion.frame_rate, motion.n_frames)
         check_fit(length, annotation)
-        _tell(note, str(file.path), [*motion.warnings, *own.notes, *doubts, *fit(length, annotation.segments)[1]])
+        _note(note, str(file.path), [*motion.warnings, *table.notes, *doubts, *fit(length, annotation.segments)[1]])
         stretches = lay_out(annotation.segments, annotation.unclear, motion.duration)
         performer = performer_of(file.root, file.path)
         known = str(file.path), performer, motion.positions, motion.frame_rate, motion.height
@@ -196,7 +196,7 @@ def read_annotated_takes(
 
 
 def refuse_clips_in_both(clips: Sequence[LabelledClip], tested: Sequence[LabelledClip]) -> None:
-    """OptionError where a file trains and tests: a system that knows the answer by heart is not tested."""
+    """Raise an OptionError where a file is both for training and for testing."""
     both = sorted({os.path.realpath(clip.name) for clip in clips} & {os.path.realpath(c.name) for c in tested})
     if both:
         raise OptionError("experiments_cli.train_and_test", n=len(both), total=len(tested), first=both[0])
@@ -208,7 +208,7 @@ def _read_each(
     n_jobs: int | None,
     progress: ProgressCallback | None,
 ) -> Iterator[_Read | Skipped]:
-    """The answers to the tasks in their order, several worked on at a time."""
+    """Read files in parallel, and yield the answers in their order."""
     import joblib
 
     cluster = current_cluster()
@@ -254,7 +254,7 @@ def _read_file(file: FoundFile, options: ReadOptions) -> CanonicalMotion | Skipp
         return Skipped(path, describe_problem(path, error))
 
 
-def _tell(note: FileNote | None, path: str, doubts: Iterable[Message]) -> None:
+def _note(note: FileNote | None, path: str, doubts: Iterable[Message]) -> None:
     if note is not None:
         for doubt in doubts:
             note(path, doubt)

@@ -133,8 +133,6 @@ def read_view_cameras(path: Path, views: Sequence[ViewKeypoints]) -> tuple[Camer
 
 
 _WIDTH, _HEIGHT = 10.0, 5.2  # inches
-_SIGHT = 0.8  # m, length of the sides of a field of view
-_PLACES = 24  # moments of the person that are drawn
 
 
 def draw_cameras(found: Calibration, path: str | os.PathLike[str]) -> None:
@@ -151,7 +149,8 @@ def draw_cameras(found: Calibration, path: str | os.PathLike[str]) -> None:
     MotionWriteError : the picture cannot be written.
     """
     figure = new_figure(_WIDTH, _HEIGHT)
-    points = found.points[np.linspace(0, len(found.points) - 1, min(_PLACES, len(found.points))).round().astype(int)]
+    n_moments = min(24, len(found.points))
+    points = found.points[np.linspace(0, len(found.points) - 1, n_moments).round().astype(int)]
     for number, (code, across, along) in enumerate(
         (("camera_picture.above", (0, 2), (1.0, -1.0)), ("camera_picture.side", (0, 1), (1.0, 1.0)))
     ):
@@ -176,7 +175,7 @@ def _draw_camera(axes: Any, camera: Any, across: list[int], along: FloatArray) -
     _, directions = camera.compute_rays(corners)
     place = camera.position[across] * along
     for direction in np.nan_to_num(directions):
-        end = (camera.position + _SIGHT * direction)[across] * along
+        end = (camera.position + 0.8 * direction)[across] * along
         axes.plot((place[0], end[0]), (place[1], end[1]), color=BLUE, linewidth=1.2)
     axes.plot(place[0], place[1], "o", color=VERMILLION, markersize=5)
     write(axes, float(place[0]) + 0.08, float(place[1]) + 0.08, camera.name[:24], 8.5)

@@ -1,4 +1,4 @@
-"""``dousa estimate`` for films with nothing prepared: keypoints, who is who, and a motion of each person asked for."""
+"""From films with nothing prepared to motions: keypoints, who is who, and a motion of each person wanted."""
 
 from __future__ import annotations
 
@@ -38,11 +38,11 @@ if TYPE_CHECKING:
 
 _GIRTH_FRAMES, _OVERLAP_FRAMES = 12, 600
 _POOR_PIXELS = 0.025  # of a person's height in the picture: reprojection that tells of a wrong calibration
-_FAR_PIXELS = 0.085  # the same of the worst tenth of its points: with right cameras it is 0.01 to 0.08
+_FAR_PIXELS = 0.085  # the same of the worst tenth of its points; 0.01 to 0.08 with right cameras (docs/estimation.md)
 _USUAL_STATURES = (1.4, 2.05)  # m
 _DEPTH_DOUBT = 0.08  # m
-_OFTEN = 0.55  # of the pictures in which somebody is seen at most: who is seen less often is in the background
-_LONG = 0.5  # share of the film that tells who is there from who walks past
+_OFTEN = 0.55  # of the pictures in which the most seen person is seen: those seen less often are in the background
+_LONG = 0.5  # share of the film from which a person takes part and does not only walk past
 
 Tell = Callable[[Message], None]
 
@@ -53,7 +53,7 @@ def estimate_sources(
     tell: Tell | None = None,
     watcher: Watcher | None = None,
 ) -> tuple[Estimation, ...]:
-    """Estimate from whatever there is: keypoints of films where that can be done, silhouettes otherwise.
+    """Estimate from keypoints of films where that can be done, else from silhouettes.
 
     Parameters
     ----------
@@ -62,7 +62,7 @@ def estimate_sources(
 
     Returns
     -------
-    One estimate, or with ``everybody`` one for each person, who is seen most first.
+    One estimate, or with ``everybody`` one for each person, the most seen first.
 
     Raises
     ------
@@ -123,11 +123,11 @@ def estimate_films(
         chosen = [(request.person, _pick(people, request.person))]
     answers = []
     for number, person in chosen:
-        own = with_outputs(request, number) if request.everybody else request
-        if own is not request:
-            check_outputs(own.outputs, own.inputs)
+        numbered = with_outputs(request, number) if request.everybody else request
+        if numbered is not request:
+            check_outputs(numbered.outputs, numbered.inputs)
         try:
-            answers.append(estimate_person(own, films, person, report, watcher))
+            answers.append(estimate_person(numbered, films, person, report, watcher))
         except KeypointError:
             if not answers:
                 raise
@@ -137,7 +137,7 @@ def estimate_films(
 
 
 def list_everybody(people: Sequence[MatchedPerson]) -> tuple[list[tuple[int, MatchedPerson]], list[Message]]:
-    """Those who are seen about as often as who is seen most, with their numbers; and what is said of the others."""
+    """List the people seen about as often as the most seen one, with their numbers; and a message on each other."""
     shares = [float(np.mean([0.0 if track is None else track.present.mean() for track in person.tracks]))
               for person in people]  # fmt: skip
     chosen, aside = [], []
@@ -150,11 +150,11 @@ def list_everybody(people: Sequence[MatchedPerson]) -> tuple[list[tuple[int, Mat
 
 
 def check_agreement(films: FilmScene, people: Sequence[MatchedPerson]) -> list[Message]:
-    """Views that show somebody for long who is not where the other views see anybody.
+    """Find views that show a person for long where the other views see no person.
 
     Raises
     ------
-    KeypointError : no two views agree, though several show somebody.
+    KeypointError : no two views agree, though several show a person.
     """
     agreed = [person for person in people if sum(track is not None for track in person.tracks) > 1]
     alone = []
@@ -180,7 +180,7 @@ def estimate_person(
     report: ProgressCallback,
     watcher: Watcher | None,
 ) -> Estimation:
-    """The motion of one person of films, and its files.
+    """Estimate the motion of one person of films, and write its files.
 
     Parameters
     ----------
@@ -213,8 +213,8 @@ def estimate_person(
     silhouettes = PersonSilhouettes(films, person.members)
     cameras = silhouettes.fit_cameras(films.cameras)
     estimate = add_overlap(fit.estimate, silhouettes, cameras)
-    said = [*films.warnings, *notes, *describe_fit(fit, films.cameras, request.stature is not None)]
-    said += describe_doubts(estimate, estimate.body, films.names, cameras)
+    warnings = [*films.warnings, *notes, *describe_fit(fit, films.cameras, request.stature is not None)]
+    warnings += describe_doubts(estimate, estimate.body, films.names, cameras)
     if watcher is not None:
         watcher.begin(Scene(films.names, cameras, films.frame_rate, estimate.n_frames, 0))
         watcher.end(estimate)
@@ -228,7 +228,7 @@ def estimate_person(
     )
     words = _body_words(request, estimate.body)
     return Estimation(estimate, films.names, words, Message("estimate.start_keypoints"), films.first_frame, 0, written,
-                      tuple(dict.fromkeys(said)))  # fmt: skip
+                      tuple(dict.fromkeys(warnings)))  # fmt: skip
 
 
 def _body_words(request: EstimationRequest, body: BodyModel) -> Message:
@@ -244,7 +244,7 @@ def _body_words(request: EstimationRequest, body: BodyModel) -> Message:
 
 
 def add_overlap(estimate: Estimate, silhouettes: PersonSilhouettes, cameras: Sequence[Camera]) -> Estimate:
-    """The body's girths fitted to the person's masks, and the overlap with them in frames from all over the film."""
+    """Fit the body's girths to the person's masks, and measure the overlap in frames spread over the film."""
     from dousa.errors import DousaError
     from dousa.estimation.raster.rasteriser import draw_body
     from dousa.estimation.tracking.measures import fit_girths
@@ -273,33 +273,33 @@ def add_overlap(estimate: Estimate, silhouettes: PersonSilhouettes, cameras: Seq
 
 
 def describe_fit(fit: KeypointFit, cameras: Sequence[Camera], stature_given: bool) -> list[Message]:
-    """What a person should know about the fit."""
-    said = []
+    """Describe doubts about the fit."""
+    warnings = []
     n_views = int(fit.seen.seen.any(axis=(1, 2)).sum())
     exchanged = int(fit.exchanged.any(axis=(0, 2)).sum())
     if exchanged:
-        said.append(Message("film_estimate.exchanged", frames=exchanged, total=fit.estimate.n_frames))
+        warnings.append(Message("film_estimate.exchanged", frames=exchanged, total=fit.estimate.n_frames))
     heights = [np.ptp(points[np.isfinite(points[:, :, 1]).all(axis=1)][..., 1], axis=1).mean()
                if np.isfinite(points[:, :, 1]).all(axis=1).any() else np.nan for points in fit.seen.points]  # fmt: skip
     for camera, errors, height in zip(cameras, fit.errors, heights, strict=True):
         if np.isfinite(errors).any() and np.nanmedian(errors) > _POOR_PIXELS * height:
-            said.append(Message("film_estimate.off", view=camera.name, error=float(np.nanmedian(errors)),
+            warnings.append(Message("film_estimate.off", view=camera.name, error=float(np.nanmedian(errors)),
                                 share=float(np.nanmedian(errors) / height)))  # fmt: skip
         elif np.isfinite(errors).any() and (far := float(np.nanpercentile(errors, 90))) > _FAR_PIXELS * height:
-            said.append(Message("film_estimate.far_off", view=camera.name, error=far, share=far / height))
+            warnings.append(Message("film_estimate.far_off", view=camera.name, error=far, share=far / height))
     stature = fit.estimate.body.stature
     if n_views > 1 and not stature_given and not _USUAL_STATURES[0] < stature < _USUAL_STATURES[1]:
-        said.append(Message("film_estimate.odd_stature", stature=stature))
+        warnings.append(Message("film_estimate.odd_stature", stature=stature))
     if n_views == 1:
         unsure = int((fit.depth_doubt > _DEPTH_DOUBT).sum())
         doubt = float(np.median(fit.depth_doubt))
-        said.append(Message("film_estimate.one_view", doubt=doubt, frames=unsure, total=fit.estimate.n_frames))
+        warnings.append(Message("film_estimate.one_view", doubt=doubt, frames=unsure, total=fit.estimate.n_frames))
         if not stature_given:
-            said.append(Message("body.stature_assumed", stature=1.72))
+            warnings.append(Message("body.stature_assumed", stature=1.72))
     absent = ~fit.seen.seen.any(axis=(0, 2))
     if absent.any():
-        said.append(Message("film_estimate.absent", frames=int(absent.sum()), total=fit.estimate.n_frames))
+        warnings.append(Message("film_estimate.absent", frames=int(absent.sum()), total=fit.estimate.n_frames))
     lost = int((fit.estimate.lost & ~absent).sum())
     if lost:
-        said.append(Message("film_estimate.lost", lost=lost, frames=fit.estimate.n_frames))
-    return said
+        warnings.append(Message("film_estimate.lost", lost=lost, frames=fit.estimate.n_frames))
+    return warnings

@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 
 _KEYPOINT_SUFFIXES = (".npz", ".json")
 _FOCAL_35 = ("focal_length.35mm", "focallengthin35mm")
-_FRAME_35 = 36.0  # mm, the longer side of the picture that lenses are compared by
+_FRAME_35 = 36.0  # mm, by definition the longer side of a 35 mm picture
 _GLANCE = 0.1  # s between two reports
 
 
@@ -41,7 +41,7 @@ def is_keypoints(path: Path) -> bool:
 
 
 def name_films(paths: Sequence[Path]) -> tuple[str, ...]:
-    """Different names for films: without folder and suffix, with the folder where two are alike.
+    """Different names for films: without folder and suffix, with the folder where two are the same.
 
     Raises
     ------
@@ -58,7 +58,7 @@ def name_films(paths: Sequence[Path]) -> tuple[str, ...]:
 def open_keypoints(
     paths: Sequence[Path], model: LandmarkModel | None, progress: ProgressCallback
 ) -> tuple[ViewKeypoints, ...]:
-    """The keypoints of films, and of files of keypoints as they are; of each the source is its name.
+    """Find the keypoints of films, or read files of keypoints; of each the source is its name.
 
     Parameters
     ----------
@@ -99,13 +99,13 @@ def _find_all(
         return iter([find_keypoints(film, chosen, progress=progress) for film in films])
     at_a_time = min(len(films), cores)
     counts, stop = [(0, 0)] * len(films), threading.Event()
-    said: list[Message | str] = [""] * len(films)
+    texts: list[Message | str] = [""] * len(films)
 
     def find(place: int) -> ViewKeypoints:
         def note(done: int, total: int, what: Message | str) -> None:
             if stop.is_set():
                 raise _GivenUpError
-            counts[place], said[place] = (done, total), what
+            counts[place], texts[place] = (done, total), what
 
         return find_keypoints(films[place], chosen, threads=max(1, cores // at_a_time), progress=note)
 
@@ -114,8 +114,8 @@ def _find_all(
         try:
             while wait(jobs, _GLANCE, FIRST_EXCEPTION).not_done and not _find_failed(jobs):
                 busy = next((place for place, (done, total) in enumerate(counts) if done < total), None)
-                if busy is not None:  # told by the thread that asked, which may be stopped by what it tells
-                    progress(sum(done for done, _ in counts), sum(total for _, total in counts), said[busy])
+                if busy is not None:  # from the thread that asked, which its progress callback may stop
+                    progress(sum(done for done, _ in counts), sum(total for _, total in counts), texts[busy])
         finally:
             stop.set()
             pool.shutdown(wait=True, cancel_futures=True)
@@ -123,7 +123,7 @@ def _find_all(
 
 
 def _find_failed(jobs: Sequence[Future[ViewKeypoints]]) -> list[Future[ViewKeypoints]]:
-    """Those that ended by an error of their own."""
+    """List the jobs that failed, and were not only given up."""
     ended = [job for job in jobs if job.done() and not job.cancelled() and job.exception() is not None]
     return [job for job in ended if not isinstance(job.exception(), _GivenUpError)]
 
@@ -136,7 +136,7 @@ def read_sounds(paths: Sequence[Path]) -> list[Sound | None]:
 
 
 def read_focal_length(path: Path, size: tuple[int, int]) -> float | None:
-    """The focal length (px) that a film states as that of a 35 mm camera, as some phones do; None where it does not.
+    """Read the focal length (px) that a film states for a 35 mm camera, as phones do; None where it does not.
 
     Parameters
     ----------
@@ -154,7 +154,7 @@ def read_focal_length(path: Path, size: tuple[int, int]) -> float | None:
             tags = [container.metadata, *(stream.metadata for stream in container.streams)]
     except (av.error.FFmpegError, OSError, ValueError):
         return None
-    for key, value in (item for some in tags for item in some.items()):
+    for key, value in (item for tag in tags for item in tag.items()):
         if any(word in key.lower() for word in _FOCAL_35):
             try:
                 focal = float(value)
@@ -166,8 +166,6 @@ def read_focal_length(path: Path, size: tuple[int, int]) -> float | None:
 
 
 _LONGEST_SIDE = 640  # px of masks for drawings
-_SAME_RATE = 0.002
-_LEAST_FOCAL = 10.0  # px
 _SAME_START = 0.75  # frames by which films may start apart and be taken as they are
 
 
@@ -197,7 +195,7 @@ class FilmScene:
     warnings: tuple[Message, ...]
 
     def list_people(self) -> list[list[PersonTrack]]:
-        """(V,) the people of each view at the common moments, where anybody is seen."""
+        """(V,) the people of each view at the common moments, where they are seen."""
         from dousa.estimation.multiview.people import resample_track
 
         return [
@@ -222,7 +220,7 @@ def place_films(
     report: ProgressCallback,
     people: Sequence[int] | None = None,
 ) -> FilmScene:
-    """Films whose keypoints are known, on one clock and with a camera each.
+    """Put films whose keypoints are known on one clock, with a camera each.
 
     Parameters
     ----------
@@ -230,7 +228,7 @@ def place_films(
     found : (V,) keypoints of each film, whose name is the source.
     report : called with (done, total, what).
     people : (V,) by whom films are synchronised and cameras placed, their places among the people of each view; None
-        for who moves alike.
+        for those who move the same way.
 
     Raises
     ------
@@ -247,7 +245,7 @@ def place_films(
 
 
 def _choose(found: tuple[ViewKeypoints, ...], people: Sequence[int] | None) -> tuple[ViewKeypoints, ...]:
-    """The films with one person each; with everybody where nobody was chosen."""
+    """Keep one person of each film; all of them where none was chosen."""
     if people is None:
         return found
     return tuple(replace(view, people=(view.people[place],)) for view, place in zip(found, people, strict=True))
@@ -260,7 +258,7 @@ def _place_cameras(
     chosen: tuple[ViewKeypoints, ...],
     report: ProgressCallback,
 ) -> FilmScene:
-    """Films whose cameras nobody knows: several are placed by the person, one stands upright at a usual height."""
+    """Place unknown cameras: several by the person, a single one upright at a usual height."""
     from dousa.estimation.calibration.person import calibrate_from_person, guess_lenses
     from dousa.estimation.sync.sync_file import read_offsets
     from dousa.estimation.sync.synchronise import sync
@@ -291,7 +289,7 @@ def _place_cameras(
 def _find_focals(request: EstimationRequest, found: Sequence[ViewKeypoints]) -> list[float] | None:
     """Focal lengths (V,) px: as given, else as all films state them; None where neither."""
     if request.focal is not None:
-        if not (np.isfinite(request.focal) and request.focal > _LEAST_FOCAL):
+        if not (np.isfinite(request.focal) and request.focal > 10.0):
             raise OptionError("calibration.focal", found=request.focal)
         return [request.focal] * len(found)
     stated = [read_focal_length(path, view.size) for path, view in zip(request.sources, found, strict=True)]
@@ -307,10 +305,10 @@ def _put_together(
     offsets: FloatArray,
     notes: list[Message],
 ) -> FilmScene:
-    """Films whose cameras and clocks are known, on one clock."""
+    """Put films whose cameras and clocks are known on one clock."""
     rates = [view.frame_rate for view in found]
     rate = request.rate or min(rates)
-    if max(rates) > min(rates) * (1 + _SAME_RATE):
+    if max(rates) > min(rates) * 1.002:
         notes.append(Message("masks.rates", rates=rates, rate=rate))
     length = min(view.times[-1] - offset for view, offset in zip(found, offsets, strict=True))
     if length < 0:
@@ -340,7 +338,7 @@ def find_offsets(
         return clocks - clocks.min(), []
     try:
         answer = sync(found, cameras=cameras, progress=report)
-    except CalibrationError:  # nobody moves: then it does not matter much either
+    except CalibrationError:  # without movement it does not matter much either
         return together, [Message("film_estimate.not_synchronised")]
     frame = 1.0 / min(view.frame_rate for view in found)
     if (np.abs(answer.offsets) < np.maximum(_SAME_START * frame, 3.0 * answer.spreads)).all():
@@ -415,7 +413,7 @@ class PersonSilhouettes(Silhouettes):
         masks: list[Mask | None] = []
         for view, found in enumerate(self._found):
             place = int(self.frames[view][frame])
-            drawn = (own.read(place, self.sizes[view], of=found.size) for own in self._masks[view])
+            drawn = (person.read(place, self.sizes[view], of=found.size) for person in self._masks[view])
             masks.append(next((mask for mask in drawn if mask is not None), None))
         return tuple(masks)
 
@@ -480,7 +478,7 @@ def shows_masks(path: Path) -> bool:
     try:
         file = VideoFile(path)
     except SilhouetteError:
-        return False  # whoever reads it says why
+        return False  # its reader describes the problem
     try:
         places = np.unique(np.linspace(0, file.n_frames - 1, 3).astype(int))
         images = [file.read(int(place)) for place in places]

@@ -18,7 +18,6 @@ if TYPE_CHECKING:
     from dousa.app.requests.estimation import KeypointRequest
     from dousa.estimation import ViewKeypoints
 
-_SEEN = 0.5  # of visibility
 _VIDEO, _SHEET = "_keypoints.mp4", "_keypoints.png"  # after the names of films
 
 
@@ -45,7 +44,7 @@ class FoundKeypoints:
                     "n_frames": int(person.present.sum()),
                     "first_frame": int(np.argmax(person.present)),
                     "mean_visibility": float(person.visibility[person.present].mean()),
-                    "visible": float((person.visibility[person.present] > _SEEN).mean()),
+                    "visible": float((person.visibility[person.present] > 0.5).mean()),
                 }
                 for person in view.people
             ],

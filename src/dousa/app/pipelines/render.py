@@ -26,7 +26,6 @@ if TYPE_CHECKING:
     from dousa.estimation import BodyModel, Camera
     from dousa.motion import CanonicalMotion
 
-_SIZE = (320, 240)
 _FOCAL = 1.25  # of the shorter side, see `make_ring`
 _MARGIN = 0.12  # m, of the body round its joints
 _NEAREST = 3.0  # m, of a camera on the ring
@@ -145,7 +144,7 @@ def _pose_body(body: BodyModel, motion: CanonicalMotion) -> tuple[tuple[str, ...
 
 def _choose_cameras(request: RenderRequest, points: FloatArray) -> tuple[tuple[Camera, ...], list[Message]]:
     if request.cameras is None:
-        return ring_around(points, request.n_ring, request.size or _SIZE), []
+        return ring_around(points, request.n_ring, request.size or (320, 240)), []
     from dousa.estimation.cameras.camera_files import read_cameras
     from dousa.estimation.cameras.camera_sets import fit_cameras
 

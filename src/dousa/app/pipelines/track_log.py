@@ -1,7 +1,7 @@
-"""What was tracked before an interruption, in a hidden file beside the output, so that the same command goes on there.
+"""The state of interrupted tracking, in a hidden file beside the output, from which the same command resumes.
 
 The file holds a fingerprint of everything the result depends on. One that is damaged, of other inputs or of another
-version is passed over, and said so; it is replaced as the work goes on and removed at its end.
+version is passed over with a note; it is replaced as the work goes on and removed at its end.
 """
 
 from __future__ import annotations
@@ -29,7 +29,6 @@ _Track = TypeVar("_Track")
 
 _EVERY_S = 3.0
 _KEY = "fingerprint"
-_MOST_FILES = 200_000
 
 # What numpy and zipfile raise on files that are no npz, or damaged ones.
 _DAMAGE = (
@@ -50,7 +49,7 @@ def describe_files(paths: Iterable[str | os.PathLike[str]]) -> list[list[Any]]:
     for path in paths:
         place = os.path.realpath(path)
         inside = sorted(_walk(place)) if os.path.isdir(place) else [place]
-        for file in inside[:_MOST_FILES]:
+        for file in inside[:200_000]:
             try:
                 state = os.stat(file)
             except OSError:

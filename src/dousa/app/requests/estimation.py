@@ -337,14 +337,8 @@ def choose_settings(given: Mapping[str, Any]) -> TrackerSettings:
     """
     from dousa.estimation.tracking.settings import PAPER, TrackerSettings
 
-    settings = given.get("settings")
-    if isinstance(settings, TrackerSettings):
-        return settings
-    if settings is not None:
-        stored: dict[str, Any] = {
-            name: tuple(value) if isinstance(value, list) else value for name, value in settings.items()
-        }
-        return TrackerSettings(**stored)
+    if isinstance(given.get("settings"), TrackerSettings):
+        return given["settings"]  # type: ignore[no-any-return]
     preset = PAPER if given.get("method") == "paper" else TrackerSettings()
     changed = {name: value for name, value in _pick(given, TrackerSettings).items() if value is not None}
     return dataclasses.replace(preset, **changed)

@@ -8,7 +8,6 @@ from typing import Any, get_args, get_type_hints
 
 from pydantic import BaseModel, ConfigDict, Field, create_model
 
-_MOST_LETTERS = 1000
 _NOT_LOADED = {"ReadOptions": Any, "TrackerSettings": Any}  # types of fields that no model has
 
 
@@ -29,7 +28,7 @@ def derive_model(request: Any, only: Collection[str] | None = None) -> Any:
         kind = hints[field.name] if option is None else get_args(hints[field.name])[0]
         limits: dict[str, Any] = {"description": getattr(option, "help", None)}
         if kind in (str, str | None):
-            limits["max_length"] = _MOST_LETTERS
+            limits["max_length"] = 1000
         else:
             limits |= {"ge": getattr(option, "min", None), "le": getattr(option, "max", None)}
         fields[field.name] = (kind, Field(default=field.default, **limits))

@@ -18,8 +18,6 @@ if TYPE_CHECKING:
 
 _GOOD, _FAIR = 0.75, 0.5  # overlap of model and silhouette
 
-_SHOWN_STRETCHES = 6
-
 _SHOWN_JOINTS = 5
 
 
@@ -89,8 +87,8 @@ def _describe_stretches(frames: Sequence[int] | np.ndarray, describe: Callable[[
         return str(Message("estimated.no_frames"))
     cuts = np.flatnonzero(np.diff(numbers) > 1) + 1
     stretches = [describe(int(part[0]), int(part[-1])) for part in np.split(numbers, cuts)]
-    more = len(stretches) - _SHOWN_STRETCHES
-    shown = ", ".join(stretches[:_SHOWN_STRETCHES])
+    more = len(stretches) - 6
+    shown = ", ".join(stretches[:6])
     return str(Message("estimated.more_stretches", shown=shown, n=more)) if more > 0 else shown
 
 

@@ -46,15 +46,15 @@ def print_assessment(out: Console, assessment: Assessment, detail: str = "full")
     is_graded = math.isfinite(assessment.score)
     grade = _describe_grade(assessment) if is_graded else assessment.score_formula
     out.print(str(grade), style="bold", markup=False, soft_wrap=True)
-    said = advise(assessment, "brief")
+    points = advise(assessment, "brief")
     good = praise(assessment)
-    for number, one in enumerate(said, start=1):
-        place = f"{number}. " if len(said) > 1 else ""
-        out.print(f"{place}{one_line(str(one.message))}", markup=False, soft_wrap=True)
+    for number, advice in enumerate(points, start=1):
+        place = f"{number}. " if len(points) > 1 else ""
+        out.print(f"{place}{one_line(str(advice.message))}", markup=False, soft_wrap=True)
     if good is not None and good.furi:
         out.print(str(good.message), markup=False, soft_wrap=True)
     if detail == "brief":
-        more = len(assessment.events) + len(assessment.lapses) - sum(max(len(one.times), 1) for one in said)
+        more = len(assessment.events) + len(assessment.lapses) - sum(max(len(point.times), 1) for point in points)
         if more > 0:
             out.print(str(Message("graded.more", n=more)), markup=False, soft_wrap=True)
         return
@@ -160,7 +160,7 @@ def print_repetitions(out: Console, assessment: RepetitionsAssessment, detail: s
     Parameters
     ----------
     out : where it goes.
-    assessment : what is told.
+    assessment : the answer.
     detail : ``"brief"`` leaves out the table.
     """
     incomplete = len(assessment.repetitions) - assessment.count

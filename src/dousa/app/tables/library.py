@@ -89,13 +89,13 @@ def print_add(out: Console, report: AddReport) -> None:
         seconds=report.seconds,
         rate=rate,
     )
-    for said, files in (
+    for code, files in (
         ("adding.replaced", report.replaced),
         ("adding.moved", report.moved),
         ("adding.unchanged", report.unchanged),
     ):
         if files:
-            say_line(out, said, n=len(files))
+            say_line(out, code, n=len(files))
     if report.duplicates:
         pairs = [f"{item.path} = {item.same_as}" for item in report.duplicates]
         print_some(out, Message("adding.duplicates", n=len(pairs)), pairs)
@@ -116,8 +116,8 @@ def print_add(out: Console, report: AddReport) -> None:
         warn(Message("answers.other_kind", n=len(report.other_kind)))
     for text, count in Counter(text for _, text in report.warnings).most_common(SHOWN):
         warn(Message("answers.note_of_files", note=text, n=count))
-    told = (report.added, report.replaced, report.moved, report.unchanged, report.duplicates, report.skipped)
-    if not any(told):
+    listed = (report.added, report.replaced, report.moved, report.unchanged, report.duplicates, report.skipped)
+    if not any(listed):
         warn(Message("answers.no_motion_files"))
     if report.other_labels:
         warn(Message("answers.other_labels", n=len(report.other_labels)))

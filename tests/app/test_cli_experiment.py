@@ -1,14 +1,20 @@
-"""The commands about takes with tables of labels."""
+"""dousa experiment: rankings, takes, annotated takes and unknown motions, as tables and as JSON."""
 
 from __future__ import annotations
 
+import io
 import json
 import shutil
 from pathlib import Path
 
 import numpy as np
 import pytest
+from oracles.short_actions import make_library
+from rich.console import Console
 
+from dousa.app.tables.lines import print_tables
+from dousa.experiments.ranking_systems import RANKING_SYSTEMS
+from dousa.experiments.takes import run_takes_experiment
 from dousa.formats import write_motion
 from dousa.formats.annotations.reading import read_label_file
 from dousa.formats.annotations.writing import write_labels_csv
@@ -16,6 +22,109 @@ from dousa.library import Library
 from dousa.motion import CANONICAL_JOINTS, Trajectories, canonicalise, compute_trajectories
 from dousa.motion.annotation import Stretch
 from dousa.motion.synthetic.performers import draw_performer, make_motion
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """category/pN.bvh of three performers; one category only one of them shows."""
+    made = tmp_path_factory.mktemp("ranked")
+    for number in range(3):
+        performer = draw_performer(number)
+        for category in ("walk", "squat", "clap", *(["bow"] if number == 0 else [])):
+            (made / category).mkdir(exist_ok=True)
+            write_motion(make_motion(category, performer, seed=number), made / category / f"p{number}.bvh")
+    return made
+
+
+PERFORMERS = ("--split", "leave-performer-out", "--performer-from", r"name:(p\d)", "--trees", 10)
+
+
+def test_the_table_names_every_ranking_and_says_what_was_left_out(dousa, folder):
+    code, out, err = dousa("--jobs", 1, "experiment", folder, "--ranking", *PERFORMERS)
+    assert code == 0, err
+    for words in (
+        "4 categories, 9 queries",
+        "features extended",
+        "fused (default)",
+        "histogram (eq. 8)",
+        "DTW on poses",
+        "motion templates",
+        "2000 bootstrap resamples",
+        "fewer than 10 clips to find",
+        "a perfect ranking reaches 0.200",
+        "bow: queries left out, as no clip of this category is there to be found: 1",
+        "MAP beyond DTW: fused",
+        "whole performers resampled",
+    ):
+        assert words in out
+
+
+def test_json_and_systems_of_choice(dousa, folder):
+    code, out, err = dousa("--jobs", 1, "experiment", folder, "--ranking", *PERFORMERS, "--json", "--features", "paper")
+    assert code == 0, err
+    answer = json.loads(out)
+    assert list(answer["systems"]) == list(RANKING_SYSTEMS)
+    assert answer["features"] == "paper" and answer["skipped"] == []
+    words = ("--system", "dtw", "--system", "fused", "--json")
+    code, out, _ = dousa("--jobs", 1, "experiment", folder, "--ranking", *PERFORMERS, *words)
+    assert list(json.loads(out)["systems"]) == ["dtw", "fused"]
+
+
+def test_a_folder_of_queries(dousa, folder, tmp_path):
+    queries = tmp_path / "asked" / "walk"
+    queries.mkdir(parents=True)
+    write_motion(make_motion("walk", draw_performer(9), seed=9), queries / "p9.bvh")
+    words = ("--ranking", "--test", queries.parent, "--system", "fused", "--trees", 10, "--json")
+    code, out, err = dousa("--jobs", 1, "experiment", folder, *words)
+    assert code == 0, err
+    answer = json.loads(out)
+    assert (answer["split"], answer["n_queries"], answer["n_gallery"]) == ("given", 1, 10)
+
+
+@pytest.mark.parametrize(
+    ("words", "problem"),
+    [
+        (("--ranking", "--repeats", 2), "--repeats cannot be combined with --ranking"),
+        (("--ranking", "--figure", "a.png"), "--figure cannot be combined with --ranking"),
+        (("--ranking", "--system", "forest"), "omit --ranking?"),
+        (("--system", "dtw"), "add --ranking?"),
+        (("--ranking", "--split", "leave-performer-out"), "--performer-from"),
+        (("--ranking", "--system", "best"), "best"),
+    ],
+)
+def test_what_cannot_be_is_said(dousa, folder, words, problem):
+    code, _, err = dousa("--jobs", 1, "experiment", folder, *words)
+    assert code == 2 and problem in err
+
+
+@pytest.mark.parametrize(
+    ("options", "problem"),
+    [
+        (("--ranking", "--takes"), "one kind of experiment, got --ranking and --takes"),
+        (("--takes", "--unknown"), "one kind of experiment, got --takes and --unknown"),
+        (("--takes", "--split", "half"), "--split cannot be combined with --takes"),
+        (("--unknown", "--figure", "table.png"), "--figure cannot be combined with --unknown"),
+        (("--unknown", "--system", "dtw"), "--system cannot be combined with --unknown"),
+        (("--takes",), "performer"),
+        (("--ranking", "--split", 0.3), "--split SHARE cannot be combined with --ranking"),
+        (("--split", "thirds"), "expected half, leave-performer-out or a share"),
+        (("--split", 1.5), "between 0 and 1"),
+    ],
+)
+def test_options_that_would_be_ignored_are_refused(dousa, folder, options, problem):
+    code, out, err = dousa("--jobs", 1, "experiment", folder, *options)
+    assert code == 2
+    assert problem in err
+    assert not out
+
+
+def test_unknown_motions_answer_with_tables(dousa, shared_data):
+    options = ("--performer-from", r"name:HDM_(..)_", "--trees", 10)
+    code, out, err = dousa("--jobs", 1, "experiment", shared_data("hdm05"), "--unknown", *options)
+    assert code == 0, err
+    for words in ("AUROC", "189 clips of 11 categories", "grown", "retrained"):
+        assert words in out
+
 
 PARTS = ("squat", "jump", "squat", "clap")
 
@@ -170,3 +279,21 @@ def test_labels_that_nobody_gave(dousa, session, tmp_path):
 def test_a_trial_without_performers_says_why_it_needs_them(dousa, session):
     code, out, err = dousa("experiment", session, "--takes", "--labels", "beside")
     assert (code, out) == (2, "") and "--takes --labels requires --performer-from" in err and "--split" not in err
+
+
+def test_the_answer_is_shown_in_full():
+    clips = make_library((0, 1), 2)
+    answer = run_takes_experiment(clips, n_trees=10, random_state=0, n_jobs=1)
+    out = io.StringIO()
+    print_tables(Console(file=out, width=160), answer.to_tables())
+    text = out.getvalue()
+    for words in (
+        "as recorded",
+        "tempo 0.5 to 2",
+        "unknown pieces",
+        "votes, frame by frame",
+        "MAP",
+        "seed 0",
+    ):
+        assert words in text
+    assert f"{answer.labelled['as recorded']['discriminants of moments, best sequence'].f_measure:.3f}" in text
