@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import argparse
 import importlib
+import importlib.util
 import json
 import shutil
 import sys
@@ -324,7 +325,7 @@ def _grow_library(room: Room, library: Path, queries: Sequence[Path]) -> None:
     room.record.command("after", "search", library, queries[5], "--json")
     room.record.command("relabel", "relabel", library, 2, 3, "--category", "other", "--json")
     room.record.command("remove", "remove", library, 9, 10, "--json")
-    room.record.command("train", "train", library, "--trees", 25, "--bootstrap", "--json")
+    room.record.command("train", "train", library, "--trees", 25, "--json")
     room.record.library("stored", library)
     _list(room, library)
 
@@ -347,6 +348,18 @@ def old_library(room: Room) -> None:
         room.record.library("trained", library)
 
 
+_HAS_OLD_OPTIONS = importlib.util.find_spec("dousa.app.requests") is None  # before requests were one class a task
+
+
+def _settings(room: Room, **settings: str) -> tuple[object, ...]:
+    """The options, or the file, of settings of the tracker, as the version has them."""
+    if _HAS_OLD_OPTIONS:
+        return tuple(word for name, value in settings.items() for word in (f"--{name}", value))
+    path = room.work / f"{'_'.join(settings)}.toml"
+    path.write_text("".join(f"{name} = {value!r}\n" for name, value in settings.items()))
+    return "--settings", path
+
+
 def estimation(room: Room) -> None:
     """Poses from silhouettes with a start that is given and one that is found; silhouettes of a motion."""
     clip, noisy = room.find("silhouette_bench/bk_rotatearms_*.npz", 2)
@@ -363,8 +376,8 @@ def estimation(room: Room) -> None:
     cases: dict[str, tuple[object, ...]] = {
         "estimate, start given": (clip, "--start", f"{start}:0", "--frames", "0:12"),
         "estimate, start found": (noisy, "--stature", stature, "--frames", "0:8"),
-        "estimate, as published": (clip, "--start", f"{start}:4", "--frames", "4:9", "--method", "paper"),
-        "estimate, one view": (one_view, "--start", f"{start}:0", "--bones", "tables", "--frames", "0:9"),
+        "estimate, as published": (clip, "--start", f"{start}:4", "--frames", "4:9", *_settings(room, method="paper")),
+        "estimate, one view": (one_view, "--start", f"{start}:0", *_settings(room, bones="tables"), "--frames", "0:9"),
         "estimate, films": (
             *films, "--cameras", cameras, "--background", *plates, "--stature", 1.75,
             "--start", f"{room.data}/pose2sim/Balancing_for_IK.trc:0", "--frames", "0:3",
@@ -374,7 +387,15 @@ def estimation(room: Room) -> None:
         with room.record.probe(name):
             stem = room.work / name.replace(" ", "_").replace(",", "")
             made = {suffix: stem.with_suffix(suffix) for suffix in (".bvh", ".trc", ".csv")}
-            outputs = ("-o", made[".bvh"], "--trc", made[".trc"], "--angles", made[".csv"], "--json")
+            outputs = (
+                "-o",
+                made[".bvh"],
+                "--trc" if _HAS_OLD_OPTIONS else "-o",
+                made[".trc"],
+                "--angles",
+                made[".csv"],
+                "--json",
+            )
             room.record.command("answer", "estimate", *words, *outputs)
             for suffix, path in made.items():
                 room.record.file(suffix, path)
@@ -405,7 +426,7 @@ def evaluation(room: Room) -> None:
         dousa.write_motion(pupil.to_trajectories(), performance)
     with room.record.probe("evaluate"):
         _evaluate(room, "two dances", [reference], performance)
-        _evaluate(room, "mirrored", [reference], performance, "--mirror", "--lang", "ja")
+        _evaluate(room, "mirrored", [reference], performance, "--mirror", language="ja")
         weights = room.work / "weights.txt"
         weights.write_text("arms = 2\nleft_shank = 0\n")
         _evaluate(room, "free", [reference], performance, "--tempo", "free", "--weights", weights)
@@ -432,9 +453,12 @@ def evaluation(room: Room) -> None:
         room.record.put("finish", assessor.finish())
 
 
-def _evaluate(room: Room, name: str, references: Sequence[Path], performance: Path, *words: object) -> None:
+def _evaluate(
+    room: Room, name: str, references: Sequence[Path], performance: Path, *words: object, language: str = "en"
+) -> None:
     report = room.work / f"report {name}"
-    room.record.command(name, "evaluate", *references, "-p", performance, "-o", report, *words, "--json")
+    before = ("--lang", language)  # all versions know it there
+    room.record.command(name, *before, "evaluate", *references, "-p", performance, "-o", report, *words, "--json")
     for path in sorted(report.rglob("*")):
         if path.suffix == ".csv":
             room.record.file(f"{name}.{path.name}", path)

@@ -91,21 +91,33 @@ def read_known_stature(sources: Sequence[Path]) -> float | None:
 
 def choose_cameras(request: EstimationRequest, views: Silhouettes) -> tuple[tuple[Camera, ...], list[Message]]:
     """Choose a camera for each view, of the size of its images."""
+    from dousa.estimation.cameras.camera_sets import fit_cameras
+
+    if request.cameras is not None:
+        return read_view_cameras(request.cameras, views.names, views.sizes)
+    if not _is_npz(request.sources):
+        raise OptionError("estimate.no_cameras")
+    cameras, notes = fit_cameras(_read_own_cameras(request.sources, views.n_views), views.sizes)
+    return cameras, list(notes)
+
+
+def read_view_cameras(
+    path: Path, names: Sequence[str], sizes: Sequence[tuple[int, int]]
+) -> tuple[tuple[Camera, ...], list[Message]]:
+    """Read a calibration: the camera of each view, of the size of its pictures, and what a person should know.
+
+    Raises
+    ------
+    CalibrationError : no calibration, or a view without camera.
+    """
     from dousa.estimation.cameras.camera_files import read_cameras
     from dousa.estimation.cameras.camera_sets import fit_cameras, match_cameras
 
-    if request.cameras is not None:
-        found = read_cameras(request.cameras)
-        if len(found) < views.n_views:
-            raise CalibrationError(
-                "estimate.too_few_cameras", path=request.cameras, found=len(found), views=views.names
-            )
-        matched, notes = match_cameras(found, views.names)
-    elif _is_npz(request.sources):
-        matched, notes = _read_own_cameras(request.sources, views.n_views), ()
-    else:
-        raise OptionError("estimate.no_cameras")
-    cameras, more = fit_cameras(matched, views.sizes)
+    found = read_cameras(path)
+    if len(found) < len(names):
+        raise CalibrationError("estimate.too_few_cameras", path=path, found=len(found), views=tuple(names))
+    matched, notes = match_cameras(found, names)
+    cameras, more = fit_cameras(matched, sizes)
     return cameras, [*notes, *more]
 
 

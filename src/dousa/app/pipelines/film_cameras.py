@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from dousa.app.pictures.canvas import BLUE, FAINT, GREY, VERMILLION, new_figure, save_figure, write
+from dousa.app.pipelines.estimation_views import read_view_cameras
 from dousa.app.pipelines.film_scene import name_films, open_keypoints, read_sounds
 from dousa.errors import OptionError
 from dousa.messages import Message
@@ -72,7 +73,7 @@ def _find_lenses(request: CalibrationRequest, views: Sequence[ViewKeypoints]) ->
         return None
     if request.focal is not None:
         raise OptionError("calibration.focal_and_cameras")
-    return read_view_cameras(request.cameras, views)
+    return read_view_cameras(request.cameras, [view.source for view in views], [view.size for view in views])[0]
 
 
 def _find_offsets(
@@ -114,25 +115,10 @@ def sync_films(
     if len(films) < 2:
         raise OptionError("sync.one_film")
     views = open_keypoints(films, None, progress)
-    calibrated = None if cameras is None else read_view_cameras(cameras, views)
-    found = sync(views, cameras=calibrated, sounds=read_sounds(films), progress=progress)
-    return tuple(view.source for view in views), found
-
-
-def read_view_cameras(path: Path, views: Sequence[ViewKeypoints]) -> tuple[Camera, ...]:
-    """The camera of each view, of the size of its pictures.
-
-    Raises
-    ------
-    CalibrationError : no calibration, or a view without camera.
-    """
-    from dousa.estimation import fit_cameras, match_cameras, read_cameras
-
-    matched, _ = match_cameras(read_cameras(path), [view.source for view in views])
-    return fit_cameras(matched, [view.size for view in views])[0]
-
-
-_WIDTH, _HEIGHT = 10.0, 5.2  # inches
+    names, calibrated = tuple(view.source for view in views), None
+    if cameras is not None:
+        calibrated = read_view_cameras(cameras, names, [view.size for view in views])[0]
+    return names, sync(views, cameras=calibrated, sounds=read_sounds(films), progress=progress)
 
 
 def draw_cameras(found: Calibration, path: str | os.PathLike[str]) -> None:
@@ -148,7 +134,7 @@ def draw_cameras(found: Calibration, path: str | os.PathLike[str]) -> None:
     OptionError : another suffix.
     MotionWriteError : the picture cannot be written.
     """
-    figure = new_figure(_WIDTH, _HEIGHT)
+    figure = new_figure(10.0, 5.2)  # inches
     n_moments = min(24, len(found.points))
     points = found.points[np.linspace(0, len(found.points) - 1, n_moments).round().astype(int)]
     for number, (code, across, along) in enumerate(

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from dousa.app.pipelines.doubts import parse_frames
-from dousa.app.pipelines.estimation_views import VideoPictures
+from dousa.app.pipelines.estimation_views import VideoPictures, read_view_cameras
 from dousa.arrays import FloatArray, Image, IndexArray, Mask
 from dousa.errors import CalibrationError, KeypointError, OptionError, SilhouetteError
 from dousa.estimation.silhouettes.silhouettes import Silhouettes
@@ -239,7 +239,7 @@ def place_films(
         raise OptionError("calibration.focal_and_cameras")
     if request.cameras is None:
         return _place_cameras(request, names, found, _choose(found, people), report)
-    cameras, notes = match_film_cameras(request, names, found)
+    cameras, notes = read_view_cameras(request.cameras, names, [view.size for view in found])
     offsets, more = find_offsets(request, names, _choose(found, people), cameras, report)
     return _put_together(request, names, found, cameras, offsets, [*notes, *more])
 
@@ -362,22 +362,6 @@ def has_models() -> bool:
     packages = all(find_spec(name) is not None for name in ("ai_edge_litert", "av", "cv2"))
     names = (DETECTOR, choose_pose_model()) if packages else ()
     return packages and all(check_pose_model(get_pose_model(name)) == "installed" for name in names)
-
-
-def match_film_cameras(
-    request: EstimationRequest, names: Sequence[str], found: Sequence[ViewKeypoints]
-) -> tuple[tuple[Camera, ...], list[Message]]:
-    """A camera for each film, of the size of its pictures."""
-    from dousa.estimation.cameras.camera_files import read_cameras
-    from dousa.estimation.cameras.camera_sets import fit_cameras, match_cameras
-
-    assert request.cameras is not None
-    calibrated = read_cameras(request.cameras)
-    if len(calibrated) < len(names):
-        raise CalibrationError("estimate.too_few_cameras", path=request.cameras, found=len(calibrated), views=names)
-    matched, notes = match_cameras(calibrated, names)
-    cameras, more = fit_cameras(matched, [view.size for view in found])
-    return cameras, [*notes, *more]
 
 
 class PersonSilhouettes(Silhouettes):
