@@ -2,7 +2,7 @@
 
     python benchmarks/film_cameras.py [--folder FOLDER] [--model heavy] [--only times|cameras] [--trials N] [--seed N]
 
-Needs the models (``dousa models install``); without them it says so and ends. Prints
+Needs the models (``dousa keypoints --install``); without them it says so and ends. Prints
 
 - times: every trial cuts the films at known frames, and makes one of them 25 frames/s as a converter does (the nearest
   frame at each moment). Error of the offsets (ms): the plain way, whole frames by the cross-correlation of the mean

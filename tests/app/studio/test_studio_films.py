@@ -102,7 +102,7 @@ class TestBefore:
         pytest.importorskip("ai_edge_litert", reason="LiteRT is not installed: pip install 'dousa[film]'")
         batch = upload(client, *((f"view{k}.mp4", (scene / f"view{k}.mp4").read_bytes()) for k in (1, 2)))
         found = look_here(client, batch=batch, **STATURE)
-        assert "dousa models install" in found["missing"] and "\n" not in found["missing"]
+        assert "dousa keypoints --install" in found["missing"] and "\n" not in found["missing"]
         assert len(found["views"]) == 2 and found["films"]
 
     def test_films_with_plates_are_silhouettes_as_before(self, client, scene):

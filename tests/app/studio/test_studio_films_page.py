@@ -221,6 +221,6 @@ def test_models_that_are_not_installed_are_said(show, scene, tmp_path, monkeypat
     page = show("/estimate", language="ja")
     drop(page, scene / "view1.mp4", scene / "view2.mp4")
     page.find("[name=stature]").send_keys("175")
-    page.wait("return document.querySelector('#missing')?.textContent.includes('dousa models install')")
+    page.wait("return document.querySelector('#missing')?.textContent.includes('dousa keypoints --install')")
     assert page.run("return document.querySelectorAll('.pictures img').length") == 2
     assert page.run("return document.querySelector('#start').disabled") and page.messages() == []

@@ -52,7 +52,7 @@ def test_landmarks_of_a_camera_become_the_joints_of_the_motion(kick):
 def test_what_is_missing_is_said_with_what_to_run(studio, monkeypatch, tmp_path):
     monkeypatch.setenv("DOUSA_MODELS", str(tmp_path))
     said = studio.get("/api/live").json()
-    assert "dousa models install" in said["problem"] or "pip install" in said["problem"]
+    assert "dousa keypoints --install" in said["problem"] or "pip install" in said["problem"]
     answer = studio.post("/api/live", json={})
     assert answer.status_code == 409
     assert answer.json()["problem"] == said["problem"]

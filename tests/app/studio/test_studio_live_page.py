@@ -66,7 +66,7 @@ def test_without_models_the_page_says_what_to_run_and_does_not_start(show, monke
     page = show("/live")
     page.wait("return document.querySelector('#live-problem .problem-box')")
     said = page.run("return document.querySelector('#live-problem').textContent")
-    assert "dousa models install" in said or "pip install" in said
+    assert "dousa keypoints --install" in said or "pip install" in said
     assert page.find("#live-start").get_property("disabled")
 
 

