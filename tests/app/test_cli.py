@@ -15,8 +15,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import dousa
 from dousa.formats.registry import read_motion, write_motion
 from dousa.motion.synthetic.performers import draw_performer, make_motion
+from patience import PATIENCE
 
 CATEGORIES = ("walk", "squat", "clap", "bow")
 PERFORMERS = 4
@@ -434,3 +436,16 @@ def test_plot_says_what_came_up(dousa, motions, tmp_path):
     path.write_text((motions / "walk" / "p0.bvh").read_text()[:-200])
     code, _, err = dousa("plot", path, "-o", tmp_path / "cut.png")
     assert code == 0 and f"note: {path}: the last row breaks off" in err
+
+
+def run(*arguments):
+    command = [sys.executable, "-m", "dousa", *arguments]
+    return subprocess.run(command, check=False, capture_output=True, text=True, timeout=PATIENCE)
+
+
+def test_the_package_is_the_command_line():
+    said = run("--version")
+    assert (said.returncode, said.stdout) == (0, f"dousa {dousa.__version__}\n")
+    failed = run("info", "none.bvh")
+    assert failed.returncode == 2
+    assert "none.bvh" in failed.stderr and "Traceback" not in failed.stderr

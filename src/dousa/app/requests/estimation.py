@@ -124,35 +124,24 @@ class Outputs:
 
 @dataclasses.dataclass(frozen=True, slots=True)
 class EstimationRequest:
-    """What is to be estimated from what.
+    """What is to be estimated from what; other fields are described by the help of their options.
 
     Parameters
     ----------
     sources : npz of silhouettes, or folders of masks, or videos; a view each, except for an npz of several.
     settings : of the tracker; its defaults where there are none.
     outputs : files to write.
-    cameras : calibration; None where the npz has the cameras in it.
     backgrounds : plates of the videos, in their order.
     background_method : of the foreground; None lets the sources decide.
-    kind : what videos and folders show; None lets the sources decide.
-    rate : Hz of folders of images, and of videos that state it wrongly.
-    frames : ``A:B``, all by default.
-    mirrored : the images are mirror images: left and right are exchanged before anything else, and the calibration
-        is that of the images so exchanged.
-    body, stature, sex : body file, body height in m, and proportions, see `choose_body`.
-    start : ``FILE:FRAME``; found by default.
+    kind : content of videos and folders; None lets the sources decide.
+    sex : body proportions for ``stature``.
     bones : ``"tables"``; ``"start"``: as long as the joints of the start; ``"auto"``, see `choose_body`.
-    cues : what of the pictures is fitted; None takes keypoints for films without plates where models are installed.
     model : that finds keypoints; None for the most precise that is installed.
-    person : whose motion, by how much is seen of them: 1 is who is seen most.
-    everybody : one motion for each person.
-    offsets : of films in time: ``"auto"`` finds them, ``"none"`` where they start together, or a file of them.
-    focal : px, focal length of all cameras of films without a calibration; found or assumed by default.
     options : how motion files are read.
 
     Raises
     ------
-    OptionError : a choice that there is not.
+    OptionError : an unknown choice.
     """
 
     sources: tuple[Path, ...]
@@ -370,20 +359,14 @@ def parse_start(text: str) -> tuple[Path, int]:
 
 @dataclasses.dataclass(frozen=True, slots=True)
 class RenderRequest:
-    """What is to be rendered.
+    """What is to be rendered; other fields are described by the help of their options.
 
     Parameters
     ----------
     motion : file.
     output : npz to write.
-    cameras : calibration; None for a ring.
-    n_ring : cameras on the ring.
+    n_ring : cameras on a ring, without a calibration.
     size : px, width and height; None for the calibration's own, or 320 x 240.
-    body, stature, sex : see `load_body`; the motion's own bones where none is given.
-    noise : ``"clean"`` or ``"noisy"``.
-    seed : of the noise.
-    rate : Hz of the silhouettes.
-    frames : ``A:B`` of these; all by default.
     options : how motion files are read.
     """
 
@@ -409,17 +392,7 @@ class RenderRequest:
 
 @dataclasses.dataclass(frozen=True, slots=True)
 class CalibrationRequest:
-    """What is calibrated from what.
-
-    Parameters
-    ----------
-    films : films, or files of keypoints.
-    stature : m, of the person; None with a board.
-    board : as `parse_board` takes it; None with a person.
-    cameras : calibration whose focal lengths and distortion are known; None where none is.
-    focal : px, of all cameras, where nothing else is known.
-    offsets : ``"auto"`` finds them, ``"none"`` where the films start together, or a file of them.
-    """
+    """The films, or files of their keypoints, and what is known of their cameras and times."""
 
     films: tuple[Path, ...]
     stature: Stature = None
@@ -442,16 +415,7 @@ class CalibrationRequest:
 
 @dataclasses.dataclass(frozen=True, slots=True)
 class KeypointRequest:
-    """What is looked for in films, and where it goes.
-
-    Parameters
-    ----------
-    films : one for each view.
-    folder : of the files that are written, named after the films.
-    model : from the quickest to the most precise.
-    people : that are followed at a time.
-    overlay, sheet : write a video, a contact sheet of the keypoints over each film.
-    """
+    """The films, one for each view, and what is looked for in them and written."""
 
     films: tuple[Path, ...]
     folder: Annotated[
