@@ -63,7 +63,7 @@ _WHOLES: tuple[tuple[Message, tuple[str, ...]], ...] = (
 
 
 def check_language(language: str) -> str:
-    """The language itself, if there are words for it.
+    """Check that there are words for a language, and return it.
 
     Raises
     ------
@@ -75,12 +75,12 @@ def check_language(language: str) -> str:
 
 
 def name_all(names: Mapping[str, Message], language: str | None = None) -> dict[str, str]:
-    """A table of names in a language: ``name_all(KINDS, "ja")["shift"]``."""
+    """Render a table of names in a language: ``name_all(KINDS, "ja")["shift"]``."""
     return {key: message.render(language) for key, message in names.items()}
 
 
 def format_time(seconds: float) -> str:
-    """A moment as ``m:ss.s``; a dash for one that is nan or infinite."""
+    """Format a moment as ``m:ss.s``; a dash for one that is nan or infinite."""
     if not math.isfinite(seconds):
         return "–"
     tenths = round(abs(seconds) * 10)
@@ -89,7 +89,7 @@ def format_time(seconds: float) -> str:
 
 
 def describe_segments(segments: Iterable[str], language: str | None = None) -> str:
-    """Segments in words, grouped to limbs: ``"right arm"``, ``"trunk and both legs"``, ``"whole body"``.
+    """Describe segments, grouped to limbs: ``"right arm"``, ``"trunk and both legs"``, ``"whole body"``.
 
     Parameters
     ----------
@@ -104,7 +104,7 @@ def describe_segments(segments: Iterable[str], language: str | None = None) -> s
 
 
 def group_segments(segments: Iterable[str]) -> tuple[Message, ...]:
-    """Names of limbs instead of segments where a limb is whole, from the trunk to the legs; none is the whole body.
+    """Group segments to whole limbs, from the trunk to the legs; none is the whole body.
 
     Raises
     ------
@@ -135,7 +135,7 @@ def describe_event(
     shortfall_percent: float | None = None,
     deviation_deg: float | None = None,
 ) -> Message:
-    """What is wrong, such as ``"right arm: 24 deg short, reaches 62 % of the range"``.
+    """Describe an error, such as ``"right arm: 24 deg short, reaches 62 % of the range"``.
 
     Parameters
     ----------
@@ -194,7 +194,7 @@ def _is_number(value: float | None) -> TypeGuard[float]:
 def describe_lapse(
     kind: str, start_s: float, end_s: float, reference_start_s: float, reference_end_s: float
 ) -> Message:
-    """One lapse of order, such as ``"leaves out 2.0 s of the reference (0:30.0 to 0:32.0)"``.
+    """Describe one lapse of order, such as ``"leaves out 2.0 s of the reference (0:30.0 to 0:32.0)"``.
 
     Parameters
     ----------
@@ -229,12 +229,12 @@ def _say_seconds(duration: float) -> Message:
 
 
 def date(what: Message, start_s: float) -> Message:
-    """What happens with its moment before it: ``"0:31.0, stands still for 1.2 s, then goes on"``."""
+    """Put the moment before an event: ``"0:31.0, stands still for 1.2 s, then goes on"``."""
     return Message("error_event.dated", time=format_time(start_s), what=what)
 
 
 def describe_heading(angle: float) -> Message:
-    """A heading, such as ``"turned 25 deg to the left"``.
+    """Describe a heading, such as ``"turned 25 deg to the left"``.
 
     Parameters
     ----------
@@ -303,7 +303,7 @@ _OF_THE_TRUNK: Mapping[str, str] = {
 
 
 def name_parts(segments: Iterable[str]) -> tuple[Message, ...]:
-    """Parts of the body as a teacher names them: ``the left arm``, ``both legs``."""
+    """Name parts of the body as a teacher does: ``the left arm``, ``both legs``."""
     return tuple(_PARTS[message.code] for message in group_segments(segments))
 
 
@@ -320,7 +320,7 @@ def say_correction(direction: str, segments: Iterable[str], amount_deg: float) -
 
 
 def say_size(segments: Iterable[str], shortfall_deg: float) -> Message:
-    """A movement that is too small, or too large if this is negative, where no direction can be said."""
+    """Name a movement that is too small, or too large if this is negative, without a direction."""
     part = Message("advice_parts.several", names=name_parts(segments))
     degrees = round_degrees(abs(shortfall_deg))
     if shortfall_deg < 0:
@@ -329,7 +329,7 @@ def say_size(segments: Iterable[str], shortfall_deg: float) -> Message:
 
 
 def say_timing(segments: Iterable[str], lag_ms: float | None, where: Message) -> Message:
-    """Too late or too early: ``you were 0.2 s late with both legs at 0:31``."""
+    """Name lateness or earliness: ``you were 0.2 s late with both legs at 0:31``."""
     names = tuple(segments)
     if lag_ms is None or not math.isfinite(lag_ms):
         return Message("advice.out_of_time", where=where)
@@ -342,12 +342,12 @@ def say_timing(segments: Iterable[str], lag_ms: float | None, where: Message) ->
 
 
 def round_degrees(degrees: float) -> int:
-    """To 5 degrees, 5 at least."""
+    """Round to 5 degrees, 5 at least."""
     return int(max(round(degrees / _STEP_DEG), 1) * _STEP_DEG)
 
 
 def format_moment(seconds: float) -> str:
-    """A moment as the counter of a player shows it: ``m:ss``."""
+    """Format a moment as the counter of a player: ``m:ss``."""
     if not math.isfinite(seconds):
         return "–"
     whole = max(int(seconds), 0)
@@ -355,7 +355,7 @@ def format_moment(seconds: float) -> str:
 
 
 def say_where(times: Sequence[float], furi: Sequence[int | None], labels: Sequence[str]) -> Message:
-    """When, and in which figures.
+    """Name moments and their figures.
 
     Parameters
     ----------
@@ -370,7 +370,7 @@ def say_where(times: Sequence[float], furi: Sequence[int | None], labels: Sequen
         return Message("advice_when.times", times=moments)
     if len(numbers) == 1:
         return Message("advice_when.in_figure", times=moments, number=named[0])
-    alike = {labels[number] for number in numbers}
-    if len(alike) == 1 and len(numbers) == sum(label in alike for label in labels):
+    found = {labels[number] for number in numbers}
+    if len(found) == 1 and len(numbers) == sum(label in found for label in labels):
         return Message("advice_when.every_time", numbers=named)
     return Message("advice_when.in_figures", numbers=named, time=moments[0])

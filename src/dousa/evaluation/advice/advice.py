@@ -32,7 +32,6 @@ _RATE = 10.0  # Hz, at which is searched
 _AROUND_S = 1.0  # the place where it belongs, which is not looked at
 _SHORTEST_S = 0.6
 _FADE_S = 0.4  # at both ends of the stretch, where one figure becomes the other
-_MUCH = 0.4  # of the stretch
 _ALIKE = 1.0 - float(np.cos(np.radians(25.0)))  # mean over segments and moments
 _BETTER = 0.4  # of the difference from what is expected
 
@@ -44,7 +43,7 @@ def find_other_figure(
     expected_s: float,
     furi: Sequence[FuriAssessment],
 ) -> int | None:
-    """Number of the figure, from 0, that a stretch resembles instead of the one that belongs there.
+    """Find the number of the figure, from 0, that a stretch resembles instead of the expected one.
 
     Parameters
     ----------
@@ -56,7 +55,7 @@ def find_other_figure(
 
     Returns
     -------
-    None if nothing elsewhere is alike, or only the same figure again.
+    None if nothing elsewhere is similar, or only the same figure again.
     """
     if len(performance) < _SHORTEST_S * frame_rate or not np.isfinite(expected_s):
         return None
@@ -89,10 +88,13 @@ def find_other_figure(
     return _choose_figure(furi, spans[: len(furi)], spans[len(furi) :])
 
 
-def _choose_figure(furi: Sequence[FuriAssessment], expected: Sequence[float], found: Sequence[float]) -> int | None:
+def _choose_figure(
+    furi: Sequence[FuriAssessment], expected: Sequence[float], found: Sequence[float], *, much: float = 0.4
+) -> int | None:
     """The figure that takes the largest share of what was found, unless it is one that was expected."""
-    known = {one.label for one, share in zip(furi, expected, strict=True) if share > _MUCH}
-    others = [k for k, one in enumerate(furi) if one.label not in known and found[k] > _MUCH]
+    # much: of the stretch
+    known = {one.label for one, share in zip(furi, expected, strict=True) if share > much}
+    others = [k for k, one in enumerate(furi) if one.label not in known and found[k] > much]
     return max(others, key=lambda k: found[k], default=None)
 
 
@@ -101,7 +103,6 @@ DETAILS = ("brief", "full")
 
 _MOST_BRIEF = 3
 _MOST_SEVERITY, _MOST_S, _LAPSE_SEVERITY = 10.0, 4.0, 5.0
-_LEAST_S = 0.3
 _TURNED, _TURNED_S = math.radians(40.0), 1.0
 _MOST_PRAISED = 3
 _PRAISED_SCORE = 70.0
@@ -117,7 +118,7 @@ class Advice:
     message : the sentence.
     about : kind of the error or lapse; ``"facing"``, ``"praise"`` or ``"dance"`` (all of it) for what is neither.
     event : place in ``assessment.events``; None for what is no event.
-    lapse : place in ``assessment.lapses``, alike.
+    lapse : place in ``assessment.lapses``; None for what is no lapse.
     times : s of the performance, all moments that it is about; the first one is the one of the picture.
     reference_s : s of the reference at that moment; nan where it has none.
     segments : what should be moved; empty for the whole body.
@@ -164,7 +165,7 @@ class _Found:
 
 
 def advise(assessment: Assessment, detail: str = "brief") -> tuple[Advice, ...]:
-    """What to tell the learner, the most important first.
+    """Choose the advice for the learner, the most important first.
 
     Parameters
     ----------
@@ -209,7 +210,7 @@ def advise_on_event(
     dancers: PairedDancers,
     furi: Sequence[Furi] | Sequence[FuriAssessment],
 ) -> Advice:
-    """The advice on one error, as `advise` gives it in full, but which figure a wrong one looks like.
+    """Give the advice on one error, as `advise` does in full, without the figure that a wrong one resembles.
 
     Parameters
     ----------
@@ -258,8 +259,8 @@ def _weigh(event: ErrorEvent) -> float:
     return min(severity, _MOST_SEVERITY) * _limit_duration(duration) * (0.5 + 0.5 * share)
 
 
-def _limit_duration(seconds: float) -> float:
-    return min(max(seconds, _LEAST_S), _MOST_S) if math.isfinite(seconds) else _LEAST_S
+def _limit_duration(seconds: float, *, least_s: float = 0.3) -> float:
+    return min(max(seconds, least_s), _MOST_S) if math.isfinite(seconds) else least_s
 
 
 def _group_alike(found: Sequence[_Found]) -> list[list[_Found]]:
@@ -403,7 +404,7 @@ def _say_facing(assessment: Assessment, labels: Sequence[str]) -> tuple[Advice, 
 
 
 def praise(assessment: Assessment) -> Advice | None:
-    """Figures that were right throughout, those with most movement first; None if there are none, or no such dance.
+    """Praise figures without errors, those with most movement first; None without such figures, or for another dance.
 
     Parameters
     ----------
@@ -444,7 +445,7 @@ def _measure_movement(assessment: Assessment, number: int) -> float:
 
 
 def describe_advice(said: Sequence[Advice], language: str | None = None) -> list[dict[str, Any]]:
-    """Advice as the value of ``advice`` of ``dousa evaluate --json``.
+    """Describe advice as the value of ``advice`` of ``dousa evaluate --json``.
 
     Parameters
     ----------

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dousa.arrays import FloatArray
+from dousa.evaluation.alignment.pairing import smooth_turn
 from dousa.evaluation.posture.posture import LIMBS, SEGMENTS, PostureSequence, interpolate_segments
 from dousa.evaluation.posture.yaw import WRONG_CHORD, ComplexArray, get_horizontal, rotate_yaw
 from dousa.evaluation.words import say_correction
@@ -22,7 +23,6 @@ from dousa.motion import JOINT_INDEX as J
 
 _MARGIN_S = 0.5
 _YAW_S = 0.5  # the yaw is that of half a second
-_ROUNDS = 4
 _SUSTAINED_S = 0.4
 
 
@@ -54,14 +54,14 @@ class PosePairs:
         return np.where(self.judged, 2.0 * np.arcsin(np.minimum(0.5 * chord, 1.0)), 0.0)
 
     def cut(self, start_s: float, end_s: float) -> PosePairs:
-        """The moments of a span of the performance, one at least."""
+        """Cut out the moments of a span of the performance, at least one."""
         last = len(self.times) - 1
         first = int(np.clip(np.searchsorted(self.times, start_s), 0, last))
         end = int(np.clip(np.searchsorted(self.times, end_s, "right"), first + 1, last + 1))
         return self._slice(slice(first, end))
 
     def find_worst(self, segments: list[int]) -> PosePairs:
-        """The moments around the one where these segments are farthest off for some time (0.4 s)."""
+        """Find the moments around the one where these segments are farthest off for some time (0.4 s)."""
         half = max(0, round(0.5 * _SUSTAINED_S * self.frame_rate))
         off = (self.angles[:, segments] ** 2).sum(axis=1)
         total = np.cumsum(np.pad(off, (half + 1, half)))
@@ -96,7 +96,7 @@ class PairedDancers:
         self._same_time, self._first_s = same_time, first_s
 
     def pair(self, start_s: float, end_s: float) -> PosePairs | None:
-        """The poses of a span of the performance; None if nothing of it is judged."""
+        """Pair the poses of a span of the performance; None if nothing of it is judged."""
         rate, count = self._performance.frame_rate, self._performance.n_frames
         if not (np.isfinite(start_s) and np.isfinite(end_s)) or count == 0:
             return None
@@ -118,7 +118,7 @@ class PairedDancers:
         half = max(0, round(0.5 * _YAW_S * rate))
         yaw = _estimate_yaw(ours, theirs, own, lines, judged, half)
         # A line from right to left points a quarter turn to the left of where the body faces.
-        front = np.angle(_smooth(lines.sum(axis=1) * inside, half)) - 0.5 * np.pi
+        front = np.angle(smooth_turn(lines.sum(axis=1) * inside, half)) - 0.5 * np.pi
         times = self._first_s + np.arange(span.start, span.stop) / rate
         return PosePairs(rotate_yaw(ours, -yaw - front), rotate_yaw(theirs, -front), judged, times, there, rate)
 
@@ -138,41 +138,31 @@ def _estimate_yaw(
     lines: ComplexArray,
     judged: NDArray[np.bool_],
     half: int,
+    *,
+    rounds: int = 4,
 ) -> FloatArray:
     """(N,) rad that turns the reference onto the performance.
 
-    Of somebody who stands upright with the arms out, the segments alone do not tell which of both arms is wrong;
+    If a person stands upright with the arms out, the segments alone do not show which of both arms is wrong;
     hips and shoulders do. So the estimate begins with these, and segments that are far off lose weight.
     """
     straight = (own_lines * lines.conj()).sum(axis=1)
     products = get_horizontal(ours) * get_horizontal(theirs).conj()
     fixed = 2.0 - 2.0 * ours[..., 1] * theirs[..., 1]
-    turn = _smooth(straight, half)
-    for _ in range(_ROUNDS):
+    turn = smooth_turn(straight, half)
+    for _ in range(rounds):
         squared = np.maximum(fixed - 2.0 * (products * turn.conj()[:, None]).real, 0.0)
         trust = judged / (1.0 + squared / WRONG_CHORD**2) ** 2
-        turn = _smooth((products * trust).sum(axis=1) + straight, half)
+        turn = smooth_turn((products * trust).sum(axis=1) + straight, half)
     return np.angle(turn)
-
-
-def _smooth(values: ComplexArray, half: int) -> ComplexArray:
-    """Sums over a window."""
-    total = np.cumsum(np.pad(values, (half + 1, half)))
-    summed: ComplexArray = total[2 * half + 1 :] - total[: len(values)]
-    size = np.abs(summed)
-    return np.divide(summed, size, out=np.ones_like(summed), where=size > 1e-9)
 
 
 LEAST_DEG = 8.0
 """Degrees; a smaller correction is not said."""
 
-_LEAST_SHARE = 0.6  # of the difference that a direction must take away
 _LEAST_TOGETHER = 0.4  # of the difference of all wrong limbs
-_RATHER = 0.1  # more of the difference must a direction take away to be said instead of a more usual one
 _ACROSS = 0.35  # sine between limb and axis of the body, below which it cannot go further that way
 _LEVEL = 0.1  # horizontal part below which a limb hangs
-_HANGING_DEG = -60.0  # elevation below which people say forward and outward rather than higher
-_UPRIGHT_DEG = 12.0  # tilt of a trunk that is held upright
 _ALIKE_DEG, _ALIKE_SHARE = 10.0, 0.35  # amounts of left and right that are said as one
 _MINOR = 0.4  # of the largest correction: below, it is left out
 _MOST = 2  # corrections in one sentence
@@ -223,7 +213,7 @@ class _Fit:
 
 
 def find_corrections(pairs: PosePairs, segments: Iterable[str]) -> tuple[Correction, ...]:
-    """What to do differently at some moments, the largest first; none where no direction dominates.
+    """Find the corrections at some moments, the largest first; none where no direction dominates.
 
     Parameters
     ----------
@@ -305,10 +295,12 @@ def _fit_limb(
     return _choose(fits)
 
 
-def _choose(fits: list[_Fit]) -> _Fit | None:
+def _choose(fits: list[_Fit], *, least_share: float = 0.6, rather: float = 0.1) -> _Fit | None:
     """The one that takes most away, an earlier one if it is nearly as good; the opposite word if it is negative."""
+    # least_share: of the difference that a direction must take away; rather: more of the difference must a direction
+    # take away to be said instead of a more usual one
     most = max((fit.share for fit in fits), default=0.0)
-    best = next((fit for fit in fits if fit.share >= max(_LEAST_SHARE, most - _RATHER)), None)
+    best = next((fit for fit in fits if fit.share >= max(least_share, most - rather)), None)
     if best is None or abs(np.degrees(best.angle)) < LEAST_DEG:
         return None
     direction = best.direction if best.angle > 0 else OPPOSITES.get(best.direction, best.direction)
@@ -338,9 +330,10 @@ def _measure_bend(poses: FloatArray, limb: tuple[int, ...]) -> FloatArray:
 
 
 def _list_axes(
-    ours: FloatArray, theirs: FloatArray, members: tuple[int, ...], side: float
+    ours: FloatArray, theirs: FloatArray, members: tuple[int, ...], side: float, *, hanging_deg: float = -60.0
 ) -> Iterator[tuple[str, FloatArray]]:
     """Directions that a limb can go, the usual words first, with the axes (N, 3) that it turns about."""
+    # hanging_deg: elevation below which people say forward and outward rather than higher
     columns = list(members)
     limbs = ours[:, columns].sum(axis=1) + theirs[:, columns].sum(axis=1)
     mean = _unit(limbs)
@@ -355,7 +348,7 @@ def _list_axes(
         across = np.cross(mean, way)
         if np.median(np.linalg.norm(across, axis=1)) >= _ACROSS:
             found.append((direction, _unit(across)))
-    hanging = np.sin(np.radians(_HANGING_DEG))
+    hanging = np.sin(np.radians(hanging_deg))
     if max(float(np.median(_unit(poses[:, columns].sum(axis=1))[:, 1])) for poses in (ours, theirs)) < hanging:
         found.sort(key=lambda one: one[0] == "up")
     yield from found
@@ -368,12 +361,13 @@ def _is_elevation(ours: FloatArray, theirs: FloatArray, members: tuple[int, ...]
     return abs(float(np.median(heights[1] - heights[0])) - angle) <= 0.35 * abs(angle)
 
 
-def _fit_trunk(ours: FloatArray, theirs: FloatArray) -> _Fit | None:
+def _fit_trunk(ours: FloatArray, theirs: FloatArray, *, upright_deg: float = 12.0) -> _Fit | None:
+    # upright_deg: tilt of a trunk that is held upright
     gap = _measure_gap(ours, theirs, (0,))
     mean = _unit(ours[:, 0] + theirs[:, 0])
     fits = []
     tilt = np.degrees(np.arccos(np.clip([float(np.median(poses[:, 0, 1])) for poses in (ours, theirs)], -1.0, 1.0)))
-    if tilt[1] < min(_UPRIGHT_DEG, tilt[0]):
+    if tilt[1] < min(upright_deg, tilt[0]):
         angle, share = _rotate(ours, theirs, ((0, _unit(np.cross(ours[:, 0], _UP))),), gap)
         if angle > 0:
             fits.append(_Fit("upright", (0,), angle, share, share * gap))

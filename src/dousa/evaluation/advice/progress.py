@@ -16,9 +16,6 @@ from dousa.evaluation.posture.posture import LIMBS, SEGMENTS
 from dousa.evaluation.words import KINDS, name_parts
 from dousa.messages import Message
 
-_SMALLER = 0.75  # of the size before, from which an error counts as smaller
-_LEAST_POINTS = 1.0
-_MOST_SAID = 4
 _KEYS = ("score", "events", "lapses")
 _SIZES: Mapping[str, Callable[[Mapping[str, Any]], float | None]] = {
     "global": lambda event: event["end_s"] - event["start_s"],
@@ -50,7 +47,7 @@ class Attempt:
         incomplete and partial errors in degrees, of global ones in s.
     lapses : stops, skips and so on.
     faults : what failed where.
-    segments : errors of each segment; those of the whole body are nobody's.
+    segments : errors of each segment; those of the whole body are not counted.
     figures : label and score of each figure, in order; None where the performance does not reach it.
     """
 
@@ -105,7 +102,7 @@ class Progress:
 
 
 def read_attempt(answer: Mapping[str, Any], name: str) -> Attempt:
-    """One attempt out of the answer of ``dousa evaluate --json``.
+    """Read one attempt from the answer of ``dousa evaluate --json``.
 
     Parameters
     ----------
@@ -155,7 +152,7 @@ def _list_faults(event: Mapping[str, Any]) -> list[Fault]:
 
 
 def compare_attempts(attempts: Sequence[Attempt]) -> Progress:
-    """What became better, what became worse, and what fails every time.
+    """Compare attempts: improvements, setbacks, and faults of every attempt.
 
     Parameters
     ----------
@@ -186,20 +183,21 @@ def _order(fault: Fault) -> tuple[int, int, str]:
     return list(KINDS).index(fault[0]), fault[1], fault[2]
 
 
-def _is_less(one: Attempt, other: Attempt, kind: str) -> bool:
+def _is_less(one: Attempt, other: Attempt, kind: str, *, smaller: float = 0.75) -> bool:
     """Whether there are fewer errors of this kind, or as many that are clearly smaller."""
+    # smaller: of the size before, from which an error counts as smaller
     if one.counts[kind] != other.counts[kind]:
         return one.counts[kind] < other.counts[kind]
     size, before = one.sizes[kind], other.sizes[kind]
-    return size is not None and before is not None and size < _SMALLER * before
+    return size is not None and before is not None and size < smaller * before
 
 
-def _say_grade(first: Attempt, last: Attempt) -> Message:
+def _say_grade(first: Attempt, last: Attempt, *, least_points: float = 1.0) -> Message:
     if first.score is None or last.score is None:
         return Message("progress.no_grade")
     change = last.score - first.score
     before, now = round_grade(first.score), round_grade(last.score)
-    if abs(change) < _LEAST_POINTS:
+    if abs(change) < least_points:
         return Message("progress.grade_same", last=now)
     return Message("progress.grade_up" if change > 0 else "progress.grade_down", first=before, last=now)
 
@@ -217,7 +215,7 @@ def _say_size(kind: str, attempt: Attempt) -> Message:
 
 
 def describe_errors(kind: str, attempt: Attempt) -> Message:
-    """How many errors of a kind an attempt has, and how large: ``3 (24 deg)``."""
+    """Describe number and size of the errors of a kind: ``3 (24 deg)``."""
     count = attempt.counts[kind]
     if attempt.sizes[kind] is None:
         return Message("progress.count", n=count)
@@ -225,18 +223,18 @@ def describe_errors(kind: str, attempt: Attempt) -> Message:
 
 
 def describe_faults(faults: Sequence[Fault]) -> tuple[Message, ...]:
-    """Faults in words, the limbs of one kind in one figure together."""
+    """Describe faults in words, the limbs of one kind in one figure together."""
     groups: dict[tuple[str, int], list[str]] = {}
     for kind, furi, limb in faults:
         groups.setdefault((kind, furi), []).append(limb)
     return tuple(_say_fault(kind, furi, limbs) for (kind, furi), limbs in groups.items())
 
 
-def _say_still(faults: Sequence[Fault]) -> Message:
+def _say_still(faults: Sequence[Fault], *, most_said: int = 4) -> Message:
     """What fails every time."""
     said = describe_faults(faults)
-    if len(said) > _MOST_SAID:
-        return Message("progress.still_more", faults=said[:_MOST_SAID], n=len(said) - _MOST_SAID)
+    if len(said) > most_said:
+        return Message("progress.still_more", faults=said[:most_said], n=len(said) - most_said)
     return Message("progress.still", faults=said)
 
 

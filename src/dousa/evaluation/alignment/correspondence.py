@@ -17,15 +17,13 @@ from dousa.errors import InvalidMotionError, OptionError
 from dousa.evaluation.alignment.dynamic_programming import Matrix, correlate_rows, pack, trace_back, warp
 from dousa.evaluation.posture.posture import SEGMENTS, check_segments, check_weights
 
-_TILE = 64  # rows that a thread takes at a time
-_WORTH_THREADS = 1_000_000  # pairs of poses; below, starting threads takes longer than the work
 _MOST_PAIRS = 2**34  # 64 GiB
 
 
 def compute_correlation_matrix(
     a: ArrayLike, b: ArrayLike, weights: ArrayLike | None = None, similarity: str = "cosine"
 ) -> Matrix:
-    """Similarity of every pose of one motion to every pose of another, whichever way they face.
+    """Compute the similarity of every pose of one motion to every pose of another, at any heading.
 
     Parameters
     ----------
@@ -66,7 +64,7 @@ def compute_correlation_matrix(
 
 
 def check_sequence(values: ArrayLike, what: str) -> FloatArray:
-    """Postures over time (T, 9, 3), finite; ``what`` names the argument in the error.
+    """Check postures over time (T, 9, 3); ``what`` names the argument in the error.
 
     Raises
     ------
@@ -79,7 +77,7 @@ def check_sequence(values: ArrayLike, what: str) -> FloatArray:
 
 
 def check_segment_weights(weights: ArrayLike | None) -> FloatArray:
-    """Weights (9,) of the segments, checked, the same for all frames; equal ones if None.
+    """Check weights (9,) of the segments, the same for all frames; equal ones if None.
 
     Raises
     ------
@@ -92,7 +90,7 @@ def check_segment_weights(weights: ArrayLike | None) -> FloatArray:
 
 
 def compute_similarity(a: ArrayLike, b: ArrayLike, weights: ArrayLike | None = None) -> FloatArray:
-    """Similarity S of poses pair by pair: the mean cosine between the segments at the best yaw.
+    """Compute the similarity S of poses pair by pair: the mean cosine between the segments at the best yaw.
 
     Parameters
     ----------
@@ -128,17 +126,19 @@ def _flatten(segments: FloatArray) -> FloatArray:
     return np.asarray(segments * np.array([1.0, 0.0, 1.0]))
 
 
-def _correlate(a: Matrix, b: Matrix) -> Matrix:
+def _correlate(a: Matrix, b: Matrix, *, tile: int = 64, worth_threads: int = 1_000_000) -> Matrix:
+    # tile: rows that a thread takes at a time; worth_threads: pairs of poses; below, starting threads takes longer
+    # than the work
     from joblib import cpu_count
 
     matrix = np.empty((len(a), b.shape[1]), np.float32)
-    if matrix.size < _WORTH_THREADS:
+    if matrix.size < worth_threads:
         correlate_rows(a, b, matrix, 0, len(a))
         return matrix
     with ThreadPoolExecutor(cpu_count()) as pool:
         jobs = [
-            pool.submit(correlate_rows, a, b, matrix, start, min(start + _TILE, len(a)))
-            for start in range(0, len(a), _TILE)
+            pool.submit(correlate_rows, a, b, matrix, start, min(start + tile, len(a)))
+            for start in range(0, len(a), tile)
         ]
         for job in jobs:
             job.result()
@@ -152,14 +152,12 @@ _CORNERS = 1e30  # a price that no path can pay
 _LEFT_OUT = 0.1  # price of a frame left out at an open end; two of them against one pair of poses
 _LINE_RATE = 10.0  # Hz of the matrix that lines are looked for in
 _LINE_FRAMES = 9000  # frames of the longer side of that matrix: 324 MB
-_MOST_LINES = 100
-_REFINED_ON = 200  # frames of a line that its offset is refined on
 
 
 def find_path(
     a: ArrayLike, b: ArrayLike, weights: ArrayLike | None = None, radius: int = 192, ends: str = "fixed"
 ) -> IndexArray:
-    """The curve of best correspondence: dynamic time warping on 1 - S, coarse to fine.
+    """Find the curve of best correspondence: dynamic time warping on 1 - S, coarse to fine.
 
     Every path is tried on a coarse level of at most 3,000 frames; each finer level searches a band around the path
     of the coarser one. Motions of at most 3,000 frames are searched whole.
@@ -171,7 +169,7 @@ def find_path(
     weights : (9,) of the segments, 0 or above; None for equal ones.
     radius : frames, of each level, by which the path may leave the coarser level's path in either motion; at least 1.
     ends : ``"fixed"``: from the first frames to the last frames of both. ``"open"``: frames of one motion may be
-        left out before the path begins and after it ends, at a price of 0.1 each, so that poses less alike than
+        left out before the path begins and after it ends, at a price of 0.1 each, so that poses less similar than
         S = 0.8 are rather left out than paired.
 
     Returns
@@ -283,7 +281,7 @@ def find_lines(
     shortest: float = 2.0,
     threshold: float | None = None,
 ) -> tuple[Line, ...]:
-    """Straight lines of high correlation: where two motions are alike at the same tempo.
+    """Find straight lines of high correlation: stretches where two motions are similar at the same tempo.
 
     S is computed at 10 Hz (less beyond 15 minutes) and averaged along the diagonals; runs above the threshold are
     candidates. The one with most excess over the threshold is kept, what runs beside it (nearer than half the
@@ -345,11 +343,11 @@ def _find_runs(matrix: NDArray[np.float32], window: int, shortest: int, level: f
     return np.array(found, np.float64).reshape(-1, 4)
 
 
-def _keep_best(runs: FloatArray, apart: float) -> FloatArray:
+def _keep_best(runs: FloatArray, apart: float, *, most_lines: int = 100) -> FloatArray:
     """Runs with most excess first, without those that mostly run beside a better one."""
     left = runs[np.argsort(-runs[:, 3], kind="stable")]
     kept: list[FloatArray] = []
-    while len(left) and len(kept) < _MOST_LINES:
+    while len(left) and len(kept) < most_lines:
         best = left[0]
         kept.append(best)
         overlap = np.minimum(left[:, 2], best[2]) - np.maximum(left[:, 1], best[1])
@@ -359,10 +357,13 @@ def _keep_best(runs: FloatArray, apart: float) -> FloatArray:
     return np.array(kept).reshape(-1, 4)
 
 
-def _refine(a: FloatArray, b: FloatArray, shares: FloatArray, run: FloatArray, step: int) -> Line:
+def _refine(
+    a: FloatArray, b: FloatArray, shares: FloatArray, run: FloatArray, step: int, *, refined_on: int = 200
+) -> Line:
     """The line at the full rate: the best offset within one coarse frame."""
+    # refined_on: frames of a line that its offset is refined on
     start, end = int(run[1]) * step, min(int(run[2]) * step, len(a))
-    frames = np.linspace(start, end - 1, min(end - start, _REFINED_ON)).astype(np.intp)
+    frames = np.linspace(start, end - 1, min(end - start, refined_on)).astype(np.intp)
     offsets = int(run[0]) * step + np.array(sorted(range(-step, step + 1), key=abs))
     places = frames + offsets[:, None]
     inside = (places >= 0) & (places < len(b))

@@ -118,7 +118,7 @@ def extend_lines(
 def follow_lines(
     cost: FloatArray, jump: float, pause: float, outside: float
 ) -> np.ndarray:  # pragma: no cover - compiled
-    """Reference frame of every performance frame on the cheapest sequence of lines.
+    """Find the reference frame of every performance frame on the cheapest sequence of lines.
 
     Parameters
     ----------
@@ -142,7 +142,7 @@ def follow_lines(
 def trace_lines(
     best: FloatArray, outside_costs: FloatArray, origin: np.ndarray, ended: np.ndarray
 ) -> np.ndarray:  # pragma: no cover - compiled
-    """Reference frames (n,) of the last n frames on the cheapest sequence of lines; -1 where there is no line.
+    """Trace the reference frames (n,) of the last n frames on the cheapest sequence of lines; -1 without a line.
 
     Parameters
     ----------
@@ -166,7 +166,7 @@ def trace_lines(
 
 @njit(cache=True, nogil=True)
 def follow_lag(cost: FloatArray, slope: float) -> np.ndarray:  # pragma: no cover - compiled
-    """Cheapest course through (T, K) costs if a change by one column costs ``slope``; (T,) columns."""
+    """Find the cheapest course, (T,) columns, through (T, K) costs; a change by one column costs ``slope``."""
     n_frames, n_lags = cost.shape
     origin = np.empty((n_frames, n_lags), np.int16)
     best = cost[0].astype(np.float64)
@@ -228,7 +228,7 @@ def warp(
     skip: float,
     origin: NDArray[np.uint8],
 ) -> tuple[int, int]:  # pragma: no cover - compiled
-    """Cheapest path through a band; fills origin and returns the last cell.
+    """Find the cheapest path through a band: fill origin and return the last cell.
 
     Parameters
     ----------
@@ -310,7 +310,7 @@ def _slide(above: NDArray[np.float64], below: NDArray[np.float64], similarity: M
 
 @njit(cache=True, nogil=True)
 def compute_gains(similarity: Matrix, radius: int, noise: float, hopeless: float) -> Matrix:
-    """How far every pair of frames stands out from the pairs before and after it, in either motion.
+    """Compute the contrast of every pair of frames to the pairs before and after it, in either motion.
 
     Parameters
     ----------
@@ -367,7 +367,7 @@ def accumulate_likeness(
     tolerated: float,
     drop: float,
 ) -> tuple[Matrix, NDArray[np.uint8]]:
-    """Scores of the best repetition that ends in each pair of frames.
+    """Compute the score of the best repetition that ends in each pair of frames.
 
     Parameters
     ----------
@@ -416,7 +416,7 @@ def accumulate_likeness(
 
 @njit(cache=True, nogil=True)
 def find_ends(score: Matrix, least: float) -> NDArray[np.int64]:
-    """Pairs of frames where a repetition may end: none beside them is higher, and no step goes up from there.
+    """Find pairs of frames where a repetition may end: no neighbour is higher, and no step goes up from there.
 
     Parameters
     ----------
@@ -505,7 +505,7 @@ def trace_repeats(
 
 @njit(cache=True, nogil=True)
 def compare_stretches(similarity: Matrix, cuts: NDArray[np.int64], slack: float) -> tuple[Matrix, Matrix]:
-    """Distance of every stretch of a motion from every other, each warped to the other, and within each.
+    """Compute the distance of every stretch of a motion from every other, warped to it, and within each.
 
     Parameters
     ----------

@@ -25,14 +25,10 @@ PAUSE = {"same": 1e9, "free": 0.35}  # of a frame's full cost
 OUTSIDE = 0.75
 _ENOUGH = 0.5  # of the shorter motion
 _SAME_LINE_S = 1.0  # s; lines nearer than this are one line and a lag
-_SAME_LONG_LINE_S = 0.6  # s; the same where both are long: who is late for good has stopped, not lagged
-_LONG_RUN_S = 4.0
-_IN_STEP = 1.4  # motions of equal length begin together, unless another offset is so much better
 _SHORTEST_RUN_S = 1.5
 _PAUSE_S = 1.0  # s for which the reference rests before this is a stop and not a slow passage
 _SLOPES = (0.4, 2.5)  # reference per performance time
 _SHORT_S, _SHORT_RATIO, _SHORT_SHARE = 8.0, 2.0, 0.65
-_FEWEST_FOR_TEMPO = 12  # coarse frames
 _SMOOTH_S = 6.0  # s over which a free tempo is averaged
 
 
@@ -119,8 +115,8 @@ def _hangs_by_an_end(frames: FloatArray, n_reference: int, rate: float) -> bool:
     count = len(frames)
     inside = int(((frames >= -0.5) & (frames <= n_reference - 0.5)).sum())
     short = max(count, n_reference) <= _SHORT_S * rate
-    alike = max(count, n_reference) <= _SHORT_RATIO * min(count, n_reference)
-    return short and alike and inside < _SHORT_SHARE * min(count, n_reference)
+    similar = max(count, n_reference) <= _SHORT_RATIO * min(count, n_reference)
+    return short and similar and inside < _SHORT_SHARE * min(count, n_reference)
 
 
 def _keep_whole(reference: Working, performance: Working, weights: FloatArray) -> FloatArray:
@@ -150,10 +146,11 @@ def _follow(
     return cost, follow_lines(cost, JUMP_S * rate, PAUSE[tempo], OUTSIDE)
 
 
-def _measure_slope(course: np.ndarray) -> float:
+def _measure_slope(course: np.ndarray, *, fewest_for_tempo: int = 12) -> float:
     """Reference frames per performance frame: the median of all long pieces of the course."""
+    # fewest_for_tempo: coarse frames
     on = np.flatnonzero(course >= 0)
-    if len(on) < _FEWEST_FOR_TEMPO:
+    if len(on) < fewest_for_tempo:
         return 1.0
     far = len(on) // 4
     slopes = (course[on[far:]] - course[on[:-far]]) / (on[far:] - on[:-far])
@@ -162,7 +159,7 @@ def _measure_slope(course: np.ndarray) -> float:
 
 
 def find_pauses(course: np.ndarray, rate: float) -> NDArray[np.bool_]:
-    """Rows in which the course rests in the reference for a second and more: the performer waits."""
+    """Find rows in which the course rests in the reference for a second and more: the performer waits."""
     length = max(2, round(_PAUSE_S * rate))
     paused = np.zeros(len(course), bool)
     if len(course) > length:
@@ -174,7 +171,7 @@ def find_pauses(course: np.ndarray, rate: float) -> NDArray[np.bool_]:
 
 
 def extrapolate(x: FloatArray, known: FloatArray, values: FloatArray) -> FloatArray:
-    """Linear interpolation that goes on beyond both ends at the mean slope."""
+    """Interpolate linearly, and beyond both ends at the mean slope."""
     found = np.interp(x, known, values)
     slope = (values[-1] - values[0]) / (known[-1] - known[0]) if len(known) > 1 else 1.0
     found = np.where(x < known[0], values[0] + slope * (x - known[0]), found)
@@ -197,7 +194,7 @@ def _measure_mismatch(frames: FloatArray, cost: FloatArray) -> float:
 
 
 def find_runs(course: np.ndarray, rate: float) -> list[Run]:
-    """Lines of the course; what goes away from a line and comes back to it is one line (and an error on it)."""
+    """Find the lines of a course; a departure that returns to the same line does not break it (it is an error)."""
     on = np.flatnonzero(course >= 0)
     if len(on) == 0:
         return [Run(0, len(course), 0.0)]
@@ -223,9 +220,12 @@ def find_runs(course: np.ndarray, rate: float) -> list[Run]:
     return [Run(a, b, run.offset) for a, b, run in zip(starts, ends, merged, strict=True)]
 
 
-def _is_same_line(earlier: Run, later: Run, course: np.ndarray, rate: float) -> bool:
+def _is_same_line(
+    earlier: Run, later: Run, course: np.ndarray, rate: float, *, same_long_line_s: float = 0.6, long_run_s: float = 4.0
+) -> bool:
+    # same_long_line_s: s; the same where both are long: who is late for good has stopped, not lagged
     shortest = min(earlier.end - earlier.start, later.end - later.start)
-    near = _SAME_LONG_LINE_S if shortest >= _LONG_RUN_S * rate else _SAME_LINE_S
+    near = same_long_line_s if shortest >= long_run_s * rate else _SAME_LINE_S
     return _leaves_off(earlier, course, later) <= near * rate
 
 
@@ -237,8 +237,11 @@ def _leaves_off(earlier: Run, course: np.ndarray, later: Run) -> float:
     return float(abs((course[end] - end) - later.offset))
 
 
-def _refine(run: Run, step: int, reference: Working, performance: Working, weights: FloatArray) -> float:
+def _refine(
+    run: Run, step: int, reference: Working, performance: Working, weights: FloatArray, *, in_step: float = 1.4
+) -> float:
     """Offset at the working rate: the shift with the least mean cost, to a fraction of a frame."""
+    # in_step: motions of equal length begin together, unless another offset is so much better
     start, end = run.start * step, min(run.end * step, performance.n_frames)
     middle = round(run.offset * step)
     reach = step + 1
@@ -248,7 +251,7 @@ def _refine(run: Run, step: int, reference: Working, performance: Working, weigh
     best = int(np.argmin(costs))
     if equal_length and end - start > 0.6 * performance.n_frames:
         zero = _diagonal_costs(reference, performance, start, end, np.array([0]), weights)[0]
-        if zero <= _IN_STEP * costs[best] + 0.02:
+        if zero <= in_step * costs[best] + 0.02:
             return 0.0
     shift = float(shifts[best])
     if 0 < best < len(costs) - 1 and np.isfinite(costs[best - 1 : best + 2]).all():
@@ -277,7 +280,7 @@ def _diagonal_costs(
 
 
 def pair_similarity(a: FloatArray, b: FloatArray, weights: FloatArray) -> FloatArray:
-    """S of the spec, pose by pose; weights (..., 9), of all poses or of each (0 of what is not seen)."""
+    """Compute S pose by pose; weights (..., 9), of all poses or of each (0 for segments that are not seen)."""
     across = (a[..., 2] + 1j * a[..., 0]) * (b[..., 2] - 1j * b[..., 0])
     upright = a[..., 1] * b[..., 1]
     total = np.abs((across * weights).sum(axis=-1)) + (upright * weights).sum(axis=-1)
@@ -285,7 +288,7 @@ def pair_similarity(a: FloatArray, b: FloatArray, weights: FloatArray) -> FloatA
 
 
 def smooth_course(course: np.ndarray, run: Run, rate: float) -> FloatArray:
-    """Reference frames of a run's frames, averaged over seconds about a robust straight line."""
+    """Smooth the reference frames of a run over seconds about a robust straight line."""
     frames = np.arange(run.start, run.end, dtype=np.float64)
     on = course[run.start : run.end] >= 0
     x, y = frames[on], course[run.start : run.end][on].astype(np.float64)
@@ -319,12 +322,8 @@ def _measure_tempo(frames: FloatArray, runs: tuple[Run, ...]) -> float:
 
 
 _SHORTEST_END_S = 0.7  # recordings are cut half a second earlier or later as it comes
-_SHORTEST_S = 0.3  # a smaller step between two lines is a matter of lag
 NO_LIKENESS = 0.74  # mismatch of a performance whose lines mean nothing
-_SPEED_WINDOW_S = 0.3
 _STILL = 0.35  # of the reference's speed, below which a performer stands still
-_SLOWEST = 0.25  # rad/s, as fast as a standing person and a tracker waver
-_STILL_SHARE = 0.7  # of the lost time
 
 
 @dataclass(frozen=True, slots=True)
@@ -359,7 +358,7 @@ class Lapse:
 
 
 def find_lapses(alignment: Alignment, reference: Working, performance: Working) -> tuple[Lapse, ...]:
-    """Where the performance changes its place in the reference.
+    """Find the places where the performance changes its place in the reference.
 
     Parameters
     ----------
@@ -407,17 +406,24 @@ def _look_after(alignment: Alignment, reference: Working, performance: Working) 
 
 
 def _look_between(
-    alignment: Alignment, start: int, speed: FloatArray, usual: FloatArray, performance: Working
+    alignment: Alignment,
+    start: int,
+    speed: FloatArray,
+    usual: FloatArray,
+    performance: Working,
+    *,
+    shortest_s: float = 0.3,
 ) -> list[Lapse]:
     """What happens between two lines; the second begins at frame ``start``."""
+    # shortest_s: a smaller step between two lines is a matter of lag
     if start < 1:
         return []
     rate = performance.frame_rate
     reached, again = float(alignment.frames[start - 1]) + 1.0, float(alignment.frames[start])
-    if again - reached >= _SHORTEST_S * rate:
+    if again - reached >= shortest_s * rate:
         return [Lapse("skip", start / rate, start / rate, reached / rate, again / rate)]
     lost = reached - again
-    if lost < _SHORTEST_S * rate:
+    if lost < shortest_s * rate:
         return []
     still = _find_still(start, lost, speed, usual, (again, reached), rate)
     if still is not None:
@@ -433,20 +439,29 @@ def _look_between(
 
 
 def _find_still(
-    start: int, lost: float, speed: FloatArray, usual: FloatArray, span: tuple[float, float], rate: float
+    start: int,
+    lost: float,
+    speed: FloatArray,
+    usual: FloatArray,
+    span: tuple[float, float],
+    rate: float,
+    *,
+    slowest: float = 0.25,
+    still_share: float = 0.7,
 ) -> tuple[int, int] | None:
     """The stretch around a break, as long as the time lost, in which the performer stands still, if there is one."""
+    # slowest: rad/s, as fast as a standing person and a tracker waver; still_share: of the lost time
     length = max(1, round(lost))
     # The break between the lines lies somewhere in the stop.
     low, high = max(0, start - length), min(len(speed), start + length)
     if high - low < length:
         return None
     around = usual[max(0, int(span[0])) : max(int(span[1]), int(span[0]) + 1)]
-    limit = max(_STILL * float(np.median(around if len(around) else usual)), _SLOWEST)
+    limit = max(_STILL * float(np.median(around if len(around) else usual)), slowest)
     still = (speed[low:high] < limit).astype(np.float64)
     shares = np.convolve(still, np.ones(length) / length, mode="valid")
     best = shares.max()
-    if best < _STILL_SHARE:
+    if best < still_share:
         return None
     # Equal shares lie side by side: the middle one.
     places: NDArray[np.intp] = np.flatnonzero(shares >= best - 1e-9)
@@ -454,11 +469,11 @@ def _find_still(
     return first, first + length
 
 
-def _measure_speed(motion: Working) -> FloatArray:
+def _measure_speed(motion: Working, *, speed_window_s: float = 0.3) -> FloatArray:
     """(T,) rad/s, mean over the segments, averaged over a moment."""
     if motion.n_frames < 2:
         return np.zeros(motion.n_frames)
-    half = max(1, round(0.5 * _SPEED_WINDOW_S * motion.frame_rate))
+    half = max(1, round(0.5 * speed_window_s * motion.frame_rate))
     padded = np.pad(motion.segments, ((half, half), (0, 0), (0, 0)), mode="edge")
     chord = np.linalg.norm(padded[2 * half :] - padded[: -2 * half], axis=2).mean(axis=1)
     # At the ends the window is shorter than it looks.

@@ -19,7 +19,6 @@ _YAW_WINDOW_S = 0.5
 _YAW_ROUNDS = 3
 
 
-_ROUNDING = 1e-6  # frames
 TurnedTake = tuple[FloatArray, NDArray[np.bool_]]
 """A further take turned onto the first (U, 9, 3), and (U,) where both are seen."""
 
@@ -80,14 +79,14 @@ def pair_motions(
 
 
 def turn_takes(first: PostureSequence, takes: Sequence[PostureSequence]) -> tuple[TurnedTake, ...]:
-    """Further takes on the clock of the first, turned onto it."""
+    """Turn further takes, on the clock of the first, onto it."""
     return tuple(_turn_take(first, take) for take in takes)
 
 
 def compare_poses(
     reference: FloatArray, performance: FloatArray, judged: NDArray[np.bool_], frame_rate: float
 ) -> tuple[FloatArray, FloatArray]:
-    """Angles between segments after a common yaw that changes slowly.
+    """Compute the angles between segments after a common yaw that changes slowly.
 
     Parameters
     ----------
@@ -110,12 +109,12 @@ def compare_poses(
     trust = trust * judged
     products = get_horizontal(performance) * get_horizontal(reference).conj()
     half = max(0, round(0.5 * _YAW_WINDOW_S * frame_rate))
-    turn = _smooth_turn((products * trust).sum(axis=1), half)
+    turn = smooth_turn((products * trust).sum(axis=1), half)
     fixed = 2.0 - 2.0 * performance[..., 1] * reference[..., 1]
     for _ in range(_YAW_ROUNDS):
         squared = np.maximum(fixed - 2.0 * (products * turn.conj()[:, None]).real, 0.0)
         trust = judged / (1.0 + squared / WRONG_CHORD**2) ** 2
-        turn = _smooth_turn((products * trust).sum(axis=1), half)
+        turn = smooth_turn((products * trust).sum(axis=1), half)
     angle = np.angle(turn)
     chord = np.linalg.norm(performance - rotate_yaw(reference, angle), axis=2)
     residual[judged] = 2.0 * np.arcsin(np.minimum(0.5 * chord[judged], 1.0))
@@ -123,19 +122,20 @@ def compare_poses(
     return residual, yaw
 
 
-def _smooth_turn(values: NDArray[np.complex128], half: int) -> NDArray[np.complex128]:
-    """Correlations summed over a window, of modulus 1."""
+def smooth_turn(values: NDArray[np.complex128], half: int) -> NDArray[np.complex128]:
+    """Sum correlations over a window and scale them to modulus 1."""
     total = np.cumsum(np.pad(values, (half + 1, half)))
     summed = total[2 * half + 1 :] - total[: len(values)]
     size = np.abs(summed)
     return np.divide(summed, size, out=np.ones_like(summed), where=size > 1e-9)
 
 
-def _find_frames(times: FloatArray, reference: PostureSequence) -> FloatArray:
+def _find_frames(times: FloatArray, reference: PostureSequence, *, rounding: float = 1e-6) -> FloatArray:
     """Fractional frames; those that are whole but for rounding are whole."""
+    # rounding: frames
     frames = np.asarray(times, np.float64) * reference.frame_rate
     near = np.rint(frames)
-    return np.where(np.abs(frames - near) < _ROUNDING, near, frames)
+    return np.where(np.abs(frames - near) < rounding, near, frames)
 
 
 def _look_up_seen(reference: PostureSequence, frames: FloatArray) -> NDArray[np.bool_]:

@@ -28,25 +28,16 @@ from dousa.motion.canonical.joints import JOINT_INDEX
 from dousa.motion.resampling import smooth_gaussian
 
 ACCENTS: tuple[str, ...] = ("clap", "step", "stop", "turn")
-"""Kinds of accents, the most certain first: of several in one moment the first is told."""
+"""Kinds of accents, the most certain first: of several in one moment the first is reported."""
 
 _SMOOTH_S = 0.025  # deviation of the Gaussian over positions: what trembles in a tracked joint
 _SLOWEST = 0.25  # body heights per second: a slower movement marks nothing
 _USUAL = 0.35  # of the limb's fast movements (their 90th percentile): a smaller one is no accent beside them
-_FALL = 0.5  # of a peak that the speed must lose; and of what it lost that it must regain to end a rest
 _HIGH, _LOW = 0.5, 0.1  # of the fall: between these the descent is a line
-_ONWARDS = 1.6  # of the time between these: from the first of them to rest, see `_find_arrival`
-_BLUR = 1.28  # deviations from a half to a tenth of a step under a Gaussian
-_CUT_S = 0.1  # at both ends a movement may be cut off by the recording
-_GAP_S = 0.15  # around what was not seen
-_HOLD_S = 0.12  # at rest for so long: a stop, else a turn in passing
 _APART_S = 0.1  # accents of one limb
-_TOGETHER_S = 0.06  # accents of several limbs within this are one
 _ASIDE_S = 0.08  # a direction is looked at so far before and after
 _SHARP = np.cos(np.radians(60.0))  # a turn by more is an accent
-_NEAR_FLOOR = 0.04  # body heights above where this foot stands
 _MEET, _OPEN = 0.16, 0.08  # body heights between the hands at a clap, and by how much more they were apart before
-_ABRUPT_S = 0.15  # within which hands that meet come to rest; hands that pass each other take longer
 
 _LIMBS = ("left_hand", "right_hand", "left_foot", "right_foot")
 
@@ -70,7 +61,7 @@ class Accent:
 
 
 def find_accents(motion: CanonicalMotion) -> tuple[Accent, ...]:
-    """The accents of a motion in order of time.
+    """Find the accents of a motion in order of time.
 
     Parameters
     ----------
@@ -103,12 +94,13 @@ def _place_limbs(motion: CanonicalMotion) -> dict[str, FloatArray]:
     return {name: smooth_gaussian(points, deviation) for name, points in found.items()}
 
 
-def _is_seen(motion: CanonicalMotion, accent: Accent) -> bool:
-    if not _CUT_S <= accent.time_s <= (motion.n_frames - 1) / motion.frame_rate - _CUT_S:
+def _is_seen(motion: CanonicalMotion, accent: Accent, *, cut_s: float = 0.1, gap_s: float = 0.15) -> bool:
+    # cut_s: at both ends a movement may be cut off by the recording; gap_s: around what was not seen
+    if not cut_s <= accent.time_s <= (motion.n_frames - 1) / motion.frame_rate - cut_s:
         return False
     if motion.missing is None:
         return True
-    middle, reach = round(accent.time_s * motion.frame_rate), round(_GAP_S * motion.frame_rate)
+    middle, reach = round(accent.time_s * motion.frame_rate), round(gap_s * motion.frame_rate)
     names = {"hand": ("wrist",), "foot": ("ankle", "toe")}
     joints = [JOINT_INDEX[f"{side}_{name}"] for side, _, what in _split(accent.parts) for name in names[what]]
     return not motion.missing[max(middle - reach, 0) : middle + reach + 1][:, joints].any()
@@ -118,21 +110,31 @@ def _split(parts: Iterable[str]) -> list[tuple[str, str, str]]:
     return [part.partition("_") for part in parts]
 
 
-def _find_in_limb(points: FloatArray, name: str, motion: CanonicalMotion, limit: float) -> list[Accent]:
+def _find_in_limb(
+    points: FloatArray,
+    name: str,
+    motion: CanonicalMotion,
+    limit: float,
+    *,
+    hold_s: float = 0.12,
+    near_floor: float = 0.04,
+) -> list[Accent]:
     """Stops, steps and turns of one limb."""
+    # hold_s: at rest for so long: a stop, else a turn in passing; near_floor: body heights above where this foot
+    # stands
     rate = motion.frame_rate
     velocity = np.diff(points, axis=0) * rate  # half a frame after each frame
     speed = np.linalg.norm(velocity, axis=1)
     falls = _find_falls(speed, limit)
     usual = _get_usual([speed[peak] - speed[valley] for peak, valley, _ in falls])
-    standing = float(np.percentile(points[:, 1], 10)) + _NEAR_FLOOR * motion.height
+    standing = float(np.percentile(points[:, 1], 10)) + near_floor * motion.height
     found = []
     for peak, valley, rise in falls:
         lost = speed[peak] - speed[valley]
         if lost < _USUAL * usual:
             continue
         arrival = _find_arrival(speed, peak, valley, rate)
-        held = rise - arrival >= _HOLD_S * rate
+        held = rise - arrival >= hold_s * rate
         is_turn = not held and _turns(velocity, valley, rate, limit)
         place = arrival if held else _find_lowest(speed, valley)
         kind = "turn" if is_turn else "stop"
@@ -148,13 +150,14 @@ def _get_usual(sizes: Sequence[float]) -> float:
     return float(np.percentile(sizes, 90)) if sizes else float("inf")
 
 
-def _find_falls(speed: FloatArray, limit: float) -> list[tuple[int, int, int]]:
+def _find_falls(speed: FloatArray, limit: float, *, fall: float = 0.5) -> list[tuple[int, int, int]]:
     """Every fall of the speed from a peak over the limit by half and more.
 
     Returns
     -------
     Of each: the peak, the lowest frame after it, and the frame at which the speed rises again (or the last one).
     """
+    # fall: of a peak that the speed must lose; and of what it lost that it must regain to end a rest
     change = np.diff(speed)
     inner = np.flatnonzero(np.sign(change[1:]) != np.sign(change[:-1])) + 1
     turning = [0, *inner.tolist(), len(speed) - 1]
@@ -166,12 +169,12 @@ def _find_falls(speed: FloatArray, limit: float) -> list[tuple[int, int, int]]:
         if falling:
             if value < speed[valley]:
                 valley = frame
-            elif value - speed[valley] > _FALL * min(speed[peak] - speed[valley], 2.0 * limit):
+            elif value - speed[valley] > fall * min(speed[peak] - speed[valley], 2.0 * limit):
                 falls.append((peak, valley, _find_rise(speed, valley, frame)))
                 peak, falling = frame, False
         elif value > speed[peak]:
             peak = frame
-        elif speed[peak] >= limit and value < _FALL * speed[peak]:
+        elif speed[peak] >= limit and value < fall * speed[peak]:
             valley, falling = frame, True
         elif speed[peak] < limit:
             peak = frame
@@ -186,17 +189,21 @@ def _find_rise(speed: FloatArray, valley: int, frame: int) -> int:
     return valley + int(np.flatnonzero(speed[valley : frame + 1] <= level)[-1])
 
 
-def _find_arrival(speed: FloatArray, peak: int, valley: int, rate: float) -> float:
+def _find_arrival(
+    speed: FloatArray, peak: int, valley: int, rate: float, *, onwards: float = 1.6, blur: float = 1.28
+) -> float:
     """The frame, not whole, at which a fall of the speed comes to rest.
 
     The speed of a movement of least jerk, 16 u^2 (1 - u)^2 of its peak at share u of its duration, is half at
     u = 0.771 and a tenth at u = 0.914: from the half to rest it is 1.6 times as long as from the half to the tenth.
     Smoothing leaves the half where it was, and adds its own width to that time (in squares).
     """
+    # onwards: of the time between these: from the first of them to rest, see `_find_arrival`; blur: deviations from a
+    # half to a tenth of a step under a Gaussian
     half, tenth = (_cross(speed, peak, valley, share) for share in (_HIGH, _LOW))
     deviation = float(np.hypot(_SMOOTH_S * rate, 1.0 / np.sqrt(12.0)))
-    fall = np.sqrt(max((tenth - half) ** 2 - (_BLUR * deviation) ** 2, 0.0))
-    return min(half + _ONWARDS * float(fall), max(_find_lowest(speed, valley), half))
+    fall = np.sqrt(max((tenth - half) ** 2 - (blur * deviation) ** 2, 0.0))
+    return min(half + onwards * float(fall), max(_find_lowest(speed, valley), half))
 
 
 def _cross(speed: FloatArray, peak: int, valley: int, share: float) -> float:
@@ -235,7 +242,7 @@ def _find_corners(
     usual: float,
     known: Sequence[Accent],
 ) -> list[Accent]:
-    """Sharp turns in full speed, at peaks of the acceleration that no fall of the speed told."""
+    """Sharp turns in full speed, at peaks of the acceleration without a fall of the speed."""
     acceleration = np.linalg.norm(np.gradient(velocity, axis=0), axis=1) * rate
     if len(acceleration) < 3:
         return []
@@ -256,8 +263,11 @@ def _find_corners(
     return found
 
 
-def _find_claps(points: dict[str, FloatArray], motion: CanonicalMotion, limit: float) -> list[Accent]:
+def _find_claps(
+    points: dict[str, FloatArray], motion: CanonicalMotion, limit: float, *, abrupt_s: float = 0.15
+) -> list[Accent]:
     """Where the hands come together after they were apart."""
+    # abrupt_s: within which hands that meet come to rest; hands that pass each other take longer
     rate = motion.frame_rate
     apart = np.linalg.norm(points["left_hand"] - points["right_hand"], axis=1)
     closing = np.maximum(-np.diff(apart) * rate, 0.0)
@@ -269,7 +279,7 @@ def _find_claps(points: dict[str, FloatArray], motion: CanonicalMotion, limit: f
         reach = max(round(0.5 * rate), 1)
         before = apart[max(frame - reach, 0) : frame + 1].max()
         meet = apart[frame] < _MEET * motion.height and before - apart[frame] > _OPEN * motion.height
-        if meet and place - half <= _ABRUPT_S * rate:
+        if meet and place - half <= abrupt_s * rate:
             found.append(Accent(place / rate, "clap", ("left_hand", "right_hand"), 1.0))
     return found
 
@@ -279,11 +289,12 @@ def _belongs_to(accent: Accent, claps: Sequence[Accent]) -> bool:
     return "hand" in accent.parts[0] and any(abs(accent.time_s - clap.time_s) < _APART_S for clap in claps)
 
 
-def _unite(accents: Sequence[Accent]) -> tuple[Accent, ...]:
+def _unite(accents: Sequence[Accent], *, together_s: float = 0.06) -> tuple[Accent, ...]:
     """Accents of several limbs in one moment are one, at the mean of their times, the strongest counting most."""
+    # together_s: accents of several limbs within this are one
     groups: list[list[Accent]] = []
     for one in sorted(accents, key=lambda accent: accent.time_s):
-        together = groups and one.time_s - groups[-1][0].time_s <= _TOGETHER_S
+        together = groups and one.time_s - groups[-1][0].time_s <= together_s
         if together and not {*one.parts} & {part for other in groups[-1] for part in other.parts}:
             groups[-1].append(one)
         else:

@@ -34,7 +34,7 @@ from dousa.files.json_values import round_number
 from dousa.messages import Message
 from dousa.motion import CanonicalMotion
 
-_FEWEST_BEATS = 4  # beats: of fewer no tempo can be told
+_FEWEST_BEATS = 4  # beats: fewer give no tempo
 _CLOSEST_S = 0.1  # apart: 600 a minute
 _SHOWN = 40  # letters of a wrong line in a message
 _SEPARATOR = re.compile(r"[\s,;]+")
@@ -77,7 +77,7 @@ class Beats:
 
 
 def to_beats(beats: Beats | ArrayLike) -> Beats:
-    """Beats from times in seconds.
+    """Make beats from times in seconds.
 
     Raises
     ------
@@ -128,11 +128,10 @@ def read_beats(path: str | os.PathLike[str]) -> Beats:
 _RATE = 22_050  # Hz
 _HOP = 256  # samples from one value of the onset curve to the next
 _SILENT = 1e-4  # of full scale: nothing louder is silence
-_LONGEST_S = 3600.0
 
 
 def find_beats(path: str | os.PathLike[str]) -> Beats:
-    """The beats of a sound file.
+    """Find the beats of a sound file.
 
     Parameters
     ----------
@@ -159,11 +158,11 @@ def find_beats(path: str | os.PathLike[str]) -> Beats:
         raise MotionFileError(path, "beats.no_beat", seconds=len(samples) / _RATE) from None
 
 
-def _read(soundfile: Any, path: str | os.PathLike[str]) -> tuple[FloatArray, int]:
+def _read(soundfile: Any, path: str | os.PathLike[str], *, longest_s: float = 3600.0) -> tuple[FloatArray, int]:
     """Samples (N,) of all channels in one, and their rate."""
     try:
         with soundfile.SoundFile(os.fspath(path)) as file:
-            if file.frames > _LONGEST_S * file.samplerate:
+            if file.frames > longest_s * file.samplerate:
                 raise MotionFileError(path, "beats.too_long", minutes=file.frames / file.samplerate / 60.0)
             samples = file.read(dtype="float32", always_2d=True)
             rate = int(file.samplerate)
@@ -174,15 +173,8 @@ def _read(soundfile: Any, path: str | os.PathLike[str]) -> tuple[FloatArray, int
 
 
 _FEWEST_ACCENTS = 5  # accents that an answer rests on
-_WINDOW = 0.3  # of a beat to either side of where the accents are on average: what is further is between the beats
 _CHANCE = 0.01  # p: agreement that chance gives as rarely as this is agreement
-_HALVES = 0.1  # by how much more the accents must agree with half beats to be measured against these
 _STEEPEST = 30.0  # ms a second of drift looked for
-_DRIFT_GAIN = 6.0  # log-likelihood that a drift must win
-_STEP_S = 0.01  # between the places where the music is tried
-_ALIKE = 0.98  # of the best agreement: as good
-_SURE = 2.6  # standard errors
-_MOST_PAIRS = 1000  # accents whose pairs give the drift
 
 
 @dataclass(frozen=True, slots=True)
@@ -213,14 +205,14 @@ class BeatTiming:
     n_beats : of the music.
     tempo : beats a minute.
     start_s : where the music begins in the recording of the movement.
-    start_estimated : whether that was found from the accents: then earliness or lateness throughout cannot be told.
+    start_estimated : whether that was found from the accents: then constant earliness or lateness is unknown.
     agreement : 0 to 1, how far the accents have the same place between the beats: 1 all of them.
     p_value : probability of such an agreement by chance.
     subdivision : 1 the accents are held against the beats, 2 against half beats.
     median_ms : how late the accents are, negative if early; nan if the start was estimated.
     spread_ms : half of the accents are within so much of the median.
     drift_ms_per_min : how much later the accents become each minute; nan for too few.
-    drift_distinguishable : whether the drift can be told from chance.
+    drift_distinguishable : whether the drift is distinguishable from chance.
     """
 
     accents: tuple[TimedAccent, ...]
@@ -288,7 +280,7 @@ class BeatTiming:
 def assess_timing(
     performance: CanonicalMotion, beats: Beats | ArrayLike, *, music_start_s: float | None = None
 ) -> BeatTiming:
-    """Hold the accents of a performance against the beats of its music.
+    """Compare the accents of a performance with the beats of its music.
 
     Parameters
     ----------
@@ -346,18 +338,19 @@ def _count_beats(times: FloatArray, beats: Beats) -> FloatArray:
     return counted
 
 
-def _estimate_start(accents: Sequence[Accent], beats: Beats) -> float:
+def _estimate_start(accents: Sequence[Accent], beats: Beats, *, step_s: float = 0.01, alike: float = 0.98) -> float:
     """Where the music begins for the accents to agree with its beats.
 
     Accents on the beats count 1, half way between them -1; half as much is said by their half beats, so that a
     dance on both finds its place too.
     """
+    # step_s: between the places where the music is tried; alike: of the best agreement: as good
     times = np.array([one.time_s for one in accents])
     weights = np.array([0.25 + one.strength for one in accents])
     slack = beats.period_s
     earliest = times[-1] - beats.times[-1] - slack
     latest = max(times[0] - beats.times[0] + slack, earliest + beats.period_s)
-    starts = np.arange(earliest, latest, _STEP_S)
+    starts = np.arange(earliest, latest, step_s)
     scores = np.empty(len(starts))
     for first in range(0, len(starts), 256):
         part = starts[first : first + 256]
@@ -365,11 +358,14 @@ def _estimate_start(accents: Sequence[Accent], beats: Beats) -> float:
         scores[first : first + 256] = (np.cos(angles) + 0.5 * np.cos(2.0 * angles)) @ weights
     best = float(scores.max())
     inner = np.r_[True, scores[1:] >= scores[:-1]] & np.r_[scores[:-1] >= scores[1:], True]
-    good = starts[inner & (scores >= (_ALIKE * best if best > 0.0 else best))]
+    good = starts[inner & (scores >= (alike * best if best > 0.0 else best))]
     return float(good[np.argmin(np.abs(good))])
 
 
-def _measure(accents: Sequence[Accent], beats: Beats, start_s: float, estimated: bool) -> BeatTiming:
+def _measure(
+    accents: Sequence[Accent], beats: Beats, start_s: float, estimated: bool, *, window: float = 0.3
+) -> BeatTiming:
+    # window: of a beat to either side of where the accents are on average: what is further is between the beats
     times = np.array([one.time_s for one in accents])
     counted = _count_beats(times - start_s, beats)
     subdivision, slope, agreement, p_value = _find_agreement(counted, times, beats)
@@ -378,7 +374,7 @@ def _measure(accents: Sequence[Accent], beats: Beats, start_s: float, estimated:
     mean = np.angle(np.exp(2j * np.pi * (counted - trend)).mean()) / (2.0 * np.pi)
     places = np.round(counted - trend - mean)
     off = counted - places
-    near = np.abs(off - trend - mean) <= _WINDOW
+    near = np.abs(off - trend - mean) <= window
     beat_s = start_s + _time_of(places / subdivision, beats)
     off_ms = 1000.0 * (times - beat_s)
     if estimated and near.any():  # the middle of the accents is where the beat is
@@ -417,10 +413,13 @@ def _time_of(counted: FloatArray, beats: Beats) -> FloatArray:
     return times
 
 
-def _find_agreement(counted: FloatArray, times: FloatArray, beats: Beats) -> tuple[int, float, float, float]:
+def _find_agreement(
+    counted: FloatArray, times: FloatArray, beats: Beats, *, halves: float = 0.1
+) -> tuple[int, float, float, float]:
     """Beats or half beats, the drift in these a second, the agreement, and its p-value."""
+    # halves: by how much more the accents must agree with half beats to be measured against these
     whole, half = (_find_slope(part * counted, times, beats.period_s / part) for part in (1, 2))
-    subdivision = 2 if half[1] > whole[1] + _HALVES else 1
+    subdivision = 2 if half[1] > whole[1] + halves else 1
     slope, agreement, tried = half if subdivision == 2 else whole
     return subdivision, slope, agreement, min(2.0 * tried * _rayleigh(len(counted), agreement), 1.0)
 
@@ -431,8 +430,11 @@ def _rayleigh(n: int, length: float) -> float:
     return math.exp(math.sqrt(1.0 + 4.0 * n + 4.0 * (n * n - n * z)) - (1.0 + 2.0 * n))
 
 
-def _find_slope(counted: FloatArray, times: FloatArray, period_s: float) -> tuple[float, float, int]:
+def _find_slope(
+    counted: FloatArray, times: FloatArray, period_s: float, *, drift_gain: float = 6.0
+) -> tuple[float, float, int]:
     """Drift, beats a second, at which the accents agree best; their agreement; how many drifts were tried."""
+    # drift_gain: log-likelihood that a drift must win
     plain = float(np.abs(np.exp(2j * np.pi * counted).mean()))
     lasting = float(np.ptp(times))
     steepest = _STEEPEST / 1000.0 / period_s
@@ -441,14 +443,17 @@ def _find_slope(counted: FloatArray, times: FloatArray, period_s: float) -> tupl
     middle = times - times.mean()
     found = np.array([np.abs(np.exp(2j * np.pi * (counted - slope * middle)).mean()) for slope in slopes])
     best = int(found.argmax())
-    if len(times) * (found[best] ** 2 - plain**2) < _DRIFT_GAIN + math.log(max(len(slopes), 1)):
+    if len(times) * (found[best] ** 2 - plain**2) < drift_gain + math.log(max(len(slopes), 1)):
         return 0.0, plain, 1
     return float(slopes[best]), float(found[best]), max(n // 2, 1)
 
 
-def _find_drift(times: FloatArray, off_ms: FloatArray) -> tuple[float, bool]:
+def _find_drift(
+    times: FloatArray, off_ms: FloatArray, *, sure: float = 2.6, most_pairs: int = 1000
+) -> tuple[float, bool]:
     """Ms a minute, the median of the slopes of all pairs (Theil and Sen); whether it is more than chance."""
-    step = -(-len(times) // _MOST_PAIRS)
+    # sure: standard errors; most_pairs: accents whose pairs give the drift
+    step = -(-len(times) // most_pairs)
     t, y = times[::step], off_ms[::step]
     one, other = np.triu_indices(len(t), 1)
     apart: NDArray[np.float64] = t[other] - t[one]
@@ -459,7 +464,7 @@ def _find_drift(times: FloatArray, off_ms: FloatArray) -> tuple[float, bool]:
     rest = off_ms - slope * times
     scatter = 1.4826 * float(np.median(np.abs(rest - np.median(rest))))
     error = max(scatter, 1.0) / (math.sqrt(len(times)) * float(times.std()))
-    return 60.0 * slope, abs(slope) > _SURE * error
+    return 60.0 * slope, abs(slope) > sure * error
 
 
 def _describe(timing: BeatTiming) -> tuple[Message, ...]:

@@ -28,11 +28,6 @@ RATE = 15.0
 """Moments a second that are described, about."""
 
 _WINDOWS_S = (0.5, 1.0, 2.0)
-_REACH_S = 0.8  # lags that are looked at
-_SHARP_S = 0.1
-_CAP = 1.3  # squared chord of 70 deg: further away says no more
-_CAP_IN_COMMON = 0.19  # of 25 deg: one limb alone does not decide the body's lag
-_LAG_PRICE = 2e-3  # rad^2 a second: of lags as good as each other the nearest
 
 _PER_WINDOW = (
     "own",
@@ -61,7 +56,6 @@ _LAG = _PER_WINDOW.index("lag")
 _SLIGHT = 0.03  # rad
 _KERNEL = np.ones(9) / 9.0
 _FLIP = np.array([-1.0, 1.0, 1.0])
-_FARTHEST = 4.0  # squared chord of opposite directions
 _SORTED = ("own", "best", "at_body", "path", "left_by_gain", "gain", "lag_beside_body")
 
 
@@ -82,7 +76,7 @@ class Descriptors:
 
 
 def choose_stride(rate: float) -> int:
-    """Working frames from one described moment to the next."""
+    """Choose the number of working frames from one described moment to the next."""
     return max(1, round(rate / RATE))
 
 
@@ -91,7 +85,7 @@ _MOST_SEVERE = 10.0
 
 
 def mark_findings(findings: Sequence[Finding], n_frames: int) -> FloatArray:
-    """What the closed explanations say at each frame of each limb and, last, of the body: (T, 6, 7).
+    """Mark the findings of the rules at each frame of each limb and, last, of the body: (T, 6, 7).
 
     Severity by class, lag in s, share of the range that is missing, and how many frames the error lasts.
     """
@@ -143,11 +137,20 @@ def describe_moments(
 
 
 def _measure_windows(
-    evidence: Evidence, time_spread: FloatArray, frames: NDArray[np.intp]
+    evidence: Evidence,
+    time_spread: FloatArray,
+    frames: NDArray[np.intp],
+    *,
+    reach_s: float = 0.8,
+    sharp_s: float = 0.1,
+    lag_price: float = 2e-3,
+    farthest: float = 4.0,
 ) -> tuple[FloatArray, FloatArray]:
     """(N, 5, W, 21) and (N, W, 15), see `_describe`."""
+    # reach_s: lags that are looked at; lag_price: rad^2 a second: of lags as good as each other the nearest; farthest:
+    # squared chord of opposite directions
     deviations, rate = evidence.deviations, evidence.rate
-    reach = min(round(_REACH_S * rate), deviations.center)
+    reach = min(round(reach_s * rate), deviations.center)
     part = slice(deviations.center - reach, deviations.center + reach + 1)
     # What has no weight, or is never seen, is as it should be.
     counts: NDArray[np.bool_] = np.any(evidence.ratio > 0.0, axis=(0, 1), keepdims=True)[0, 0]
@@ -159,7 +162,7 @@ def _measure_windows(
     blocks = [
         covered[:, 0].T,
         covered[:, 1].T,
-        _by_limb(np.minimum(far, _FARTHEST) * deviations.judged),
+        _by_limb(np.minimum(far, farthest) * deviations.judged),
         _by_limb(_measure_speeds(theirs, rate)),
         _by_limb(_measure_speeds(ours, rate)),
         _by_limb(deviations.spread),
@@ -167,11 +170,9 @@ def _measure_windows(
     ]
     rows = np.concatenate(blocks, axis=1)
     halves = np.array([max(1, round(0.5 * seconds * rate)) for seconds in _WINDOWS_S])
-    sharp = max(1, round(_SHARP_S * rate))
+    sharp = max(1, round(sharp_s * rate))
     totals, together, sums = _accumulate(squared), _accumulate(common), _accumulate(rows)
-    return _describe(
-        totals, together, ours, theirs, rows, sums, LIMB_OF, frames, halves, sharp, _LAG_PRICE / rate, rate
-    )
+    return _describe(totals, together, ours, theirs, rows, sums, LIMB_OF, frames, halves, sharp, lag_price / rate, rate)
 
 
 def _compare_lags(limb_table: FloatArray, body_table: FloatArray) -> FloatArray:
@@ -222,7 +223,6 @@ def _follow_lags(evidence: Evidence) -> FloatArray:
 
 
 _BESIDE_S = (1.0, 2.0)
-_TREND_ROUNDS = 8
 
 
 def _look_beside(values: FloatArray, reach: int) -> FloatArray:
@@ -232,12 +232,12 @@ def _look_beside(values: FloatArray, reach: int) -> FloatArray:
     return 0.5 * (before + after)
 
 
-def _find_trend(values: FloatArray) -> FloatArray:
+def _find_trend(values: FloatArray, *, trend_rounds: int = 8) -> FloatArray:
     """Straight line through most of the values: least absolute differences, by weights."""
     x = np.linspace(-1.0, 1.0, len(values)) if len(values) > 1 else np.zeros(1)
     weights = np.ones(len(values))
     slope, middle = 0.0, float(np.median(values))
-    for _ in range(_TREND_ROUNDS):
+    for _ in range(trend_rounds):
         total = weights.sum()
         mean_x, mean_y = (weights * x).sum() / total, (weights * values).sum() / total
         slope = (weights * (x - mean_x) * (values - mean_y)).sum() / max((weights * (x - mean_x) ** 2).sum(), 1e-9)
@@ -263,11 +263,13 @@ def _describe_others(limb_table: FloatArray) -> FloatArray:
     return result
 
 
-def _pool_limbs(squared: FloatArray) -> tuple[FloatArray, FloatArray]:
+def _pool_limbs(squared: FloatArray, *, cap: float = 1.3, cap_in_common: float = 0.19) -> tuple[FloatArray, FloatArray]:
     """(L, T, K) mean squared chord of each limb, and (T, K) of the body with each limb's say limited."""
-    capped = np.minimum(squared, _CAP)
+    # cap: squared chord of 70 deg: further away says no more; cap_in_common: of 25 deg: one limb alone does not decide
+    # the body's lag
+    capped = np.minimum(squared, cap)
     limbs = np.stack([capped[:, :, list(limb)].mean(axis=2) for limb in LIMBS.values()])
-    return limbs, np.minimum(limbs, _CAP_IN_COMMON).mean(axis=0)
+    return limbs, np.minimum(limbs, cap_in_common).mean(axis=0)
 
 
 def _accumulate(values: FloatArray) -> FloatArray:

@@ -87,7 +87,7 @@ def compute_deviations(reference: Working, performance: Working, frames: FloatAr
 
 
 def merge_takes(takes: Sequence[Deviations]) -> Deviations:
-    """Deviations from the nearest of several takes, and how much the takes differ.
+    """Merge deviations from several takes to those from the nearest one, and measure the spread of the takes.
 
     Parameters
     ----------
@@ -125,7 +125,7 @@ def _take_median(values: FloatArray, known: NDArray[np.bool_]) -> FloatArray:
 
 
 def take_nearest(mine: FloatArray, its: FloatArray) -> FloatArray:
-    """The smaller of two squared deviations, of which 0 is none."""
+    """Take the smaller of two squared deviations; 0 means none."""
     return np.where((its > 0.0) & ((its < mine) | (mine == 0.0)), its, mine)
 
 
@@ -143,7 +143,7 @@ def measure_deviations(
     half: int,
     scale: float,
 ) -> tuple[FloatArray, np.ndarray]:  # pragma: no cover - compiled
-    """Squared chords at every lag after a common yaw that changes slowly and that no wrong limb bends.
+    """Measure squared chords at every lag after a common yaw that changes slowly and that no wrong limb bends.
 
     Parameters
     ----------
@@ -206,11 +206,8 @@ GROUPS: dict[str, NDArray[np.intp]] = {"body": np.arange(len(SEGMENTS))} | {
 """What shrinks as one: the body, or a limb."""
 
 _WINDOWS_S = (0.7, 1.2, 2.0)
-_EVIDENCE = 8.0  # by how much shrinking explains a window better than a constant difference
 _SHORT = np.radians(10.0)  # range that is missing
 _SMALLER = 0.84  # gain
-_UNEXPLAINED_SHARE = 0.45  # share that is left
-_GAIN_ROUNDS = 4
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -257,11 +254,11 @@ class GainFit:
 
 
 def fit_gain(performance: FloatArray, reference: FloatArray, tolerance: FloatArray) -> GainFit:
-    """The gain of a stretch, frames that do not fit losing weight.
+    """Fit the gain of a stretch robustly: frames that do not fit lose weight.
 
     Parameters
     ----------
-    performance, reference : (T, S, 3) unit vectors at the same time, turned alike.
+    performance, reference : (T, S, 3) unit vectors at the same time, turned by the same yaw.
     tolerance : (S,) rad.
 
     Returns
@@ -278,12 +275,18 @@ def fit_gain(performance: FloatArray, reference: FloatArray, tolerance: FloatArr
 
 
 def _fit(
-    performance: FloatArray, reference: FloatArray, tolerance: FloatArray, pole: FloatArray, chord: bool
+    performance: FloatArray,
+    reference: FloatArray,
+    tolerance: FloatArray,
+    pole: FloatArray,
+    chord: bool,
+    *,
+    gain_rounds: int = 4,
 ) -> tuple[float, GainFit]:
     theirs = reference if chord else _to_tangent(pole, reference)
     ours = performance if chord else _to_tangent(pole, performance)
     trust = np.ones(len(theirs))
-    for _ in range(_GAIN_ROUNDS):
+    for _ in range(gain_rounds):
         shares = (trust / trust.sum())[:, None, None]
         x0, y0 = (theirs * shares).sum(axis=0), (ours * shares).sum(axis=0)
         x, y = theirs - x0, ours - y0
@@ -311,7 +314,7 @@ def _to_tangent(pole: FloatArray, vectors: FloatArray) -> FloatArray:
 
 
 def find_shrunk(deviations: Deviations, tolerance: FloatArray, rate: float) -> list[tuple[int, int]]:
-    """Windows over which a limb or the body moves less than the reference: half-open, the clearest first, apart.
+    """Find windows over which a limb or the body moves less than the reference: half-open, the clearest first.
 
     A window adds up what no single frame shows: a range that is smaller by a few degrees everywhere.
     """
@@ -344,8 +347,19 @@ def find_shrunk(deviations: Deviations, tolerance: FloatArray, rate: float) -> l
     return kept
 
 
-def _weigh(xx: FloatArray, xy: FloatArray, yy: FloatArray, tolerance: FloatArray, width: int) -> FloatArray:
+def _weigh(
+    xx: FloatArray,
+    xy: FloatArray,
+    yy: FloatArray,
+    tolerance: FloatArray,
+    width: int,
+    *,
+    evidence: float = 8.0,
+    unexplained_share: float = 0.45,
+) -> FloatArray:
     """(N,) how clearly a gain below one explains windows of (N, S) sums of squares about their means; 0 if not."""
+    # evidence: by how much shrinking explains a window better than a constant difference; unexplained_share: share
+    # that is left
     inverse = 1.0 / tolerance**2
     power, product, other = xx @ inverse, xy @ inverse, yy @ inverse
     gain = product / np.maximum(power, 1e-9)
@@ -354,11 +368,11 @@ def _weigh(xx: FloatArray, xy: FloatArray, yy: FloatArray, tolerance: FloatArray
     # The range of a swing is 2 sqrt(2) times its root mean square.
     missing = (1.0 - gain) * 2.0 * np.sqrt(2.0 * np.maximum(xx.max(axis=1), 0.0) / width)
     shrunk = (
-        (same_size - smaller > _EVIDENCE)
+        (same_size - smaller > evidence)
         & (missing > _SHORT)
         & (gain > 0.0)
         & (gain < _SMALLER)
-        & (smaller < _UNEXPLAINED_SHARE * same_size)
+        & (smaller < unexplained_share * same_size)
     )
     # A longer window must be worth its length.
     return np.where(shrunk, same_size - 2.0 * smaller, 0.0).clip(min=0.0)
@@ -379,7 +393,7 @@ def measure_ranges(segments: FloatArray) -> FloatArray:
 def measure_missing_range(
     reference: FloatArray, performance: FloatArray, model: FloatArray, segments: NDArray[np.intp]
 ) -> tuple[float, float]:
-    """How much range the most affected segment lacks.
+    """Measure the range that the most affected segment lacks.
 
     Parameters
     ----------
@@ -405,7 +419,7 @@ CAP = 9.0
 """A segment three times out of tolerance is wrong; how much further out says no more."""
 
 SLACK_S = 0.07
-"""s; nobody is steadier in time than this, so a smaller lag is forgiven."""
+"""s; no person is steadier in time than this, so a smaller lag is forgiven."""
 
 LIMB_SEGMENTS: tuple[NDArray[np.intp], ...] = tuple(np.array(indices) for indices in LIMBS.values())
 
@@ -414,8 +428,6 @@ LAG_CHANGE = 2.0  # price of one column of lag more or less
 LAG_PRICE = 0.15  # and of being late at all, a frame and column: of two explanations the nearer one
 _CHANGE = 8.0  # price of starting or ending a stretch
 _BODY = 0.45  # mean over all segments from which the body as a whole is off
-_LAG_EVIDENCE = 40.0  # what a lag must explain
-_SHORTEST_LAG_S = 0.2
 _BRIDGE_S = 0.25
 _TIE = 1e-3
 _APART_S = 0.3
@@ -507,7 +519,7 @@ def _level_gaps(ratio: FloatArray, deviations: Deviations) -> None:
 
 
 def refine_lag(evidence: Evidence, course: NDArray[np.intp], first: int = 0) -> FloatArray:
-    """Lag in s of frames ``first`` and on, to a fraction of a column: the lowest point of a parabola.
+    """Refine the lag in s of frames from ``first`` on to a fraction of a column: the lowest point of a parabola.
 
     One frame's minimum is noise; nine frames at the same lag have one.
     """
@@ -525,13 +537,13 @@ def refine_lag(evidence: Evidence, course: NDArray[np.intp], first: int = 0) -> 
 
 
 def runs_of(mask: NDArray[np.bool_]) -> list[tuple[int, int]]:
-    """Half-open stretches where a mask is true."""
+    """List the half-open stretches where a mask is true."""
     edges = np.flatnonzero(np.diff(np.concatenate([[0], mask.view(np.int8), [0]])))
     return [(int(a), int(b)) for a, b in edges.reshape(-1, 2)]
 
 
 def find_stretches(evidence: Evidence) -> list[tuple[int, int]]:
-    """Half-open stretches of frames in which something is wrong: a limb, the body, the time, or the size."""
+    """Find half-open stretches of frames with a wrong limb, body, time or size."""
     per_frame = 30.0 / evidence.rate
     wrong = np.zeros(len(evidence.ordinary), np.bool_)
     for limb in LIMB_SEGMENTS:
@@ -554,16 +566,17 @@ def find_stretches(evidence: Evidence) -> list[tuple[int, int]]:
     return stretches
 
 
-def _find_lags(evidence: Evidence) -> NDArray[np.bool_]:
+def _find_lags(evidence: Evidence, *, lag_evidence: float = 40.0, shortest_lag_s: float = 0.2) -> NDArray[np.bool_]:
     """Where the lag is beyond what is forgiven, and is sure: being in time explains much less."""
+    # lag_evidence: what a lag must explain
     explained = evidence.punctual.sum(axis=1) - at_lag(evidence.ratio, evidence.course).sum(axis=1)
     explained -= evidence.lag_prices[evidence.course]
     late = np.abs(refine_lag(evidence, evidence.course)) > evidence.slack_s
     late &= evidence.deviations.judged.any(axis=1)
     found = np.zeros(len(late), np.bool_)
     for start, end in runs_of(late):
-        enough = explained[start:end].sum() * (30.0 / evidence.rate) > _LAG_EVIDENCE
-        found[start:end] = enough and end - start >= _SHORTEST_LAG_S * evidence.rate
+        enough = explained[start:end].sum() * (30.0 / evidence.rate) > lag_evidence
+        found[start:end] = enough and end - start >= shortest_lag_s * evidence.rate
     return found
 
 
@@ -596,7 +609,7 @@ class Tolerance:
 
 
 def measure_unsteadiness(deviations: Deviations) -> Tolerance:
-    """Tolerance from one performance: multiples of how far segments and time mostly are from the reference."""
+    """Measure the tolerance of a performance: multiples of its usual distance from the reference in angle and time."""
     reach = max(1, round(_NEAR_S / deviations.step_s))
     center = deviations.center
     near = slice(max(center - reach, 0), center + reach + 1)
@@ -609,7 +622,7 @@ def measure_unsteadiness(deviations: Deviations) -> Tolerance:
 
 
 def _measure_wobble(deviations: Deviations) -> float:
-    """Lag in s that is forgiven: nobody is steadier than `SLACK_S`, many are less steady throughout."""
+    """Measure the lag in s that is forgiven: at least `SLACK_S`, more for an unsteady performer."""
     center = deviations.center
     reach = min(round(_WOBBLE_S / deviations.step_s), center - 1)
     near = deviations.squared[:, center - reach - 1 : center + reach + 2].sum(axis=2)

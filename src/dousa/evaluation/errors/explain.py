@@ -34,7 +34,7 @@ _OUTSIDE = 1e3
 
 
 def follow_path(evidence: Evidence, start: int, end: int) -> tuple[NDArray[np.intp], FloatArray]:
-    """Where on the reference's path between the same two moments the performance is.
+    """Follow the performance on the reference's path between the same two moments.
 
     Returns
     -------
@@ -49,7 +49,7 @@ def follow_path(evidence: Evidence, start: int, end: int) -> tuple[NDArray[np.in
 
 
 def compute_unreached(evidence: Evidence, start: int, end: int, first: int, last: int) -> FloatArray:
-    """How far each moment of the reference is from all that the performance does.
+    """Compute the distance of each moment of the reference from the nearest moment of the performance.
 
     Parameters
     ----------
@@ -84,13 +84,10 @@ def compute_unreached(evidence: Evidence, start: int, end: int, first: int, last
 
 _PAD_S = 0.25
 _PRICE = 10.0  # of an explanation with a number in it: a lag, a gain
-_PRICE_WRONG = 6.0  # of another motion, which explains anything
 _SURPRISE = 2.0  # of a segment that does something else, a frame
 _DOUBT = 0.15  # what a frame must be explained better to belong to the error
 _UNREACHED = 5.0  # squared ratio from which an extreme was not reached
-_UNREACHED_TURNING = 2.0  # and if the performance is late on the way there, and early on the way back
 _ON_PATH, _ON_PATH_SHARE, _OFF_PATH = 4.5, 0.55, 9.0
-_OFF_PATH_SEGMENT = 4.0
 _GAINS = (0.28, 0.86)  # below, a limb does nothing of the motion; above, it does it all
 _OFF_CENTER, _UNEXPLAINED = 1.5, 0.6
 _OFF_CENTER_CLEAR, _CLEAR = 3.0, 0.2  # what shrinks to its first pose, if shrinking explains nearly all
@@ -101,14 +98,10 @@ _LEAP_S, _LEAP_LASTS_S = 0.15, 0.5  # a smaller or shorter one may be a turn tha
 _LONGEST_LAG, _LONGEST_LAG_S = 0.5, 0.6
 _GLOBAL_SHARE = 5 / 9  # of the segments that weigh anything
 _GLOBAL_LIMBS, _GLOBAL_SEGMENTS = 3, 4  # or so many, spread over the body
-_WRONG_SHARE = 0.6  # of the surprise's price, in the mean: the segment belongs to the error
 _LARGER, _LEAST_EXCESS = 1.2, np.radians(10.0)
 _SURELY_LATE = 1.15  # in multiples of what is forgiven
 _BY_TIME = ("shift", "stops short")
 _SHORTEST_S = 0.25
-_HELD = 0.35  # of the reference's range, unsteadiness included
-_FADE_S = 0.033
-_PLATEAU = 0.75  # of the largest lag: the rest is fading in and out
 BODY = np.arange(9)
 
 
@@ -159,12 +152,12 @@ class _Hypothesis:
 
 
 def explain_all(evidence: Evidence) -> list[Finding]:
-    """All errors of a performance, in order of time."""
+    """Find all errors of a performance by the rules, in order of time."""
     return [found for start, end in find_stretches(evidence) for found in explain(evidence, start, end)]
 
 
 def explain(evidence: Evidence, start: int, end: int) -> list[Finding]:
-    """The errors of one stretch [start, end), in order."""
+    """Find the errors of one stretch [start, end), in order."""
     pad = round(_PAD_S * evidence.rate)
     first, last = max(start - pad, 0), min(end + pad, len(evidence.ordinary))
     if end - start < 2:
@@ -207,16 +200,26 @@ def _per_frame(evidence: Evidence) -> float:
     return 30.0 / evidence.rate
 
 
-def _explain_by_time(evidence: Evidence, start: int, end: int, first: int, last: int) -> list[_Hypothesis]:
+def _explain_by_time(
+    evidence: Evidence,
+    start: int,
+    end: int,
+    first: int,
+    last: int,
+    *,
+    unreached_turning: float = 2.0,
+    off_path_segment: float = 4.0,
+) -> list[_Hypothesis]:
     """Late or early; or on the path of the reference, but not to its end."""
+    # unreached_turning: and if the performance is late on the way there, and early on the way back
     scale = _per_frame(evidence)
     ordinary = evidence.ordinary[first:last]
     # Where a segment is off the path it is wrong: that the path's end is not reached says nothing then.
-    wrong = at_lag(evidence.ratio, evidence.course)[start:end] > _OFF_PATH_SEGMENT
+    wrong = at_lag(evidence.ratio, evidence.course)[start:end] > off_path_segment
     unreached = float(np.where(wrong, 0.0, compute_unreached(evidence, start, end, first, last)).max())
     lag = refine_lag(evidence, evidence.course[start:end], start)
     turned_back = bool((lag > evidence.slack_s).any() and (lag < -evidence.slack_s).any())
-    missed = unreached >= (_UNREACHED_TURNING if turned_back else _UNREACHED)
+    missed = unreached >= (unreached_turning if turned_back else _UNREACHED)
     if missed and not _keeps_its_lag(evidence, start, end):
         if _holds_a_limb(evidence, start, end):
             return []
@@ -240,15 +243,16 @@ def _explain_by_time(evidence: Evidence, start: int, end: int, first: int, last:
     return found
 
 
-def _holds_a_limb(evidence: Evidence, start: int, end: int) -> bool:
+def _holds_a_limb(evidence: Evidence, start: int, end: int, *, held: float = 0.35) -> bool:
     """Whether all that is wrong is one limb, which does next to nothing of what the reference's does."""
+    # held: of the reference's range, unsteadiness included
     out = evidence.ordinary[start:end].mean(axis=0) > 1.0
     limbs = [limb for limb in LIMB_SEGMENTS if out[limb].any()]
     if len(limbs) != 1:
         return False
     theirs = measure_ranges(evidence.deviations.reference[start:end, limbs[0]])
     ours = measure_ranges(evidence.deviations.performance[start:end, limbs[0]])
-    return bool(ours.max() < _HELD * theirs.max())
+    return bool(ours.max() < held * theirs.max())
 
 
 def _keeps_its_lag(evidence: Evidence, start: int, end: int) -> bool:
@@ -287,23 +291,29 @@ def _explain_by_size(evidence: Evidence, start: int, end: int, first: int, last:
     return found
 
 
-def _explain_by_limbs(evidence: Evidence, start: int, end: int, first: int, last: int) -> _Hypothesis:
+def _explain_by_limbs(
+    evidence: Evidence, start: int, end: int, first: int, last: int, *, price_wrong: float = 6.0
+) -> _Hypothesis:
     """Some segments do something else: each for a price a frame."""
+    # price_wrong: of another motion, which explains anything
     left = evidence.ordinary[first:last].copy()
     inside = left[start - first : end - first]
     wrong = inside.sum(axis=0) > _SURPRISE * len(inside)
     inside[:, wrong] = _SURPRISE
     frames = left.sum(axis=1)
-    return _Hypothesis("limbs", frames.sum() * _per_frame(evidence) + _PRICE_WRONG, frames)
+    return _Hypothesis("limbs", frames.sum() * _per_frame(evidence) + price_wrong, frames)
 
 
-def _report_shift(evidence: Evidence, best: _Hypothesis, start: int, end: int, first: int) -> Finding:
+def _report_shift(
+    evidence: Evidence, best: _Hypothesis, start: int, end: int, first: int, *, plateau: float = 0.75
+) -> Finding:
+    # plateau: of the largest lag: the rest is fading in and out
     assert best.course is not None
     span = slice(first, first + len(best.frames))
     better = evidence.punctual[span].sum(axis=1) - best.frames - _DOUBT
     begin, stop = find_best_span(better)
     lag = refine_lag(evidence, best.course, first)[begin:stop]
-    typical = float(np.median(lag[np.abs(lag) >= _PLATEAU * np.abs(lag).max()])) if len(lag) else 0.0
+    typical = float(np.median(lag[np.abs(lag) >= plateau * np.abs(lag).max()])) if len(lag) else 0.0
     worst = int(np.argmax(evidence.punctual[first + begin : first + stop].sum(axis=1))) if stop > begin else 0
     return Finding(
         "shift",
@@ -331,7 +341,7 @@ def _report_stop(evidence: Evidence, best: _Hypothesis, start: int, end: int, fi
 
 
 def find_changed(evidence: Evidence, start: int, end: int, segments: NDArray[np.intp]) -> NDArray[np.intp]:
-    """Those of the segments that are out of tolerance at some moment; all if none is."""
+    """Find the segments that are out of tolerance at some moment; all if none is."""
     out = evidence.punctual[start:end].max(axis=0)[segments] > 1.0
     return segments[out] if out.any() else segments
 
@@ -346,21 +356,27 @@ def _report_size(evidence: Evidence, best: _Hypothesis, start: int, end: int, fi
         fade = _fade_frames(evidence)
         start, end = max(first + begin - fade, 0), min(first + stop + fade, len(ours))
         fit = fit_gain(ours[start:end, group], theirs[start:end, group], evidence.tolerance[group])
-    model = ours[start:end].copy()
-    model[:, group] = fade_gain(theirs[start:end, group], ours[start:end, group], fit, evidence.tolerance[group])
-    missing, share = measure_missing_range(theirs[start:end], ours[start:end], model, group)
+    return measure_shrinking(evidence, start, end, group, fit)
+
+
+def measure_shrinking(evidence: Evidence, start: int, end: int, group: NDArray[np.intp], fit: GainFit) -> Finding:
+    """Describe a stretch in which a group of segments does a smaller motion, with the gain of ``fit``."""
+    theirs, ours = evidence.deviations.reference[start:end], evidence.deviations.performance[start:end]
+    model = ours.copy()
+    model[:, group] = fade_gain(theirs[:, group], ours[:, group], fit, evidence.tolerance[group])
+    missing, share = measure_missing_range(theirs, ours, model, group)
     if len(group) == len(BODY):
         group = find_changed(evidence, start, end, group)
     severity, worst = measure_severity(evidence, start, end, group)
     return Finding("incomplete", start, end, tuple(group.tolist()), severity, worst, None, missing, share)
 
 
-def _fade_frames(evidence: Evidence) -> int:
-    return round(_FADE_S * evidence.rate)
+def _fade_frames(evidence: Evidence, *, fade_s: float = 0.033) -> int:
+    return round(fade_s * evidence.rate)
 
 
 def fade_gain(reference: FloatArray, performance: FloatArray, fit: GainFit, tolerance: FloatArray) -> FloatArray:
-    """The smaller motion, faded in and out as the performance does."""
+    """Fade the smaller motion in and out as the performance does."""
     change = fit.predict(reference) - reference
     weight = 1.0 / tolerance[:, None] ** 2
     along = ((performance - reference) * change * weight).sum(axis=(1, 2))
@@ -372,9 +388,12 @@ def fade_gain(reference: FloatArray, performance: FloatArray, fit: GainFit, tole
     return unit
 
 
-def _report_limbs(evidence: Evidence, best: _Hypothesis, start: int, end: int, first: int) -> Finding:
+def _report_limbs(
+    evidence: Evidence, best: _Hypothesis, start: int, end: int, first: int, *, wrong_share: float = 0.6
+) -> Finding:
+    # wrong_share: of the surprise's price, in the mean: the segment belongs to the error
     inside = evidence.ordinary[start:end]
-    wrong = np.flatnonzero(inside.mean(axis=0) > _WRONG_SHARE * _SURPRISE)
+    wrong = np.flatnonzero(inside.mean(axis=0) > wrong_share * _SURPRISE)
     if not len(wrong):
         wrong = np.array([int(inside.mean(axis=0).argmax())])
     limbs = [limb for limb in LIMB_SEGMENTS if np.isin(limb, wrong).any()]
@@ -392,7 +411,7 @@ def _report_limbs(evidence: Evidence, best: _Hypothesis, start: int, end: int, f
 def measure_excess(
     evidence: Evidence, start: int, end: int, segments: NDArray[np.intp]
 ) -> tuple[float | None, float | None]:
-    """Negative missing range, rad and share, of limbs that do the same motion larger; None if they do another one."""
+    """Measure the negative missing range, rad and share, of limbs whose motion is larger; None for another motion."""
     ours = evidence.deviations.performance[start:end, segments]
     theirs = evidence.deviations.reference[start:end, segments]
     fit = fit_gain(ours, theirs, evidence.tolerance[segments])
@@ -433,14 +452,14 @@ def _explain_rest(evidence: Evidence, shift: Finding, start: int, end: int, pad:
 
 
 def measure_severity(evidence: Evidence, start: int, end: int, segments: NDArray[np.intp]) -> tuple[float, int]:
-    """Largest lasting deviation in multiples of what is tolerated, and when it is worst."""
+    """Measure the largest lasting deviation in multiples of the tolerance, and find its worst frame."""
     far = evidence.deviations.squared[start:end, evidence.center][:, segments]
     ratio = np.sqrt(far / evidence.tolerance[segments] ** 2).max(axis=1)
     return float(np.percentile(ratio, 90)), start + int(ratio.argmax())
 
 
 def find_best_span(gains: FloatArray) -> tuple[int, int]:
-    """Half-open span with the largest sum."""
+    """Find the half-open span with the largest sum."""
     best, total, start, span = -np.inf, 0.0, 0, (0, len(gains))
     for i, gain in enumerate(gains):
         if total <= 0.0:

@@ -176,7 +176,7 @@ def follow_classes(scores: FloatArray, change: float) -> np.ndarray:  # pragma: 
 
 
 def decode(limbs: FloatArray, body: FloatArray, rate: float, how: Decoding) -> list[Suspect]:
-    """Errors of a performance, in order of time.
+    """Decode probabilities of moments to errors, in order of time.
 
     Parameters
     ----------
@@ -214,7 +214,7 @@ def _find_runs(
 
 
 def _is_of(suspect: Suspect, body: Sequence[Suspect]) -> bool:
-    """Whether what a limb does is told by what the body does."""
+    """Whether an error of the body covers this one of a limb."""
     for other in body:
         shared = min(suspect.end, other.end) - max(suspect.start, other.start)
         if shared <= 0.5 * (suspect.end - suspect.start):
@@ -267,7 +267,7 @@ class Judge:
         return of_limbs.reshape(len(limbs), N_LIMBS, -1), self.body.predict_log_proba(body)
 
     def find(self, descriptors: Descriptors, rate: float) -> list[Suspect]:
-        """Errors in moments, of which there are ``rate`` a second."""
+        """Find errors in moments, of which there are ``rate`` a second."""
         return decode(*self.weigh(descriptors), rate, self.decoding)
 
     def to_arrays(self) -> dict[str, np.ndarray]:
@@ -286,7 +286,7 @@ _chosen: list[Judge] = []
 
 
 def load_judge() -> Judge:
-    """The judge of the package, or the one given to `use_judge`."""
+    """Load the judge of the package, or the one given to `use_judge`."""
     return _chosen[-1] if _chosen else _read_judge()
 
 

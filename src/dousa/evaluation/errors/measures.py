@@ -9,8 +9,14 @@ from numpy.typing import NDArray
 
 from dousa.arrays import FloatArray
 from dousa.evaluation.alignment.dynamic_programming import follow_lag
-from dousa.evaluation.errors.evidence import LAG_CHANGE, Evidence, fit_gain, measure_missing_range
-from dousa.evaluation.errors.explain import BODY, Finding, fade_gain, find_changed, measure_excess, measure_severity
+from dousa.evaluation.errors.evidence import LAG_CHANGE, Evidence, fit_gain
+from dousa.evaluation.errors.explain import (
+    BODY,
+    Finding,
+    measure_excess,
+    measure_severity,
+    measure_shrinking,
+)
 from dousa.evaluation.errors.judge import Suspect
 
 _PLATEAU = 0.75  # of the largest lag: the rest is fading in and out
@@ -18,11 +24,10 @@ _EDGE, _LEAST_KEPT = 0.3, 0.5  # of the lag; of the span
 _EDGE_BETWEEN, _MOSTLY = 0.5, 0.8  # of the lag between two shifts that are one; of the moments there
 _SMOOTH_S = 0.3
 _REACH_S, _MOST = 0.8, 0.5  # lags that are looked at; squared chord, further away says no more
-_PARTLY_WRONG = 1.0  # mean squared multiple of the tolerance from which a segment of a wrong limb is wrong itself
 
 
 def measure_suspects(evidence: Evidence, suspects: Sequence[Suspect], frames: NDArray[np.intp]) -> list[Finding]:
-    """Findings of errors in moments, in order of time.
+    """Measure the errors found in moments, in order of time.
 
     Parameters
     ----------
@@ -108,7 +113,7 @@ def follow_limb(evidence: Evidence, start: int, end: int, segments: NDArray[np.i
 
 
 def choose_lasting(lag: FloatArray) -> float:
-    """Largest lasting lag of a course in s."""
+    """Choose the largest lasting lag of a course in s."""
     most = float(np.abs(lag).max())
     late = lag.sum() >= 0.0
     lasting = lag[(np.abs(lag) >= _PLATEAU * most) & ((lag >= 0.0) == late)]
@@ -117,21 +122,17 @@ def choose_lasting(lag: FloatArray) -> float:
 
 def _measure_incomplete(evidence: Evidence, start: int, end: int, segments: NDArray[np.intp]) -> Finding:
     theirs, ours = evidence.deviations.reference[start:end], evidence.deviations.performance[start:end]
-    tolerance = evidence.tolerance[segments]
-    fit = fit_gain(ours[:, segments], theirs[:, segments], tolerance)
-    model = ours.copy()
-    model[:, segments] = fade_gain(theirs[:, segments], ours[:, segments], fit, tolerance)
-    missing, share = measure_missing_range(theirs, ours, model, segments)
-    if len(segments) == len(BODY):
-        segments = find_changed(evidence, start, end, segments)
-    severity, worst = measure_severity(evidence, start, end, segments)
-    return Finding("incomplete", start, end, _name(segments), severity, worst, None, missing, share)
+    fit = fit_gain(ours[:, segments], theirs[:, segments], evidence.tolerance[segments])
+    return measure_shrinking(evidence, start, end, segments, fit)
 
 
-def _measure_partial(evidence: Evidence, start: int, end: int, segments: NDArray[np.intp]) -> Finding:
+def _measure_partial(
+    evidence: Evidence, start: int, end: int, segments: NDArray[np.intp], *, partly_wrong: float = 1.0
+) -> Finding:
+    # partly_wrong: mean squared multiple of the tolerance from which a segment of a wrong limb is wrong itself
     far = evidence.ordinary[start:end].mean(axis=0)[segments]
-    if (far > _PARTLY_WRONG).any():
-        segments = segments[far > min(_PARTLY_WRONG, 0.5 * float(far.max()))]
+    if (far > partly_wrong).any():
+        segments = segments[far > min(partly_wrong, 0.5 * float(far.max()))]
     severity, worst = measure_severity(evidence, start, end, segments)
     excess, share = measure_excess(evidence, start, end, segments)
     return Finding("partial", start, end, _name(segments), severity, worst, None, excess, share)

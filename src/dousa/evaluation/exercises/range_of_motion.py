@@ -45,7 +45,7 @@ ANGLES: tuple[str, ...] = (
     "trunk_forward_lean",
     "trunk_side_lean",
 )
-"""All joint angles, in the order in which they are told. ``trunk_lean`` is away from the vertical in any direction; to
+"""All joint angles, in the order of reports. ``trunk_lean`` is away from the vertical in any direction; to
 the side, left is positive."""
 
 ANGLE_NAMES: Mapping[str, Message] = {
@@ -73,7 +73,6 @@ MOVING_DEG = 20.0
 """A joint whose angle ranges over less is not what the exercise is about."""
 
 _SMOOTH_S = 0.05
-_OVERHEAD = 0.4  # share of the arm that points away from the trunk's axis; less says nothing about the plane
 
 
 @dataclass(frozen=True, slots=True)
@@ -104,7 +103,7 @@ class RangeOfMotion:
 
 
 def compute_joint_angles(motion: CanonicalMotion) -> dict[str, FloatArray]:
-    """All joint angles over time.
+    """Compute all joint angles over time.
 
     Parameters
     ----------
@@ -135,7 +134,7 @@ def compute_joint_angles(motion: CanonicalMotion) -> dict[str, FloatArray]:
 
 
 def compute_trunk_axes(positions: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Up, left and forward of the trunk, (T, 3) unit vectors each, of positions (T, 20, 3)."""
+    """Compute up, left and forward of the trunk, (T, 3) unit vectors each, of positions (T, 20, 3)."""
     hips = 0.5 * (positions[:, J["left_hip"]] + positions[:, J["right_hip"]])
     up = _unit(positions[:, J["neck"]] - hips)
     across = positions[:, J["left_shoulder"]] - positions[:, J["right_shoulder"]]
@@ -147,7 +146,7 @@ def compute_trunk_axes(positions: FloatArray) -> tuple[FloatArray, FloatArray, F
 def measure_ranges(
     angles: Mapping[str, FloatArray], start: int, end: int, frame_rate: float, reference: Mapping[str, float] = {}
 ) -> tuple[RangeOfMotion, ...]:
-    """Ranges of all angles in the frames from ``start`` up to ``end``, single outliers smoothed away.
+    """Measure the ranges of all angles in the frames from ``start`` up to ``end``, single outliers smoothed away.
 
     Parameters
     ----------
@@ -168,7 +167,7 @@ def measure_ranges(
 
 
 def compute_symmetry_index(left: float, right: float) -> float:
-    """How much further the left side goes than the right one, in percent of what they go on average.
+    """Compute how much further the left side goes than the right one, in percent of their mean.
 
         SI = 100 (left - right) / (0.5 (left + right))
 
@@ -199,13 +198,14 @@ def _angle_between(a: FloatArray, b: FloatArray) -> FloatArray:
     return np.asarray(np.degrees(2.0 * np.arctan2(np.linalg.norm(a - b, axis=1), np.linalg.norm(a + b, axis=1))))
 
 
-def _split_elevation(parts: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+def _split_elevation(parts: FloatArray, *, overhead: float = 0.4) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Elevation, and its forward and outward shares, degrees, of limbs (T, 3): out, forward, down."""
+    # overhead: share of the arm that points away from the trunk's axis; less says nothing about the plane
     out, ahead, down = _unit(parts).T
     aside = np.hypot(out, ahead)
     elevation = np.degrees(np.arctan2(aside, down))
     plane = np.arctan2(ahead, out)
-    unclear = (aside < _OVERHEAD) & (down < 0)
+    unclear = (aside < overhead) & (down < 0)
     clear = np.flatnonzero(~unclear & np.isfinite(plane))
     if unclear.any() and len(clear):
         plane = np.interp(np.arange(len(plane)), clear, np.unwrap(plane[clear]))

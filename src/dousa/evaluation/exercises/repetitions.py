@@ -67,12 +67,12 @@ class Trend:
 
     @property
     def distinguishable(self) -> bool:
-        """Whether the trend can be told from none; with four repetitions or fewer it never can."""
+        """Whether the trend is distinguishable from none; with four repetitions or fewer it never can."""
         return (self.p_value if math.isnan(self.adjusted_p) else self.adjusted_p) < LEVEL
 
 
 def estimate_trend(values: ArrayLike) -> Trend:
-    """The median of the slopes between all pairs, and the exact test that belongs to it.
+    """Estimate the median of the slopes between all pairs, and the exact test of it.
 
     Parameters
     ----------
@@ -92,7 +92,7 @@ def estimate_trend(values: ArrayLike) -> Trend:
 
 
 def adjust_for_many(trends: Mapping[str, Trend]) -> dict[str, Trend]:
-    """The trends with probabilities that allow for the number of measures: one chance finding in twenty recordings.
+    """Adjust the probabilities of trends to the number of measures: one chance finding in twenty recordings.
 
     Source: S. Holm, "A simple sequentially rejective multiple test procedure", Scandinavian J. Statistics 6, 65-70,
     1979.
@@ -134,10 +134,6 @@ def _count_orders(n: int) -> tuple[int, ...]:
     return tuple(counts)
 
 
-_MARGIN_S = 0.25  # kept around a repetition that is graded
-_MOST_TAKES = 5  # repetitions of the reference that a grade rests on
-_ONE_SIDED = 60.0  # percent: a reference whose symmetry index is beyond is an exercise of one side
-_FEWEST_FOR_TREND = 6  # complete repetitions: of fewer, no order is improbable enough for so many measures
 _NAN = float("nan")
 
 
@@ -258,14 +254,14 @@ def assess_repetitions(
     ----------
     references : the exercise done well: one take or several, each of one or several repetitions.
     performance : any frame rate, place, heading and stature; pauses, and walking into place, may come with it.
-    side : ``"mirrored"`` for somebody who did the reference's mirror image.
-    tempo : ``"free"``: a repetition may be slower or faster than the reference's, its tempo is told beside the grade;
+    side : ``"mirrored"`` for a person who did the reference's mirror image.
+    tempo : ``"free"``: a repetition may be slower or faster than the reference's; the tempo is beside the grade.
         ``"same"``: being late costs points.
     weights, importance : of segments for the grade, as in `dousa.evaluation.assess`.
 
     Raises
     ------
-    InvalidMotionError : no repetition of the exercise in the performance, nobody moving in the references, a motion
+    InvalidMotionError : no repetition of the exercise in the performance, no movement in the references, a motion
         shorter than half a second or hardly seen, no reference.
     OptionError : an unknown side, tempo, importance or segment.
     """
@@ -378,10 +374,11 @@ def _measure_examples(examples: Sequence[_Example]) -> dict[str, float]:
     return {name: _median(values) for name, values in found.items()}
 
 
-def _choose_examples(examples: Sequence[_Example], typical_s: float) -> list[_Example]:
+def _choose_examples(examples: Sequence[_Example], typical_s: float, *, most_takes: int = 5) -> list[_Example]:
     """At most five, the one of the most typical duration first: it leads."""
+    # most_takes: repetitions of the reference that a grade rests on
     ordered = sorted(examples, key=lambda one: abs(_seconds(*one) - typical_s))
-    return ordered[:_MOST_TAKES]
+    return ordered[:most_takes]
 
 
 def _cut(motion: CanonicalMotion, start: int, end: int) -> CanonicalMotion:
@@ -392,16 +389,18 @@ def _cut(motion: CanonicalMotion, start: int, end: int) -> CanonicalMotion:
     return dataclasses.replace(motion, positions=motion.positions[first:last], missing=missing)
 
 
-def _count_margin(motion: CanonicalMotion) -> int:
-    return round(_MARGIN_S * motion.frame_rate)
+def _count_margin(motion: CanonicalMotion, *, margin_s: float = 0.25) -> int:
+    # margin_s: kept around a repetition that is graded
+    return round(margin_s * motion.frame_rate)
 
 
-def _find_pairs(expected: Mapping[str, float]) -> tuple[str, ...]:
+def _find_pairs(expected: Mapping[str, float], *, one_sided: float = 60.0) -> tuple[str, ...]:
     """Angles that move on both sides in the reference, about equally far."""
+    # one_sided: percent: a reference whose symmetry index is beyond is an exercise of one side
     pairs = []
     for name in PAIRED_ANGLES:
         left, right = expected[f"left_{name}"], expected[f"right_{name}"]
-        if min(left, right) >= MOVING_DEG and abs(compute_symmetry_index(left, right)) <= _ONE_SIDED:
+        if min(left, right) >= MOVING_DEG and abs(compute_symmetry_index(left, right)) <= one_sided:
             pairs.append(name)
     return tuple(pairs)
 
@@ -425,9 +424,10 @@ def _find_trends(
     return adjust_for_many({name: estimate_trend(values) for name, values in measures.items()})
 
 
-def _warn(complete: Sequence[AssessedRepetition]) -> tuple[Message, ...]:
+def _warn(complete: Sequence[AssessedRepetition], *, fewest_for_trend: int = 6) -> tuple[Message, ...]:
+    # fewest_for_trend: complete repetitions: of fewer, no order is improbable enough for so many measures
     warnings = []
-    if len(complete) < _FEWEST_FOR_TREND:
+    if len(complete) < fewest_for_trend:
         warnings.append(Message("exercises.few", n=len(complete)))
     ungraded = sum(not math.isfinite(one.score) for one in complete)
     if ungraded:
@@ -468,17 +468,15 @@ PAIR_NAMES: Mapping[str, Message] = {
 """Angle of both sides -> its name."""
 
 SHORT, FAR = 85.0, 120.0
-"""Percent of the reference's range: a joint that goes less far, or further, is told."""
+"""Percent of the reference's range: a joint that goes less far, or further, is reported."""
 _SLOWER, _FASTER = 1.2, 1 / 1.2  # of the reference's duration
-_WEAK = 5.0  # points below the median from which a repetition is named
-_UNEVEN = 15.0  # percent, symmetry index that is told
-_UNEVEN_CHANGE = 0.5  # percent a repetition: a slower change of the sides is true, and of no use to anybody
-_UNLIKE_REFERENCE = 10.0  # and by how much it must be beyond the reference's own
+_UNEVEN = 15.0  # percent, symmetry index that is reported
+_UNEVEN_CHANGE = 0.5  # percent a repetition: a slower change of the sides is of no use
 _MOST_ANGLES = 4  # that a table has room for
 
 
 def choose_angles(assessment: RepetitionsAssessment, most: int = _MOST_ANGLES) -> tuple[str, ...]:
-    """The joint angles that move most in the reference, in the order of `ANGLES`; of each joint one, at least one.
+    """Choose the joint angles that move most in the reference, in the order of `ANGLES`: one of each joint.
 
     A shoulder that is raised has an elevation, a flexion and an abduction; the one that moves most stands for it, the
     same on both sides.
@@ -497,13 +495,13 @@ def choose_angles(assessment: RepetitionsAssessment, most: int = _MOST_ANGLES) -
 
 
 def choose_pair(assessment: RepetitionsAssessment) -> str | None:
-    """The angle of both sides that moves most in the reference; None if no angle moves on both."""
+    """Choose the angle of both sides that moves most in the reference; None if no angle moves on both."""
     pairs = [name for name in PAIRED_ANGLES if assessment.complete and name in assessment.complete[0].symmetry]
     return max(pairs, key=lambda name: assessment.reference_ranges[f"left_{name}"], default=None)
 
 
 def describe_exercise(assessment: RepetitionsAssessment) -> tuple[Message, ...]:
-    """How the repetitions went, the most important first; see `describe_trends` for how they develop.
+    """Describe the repetitions, the most important first; see `describe_trends` for their development.
 
     Parameters
     ----------
@@ -519,23 +517,23 @@ def describe_exercise(assessment: RepetitionsAssessment) -> tuple[Message, ...]:
 
 
 def describe_trends(assessment: RepetitionsAssessment) -> tuple[Message, ...]:
-    """The trends that can be told from chance, or that there are none.
+    """Describe the trends that are distinguishable from chance, or say that there are none.
 
     Of the joints those of `choose_angles` and `choose_pair`; all others are in ``assessment.trends``.
     """
-    told = {"duration_s", "score", "pause_s", "extent", *choose_angles(assessment)}
+    reported = {"duration_s", "score", "pause_s", "extent", *choose_angles(assessment)}
     pair = choose_pair(assessment)
     uneven = f"symmetry_{pair}"
     found = [
         _say_trend(name, trend)
         for name, trend in assessment.trends.items()
-        if trend.distinguishable and (name in told or (name == uneven and abs(trend.slope) >= _UNEVEN_CHANGE))
+        if trend.distinguishable and (name in reported or (name == uneven and abs(trend.slope) >= _UNEVEN_CHANGE))
     ]
     return tuple(found) or (Message("exercise_table.no_trend"),)
 
 
 def compute_median(values: Sequence[float]) -> float:
-    """Of those that are finite; nan of none."""
+    """Compute the median of the finite values; nan if there are none."""
     known = [value for value in values if math.isfinite(value)]
     return float(np.median(known)) if known else math.nan
 
@@ -544,7 +542,8 @@ def _drop_side(angle: str) -> str:
     return angle.removeprefix("left_").removeprefix("right_")
 
 
-def _say_grade(assessment: RepetitionsAssessment) -> list[Message]:
+def _say_grade(assessment: RepetitionsAssessment, *, weak: float = 5.0) -> list[Message]:
+    # weak: points below the median from which a repetition is named
     graded = [(one.score, number) for number, one in enumerate(assessment.repetitions, 1) if math.isfinite(one.score)]
     if not graded:
         return [Message("exercise_summary.no_grade")]
@@ -553,7 +552,7 @@ def _say_grade(assessment: RepetitionsAssessment) -> list[Message]:
     median, low, high = (round_grade(score) for score in (compute_median(scores), min(scores), max(scores)))
     if low == high:
         return [Message("exercise_summary.grade_even", score=median)]
-    if below < _WEAK:
+    if below < weak:
         return [Message("exercise_summary.grade", median=median, low=low, high=high)]
     return [Message("exercise_summary.grade_weakest", median=median, low=low, high=high, number=min(graded)[1])]
 
@@ -599,14 +598,15 @@ def _say_tempo(assessment: RepetitionsAssessment) -> list[Message]:
     return []
 
 
-def _say_sides(assessment: RepetitionsAssessment) -> list[Message]:
+def _say_sides(assessment: RepetitionsAssessment, *, unlike_reference: float = 10.0) -> list[Message]:
+    # unlike_reference: and by how much it must be beyond the reference's own
     pair = choose_pair(assessment)
     if pair is None:
         return []
     uneven = compute_median([one.symmetry[pair] for one in assessment.complete])
     left, right = (assessment.reference_ranges[f"{side}_{pair}"] for side in ("left", "right"))
     own = compute_symmetry_index(left, right)
-    if not (abs(uneven) >= _UNEVEN and abs(uneven - own) >= _UNLIKE_REFERENCE):
+    if not (abs(uneven) >= _UNEVEN and abs(uneven - own) >= unlike_reference):
         return []
     code = "exercise_summary.left_further" if uneven > 0 else "exercise_summary.right_further"
     return [Message(code, angle=PAIR_NAMES[pair], percent=abs(uneven))]

@@ -19,6 +19,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from dousa.arrays import BoolArray, FloatArray, IntArray
+from dousa.evaluation.errors.evidence import runs_of
 from dousa.evaluation.posture.posture import PostureSequence, Working, compute_postures, thin_postures
 from dousa.evaluation.posture.yaw import rotate_yaw
 from dousa.motion import CanonicalMotion
@@ -33,7 +34,7 @@ Matrix = NDArray[np.float64]
 
 
 def parse_passes(cost: Matrix, outside: NDArray[np.float64]) -> tuple[NDArray[np.int64], NDArray[np.float64], float]:
-    """The cheapest reading of a recording as passes through a template, and what lies between them.
+    """Find the cheapest reading of a recording as passes through a template and the time between them.
 
     Parameters
     ----------
@@ -109,7 +110,6 @@ def _trace(origin, from_pass, in_pass):  # type: ignore[no-untyped-def]  # pragm
     return bounds[:count][::-1].copy()
 
 
-_HEADING_S = 0.5  # standard deviation: who turns on the way turns slowly
 _SMOOTH_S = 0.06
 _RATE = 15.0  # Hz at which repetitions are looked for; their bounds are found at the full rate
 _STILL = 0.6  # chord a second below which a body is at rest
@@ -154,14 +154,15 @@ def compute_curve(postures: PostureSequence) -> PostureCurve:
     )
 
 
-def _follow_heading(working: Working, n_frames: int) -> FloatArray:
-    smooth = smooth_gaussian(working.heading, _HEADING_S * working.frame_rate)
+def _follow_heading(working: Working, n_frames: int, *, heading_s: float = 0.5) -> FloatArray:
+    # heading_s: standard deviation: who turns on the way turns slowly
+    smooth = smooth_gaussian(working.heading, heading_s * working.frame_rate)
     places = np.arange(working.n_frames) * working.stride
     return np.interp(np.arange(n_frames), places, smooth)
 
 
 def find_rests(curve: PostureCurve) -> FloatArray:
-    """Postures in which the body often is and hardly moves, the most frequent one first.
+    """Find postures in which the body often is and hardly moves, the most frequent one first.
 
     Returns
     -------
@@ -191,25 +192,15 @@ def _squared(a: FloatArray, b: FloatArray) -> FloatArray:
     return np.asarray(np.maximum(sums, 0.0))
 
 
-def compare_displacements(curve: FloatArray, template: FloatArray) -> FloatArray:
-    """(T, n) squared distances between displacements from rest, (T, D) and (n, D)."""
-    return _squared(curve, template)
-
-
 LEAST_EXCURSION = 0.25
 """Chord: what moves less (a limb of two segments by 10 degrees) is standing still."""
 COMPLETE = 0.65
 """Share of the displacement of the template, or of the usual repetition if that is more, that makes one complete."""
-_INCOMPLETE = 0.25  # share below which it is not even tried
 _BESIDE = 0.5  # share of its displacement by which a broken-off repetition may be beside the exercise's path
 _OTHER = 2.0  # mean squared residual, as a share of the template's mean squared displacement, of other motion
 _ONSET = 0.12  # share of the displacement at which a repetition has begun
 _LEVELS = (0.15, 0.3, 0.5)  # shares of the largest displacements at which excursions are cut
 _SHORTEST_S, _LONGEST_S = 0.4, 20.0
-_MOST_TEMPLATES = 60
-_TOLD = 0.7  # frames that telling a frame of the template costs
-_ON_THE_SPOT_M = 0.4
-_MOMENT_S = 0.3
 _ALIKE, _ALIKE_ALONE = 1.0, 2.5  # misfit, a share of the template's power, from which on a pass is another motion
 _RETURNS = 0.55  # share of its reach within which a repetition begins and ends at rest
 
@@ -347,9 +338,9 @@ def _make_template(points: FloatArray, rest: FloatArray) -> _Template:
 
 
 def find_reference_repetitions(reference: CanonicalMotion | PostureSequence) -> tuple[tuple[int, int], ...]:
-    """Frames, half-open, of the repetitions that a take of the reference holds, one or several.
+    """Find the frames, half-open, of the repetitions in a take of the reference.
 
-    A take that begins and ends in about the same pose, and repeats nothing, is one repetition. Empty if nobody moves.
+    A take that begins and ends in about the same pose, and repeats nothing, is one repetition. Empty without movement.
     """
     curve = compute_curve(_to_postures(reference))
     return tuple(span for span, _ in _split_reference(curve))
@@ -390,11 +381,12 @@ def _pick_template(templates: Sequence[_Template]) -> _Template:
 # Without a reference
 
 
-def _discover(curve: PostureCurve) -> _Parse | None:
+def _discover(curve: PostureCurve, *, most_templates: int = 60, template_cost: float = 0.7) -> _Parse | None:
     """The excursion from rest that explains most of the recording when it is taken for the template.
 
-    The shorter description wins: the template has to be told, and then what every frame differs by.
+    The shorter description wins: first the template, then the difference of every frame.
     """
+    # template_cost: frames that describing a frame of the template costs
     rests = find_rests(curve)
     candidates = [span for rest in rests for span in _cut_excursions(curve, rest)]
     if not candidates:
@@ -404,9 +396,9 @@ def _discover(curve: PostureCurve) -> _Parse | None:
     best: _Parse | None = None
     worth_of_best = -np.inf
     candidates.sort(key=lambda one: one.template.reach)
-    for one in candidates[:: -(-len(candidates) // _MOST_TEMPLATES)]:
+    for one in candidates[:: -(-len(candidates) // most_templates)]:
         parse = _parse(curve, one.template, one.rest, scale)
-        saved = silent - parse.price - _TOLD * len(one.template.path)
+        saved = silent - parse.price - template_cost * len(one.template.path)
         worth = saved / (1.0 + one.strayed**2) if saved > 0 else saved
         if worth > worth_of_best:
             best, worth_of_best = parse, worth
@@ -431,18 +423,20 @@ def _middle_power(candidates: Sequence[_Candidate]) -> float:
     return float(powers[order][np.searchsorted(total, 0.5 * total[-1])])
 
 
-def _cut_excursions(curve: PostureCurve, rest: FloatArray) -> list[_Candidate]:
+def _cut_excursions(
+    curve: PostureCurve, rest: FloatArray, *, on_the_spot_m: float = 0.4, moment_s: float = 0.3
+) -> list[_Candidate]:
     """The spans between two rests, cut at several levels, those with a moment between them taken together as well."""
     away = np.linalg.norm(curve.coarse - rest, axis=1)
     top = float(np.quantile(away, 0.95)) if len(away) else 0.0
     found = set()
     for share in _LEVELS:
-        for gap in (0, round(_MOMENT_S * curve.rate)):
+        for gap in (0, round(moment_s * curve.rate)):
             found |= {_widen(away, start, end) for start, end in _list_spans(away > share * top, gap)}
     candidates = []
     for start, end in sorted(found):
         if away[start:end].max() >= LEAST_EXCURSION and _SHORTEST_S <= (end - start) / curve.rate <= _LONGEST_S:
-            strayed = float(np.linalg.norm(curve.place[end - 1] - curve.place[start])) / _ON_THE_SPOT_M
+            strayed = float(np.linalg.norm(curve.place[end - 1] - curve.place[start])) / on_the_spot_m
             template = _make_template(curve.coarse[start:end], rest)
             ends = np.linalg.norm(template.path[[0, -1]], axis=1)
             if ends.max() <= _RETURNS * template.reach:
@@ -452,9 +446,8 @@ def _cut_excursions(curve: PostureCurve, rest: FloatArray) -> list[_Candidate]:
 
 def _list_spans(mask: BoolArray, gap: int = 0) -> list[tuple[int, int]]:
     """Runs of True, half-open; those at most ``gap`` apart are one."""
-    edges = np.flatnonzero(np.diff(np.r_[False, mask, False].astype(np.int8)))
     spans: list[tuple[int, int]] = []
-    for start, end in zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True):
+    for start, end in runs_of(mask):
         if spans and start - spans[-1][1] <= gap:
             spans[-1] = spans[-1][0], end
         else:
@@ -496,7 +489,7 @@ def _follow(curve: PostureCurve, template: _Template) -> _Parse:
 
 def _parse(curve: PostureCurve, template: _Template, rest: FloatArray, scale: float) -> _Parse:
     moved = curve.coarse - rest
-    cost = compare_displacements(moved, template.path) / scale
+    cost = _squared(moved, template.path) / scale
     outside = np.minimum((moved * moved).sum(axis=1) / scale, 1.0)
     passes, prices, price = parse_passes(cost, outside)
     return _Parse(template, rest, passes, prices * scale / template.power, price)
@@ -541,15 +534,22 @@ def _describe(curve: PostureCurve, parse: _Parse, *, relative: bool) -> list[Rep
 
 
 def _broken_off(
-    moved: FloatArray, template: _Template, spans: Sequence[tuple[int, int]], measure: float, rate: float
+    moved: FloatArray,
+    template: _Template,
+    spans: Sequence[tuple[int, int]],
+    measure: float,
+    rate: float,
+    *,
+    incomplete: float = 0.25,
 ) -> list[tuple[int, int]]:
     """Excursions outside the passes that follow the exercise's path, and not to its end."""
+    # incomplete: share below which it is not even tried
     free = np.ones(len(moved), bool)
     for start, end in spans:
         free[start:end] = False
     away = np.linalg.norm(moved, axis=1)
     found = []
-    for start, end in _list_spans(free & (away > _INCOMPLETE * measure)):
+    for start, end in _list_spans(free & (away > incomplete * measure)):
         peak = start + int(away[start:end].argmax())
         beside = float(np.linalg.norm(template.path - moved[peak], axis=1).min())
         long_enough = _SHORTEST_S * 0.5 <= (end - start) / rate <= _LONGEST_S

@@ -1,7 +1,7 @@
 """Curves over the performance's frames: distances, angles, facing, and what each furi makes of them.
 
 Everything compares the performance with the reference on the same clock, after one turn about the vertical. Both
-are turned onto the mean of a figure alike: by an angle of the reference that changes slowly, and by the yaw between
+are turned onto the mean of a figure together: by an angle of the reference that changes slowly, and by the yaw between
 the two. Pose by pose, a near-vertical one would be turned any way, and each of the two another way.
 """
 
@@ -87,9 +87,6 @@ def _smooth_turn(angle: FloatArray, half: int) -> FloatArray:
     return np.median(windows, axis=1)
 
 
-_PATH_RATE = 60.0  # Hz, of the poses of the reference that the nearest one is chosen from
-_RANGE_WINDOW_S = 0.1
-_RANGE_RATE = 30.0  # Hz, after that smoothing
 _SMALLEST_RANGE = np.radians(15.0)
 _N_DIRECTIONS = 32  # along which the extreme poses of a segment are looked for: 64 candidates
 
@@ -137,7 +134,7 @@ def compute_curves(
     spaces: Mapping[str, Eigenspace],
     pairing: Pairing | None = None,
 ) -> Curves:
-    """All curves of a performance.
+    """Compute all curves of a performance.
 
     Parameters
     ----------
@@ -196,7 +193,7 @@ def compute_curves(
 
 
 def take_off_median(yaw: FloatArray) -> FloatArray:
-    """Angles against their median, from above -pi to pi."""
+    """Compute angles against their median, from above -pi to pi."""
     known = np.isfinite(yaw)
     if not known.any():
         return yaw
@@ -223,14 +220,17 @@ def _measure_distances(
     ours: FloatArray,
     further: FloatArray,
     frame_rate: float,
+    *,
+    path_rate: float = 60.0,
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """d#, d* and the distance to the path of (n, 9, 3) poses that are turned onto the mean, (n,) each.
 
     Poses are turned ``further`` (n,) rad for the path.
     """
+    # path_rate: Hz, of the poses of the reference that the nearest one is chosen from
     # Between the frames of the path the reference itself would be a little off it.
     nearest: FloatArray = np.linalg.norm((ours - theirs).reshape(len(ours), 27), axis=1)
-    step = max(1, int(frame_rate // _PATH_RATE))
+    step = max(1, int(frame_rate // path_rate))
     path = turned.segments[::step][turned.seen[::step]]
     if len(path):
         nearest = np.minimum(nearest, compute_distance_to_path(space, path, rotate_yaw(ours, further)))
@@ -259,13 +259,17 @@ def _measure_gains(
     lag_by_furi: FloatArray,
     furi: Sequence[Furi],
     spaces: Mapping[str, Eigenspace],
+    *,
+    range_window_s: float = 0.1,
+    range_rate: float = 30.0,
 ) -> FloatArray:
     """(n_furi, 9) ranges of the performance over the reference's; nan where the reference hardly moves."""
+    # range_rate: Hz, after that smoothing
     gain = np.full((len(furi), len(SEGMENTS)), np.nan)
     rate = reference.frame_rate
-    half = round(_RANGE_WINDOW_S * rate) // 2
+    half = round(range_window_s * rate) // 2
     smooth_theirs, smooth_ours = _smooth(reference.segments, half), _smooth(performance.segments, half)
-    step = max(1, int(rate // _RANGE_RATE))
+    step = max(1, int(rate // range_rate))
     for number, figure in enumerate(furi):
         if not np.isfinite(lag_by_furi[number]):
             continue

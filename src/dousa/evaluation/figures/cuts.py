@@ -61,7 +61,7 @@ class Repeat:
 
 
 def coarsen(segments: FloatArray, frame_rate: float) -> Coarse:
-    """The motion at a coarse rate and its self-correlation matrix.
+    """Reduce a motion to a coarse rate and compute its self-correlation matrix.
 
     Parameters
     ----------
@@ -83,7 +83,7 @@ def coarsen(segments: FloatArray, frame_rate: float) -> Coarse:
 
 
 def find_repeats(coarse: Coarse, min_s: float) -> tuple[Repeat, ...]:
-    """All stretches that are done again, the clearest first.
+    """Find all stretches that are repeated, the clearest first.
 
     Parameters
     ----------
@@ -120,22 +120,13 @@ def find_repeats(coarse: Coarse, min_s: float) -> tuple[Repeat, ...]:
 # Tuned on synthetic dances and on the recordings that are not held out. Where a repetition begins is worth 1.
 _CUT_COST = 0.5  # what a cut has to be worth; a rest or a change of motion alone is not
 _NOVELTY_WORTH, _REST_WORTH = 0.2, 0.25
-_NOVELTY_S = 1.5  # half a side of the checkerboard
-_SPREAD_S = 0.15  # uncertainty of where a repetition begins
-_SURE_S = 1.0  # a repetition counts in full from so long a one on that gains 1 at every pair
-_INSIDE_S = 0.5  # further than this from its ends a repetition speaks against a cut
-_THROUGH_COST = 1.0
-_OUTVOTED = 0.4  # what one end beyond the first says against that
-_EDGE_S = 0.3  # a repetition that ends this near to the end of the take ended because the take did
-_LONG_REST_S = 3.0  # standing still for so long is a figure of its own
-_AT_REST = 0.1  # rad/s over all segments
 _COMFORT = 0.6  # share of the longest furi from which on its length costs something
 _SHORT_COST = 0.15  # of the shortest furi, nothing from twice its length on: steps of a walk go in pairs
 _SMOOTH_S = 0.25  # motion speed is averaged over so long
 
 
 def rate_cuts(coarse: Coarse, repeats: Sequence[Repeat], speed: FloatArray) -> FloatArray:
-    """What a cut before each coarse frame is worth.
+    """Rate a cut before each coarse frame.
 
     Parameters
     ----------
@@ -158,9 +149,10 @@ def rate_cuts(coarse: Coarse, repeats: Sequence[Repeat], speed: FloatArray) -> F
     return np.minimum(worth, 1.0)
 
 
-def _compute_novelty(coarse: Coarse) -> FloatArray:
+def _compute_novelty(coarse: Coarse, *, novelty_s: float = 1.5) -> FloatArray:
     """(n,) 0 to 1, how much the motion after each coarse frame differs from the one before (Foote 2000)."""
-    half = max(1, round(_NOVELTY_S * coarse.rate))
+    # novelty_s: half a side of the checkerboard
+    half = max(1, round(novelty_s * coarse.rate))
     n = len(coarse.similarity)
     side = np.arange(-half, half) + 0.5
     bell = np.exp(-0.5 * (side / (0.5 * half)) ** 2) * np.sign(side)
@@ -176,7 +168,7 @@ def _compute_novelty(coarse: Coarse) -> FloatArray:
 
 
 def _share_between(worth: FloatArray, repeats: Sequence[Repeat]) -> FloatArray:
-    """Frames that are danced again take over half of each other's worth, so that equal figures are cut alike."""
+    """Frames that are danced again take over half of each other's worth, so that equal figures are cut equally."""
     if not repeats:
         return worth
     earlier = np.concatenate([repeat.earlier for repeat in repeats])
@@ -187,13 +179,27 @@ def _share_between(worth: FloatArray, repeats: Sequence[Repeat]) -> FloatArray:
     return np.where(count > 0, 0.5 * worth + 0.5 * total / np.maximum(count, 1.0), worth)
 
 
-def _rate_ends(coarse: Coarse, repeats: Sequence[Repeat]) -> FloatArray:
+def _rate_ends(
+    coarse: Coarse,
+    repeats: Sequence[Repeat],
+    *,
+    spread_s: float = 0.15,
+    sure_s: float = 1.0,
+    inside_s: float = 0.5,
+    through_cost: float = 1.0,
+    outvoted: float = 0.4,
+    edge_s: float = 0.3,
+) -> FloatArray:
     """(n,) what a cut is worth because repetitions begin or end there; less where others run on."""
+    # spread_s: uncertainty of where a repetition begins; sure_s: a repetition counts in full from so long a one on
+    # that gains 1 at every pair; inside_s: further than this from its ends a repetition speaks against a cut;
+    # outvoted: what one end beyond the first says against that; edge_s: a repetition that ends this near to the end of
+    # the take ended because the take did
     n = len(coarse.similarity)
     ends, through = np.zeros(n + 1), np.zeros(n + 1)
-    edge, inside = _EDGE_S * coarse.rate, round(_INSIDE_S * coarse.rate)
+    edge, inside = edge_s * coarse.rate, round(inside_s * coarse.rate)
     for repeat in repeats:
-        sure = min(1.0, repeat.score / (_SURE_S * coarse.rate))
+        sure = min(1.0, repeat.score / (sure_s * coarse.rate))
         cut_off = repeat.later[-1] + 1 >= n - edge
         ends[repeat.earlier[0]] += sure
         ends[repeat.later[0]] += sure
@@ -203,24 +209,25 @@ def _rate_ends(coarse: Coarse, repeats: Sequence[Repeat]) -> FloatArray:
         if repeat.later[0] > repeat.earlier[-1]:
             for line in (repeat.earlier, repeat.later):
                 through[line[0] + inside : max(0, line[-1] + 1 - inside)] += sure
-    spread = _SPREAD_S * coarse.rate
+    spread = spread_s * coarse.rate
     reach = int(np.ceil(4.0 * spread))
     bell = np.exp(-0.5 * (np.arange(-reach, reach + 1) / spread) ** 2)
     near = np.convolve(ends, bell)[reach : reach + n]
-    against = through[:n] / (1.0 + through[:n] + _OUTVOTED * np.maximum(near - 1.0, 0.0))
-    return np.asarray(np.minimum(near, 1.0) - _THROUGH_COST * against)
+    against = through[:n] / (1.0 + through[:n] + outvoted * np.maximum(near - 1.0, 0.0))
+    return np.asarray(np.minimum(near, 1.0) - through_cost * against)
 
 
-def _find_long_rests(coarse: Coarse) -> list[tuple[int, int]]:
+def _find_long_rests(coarse: Coarse, *, long_rest_s: float = 3.0, at_rest: float = 0.1) -> list[tuple[int, int]]:
     """Start and end of stretches without motion."""
-    still = np.concatenate([[False], coarse.speed < _AT_REST, [False]])
+    # long_rest_s: standing still for so long is a figure of its own; at_rest: rad/s over all segments
+    still = np.concatenate([[False], coarse.speed < at_rest, [False]])
     edges = np.flatnonzero(still[1:] != still[:-1]).tolist()
-    least = _LONG_REST_S * coarse.rate
+    least = long_rest_s * coarse.rate
     return [(a, b) for a, b in zip(edges[::2], edges[1::2], strict=True) if b - a >= least]
 
 
 def choose_cuts(worth: FloatArray, rate: float, min_s: float, max_s: float) -> list[int]:
-    """The cuts that are worth most together, by dynamic programming.
+    """Choose the cuts with the largest sum of ratings, by dynamic programming.
 
     Parameters
     ----------
@@ -255,7 +262,7 @@ def choose_cuts(worth: FloatArray, rate: float, min_s: float, max_s: float) -> l
 
 
 def compute_speed(segments: FloatArray, rate: float) -> FloatArray:
-    """How fast a person moves, averaged over a moment.
+    """Compute the speed of a person, averaged over a moment.
 
     Parameters
     ----------

@@ -23,11 +23,6 @@ from dousa.evaluation.posture.yaw import (
 )
 
 _WIDTH = 3 * len(SEGMENTS)
-_MAX_ROUNDS = 20  # of turning all postures onto the mean and taking the mean again
-_SETTLED = 1e-6  # the mean posture has moved less than this
-_STILL = 1e-12  # variance in all, below which nothing moves: rounding of a person who stands still
-_MOST_CANDIDATES = 64  # poses among which the first yaw reference is chosen
-_MOST_LEARNT = 512  # postures that settle the mean where there are more
 _CHUNK = 500_000  # pairs of poses compared at a time: they stay in the cache
 
 
@@ -82,7 +77,7 @@ class Eigenspace:
         return rotate_yaw(segments, self.find_turn(segments))
 
     def find_turn(self, segments: ArrayLike) -> FloatArray:
-        """The angles by which `align` turns postures.
+        """Find the angles by which `align` turns postures.
 
         Parameters
         ----------
@@ -99,7 +94,7 @@ class Eigenspace:
         return _estimate(check_segments(segments, "segments"), self.mean, self.yaw) + self.bias
 
     def project(self, aligned: ArrayLike) -> FloatArray:
-        """Coordinates of postures in the space.
+        """Project postures onto the space.
 
         Parameters
         ----------
@@ -114,7 +109,7 @@ class Eigenspace:
         return self._centre(aligned) @ self.axes
 
     def residual(self, aligned: ArrayLike) -> FloatArray:
-        """What the space does not hold of postures.
+        """Compute the part of postures outside the space.
 
         Parameters
         ----------
@@ -137,7 +132,7 @@ class Eigenspace:
 def fit_eigenspace(
     segments: ArrayLike, contribution: float = 0.99, weights: ArrayLike | None = None, yaw: str = "robust"
 ) -> Eigenspace:
-    """The eigenspace of the postures of a furi.
+    """Fit the eigenspace of the postures of a furi.
 
     The yaw reference is the mean posture: every posture is turned onto it and the mean taken again until it
     rests. It starts from the posture that faces like most of the others, so the order of takes does not matter.
@@ -199,19 +194,29 @@ def _estimate(poses: FloatArray, mean: FloatArray, yaw: str) -> FloatArray:
     return estimate_yaw(mean, poses) if yaw == "plain" else estimate_robust_yaw(mean, poses)[0]
 
 
-def _settle(poses: FloatArray, shares: FloatArray, yaw: str) -> tuple[FloatArray, FloatArray, float]:
+def _settle(
+    poses: FloatArray,
+    shares: FloatArray,
+    yaw: str,
+    *,
+    max_rounds: int = 20,
+    settled: float = 1e-6,
+    most_learnt: int = 512,
+) -> tuple[FloatArray, FloatArray, float]:
     """All postures turned onto their mean (T, 9, 3), the mean (9, 3), and the bias of the angle."""
+    # max_rounds: of turning all postures onto the mean and taking the mean again; settled: the mean posture has moved
+    # less than this; most_learnt: postures that settle the mean where there are more
     # An even choice of the frames finds the direction; all of them make the mean.
-    step = -(-len(poses) // _MOST_LEARNT)
+    step = -(-len(poses) // most_learnt)
     some, weights = poses[::step], shares[::step]
     if not weights.sum() > 0:
         some, weights = poses, shares
     weights = weights / weights.sum()
     mean = _choose_start(some, weights)
-    for _ in range(_MAX_ROUNDS):
+    for _ in range(max_rounds):
         before = mean
         mean = _turn_onto(some, weights, before, yaw)[1]
-        if np.abs(mean - before).max() < _SETTLED:
+        if np.abs(mean - before).max() < settled:
             break
     if step > 1:
         mean = _turn_onto(poses, shares, mean, yaw)[1]
@@ -228,20 +233,22 @@ def _turn_onto(
     return turned, np.tensordot(shares, turned, axes=1), bias
 
 
-def _choose_start(poses: FloatArray, weights: FloatArray) -> FloatArray:
+def _choose_start(poses: FloatArray, weights: FloatArray, *, most_candidates: int = 64) -> FloatArray:
     """The medoid: the pose that correlates best with the others, of an even choice of them."""
+    # most_candidates: poses among which the first yaw reference is chosen
     usable = np.flatnonzero(weights > 0)
-    step = -(-len(usable) // _MOST_CANDIDATES)
+    step = -(-len(usable) // most_candidates)
     some = poses[usable[::step]]
     likeness = np.abs(compute_complex_correlation(some[:, None], some[None]))
     # Rounding must not decide between poses that are equally good.
     return np.asarray(some[int(np.round(likeness.sum(axis=1), 9).argmax())])
 
 
-def _count_axes(spread: FloatArray, contribution: float) -> tuple[int, float]:
+def _count_axes(spread: FloatArray, contribution: float, *, still: float = 1e-12) -> tuple[int, float]:
     """How many axes, and the share of the variance that they hold."""
+    # still: variance in all, below which nothing moves: rounding of a person who stands still
     total = float(spread.sum())
-    if total < _STILL:
+    if total < still:
         return 0, 1.0
     held = np.cumsum(spread) / total
     # The sum of all is 1 but for rounding.
@@ -250,7 +257,7 @@ def _count_axes(spread: FloatArray, contribution: float) -> tuple[int, float]:
 
 
 def compute_distance_from_space(space: Eigenspace, aligned: ArrayLike) -> FloatArray:
-    """How far postures are from the eigenspace.
+    """Compute the distance of postures from the eigenspace.
 
     Parameters
     ----------
@@ -267,7 +274,7 @@ def compute_distance_from_space(space: Eigenspace, aligned: ArrayLike) -> FloatA
 
 
 def compute_distance_within(space: Eigenspace, aligned: ArrayLike, others: ArrayLike) -> FloatArray:
-    """How far postures are from each other inside the eigenspace.
+    """Compute the distance of postures from each other inside the eigenspace.
 
     Parameters
     ----------
@@ -284,7 +291,7 @@ def compute_distance_within(space: Eigenspace, aligned: ArrayLike, others: Array
 
 
 def compute_segment_residuals(space: Eigenspace, aligned: ArrayLike) -> FloatArray:
-    """How much of the distance from the eigenspace each segment has.
+    """Compute the share of each segment in the distance from the eigenspace.
 
     Parameters
     ----------
@@ -300,7 +307,7 @@ def compute_segment_residuals(space: Eigenspace, aligned: ArrayLike) -> FloatArr
 
 
 def compute_distance_to_path(space: Eigenspace, reference: ArrayLike, performance: ArrayLike) -> FloatArray:
-    """How far postures are from the nearest posture of the reference, at whatever time: wrong, though in the space.
+    """Compute the distance of postures from the nearest posture of the reference at any time.
 
     Parameters
     ----------

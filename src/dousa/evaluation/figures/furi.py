@@ -33,10 +33,8 @@ from dousa.files.disk import atomic_write, read_small_text
 from dousa.motion import CanonicalMotion
 
 # Tuned on synthetic dances and on the recordings that are not held out.
-_ALIKE = 0.45  # figures are one if they are nearer to each other than this share of the motion within them
 _SAME = 0.01  # and so much, of 1 - S, that even two rests are apart
 _MOST_LEARNT = 1500  # postures that make an eigenspace where there are more
-_LENGTH_SLACK = 1.6  # figures whose lengths differ by a larger factor are two
 
 
 @dataclass(frozen=True, slots=True)
@@ -98,7 +96,7 @@ def find_furi(reference: PostureSequence, min_s: float = 1.0, max_s: float = 10.
 
 
 def name_label(number: int) -> str:
-    """Letters for the number of a figure from 0: A, B, ... Z, AA, AB, ..."""
+    """Name the number of a figure from 0 by letters: A, B, ... Z, AA, AB, ..."""
     letters = ""
     number += 1
     while number:
@@ -107,12 +105,14 @@ def name_label(number: int) -> str:
     return letters
 
 
-def _label(cuts: Sequence[int], coarse: Coarse) -> list[str]:
-    """One label a figure; figures are joined, nearest first, as long as a group's figures are alike on average."""
+def _label(cuts: Sequence[int], coarse: Coarse, *, alike: float = 0.45, length_slack: float = 1.6) -> list[str]:
+    """One label a figure; figures are joined, nearest first, as long as a group's figures are similar on average."""
+    # alike: figures are one if they are nearer to each other than this share of the motion within them; length_slack:
+    # figures whose lengths differ by a larger factor are two
     from dousa.evaluation.alignment.dynamic_programming import compare_stretches
 
-    apart, within = compare_stretches(coarse.similarity, np.array(cuts, np.int64), _LENGTH_SLACK)
-    tolerated = _ALIKE * np.minimum(within, within.T) + _SAME
+    apart, within = compare_stretches(coarse.similarity, np.array(cuts, np.int64), length_slack)
+    tolerated = alike * np.minimum(within, within.T) + _SAME
     distance = (apart / tolerated).astype(np.float64)
     np.fill_diagonal(distance, np.inf)
     group = np.arange(len(distance))
@@ -138,7 +138,7 @@ def fit_furi_eigenspaces(
     more: Mapping[str, ArrayLike] | None = None,
     yaw: str = "robust",
 ) -> dict[str, Eigenspace]:
-    """One eigenspace for each label: equal figures share it.
+    """Fit one eigenspace for each label: equal figures share it.
 
     Parameters
     ----------
@@ -185,7 +185,6 @@ def fit_furi_eigenspaces(
     return spaces
 
 
-_SLACK_S = 0.1  # people round: the last figure may end so much after the dance
 _SHOWN = 40  # letters of a wrong line in a message
 _LONGEST_LABEL = 100  # letters; a whole line of a page
 _VALUE = r"[^\s,;\-–—−~〜～]+"
@@ -232,8 +231,9 @@ def read_furi(path: str | os.PathLike[str], frame_rate: float, n_frames: int) ->
     return _name(found)
 
 
-def _parse_line(content: str, frame_rate: float, n_frames: int) -> tuple[int, int, str]:
+def _parse_line(content: str, frame_rate: float, n_frames: int, *, slack_s: float = 0.1) -> tuple[int, int, str]:
     """Start, end (not included) and label; an OptionError says what is wrong."""
+    # slack_s: people round: the last figure may end so much after the dance
     match = _LINE.fullmatch(content)
     if match is None:
         raise OptionError("furi_file.form", found=_quote(content))
@@ -249,7 +249,7 @@ def _parse_line(content: str, frame_rate: float, n_frames: int) -> tuple[int, in
         seconds = [_parse_time(text) for text in times]
         if len(times) == 1:
             raise OptionError("furi_file.mixed", first=first, last=last)
-        if seconds[1] > n_frames / frame_rate + _SLACK_S:
+        if seconds[1] > n_frames / frame_rate + slack_s:
             raise OptionError("furi_file.late", end_s=n_frames / frame_rate, last=last)
         start, end = (min(round(s * frame_rate), n_frames) for s in seconds)
     if start >= end:
@@ -304,7 +304,7 @@ def write_furi(path: str | os.PathLike[str], furi: Sequence[Furi], frame_rate: f
 
 
 def format_furi(furi: Sequence[Furi], frame_rate: float) -> str:
-    """The text of a furi file.
+    """Write the text of a furi file.
 
     Raises
     ------
@@ -333,7 +333,7 @@ def _clock(seconds: float) -> str:
 
 
 def uncovered(furi: Sequence[Furi], n_frames: int) -> tuple[tuple[int, int], ...]:
-    """Stretches of the reference that belong to no figure, and so are not judged.
+    """List the stretches of the reference that belong to no figure, and so are not judged.
 
     Parameters
     ----------
@@ -349,7 +349,7 @@ def uncovered(furi: Sequence[Furi], n_frames: int) -> tuple[tuple[int, int], ...
 
 
 def scale_furi(furi: Sequence[Furi], take: CanonicalMotion, postures: PostureSequence) -> tuple[Furi, ...]:
-    """Figures in frames of the resampled reference."""
+    """Convert figures to frames of the resampled reference."""
     ratio = postures.frame_rate / take.frame_rate
     scaled = []
     for one in furi:
@@ -363,7 +363,7 @@ def scale_furi(furi: Sequence[Furi], take: CanonicalMotion, postures: PostureSeq
 
 
 def pool_takes(warped: Sequence[PostureSequence], furi: Sequence[Furi]) -> dict[str, FloatArray]:
-    """Postures of the further takes by label."""
+    """Collect the postures of the further takes by label."""
     if not warped:
         return {}
     labels = dict.fromkeys(one.label for one in furi)

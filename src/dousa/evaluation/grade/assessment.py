@@ -59,7 +59,6 @@ from dousa.evaluation.posture.posture import (
 from dousa.evaluation.posture.yaw import take_out_of_postures
 from dousa.motion import CanonicalMotion
 
-_ABOVE = 1.05  # rounding, and frames between frames
 _UNLIKE, _FAILING_S = 2.0, 0.3  # mean squared multiple of what is tolerated, and for how long
 
 
@@ -88,7 +87,7 @@ def assess(
     weights : of segments, limbs, ``arms`` or ``legs``; 1 for those not named.
     names : of the references and, last, of the performance.
     importance : ``"learned"``: in the grade segments count as much as they matter in the reference;
-        ``"equal"``: they all count alike. The weights are multiplied with it.
+        ``"equal"``: they all count the same. The weights are multiplied with it.
 
     Returns
     -------
@@ -120,7 +119,7 @@ def compute_all_postures(
     tempo: str,
     names: Sequence[str] = (),
 ) -> tuple[list[PostureSequence], PostureSequence]:
-    """Postures of the takes of the reference and of the performance, at its rate, mirrored if that is asked for.
+    """Compute postures of the takes and of the performance, at its rate, mirrored on request.
 
     Raises
     ------
@@ -140,7 +139,7 @@ def compute_all_postures(
 
 
 def leave_out(weights: FloatArray, takes: Sequence[PostureSequence], performance: PostureSequence) -> FloatArray:
-    """Weights (9,) that are 0 for segments which the performance or one of the takes never shows, the others of mean 1.
+    """Set weights (9,) of segments that the performance or a take never shows to 0, and the mean of the others to 1.
 
     Raises
     ------
@@ -174,7 +173,7 @@ def judge(
 def compare_bodies(
     references: ReferenceTakes, performance: PostureSequence, tempo: str, weights: FloatArray
 ) -> tuple[Comparison, PostureSequence]:
-    """How a performance compares with the takes; and the performance by the body of the reference."""
+    """Compare a performance with the takes, and remove the offset of its body."""
     working = thin_postures(performance)
     comparison = compare(references.working, working, tempo, weights, references.between)
     return comparison, take_out_of_postures(performance, working, comparison.offset)
@@ -207,13 +206,13 @@ class Weighed:
 def weigh(
     references: ReferenceTakes, performance: PostureSequence, comparison: Comparison, weights: FloatArray
 ) -> Weighed:
-    """Tell the errors of a performance from how it compares with the takes; weights (9,), those above 0 of mean 1."""
+    """Find the errors of a performance from its comparison with the takes; weights (9,), those above 0 of mean 1."""
     tolerance = choose_tolerance(comparison.deviations)
     return _weigh(references, performance, comparison, tolerance, weights, None)
 
 
 def reweigh(before: Weighed, references: ReferenceTakes, performance: PostureSequence, weights: FloatArray) -> Weighed:
-    """The same with other weights (9,), the bodies turned onto each other as they were before: quick, nearly right."""
+    """Find the errors with other weights (9,) and the turns of the bodies from before: quick, nearly exact."""
     return _weigh(references, performance, before.comparison, before.tolerance, weights, before.pairing)
 
 
@@ -247,7 +246,7 @@ def look_at_figures(
     side: str,
     tempo: str,
 ) -> Assessment:
-    """The assessment of a performance whose errors are known; ``spaces`` are those of the figures, by label."""
+    """Assess the figures of a performance with known errors; ``spaces`` are those of the figures, by label."""
     working = thin_postures(performance)
     comparison, tolerance, weights = weighed.comparison, weighed.tolerance, weighed.weights
     same, matched = weighed.same, weighed.matched
@@ -347,11 +346,12 @@ def _measure_lag(evidence: Evidence) -> FloatArray:
     return np.where(unknown, np.nan, refine_lag(evidence, course))
 
 
-def _limit(tolerance: Tolerance, among: FloatArray, same_time: FloatArray) -> FloatArray:
+def _limit(tolerance: Tolerance, among: FloatArray, same_time: FloatArray, *, above: float = 1.05) -> FloatArray:
     """(T,) limit of a distance: what all segments at half of their tolerance come to; no take is beyond it."""
+    # above: rounding, and frames between frames
     least = float(np.linalg.norm(tolerance.angle)) / 2.0
     shown = float(np.nanmax(among)) if np.isfinite(among).any() else 0.0
-    return np.where(np.isfinite(same_time), max(least, _ABOVE * shown), np.nan)
+    return np.where(np.isfinite(same_time), max(least, above * shown), np.nan)
 
 
 def _make_path(matched: FloatArray, reference: PostureSequence) -> np.ndarray:
@@ -459,7 +459,7 @@ class _Prepared:
     spaces: OrderedDict[_Frames, Eigenspace] = field(default_factory=OrderedDict)
 
     def fit_spaces(self, figures: Sequence[Furi]) -> dict[str, Eigenspace]:
-        """Eigenspaces by label; those of figures that lay there before are not made again."""
+        """Fit eigenspaces by label; those of figures at the same frames as before are reused."""
         frames: dict[str, _Frames] = {}
         for one in figures:
             frames[one.label] = (*frames.get(one.label, ()), (one.start, one.end))
@@ -542,7 +542,7 @@ class AdjustableAssessment:
         *,
         importance: str = "learned",
     ) -> Assessment:
-        """What `dousa.evaluation.assess` says of these figures, weights and importance.
+        """Assess with these figures, weights and importance, as `dousa.evaluation.assess`.
 
         Parameters
         ----------
@@ -566,7 +566,7 @@ class AdjustableAssessment:
         *,
         importance: str = "learned",
     ) -> tuple[Assessment, bool]:
-        """The same in a fraction of the time, and whether it is exactly the same.
+        """Assess in a fraction of the time; the second result is whether the answer is exact.
 
         With weights that are new, the takes and the performance stay turned onto each other as they were with the
         weights before, and so does what is tolerated; how much the segments count is that of the new weights.

@@ -28,8 +28,6 @@ _RATE = 10.0  # Hz, of the moments that are measured
 _NEAR = np.radians(12.0) ** 2  # squared chord from which a moment is hardly the same
 _CHANGE, _LATE = 0.4, 0.02  # prices of 0.1 s more or less of lag, and of being late, against log(1 + chord^2 / near)
 _RESEMBLED = np.radians(25.0) ** 2  # squared chord of all segments of a pose that was danced, at whatever time
-_STEP_S = 0.5  # a performance that goes on by no more than this in the reference leaves nothing out
-_MOST_POSES = 90
 _WORST = 90.0  # percent of the time
 _FLOOR_DEG, _FLOOR_SPEED = 20.0, 5.0  # deg, deg/s: what hardly moves is measured against this
 _FLOOR_STILL = 1.0  # deg/s, of a reference that stands still
@@ -64,7 +62,7 @@ class Measured:
     weights_of: FloatArray
 
     def find_coverage(self, weights: FloatArray) -> float:
-        """Share of the reference's motion that was danced, 0 to 1; weights (9,) of the segments."""
+        """Find the share of the reference's motion that was danced, 0 to 1; weights (9,) of the segments."""
         motion = (self.weights_of + _FLOOR_STILL) @ weights
         return float((motion * self.covered).sum() / max(float(motion.sum()), 1e-9))
 
@@ -186,11 +184,14 @@ def _find_covered(
     step: int,
     count: int,
     rate: float,
+    *,
+    step_s: float = 0.5,
 ) -> NDArray[np.bool_]:
     """(U,) moments of the reference that the performance passes, or whose pose it shows at about that time."""
+    # step_s: a performance that goes on by no more than this in the reference leaves nothing out
     covered = np.zeros(count, np.bool_)
     there = np.rint(frames[rows]).astype(np.intp) + lag
-    near = np.abs(np.diff(there)) <= _STEP_S * rate + step
+    near = np.abs(np.diff(there)) <= step_s * rate + step
     for start, end in zip(there[:-1][near], there[1:][near], strict=True):
         covered[max(min(start, end), 0) : max(max(start, end) + 1, 0)] = True
     steps = np.arange(-(center // step), center // step + 1) * step
@@ -212,7 +213,9 @@ def _find_shown(performance: Working, frames: FloatArray, count: int) -> NDArray
     return shown
 
 
-def _measure_motion(take: Working, seen: NDArray[np.bool_], rate: float) -> tuple[FloatArray, FloatArray]:
+def _measure_motion(
+    take: Working, seen: NDArray[np.bool_], rate: float, *, most_poses: int = 90
+) -> tuple[FloatArray, FloatArray]:
     """(9,) deg of range, and (9,) deg of way, of what is (T, 9) to be looked at."""
     step = max(1, round(rate / _RATE))
     body = rotate_yaw(take.segments, -np.nan_to_num(take.heading))[::step]
@@ -221,7 +224,7 @@ def _measure_motion(take: Working, seen: NDArray[np.bool_], rate: float) -> tupl
     turns = np.degrees(np.linalg.norm(np.diff(body, axis=0), axis=2))
     for segment in np.flatnonzero(here.sum(axis=0) >= 2):
         some = body[here[:, segment], segment]
-        few = some[np.linspace(0, len(some) - 1, min(len(some), _MOST_POSES)).round().astype(int)]
+        few = some[np.linspace(0, len(some) - 1, min(len(some), most_poses)).round().astype(int)]
         ranges[segment] = np.percentile(np.degrees(np.arccos(np.clip(few @ few.T, -1.0, 1.0))), 99.0)
         both = here[1:, segment] & here[:-1, segment]
         ways[segment] = turns[both, segment].sum()
@@ -229,7 +232,7 @@ def _measure_motion(take: Working, seen: NDArray[np.bool_], rate: float) -> tupl
 
 
 def compute_deviation(residual: ArrayLike, weights: ArrayLike | None = None) -> float:
-    """Mean angle between a performance and its reference.
+    """Compute the mean angle between a performance and its reference.
 
     Parameters
     ----------

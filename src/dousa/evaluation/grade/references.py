@@ -93,7 +93,7 @@ def prepare_references(
     clock = (thin_postures(first),)
     unwarped = [thin_postures(take) for take in takes[1:]]
     alone = [compare(clock, take, tempo, weights) for take in unwarped]
-    # Takes without common timing are takes all the same: what counts is how alike they get at the best times.
+    # Takes without common timing are takes all the same: what counts is their similarity at the best times.
     shapes = [one.measured.find_parts(weights)[PARTS.index("shape")] for one in alone]
     like = [
         i
@@ -122,7 +122,7 @@ def prepare_references(
 
 
 def set_importance(references: ReferenceTakes, importance: str) -> ReferenceTakes:
-    """The same takes; with ``"equal"`` all segments count alike in the grade, with ``"learned"`` as they matter."""
+    """Set the importance: with ``"equal"`` all segments count the same in the grade, with ``"learned"`` as learned."""
     return references if importance == "learned" else replace(references, importance=np.ones(9))
 
 
@@ -147,17 +147,20 @@ def _warp(first: PostureSequence, take: PostureSequence, frames: FloatArray) -> 
     )
 
 
-_MOST_APART_S = 0.4  # of takes at one moment: more is a slip of the curve
-_CLOCK_S = 0.4  # over which the common clock is averaged
-
-
 def _keep_common_clock(
-    working: tuple[Working, ...], first: PostureSequence, paths: Sequence[FloatArray]
+    working: tuple[Working, ...],
+    first: PostureSequence,
+    paths: Sequence[FloatArray],
+    *,
+    most_apart_s: float = 0.4,
+    clock_s: float = 0.4,
 ) -> tuple[tuple[Working, ...], FloatArray, FloatArray]:
     """Takes, warped onto the first, on the clock that most of them keep; see `ReferenceTakes`.
 
     A held pose tells no time: there the clock is carried on from the movement around it.
     """
+    # most_apart_s: of takes at one moment: more is a slip of the curve; clock_s: over which the common clock is
+    # averaged
     clock = working[0]
     count, rate = clock.n_frames, clock.frame_rate
     own = np.arange(float(count))
@@ -167,10 +170,10 @@ def _keep_common_clock(
     late = np.array([np.interp(frames, np.arange(first.n_frames), path) - frames for path in paths]) / first.frame_rate
     late -= np.median(late, axis=1, keepdims=True)
     speed = np.linalg.norm(np.gradient(clock.segments, axis=0), axis=2).sum(axis=1) if count > 1 else np.zeros(count)
-    kernel = np.hanning(2 * max(1, round(_CLOCK_S * rate)) + 1)
+    kernel = np.hanning(2 * max(1, round(clock_s * rate)) + 1)
     kernel /= kernel.sum()
     weight = speed + 0.05 * max(float(speed.mean()), 1e-6)
-    late = np.clip(late, -_MOST_APART_S, _MOST_APART_S)
+    late = np.clip(late, -most_apart_s, most_apart_s)
     smooth = np.array([_average(one * weight, kernel) / _average(weight, kernel) for one in late])
     all_takes = np.concatenate([np.zeros((1, count)), smooth])
     common = np.median(all_takes, axis=0)
@@ -224,16 +227,23 @@ def compare(
     return Comparison(alignment, deviations, bodies[0], measured)
 
 
-_PAIRED_RATE = 10.0  # Hz: a body does not change faster
-_PAIRED_S = 1.2
 _TURN, _LATE = 0.05, 0.005  # prices of 0.1 s more or less, and of being late at all, in frames with nothing in common
 
 
-def _pair_poses(reference: Working, performance: Working, frames: FloatArray, weights: FloatArray) -> IndexArray:
-    """(K, 2) frames of both that resemble each other best near the line ``frames`` (T,), whoever is late."""
-    step = max(1, round(performance.frame_rate / _PAIRED_RATE))
+def _pair_poses(
+    reference: Working,
+    performance: Working,
+    frames: FloatArray,
+    weights: FloatArray,
+    *,
+    paired_rate: float = 10.0,
+    paired_s: float = 1.2,
+) -> IndexArray:
+    """(K, 2) frames of both that resemble each other best near the line ``frames`` (T,), at any lag."""
+    # paired_rate: Hz: a body does not change faster
+    step = max(1, round(performance.frame_rate / paired_rate))
     rows = np.arange(0, performance.n_frames, step)
-    reach = max(1, round(_PAIRED_S * performance.frame_rate / step))
+    reach = max(1, round(paired_s * performance.frame_rate / step))
     lags = np.arange(-reach, reach + 1)
     there = np.rint(frames[rows]).astype(np.intp)[:, None] + lags * step
     inside = (there >= 0) & (there < reference.n_frames)
@@ -262,7 +272,7 @@ def _compare_takes(
 
 
 def choose_tolerance(deviations: Deviations) -> Tolerance:
-    """What the performer's own steadiness asks for, and how much the takes differ."""
+    """Choose the tolerance from the performer's steadiness and the spread of the takes."""
     own = measure_unsteadiness(deviations)
     if not deviations.spread.any():
         return own
@@ -270,14 +280,14 @@ def choose_tolerance(deviations: Deviations) -> Tolerance:
 
 
 def describe(references: ReferenceTakes, frames: FloatArray, evidence: Evidence) -> Descriptors:
-    """What the judge sees of a performance along reference frames (T,)."""
+    """Describe a performance along reference frames (T,) for the judge."""
     clock = np.arange(len(references.time_spread))
     time_spread = np.interp(frames, clock, references.time_spread)
     return describe_moments(evidence, time_spread, len(references.working), explain_all(evidence))
 
 
 def find_errors(references: ReferenceTakes, frames: FloatArray, evidence: Evidence) -> list[Finding]:
-    """All errors of a performance along reference frames (T,), in order of time."""
+    """Find all errors of a performance along reference frames (T,), in order of time."""
     descriptors = describe(references, frames, evidence)
     suspects = load_judge().find(descriptors, evidence.rate / choose_stride(evidence.rate))
     return measure_suspects(evidence, suspects, descriptors.frames)

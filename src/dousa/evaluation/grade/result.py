@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -316,7 +316,6 @@ def _summarise_facing(facing: FloatArray) -> dict[str, float | None]:
 
 
 _JOIN_S = 0.35
-_MOSTLY = 0.5  # share of the performance with a place in the reference: below, the grade is about a part
 _ALIKE = 0.3  # mismatch along the lines
 _MIRROR_BETTER = 0.6
 _TEMPO_OFF, _TEMPO_BETTER = 0.04, 0.8
@@ -334,7 +333,7 @@ def describe_findings(
     facing: FloatArray,
     furi_index: IndexArray,
 ) -> tuple[ErrorEvent, ...]:
-    """Events of findings, those that a lapse explains left out.
+    """Describe findings as events, without those that a lapse explains.
 
     Parameters
     ----------
@@ -397,25 +396,15 @@ def _join(findings: Sequence[Finding], gap: float) -> list[Finding]:
             joined.append(finding)
             continue
         worse = max(last, finding, key=lambda one: one.severity)
-        joined[-1] = Finding(
-            last.kind,
-            last.start,
-            max(last.end, finding.end),
-            last.segments,
-            worse.severity,
-            worse.worst,
-            worse.lag_s,
-            worse.shortfall,
-            worse.shortfall_share,
-        )
+        joined[-1] = replace(worse, start=last.start, end=max(last.end, finding.end))
     return joined
 
 
 def _belongs(last: Finding, finding: Finding, gap: float) -> bool:
-    alike = last.kind == finding.kind and last.segments == finding.segments
-    if alike and last.lag_s is not None and finding.lag_s is not None:
-        alike = last.lag_s * finding.lag_s > 0
-    return alike and finding.start - last.end <= gap
+    same = last.kind == finding.kind and last.segments == finding.segments
+    if same and last.lag_s is not None and finding.lag_s is not None:
+        same = last.lag_s * finding.lag_s > 0
+    return same and finding.start - last.end <= gap
 
 
 def _overlap(start: float, end: float, lapse: Lapse) -> float:
@@ -423,7 +412,7 @@ def _overlap(start: float, end: float, lapse: Lapse) -> float:
 
 
 def describe_gaps(performance: PostureSequence) -> tuple[tuple[float, float, str], ...]:
-    """Spans of the performance that were not seen, by segment; those that never were seen have no gaps."""
+    """List the spans that were not seen, by segment; segments that were never seen have no gaps."""
     gaps = [
         (start / performance.frame_rate, end / performance.frame_rate, name)
         for index, name in enumerate(SEGMENTS)
@@ -444,7 +433,7 @@ def describe_warnings(
     weights: FloatArray,
     side: str,
 ) -> tuple[Message, ...]:
-    """What a person should know before believing the grade."""
+    """Describe the reservations about the grade."""
     first, mismatch = references.working[0], comparison.alignment.mismatch
     found = [Message("assessment.sides")] if side == "mirrored" else []
     found += [Message("assessment.left_out", number=number) for number in references.left_out]
@@ -474,11 +463,14 @@ def _describe_coverage(
     furi: Sequence[Furi],
     performance: PostureSequence,
     comparison: Comparison,
+    *,
+    mostly: float = 0.5,
 ) -> list[Message]:
     """What of both motions is not compared."""
+    # mostly: share of the performance with a place in the reference: below, the grade is about a part
     found: list[Message] = []
     compared = float(comparison.deviations.judged.any(axis=1).mean())
-    if compared < _MOSTLY:
+    if compared < mostly:
         found.append(Message("assessment.compared", percent=100.0 * compared))
     for code, postures in (("assessment.gaps", performance), ("assessment.reference_gaps", references.postures)):
         seen = postures.seen[:, postures.seen.any(axis=0)]
@@ -512,12 +504,11 @@ def _stands_still(postures: PostureSequence) -> bool:
 
 
 _LEAST_DEG = 5.0
-_ALIKE_DEG = 6.0  # left and right that differ by less are said as one
 _SIDES = {"left_arm": "right_arm", "left_leg": "right_leg"}
 
 
 def describe_offset(offset: Offset, reference: Working) -> tuple[Message, ...]:
-    """What a person should know of another body: "both arms are 8 deg further from the body throughout".
+    """Describe the offset of another body: "both arms are 8 deg further from the body throughout".
 
     Parameters
     ----------
@@ -577,5 +568,6 @@ def _find_way(limb: str, moved: FloatArray) -> tuple[str, float]:
     return way, float(abs(moved[axis]))
 
 
-def _belong(one: tuple[str, float], other: tuple[str, float]) -> bool:
-    return one[0] == other[0] != "" and abs(one[1] - other[1]) < _ALIKE_DEG
+def _belong(one: tuple[str, float], other: tuple[str, float], *, alike_deg: float = 6.0) -> bool:
+    # alike_deg: left and right that differ by less are said as one
+    return one[0] == other[0] != "" and abs(one[1] - other[1]) < alike_deg

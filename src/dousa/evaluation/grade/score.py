@@ -24,7 +24,7 @@ from dousa.messages import Message
 
 _FEWEST = 2  # takes beside the first that tell what is usual
 _MOSTLY = 1.28  # standard deviations around which four of five lie
-_SAME_LENGTH = 0.02  # of the reference that nobody misses
+_SAME_LENGTH = 0.02  # of the reference that may be missing
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -55,7 +55,7 @@ class GradeModel:
     unlike_mismatch: float
 
     def find_sum(self, parts: FloatArray, takes: FloatArray, n_references: int) -> float:
-        """How far a performance is from the reference, 0 or above; parts (7,) of it, takes (n, 7) of the others."""
+        """Sum up the distance from the reference, 0 or above; parts (7,) of the performance, takes (n, 7) of others."""
         return float(self.compare_parts(parts, takes, n_references) @ self.strengths)
 
     def compare_parts(self, parts: FloatArray, takes: FloatArray, n_references: int) -> FloatArray:
@@ -82,7 +82,7 @@ def _interpolate(count: int, counts: FloatArray, values: FloatArray) -> FloatArr
 
 @cache
 def load_model() -> GradeModel:
-    """The numbers that the package comes with."""
+    """Load the model of the package."""
     table = tomllib.loads(files("dousa.evaluation.grade").joinpath("grade.toml").read_text("utf-8"))
     rows = ("n_references", "usual", "floors", "strengths", "curve", "doubt")
     arrays = {name: np.array(table[name], np.float64) for name in rows}
@@ -111,9 +111,9 @@ class Grade:
 
 
 def round_grade(score: float) -> float:
-    """A grade without decimals, as every page, report and table says it: of 76.5 that is 77; nan stays nan.
+    """Round a grade as every page, report and table shows it: 76.5 to 77; nan stays nan.
 
-    Answers hold grades with one decimal. Rounded from there, a grade that is read from an answer is told like the one
+    Answers hold grades with one decimal. Rounded from there, a grade that is read from an answer is shown like the one
     that the answer was made of.
     """
     return math.floor(round(score, 1) + 0.5) if math.isfinite(score) else math.nan
@@ -122,7 +122,7 @@ def round_grade(score: float) -> float:
 def compute_grade(
     parts: FloatArray, coverage: float, takes: FloatArray, n_references: int, *, unlike: bool = False
 ) -> Grade:
-    """The grade of a performance.
+    """Compute the grade of a performance.
 
     Parameters
     ----------
@@ -190,7 +190,7 @@ def grade_performance(
     weights: FloatArray,
     frames: NDArray[np.bool_] | None = None,
 ) -> Grade:
-    """The grade of a performance, or of some of its working frames (T,): of a furi.
+    """Grade a performance, or some of its working frames (T,): a furi.
 
     Parameters
     ----------

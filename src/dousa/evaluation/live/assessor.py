@@ -214,7 +214,7 @@ class IncrementalAssessor:
         return self._describe(number, bare, seen & ~self._offset.missing)
 
     def finish(self) -> Assessment:
-        """The assessment of all frames so far, as `assess` gives it.
+        """Assess all frames so far, as `assess` does.
 
         Returns
         -------

@@ -76,7 +76,7 @@ class LagWatcher:
         self.forget()
 
     def forget(self) -> None:
-        """The line has moved: lags before mean nothing."""
+        """Forget all lags, after the line has moved."""
         n_lags = 2 * self.center + 1
         shape = (len(self._takes), self._length, n_lags, 2)
         self._past, self._turns = np.zeros(shape), np.zeros((len(self._takes), n_lags, 2))
@@ -180,7 +180,7 @@ class FigureMeter:
 
 
 def mix_poses(segments: FloatArray, frame: float) -> FloatArray:
-    """The pose (9, 3) at a fractional frame of (T, 9, 3), ends held: `interpolate_segments` of one."""
+    """Interpolate the pose (9, 3) at a fractional frame of (T, 9, 3), ends held: `interpolate_segments` of one."""
     frame = min(max(frame, 0.0), len(segments) - 1.0)
     low = int(frame)
     share = frame - low
@@ -201,7 +201,7 @@ def _mix(values: FloatArray, frame: float) -> float:
 
 
 def turn_pose(pose: FloatArray, yaw: float) -> FloatArray:
-    """A pose (9, 3) turned about the vertical: `rotate_yaw` of one."""
+    """Turn a pose (9, 3) about the vertical: `rotate_yaw` of one."""
     cosine, sine = math.cos(yaw), math.sin(yaw)
     return np.asarray(pose @ np.array([[cosine, 0.0, -sine], [0.0, 1.0, 0.0], [sine, 0.0, cosine]]))
 
@@ -232,7 +232,7 @@ def compare_pose(
     past: FloatArray,
     squared: FloatArray,
 ) -> None:  # pragma: no cover - compiled
-    """Squared chords of one pose at every lag, the yaw taken from this pose and those before it at equal lag.
+    """Measure squared chords of one pose at every lag, with the yaw of this pose and those before at equal lag.
 
     Parameters
     ----------

@@ -51,7 +51,7 @@ _CLEAR = 5.0  # coarse frames of complete mismatch by which a line must beat eve
 _OTHER_S = 1.0  # lines nearer than this are not another
 _LATEST_S = 15.0  # after which the best line is believed
 _TREND_S = 40.0
-_ZERO_GAIN = 0.01  # as in `align`: recordings cut alike begin together unless something speaks against it
+_ZERO_GAIN = 0.01  # as in `align`: recordings of equal length begin together unless something speaks against it
 
 
 @dataclass(slots=True)
@@ -75,7 +75,7 @@ class _Diagonals:
         self.counted = end
 
     def settle(self, middle: int, reach: int, *, prefer_zero: bool) -> float:
-        """The shift with the least mean cost, to a fraction of a frame."""
+        """Find the shift with the least mean cost, to a fraction of a frame."""
         near = np.abs(self.shifts - middle) <= reach
         shifts, costs = self.shifts[near], self.costs[near] / max(self.counted - self.start, 1)
         best = int(np.argmin(costs))
@@ -220,8 +220,8 @@ class LineFollower:
             known = _Diagonals(begin, begin, shifts, np.zeros(len(shifts)))
             self._diagonals.append(known)
         known.add(end, self._reference, segments, self._weights)
-        alike = len(segments) <= 1.02 * self._reference.n_frames + 1
-        return known.settle(middle, reach, prefer_zero=alike and end - start > 0.6 * len(segments))
+        equal = len(segments) <= 1.02 * self._reference.n_frames + 1
+        return known.settle(middle, reach, prefer_zero=equal and end - start > 0.6 * len(segments))
 
     def _follow_tempo(self, run: Run, frames: FloatArray) -> FloatArray:
         begin = max(run.start, run.end - round(_TREND_S * self._rate))
@@ -315,7 +315,7 @@ class Window:
         return float(moved.max()) if len(moved) else 0.0
 
     def settle(self, performance: Working, until: int) -> list[Finding]:
-        """Errors that end before the working frame ``until`` and were not reported yet, in frames of the whole."""
+        """Find new errors that end before the working frame ``until``, in frames of the whole."""
         assert self._parts is not None
         self._find_lapses(performance, until)
         tolerance = self.tolerance
@@ -329,7 +329,7 @@ class Window:
             # What touches an error that goes on may become part of it, or of a lapse that is not known yet.
             self._open = group[0].start
             if until - self._open >= (_LONG_S - _CONTEXT_S) * self._rate:
-                # Nobody waits for ever: what has been wrong for so long is reported in pieces.
+                # An error that lasts so long is reported in pieces.
                 settled += [replace(one, end=min(one.end, until)) for one in group if one.start < until]
                 self._open = until
         fresh = [one for one in (self._cut_off(one) for one in settled) if one is not None]
@@ -354,10 +354,10 @@ class Window:
     def _cut_off(self, finding: Finding) -> Finding | None:
         """What of an error was not reported yet; None if it was, or too little is left."""
         start = finding.start
-        for told in self._reported:
-            same = told.kind == finding.kind and set(told.segments) & set(finding.segments)
-            if same and told.start < finding.end and start < told.end:
-                start = told.end
+        for earlier in self._reported:
+            same = earlier.kind == finding.kind and set(earlier.segments) & set(finding.segments)
+            if same and earlier.start < finding.end and start < earlier.end:
+                start = earlier.end
         if start > finding.start and finding.end - start < _LEAST_LEFT_S * self._rate:
             return None
         recent = finding.end > self._settled_to - _LATE_NEWS_S * self._rate

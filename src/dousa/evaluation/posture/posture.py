@@ -113,7 +113,7 @@ class PostureSequence:
 
 
 def check_segments(values: ArrayLike, what: str) -> FloatArray:
-    """Postures as a float array (..., 9, 3), finite; ``what`` names the argument in the error.
+    """Check postures (..., 9, 3) to be finite numbers; ``what`` names the argument in the error.
 
     Raises
     ------
@@ -137,7 +137,7 @@ def find_lacking(sequences: Iterable[PostureSequence]) -> NDArray[np.bool_]:
 
 
 def check_weights(weights: ArrayLike | None) -> FloatArray:
-    """Weights (9,) or (..., 9) of the segments, 0 or above and not all 0 in any row; equal ones for None.
+    """Check weights (9,) or (..., 9) of the segments, 0 or above and not all 0 in any row; equal ones for None.
 
     Raises
     ------
@@ -154,7 +154,7 @@ def check_weights(weights: ArrayLike | None) -> FloatArray:
 
 
 def compute_segments(positions: ArrayLike) -> FloatArray:
-    """Directions of the nine segments of a pose.
+    """Compute the directions of the nine segments of a pose.
 
     Parameters
     ----------
@@ -182,7 +182,7 @@ def compute_segments(positions: ArrayLike) -> FloatArray:
 
 
 def compute_postures(motion: CanonicalMotion, frame_rate: float | None = None, name: str = "") -> PostureSequence:
-    """The postures of a motion, at its own or another frame rate.
+    """Compute the postures of a motion, at its own or another frame rate.
 
     The first frame stays at 0 s; the new frames go on as long as the old ones do. Positions are interpolated
     linearly. What is not seen is filled from the neighbours in time, and marked.
@@ -258,7 +258,7 @@ def _fill(segments: FloatArray, seen: NDArray[np.bool_]) -> None:
 
 
 def mirror_postures(postures: PostureSequence) -> PostureSequence:
-    """The same motion in a mirror: x negated, left and right changed; arrays read-only."""
+    """Mirror postures: x negated, left and right exchanged; arrays read-only."""
     flip = np.array([-1.0, 1.0, 1.0])
     arrays = (
         postures.segments[:, MIRRORED_SEGMENTS] * flip,
@@ -305,7 +305,7 @@ class Working:
 
 
 def thin_postures(postures: PostureSequence) -> Working:
-    """Average groups of frames so that about `WORKING_RATE` a second are left; what is left over is dropped."""
+    """Average groups of frames to about `WORKING_RATE` a second; the frames of an incomplete group are dropped."""
     stride = max(1, round(postures.frame_rate / WORKING_RATE))
     stride = min(stride, postures.n_frames)
     count = postures.n_frames // stride
@@ -332,7 +332,7 @@ def _measure_heading(positions: FloatArray, half: int) -> FloatArray:
 
 
 def interpolate_segments(segments: FloatArray, frames: FloatArray) -> FloatArray:
-    """Unit vectors at fractional frames, ends held; (N, 9, 3) for (N,) frames."""
+    """Interpolate unit vectors at fractional frames, ends held; (N, 9, 3) for (N,) frames."""
     frames = np.clip(frames, 0.0, len(segments) - 1.0)
     low = np.minimum(frames.astype(np.intp), max(len(segments) - 2, 0))
     high = np.minimum(low + 1, len(segments) - 1)
@@ -342,7 +342,6 @@ def interpolate_segments(segments: FloatArray, frames: FloatArray) -> FloatArray
 
 
 _LARGEST = 1e6
-_SHOWN = 40  # letters of a wrong value in a message
 
 # From the coarse names to the exact ones, which are laid over them.
 LEVELS: tuple[dict[str, tuple[str, ...]], ...] = (
@@ -434,17 +433,18 @@ def _check(value: Any, name: str, where: str) -> None:
         raise OptionError("weights_file.weight", path=where, name=name, found=_shown(value))
 
 
-def _shown(value: Any) -> str | Message:
+def _shown(value: Any, *, shown: int = 40) -> str | Message:
     """The beginning of a wrong value."""
+    # shown: letters of a wrong value in a message
     try:
         text = repr(value)
     except ValueError:  # an integer of more digits than Python writes
         return Message("weights_file.huge")
-    return text if len(text) <= _SHOWN else text[:_SHOWN] + "..."
+    return text if len(text) <= shown else text[:shown] + "..."
 
 
 def spread_weights(weights: Mapping[str, float] | None) -> FloatArray:
-    """(9,) weights; those above 0 have a mean of 1, so that leaving limbs out makes nobody stricter with the rest."""
+    """(9,) weights; those above 0 have a mean of 1, so that leaving limbs out does not make the rest count more."""
     given = dict(weights or {})
     known = [name for level in LEVELS for name in level]
     for name, value in given.items():

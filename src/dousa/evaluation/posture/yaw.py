@@ -42,7 +42,7 @@ def get_horizontal(segments: FloatArray) -> ComplexArray:
 def compute_complex_correlation(
     a: ArrayLike, b: ArrayLike, normalisation: str = "pose", weights: ArrayLike | None = None
 ) -> ComplexArray:
-    """Complex correlation of the horizontal parts of two postures.
+    """Compute the complex correlation of the horizontal parts of two postures.
 
     Parameters
     ----------
@@ -82,7 +82,7 @@ def compute_complex_correlation(
 def estimate_yaw(
     a: ArrayLike, b: ArrayLike, normalisation: str = "pose", weights: ArrayLike | None = None
 ) -> FloatArray:
-    """The angle about the vertical that turns one posture onto another.
+    """Estimate the angle about the vertical that turns one posture onto another.
 
     Parameters
     ----------
@@ -104,7 +104,7 @@ def estimate_yaw(
 def estimate_robust_yaw(
     a: ArrayLike, b: ArrayLike, weights: ArrayLike | None = None, n_rounds: int = 6
 ) -> tuple[FloatArray, FloatArray]:
-    """The same angle, which one wrong limb cannot bend.
+    """Estimate the same angle robustly against one wrong limb.
 
     Six starts (all segments, and all but one limb) compete; the one that leaves most segments in place is
     refined: segments far off lose weight, the angle is estimated again, and so on.
@@ -164,7 +164,7 @@ def _far(products: ComplexArray, fixed: FloatArray, turn: ComplexArray) -> Float
 
 
 def rotate_yaw(segments: ArrayLike, theta: ArrayLike) -> FloatArray:
-    """Postures turned about the vertical.
+    """Turn postures about the vertical.
 
     Parameters
     ----------
@@ -200,19 +200,15 @@ WITHIN_S = 2.5
 TILT_DEG = 5.0
 """deg, of a sensor against the vertical."""
 
-_LIMIT = 1.6  # of the root mean square: one body in twelve differs more
 _PRIOR_TAKES = 4.0  # what is known of people counts as so many takes of the reference
-_SOFT = 4.0  # how suddenly the limit sets in
 
 _YAW_WINDOW_S = 0.6
 _SCALES = np.radians([3.0, 10.0]) ** 2  # squared deviation from which a moment loses its say, at least and at most
-_STEADY = 4.0  # of the median squared deviation
 _N_YAWS, _N_ROUNDS = 2, 5
 _MOST_MOMENTS = 1500
-_RIDGE = 0.03  # of the moments: about its own axis a segment that hardly moves has no offset
 
 _SEEN = 0.1  # of the time: less says nothing of a part
-_STILL = np.radians(0.1)  # nobody holds a limb so still: a joint that is not tracked
+_STILL = np.radians(0.1)  # no person holds a limb so still: a joint that is not tracked
 _MOVES = np.radians(15.0)
 _HIGHER = 0.5  # vertical part of both thighs, mostly: who sits does not stand badly
 
@@ -243,14 +239,14 @@ class Offset:
 
 
 def make_no_offset() -> Offset:
-    """Of the same body."""
+    """Make the offset of the same body."""
     return Offset(np.zeros((9, 3)), np.zeros((9, 3)), np.zeros(9), np.zeros(9, np.bool_))
 
 
 def estimate_offset(
     reference: Working, performance: Working, pairs: IndexArray, between: FloatArray | None = None
 ) -> Offset:
-    """How another body stands, as far as the moments that correspond tell.
+    """Estimate the offset of another body from moments that correspond.
 
     Parameters
     ----------
@@ -285,10 +281,11 @@ def find_tilt(measured: FloatArray, shown: NDArray[np.bool_]) -> FloatArray:
     return _limit(common[None], np.radians([TILT_DEG]))
 
 
-def _limit(vectors: FloatArray, spread: FloatArray) -> FloatArray:
+def _limit(vectors: FloatArray, spread: FloatArray, *, limit: float = 1.6, soft: float = 4.0) -> FloatArray:
     """(n, 3) vectors as far as bodies with this (n,) root mean square make them: small ones whole."""
-    size = np.linalg.norm(vectors, axis=1) / (_LIMIT * spread)
-    return np.asarray(vectors / (1.0 + size**_SOFT)[:, None] ** (1.0 / _SOFT))
+    # limit: of the root mean square: one body in twelve differs more; soft: how suddenly the limit sets in
+    size = np.linalg.norm(vectors, axis=1) / (limit * spread)
+    return np.asarray(vectors / (1.0 + size**soft)[:, None] ** (1.0 / soft))
 
 
 def learn_between(measured: Sequence[Offset]) -> FloatArray:
@@ -336,7 +333,7 @@ def _measure_reach(motion: Working, percent: float) -> FloatArray:
 
 
 def take_out(performance: Working, offset: Offset) -> Working:
-    """The performance by the body of the reference; what is missing is not seen.
+    """Remove the offset from a performance; missing segments are marked as not seen.
 
     The first line of a grade and of every deviation: what is left are differences that come and go.
     """
@@ -346,7 +343,7 @@ def take_out(performance: Working, offset: Offset) -> Working:
 
 
 def take_out_of_postures(performance: PostureSequence, working: Working, offset: Offset) -> PostureSequence:
-    """The same at the full rate; places stay as they are. ``working`` is the same performance, thinned."""
+    """Remove the offset at the full rate; positions stay. ``working`` is the same performance, thinned."""
     middle = (np.arange(working.n_frames) + 0.5) * working.stride - 0.5
     heading = np.interp(np.arange(performance.n_frames), middle, np.nan_to_num(working.heading))
     segments = _take_out(performance.segments, heading, offset)
@@ -355,7 +352,7 @@ def take_out_of_postures(performance: PostureSequence, working: Working, offset:
 
 
 def take_out_of_pose(pose: FloatArray, heading: float, turns: FloatArray) -> FloatArray:
-    """The same of one pose (9, 3) whose performer faces ``heading`` rad; ``turns`` (9, 3, 3) of `find_turns`."""
+    """Remove the offset from one pose (9, 3) with a heading in rad; ``turns`` (9, 3, 3) of `find_turns`."""
     cosine, sine = math.cos(heading), math.sin(heading)
     yaw = np.array([[cosine, 0.0, sine], [0.0, 1.0, 0.0], [-sine, 0.0, cosine]])
     return np.asarray((turns @ (pose @ yaw)[..., None])[..., 0] @ yaw.T)
@@ -376,7 +373,7 @@ def _take_out(segments: FloatArray, heading: FloatArray, offset: Offset) -> Floa
 def measure_offset(
     reference: FloatArray, performance: FloatArray, judged: NDArray[np.bool_], heading: FloatArray, rate: float
 ) -> tuple[FloatArray, FloatArray]:
-    """The angle by which each segment is off at every moment.
+    """Measure the angle by which each segment is off at every moment.
 
     Parameters
     ----------
@@ -429,24 +426,32 @@ def _take_median(reference: FloatArray, performance: FloatArray, judged: NDArray
 
 
 def _refine(
-    reference: FloatArray, performance: FloatArray, judged: NDArray[np.bool_], vectors: FloatArray
+    reference: FloatArray,
+    performance: FloatArray,
+    judged: NDArray[np.bool_],
+    vectors: FloatArray,
+    *,
+    steady: float = 4.0,
+    ridge: float = 0.03,
 ) -> tuple[FloatArray, FloatArray]:
     """One round of re-weighted least squares; and (N, 9) what each moment counts."""
+    # steady: of the median squared deviation; ridge: of the moments: about its own axis a segment that hardly moves
+    # has no offset
     turned = turn_segments(reference, vectors)
     error = performance - turned
     squared = (error**2).sum(axis=2)
     # Of a steady performer less is needed to be elsewhere.
     usual = np.array([np.median(squared[some, k]) if some.any() else 0.0 for k, some in enumerate(judged.T)])
-    trust = judged / (1.0 + squared / np.clip(_STEADY * usual, *_SCALES)) ** 2
+    trust = judged / (1.0 + squared / np.clip(steady * usual, *_SCALES)) ** 2
     count = trust.sum(axis=0)
     # A small turn v moves a direction d by v x d: normal equations of sum |error - v x d|^2.
     spread = np.einsum("ts,tsi,tsj->sij", trust, turned, turned)
-    left = (count * (1.0 + _RIDGE) + 1e-9)[:, None, None] * np.eye(3) - spread
-    right = np.einsum("ts,tsk->sk", trust, np.cross(turned, error)) - (_RIDGE * count)[:, None] * vectors
+    left = (count * (1.0 + ridge) + 1e-9)[:, None, None] * np.eye(3) - spread
+    right = np.einsum("ts,tsk->sk", trust, np.cross(turned, error)) - (ridge * count)[:, None] * vectors
     return vectors + np.linalg.solve(left, right[..., None])[..., 0], trust
 
 
 def turn_segments(segments: FloatArray, vectors: FloatArray) -> FloatArray:
-    """Segments (N, 9, 3), each turned by its rotation vector (9, 3) rad."""
+    """Turn segments (N, 9, 3), each by its rotation vector (9, 3) rad."""
     turns = rotations.to_matrix(rotations.from_axis_angle(vectors))
     return np.asarray(np.einsum("sij,tsj->tsi", turns, segments))
