@@ -26,7 +26,7 @@ from app.studio.one_address import Address, run_app
 from app.studio.studio_client import Client
 from dousa.app.studio import Settings, create_app
 from dousa.app.studio.jobs import lanes
-from dousa.evaluation.grade import adjustable
+from dousa.evaluation.grade import assessment
 from made_once import make_once
 from patience import PATIENCE
 
@@ -81,7 +81,7 @@ def kept_comparisons() -> Iterator[None]:
     """Dances are compared once, not for each page that judges them: what comparing says is tried without a studio."""
     with pytest.MonkeyPatch.context() as patch:
         for name in ("prepare_references", "compare_bodies", "weigh"):
-            patch.setattr(adjustable, name, keep(getattr(adjustable, name)))
+            patch.setattr(assessment, name, keep(getattr(assessment, name)))
         yield
 
 

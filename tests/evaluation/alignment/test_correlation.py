@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from oracles import yamane_correlation as oracle
 
 from dousa.errors import InvalidMotionError, OptionError
-from dousa.evaluation.alignment import correlation
+from dousa.evaluation.alignment import correspondence
 from dousa.evaluation.alignment.correspondence import compute_correlation_matrix, compute_similarity
 from dousa.evaluation.posture.posture import LIMBS
 from dousa.evaluation.posture.yaw import compute_complex_correlation, rotate_yaw
@@ -96,7 +96,7 @@ def test_a_segment_of_no_weight_does_not_count() -> None:
 def test_tiles_and_threads_change_nothing(shape: tuple[int, int], monkeypatch: pytest.MonkeyPatch) -> None:
     a, b = draw(6, shape[0]), draw(7, shape[1])
     alone = compute_correlation_matrix(a, b)
-    monkeypatch.setattr(correlation, "_WORTH_THREADS", 0)
+    monkeypatch.setattr(correspondence, "_WORTH_THREADS", 0)
     np.testing.assert_array_equal(compute_correlation_matrix(a, b), alone)
     np.testing.assert_allclose(alone, compute_similarity(a[:, None], b[None]), atol=1e-6)
 
@@ -117,6 +117,6 @@ def test_bad_input(monkeypatch: pytest.MonkeyPatch) -> None:
         compute_correlation_matrix(a, a, similarity="sine")
     with pytest.raises(OptionError, match=r"weights: .*got \(5, 9\)"):
         compute_correlation_matrix(a, a, np.ones((5, 9)))
-    monkeypatch.setattr(correlation, "_MOST_PAIRS", 24)
+    monkeypatch.setattr(correspondence, "_MOST_PAIRS", 24)
     with pytest.raises(OptionError, match="5 x 5 is too large"):
         compute_correlation_matrix(a, a)
